@@ -1,17 +1,14 @@
 """The laws of growth against an independent fit, and the runs that make the growth of a row."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from math import exp, log
 
 import figure_runs
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from vprbench.errors import BadInput
-from vprbench.metrics.growth import LAWS, Law, compare, exponent
+from vprbench.metrics.growth import LAWS, compare, exponent
 from vprbench.paper.growth import interval_of_median, samples
 from vprbench.paper.plan import Row
 from vprbench.run.note import Note
@@ -21,11 +18,11 @@ TEMPO = Row("VPRTempo", "vprtempo", boundary="match")
 OLD = {"time_utc": "2024-01-01T00:00:00Z"}
 
 
-def noisy(seconds: npt.NDArray[np.float64], percent: float, seed: int) -> npt.NDArray[np.float64]:
+def noisy(seconds, percent, seed):
     return seconds * np.exp(percent / 100 * np.random.default_rng(seed).normal(size=len(seconds)))
 
 
-def slow_aicc(shape: npt.NDArray[np.float64], seconds: npt.NDArray[np.float64]) -> float:
+def slow_aicc(shape, seconds):
     """Return AICc of seconds = a (1 + c rise) on ln seconds: every c of a fine grid is tried, ln a is then a mean."""
     rise = shape - shape.min()
     ratios = np.append(0, np.geomspace(1e-6, 1e6, 200_001) / rise.max()) if shape.any() else np.zeros(1)
@@ -43,7 +40,7 @@ def slow_aicc(shape: npt.NDArray[np.float64], seconds: npt.NDArray[np.float64]) 
         ("logarithmic", -0.1 * log(50), 0.1, np.log),
     ],
 )
-def test_exact_times_give_their_law_and_its_coefficients_back(law: Law, a: float, b: float, shape: np.ufunc) -> None:
+def test_exact_times_give_their_law_and_its_coefficients_back(law, a, b, shape):
     found = compare(SIZES, a + b * shape(SIZES))
     assert (found.best, found.supported) == (law, (law,))
     assert (found.fits[law].a, found.fits[law].b) == pytest.approx((a, b))
@@ -52,7 +49,7 @@ def test_exact_times_give_their_law_and_its_coefficients_back(law: Law, a: float
         assert compare(SIZES, noisy(a + b * shape(SIZES), 5, seed)).supported == (law,)
 
 
-def test_aicc_is_that_of_an_independent_fit() -> None:
+def test_aicc_is_that_of_an_independent_fit():
     seconds = np.array([1.0, 1.4, 2.1, 2.4, 3.2, 3.4, 3.3])
     sizes = np.append(SIZES, 50000)
     found = compare(sizes, seconds)
@@ -68,7 +65,7 @@ def test_aicc_is_that_of_an_independent_fit() -> None:
     assert all(fit.b >= 0 for fit in falling.fits.values())
 
 
-def test_the_exponent_s_interval_is_student_s() -> None:
+def test_the_exponent_s_interval_is_student_s():
     # ln places 0 to 4; ln seconds 0, 1, 2, 3, 4 with errors 1, 0, -2, 0, 1, orthogonal to a line and a constant: slope
     # 1, its standard error sqrt(6 / 3 / 10), Student's 97.5 % quantile of 3 degrees of freedom 3.18245
     places = np.exp(np.arange(5.0))
@@ -82,34 +79,31 @@ def test_the_exponent_s_interval_is_student_s() -> None:
         assert (exact.low, exact.value, exact.high) == pytest.approx((power, power, power), abs=1e-6)
 
 
-def test_data_that_two_laws_describe_alike_support_both() -> None:
+def test_data_that_two_laws_describe_alike_support_both():
     sizes = np.arange(1000, 1500, 50)  # on so short a stretch a logarithm is nearly straight
     found = compare(sizes, (1 + 0.001 * sizes) * np.tile([1.02, 0.98], 5))
     assert found.supported == ("logarithmic", "linear")
 
 
-@pytest.mark.parametrize(
-    ("sizes", "times", "named"),
-    [
+def test_too_few_sizes_and_times_that_are_not_above_zero_are_refused():
+    for sizes, times, named in (
         ([100, 300, 1000, 3000] * 3, [1.0] * 12, "^times at 4"),
         ([0, *SIZES[1:]], [1.0] * 6, "one place or more"),
         *((SIZES, [1, 2, 3, 4, 5, wrong], "above 0") for wrong in (0.0, -1.0, float("nan"), float("inf"))),
-    ],
-)
-def test_too_few_sizes_and_times_that_are_not_above_zero_are_refused(sizes, times, named):
-    with pytest.raises(BadInput, match=named):
-        compare(sizes, times)
+    ):
+        with pytest.raises(BadInput, match=named):
+            compare(sizes, times)
 
 
-@pytest.mark.parametrize(("n_laps", "k"), [(6, 1), (10, 2), (25, 8), (100, 40)])
-def test_the_interval_of_a_median_lies_at_the_tabulated_ranks(n_laps: int, k: int) -> None:
+def test_the_interval_of_a_median_lies_at_the_tabulated_ranks():
     # ranks of the 95 % interval: Conover, Practical Nonparametric Statistics, table of the binomial distribution
     assert interval_of_median(np.arange(5.0)) is None
-    laps = np.random.default_rng(0).permutation(np.arange(1.0, n_laps + 1))
-    assert interval_of_median(laps) == (k, n_laps + 1 - k)
+    for n_laps, k in ((6, 1), (10, 2), (25, 8), (100, 40)):
+        laps = np.random.default_rng(0).permutation(np.arange(1.0, n_laps + 1))
+        assert interval_of_median(laps) == (k, n_laps + 1 - k)
 
 
-def test_samples_stand_in_the_order_of_places_and_seeds_and_the_newest_run_of_each_counts() -> None:
+def test_samples_stand_in_the_order_of_places_and_seeds_and_the_newest_run_of_each_counts_disturbed_or_not():
     runs = [
         figure_runs.sized(n, 5.0, 0.001 * n, seed=seed, fit_compute_seconds=n / 100)
         for n in (300, 100)
@@ -121,24 +115,16 @@ def test_samples_stand_in_the_order_of_places_and_seeds_and_the_newest_run_of_ea
     assert [(run.outcome.n_places, run.config["seed"]) for run in found.runs] == wanted
     assert [(sample.n_places, sample.seconds) for sample in found.training] == [(100, 1), (100, 1), (300, 3), (300, 3)]
     assert found.query[-1].seconds == pytest.approx(0.301)  # 1 ms to encode
+    assert {sample.disturbed for sample in found.training} == {False}
+    carts = figure_runs.sized(500, 1.0, 0.001, notes=(Note("noisy", "noisy: a cart"),))
+    found = samples(TEMPO, [*runs, carts, figure_runs.sized(900, None, 0.001)], ())  # the last one loaded its network
+    assert [(sample.n_places, sample.disturbed) for sample in found.training[3:]] == [(300, False), (500, True)]
+    assert [(sample.n_places, sample.disturbed) for sample in found.query[4:]] == [(500, True), (900, False)]
     with pytest.raises(BadInput, match="no run of VPRTempo"):
         samples(TEMPO, [], ())
 
 
-def test_disturbed_times_are_marked_and_a_loaded_network_gives_query_times_alone() -> None:
-    carts = (Note("noisy", "noisy: a cart"),)
-    runs = [
-        figure_runs.sized(100, 1.0, 0.001, notes=carts),
-        figure_runs.sized(300, 1.0, 0.001, notes=()),
-        figure_runs.sized(500, None, 0.001),
-    ]
-    found = samples(TEMPO, runs, ())
-    assert [(sample.n_places, sample.disturbed) for sample in found.training] == [(100, True), (300, False)]
-    assert [(sample.n_places, sample.disturbed) for sample in found.query[:2]] == [(100, True), (300, False)]
-    assert len(found.query) == 3
-
-
-def test_runs_under_other_conditions_than_the_newest_are_set_aside_by_name() -> None:
+def test_runs_under_other_conditions_than_the_newest_are_set_aside_by_name():
     old = [figure_runs.sized(n, 9.0, 0.009, code="older", **OLD) for n in (100, 300, 1000)]
     slow = [figure_runs.sized(300, 9.0, 0.009, processor="Slide rule", time_utc="2024-06-01T00:00:00Z")]
     new = [figure_runs.sized(n, 1.0, 0.001) for n in (100, 300)]
@@ -150,7 +136,7 @@ def test_runs_under_other_conditions_than_the_newest_are_set_aside_by_name() -> 
     )
 
 
-def test_runs_with_other_arguments_weights_or_protocol_are_another_growth() -> None:
+def test_runs_with_other_arguments_weights_or_protocol_are_another_growth():
     given, protocol = {"max_module": 1100, "rules": "own"}, {"places": 300, "tolerance_places": 0}
     new = figure_runs.sized(1000, 1.0, 0.001, arguments=given, protocol={**protocol, "places": 1000})
     heavier = figure_runs.sized(300, 9.0, 0.001, arguments=given, protocol=protocol, **OLD)

@@ -1,18 +1,15 @@
 """Every metric is reached by its name, and one that is added is everywhere at once."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from assembled import measured, table
 from little import a_run, unanswerable_run
+from little_runs import quiet_surroundings
 from small_plan import RUN, install
 from stored_runs import RAIL, ROWS, SAD, run
 
@@ -20,7 +17,6 @@ from vprbench.api.arithmetic import Arithmetic
 from vprbench.cli import main
 from vprbench.metrics.accuracy import average_precision, pr_curve_multi
 from vprbench.metrics.energy import estimated_joules, synaptic_operations
-from vprbench.metrics.ranking import Outcome
 from vprbench.metrics.registry import METRICS, Metric
 from vprbench.paper.figures.metrics import of_rows
 from vprbench.paper.selection import groups, series
@@ -28,21 +24,22 @@ from vprbench.paper.table import formats
 from vprbench.paper.table.quantities import QUANTITIES, quantities
 
 
-def unanswerable(outcome: Outcome) -> float:
+def unanswerable(outcome):
     """Return the share of queries without a right place, of which fewer are better."""
     return 1 - float(outcome.answerable.mean())
 
 
 @pytest.fixture
-def lost() -> Iterator[Metric]:
+def lost():
     """A metric that this project does not have."""
     made = Metric("lost", "Lost", unanswerable, "queries without a right place", 2, higher_is_better=False)
     METRICS[made.name] = made
-    yield made
+    with quiet_surroundings():
+        yield made
     del METRICS[made.name]
 
 
-def test_each_metric_of_four_queries_is_the_one_worked_by_hand_and_undefined_without_a_right_place() -> None:
+def test_each_metric_of_four_queries_is_the_one_worked_by_hand_and_undefined_without_a_right_place():
     # right, right, wrong, wrong in falling order of confidence, the right places of the last two 3rd and 8th
     found = {name: METRICS[name].of(a_run()) for name, each in METRICS.items() if each.cost is None and name != "ap_c"}
     assert found == pytest.approx(
@@ -55,7 +52,7 @@ def test_each_metric_of_four_queries_is_the_one_worked_by_hand_and_undefined_wit
     assert {name: METRICS[name].of(unanswerable_run()) for name in METRICS} == dict.fromkeys(METRICS)
 
 
-def test_all_pairs_are_judged_where_a_run_keeps_the_whole_map() -> None:
+def test_all_pairs_are_judged_where_a_run_keeps_the_whole_map():
     scores = np.random.default_rng(3).random((4, 10)).astype(np.float32)
     best = np.argsort(-scores, axis=1).astype(np.int32)
     kept = run(top_places=best, top_scores=np.take_along_axis(scores, best, axis=1))
@@ -68,9 +65,7 @@ def test_all_pairs_are_judged_where_a_run_keeps_the_whole_map() -> None:
 ONE = ["method=sad", "dataset=synthetic", "dataset.places=20", "dataset.first_query_place=4", *RUN]
 
 
-def test_an_added_metric_is_in_row_json_csv_and_table(
-    lost: Metric, tmp_path: Path, monkeypatch: Any, capfd: Any
-) -> None:
+def test_an_added_metric_is_in_row_json_csv_and_table(lost, tmp_path, monkeypatch, capfd):
     install(monkeypatch, tmp_path)
     assert main([*ONE, "metrics=[lost,r100p]"]) == 0
     assert {"Lost %", "R@100P %"} <= {*capfd.readouterr().out.replace("  ", "\n").split("\n")}
@@ -84,7 +79,7 @@ def test_an_added_metric_is_in_row_json_csv_and_table(
     assert next(csv.DictReader(Path("results/table-runs.csv").read_text().splitlines()))["lost"] == "0.0"
 
 
-def test_a_metric_of_the_table_is_the_mean_of_its_seeds_in_its_unit_and_never_bold(lost: Metric) -> None:
+def test_a_metric_of_the_table_is_the_mean_of_its_seeds_in_its_unit_and_never_bold(lost):
     made = table([run(hits=[1] * 40), run("vprsnn", hits=[0] * 40)], quantities=quantities(["r100p", "ep", "lost"]))
     assert [measured(made, "SAD", name).value for name in ("r100p", "ep", "lost")] == [100, 1, 0]
     assert not any(measured(made, "SAD", name).best for name in ("r100p", "ep", "lost"))
@@ -100,13 +95,13 @@ def test_a_metric_of_the_table_is_the_mean_of_its_seeds_in_its_unit_and_never_bo
     )
 
 
-def test_an_unknown_metric_is_told_with_its_neighbours(capfd: pytest.CaptureFixture[str]) -> None:
+def test_an_unknown_metric_is_told_with_its_neighbours(capfd):
     for options in (["method=sad"], ["table"]):
         assert main([*options, "metrics=[r100]"]) == 2
         assert "did you mean r100p" in capfd.readouterr().err
 
 
-def test_the_figure_of_a_metric_shows_its_rows() -> None:
+def test_the_figure_of_a_metric_shows_its_rows():
     (group,) = groups([run(), run("vprsnn")], (), [RAIL], ROWS)
     drawn = of_rows(series(group, ROWS), METRICS["r100p"])
     (axes,) = drawn.figure.axes
@@ -124,11 +119,11 @@ def test_the_figure_of_a_metric_shows_its_rows() -> None:
         ([Arithmetic(10, 0), Arithmetic(10, 10, "int64")], 79),  # 0.1 + 3.1; 0.1
     ],
 )
-def test_arithmetic_costs_what_the_table_says(arithmetic: list[Arithmetic], picojoules: float) -> None:
+def test_arithmetic_costs_what_the_table_says(arithmetic, picojoules):
     assert 1e12 * estimated_joules(arithmetic) == pytest.approx(picojoules)
 
 
-def test_synaptic_operations_add_up_by_their_kind_over_the_layers_that_lead_on() -> None:
+def test_synaptic_operations_add_up_by_their_kind_over_the_layers_that_lead_on():
     layers = [
         {"synops": 5.0, "operation": "AC"},
         {"synops": 7.0, "operation": "MAC"},

@@ -1,9 +1,6 @@
 """Recall at 1 under wider tolerances: of one query, of whole matrices, and of a run whose dataset asks for them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,14 +10,13 @@ from vprbench.errors import BadInput
 from vprbench.metrics.ranking import ranked_places
 from vprbench.metrics.tolerance import hits_within
 from vprbench.run import rows
-from vprbench.run.record import Run
 from vprbench.run.store import Store
 
 GAPS = np.array([0, 1, 2, 5, 6])  # 3 and 4 are not in the map
 LOST = -np.inf
 
 
-def hits(best: list[int], scores: list[float], right: list[int], tolerances: list[int], numbers: Any = None) -> Any:
+def hits(best, scores, right, tolerances, numbers=None):
     """Return the hits of one query, (n_tolerances,)."""
     given = np.array([best], np.int32), np.array([scores], np.float32), (np.array(right, np.int64),)
     return hits_within(*given, tolerances, numbers)[:, 0]
@@ -40,12 +36,12 @@ def hits(best: list[int], scores: list[float], right: list[int], tolerances: lis
     ],
 )
 def test_the_best_places_of_a_query_are_right_from_the_tolerance_on_that_reaches_them(
-    best: list[int], scored: list[float], right: list[int], tolerances: list[int], numbers: Any, wanted: list[float]
-) -> None:
+    best, scored, right, tolerances, numbers, wanted
+):
     np.testing.assert_allclose(hits(best, scored, right, tolerances, numbers), wanted)
 
 
-def test_hits_agree_with_whole_score_matrices_under_widened_ground_truth() -> None:
+def test_hits_agree_with_whole_score_matrices_under_widened_ground_truth():
     random = np.random.default_rng(0)
     n_queries, n_places = 100, 12
     matrix = random.integers(0, 6, (n_queries, n_places)).astype(np.float32)  # many tie
@@ -62,12 +58,12 @@ def test_hits_agree_with_whole_score_matrices_under_widened_ground_truth() -> No
         np.testing.assert_allclose(found[0], expected)
 
 
-def test_of_more_tied_places_than_are_ranked_the_first_stand_in_their_order() -> None:
+def test_of_more_tied_places_than_are_ranked_the_first_stand_in_their_order():
     places, scores = ranked_places(np.array([[0, 3, 0, 3, 3, 0, 5, 3]], np.float32), 4)
     assert (places.tolist(), scores.tolist()) == ([[6, 1, 3, 4]], [[5, 3, 3, 3]])
 
 
-def test_a_tolerance_below_0_and_parts_of_different_runs_are_refused() -> None:
+def test_a_tolerance_below_0_and_parts_of_different_runs_are_refused():
     with pytest.raises(BadInput, match="-1 places"):
         hits([1], [0.5], [1], [0, -1])
     right = (np.array([1]),)
@@ -80,11 +76,11 @@ def test_a_tolerance_below_0_and_parts_of_different_runs_are_refused() -> None:
 # 0, 1 or 5, 2 and 3: they lie 0, 0, 7 and 4 places away.
 
 
-def sweep(*also: int, own: int = 0, **changes: Any) -> Run:
+def sweep(*also, own=0, **changes):
     return a_run(protocol={"query": "dusk", "tolerance_places": own, "also_tolerance_places": [*also]}, **changes)
 
 
-def test_a_summary_holds_recall_at_1_within_the_tolerances_that_were_asked_for() -> None:
+def test_a_summary_holds_recall_at_1_within_the_tolerances_that_were_asked_for():
     assert rows.recall_at_1_within(sweep(1, 4, 7)) == {1: 0.5, 4: 0.75, 7: 1.0}
     assert rows.tolerance_line(sweep(1, 4, 7)) == "R@1 within 1, 4, 7 places: 50.0 / 75.0 / 100.0 %"
     assert rows.numbers(sweep(1, 4))["recall_at_1_within_4_places"] == 0.75
@@ -96,7 +92,7 @@ def test_a_summary_holds_recall_at_1_within_the_tolerances_that_were_asked_for()
     assert rows.tolerance_line(lost) == "R@1 within 1, 2 places: - / - %"
 
 
-def test_tolerances_count_from_the_right_place_and_not_from_the_end_of_the_datasets_own() -> None:
+def test_tolerances_count_from_the_right_place_and_not_from_the_end_of_the_datasets_own():
     # Under a tolerance of 1 the right places of the last two queries are 1 to 3 and 2 to 4, so the best of the last one
     # lies 3 places beyond those and 4 from the middle.
     positives = (np.array([0, 1]), np.array([0, 1, 2]), np.array([1, 2, 3]), np.array([2, 3, 4]))

@@ -1,12 +1,9 @@
 """Backbones computed slowly, in float64, straight from the tensors of a checkpoint by their published names."""
 
-from __future__ import annotations
-
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 from torch.nn import functional
@@ -40,22 +37,25 @@ class Draw:
         return {f"{name}.weight": self.normal(dim, scale=0.25, mean=1), f"{name}.bias": self.normal(dim, scale=0.25)}
 
 
-def under(tensors: Tensors, prefix: str) -> dict[str, Tensor]:
+def under(tensors, prefix):
     """The tensors under a prefix, in float64."""
     return {name.removeprefix(prefix): value.double() for name, value in tensors.items() if name.startswith(prefix)}
 
 
-def prefixed(prefix: str, tensors: Tensors) -> dict[str, Tensor]:
+def prefixed(prefix, tensors):
     return {f"{prefix}{name}": tensor for name, tensor in tensors.items()}
 
 
-def gem(x: Tensor, p: Tensor | float, axes: int | tuple[int, ...] = (2, 3)) -> Tensor:
+def gem(x, p, axes=(2, 3)):
     """The generalised mean of Radenovic et al. 2019 over some axes."""
-    p = float(p)
-    return x.clamp(min=1e-6).pow(p).mean(axes).pow(1 / p)
+    return x.clamp(min=1e-6).pow(float(p)).mean(axes).pow(1 / float(p))
 
 
-def imagenet(*images: npt.NDArray[np.uint8]) -> Tensor:
+def linear(t, name, x):
+    return functional.linear(x, t[f"{name}.weight"].flatten(1), t[f"{name}.bias"])
+
+
+def imagenet(*images):
     """What networks see of images (height, width, 3) of one size, (n, 3, height, width): ImageNet's normalisation."""
     levels = torch.from_numpy(np.stack(images)).double().permute(0, 3, 1, 2) / 255
     mean, deviation = (torch.tensor(v).double()[:, None, None] for v in ([0.485, 0.456, 0.406], [0.229, 0.224, 0.225]))
@@ -63,13 +63,13 @@ def imagenet(*images: npt.NDArray[np.uint8]) -> Tensor:
 
 
 def vit_tokens(
-    tensors: Tensors,
-    prefix: str,
-    x: Tensor,
-    n_blocks: int | None = None,
-    final_norm: bool = True,
-    beside_mlp: Callable[[Tensors, Tensor], Tensor | float] = lambda block, tokens: 0.0,
-) -> Tensor:
+    tensors,
+    prefix,
+    x,
+    n_blocks=None,
+    final_norm=True,
+    beside_mlp=lambda block, tokens: 0.0,
+):
     """Tokens of DINOv2, CLS first, (n, 1 + rows * columns, dim), after `n_blocks` blocks (None: all of the file).
 
     What `beside_mlp` makes of a block's tensors and of its MLP's input is added to the MLP's output.
@@ -85,45 +85,41 @@ def vit_tokens(
         q, k, v = vit_qkv(tensors, prefix, tokens, number)
         weights = torch.softmax(q @ k.transpose(-1, -2) / math.sqrt(64), dim=-1)
         mixed = (weights @ v).transpose(1, 2).flatten(2)
-        tokens = tokens + b["ls1.gamma"] * (mixed @ b["attn.proj.weight"].T + b["attn.proj.bias"])
+        tokens = tokens + b["ls1.gamma"] * linear(b, "attn.proj", mixed)
         inner = layer_norm(tokens, b["norm2.weight"], b["norm2.bias"])
         tokens = tokens + b["ls2.gamma"] * (_mlp(b, inner) + beside_mlp(b, inner))
     return layer_norm(tokens, t["norm.weight"], t["norm.bias"]) if final_norm else tokens
 
 
-def vit_qkv(tensors: Tensors, prefix: str, tokens: Tensor, block: int) -> tuple[Tensor, Tensor, Tensor]:
+def vit_qkv(tensors, prefix, tokens, block):
     """Queries, keys and values of a block for the tokens that enter it, each (n, heads, n_tokens, 64)."""
     t = under(tensors, f"{prefix}blocks.{block}.")
     inner = layer_norm(tokens, t["norm1.weight"], t["norm1.bias"])
-    qkv = inner @ t["attn.qkv.weight"].T + t["attn.qkv.bias"]
-    return tuple(part.unflatten(2, (-1, 64)).transpose(1, 2) for part in qkv.chunk(3, dim=2))
+    qkv = linear(t, "attn.qkv", inner).chunk(3, dim=2)
+    return tuple(part.unflatten(2, (-1, 64)).transpose(1, 2) for part in qkv)
 
 
-def layer_norm(x: Tensor, weight: Tensor, bias: Tensor, eps: float = 1e-6) -> Tensor:
-    variance = x.var(dim=-1, correction=0, keepdim=True)
-    return (x - x.mean(dim=-1, keepdim=True)) / torch.sqrt(variance + eps) * weight.double() + bias.double()
+def layer_norm(x, weight, bias, eps=1e-6):
+    return functional.layer_norm(x, x.shape[-1:], weight.double(), bias.double(), eps)
 
 
-def attention(t: Tensors, at: str, asking: Tensor, asked: Tensor, heads: int) -> Tensor:
+def attention(t, at, asking, asked, heads):
     """What (n_asking, dim) take from (n_asked, dim), by the names of `torch.nn.MultiheadAttention`, head by head."""
     weights, biases = t[f"{at}.in_proj_weight"].chunk(3), t[f"{at}.in_proj_bias"].chunk(3)
     q, k, v = (x @ w.T + b for x, w, b in zip((asking, asked, asked), weights, biases, strict=True))
-    width = q.shape[1] // heads
-    parts = [slice(head * width, (head + 1) * width) for head in range(heads)]
-    mixed = [torch.softmax(q[:, own] @ k[:, own].T / math.sqrt(width), dim=1) @ v[:, own] for own in parts]
-    return torch.cat(mixed, 1) @ t[f"{at}.out_proj.weight"].T + t[f"{at}.out_proj.bias"]
+    q, k, v = (x.unflatten(1, (heads, -1)).transpose(0, 1) for x in (q, k, v))
+    mixed = torch.softmax(q @ k.mT / math.sqrt(q.shape[2]), dim=2) @ v
+    return linear(t, f"{at}.out_proj", mixed.transpose(0, 1).flatten(1))
 
 
-def _mlp(b: Tensors, x: Tensor) -> Tensor:
+def _mlp(b, x):
     if "mlp.w12.weight" in b:
-        gate, value = (x @ b["mlp.w12.weight"].T + b["mlp.w12.bias"]).chunk(2, dim=2)
-        return (gate * torch.sigmoid(gate) * value) @ b["mlp.w3.weight"].T + b["mlp.w3.bias"]
-    inner = x @ b["mlp.fc1.weight"].T + b["mlp.fc1.bias"]
-    inner = inner * (1 + torch.erf(inner / math.sqrt(2))) / 2
-    return inner @ b["mlp.fc2.weight"].T + b["mlp.fc2.bias"]
+        gate, value = linear(b, "mlp.w12", x).chunk(2, dim=2)
+        return linear(b, "mlp.w3", functional.silu(gate) * value)
+    return linear(b, "mlp.fc2", functional.gelu(linear(b, "mlp.fc1", x)))
 
 
-def _positions(pos_embed: Tensor, rows: int, columns: int) -> Tensor:
+def _positions(pos_embed, rows, columns):
     """Position embeddings of another grid: bicubic, scale (rows + 0.1) / side, as DINOv2 does it; own grid: as is."""
     side = math.isqrt(pos_embed.shape[1] - 1)
     if (rows, columns) == (side, side):
@@ -134,9 +130,7 @@ def _positions(pos_embed: Tensor, rows: int, columns: int) -> Tensor:
     return torch.cat([pos_embed[:, :1], grid.flatten(2).transpose(1, 2)], dim=1)
 
 
-def vit_checkpoint(
-    draw: Draw, dim: int = 128, depth: int = 2, side: int = 5, swiglu: bool = False
-) -> dict[str, Tensor]:
+def vit_checkpoint(draw, dim=128, depth=2, side=5, swiglu=False):
     """Random values under DINOv2's names, with a mask token, which has no use."""
     tensors = {
         "cls_token": draw.normal(1, 1, dim),
@@ -157,13 +151,12 @@ def vit_checkpoint(
     return tensors
 
 
-def salad(tensors: Tensors, prefix: str, tokens: Tensor) -> Tensor:
+def salad(tensors, prefix, tokens):
     """SALAD's descriptor of one image's tokens (1 + n_patches, dim), CLS first: of the token, then l * clusters + k."""
     t = under(tensors, prefix)
 
-    def network(name: str, second: int, x: Tensor) -> Tensor:
-        inner = (x @ t[f"{name}.0.weight"].flatten(1).T + t[f"{name}.0.bias"]).clamp(min=0)
-        return inner @ t[f"{name}.{second}.weight"].flatten(1).T + t[f"{name}.{second}.bias"]
+    def network(name, second, x):
+        return linear(t, f"{name}.{second}", linear(t, f"{name}.0", x).clamp(min=0))
 
     token = network("token_features", 2, tokens[0])
     features = network("cluster_features", 3, tokens[1:]).T  # (l, n)
@@ -177,28 +170,21 @@ def salad(tensors: Tensors, prefix: str, tokens: Tensor) -> Tensor:
         u = rows / (kernel @ v)
         v = patch / (u @ kernel)
     assigned = (u[:, None] * kernel * v / patch)[:clusters]
-    gathered = features @ assigned.T  # (l, k)
-    gathered = gathered / gathered.norm(dim=0)
-    whole = torch.cat([token / token.norm(), gathered.flatten()])
-    return whole / whole.norm()
+    gathered = functional.normalize(features @ assigned.T, dim=0)  # (l, k)
+    return functional.normalize(torch.cat([functional.normalize(token, dim=0), gathered.flatten()]), dim=0)
 
 
-def salad_checkpoint(
-    draw: Draw, clusters: int, cluster_dim: int, token_dim: int, dim: int = 128, hidden: int = 32
-) -> dict[str, Tensor]:
+def salad_checkpoint(draw, clusters, cluster_dim, token_dim, dim=128, hidden=32):
     """Random values under the names of SALAD's aggregator; scores so far apart that Sinkhorn is not done after 3."""
     tensors = {"dust_bin": torch.tensor(1.5)}
     sizes = {"token_features": token_dim, "cluster_features": cluster_dim, "score": clusters}
     for name, n_out in sizes.items():
         second, sides = (2, ()) if name == "token_features" else (3, (1, 1))
-        tensors |= {
-            f"{name}.0.weight": draw.normal(hidden, dim, *sides, scale=(2 / dim) ** 0.5),
-            f"{name}.0.bias": draw.normal(hidden, scale=0.3),
-            f"{name}.{second}.weight": draw.normal(
-                n_out, hidden, *sides, scale=(3 if name == "score" else 1) / hidden**0.5
-            ),
-            f"{name}.{second}.bias": draw.normal(n_out, scale=0.3),
-        }
+        gain = 3 if name == "score" else 1
+        tensors[f"{name}.0.weight"] = draw.normal(hidden, dim, *sides, scale=(2 / dim) ** 0.5)
+        tensors[f"{name}.0.bias"] = draw.normal(hidden, scale=0.3)
+        tensors[f"{name}.{second}.weight"] = draw.normal(n_out, hidden, *sides, scale=gain / hidden**0.5)
+        tensors[f"{name}.{second}.bias"] = draw.normal(n_out, scale=0.3)
     return tensors
 
 
@@ -209,7 +195,7 @@ VGG16_CONVOLUTIONS = {  # number of the layer: channels
 VGG16_POOLS = (4, 9, 16, 23, 30)
 
 
-def vgg16(tensors: Tensors, prefix: str, x: Tensor, last: int = 30) -> Tensor:
+def vgg16(tensors, prefix, x, last=30):
     """VGG16's features up to layer `last` with it: 28 is conv5_3 before its ReLU, 30 the last pool."""
     x = x.double()
     for number in range(last + 1):
@@ -221,16 +207,14 @@ def vgg16(tensors: Tensors, prefix: str, x: Tensor, last: int = 30) -> Tensor:
     return x
 
 
-def residuals(features: Tensor, assignment: Tensor, centroids: Tensor) -> Tensor:
+def residuals(features, assignment, centroids):
     """NetVLAD's residuals of features (channels, h, w) to centroids, by their shares, (h * w, clusters, channels)."""
     local = functional.normalize(features.flatten(1), dim=0).T
     shares = torch.softmax(local @ assignment.double().flatten(1).T, dim=1)
     return shares[:, :, None] * (local[:, None] - centroids.double())
 
 
-def vlad(
-    sums: Tensor, projection: Tensor | None = None, bias: Tensor | None = None, fastest: str = "channel"
-) -> Tensor:
+def vlad(sums, projection=None, bias=None, fastest="channel"):
     """The unit vector of sums of residuals (clusters, channels), whitened if there is a projection."""
     columns = functional.normalize(sums, dim=1)
     vector = functional.normalize((columns.T if fastest == "cluster" else columns).flatten(), dim=0)
@@ -239,7 +223,7 @@ def vlad(
     return functional.normalize(projection.double().flatten(1) @ vector + bias.double(), dim=0)
 
 
-def vgg16_checkpoint(draw: Draw, prefix: str = "") -> dict[str, Tensor]:
+def vgg16_checkpoint(draw, prefix=""):
     """Random values under VGG16's names, under which activations stay near 1."""
     tensors, n_in = {}, 3
     for number, n_out in VGG16_CONVOLUTIONS.items():
@@ -259,7 +243,7 @@ RESNETS = {  # blocks of each stage, groups, channels of a group in the first st
 }
 
 
-def resnet(tensors: Tensors, prefix: str, x: Tensor, kind: str, n_stages: int = 4, numbered: bool = True) -> Tensor:
+def resnet(tensors, prefix, x, kind, n_stages=4, numbered=True):
     """A ResNet's last stage but for pooling and classifier; numbered: 0, 1, 4 to 7, else conv1, bn1, layer1 to 4."""
     blocks, groups, _ = RESNETS[kind]
     stem, norm, *stages = _resnet_names(numbered)
@@ -273,9 +257,7 @@ def resnet(tensors: Tensors, prefix: str, x: Tensor, kind: str, n_stages: int = 
     return x
 
 
-def resnet_checkpoint(
-    draw: Draw, kind: str, prefix: str = "", n_stages: int = 4, numbered: bool = True
-) -> dict[str, Tensor]:
+def resnet_checkpoint(draw, kind, prefix="", n_stages=4, numbered=True):
     """Random values under a ResNet's names, batch norms that do something, activations near 1."""
     blocks, groups, width = RESNETS[kind]
     basic = kind in ("resnet18", "resnet34")
@@ -289,53 +271,39 @@ def resnet_checkpoint(
             at = f"{stages[stage]}.{block}"
             sides = [(n_in, inner, 1, 1), (inner, inner, 3, groups), (inner, n_out, 1, 1)]
             sides = [(n_in, inner, 3, 1), (inner, n_out, 3, 1)] if basic else sides
-            for number, (n_from, n_to, side, n_groups) in enumerate(sides, 1):
+            for number, size in enumerate(sides, 1):
                 scale = 0.4 if number == len(sides) else 1.0
-                names = f"{at}.conv{number}", f"{at}.bn{number}"
-                tensors |= _convolution(draw, *names, n_from, n_to, side, n_groups, scale)
+                tensors |= _convolution(draw, f"{at}.conv{number}", f"{at}.bn{number}", *size, scale)
             if block == 0 and (stage or n_in != n_out):
-                names = f"{at}.downsample.0", f"{at}.downsample.1"
-                tensors |= _convolution(draw, *names, n_in, n_out, 1, scale=0.7)
+                tensors |= _convolution(draw, f"{at}.downsample.0", f"{at}.downsample.1", n_in, n_out, 1, scale=0.7)
             n_in = n_out
     return prefixed(prefix, tensors)
 
 
-def _resnet_names(numbered: bool) -> tuple[str, ...]:
+def _resnet_names(numbered):
     return ("0", "1", "4", "5", "6", "7") if numbered else ("conv1", "bn1", "layer1", "layer2", "layer3", "layer4")
 
 
-def _resnet_block(t: Tensors, at: str, x: Tensor, stride: int, groups: int) -> Tensor:
+def _resnet_block(t, at, x, stride, groups):
     """Two 3x3 convolutions, the first with the stride; or 1x1, 3x3 with the stride, 1x1; and the shortcut."""
     way = x
-    bottleneck = f"{at}.conv3.weight" in t
-    for number in (1, 2, 3) if bottleneck else (1, 2):
-        middle = number == (2 if bottleneck else 1)
+    strided = 2 if f"{at}.conv3.weight" in t else 1
+    for number in range(1, 4 if strided == 2 else 3):
         weight = t[f"{at}.conv{number}.weight"]
-        if number > 1:
-            way = way.clamp(min=0)
-        way = functional.conv2d(
-            way,
-            weight,
-            stride=stride if middle else 1,
-            padding=weight.shape[-1] // 2,
-            groups=groups if weight.shape[-1] == 3 else 1,
-        )
+        side, step = weight.shape[-1], stride if number == strided else 1
+        way = functional.conv2d(way, weight, None, step, side // 2, groups=groups if side == 3 else 1)
         way = _batch_norm(t, f"{at}.bn{number}", way)
+        way = way if f"{at}.conv{number + 1}.weight" not in t else way.clamp(min=0)
     if f"{at}.downsample.0.weight" in t:
         x = _batch_norm(t, f"{at}.downsample.1", functional.conv2d(x, t[f"{at}.downsample.0.weight"], stride=stride))
     return (way + x).clamp(min=0)
 
 
-def _batch_norm(t: Tensors, at: str, x: Tensor) -> Tensor:
-    weight, bias, mean, variance = (
-        t[f"{at}.{part}"][:, None, None] for part in ("weight", "bias", "running_mean", "running_var")
-    )
-    return (x - mean) / torch.sqrt(variance + 1e-5) * weight + bias
+def _batch_norm(t, at, x):
+    return functional.batch_norm(x, *(t[f"{at}.{part}"] for part in ("running_mean", "running_var", "weight", "bias")))
 
 
-def _convolution(
-    draw: Draw, at: str, norm: str, n_in: int, n_out: int, side: int, groups: int = 1, scale: float = 1.0
-) -> dict[str, Tensor]:
+def _convolution(draw, at, norm, n_in, n_out, side, groups=1, scale=1.0):
     """A convolution that doubles what it gets, and the batch norm behind it, which halves it again."""
     shape = (n_out, n_in // groups, side, side)
     return {

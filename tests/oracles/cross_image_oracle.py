@@ -1,32 +1,25 @@
 """A cross-image encoder computed slowly, in float64, from the names of `torch.nn.TransformerEncoder`'s tensors."""
 
-from __future__ import annotations
-
-import math
-
 import torch
-from backbones_oracle import Draw, Tensors, attention, layer_norm, prefixed, under
-from torch import Tensor
+from backbones_oracle import attention, layer_norm, linear, prefixed, under
+from torch.nn import functional
 
 HEADS = 16
 
 
-def encoded_together(tensors: Tensors, parts: Tensor) -> Tensor:
+def encoded_together(tensors, parts):
     """What becomes of the parts (n_images, n_parts, dim) of images of which each sees all: norms after additions."""
     for number in range(2):
         t = under(tensors, f"encoder.layers.{number}.")
-        seen = torch.empty_like(parts)
-        for part in range(parts.shape[1]):  # a part sees the same part of all images
-            seen[:, part] = attention(t, "self_attn", parts[:, part], parts[:, part], HEADS)
+        together = parts.unbind(1)  # a part sees the same part of all images
+        seen = torch.stack([attention(t, "self_attn", part, part, HEADS) for part in together], 1)
         parts = layer_norm(parts + seen, t["norm1.weight"], t["norm1.bias"], eps=1e-5)
-        inner = parts @ t["linear1.weight"].T + t["linear1.bias"]
-        inner = inner * (1 + torch.erf(inner / math.sqrt(2))) / 2
-        inner = inner @ t["linear2.weight"].T + t["linear2.bias"]
+        inner = linear(t, "linear2", functional.gelu(linear(t, "linear1", parts)))
         parts = layer_norm(parts + inner, t["norm2.weight"], t["norm2.bias"], eps=1e-5)
     return parts
 
 
-def encoder_checkpoint(draw: Draw, dim: int, hidden: int) -> dict[str, Tensor]:
+def encoder_checkpoint(draw, dim, hidden):
     """Random values, so large that images change one another."""
     tensors = {}
     for number in range(2):

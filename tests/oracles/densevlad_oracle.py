@@ -1,34 +1,16 @@
-"""DenseVLAD once more, slowly: plain loops in double precision, written from the specification alone."""
-
-from __future__ import annotations
+"""DenseVLAD once more, slowly, in double precision, written from the specification alone."""
 
 import math
 
 import numpy as np
+from scipy.ndimage import convolve1d
 
 SIZES = (4, 6, 8, 10)
 
 
-def at(line, i):
-    return line[min(max(i, 0), len(line) - 1)]
-
-
-def filtered(line, kernel, reach):
-    """Convolve a line with a symmetric kernel; beyond the ends it goes on unchanged."""
-    return [sum(kernel(t) * at(line, i + t) for t in range(-reach, reach + 1)) for i in range(len(line))]
-
-
-def filtered_image(image, kernel, reach):
-    rows = np.array([filtered(row, kernel, reach) for row in image])
-    return np.array([filtered(column, kernel, reach) for column in rows.T]).T
-
-
-def slope(line, i):
-    if i == 0:
-        return line[1] - line[0]
-    if i == len(line) - 1:
-        return line[i] - line[i - 1]
-    return (line[i + 1] - line[i - 1]) / 2
+def filtered(image, kernel):
+    """Convolve both sides with a symmetric kernel; beyond its borders an image goes on unchanged."""
+    return convolve1d(convolve1d(image, kernel, 1, mode="nearest"), kernel, 0, mode="nearest")
 
 
 def vlfeat_atan2(y, x):
@@ -40,15 +22,10 @@ def vlfeat_atan2(y, x):
 
 
 def orientation_maps(image, arctan=math.atan2):
-    maps = np.zeros((8, *image.shape))
-    for y in range(image.shape[0]):
-        for x in range(image.shape[1]):
-            down, right = slope(image[:, x], y), slope(image[y], x)
-            turn = arctan(down, right) / (2 * math.pi) * 8 % 8
-            lower = math.floor(turn)
-            maps[lower % 8, y, x] += (1 - (turn - lower)) * math.hypot(down, right)
-            maps[(lower + 1) % 8, y, x] += (turn - lower) * math.hypot(down, right)
-    return maps
+    down, right = np.gradient(image)  # one-sided at the borders
+    turn = np.vectorize(arctan)(down, right) / (2 * math.pi) * 8 % 8
+    apart = np.abs(turn - np.arange(8)[:, None, None])  # from each orientation, round the circle
+    return np.maximum(0, 1 - np.minimum(apart, 8 - apart)) * np.hypot(down, right)
 
 
 def window(size, number):
@@ -59,17 +36,14 @@ def window(size, number):
 
 def dense_sift(image, arctan=math.atan2):
     """Return for each scale the unit descriptors, (n, 128), of a grey image from 0 to 1; zero where contrast is low."""
-    image = np.asarray(image, np.float64)
     scales = []
     for size in SIZES:
         sigma = size / 6
         reach = math.ceil(4 * sigma)
-        total = sum(math.exp(-0.5 * (t / sigma) ** 2) for t in range(-reach, reach + 1))
-        smooth = filtered_image(image, lambda t, s=sigma, z=total: math.exp(-0.5 * (t / s) ** 2) / z, reach)
-        summed = [
-            filtered_image(one, lambda t, n=size: max(0, 1 - abs(t) / n), size)
-            for one in orientation_maps(smooth, arctan)
-        ]
+        gaussian = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
+        smooth = filtered(np.asarray(image, np.float64), gaussian / gaussian.sum())
+        triangle = 1 - np.abs(np.arange(-size, size + 1)) / size
+        summed = [filtered(one, triangle) for one in orientation_maps(smooth, arctan)]
         first = math.floor(1 + 3 / 2 * (10 - size)) - 1  # the specification counts from 1
         frame = 3 * size + 1
         descriptors = []
@@ -93,18 +67,15 @@ def normalised(histogram, frame):
 
 
 def root_sift(descriptor):
-    levels = np.array([math.floor(min(512 * value, 255)) for value in descriptor])
+    levels = np.floor(np.minimum(512 * descriptor, 255))
     return np.sqrt(levels / (levels.sum() + 1e-12))
 
 
 def vlad(descriptors, words, word_of_zero=0):
     sums = np.zeros(words.shape)
     for descriptor in descriptors:
-        distances = [np.sum((descriptor - word) ** 2) for word in words]
-        nearest = word_of_zero if not descriptor.any() else int(np.argmin(distances))
+        nearest = np.argmin(((descriptor - words) ** 2).sum(1)) if descriptor.any() else word_of_zero
         sums[nearest] += descriptor - words[nearest]
-    laid_out = []
-    for residual in sums:
-        norm = np.linalg.norm(residual)
-        laid_out += list(residual / norm if norm > 0 else residual)
-    return np.array(laid_out) / np.linalg.norm(laid_out)
+    norms = np.linalg.norm(sums, axis=1, keepdims=True)
+    laid_out = (sums / np.where(norms > 0, norms, 1)).ravel()
+    return laid_out / np.linalg.norm(laid_out)

@@ -4,9 +4,7 @@ Written from the description of QVPR/VPRSNN (after Diehl and Cook, 2015) alone: 
 the state update, the thresholds, the synapses (presynaptic before postsynaptic) and the resets, as in Brian2.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -34,14 +32,14 @@ class Run:
 
 
 def simulate(
-    weights: Floats,  # (n_inputs, n_neurons)
-    delays: npt.NDArray[np.integer],  # (n_inputs, n_neurons) steps
-    theta: Floats,  # (n_neurons,) mV
-    images: Sequence[Spikes],  # of each presentation: (n_steps, n_inputs) input spikes
-    constants: Any,
-    learning: bool,
-    weight_sum: float | None = None,
-) -> Run:
+    weights,  # (n_inputs, n_neurons)
+    delays,  # (n_inputs, n_neurons) steps
+    theta,  # (n_neurons,) mV
+    images,  # of each presentation: (n_steps, n_inputs) input spikes
+    constants,
+    learning,
+    weight_sum=None,
+):
     """Return what a module that was silent for ever does when images are shown, each followed by its rest.
 
     With a `weight_sum` the weights are normalised before every presentation.

@@ -3,8 +3,6 @@
 Exits with 1 if one of them names another best place too often, misses the check vector, or if a wrong neuron passes.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Mapping
 from functools import partial
@@ -15,7 +13,6 @@ import nir
 import nir_simulators as simulators
 import numpy as np
 
-from vprbench.api.dataset import Dataset
 from vprbench.datasets.nordland import nordland
 from vprbench.datasets.synthetic import synthetic
 from vprbench.methods.vprtempo.method import VPRTempo
@@ -29,7 +26,7 @@ WRONG: Mapping[str, simulators.Simulate] = {
 }
 
 
-def journey(n_queries: int) -> Dataset:
+def journey(n_queries):
     """Return 1000 places of Nordland where its frames lie beside the checkout, else of the rendered journey."""
     places = {"places": 1000, "query_places": n_queries, "first_query_place": 0}
     if REAL.is_dir():
@@ -39,7 +36,7 @@ def journey(n_queries: int) -> Dataset:
     return synthetic(**places)
 
 
-def main(python: Path, n_queries: int = 1000) -> bool:
+def main(python, n_queries=1000):
     """Print a line for each network and simulator; return whether all agree."""
     dataset, fine = journey(n_queries), True
     trained = VPRTempo(max_module=500).fit(dataset.references, dataset.places)

@@ -4,8 +4,6 @@ Inputs are (n, n_in), outputs, the mean of the steps, (n, n_out). A graph is one
 first may be followed by neurons.
 """
 
-from __future__ import annotations
-
 import sys
 
 import brian2
@@ -14,7 +12,7 @@ import numpy as np
 from nir_simulators import chain
 
 
-def simulated(graph: nir.NIRGraph, inputs: np.ndarray) -> np.ndarray:
+def simulated(graph, inputs):
     """Show each input as a constant current; spikes pass synapses into the sums of the last node."""
     first, *rest = chain(graph)
     steps, last = int(graph.metadata["steps"]), rest[-1]

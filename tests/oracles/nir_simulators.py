@@ -1,7 +1,5 @@
 """Graphs of NIR simulated by what their metadata says: in plain NumPy, in snnTorch, and in Brian2's own Python."""
 
-from __future__ import annotations
-
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
@@ -12,7 +10,7 @@ import numpy as np
 Simulate = Callable[[nir.NIRGraph, np.ndarray], np.ndarray]  # inputs (n, n_in) -> mean of the steps (n, n_out)
 
 
-def chain(graph: nir.NIRGraph) -> list[nir.NIRNode]:
+def chain(graph):
     """Return the nodes between input and output in their order."""
     after, name, nodes = dict(graph.edges), "input", []
     while (name := after[name]) != "output":
@@ -20,21 +18,19 @@ def chain(graph: nir.NIRGraph) -> list[nir.NIRNode]:
     return nodes
 
 
-def scores(graph: nir.NIRGraph, simulate: Simulate, inputs: np.ndarray) -> np.ndarray:
+def scores(graph, simulate, inputs):
     """Return the answers of a graph, limited as it says."""
     told = graph.metadata
     return np.clip(simulate(graph, inputs), told.get("output_min", -np.inf), told.get("output_max", np.inf))
 
 
-def knows_the_neurons(graph: nir.NIRGraph, simulate: Simulate) -> bool:
+def knows_the_neurons(graph, simulate):
     """Tell whether a simulation answers the check vector of the file as the file says."""
     answer = simulate(graph, graph.metadata["check_input"][None])[0]
     return bool(np.abs(answer - graph.metadata["check_output"]).max() <= graph.metadata["check_tolerance"])
 
 
-def plain(
-    graph: nir.NIRGraph, inputs: np.ndarray, steps: int = 0, reset: str = "subtract", kept: float = 1
-) -> np.ndarray:
+def plain(graph, inputs, steps=0, reset="subtract", kept=1):
     """Simulate in double precision; of a potential the share `kept` is left after each step, 1 without a leak."""
     nodes = chain(graph)
     steps = steps or int(graph.metadata["steps"])
@@ -55,7 +51,7 @@ def plain(
     return total / steps
 
 
-def in_snntorch(graph: nir.NIRGraph, inputs: np.ndarray) -> np.ndarray:
+def in_snntorch(graph, inputs):
     """Simulate in snnTorch 1.0.0, which imports an IF node with a leak, but a LIF node as it is, reset to 0 apart."""
     import snntorch
     import torch
@@ -83,7 +79,7 @@ def in_snntorch(graph: nir.NIRGraph, inputs: np.ndarray) -> np.ndarray:
         return (sum(network(x)[0] for _ in range(steps)) / steps).numpy()
 
 
-def in_brian2(python: Path, net: Path, folder: Path, graph: nir.NIRGraph, inputs: np.ndarray) -> np.ndarray:
+def in_brian2(python, net, folder, graph, inputs):
     """Simulate the file of a graph in Brian2, in the Python that has it."""
     np.save(folder / "inputs.npy", inputs)
     script = Path(__file__).with_name("nir_in_brian2.py")

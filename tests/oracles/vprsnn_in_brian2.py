@@ -7,8 +7,6 @@ learnt. Found are the spikes of both groups, (n_spikes, 2) steps and neurons, an
 excitatory neurons in the end.
 """
 
-from __future__ import annotations
-
 import importlib.machinery
 import sys
 from types import CodeType
@@ -70,7 +68,7 @@ class Mended(importlib.machinery.SourceFileLoader):
         return spec
 
 
-def simulate(given: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+def simulate(given):
     """Return the spikes and the final state of one module, from 500 ms of silence to the end of the last rest."""
     import brian2
     from brian2 import ms, mV

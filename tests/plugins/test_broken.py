@@ -1,9 +1,6 @@
 """A broken plug-in ends check, list and run in one line that names what is wrong, its file and its line."""
 
-from __future__ import annotations
-
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -16,7 +13,7 @@ TARGET = "# Broken\n_target_: broken_code.Made\n"
 
 
 @pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def here(tmp_path, monkeypatch):
     folders = {**entries.conf_folders(), "other": tmp_path / "conf"}
     monkeypatch.setattr("vprbench.plugins.entries.conf_folders", lambda: folders)
     monkeypatch.syspath_prepend(tmp_path)
@@ -44,9 +41,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("method", TARGET, "Made = 5\n", "is a int"),
     ],
 )
-def test_it_is_told_in_one_line(
-    here: Path, group: str, yaml: str, code: str, named: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_it_is_told_in_one_line(here, group, yaml, code, named, capsys):
     (here / "conf" / group / "broken.yaml").write_text(yaml)
     (here / "broken_code.py").write_text(code)
     for command in (["check"], []):
@@ -56,7 +51,7 @@ def test_it_is_told_in_one_line(
         assert named in line
 
 
-def test_the_others_are_listed_beside_it(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_others_are_listed_beside_it(here, capsys):
     (here / "conf" / "method" / "broken.yaml").write_text("# Broken\n_target_: [\n")
     (here / "conf" / "dataset" / "unnamed.yaml").write_text("# Unnamed\n")
     assert main(["list"]) == 0

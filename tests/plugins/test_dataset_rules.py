@@ -1,7 +1,5 @@
 """Every dataset that needs no files keeps the rules, and each rule alone catches what breaks it."""
 
-from __future__ import annotations
-
 import itertools
 import os
 import random
@@ -17,7 +15,6 @@ import numpy as np
 import pytest
 from PIL import Image as Pictures
 
-from vprbench.api.arrays import Image
 from vprbench.api.dataset import Dataset, HeldOut
 from vprbench.api.images import Images
 from vprbench.errors import BadInput
@@ -27,17 +24,15 @@ from vprbench.plugins.dataset_rules import DATASET_RULES
 N = 6
 
 
-def picture(number: int, height: int = 12) -> Image:
+def picture(number, height=12):
     return np.random.default_rng(number).integers(0, 256, (height, 16, 3), dtype=np.uint8)
 
 
-def frames(
-    read: Callable[[int], Any] = picture, word: str = "frame", kind: Callable[..., Images] = Images, n: int = N
-) -> Images:
+def frames(read=picture, word="frame", kind=Images, n=N):
     return kind(read, [f"{word} {i}" for i in range(n)], stamp=lambda i: b"%d" % i, content=lambda i: b"%d" % i)
 
 
-def right(**changed: Any) -> Dataset:
+def right(**changed):
     """Keeps every rule; `changed` parts replace its own without the checks of the constructor."""
     truth = tuple(np.array([place]) for place in range(N))
     protocol = {"protocol": "little", "references": ["day"], "query": "night"}
@@ -61,35 +56,35 @@ class ByName(Images):
         return Images(lambda i: picture(i + 50), super().unnamed().names)
 
 
-def drifting(number: int) -> Image:
+def drifting(number):
     return picture(number) ^ np.uint8(next(COUNT) % 256)
 
 
-def seeding(number: int) -> Image:
+def seeding(number):
     random.seed(next(COUNT))
     return picture(number)
 
 
-def numpy_seeding(number: int) -> Image:
+def numpy_seeding(number):
     np.random.seed(next(COUNT) % 99)  # noqa: NPY002
     return picture(number)
 
 
-def moving(number: int) -> Image:
+def moving(number):
     os.chdir(tempfile.mkdtemp(dir=Path.cwd()))
     return picture(number)
 
 
-def held_out() -> Dataset:
+def held_out():
     own = right()
     return replace(own, held_out=HeldOut(own.references, own.places, own.queries, own.places, in_map=True))
 
 
-def protocol(**values: Any) -> Callable[[], Dataset]:
+def protocol(**values):
     return lambda: right(protocol=values)
 
 
-def truth(*places: list[Any]) -> Callable[[], Dataset]:
+def truth(*places):
     given = [*places, *([i] for i in range(len(places), N))]
     return lambda: right(positives=tuple(np.array(right, dtype=None if right else np.int64) for right in given))
 
@@ -143,30 +138,28 @@ WRONG: dict[str, list[Callable[..., Dataset]]] = {
 }
 
 
-def broken(make: Callable[..., Any], **arguments: Any) -> dict[str, str]:
+def broken(make, **arguments):
     module = types.ModuleType("made_datasets")
-    module.made = make  # type: ignore[attr-defined]
+    module.made = make
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(sys.modules, "made_datasets", module)
         results = check_dataset({"_target_": "made_datasets.made", **arguments})
         return {result.rule: result.reason for result in results if result.state == "broken"}
 
 
-def test_there_is_a_wrong_dataset_for_every_rule() -> None:
+def test_there_is_a_wrong_dataset_for_every_rule():
     assert list(WRONG) == list(DATASET_RULES)
 
 
 @pytest.mark.parametrize(("rule", "make"), [(rule, make) for rule in WRONG for make in WRONG[rule]])
-def test_the_rule_alone_catches_what_breaks_it(
-    rule: str, make: Callable[..., Dataset], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_rule_alone_catches_what_breaks_it(rule, make, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     found = broken(make, **({"name": "right"} if "name that" in rule else {}))
     assert [*found] == [rule]
     assert found[rule]
 
 
-def test_a_right_dataset_keeps_every_rule() -> None:
+def test_a_right_dataset_keeps_every_rule():
     assert broken(right) == broken(lambda: right(place_numbers=np.arange(N) * 2, notes=("a note",))) == {}
 
 
@@ -177,13 +170,13 @@ def test_a_right_dataset_keeps_every_rule() -> None:
         ("street.street", {"places": 12, "protocol": "vprsnn", "first_query_place": 4}),
     ],
 )
-def test_rendered_datasets_keep_every_rule(kind: str, arguments: dict[str, Any]) -> None:
+def test_rendered_datasets_keep_every_rule(kind, arguments):
     results = [*check_dataset({"_target_": f"vprbench.datasets.{kind}", **arguments})]
     assert {result.state for result in results} == {"kept"}
 
 
 @pytest.mark.parametrize("sizes", [(12, 12), (12, 14)])
-def test_written_folders_keep_every_rule(tmp_path: Path, sizes: tuple[int, int]) -> None:
+def test_written_folders_keep_every_rule(tmp_path, sizes):
     for number, traverse in enumerate(("monday", "tuesday", "friday")):
         (tmp_path / traverse).mkdir()
         for place in range(4):
@@ -195,6 +188,6 @@ def test_written_folders_keep_every_rule(tmp_path: Path, sizes: tuple[int, int])
     assert sum(result.state == "excepted" for result in results) == 1 + (sizes[0] != sizes[1])  # two of a name; sizes
 
 
-def test_a_dataset_that_lacks_its_files_says_what_it_needs() -> None:
+def test_a_dataset_that_lacks_its_files_says_what_it_needs():
     with pytest.raises(BadInput, match=r"dataset\.references and dataset\.queries are not set"):
         list(check_dataset({"_target_": "vprbench.datasets.folders.folders"}))

@@ -1,9 +1,6 @@
 """The example plug-in brings a method and a dataset that keep every rule, and their run is right."""
 
-from __future__ import annotations
-
 import sys
-from pathlib import Path
 
 import pytest
 from checkout import ROOT
@@ -16,7 +13,7 @@ FOLDER = ROOT / "tests" / "example_plugin"
 
 
 @pytest.fixture(autouse=True)
-def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def installed(tmp_path, monkeypatch):
     folders = {**entries.conf_folders(), "example": FOLDER / "vprbench_example" / "conf"}
     monkeypatch.setattr("vprbench.plugins.entries.conf_folders", lambda: folders)
     monkeypatch.syspath_prepend(FOLDER)
@@ -24,9 +21,7 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
 
 
-def test_its_method_and_dataset_keep_every_rule_and_find_each_others_places(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_its_method_and_dataset_keep_every_rule_and_find_each_others_places(tmp_path, capsys):
     for asked in (["method=thumbnail"], ["dataset=panorama"], ["dataset=panorama", "dataset.overlap=0"]):
         assert main(["check", *asked]) == 0
         assert ", 0 broken" in capsys.readouterr().out.splitlines()[-1]

@@ -1,10 +1,7 @@
 """A method or dataset in a loose file is used by its path; its parameters are its options, its source counts."""
 
-from __future__ import annotations
-
 import json
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -55,7 +52,7 @@ QUICK = ["timing=none", "threads=1"]
 
 
 @pytest.fixture(autouse=True)
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+def here(tmp_path, monkeypatch):
     """A working folder with loose files; what they leave in this process is removed."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [*sys.path])
@@ -69,7 +66,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
             del sys.modules[name]
 
 
-def test_parameters_are_options_with_their_defaults_and_seed_and_device_those_of_the_run() -> None:
+def test_parameters_are_options_with_their_defaults_and_seed_and_device_those_of_the_run():
     asked = ["method=./means.py:Means", "method.bins=3", "seed=8", "dataset=./means.py:other"]
     config = composed(readable(asked))
     wanted = {"bins": 3, "sizes": [1, 2], "names": ["a"], "seed": 8, "device": "cpu", "index": "exact"}
@@ -91,9 +88,7 @@ def test_parameters_are_options_with_their_defaults_and_seed_and_device_those_of
         (["method=walk.py:walk", "dataset.places=12"], "made a Dataset"),
     ],
 )
-def test_what_does_not_fit_is_told_in_a_line(
-    options: list[str], named: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_does_not_fit_is_told_in_a_line(options, named, capsys):
     assert main([*options, *QUICK]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert named in line
@@ -108,16 +103,14 @@ def test_what_does_not_fit_is_told_in_a_line(
         ("def Broken(places: int = 2):\n    return [1][places]\n", 2),
     ],
 )
-def test_an_error_in_the_file_names_its_line(
-    here: Path, text: str, line: int, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_error_in_the_file_names_its_line(here, text, line, capsys):
     (here / "broken.py").write_text(text)
     assert main(["method=./broken.py:Broken"]) == 2
     (said,) = capsys.readouterr().err.splitlines()
     assert f"(broken.py, line {line})" in said
 
 
-def test_a_name_that_is_taken_is_refused_and_a_file_may_have_the_name_of_a_library(here: Path) -> None:
+def test_a_name_that_is_taken_is_refused_and_a_file_may_have_the_name_of_a_library(here):
     (here / "mine.py").write_text("def Sad(): pass\n")
     (here / "more.py").write_text("def Means(): pass\n")
     (here / "json.py").write_text(METHOD.replace("Means", "Named"))
@@ -128,7 +121,7 @@ def test_a_name_that_is_taken_is_refused_and_a_file_may_have_the_name_of_a_libra
     assert registry.named("method", "./means.py:Means") == "Means"
     assert registry.named("method", "./json.py") == "Named"
     method = registry.make_method(composed(readable(["method=Named"]))["method"])
-    assert (method.names, json.loads("1")) == (["a"], 1)  # type: ignore[attr-defined]
+    assert (method.names, json.loads("1")) == (["a"], 1)
 
 
 @pytest.mark.parametrize(
@@ -142,18 +135,18 @@ def test_a_name_that_is_taken_is_refused_and_a_file_may_have_the_name_of_a_libra
         ("method=", "method="),
     ],
 )
-def test_a_path_among_names_is_read_as_a_name(asked: str, read: str) -> None:
+def test_a_path_among_names_is_read_as_a_name(asked, read):
     assert readable([asked]) == [read]
 
 
-def test_a_loose_file_is_checked(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_loose_file_is_checked(capsys):
     for asked in ("dataset=walk.py", "dataset=./walk.py:walk"):
         assert main(["check", asked, "dataset.places=4"]) == 0
         assert capsys.readouterr().out.splitlines()[-1] == "17 rules: 17 kept, 0 excepted, 0 broken"
 
 
-def test_the_source_of_the_file_and_of_what_lies_beside_it_counts(here: Path) -> None:
-    def key() -> str:
+def test_the_source_of_the_file_and_of_what_lies_beside_it_counts(here):
+    def key():
         for name in ("means", "beside"):
             sys.modules.pop(name, None)
         assert main(["method=./means.py:Means", "dataset=./walk.py:walk", *QUICK]) == 0
@@ -168,9 +161,7 @@ def test_the_source_of_the_file_and_of_what_lies_beside_it_counts(here: Path) ->
     assert len({first, second, key()}) == 3
 
 
-def test_a_sweep_over_loose_files_stores_their_runs_by_name_and_another_process_gets_the_path(
-    here: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_sweep_over_loose_files_stores_their_runs_by_name_and_another_process_gets_the_path(here, monkeypatch):
     monkeypatch.setenv(IN_SWEEP, "1")
     monkeypatch.setattr(crew, "run_apart", Apart())
     assert main(["-m", "method=./means.py:Means,sad", "dataset=./walk.py", "dataset.places=6", *QUICK]) == 0

@@ -1,7 +1,5 @@
 """Stored networks: what is loaded answers as what was trained, and nothing else is ever loaded."""
 
-from __future__ import annotations
-
 import csv
 import errno
 import io
@@ -9,10 +7,10 @@ import json
 import multiprocessing
 import os
 import pickle
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, ClassVar, NoReturn, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -25,8 +23,6 @@ from safetensors.numpy import save_file
 from small_plan import Apart
 from trap import Trap
 
-from vprbench.api.dataset import Dataset
-from vprbench.api.method import Method
 from vprbench.cli import main
 from vprbench.cluster import crew
 from vprbench.errors import BadInput, NotFittedError
@@ -40,26 +36,26 @@ ORIGIN = networks.Origin("little", {}, "journey", 4, "f" * 64)
 
 
 @pytest.fixture
-def path(tmp_path: Path) -> Path:
+def path(tmp_path):
     return tmp_path / "nets" / "network.safetensors"
 
 
-def fitted(method: Method) -> Method:
+def fitted(method):
     return method.fit(WORLD.references, WORLD.places)
 
 
-def store(path: Path, method: Method, replace: bool = False) -> Method:
+def store(path, method, replace=False):
     """Fit a method and store its network; returns the method."""
     networks.save(destination(path, method, WORLD, replace), fitted(method), "0123", 12.34, 11.5)
     return method
 
 
-def load(path: Path, method: Method, dataset: Dataset = WORLD, **arguments: Any) -> tuple[str, ...]:
+def load(path, method, dataset=WORLD, **arguments):
     given = {name: value for name, value in vars(method).items() if not name.startswith("_")}
     return networks.load(path, method, networks.origin(method, {**given, **arguments}, dataset))
 
 
-def refusal(path: Path, method: Method | None = None, dataset: Dataset = WORLD, **arguments: Any) -> str:
+def refusal(path, method=None, dataset=WORLD, **arguments):
     """Return the one line that refuses a file, and see that the method was given nothing."""
     method = method or Prototypes()
     with pytest.raises(BadInput) as error:
@@ -97,7 +93,7 @@ class Second(First):
     pass
 
 
-def test_arrays_come_back_bit_by_bit(path: Path) -> None:
+def test_arrays_come_back_bit_by_bit(path):
     arrays = {
         "float32": np.array([[-np.inf, 1e-45], [-0.0, 0.1]], np.float32),
         "nothing": np.empty((0, 3)),
@@ -121,14 +117,14 @@ def test_arrays_come_back_bit_by_bit(path: Path) -> None:
     ],
     ids=["contrast and device", "class and way of writing numbers", "another method of the same kind"],
 )
-def test_what_no_training_sees_may_differ(path: Path, trained: Method, loaded: Method, given: dict[str, Any]) -> None:
+def test_what_no_training_sees_may_differ(path, trained, loaded, given):
     store(path, trained)
     told = load(path, loaded, replace(WORLD, name="voyage"), **given)
     assert told == ("loaded network: run 0123 trained it in 12.3 s",)
     assert np.array_equal(loaded.state()["means"], trained.state()["means"])
 
 
-def test_every_difference_is_named_with_both_values(path: Path) -> None:
+def test_every_difference_is_named_with_both_values(path):
     store(path, Prototypes())
     two = Prototypes(noise=1.0, seed=2)
     for method, dataset, given, wanted in (
@@ -151,7 +147,7 @@ def test_every_difference_is_named_with_both_values(path: Path) -> None:
         assert [part for part in wanted if part not in line] == []
 
 
-def test_a_network_that_is_older_than_an_argument_has_its_default(path: Path) -> None:
+def test_a_network_that_is_older_than_an_argument_has_its_default(path):
     where = destination(path, Prototypes(), WORLD)
     older = {name: value for name, value in where.origin.arguments.items() if name != "noise"}
     networks.save(replace(where, origin=replace(where.origin, arguments=older)), fitted(Prototypes()), "", 1.0, 1.0)
@@ -159,7 +155,7 @@ def test_a_network_that_is_older_than_an_argument_has_its_default(path: Path) ->
     assert "method.noise is unknown there and 0.25 here" in refusal(path, noise=0.25)
 
 
-def test_a_flipped_bit_or_an_end_that_is_cut_off_is_noticed(path: Path) -> None:
+def test_a_flipped_bit_or_an_end_that_is_cut_off_is_noticed(path):
     store(path, Prototypes())
     assert networks.made_by(path) == "0123"
     whole = path.read_bytes()
@@ -174,9 +170,7 @@ def test_a_flipped_bit_or_an_end_that_is_cut_off_is_noticed(path: Path) -> None:
         assert networks.made_by(path) is None
 
 
-def test_files_of_other_programs_other_layouts_and_other_contents_are_refused(
-    path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_files_of_other_programs_other_layouts_and_other_contents_are_refused(path, monkeypatch):
     path.parent.mkdir()
     save_file({"means": np.zeros((4, 4), np.float32)}, path, {"format": "pt"})
     assert "not stored by vprbench" in refusal(path)
@@ -188,13 +182,11 @@ def test_files_of_other_programs_other_layouts_and_other_contents_are_refused(
         networks.load(path, Prototypes(), networks.origin(Prototypes(), {}, WORLD), "0" * 64)
 
 
-def denied(*_: Any, **__: Any) -> NoReturn:
+def denied(*_, **__):
     raise PermissionError(errno.EACCES, "Permission denied")
 
 
-def test_what_is_no_file_of_a_network_is_refused_when_it_is_chosen(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_no_file_of_a_network_is_refused_when_it_is_chosen(tmp_path, monkeypatch):
     (tmp_path / "folder.safetensors").mkdir()
     (tmp_path / "network.pth").touch()
     monkeypatch.setenv("HOME", str(tmp_path))
@@ -207,7 +199,7 @@ def test_what_is_no_file_of_a_network_is_refused_when_it_is_chosen(
             networks.chosen_files(None, str(tmp_path / name), False)
 
 
-def test_a_method_that_keeps_no_network_says_what_to_do() -> None:
+def test_a_method_that_keeps_no_network_says_what_to_do():
     method, path = Lookup(np.ones((1, 1), np.float32)), Path("x.safetensors")
     for ask in (
         method.state,
@@ -230,9 +222,7 @@ def test_a_method_that_keeps_no_network_says_what_to_do() -> None:
         ("denied.safetensors", False, r"save=.*cannot be written \(Permission denied\)"),
     ],
 )
-def test_a_file_that_cannot_be_stored_is_refused_before_the_training(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, force: bool, said: str
-) -> None:
+def test_a_file_that_cannot_be_stored_is_refused_before_the_training(tmp_path, monkeypatch, name, force, said):
     (tmp_path / "folder.safetensors").mkdir()
     for file in ("there", "there.safetensors"):
         (tmp_path / file).touch()
@@ -242,7 +232,7 @@ def test_a_file_that_cannot_be_stored_is_refused_before_the_training(
         destination(tmp_path / name, Prototypes(), WORLD, force)
 
 
-def test_a_file_that_appeared_during_the_training_stays_unless_the_same_run_stored_it(path: Path) -> None:
+def test_a_file_that_appeared_during_the_training_stays_unless_the_same_run_stored_it(path):
     where = destination(path, Prototypes(seed=1), WORLD)
     store(path, Prototypes(seed=1))
     before = path.read_bytes()
@@ -254,7 +244,7 @@ def test_a_file_that_appeared_during_the_training_stays_unless_the_same_run_stor
     assert [*path.parent.iterdir()] == [path]
 
 
-def test_what_a_killed_run_left_of_a_network_is_removed_after_a_day(path: Path) -> None:
+def test_what_a_killed_run_left_of_a_network_is_removed_after_a_day(path):
     path.parent.mkdir(parents=True)
     old, new, other = (path.parent / f".partial-{i}-{name}" for i, name in enumerate([path.name, path.name, "notes"]))
     for left in (old, new, other):
@@ -265,8 +255,8 @@ def test_what_a_killed_run_left_of_a_network_is_removed_after_a_day(path: Path) 
     assert sorted(path.parent.iterdir()) == [new, other]
 
 
-def test_a_full_disk_leaves_the_old_network(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(_: int) -> NoReturn:
+def test_a_full_disk_leaves_the_old_network(path, monkeypatch):
+    def refuse(_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     store(path, Prototypes())
@@ -278,7 +268,7 @@ def test_a_full_disk_leaves_the_old_network(path: Path, monkeypatch: pytest.Monk
     assert [*path.parent.iterdir()] == [path]
 
 
-def test_a_process_killed_at_any_step_of_writing_leaves_the_old_network_or_the_new_one(path: Path) -> None:
+def test_a_process_killed_at_any_step_of_writing_leaves_the_old_network_or_the_new_one(path):
     processes = multiprocessing.get_context("forkserver")
     processes.set_forkserver_preload(["vprbench.plugins.networks"])
     store(path, Prototypes())
@@ -294,11 +284,11 @@ def test_a_process_killed_at_any_step_of_writing_leaves_the_old_network_or_the_n
     assert len(found) > 2
 
 
-def test_a_state_that_is_no_array_of_numbers_is_the_methods_mistake(path: Path) -> None:
+def test_a_state_that_is_no_array_of_numbers_is_the_methods_mistake(path):
     where = destination(path, Prototypes(), WORLD)
     for value in (np.array([None]), np.array(["a"]), torch.zeros(1), [1.0]):
         with pytest.raises(TypeError, match=r"Holding\.state\(\).*means"):
-            networks.save(where, Holding(arrays={"means": value}), "", 1.0, 1.0)  # type: ignore[dict-item]
+            networks.save(where, Holding(arrays={"means": value}), "", 1.0, 1.0)
 
 
 # Published networks
@@ -308,7 +298,7 @@ LAYER = {"feature_layer.thr": torch.tensor([[0.5, 0.25]]), "feature_layer.w.weig
 
 
 @pytest.mark.parametrize("modern", [True, False], ids=["zip", "before torch 1.6"])
-def test_the_tensors_of_a_published_network_come_as_float32_under_dotted_names(tmp_path: Path, modern: bool) -> None:
+def test_the_tensors_of_a_published_network_come_as_float32_under_dotted_names(tmp_path, modern):
     content: dict[str, dict[str, Any]] = {"model_0": LAYER, "model_1": {}}
     for kind in (torch.float64, torch.bfloat16, torch.int64):
         parameter = torch.nn.Parameter(torch.tensor([1, 2], dtype=kind), kind.is_floating_point)
@@ -325,8 +315,8 @@ def test_the_tensors_of_a_published_network_come_as_float32_under_dotted_names(t
 
 
 def test_a_published_file_of_anything_but_the_wanted_tensors_is_refused_and_its_code_does_not_run(
-    tmp_path: Path,
-) -> None:
+    tmp_path,
+):
     for name, said in (("x.safetensors", "cannot be read as a stored network"), ("x.pth", "would have to run code")):
         (tmp_path / name).write_bytes(pickle.dumps({"model_0": {"thr": Trap(tmp_path / "sprung")}}))
         assert said in refusal(tmp_path / name)
@@ -346,12 +336,8 @@ def test_a_published_file_of_anything_but_the_wanted_tensors_is_refused_and_its_
 # The command line
 
 
-Run = Callable[..., tuple[str, str]]
-Ask = Callable[..., dict[str, Any]]
-
-
 @pytest.fixture
-def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Iterator[Run]:
+def run(tmp_path, monkeypatch, capsys):
     """Runs the little method on the command line, in a folder of its own; returns what is printed and the errors."""
     yaml = "_target_: little.Prototypes\nnoise: 0.5\ncontrast: 1.0\nseed: ${seed}\ndevice: ${device}"
     plugin(tmp_path / "plugin", "little", "little", {"prototypes": yaml})
@@ -360,7 +346,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
     monkeypatch.chdir(tmp_path / "here")
     quick = ("method=prototypes", "dataset.places=12", "dataset.first_query_place=0", "timing=none", "threads=1")
 
-    def call(*options: str, code: int = 0) -> tuple[str, str]:
+    def call(*options, code=0):
         capsys.readouterr()
         ended = main([*quick, *options])
         printed = capsys.readouterr()
@@ -372,17 +358,15 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
 
 
 @pytest.fixture
-def ask(run: Run) -> Ask:
+def ask(run):
     return lambda *options: json.loads(run("output=json", *options)[0])
 
 
-def fail(*_: object) -> NoReturn:
+def fail(*_):
     raise RuntimeError("not today")
 
 
-def test_a_run_that_loads_trains_nothing_gives_the_same_scores_and_names_its_network(
-    run: Run, ask: Ask, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_that_loads_trains_nothing_gives_the_same_scores_and_names_its_network(run, ask, monkeypatch):
     stored = ask("save=net.safetensors")
     with monkeypatch.context() as patch:
         patch.setattr(Prototypes, "fit", fail)
@@ -416,7 +400,7 @@ def test_a_run_that_loads_trains_nothing_gives_the_same_scores_and_names_its_net
     assert second["network"] != loaded["network"]
 
 
-def test_nothing_is_trained_for_a_file_that_cannot_be_written(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nothing_is_trained_for_a_file_that_cannot_be_written(run, monkeypatch):
     monkeypatch.setattr(Prototypes, "fit", fail)
     Path("there.safetensors").write_text("mine")
     for save, wanted in (("net.pth", "ends in .safetensors"), ("there.safetensors", "is there already")):
@@ -424,9 +408,7 @@ def test_nothing_is_trained_for_a_file_that_cannot_be_written(run: Run, monkeypa
     assert Path("there.safetensors").read_text() == "mine"
 
 
-def test_a_run_is_answered_from_the_store_where_its_network_was_kept_and_else_made_again(
-    run: Run, ask: Ask, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_run_is_answered_from_the_store_where_its_network_was_kept_and_else_made_again(run, ask, caplog):
     ask()
     caplog.set_level("INFO")
     made = ask("save=net.safetensors")
@@ -440,9 +422,7 @@ def test_a_run_is_answered_from_the_store_where_its_network_was_kept_and_else_ma
     assert "save=net.safetensors is there already" in run("save=net.safetensors", "seed=1", code=2)[1]
 
 
-def test_a_network_outlives_a_failure_at_the_queries_and_a_failed_training_leaves_none(
-    run: Run, ask: Ask, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_network_outlives_a_failure_at_the_queries_and_a_failed_training_leaves_none(run, ask, monkeypatch):
     for step, there in (("match", ["net.safetensors"]), ("fit", [])):
         with monkeypatch.context() as patch:
             patch.setattr(Prototypes, step, fail)
@@ -451,9 +431,7 @@ def test_a_network_outlives_a_failure_at_the_queries_and_a_failed_training_leave
     assert ask("load=match/net.safetensors")["queries"] > 0
 
 
-def test_cells_of_a_sweep_store_networks_under_their_own_names_and_none_replaces_another(
-    run: Run, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_cells_of_a_sweep_store_networks_under_their_own_names_and_none_replaces_another(run, monkeypatch):
     monkeypatch.setenv(IN_SWEEP, "1")
     monkeypatch.setattr(crew, "run_apart", Apart())
     run("-m", "seed=0,1", "save=nets/net-${seed}.safetensors")

@@ -1,12 +1,8 @@
 """What `new` writes keeps every rule at once, and nothing is overwritten."""
 
-from __future__ import annotations
-
 import re
 import sys
 import tomllib
-from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 from PIL import Image
@@ -16,7 +12,7 @@ from vprbench.plugins import entries
 
 
 @pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+def here(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [*sys.path])
     monkeypatch.setattr(entries, "_LOOSE", {"method": {}, "dataset": {}})
@@ -25,7 +21,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
         del sys.modules[name]
 
 
-def counted(printed: str) -> tuple[int, int]:
+def counted(printed):
     kept, broken = re.findall(r"rules: (\d+) kept, \d+ excepted, (\d+) broken", printed)[0]
     return int(kept), int(broken)
 
@@ -38,9 +34,7 @@ def counted(printed: str) -> tuple[int, int]:
         (["dataset", "my_walk"], "dataset=./my_walk.py:my_walk"),
     ],
 )
-def test_a_loose_file_keeps_every_rule_by_the_option_that_is_printed(
-    here: Path, words: list[str], asked: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_loose_file_keeps_every_rule_by_the_option_that_is_printed(here, words, asked, capsys):
     assert main(["new", *words]) == 0
     assert f"vprbench check {asked}\n" in capsys.readouterr().out
     assert main(["check", asked]) == 0
@@ -52,9 +46,7 @@ def test_a_loose_file_keeps_every_rule_by_the_option_that_is_printed(
 
 
 @pytest.mark.parametrize("group", ["method", "dataset"])
-def test_a_package_brings_its_yaml_and_keeps_every_rule_by_its_name(
-    here: Path, group: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_package_brings_its_yaml_and_keeps_every_rule_by_its_name(here, group, monkeypatch, capsys):
     assert main(["new", group, "my_own", "package=true"]) == 0
     top = here / "vprbench-my-own"
     told = tomllib.loads((top / "pyproject.toml").read_text())
@@ -62,13 +54,13 @@ def test_a_package_brings_its_yaml_and_keeps_every_rule_by_its_name(
     sys.path.append(str(top))
     folders = {**entries.conf_folders(), "my_own": top / "vprbench_my_own" / "conf"}
     monkeypatch.setattr("vprbench.plugins.entries.conf_folders", lambda: folders)
-    assert "my_own" in entries.entries(group)  # type: ignore[arg-type]
+    assert "my_own" in entries.entries(group)
     capsys.readouterr()
     assert main(["check", f"{group}=my_own"]) == 0
     assert counted(capsys.readouterr().out)[1] == 0
 
 
-def test_a_new_dataset_reads_folders(here: Path) -> None:
+def test_a_new_dataset_reads_folders(here):
     assert main(["new", "dataset", "my_walk"]) == 0
     for part in ("references", "queries"):
         (here / part).mkdir()
@@ -77,7 +69,7 @@ def test_a_new_dataset_reads_folders(here: Path) -> None:
     assert main(["method=sad", "dataset=./my_walk.py", "dataset.root=.", "timing=none", "threads=1"]) == 0
 
 
-def test_names_that_cannot_be_used_are_refused(here: Path) -> None:
+def test_names_that_cannot_be_used_are_refused(here):
     names = ("method", "methods mine", "method a b", "method sad", "dataset 3d", "method class", "method mine folder")
     for words in ("", *names):
         assert main(["new", *words.split()]) == 2

@@ -1,9 +1,6 @@
 """VPRTempo networks as files of NIR: other simulators answer as we do, a wrong neuron is noticed, ours come back."""
 
-from __future__ import annotations
-
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -33,30 +30,30 @@ BRIAN2 = ROOT / "build" / "brian2" / "bin" / "python"
 
 
 @pytest.fixture(scope="module", params=KINDS)
-def trained(request: pytest.FixtureRequest) -> VPRTempo:
+def trained(request):
     kind, arguments = KINDS[request.param]
     return kind(**SMALL, **arguments).fit(RIDE.references, RIDE.places)
 
 
-def stored(method: VPRTempo, folder: Path) -> Path:
+def stored(method, folder):
     pytest.importorskip("nir", reason="the extra nir is not installed")
     path = folder / "net.nir"
     networks.save(destination(path, method, RIDE), method, "0123", 1.0, 1.0)
     return path
 
 
-def arguments(method: VPRTempo) -> dict[str, Any]:
+def arguments(method):
     return {name: value for name, value in vars(method).items() if not name.startswith("_")}
 
 
-def loaded(path: Path, method: VPRTempo, kind: type[VPRTempo] | None = None) -> VPRTempo:
+def loaded(path, method, kind=None):
     """Load a file into a new method with the arguments of another one."""
     new = (kind or type(method))(**arguments(method))
     networks.load(path, new, networks.origin(new, arguments(new), RIDE))
     return new
 
 
-def test_the_layers_of_a_circuit_answer_as_the_network(trained: VPRTempo) -> None:
+def test_the_layers_of_a_circuit_answer_as_the_network(trained):
     x, circuit = trained.encode(SEEN).astype(np.float64), trained.circuit()
     for weights, bias in circuit.layers:
         x = x @ weights.T + bias
@@ -64,7 +61,7 @@ def test_the_layers_of_a_circuit_answer_as_the_network(trained: VPRTempo) -> Non
     assert np.allclose(x, trained.query(SEEN), atol=1e-5)
 
 
-def test_a_network_comes_back_from_nir_to_the_bit(trained: VPRTempo, tmp_path: Path) -> None:
+def test_a_network_comes_back_from_nir_to_the_bit(trained, tmp_path):
     back = loaded(stored(trained, tmp_path), trained)
     assert np.array_equal(back.query(SEEN), trained.query(SEEN))
     assert {name: array.tobytes() for name, array in back.state().items()} == {
@@ -72,7 +69,7 @@ def test_a_network_comes_back_from_nir_to_the_bit(trained: VPRTempo, tmp_path: P
     }
 
 
-def test_8_bits_load_the_network_that_was_stored_as_nir(tmp_path: Path) -> None:
+def test_8_bits_load_the_network_that_was_stored_as_nir(tmp_path):
     method = VPRTempo(**SMALL).fit(RIDE.references, RIDE.places)
     back = loaded(stored(method, tmp_path), method, VPRTempoInt8)
     assert np.allclose(back.query(SEEN), method.query(SEEN), atol=0.02)
@@ -80,7 +77,7 @@ def test_8_bits_load_the_network_that_was_stored_as_nir(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("simulator", ["plain", "snntorch", "brian2"])
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::UserWarning")  # of snnTorch
-def test_another_simulator_names_the_same_places(trained: VPRTempo, simulator: str, tmp_path: Path) -> None:
+def test_another_simulator_names_the_same_places(trained, simulator, tmp_path):
     path = stored(trained, tmp_path)
     import nir
     import nir_simulators as simulators
@@ -104,7 +101,7 @@ def test_another_simulator_names_the_same_places(trained: VPRTempo, simulator: s
 
 
 @pytest.mark.parametrize("wrong", [{"reset": "zero"}, {"reset": "none"}, {"kept": 0.9}], ids=str)
-def test_a_wrong_neuron_is_noticed(wrong: dict[str, Any], tmp_path: Path) -> None:
+def test_a_wrong_neuron_is_noticed(wrong, tmp_path):
     path = stored(VPRTempo(**SMALL).fit(RIDE.references, RIDE.places), tmp_path)
     import nir
     import nir_simulators as simulators
@@ -114,7 +111,7 @@ def test_a_wrong_neuron_is_noticed(wrong: dict[str, Any], tmp_path: Path) -> Non
     assert not simulators.knows_the_neurons(graph, partial(simulators.plain, **wrong))
 
 
-def test_a_file_that_was_changed_or_is_another_programs_is_refused(tmp_path: Path) -> None:
+def test_a_file_that_was_changed_or_is_another_programs_is_refused(tmp_path):
     method = VPRTempo(**SMALL).fit(RIDE.references, RIDE.places)
     path = stored(method, tmp_path)
     import h5py
@@ -146,15 +143,13 @@ def test_a_file_that_was_changed_or_is_another_programs_is_refused(tmp_path: Pat
         (Prototypes, {}, "Prototypes"),
     ],
 )
-def test_what_is_no_circuit_is_refused_before_the_training(
-    kind: type, arguments: dict[str, Any], named: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_no_circuit_is_refused_before_the_training(kind, arguments, named, tmp_path, monkeypatch):
     monkeypatch.setattr("vprbench.plugins.nir_files.find_spec", lambda name: name)  # as if nir was installed
     with pytest.raises(BadInput, match=named):
         destination(tmp_path / "net.nir", kind(**arguments), journey(8, 4))
 
 
-def test_a_missing_package_is_named_before_the_training(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_package_is_named_before_the_training(tmp_path, monkeypatch):
     monkeypatch.setattr("vprbench.plugins.nir_files.find_spec", lambda name: None)
     with pytest.raises(BadInput, match=r"vprbench\[nir\]"):
         destination(tmp_path / "net.nir", VPRTempo(**SMALL), RIDE)

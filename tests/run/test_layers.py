@@ -45,27 +45,18 @@ pytestmark = pytest.mark.usefixtures("surroundings")
 def test_counts_are_added_up_for_each_query_and_an_amplitude_is_one_spike(values, kind, known):
     array = np.array(values)
     layer = LayerSpikes("hidden", array, kind, fan_out=np.arange(1, array.shape[1] + 1))
-    several = summary([LayerSpikes("a", array), layer, LayerSpikes("a", array)])
-    assert [each["name"] for each in several["layers"]] == ["a", "hidden", "a"]
-    found = summary([layer])
-    assert json.loads(json.dumps(found)) == found
+    found = json.loads(json.dumps(summary([LayerSpikes("a", array), layer])))
     names = ("spikes_per_query", "active_share", "amplitude_mean", "synops", "operation")
     layer_known = {"name": "hidden", "neurons": array.shape[1], **dict(zip(names, known, strict=True))}
-    assert found == {"queries": 2, "layers": [layer_known]}
+    assert (found["queries"], found["layers"][0]["name"], found["layers"][1:]) == (2, "a", [layer_known])
     assert summary([]) is None
 
 
-@pytest.mark.parametrize(
-    "layers",
-    [
-        [np.ones((2, 3)), np.ones((3, 3))],
-        [np.ones(3)],
-        *([np.array([[1.0, wrong]])] for wrong in (np.nan, np.inf, -0.5)),
-    ],
-)
-def test_impossible_spikes_are_refused_by_the_name_of_the_layer(layers):
-    with pytest.raises(BadInput, match="input"):
-        summary([LayerSpikes("input", values) for values in layers])
+def test_impossible_spikes_are_refused_by_the_name_of_the_layer():
+    impossible = [[np.array([[1.0, wrong]])] for wrong in (np.nan, np.inf, -0.5)]
+    for layers in ([np.ones((2, 3)), np.ones((3, 3))], [np.ones(3)], *impossible):
+        with pytest.raises(BadInput, match="input"):
+            summary([LayerSpikes("input", values) for values in layers])
 
 
 @dataclass
@@ -296,8 +287,8 @@ def test_readouts_are_a_table_below_the_row_and_a_list_in_json_and_stay_with_the
     made = asked(capsys, "method=pca", "readouts=true")
     assert made["from_store"] is False  # the stored run had none
     assert [each["name"] for each in made["readouts"]] == ["codes", "components", "answer"]
-    assert made["readouts"][2]["recall_at_1"] == made["recall_at_1"]
-    assert made["readouts"][2]["recall_at_1_low"] == made["recall_at_1_low"]
+    for name in ("recall_at_1", "recall_at_1_low"):
+        assert made["readouts"][2][name] == made[name]
     assert asked(capsys, "method=pca", "force=true")["readouts"] == made["readouts"]
     assert main(["method=pca", *TWELVE, "readouts=true"]) == 0
     names = [line.split("  ")[0] for line in capsys.readouterr().out.splitlines()]

@@ -6,7 +6,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def is_readable(folder: Path) -> bool:
+def is_readable(folder):
     """Tell whether a folder is there whose files may be listed and opened."""
     own = os.access in os.supports_effective_ids
     return os.access(folder, os.R_OK | os.X_OK, effective_ids=own) and folder.is_dir()

@@ -1,32 +1,25 @@
 """What the tests of networks share: images, how far descriptors lie apart, and methods as they are composed."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import cv2
 import hydra
 import numpy as np
-import numpy.typing as npt
 from omegaconf import OmegaConf
 from PIL import Image as PillowImage
 
-from vprbench.api.arrays import Image
 from vprbench.api.images import Images
-from vprbench.api.method import Method
 
 
-def image(height: int, width: int, seed: int = 0) -> Image:
+def image(height, width, seed=0):
     """Return noise."""
     return np.random.default_rng(seed).integers(0, 256, (height, width, 3), dtype=np.uint8)
 
 
-def pillow(image: Image, height: int, width: int, how: Any = PillowImage.Resampling.BILINEAR) -> Image:
+def pillow(image, height, width, how=PillowImage.Resampling.BILINEAR):
     """Return an image as Pillow resizes it, antialiased."""
     return np.asarray(PillowImage.fromarray(image).resize((width, height), how))
 
 
-def drawn_images(*sizes: tuple[int, int], seed: int = 0) -> list[Image]:
+def drawn_images(*sizes, seed=0):
     """Return images of coarse and fine structure, (height, width, 3)."""
     generator = np.random.default_rng(seed)
     images = []
@@ -36,18 +29,18 @@ def drawn_images(*sizes: tuple[int, int], seed: int = 0) -> list[Image]:
     return images
 
 
-def encoded(method: Method, *images: Image) -> npt.NDArray[np.float32]:
+def encoded(method, *images):
     """Return the codes of images."""
     return method.encode(Images.from_arrays(list(images)))
 
 
-def distance(codes: npt.NDArray[Any], others: npt.NDArray[Any]) -> float:
+def distance(codes, others):
     """Return the largest difference between numbers."""
     return float(np.abs(codes - others).max())
 
 
-def composed(*overrides: str) -> dict[str, Any]:
+def composed(*overrides):
     """Return the configuration of the method that a run with these options gets."""
     with hydra.initialize_config_module("vprbench.conf", version_base="1.3"):
         config = OmegaConf.to_container(hydra.compose("run", overrides=list(overrides)), resolve=True)
-    return config["method"]  # type: ignore[index, call-overload, return-value]
+    return config["method"]

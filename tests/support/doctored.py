@@ -1,20 +1,14 @@
 """Little traverses on disk for the doctor: healthy ones, to be damaged by a test."""
 
-from __future__ import annotations
-
 import re
-from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 from PIL import Image as PillowImage
 
-from vprbench.api.arrays import Image
 from vprbench.api.dataset import Dataset, FrameFolder
 from vprbench.api.images import Images
-from vprbench.data.doctor import Finding, examine
+from vprbench.data.doctor import examine
 
 PLACES = 60
 NAMES = [f"{place:03d}.png" for place in range(PLACES)]
@@ -23,7 +17,7 @@ _STEP = 24  # pixels from place to place; a frame is 64 wide
 _NUMBER = re.compile(r"\d+x\d+|\d[\d,.]*(?<![,.])")
 
 
-def season(number: int, places: int = PLACES) -> list[Image]:
+def season(number, places=PLACES):
     """Return frames of a ride past a made-up landscape; each season has its own light and noise, all are aligned."""
     width = _STEP * places + 64
     rough = np.random.default_rng(0).random((6, width // 10), np.float32)
@@ -35,7 +29,7 @@ def season(number: int, places: int = PLACES) -> list[Image]:
     return [np.repeat(frame[:, :, None], 3, axis=2) for frame in frames]
 
 
-def save(folder: Path, frames: Sequence[Image], names: Sequence[str] | None = None) -> Path:
+def save(folder, frames, names=None):
     """Write frames as PNG files; they are named by their number where no names come."""
     folder.mkdir(parents=True)
     for number, frame in enumerate(frames):
@@ -43,22 +37,22 @@ def save(folder: Path, frames: Sequence[Image], names: Sequence[str] | None = No
     return folder
 
 
-def healthy(tmp_path: Path) -> tuple[Path, Path]:
+def healthy(tmp_path):
     """Write a winter and a summer of the same places; returns both folders."""
     return save(tmp_path / "winter", season(0)), save(tmp_path / "summer", season(1))
 
 
 def dataset_of(
-    references: Sequence[Path],
-    queries: Path,
-    names: Sequence[str] = NAMES,
-    query_names: Sequence[str] | None = None,
-    right: Sequence[Sequence[int]] | None = None,
-    tolerance: int = 0,
-    counts: tuple[int, ...] = (),
-    wrong_counts: Mapping[int, str] | None = None,
-    protocol: Mapping[str, Any] | None = None,
-) -> Dataset:
+    references,
+    queries,
+    names=NAMES,
+    query_names=None,
+    right=None,
+    tolerance=0,
+    counts=(),
+    wrong_counts=None,
+    protocol=None,
+):
     """Return the dataset of these folders; the i-th query shows the i-th place unless `right` says otherwise."""
     asked = names if query_names is None else query_names
     n = len(names)
@@ -83,22 +77,22 @@ def dataset_of(
     )
 
 
-def examined(winter: Path, summer: Path, **changes: Any) -> tuple[Finding, ...]:
+def examined(winter, summer, **changes):
     """Return what is found in winter as the references and summer as the queries."""
     return examine(dataset_of([winter], summer, **changes))
 
 
-def wrong(found: Sequence[Finding]) -> list[tuple[str, str, str]]:
+def wrong(found):
     """Return level, check and text of errors and warnings."""
     return [(finding.level, finding.check, finding.text) for finding in found if finding.level != "note"]
 
 
-def notes(found: Sequence[Finding], check: str) -> list[str]:
+def notes(found, check):
     """Return the texts of a check's notes."""
     return [finding.text for finding in found if finding.level == "note" and finding.check == check]
 
 
-def coded(found: Sequence[Finding], folder: Path) -> list[str]:
+def coded(found, folder):
     """Return level, check, numbers and numbered names of every finding, without the path of the tests' `folder`."""
     return [
         f"{one.level} {one.check}: {' '.join(re.findall(_NUMBER, one.text.replace(str(folder), '')))}".rstrip()

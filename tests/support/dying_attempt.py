@@ -1,7 +1,5 @@
 """Work for processes of their own that imports no library: its first task kills its process, one above 1 fails."""
 
-from __future__ import annotations
-
 import os
 import time
 from dataclasses import dataclass
@@ -21,6 +19,6 @@ class Attempt:
         return 2 * task
 
 
-def begin_and_wait(_: object) -> None:
+def begin_and_wait(_):
     print("begun", flush=True)
     time.sleep(60)

@@ -1,9 +1,5 @@
 """Events by chance, and recordings of them written by the rules of their formats."""
 
-from __future__ import annotations
-
-from collections.abc import Iterator
-from pathlib import Path
 from struct import pack
 
 import numpy as np
@@ -11,7 +7,7 @@ import numpy as np
 from vprbench.api import Events
 
 
-def by_chance(n: int, seed: int = 0, seconds: float = 3.0, height: int = 20, width: int = 30) -> Events:
+def by_chance(n, seed=0, seconds=3.0, height=20, width=30):
     """Return n events in the order of their times, which begin at 5 s."""
     rng = np.random.default_rng(seed)
     t = np.sort(rng.integers(5_000_000, 5_000_000 + round(seconds * 1e6), n))
@@ -19,25 +15,25 @@ def by_chance(n: int, seed: int = 0, seconds: float = 3.0, height: int = 20, wid
     return Events(t, x, y, rng.random(n) < 0.5)
 
 
-def in_chunks(events: Events, seed: int = 0) -> Iterator[Events]:
+def in_chunks(events, seed=0):
     """Yield the events in pieces of any length, empty ones too."""
     cuts = np.sort(np.random.default_rng(seed).integers(0, len(events.t), 7))
     pieces = (np.split(column, cuts) for column in (events.t, events.x, events.y, events.p))
     yield from (Events(*piece) for piece in zip(*pieces, strict=True))
 
 
-def joined(chunks: Iterator[Events]) -> Events:
+def joined(chunks):
     """Return all chunks as one."""
     parts = [(chunk.t, chunk.x, chunk.y, chunk.p) for chunk in chunks]
     return Events(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
-def same(first: Events, second: Events) -> bool:
+def same(first, second):
     pairs = ((first.t, second.t), (first.x, second.x), (first.y, second.y), (first.p, second.p))
     return all(one.dtype == other.dtype and np.array_equal(one, other) for one, other in pairs)
 
 
-def write_aedat2(file: Path, events: Events, begin: int = 0) -> Path:
+def write_aedat2(file, events, begin=0):
     """Write AEDAT 2.0 as a DAVIS does, its clock `begin` microseconds ahead; an image sample and a signal beside."""
     words = []
     for t, x, y, p in zip(*(c.tolist() for c in (events.t, events.x, events.y, events.p)), strict=True):
@@ -48,7 +44,7 @@ def write_aedat2(file: Path, events: Events, begin: int = 0) -> Path:
     return file
 
 
-def write_evt3(file: Path, events: Events) -> Path:
+def write_evt3(file, events):
     """Write EVT 3.0 with one word for each coordinate that changes; the clock of 24 bits begins with the events."""
     words, row = [], None
     last = (-1, -1)
@@ -62,10 +58,10 @@ def write_evt3(file: Path, events: Events) -> Path:
     return file
 
 
-def write_aedat4(file: Path, events: Events, per_packet: int = 100) -> Path:
+def write_aedat4(file, events, per_packet=100):
     """Write AEDAT 4.0 with one stream of events, each packet a flatbuffer of its own, nothing compressed."""
 
-    def sized(content: bytes) -> bytes:
+    def sized(content):
         return pack("<I", len(content)) + content
 
     info = b'<dv version="2.0"><node name="outInfo"><node name="0"><attr key="typeIdentifier" type="string">EVTS</attr>'

@@ -1,38 +1,32 @@
 """Made-up runs with known answers, as many methods, seeds, sizes and machines as a figure wants."""
 
-from __future__ import annotations
-
 import hashlib
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from statistics import NormalDist
 from typing import Any
 
 import little
 import numpy as np
-import numpy.typing as npt
 
-from vprbench.api.arrays import Scores
 from vprbench.metrics.ranking import best_places, outcome
 from vprbench.paper.selection import Series
-from vprbench.run.record import Run
-from vprbench.run.stopwatch import Laps, Timing
+from vprbench.run.stopwatch import Laps
 
 
-def seconds_around(median: float, spread: float, n_laps: int = 101, seed: int = 0) -> npt.NDArray[np.float64]:
+def seconds_around(median, spread, n_laps=101, seed=0):
     """Return times in random order whose median is `median` and whose logarithms are normal with `spread`."""
     quantiles = [NormalDist().inv_cdf((i + 0.5) / n_laps) for i in range(n_laps)]
     return np.random.default_rng(seed).permutation(median * np.exp(spread * np.array(quantiles)))
 
 
-def timing(encode_seconds: float, match_seconds: float, spread: float = 0.1) -> Timing:
+def timing(encode_seconds, match_seconds, spread=0.1):
     """Return streaming laps with these medians; encode and match vary together, so that the total's is their sum."""
     encode, match = (seconds_around(median, spread) for median in (encode_seconds, match_seconds))
     laps = Laps(encode, match, 1, True)
     return replace(little.a_run().timing, streaming=laps, offline=(laps,))
 
 
-def scores_with_recall(share: float, n_queries: int, n_places: int, seed: int = 0) -> Scores:
+def scores_with_recall(share, n_queries, n_places, seed=0):
     """Return scores (n_queries, n_places) whose right place, the query's own number, is best for `share` of them.
 
     Hits are spread over the traverse and score higher than misses, but not all of them. Right places of misses score
@@ -54,7 +48,7 @@ def scores_with_recall(share: float, n_queries: int, n_places: int, seed: int = 
     return scores
 
 
-def run(method: str = "little", share: float = 0.5, n_queries: int = 40, n_places: int = 50, **changes: Any) -> Run:
+def run(method="little", share=0.5, n_queries=40, n_places=50, **changes):
     """Return a run whose R@1 is `share`; `changes` are fields of the run, or these, which make some of them.
 
     seed, device ("cpu" or "cuda"), processor, time_utc, encode_seconds, match_seconds (medians of streaming), spread
@@ -94,13 +88,13 @@ def run(method: str = "little", share: float = 0.5, n_queries: int = 40, n_place
 
 
 def _config(
-    method: str,
-    dataset: str,
-    seed: int,
-    device: str,
-    arguments: Mapping[str, Any],
-    dataset_arguments: Mapping[str, Any],
-) -> dict[str, Any]:
+    method,
+    dataset,
+    seed,
+    device,
+    arguments,
+    dataset_arguments,
+):
     overrides = [f"method={method}", f"dataset={dataset}", *(f"method.{name}={arguments[name]}" for name in arguments)]
     return {
         "method": {"_target_": f"vprbench.methods.{method}", **arguments},
@@ -113,22 +107,22 @@ def _config(
     }
 
 
-def _environment(device: str, processor: str, time_utc: str) -> dict[str, Any]:
+def _environment(device, processor, time_utc):
     accelerator = {"accelerator": "Loom 7"} if device.startswith("cuda") else {}
     return {**little.a_run().environment, "processor": processor, "time_utc": time_utc, "device": device, **accelerator}
 
 
-def series(name: str, *runs: Run, spiking: bool = False) -> Series:
+def series(name, *runs, spiking=False):
     return Series(name, spiking, runs)
 
 
-def sized(n_places: int, fit_seconds: float | None, match_seconds: float, **changes: Any) -> Run:
+def sized(n_places, fit_seconds, match_seconds, **changes):
     """Return a run of four queries on a map of any size, quick to make: its answers mean nothing."""
     small = run("vprtempo", n_queries=4, n_places=50, match_seconds=match_seconds, fit_seconds=fit_seconds, **changes)
     return replace(small, outcome=replace(small.outcome, n_places=n_places), n_references=2 * n_places, scores=None)
 
 
-def five_rows(device: str = "cpu", seeds: Sequence[int] = (0, 1, 2), n_places: int = 450) -> tuple[Series, ...]:
+def five_rows(device="cpu", seeds=(0, 1, 2), n_places=450):
     """Return the paper's rows with numbers such as a small machine gives them; on a GPU three of them."""
     speed = 1.0 if device == "cpu" else 20.0
     size: dict[str, Any] = {"n_queries": n_places * 4 // 5, "n_places": n_places, "device": device}

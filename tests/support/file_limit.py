@@ -1,15 +1,12 @@
 """A disk that takes no file beyond a length, as far as this process is concerned."""
 
-from __future__ import annotations
-
-from collections.abc import Iterator
 from contextlib import contextmanager
 
 import pytest
 
 
 @contextmanager
-def no_file_may_exceed(limit_bytes: int) -> Iterator[None]:
+def no_file_may_exceed(limit_bytes):
     """Let the system refuse longer files within the block; the test is skipped if the system knows no limits."""
     resource = pytest.importorskip("resource")
     before = resource.getrlimit(resource.RLIMIT_FSIZE)

@@ -3,10 +3,7 @@
 What a process has freed and kept serves its next 200 MB too, and then nothing rises.
 """
 
-from __future__ import annotations
-
 import multiprocessing
-from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from typing import Self, TypeVar
@@ -23,13 +20,13 @@ from vprbench.run import machine
 Answer = TypeVar("Answer")
 
 
-def in_a_new_process(measure: Callable[[], Answer]) -> Answer:
+def in_a_new_process(measure):
     """Return what a function of this module measures in a process that has done nothing before."""
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("forkserver")) as pool:
         return pool.submit(measure).result()
 
 
-def rise_in_a_window() -> int:
+def rise_in_a_window():
     """Return by how many bytes the peak rises while 200 MB are held for a moment."""
     machine.reset_peak_memory()
     before = machine.peak_memory_bytes()
@@ -37,7 +34,7 @@ def rise_in_a_window() -> int:
     return machine.peak_memory_bytes() - before
 
 
-def fall_in_a_new_window() -> int:
+def fall_in_a_new_window():
     """Return by how many bytes the peak falls when a new window begins after 200 MB were held."""
     np.ones(200_000_000, np.uint8)
     high = machine.peak_memory_bytes()
@@ -57,7 +54,7 @@ class Large(Lookup):
         return self
 
 
-def peaks_of_runs() -> tuple[int, int, int]:
+def peaks_of_runs():
     """Return the resident bytes before a run holds 200 MB, its peak, and the peak of a run after it that holds none."""
     method = Large(table(6, 4))
     large = run_of(method, journey(6, 4)).peak_memory_bytes

@@ -1,7 +1,5 @@
 """Methods that do to a run what a plug-in may do: each is SAD, after it has done something in `fit`."""
 
-from __future__ import annotations
-
 import atexit
 import ctypes
 import os

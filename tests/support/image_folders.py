@@ -1,24 +1,17 @@
 """Folders of little images, and what is asked of every dataset that reads them."""
 
-from __future__ import annotations
-
-from collections.abc import Callable, Iterable
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
 from checkout import SHARED
 from PIL import Image as PillowImage
 
-from vprbench.api.dataset import Dataset
 from vprbench.errors import BadInput
 
 REAL = SHARED / "data"
 needs_real_frames = pytest.mark.real_frames
 
 
-def fill(folder: Path, names: Iterable[str]) -> Path:
+def fill(folder, names):
     """Put images of one pixel into a folder; the red level of the n-th is n."""
     for level, name in enumerate(names):
         path = folder / name
@@ -27,19 +20,19 @@ def fill(folder: Path, names: Iterable[str]) -> Path:
     return folder
 
 
-def numbered(count: int, suffix: str = ".jpg") -> list[str]:
+def numbered(count, suffix=".jpg"):
     return [f"{i}{suffix}" for i in range(count)]
 
 
-def reds(images: Iterable[Any]) -> list[int]:
+def reds(images):
     return [int(image[0, 0, 0]) for image in images]
 
 
-def rights(dataset: Dataset) -> list[list[int]]:
+def rights(dataset):
     return [right.tolist() for right in dataset.positives]
 
 
-def answer(make: Callable[..., Dataset], *arguments: Any, kind: type[BadInput] = BadInput, **options: Any) -> str:
+def answer(make, *arguments, kind=BadInput, **options):
     """Return the one line that refuses these arguments."""
     with pytest.raises(BadInput) as error:
         make(*arguments, **options)
@@ -48,14 +41,14 @@ def answer(make: Callable[..., Dataset], *arguments: Any, kind: type[BadInput] =
     return str(error.value)
 
 
-def used(dataset: Dataset) -> list[Path]:
+def used(dataset):
     """Return every file that the dataset says it takes from its folders; each has to be there."""
     files = [folder.path / name for folder in dataset.folders for name in folder.used]
     assert all(path.is_file() for path in files)
     return files
 
 
-def lists(*rights_of: list[Any]) -> np.ndarray:
+def lists(*rights_of):
     """Return the array of objects that VPR-Bench stores: a row [query, references] for each query."""
     rows = np.empty((len(rights_of), 2), dtype=object)
     for query, right in enumerate(rights_of):

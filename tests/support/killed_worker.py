@@ -1,7 +1,5 @@
 """Work for a dask worker that ends its process: once, or always."""
 
-from __future__ import annotations
-
 import os
 import signal
 import uuid

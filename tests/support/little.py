@@ -1,20 +1,17 @@
 """A method, a dataset and a stored run small enough to work by hand, and what other processes do to a store."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from itertools import count
-from pathlib import Path
 from typing import Any, ClassVar, Self
 
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.api.arrays import Image, Places, Scores
+from vprbench.api.arrays import Places, Scores
 from vprbench.api.dataset import Dataset
 from vprbench.api.descriptor import DescriptorMethod
 from vprbench.api.images import Images
@@ -28,22 +25,22 @@ from vprbench.run.stopwatch import Laps, Protocol, Timing
 from vprbench.run.store import Store
 
 
-def picture(number: int) -> Image:
+def picture(number):
     """Return an image that carries `number`, 0 to 16383, in its first pixel; the lowest bits mean nothing."""
     image = np.full((3, 4, 3), 100, np.uint8)
     image[0, 0, :2] = np.multiply(divmod(number, 128), 2)
     return image
 
 
-def number_in(image: Image) -> int:
+def number_in(image):
     return int(image[0, 0, 0]) // 2 * 128 + int(image[0, 0, 1]) // 2
 
 
-def pictures(numbers: Sequence[int]) -> Images:
+def pictures(numbers):
     return Images.from_arrays([picture(number) for number in numbers])
 
 
-def numbers_in(images: Images) -> list[int]:
+def numbers_in(images):
     return [number_in(image) for image in images]
 
 
@@ -114,7 +111,7 @@ class Prototypes(Method):
         return self
 
 
-def journey(n_queries: int, n_places: int, positives: Sequence[Sequence[int]] | None = None) -> Dataset:
+def journey(n_queries, n_places, positives=None):
     """Return a dataset whose query i is picture(i); unless told otherwise its right place is i modulo n_places."""
     right = [[i % n_places] for i in range(n_queries)] if positives is None else positives
     return Dataset(
@@ -127,21 +124,21 @@ def journey(n_queries: int, n_places: int, positives: Sequence[Sequence[int]] | 
     )
 
 
-def slow_pictures(count: int, seconds: float, sleep: Callable[[float], None]) -> Images:
+def slow_pictures(count, seconds, sleep):
     """Return images each of which takes `seconds` to read."""
 
-    def read(i: int) -> Image:
+    def read(i):
         sleep(seconds)
         return picture(i)
 
     return Images(read, [f"{i}.png" for i in range(count)])
 
 
-def laps(encode_seconds: Sequence[float], match_seconds: Sequence[float], images_per_call: int = 1) -> Laps:
+def laps(encode_seconds, match_seconds, images_per_call=1):
     return Laps(np.array(encode_seconds), np.array(match_seconds), images_per_call, True)
 
 
-def a_run(**changes: Any) -> Run:
+def a_run(**changes):
     """Return a run of four queries and ten places; its right places stand 1st, 1st, 3rd and 8th.
 
     Streaming takes 10 ms to encode and 2.5 ms to match; a batch of eight takes 40 ms and 10 ms.
@@ -218,9 +215,7 @@ def a_run(**changes: Any) -> Run:
     return replace(run, **changes)
 
 
-def a_layer(
-    name: str, neurons: int, spikes_per_query: list[float], active_share: float, amplitude_mean: float | None
-) -> dict[str, Any]:
+def a_layer(name, neurons, spikes_per_query, active_share, amplitude_mean):
     """Return what a run keeps of the spikes of one layer."""
     return {
         "name": name,
@@ -231,12 +226,12 @@ def a_layer(
     }
 
 
-def plain_protocol() -> dict[str, Any]:
+def plain_protocol():
     """Return the timing protocol as a run keeps it, once it was read from disk."""
     return {name: [*value] if isinstance(value, tuple) else value for name, value in asdict(Protocol()).items()}
 
 
-def a_failure(**changes: Any) -> Failure:
+def a_failure(**changes):
     """Return a failure of the configuration of `a_run`, on the same machine, a day later."""
     run = a_run()
     environment = {**run.environment, "time_utc": "2025-02-01T12:00:00Z"}
@@ -244,7 +239,7 @@ def a_failure(**changes: Any) -> Failure:
     return replace(failure, **changes)
 
 
-def unanswerable_run() -> Run:
+def unanswerable_run():
     """Return a run of four queries of which none has a right place."""
     nothing = np.zeros(4, np.int64)
     return a_run(
@@ -260,18 +255,18 @@ def unanswerable_run() -> Run:
     )
 
 
-def save_keys(root: Path, keys: Sequence[str]) -> int:
+def save_keys(root, keys):
     """Save a run under each key, as one of several processes; returns how many were saved."""
     for key in keys:
         Store(root).save(a_run(key=key))
     return len(keys)
 
 
-def replace_and_die(root: Path, step: int) -> None:
+def replace_and_die(root, step):
     """Replace a stored run, killed right before so many steps that change or open something on disk are done."""
     steps = count()
 
-    def die(event: str, _: object) -> None:
+    def die(event, _):
         if event in ("open", "os.mkdir", "os.rename", "os.remove", "os.rmdir") and next(steps) == step:
             os.kill(os.getpid(), signal.SIGKILL)
 
@@ -281,7 +276,7 @@ def replace_and_die(root: Path, step: int) -> None:
     store.save(a_run(n_references=22))
 
 
-def destination(path: Path, method: Method, dataset: Dataset, replace: bool = False) -> networks.Destination:
+def destination(path, method, dataset, replace=False):
     """Return where a network goes that `method` learns on `dataset` under the arguments it has."""
     arguments = {name: value for name, value in vars(method).items() if not name.startswith("_")}
     found = networks.prepare(networks.Files(save=path, replace=replace), method, arguments, dataset)
@@ -289,11 +284,11 @@ def destination(path: Path, method: Method, dataset: Dataset, replace: bool = Fa
     return found
 
 
-def replace_network_and_die(path: Path, step: int) -> None:
+def replace_network_and_die(path, step):
     """Replace a stored network, killed right before so many steps that change or open something on disk are done."""
     steps = count()
 
-    def die(event: str, _: object) -> None:
+    def die(event, _):
         if event in ("open", "os.rename", "os.remove") and next(steps) == step:
             os.kill(os.getpid(), signal.SIGKILL)
 

@@ -1,25 +1,17 @@
 """Runs of a method on a few small images, without what makes a run long: the canary and the look at the machine."""
 
-from __future__ import annotations
-
 import functools
 import gc
-from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from vprbench.api.arrays import Scores
-from vprbench.api.dataset import Dataset
-from vprbench.api.method import Method
 from vprbench.plugins.networks import Files
 from vprbench.run import descriptors, machine, runner, sources
 from vprbench.run.identity import Request
-from vprbench.run.record import Run
 from vprbench.run.stopwatch import Protocol
 
 CONFIG: dict[str, Any] = {
@@ -36,31 +28,31 @@ QUICK = Protocol(minimum_seconds=0, minimum_queries=5, sample=16, warmup_queries
 source_hash = functools.cache(sources.source_hash)
 
 
-def run_of(method: Method, dataset: Dataset, protocol: Protocol = QUICK, **changes: Any) -> Run:
+def run_of(method, dataset, protocol=QUICK, **changes):
     return runner.run(asked_for(method, dataset, protocol, **changes), "key")
 
 
 def asked_for(
-    method: Method,
-    dataset: Dataset,
+    method,
+    dataset,
     /,
-    protocol: Protocol = QUICK,
-    threads: int = 1,
-    files: Files = Files(),  # noqa: B008 - it is frozen
-    cache: Path | None = None,
-    **changes: Any,
-) -> Request:
+    protocol=QUICK,
+    threads=1,
+    files=Files(),  # noqa: B008 - it is frozen
+    cache=None,
+    **changes,
+):
     """Return the request of a little run; `changes` are made to its configuration."""
     return Request("little", method, dataset, {**CONFIG, **changes}, "fingerprint", protocol, threads, files, cache)
 
 
-def table(n_queries: int, n_places: int, levels: int = 1000) -> Scores:
+def table(n_queries, n_places, levels=1000):
     """Return random scores of so many levels."""
     return np.random.default_rng(1).integers(0, levels, (n_queries, n_places)).astype(np.float32)
 
 
 @contextmanager
-def quiet_surroundings() -> Iterator[SimpleNamespace]:
+def quiet_surroundings():
     """Leave out of runs what is tested on its own and takes long; yields the surroundings that they see instead."""
     quick = {
         "capture": lambda device, threads: {"processor": "Abacus 9", "time_utc": "2025-01-31T12:00:00Z"},
@@ -80,6 +72,6 @@ def quiet_surroundings() -> Iterator[SimpleNamespace]:
             gc.unfreeze()
 
 
-def kinds(run: Run) -> list[str]:
+def kinds(run):
     """Return the kinds of a run's notes."""
     return [note.kind for note in run.notes]

@@ -1,8 +1,6 @@
 """Small VPRSNN networks: trained on a made-up world, or made by hand with a known input for each neuron."""
 
-from __future__ import annotations
-
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,60 +8,54 @@ import numpy.typing as npt
 import pytest
 import torch
 
-from vprbench.api.arrays import Image, Places
 from vprbench.api.dataset import HeldOut
 from vprbench.api.images import Images
-from vprbench.api.method import LayerSpikes, Method
+from vprbench.api.method import LayerSpikes
 from vprbench.methods.vprsnn import model
-from vprbench.methods.vprsnn.arrays import Train
 from vprbench.methods.vprsnn.method import VPRSNN
 from vprbench.plugins.rules import Journey
-
-Floats = npt.NDArray[np.float64]
-Levels = npt.NDArray[np.uint8]  # (n_images, n_inputs)
-State = Mapping[str, npt.NDArray[Any]]
 
 SMALL: dict[str, Any] = {"height": 12, "width": 12, "places_per_module": 5, "n_excitatory": 24, "epochs": 6}
 WORLD = Journey.draw(0)
 STRONG = 50.0  # a weight with which a single spike lifts a neuron from its rest past its threshold
 
 
-def images(arrays: Sequence[Image]) -> Images:
+def images(arrays):
     return Images.from_arrays(list(arrays))
 
 
-def references(n_places: int, first: int = 0, world: Journey = WORLD) -> tuple[Images, Places]:
+def references(n_places, first=0, world=WORLD):
     """Return two images of each of so many places, numbered from 0."""
     rows = np.flatnonzero((world.places >= first) & (world.places < first + n_places))
     return images([world.references[row] for row in rows]), world.places[rows] - first
 
 
-def held_out(n_places: int = 10, in_map: bool = False) -> HeldOut:
+def held_out(n_places=10, in_map=False):
     """Return places 10 to 19 of the made-up world, or the first of them."""
     shown, places = references(n_places, 10)
     return HeldOut(shown, places, images(WORLD.references[30 : 30 + n_places]), np.arange(n_places), in_map)
 
 
-def fitted(n_places: int = 5, **arguments: Any) -> VPRSNN:
+def fitted(n_places=5, **arguments):
     return VPRSNN(**{**SMALL, **arguments}).fit(*references(n_places))
 
 
-def same(one: State, other: State) -> bool:
+def same(one, other):
     return one.keys() == other.keys() and all(np.array_equal(array, other[name]) for name, array in one.items())
 
 
-def layers(method: Method, codes: npt.NDArray[Any]) -> dict[str, npt.NDArray[Any]]:
+def layers(method, codes):
     """Return the spikes of each layer by its name."""
     found: Sequence[LayerSpikes] = method.spikes(codes)
     return {layer.name: np.asarray(layer.values) for layer in found}
 
 
-def recorded_trains(monkeypatch: pytest.MonkeyPatch) -> list[npt.NDArray[np.bool_]]:
+def recorded_trains(monkeypatch):
     """Return a list to which every train that a network draws is added, as (n_steps, n_inputs)."""
     trains: list[npt.NDArray[np.bool_]] = []
     draw = model.spike_train
 
-    def record(levels: Levels, generator: np.random.Generator, intensity: float, steps: int, step_ms: float) -> Train:
+    def record(levels, generator, intensity, steps, step_ms):
         train = draw(levels, generator, intensity, steps, step_ms)
         spikes = np.zeros((steps, len(levels)), np.bool_)
         spikes[train.step, train.source] = True
@@ -75,7 +67,7 @@ def recorded_trains(monkeypatch: pytest.MonkeyPatch) -> list[npt.NDArray[np.bool
 
 
 @pytest.fixture
-def one_thread() -> Iterator[None]:
+def one_thread():
     """Modules are trained one after the other, unless a test says otherwise."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
@@ -83,7 +75,7 @@ def one_thread() -> Iterator[None]:
     torch.set_num_threads(before)
 
 
-def member(state: State, number: int) -> State:
+def member(state, number):
     """Return the arrays of one network of an ensemble."""
     start = f"member_{number}."
     return {name.removeprefix(start): array for name, array in state.items() if name.startswith(start)}
@@ -92,7 +84,7 @@ def member(state: State, number: int) -> State:
 # A network made by hand: `heard[j]` are the inputs that drive neuron j, `spoken_for[j]` the place that it learnt.
 
 
-def made(heard: Sequence[Sequence[int]], spoken_for: Sequence[int], n_inputs: int) -> dict[str, npt.NDArray[Any]]:
+def made(heard, spoken_for, n_inputs):
     """Return the arrays of a stored network of one module with all places up to the last that is spoken for."""
     n_neurons, n_places = len(heard), max(spoken_for) + 1
     weights = np.zeros((1, n_inputs, n_neurons))
@@ -111,7 +103,7 @@ def made(heard: Sequence[Sequence[int]], spoken_for: Sequence[int], n_inputs: in
     }
 
 
-def lit(n_inputs: int, *pixels: Sequence[int]) -> Levels:
+def lit(n_inputs, *pixels):
     """Return one image a sequence of pixels, which alone are white in it."""
     levels = np.zeros((len(pixels), n_inputs), np.uint8)
     for image, white in enumerate(pixels):

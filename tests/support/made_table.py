@@ -1,9 +1,6 @@
 """Table II of made-up runs: six rows on two datasets and two machines, with every word that a cell can hold."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import Any
 
 import assembled
 import numpy as np
@@ -11,7 +8,6 @@ from stored_runs import ABACUS, CITY, NETVLAD, NORDLAND, RAILWAY, SAD, STREET, V
 
 from vprbench.paper.plan import Row
 from vprbench.paper.selection import ResolvedColumn
-from vprbench.paper.table.cells import Table
 from vprbench.run.note import Note
 
 REMARK = "How hard it is was set by hand."
@@ -28,16 +24,16 @@ ROWS = [
 FULL = "3300 places take too long for this row within the time of the table; set FULL=1"
 
 
-def hits(right: int, of: int) -> list[int]:
+def hits(right, of):
     return [1] * right + [0] * (of - right)
 
 
-def times(fit_seconds: float, match_ms: float) -> dict[str, Any]:
+def times(fit_seconds, match_ms):
     laps = [(match_ms + 0.01 * i) / 1e3 for i in range(-2, 3)]
     return {"fit_compute_seconds": fit_seconds, "fit_seconds": 4 * fit_seconds, "match_seconds": laps}
 
 
-def table() -> Table:
+def table():
     """Return the whole table: VPRTempo is best on the left, and was tuned on the right, where it was not timed.
 
     Some runs are set aside, and a seed that is stored has failed since.

@@ -1,15 +1,11 @@
 """Plug-ins of methods installed for a test, for the processes that it starts too."""
 
-from __future__ import annotations
-
 import os
-from pathlib import Path
 
-import pytest
 from checkout import ROOT
 
 
-def plugin(root: Path, package: str, point: str, methods: dict[str, str]) -> None:
+def plugin(root, package, point, methods):
     """Install a package under the name of an entry point, with the yamls of these methods but for their first line."""
     folder = root / f"{package}_conf" / "method"
     folder.mkdir(parents=True)
@@ -21,7 +17,7 @@ def plugin(root: Path, package: str, point: str, methods: dict[str, str]) -> Non
     (about / "entry_points.txt").write_text(f"[vprbench.conf]\n{point} = {package}_conf\n")
 
 
-def see_plugins(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def see_plugins(root, monkeypatch):
     """Let this process and those that it starts find what was installed there, and the modules of tests."""
     monkeypatch.syspath_prepend(root)
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(map(str, (root, ROOT / "tests" / "support", ROOT))))

@@ -1,7 +1,5 @@
 """Checks that every published network has to pass, put to it as scikit-learn puts its own to estimators."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -26,23 +24,23 @@ Tensors = Mapping[str, Tensor]
 Floats = npt.NDArray[np.float64]
 
 
-def saved(path: Path, tensors: Mapping[str, Any]) -> Path:
+def saved(path, tensors):
     """Write tensors as torch does; returns the file."""
     torch.save(dict(tensors), path)
     return path
 
 
-def saved_training(path: Path, tensors: Tensors) -> Path:
+def saved_training(path, tensors):
     """Write a checkpoint of a training, which keeps recalls as numpy has them."""
     return saved(path, {"model_state_dict": dict(tensors), "recalls": np.ones(4), "best_r5": np.float64(97.5)})
 
 
-def without(part: str) -> Callable[[Tensors], Tensors]:
+def without(part):
     """Return what leaves out the tensors of which the name has a part."""
     return lambda tensors: {name: tensor for name, tensor in tensors.items() if part not in name}
 
 
-def unit(vectors: npt.NDArray[Any]) -> npt.NDArray[Any]:
+def unit(vectors):
     """Return vectors, along the last axis, at unit length."""
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
@@ -204,7 +202,7 @@ class SmallNetwork(torch.nn.Module):
         return torch.nn.functional.adaptive_avg_pool2d(self.convolution(images), 3).flatten(1)
 
 
-def excepted(config: Mapping[str, Any], network: torch.nn.Module) -> set[str]:
+def excepted(config, network):
     """Put the method of a configuration, with a network in its file's place, to every rule; returns the exceptions."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(type(registry.make_method(config)), "load", lambda *_: network)
@@ -213,7 +211,7 @@ def excepted(config: Mapping[str, Any], network: torch.nn.Module) -> set[str]:
     return {result.rule for result in results if result.state == "excepted"}
 
 
-def with_checks(*networks: PublishedNetwork) -> pytest.MarkDecorator:
+def with_checks(*networks):
     """Parametrise a test by every check of the networks; it calls `check(folder)`."""
     cases = [
         pytest.param(check, id=f"{network.name} {name}") for network in networks for name, check in network.checks()

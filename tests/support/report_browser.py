@@ -1,14 +1,10 @@
 """The browser that reads reports: fixtures of the tests that name this file in `pytest_plugins`."""
 
-from __future__ import annotations
-
 import os
 import shutil
-from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
-from playwright.sync_api import Browser, Page, expect, sync_playwright
+from playwright.sync_api import expect, sync_playwright
 from report_page import made_up_page
 from report_reader import PATIENCE, Reader
 
@@ -19,7 +15,7 @@ ARGUMENTS = (
 
 
 @pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
+def browser():
     chromium = shutil.which("chromium")
     if chromium is None:
         reason = "there is no chromium on this machine: its package brings it"
@@ -34,7 +30,7 @@ def browser() -> Iterator[Browser]:
 
 
 @pytest.fixture
-def reader(browser: Browser, tmp_path: Path) -> Iterator[Reader]:
+def reader(browser, tmp_path):
     reader = Reader(browser, tmp_path)
     yield reader
     for context in reader.contexts:
@@ -43,5 +39,5 @@ def reader(browser: Browser, tmp_path: Path) -> Iterator[Reader]:
 
 
 @pytest.fixture
-def tab(reader: Reader) -> Page:
+def tab(reader):
     return reader.read(made_up_page())

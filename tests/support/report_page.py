@@ -1,10 +1,6 @@
 """A report made up by hand: sixty places, fifty queries, and methods whose failures are known."""
 
-from __future__ import annotations
-
 import io
-from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from little import a_run
@@ -14,7 +10,6 @@ from vprbench.metrics.ranking import best_places, outcome
 from vprbench.paper.page.page import Picture, Section, page
 from vprbench.paper.selection import Series
 from vprbench.run.note import Note
-from vprbench.run.record import Run
 from vprbench.run.thumbnails import Thumbnails
 
 N_PLACES, N_QUERIES = 60, 50
@@ -26,15 +21,15 @@ TEMPO_WRONG = {10: 0.125, 40: 0.25}
 HOSTILE = "</script><img src=x onerror=\"document.title='broken'\">"
 
 
-def right_place(query: int) -> int:
+def right_place(query):
     return query + 5
 
 
-def mistaken_place(query: int) -> int:
+def mistaken_place(query):
     return (right_place(query) + SHIFT) % N_PLACES
 
 
-def answered(table: Any, positives: Sequence[Sequence[int]], depth: int = 10, **changes: Any) -> Run:
+def answered(table, positives, depth=10, **changes):
     """Return a run that gave these scores, (n_queries, n_places)."""
     table = np.asarray(table, np.float32)
     right = tuple(np.array(places, np.int64) for places in positives)
@@ -52,7 +47,7 @@ def answered(table: Any, positives: Sequence[Sequence[int]], depth: int = 10, **
     return a_run(**{**kept, **changes})
 
 
-def journey_scores(wrong: Mapping[int, float]) -> np.ndarray:
+def journey_scores(wrong):
     scores = np.full((N_QUERIES, N_PLACES), OTHERS, np.float32)
     for query in range(N_QUERIES):
         scores[query, right_place(query)] = RIGHT
@@ -61,34 +56,34 @@ def journey_scores(wrong: Mapping[int, float]) -> np.ndarray:
     return scores
 
 
-def journey_run(wrong: Mapping[int, float], seed: int = 0, **changes: Any) -> Run:
+def journey_run(wrong, seed=0, **changes):
     positives = [[] if query == UNANSWERABLE else [right_place(query)] for query in range(N_QUERIES)]
     config = {**a_run().config, "seed": seed}
     return answered(journey_scores(wrong), positives, **{"config": config, **changes})
 
 
-def query_colour(query: int) -> tuple[int, int, int]:
+def query_colour(query):
     return (250 - 4 * query, 40, 4 * query)
 
 
-def place_colour(place: int) -> tuple[int, int, int]:
+def place_colour(place):
     return (30, 4 * place, 200)
 
 
-def drawn_frame(colour: tuple[int, int, int], size: tuple[int, int] = (48, 27)) -> bytes:
+def drawn_frame(colour, size=(48, 27)):
     """Return a WebP of one colour, without loss."""
     written = io.BytesIO()
     Image.new("RGB", size, colour).save(written, "WEBP", lossless=True)
     return written.getvalue()
 
 
-def drawn_figure() -> bytes:
+def drawn_figure():
     written = io.BytesIO()
     Image.new("RGB", (1200, 500), (225, 230, 240)).save(written, "PNG")
     return written.getvalue()
 
 
-def journey_thumbnails(**changes: Any) -> Thumbnails:
+def journey_thumbnails(**changes):
     drawn = {
         "query_names": tuple(f"dusk/{query:05d}.png" for query in range(N_QUERIES)),
         "reference_names": tuple(f"noon/{place:05d}.png" for place in range(N_PLACES)),
@@ -99,7 +94,7 @@ def journey_thumbnails(**changes: Any) -> Thumbnails:
     return Thumbnails(**{**drawn, **changes})
 
 
-def journey_section(title: str = "Journey", thumbnails: Thumbnails | None = None) -> Section:
+def journey_section(title="Journey", thumbnails=None):
     return Section(
         title,
         (
@@ -125,14 +120,14 @@ TABLE = """<div class="scroll" tabindex="0" role="region" aria-label="Table II">
 """
 
 
-def made_up_page(sections: Sequence[Section] | None = None) -> str:
+def made_up_page(sections=None):
     """Return a whole report."""
     figure = Picture("speed", "How long a query takes, on Abacus 9.", drawn_figure())
     given = [journey_section(thumbnails=journey_thumbnails())] if sections is None else sections
     return page(TABLE, [figure], given, made_from="Made from 3 stored runs.")
 
 
-def hostile_section() -> Section:
+def hostile_section():
     """Return a section where every name that comes from outside tries to be markup."""
     run = journey_run(
         SAD_WRONG, notes=(Note("dataset", HOSTILE),), dataset=HOSTILE, protocol={"query": HOSTILE, HOSTILE: HOSTILE}

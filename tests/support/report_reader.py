@@ -1,13 +1,11 @@
 """Someone who reads a report in a browser, and what they see of it."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from playwright.sync_api import Browser, BrowserContext, Locator, Page
+from playwright.sync_api import Browser, BrowserContext, Page
 
 PATIENCE = 30_000  # milliseconds, where nothing is slow but the machine may be
 
@@ -35,7 +33,7 @@ class Reader:
         return tab
 
 
-def choose(tab: Page, *, dataset: str = "", **labels: str) -> None:
+def choose(tab, *, dataset="", **labels):
     if dataset:
         tab.get_by_role("tab", name=dataset, exact=True).click()
     for name, label in labels.items():
@@ -44,20 +42,20 @@ def choose(tab: Page, *, dataset: str = "", **labels: str) -> None:
         tab.locator(f"#{name.replace('_', '-')}").select_option(label=chosen)
 
 
-def listed(tab: Page) -> list[int]:
+def listed(tab):
     """The queries in the list, in its order."""
     return [int(text) for text in tab.locator("#queries > li").evaluate_all("all => all.map(e => e.dataset.query)")]
 
 
-def current(tab: Page) -> int:
+def current(tab):
     return int(tab.locator("#queries > .current").get_attribute("data-query") or "-1")
 
 
-def focused(tab: Page) -> str:
+def focused(tab):
     return str(tab.evaluate("document.activeElement.id"))
 
 
-def colours(row: Locator) -> list[tuple[int, ...]]:
+def colours(row):
     """The colour in the middle of each frame of a row, decoded by the browser."""
     decode = """async (images) => Promise.all(images.map(async (image) => {
         await image.decode();
@@ -70,17 +68,17 @@ def colours(row: Locator) -> list[tuple[int, ...]]:
     return [tuple(colour) for colour in row.locator("img").evaluate_all(decode)]
 
 
-def queries_of(path: str) -> set[int]:
+def queries_of(path):
     """The queries that the bars of a strip cover."""
     runs = re.findall(r"M(\d+) 100h(\d+)v", path)
     return {query for first, length in runs for query in range(int(first), int(first) + int(length))}
 
 
-def widest(tab: Page) -> int:
+def widest(tab):
     return int(tab.evaluate("Math.max(document.documentElement.scrollWidth, document.body.scrollWidth)"))
 
 
-def contrasts(tab: Page) -> dict[str, float]:
+def contrasts(tab):
     """The contrast (WCAG 2) of every text that is seen, from the styles that the browser computed."""
     seen = tab.evaluate("""() => {
         const found = [];
@@ -98,8 +96,8 @@ def contrasts(tab: Page) -> dict[str, float]:
     return {f"{text}: {ink} on {ground}": contrast(ink, ground) for text, ink, ground in seen}
 
 
-def contrast(ink: str, ground: str) -> float:
-    def luminance(colour: str) -> float:
+def contrast(ink, ground):
+    def luminance(colour):
         assert colour.startswith("rgb("), colour
         channels = np.array([int(part) for part in re.findall(r"\d+", colour)]) / 255
         linear = np.where(channels <= 0.04045, channels / 12.92, ((channels + 0.055) / 1.055) ** 2.4)

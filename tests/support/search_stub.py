@@ -1,7 +1,5 @@
 """Stands in for training in tests of the search: a known recall for any settings, and ways to fail."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Self
@@ -9,11 +7,10 @@ from typing import Self
 import numpy as np
 
 from vprbench.tuning.objective import Task, Tried
-from vprbench.tuning.space import Values
 from vprbench.tuning.workers import Answer
 
 
-def recall(values: Values) -> float:
+def recall(values):
     """Best at f_min 0.4, which matters most; P_exc matters a little, nothing else does."""
     return 0.8 - abs(values["rate_min"] - 0.4) - 0.1 * abs(values["p_excitatory"] - 0.2)
 

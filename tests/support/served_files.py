@@ -1,9 +1,6 @@
 """A server of files on this machine, and the ways in which it fails to give them."""
 
-from __future__ import annotations
-
 import threading
-from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -28,7 +25,7 @@ class Served:
     """One file, and what happens to who asks for it."""
 
     content: bytes
-    net: Server
+    net: "Server"
     url: str
     etag: str | None = '"one"'
     modified: str | None = None
@@ -110,7 +107,7 @@ class _Quiet(ThreadingHTTPServer):
 
 
 @contextmanager
-def serving() -> Iterator[Server]:
+def serving():
     """Run a server while the block lasts."""
 
     class Handler(BaseHTTPRequestHandler):

@@ -1,11 +1,8 @@
 """A plan of a table and figures small enough for tests, and its runs made inside the test's own process."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -72,11 +69,11 @@ class Apart:
         return Ending(code, **known)
 
 
-def quick_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+def quick_figures(monkeypatch):
     """Let figures be drawn and not rendered, which takes long: their files hold a pixel for each panel."""
     from vprbench.paper.figures import style  # brings matplotlib
 
-    def rendered(drawn: style.Drawn) -> bytes:
+    def rendered(drawn):
         written = io.BytesIO()
         Image.new("L", (len(drawn.figure.axes), 1)).save(written, "PNG")
         return written.getvalue()
@@ -85,7 +82,7 @@ def quick_figures(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(style, kind, rendered)
 
 
-def install(monkeypatch: pytest.MonkeyPatch, folder: Path, plan: str = PLAN) -> Apart:
+def install(monkeypatch, folder, plan=PLAN):
     """Let tables and figures follow `plan`, in `folder`; returns what stands in for processes."""
     path = folder / "plan.yaml"
     path.write_text(plan, encoding="utf-8")

@@ -1,7 +1,5 @@
 """A clock that only tests move, in place of those by which runs are timed, and reading that waits to be waited for."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable
 from functools import partial

@@ -1,10 +1,6 @@
 """Made-up runs, failures and a plan for what is made of stored runs; every number in them is known."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import little
 import numpy as np
@@ -12,8 +8,7 @@ import numpy as np
 from vprbench.metrics.ranking import Outcome
 from vprbench.paper.plan import Growth, Plan, PlannedColumn, Row
 from vprbench.paper.selection import ResolvedColumn
-from vprbench.run.note import Note
-from vprbench.run.record import Failure, Run
+from vprbench.run.record import Failure
 
 RAILWAY = {"name": "railway", "places": 10, "seed": 0}
 STREET = {"name": "street", "root": "/here/street", "source": "a shelf"}
@@ -44,7 +39,7 @@ ABACUS = {"processor": "Abacus 9", "threads": 1, "cores": 2, "libraries": {"torc
 LOOM = {**ABACUS, "processor": "Loom 3", "cores": 8, "accelerator": "Spindle 80GB"}
 
 
-def answers(hits: Sequence[int], n_places: int = 10) -> Outcome:
+def answers(hits, n_places=10):
     """Return answers whose best place is right where `hits` is 1; where it is 0 the right place stands second."""
     right = np.array(hits, np.int64)
     ones = np.ones(len(right), np.int64)
@@ -52,22 +47,22 @@ def answers(hits: Sequence[int], n_places: int = 10) -> Outcome:
 
 
 def run(
-    method: str = "sad",
-    seed: int = 0,
-    hits: Sequence[int] = (1, 1, 0, 0),
+    method="sad",
+    seed=0,
+    hits=(1, 1, 0, 0),
     *,
-    device: str = "cpu",
-    day: str = "2025-03-01",
-    changed: Mapping[str, Any] | None = None,
-    dataset: Mapping[str, Any] = RAILWAY,
-    machine: Mapping[str, Any] | None = None,
-    encode_seconds: Sequence[float] = (0.010,) * 5,
-    match_seconds: Sequence[float] = (0.0025,) * 5,
-    n_places: int = 10,
-    notes: tuple[Note, ...] = (),
-    config: Mapping[str, Any] | None = None,
-    **changes: Any,
-) -> Run:
+    device="cpu",
+    day="2025-03-01",
+    changed=None,
+    dataset=RAILWAY,
+    machine=None,
+    encode_seconds=(0.010,) * 5,
+    match_seconds=(0.0025,) * 5,
+    n_places=10,
+    notes=(),
+    config=None,
+    **changes,
+):
     """Return an undisturbed run; encoding takes 10 ms and matching 2.5 ms, fitting 11.5 s and 12.34 s with images."""
     timing = replace(little.a_run().timing, streaming=little.laps(encode_seconds, match_seconds))
     protocol = {"references": ["spring", "fall"], "query": "summer", "tolerance_places": 0, "places": n_places}
@@ -103,7 +98,7 @@ def run(
     return replace(made, **changes)
 
 
-def failure(method: str = "sad", seed: int = 0, error: str = "out of thread", **changes: Any) -> Failure:
+def failure(method="sad", seed=0, error="out of thread", **changes):
     """Return the failure of such a run, of the next day."""
     day, missing = changes.pop("day", "2025-03-02"), changes.pop("missing", False)
     given = run(method, seed, day=day, **changes)

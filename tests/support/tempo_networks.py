@@ -1,8 +1,6 @@
 """VPRTempo networks drawn at random or trained on a little world, inputs to show them, and the two ways of asking."""
 
-from __future__ import annotations
-
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import cache
 from typing import Any, get_args
 
@@ -31,15 +29,15 @@ N_PIXELS = 20
 SIZES = pytest.mark.parametrize("sizes", [[5, 5, 3], [7], [1], [2, 1]], ids=str)  # places of each module
 
 
-def tensor(array: npt.NDArray[np.floating]) -> torch.Tensor:
+def tensor(array):
     return torch.from_numpy(array.astype(np.float32))
 
 
-def double(part: torch.Tensor) -> Floats:
+def double(part):
     return part.numpy().astype(np.float64)
 
 
-def network(sizes: Sequence[int], n_features: int = 37, n_pixels: int = N_PIXELS, seed: int = 0) -> Network:
+def network(sizes, n_features=37, n_pixels=N_PIXELS, seed=0):
     """Draw a network in which about half of all neurons spike and some reach the clip."""
     draw, modules = np.random.default_rng(seed), len(sizes)
     return Network(
@@ -51,7 +49,7 @@ def network(sizes: Sequence[int], n_features: int = 37, n_pixels: int = N_PIXELS
     )
 
 
-def one_layer(outputs: npt.NDArray[np.floating], *thresholds: float) -> Network:
+def one_layer(outputs, *thresholds):
     """One module whose features repeat the pixels; `outputs` is (n_pixels, n_places)."""
     n_pixels, n_places = outputs.shape
     none = torch.zeros(1, n_pixels)
@@ -59,11 +57,11 @@ def one_layer(outputs: npt.NDArray[np.floating], *thresholds: float) -> Network:
     return Network(torch.eye(n_pixels)[None], none, none, (tensor(outputs),), (own,))
 
 
-def shown(count: int, n_pixels: int = N_PIXELS, seed: int = 1) -> Spikes:
+def shown(count, n_pixels=N_PIXELS, seed=1):
     return np.random.default_rng(seed).uniform(0, 1, (count, n_pixels)).astype(np.float32)
 
 
-def one_matrix(members: Sequence[Network]) -> Floats:
+def one_matrix(members):
     """Return the mean over the members of W_o W_f, (n_places, n_pixels)."""
     products = [
         np.concatenate([double(w_o).T @ double(w_f) for w_f, w_o in zip(member.features, member.outputs, strict=True)])
@@ -72,11 +70,11 @@ def one_matrix(members: Sequence[Network]) -> Floats:
     return np.mean(products, axis=0)
 
 
-def one_by_one(query: Query, spikes: Spikes) -> Spikes:
+def one_by_one(query, spikes):
     return np.concatenate([query.scores(x[None]) for x in spikes])
 
 
-def in_a_batch(query: Query, spikes: Spikes) -> Spikes:
+def in_a_batch(query, spikes):
     return query.scores(spikes)
 
 
@@ -84,6 +82,6 @@ WAYS = pytest.mark.parametrize("ask", [one_by_one, in_a_batch])
 
 
 @cache
-def fitted(kind: type[VPRTempo] = VPRTempo, **arguments: Any) -> Any:
+def fitted(kind=VPRTempo, **arguments):
     """Return what has learnt the little world; tests share it, so they change nothing in it."""
     return kind(**{**SMALL, **arguments}).fit(REFERENCES, WORLD.places)

@@ -1,7 +1,5 @@
 """What leaves a mark on the disk if it is ever unpickled."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

@@ -61,7 +61,7 @@ class Module:
         return self.counts
 
 
-def train_of(steps: npt.NDArray[np.integer], sources: npt.NDArray[np.integer], n_inputs: int) -> Train:
+def train_of(steps, sources, n_inputs):
     """Return spikes that are given as (n_spikes,) steps and inputs."""
     by_step, by_source = np.lexsort((sources, steps)), np.lexsort((steps, sources))
     first = np.searchsorted(sources[by_source], np.arange(n_inputs + 1))
@@ -69,11 +69,11 @@ def train_of(steps: npt.NDArray[np.integer], sources: npt.NDArray[np.integer], n
     return Train(*(array.astype(np.int32) for array in arrays))
 
 
-def silence(n_steps: int, n_inputs: int) -> Spikes:
+def silence(n_steps, n_inputs):
     return np.zeros((n_steps, n_inputs), np.bool_)
 
 
-def spikes_at(n_steps: int, n_inputs: int, *events: tuple[int, int]) -> Spikes:
+def spikes_at(n_steps, n_inputs, *events):
     """Return input spikes given as (step, input)."""
     spikes = silence(n_steps, n_inputs)
     for step, source in events:

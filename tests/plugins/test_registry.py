@@ -1,0 +1,232 @@
+"""What a registered yaml holds, how its options are read and checked, and what a dataset plug-in has to return."""
+
+import errno
+import subprocess
+import sys
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from typing import Literal
+
+import pytest
+from described_images import composed
+from little import journey
+from little_runs import quiet_surroundings
+from omegaconf import OmegaConf
+
+from vprbench.api.method import Method
+from vprbench.cli import main
+from vprbench.errors import BadInput
+from vprbench.methods.sad import SAD
+from vprbench.methods.vprtempo.ensemble import VPRTempoEnsemble
+from vprbench.methods.vprtempo.int8 import VPRTempoInt8
+from vprbench.plugins import registry
+from vprbench.plugins.checked import checked
+from vprbench.plugins.entries import Entry, entries
+from vprbench.plugins.options import chosen
+from vprbench.run.store import Store
+
+
+@pytest.fixture
+def method(tmp_path, monkeypatch):
+    """Return what registers a yaml under a name and gives its entry."""
+    (tmp_path / "method").mkdir()
+    monkeypatch.setattr("vprbench.plugins.entries.conf_folders", lambda: {"little": tmp_path})
+
+    def written(name, text):
+        (tmp_path / "method" / f"{name}.yaml").write_text(text)
+        return registry.entries("method")[name]
+
+    return written
+
+
+def test_reading_all_entries_imports_neither_hydra_nor_anything_that_computes():
+    read = "[(e.options, e.tags, e.description) for g in ('method', 'dataset') for e in entries(g).values()]"
+    heavy = "{'hydra', 'omegaconf', 'torch', 'numpy', 'pydantic', 'vprbench.methods'} & {*sys.modules}"
+    program = f"import sys; from vprbench.plugins.entries import entries; {read}; print({heavy})"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout == "set()\n"
+
+
+def test_a_yaml_holds_what_hydra_reads_in_it_and_tells_what_computes_by_spikes_or_needs_weights():
+    for entry in (*entries("method").values(), *entries("dataset").values()):
+        told, read = OmegaConf.to_container(OmegaConf.load(entry.path)), entry.values()
+        assert {name: read[name] for name in told if name != "weights"} == {n: told[n] for n in told if n != "weights"}
+        assert entry.tags == (("spiking",) if entry.name.startswith(("vprtempo", "vprsnn", "lens")) else ())
+    needy = {name for name, entry in entries("method").items() if entry.needs_weights}
+    assert {"netvlad", "megaloc", "boq_resnet50"} <= needy
+    assert not {"sad", "hog", "vprtempo", "densevlad"} & needy
+
+
+@pytest.mark.parametrize(
+    ("text", "options"),
+    [
+        ("# One\n_target_: a.B\nwidth: 2\nheight: 1\n", ["width", "height"]),
+        ("", []),
+        ("defaults: [lower, _self_]\n_target_: a.C\nmembers: 5\nwidth: 3\n", ["height", "depth", "width", "members"]),
+        ("defaults: [elsewhere, one, _self_]\nwidth: 2\n", ["width"]),  # nobody registers elsewhere
+        ("defaults:\n- override /dataset: nordland\n- _self_\nwidth: 2\n", ["width"]),
+    ],
+)
+def test_options_are_the_arguments_once_each_those_of_the_yaml_below_included(method, text, options):
+    method("lowest", "_target_: vprbench.methods.sad.SAD\nheight: 1\ndepth: 1\n")
+    assert method("lower", "defaults: [lowest, _self_]\nwidth: 2\nheight: 1\n").target() is SAD
+    assert method("one", text).options == options
+
+
+def test_a_yaml_that_names_no_class_or_tags_that_are_no_list_is_named(method, tmp_path):
+    for text in ("a: [", "- a list\n", "width: 1\n", "word\n"):
+        with pytest.raises(BadInput, match=r"broken\.yaml(, line 2)? is no method"):
+            method("broken", text).target()
+    (tmp_path / "one.yaml").write_text("tags: spiking\n")
+    with pytest.raises(BadInput, match=r"one\.yaml: tags=spiking"):
+        _ = Entry("method", "one", tmp_path / "one.yaml", "other").tags
+
+
+def test_the_options_of_a_method_are_the_arguments_of_its_class():
+    for name, kind in {"vprtempo_int8": VPRTempoInt8, "vprtempo_ensemble": VPRTempoEnsemble}.items():
+        arguments = {field.name for field in fields(kind) if not field.name.startswith("_")}
+        assert set(registry.entries("method")[name].options) == arguments
+
+
+# Changed arguments
+
+NESTED = "defaults: [lower]\nweights: {file: b.pth}\n"
+LOWER = "# Lower\n_target_: a.B\nwidth: 2\nrate: 1e-3\nsizes: [1, 2]\nnothing: null\nseed: ${seed}\ndevice: ${device}\n"
+
+
+def test_what_differs_from_the_yaml_is_changed_but_never_seed_and_device(method):
+    given = {"_target_": "a.B", "width": 2, "rate": 0.001, "sizes": [1, 2], "nothing": None}
+    lower = method("lower", LOWER)
+    for changed in ({}, {"width": 3}, {"rate": 0.01}, {"sizes": [1]}, {"nothing": 0}, {"width": None}, {"more": 1}):
+        assert lower.changed({**given, **changed}) == changed
+    for entry in (lower, method("fixed", "_target_: a.B\nseed: 1\ndevice: cpu\n")):
+        assert entry.changed({"seed": 7, "device": "cuda"}) == {}
+
+
+@pytest.mark.parametrize(
+    ("text", "given", "changed"),
+    [
+        ("size: 4\nfile: n_${.size}\nall: ['${seed}']\n", {"size": 5, "file": "n_5", "all": [3]}, {"size": 5}),
+        ("defaults: [lower, _self_]\nwidth: 3\n", {"width": 3, "rate": 0.001}, {}),
+        ("defaults: [lower, _self_]\nwidth: 3\n", {"width": 2, "rate": 0.001}, {"width": 2}),
+        (NESTED, {"weights": {"file": "b.pth", "url": "http://b", "path": None}}, {}),
+        (NESTED, {"weights": {"file": "b.pth", "url": "http://b", "path": "/b"}}, {"weights": {"path": "/b"}}),
+        ("", {"_target_": "a.B", "width": 1}, {"width": 1}),
+    ],
+    ids=["interpolated", "as the upper", "as the lower", "a mapping", "within a mapping", "nothing there"],
+)
+def test_what_differs_from_the_yaml_and_those_below_is_changed(method, text, given, changed):
+    method("lower", LOWER + "weights: {file: a.pth, url: 'http://${.file}', path: null}\n")
+    assert method("upper", text).changed(given) == changed
+
+
+@pytest.mark.parametrize("name", registry.entries("method"))
+def test_a_method_of_which_nothing_was_asked_for_is_not_changed_and_is_built_without_weights(name):
+    config = composed(f"method={name}", "seed=5", "device=cuda:1")
+    assert registry.entries("method")[name].changed(config) == {}
+    assert isinstance(registry.make_method({**config, "device": "cpu"} if "device" in config else config), Method)
+
+
+@pytest.mark.parametrize(
+    ("name", "asked", "wanted"),
+    [
+        ("vprtempo", ["method.rules=reference", "method.max_module=1100"], {"rules": "reference"}),
+        ("vprtempo_ensemble", ["method.members=3", "method.epochs=4"], {"members": 3}),
+        ("vprtempo_tuned", ["method.epochs=4"], {"epochs": 4}),
+        ("cosplace", ["method.backbone=ResNet18"], {"backbone": "ResNet18"}),
+    ],
+)
+def test_what_was_asked_for_on_the_command_line_is_changed(name, asked, wanted):
+    assert registry.entries("method")[name].changed(composed(f"method={name}", *asked)) == wanted
+
+
+def test_a_stored_run_names_the_arguments_that_were_changed_if_a_yaml_registers_its_method(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "own" / "method").mkdir(parents=True)
+    (tmp_path / "own" / "method" / "mine.yaml").write_text("_target_: vprbench.methods.sad.SAD\npatch: 5\n")
+    quick = ["dataset.places=12", "dataset.first_query_place=0", "timing=none", "threads=1"]
+    with quiet_surroundings():
+        assert main(["method=sad", "method.patch=5", "method.width=28", "seed=3", *quick]) == 0
+        assert main(["--config-dir", "own", "method='mine'", *quick]) == 0
+    configs = {run.method: run.config for run in Store(Path("results")).runs()}
+    assert configs["sad"]["changed"] == {"patch": 5}
+    assert "changed" not in configs["mine"]
+
+
+# Options as name=value have to be of the types that hints name; nothing is converted.
+
+
+@dataclass(frozen=True)
+class Asked:
+    names: list[str] = field(default_factory=list)
+    sizes: list[int] | None = None
+    frames: list[list[int]] = field(default_factory=list)
+    name: str = ""
+
+
+@pytest.mark.parametrize(
+    ("option", "value"),
+    [
+        ("names=sad,hog", ["sad", "hog"]),
+        ("names=[sad, hog]", ["sad", "hog"]),
+        ('names=["sad"]', ["sad"]),
+        ("names=sad", ["sad"]),
+        ("names=[]", []),
+        ("sizes=1,8,32", [1, 8, 32]),
+        ("sizes=8", [8]),
+        ("sizes=null", None),
+        ("frames=[[2,3]]", [[2, 3]]),
+        ("name=a,b", "a,b"),
+    ],
+)
+def test_a_list_is_given_with_or_without_brackets(option, value):
+    assert getattr(chosen(Asked, [option], {}), option.split("=")[0]) == value
+
+
+def test_an_option_that_does_not_fit_is_refused_by_its_name_and_what_json_cannot_say_otherwise_is_taken():
+    for option in ("sizes=1,two", "name", "nmae=x", "sizes=[[1]]"):
+        with pytest.raises(BadInput, match=option.split("=")[0]):
+            chosen(Asked, [option], {})
+    for value, hint in (("4", int), (1, bool), (4.5, int), ("x", Literal["y"]), (3, list[str])):
+        with pytest.raises(BadInput, match=rf"^method\.cells={value}: "):
+            checked("method.cells", value, hint)
+    for value, hint, wanted in ((4, float, 4.0), ([1, 2], tuple[int, ...], (1, 2)), ("a/b", Path, Path("a/b"))):
+        assert checked("x", value, hint) == wanted
+
+
+# What a dataset plug-in returns
+
+WHOLE = journey(4, 3)
+
+
+def refusal(config):
+    with pytest.raises(BadInput) as error:
+        registry.make_dataset(config)
+    assert "\n" not in str(error.value)
+    return str(error.value)
+
+
+def test_what_is_no_dataset_is_refused(monkeypatch):
+    for given, said in (
+        (WHOLE, None),
+        (5, "mine.noise gave int; it has to return a Dataset"),
+        (replace(WHOLE, references=list(WHOLE.references)), "mine.noise gave references of type list; wanted is"),
+        (replace(WHOLE, queries=list(WHOLE.queries)), "mine.noise gave queries of type list; wanted is"),
+        (replace(WHOLE, name="é" * 100), None),  # 200 bytes
+        (replace(WHOLE, name="é" * 100 + "e"), "dataset.name=ééé"),
+    ):
+        monkeypatch.setattr(registry, "_locate", lambda target, given=given: lambda: given)
+        if said is None:
+            assert registry.make_dataset({"_target_": "mine.noise"}) is given
+        else:
+            assert refusal({"_target_": "mine.noise"}).startswith(said)
+    assert refusal({"name": "noise"}).startswith("the yaml of dataset noise is no dataset (it has no _target_)")
+
+
+def test_an_error_of_the_disk_names_the_dataset_and_the_path(monkeypatch):
+    def noise(name):
+        raise OSError(errno.ENAMETOOLONG, "File name too long", "/frames/" + "x" * 300)
+
+    monkeypatch.setattr(registry, "_locate", lambda target: noise)
+    told = refusal({"_target_": "mine.noise", "name": "noise"})
+    assert told.startswith(f"dataset noise cannot be read (/frames/{'x' * 142}...: File name too long)")
