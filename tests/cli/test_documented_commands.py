@@ -1,65 +1,38 @@
-"""Every command that README and docs show is understood, and runs in the order of its document on a smaller journey."""
-
-from __future__ import annotations
+"""Every command that README and docs show is understood, with frames that its document says how to get."""
 
 import os
 import re
 import shlex
 import subprocess
-from collections.abc import Callable, Iterator
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-import torch
-import yaml
 from checkout import ROOT
 from mat_cells import cells
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import OmegaConf
 from PIL import Image as PillowImage
 from scipy.io import savemat
-from small_plan import RUN, Apart
 
 from vprbench import cli
-from vprbench.api.neural import NeuralDescriptor
-from vprbench.cluster import crew
 from vprbench.compare.checks import checked
 from vprbench.datasets.nordland import chosen_names
 from vprbench.datasets.synthetic_events import EventJourney, write_recording
 from vprbench.paper import gather
-from vprbench.paper.plan import Plan, read_plan
-from vprbench.paper.shelf import Compose
 from vprbench.plugins import registry
-from vprbench.run.processes import IN_SWEEP
 from vprbench.run.settings import checked_settings
 
-DOCUMENTS = (
-    "README.md",
-    "CONTRIBUTING.md",
-    "results/README.md",
-    *(f"docs/{path.name}" for path in sorted((ROOT / "docs").glob("*.md"))),
-)
+GUIDES = (f"docs/{path.name}" for path in sorted((ROOT / "docs").glob("*.md")))
+DOCUMENTS = ("README.md", "CONTRIBUTING.md", "results/README.md", *GUIDES)
 PLACES = 12
 PART = (f"dataset.places={PLACES}", "dataset.query_places=8", "dataset.first_query_place=4")
 SMALLER = {
     **dict.fromkeys(("synthetic", "street", "nordland"), PART),
     "nordland_64x32": (*PART, "dataset.first_place=0"),
-    "vprtempo": (f"method.max_module={PLACES}", "method.epochs=1", "method.stdp_rate=0.0001"),
-    "vprsnn": (
-        "method.places_per_module=4",
-        "method.n_excitatory=4",
-        "method.epochs=1",
-        "method.recorded_presentations=8",
-    ),
 }
-NO_WEIGHTS = {
-    name for name, entry in registry.entries("method").items() if issubclass(entry.target(), NeuralDescriptor)
-}  # type: ignore[arg-type]
 
 
-def shown(document: str) -> Iterator[str]:
+def shown(document):
     """Yield the commands of a document, but for names in capitals that a reader fills in and the method it defines."""
     text = (ROOT / document).read_text(encoding="utf-8").replace("\\\n", " ")
     for block in re.findall(r"^```\n(.*?)^```", text, re.DOTALL | re.MULTILINE):
@@ -67,7 +40,7 @@ def shown(document: str) -> Iterator[str]:
     yield from re.findall(r"`((?:python -m )?vprbench [^`]*)`", text)
 
 
-def commands(document: str) -> list[str]:
+def commands(document):
     """Return the commands of a document in its order, each once; not those that install, test or measure speed."""
     left_out = r"[= ]NAME|COMMAND|darkness|lamps|mine|^make (test|docs|install|check|bench|gpu|chaos)|vprbench bench"
     told = (" ".join(shlex.split(command, comments=True)) for command in shown(document))
@@ -78,15 +51,12 @@ COMMANDS = sorted({command for document in DOCUMENTS for command in commands(doc
 
 
 @pytest.fixture(scope="module")
-def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def data(tmp_path_factory):
     """The folder /data of the documents, with few little frames in each of its folders."""
     data = tmp_path_factory.mktemp("data")
-    for folder, names in {
-        "nordland": chosen_names(8, PLACES, 1, ".png"),
-        "nordland_64x32": chosen_names(1, PLACES, 10, ".png"),
-    }.items():
+    for folder, names in ("nordland", (8, PLACES, 1)), ("nordland_64x32", (1, PLACES, 10)):
         for season in ("spring", "summer", "fall", "winter"):
-            frames(data / folder / season, names)
+            frames(data / folder / season, chosen_names(*names, ".png"))
     (data / "robotcar").mkdir()
     for folder in ("monday", "tuesday", "friday", "17places/ref", "17places/query"):
         frames(data / folder, [f"{number}.jpg" for number in range(PLACES)])
@@ -112,7 +82,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return data
 
 
-def frames(folder: Path, names: list[str], mode: str = "RGB", size: tuple[int, int] = (64, 32)) -> list[str]:
+def frames(folder, names, mode="RGB", size=(64, 32)):
     """Put an image into the folder under each name; the same place looks alike in every folder."""
     folder.mkdir(parents=True)
     for number, name in enumerate(names):
@@ -121,7 +91,7 @@ def frames(folder: Path, names: list[str], mode: str = "RGB", size: tuple[int, i
     return names
 
 
-def of_make(command: str) -> list[str]:
+def of_make(command):
     """Return the options with which a target of the Makefile calls the program."""
     given = {name: value for name, value in os.environ.items() if name not in ("MAKEFLAGS", "MAKEOVERRIDES", "ARGS")}
     asked = ["make", "-n", *command.split()[1:]]
@@ -129,7 +99,7 @@ def of_make(command: str) -> list[str]:
     return shlex.split(told.stdout.replace("\\\n", " ").rsplit("-m vprbench ", 1)[1].splitlines()[0])
 
 
-def options_of(command: str, data: Path) -> list[str]:
+def options_of(command, data):
     """Return the options that a documented command gives the program, its own frames in `data`."""
     command = command.replace("/data/", f"{data}/")
     options = of_make(command) if command.startswith("make") else command.removeprefix("python -m ").split()[1:]
@@ -137,32 +107,24 @@ def options_of(command: str, data: Path) -> list[str]:
 
 
 @pytest.fixture
-def clean(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A folder of its own, in which nothing was run."""
+def understood(data, tmp_path, monkeypatch):
+    """What stands in for the work of each command checks its options; the names of those that came so far."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("VPRBENCH_DATA", str(data))
+    done = []
 
-
-@pytest.fixture
-def understood(clean: None, monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """What stands in for the work of each command checks its options; the names of those that came so far."""
-    done: list[str] = []
-
-    def instead(target: str, check: Callable[..., object]) -> None:
+    def instead(target, check):
         name = target.rpartition(".")[2]
         monkeypatch.setattr(target, lambda *given, **_: int(check(*given) is None or done.append(name) is not None))
 
-    def check_run(config: DictConfig) -> object:
-        plain: Any = OmegaConf.to_container(config, resolve=True)
+    def check_run(config):
+        plain = OmegaConf.to_container(config, resolve=True)
         checked_settings(plain)
         return registry.make_method(plain["method"])
 
-    def compared(asked: Any, compose: Compose) -> object:
-        return checked(asked, compose)[0]
-
     instead("vprbench.cli._run", check_run)
     instead("vprbench.cli.swept", lambda runs, _: runs)
-    instead("vprbench.compare.make.make_comparison", compared)
+    instead("vprbench.compare.make.make_comparison", lambda asked, compose: checked(asked, compose)[0])
     for name in ("table.make.make_table", "figures.make.make_figures", "page.make.make_report"):
         instead(f"vprbench.paper.{name}", lambda asked, _, compose: gather.choose(asked, compose))
     instead("vprbench.data.doctor.command", lambda _, build, *__: build())
@@ -172,9 +134,8 @@ def understood(clean: None, monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_a_documented_command_is_understood(command: str, data: Path, understood: list[str], tmp_path: Path) -> None:
+def test_a_documented_command_is_understood(command, data, understood, tmp_path):
     options = options_of(command, data)
-    store_what_others_trained(options)
     (tmp_path / "results").mkdir()
     if answered_at_once(options) is None:
         foreign = "stores=[/mnt/gpu-box/results]" in options  # a folder that is not here
@@ -182,14 +143,14 @@ def test_a_documented_command_is_understood(command: str, data: Path, understood
         assert len(understood) == (not foreign)
 
 
-def with_few_frames(options: list[str]) -> list[str]:
+def with_few_frames(options):
     """Return the options of a comparison or an examination for as few frames as there are."""
     named = [option.partition("=")[2] for option in options if option.startswith("dataset=")]
     return [*options, *SMALLER.get(named[0], ())] if options[0] in ("compare", "doctor") else options
 
 
 @pytest.mark.parametrize("document", DOCUMENTS)
-def test_a_document_says_how_to_get_the_frames_that_its_commands_need(document: str) -> None:
+def test_a_document_says_how_to_get_the_frames_that_its_commands_need(document):
     asked = {option for command in commands(document) if "dataset.root" not in command for option in command.split()}
     needed = {option.removeprefix("dataset=") for option in asked if option.startswith("dataset=")}
     offered = {path.stem for path in (ROOT / "conf" / "fetch").glob("*.yaml")}
@@ -197,7 +158,7 @@ def test_a_document_says_how_to_get_the_frames_that_its_commands_need(document: 
     assert needed & offered <= named
 
 
-def answered_at_once(options: list[str]) -> int | None:
+def answered_at_once(options):
     """Give a command that runs nothing to the command line; return None for another one."""
     if options[0] in ("list", "status", "--cfg", "--version", "completion") or "--help" in options:
         assert cli.main(options) == 0
@@ -208,75 +169,3 @@ def answered_at_once(options: list[str]) -> int | None:
     else:
         return None
     return 0
-
-
-def smaller(options: list[str]) -> list[str]:
-    """Return the options of a run, and after them those that make it short."""
-    chosen = dict(option.split("=", 1) for option in options if re.match(r"(method|dataset)=", option))
-    names = (chosen.get("dataset", "synthetic"), *re.findall("^(?:vprtempo|vprsnn)", chosen.get("method", "sad")))
-    return [*options, *(option for name in names for option in SMALLER.get(name, ())), *RUN]
-
-
-def smaller_plan(path: Path) -> Plan:
-    """Return the plan of the table with its own names, every column of few places and every row of one seed."""
-    plan = read_plan(path)
-    quick = {
-        method: {option[len("method.") :].split("=")[0]: yaml.safe_load(option.split("=")[1]) for option in options}
-        for method, options in SMALLER.items()
-        if method in ("vprtempo", "vprsnn")
-    }
-    columns = {
-        name: replace(column, options=(*column.options, *PART), fits=quick) for name, column in plan.columns.items()
-    }
-    growth = replace(plan.growth, sizes=(10, 12), at_most={"vprtempo": {"max_module": PLACES}})
-    return replace(plan, columns=columns, growth=growth)
-
-
-@pytest.mark.extended
-@pytest.mark.parametrize("document", [document for document in DOCUMENTS if commands(document)])
-def test_the_commands_of_a_document_run_in_its_order_from_a_clean_folder(
-    document: str, data: Path, clean: None, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv(IN_SWEEP, "1")
-    monkeypatch.setattr(crew, "run_apart", lambda options, **_: Apart()(smaller(list(options))))
-    monkeypatch.setattr(gather, "read_plan", smaller_plan)
-    for command in commands(document):
-        options = options_of(command, data)
-        store_what_others_trained(options)
-        if options[0] == "status":
-            Path("results").mkdir(exist_ok=True)
-        if answered_at_once(options) is None:
-            assert execute(options) is None, command
-
-
-def execute(options: list[str]) -> str | None:
-    """Run a command in a smaller size; return what is wrong with how it ends."""
-    of_table, expected = ["rows=[SAD]", "seeds=1", "columns=[railway]"], 0
-    if options[0] in ("table", "figures", "report"):
-        options = [*options, *of_table]
-        expected = 2 if "stores=[/mnt/gpu-box/results]" in options else 0
-    elif options[0] == "search":
-        options = [*options, "dataset=synthetic", f"places={PLACES}", "trials=1", "jobs=1"]
-    elif options[0] == "doctor":
-        options, expected = with_few_frames(options), 1  # a dozen frames, equal ones, are no journey
-    elif options[0] == "compare":
-        options = [*with_few_frames(options), *RUN]
-    elif options[0] != "-m":
-        ending = Apart()(smaller(options))
-        missing = any(option == f"method={name}" for option in options for name in NO_WEIGHTS)
-        told = (ending.code, ending.missing)
-        return None if told == ((2, True) if missing else (0, False)) else f"{told}: {ending.error}"
-    code = cli.main(options)
-    missing = {name for name in NO_WEIGHTS if any(re.search(rf"\b{name}\b", option) for option in options)}
-    return None if code == expected or (options[0] == "-m" and missing) else f"exit code {code}, not {expected}"
-
-
-def store_what_others_trained(options: list[str]) -> None:
-    """Store the network that a command loads in the layout of the authors' code."""
-    for path in (Path(option.removeprefix("load=")) for option in options if option.startswith("load=")):
-        if path.suffix == ".pth":
-            sizes = {"feature": (1568, 784), "output": (PLACES, 1568)}
-            layers = {f"{name}_layer.w.weight": torch.ones(size) for name, size in sizes.items()}
-            torch.save(
-                {"model_0": layers | {f"{name}_layer.thr": torch.zeros(1, n) for name, (n, _) in sizes.items()}}, path
-            )

@@ -7,10 +7,7 @@ import io
 import json
 import math
 import re
-from dataclasses import dataclass
-from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import psutil
@@ -19,7 +16,6 @@ import torch
 from stopped_clock import Clock
 
 from vprbench import progress
-from vprbench.api.method import Method
 from vprbench.cli import main
 from vprbench.errors import BadInput
 from vprbench.plugins.options import chosen
@@ -34,19 +30,11 @@ PLACES, MODULES, PLACES_OF_A_MODULE, PIXELS = 20, 2, 10, 12 * 12  # of quick=tru
 FEATURES = 2 * PIXELS
 
 
-@dataclass(frozen=True)
-class Done:
-    printed: str
-    text: str
-    raw: dict[str, Any]
-    cores: list[int]  # to which the threads were pinned, one after the other
-
-
 @pytest.fixture(scope="module")
-def done(tmp_path_factory: pytest.TempPathFactory) -> Done:
-    """All sections at their smallest, measured in this process."""
+def done(tmp_path_factory):
+    """All sections at their smallest: what is printed and written, and how many cores threads were pinned to."""
     results = tmp_path_factory.mktemp("bench")
-    printed, cores = io.StringIO(), list[int]()
+    printed, cores = io.StringIO(), []
     enough = SimpleNamespace(**{**vars(psutil), "virtual_memory": lambda: SimpleNamespace(available=1e15)})
     with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(printed):
         patch.setenv("VPRBENCH_HASHES", "")  # which measuring sets, as it does VPRBENCH_EVENTS
@@ -60,10 +48,11 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> Done:
             patch.setattr(module, "in_own_process", lambda call, *given: call(*given))
         assert main(["bench", "quick=true", "threads=2", "sizes=[10,40]", f"results={results}"]) == 0
     raw = json.loads((results / "bench.json").read_text())
-    return Done(printed.getvalue(), (results / "bench.md").read_text(), raw, cores)
+    text = (results / "bench.md").read_text()
+    return SimpleNamespace(printed=printed.getvalue(), text=text, raw=raw, cores=cores)
 
 
-def rows(text: str, heading: str) -> list[list[str]]:
+def rows(text, heading):
     """The cells of the tables under a heading, without their heads."""
     section = text.split(f"## {heading}")[1].split("\n## ")[0]
     lines = [[cell.strip() for cell in line.strip("|").split("|")] for line in section.splitlines() if line[:1] == "|"]
@@ -71,7 +60,7 @@ def rows(text: str, heading: str) -> list[list[str]]:
     return [line for number, line in enumerate(lines) if not heads & {number, number - 1}]
 
 
-def numbers(cells: list[str]) -> list[float]:
+def numbers(cells):
     return [float(cell.strip("x").replace(",", "")) for cell in cells]
 
 
@@ -93,7 +82,7 @@ SECTIONS = {
 }
 
 
-def test_every_section_holds_its_rows_of_finite_numbers(done: Done) -> None:
+def test_every_section_holds_its_rows_of_finite_numbers_and_the_papers_claims_beside_a_measured_growth(done):
     assert done.printed.startswith(done.text)
     assert "quick=true" in done.text
     for heading, first_cells in SECTIONS.items():
@@ -106,9 +95,6 @@ def test_every_section_holds_its_rows_of_finite_numbers(done: Done) -> None:
     own = done.text.split("## Machine")[1]
     for named in (r"2 of \d+ cores", r"numpy \d+\.\d+", r"start: training \d+\.\d\d, fits \d"):
         assert re.search(named, own)
-
-
-def test_both_claims_of_the_paper_stand_beside_a_measured_growth(done: Done) -> None:
     for subject, claim, n_exponents in (("fits", "O(n)", 2), ("queries", "O(log n)", 4)):
         (sentence,) = (line for line in done.text.splitlines() if line.startswith(f"Measured {subject}:"))
         assert claim in sentence
@@ -116,7 +102,7 @@ def test_both_claims_of_the_paper_stand_beside_a_measured_growth(done: Done) -> 
         assert len(re.findall(r"as n\^-?\d+\.\d\d \(2 sizes, no interval\)", sentence)) == n_exponents
 
 
-def test_the_json_holds_every_lap_and_the_stages_of_a_fit_add_up(done: Done) -> None:
+def test_the_json_holds_every_lap_the_stages_of_a_fit_and_the_rounds_in_which_modules_of_vprsnn_were_asked(done):
     for cell in done.raw["training"]:
         assert {engine: len(fits) for engine, fits in cell["fits"].items()} == {"readable": 2, "fused": 2}
         assert cell["steps"] == 2 * PLACES_OF_A_MODULE
@@ -133,9 +119,6 @@ def test_the_json_holds_every_lap_and_the_stages_of_a_fit_add_up(done: Done) -> 
         stages = cell["fit"]["stages"]
         assert list(stages) == [BEFORE, "training features", "training places", AFTER]
         assert sum(stages.values()) == pytest.approx(cell["fit"]["seconds"], rel=1e-3)
-
-
-def test_modules_of_vprsnn_are_trained_in_rounds_and_asked_in_turn(done: Done) -> None:
     for cell in done.raw["vprsnn_training"]:
         assert (len(cell["fits"]), cell["neurons"], cell["presentations"]) == (2, 16, 2 * 2 * 2)
         assert {len(laps) for laps in cell["parts"].values()} == {2}  # of 8 presentations the first and the eighth
@@ -148,7 +131,7 @@ def test_modules_of_vprsnn_are_trained_in_rounds_and_asked_in_turn(done: Done) -
     assert done.cores == [2, *(1, 2) * 2, *(1, 2, 2, 2) * 2]
 
 
-def test_printed_rates_and_ratios_are_those_of_the_laps(done: Done) -> None:
+def test_printed_rates_and_ratios_are_those_of_the_laps(done):
     queries = rows(done.text, "Queries at")
     laps = done.raw["queries"][0]["rates"]["streaming_laps"]
     assert f"/ {1 / np.median(np.add(laps['encode'], laps['match'])):,.0f}" in queries[0][1]
@@ -166,14 +149,10 @@ def test_printed_rates_and_ratios_are_those_of_the_laps(done: Done) -> None:
         assert numbers(row[4:]) == pytest.approx(wanted, rel=0.006)
 
 
-def test_matching_is_compared_with_a_library_by_medians_of_calls_in_turn(done: Done) -> None:
+def test_matching_is_compared_with_a_library_by_medians_of_calls_in_turn(done):
     cells, found = done.raw["search"], rows(done.text, "Matching beside")
-    assert [(cell["library"], cell["images_per_call"]) for cell in cells] == [
-        ("faiss.IndexFlatIP", 1),
-        ("faiss.IndexFlatIP", 4),
-        ("faiss.IndexFlatIP", 300),
-        ("torch.cdist", 1),
-    ]
+    asked = [*(("faiss.IndexFlatIP", count) for count in (1, 4, 300)), ("torch.cdist", 1)]
+    assert [(cell["library"], cell["images_per_call"]) for cell in cells] == asked
     for cell, row in zip(cells, found, strict=True):
         assert min(len(cell["seconds"]), len(cell["library_seconds"])) >= 2
         ours, library = (np.median(cell[name]) for name in ("seconds", "library_seconds"))
@@ -181,7 +160,7 @@ def test_matching_is_compared_with_a_library_by_medians_of_calls_in_turn(done: D
         assert numbers(row[3:7]) == pytest.approx([1000 * ours, hz, 1000 * library, ours / library], rel=0.006)
 
 
-def test_a_floor_counts_the_bytes_of_the_weights(done: Done) -> None:
+def test_a_floor_counts_the_bytes_of_the_weights(done):
     each_module = FEATURES * PIXELS + FEATURES + FEATURES + FEATURES * PLACES_OF_A_MODULE + PLACES_OF_A_MODULE
     matrix = PLACES * PIXELS
     assert {cell["method"].split(" members")[0]: cell["floor_bytes"] for cell in done.raw["queries"]} == {
@@ -195,11 +174,11 @@ def test_a_floor_counts_the_bytes_of_the_weights(done: Done) -> None:
     assert {cell["floor_bytes"] for cell in done.raw["training"]} == {2 * each_module * 4}
 
 
-def test_a_stage_lasts_from_its_first_report_to_that_of_the_next(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stage_lasts_from_its_first_report_to_that_of_the_next_and_a_floor_grows_with_the_bytes(monkeypatch):
     clock = Clock()
     clock.replaces_those_of([measure], monkeypatch)
 
-    def fit(*_: object) -> None:
+    def fit(*_):
         clock.spend(0.02)
         for stage, seconds in (("one", 0.03), ("two", 0.06)):
             progress.report(stage, 0.0)
@@ -207,8 +186,8 @@ def test_a_stage_lasts_from_its_first_report_to_that_of_the_next(monkeypatch: py
             progress.report(stage, 1.0)
         clock.spend(0.01)
 
-    heard: list[str] = []
-    slow: Any = SimpleNamespace(fit=fit)
+    heard = []
+    slow = SimpleNamespace(fit=fit)
     with progress.listening(lambda stage, _: heard.append(stage)):
         found = timed_fit("slow", slow, *Route.drawn(2, 4, 4, 0).references(2, 1), "cpu")
     assert found.stages == pytest.approx({BEFORE: 0.02, "one": 0.03, "two": 0.06, AFTER: 0.01})
@@ -217,12 +196,7 @@ def test_a_stage_lasts_from_its_first_report_to_that_of_the_next(monkeypatch: py
     assert found.training_seconds == found.stages["one"] + found.stages["two"]
     assert heard == ["slow: one", "slow: one", "slow: two", "slow: two"]
 
-
-def test_a_floor_grows_with_the_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
-    clock = Clock()
-    clock.replaces_those_of([measure], monkeypatch)
-
-    def buffer(count: int, device: str) -> SimpleNamespace:  # a nanosecond reads a byte, two change it
+    def buffer(count, device):  # a nanosecond reads a byte, two change it
         return SimpleNamespace(sum=lambda: clock.spend(4e-9 * count), mul_=lambda _: clock.spend(8e-9 * count))
 
     monkeypatch.setattr(torch, "ones", buffer)
@@ -230,21 +204,15 @@ def test_a_floor_grows_with_the_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
     assert floor_laps("pass", 40_000, "cpu", 0.0) == pytest.approx([80e-6] * 20)
 
 
-def test_options_replace_what_quick_chooses_whatever_their_order() -> None:
-    for options in (["quick=true", "rounds=7"], ["rounds=7", "quick=true"]):
-        settings = chosen(Settings, options, QUICK)
-        assert (settings.rounds, settings.places) == (7, QUICK["places"])
-
-
-def test_an_exponent_has_students_interval_if_there_are_three_sizes() -> None:
-    def cells(*sizes: int) -> Any:
+def test_an_exponent_has_students_interval_if_there_are_three_sizes():
+    def cells(*sizes):
         return [SimpleNamespace(places=size) for size in sizes]
 
     # log n = 0, 1, 2 and log t = 0, 0, 1: slope 1/2, residuals 1/6, -1/3, 1/6; Student 12.7062
     seconds = {1: 1.0, 10: 1.0, 100: 10.0}
     half = 12.7062 * math.sqrt(1 / 12)
 
-    def time(cell: Any) -> float:
+    def time(cell):
         return seconds[cell.places]
 
     assert bench.grown(cells(1, 10, 100), time) == f"0.50 [{0.5 - half:.2f}, {0.5 + half:.2f}] (3 sizes)"
@@ -252,48 +220,40 @@ def test_an_exponent_has_students_interval_if_there_are_three_sizes() -> None:
     assert bench.grown(cells(10), time) == "1 sizes: needs two"
 
 
-def test_what_cannot_be_measured_says_why_in_its_cell_and_no_other_section_is_told(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    def make(*_: object, **__: object) -> Method:
+def test_what_cannot_be_measured_says_why_in_its_cell_and_no_other_section_is_told(monkeypatch):
+    def make(*_, **__):
         raise MemoryError("only 3 bytes are left\nand a second line")
 
     monkeypatch.setattr(machine, "canary_seconds", lambda: 1.0)
     monkeypatch.setattr("gc.collect", int)
     few = ["search_references=20", "search_queries=5", "search_dimensions=4"]
-    options = ["quick=true", "threads=1", "sizes=[10]", "sections=[training,fits,queries,search,scaling]", *few]
+    options = ["threads=1", "quick=true", "sizes=[10]", "sections=[training,fits,queries,search,scaling]", *few]
     report = bench.measure(settings := chosen(Settings, options, QUICK), make)
     told = bench.text_of(report)
+    assert settings.places == QUICK["places"]
     assert [len(report.sections[name]) for name in settings.sections] == [2, 2, 6, 4, 2]
     failures = report.failures
     assert len(failures) == 2 + 2 + 6 + 1 + 2
-    assert {each.reason for each in failures} == {
-        "MemoryError: only 3 bytes are left",
-        "its network could not be trained, see above",
-    }
+    reasons = {"MemoryError: only 3 bytes are left", "its network could not be trained, see above"}
+    assert {each.reason for each in failures} == reasons
     assert all(each.reason in told for each in failures)
     assert "Measured fits" not in told
-    assert [line.split()[1] for line in told.splitlines() if line.startswith("## ")] == [
-        *("A", "The", "Queries", "Matching", "Growth", "Machine")
-    ]
+    heads = [line.split()[1] for line in told.splitlines() if line.startswith("## ")]
+    assert heads == ["A", "The", "Queries", "Matching", "Growth", "Machine"]
 
 
-def test_a_size_for_which_memory_is_missing_is_not_tried(monkeypatch: pytest.MonkeyPatch) -> None:
-    smaller: Any = SimpleNamespace(places=100, fits=[SimpleNamespace(peak_memory_bytes=3e9, memory_before_bytes=1e9)])
+def test_a_size_for_which_memory_is_missing_is_not_tried(monkeypatch):
+    smaller = SimpleNamespace(places=100, fits=[SimpleNamespace(peak_memory_bytes=3e9, memory_before_bytes=1e9)])
     monkeypatch.setattr(training.psutil, "virtual_memory", lambda: SimpleNamespace(available=5e9))
     training.check_memory(249, smaller)
     with pytest.raises(BadInput, match=r"100 places took 2\.0 GB, and 5\.0 GB are free"):
         training.check_memory(251, smaller)
 
 
-def test_bad_options_are_refused_by_name(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_bad_options_are_refused_by_name(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    for option in (
-        *("size=[100]", "sections=[serch]", "vprsnn_modules=[]", "rounds=0", "sizes=[]", "frame=[360]"),
-        *("threads=9999", "device=tpu", "sample=0", "seed=-1", "minimum_seconds=-1"),
-    ):
+    of_lists = ("size=[100]", "sections=[serch]", "vprsnn_modules=[]", "sizes=[]", "frame=[360]")
+    for option in (*of_lists, "rounds=0", "threads=9999", "device=tpu", "sample=0", "seed=-1", "minimum_seconds=-1"):
         assert main(["bench", option]) == 2
         captured = capsys.readouterr()
         assert captured.out == ""
@@ -301,16 +261,15 @@ def test_bad_options_are_refused_by_name(
     assert not list(tmp_path.iterdir())
 
 
-def test_a_traverse_differs_from_the_first_by_a_little_noise_and_from_every_other() -> None:
+def test_a_traverse_differs_from_the_first_by_a_little_noise_and_from_every_other():
     route = Route.drawn(30, 32, 64, 0)
     references, places = route.references(30, 3)
-    shown = np.stack(list(references)).astype(int)[..., 0]
+    shown = np.stack(list(references)).astype(int)[..., 0].reshape(3, 30, 32, 64)
     assert places.tolist() == [*range(30)] * 3
-    for first, second in ((0, 30), (0, 60), (30, 60)):
-        apart = np.abs(shown[first : first + 30] - shown[second : second + 30])
-        assert 0 < apart.mean() < 10
-        assert apart.max() <= 20
-    assert np.abs(shown[0] - shown[1]).mean() > 30
+    for first, second in ((0, 1), (0, 2), (1, 2)):
+        apart = np.abs(shown[first] - shown[second])
+        assert (0 < apart.mean() < 10, apart.max() <= 20) == (True, True)
+    assert np.abs(shown[0, 0] - shown[0, 1]).mean() > 30
     queries, places = route.queries(21, 5)
     assert places.tolist() == [0, 5, 10, 15, 20]
     for image, place in zip(queries, places, strict=True):

@@ -1,35 +1,27 @@
 """The check of a GPU: refused without one, and a network that differs is seen (here the CPU stands in for the GPU)."""
 
-from __future__ import annotations
-
 import re
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
-from vprbench.api.method import Method
 from vprbench.cli import main
 from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.plugins import registry
 from vprbench.plugins.options import chosen
 from vprbench.speed import gpu
-from vprbench.speed.gpu import Comparison, Settings, compared
-from vprbench.speed.measure import Make
+from vprbench.speed.gpu import Settings, compared
 from vprbench.speed.route import Route
 
 
 @pytest.fixture(autouse=True)
-def in_a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def in_a_folder_of_its_own(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
 
-def test_what_cannot_be_checked_is_refused_in_one_line_and_nothing_is_written(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_cannot_be_checked_is_refused_in_one_line_and_nothing_is_written(capsys, monkeypatch):
     wanted = {"": "sees no GPU here", "place=3": "place is unknown", "device=cpu": "device=cpu: gpu-check compares"}
     for option, said in {**wanted, "pixels=0": "pixels=0: give", "batch_sizes=[]": "batch_sizes=[]: give"}.items():
         monkeypatch.setattr(torch.cuda, "device_count", lambda option=option: int(option != ""))
@@ -40,20 +32,20 @@ def test_what_cannot_be_checked_is_refused_in_one_line_and_nothing_is_written(
     assert not list(Path().iterdir())
 
 
-def make(name: str, device: str, **arguments: Any) -> Method:
+def make(name, device, **arguments):
     return registry.make_method({"_target_": VPRTempo.__module__ + ".VPRTempo", "device": device, **arguments})
 
 
-def comparisons(make: Make, rules: str = "paper") -> list[Comparison]:
+def comparisons(make, rules="paper"):
     settings = chosen(Settings, ["quick=true", "device=cpu", "max_module=12"], gpu.QUICK)
     return compared(settings, make, Route.drawn(settings.check_places, 32, 64, 0), rules)
 
 
-def bent(engine: str, name: str, bend: Callable[[Any], Any], number: int | None = None) -> Make:
+def bent(engine, name, bend, number=None):
     """Return what makes methods of which those of an engine, or only one of them, answer wrongly by `name`."""
-    made: list[Method] = []
+    made = []
 
-    def bending(called: str, device: str, **arguments: Any) -> Method:
+    def bending(called, device, **arguments):
         method = make(called, device, **arguments)
         made.extend([method] * (arguments["engine"] == engine))
         if arguments["engine"] == engine and number in (None, len(made)):
@@ -65,14 +57,13 @@ def bent(engine: str, name: str, bend: Callable[[Any], Any], number: int | None 
 
 
 @pytest.mark.parametrize("rules", ["paper", "reference"])
-def test_the_same_networks_are_the_same(rules: str) -> None:
-    found = comparisons(make, rules)
-    assert [(each.holds, each.queries) for each in found] == [(True, 12)] * 3
+def test_the_same_networks_are_the_same(rules):
+    assert [(each.holds, each.queries) for each in comparisons(make, rules)] == [(True, 12)] * 3
 
 
 @pytest.mark.parametrize(("name", "change"), [("features", 2e-4), ("outputs_0", np.nan), ("feature_thresholds", 2e-4)])
-def test_a_network_that_learnt_something_else_is_seen(name: str, change: float) -> None:
-    def bend(state: dict[str, Any]) -> dict[str, Any]:
+def test_a_network_that_learnt_something_else_is_seen(name, change):
+    def bend(state):
         array = state[name].copy()
         array.flat[np.abs(array).argmax()] *= 1 + change
         return {**state, name: array}
@@ -82,25 +73,29 @@ def test_a_network_that_learnt_something_else_is_seen(name: str, change: float) 
     assert not found[1].difference < 1.9e-4
 
 
-def larger(state: dict[str, Any]) -> dict[str, Any]:
+def larger(state):
     return {key: array + 1 for key, array in state.items()}
+
+
+def rolled(scores):
+    return np.roll(scores, 1, axis=1)
+
+
+def stretched_in_batches(scores):
+    return scores * np.float32(1.001 if len(scores) > 1 else 1)
 
 
 @pytest.mark.parametrize(
     ("wrong", "holds"),
     [
-        (bent("fused", "state", larger, number=1), [False, True, True]),  # of the CPU
-        (bent("fused", "state", larger, number=2), [False, False, True]),
-        (bent("readable", "match", lambda scores: np.roll(scores, 1, axis=1)), [True, False, True]),
-        (
-            bent("fused", "match", lambda scores: scores * np.float32(1.001 if len(scores) > 1 else 1), number=2),
-            [True, True, False],
-        ),
+        (("fused", "state", larger, 1), [False, True, True]),  # of the CPU
+        (("fused", "state", larger, 2), [False, False, True]),
+        (("readable", "match", rolled), [True, False, True]),
+        (("fused", "match", stretched_in_batches, 2), [True, True, False]),
     ],
-    ids=["CPU", "GPU", "other best places", "a batch"],
 )
-def test_each_comparison_sees_its_difference(wrong: Make, holds: list[bool]) -> None:
-    found = comparisons(wrong)
+def test_each_comparison_sees_its_difference(wrong, holds):
+    found = comparisons(bent(*wrong))
     assert [each.holds for each in found] == holds
     assert found[1].other_places == (12 if holds == [True, False, True] else 0)
     assert holds[2] or found[2].difference == pytest.approx(1e-3, rel=0.01)
@@ -109,14 +104,9 @@ def test_each_comparison_sees_its_difference(wrong: Make, holds: list[bool]) -> 
 QUICK = ["gpu-check", "quick=true", "threads=1", "device=cpu", "results=here"]
 
 
-@pytest.fixture
-def cpu_as_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_was_found_is_written_and_a_difference_or_an_engine_that_cannot_run_ends_with_code_1(capsys, monkeypatch):
     monkeypatch.setattr(gpu, "require_gpu", lambda _: None)
     monkeypatch.setattr("gc.collect", int)
-
-
-@pytest.mark.usefixtures("cpu_as_gpu")
-def test_what_was_found_is_printed_and_written(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(QUICK) == 0
     text = Path("here/gpu.md").read_text()
     assert capsys.readouterr().out.startswith(text)
@@ -129,18 +119,12 @@ def test_what_was_found_is_printed_and_written(capsys: pytest.CaptureFixture[str
     ):
         assert len(re.findall(row, text)) == times
     assert [path.name for path in Path("here").iterdir()] == ["gpu.md"]
-
-
-@pytest.mark.usefixtures("cpu_as_gpu")
-def test_a_difference_or_an_engine_that_cannot_run_ends_with_code_1_and_the_file_says_so(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
     state, engine = VPRTempo.state, VPRTempo._engine
 
-    def wrong(self: VPRTempo) -> dict[str, Any]:
+    def wrong(self):
         return {name: array * (1.01 if self.engine == "readable" else 1) for name, array in state(self).items()}
 
-    def missing(self: VPRTempo) -> Any:
+    def missing(self):
         if self.engine == "fused":
             raise RuntimeError("no triton here")
         return engine(self)

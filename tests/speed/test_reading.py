@@ -1,14 +1,10 @@
 """The benchmark of reading: every file is read once, bare loops decode what they say, and shares are those of turns."""
 
-from __future__ import annotations
-
 from collections import Counter
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from stopped_clock import Clock, ReadersThatWait
 
@@ -27,18 +23,16 @@ from vprbench.storage import hashes
 N_FRAMES, N_FILES = 260, 5  # of quick=true
 
 
-def quick_settings(*options: str) -> Settings:
+def quick_settings(*options):
     return chosen(Settings, ["quick=true", "threads=1", *options], QUICK)
 
 
 @pytest.fixture
-def paths(tmp_path: Path) -> list[Path]:
+def paths(tmp_path):
     return frame_files(quick_settings(), tmp_path)
 
 
-def test_as_many_files_as_were_asked_for_hold_as_many_different_frames_like_photographs(
-    paths: list[Path], tmp_path_factory: pytest.TempPathFactory
-) -> None:
+def test_as_many_files_as_were_asked_for_hold_as_many_different_frames_like_photographs(paths, tmp_path_factory):
     assert len(paths) == len(set(paths)) == N_FRAMES
     assert len({path.read_bytes() for path in paths}) == N_FILES
     assert all(path.samefile(paths[number % N_FILES]) for number, path in enumerate(paths))
@@ -50,16 +44,14 @@ def test_as_many_files_as_were_asked_for_hold_as_many_different_frames_like_phot
     assert np.array_equal(read_image(few[1]), drawn(360, 640, [large.seed, 1]))
 
 
-def test_every_file_is_read_ahead_once_and_some_of_them_in_bare_loops_in_every_turn(
-    paths: list[Path], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_every_file_is_read_ahead_once_and_some_of_them_in_bare_loops_in_every_turn(paths, monkeypatch):
     clock, turns, read = Clock(), 8, {"bare": Counter[Path](), "ahead": Counter[Path]()}
     clock.replaces_those_of([measure, images], monkeypatch)
     monkeypatch.setattr(images, "ThreadPoolExecutor", ReadersThatWait)
     monkeypatch.setattr(frames.machine, "cores", lambda: [0, 1, 2])
     for module, who in ((frames, "bare"), (images, "ahead")):
 
-        def noted(path: Path, who: str = who) -> npt.NDArray[np.uint8]:
+        def noted(path, who=who):
             clock.spend(0.01)
             read[who][path] += 1
             return read_image(path)
@@ -75,12 +67,9 @@ def test_every_file_is_read_ahead_once_and_some_of_them_in_bare_loops_in_every_t
     assert cell.peak_memory_bytes > 0
 
 
-def test_what_is_measured_apart_runs_in_another_process_and_its_errors_come_back() -> None:
+def test_a_share_is_the_median_of_those_of_the_turns_and_an_error_comes_back_from_the_process_that_measures():
     with pytest.raises(BadInput, match=r"none\.png does not exist"):
         in_own_process(read_image, Path("none.png"))
-
-
-def test_a_share_is_the_median_of_those_of_the_turns() -> None:
     rates = [100.0, 120.0, 110.0], [390.0, 400.0, 410.0], [380.0, 480.0, 420.0]
     cell = ReadingCell(360, 640, 27_592, 300, 4, *rates, 300_000_000, 4 * 10**8)
     # 380 / 400 = 0.95, 480 / 480 = 1, 420 / 440 = 0.954...; 380 / 390 = 0.974, 480 / 400 = 1.2, 420 / 410 = 1.024
@@ -88,13 +77,11 @@ def test_a_share_is_the_median_of_those_of_the_turns() -> None:
     assert [*cell.row().values()] == row
 
 
-def test_a_section_that_fails_names_the_frame_and_leaves_no_files(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    def fails(*_: object) -> None:
+def test_a_section_that_fails_names_the_frame_and_leaves_no_files(monkeypatch, tmp_path):
+    def fails(*_):
         raise MemoryError("only 3 bytes are left")
 
-    bench: Any = SimpleNamespace(settings=quick_settings())
+    bench = SimpleNamespace(settings=quick_settings())
     monkeypatch.setattr(frames.tempfile, "tempdir", str(tmp_path))
     for name in ("in_own_process", "frame_files"):
         monkeypatch.setattr(frames, name, fails)
@@ -103,13 +90,12 @@ def test_a_section_that_fails_names_the_frame_and_leaves_no_files(
     assert not list(tmp_path.iterdir())
 
 
-def test_the_second_time_hashes_are_known_and_all_is_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_second_time_hashes_are_known_and_all_is_measured(tmp_path, monkeypatch):
     monkeypatch.setenv("VPRBENCH_HASHES", "")  # which measuring sets
     monkeypatch.setattr(hashes, "time_ns", lambda: 4 * 10**18)
     hashes._shared.cache_clear()
     many_files.town(tmp_path, 1200, seed=0)
-    told: list[str] = []
-    cells = []
+    told, cells = [], []
     for which in ("first", "second"):
         with listening(lambda stage, done: told.append(stage)):
             cells.append(many_files.files_cell(tmp_path, 1200, which))
@@ -122,7 +108,7 @@ def test_the_second_time_hashes_are_known_and_all_is_measured(tmp_path: Path, mo
         assert 0 < cell.memory_before_bytes <= cell.peak_memory_bytes
 
 
-def test_an_hour_of_events_is_counted_by_the_second(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_hour_of_events_is_counted_by_the_second(tmp_path, monkeypatch):
     monkeypatch.setenv("VPRBENCH_EVENTS", "")  # which measuring sets
     pytest.importorskip("h5py", reason="extra events is not installed")
     events.write(tmp_path / "hour.h5", 100_000, seed=0)
