@@ -53,11 +53,11 @@ class Pixels(Prototypes):
 
     def match(self, codes):
         """Compare with every place."""
-        return -np.abs(codes[:, None] - self.state()["means"]).mean(2)
+        return -np.abs(codes[:, None] - Pixels.state(self)["means"]).mean(2)
 
     def extend(self, references, places):
         """Append the means of new places."""
-        means, codes = self.state()["means"], self.encode(references)
+        means, codes = Pixels.state(self)["means"], self.encode(references)
         self._means = np.concatenate([means, [codes[places == place].mean(0) for place in np.unique(places)]])
         return self
 
