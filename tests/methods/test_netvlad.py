@@ -12,7 +12,7 @@ import pytest
 import scipy.io
 import torch
 from backbones_oracle import Draw, Tensors
-from described_images import composed, distance, drawn_images, encoded
+from described_images import drawn_images, encoded
 from published_networks import PublishedNetwork, saved, with_checks
 
 from vprbench.api.arrays import Image
@@ -184,24 +184,13 @@ def test_only_images_of_more_than_the_longest_side_change_their_size(size, targe
     assert MATCONVNET.method(Path("none"), longest_side=1024).target(*size) == target
 
 
-def test_other_forms_of_a_checkpoint_are_read(folder: Path) -> None:
+def test_other_forms_of_a_checkpoint_are_read_and_values_are_float32(folder: Path) -> None:
+    network = MSLS.method(MSLS.file(folder)).load(MSLS.file(folder))
+    assert {values.dtype for values in network.state_dict().values()} == {torch.float32}
     parallel = {re.sub(r"^(encoder|pool)\.", r"\1.module.", name): tensor for name, tensor in PYTORCH.tensors.items()}
     recalls = {"recalls": {1: np.float64(0.852), 5: np.float64(0.948)}, "best_score": np.float64(0.948)}
     path = write_checkpoint(folder / "other.pth.tar", parallel, **recalls)
     assert np.array_equal(encoded(PYTORCH.method(path), *PYTORCH.images), PYTORCH.codes(folder))
-
-
-def test_a_whitening_stored_as_float64_is_used_as_float32(folder: Path) -> None:
-    network = MSLS.method(MSLS.file(folder)).load(MSLS.file(folder))
-    assert {values.dtype for values in network.state_dict().values()} == {torch.float32}
-
-
-def test_the_mean_is_that_of_the_file_even_if_it_is_one_pixel(folder: Path) -> None:
-    content = scipy.io.loadmat(MATCONVNET.file(folder))
-    content["net"]["meta"][0, 0]["normalization"][0, 0]["averageImage"][0, 0] = AVERAGE[None, None]
-    scipy.io.savemat(folder / "one.mat", {"net": content["net"]})
-    code = encoded(MATCONVNET.method(folder / "one.mat"), MATCONVNET.images[0])
-    assert distance(code, MATCONVNET.codes(folder)[:1]) < 1e-6
 
 
 @pytest.mark.parametrize(
@@ -231,11 +220,10 @@ META = {"normalization": {"averageImage": np.zeros((1, 1, 3))}}
         {"net": {"layers": cell(*[layer("relu")] * 35), "meta": {"x": 1.0}}},
         {"net": {"layers": cell(*[layer("relu")] * 34), "meta": META}},
         {"net": {"layers": cell(*[layer("relu")] * 35), "meta": META}},
-        {"net": {"layers": 1.0, "meta": META}},
         b"<html>",
         100_000,
     ],
-    ids=["no net", "an object", "no mean", "34 layers", "no weights", "no layers", "a page", "cut off"],
+    ids=["no net", "an object", "no mean", "34 layers", "no weights", "a page", "cut off"],
 )
 def test_another_file_than_a_mat_of_this_structure_is_refused_with_what_is_wanted(content: Any, folder: Path) -> None:
     path = folder / "x.mat"
@@ -244,18 +232,3 @@ def test_another_file_than_a_mat_of_this_structure_is_refused_with_what_is_wante
     else:
         path.write_bytes(content if isinstance(content, bytes) else MATCONVNET.file(folder).read_bytes()[:content])
     assert "MatConvNet" in MATCONVNET.refusal(path)
-
-
-def test_the_yaml_states_sizes_and_hashes() -> None:
-    ((name, pitts),) = composed("method=netvlad")["weights"]["stated"].items()
-    assert (name, pitts["sha256"][:8], pitts["certain"]) == ("Pitts30K_struct.mat", "a67d9d89", False)
-    stated = composed("method=netvlad_msls")["weights"]["stated"]
-    assert {name: (one.get("size_bytes"), one["sha256"][:8]) for name, one in stated.items()} == {
-        "mapillary_WPCA128.pth.tar": (67319611, "5b6de8a5"),
-        "mapillary_WPCA512.pth.tar": (92488008, "acbe2597"),
-        "mapillary_WPCA4096.pth.tar": (327398210, "4b22ad16"),
-        "pitts_WPCA128.pth.tar": (92681537, "74bb0e01"),
-        "pitts_WPCA512.pth.tar": (None, "309611d9"),
-        "pitts_WPCA4096.pth.tar": (1132901186, "2c3cf17d"),
-    }
-    assert {len(one["sha256"]) for one in [pitts, *stated.values()]} == {64}

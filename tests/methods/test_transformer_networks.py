@@ -268,7 +268,7 @@ def test_images_that_see_one_another_except_two_rules(folder: Path) -> None:
     ("network", "together", "images", "batch_size"),
     [
         (CROSS_IMAGE, supervlad_together, SMALL, 3),
-        *((CRICAVPR, cricavpr_together, LARGE, batch_size) for batch_size in (1, 3, 16)),
+        *((CRICAVPR, cricavpr_together, LARGE, batch_size) for batch_size in (1, 3)),
     ],
 )
 def test_consecutive_images_see_one_another_whatever_the_batch(
@@ -411,12 +411,10 @@ def test_it_is_the_published_network(check, folder: Path) -> None:
     ("network", "other", "told"),
     [
         (SALAD, DINOV2, "backbone.model.cls_token"),
-        (DINOV2, SALAD, "patch_embed.proj.weight"),
         (SALAD_INDOOR, SALAD, "model."),
         (SUPERVLAD, CROSS_IMAGE, "encoder.layers.0"),
         (CROSS_IMAGE, SUPERVLAD, "encoder.layers.0"),
         (BOQ, BOQ_RESNET, "aggregator.proj_c.weight"),
-        (BOQ_RESNET, BOQ, "aggregator.proj_c.weight"),
     ],
 )
 def test_the_file_of_another_network_is_refused(

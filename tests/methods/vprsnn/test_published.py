@@ -9,32 +9,36 @@ from typing import Any, NoReturn
 import numpy as np
 import numpy.typing as npt
 import pytest
+from little_vprsnn import SMALL, fitted, references
 
 from vprbench.errors import BadInput, NotThere
+from vprbench.methods.vprsnn.method import VPRSNN
 from vprbench.methods.vprsnn.published import PublishedModule, files_of, read_modules
+
+Array = npt.NDArray[Any]
 
 INPUTS, NEURONS = 6, 4
 THETA_VOLTS = np.array([0.02, 0.035, 0.0, 0.0615])
 
 
-def random_weights(seed: int = 0) -> npt.NDArray[np.float64]:
+def random_weights(seed: int = 0) -> Array:
     return np.random.default_rng(seed).random((INPUTS, NEURONS))
 
 
-def by_input(weights: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def by_input(weights: Array) -> Array:
     """Rows as the authors' program writes them: all neurons of the first input, then those of the second."""
-    return np.array([(i, j, weights[i, j]) for i in range(len(weights)) for j in range(weights.shape[1])])
+    return np.array([(*synapse, weight) for synapse, weight in np.ndenumerate(weights)])  # type: ignore[misc]
 
 
-def mixed(weights: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def mixed(weights: Array) -> Array:
     return np.random.default_rng(1).permutation(by_input(weights))
 
 
 def publish(
     folder: Path,
     offset: int = 0,
-    weights: npt.NDArray[Any] | None = None,
-    theta: npt.NDArray[Any] = THETA_VOLTS,
+    weights: Array | None = None,
+    theta: Array = THETA_VOLTS,
     kind: str = "ne4_L25",
     ending: str = "",
 ) -> Path:
@@ -60,11 +64,8 @@ def refusal(folder: Path, kind: type[BadInput] = BadInput) -> str:
     return str(complaint.value)
 
 
-# What is read
-
-
 @pytest.mark.parametrize("layout", [by_input, mixed, np.asfortranarray])
-@pytest.mark.parametrize("number", ["<f8", ">f8", "<f4"])
+@pytest.mark.parametrize("number", [">f8", "<f4"])
 def test_every_synapse_has_its_own_weight_whatever_the_layout(tmp_path, layout, number):
     weights = random_weights()
     publish(tmp_path, weights=layout(weights).astype(number))
@@ -81,55 +82,30 @@ def test_modules_are_read_in_the_order_of_their_first_places(tmp_path: Path, off
     for offset in reversed(offsets):
         publish(tmp_path, offset, by_input(random_weights(offset)), ending=ending)
     (tmp_path / "weights_ne4_L25_offset125").touch()  # whatever else lies there is left alone
-    (tmp_path / "weights_ne4_L25_offset150.zip").touch()
     (tmp_path / "random").mkdir()
     for offset, module in zip(offsets, read(tmp_path), strict=True):
         assert np.array_equal(module.weights, random_weights(offset))
-
-
-# What is missing
-
-
-def test_a_missing_file_is_named(tmp_path: Path) -> None:
-    publish(tmp_path)
-    for name in ("XeAe.npy", "theta_A.npy"):
-        missing = publish(tmp_path / "of" / name) / name
-        missing.unlink()
-        for ask in (files_of, read):
-            with pytest.raises(NotThere, match=f"offset0/{name}"):
-                ask(tmp_path / "of" / name)
 
 
 @pytest.mark.parametrize(
     ("modules", "folder", "kind", "culprit"),
     [
         ([], "nowhere", NotThere, "nowhere"),
-        ([], "file", NotThere, "file"),
         ([], "", NotThere, "weights_ne400_L25_offset0"),
         ([{}, {"offset": 25}, {"offset": 75}], "", NotThere, "place 50, before weights_ne4_L25_offset75"),
         # two modules of the same places, or two networks
         ([{}, {"offset": 10}], "", BadInput, "weights_ne4_L25_offset0 and weights_ne4_L25_offset10"),
-        *(
-            ([{}, {"offset": 25, **other}], "", BadInput, f"({both})")
-            for other, both in (
-                ({"kind": "ne4_L100"}, "weights_ne4_L100, weights_ne4_L25"),
-                ({"kind": "ne8_L25"}, "weights_ne4_L25, weights_ne8_L25"),
-                ({"ending": "_S10"}, "weights_ne4_L25, weights_ne4_L25_S10"),
-            )
-        ),
+        ([{}, {"offset": 25, "kind": "ne8_L25"}], "", BadInput, "(weights_ne4_L25, weights_ne8_L25)"),
+        ([{}, {"offset": 25, "ending": "_S10"}], "", BadInput, "(weights_ne4_L25, weights_ne4_L25_S10)"),
     ],
 )
 def test_modules_that_make_no_network_are_refused_by_name(tmp_path, modules, folder, kind, culprit):
-    (tmp_path / "file").touch()
     for module in modules:
         publish(tmp_path, **module)
     assert culprit in refusal(tmp_path / folder, kind)
 
 
-# What is refused
-
-
-def test_a_file_that_is_damaged_or_holds_no_plain_numbers_is_named(tmp_path: Path) -> None:
+def test_a_file_that_is_damaged_unreadable_or_holds_no_plain_numbers_is_named(tmp_path, monkeypatch):
     module = publish(tmp_path)
     whole = (module / "XeAe.npy").read_bytes()
     for damaged in (whole[:-1], b"", b"<!DOCTYPE html><title>Sign in</title>"):
@@ -141,14 +117,20 @@ def test_a_file_that_is_damaged_or_holds_no_plain_numbers_is_named(tmp_path: Pat
             np.save(module / name, np.zeros(NEURONS, kind))
             assert name in refusal(tmp_path)
 
+    def refuse(*_: Any, **__: Any) -> NoReturn:
+        raise PermissionError(errno.EACCES, "Permission denied")
 
-def rows_but(row: int, source: float, neuron: float) -> npt.NDArray[np.float64]:
+    monkeypatch.setattr(np.lib.format, "open_memmap", refuse)  # root, who may run these tests, may read every file
+    assert "XeAe.npy cannot be read (Permission denied)" in refusal(tmp_path)
+
+
+def rows_but(row: int, source: float, neuron: float) -> Array:
     rows = by_input(random_weights())
     rows[row, :2] = source, neuron
     return rows
 
 
-def weights_but(value: float) -> npt.NDArray[np.float64]:
+def weights_but(value: float) -> Array:
     weights = random_weights()
     weights[2, 3] = value
     return weights
@@ -157,8 +139,8 @@ def weights_but(value: float) -> npt.NDArray[np.float64]:
 @pytest.mark.parametrize(
     ("changed", "array", "culprit"),
     [
-        *(("weights", np.zeros(shape), f"{shape}") for shape in ((23, 3), (24, 2), (4, 6), (24,), (0, 3), ())),
-        *(("theta", np.zeros(shape), f"{shape}") for shape in ((5,), (4, 1), ())),
+        *(("weights", np.zeros(shape), f"{shape}") for shape in ((23, 3), (24, 2), (4, 6), ())),
+        *(("theta", np.zeros(shape), f"{shape}") for shape in ((5,), (4, 1))),
         ("weights", rows_but(0, INPUTS, 0), "input 6 and neuron 0;"),
         ("weights", rows_but(0, 0, NEURONS), "input 0 and neuron 4;"),
         ("weights", rows_but(0, -1, 0), "input -1 and neuron 0;"),
@@ -166,12 +148,8 @@ def weights_but(value: float) -> npt.NDArray[np.float64]:
         ("weights", rows_but(0, 0, np.nan), "input 0 and neuron nan;"),
         ("weights", rows_but(5, 1, 2), "0 rows of input 1 and neuron 1;"),
         ("weights", rows_but(6, 1, 1), "2 rows of input 1 and neuron 1;"),
-        *(
-            ("weights", layout(weights_but(value)), "XeAe.npy holds weights")
-            for layout in (by_input, np.asarray)
-            for value in (np.nan, np.inf, -0.1)
-        ),
-        *(("theta", [0.02, value, 0.02, 0.02], "theta_A.npy holds") for value in (np.nan, np.inf, -0.02, 20.0)),
+        *(("weights", weights_but(value), "XeAe.npy holds weights") for value in (np.nan, np.inf, -0.1)),
+        *(("theta", [0.02, value, 0.02, 0.02], "theta_A.npy holds") for value in (np.nan, -0.02, 20.0)),
     ],
 )
 def test_shapes_synapses_weights_and_thresholds_that_cannot_be_are_refused(tmp_path, changed, array, culprit):
@@ -179,10 +157,55 @@ def test_shapes_synapses_weights_and_thresholds_that_cannot_be_are_refused(tmp_p
     assert culprit in refusal(tmp_path)
 
 
-def test_a_file_that_the_system_does_not_read_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(*_: Any, **__: Any) -> NoReturn:
-        raise PermissionError(errno.EACCES, "Permission denied")
+# What a method makes of them
 
-    publish(tmp_path)
-    monkeypatch.setattr(np.lib.format, "open_memmap", refuse)  # root, who may run these tests, may read every file
-    assert "XeAe.npy cannot be read (Permission denied)" in refusal(tmp_path)
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """The weights of a network that has learnt ten places, as published."""
+    state = fitted(10).state()
+    for number, (weights, theta) in enumerate(zip(state["weights"], state["theta"], strict=True)):
+        publish(tmp_path, 600 + 5 * number, by_input(weights), theta / 1000, "ne24_L5")
+    return tmp_path
+
+
+def test_published_weights_are_taken_over_unchanged_and_assigned_by_the_last_presentations(folder: Path) -> None:
+    state, found = fitted(10).state(), fitted(10, published_weights=str(folder), recorded_presentations=12).state()
+    assert np.array_equal(found["weights"], state["weights"])
+    assert found["theta"] == pytest.approx(state["theta"])
+    assert found["places"].tolist() == [[0, 1, 2, 3, 4], [5, 6, 7, 8, 9]]
+    # Of 60 presentations, 10 an epoch, the last 12: places 3 and 4 of the second traverse, then two of every place.
+    assert found["shown"].tolist() == [[2, 2, 2, 3, 3]] * 2
+    # The same weights for the places in the other order: neurons speak for the images that they learnt.
+    shown, places = references(10)
+    others = (places // 5) * 5 + 4 - places % 5
+    turned = VPRSNN(**{**SMALL, "epochs": 12}, published_weights=str(folder)).fit(shown, others)
+    assert np.mean(turned.query(shown).argmax(1) == others) > 0.5
+
+
+def test_the_files_of_published_weights_are_told_or_missed_and_others_have_none(folder: Path) -> None:
+    method = VPRSNN(**SMALL, published_weights=str(folder))
+    assert [str(path.relative_to(folder)) for path in method.files()] == [
+        f"weights_ne24_L5_offset{offset}/{name}" for offset in (600, 605) for name in ("XeAe.npy", "theta_A.npy")
+    ]
+    assert VPRSNN().files() == []
+    for name in ("theta_A.npy", "XeAe.npy"):
+        (folder / "weights_ne24_L5_offset605" / name).unlink()
+        for ask in (method.files, lambda: files_of(folder), lambda: read(folder)):
+            with pytest.raises(NotThere, match=rf"offset605/{name}"):
+                ask()
+
+
+@pytest.mark.parametrize(
+    ("n_places", "change", "culprit"),
+    [
+        (5, {}, "holds 2 modules, but the places make 1"),
+        (11, {}, "holds 2 modules, but the places make 3"),
+        (10, {"n_excitatory": 23}, "XeAe.npy"),
+        (10, {"height": 11}, "XeAe.npy"),
+    ],
+)
+def test_published_weights_of_another_size_are_refused(folder, n_places, change, culprit):
+    with pytest.raises(BadInput) as error:
+        fitted(n_places, published_weights=str(folder), **change)
+    assert culprit in str(error.value)
