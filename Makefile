@@ -8,7 +8,7 @@ PIP = $(RUN) -m pip install --disable-pip-version-check --progress-bar off -c co
 BRIAN2 := build/brian2
 LARGE_DOWNLOADS := sed -un -e 's/^ *Downloading \(.* [0-9.]* [MG]B)\).*/  \1/p' -e 's/^Installing collected.*/  unpacking/p'
 
-.PHONY: help install table figures report search bench bench-descriptors bench-maps gpu-check nir-check test test-all chaos slot-check check docs clean
+.PHONY: help install table figures report search bench bench-descriptors bench-maps gpu-check nir-check test test-all chaos check docs clean
 
 help: ## Say what can be made.
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 20
@@ -60,9 +60,6 @@ test-all: $(VENV)/.triton $(BRIAN2)/.installed ## Run the extended tests too: re
 
 chaos: $(READY) ## Kill workers, scheduler and client of a sweep for ten minutes, and see that nothing is lost: MINUTES= SEED=
 	$(RUN) tests/chaos/chaos.py $(if $(MINUTES),--minutes $(MINUTES)) $(if $(SEED),--seed $(SEED)) $(ARGS)
-
-slot-check: $(READY) ## Time a query alone, in the slot of a busy sweep and beside it: ARGS=--rounds=10
-	$(RUN) tests/chaos/slot.py $(ARGS)
 
 check: $(READY) ## Lint, formatting and types.
 	$(VENV)/bin/ruff check .

@@ -48,13 +48,14 @@ def _waited_for() -> int:
         ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
         if not ending.heard():  # it has died before
             return 1
-        ending.watch_stops()
-        ending.tell(bound=True)  # it may be stopped now: stopped or not, it ends with the one that waits
     signal.signal(signal.SIGINT, _interrupt)
     try:
-        from vprbench import cli
+        from vprbench.run import timing_lock
 
-        code = cli.main()
+        with timing_lock.computing() if "VPRBENCH_IN_SWEEP" in os.environ else contextlib.nullcontext():
+            from vprbench import cli
+
+            code = cli.main()
     except SystemExit as error:  # of Hydra, which says why; a plug-in's is caught where the plug-in runs
         code = error.code if isinstance(error.code, int) else int(error.code is not None)
     except KeyboardInterrupt:  # before the command line could say so: the process that waits does

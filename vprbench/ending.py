@@ -6,12 +6,10 @@ import contextlib
 import functools
 import json
 import os
-import signal
 from pathlib import Path
 from typing import Any
 
 FILE = "VPRBENCH_ENDING"  # the environment variable that names the file, for a process that is waited for
-_stopped = 0.0  # seconds
 
 
 def waited_for() -> bool:
@@ -31,24 +29,6 @@ def heard() -> bool:
     """Tell whether the process that waits for this one is still there, where its file goes with it."""
     path, _ = _place()
     return path is not None and Path(path).parent.exists()
-
-
-def stopped() -> float:
-    """Return the seconds that the one who waits has stopped this process for: no clock shows them."""
-    return _stopped
-
-
-def watch_stops() -> None:
-    """Let `stopped` know when this process goes on; for the main thread."""
-    signal.signal(signal.SIGCONT, _gone_on)
-    signal.siginterrupt(signal.SIGCONT, False)
-
-
-def _gone_on(*_: object) -> None:
-    global _stopped
-    path, _process = _place()
-    if path is not None:
-        _stopped = told(Path(path)).get("stopped", _stopped)
 
 
 def told(path: Path) -> dict[str, Any]:

@@ -1,35 +1,23 @@
-"""Runs in processes of their own: how each ended is known, and one cell of a host is timed while the others stand."""
+"""Runs in processes of their own: how each ended is known."""
 
 import json
 import signal
-import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Callable
-from contextlib import ExitStack, contextmanager, suppress
-from threading import Timer
 
-import psutil
 import pytest
 
 from vprbench import cli
 from vprbench.cluster import crew
-from vprbench.run import processes, slot
+from vprbench.run import processes
 from vprbench.run.processes import Ending
 from vprbench.run.store import Store
 from vprbench.storage import owner
 
 RUN = {"method": "little", "dataset": "journey", "config": {"seed": 4}}
 GOOD = '{"code": 0}'
-HOLDER = "from vprbench.run import slot\nwith slot.alone(): print(flush=True), __import__('time').sleep(60)"
 Ends = Callable[..., Ending]
-
-
-@pytest.fixture(autouse=True)
-def _host(tmp_path, monkeypatch):
-    """Work on a host where nothing runs."""
-    monkeypatch.setenv(slot.FOLDER, str(tmp_path / "slot"))
 
 
 @pytest.fixture
@@ -135,69 +123,3 @@ def test_an_option_of_a_sweep_goes_to_each_of_its_methods(tmp_path, monkeypatch)
         for seed in (0, 1)
     ]
     assert all(places in options for options in asked)
-
-
-def test_who_wants_to_be_alone_waits_for_the_others():
-    place = slot.Place(1)
-    place.enter()
-    Timer(0.3, place.leave).start()
-    began = time.monotonic()
-    with slot.alone() as alone:
-        assert time.monotonic() - began >= 0.3
-        assert slot.taken()
-        assert alone()
-    assert not slot.taken()
-
-
-@pytest.mark.parametrize("stays", [True, False])
-def test_a_time_beside_what_cannot_be_stopped_is_not_alone(stays, monkeypatch):
-    monkeypatch.setattr(slot, "_PATIENCE", 0.0)
-    place = slot.Place(1)
-    with ExitStack() as until_now:
-        if stays:
-            place.enter()
-        alone = until_now.enter_context(slot.alone())
-        time.sleep(0.02)
-        place.enter()
-        place.end()
-        assert not alone()
-
-
-@contextmanager
-def held_elsewhere():
-    """Let another process have the slot."""
-    with psutil.Popen([sys.executable, "-c", HOLDER], stdout=subprocess.PIPE) as process:
-        assert process.stdout.readline()
-        yield process
-        with suppress(psutil.NoSuchProcess):
-            process.kill()
-
-
-def test_a_kill_gives_the_slot_back_and_a_stopped_process_is_not_waited_for():
-    with held_elsewhere() as process:
-        assert slot.taken()
-        process.suspend()
-        while process.status() != psutil.STATUS_STOPPED:
-            time.sleep(0.01)
-        assert not slot.taken()
-        with slot.alone() as alone:
-            assert not alone()
-        process.kill()
-        process.wait()
-        with slot.alone() as alone:
-            assert alone()
-
-
-def test_each_cell_of_a_sweep_has_a_gpu_of_its_own(monkeypatch):
-    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "GPU-a,GPU-b")
-    slot._gpus.cache_clear()
-    with slot.turn(["device=cpu", "device=cuda"], lambda: False) as first:
-        assert first == {"CUDA_VISIBLE_DEVICES": "GPU-a"}
-        with slot.turn(["device=cuda:1"], lambda: False) as numbered, slot.turn(["seed=1"], lambda: False) as none:
-            assert numbered == none == {}
-            looks = iter([False, True])
-            with slot.turn(["device=cuda"], lambda: next(looks)) as given_up:
-                assert given_up == {}
-        with slot.turn(["device=cuda"], lambda: False) as second:
-            assert second == {"CUDA_VISIBLE_DEVICES": "GPU-b"}
-    slot._gpus.cache_clear()

@@ -1,5 +1,6 @@
 """What a run calls the time of fitting, of the method and of the harness, and what it notes on its numbers."""
 
+import fcntl
 from dataclasses import dataclass, field, replace
 from itertools import chain, repeat
 
@@ -10,7 +11,7 @@ from little_runs import QUICK, kinds, run_of, table
 from stopped_clock import Clock
 
 from vprbench import progress
-from vprbench.run import rows, slot
+from vprbench.run import rows, timing_lock
 
 pytestmark = pytest.mark.usefixtures("surroundings")
 
@@ -194,13 +195,12 @@ def test_a_run_is_noisy_if_processes_waited_for_a_core_or_a_fixed_computation_dr
 
 
 def test_a_run_beside_others_says_so_of_its_fit_and_of_its_rates(tmp_path, monkeypatch):
-    monkeypatch.setenv(slot.FOLDER, str(tmp_path))
-    monkeypatch.setattr(slot, "_PATIENCE", 0.0)
+    monkeypatch.setenv(timing_lock.FOLDER, str(tmp_path))
     alone = run_of(Lookup(table(12, 4)), journey(12, 4))
-    place = slot.Place(1)
-    place.enter()
-    beside = run_of(Lookup(table(12, 4)), journey(12, 4))
-    place.end()
+    monkeypatch.setattr(timing_lock, "PATIENCE_SECONDS", 0.0)
+    with (timing_lock.folder() / "computing").open("ab") as of_another_run:
+        fcntl.flock(of_another_run, fcntl.LOCK_SH)
+        beside = run_of(Lookup(table(12, 4)), journey(12, 4))
     for run, expected in ((alone, True), (beside, False)):
         told = rows.numbers(run)
         assert (told["fitted_alone"], told["timed_alone"]) == (expected, expected)

@@ -15,7 +15,6 @@ from typing import overload
 import numpy as np
 import numpy.typing as npt
 
-from vprbench import ending
 from vprbench.api.arrays import Image
 from vprbench.api.decoding import as_rgb, decoded_bytes, read_image
 from vprbench.api.read_ahead import Window
@@ -41,9 +40,9 @@ class ReadingTime:
     @contextmanager
     def waiting(self) -> Iterator[None]:
         """Count the seconds of the block."""
-        started = time.perf_counter() - ending.stopped()
+        started = time.perf_counter()
         yield
-        self.seconds += time.perf_counter() - ending.stopped() - started
+        self.seconds += time.perf_counter() - started
 
     def limit(self, before: float, most: float) -> None:
         """Take back what exceeds `most` seconds since there were `before`: other threads worked on while one waited."""

@@ -15,7 +15,7 @@ from vprbench.api.method import Method
 from vprbench.errors import BadInput
 from vprbench.metrics.energy import estimated_joules, synaptic_operations
 from vprbench.metrics.registry import METRICS
-from vprbench.run import joules, slot
+from vprbench.run import joules, timing_lock
 from vprbench.run.identity import Request
 from vprbench.run.record import Run
 from vprbench.run.stopwatch import synchroniser
@@ -109,7 +109,7 @@ def _measured(request: Request, singles: Sequence[Images]) -> Cost:
         source, read = joules.nvml(device) if device.startswith("cuda") else joules.rapl(joules.POWERCAP)
     except joules.UnreadableError as error:
         return None, str(error)
-    with slot.alone():
+    with timing_lock.alone():
         told = joules.measured(read, ask)
     how = "{watts:.1f} W less {idle_watts:.1f} W of the idle machine, {queries} queries in {seconds:.1f} s".format(
         **told

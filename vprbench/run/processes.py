@@ -21,7 +21,7 @@ from typing import IO, TYPE_CHECKING, Any, cast
 from vprbench import ending
 from vprbench.errors import BadInput
 from vprbench.progress import MARKED
-from vprbench.run import slot
+from vprbench.run.gpus import free_gpu
 from vprbench.run.watched import Watched
 from vprbench.storage import owner
 from vprbench.storage.atomic import PARTIAL, remove_leftovers
@@ -62,7 +62,7 @@ def run_apart(
     `heard` is told, in a thread, each line that comes on its standard error, in place of this process's own. It works
     in `folder`, or where this process does. `since` is when the sweep began, in seconds by the clock of the disk: a run
     that failed elsewhere meanwhile has failed. A process that dies without a word is a failure: one line on standard
-    error, and a record if it had begun a run. It is stopped while another cell of this host is timed. Signals reach the
+    error, and a record if it had begun a run. Signals reach the
     main thread alone, `stopped` any. Raises KeyboardInterrupt, with the signal, where this process was told to end.
     """
     if in_sweep:
@@ -81,11 +81,11 @@ def run_apart(
             return stopped is not None and stopped()
 
         with (
-            slot.turn(arguments if in_sweep else None, given_up) as gpu,
+            free_gpu(arguments if in_sweep else (), given_up) as gpu,
             subprocess.Popen(command, env=given | gpu, stdout=stdout, stderr=stderr, cwd=folder) as child,
             _lines_passed_on(child.stderr, heard),
         ):
-            watched.append(Watched(child, left, in_sweep))
+            watched.append(Watched(child, left))
             for number in signals:
                 child.send_signal(number)
             code = watched[0].wait(stopped)

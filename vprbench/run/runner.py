@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from vprbench import ending, progress
+from vprbench import progress
 from vprbench.api.checkpoints import ledger
 from vprbench.api.dataset import Dataset
-from vprbench.run import machine, readouts, slot, spikes
+from vprbench.run import machine, readouts, spikes, timing_lock
 from vprbench.run.adaptation import adaptation_words
 from vprbench.run.answers import Answers, Scoring
 from vprbench.run.descriptors import Described
@@ -29,7 +29,7 @@ _CACHING = 0.9  # known images that need less than this share of the time of new
 _SAME_SCORE = 1e-4  # relative difference that counts as the same answer in the timed and in the scored run
 
 
-@slot.present()
+@timing_lock.computing()
 def run(request: Request, key: str, keep: Callable[[Run], None] = lambda run: None) -> Run:
     """Fit a method or load its network, score every query and measure its rates; `key` identifies the run.
 
@@ -40,7 +40,7 @@ def run(request: Request, key: str, keep: Callable[[Run], None] = lambda run: No
     method, dataset, device = request.method, request.dataset, request.config["device"]
     queries = dataset.queries.unnamed()
     data = request.data or data_record(dataset)
-    started = time.perf_counter() - ending.stopped()
+    started = time.perf_counter()
     watch = _Watch(device, request.threads)
     stopwatch = Stopwatch(request.protocol, synchronise=synchroniser(device), seed=request.config["seed"])
 
@@ -71,7 +71,7 @@ def run(request: Request, key: str, keep: Callable[[Run], None] = lambda run: No
     )
     scored = replace(
         _scored(request, key, learnt, answers, measured),
-        harness_seconds=time.perf_counter() - ending.stopped() - started - elsewhere - auditing[0],
+        harness_seconds=time.perf_counter() - started - elsewhere - auditing[0],
     )
     scored = replace(scored, notes=(*told, *_notes_on(scored), *inside_notes))
     if not request.protocol.rates:
@@ -99,17 +99,17 @@ class _Watch:
 
     def __init__(self, device: str, threads: int) -> None:
         self._device = device
-        self._undisturbed, self._began = slot.undisturbed(), ending.stopped()
+        self._undisturbed = timing_lock.undisturbed()
         self._before = machine.capture(device, threads)
         self._canary_seconds = machine.canary_seconds()
         self._peaks: list[tuple[int, int | None]] = []
-        self._alone: Callable[[], bool] | None = None
+        self._alone: bool | None = None
         self._waited: tuple[float, float] | None = None
         machine.reset_peak_memory(device)
 
     def fitted(self) -> None:
         """See whether the method was fitted, and asked for the first time, while no other run went on here."""
-        self._before |= {"fitted_alone": self._undisturbed(), "stopped_seconds": ending.stopped() - self._began}
+        self._before |= {"fitted_alone": self._undisturbed()}
 
     @contextmanager
     def alone(self) -> Iterator[None]:
@@ -117,8 +117,7 @@ class _Watch:
         was_alone = self._undisturbed()
         if not was_alone:
             progress.report("waiting to be timed", 0.0)
-        with slot.alone() as alone:
-            self._alone = alone
+        with timing_lock.alone() as self._alone:
             if not was_alone:
                 self._canary_seconds, self._waited = machine.canary_seconds(), machine.cpu_waited()
             machine.reset_peak_memory(self._device)
@@ -131,7 +130,7 @@ class _Watch:
             "cpu_pressure_avg10_after": machine.cpu_pressure(),
         }
         if self._alone is not None:
-            after["timed_alone"] = self._alone()
+            after["timed_alone"] = self._alone
         if self._waited is not None:
             after["cpu_pressure_timed"] = machine.cpu_pressure_since(self._waited)
         self._peaks.append((machine.peak_memory_bytes(), machine.peak_device_memory_bytes(self._device)))
@@ -196,10 +195,7 @@ def _notes_on(run: Run) -> Iterator[Note]:
     if not around.get("timed_alone", True):
         yield Note("noisy", "noisy: other runs went on while it was timed")
     if not around.get("fitted_alone", True):
-        stops = ""
-        if around["stopped_seconds"]:
-            stops = f"; {around['stopped_seconds']:.1f} s in which it was stopped do not count"
-        yield Note("fitted", f"fitted beside other runs, which made it slower{stops}")
+        yield Note("fitted", "fitted beside other runs, which made it slower")
     if run.timing is not None:
         yield from _notes_on_rates(run, run.timing)
     if run.search is not None and run.search["index"] != "exact":

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from vprbench import ending, progress
+from vprbench import progress
 from vprbench.api.images import Images
 from vprbench.api.method import held_together
 from vprbench.run.shortlist import Answer, Asked, best_place
@@ -101,18 +101,17 @@ class Stopwatch:
 
     @contextmanager
     def lap(self) -> Iterator[list[float]]:
-        """Time the block, in seconds appended to the list it yields, the device idle at both ends; no stop counts."""
+        """Time the block, in seconds appended to the list it yields, the device idle at both ends."""
         seconds: list[float] = []
         self._synchronise()
-        start, stopped = self._clock(), ending.stopped()
+        start = self._clock()
         yield seconds
         self._synchronise()
-        seconds.append((self._clock() - start) / 1e9 - (ending.stopped() - stopped))
+        seconds.append((self._clock() - start) / 1e9)
 
     def first_query(self, method: Asked, images: Images) -> float:
         """Return the seconds of the first of `images`, decoded beforehand."""
-        first, stopped = images[:1].in_memory(), ending.stopped()
-        return sum(self._call(method, first)[:2]) + stopped - ending.stopped()
+        return sum(self._call(method, images[:1].in_memory())[:2])
 
     def measure(self, method: Asked, images: Images, first_query_seconds: float | None = None) -> Timing:
         """Measure a fitted method on a sample of `images`, decoded beforehand; batches of large codes are smaller.
