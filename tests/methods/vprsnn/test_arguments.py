@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import MISSING, fields
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -20,7 +18,7 @@ from vprbench.methods.vprsnn.method import VPRSNN
 CONFIGURATIONS = ROOT / "conf" / "method"
 QUERIES = images(WORLD.queries)
 
-# --- arguments --------------------------------------------------------------------------------------------------
+# arguments
 
 # The numbers of QVPR/VPRSNN, whose neurons spike above theta - 20 mV - 52 mV, and others that change what is learnt.
 NUMBERS: dict[str, tuple[Any, Any]] = {
@@ -71,7 +69,6 @@ NUMBERS: dict[str, tuple[Any, Any]] = {
     "pre_rate": (1e-4, 2e-4),
     "post_rate": (0.01, 0.02),
 }
-PUBLISHED = {name: published for name, (published, _) in NUMBERS.items()}
 # What is no number of theirs: how the simulation runs, or which of their variants.
 CHOICES: dict[str, Any] = {
     "module_order": "contiguous",
@@ -87,16 +84,8 @@ CHOICES: dict[str, Any] = {
 }
 
 
-def defaults(kind: type[VPRSNN]) -> dict[str, Any]:
-    found = {}
-    for each in fields(kind):
-        if each.init:
-            found[each.name] = each.default if each.default_factory is MISSING else each.default_factory()
-    return found
-
-
 def test_the_defaults_are_the_published_numbers() -> None:
-    assert defaults(VPRSNN) == {**PUBLISHED, **CHOICES}
+    assert VPRSNN().given() == {name: published for name, (published, _) in NUMBERS.items()} | CHOICES
 
 
 @pytest.mark.parametrize(
@@ -107,7 +96,7 @@ def test_a_configuration_has_the_defaults_of_its_class(name: str, kind: type[VPR
     configured = yaml.safe_load((CONFIGURATIONS / f"{name}.yaml").read_text())
     assert configured.pop("_target_") == f"{kind.__module__}.{kind.__name__}"
     assert configured.pop("tags") == ["spiking"]
-    assert configured == {**defaults(kind), **differs, "seed": "${seed}"}
+    assert configured == {**kind().given(), **differs, "seed": "${seed}"}
 
 
 REFUSED: dict[str, list[Any]] = {
@@ -166,12 +155,12 @@ OTHERS: list[dict[str, Any]] = [
 ]
 
 
-@pytest.mark.parametrize("change", OTHERS, ids=str)
-def test_every_argument_of_the_training_changes_what_is_learnt(change: dict[str, Any]) -> None:
-    one, other = usual(), fitted(**{"epochs": 2, **change}).state()["weights"]
-    assert one.shape != other.shape or not np.array_equal(one, other)
-
-
-@cache
-def usual() -> npt.NDArray[np.float64]:
+@pytest.fixture(scope="module")
+def usual_weights() -> npt.NDArray[np.float64]:
     return fitted(epochs=2).state()["weights"]
+
+
+@pytest.mark.parametrize("change", OTHERS, ids=str)
+def test_every_argument_of_the_training_changes_what_is_learnt(change: dict[str, Any], usual_weights) -> None:
+    one, other = usual_weights, fitted(**{"epochs": 2, **change}).state()["weights"]
+    assert one.shape != other.shape or not np.array_equal(one, other)

@@ -1,26 +1,148 @@
-"""VPRSNN as a method: what it recognises, exactly and in its approximation, and what it does before it has learnt."""
+"""VPRSNN as a method: how it answers queries against a direct simulation, and what it recognises."""
 
 from __future__ import annotations
 
 from typing import Any, NoReturn
 
+import direct_vprsnn as direct
 import numpy as np
+import numpy.typing as npt
 import pytest
 import yaml
 from checkout import ROOT
-from little_vprsnn import SMALL, WORLD, fitted, held_out, images, references, same
+from little_vprsnn import SMALL, WORLD, fitted, held_out, images, layers, recorded_trains, references, same
 
 from vprbench.errors import BadInput, NotFittedError
-from vprbench.methods.vprsnn import training
+from vprbench.methods.vprsnn import scoring, training
 from vprbench.methods.vprsnn.method import VPRSNN
+from vprbench.methods.vprsnn.model import Model
+from vprbench.methods.vprsnn.scoring import Responses
 from vprbench.plugins.conformance import check
 from vprbench.run.compose import composed_in_python
 from vprbench.run.settings import checked_settings
 
-CONFIGURATIONS = ROOT / "conf" / "method"
 QUERIES = images(WORLD.queries)
+SHORT: dict[str, Any] = {"presentation_ms": 120.0, "rest_ms": 30.0, "excitatory_start_mv": -80.0}
 
-# --- what it recognises -----------------------------------------------------------------------------------------
+
+@pytest.fixture(scope="module")
+def trained() -> VPRSNN:
+    """A network of ten places, in two modules; tests leave it as it is."""
+    return fitted(10)
+
+
+# How it is asked
+
+
+def asked_directly(
+    method: VPRSNN, trains: list[npt.NDArray[np.bool_]], carried: bool
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Return the spikes of excitatory and inhibitory neurons, (n_images, n_neurons), of a method of one module."""
+    state, model = method.state(), Model.of(method)
+    delays = model.delays(0, new=True)
+    excitatory, inhibitory = [], []
+    for shown in [trains] if carried else [[train] for train in trains]:
+        run = direct.simulate(state["weights"][0], delays, state["theta"][0], shown, model, learning=False)
+        excitatory.append(run.counts)
+        so_far = np.cumsum(run.inhibitory, axis=0)[[1200 + 1500 * number - 1 for number in range(len(shown))]]
+        inhibitory.append(np.diff(so_far, axis=0, prepend=0))  # as they are counted: from image's end to image's end
+    return np.concatenate(excitatory), np.concatenate(inhibitory)
+
+
+@pytest.mark.parametrize("carried", [False, True], ids=["each from rest", "carried"])
+def test_the_answers_are_those_of_the_direct_simulation(carried: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    # The first silence is so long that nothing is left of the start.
+    trains, method = (
+        recorded_trains(monkeypatch),
+        fitted(carried_potentials=carried, **SHORT | {"first_rest_ms": 5000.0}),
+    )
+    codes = method.encode(QUERIES)[:4]
+    trains.clear()  # of the training
+    found = layers(method, codes)
+    excitatory, inhibitory = asked_directly(method, trains[:4], carried)
+    assert excitatory.sum() > 20
+    assert found["excitatory"].tolist() == excitatory.tolist()
+    assert found["inhibitory"].tolist() == inhibitory.tolist()
+    assert found["input"].tolist() == [train.sum(axis=0).tolist() for train in trains[:4]]
+
+
+def test_an_asked_module_starts_as_published_and_relaxes_in_the_first_silence() -> None:
+    v = -105.0
+    for _ in range(5000):  # steps of 0.1 ms
+        v += (-65 - v) * 0.1 / 100
+    state, now = Model(height=1, width=3).started(np.array([20.0, 21.0]))
+    assert now == 5000
+    assert state.v[:2] == pytest.approx(v)
+    assert state.theta[:2].tolist() == [20, 21]
+    assert not state.ge.any()
+    assert not state.gi.any()
+
+
+def test_the_start_acts_on_the_first_query_only_where_potentials_are_carried() -> None:
+    low = {**SMALL, **SHORT, "excitatory_start_mv": -105.0, "first_rest_ms": 50.0}
+    stored = fitted(**low).state()
+    codes = VPRSNN(**low).encode(QUERIES)
+    for carried in (True, False):
+        from_low, from_rest = (
+            layers(VPRSNN(**low | start, carried_potentials=carried).restore(stored), codes)["excitatory"]
+            for start in ({}, {"excitatory_start_mv": -65.0})
+        )
+        assert (from_low[0].sum() < from_rest[0].sum()) is carried  # it takes longer from there
+        assert np.array_equal(from_low, from_rest) is not carried
+
+
+def test_new_delays_are_not_those_of_the_training_and_fast_leaves_them_out_and_nothing_else(trained: VPRSNN) -> None:
+    same_again = VPRSNN(**SMALL, delays_at_query="trained").restore(trained.state())
+    codes = trained.encode(QUERIES)
+    assert not np.array_equal(trained.match(codes), same_again.match(codes))
+    fast, without = fitted(10, fast=True, epochs=12), fitted(10, input_delay_max_ms=0.0, epochs=12)
+    assert same(fast.state(), without.state())
+    assert np.array_equal(fast.match(codes), without.match(codes))
+    shown, places = references(10)
+    assert np.mean(fast.query(shown).argmax(1) == places) > 0.7
+
+
+# Scores and spikes
+
+
+def test_scores_are_those_of_the_spikes_and_of_what_each_neuron_speaks_for(trained: VPRSNN) -> None:
+    codes, state = trained.encode(QUERIES), trained.state()
+    spikes = layers(trained, codes)["excitatory"].reshape(len(codes), 2, -1)
+    expected = np.zeros((len(codes), 10))
+    means = state["sums"] / state["shown"][:, None]
+    for module, of_module in enumerate(means):
+        spoken_for = np.array([state["places"][module][own.argmax()] if own.any() else -1 for own in of_module])
+        for place in set(spoken_for.tolist()) - {-1}:
+            expected[:, place] = spikes[:, module, spoken_for == place].mean(axis=1)
+    assert expected.max() > 1
+    assert trained.match(codes) == pytest.approx(expected.astype(np.float32))
+    weighted = VPRSNN(**SMALL, assignment="weighted").restore(state)
+    learnt = Responses(state["sums"], state["shown"], state["places"])
+    of_weights = scoring.weighted(spikes, learnt, np.zeros(spikes.shape[1:], np.bool_), 10)
+    assert np.array_equal(weighted.match(codes), of_weights)
+    assert not np.allclose(of_weights, expected)
+
+
+def test_probabilities_add_up_to_one_and_keep_the_order_of_places_and_darkness_matches_none(trained: VPRSNN) -> None:
+    codes = np.concatenate([trained.encode(QUERIES), np.zeros((1, 144), np.uint8)])
+    plain, parts = trained.match(codes), VPRSNN(**SMALL, probabilities=True).restore(trained.state()).match(codes)
+    assert parts[:-1].min(axis=1).tolist() == [0] * len(QUERIES)
+    assert parts[:-1].sum(axis=1) == pytest.approx(1)
+    assert np.array_equal(parts.argmax(1), plain.argmax(1))
+    assert np.isneginf([plain[-1], parts[-1]]).all()
+
+
+def test_all_modules_see_the_same_input(trained: VPRSNN) -> None:
+    state = {name: np.array(array) for name, array in trained.state().items()}
+    for name in ("weights", "theta"):
+        state[name][1] = state[name][0]
+    twice = VPRSNN(**SMALL, fast=True).restore(state)
+    first, second = layers(twice, twice.encode(QUERIES))["excitatory"].reshape(len(QUERIES), 2, -1).swapaxes(0, 1)
+    assert first.any()
+    assert np.array_equal(first, second)
+
+
+# What it recognises
 
 
 def test_five_places_learnt_at_full_resolution_are_recognised() -> None:
@@ -35,27 +157,14 @@ def test_shuffled_modules_answer_for_their_own_places() -> None:
     assert np.mean(method.query(references(10)[0]).argmax(1) == np.tile(np.arange(10), 2)) > 0.7
 
 
-def test_an_image_without_light_is_no_match() -> None:
-    assert fitted().match(np.zeros((1, 144), np.uint8)).tolist() == [[-np.inf] * 5]
-
-
 def test_with_carried_potentials_it_keeps_all_rules_of_the_contract_but_two() -> None:
-    config = {**yaml.safe_load((CONFIGURATIONS / "vprsnn.yaml").read_text()), "seed": 0}
+    config = {**yaml.safe_load((ROOT / "conf" / "method" / "vprsnn.yaml").read_text()), "seed": 0}
     results = list(check({**config, **SMALL, "carried_potentials": True}, set(SMALL)))
     assert [str(result) for result in results if result.state == "broken"] == []
     assert sum(result.state == "excepted" for result in results) == 2
 
 
-def test_fast_leaves_out_the_delays_and_nothing_else() -> None:
-    fast, codes = fitted(10, fast=True, epochs=12), fitted().encode(QUERIES)
-    without = fitted(10, input_delay_max_ms=0.0, epochs=12)
-    assert same(fast.state(), without.state())
-    assert np.array_equal(fast.match(codes), without.match(codes))
-    shown, places = references(10)
-    assert np.mean(fast.query(shown).argmax(1) == places) > 0.7
-
-
-# --- before a network is there ----------------------------------------------------------------------------------
+# What it refuses
 
 
 def test_a_gpu_is_refused_to_a_method_without_an_argument_device() -> None:
