@@ -1,7 +1,5 @@
 """`vprbench.api` is the one module of ours that plug-ins see, and it costs no more than what they ask it for."""
 
-import ast
-import re
 import subprocess
 import sys
 
@@ -10,15 +8,6 @@ from checkout import ROOT
 
 from vprbench import api
 from vprbench.api.images import Images
-
-
-def test_nobody_but_the_registry_imports_a_plug_in():
-    """Ruff bans `importlib`'s ways (TID251); here it is names of plug-ins in imports."""
-    for path in sorted((ROOT / "vprbench").rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
-            names += [str(node.module)] if isinstance(node, ast.ImportFrom) else []
-            assert not [name for name in names if re.match(r"(vprbench\.)?(methods|datasets)\b", name)], path
 
 
 def test_each_name_leads_to_its_home_and_an_unknown_one_raises_with_the_near_names():

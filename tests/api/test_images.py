@@ -63,9 +63,10 @@ def save(path, pixels, **options):
     return path
 
 
-@pytest.mark.parametrize(
-    ("index", "chosen"),
-    [
+def test_a_view_holds_the_chosen_images_under_their_names_reads_nothing_yet_and_an_index_reads_one_image():
+    reader = Reader()
+    whole = reader.images(20)
+    for index, chosen in (
         (slice(3, 6), [3, 4, 5]),
         (slice(None, None, -7), [19, 12, 5]),
         (slice(18, 40), [18, 19]),
@@ -73,22 +74,15 @@ def save(path, pixels, **options):
         (np.array([4, 2, 4]), [4, 2, 4]),
         (np.array([-1, 0]), [19, 0]),
         (np.arange(20) > 17, [18, 19]),
-    ],
-)
-def test_a_view_holds_the_chosen_images_under_their_names_reads_nothing_yet_and_so_does_its_view(index, chosen):
-    reader = Reader()
-    view = reader.images(20)[index]
-    backwards = view[::-1]
-    assert reader.read == []
-    assert levels(view) == levels(backwards)[::-1] == chosen
-    assert view.names == tuple(f"frame {i}" for i in chosen)
-
-
-def test_an_index_counts_from_either_end_reads_that_image_alone_and_is_refused_outside():
-    reader = Reader()
-    whole = reader.images(20)
-    for index, level in ((-1, 19), (-20, 0), (np.int64(3), 3), (np.int64(-2), 18)):
-        assert whole[index][0, 0, 0] == level
+    ):
+        reader.read.clear()
+        view = whole[index]
+        backwards = view[::-1]
+        assert reader.read == []
+        assert levels(view) == levels(backwards)[::-1] == chosen
+        assert view.names == tuple(f"frame {i}" for i in chosen)
+    reader.read.clear()
+    assert [whole[index][0, 0, 0] for index in (-1, -20, np.int64(3), np.int64(-2))] == [19, 0, 3, 18]
     assert reader.read == [19, 0, 3, 18]
     for index in (20, -21, np.int64(20)):
         with pytest.raises(IndexError, match=f"{index} of 20"):
@@ -119,18 +113,15 @@ def test_a_bounded_number_is_read_ahead_and_leaving_early_ends_the_reading(looke
 
 
 @pytest.mark.parametrize(("n", "sizes"), [(7, [3, 3, 1]), (6, [3, 3]), (0, [])])
-def test_blocks_hold_the_images_in_order_under_their_names_decoded_already(n, sizes):
+def test_blocks_hold_the_images_in_order_under_their_names_decoded_already_of_so_many_bytes(n, sizes):
     reader = Reader()
     blocks = list(reader.images(n).blocks(3))
     assert [len(block) for block in blocks] == sizes
     assert [level for block in blocks for level in levels(block)] == list(range(n))
     assert [name for block in blocks for name in block.names] == [f"frame {i}" for i in range(n)]
     assert len(reader.read) == n
-
-
-def test_a_block_ends_before_its_bytes_exceed_those_asked_for_or_holds_one_image():
-    sizes = [1, 1, 30, 3, 4, 3, 10, 11, 1]  # pixels; ten of them are 30 bytes
-    whole = Images(lambda i: np.zeros((1, sizes[i], 3), np.uint8), [str(i) for i in range(len(sizes))])
+    widths = [1, 1, 30, 3, 4, 3, 10, 11, 1]  # pixels; ten of them are 30 bytes
+    whole = Images(lambda i: np.zeros((1, widths[i], 3), np.uint8), [str(i) for i in range(len(widths))])
     blocks = [[image.shape[1] for image in block] for block in whole.blocks(3, 30)]
     assert blocks == [[1, 1], [30], [3, 4, 3], [10], [11], [1]]
 
@@ -181,19 +172,26 @@ def test_grey_arrays_are_repeated_in_three_channels_alpha_is_dropped_and_what_is
         Images.from_arrays([noise(2, 2)], ["a", "b"])
 
 
-@pytest.fixture(params=["arrays", "rendered", "files"])
-def wrap(request, tmp_path):
-    """What makes images of arrays and names, files of one size in a new folder each time."""
-
-    def filed(arrays, names):
+@pytest.mark.parametrize("kind", ["arrays", "rendered", "files"])
+def test_the_fingerprint_changes_with_images_names_and_order_and_else_stays(kind, tmp_path):
+    def wrap(arrays, names):
+        if kind == "arrays":
+            return Images.from_arrays(arrays, names)
+        if kind == "rendered":
+            return Images(arrays.__getitem__, list(names))
         folder = Path(tempfile.mkdtemp(dir=tmp_path))
-        options = {"format": "PNG", "compress_level": 0}
+        options = {"format": "PNG", "compress_level": 0}  # files of one size
         return Images.from_files([save(folder / name, a, **options) for name, a in zip(names, arrays, strict=True)])
 
-    def rendered(arrays, names):
-        return Images(arrays.__getitem__, list(names))
-
-    return {"arrays": Images.from_arrays, "rendered": rendered, "files": filed}[request.param]
+    whole = wrap(ARRAYS, "abc")
+    assert whole.fingerprint() == wrap([array.copy() for array in ARRAYS], "abc").fingerprint()
+    assert whole[1:].fingerprint() == wrap(ARRAYS[1:], "bc").fingerprint()
+    others = [
+        *((ARRAYS, "abd"), (ARRAYS, "acb"), (ARRAYS[::-1], "abc"), (ARRAYS[:2], "ab")),
+        ([ARRAYS[0], ALTERED, ARRAYS[2]], "abc"),
+        ([ARRAYS[0], ARRAYS[1].reshape(32, 128, 3), ARRAYS[2]], "abc"),
+    ]
+    assert whole.fingerprint() not in [wrap(*other).fingerprint() for other in others]
 
 
 def test_the_fingerprint_of_files_decodes_nothing_and_names_a_missing_one(tmp_path):
@@ -206,18 +204,6 @@ def test_the_fingerprint_of_files_decodes_nothing_and_names_a_missing_one(tmp_pa
 ARRAYS = [noise(64, 64, seed) for seed in range(3)]
 ALTERED = ARRAYS[1].copy()
 ALTERED[32, 32, 0] ^= 1
-
-
-def test_the_fingerprint_changes_with_images_names_and_order_and_else_stays(wrap):
-    whole = wrap(ARRAYS, "abc")
-    assert whole.fingerprint() == wrap([array.copy() for array in ARRAYS], "abc").fingerprint()
-    assert whole[1:].fingerprint() == wrap(ARRAYS[1:], "bc").fingerprint()
-    others = [
-        *((ARRAYS, "abd"), (ARRAYS, "acb"), (ARRAYS[::-1], "abc"), (ARRAYS[:2], "ab")),
-        ([ARRAYS[0], ALTERED, ARRAYS[2]], "abc"),
-        ([ARRAYS[0], ARRAYS[1].reshape(32, 128, 3), ARRAYS[2]], "abc"),
-    ]
-    assert whole.fingerprint() not in [wrap(*other).fingerprint() for other in others]
 
 
 FRAME = 300 * 400 * 3  # bytes
