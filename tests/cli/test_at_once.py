@@ -1,7 +1,5 @@
 """Help, version, lists and completion: answered without Hydra, PyTorch or a plug-in, in the first process."""
 
-from __future__ import annotations
-
 import importlib
 import json
 import os
@@ -23,17 +21,17 @@ HEAVY = ("hydra", "omegaconf", "torch", "numpy", "vprbench.methods", "vprbench.d
 
 
 @pytest.fixture(autouse=True)
-def in_a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def in_a_folder_of_its_own(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("COLUMNS", raising=False)
 
 
-def printed(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+def printed(capsys, *arguments):
     assert answered(arguments) == 0
     return capsys.readouterr().out
 
 
-def test_it_is_answered_by_the_first_process_and_nothing_heavy_is_imported() -> None:
+def test_it_is_answered_by_the_first_process_and_nothing_heavy_is_imported():
     code = f"""
 import subprocess, sys
 subprocess.Popen = None
@@ -47,7 +45,7 @@ sys.exit([name for name in {HEAVY} if name in sys.modules] or 0)
     assert (done.returncode, done.stderr) == (0, "")
 
 
-def test_without_a_command_the_commands_are_named_and_nothing_runs(capsys: pytest.CaptureFixture[str]) -> None:
+def test_without_a_command_the_commands_are_named_and_nothing_runs(capsys):
     for arguments in ([], ["--help"], ["help"], ["-h"]):
         assert cli.main(arguments) == 0
         text = capsys.readouterr().out
@@ -57,9 +55,7 @@ def test_without_a_command_the_commands_are_named_and_nothing_runs(capsys: pytes
     assert printed(capsys, "--version") == f"vprbench {__version__}\n"
 
 
-def test_each_command_is_a_function_with_a_sentence_and_its_help_fits_100_columns(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_each_command_is_a_function_with_a_sentence_and_its_help_fits_100_columns(capsys):
     for name, command in COMMANDS.items():
         room, _, function = command.does.partition(":")
         assert callable(getattr(importlib.import_module(room), function))
@@ -67,13 +63,13 @@ def test_each_command_is_a_function_with_a_sentence_and_its_help_fits_100_column
         assert max(map(len, printed(capsys, name, "--help").splitlines()[2:]), default=0) <= 100
 
 
-def helped(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, list[str]]:
+def helped(capsys, *arguments):
     """The lines of a help by their options: option, type, default and meaning."""
     lines = printed(capsys, *arguments, "--help").splitlines()
     return {line.split()[0]: line.split(maxsplit=3) for line in lines if line.strip()}
 
 
-def test_help_has_each_option_with_type_default_and_meaning(capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_has_each_option_with_type_default_and_meaning(capsys):
     lines = helped(capsys, "table")
     assert {field.name for field in fields(TableRequest)} <= lines.keys()
     assert lines["rows"] == ["rows", "list[str]", "null", "of conf/table.yaml; null: those of the paper"]
@@ -84,7 +80,7 @@ def test_help_has_each_option_with_type_default_and_meaning(capsys: pytest.Captu
     assert lines["timing.sample"][2] == "64"
     assert lines["dataset.radius_metres"] == ["dataset.radius_metres", "float", "25.0", "for utm"]
     asked = {"method": "vprtempo_tuned", "dataset": "folders"}
-    entries = {group: registry.entries(group)[name] for group, name in asked.items()}  # type: ignore[index]
+    entries = {group: registry.entries(group)[name] for group, name in asked.items()}
     wanted = {f"{group}.{name}" for group, entry in entries.items() for name in entry.options}
     assert wanted - {"method.seed", "method.device"} <= lines.keys()
 
@@ -99,9 +95,7 @@ def test_help_has_each_option_with_type_default_and_meaning(capsys: pytest.Captu
         (["methods", "gradients"], {"hog", "cohog"}, {"sad", "street"}),
     ],
 )
-def test_a_list_is_filtered_by_words_tags_and_weights(
-    words: list[str], there: set[str], not_there: set[str], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_list_is_filtered_by_words_tags_and_weights(words, there, not_there, capsys):
     names = {each["name"] for each in json.loads(printed(capsys, "list", *words, "output=json"))}
     assert there <= names
     assert not names & not_there
@@ -124,11 +118,11 @@ def test_a_list_is_filtered_by_words_tags_and_weights(
         ("compare corruptions=a", ["corruptions=all"]),
     ],
 )
-def test_the_last_word_is_completed(line: str, wanted: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_last_word_is_completed(line, wanted, capsys):
     assert printed(capsys, "__complete", f"vprbench {line}").split() == wanted
 
 
-def test_bash_completes_what_stands_behind_an_equals_sign(tmp_path: Path) -> None:
+def test_bash_completes_what_stands_behind_an_equals_sign(tmp_path):
     program = tmp_path / "vprbench"
     program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m vprbench "$@"\n')
     program.chmod(0o755)

@@ -1,9 +1,6 @@
 """The commands about data: what they print, and the exit code that a script sees."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,7 +13,7 @@ N_FRAMES = 24
 
 
 @pytest.fixture
-def drives(tmp_path: Path) -> Path:
+def drives(tmp_path):
     """Two drives of the same places, the second a little lighter."""
     pixels = np.random.default_rng(5).integers(0, 200, (N_FRAMES, 16, 32, 3), dtype=np.uint8)
     for name, light in (("monday", 0), ("friday", 20)):
@@ -26,13 +23,7 @@ def drives(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def options(drives: Path) -> list[str]:
-    return ["dataset=folders", f"dataset.references=[{drives / 'monday'}]", f"dataset.queries={drives / 'friday'}"]
-
-
-def test_the_doctor_exits_with_0_for_sound_frames_and_names_a_damaged_one_at_which_a_run_stops_too(
-    drives: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_doctor_exits_with_0_for_sound_frames_and_names_a_damaged_one_at_which_a_run_stops_too(drives, capsys):
     frames = ["dataset=folders", f"dataset.references=[{drives / 'monday'}]", f"dataset.queries={drives / 'friday'}"]
     assert main(["doctor", *frames]) == 0
     told = capsys.readouterr().out
@@ -46,17 +37,12 @@ def test_the_doctor_exits_with_0_for_sound_frames_and_names_a_damaged_one_at_whi
     frame.write_bytes(b"")
     assert main(["method=sad", *frames, f"results={drives / 'results'}"]) == 2
     assert "007.png" in capsys.readouterr().err
-
-
-def test_the_doctor_of_a_dataset_that_is_not_there_says_how_to_get_it(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["doctor", "dataset=nordland"]) == 1
     assert "python -m vprbench fetch nordland" in " ".join(capsys.readouterr().out.split())
 
 
 @pytest.mark.parametrize(("empty", "code"), [(False, 0), (True, 1)])
-def test_fetch_exits_with_1_where_frames_that_came_are_not_right(
-    empty: bool, code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_fetch_exits_with_1_where_frames_that_came_are_not_right(empty, code, tmp_path, monkeypatch, capsys):
     for folder in ("query", "ref"):
         (tmp_path / folder).mkdir()
         for number in range(3):
@@ -65,7 +51,7 @@ def test_fetch_exits_with_1_where_frames_that_came_are_not_right(
     if empty:
         (tmp_path / "ref" / "1.jpg").write_bytes(b"")
 
-    def fetched(arguments: list[str], check: command.Check) -> int:
+    def fetched(arguments, check):
         print("\n".join(check("corridor", tmp_path)))
         return 0
 

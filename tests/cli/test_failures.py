@@ -1,7 +1,5 @@
 """Runs that failed: stored with the machine and with whether something was missing, until the same run succeeds."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import logging
@@ -17,20 +15,20 @@ QUICK = ["dataset.places=12", "dataset.first_query_place=0", "timing.minimum_sec
 
 
 @pytest.fixture
-def store(tmp_path: Path) -> Store:
+def store(tmp_path):
     store = Store(tmp_path / "results")
     store.prepare()
     return store
 
 
-def test_of_two_failures_the_last_is_found_under_its_configuration_alone(store: Store) -> None:
+def test_of_two_failures_the_last_is_found_under_its_configuration_alone(store):
     store.save_failure(a_failure())
     store.save_failure(a_failure(error="ValueError: no", missing=True))
     assert store.failure("little", "journey", a_run().config) == a_failure(error="ValueError: no", missing=True)
     assert store.failure("little", "journey", {**a_run().config, "seed": 4}) is None
 
 
-def test_a_failure_is_no_run_leaves_runs_in_place_and_vanishes_when_the_run_succeeds(store: Store) -> None:
+def test_a_failure_is_no_run_leaves_runs_in_place_and_vanishes_when_the_run_succeeds(store):
     store.save(a_run(n_references=20))
     store.save_failure(a_failure())
     assert [run.n_references for run in store.runs()] == [20]
@@ -38,7 +36,7 @@ def test_a_failure_is_no_run_leaves_runs_in_place_and_vanishes_when_the_run_succ
     assert store.failure("little", "journey", a_run().config) is None
 
 
-def test_a_damaged_failure_is_none_is_named_and_hides_no_other(store: Store, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_damaged_failure_is_none_is_named_and_hides_no_other(store, caplog):
     folder = store.save_failure(a_failure())
     (folder / "failure.json").write_bytes((folder / "failure.json").read_bytes()[:-40])
     for dataset, seed in (("journey", 8), ("journey", 2), ("voyage", 8)):
@@ -50,7 +48,7 @@ def test_a_damaged_failure_is_none_is_named_and_hides_no_other(store: Store, cap
     assert store.failure("little", "journey", a_run().config) is None
 
 
-def test_failures_of_earlier_and_later_versions_are_read_and_removed_when_the_run_succeeds(store: Store) -> None:
+def test_failures_of_earlier_and_later_versions_are_read_and_removed_when_the_run_succeeds(store):
     config = {"method": {"window": 5}, "dataset": {}, "seed": 1, "device": "cpu", "load": None}
     key = hashlib.sha256(json.dumps({"schema": 3, **config}, sort_keys=True, separators=(",", ":")).encode())
     folder = store.root / "journey" / f"little-failed-{key.hexdigest()[:16]}"
@@ -89,12 +87,8 @@ MISSING, WRONG = True, False
     ],
 )
 def test_a_failure_in_a_sweep_says_whether_something_was_missing_and_which_arguments_were_changed(
-    arguments: list[str],
-    missing: bool | None,
-    capsys: pytest.CaptureFixture[str],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    arguments, missing, capsys, tmp_path, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("VPRBENCH_IN_SWEEP", "1")  # where failures that are the user's are recorded too
     assert main([*arguments, "output=json"]) == 2

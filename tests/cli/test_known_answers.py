@@ -1,7 +1,5 @@
 """The rendered journeys where the right answer of any sound method and metric is known beforehand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Large evaluations stay within bounded memory."""
 
-from __future__ import annotations
-
 import tracemalloc
 
 import numpy as np
@@ -15,7 +13,7 @@ BLOCK = 128
 MEGABYTE = 1_000_000
 
 
-def peak_bytes(n_blocks: int) -> int:
+def peak_bytes(n_blocks):
     """The most memory that collecting the answers to so many blocks of queries takes; no image is read."""
     images = Images(lambda _: np.empty(0), [f"image {i}" for i in range(N_PLACES)])
     positives = tuple(np.array([i]) for i in range(N_PLACES))
@@ -30,7 +28,7 @@ def peak_bytes(n_blocks: int) -> int:
     return peak
 
 
-def test_a_block_of_queries_against_27592_places_needs_little_and_more_blocks_add_only_what_is_kept() -> None:
+def test_a_block_of_queries_against_27592_places_needs_little_and_more_blocks_add_only_what_is_kept():
     assert peak_bytes(1) < 150 * MEGABYTE
     kept_per_query = 2_000  # 100 places and scores of 4 bytes each, seven counts of 8, and what lists weigh
     assert peak_bytes(13) < peak_bytes(3) + 10 * BLOCK * kept_per_query

@@ -1,7 +1,5 @@
 """What a person sees of a long run: lines in a file, a bar in a terminal, and nothing between the results."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import logging
@@ -18,12 +16,12 @@ Reports = list[tuple[float, str, float]]  # seconds since the last one, stage, s
 class Terminal(io.StringIO):
     """A stream that says it is a terminal."""
 
-    def isatty(self) -> bool:
+    def isatty(self):
         return True
 
 
 @pytest.fixture(autouse=True)
-def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+def clock(monkeypatch):
     """Let no time pass but what a test spends, before a terminal of 80 columns."""
     clock = Clock()
     clock.spend(1000)
@@ -34,7 +32,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     return clock
 
 
-def shown(clock: Clock, reports: Reports, stream: io.StringIO, title: str = "sad on nordland") -> str:
+def shown(clock, reports, stream, title="sad on nordland"):
     """Return what appears for these reports."""
     with progress_shown(title, stream):
         for seconds, stage, done in reports:
@@ -50,22 +48,16 @@ def shown(clock: Clock, reports: Reports, stream: io.StringIO, title: str = "sad
         ([(0, "query", 0), (5, "query", 0.2), (4.9, "query", 0.4)], ["query"]),
         ([(0, "query", 0), (12, "query", 0.25)], ["query", "query 25 %, 36 s left"]),  # 12 s for a quarter
         ([(0, "fit", 0), (500, "query", 0), (10, "query", 0.5)], ["fit", "query", "query 50 %, 10 s left"]),
-        ([(0, "fit", 0), (60, "fit", 0.0)], ["fit"]),
-        ([(0, "fit", 0), (60, "fit", 1.0)], ["fit"]),
+        ([(0, "fit", 0), (60, "fit", 0.0), (60, "fit", 1.0)], ["fit"]),
     ],
-    ids=["each stage", "within ten seconds", "later", "from its start", "no share", "finished"],
 )
-def test_a_stage_has_a_line_and_a_long_one_its_share_and_the_time_left(
-    clock: Clock, capsys: pytest.CaptureFixture[str], reports: Reports, lines: list[str]
-) -> None:
+def test_a_stage_has_a_line_and_a_long_one_its_share_and_the_time_left(clock, capsys, reports, lines):
     told = shown(clock, reports, io.StringIO())
     assert told.splitlines() == [f"sad on nordland: {line}" for line in lines]
     assert capsys.readouterr().out == ""
 
 
-def test_a_bar_names_each_stage_shows_the_share_done_and_is_gone_at_the_end(
-    clock: Clock, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_bar_names_each_stage_shows_the_share_done_and_is_gone_at_the_end(clock, capsys):
     reports = [(0, "fit", 0.0), (0.15, "fit", 0.5), (0, "query", 0.0)]  # drawn ten times a second at most
     text = shown(clock, reports, Terminal())
     assert text.index("sad on nordland: fit  50 % |") < text.index("nordland: query   0 %")
@@ -76,12 +68,12 @@ def test_a_bar_names_each_stage_shows_the_share_done_and_is_gone_at_the_end(
 class Gone(io.StringIO):
     """A stream whose reader has gone."""
 
-    def write(self, _: str) -> int:
+    def write(self, _):
         raise BrokenPipeError
 
 
 @pytest.mark.parametrize("terminal", [False, True])
-def test_a_reader_that_has_gone_ends_no_run(terminal: bool, clock: Clock, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_reader_that_has_gone_ends_no_run(terminal, clock, monkeypatch):
     stream = Gone()
     monkeypatch.setattr(stream, "isatty", lambda: terminal)
     shown(clock, [(0, "fit", 0.5)], stream)
@@ -90,21 +82,16 @@ def test_a_reader_that_has_gone_ends_no_run(terminal: bool, clock: Clock, monkey
         say("an answer")
 
 
-def test_what_is_printed_beside_the_answer_goes_to_standard_error(capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_printed_beside_the_answer_goes_to_standard_error_and_names_in_progress_are_not_obeyed(clock, capsys):
     with answers_alone() as say:
         print("a plug-in's word")
         say("the answer")
     assert capsys.readouterr() == ("the answer\n", "a plug-in's word\n")
-
-
-def test_names_in_progress_are_not_obeyed(clock: Clock) -> None:
     told = shown(clock, [(0, "\x1b[2Jfit", 0)], io.StringIO(), "a\nvprbench: b")
     assert told == "a\\nvprbench: b: \\x1b[2Jfit\n"
 
 
-def test_a_process_that_is_read_marks_its_stages_and_warnings(
-    clock: Clock, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_process_that_is_read_marks_its_stages_and_warnings(clock, monkeypatch, capsys):
     monkeypatch.setenv(progress.MARKED, "1")
     lines = shown(clock, [(0, "fit\n", 0), (0.1, "fit\n", 0.5), (1, "fit\n", 0.75)], io.StringIO()).splitlines()
     assert [progress.marked(line) for line in lines] == [("fit\\n", 0.0), ("fit\\n", 0.75)]
@@ -115,7 +102,7 @@ def test_a_process_that_is_read_marks_its_stages_and_warnings(
     assert [progress.marked(line) for line in capsys.readouterr().err.splitlines()] == ["a\ttab", None]
 
 
-def test_a_warning_stands_above_a_bar_and_is_coloured(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_warning_stands_above_a_bar_and_is_coloured(monkeypatch):
     stream = Terminal()
     monkeypatch.setattr("sys.stderr", stream)
     monkeypatch.delenv("NO_COLOR", raising=False)
@@ -127,8 +114,8 @@ def test_a_warning_stands_above_a_bar_and_is_coloured(monkeypatch: pytest.Monkey
     assert "\r\x1b[33ma word\x1b[0m\n\r" in stream.getvalue()
 
 
-def test_progress_that_is_shown_elsewhere_draws_nothing_and_nobody_listens_after_a_block(clock: Clock) -> None:
-    told: list[tuple[str, float]] = []
+def test_progress_that_is_shown_elsewhere_or_to_an_inner_listener_draws_nothing_and_nobody_listens_after_a_block(clock):
+    told = []
     with progress.shown_by(lambda *each: told.append(each)):
         assert shown(clock, [(0, "fit", 0.5)], Terminal()) == ""
     assert told == [("fit", 0.5)]
@@ -137,10 +124,7 @@ def test_progress_that_is_shown_elsewhere_draws_nothing_and_nobody_listens_after
         raise KeyError
     progress.report("fit", 0.5)
     assert stream.getvalue() == ""
-
-
-def test_an_inner_listener_hides_the_outer_one_for_a_while() -> None:
-    heard: list[tuple[str, float]] = []
+    heard = []
     with progress.listening(lambda _, done: heard.append(("outer", done))):
         progress.report("fit", 0.1)
         with progress.listening(lambda _, done: heard.append(("inner", done))):
