@@ -167,9 +167,7 @@ def test_the_network_of_the_map_has_no_say_in_the_choice_but_counts_its_own_reac
 # the choice in a trained network
 
 
-def test_calibration_changes_nothing_but_the_threshold_by_reactions_to_the_first_traverse_and_held_out_places(
-    monkeypatch,
-):
+def test_calibration_changes_the_threshold_alone_by_reactions_to_first_traverse_and_held_out_places(monkeypatch):
     seen, learn = [], training.train
 
     def watch(*called: Any) -> Any:

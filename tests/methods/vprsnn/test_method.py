@@ -52,10 +52,8 @@ def asked_directly(
 @pytest.mark.parametrize("carried", [False, True], ids=["each from rest", "carried"])
 def test_the_answers_are_those_of_the_direct_simulation(carried: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     # The first silence is so long that nothing is left of the start.
-    trains, method = (
-        recorded_trains(monkeypatch),
-        fitted(carried_potentials=carried, **SHORT | {"first_rest_ms": 5000.0}),
-    )
+    trains = recorded_trains(monkeypatch)
+    method = fitted(carried_potentials=carried, **SHORT | {"first_rest_ms": 5000.0})
     codes = method.encode(QUERIES)[:4]
     trains.clear()  # of the training
     found = layers(method, codes)
@@ -87,7 +85,7 @@ def test_the_start_acts_on_the_first_query_only_where_potentials_are_carried() -
             layers(VPRSNN(**low | start, carried_potentials=carried).restore(stored), codes)["excitatory"]
             for start in ({}, {"excitatory_start_mv": -65.0})
         )
-        assert (from_low[0].sum() < from_rest[0].sum()) is carried  # it takes longer from there
+        assert bool(from_low[0].sum() < from_rest[0].sum()) is carried  # it takes longer from there
         assert np.array_equal(from_low, from_rest) is not carried
 
 

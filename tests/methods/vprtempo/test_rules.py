@@ -148,18 +148,6 @@ class Step:
     rates: tuple[float, ...] = (0.2, 0.9)
     x: tuple[float, ...] = (1.0, 0.5, 0.0)
 
-    def layer(self) -> Layer:
-        """One module whose synapses are the weights that are not 0."""
-        plus, minus = torch.tensor([self.excitation]), torch.tensor([self.inhibition])
-        largest = [LARGEST * (w > 0).float() for w in (plus, minus)]
-        constant = torch.tensor([self.constant[: len(self.thresholds)]])
-        return Layer(plus, minus, *largest, torch.tensor([self.thresholds]), constant)
-
-    def training(self) -> tuple[Schedule, Training]:
-        """One step, of output neuron 0; the target rates also scale what an output neuron sees."""
-        first, spikes, rates = torch.zeros(1, 1, dtype=torch.int64), torch.tensor([self.x]), torch.tensor(self.rates)
-        return Schedule(first, first, torch.ones(1, 1)), Training(spikes, rates, self.rules, 0.01, 0.15, 0.01)
-
 
 STEPS = {
     # a_0 = 1.5 - 0.003 * 0.5 = 1.4985;  y_0 = clip(1.4985 - 0.1) = 0.9;   eta (0.5 - y_0) = -0.004
@@ -215,8 +203,14 @@ STEPS = {
 @ENGINES
 @pytest.mark.parametrize("name", STEPS)
 def test_a_step_by_hand(name: str, engine: ModuleType) -> None:
-    step = STEPS[name]
-    layer, lesson, n = step.layer(), step.training(), len(step.x)
+    step, n = STEPS[name], 3
+    plus, minus = torch.tensor([step.excitation]), torch.tensor([step.inhibition])
+    largest = [LARGEST * (w > 0).float() for w in (plus, minus)]  # synapses are the weights that are not 0
+    constant = torch.tensor([step.constant[: len(step.thresholds)]])
+    layer = Layer(plus, minus, *largest, torch.tensor([step.thresholds]), constant)
+    # One step, of output neuron 0; the target rates also scale what an output neuron sees.
+    first, spikes, rates = torch.zeros(1, 1, dtype=torch.int64), torch.tensor([step.x]), torch.tensor(step.rates)
+    lesson = Schedule(first, first, torch.ones(1, 1)), Training(spikes, rates, step.rules, 0.01, 0.15, 0.01)
     if name.startswith("features"):
         engine.train_features(layer, *lesson, lambda _: None)
     else:
