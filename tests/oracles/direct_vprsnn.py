@@ -56,17 +56,15 @@ def simulate(
         begin = longest + number * (shown + rest)
         emitted[begin : begin + shown] = image
 
-    v, ge, gi = np.full(n, c.excitatory_rest_mv), np.zeros(n), np.zeros(n)
+    v, v_i = np.full(n, c.excitatory_rest_mv), np.full(n, c.inhibitory_rest_mv)
+    ge, gi, ge_i, post1, post2 = np.zeros((5, n))
     timer = np.full(n, np.inf)  # seconds
     timer_limit = 0.1 * c.excitatory_minimum_interval_ms / 1000
-    v_i, ge_i = np.full(n, c.inhibitory_rest_mv), np.zeros(n)
     last, last_i = np.full(n, _LONG_AGO), np.full(n, _LONG_AGO)
     prees = np.zeros((n_inputs, n))  # a trace at each synapse: its delay decides when it has been reached
-    post1, post2 = np.zeros(n), np.zeros(n)
-    pre_decay, post1_decay, post2_decay = (
-        np.exp(-dt / tau) for tau in (c.pre_trace_tau_ms, c.post_trace_tau_ms, c.slow_post_trace_tau_ms)
-    )
-    excitatory, inhibitory = np.zeros((n_steps, n), np.bool_), np.zeros((n_steps, n), np.bool_)
+    taus = c.pre_trace_tau_ms, c.post_trace_tau_ms, c.slow_post_trace_tau_ms
+    pre_decay, post1_decay, post2_decay = np.exp(-dt / np.array(taus))
+    excitatory, inhibitory = np.zeros((2, n_steps, n), np.bool_)
     potentials = np.empty((n_steps, n))
 
     for t in range(n_steps):

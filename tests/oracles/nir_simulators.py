@@ -58,17 +58,12 @@ def in_snntorch(graph, inputs):
     from snntorch.import_nir import import_from_nir
 
     step, tau = 1e-4, 1e12  # of snnTorch, seconds
-    nodes = {
-        name: nir.LIF(
-            tau=np.full_like(node.r, tau, np.float64),
-            r=node.r * (tau / step),
-            v_leak=np.zeros_like(node.r),
-            v_threshold=node.v_threshold,
-        )
-        if isinstance(node, nir.IF)
-        else node
-        for name, node in graph.nodes.items()
-    }
+
+    def leaky(node):
+        leak, taus = np.zeros_like(node.r), np.full_like(node.r, tau, np.float64)
+        return nir.LIF(tau=taus, r=node.r * (tau / step), v_leak=leak, v_threshold=node.v_threshold)
+
+    nodes = {name: leaky(node) if isinstance(node, nir.IF) else node for name, node in graph.nodes.items()}
     network = import_from_nir(nir.NIRGraph(nodes, graph.edges))
     for module in network.modules():
         if isinstance(module, snntorch.Leaky):

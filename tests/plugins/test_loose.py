@@ -1,10 +1,14 @@
-"""A method or dataset in a loose file is used by its path; its parameters are its options, its source counts."""
+"""Methods and datasets in loose files, new ones, broken ones and the example: options, rules and one-line errors."""
 
 import json
+import re
 import sys
-from pathlib import Path
+import tomllib
 
 import pytest
+from checkout import ROOT
+from little_runs import quiet_surroundings
+from PIL import Image
 from small_plan import Apart
 
 from vprbench.cli import main
@@ -49,6 +53,7 @@ def walk(places: int = 5, seed: int = 0) -> Dataset:
     return Dataset("walk", images, np.arange(places), images, right, protocol)
 """
 QUICK = ["timing=none", "threads=1"]
+EXAMPLE = ROOT / "tests" / "example_plugin"
 
 
 @pytest.fixture(autouse=True)
@@ -56,14 +61,38 @@ def here(tmp_path, monkeypatch):
     """A working folder with loose files; what they leave in this process is removed."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [*sys.path])
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
     monkeypatch.setattr(entries, "_LOOSE", {"method": {}, "dataset": {}})
     for name, text in (("means.py", METHOD), ("walk.py", DATASET), ("beside.py", "TINY = 1e-6\n")):
         (tmp_path / name).write_text(text)
     modules = {*sys.modules}
-    yield tmp_path
+    with quiet_surroundings():
+        yield tmp_path
     for name in {*sys.modules} - modules:
         if str(getattr(sys.modules[name], "__file__", "")).startswith(str(tmp_path)):
             del sys.modules[name]
+
+
+@pytest.fixture
+def install(monkeypatch):
+    """Return what installs a folder of configurations beside the code that it names."""
+
+    def add(code, conf):
+        folders = {**entries.conf_folders(), "other": conf}
+        monkeypatch.setattr("vprbench.plugins.entries.conf_folders", lambda: folders)
+        monkeypatch.syspath_prepend(code)
+
+    return add
+
+
+def line_of(capsys):
+    (line,) = capsys.readouterr().err.splitlines()
+    return line
+
+
+def counted(capsys):
+    kept, broken = re.findall(r"rules: (\d+) kept, \d+ excepted, (\d+) broken", capsys.readouterr().out)[0]
+    return int(kept), int(broken)
 
 
 def test_parameters_are_options_with_their_defaults_and_seed_and_device_those_of_the_run():
@@ -90,24 +119,14 @@ def test_parameters_are_options_with_their_defaults_and_seed_and_device_those_of
 )
 def test_what_does_not_fit_is_told_in_a_line(options, named, capsys):
     assert main([*options, *QUICK]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert named in line
+    assert named in line_of(capsys)
 
 
-@pytest.mark.parametrize(
-    ("text", "line"),
-    [
-        ("import numpy\nclass Broken(\n    x = 1\n", 2),
-        ("import sys\nsys.exit(4)\n", 2),
-        ("def f():\n    return 1 / 0\nX = f()\n", 2),
-        ("def Broken(places: int = 2):\n    return [1][places]\n", 2),
-    ],
-)
-def test_an_error_in_the_file_names_its_line(here, text, line, capsys):
-    (here / "broken.py").write_text(text)
-    assert main(["method=./broken.py:Broken"]) == 2
-    (said,) = capsys.readouterr().err.splitlines()
-    assert f"(broken.py, line {line})" in said
+def test_an_error_in_a_loose_file_names_its_line(here, capsys):
+    for text in ("import sys\nsys.exit(4)\n", "def f():\n    return 1 / 0\nX = f()\n"):
+        (here / "broken.py").write_text(text)
+        assert main(["method=./broken.py:Broken"]) == 2
+        assert "(broken.py, line 2)" in line_of(capsys)
 
 
 def test_a_name_that_is_taken_is_refused_and_a_file_may_have_the_name_of_a_library(here):
@@ -124,25 +143,16 @@ def test_a_name_that_is_taken_is_refused_and_a_file_may_have_the_name_of_a_libra
     assert (method.names, json.loads("1")) == (["a"], 1)
 
 
-@pytest.mark.parametrize(
-    ("asked", "read"),
-    [
+def test_a_path_among_names_is_read_as_a_name():
+    for asked, read in (
         ("method=./means.py:Means", "method=Means"),
         ("method=sad,./means.py:Means", "method=sad,Means"),
         ("methods=[means.py,sad]", "methods=[Means,sad]"),
         ("methods=sad,pca", "methods=sad,pca"),
         ("dataset=./walk.py", "dataset=walk"),
         ("method=", "method="),
-    ],
-)
-def test_a_path_among_names_is_read_as_a_name(asked, read):
-    assert readable([asked]) == [read]
-
-
-def test_a_loose_file_is_checked(capsys):
-    for asked in ("dataset=walk.py", "dataset=./walk.py:walk"):
-        assert main(["check", asked, "dataset.places=4"]) == 0
-        assert capsys.readouterr().out.splitlines()[-1] == "17 rules: 17 kept, 0 excepted, 0 broken"
+    ):
+        assert readable([asked]) == [read]
 
 
 def test_the_source_of_the_file_and_of_what_lies_beside_it_counts(here):
@@ -150,7 +160,7 @@ def test_the_source_of_the_file_and_of_what_lies_beside_it_counts(here):
         for name in ("means", "beside"):
             sys.modules.pop(name, None)
         assert main(["method=./means.py:Means", "dataset=./walk.py:walk", *QUICK]) == 0
-        return max(Path("results/walk").glob("Means-*"), key=lambda folder: folder.stat().st_mtime_ns).name
+        return max((here / "results/walk").glob("Means-*"), key=lambda folder: folder.stat().st_mtime_ns).name
 
     first = key()
     (here / "means.py").write_text("# a word\n" + METHOD)
@@ -171,3 +181,107 @@ def test_a_sweep_over_loose_files_stores_their_runs_by_name_and_another_process_
     assert {"method=means.py:Means", "dataset=walk.py:walk"} <= {*asked}
     options = ["method=sad,Means", "dataset=Means", "seed=1"]
     assert [*map(registry.as_asked, options)] == ["method=sad,means.py:Means", "dataset=Means", "seed=1"]
+
+
+# What `new` writes keeps every rule at once, and nothing is overwritten.
+
+
+@pytest.mark.parametrize(
+    ("words", "asked"),
+    [
+        (["method", "MyMeans"], "method=./my_means.py:MyMeans"),
+        (["method", "my-means", "folder=below"], "method=./below/my_means.py:MyMeans"),
+        (["dataset", "my_walk"], "dataset=./my_walk.py:my_walk"),
+    ],
+)
+def test_a_new_file_keeps_every_rule_by_the_option_that_is_printed(here, words, asked, capsys):
+    assert main(["new", *words]) == 0
+    assert f"vprbench check {asked}\n" in capsys.readouterr().out
+    assert main(["check", asked]) == 0
+    kept, broken = counted(capsys)
+    assert (kept >= 14, broken) == (True, 0)
+    before = {path: path.read_text() for path in here.rglob("*.py")}
+    assert main(["new", *words]) == 2
+    assert {path: path.read_text() for path in here.rglob("*.py")} == before
+    if words[0] == "dataset":
+        for part in ("references", "queries"):
+            (here / part).mkdir()
+            for number in range(3):
+                Image.new("RGB", (8, 8), (len(part), number, 0)).save(here / part / f"{number}.png")
+        assert main(["method=sad", "dataset=./my_walk.py", "dataset.root=.", *QUICK]) == 0
+
+
+@pytest.mark.parametrize("group", ["method", "dataset"])
+def test_a_new_package_brings_its_yaml_and_keeps_every_rule_by_its_name(here, group, install, capsys):
+    assert main(["new", group, "my_own", "package=true"]) == 0
+    top = here / "vprbench-my-own"
+    told = tomllib.loads((top / "pyproject.toml").read_text())
+    assert told["project"]["entry-points"]["vprbench.conf"] == {"my_own": "vprbench_my_own.conf"}
+    install(top, top / "vprbench_my_own" / "conf")
+    assert "my_own" in entries.entries(group)
+    capsys.readouterr()
+    assert main(["check", f"{group}=my_own"]) == 0
+    assert counted(capsys)[1] == 0
+
+
+def test_names_that_cannot_be_used_are_refused(here):
+    there = sorted(here.iterdir())
+    names = ("method", "methods mine", "method a b", "method sad", "dataset 3d", "method class", "method mine folder")
+    for words in ("", *names):
+        assert main(["new", *words.split()]) == 2
+        assert sorted(here.iterdir()) == there
+
+
+# A broken plug-in ends check, list and run in one line that names what is wrong, its file and its line.
+
+CODE = "from vprbench.api import DescriptorMethod\nclass Made(DescriptorMethod):\n"
+DRAWN = "from vprbench.api import Dataset\ndef Made(places: int = 3) -> Dataset:\n"
+TARGET = "# Broken\n_target_: broken_code.Made\n"
+
+
+@pytest.mark.parametrize(
+    ("group", "yaml", "code", "named"),
+    [
+        ("method", "# Broken\ncells: 3\n", "", "_target_"),
+        ("dataset", "# Broken\ncells: 3\n", "", "_target_"),
+        ("method", "# Broken\n_target_: [\n", "", "broken.yaml"),
+        ("method", TARGET, "import no_such_module\n", "no_such_module"),
+        ("method", TARGET, "\n\nclass Made(\n", "(broken_code.py, line 3)"),
+        ("dataset", TARGET, "x = 1\nx.y = 2\n", "(broken_code.py, line 2)"),
+        ("method", TARGET, CODE + "    pass\n", "abstract"),
+        ("method", TARGET, CODE + "    encode = 1\n    def __init__(self): [][0]\n", "(broken_code.py, line 4)"),
+        ("dataset", TARGET, DRAWN + "    return {}[places]\n", "(broken_code.py, line 3)"),
+        ("dataset", TARGET, DRAWN + "    return places\n", "gave int"),
+        ("method", TARGET, "def Made(cells: int = 2): return cells\n", "made a int"),
+        ("method", TARGET + "cells: 2\n", "def Made(cells: 'Unknown'): pass\n", "type hints"),
+        ("method", TARGET, "Made = 5\n", "is a int"),
+    ],
+)
+def test_a_broken_plug_in_is_told_in_one_line_and_the_others_are_listed(
+    here, install, group, yaml, code, named, capsys
+):
+    install(here, here / "conf")
+    (here / "conf" / group).mkdir(parents=True)
+    (here / "conf" / group / "broken.yaml").write_text(yaml)
+    (here / "broken_code.py").write_text(code)
+    for command in (["check"], []):
+        sys.modules.pop("broken_code", None)
+        assert main([*command, f"{group}=broken"]) == 2
+        assert named in line_of(capsys)
+    if not code:
+        assert main(["list"]) == 0
+        lines = capsys.readouterr().out.splitlines()
+        assert sum("BROKEN" in line and line.split()[0] == "broken" for line in lines) == 1
+        assert sum(line.split()[:1] == ["sad"] for line in lines) == 1
+
+
+def test_the_example_plug_in_keeps_every_rule_and_its_run_is_right(here, install, capsys):
+    install(EXAMPLE, EXAMPLE / "vprbench_example" / "conf")
+    for asked in (["method=thumbnail"], ["dataset=panorama"], ["dataset=panorama", "dataset.overlap=0"]):
+        assert main(["check", *asked]) == 0
+        assert counted(capsys)[1] == 0
+    assert main(["check", "dataset=panorama", "dataset.overlap=1"]) == 2
+    assert "dataset.overlap=1" in capsys.readouterr().err
+    assert main(["method=thumbnail", "dataset=panorama", "dataset.places=12", *QUICK]) == 0
+    (run,) = Store(here / "results").runs()
+    assert (run.method, run.dataset, len(run.outcome), run.outcome.n_places) == ("thumbnail", "panorama", 12, 12)

@@ -170,35 +170,25 @@ FILES = [
     *(partial(instead, make) for make in (os.mkfifo, Path.mkdir)),  # a pipe that nobody writes to, and a folder
     enlarge,
 ]
-INFINITE = float("inf")
 VALUES = [  # of which each cannot be in any of the places beside it
     (None, "n_places method fingerprint config protocol environment data notes config.method config.seed schema"),
-    ("5", "n_places fit_seconds peak_memory_bytes config.dataset config.seed protocol.tolerance_places schema"),
-    ("5", "config.timing.minimum_seconds environment.time_utc environment.libraries search.bytes_per_place"),
-    ("5", "notes timing.streaming_valid"),
+    ("5", "n_places fit_seconds peak_memory_bytes config.dataset config.seed protocol.tolerance_places schema notes"),
+    ("5", "config.timing.minimum_seconds environment.time_utc environment.libraries timing.streaming_valid"),
+    (0, "n_places schema timing.offline.0.images_per_call"),
     (5, "method network protocol.also_tolerance_places"),
-    (0, "n_places schema"),
-    (1, "n_references"),
     (21, "n_places"),
     (10**12, "n_places n_references"),
     (True, "n_places"),
     (-1, "fit_seconds peak_memory_bytes"),
-    (10**400, "peak_memory_bytes"),
-    (1.5, "n_places config.seed environment.load_average"),
-    (98.4, "search.recall_at_1"),
-    (INFINITE, "fit_seconds timing.repeated_seconds"),
-    ("", "method"),
-    ("../../little", "method"),
-    (".little", "method"),
-    ([], "n_references timing.offline spikes.layers spikes.layers.0.spikes_per_query spikes.layers.0.neurons"),
-    ([0], "config.timing.batch_sizes"),
-    ([5], "notes tuned_on"),
+    (10.5, "n_places config.seed environment.load_average search.recall_at_1"),
+    (float("inf"), "fit_seconds timing.repeated_seconds"),
+    *((name, "method") for name in ("", "../../little", ".little")),
+    ([], "timing.offline spikes.layers spikes.layers.0.spikes_per_query spikes.layers.0.neurons"),
+    ([0], "config.timing.batch_sizes notes"),
     ([{"name": "codes", "neurons": 2, "hits": [1.0]}], "readouts"),
-    ({}, "sha256 spikes.layers"),
     ({"torch": 2.6}, "environment.libraries"),
-    ({"dataset": "journey"}, "tuned_on"),
+    ({"dataset": "journey"}, "tuned_on sha256"),
     ({"../a/arrays.npz": "0"}, "sha256"),
-    (0, "timing.offline.0.images_per_call"),
 ]
 ARRAYS = {
     "best_score": [None, np.full(4, np.nan, np.float32), np.full(4, np.inf), np.zeros(3)],
@@ -245,12 +235,14 @@ def test_a_record_that_is_signed_anew_is_believed(store, three):
     assert (found.fit_seconds, found.top_scores.tolist()) == (9.5, [[0, 0]] * 4)
 
 
-@pytest.mark.parametrize(
-    "changes", [{"notes": (Note("unheard", "of"),)}, {"method": "a/b"}, {"protocol": {"tolerance_places": "0"}}]
-)
-def test_a_run_that_would_not_be_believed_is_not_stored(store, three, changes):
-    with pytest.raises(BadInput, match=next(iter(changes))):
-        store.save(a_run(key="b", **changes))
+def test_a_run_that_would_not_be_believed_is_not_stored(store, three):
+    for part, value in (
+        ("notes", (Note("unheard", "of"),)),
+        ("method", "a/b"),
+        ("protocol", {"tolerance_places": "0"}),
+    ):
+        with pytest.raises(BadInput, match=part):
+            store.save(a_run(**{"key": "b", part: value}))
     with pytest.raises(ValueError, match="Object arrays"):
         store.save(a_run(top_places=np.array([[None]])))
     assert keys(store) == ["a", "b", "c"]
@@ -347,22 +339,6 @@ def test_several_processes_lose_no_run_and_leave_one_of_a_key(store, processes):
         assert list(pool.map(save_keys, [store.root] * 4, written)) == [8] * 4
     assert sorted(keys(store)) == sorted({key for row in written for key in row})
     assert [path.name for path in store.root.iterdir()] == ["journey"]
-
-
-def test_a_run_that_another_process_takes_away_in_the_middle_of_a_save_is_no_error(store, monkeypatch):
-    folder = store.save(a_run(n_references=21))
-    rename = Path.rename
-
-    def rename_while_another_replaces(path, target):
-        try:
-            return rename(path, target)
-        except OSError:
-            shutil.rmtree(folder)  # the other process has just moved the old run away
-            raise
-
-    monkeypatch.setattr(Path, "rename", rename_while_another_replaces)
-    store.save(a_run(n_references=22))
-    assert stored(store).n_references == 22
 
 
 def test_a_run_that_is_replaced_while_it_is_read_is_not_set_aside(store, monkeypatch):

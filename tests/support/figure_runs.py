@@ -70,10 +70,24 @@ def run(method="little", share=0.5, n_queries=40, n_places=50, **changes):
         "method": method,
         "dataset": dataset,
         "key": hashlib.sha256(f"{method}{dataset}{n_places}{seed}{device}".encode()).hexdigest()[:16],
-        "config": _config(method, dataset, seed, device, take("arguments", {}), take("dataset_arguments", {}))
-        | {"code": take("code", "c0de"), "timing": {"minimum_seconds": 2.0}},
+        "config": {
+            "method": {"_target_": f"vprbench.methods.{method}", **(arguments := take("arguments", {}))},
+            "changed": dict(arguments),
+            "dataset": {"name": dataset, **take("dataset_arguments", {})},
+            **{"seed": seed, "device": device, "depth": 25, "code": take("code", "c0de")},
+            "overrides": [
+                *(f"method={method}", f"dataset={dataset}"),
+                *(f"method.{name}={value}" for name, value in arguments.items()),
+            ],
+            "timing": {"minimum_seconds": 2.0},
+        },
         "fingerprint": hashlib.sha256(f"{dataset}{n_places}".encode()).hexdigest(),
-        "environment": _environment(device, take("processor", "Abacus 9"), take("time_utc", "2025-01-31T12:00:00Z")),
+        "environment": {
+            **little.a_run().environment,
+            **{"processor": take("processor", "Abacus 9"), "time_utc": take("time_utc", "2025-01-31T12:00:00Z")},
+            **({"accelerator": "Loom 7"} if device.startswith("cuda") else {}),
+            "device": device,
+        },
         "notes": (),
         "n_references": n_places,
         "search": None if stored_bytes is None else {"index": "exact", "bytes_per_place": stored_bytes},
@@ -85,31 +99,6 @@ def run(method="little", share=0.5, n_queries=40, n_places=50, **changes):
         "scores": scores,
     }
     return little.a_run(**{**made, **changes})
-
-
-def _config(
-    method,
-    dataset,
-    seed,
-    device,
-    arguments,
-    dataset_arguments,
-):
-    overrides = [f"method={method}", f"dataset={dataset}", *(f"method.{name}={arguments[name]}" for name in arguments)]
-    return {
-        "method": {"_target_": f"vprbench.methods.{method}", **arguments},
-        "changed": dict(arguments),
-        "dataset": {"name": dataset, **dataset_arguments},
-        "seed": seed,
-        "device": device,
-        "depth": 25,
-        "overrides": overrides,
-    }
-
-
-def _environment(device, processor, time_utc):
-    accelerator = {"accelerator": "Loom 7"} if device.startswith("cuda") else {}
-    return {**little.a_run().environment, "processor": processor, "time_utc": time_utc, "device": device, **accelerator}
 
 
 def series(name, *runs, spiking=False):
@@ -127,40 +116,20 @@ def five_rows(device="cpu", seeds=(0, 1, 2), n_places=450):
     speed = 1.0 if device == "cpu" else 20.0
     size: dict[str, Any] = {"n_queries": n_places * 4 // 5, "n_places": n_places, "device": device}
     rows = [
-        ("SAD", "sad", 0.42, None, 0.0002, 0.0004, 0.36e9, 3136, False),
-        ("NetVLAD", "netvlad", 0.31, None, 1.9, 0.0003, 2.9e9, 16384, False),
-        ("GCL", "gcl", 0.33, None, 0.6, 0.0003, 1.6e9, 8192, False),
-        ("VPRSNN", "vprsnn", 0.40, 2900.0, 0.02, 0.45, 0.6e9, None, True),
+        ("SAD", "sad", 0.42, None, 0.0002 / speed, 0.0004 / speed, 360_000_000, 3136),
+        ("NetVLAD", "netvlad", 0.31, None, 1.9 / speed, 0.0003 / speed, 2_900_000_000, 16384),
+        ("GCL", "gcl", 0.33, None, 0.6 / speed, 0.0003 / speed, 1_600_000_000, 8192),
+        ("VPRSNN", "vprsnn", 0.40, 2900.0, 0.02 / speed, 0.45 / speed, 600_000_000, None),
     ]
+    names = ("fit_seconds", "encode_seconds", "match_seconds", "peak_memory_bytes", "bytes_per_place")
     made = [
-        series(
-            name,
-            run(
-                method,
-                share,
-                fit_seconds=fit,
-                encode_seconds=encode / speed,
-                match_seconds=match / speed,
-                peak_memory_bytes=int(memory),
-                bytes_per_place=kept,
-                **size,
-            ),
-            spiking=spiking,
-        )
-        for name, method, share, fit, encode, match, memory, kept, spiking in rows
+        series(name, run(method, share, **dict(zip(names, numbers, strict=True)), **size), spiking=name == "VPRSNN")
+        for name, method, share, *numbers in rows
         if device == "cpu" or name in ("NetVLAD", "GCL")
     ]
+    seconds = {"encode_seconds": 0.0004, "match_seconds": 0.0005 / speed**0.2, "peak_memory_bytes": 410_000_000}
     tempo = [
-        run(
-            "vprtempo",
-            0.37 + 0.02 * seed,
-            seed=seed,
-            fit_seconds=(9.0 + seed) / speed,
-            encode_seconds=0.0004,
-            match_seconds=0.0005 / speed**0.2,
-            peak_memory_bytes=410_000_000,
-            **size,
-        )
+        run("vprtempo", 0.37 + 0.02 * seed, seed=seed, fit_seconds=(9.0 + seed) / speed, **seconds, **size)
         for seed in seeds
     ]
     return (*made, series("VPRTempo", *tempo, spiking=True))

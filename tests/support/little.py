@@ -138,6 +138,12 @@ def laps(encode_seconds, match_seconds, images_per_call=1):
     return Laps(np.array(encode_seconds), np.array(match_seconds), images_per_call, True)
 
 
+def a_layer(*values):
+    """Return what a run keeps of the spikes of one layer."""
+    names = ("name", "neurons", "spikes_per_query", "active_share", "amplitude_mean")
+    return dict(zip(names, values, strict=True))
+
+
 def a_run(**changes):
     """Return a run of four queries and ten places; its right places stand 1st, 1st, 3rd and 8th.
 
@@ -157,7 +163,7 @@ def a_run(**changes):
             "overrides": ["method=little", "dataset=journey", "method.window=5", "seed=3"],
             "changed": {"window": 5},
             "code": "c0de" * 16,
-            "timing": plain_protocol(),
+            "timing": {name: [*v] if isinstance(v, tuple) else v for name, v in asdict(Protocol()).items()},
         },
         protocol={"reference": ["spring", "fall"], "query": "summer", "tolerance_places": 0},
         fingerprint="f" * 64,
@@ -215,22 +221,6 @@ def a_run(**changes):
     return replace(run, **changes)
 
 
-def a_layer(name, neurons, spikes_per_query, active_share, amplitude_mean):
-    """Return what a run keeps of the spikes of one layer."""
-    return {
-        "name": name,
-        "neurons": neurons,
-        "spikes_per_query": spikes_per_query,
-        "active_share": active_share,
-        "amplitude_mean": amplitude_mean,
-    }
-
-
-def plain_protocol():
-    """Return the timing protocol as a run keeps it, once it was read from disk."""
-    return {name: [*value] if isinstance(value, tuple) else value for name, value in asdict(Protocol()).items()}
-
-
 def a_failure(**changes):
     """Return a failure of the configuration of `a_run`, on the same machine, a day later."""
     run = a_run()
@@ -241,18 +231,9 @@ def a_failure(**changes):
 
 def unanswerable_run():
     """Return a run of four queries of which none has a right place."""
-    nothing = np.zeros(4, np.int64)
-    return a_run(
-        positives=(np.empty(0, np.int64),) * 4,
-        outcome=replace(
-            a_run().outcome,
-            top_tied_correct=nothing,
-            above=np.full(4, 10),
-            tied=nothing,
-            tied_correct=nothing,
-            n_positives=nothing,
-        ),
-    )
+    none = dict.fromkeys(("top_tied_correct", "tied", "tied_correct", "n_positives"), np.zeros(4, np.int64))
+    outcome = replace(a_run().outcome, above=np.full(4, 10), **none)
+    return a_run(positives=(np.empty(0, np.int64),) * 4, outcome=outcome)
 
 
 def save_keys(root, keys):
@@ -262,17 +243,22 @@ def save_keys(root, keys):
     return len(keys)
 
 
-def replace_and_die(root, step):
-    """Replace a stored run, killed right before so many steps that change or open something on disk are done."""
+def die_before(step):
+    """Let this process be killed right before so many steps that change or open something on disk are done."""
     steps = count()
 
     def die(event, _):
         if event in ("open", "os.mkdir", "os.rename", "os.remove", "os.rmdir") and next(steps) == step:
             os.kill(os.getpid(), signal.SIGKILL)
 
+    sys.addaudithook(die)
+
+
+def replace_and_die(root, step):
+    """Replace a stored run, killed before a step."""
     store = Store(root)
     store.save(a_run(n_references=21))
-    sys.addaudithook(die)
+    die_before(step)
     store.save(a_run(n_references=22))
 
 
@@ -285,15 +271,9 @@ def destination(path, method, dataset, replace=False):
 
 
 def replace_network_and_die(path, step):
-    """Replace a stored network, killed right before so many steps that change or open something on disk are done."""
-    steps = count()
-
-    def die(event, _):
-        if event in ("open", "os.rename", "os.remove") and next(steps) == step:
-            os.kill(os.getpid(), signal.SIGKILL)
-
+    """Replace a stored network, killed before a step."""
     dataset = journey(4, 4)
     method = Prototypes(seed=1).fit(dataset.references, dataset.places)
     where = destination(path, method, dataset, replace=True)
-    sys.addaudithook(die)
+    die_before(step)
     networks.save(where, method, "new", 1.0, 1.0)
