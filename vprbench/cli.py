@@ -121,9 +121,9 @@ def _run(config: DictConfig) -> int:
     asked = {name: plain[name] for name in RECORDED}
     asked["overrides"] = [registry.as_asked(option) for option in HydraConfig.get().overrides.task]
     from vprbench.run import machine
-    from vprbench.run.claims import HeldElsewhereError
     from vprbench.run.find_or_make import FailedElsewhereError, answer
     from vprbench.run.record import Failure
+    from vprbench.run.run_lock import HeldElsewhereError
     from vprbench.run.store import Store
 
     whose = {"method": choices["method"], "dataset": asked["dataset"].get("name", choices["dataset"]), "config": asked}
@@ -140,7 +140,7 @@ def _run(config: DictConfig) -> int:
             raise
         except HeldElsewhereError as error:  # whoever waits asks again
             logging.info("%s: it is left to that", error)
-            ending.tell(held=str(error.claim))
+            ending.tell(held=str(error.path))
             return 0
         except FailedElsewhereError as error:
             ending.tell(recorded=True, missing=error.failure.missing)

@@ -4,7 +4,7 @@ A serial run tells what is right; it is kept in build/chaos, and made again if c
 over, clients are given one and the same command again and again, now with workers of their own, now on a dask cluster
 of other processes, while one process after the other is killed. In peace the command then ends, and everything it left
 is looked at. The exit code is 0 if every cell is stored once and equal to the serial run, if no two processes made one
-cell at the same time, and if no claim, no temporary file and no process is left.
+cell at the same time, and if no lock, no temporary file and no process is left.
 """
 
 from __future__ import annotations
@@ -162,7 +162,7 @@ class Chaos:
             "doubled": watched.read_text().splitlines() if watched.exists() else [],
             "different": sorted(key for key in right.keys() & made.keys() if not _equal(right[key], made[key])),
             "failed": [f"{each.method}: {each.error}" for each in Store(results, read_only=True).failures()],
-            "claimed": sorted((results / ".claims").glob("*")),
+            "locked": sorted((results / ".locks").glob("*")),
         }
         counts = ", ".join(f"{len(those)} {what}" for what, those in found.items())
         print(f"{results.name}: {len(made)} of {self.n_cells} cells; {counts}", flush=True)

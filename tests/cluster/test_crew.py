@@ -26,9 +26,9 @@ RUN = ["method=sad", "dataset=synthetic", "dataset.places=12", "timing=none", "f
 def test_a_cell_is_asked_for_when_there_is_room_and_one_that_another_sweep_makes_is_asked_again_at_the_end(monkeypatch):
     asked = []
     held = iter([True, False])
-    ends = iter([Ending(0), Ending(0, held="a claim"), Ending(1), Ending(0, key="of the other sweep")])
+    ends = iter([Ending(0), Ending(0, held="a lock"), Ending(1), Ending(0, key="of the other sweep")])
     monkeypatch.setattr(crews, "run_apart", lambda options, **_: asked.append(f"makes {options[0]}") or next(ends))
-    monkeypatch.setattr(crews.claims, "is_held", lambda claim: next(held))
+    monkeypatch.setattr(crews.run_lock, "is_held", lambda lock: next(held))
     monkeypatch.setattr(crews, "_LOOK_EVERY", 0.0)
 
     def cells():
@@ -114,7 +114,7 @@ def test_workers_of_this_machine_make_cells_gather_them_and_make_up_for_those_th
     assert (number, ending.code, begun) == (5, 0, [5])
     (run,) = Store(results).runs()
     assert (run.method, run.key, run.environment["threads"]) == ("sad", ending.key, 1)
-    assert not (results / ".claims").exists()
+    assert not (results / ".locks").exists()
     assert once == (0, 2, "")
     assert (always[1], always[2][:12]) == (None, "KilledWorker")
     assert len([*(tmp_path / "True").iterdir()]) == 4  # it was tried again three times
@@ -127,7 +127,7 @@ def test_a_worker_of_another_version_makes_no_cell():
 
 
 def test_the_runs_of_a_worker_are_packed_once_its_descriptors_stay_and_what_comes_back_damaged_is_not_stored(tmp_path):
-    for name in ("synthetic/sad-1/run.json", "descriptors/abc/kept.npy", "frames/f.npz", ".claims/sad"):
+    for name in ("synthetic/sad-1/run.json", "descriptors/abc/kept.npy", "frames/f.npz", ".locks/sad"):
         (tmp_path / name).parent.mkdir(parents=True)
         (tmp_path / name).write_bytes(name.encode())
     assert {*packed(tmp_path).files} == {"synthetic/sad-1/run.json", "frames/f.npz"}

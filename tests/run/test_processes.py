@@ -93,18 +93,15 @@ def test_an_interruption_is_told_once_by_the_process_that_was_asked(in_sweep, mo
     assert len(capsys.readouterr().err.splitlines()) == (not in_sweep)
 
 
-def test_a_dead_child_leaves_no_claim_and_no_half_file(ends, tmp_path):
+def test_a_dead_child_leaves_no_lock_and_no_half_file(ends, tmp_path):
     store, host = tmp_path / "results", owner.mark().partition("-")[0]
-    (store / ".claims").mkdir(parents=True)
-    claim = store / ".claims" / "it"
-    words = json.dumps({**owner.this_process(), "process": 1234567, "started": 7654321})
-    (tmp_path / "words").write_text(words)
-    (tmp_path / "begun").write_text(json.dumps({"claim": str(claim), "results": str(store)}))
+    (store / ".locks").mkdir(parents=True)
+    (store / ".locks/it").touch()
+    (tmp_path / "begun").write_text(json.dumps({"results": str(store)}))
     others = store / f".partial-{owner.mark()}-x"
     others.touch()
     ends(
         "started=$(cut -d' ' -f22 /proc/$$/stat)\n"
-        f'sed "s/1234567/$$/;s/7654321/$started/" {tmp_path}/words > {claim}\n'
         f"touch {store}/.partial-{host}-$$-$started-y\n"
         f'cat {tmp_path}/begun > "$VPRBENCH_ENDING"; kill -KILL $$'
     )

@@ -12,14 +12,15 @@ from types import TracebackType
 from typing import Self
 
 from vprbench.cluster.options import ClusterOptions
-from vprbench.run import claims
+from vprbench.run import run_lock
 from vprbench.run.processes import Ending, run_apart
+from vprbench.run.store import Store
 
 Cell = tuple[int, Sequence[str]]  # its number, and its options of the command line
 Begins = Callable[[int, str], None]  # told which cell begins, and on which host
 Heard = Callable[[int, str], None]  # told which cell says a line on its standard error
 
-_LOOK_EVERY = 1.0  # seconds between looks at whether the claims of others are gone
+_LOOK_EVERY = 1.0  # seconds between looks at whether the locks of others are free
 
 
 class Crew:
@@ -46,18 +47,18 @@ class Crew:
         """Yield the number of each cell and how it ended, in any order.
 
         A cell is asked for when there is room for it, so that what is known by then may decide which. One that another
-        sweep has claimed is tried again at the end. Without `heard` cells share this process's standard error.
+        sweep makes is tried again at the end. Without `heard` cells share this process's standard error.
         """
         coming = iter(cells)
-        claimed: dict[int, tuple[Sequence[str], str]] = {}  # options, and the claim
+        elsewhere: dict[int, tuple[Sequence[str], str]] = {}  # options, and the lock
         running: dict[int, Sequence[str]] = {}
         while True:
-            while len(running) < (self.room() if running or claimed else 1):
-                cell = next(coming, None) or _freed(claimed, wait=not running)
+            while len(running) < (self.room() if running or elsewhere else 1):
+                cell = next(coming, None) or _freed(elsewhere, wait=not running)
                 if cell is None:
                     break
                 if not self._since:
-                    self._since = claims.Claims(results_of(cell[1])).now()
+                    self._since = Store(results_of(cell[1])).now()
                 running[cell[0]] = cell[1]
                 self._start(cell, begins, heard)
             if not running:
@@ -65,7 +66,7 @@ class Crew:
             for number, ending in self._ended():
                 options = running.pop(number)
                 if ending.held:
-                    claimed[number] = options, ending.held
+                    elsewhere[number] = options, ending.held
                 else:
                     yield number, ending
 
@@ -86,12 +87,12 @@ class Crew:
         return made
 
 
-def _freed(claimed: dict[int, tuple[Sequence[str], str]], wait: bool) -> Cell | None:
+def _freed(elsewhere: dict[int, tuple[Sequence[str], str]], wait: bool) -> Cell | None:
     """Return a cell that nobody else makes any more; if there is none, wait for one or return None."""
-    while claimed:
-        for number, (options, claim) in claimed.items():
-            if not claims.is_held(claim):
-                del claimed[number]
+    while elsewhere:
+        for number, (options, lock) in elsewhere.items():
+            if not run_lock.is_held(lock):
+                del elsewhere[number]
                 return number, options
         if not wait:
             return None

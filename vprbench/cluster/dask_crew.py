@@ -31,7 +31,7 @@ from vprbench.cluster.options import ClusterOptions
 from vprbench.errors import BadInput, ClusterLostError
 from vprbench.plugins.entries import as_asked
 from vprbench.progress import answer_stream, marked
-from vprbench.run import claims
+from vprbench.run import run_lock
 from vprbench.run.processes import Ending
 from vprbench.run.store import Store
 from vprbench.text import printable
@@ -80,7 +80,7 @@ class DaskCrew(Crew):
                     self._client.run(stop, self._sweep, on_error="ignore")
                     wait([*self._running], timeout=_PATIENCE)
         for root in {results_of(options) for _, options in self._running.values()}:
-            claims.Claims(root).tidy()  # of cells that had to be killed
+            run_lock.remove_leftovers(root)  # of cells that had to be killed
 
     @cached_property
     def _client(self) -> Client:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Callable, Mapping
-from contextlib import chdir, nullcontext, suppress
+from contextlib import ExitStack, chdir, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from vprbench import ending
 from vprbench.api.checkpoints import ledger
@@ -23,11 +23,11 @@ from vprbench.plugins import networks, registry
 from vprbench.progress import overheard, progress_shown
 from vprbench.run import energy, machine, runner, stream, thumbnails
 from vprbench.run.adaptation import adaptation
-from vprbench.run.claims import Claim, Claims, Held, HeldElsewhereError, wait
 from vprbench.run.corrupted_frames import corrupted
 from vprbench.run.identity import Request, data_record, fingerprint, hashed
 from vprbench.run.processes import IN_SWEEP, SINCE
 from vprbench.run.record import Failure, Run
+from vprbench.run.run_lock import HeldElsewhereError, RunLock
 from vprbench.run.sequences import views
 from vprbench.run.settings import Settings, n_threads
 from vprbench.run.store import Store, identity, insist_on_writing
@@ -95,21 +95,6 @@ def made(request: Request, settings: Settings, store: Store, tuned_on: Mapping[s
     While another process makes it this one waits; in a sweep it raises HeldElsewhereError instead. Raises
     FailedElsewhereError if that failed meanwhile.
     """
-    since = float(os.environ[SINCE]) if SINCE in os.environ else None
-    while True:
-        try:
-            return _found_or_made(request, settings, store, tuned_on, since)
-        except HeldElsewhereError as error:
-            if os.environ.get(IN_SWEEP):
-                raise
-            logging.info("%s: waiting for it", error)
-            since = since or Claims(store.root).now()
-            wait(error.claim)
-
-
-def _found_or_made(
-    request: Request, settings: Settings, store: Store, tuned_on: Mapping[str, Any], since: float | None
-) -> Made:
     process, refused = os.getpid(), _refused(store)
     key, dataset = request.key(), request.dataset
     if request.files.save is not None and networks.made_by(request.files.save) == key:
@@ -121,16 +106,17 @@ def _found_or_made(
     if found is None and refused is not None:
         raise refused
 
-    claim = _claim(request, folder, store) if found is None else None
-    with claim or nullcontext(), ledger():  # what was trained is kept until the run is stored
-        if claim is not None and identity(folder) != before:  # another process was done just before
-            stored, found = _stored(request, key, settings, store)
-        if claim is not None and found is None:
+    with ExitStack() as held, ledger():  # what was trained is kept until the run is stored
+        if found is None:
+            lock, since = _locked(request, folder, store, held)
+            if identity(folder) != before:  # another process was done just before
+                stored, found = _stored(request, key, settings, store)
+        if found is None:
             if since is not None and (failure := store.failure(request.name, dataset.name, request.config, since)):
                 raise FailedElsewhereError(failure)
-            run = replace(_run(request, settings, store, stored, claim, tuned_on), tuned_on=tuned_on)
+            run = replace(_run(request, settings, store, stored, lock, tuned_on), tuned_on=tuned_on)
         else:
-            run = _told(cast(Run, found), request, tuned_on)
+            run = _told(found, request, tuned_on)
         ending.leave_if_forked(process)  # a plug-in's fork has the same run to store
         # yaml and dataset may say so only since the run was stored
         known = found is not None and (refused or (found.tuned_on == tuned_on and _gaps(found) == _gaps(dataset)))
@@ -164,14 +150,24 @@ def _told(found: Run, request: Request, tuned_on: Mapping[str, Any]) -> Run:
     return replace(run, query_breaks=request.dataset.query_breaks, place_breaks=request.dataset.place_breaks)
 
 
-def _claim(request: Request, folder: Path, store: Store) -> Claim:
-    """Claim the run that would lie in a folder; raises HeldElsewhereError, and BadInput for a folder that refuses."""
+def _locked(request: Request, folder: Path, store: Store, held: ExitStack) -> tuple[RunLock, float | None]:
+    """Return the lock of the run that would lie in a folder, freed with `held`, and since when a failure counts.
+
+    While another process holds the lock this process waits; in a sweep HeldElsewhereError is raised instead.
+    """
     named = {name: request.config.get(name) for name in ("seed", "device", "corruption")}
     about = {"method": request.name, "dataset": request.dataset.name, **named}
-    taken = Claims(store.root).take(f"{request.dataset.name}/{folder.name}", about)
-    if isinstance(taken, Held):
-        raise HeldElsewhereError(f"{request.name} on {request.dataset.name}", taken.path, taken.whose)
-    return taken
+    lock = RunLock(store.root, f"{request.dataset.name}/{folder.name}", about)
+    since = float(os.environ[SINCE]) if SINCE in os.environ else None
+    if not lock.acquire(wait=False):
+        error = HeldElsewhereError(f"{request.name} on {request.dataset.name}", lock.path)
+        if os.environ.get(IN_SWEEP):
+            raise error
+        logging.info("%s: waiting for it", error)
+        since = since or store.now()
+        lock.acquire()
+    held.enter_context(lock)
+    return lock, since
 
 
 def _run(
@@ -179,23 +175,18 @@ def _run(
     settings: Settings,
     store: Store,
     stored: Run | None,
-    claim: Claim,
+    lock: RunLock,
     tuned_on: Mapping[str, Any],
 ) -> Run:
-    """Make a run; raises HeldElsewhereError where another process has taken it over meanwhile."""
+    """Make a run."""
     process, key, title = os.getpid(), request.key(), f"{request.name} on {request.dataset.name}"
     needed = settings.scores or bool(views(settings.sequence, settings.filter))
     request = replace(request, scores=needed or (stored is not None and stored.scores is not None))  # which stay
     # what a process fails at that dies without a word
     ending.tell(run={"method": request.name, "dataset": request.dataset.name, "config": dict(request.config)})
 
-    def insist() -> None:
-        ending.leave_if_forked(process)
-        if not claim.kept():
-            raise HeldElsewhereError(title, claim.path, "another process, which took it over")
-
     def keep(scored: Run) -> None:  # whatever becomes of its timing; a stored run stays until it can be replaced
-        insist()
+        ending.leave_if_forked(process)
         logging.info("%s on %s: %s; its times follow", scored.method, scored.dataset, _recall(scored))
         if stored is None:
             with suppress(BadInput):  # which is raised when it is stored with its times
@@ -203,12 +194,11 @@ def _run(
 
     for place in (store.root / request.dataset.name, store.folder(request.dataset.name, request.name, key)):
         insist_on_writing(place)
-    with progress_shown(title), overheard(claim.tell), chdir("."):
+    with progress_shown(title), overheard(lock.tell), chdir("."):
         run = runner.run(request, key, keep)
         run = replace(run, stream=stream.grown(request)) if request.stream else run
         if settings.energy:
             run = replace(run, energy=energy.costs(request, run))
-    insist()
     return run
 
 

@@ -45,7 +45,7 @@ class Ending:
     error: str = ""
     recorded: bool = False  # whether the store knows of the error
     key: str = ""  # of the run that is stored
-    held: str = ""  # the claim of another process that makes the run now: ask again once it is gone
+    held: str = ""  # the lock of another process that makes the run now: ask again once it is free
 
 
 def run_apart(
@@ -92,7 +92,7 @@ def run_apart(
         words, died = ending.told(left), None
         if "code" not in words:
             died = None if signals else _dead(watched[0].words_on(code), words, heard)
-            watched[0].tidy()  # who waits for its claim finds the failure stored
+            watched[0].tidy()
     if signals and (in_sweep or "code" not in words):
         raise KeyboardInterrupt(signals[0])
     known = {name: words[name] for name in Ending.__dataclass_fields__ if name in words}

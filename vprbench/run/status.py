@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from vprbench.errors import BadInput
-from vprbench.run.claims import Claims, Held
+from vprbench.run.run_lock import HeldLock, held_locks
 
 _ABOUT = ("method", "dataset", "seed", "device", "corruption")
 _STORED = {"runs": "*/[!.]*/run.json", "failures": "*/[!.]*/failure.json"}
@@ -33,12 +33,12 @@ def status(results: str) -> dict[str, Any]:
         kind: sum(not path.parent.parent.name.startswith(".") for path in root.glob(pattern))
         for kind, pattern in _STORED.items()
     }
-    claims = sorted(map(_claim, Claims(root).held()), key=lambda claim: str(claim["since"]))
+    claims = sorted(map(_claim, held_locks(root)), key=lambda claim: str(claim["since"]))
     return {"results": str(root), **stored, "claims": claims}
 
 
-def _claim(held: Held) -> dict[str, Any]:
-    """Return a claim as plain values, None for what its file does not tell."""
+def _claim(held: HeldLock) -> dict[str, Any]:
+    """Return a run that is being made as plain values, None for what the file of its lock does not tell."""
     about, since, done = (held.words.get(name) for name in ("about", "since", "done"))
     told = about if isinstance(about, Mapping) else {}
     return {
@@ -48,22 +48,21 @@ def _claim(held: Held) -> dict[str, Any]:
         "stage": held.words.get("stage"),
         "done": done if isinstance(done, float) else None,
         "silent_seconds": round(held.silent_seconds, 1),
-        "alive": held.alive,
+        "alive": True,
     }
 
 
 def row(claim: Mapping[str, Any]) -> dict[str, str]:
-    """Return a claim as the cells of a line, by their columns."""
+    """Return a run that is being made as the cells of a line, by their columns."""
     words = {name: "?" if value is None else str(value) for name, value in claim.items()}
     on = "" if claim["corruption"] is None else f", {words['corruption']}"
-    beat = f"{claim['silent_seconds']:.0f} s ago"
     return {
         "run": f"{words['method']} on {words['dataset']}{on}",
         "stage": words["stage"].split(",")[0],
         "%": "?" if claim["done"] is None else f"{100 * claim['done']:.0f}",
         "host": words["host"],
         "process": words["process"],
-        "last beat": beat if claim["alive"] else f"{beat}: dead, and free to be taken over",
+        "last word": f"{claim['silent_seconds']:.0f} s ago",
         "seed": words["seed"],
         "device": words["device"],
         "owner": words["owner"],

@@ -8,13 +8,14 @@ import logging
 import os
 import shutil
 import tempfile
+import time
 import uuid
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from vprbench.errors import BadInput
-from vprbench.run.claims import Claims
+from vprbench.run import run_lock
 from vprbench.run.record import (
     SUMMARY,
     DamagedRunError,
@@ -51,12 +52,20 @@ class Store:
             self.root.mkdir(parents=True, exist_ok=True)
             self._remove_leftovers()
             self._partial().rmdir()
-            Claims(self.root).tidy()
+            run_lock.remove_leftovers(self.root)
         except OSError as error:
             raise BadInput(
                 f"results={self.root} cannot be written ({error.strerror or error}): "
                 "choose another folder with results=..."
             ) from error
+
+    def now(self) -> float:
+        """Return the time in seconds by the clock of the disk; that of this machine where nothing can be written."""
+        try:
+            with tempfile.TemporaryFile(prefix=PARTIAL, dir=self.root) as probe:
+                return os.fstat(probe.fileno()).st_mtime
+        except OSError:
+            return time.time()
 
     def folder(self, dataset: str, method: str, key: str) -> Path:
         """Return where a run with this key lies, or would lie."""

@@ -1,4 +1,4 @@
-"""Looks after a process while it runs: its limit of time, its claim, and what it leaves."""
+"""Looks after a process while it runs: its limit of time, and what it leaves."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from vprbench import ending
-from vprbench.run import claims
+from vprbench.run import run_lock
 from vprbench.storage.atomic import PARTIAL, remove_leftovers
 
 _LOOK_EVERY = 0.1  # seconds
@@ -23,7 +23,6 @@ class Watched:
     def __init__(self, child: subprocess.Popen[bytes], left: Path) -> None:
         """Look after a child that leaves its words in `left`."""
         self._child, self._left = child, left
-        self._beat = 0.0
         self.late = False
 
     def wait(self, stopped: Callable[[], bool] | None = None) -> int:
@@ -45,12 +44,12 @@ class Watched:
         return f"was ended by signal {-code} ({signal.Signals(-code).name}){memory}"
 
     def tidy(self) -> None:
-        """Take away the claim and the unfinished files of a child that is dead and could not do so."""
+        """Remove the lock and the unfinished files of a child that is dead and could not do so."""
         words = ending.told(self._left)
-        if "claim" in words:
-            claims.clear(words["claim"])
         if "results" in words:
-            for folder in {path.parent for path in Path(words["results"]).rglob(f"{PARTIAL}*")}:
+            results = Path(words["results"])
+            run_lock.remove_leftovers(results)
+            for folder in {path.parent for path in results.rglob(f"{PARTIAL}*")}:
                 remove_leftovers(folder)
 
     def end_by(self, number: signal.Signals) -> None:
@@ -58,10 +57,6 @@ class Watched:
         self._child.send_signal(number)
 
     def _look(self) -> None:
-        words, now = ending.told(self._left), time.monotonic()
-        if now > words.get("until", math.inf):
+        if time.monotonic() > ending.told(self._left).get("until", math.inf):
             self.late = True
             self._child.kill()
-        if "claim" in words and now - self._beat >= claims.BEAT_SECONDS:
-            self._beat = now
-            claims.beat(words["claim"])

@@ -15,8 +15,7 @@ from typing import Any
 
 def this_process() -> dict[str, Any]:
     """Return what tells this process from all others, on whatever host."""
-    process = os.getpid()
-    return {**_host(), "process": process, "parent": os.getppid(), "started": started(process)}
+    return {**_host(), "process": os.getpid()}
 
 
 @functools.cache
@@ -81,8 +80,3 @@ def lives(words: Mapping[str, Any]) -> bool | None:
     except OSError:  # another user's
         return None
     return bool(started(process) == words.get("started"))
-
-
-def is_ours(words: Mapping[str, Any]) -> bool:
-    """Tell whether these are words of this process, or of one that it has started."""
-    return words.get("machine") == _host()["machine"] and os.getpid() in (words.get("process"), words.get("parent"))

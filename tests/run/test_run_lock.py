@@ -1,4 +1,4 @@
-"""A run is claimed while it is made: of many processes one makes it, the dead hold nothing, and `status` tells."""
+"""A run is locked while it is made: of many processes one makes it, the dead hold nothing, and `status` tells."""
 
 import contextlib
 import json
@@ -7,9 +7,7 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 
 import pytest
@@ -18,73 +16,64 @@ from little import Lookup, a_failure, a_run, journey
 from little_runs import QUICK, asked_for, table
 
 from vprbench import cli
-from vprbench.run import claims, find_or_make
-from vprbench.run.claims import EXPIRES_SECONDS, Claim, Claims, Held, HeldElsewhereError
+from vprbench.run import find_or_make, run_lock
 from vprbench.run.find_or_make import FailedElsewhereError
 from vprbench.run.processes import IN_SWEEP, SINCE
+from vprbench.run.run_lock import HeldElsewhereError, RunLock, held_locks
 from vprbench.run.settings import Settings
 from vprbench.run.store import Store
 
 pytestmark = pytest.mark.usefixtures("surroundings")
 
-KEY = "journey/little-0123456789abcdef"
+RUN = "journey/little-0123456789abcdef"
 ABOUT = {"method": "little", "dataset": "journey", "seed": 3, "device": "cpu", "corruption": "shift-1"}
-ELSEWHERE = {"token": "theirs", "machine": "another", "host": "far", "process": 1, "parent": 1, "started": 1}
-OWNER = """
-import os, sys, time
+HOLDER = """
+import sys, time
 from pathlib import Path
-from vprbench.run.claims import Claims
-with Claims(Path(sys.argv[1])).take(sys.argv[2], {}):
-    print("claimed", flush=True)
-    time.sleep(60)
+from vprbench.run.run_lock import RunLock
+lock = RunLock(Path(sys.argv[1]), sys.argv[2], {})
+assert lock.acquire(wait=False)
+print(flush=True)
+time.sleep(60)
 """
 
 
 @contextlib.contextmanager
-def owner(root):
-    """Yield a process that has claimed KEY, as one whose parent is this one."""
-    command = [sys.executable, "-c", OWNER, str(root), KEY]
+def held_elsewhere(root, run=RUN):
+    """Yield a process that holds the lock of a run."""
+    command = [sys.executable, "-c", HOLDER, str(root), run]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT) as process:
-        assert process.stdout.readline() == "claimed\n"
+        assert process.stdout.readline() == "\n"
         yield process
         process.kill()
 
 
-@pytest.mark.parametrize("key", [KEY, "a/b", "a-b", "ü/\udcff " + 300 * "x", "../../up"])
-def test_of_all_who_want_a_run_of_any_name_one_gets_it_and_after_it_the_next_and_nothing_is_left(key, tmp_path):
+@pytest.mark.parametrize("run", [RUN, "a/b", "a-b", "ü/\udcff " + 300 * "x", "../../up"])
+def test_of_all_who_want_a_run_of_any_name_one_gets_it_and_after_it_the_next_and_nothing_is_left(run, tmp_path):
     for _ in range(2):
-        with Claims(tmp_path / "results").take(key, {}) as claim:
-            assert isinstance(Claims(tmp_path / "results").take(key, {}), Held)
-            assert [*(tmp_path / "results" / ".claims").iterdir()] == [claim.path]
-            with Claims(tmp_path / "results").take(f"{key}0", {}) as other:
-                assert isinstance(other, Claim)
+        lock = RunLock(tmp_path / "results", run, {})
+        assert lock.acquire()
+        with lock:
+            assert not RunLock(tmp_path / "results", run, {}).acquire(wait=False)
+            assert [*(tmp_path / "results" / ".locks").iterdir()] == [lock.path]
+            assert RunLock(tmp_path / "results", f"{run}0", {}).acquire(wait=False)
+        run_lock.remove_leftovers(tmp_path / "results")
         assert [*(tmp_path / "results").iterdir()] == []
 
 
-def test_the_claim_of_a_stopped_owner_is_held_and_of_a_dead_one_is_free_at_once(tmp_path):
-    with owner(tmp_path) as process:
-        held = Claims(tmp_path).take(KEY, {})
-        assert held.words["process"] == process.pid
+def test_the_lock_of_a_stopped_process_is_held_and_of_a_killed_one_free_at_once(tmp_path):
+    with held_elsewhere(tmp_path) as process:
         process.send_signal(signal.SIGSTOP)
-        os.utime(held.path, (1.0, 1.0))
-        assert isinstance(Claims(tmp_path).take(KEY, {}), Held)
+        assert not RunLock(tmp_path, RUN, {}).acquire(wait=False)
+        (held,) = held_locks(tmp_path)
+        assert (held.words["process"], run_lock.is_held(held.path)) == (process.pid, True)
+        run_lock.remove_leftovers(tmp_path)
         process.kill()
         process.wait()
-        assert isinstance(Claims(tmp_path).take(KEY, {}), Claim)
-
-
-@pytest.mark.parametrize("text", [None, "", '{"token": "th', "[]", '{"process": "x", "since": {}}'])
-def test_the_claim_of_another_host_or_a_part_of_one_expires_and_is_taken_over_by_one_of_many(text, tmp_path):
-    with Claims(tmp_path).take(KEY, {}) as claim:
-        claim.path.write_text(json.dumps(ELSEWHERE) if text is None else text)
-        for silent_seconds, held in ((EXPIRES_SECONDS - 10, 4), (EXPIRES_SECONDS + 10, 3)):
-            os.utime(claim.path, (time.time() - silent_seconds,) * 2)
-            with ThreadPoolExecutor(4) as threads:
-                taken = [*threads.map(lambda _: Claims(tmp_path).take(KEY, {}), range(4))]
-            assert [isinstance(each, Held) for each in taken].count(True) == held
-    assert not claim.kept()
-    Claims(tmp_path).tidy()
-    assert [path.name for path in tmp_path.iterdir()] == [".claims"]  # of a living owner
+        assert (held_locks(tmp_path), run_lock.is_held(held.path), held.path.exists()) == ([], False, True)
+        run_lock.remove_leftovers(tmp_path)
+        assert [*tmp_path.iterdir()] == []
+        assert not run_lock.is_held(held.path)
 
 
 @dataclass
@@ -110,14 +99,12 @@ def made(method, store):
     return find_or_make.made(request, Settings(frames=False, timing=request.protocol), store, {})
 
 
-def claim_of_another(store):
-    """Claim the run of `made` as another process would: it is known by what it would be stored as."""
+def lock_of_another(store):
+    """Lock the run of `made` as another process would: it is known by what it would be stored as."""
     elsewhere = Store(store.root.with_name("elsewhere"))
     made(busy(), elsewhere)
     (folder,) = (elsewhere.root / "journey").iterdir()
-    claim = Claims(store.root).take(f"journey/{folder.name}", {})
-    assert isinstance(claim, Claim)
-    return claim
+    return held_elsewhere(store.root, f"journey/{folder.name}")
 
 
 def failure_of(method):
@@ -125,23 +112,23 @@ def failure_of(method):
     return a_failure(method="little", dataset="journey", config=config, error="ValueError: no", missing=False)
 
 
-def test_a_run_is_claimed_while_it_is_made_and_nothing_is_left_of_the_claim_nor_is_a_stored_one_claimed(
+def test_a_run_is_locked_while_it_is_made_and_nothing_is_left_of_the_lock_nor_is_a_stored_run_locked(
     store, monkeypatch
 ):
     seen = []
-    made(busy(lambda: seen.extend(dict(held.words) for held in Claims(store.root).held())), store)
+    made(busy(lambda: seen.extend(held.words for held in held_locks(store.root))), store)
     (words,) = seen
     assert words["about"] == {"method": "little", "dataset": "journey", "seed": 0, "device": "cpu", "corruption": None}
     assert words["stage"] == "fit"
     assert [path.name for path in store.root.iterdir()] == ["journey"]
-    monkeypatch.setattr(Claims, "take", None)
+    monkeypatch.setattr(RunLock, "acquire", None)
     assert made(busy(), store).from_store
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, ValueError])
 def test_of_a_run_that_fails_or_is_interrupted_nothing_is_left(error, store):
     def fail():
-        assert len(Claims(store.root).held()) == 1
+        assert len(held_locks(store.root)) == 1
         raise error
 
     with pytest.raises(error):
@@ -150,26 +137,28 @@ def test_of_a_run_that_fails_or_is_interrupted_nothing_is_left(error, store):
 
 
 def test_in_a_sweep_a_run_that_another_process_makes_is_left_to_it(store, monkeypatch):
-    claim, method = claim_of_another(store), busy()
+    method = busy()
     monkeypatch.setenv(IN_SWEEP, "1")
-    with pytest.raises(HeldElsewhereError) as raised:
-        made(method, store)
-    assert (raised.value.claim, method.fits) == (claim.path, [])
-    claim.release()
+    with lock_of_another(store) as process:
+        with pytest.raises(HeldElsewhereError) as raised:
+            made(method, store)
+        assert (run_lock.is_held(raised.value.path), method.fits) == (True, [])
+        process.kill()
+        process.wait()
     assert not made(method, store).from_store
     assert method.fits == [1]
 
 
-def test_alone_a_run_waits_for_the_one_who_makes_it_and_is_answered_from_the_store(store, monkeypatch):
-    monkeypatch.setattr(claims, "_LOOK_EVERY", 0.01)
-    begun, waited_for = threading.Event(), threading.Event()
+def test_alone_a_run_waits_for_the_process_that_makes_it_and_is_answered_from_the_store(store, caplog):
+    begun = threading.Event()
 
-    def wait(path):
-        waited_for.set()
-        claims.wait(path)
+    def wait_for_the_other():
+        begun.set()
+        while "waiting for it" not in caplog.text:
+            pass
 
-    monkeypatch.setattr(find_or_make, "wait", wait)
-    other = threading.Thread(target=made, args=(busy(lambda: begun.set() or waited_for.wait(20)), store))
+    caplog.set_level("INFO")
+    other = threading.Thread(target=made, args=(busy(wait_for_the_other), store))
     other.start()
     begun.wait(20)
     method = busy()
@@ -180,13 +169,15 @@ def test_alone_a_run_waits_for_the_one_who_makes_it_and_is_answered_from_the_sto
 
 
 def test_alone_a_run_that_fails_elsewhere_meanwhile_is_not_tried_again(store, monkeypatch):
-    claim, method = claim_of_another(store), busy()
+    method = busy()
+    acquire = RunLock.acquire
 
-    def fail(_):
-        store.save_failure(failure_of(method))
-        claim.release()
+    def fail_meanwhile(lock, wait=True):
+        if wait:
+            store.save_failure(failure_of(method))
+        return wait and acquire(lock)
 
-    monkeypatch.setattr(find_or_make, "wait", fail)
+    monkeypatch.setattr(RunLock, "acquire", fail_meanwhile)
     with pytest.raises(FailedElsewhereError, match=r"little on journey failed .*: ValueError: no"):
         made(method, store)
     assert method.fits == []
@@ -194,7 +185,7 @@ def test_alone_a_run_that_fails_elsewhere_meanwhile_is_not_tried_again(store, mo
 
 def test_a_sweep_tries_again_what_failed_before_it_began_and_nothing_that_failed_since(store, monkeypatch):
     method = busy()
-    before = Claims(store.root).now() - 1
+    before = store.now() - 1
     store.save_failure(failure_of(method))
     monkeypatch.setenv(SINCE, repr(before))
     with pytest.raises(FailedElsewhereError):
@@ -202,18 +193,6 @@ def test_a_sweep_tries_again_what_failed_before_it_began_and_nothing_that_failed
     monkeypatch.setenv(SINCE, repr(before + 60))
     assert not made(method, store).from_store
     assert method.fits == [1]
-
-
-def test_a_run_that_another_process_took_over_meanwhile_is_not_stored(store, monkeypatch):
-    def lose():
-        (held,) = Claims(store.root).held()
-        held.path.write_text(json.dumps({"token": "theirs"}))
-
-    monkeypatch.setenv(IN_SWEEP, "1")
-    with pytest.raises(HeldElsewhereError):
-        made(busy(lose), store)
-    assert [*store.runs()] == []
-    assert len(Claims(store.root).held()) == 1
 
 
 def printed(capsys, store, *options):
@@ -231,8 +210,11 @@ def test_stored_runs_and_failures_are_counted_and_a_run_that_is_being_made_stand
         (store.root / path).parent.mkdir(parents=True)
         (store.root / path).write_text("{}")
     assert len(printed(capsys, store).splitlines()) == 2
-    with Claims(store.root).take("journey/little-1", ABOUT) as claim:
-        claim.tell("fit, reading images", 0.25)
+    lock = RunLock(store.root, "journey/little-1", ABOUT)
+    assert lock.acquire()
+    with lock:
+        lock.tell("fit, reading images", 0.25)
+        (store.root / ".locks/of-a-killed-process").write_text('{"about": {"met')
         head, row = printed(capsys, store, "wide=true").splitlines()[1:]
         told = json.loads(printed(capsys, store, "output=json"))
     assert head.split()[:3] == ["run", "stage", "%"]
@@ -243,19 +225,6 @@ def test_stored_runs_and_failures_are_counted_and_a_run_that_is_being_made_stand
     assert (made["stage"], made["done"], made["process"]) == ("fit, reading images", 0.25, os.getpid())
     assert made["alive"]
     assert made["silent_seconds"] < 30
-
-
-def test_the_claim_of_a_dead_owner_and_one_that_is_not_all_there_stand_there_too(store, capsys):
-    folder = store.root / ".claims"
-    folder.mkdir(parents=True)
-    (folder / "half").write_text('{"about": {"met')
-    (folder / "odd").write_text('{"about": 3, "since": "x", "done": "x", "owner": "\\u001b[2J"}')
-    (folder / "old").write_text("")
-    os.utime(folder / "old", (1.0, 1.0))
-    lines = printed(capsys, store, "wide=true").splitlines()
-    assert len(lines) == 5
-    assert ["dead" in line for line in lines[2:]].count(True) == 1
-    assert "\x1b" not in "".join(lines)
 
 
 def test_of_a_folder_that_is_not_there_nothing_is_told_or_made(tmp_path, capsys):

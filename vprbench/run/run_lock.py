@@ -1,0 +1,146 @@
+"""The lock on a run of a results folder: of many processes one makes the run, and the system frees the lock with it."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import hashlib
+import json
+import logging
+import re
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Self
+
+from filelock import FileLock, Timeout
+
+from vprbench.storage import owner
+
+logger = logging.getLogger(__name__)
+
+FOLDER = ".locks"  # within a results folder: a file for each run that is being made
+_LOOK_EVERY = 0.5  # seconds between looks at a lock that is waited for
+_TELL_EVERY = 5.0  # seconds between two words on a stage that goes on
+_STAGE_LENGTH = 60  # letters
+_BYTES = 2048  # of a file: it is written over in one piece
+
+
+@dataclass(frozen=True)
+class HeldLock:
+    """A lock that a process holds, and what it tells of its run."""
+
+    path: Path
+    words: Mapping[str, Any]  # none while it begins to write
+    silent_seconds: float  # since it told how far it is
+
+
+class HeldElsewhereError(Exception):
+    """Another process makes the run now."""
+
+    def __init__(self, run: str, path: Path) -> None:
+        """Name the run, and hold the file of its lock."""
+        whose = _words(path)[0].get
+        maker = f"{whose('owner', 'somebody')} on {whose('host', 'some host')} (process {whose('process', 'unknown')})"
+        super().__init__(f"{run} is being made by {maker}")
+        self.path = path
+
+
+class RunLock:
+    """The lock on one run; leave the block to free it."""
+
+    def __init__(self, root: Path, run: str, about: Mapping[str, Any]) -> None:
+        """Name the run of the results folder `root`, and what others may read `about` it."""
+        name = re.sub(r"[^A-Za-z0-9_-]+", "-", run)[-150:]  # and whatever stands in a name, no two share a file
+        name = f"{name}-{hashlib.sha256(run.encode(errors='surrogateescape')).hexdigest()[:8]}"
+        self.path = root.absolute() / FOLDER / name  # a method may change the working folder
+        self._lock = FileLock(self.path, thread_local=False)
+        self._words = {"about": dict(about), "since": time.time(), **owner.this_process()}
+        self._run, self._told = run, ("", 0.0)
+
+    def acquire(self, wait: bool = True) -> bool:
+        """Take the lock, if need be once its holder has ended; returns False if others hold it and nobody waits.
+
+        Where nothing can be locked a warning says so, and the run is made all the same.
+        """
+        while True:
+            try:
+                self.path.parent.mkdir(parents=True, exist_ok=True)
+                self._lock.acquire(blocking=wait, poll_interval=_LOOK_EVERY)
+                break
+            except Timeout:
+                return False
+            except FileNotFoundError:  # who was done has just removed the folder
+                continue
+            except OSError as error:
+                reason = error.strerror or error
+                logger.warning("%s cannot be locked (%s): another process may make it too", self._run, reason)
+                return True
+        self.tell("begins", 0.0)
+        return True
+
+    def __enter__(self) -> Self:
+        """Hold the lock, which was acquired."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Free the lock, and leave no file."""
+        if self._lock.is_locked:
+            with contextlib.suppress(OSError):
+                self.path.unlink()  # who has opened it meanwhile sees that it is gone, and opens another one
+        self._lock.release()
+        with contextlib.suppress(OSError):
+            self.path.parent.rmdir()
+
+    def tell(self, stage: str, done: float) -> None:
+        """Let others read how far the run is, 0 to 1; a stage that goes on is written now and then."""
+        now = time.monotonic()
+        if not self._lock.is_locked or (stage == self._told[0] and now - self._told[1] < _TELL_EVERY):
+            return
+        self._told = stage, now
+        text = json.dumps({**self._words, "stage": stage[:_STAGE_LENGTH], "done": round(done, 3)})
+        with contextlib.suppress(OSError), self.path.open("r+b") as file:
+            file.write(text.encode().ljust(_BYTES))
+
+
+def held_locks(root: Path) -> list[HeldLock]:
+    """Return the locks that processes hold on runs of a results folder, by their names."""
+    return [HeldLock(path, *_words(path)) for path in _files(root) if is_held(path)]
+
+
+def remove_leftovers(root: Path) -> None:
+    """Remove the files of locks that nobody holds: their holders were killed."""
+    for path in _files(root):
+        lock = FileLock(path)
+        with contextlib.suppress(OSError, Timeout), lock.acquire(blocking=False):
+            path.unlink()
+    with contextlib.suppress(OSError):
+        (root / FOLDER).rmdir()
+
+
+def is_held(path: Path | str) -> bool:
+    """Tell whether a process holds this lock: once it does not, its run is stored, or free to be made."""
+    try:
+        with Path(path).open("rb") as file:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:  # it is gone
+        return False
+    return False
+
+
+def _files(root: Path) -> list[Path]:
+    with contextlib.suppress(OSError):
+        return sorted((root / FOLDER).iterdir())
+    return []
+
+
+def _words(path: Path) -> tuple[dict[str, Any], float]:
+    """Return what a holder says of its run, nothing while it writes, and the seconds since then."""
+    try:
+        told, beat = json.loads(path.read_bytes()), path.stat().st_mtime
+    except (OSError, ValueError):
+        return {}, 0.0
+    return (told if isinstance(told, dict) else {}), max(0.0, time.time() - beat)
