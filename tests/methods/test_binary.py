@@ -1,16 +1,12 @@
 """Bits of Gabor filters and oriented edges, and the descriptor that they are cut from."""
 
-import cv2
 import numpy as np
 import pytest
-from checkout import SHARED
-from corridor import needs_corridor
 from preprocess_frames import smooth_frame
 
 from vprbench.api import BadInput, GaborBank, Images
 from vprbench.methods.binary import GaborBinary, OrientedBinary, strongest
 from vprbench.methods.gabor import Gabor
-from vprbench.methods.sad import SAD
 
 FRAMES = Images.from_arrays([smooth_frame(32, 64, seed) for seed in range(6)])
 BY_CELL = GaborBinary(height=28, width=28, patch=7, within="cell", shares=[0.25])
@@ -66,18 +62,3 @@ def test_gabor_scores_are_cosines_of_codes_or_of_the_responses_as_they_are():
         directions = rows.astype(np.float64) / np.linalg.norm(rows.astype(np.float64), axis=1, keepdims=True)
         scores = Gabor(normalised=normalised).fit(FRAMES, np.arange(6)).query(FRAMES)
         np.testing.assert_allclose(scores, directions @ directions.T, atol=1e-5)
-
-
-@needs_corridor
-def test_more_places_are_found_across_the_seasons_than_by_sad():
-    folder = SHARED / "data" / "nordland_64x32"
-    names = (folder / "frames_clean_qvpr.txt").read_text(encoding="utf-8").split()[:200]
-    winter, summer = (
-        Images.from_arrays([cv2.imread(str(folder / season / name)) for name in names])
-        for season in ("winter", "summer")
-    )
-    sad, *found = (
-        np.mean(tried.fit(winter, np.arange(200)).query(summer).argmax(1) == np.arange(200))
-        for tried in (SAD(), Gabor(), GaborBinary(), OrientedBinary())
-    )
-    assert min(found) > sad + 0.1

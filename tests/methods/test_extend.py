@@ -57,14 +57,10 @@ def test_what_learns_its_places_together_says_so(method: Method) -> None:
         learnt(method, 15, 16)
 
 
-RULES: list[dict[str, Any]] = [
-    {},
-    {"rules": "reference"},
-    {"calibrated_scores": True, "output_rule": "covariance", "feature_rule": "rates"},
-]
-
-
-@pytest.mark.parametrize("rules", RULES)
+@pytest.mark.parametrize(
+    "rules",
+    [{}, {"rules": "reference"}, {"calibrated_scores": True, "output_rule": "covariance", "feature_rule": "rates"}],
+)
 def test_known_neurons_keep_their_weights_and_after_a_module_of_new_ones_another_begins(rules: dict[str, Any]) -> None:
     before, after = learnt(VPRTempo(**SMALL, **rules), 15).state(), learnt(VPRTempo(**SMALL, **rules), 15, 18, 19, 20)
     grown = after.state()
@@ -73,18 +69,10 @@ def test_known_neurons_keep_their_weights_and_after_a_module_of_new_ones_another
     assert [len(grown[f"outputs_{module}"]) for module in range(3)] == [8, 7, 5]
     assert [len(learnt(VPRTempo(**SMALL, **rules), 8, 12, 20).state()[f"outputs_{n}"]) for n in range(3)] == [8, 4, 8]
     assert all(np.array_equal(features, grown["features"][1]) for features in grown["features"][1:])
-
-
-@pytest.mark.parametrize("rules", RULES)
-def test_a_network_that_grew_is_stored_whole(rules: dict[str, Any]) -> None:
-    grown = learnt(VPRTempoEnsemble(**SMALL, **rules, members=2), 15, 16, 20)
-    restored = VPRTempoEnsemble(**SMALL, **rules, members=2).restore(grown.state())
-    assert restored.query(QUERIES) == pytest.approx(grown.query(QUERIES), abs=1e-5)
+    readable = learnt(VPRTempo(**SMALL, **rules, engine="readable"), 15, 18, 19, 20).state()
+    assert grown["outputs_2"] == pytest.approx(readable["outputs_2"], abs=1e-3)
+    of_two = learnt(VPRTempoEnsemble(**SMALL, **rules, members=2), 15, 16, 20)
+    restored = VPRTempoEnsemble(**SMALL, **rules, members=2).restore(of_two.state())
+    assert restored.query(QUERIES) == pytest.approx(of_two.query(QUERIES), abs=1e-5)
     with pytest.raises(BadInput):
         restored.extend(IMAGES[:1], np.array([20]))
-
-
-@pytest.mark.parametrize("rules", RULES[:2])
-def test_new_neurons_learn_alike_in_both_engines(rules: dict[str, Any]) -> None:
-    fused, readable = (learnt(VPRTempo(**SMALL, **rules, engine=engine), 15, 20) for engine in ("fused", "readable"))
-    assert fused.state()["outputs_2"] == pytest.approx(readable.state()["outputs_2"], abs=1e-4)

@@ -1,18 +1,14 @@
 """GCL's whitening against the authors' way by singular values."""
 
-import re
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from described_images import composed
 from published_networks import unit
 
 from vprbench.api.weights import Weights
 from vprbench.errors import BadInput, NotFittedError
 from vprbench.methods.gcl import GCL, Whitening
-from vprbench.plugins import registry
 
 
 def gcl(**arguments: Any) -> GCL:
@@ -77,10 +73,3 @@ def test_whitening_needs_a_map_and_a_component() -> None:
         gcl(n_components=4).match(vectors(2, 1))
     with pytest.raises(BadInput, match=r"method.n_components=0"):
         scores(vectors(9, 1), vectors(2, 2), 0)
-
-
-def test_a_missing_file_is_told_with_what_to_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("VPRBENCH_WEIGHTS", str(tmp_path))
-    with pytest.raises(BadInput, match=re.escape("python -m gdown --folder")) as error:
-        registry.make_method(composed("method=gcl")).files()
-    assert "\n" not in str(error.value)

@@ -55,8 +55,6 @@ FILES = {
 SIZES = {
     "anyloc": (42, 49152),
     "ap_gem": (64, 2048),
-    "boq": (322, 12288),
-    "boq_resnet50": (384, 16384),
     "conv_ap": (32, 4096),
     "cosplace": (64, 2048),
     "cricavpr": (224, 10752),
@@ -66,9 +64,6 @@ SIZES = {
     "dinov2 method.backbone=vitg14": (42, 1536),
     "gcl": (64, 2048),
     "megaloc": (126, 8448),
-    "mixvpr": (320, 4096),
-    "mixvpr_512": (320, 512),
-    "mixvpr_128": (320, 128),
     "salad": (126, 8448),
     "sfrs": (64, 4096),
     "supervlad": (56, 3072),
@@ -175,13 +170,6 @@ VALUES = {
 def test_the_network_without_values_has_the_published_number_of_values(words: str) -> None:
     with torch.device("meta"):
         assert sum(values.numel() for values in made(words).blank().parameters()) == VALUES[words]
-
-
-@pytest.mark.parametrize("domain", ["indoor", "urban", "aerial", "structured", "unstructured", "global"])
-def test_the_published_centres_of_anyloc_follow_from_the_domain(domain: str) -> None:
-    centres = configuration(f"anyloc method.domain={domain}")["centres"]
-    assert centres["file"] == f"dinov2_vitg14_l31_value_c32_{domain}_c_centers.pt"
-    assert centres["url"] == f"https://github.com/AnyLoc/DINO/releases/download/v1/{centres['file']}"
 
 
 # What they see of an image, in their authors' evaluation and in VPR-methods-evaluation

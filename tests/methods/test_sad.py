@@ -98,31 +98,23 @@ def test_codes_may_lie_anyhow_but_have_to_fit_the_map() -> None:
 ASLEEP = SimpleNamespace(submit=lambda *_: Future())  # helpers that never come: no answer waits for them
 
 
+def test_threads_are_started_only_if_that_pays_and_pytorch_may_use_them(monkeypatch, threads) -> None:
+    for n_threads, n_references, n_queries, others in ((2, 3300, 1, 0), (2, 27_592, 1, 1), (1, 3300, 128, 0)):
+        helpers = Mock(wraps=ThreadPoolExecutor(2))
+        monkeypatch.setattr(sad, "_helpers", lambda helpers=helpers: helpers)
+        torch.set_num_threads(n_threads)
+        fitted(codes(n_references, 784, seed=1)).match(codes(n_queries, 784, seed=2))
+        assert helpers.submit.call_count == others
+
+
 @pytest.mark.parametrize(("n_references", "n_threads", "helpers"), [(1, 2, None), (301, 5, None), (30, 2, ASLEEP)])
-def test_any_number_of_threads_gives_the_same(
-    n_references: int, n_threads: int, helpers, monkeypatch: pytest.MonkeyPatch, threads: None
-) -> None:
+def test_any_number_of_threads_gives_the_same(n_references, n_threads, helpers, monkeypatch, threads) -> None:
     monkeypatch.setattr(sad, "_WORTH_A_THREAD", 1)
     if helpers is not None:
         monkeypatch.setattr(sad, "_helpers", lambda: helpers)
     torch.set_num_threads(n_threads)
     references, queries = codes(n_references, 784, seed=1), codes(9, 784, seed=2)
     assert same_bits(fitted(references).match(queries), oracle(queries, references))
-
-
-@pytest.mark.parametrize(
-    ("n_threads", "n_references", "n_queries", "others"),
-    [(2, 3300, 1, 0), (2, 3300, 128, 1), (2, 27_592, 1, 1), (1, 3300, 128, 0)],
-)
-def test_threads_are_started_only_if_that_pays_and_pytorch_may_use_them(
-    n_threads: int, n_references: int, n_queries: int, others: int, monkeypatch: pytest.MonkeyPatch, threads: None
-) -> None:
-    with ThreadPoolExecutor(2) as pool:
-        helpers = Mock(wraps=pool)
-        monkeypatch.setattr(sad, "_helpers", lambda: helpers)
-        torch.set_num_threads(n_threads)
-        fitted(codes(n_references, 784, seed=1)).match(codes(n_queries, 784, seed=2))
-    assert helpers.submit.call_count == others
 
 
 @needs_corridor

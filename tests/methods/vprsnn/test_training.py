@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import threading
 from typing import Literal
 
@@ -127,10 +128,8 @@ def test_initial_weights_are_uniform_from_the_offset_on_and_delays_rounded_to_th
 def test_delays_differ_between_modules_seeds_and_between_training_and_queries() -> None:
     model, other_seed = (Model(height=1, width=50, n_excitatory=20, seed=seed) for seed in (0, 1))
     drawn = [model.delays(0), model.delays(1), model.delays(0, new=True), other_seed.delays(0)]
-    assert np.array_equal(model.delays(0), drawn[0])
-    for number, one in enumerate(drawn):
-        for other in drawn[:number]:
-            assert np.mean(one == other) < 0.05
+    for one, other in itertools.combinations(drawn, 2):
+        assert np.mean(one == other) < 0.05
 
 
 def test_a_module_learns_the_same_whether_or_not_others_follow_and_each_draws_differently() -> None:
@@ -145,20 +144,12 @@ def test_a_module_learns_the_same_whether_or_not_others_follow_and_each_draws_di
 # recorded presentations
 
 
-@pytest.mark.parametrize(
-    ("arguments", "shown"),
-    [
-        ({"epochs": 3}, [6] * 5),  # fewer than are recorded
-        # Of 30 presentations, 10 an epoch, the last 12: places 3 and 4 of the second traverse, then two of every place
-        ({"epochs": 3, "recorded_presentations": 12}, [2, 2, 2, 3, 3]),
-    ],
-)
-def test_the_last_presentations_are_recorded_which_changes_nothing_else(arguments, shown):
-    found, whole = fitted(**arguments).state(), fitted(**{**arguments, "recorded_presentations": 250}).state()
-    assert found["shown"].tolist() == [shown]
-    assert 0 < found["sums"].sum() <= whole["sums"].sum()
+def test_the_last_presentations_are_recorded_which_changes_nothing_else():
+    # Of 30 presentations, 10 an epoch, the last 12: places 3 and 4 of the second traverse, then two of every place
+    found, whole = (fitted(epochs=3, recorded_presentations=last).state() for last in (12, 250))
+    assert (found["shown"].tolist(), whole["shown"].tolist()) == ([[2, 2, 2, 3, 3]], [[6] * 5])
+    assert 0 < found["sums"].sum() < whole["sums"].sum()
     assert np.array_equal(found["weights"], whole["weights"])
-    assert np.array_equal(found["theta"], whole["theta"])
 
 
 # threads

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -170,25 +169,6 @@ def test_neither_the_number_of_threads_nor_onednn_change_a_score(rules, ask, mon
     monkeypatch.setattr(torch.backends.mkldnn, "is_available", lambda: False)
     monkeypatch.setattr(torch.Tensor, "to_mkldnn", lambda _: pytest.fail("oneDNN was used"))
     assert ask(asking([asked], rules), spikes) == expected
-
-
-@pytest.mark.parametrize(
-    ("name", "kind", "kernels"),
-    [
-        ("query", "SpikingQuery", ("_feature_spikes", "add_active")),
-        ("quantised", "Int8SpikingQuery", ("_multiply", "_write_levels")),
-    ],
-)
-def test_the_first_query_waits_for_no_compiler(name: str, kind: str, kernels: tuple[str, ...]) -> None:
-    where = importlib.import_module(f"vprbench.methods.vprtempo.{name}").__file__
-    specification = importlib.util.spec_from_file_location(f"vprbench.methods.vprtempo.{name}_anew", where)
-    assert specification is not None
-    assert specification.loader is not None
-    module = importlib.util.module_from_spec(specification)
-    specification.loader.exec_module(module)
-    compiled = [len(getattr(module, kernel).signatures) for kernel in kernels]
-    getattr(module, kind)(network([5, 3]), PAPER).scores(shown(1))
-    assert compiled == [len(getattr(module, kernel).signatures) for kernel in kernels] == [1, 1]
 
 
 def test_several_threads_may_ask_one_network_at_once() -> None:
