@@ -16,7 +16,7 @@ class Protocol:
     Source: the rules of MLPerf LoadGen (warm-up, minimum duration and count).
     """
 
-    minimum_seconds: float = 2.0
+    minimum_seconds: float = 1.0
     minimum_queries: int = 64  # enough for a 90th percentile; 662 are for a 99th
     minimum_passes: int = 1  # over the sample of images
     maximum_seconds: float = 120.0
