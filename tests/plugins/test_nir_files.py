@@ -35,6 +35,11 @@ def trained(request):
     return kind(**SMALL, **arguments).fit(RIDE.references, RIDE.places)
 
 
+@pytest.fixture(scope="module")
+def plain():
+    return VPRTempo(**SMALL).fit(RIDE.references, RIDE.places)
+
+
 def stored(method, folder):
     pytest.importorskip("nir", reason="the extra nir is not installed")
     path = folder / "net.nir"
@@ -42,14 +47,11 @@ def stored(method, folder):
     return path
 
 
-def arguments(method):
-    return {name: value for name, value in vars(method).items() if not name.startswith("_")}
-
-
 def loaded(path, method, kind=None):
     """Load a file into a new method with the arguments of another one."""
-    new = (kind or type(method))(**arguments(method))
-    networks.load(path, new, networks.origin(new, arguments(new), RIDE))
+    arguments = {name: value for name, value in vars(method).items() if not name.startswith("_")}
+    new = (kind or type(method))(**arguments)
+    networks.load(path, new, networks.origin(new, arguments, RIDE))
     return new
 
 
@@ -61,18 +63,13 @@ def test_the_layers_of_a_circuit_answer_as_the_network(trained):
     assert np.allclose(x, trained.query(SEEN), atol=1e-5)
 
 
-def test_a_network_comes_back_from_nir_to_the_bit(trained, tmp_path):
+def test_a_network_comes_back_from_nir_to_the_bit_and_is_loaded_with_8_bits(trained, plain, tmp_path):
     back = loaded(stored(trained, tmp_path), trained)
     assert np.array_equal(back.query(SEEN), trained.query(SEEN))
-    assert {name: array.tobytes() for name, array in back.state().items()} == {
-        name: array.tobytes() for name, array in trained.state().items()
-    }
-
-
-def test_8_bits_load_the_network_that_was_stored_as_nir(tmp_path):
-    method = VPRTempo(**SMALL).fit(RIDE.references, RIDE.places)
-    back = loaded(stored(method, tmp_path), method, VPRTempoInt8)
-    assert np.allclose(back.query(SEEN), method.query(SEEN), atol=0.02)
+    assert {n: a.tobytes() for n, a in back.state().items()} == {n: a.tobytes() for n, a in trained.state().items()}
+    (tmp_path / "net.nir").unlink()
+    back = loaded(stored(plain, tmp_path), plain, VPRTempoInt8)
+    assert np.allclose(back.query(SEEN), plain.query(SEEN), atol=0.02)
 
 
 @pytest.mark.parametrize("simulator", ["plain", "snntorch", "brian2"])
@@ -100,20 +97,19 @@ def test_another_simulator_names_the_same_places(trained, simulator, tmp_path):
     assert simulators.knows_the_neurons(graph, simulate)
 
 
-@pytest.mark.parametrize("wrong", [{"reset": "zero"}, {"reset": "none"}, {"kept": 0.9}], ids=str)
-def test_a_wrong_neuron_is_noticed(wrong, tmp_path):
-    path = stored(VPRTempo(**SMALL).fit(RIDE.references, RIDE.places), tmp_path)
+def test_a_wrong_neuron_is_noticed(plain, tmp_path):
+    path = stored(plain, tmp_path)
     import nir
     import nir_simulators as simulators
 
     graph = nir.read(path)
     assert graph.metadata["steps"] == 64
-    assert not simulators.knows_the_neurons(graph, partial(simulators.plain, **wrong))
+    for wrong in ({"reset": "zero"}, {"reset": "none"}, {"kept": 0.9}):
+        assert not simulators.knows_the_neurons(graph, partial(simulators.plain, **wrong))
 
 
-def test_a_file_that_was_changed_or_is_another_programs_is_refused(tmp_path):
-    method = VPRTempo(**SMALL).fit(RIDE.references, RIDE.places)
-    path = stored(method, tmp_path)
+def test_a_file_that_was_changed_or_is_another_programs_is_refused(plain, tmp_path):
+    method, path = plain, stored(plain, tmp_path)
     import h5py
 
     for change in ("node/nodes/affine/bias", "vprbench/constant"):
@@ -134,22 +130,16 @@ def test_a_file_that_was_changed_or_is_another_programs_is_refused(tmp_path):
         loaded(path, method)
 
 
-@pytest.mark.parametrize(
-    ("kind", "arguments", "named"),
-    [
-        (VPRTempo, {"calibrated_scores": True}, "method.calibrated_scores"),
-        (VPRTempo, {"rules": "v1"}, "method.silent_winner"),
-        (VPRTempoEnsemble, {}, "method.members"),
-        (Prototypes, {}, "Prototypes"),
-    ],
-)
-def test_what_is_no_circuit_is_refused_before_the_training(kind, arguments, named, tmp_path, monkeypatch):
+def test_what_is_no_circuit_and_a_missing_package_are_named_before_the_training(tmp_path, monkeypatch):
     monkeypatch.setattr("vprbench.plugins.nir_files.find_spec", lambda name: name)  # as if nir was installed
-    with pytest.raises(BadInput, match=named):
-        destination(tmp_path / "net.nir", kind(**arguments), journey(8, 4))
-
-
-def test_a_missing_package_is_named_before_the_training(tmp_path, monkeypatch):
+    for method, named in (
+        (VPRTempo(calibrated_scores=True), "method.calibrated_scores"),
+        (VPRTempo(rules="v1"), "method.silent_winner"),
+        (VPRTempoEnsemble(), "method.members"),
+        (Prototypes(), "Prototypes"),
+    ):
+        with pytest.raises(BadInput, match=named):
+            destination(tmp_path / "net.nir", method, journey(8, 4))
     monkeypatch.setattr("vprbench.plugins.nir_files.find_spec", lambda name: None)
     with pytest.raises(BadInput, match=r"vprbench\[nir\]"):
         destination(tmp_path / "net.nir", VPRTempo(**SMALL), RIDE)

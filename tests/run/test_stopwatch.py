@@ -105,7 +105,6 @@ def test_batches_are_whole_and_hold_no_more_than_there_is(kind, asked, images, h
         (66, 1, 64, [1, 8], 15),  # VPRSNN on a laptop
         (66, 4, 64, [1, 8, 32], 15),  # once they gain no more
         (2, 1, 256, [1, 8, 32, 128], 10),
-        (25, 1, 160, [1, 8, 32], 18),
     ],
 )
 def test_a_slow_method_is_asked_no_more_than_the_minima_take(milliseconds, gain, sample, batches, at_most):
@@ -151,8 +150,7 @@ def test_work_that_calls_and_laps_leave_on_the_device_counts_and_work_queued_bef
     assert lap == [0.009]
 
 
-@pytest.mark.parametrize("enabled", [True, False])
-@pytest.mark.parametrize("broken", [True, False])
+@pytest.mark.parametrize(("enabled", "broken"), [(True, True), (False, False)])
 def test_no_garbage_is_collected_in_timed_calls_and_the_collector_is_afterwards_as_it_was(enabled, broken):
     quiet = []
 
@@ -221,13 +219,14 @@ def test_each_pass_asks_each_sampled_image_once_in_an_order_that_the_seed_shuffl
     assert first == again != other
     assert first[:12] != list(range(12))
     assert [sorted(first[start : start + 12]) for start in (0, 12, 24)] == [list(range(12))] * 3
+    timing, _ = measured(short(minimum_queries=7), lambda numbers: [9, 2, 2, 2, 2][numbers[0]] * MS)
+    assert timing.repeated_seconds == pytest.approx(0.003)  # the median over images asked again
     timing, _ = measured(short(sample=3), images=9)
     assert (timing.sample.tolist(), timing.answers.tolist()) == ([0, 4, 8], [0, 4, 8])
 
 
 def test_images_are_decoded_before_the_clock_runs():
-    clock = Clock()
-    reads = []
+    clock, reads = Clock(), []
 
     def read(i):
         reads.append(clock.now)
@@ -235,8 +234,7 @@ def test_images_are_decoded_before_the_clock_runs():
 
     method = Timed(lambda nanoseconds: clock.spend(nanoseconds / 1e9), lambda _: MS, lambda _: MS)
     Stopwatch(short(), clock).measure(method, Images(read, ["a", "b", "c"]))
-    assert len(reads) >= 3
-    assert set(reads) == {0}
+    assert (len(reads) >= 3, {*reads}) == (True, {0})
 
 
 def test_a_sample_fills_no_more_than_its_bytes_however_small_its_first_image_is(tmp_path, monkeypatch):
@@ -245,11 +243,6 @@ def test_a_sample_fills_no_more_than_its_bytes_however_small_its_first_image_is(
     for path in paths:
         PillowImage.new("RGB", (50, 40) if path.name != "0.png" else (5, 4)).save(path)
     assert Stopwatch(short(sample=16)).measure(Timed(), Images.from_files(paths)).sample.tolist() == [0, 6, 12, 19]
-
-
-def test_the_repeated_time_is_the_median_over_images_asked_again():
-    timing, _ = measured(short(minimum_queries=7), lambda numbers: [9, 2, 2, 2, 2][numbers[0]] * MS)
-    assert timing.repeated_seconds == pytest.approx(0.003)
 
 
 def test_the_first_batch_of_each_size_is_not_timed():
@@ -276,25 +269,23 @@ def test_the_bound_of_a_percentile_is_the_lap_with_h_above_it(count, share, allo
     assert percentile_bound(seconds, share) == (None if allowed_above is None else count - allowed_above)
 
 
-@pytest.mark.parametrize(
-    ("option", "value"),
-    [
-        *((option, 0) for option in ("minimum_queries", "minimum_passes", "sample")),
-        *(("batch_sizes", value) for value in ([], [8, 0])),
-        *(("minimum_seconds", value) for value in (-1.0, 121.0, float("nan"))),
-        *(("maximum_seconds", value) for value in (0.0, 1.0, float("nan"))),
-    ],
-)
-def test_a_protocol_that_measures_nothing_is_refused_by_name(option, value):
-    with pytest.raises(BadInput, match=rf"timing\.{option}\b"):
-        Protocol(**({"minimum_seconds": 0.0} if value == 0.0 else {}) | {option: value})
+def test_a_protocol_that_measures_nothing_is_refused_by_name():
+    wrong = {
+        **{option: [0] for option in ("minimum_queries", "minimum_passes", "sample")},
+        "batch_sizes": [[], [8, 0]],
+        "minimum_seconds": [-1.0, 121.0, float("nan")],
+        "maximum_seconds": [0.0, 1.0, float("nan")],
+    }
+    for option, values in wrong.items():
+        for value in values:
+            with pytest.raises(BadInput, match=rf"timing\.{option}\b"):
+                Protocol(**({"minimum_seconds": 0.0} if value == 0.0 else {}) | {option: value})
 
 
 LIMITED = Protocol(0.25, 64, 1, 5.0, 64, 20, [1, 8, 32], total_seconds=5.0)
 
 
-@pytest.mark.parametrize("image_ms", [1, 30, 400, 4900])
-@pytest.mark.parametrize("call_ms", [0, 90])
+@pytest.mark.parametrize(("image_ms", "call_ms"), [(1, 0), (1, 90), (400, 0), (4900, 90)])
 def test_all_rates_together_take_no_longer_than_their_limit(image_ms, call_ms):
     clock = Clock()
     method = Timed(lambda ms: clock.spend(ms / 1e3), lambda numbers: call_ms + image_ms * len(numbers))
