@@ -20,25 +20,24 @@ def slow_hog(rgb, block=16, stride=8, cell=16, bins=9, sigma=4.0, signed=False, 
     across = framed[1:-1, 2:] - framed[1:-1, :-2]
     down = framed[2:, 1:-1] - framed[:-2, 1:-1]
 
+    strength = across[..., ::-1] ** 2 + down[..., ::-1] ** 2
+    channel = 2 - strength.argmax(2)[..., None]  # the strongest of blue, green, red; the first of equals
+    gx, gy = (np.take_along_axis(side, channel, 2)[..., 0] for side in (across, down))
+    turn = 2 * math.pi if signed else math.pi
+    position = np.arctan2(gy, gx) % turn / turn * bins - 0.5
+    offsets = np.arange(block)
+    weights = np.exp(-((offsets[:, None] - block / 2) ** 2 + (offsets - block / 2) ** 2) / (2 * sigma**2))
+    near = np.maximum(0, 1 - abs((offsets[:, None] + 0.5) / cell - 0.5 - np.arange(block // cell)))  # (offset, cell)
+
     def histograms(top, left):
+        part = slice(top, top + block), slice(left, left + block)
+        votes, at = np.hypot(gx, gy)[part] * weights, position[part]
         of_cell = np.zeros((block // cell, block // cell, bins))  # column, row, orientation
-        for y in range(block):
-            for x in range(block):
-                # the strongest of blue, green, red; max takes the first of equals
-                gx, gy = max(
-                    ((across[top + y, left + x, c], down[top + y, left + x, c]) for c in (2, 1, 0)),
-                    key=lambda gradient: gradient[0] ** 2 + gradient[1] ** 2,
-                )
-                turn = 2 * math.pi if signed else math.pi
-                position = math.atan2(gy, gx) % turn / turn * bins - 0.5
-                lower, share = math.floor(position), position % 1
-                vote = math.hypot(gx, gy) * math.exp(-((y - block / 2) ** 2 + (x - block / 2) ** 2) / (2 * sigma**2))
-                for column in range(block // cell):
-                    for row in range(block // cell):
-                        near_x = max(0, 1 - abs((x + 0.5) / cell - 0.5 - column))
-                        near_y = max(0, 1 - abs((y + 0.5) / cell - 0.5 - row))
-                        of_cell[column, row, lower % bins] += vote * near_x * near_y * (1 - share)
-                        of_cell[column, row, (lower + 1) % bins] += vote * near_x * near_y * share
+        for y, x in np.ndindex(block, block):
+            lower, share = math.floor(at[y, x]), at[y, x] % 1
+            vote = votes[y, x] * near[x][:, None] * near[y]
+            of_cell[..., lower % bins] += vote * (1 - share)
+            of_cell[..., (lower + 1) % bins] += vote * share
         flat = of_cell.ravel()
         clipped = np.minimum(flat / (np.linalg.norm(flat) + 0.1 * flat.size), 0.2)
         return clipped / (np.linalg.norm(clipped) + 1e-3)

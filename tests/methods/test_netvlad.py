@@ -193,21 +193,6 @@ def test_other_forms_of_a_checkpoint_are_read_and_values_are_float32(folder: Pat
     assert np.array_equal(encoded(PYTORCH.method(path), *PYTORCH.images), PYTORCH.codes(folder))
 
 
-@pytest.mark.parametrize(
-    ("network", "other", "complaint"),
-    [
-        (MATCONVNET, MSLS, "MatConvNet"),
-        (PYTORCH, MSLS, "WPCA.0.weight"),
-        (MSLS, PYTORCH, "WPCA.0.weight"),
-        (MSLS, MATCONVNET, "torch"),
-    ],
-)
-def test_a_file_of_another_family_is_refused(
-    network: PublishedNetwork, other: PublishedNetwork, complaint: str, folder: Path
-) -> None:
-    assert complaint in network.refusal(other.file(folder))
-
-
 MATLAB_OBJECT = scipy.io.matlab.MatlabObject(np.zeros((1, 1), [("a", object)]), "dagnn.DagNN")
 META = {"normalization": {"averageImage": np.zeros((1, 1, 3))}}
 

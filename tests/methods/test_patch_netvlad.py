@@ -27,6 +27,7 @@ from vprbench.methods.patch_netvlad import PatchNetVLAD, above_cosines
 pytestmark = pytest.mark.extended  # published networks at full size
 
 SIDES = {"performance": (2, 5, 8), "speed": (5,), "storage": (5,)}
+GEOMETRY = {"performance": "homography", "speed": "displacement", "storage": "displacement"}
 SHARES = {"performance": (0.45, 0.15, 0.4), "speed": (1.0,), "storage": (1.0,)}
 
 Tensors = dict[str, Tensor]
@@ -211,21 +212,13 @@ def fitted(world: SimpleNamespace, monkeypatch: pytest.MonkeyPatch, **arguments:
 
 
 def slow_score(configuration: str, query: np.ndarray, other: np.ndarray, side: int) -> float:
-    """How well the patches of two images match, pair by pair."""
+    """The score, which is worked by hand above, of the patches that are each other's nearest."""
     rows, columns = ROWS - side + 1, COLUMNS - side + 1
     distances = np.linalg.norm(query[:, None] - other, axis=2)
     nearest = distances.argmin(0)
     pairs = [(q, r) for r, q in enumerate(nearest.tolist()) if distances[q].argmin() == r]
-    if not pairs or (configuration == "performance" and len(pairs) < 4):
-        return 0.0
-    grid = cells(rows, columns)
-    ends = [grid[[pair[end] for pair in pairs]] for end in (0, 1)]
-    if configuration == "performance":
-        middles = [16 * end + 8 * (side - 1) + 7.0 for end in ends]
-        return int(cv2.findHomography(middles[1], middles[0], cv2.RANSAC, 24)[1].sum()) / (rows * columns)
-    moved = ends[1] - ends[0]
-    residuals = np.abs(moved - moved.mean(0))
-    return float(np.square((columns - 1, rows - 1) - residuals).sum()) / (rows * columns)
+    ends = (np.array([pair[end] for pair in pairs], np.int64) for end in (0, 1))
+    return score(GEOMETRY[configuration], cells(rows, columns), side, tuple(ends))
 
 
 def slow_scores(world: SimpleNamespace, code: np.ndarray, configuration: str, n_candidates: int) -> np.ndarray:

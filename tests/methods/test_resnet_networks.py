@@ -101,10 +101,10 @@ def test_a_resnet_of_cosplace_takes_the_smallest_image_too(folder: Path) -> None
     [
         (CosPlace, "VGG16", {64, 128, 256, 512}),
         (CosPlace, "ResNet18", {32, 64, 128, 256, 512}),
-        *((CosPlace, name, {32, 64, 128, 256, 512, 1024, 2048}) for name in ("ResNet50", "ResNet101", "ResNet152")),
+        (CosPlace, "ResNet152", {32, 64, 128, 256, 512, 1024, 2048}),
         (EigenPlaces, "VGG16", {512}),
         (EigenPlaces, "ResNet18", {256, 512}),
-        *((EigenPlaces, name, {128, 256, 512, 1024, 2048}) for name in ("ResNet50", "ResNet101")),
+        (EigenPlaces, "ResNet101", {128, 256, 512, 1024, 2048}),
         (EigenPlaces, "ResNet152", set()),
         (EigenPlacesIndoor, "ResNet18", set()),
         (EigenPlacesIndoor, "ResNet50", {2048}),

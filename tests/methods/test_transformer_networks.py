@@ -405,19 +405,3 @@ def test_one_tensor_under_the_names_of_two_wrappers_is_refused(folder: Path) -> 
 @with_checks(DINOV2, SALAD, SALAD_INDOOR, MEGALOC, SUPERVLAD, CROSS_IMAGE, CRICAVPR, BOQ, BOQ_RESNET)
 def test_it_is_the_published_network(check, folder: Path) -> None:
     check(folder)
-
-
-@pytest.mark.parametrize(
-    ("network", "other", "told"),
-    [
-        (SALAD, DINOV2, "backbone.model.cls_token"),
-        (SALAD_INDOOR, SALAD, "model."),
-        (SUPERVLAD, CROSS_IMAGE, "encoder.layers.0"),
-        (CROSS_IMAGE, SUPERVLAD, "encoder.layers.0"),
-        (BOQ, BOQ_RESNET, "aggregator.proj_c.weight"),
-    ],
-)
-def test_the_file_of_another_network_is_refused(
-    network: PublishedNetwork, other: PublishedNetwork, told: str, folder: Path
-) -> None:
-    assert told in network.refusal(other.file(folder))
