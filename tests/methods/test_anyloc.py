@@ -98,9 +98,6 @@ def test_blocks_after_the_layer_need_not_be_there_nor_fit_nor_are_kept(folder: P
     assert sum(name.endswith("attn.qkv.weight") for name, _ in network.named_parameters()) == LAYER + 1
 
 
-# Centres learnt from the references
-
-
 def references(n: int) -> Images:
     return Images.from_arrays([image(42, 56, 10 + seed) for seed in range(n)])
 
@@ -146,9 +143,6 @@ def test_a_fit_of_too_few_values_is_refused_and_forgets_the_one_before(folder: P
         fitted.fit(Images.from_arrays([image(28, 28)]), np.zeros(1, np.int64))
     with pytest.raises(NotFittedError):
         encoded(fitted, image(42, 42))
-
-
-# Files and arguments
 
 
 def refusal(made: AnyLoc) -> str:

@@ -18,8 +18,6 @@ from vprbench.methods.vprsnn.method import VPRSNN
 CONFIGURATIONS = ROOT / "conf" / "method"
 QUERIES = images(WORLD.queries)
 
-# arguments
-
 # The numbers of QVPR/VPRSNN, whose neurons spike above theta - 20 mV - 52 mV, and others that change what is learnt.
 NUMBERS: dict[str, tuple[Any, Any]] = {
     "preprocessing": ("A", "C"),

@@ -21,8 +21,6 @@ from vprbench.methods.vprsnn.model import Model
 from vprbench.methods.vprsnn.network import Network, ReadyNetwork
 from vprbench.methods.vprsnn.parallel import Stage
 
-# reactions
-
 N = 4
 # Neuron 0 hears three inputs, neuron 1 one of them, neuron 2 another, neuron 3 none.
 MADE = made([[0, 1, 2], [1], [3], []], [0, 1, 2, 2], N)
@@ -61,8 +59,6 @@ def test_a_neuron_with_as_many_reactions_as_the_threshold_is_not_heard(threshold
     assert np.flatnonzero(scores[0] > 0).tolist() == fires_for
     assert np.isneginf(scores).all() == (not fires_for)
 
-
-# the choice, all of it by hand
 
 PIXELS = 8
 BACKGROUND = range(2, PIXELS)  # pixels that are white in every image
@@ -162,9 +158,6 @@ def test_the_network_of_the_map_has_no_say_in_the_choice_but_counts_its_own_reac
     assert chosen(found) == 3
     assert found.state()["reactions"].tolist() == [[1, 1, 0, 0, 5, 0, 0]]
     assert np.isneginf(found.query(sights([]))).all()
-
-
-# the choice in a trained network
 
 
 def test_calibration_changes_the_threshold_alone_by_reactions_to_first_traverse_and_held_out_places(monkeypatch):

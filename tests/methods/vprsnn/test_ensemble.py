@@ -28,9 +28,6 @@ def alone(**arguments: Any) -> VPRSNN:
     return fitted(7, **arguments)
 
 
-# training
-
-
 @pytest.mark.parametrize(
     ("together", "first", "second"),
     [
@@ -57,9 +54,6 @@ def test_members_shuffle_their_places_by_their_own_seeds_and_agree_on_them_in_th
     assert first.tolist() != second.tolist()
     shown, places = references(7)
     assert np.mean(found.query(shown).argmax(1) == places) > 0.8
-
-
-# scores
 
 
 @pytest.mark.parametrize("change", [{}, {"assignment": "weighted", "hyperactive_threshold": 6}], ids=str)
@@ -109,9 +103,6 @@ def test_members_see_input_of_their_own() -> None:
     assert not np.array_equal(twice.match(codes), 2 * once.match(codes))
 
 
-# stored and restored
-
-
 def stored(*numbers: int) -> dict[str, npt.NDArray[Any]]:
     """Return the arrays of members so numbered."""
     return {f"member_{number}.{name}": array for number in numbers for name, array in alone().state().items()}
@@ -126,9 +117,6 @@ def test_other_arrays_than_those_of_the_members_are_refused() -> None:
             method.state()
     with pytest.raises(BadInput):
         VPRSNN(**SMALL).restore(stored(0, 1))
-
-
-# refusals
 
 
 def test_what_does_not_fit_the_members_is_refused_by_name() -> None:

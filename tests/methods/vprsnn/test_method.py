@@ -31,9 +31,6 @@ def trained() -> VPRSNN:
     return fitted(10)
 
 
-# How it is asked
-
-
 def asked_directly(
     method: VPRSNN, trains: list[npt.NDArray[np.bool_]], carried: bool
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
@@ -100,9 +97,6 @@ def test_new_delays_are_not_those_of_the_training_and_fast_leaves_them_out_and_n
     assert np.mean(fast.query(shown).argmax(1) == places) > 0.7
 
 
-# Scores and spikes
-
-
 def test_scores_are_those_of_the_spikes_and_of_what_each_neuron_speaks_for(trained: VPRSNN) -> None:
     codes, state = trained.encode(QUERIES), trained.state()
     spikes = layers(trained, codes)["excitatory"].reshape(len(codes), 2, -1)
@@ -140,9 +134,6 @@ def test_all_modules_see_the_same_input(trained: VPRSNN) -> None:
     assert np.array_equal(first, second)
 
 
-# What it recognises
-
-
 def test_five_places_learnt_at_full_resolution_are_recognised() -> None:
     shown, places = references(5)
     method = VPRSNN(places_per_module=5, n_excitatory=100).fit(shown, places)
@@ -160,9 +151,6 @@ def test_with_carried_potentials_it_keeps_all_rules_of_the_contract_but_two() ->
     results = list(check({**config, **SMALL, "carried_potentials": True}, set(SMALL)))
     assert [str(result) for result in results if result.state == "broken"] == []
     assert sum(result.state == "excepted" for result in results) == 2
-
-
-# What it refuses
 
 
 def test_a_gpu_is_refused_to_a_method_without_an_argument_device() -> None:

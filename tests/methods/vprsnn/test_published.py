@@ -157,9 +157,6 @@ def test_shapes_synapses_weights_and_thresholds_that_cannot_be_are_refused(tmp_p
     assert culprit in refusal(tmp_path)
 
 
-# What a method makes of them
-
-
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """The weights of a network that has learnt ten places, as published."""

@@ -25,9 +25,6 @@ class Interrupted(Exception):
     """Somebody ended the training."""
 
 
-# interruptions
-
-
 @pytest.fixture
 def trainings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The folder of partial trainings."""

@@ -61,9 +61,6 @@ def weighted_slowly(responses: Array, learnt: Responses, silenced: Mask, n_place
     return (shared @ (memory / total) * involved).astype(np.float32)
 
 
-# which place a neuron speaks for
-
-
 @pytest.mark.parametrize(
     ("learnt", "expected"),
     [
@@ -82,9 +79,6 @@ def test_a_neuron_speaks_for_the_place_with_most_spikes_a_presentation(learnt: R
     assert labels(learnt).dtype == np.int64
 
 
-# weighted
-
-
 def test_more_than_a_tenth_of_the_spikes_speak_for_a_place_and_are_divided_from_a_fiftieth_of_the_places_on() -> None:
     sums = np.array([[[9, 1], [0, 0]], [[17, 2], [0, 0]]], np.float32)  # 1 of 10, 2 of 19
     learnt = Responses(sums, np.full((2, 2), 10), np.array([[0, 1], [2, 3]]))
@@ -94,9 +88,6 @@ def test_more_than_a_tenth_of_the_spikes_speak_for_a_place_and_are_divided_from_
     for n_places, divided in ((150, 1 / 3), (151, 1.0)):
         score = scoring.weighted(np.array([[[1]]]), learnt, np.zeros((1, 1), np.bool_), n_places)[0, 7]
         assert score == pytest.approx(divided * 0.9, rel=1e-6)
-
-
-# queries in blocks
 
 
 @pytest.mark.parametrize("n_places", [23, 180])  # weighted: neurons of one place are divided, or those of four alone
@@ -124,9 +115,6 @@ def test_scores_are_those_of_a_loop_over_queries_and_places_in_blocks_of_any_siz
     assert np.allclose(weighted, expected, rtol=1e-6, atol=0)
 
 
-# normalisation and silent queries
-
-
 def test_a_query_is_normalised_from_its_lowest_score_to_a_sum_of_one() -> None:
     scores = np.array([[2, 5, 3, 2], [0, 0, 0, 8], [0, 0, 0, 0], [-np.inf] * 4], np.float32)
     before = scores.copy()
@@ -144,8 +132,6 @@ def test_a_query_to_which_no_neuron_that_counts_responds_matches_no_place() -> N
         assert found.tolist() == expected
         assert found.dtype == np.float32
 
-
-# the threshold by held-out places
 
 SILENT = [-np.inf, -np.inf]
 

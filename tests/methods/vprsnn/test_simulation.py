@@ -77,9 +77,6 @@ def agreed(given: Given, learning: bool = True, weight_sum: float | None = None)
     return run
 
 
-# The direct simulation as judge
-
-
 @pytest.mark.parametrize(("seed", "n_neurons"), [(0, 12), (1, 8), (2, 5), (9, 1), (9, 2)])
 def test_a_learning_module_equals_the_direct_simulation(seed, n_neurons):
     assert agreed(Given.drawn(seed, n_neurons), weight_sum=16.0).counts.sum() > 3 * n_neurons
@@ -157,9 +154,6 @@ def test_a_threshold_that_falls_quickly_is_reached_in_the_rest():
     values = Arguments(presentation_ms=20.0, rest_ms=300.0, theta_tau_ms=100.0)
     given = Given(np.full((1, 1), 0.3), np.zeros((1, 1), int), [silence(200, 1)] * 2, values)
     assert agreed(given).counts[:, 0].tolist() == [0, 5]
-
-
-# Single neurons
 
 
 def test_a_threshold_is_a_limit_that_must_be_passed():

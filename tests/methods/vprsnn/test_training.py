@@ -27,9 +27,6 @@ class Interrupted(Exception):
     """Somebody ended the training."""
 
 
-# which places
-
-
 def published_order(n_test: int, n_calibration: int, seed: int) -> tuple[list[int], list[int]]:
     """Return the places for testing, ascending, and the order in which the authors' modules take them.
 
@@ -64,9 +61,6 @@ def test_shuffled_modules_hold_the_places_that_the_published_split_gives_them(se
     assert [rest[place] for group in groups for place in group] == shuffled
 
 
-# the lesson
-
-
 @pytest.mark.parametrize(
     ("places", "members", "shown", "labels"),
     [
@@ -82,9 +76,6 @@ def test_a_module_is_shown_its_places_along_the_first_traverse_and_then_along_th
     found = lesson(7, np.array(members), levels, np.array(places))
     assert (found.number, found.places.tolist()) == (7, members)
     assert (found.levels[:, 0].tolist(), found.labels.tolist()) == (shown, labels)
-
-
-# one module
 
 
 def test_a_trained_module_equals_the_direct_simulation_from_its_first_silence_on(monkeypatch):
@@ -141,18 +132,12 @@ def test_a_module_learns_the_same_whether_or_not_others_follow_and_each_draws_di
     assert not np.allclose(weights[0], weights[1], rtol=0.1)
 
 
-# recorded presentations
-
-
 def test_the_last_presentations_are_recorded_which_changes_nothing_else():
     # Of 30 presentations, 10 an epoch, the last 12: places 3 and 4 of the second traverse, then two of every place
     found, whole = (fitted(epochs=3, recorded_presentations=last).state() for last in (12, 250))
     assert (found["shown"].tolist(), whole["shown"].tolist()) == ([[2, 2, 2, 3, 3]], [[6] * 5])
     assert 0 < found["sums"].sum() < whole["sums"].sum()
     assert np.array_equal(found["weights"], whole["weights"])
-
-
-# threads
 
 
 def test_two_threads_train_and_answer_what_one_does() -> None:

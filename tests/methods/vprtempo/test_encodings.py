@@ -108,9 +108,6 @@ def test_the_methods_of_oriented_edges_read_as_many_as_they_say(name: str, n_inp
     assert method.encode(QUERIES).shape == (len(QUERIES), n_inputs)
 
 
-# grey levels as spikes
-
-
 def test_a_spike_is_the_level_over_255_or_the_nearest_255th_of_the_maximum_of_its_image() -> None:
     every = np.arange(256)[None].astype(np.uint8)
     for fake_quantised in (False, True):  # under a maximum of 255 the step of 8 bits changes nothing

@@ -103,9 +103,6 @@ def test_arguments_under_which_there_is_no_ensemble_are_refused_by_name(name: st
         ensemble(**{"members": 2, name: value})
 
 
-# Calibrated scores
-
-
 def scores(kind: type[VPRTempo] = VPRTempo, **arguments: Any) -> npt.NDArray[np.float32]:
     return np.asarray(fitted(kind, **arguments).query(QUERIES))
 

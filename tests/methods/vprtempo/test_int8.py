@@ -44,9 +44,6 @@ def linear(rows: npt.ArrayLike) -> Int8LinearQuery:
     return Int8LinearQuery([one_layer(np.asarray(rows, np.float32).T)])
 
 
-# the scheme, written down once more in float64
-
-
 def in_127_steps(weights: Floats) -> tuple[Floats, Floats]:
     """Return whole steps (n_out, n_in) and the size of a step of each row (n_out,)."""
     size = np.abs(weights).max(1) / 127
@@ -119,8 +116,6 @@ def test_activations_halfway_between_two_levels_go_to_the_even_one_and_end_at_th
     assert found == pytest.approx(np.array([[0, 2, 2, 3, 254, 255, 0]] * 9), abs=1e-4)
 
 
-# one query and many
-
 KINDS = pytest.mark.parametrize(
     "make",
     [lambda n: Int8SpikingQuery(n, PAPER), lambda n: Int8SpikingQuery(n, V1), lambda n: Int8LinearQuery([n])],
@@ -138,9 +133,6 @@ def test_a_query_scores_in_a_batch_of_any_size_to_the_bit_as_alone(sizes, n_feat
     for count in (1, 7, 8, 9, 100):
         spikes = shown(count, n_pixels)
         assert np.array_equal(query.scores(spikes), one_by_one(query, spikes))
-
-
-# extremes
 
 
 @WAYS
@@ -169,9 +161,6 @@ def test_a_product_that_saturates_in_16_bits_as_on_a_processor_with_avx2_alone_i
 def test_places_of_no_or_hardly_any_weight_score_nothing(size: float, ask: Ask) -> None:
     found = ask(linear([[size, -size, size], [1, 0, 0]]), np.ones((9, 3), np.float32))
     assert found == pytest.approx(np.array([[0.0, 1.0]] * 9), abs=1e-6)
-
-
-# the method
 
 
 @RULE_SETS

@@ -27,9 +27,6 @@ def scores_of(**arguments: Any) -> npt.NDArray[np.float32]:
     return fitted(**arguments).query(QUERIES)
 
 
-# seeds and modules
-
-
 @RULE_SETS
 def test_references_are_mostly_recognised_and_the_seed_decides_about_the_scores(rules: RuleSet) -> None:
     found = fitted.__wrapped__(rules=rules, seed=1)
@@ -48,8 +45,6 @@ def test_modules_draw_differently_and_the_first_learns_the_same_whether_or_not_o
     scores = VPRTempo(**SMALL).fit(REFERENCES[half], np.arange(16)).query(QUERIES)
     assert not np.allclose(scores[:, :8], scores[:, 8:], rtol=0.01)
 
-
-# arguments
 
 CHOICES = [field.name for field in fields(Rules)]
 
@@ -102,9 +97,6 @@ def test_the_configuration_has_every_argument_and_its_default_of_table_1() -> No
     assert (PAPER.constant_input, V1.constant_input) == (0.1, 0.1)
 
 
-# refusals
-
-
 @pytest.mark.parametrize(
     ("arguments", "wanted"),
     [
@@ -154,9 +146,6 @@ def test_references_that_show_nothing_are_called_so_and_no_diverged_training(siz
         VPRTempo(**SMALL).fit(Images.from_arrays([*empty, *WORLD.references[n_alike:20]]), np.arange(20))
 
 
-# inputs
-
-
 def test_fit_changes_neither_images_nor_places_nor_the_global_generator_and_takes_unwritable_places() -> None:
     world, before = Journey.draw(0), torch.random.get_rng_state()
     world.places.flags.writeable = False  # as the harness gives them
@@ -180,9 +169,6 @@ def test_spikes_are_the_levels_over_255_in_variant_c_by_the_8_bit_step(variant: 
     assert found == pytest.approx(expected, abs=1e-6)
 
 
-# another device
-
-
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device that PyTorch can use")
 @RULE_SETS
 def test_a_network_trained_on_cuda_ranks_places_as_one_trained_on_the_cpu(rules: RuleSet) -> None:
@@ -190,9 +176,6 @@ def test_a_network_trained_on_cuda_ranks_places_as_one_trained_on_the_cpu(rules:
     on_cpu, on_cuda = (scores_of(rules=rules, device=device) for device in ("cpu", "cuda"))
     in_order_of_cuda = np.take_along_axis(on_cpu, on_cuda.argsort(1), axis=1)
     assert np.diff(in_order_of_cuda, axis=1).min() > -1e-4
-
-
-# initial output weights
 
 
 def test_without_learning_output_weights_of_each_sign_have_the_norm_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:

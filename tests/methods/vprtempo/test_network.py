@@ -25,9 +25,6 @@ def method(**arguments: Any) -> VPRTempo:
     return VPRTempo(**{**SMALL, **arguments})
 
 
-# what state gives, restore takes
-
-
 @pytest.mark.parametrize(("rules", "max_module"), [("paper", 8), ("reference", 8), ("v1", 8), ("reference", 1)])
 def test_a_restored_network_scores_to_the_bit_as_the_trained_one(rules: RuleSet, max_module: int) -> None:
     trained = fitted(rules=rules, max_module=max_module)
@@ -62,9 +59,6 @@ def test_restoring_and_training_forget_the_network_before() -> None:
     assert np.array_equal(restored.query(QUERIES), wanted.query(QUERIES))
     restored.restore(fitted().state()).fit(REFERENCES, WORLD.places)
     assert np.array_equal(restored.query(QUERIES), wanted.query(QUERIES))
-
-
-# arrays that are no network
 
 
 def little() -> Arrays:
@@ -126,8 +120,6 @@ def test_another_number_of_pixels_is_refused_with_both(published: bool) -> None:
     assert "144 inputs, not the 756" in line
     assert "method.height=28 x method.width=27" in line
 
-
-# the published layout
 
 N_FEATURES = 10
 PUBLISHED = ("feature_layer.w.weight", "feature_layer.thr", "output_layer.w.weight", "output_layer.thr")
@@ -208,8 +200,6 @@ def test_published_layers_that_do_not_fit_each_other_are_refused() -> None:
     content["model_1"]["feature_layer.thr"] = torch.zeros(1, N_FEATURES + 1)
     assert "feature_layer.thr" in refusal(flat(content))
 
-
-# how fast the output layer learns
 
 FIRST_8 = np.flatnonzero(WORLD.places < 8)  # so few that an untrained output layer is not taken for a diverged one
 

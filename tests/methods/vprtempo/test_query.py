@@ -48,9 +48,6 @@ def products(members: Sequence[Network], spikes: Spikes) -> Floats:
 KINDS = pytest.mark.parametrize("rules", [PAPER, V1, REFERENCE], ids=["paper", "v1", "reference"])
 
 
-# Eq. 1
-
-
 @WAYS
 @pytest.mark.parametrize("rules", [PAPER, V1, replace(PAPER, clip=0.3)], ids=["paper", "v1", "clip 0.3"])
 @SIZES
@@ -97,9 +94,6 @@ def test_v1_lets_the_least_inhibited_place_of_module_0_answer_a_silent_query_and
     assert found[silent].tolist() == [[0.5, 0, 0]] * 8
     assert found[1] == pytest.approx([0, 0, 0.2], abs=0.01)
     assert not ask(kind(inhibited, PAPER), spikes)[silent].any()
-
-
-# the public code's query, and several networks
 
 
 @WAYS
@@ -150,9 +144,6 @@ def test_input_stays_as_it_was_and_may_lie_apart_and_an_answer_belongs_to_whoeve
     assert np.array_equal(answer, kept)
     answer[:] = 7
     assert np.array_equal(query.scores(before), kept)
-
-
-# threads and libraries
 
 
 @WAYS

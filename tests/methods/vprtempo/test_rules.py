@@ -65,8 +65,6 @@ def signs_apart(w: Floats, thresholds: Floats) -> Parts:
     return np.maximum(w, 0), np.maximum(-w, 0), thresholds
 
 
-# 200 steps against the oracle
-
 # Places 0 to 19 twice, as two traverses, in 5 epochs: 200 steps. As no shuffle is asked of v1, its order is that.
 TRAVERSES = np.tile(np.arange(20), 2)
 
@@ -130,9 +128,6 @@ def test_200_steps_agree_with_the_oracle(rules, engine):
     for found, expected in zip(trained(rules)[engine], trained(rules)["oracle"], strict=True):
         for own, wanted in zip(found, expected, strict=True):
             assert own == close_to(wanted, AGREEMENT[rules])
-
-
-# one step by hand
 
 
 @dataclass(frozen=True)
@@ -221,9 +216,6 @@ def test_a_step_by_hand(name: str, engine: ModuleType) -> None:
         assert own == pytest.approx(np.array(wanted), rel=1e-6, abs=2e-7)
 
 
-# rates and annealing
-
-
 def test_target_rates_are_an_even_ramp_from_just_above_the_lowest_to_the_highest() -> None:
     rates = feature_rates(1568, 0.2, 0.9).numpy()
     assert (rates[0], rates[-1], len(rates)) == pytest.approx((0.2 + 0.7 / 1568, 0.9, 1568))
@@ -236,9 +228,6 @@ def test_annealing_is_that_of_the_public_code_over_all_epochs_or_restarts_in_eac
     # The first step of an epoch has the rate that the last epoch left; the second starts anew.
     assert restarting[[0, 10, 11, 39, 40, 41, 51]] == close_to([1, 1, 0.75**2, 0.25**2, 0.25**2, 1, 0.75**2])
     assert np.array_equal(annealing(4, 250, REFERENCE), once)
-
-
-# initial state
 
 
 @cache
@@ -285,9 +274,6 @@ def test_a_module_draws_the_same_whatever_the_other_modules_are() -> None:
     both = draw_layer([*draws(4), *draws(5)], [20, 12], 30, FEATURE_DRAW, 0.5, 0.1, PAPER)
     for part in ("excitation", "inhibition", "thresholds", "constant"):
         assert torch.equal(getattr(alone, part)[0], getattr(both, part)[1, :12]), part
-
-
-# what no public version has
 
 
 @pytest.mark.parametrize(("probability", "each"), [(0.001, 1), (0.1, 6), (1.0, 60)])

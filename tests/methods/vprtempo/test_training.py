@@ -31,9 +31,6 @@ def generators(seeds: Sequence[int] = (0, 1, 2)) -> list[torch.Generator]:
     return [torch.Generator().manual_seed(seed) for seed in seeds]
 
 
-# the schedule
-
-
 def schedule(rules: Rules) -> Schedule:
     return draw_schedule(generators(), SIZES, TRAVERSES, EPOCHS, rules)
 
@@ -78,9 +75,6 @@ def test_a_smaller_module_anneals_over_its_own_steps_and_ends_with_a_factor_of_0
     assert factor.shape == (24 * EPOCHS, 3)
     assert not factor[10 * EPOCHS :, 2].any()
     assert (factor[:, 0] > 0).all()
-
-
-# divergence
 
 
 def weights_with(value: float, count: int, sign: str) -> Layer:
