@@ -45,7 +45,7 @@ sys.exit([name for name in {HEAVY} if name in sys.modules] or 0)
     assert (done.returncode, done.stderr) == (0, "")
 
 
-def test_without_a_command_the_commands_are_named_and_nothing_runs(capsys):
+def test_without_a_command_the_commands_are_named_and_nothing_runs_and_the_help_of_each_fits_100_columns(capsys):
     for arguments in ([], ["--help"], ["help"], ["-h"]):
         assert cli.main(arguments) == 0
         text = capsys.readouterr().out
@@ -53,9 +53,6 @@ def test_without_a_command_the_commands_are_named_and_nothing_runs(capsys):
         assert max(map(len, text.splitlines())) <= 120
     assert [*Path().iterdir()] == []
     assert printed(capsys, "--version") == f"vprbench {__version__}\n"
-
-
-def test_each_command_is_a_function_with_a_sentence_and_its_help_fits_100_columns(capsys):
     for name, command in COMMANDS.items():
         room, _, function = command.does.partition(":")
         assert callable(getattr(importlib.import_module(room), function))
@@ -88,18 +85,17 @@ def test_help_has_each_option_with_type_default_and_meaning(capsys):
 @pytest.mark.parametrize(
     ("words", "there", "not_there"),
     [
-        (["spiking"], {"vprsnn", "vprtempo_tuned"}, {"sad", "synthetic"}),
-        (["weights=none"], {"sad", "vprtempo"}, {"cosplace", "synthetic"}),
-        (["weights=needed"], {"cosplace"}, {"sad"}),
-        (["datasets"], {"synthetic", "folders"}, {"sad"}),
-        (["methods", "gradients"], {"hog", "cohog"}, {"sad", "street"}),
+        ("spiking", {"vprsnn", "vprtempo_tuned"}, {"sad", "synthetic"}),
+        ("weights=none", {"sad", "vprtempo"}, {"cosplace", "synthetic"}),
+        ("weights=needed", {"cosplace"}, {"sad"}),
+        ("datasets", {"synthetic", "folders"}, {"sad"}),
+        ("methods gradients", {"hog", "cohog"}, {"sad", "street"}),
     ],
 )
 def test_a_list_is_filtered_by_words_tags_and_weights(words, there, not_there, capsys):
-    names = {each["name"] for each in json.loads(printed(capsys, "list", *words, "output=json"))}
-    assert there <= names
-    assert not names & not_there
-    assert {line.split()[0] for line in printed(capsys, "list", *words).splitlines()} >= there
+    names = {each["name"] for each in json.loads(printed(capsys, "list", *words.split(), "output=json"))}
+    assert (there - names, names & not_there) == (set(), set())
+    assert {line.split()[0] for line in printed(capsys, "list", *words.split()).splitlines()} >= there
 
 
 @pytest.mark.parametrize(

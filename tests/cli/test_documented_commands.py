@@ -1,4 +1,4 @@
-"""Every command that README and docs show is understood, with frames that its document says how to get."""
+"""Every command that README and docs show is understood, and its document says how to get its frames."""
 
 import os
 import re
@@ -6,30 +6,20 @@ import shlex
 import subprocess
 from pathlib import Path
 
-import numpy as np
 import pytest
 from checkout import ROOT
-from mat_cells import cells
 from omegaconf import OmegaConf
-from PIL import Image as PillowImage
-from scipy.io import savemat
 
 from vprbench import cli
 from vprbench.compare.checks import checked
-from vprbench.datasets.nordland import chosen_names
-from vprbench.datasets.synthetic_events import EventJourney, write_recording
+from vprbench.datasets.synthetic import synthetic
 from vprbench.paper import gather
 from vprbench.plugins import registry
 from vprbench.run.settings import checked_settings
 
 GUIDES = (f"docs/{path.name}" for path in sorted((ROOT / "docs").glob("*.md")))
 DOCUMENTS = ("README.md", "CONTRIBUTING.md", "results/README.md", *GUIDES)
-PLACES = 12
-PART = (f"dataset.places={PLACES}", "dataset.query_places=8", "dataset.first_query_place=4")
-SMALLER = {
-    **dict.fromkeys(("synthetic", "street", "nordland"), PART),
-    "nordland_64x32": (*PART, "dataset.first_place=0"),
-}
+JOURNEY = synthetic(places=12)
 
 
 def shown(document):
@@ -50,47 +40,6 @@ def commands(document):
 COMMANDS = sorted({command for document in DOCUMENTS for command in commands(document)})
 
 
-@pytest.fixture(scope="module")
-def data(tmp_path_factory):
-    """The folder /data of the documents, with few little frames in each of its folders."""
-    data = tmp_path_factory.mktemp("data")
-    for folder, names in ("nordland", (8, PLACES, 1)), ("nordland_64x32", (1, PLACES, 10)):
-        for season in ("spring", "summer", "fall", "winter"):
-            frames(data / folder / season, chosen_names(*names, ".png"))
-    (data / "robotcar").mkdir()
-    for folder in ("monday", "tuesday", "friday", "17places/ref", "17places/query"):
-        frames(data / folder, [f"{number}.jpg" for number in range(PLACES)])
-    (data / "17places" / "ground_truth.csv").write_text(
-        "query,matching_refs\n" + "".join(f"{number},{number}\n" for number in range(PLACES))
-    )
-    positions = [f"@{585000 + 100 * number}.0@4477000.0@{number}.jpg" for number in range(PLACES)]
-    for folder in ("database", "queries", "pitts30k/images/test/database", "pitts30k/images/test/queries"):
-        frames(data / folder, positions)
-    for name, season in {"monday": "spring", "friday": "summer"}.items():
-        drive = EventJourney(window_ms=1000).recording(season, range(PLACES))
-        write_recording(data / f"{name}.h5", drive)
-    for name in ("map", "today"):
-        (data / f"{name}.csv").write_text("image,place\n" + "".join(f"friday/{n}.jpg,{n}\n" for n in range(PLACES)))
-    for drive in ("sunset1", "sunset2"):
-        frames(data / "brisbane_events_7x7" / drive, [f"images_{n:05d}.png" for n in range(PLACES)], "L", (7, 7))
-    np.savez(data / "brisbane_events_7x7" / "ground_truth.npz", positives=np.eye(PLACES, dtype=bool))
-    names = frames(data / "tokyo247", [f"{number}.png" for number in range(PLACES)])
-    metres = np.array([[585000.0 + 100 * n for n in range(PLACES)], [4477000.0] * PLACES])
-    fields = {"whichSet": "test", "dbImageFns": cells([name.replace("png", "jpg") for name in names]), "utmDb": metres}
-    fields |= {"qImageFns": cells(names), "utmQ": metres, "numImages": float(PLACES), "numQueries": float(PLACES)}
-    savemat(data / "tokyo247" / "tokyo247.mat", {"dbStruct": fields | {"posDistThr": 25.0, "posDistSqThr": 625.0}})
-    return data
-
-
-def frames(folder, names, mode="RGB", size=(64, 32)):
-    """Put an image into the folder under each name; the same place looks alike in every folder."""
-    folder.mkdir(parents=True)
-    for number, name in enumerate(names):
-        levels = np.random.default_rng(number).integers(0, 256, (8, 16, 3), dtype=np.uint8)
-        PillowImage.fromarray(levels).resize(size).convert(mode).save(folder / name)
-    return names
-
-
 def of_make(command):
     """Return the options with which a target of the Makefile calls the program."""
     given = {name: value for name, value in os.environ.items() if name not in ("MAKEFLAGS", "MAKEOVERRIDES", "ARGS")}
@@ -99,18 +48,20 @@ def of_make(command):
     return shlex.split(told.stdout.replace("\\\n", " ").rsplit("-m vprbench ", 1)[1].splitlines()[0])
 
 
-def options_of(command, data):
-    """Return the options that a documented command gives the program, its own frames in `data`."""
-    command = command.replace("/data/", f"{data}/")
+def options_of(command, folder):
+    """Return the options that a documented command gives the program; its folders under /data lie in `folder`."""
+    for name in re.findall(r"/data/(\w+)", command):
+        (folder / name).mkdir(exist_ok=True)
+    command = command.replace("/data/", f"{folder}/")
     options = of_make(command) if command.startswith("make") else command.removeprefix("python -m ").split()[1:]
     return [option for option in options if not re.match(r"workers=|cluster[.=]", option)]  # one process here
 
 
 @pytest.fixture
-def understood(data, tmp_path, monkeypatch):
+def understood(tmp_path, monkeypatch):
     """What stands in for the work of each command checks its options; the names of those that came so far."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("VPRBENCH_DATA", str(data))
+    monkeypatch.setattr(registry, "make_dataset", lambda config: JOURNEY)  # whatever is there of the documents' frames
     done = []
 
     def instead(target, check):
@@ -134,19 +85,13 @@ def understood(data, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_a_documented_command_is_understood(command, data, understood, tmp_path):
-    options = options_of(command, data)
+def test_a_documented_command_is_understood(command, understood, tmp_path):
+    options = options_of(command, tmp_path)
     (tmp_path / "results").mkdir()
     if answered_at_once(options) is None:
         foreign = "stores=[/mnt/gpu-box/results]" in options  # a folder that is not here
-        assert cli.main(with_few_frames(options)) == (2 if foreign else 0)
+        assert cli.main(options) == (2 if foreign else 0)
         assert len(understood) == (not foreign)
-
-
-def with_few_frames(options):
-    """Return the options of a comparison or an examination for as few frames as there are."""
-    named = [option.partition("=")[2] for option in options if option.startswith("dataset=")]
-    return [*options, *SMALLER.get(named[0], ())] if options[0] in ("compare", "doctor") else options
 
 
 @pytest.mark.parametrize("document", DOCUMENTS)

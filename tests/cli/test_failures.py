@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import logging
 from pathlib import Path
 
 import pytest
@@ -36,18 +35,6 @@ def test_a_failure_is_no_run_leaves_runs_in_place_and_vanishes_when_the_run_succ
     assert store.failure("little", "journey", a_run().config) is None
 
 
-def test_a_damaged_failure_is_none_is_named_and_hides_no_other(store, caplog):
-    folder = store.save_failure(a_failure())
-    (folder / "failure.json").write_bytes((folder / "failure.json").read_bytes()[:-40])
-    for dataset, seed in (("journey", 8), ("journey", 2), ("voyage", 8)):
-        store.save_failure(a_failure(dataset=dataset, config={"seed": seed}))
-    found = [(failure.dataset, failure.config["seed"]) for failure in store.failures()]
-    assert sorted(found) == [("journey", 2), ("journey", 8), ("voyage", 8)]
-    (warning,) = [record for record in caplog.records if str(folder) in record.getMessage()]
-    assert warning.levelno == logging.WARNING
-    assert store.failure("little", "journey", a_run().config) is None
-
-
 def test_failures_of_earlier_and_later_versions_are_read_and_removed_when_the_run_succeeds(store):
     config = {"method": {"window": 5}, "dataset": {}, "seed": 1, "device": "cpu", "load": None}
     key = hashlib.sha256(json.dumps({"schema": 3, **config}, sort_keys=True, separators=(",", ":")).encode())
@@ -76,7 +63,6 @@ MISSING, WRONG = True, False
         (["dataset=nordland", "dataset.root=."], MISSING),
         (["dataset=folders"], MISSING),
         (["dataset=folders", "dataset.references=[/nowhere]", "dataset.queries=/nowhere"], MISSING),
-        (["dataset=folders", "dataset.references=[.]", "dataset.queries=."], MISSING),
         (["method=cosplace", *QUICK], MISSING),  # weights that may not be fetched
         (["method=gcl", *QUICK], MISSING),  # weights that no program can fetch
         (["method=cosplace", "method.weights.path=/nowhere.pth", *QUICK], MISSING),

@@ -1,28 +1,23 @@
 """A dataset of images in hand: folders, lists of files and arrays, and which of their places are right."""
 
-from __future__ import annotations
-
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
 from little import number_in, picture
 from PIL import Image as PillowImage
 
 import vprbench
-from vprbench.api import BadInput, Dataset, NotThere
+from vprbench.api import BadInput, NotThere
 
 
-def stack(*numbers: int) -> Any:
+def stack(*numbers):
     return np.stack([picture(number) for number in numbers])
 
 
-def shown(dataset: Dataset) -> tuple[list[int], list[int]]:
+def shown(dataset):
     return [number_in(image) for image in dataset.references], [number_in(image) for image in dataset.queries]
 
 
-def test_a_traverse_is_a_folder_a_list_of_files_or_arrays(tmp_path: Path) -> None:
+def test_a_traverse_is_a_folder_a_list_of_files_or_arrays(tmp_path):
     for number in range(4):
         PillowImage.fromarray(picture(number)).save(tmp_path / f"{number}.png")
     files = sorted(tmp_path.iterdir())
@@ -39,7 +34,7 @@ def test_a_traverse_is_a_folder_a_list_of_files_or_arrays(tmp_path: Path) -> Non
         vprbench.dataset_of(references=stack(0), queries=tmp_path / "empty")
 
 
-def test_grey_frames_in_one_array_and_in_a_list_are_images_and_any_changed_pixel_is_another_dataset() -> None:
+def test_grey_frames_in_one_array_and_in_a_list_are_images_and_any_changed_pixel_is_another_dataset():
     grey = np.arange(2 * 5 * 6, dtype=np.uint8).reshape(2, 5, 6)
     for given in (grey, list(grey)):
         made = vprbench.dataset_of(references=given, queries=given)
@@ -63,9 +58,7 @@ def test_grey_frames_in_one_array_and_in_a_list_are_images_and_any_changed_pixel
         ((0,), {"positives": np.array([[True, False, True]])}, [[0, 2]]),
     ],
 )
-def test_right_places_are_those_within_the_tolerance_or_those_that_are_given(
-    queries: tuple[int, ...], given: dict[str, Any], right: list[list[int]]
-) -> None:
+def test_right_places_are_those_within_the_tolerance_or_those_that_are_given(queries, given, right):
     made = vprbench.dataset_of(stack(0, 1, 2), stack(*queries), **given)
     assert [places.tolist() for places in made.positives] == right
 
@@ -87,6 +80,6 @@ def test_right_places_are_those_within_the_tolerance_or_those_that_are_given(
         ({"tolerance": -1}, "tolerance=-1"),
     ],
 )
-def test_what_is_no_image_and_what_does_not_fit_is_named(given: dict[str, Any], wrong: str) -> None:
+def test_what_is_no_image_and_what_does_not_fit_is_named(given, wrong):
     with pytest.raises(BadInput, match=wrong):
         vprbench.dataset_of(**{"references": stack(0, 1, 2), "queries": stack(0, 1, 2), **given})

@@ -56,8 +56,8 @@ def test_the_notebook_of_the_documentation_runs_from_its_first_cell_to_its_last_
 ):
     def shown():
         """Return the kinds of what each cell shows."""
-        outputs = [[o for o in cell.get("outputs", []) if o["output_type"] != "stream"] for cell in book.cells]
-        return [[sorted(output["data"]) for output in of_cell] for of_cell in outputs]
+        outputs = [output for cell in book.cells for output in cell.get("outputs", [])]
+        return [sorted(output["data"]) for output in outputs if output["output_type"] != "stream"]
 
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
     path = ROOT / "docs/first_steps.ipynb"

@@ -1,11 +1,8 @@
 """`vprbench.run`: names and objects run in this process, are found again, and what does not fit is an error."""
 
-from __future__ import annotations
-
 import json
 import logging
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,37 +12,37 @@ import vprbench
 from vprbench.api import BadInput, Method, NotThere
 from vprbench.cli import main
 
-SMALL: dict[str, Any] = {"places": 12, "first_query_place": 0}
+SMALL = {"places": 12, "first_query_place": 0}
 
 
 @pytest.fixture(autouse=True)
-def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def _elsewhere(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
 
-def untimed(method: Any, data: Any, **options: Any) -> Any:
+def untimed(method, data, **options):
     return vprbench.run(method, data, timing="none", **options)
 
 
 class Plain(Method):
     """No dataclass; keeps its argument under another name if asked to."""
 
-    def __init__(self, weight: float = 1.0, hidden: bool = False) -> None:
+    def __init__(self, weight=1.0, hidden=False):
         setattr(self, "secret" if hidden else "weight", weight)
         self.hidden = hidden
 
-    def fit(self, references: Any, places: Any) -> Any:
+    def fit(self, references, places):
         self.n_places = int(places.max()) + 1
         return self
 
-    def encode(self, images: Any) -> Any:
+    def encode(self, images):
         return np.stack([image.ravel() for image in images])
 
-    def match(self, codes: Any) -> Any:
+    def match(self, codes):
         return np.zeros((len(codes), self.n_places), np.float32)
 
 
-def test_a_named_run_is_the_one_that_the_command_line_stores(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_named_run_is_the_one_that_the_command_line_stores(capsys):
     result = untimed("sad", vprbench.dataset("synthetic", **SMALL))
     assert (result.from_store, result.folder is not None and result.folder.is_dir()) == (False, True)
     options = [f"dataset.{name}={value}" for name, value in SMALL.items()]
@@ -54,7 +51,7 @@ def test_a_named_run_is_the_one_that_the_command_line_stores(capsys: pytest.Capt
     assert (printed["from_store"], printed["recall_at_1"]) == (True, result.recall(1))
 
 
-def test_an_object_runs_as_it_is_is_not_fitted_and_is_found_by_its_arguments() -> None:
+def test_an_object_runs_as_it_is_is_not_fitted_and_is_found_by_its_arguments():
     data, method = journey(6, 6), Prototypes(noise=0.0)
     first, again = untimed(method, data), untimed(method, data)
     assert (first.recall(1), first.from_store, again.from_store) == (1.0, False, True)
@@ -66,7 +63,7 @@ def test_an_object_runs_as_it_is_is_not_fitted_and_is_found_by_its_arguments() -
     assert untimed(Prototypes, data, seed=3).run.config["method"]["seed"] == 3
 
 
-def test_a_class_without_dataclass_is_known_by_its_attributes_or_not_stored(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_class_without_dataclass_is_known_by_its_attributes_or_not_stored(caplog):
     stored = untimed(Plain(weight=2.0), journey(4, 4))
     assert stored.run.config["method"]["weight"] == 2.0
     with caplog.at_level(logging.WARNING):
@@ -76,18 +73,14 @@ def test_a_class_without_dataclass_is_known_by_its_attributes_or_not_stored(capl
     assert hidden.recall(1) == stored.recall(1) == 0.25
 
 
-def test_without_a_folder_nothing_is_stored_or_looked_up(tmp_path: Path) -> None:
-    asked: list[list[int]] = []
-    method = Lookup(np.eye(4, dtype=np.float32), asked)
+def test_without_a_folder_nothing_is_stored_or_looked_up(tmp_path):
     for _ in range(2):
-        result = untimed(method, journey(4, 4), results=None)
-        assert (result.folder, result.from_store) == (None, False)
-    assert len(asked) >= 2
+        result = untimed(Lookup(np.eye(4, dtype=np.float32)), journey(4, 4), results=None)
+        assert (result.folder, result.from_store, result.run.scores.shape) == (None, False, (4, 4))
     assert list(tmp_path.iterdir()) == []
-    assert result.run.scores.shape == (4, 4)
 
 
-def test_results_is_a_row_for_each_stored_run_and_tells_data_of_one_name_apart() -> None:
+def test_results_is_a_row_for_each_stored_run_and_tells_data_of_one_name_apart():
     with pytest.raises(BadInput, match="there"):
         vprbench.results("there")
     Path("there").mkdir()
@@ -127,14 +120,12 @@ def test_results_is_a_row_for_each_stored_run_and_tells_data_of_one_name_apart()
         (Prototypes(), "synthetic", {"device": "gpu"}, BadInput, "gpu"),
     ],
 )
-def test_what_does_not_fit_is_an_error_that_names_it(
-    method: Any, dataset: Any, options: Any, error: type[Exception], named: str
-) -> None:
+def test_what_does_not_fit_is_an_error_that_names_it(method, dataset, options, error, named):
     with pytest.raises(error, match=named):
         vprbench.run(method, dataset, **options)
 
 
-def test_options_of_methods_and_datasets_are_checked_and_build_what_they_say() -> None:
+def test_options_of_methods_and_datasets_are_checked_and_build_what_they_say():
     with pytest.raises(BadInput, match="patch"):
         vprbench.method("sad", patsh=3)
     for wrong, named in (({"places": "ten"}, r"dataset\.places"), ({**SMALL, "name": "it's [a, b]=\\c"}, "name")):
@@ -144,4 +135,4 @@ def test_options_of_methods_and_datasets_are_checked_and_build_what_they_say() -
     many = vprbench.dataset("synthetic", references=["spring"] * 99, name="line\nbreak")
     assert (len(repr(many)), repr(many).count("\n")) == (100, 0)
     assert vprbench.dataset("synthetic", references=("spring",), **SMALL).build().n_places == 12
-    assert vprbench.method("vprtempo", max_module=np.int64(50)).build(seed=4).max_module == 50  # type: ignore[attr-defined]
+    assert vprbench.method("vprtempo", max_module=np.int64(50)).build(seed=4).max_module == 50

@@ -1,17 +1,14 @@
 """Runs that are wanted and not stored are made apart, and whatever happens to them is stored."""
 
-from __future__ import annotations
-
 import io
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
-from small_plan import RUN, Apart
+from small_plan import RUN
 
 from vprbench.cli import main
 from vprbench.cluster import crew
@@ -26,13 +23,13 @@ SAD = Row("SAD", "sad", training="none")
 ROUTE = ("dataset=synthetic", "dataset.places=20", "dataset.first_query_place=4")
 
 
-def a_wish(row: Row = SAD, seed: int = 0, **changes: Any) -> MissingRun:
+def a_wish(row=SAD, seed=0, **changes):
     of_data = {"title": "Journey", "dataset_options": ROUTE[:2], "dataset": {"name": "synthetic", "places": 20}}
     given = {"row": row, "seed": seed, "device": "cpu", "arguments": dict(row.arguments), **of_data}
     return MissingRun(**{**given, **changes})
 
 
-def fill(wishes: Sequence[MissingRun], store: Store, options: Sequence[str] = ()) -> list[Ending]:
+def fill(wishes, store, options=()):
     return missing_runs.fill(wishes, options, store, lambda options: composed(list(options)))
 
 
@@ -40,11 +37,11 @@ Children = Callable[..., list[list[str]]]
 
 
 @pytest.fixture
-def children(monkeypatch: pytest.MonkeyPatch) -> Children:
+def children(monkeypatch):
     """Let processes end in these ways, one after the other; returns the options that they are asked with."""
 
-    def ending(*answers: Ending) -> list[list[str]]:
-        asked: list[list[str]] = []
+    def ending(*answers):
+        asked = []
         left = list(answers)
         monkeypatch.setattr(crew, "run_apart", lambda options, **_: asked.append(list(options)) or left.pop(0))
         return asked
@@ -53,11 +50,11 @@ def children(monkeypatch: pytest.MonkeyPatch) -> Children:
 
 
 @pytest.fixture
-def store(tmp_path: Path) -> Store:
+def store(tmp_path):
     return Store(tmp_path / "results")
 
 
-def test_a_run_is_asked_for_by_the_options_of_row_dataset_seed_and_device(children: Children, store: Store) -> None:
+def test_a_run_is_asked_for_by_the_options_of_row_dataset_seed_and_device(children, store):
     asked = children(Ending(0))
     row = Row("Big patches", "sad", arguments={"patch": 14, "preprocessing": "A"})
     assert fill([a_wish(row, seed=3)], store, ["threads=1"]) == [Ending(0)]
@@ -65,7 +62,7 @@ def test_a_run_is_asked_for_by_the_options_of_row_dataset_seed_and_device(childr
     assert asked == [[*ROUTE[:2], *of_method, "seed=3", "device=cpu", "threads=1", f"results={store.root}"]]
 
 
-def test_a_method_that_is_not_there_is_a_stored_failure_and_starts_no_process(children: Children, store: Store) -> None:
+def test_a_method_that_is_not_there_is_a_stored_failure_and_starts_no_process(children, store):
     asked = children()
     row = Row("Nothing", "no_such_method", seeds=(0, 1))
     endings = fill([a_wish(row, 0), a_wish(row, 1)], store)
@@ -77,19 +74,14 @@ def test_a_method_that_is_not_there_is_a_stored_failure_and_starts_no_process(ch
     assert asked == []
 
 
-def test_weights_that_are_missing_are_looked_for_once_and_without_a_process(
-    monkeypatch: pytest.MonkeyPatch, children: Children, store: Store, tmp_path: Path
-) -> None:
+def test_weights_that_are_missing_are_looked_for_once_and_without_a_process(monkeypatch, children, store, tmp_path):
     monkeypatch.setenv("VPRBENCH_WEIGHTS", str(tmp_path))
     asked = children(Ending(0))
     row = Row("GCL", "gcl", arguments={"backbone": "vgg16"}, training="pretrained")
     wishes = [a_wish(row), a_wish(row, title="Street", dataset={"name": "street", "places": 20})]
     assert [(ending.code, ending.missing) for ending in fill(wishes, store)] == [(2, True)] * 2
-    assert {(failure.dataset, failure.missing) for failure in store.failures()} == {
-        ("synthetic", True),
-        ("street", True),
-    }
-    assert all("MSLS_vgg16_GeM_480_GCL.pth" in failure.error for failure in store.failures())
+    told = {(each.dataset, each.missing, "MSLS_vgg16_GeM_480_GCL.pth" in each.error) for each in store.failures()}
+    assert told == {("synthetic", True, True), ("street", True, True)}
     assert asked == []
     (tmp_path / "MSLS_vgg16_GeM_480_GCL.pth").write_bytes(b"what is in it is for the process to see")
     assert fill(wishes[:1], store) == [Ending(0)]
@@ -100,9 +92,7 @@ def test_weights_that_are_missing_are_looked_for_once_and_without_a_process(
     assert (endings, len(asked)) == ([missing, missing, Ending(0)], 2)
 
 
-def test_a_failure_of_one_seed_does_not_stop_the_next_and_is_stored_unless_the_process_did(
-    children: Children, store: Store
-) -> None:
+def test_a_failure_of_one_seed_does_not_stop_the_next_and_is_stored_unless_the_process_did(children, store):
     diverged, killed = Ending(1, False, "it diverged", recorded=True), Ending(1, False, "was ended by signal 9")
     children(diverged, killed, Ending(0))
     endings = fill([a_wish(seed=seed) for seed in range(3)], store, ROUTE[2:])
@@ -132,14 +122,8 @@ STORED = a_wish(dataset_options=ROUTE)
     ],
 )
 def test_a_process_is_started_only_for_what_is_not_stored_as_it_would_be_made_now(
-    made: tuple[Path, Apart, int],
-    monkeypatch: pytest.MonkeyPatch,
-    children: Children,
-    wish: MissingRun,
-    options: list[str],
-    patched: dict[str, Any],
-    n_processes: int,
-) -> None:
+    made, monkeypatch, children, wish, options, patched, n_processes
+):
     asked = children(Ending(0))
     for name, value in patched.items():
         monkeypatch.setattr(shelf, name, lambda _, value=value: value)
@@ -147,8 +131,9 @@ def test_a_process_is_started_only_for_what_is_not_stored_as_it_would_be_made_no
     assert len(asked) == n_processes
 
 
-def test_frames_that_were_removed_are_kept_again_by_a_process(copied: Apart, children: Children) -> None:
+def test_frames_that_were_removed_are_kept_again_by_a_process(copied, children):
     shutil.rmtree("results/frames")
+    assert missing_runs.results_folder("mine") == Path.cwd() / "mine"  # which a process elsewhere finds, too
     asked = children(Ending(0))
     fill([STORED], Store(Path("results")), [*RUN, "frames=false"])
     assert asked == []
@@ -156,7 +141,8 @@ def test_frames_that_were_removed_are_kept_again_by_a_process(copied: Apart, chi
     assert len(asked) == 1
 
 
-def test_a_table_of_stored_runs_imports_no_torch(copied: Apart) -> None:
+@pytest.mark.extended
+def test_a_table_of_stored_runs_imports_no_torch(copied):
     code = """
 import sys
 from pathlib import Path
@@ -173,56 +159,29 @@ sys.exit("torch" if "torch" in sys.modules else code)
     assert (done.returncode, done.stderr) == (0, "")
 
 
-def test_an_absolute_folder_is_what_a_process_elsewhere_finds(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert missing_runs.results_folder("mine") == tmp_path / "mine"
-
-
-# On a terminal
-
-
-def a_terminal(monkeypatch: pytest.MonkeyPatch) -> io.StringIO:
-    """Return what comes on a terminal of 100 columns and 30 rows from now on."""
+def test_on_a_terminal_a_table_fills_with_what_is_stored_and_leaves_it_clean_if_it_is_interrupted(made, monkeypatch):
     screen = io.StringIO()
     monkeypatch.setattr(screen, "isatty", lambda: True)
     monkeypatch.setattr(sys, "stderr", screen)
     monkeypatch.delenv("NO_COLOR", raising=False)
     for name, value in (("TERM", "xterm-256color"), ("COLUMNS", "100"), ("LINES", "30")):
         monkeypatch.setenv(name, value)
-    return screen
 
-
-def talking(monkeypatch: pytest.MonkeyPatch, lines: Sequence[str], then: Ending | None) -> None:
-    """Let a process say some lines and end, or be interrupted."""
-
-    def run(_: object, heard: Callable[[str], None] = print, **__: object) -> Ending:
-        for line in lines:
+    def failing(_, heard, **__):
+        for line in ("\x01fit\t0.250", "\x01!note: a warning", "vprbench: it failed"):
             heard(line)
-        if then is None:
-            raise KeyboardInterrupt(2)
-        return then
+        return Ending(1, False, "it failed", recorded=True)
 
-    monkeypatch.setattr(crew, "run_apart", run)
+    def interrupted(_, heard, **__):
+        heard("\x01query\t0.500")
+        raise KeyboardInterrupt(2)
 
-
-def test_on_a_terminal_a_table_fills_with_what_is_stored_and_lines_stand_above(
-    made: tuple[Path, Apart, int], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    terminal = a_terminal(monkeypatch)
-    said = ["\x01fit\t0.250", "\x01!note: a warning", "vprbench: it failed"]
-    talking(monkeypatch, said, Ending(1, False, "it failed", recorded=True))
-    other = a_wish(Row("A row with a name that is longer than its column may be", "sad"), seed=1)
-    endings = fill([STORED, other], Store(made[0] / "results"), RUN)
-    assert [ending.code for ending in endings] == [0, 1]
-    shown = terminal.getvalue()
+    wishes = [STORED, a_wish(Row("A row with a name that is longer than its column may be", "sad"), seed=1)]
+    monkeypatch.setattr(crew, "run_apart", failing)
+    assert [ending.code for ending in fill(wishes, Store(made[0] / "results"), RUN)] == [0, 1]
     for text in ("\x1b[33mnote: a warning", "\x1b[31mvprbench: it failed", " %  ", " Hz", "fit 25 %"):
-        assert text in shown
-    assert shown.rindex("\x1b[?25h") > shown.rindex("\x1b[?25l")  # the cursor is there again
-
-
-def test_an_interrupted_table_leaves_the_terminal_clean(monkeypatch: pytest.MonkeyPatch, store: Store) -> None:
-    terminal = a_terminal(monkeypatch)
-    talking(monkeypatch, ["\x01query\t0.500"], None)
+        assert text in screen.getvalue()
+    monkeypatch.setattr(crew, "run_apart", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        fill([a_wish(), a_wish(seed=1)], store)
-    assert terminal.getvalue().rindex("\x1b[?25h") > terminal.getvalue().rindex("\x1b[?25l")
+        fill(wishes, Store(made[0] / "results"), RUN)
+    assert screen.getvalue().rindex("\x1b[?25h") > screen.getvalue().rindex("\x1b[?25l")  # the cursor is there again

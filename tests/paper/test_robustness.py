@@ -1,7 +1,5 @@
 """R@1 under corruptions beside clean frames: numbers, text and figure."""
 
-from __future__ import annotations
-
 import csv
 import re
 from io import StringIO
@@ -14,20 +12,19 @@ from little import unanswerable_run
 from vprbench.errors import BadInput
 from vprbench.paper import robustness as text
 from vprbench.paper.figures.robustness import robustness as drawn
-from vprbench.paper.robustness import Robustness, robustness
-from vprbench.paper.selection import Series
+from vprbench.paper.robustness import robustness
 from vprbench.run.corruption import Corruption
 
 WEAK, STRONG, BLUR = Corruption("shift", 1), Corruption("shift", 3), Corruption("blur", 2)
 
 
-def row(name: str, *shares: float) -> Series:
+def row(name, *shares):
     """Return a row of 40 queries with a share of hits for each of its seeds."""
     return series(name, *(run(name, share, seed=seed) for seed, share in enumerate(shares)))
 
 
 @pytest.fixture(scope="module")
-def found() -> Robustness:
+def found():
     spoilt = {
         WEAK: [row("sad", 0.475), row("tempo", 0.7, 0.9)],
         STRONG: [row("sad", 0.1), row("tempo", 0.2, 0.3)],
@@ -36,7 +33,7 @@ def found() -> Robustness:
     return robustness([row("sad", 0.5), row("tempo", 0.8, 0.9)], spoilt)
 
 
-def test_a_drop_is_the_clean_mean_over_the_seeds_less_that_under_the_corruption(found: Robustness) -> None:
+def test_a_drop_is_the_clean_mean_over_the_seeds_less_that_under_the_corruption(found):
     points = {(p.method, p.kind, p.strength): p for p in found.points}
     wanted = {
         ("sad", "clean", 0): (1, 0.5, 0),
@@ -55,9 +52,7 @@ def test_a_drop_is_the_clean_mean_over_the_seeds_less_that_under_the_corruption(
         robustness([series("little", unanswerable_run())], {})
 
 
-def test_the_table_brackets_what_no_test_separates_from_clean_frames_and_dashes_what_was_not_run(
-    found: Robustness,
-) -> None:
+def test_the_table_brackets_what_no_test_separates_from_clean_frames_and_dashes_what_was_not_run(found):
     assert [[*line.values()] for line in text.lines(found)] == [
         ["clean", "50.0", "85.0"],
         ["shift 1/8 px", "(2.5)/40.0", "(5.0)/60.0"],
@@ -70,7 +65,7 @@ def test_the_table_brackets_what_no_test_separates_from_clean_frames_and_dashes_
     assert [(line["method"], line["kind"], line["amount"]) for line in rows][2] == ("sad", "shift", "1 px")
 
 
-def test_the_figure_has_a_panel_for_each_kind_begins_on_clean_frames_and_has_few_bands(found: Robustness) -> None:
+def test_the_figure_has_a_panel_for_each_kind_begins_on_clean_frames_and_has_few_bands(found):
     figure = drawn(found)
     panels = [axes for axes in figure.figure.axes if axes.get_visible()]
     assert [axes.get_title(loc="left") for axes in panels] == ["Shift", "Blur"]
@@ -83,7 +78,5 @@ def test_the_figure_has_a_panel_for_each_kind_begins_on_clean_frames_and_has_few
     assert "Shift: queries moved left or right by 1, 8 px, borders repeated." in figure.caption
     many = robustness([row(name, 0.5) for name in "abcde"], {WEAK: [row("a", 0.4)]})
     for each, n_bands in ((many, 0), (found, 2)):
-        assert (len(drawn(each).figure.axes[0].collections), "interval" in drawn(each).caption) == (
-            n_bands,
-            n_bands > 0,
-        )
+        told = len(drawn(each).figure.axes[0].collections), "interval" in drawn(each).caption
+        assert told == (n_bands, n_bands > 0)

@@ -1,45 +1,30 @@
 """Runs belong to the column and row they were asked for, and only equals stand together."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import pytest
 from stored_runs import ABACUS, LOOM, PUBLIC, RAIL, RAILWAY, SAD, STREET, TOWN, VPRTEMPO, failure, run
 
-from vprbench.paper.plan import Row
-from vprbench.paper.selection import (
-    Aside,
-    Group,
-    ResolvedColumn,
-    RowRuns,
-    accuracy_series,
-    groups,
-    of_row,
-    series,
-)
+from vprbench.paper.selection import Aside, Group, ResolvedColumn, accuracy_series, groups, of_row, series
 from vprbench.paper.titles import protocol_words
-from vprbench.run.record import Failure, Run
 
 ROWS = (SAD, VPRTEMPO, PUBLIC)
 FOGGY = ResolvedColumn(RAIL.planned, {**RAILWAY, "fog": 0.5, "root": None})
 
 
-def tempo(seed: int = 0, **changes: Any) -> Run:
+def tempo(seed=0, **changes):
     return run("vprtempo", seed, **changes)
 
 
-def lost(seed: int = 0, *more: Any, **changes: Any) -> Failure:
+def lost(seed=0, *more, **changes):
     return failure("vprtempo", seed, *more, **changes)
 
 
-def grouped(runs: Sequence[Run], failures: Sequence[Failure] = (), *asked: ResolvedColumn) -> list[Group]:
+def grouped(runs, failures=(), *asked):
     return groups(runs, failures, asked or [RAIL], ROWS)
 
 
-def stored_of(row: Row, *runs: Run, failures: Sequence[Failure] = (), column: ResolvedColumn = RAIL) -> RowRuns:
+def stored_of(row, *runs, failures=(), column=RAIL):
     return of_row(Group(column, 1, runs, tuple(failures)), row, "cpu")
 
 
@@ -64,15 +49,13 @@ OTHER_NAME = replace(failure(), config={**failure().config, "dataset": {}})
         ([run(dataset={"name": "river"}), run(dataset={**RAILWAY, "name": "river"})], [OTHER_NAME], [RAIL], [[]]),
     ],
 )
-def test_runs_belong_to_the_column_with_their_dataset(
-    runs: list[Run], failures: list[Failure], asked: list[ResolvedColumn], found: list[list[Run]]
-) -> None:
+def test_runs_belong_to_the_column_with_their_dataset(runs, failures, asked, found):
     told = grouped(runs, failures, *asked)
     assert [list(group.runs) for group in told] == found
     assert [len(group.failures) for group in told] == [failures.count(failure())] + [0] * (len(asked) - 1)
 
 
-def test_corrupted_queries_stand_in_no_column_of_clean_ones_nor_of_other_corruptions() -> None:
+def test_corrupted_queries_stand_in_no_column_of_clean_ones_nor_of_other_corruptions():
     shift, noise = (replace(RAIL, corruption=name) for name in ("shift-1", "noise-2"))
     clean, moved = run(config={"corruption": None}), run(config={"corruption": "shift-1"}, day="2025-09-09")
     failed = lost(config={"corruption": "noise-2"})
@@ -80,7 +63,7 @@ def test_corrupted_queries_stand_in_no_column_of_clean_ones_nor_of_other_corrupt
     assert [(group.runs, group.failures) for group in found] == [((clean,), ()), ((moved,), ()), ((), (failed,))]
 
 
-def test_two_protocols_are_two_groups_the_newest_first() -> None:
+def test_two_protocols_are_two_groups_the_newest_first():
     old = run(protocol={"query": "summer", "renderer": 1}, day="2025-02-01")
     new = tempo(protocol={"query": "summer", "renderer": 2}, day="2025-02-02")
     no_row = run("hog", protocol={"query": "night"}, day="2025-06-01")
@@ -94,12 +77,12 @@ def test_two_protocols_are_two_groups_the_newest_first() -> None:
     ("changed", "row"),
     [({}, VPRTEMPO), ({"rules": "reference"}, PUBLIC), ({"rules": "v1"}, None), ({"epochs": 9}, None)],
 )
-def test_a_run_belongs_to_the_row_with_its_arguments(changed: dict[str, Any], row: Row | None) -> None:
+def test_a_run_belongs_to_the_row_with_its_arguments(changed, row):
     group = Group(RAIL, 1, (tempo(changed=changed),), ())
     assert [each for each in ROWS if of_row(group, each, "cpu").runs] == ([row] if row else [])
 
 
-def test_the_arguments_that_a_size_needs_are_part_of_the_row() -> None:
+def test_the_arguments_that_a_size_needs_are_part_of_the_row():
     fitting = tempo(changed={"max_module": 450}, dataset=STREET)
     both = tempo(changed={"max_module": 450, "rules": "reference"}, dataset=STREET)
     stored = tempo(dataset=STREET), fitting, both
@@ -109,8 +92,8 @@ def test_the_arguments_that_a_size_needs_are_part_of_the_row() -> None:
     assert stored_of(VPRTEMPO, default_by_now, column=TOWN).runs == (default_by_now,)
 
 
-def test_a_failure_before_its_arguments_were_known_belongs_where_its_options_say() -> None:
-    def early(**changes: Any) -> Failure:
+def test_a_failure_before_its_arguments_were_known_belongs_where_its_options_say():
+    def early(**changes):
         failed = lost(**changes)
         return replace(failed, config={name: value for name, value in failed.config.items() if name != "changed"})
 
@@ -123,12 +106,10 @@ def test_a_failure_before_its_arguments_were_known_belongs_where_its_options_say
     assert of_row(*grouped([], [least], TOWN), VPRTEMPO, "cpu").failures == (least,)
 
 
-OTHERS: dict[str, dict[str, Any]] = {
+OTHERS = {
     "code": {"config": {"code": "beef"}},
     "weights": {"config": {"files": [["net.pth", "a1"]]}},
-    "arguments of the method": {
-        "config": {"method": {"rules": "paper", "max_module": 1100, "epochs": 3, "_target_": "made.vprtempo"}}
-    },
+    "arguments of the method": {"config": {"method": {"rules": "paper", "max_module": 1100, "epochs": 3}}},
     "libraries": {"machine": {**ABACUS, "libraries": {"torch": "2.7.0"}}},
     "threads": {"machine": {**ABACUS, "threads": 2}},
     "machine": {"machine": {**ABACUS, "processor": "Loom 3"}},
@@ -159,9 +140,7 @@ LOADED = run(day="2025-03-01", network="5a" * 32, fit_seconds=None)
         (SAD, [run(day="2025-01-02"), TRAINED], [run(day="2025-01-02")], (), (Aside(1, "measured again since"),)),
     ],
 )
-def test_runs_that_differ_in_more_than_their_seed_are_never_put_together(
-    row: Row, stored: list[Run], runs: list[Run], missing: tuple[int, ...], aside: tuple[Aside, ...]
-) -> None:
+def test_runs_that_differ_in_more_than_their_seed_are_never_put_together(row, stored, runs, missing, aside):
     found = stored_of(row, *stored)
     assert [each.key for each in found.runs] == [each.key for each in runs]
     assert (found.missing_seeds, found.aside) == (missing, aside)
@@ -172,22 +151,16 @@ LATER = [lost(seed, "lost", day="2025-04-01", missing=True) for seed in (0, 2)]
 BROKE = lost(0, "broke", day="2025-03-20")
 THERE = [lost(seed, day="2025-04-01", machine=LOOM) for seed in (0, 2)]
 UNKNOWN = replace(THERE[1], environment={})
-FAILED = [
-    lost(0, day="2025-02-01"),  # mended since
-    lost(1, day="2025-04-01"),
-    lost(2, "first", day="2025-01-01"),
-    lost(2, "last", day="2025-01-02"),
-    lost(2, device="cuda"),
-    lost(2, changed={"rules": "v1"}),
-    failure("sad", 2),
-]
+LAST = lost(1, day="2025-04-01"), lost(2, "last", day="2025-01-02")
+MENDED = lost(0, day="2025-02-01"), lost(2, "first", day="2025-01-01")
+OF_OTHERS = lost(2, device="cuda"), lost(2, changed={"rules": "v1"}), failure("sad", 2)
 
 
 @pytest.mark.parametrize(
     ("stored", "failures", "told"),
     [
         # of missing seeds the last one, and later errors of stored ones
-        (STORED, FAILED, [FAILED[1], FAILED[3]]),
+        (STORED, [*MENDED, *LAST, *OF_OTHERS], [*LAST]),
         # what was missing later says nothing of a seed that is stored
         (STORED, LATER, LATER[1:]),
         (STORED, [BROKE, *LATER], [BROKE, LATER[1]]),
@@ -197,37 +170,28 @@ FAILED = [
         ((), THERE, THERE),
     ],
 )
-def test_failures_are_told_that_no_run_has_mended(
-    stored: tuple[Run, ...], failures: list[Failure], told: list[Failure]
-) -> None:
+def test_failures_are_told_that_no_run_has_mended(stored, failures, told):
     (group,) = grouped(stored, failures)
     assert list(of_row(group, VPRTEMPO, "cpu").failures) == told
 
 
-def test_series_are_the_rows_with_runs_under_the_names_of_the_table() -> None:
+def test_series_are_the_rows_with_runs_under_the_names_of_the_table_and_a_protocol_is_told_without_its_numbers():
     group = Group(RAIL, 1, (tempo(1), tempo(0), run(device="cuda:1")), ())
     (cpu,) = series(group, ROWS)
     assert (cpu.name, cpu.spiking) == ("VPRTempo", True)
     assert [stored.config["seed"] for stored in cpu.runs] == [0, 1]
     assert [one.name for one in series(group, ROWS, "cuda")] == ["SAD"]
+    protocol = {"references": ("sun", "rain"), "places": 450, "query_places": 360}
+    made = run(protocol=protocol | {"repeated_images": {"sun": 5, "rain": 2}})
+    assert protocol_words(made) == "references sun+rain, repeated images 5 in sun+2 in rain"
 
 
-def test_accuracy_is_taken_from_the_device_with_more_seeds_and_of_equals_the_cpu() -> None:
+def test_accuracy_is_taken_from_the_device_with_more_seeds_and_of_equals_the_cpu():
     cpu, gpu = ([tempo(seed, device=device) for seed in (0, 1, 2)] for device in ("cpu", "cuda"))
     failed = tuple(lost(day="2025-04-01", device=device) for device in ("cpu", "cuda"))
-    for runs, taken in (
-        ([*cpu, *gpu], cpu),
-        ([*cpu[:2], *gpu], gpu),
-        ([*cpu[:2], gpu[0]], cpu[:2]),
-        ([gpu[1]], [gpu[1]]),
-    ):
+    two = cpu[:2]
+    for runs, taken in (cpu + gpu, cpu), (two + gpu, gpu), ([*two, gpu[0]], two), (gpu[1:2], gpu[1:2]):
         for failures in ((), failed[:1], failed[1:]):
             (one,) = accuracy_series(Group(RAIL, 1, tuple(runs), failures), ROWS)
             assert (one.name, list(one.runs)) == ("VPRTempo", taken)
     assert accuracy_series(Group(RAIL, 1, (), (lost(),)), ROWS) == []
-
-
-def test_a_protocol_in_words_leaves_out_the_numbers_that_stand_beside_it() -> None:
-    protocol = {"references": ("sun", "rain"), "places": 450, "query_places": 360}
-    made = run(protocol=protocol | {"repeated_images": {"sun": 5, "rain": 2}})
-    assert protocol_words(made) == "references sun+rain, repeated images 5 in sun+2 in rain"

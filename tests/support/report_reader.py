@@ -4,7 +4,6 @@ import re
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from playwright.sync_api import Browser, BrowserContext, Page
 
 PATIENCE = 30_000  # milliseconds, where nothing is slow but the machine may be
@@ -69,39 +68,9 @@ def colours(row):
 
 
 def queries_of(path):
-    """The queries that the bars of a strip cover."""
     runs = re.findall(r"M(\d+) 100h(\d+)v", path)
     return {query for first, length in runs for query in range(int(first), int(first) + int(length))}
 
 
 def widest(tab):
     return int(tab.evaluate("Math.max(document.documentElement.scrollWidth, document.body.scrollWidth)"))
-
-
-def contrasts(tab):
-    """The contrast (WCAG 2) of every text that is seen, from the styles that the browser computed."""
-    seen = tab.evaluate("""() => {
-        const found = [];
-        const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
-        while (walker.nextNode()) {
-            const text = walker.currentNode.data.trim();
-            const element = walker.currentNode.parentElement;
-            if (!text || !element.checkVisibility() || element.closest("script, noscript, :disabled")) continue;
-            let behind = element;
-            while (getComputedStyle(behind).backgroundColor === "rgba(0, 0, 0, 0)") behind = behind.parentElement;
-            found.push([text, getComputedStyle(element).color, getComputedStyle(behind).backgroundColor]);
-        }
-        return found;
-    }""")
-    return {f"{text}: {ink} on {ground}": contrast(ink, ground) for text, ink, ground in seen}
-
-
-def contrast(ink, ground):
-    def luminance(colour):
-        assert colour.startswith("rgb("), colour
-        channels = np.array([int(part) for part in re.findall(r"\d+", colour)]) / 255
-        linear = np.where(channels <= 0.04045, channels / 12.92, ((channels + 0.055) / 1.055) ** 2.4)
-        return float(linear @ [0.2126, 0.7152, 0.0722])
-
-    high, low = sorted((luminance(ink), luminance(ground)), reverse=True)
-    return (high + 0.05) / (low + 0.05)

@@ -1,4 +1,4 @@
-"""What every figure keeps: captions, whole ones are stored; room for its texts; and what it refuses to draw.
+"""What every figure keeps: captions, whole ones are stored; and what it refuses to draw.
 
 The stored captions are written anew, to be read before they are committed, where VPRBENCH_STORE_DOCUMENTS is set.
 """
@@ -6,7 +6,7 @@ The stored captions are written anew, to be read before they are committed, wher
 import os
 from dataclasses import replace
 from functools import partial
-from itertools import combinations, cycle
+from itertools import cycle
 from pathlib import Path
 
 import little
@@ -14,8 +14,6 @@ import numpy as np
 import pytest
 from checkout import ROOT
 from figure_runs import five_rows, run, series, sized
-from matplotlib.axis import Axis
-from matplotlib.text import Text
 
 from vprbench.errors import BadInput
 from vprbench.metrics.ranking import outcome
@@ -136,44 +134,11 @@ def every_kind():
     yield "spikes of four", spike_statistics(networks)
 
 
-@pytest.fixture(scope="module")
-def drawings():
-    return [*every_kind()]
-
-
-def test_captions_are_the_stored_ones(drawings):
-    text = "\n".join(f"## {name}\n\n{drawn.caption}\n" for name, drawn in drawings)
+def test_captions_are_the_stored_ones():
+    text = "\n".join(f"## {name}\n\n{drawn.caption}\n" for name, drawn in every_kind())
     if "VPRBENCH_STORE_DOCUMENTS" in os.environ:
         STORED.write_text(text, encoding="utf-8")
     assert text == STORED.read_text(encoding="utf-8")
-
-
-def shown(figure):
-    """Return the texts that a reader sees: a tick beyond the ends of its axis is not drawn."""
-    figure.draw_without_rendering()
-    hidden = set()
-    for axis in figure.findobj(Axis):
-        low, high = sorted(axis.get_view_interval())
-        beyond = [tick for tick in axis.get_major_ticks() + axis.get_minor_ticks() if not low <= tick.get_loc() <= high]
-        hidden |= {label for tick in beyond for label in (tick.label1, tick.label2)}
-    seen = (text for text in figure.findobj(Text) if text.get_text().strip() and text.get_visible())
-    return [text for text in seen if text not in hidden]
-
-
-@pytest.mark.filterwarnings("error")
-def test_no_text_of_any_figure_covers_another_or_is_cut(drawings):
-    for name, drawn in drawings:
-        if any(word in name for word in ("seed", "troubled", "recall_at", "stands in", "outside", "undecided")):
-            continue  # fewer and shorter names than another of its kind
-        boxes = [(text.get_text(), Text.get_window_extent(text)) for text in shown(drawn.figure)]  # without arrows
-        canvas = drawn.figure.bbox.padded(1)  # pixel
-        cut = [text for text, box in boxes if not (canvas.contains(*box.min) and canvas.contains(*box.max))]
-        covered = [
-            (text, other)
-            for (text, one), (other, two) in combinations(boxes, 2)
-            if min(one.x1, two.x1) - max(one.x0, two.x0) > 1 and min(one.y1, two.y1) - max(one.y0, two.y0) > 1
-        ]
-        assert (name, cut, covered) == (name, [], [])
 
 
 SPIKING = {"spikes": {"queries": 4, "layers": [little.a_layer("output", 100, [1, 2, 3, 4], 0.5, None)]}}

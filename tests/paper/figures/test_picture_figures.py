@@ -48,20 +48,6 @@ def test_a_row_shows_the_right_place_and_the_query_as_they_are_and_patch_normali
     assert [axes[0].get_ylabel(), axes[4].get_ylabel()] == ["Place 5\nquery 0", "Place 8\nquery 3"]
 
 
-@pytest.mark.parametrize(("height", "width"), [(320, 180), (100, 640)])
-def test_frames_of_any_shape_fit_the_page_and_have_one_height(height, width):
-    example = Example(0, 5, picture(1, height, width), picture(2, height, width))
-    figure = frames(kept(example, example), "Railway").figure
-    figure.draw_without_rendering()
-    assert figure.get_figwidth() * 25.4 <= 180.001
-    boxes = [panel.get_position() for panel in figure.axes]
-    assert min(box.height * figure.get_figheight() * 25.4 for box in boxes) > 10  # mm
-    for panel, box in zip(figure.axes, boxes, strict=True):
-        rows, columns = shown(panel).shape[:2]
-        drawn = box.width * figure.get_figwidth() / (box.height * figure.get_figheight())
-        assert drawn == pytest.approx(columns / rows, rel=0.02)
-
-
 # Similarity
 
 
@@ -114,16 +100,6 @@ def test_at_the_size_of_nordland_no_right_place_vanishes_and_the_file_stays_smal
         assert shown(panel)[rows, columns].min() == 1
         assert shown(panel).sum() == len({*zip(rows.tolist(), columns.tolist(), strict=True)})
     assert len(pdf(drawn)) < 500_000
-
-
-@pytest.mark.parametrize(("n_queries", "n_places"), [(4, 400), (400, 4), (1, 1)])
-def test_a_matrix_that_is_far_from_square_still_has_a_height_to_see(n_queries, n_places):
-    figure = similarity(with_scores(np.ones((n_queries, n_places)), *([0] for _ in range(n_queries)))).figure
-    figure.draw_without_rendering()
-    for panel in figure.axes[:2]:
-        box = panel.get_position()
-        assert 20 < box.height * figure.get_figheight() * 25.4 < 90
-        assert 20 < box.width * figure.get_figwidth() * 25.4 < 90
 
 
 # Spikes

@@ -9,7 +9,7 @@ import pytest
 import report_page as made
 from playwright.sync_api import expect
 from report_page import SAD_WRONG, answered, journey_run, journey_section, made_up_page, place_colour, query_colour
-from report_reader import choose, colours, contrasts, current, focused, listed, queries_of, widest
+from report_reader import choose, colours, current, focused, listed, queries_of, widest
 
 from vprbench.paper.page.page import Picture, Section, page
 from vprbench.paper.selection import Series
@@ -18,7 +18,6 @@ from vprbench.paper.table import formats
 MINUS = "\N{MINUS SIGN}"
 ROUTE, HIGHEST = "along the route", "by margin, highest first"
 LEFT_OUT = re.compile(f"^{1 + [note.code for note in made_table.table().notes].index('left out')}$")
-WIDE = "unbroken" * 40
 PHONE = {"viewport": {"width": 360, "height": 740}}
 FIRST = "1 to 5 of 5: A wrong, ties included"  # what is told of the queries that a page opens with
 
@@ -375,45 +374,6 @@ def test_a_figure_is_enlarged_by_click_or_enter_and_closed_again(report):
 
 
 # Looks and trust
-
-
-def test_a_phone_of_360_pixels_never_scrolls_sideways(reader):
-    wide = made.TABLE.replace("<td>none</td>", "<td>none</td>" * 20).replace("Measured here", WIDE)
-    names = made.journey_thumbnails(query_names=(WIDE,) * made.N_QUERIES)
-    series = (*journey_section().series, Series(WIDE, False, (journey_run({}),)))
-    given = replace(journey_section(WIDE, names), series=series)
-    tab = reader.read(page(wide, [], [given, journey_section("Other")], WIDE), **PHONE)
-    assert widest(tab) <= 360
-    tab.locator("#queries button").first.click()
-    assert widest(tab) <= 360
-    for chosen in ({"method_b": WIDE, "kind": "all queries"}, {"dataset": "Other"}):
-        choose(tab, **chosen)
-        assert widest(tab) <= 360
-
-
-@pytest.mark.parametrize("look", ["light", "dark", "print"])
-def test_every_text_stands_out_from_its_ground(reader, look):
-    tab = reader.read(made_up_page([journey_section()]), color_scheme="light" if look == "light" else "dark")
-    choose(tab, method_b="VPRTempo, seed 0", kind="all queries", order=ROUTE)
-    tab.locator("#query-3").click()
-    if look == "print":
-        tab.emulate_media(media="print")
-        expect(tab.locator("#controls")).to_be_hidden()
-        expect(tab.locator("#queries > li").first).to_be_visible()
-    ground = re.findall(r"\d+", tab.evaluate("getComputedStyle(document.body).backgroundColor"))
-    assert max(map(int, ground)) < 64 if look == "dark" else min(map(int, ground)) > 200
-    found = contrasts(tab)
-    assert len(found) > 100
-    assert {text: ratio for text, ratio in found.items() if ratio < 4.5} == {}
-
-
-def test_hostile_names_stay_text(reader):
-    tab = reader.read(made_up_page([made.hostile_section()]))
-    tab.locator("#query-11").click()
-    expect(tab.locator("#query-11")).to_have_attribute("aria-expanded", "true")
-    assert tab.title() == "Visual place recognition, measured"
-    assert tab.locator("img:not([src^='data:'])").count() == 0
-    assert [url for url in reader.requests if not url.startswith("data:")] == [tab.url.partition("#")[0]]
 
 
 def test_without_javascript_everything_else_is_there_and_the_page_says_what_is_not(reader):

@@ -100,14 +100,12 @@ def test_the_page_holds_its_table_figures_and_sentences_and_allows_nothing_else(
     assert (rules["default-src"], rules["img-src"]) == ("'none'", "data:")
 
 
-@pytest.mark.parametrize("n_pictures", [0, 1])
-def test_a_figure_that_is_not_drawn_is_told_under_the_others(n_pictures):
-    pictures = [Picture("speed", "How long a query takes.", b"")] * n_pictures
+def test_a_figure_that_is_not_drawn_is_told_under_the_others():
     sentence = f"growth: no run at other numbers of places is stored{HOSTILE}"
-    parsed = Parsed(report.page(TABLE, pictures, [], absent=[sentence]))
-    assert sentence in parsed.text.split("Figures")[-1]
-    assert "#figures" in [link["href"] for link in parsed.all("a")]
-    assert len(parsed.all("li")) - len(Parsed(report.page(TABLE, pictures, [])).all("li")) == 2 - n_pictures
+    for pictures in ([], [Picture("speed", "How long a query takes.", b"")]):
+        parsed = Parsed(report.page(TABLE, pictures, [], absent=[sentence]))
+        assert sentence in parsed.text.split("Figures")[-1]
+        assert "#figures" in [link["href"] for link in parsed.all("a")]
 
 
 @pytest.mark.parametrize(("colours", "alpha"), [(52, 255), (52, 0), (256, 255)])

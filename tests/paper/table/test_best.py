@@ -1,9 +1,6 @@
 """A cell is bold only where every test separates its row from every other one."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -12,22 +9,18 @@ from stored_runs import ABACUS, run
 
 from vprbench.paper.plan import Row
 from vprbench.run.note import Note
-from vprbench.run.record import Run
 
 RECALL, TRAINING, RATE = "recall_at_1", "train_cpu", "query_cpu"
 NOISY = (Note("noisy", "two carts passed"),)
 
 
-def bold(quantity: str, contest: dict[str, list[Run]], unfinished: str = "") -> str:
+def bold(quantity, contest, unfinished=""):
     """Return the row that is bold; a row has a run for each seed, an unfinished one lacks one more seed."""
-    rows = [
-        Row(name, name, seeds=tuple(range(len(runs) + (name in unfinished.split())))) for name, runs in contest.items()
-    ]
-    seeded = [
-        replace(each, method=name, key=f"{name}-{seed}", config={**each.config, "seed": seed})
-        for name, runs in contest.items()
-        for seed, each in enumerate(runs)
-    ]
+    rows, seeded = [], []
+    for name, runs in contest.items():
+        rows.append(Row(name, name, seeds=tuple(range(len(runs) + (name == unfinished)))))
+        for seed, each in enumerate(runs):
+            seeded.append(replace(each, method=name, key=f"{name}-{seed}", config={**each.config, "seed": seed}))
     made = table(seeded, rows=rows)
     best = [row.name for row in rows if (found := cell(made, row.name, quantity).measured) is not None and found.best]
     told = any(sentence.startswith("Bold R@1") for sentence in made.caption)
@@ -35,12 +28,12 @@ def bold(quantity: str, contest: dict[str, list[Run]], unfinished: str = "") -> 
     return " ".join(best)
 
 
-def misses(*wrong: int, n_queries: int = 60) -> Run:
+def misses(*wrong, n_queries=60):
     """Return a run that is right everywhere but at these queries."""
     return run(hits=[int(query not in wrong) for query in range(n_queries)])
 
 
-def spread(count: int, n_queries: int = 60) -> Run:
+def spread(count, n_queries=60):
     """Return a run of misses that are ten queries apart and never come together."""
     return misses(*range(0, 10 * count, 10), n_queries=n_queries)
 
@@ -62,21 +55,16 @@ SAME, ALL_WRONG = misses(), misses(*range(60))
         ({"a": [SAME, SAME], "b": [spread(6), spread(6)]}, "a", ""),
         ({"a": [SAME, SAME], "b": [spread(6), misses(0)]}, "", ""),
         ({"a": [SAME, misses(0)], "b": [spread(6)]}, "", ""),
-        # two rows of one value
-        ({"a": [misses(n_queries=80)], "b": [misses(n_queries=80)], "c": [spread(8, 80)]}, "", ""),
         # a row with missing seeds cannot win but keeps others from it
-        ({"a": [SAME], "b": [ALL_WRONG]}, "", "a"),
         ({"a": [SAME], "b": [spread(6)], "c": [ALL_WRONG]}, "", "a"),
         ({"b": [SAME], "c": [ALL_WRONG]}, "b", "c"),
     ],
 )
-def test_recall_is_best_where_every_pair_of_runs_is_separated(
-    contest: dict[str, list[Run]], best: str, unfinished: str
-) -> None:
+def test_recall_is_best_where_every_pair_of_runs_is_separated(contest, best, unfinished):
     assert bold(RECALL, contest, unfinished) == best
 
 
-def test_the_interval_allows_for_as_many_comparisons_as_the_test_does() -> None:
+def test_the_interval_allows_for_as_many_comparisons_as_the_test_does():
     # McNemar: p = 2 / 2^9 = 0.0039 < 0.05 / 9. Of the 60 stretches of four queries, which is how long blocks are here,
     # 42 hold none of the misses, so of all draws of 15 (42 / 60)^15 = 0.5 % show no difference: less than 2.5 % (1.3 %
     # with the allowance for few blocks) and more than 2.5 % / 9.
@@ -87,8 +75,8 @@ def test_the_interval_allows_for_as_many_comparisons_as_the_test_does() -> None:
 
 @pytest.mark.parametrize(("length", "n_queries", "shuffled"), [(10, 60, False), (60, 600, False), (60, 600, True)])
 def test_a_difference_of_one_stretch_of_the_route_separates_nothing_in_whatever_order_it_is_asked(
-    length: int, n_queries: int, shuffled: bool
-) -> None:
+    length, n_queries, shuffled
+):
     # p < 2 / 2^10, but many draws of blocks miss the stretch
     order = np.random.default_rng(0).permutation(n_queries) if shuffled else np.arange(n_queries)
     asked = {"n_places": n_queries, "positives": tuple(np.array([place]) for place in order)}
@@ -96,7 +84,7 @@ def test_a_difference_of_one_stretch_of_the_route_separates_nothing_in_whatever_
     assert bold(RECALL, {"a": [run(hits=[1] * n_queries, **asked)], "b": [run(hits=hits, **asked)]}) == ""
 
 
-def test_hits_by_luck_among_equal_scores_separate_nothing() -> None:
+def test_hits_by_luck_among_equal_scores_separate_nothing():
     two = np.full(60, 2)
     lucky = replace(SAME, outcome=replace(SAME.outcome, top_tied=two, tied=two))  # expected R@1 1 / 2
     assert bold(RECALL, {"a": [lucky], "b": [ALL_WRONG]}) == ""
@@ -108,11 +96,12 @@ def test_hits_by_luck_among_equal_scores_separate_nothing() -> None:
     assert bold(RECALL, {"a": [lucky], "b": [third]}) == ""
 
 
-def timed(match_ms: list[float], encode_ms: float = 0.001, **changes: Any) -> Run:
+def timed(match_ms, encode_ms=0.001, **changes):
     seconds = [[encode_ms / 1e3] * len(match_ms), [each / 1e3 for each in match_ms]]
     return run(encode_seconds=seconds[0], match_seconds=seconds[1], **changes)
 
 
+NEAR = (-0.02, -0.01, 0, 0.01, 0.02)
 FAST, SLOW = [10.0, 10.1, 10.2, 10.3, 10.4], [20.0, 20.1, 20.2, 20.3, 20.4]
 
 
@@ -123,8 +112,8 @@ FAST, SLOW = [10.0, 10.1, 10.2, 10.3, 10.4], [20.0, 20.1, 20.2, 20.3, 20.4]
         ([timed(FAST)], [timed(SLOW, day="2025-12-31")], "fast"),
         ([timed(FAST[:4])], [timed(SLOW[:4])], ""),
         # a quarter faster
-        ([timed(FAST)], [timed([10.2 * 1.26 + 0.01 * i for i in range(-2, 3)])], "fast"),
-        ([timed(FAST)], [timed([10.2 * 1.24 + 0.01 * i for i in range(-2, 3)])], ""),
+        ([timed(FAST)], [timed([10.2 * 1.26 + each for each in NEAR])], "fast"),
+        ([timed(FAST)], [timed([10.2 * 1.24 + each for each in NEAR])], ""),
         # encode and match together: 110 ms against 20, and 25 ms against 40
         ([timed(FAST, encode_ms=100.0)], [timed(SLOW)], "slow"),
         ([timed(FAST, encode_ms=15.0)], [timed(SLOW, encode_ms=20.0)], "fast"),
@@ -138,18 +127,16 @@ FAST, SLOW = [10.0, 10.1, 10.2, 10.3, 10.4], [20.0, 20.1, 20.2, 20.3, 20.4]
         ([timed(FAST)], [timed(SLOW, notes=(Note("audit", "other answers"),))], "fast"),
     ],
 )
-def test_a_rate_is_best_where_it_is_a_quarter_faster_than_all_others(
-    fast: list[Run], slow: list[Run], best: str
-) -> None:
+def test_a_rate_is_best_where_it_is_a_quarter_faster_than_all_others(fast, slow, best):
     assert bold(RATE, {"slow": slow, "fast": fast}) == best
 
 
-def trained(*seconds: float, **changes: Any) -> list[Run]:
+def trained(*seconds, **changes):
     """Return a run for each time of training; reading the images takes so long that the fast ones are the slow ones."""
     return [run(fit_compute_seconds=each, fit_seconds=9000 - each, **changes) for each in seconds]
 
 
-def late(made: Run) -> Run:
+def late(made):
     """Return a run that leaves 20 s of its training to its first query."""
     return replace(made, timing=replace(made.timing, first_query_seconds=20.0))
 
@@ -165,7 +152,7 @@ def late(made: Run) -> Run:
         (list(map(late, trained(60))), trained(75), ""),
     ],
 )
-def test_training_is_fastest_where_every_seed_is_a_quarter_faster(fast: list[Run], slow: list[Run], best: str) -> None:
+def test_training_is_fastest_where_every_seed_is_a_quarter_faster(fast, slow, best):
     assert bold(TRAINING, {"slow": slow, "fast": fast}) == best
 
 
@@ -177,12 +164,12 @@ def test_training_is_fastest_where_every_seed_is_a_quarter_faster(fast: list[Run
         {"machine": {**ABACUS, "threads": 2}},
     ],
 )
-def test_no_time_is_best_where_rows_were_timed_in_another_way(changes: dict[str, Any]) -> None:
+def test_no_time_is_best_where_rows_were_timed_in_another_way(changes):
     assert bold(RATE, {"fast": [timed(FAST)], "slow": [timed(SLOW, **changes)]}) == ""
     assert bold(TRAINING, {"fast": trained(60), "slow": trained(90, **changes)}) == ""
 
 
-def test_rows_without_a_number_are_in_no_contest() -> None:
+def test_rows_without_a_number_are_in_no_contest():
     nothing = np.zeros(60, np.int64)
     undefined = replace(SAME, outcome=replace(SAME.outcome, n_positives=nothing, tied=nothing, above=nothing + 10))
     assert bold(RECALL, {"a": [SAME], "b": [spread(6)], "c": [undefined]}) == "a"

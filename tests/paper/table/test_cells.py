@@ -1,35 +1,17 @@
 """Cells say what was measured, what was printed and why they differ, or which word stands for nothing."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, replace
-from typing import Any
 
 import numpy as np
 import pytest
 from assembled import NAMES, absences, cell, codes, measured, reasons, table, tempo
-from stored_runs import (
-    CITY,
-    NETVLAD,
-    NORDLAND,
-    PLAN,
-    RAIL,
-    RAILWAY,
-    SAD,
-    STREET,
-    TOWN,
-    VPRSNN,
-    VPRTEMPO,
-    failure,
-    run,
-)
+from stored_runs import CITY, NETVLAD, NORDLAND, PLAN, RAIL, RAILWAY, SAD, STREET, TOWN, VPRSNN, VPRTEMPO, failure, run
 
 from vprbench.paper.plan import PlannedColumn, Row
 from vprbench.paper.selection import ResolvedColumn, groups
 from vprbench.paper.table.build import assemble
 from vprbench.paper.table.quantities import quantities
 from vprbench.run.note import Note
-from vprbench.run.record import Failure, Run
 
 approx = pytest.approx
 WILSON = (approx(15.00, abs=0.005), approx(85.00, abs=0.005))  # 95 % of 2 hits of 4
@@ -39,7 +21,7 @@ FAST = [0.0010, 0.0011, 0.0012, 0.0013, 0.0014]
 SLOW = [10 * each for each in FAST]
 
 
-def test_the_numbers_of_a_single_run_are_those_worked_by_hand() -> None:
+def test_the_numbers_of_a_single_run_are_those_worked_by_hand():
     made = table([run(), run("netvlad")])  # 2 of 4 right; 10 ms to encode and 2.5 ms to match
     recall = measured(made, "SAD", "recall_at_1")
     assert (recall.value, recall.spread, recall.total, recall.seeds) == (50.0, None, None, (0,))
@@ -52,7 +34,7 @@ def test_the_numbers_of_a_single_run_are_those_worked_by_hand() -> None:
     assert column.protocol == "references spring+fall, query summer, tolerance places 0"
 
 
-def test_several_seeds_give_mean_and_spread_and_the_median_of_minutes() -> None:
+def test_several_seeds_give_mean_and_spread_and_the_median_of_minutes():
     # R@1 75, 50 and 25 %: mean 50, sample deviation 25, 2 of 4 hits in the mean; rates 80, 66.7 and 50 Hz, to match
     # alone 400, 200 and 100; 1, 9 and 2 minutes, with the images 11, 10 and 3
     runs = [
@@ -64,29 +46,21 @@ def test_several_seeds_give_mean_and_spread_and_the_median_of_minutes() -> None:
     recall, train, query = (measured(made, "VPRTempo", quantity) for quantity in NAMES[:3])
     assert (recall.value, recall.spread, recall.seeds) == (approx(50), approx(25), (0, 1, 2))
     assert (recall.low, recall.high) == WILSON
-    assert (query.value, query.spread, query.at_boundary) == (
-        approx(590 / 9),
-        approx(15.0308, abs=1e-3),
-        approx(700 / 3),
-    )
+    assert (query.value, query.spread, query.at_boundary) == approx((590 / 9, 15.0308, 700 / 3), abs=1e-3)
     assert (train.value, train.spread, train.total) == (approx(2), approx(19**0.5), approx(10))
 
 
-def test_a_difference_to_the_paper_is_given_on_its_own_frames_and_never_on_those_that_stand_in() -> None:
+def test_a_difference_to_the_paper_is_given_on_its_own_frames_and_never_on_those_that_stand_in():
     runs = [run(), *(tempo(seed, fit_compute_seconds=120) for seed in (0, 1, 2))]
     cells = [("SAD", "recall_at_1"), ("SAD", "query_cpu"), ("VPRTempo", "train_cpu")]
     real = table(runs, asked=[ResolvedColumn(NORDLAND, RAILWAY)])
-    assert [cell(real, row, q, "nordland").difference for row, q in cells] == [
-        approx(50 - 48),
-        approx(400 - 10),
-        approx(2 - 60),
-    ]
+    assert [cell(real, row, q, "nordland").difference for row, q in cells] == approx([50 - 48, 400 - 10, 2 - 60])
     rendered = table(runs)
     assert [cell(rendered, row, q).published for row, q in cells] == [48, 10, 60]
     assert {each.difference for row in rendered.rows for each in row.cells.values()} == {None}
 
 
-def test_an_empty_store_shows_words_in_every_cell() -> None:
+def test_an_empty_store_shows_words_in_every_cell():
     made = table()
     (column,) = made.columns
     assert (column.n_places, column.n_queries, made.machines) == (None, None, ())
@@ -97,7 +71,7 @@ def test_an_empty_store_shows_words_in_every_cell() -> None:
     assert codes(made, "VPRTempo", "query_gpu") == ["device"]
 
 
-def test_without_runs_on_a_cpu_accuracy_is_of_the_gpu_and_the_machine_has_its_newest_day() -> None:
+def test_without_runs_on_a_cpu_accuracy_is_of_the_gpu_and_the_machine_has_its_newest_day():
     made = table([run(device="cuda", day="2025-03-04"), run("vprsnn", device="cuda", day="2025-03-01")])
     assert absences(made, "SAD") == ["measured", "not applicable", "not run", "not applicable", "measured"]
     assert codes(made, "SAD", "query_cpu") == ["device"]
@@ -105,7 +79,7 @@ def test_without_runs_on_a_cpu_accuracy_is_of_the_gpu_and_the_machine_has_its_ne
 
 
 @pytest.mark.parametrize("runs", [[], [run("netvlad")]])
-def test_the_training_of_a_pretrained_row_is_quoted_whether_it_runs_or_not(runs: list[Run]) -> None:
+def test_the_training_of_a_pretrained_row_is_quoted_whether_it_runs_or_not(runs):
     made = table(runs, [failure("netvlad", missing=True)], rows=[NETVLAD], asked=[RAIL, TOWN])
     for column, published, mark in (("railway", 15120, "quoted"), ("street", None, "none")):
         found = cell(made, "NetVLAD", "train_gpu", column)
@@ -119,7 +93,7 @@ def test_the_training_of_a_pretrained_row_is_quoted_whether_it_runs_or_not(runs:
 
 FETCH = "python -m vprbench fetch nordland parts=[summer,winter]"
 GDOWN = f"`python -m gdown --folder https://drive.google.com/{'x' * 90}`"
-BEGIN = "GCL needs MSLS_resnet152_GeM_480_GCL.pth, which is not in ~/.cache/vprbench/weights"
+BEGIN = "GCL needs MSLS_resnet152_GeM_480_GCL.pth, which is not in"
 
 
 @pytest.mark.parametrize(
@@ -135,31 +109,29 @@ BEGIN = "GCL needs MSLS_resnet152_GeM_480_GCL.pth, which is not in ~/.cache/vprb
                 # what a message says to do is never cut
                 (f"{'no frames ' * 12}are there: run {FETCH}, or get them", f"{'no frames ' * 5}no… run {FETCH}"),
                 (f"no frames. They can be had: {FETCH}", f"no frames… {FETCH}"),
+                (f"{BEGIN} ~/.cache/vprbench/weights: {GDOWN} fetches it; put it there", f"{BEGIN}… {GDOWN}"),
                 (
-                    f"{BEGIN}: {GDOWN} fetches it; put it there",
-                    f"GCL needs MSLS_resnet152_GeM_480_GCL.pth, which is not in… {GDOWN}",
+                    f"{BEGIN} ~/.cache/vprbench/weights: put weights.pth at /a/b.c, or give another",
+                    f"{BEGIN} ~/.cache/vprbench/weights: put weights.pth at /a/b.c",
                 ),
-                (f"{BEGIN}: put weights.pth at /a/b.c, or give another", f"{BEGIN}: put weights.pth at /a/b.c"),
             )
         ),
     ],
 )
-def test_an_error_says_more_than_what_is_missing_and_is_cut_between_words(
-    failures: list[Failure], mark: str, code: str, text: str
-) -> None:
+def test_an_error_says_more_than_what_is_missing_and_is_cut_between_words(failures, mark, code, text):
     made = table([], failures, rows=[VPRTEMPO])
     assert absences(made, "VPRTempo") == [mark, mark, mark, "not run", "not run"]
     assert reasons(made, "VPRTempo", "recall_at_1") == [(code, text)]
 
 
 @pytest.mark.parametrize(("changes", "code"), [({"network": "5a" * 32}, "loaded"), ({}, "kept")])
-def test_what_was_loaded_or_kept_is_no_training(changes: dict[str, Any], code: str) -> None:
+def test_what_was_loaded_or_kept_is_no_training(changes, code):
     made = table([run("vprsnn", fit_seconds=None, fit_compute_seconds=None, **changes)], rows=[VPRSNN])
     assert absences(made, "VPRSNN")[:3] == ["measured", "not run", "measured"]
     assert codes(made, "VPRSNN", "train_cpu") == [code]
 
 
-def test_a_run_that_was_not_timed_has_a_recall_and_a_training_but_no_rate_and_no_bold_time() -> None:
+def test_a_run_that_was_not_timed_has_a_recall_and_a_training_but_no_rate_and_no_bold_time():
     mute = {"timing": None, "hits": [1] * 60, "fit_compute_seconds": 60}
     slow = run("vprsnn", hits=[0] * 60, fit_compute_seconds=600)
     made = table([*(tempo(seed, **mute) for seed in (0, 1, 2)), slow], rows=[VPRSNN, VPRTEMPO])
@@ -174,25 +146,13 @@ def test_a_run_that_was_not_timed_has_a_recall_and_a_training_but_no_rate_and_no
     assert ("fewer", "of 1 of 3 seeds: the others were not timed here") in reasons(one, "VPRTempo", "query_cpu")
 
 
-def test_a_cost_that_is_not_known_says_why() -> None:
-    energy = {"values": {"operations": 2e6, "joules_measured": None}, "how": {"joules_measured": "no counter here"}}
-    costs = quantities(["operations", "joules_measured"], ("cpu",))
-    made = table([run(energy=energy)], rows=[SAD], quantities=costs)
-    assert measured(made, "SAD", "operations").value == 2
-    assert [text for _, text in reasons(made, "SAD", "joules_measured")] == ["Measured n/a: no counter here"]
-
-
-def test_recall_tells_its_ties_its_notes_and_that_it_is_undefined() -> None:
+def test_recall_tells_its_ties_its_notes_and_that_it_is_undefined_and_a_cost_that_is_not_known_why():
     # the right place shares the highest score with a wrong one for two of four queries
     outcome, two, nothing = run(hits=[1, 0, 1, 1]).outcome, np.array([1, 1, 2, 2]), np.zeros(4, np.int64)
+    tied = run(outcome=replace(outcome, top_tied=two, tied=two))
     undefined = replace(outcome, above=nothing + 10, tied=nothing, tied_correct=nothing, n_positives=nothing)
     notes = tuple(Note(kind, kind) for kind in ("caching", "index", "noisy"))
-    runs = [
-        run(outcome=replace(outcome, top_tied=two, tied=two)),
-        run("hog", outcome=undefined),
-        run("vprsnn", notes=notes),
-    ]
-    made = table(runs, rows=[SAD, HOG, VPRSNN])
+    made = table([tied, run("hog", outcome=undefined), run("vprsnn", notes=notes)], rows=[SAD, HOG, VPRSNN])
     assert measured(made, "SAD", "recall_at_1").value == approx(50)
     assert any("25.0 to 75.0 %" in text for code, text in reasons(made, "SAD", "recall_at_1") if code == "ties")
     assert (absences(made, "hog")[0], codes(made, "hog", "recall_at_1")) == ("not applicable", ["undefined"])
@@ -200,9 +160,14 @@ def test_recall_tells_its_ties_its_notes_and_that_it_is_undefined() -> None:
     assert (query.value, query.at_boundary, codes(made, "hog", "query_cpu")) == (approx(80), None, [])
     told = [[text for code, text in reasons(made, "VPRSNN", q) if code == "note"] for q in ("recall_at_1", "query_cpu")]
     assert told == [["index"], ["caching"]]
+    energy = {"values": {"operations": 2e6, "joules_measured": None}, "how": {"joules_measured": "no counter here"}}
+    costs = quantities(["operations", "joules_measured"], ("cpu",))
+    made = table([run(energy=energy)], rows=[SAD], quantities=costs)
+    assert measured(made, "SAD", "operations").value == 2
+    assert [text for _, text in reasons(made, "SAD", "joules_measured")] == ["Measured n/a: no counter here"]
 
 
-def test_a_method_outside_the_plan_shows_the_time_to_build_its_map_in_no_contest() -> None:
+def test_a_method_outside_the_plan_shows_the_time_to_build_its_map_in_no_contest():
     made = table([run("hog", fit_compute_seconds=6), run("vprsnn", fit_compute_seconds=600)], rows=[HOG, VPRSNN])
     assert measured(made, "hog", "train_cpu").value == approx(0.1)
     assert codes(made, "hog", "train_cpu") == ["map"]
@@ -219,12 +184,9 @@ def test_a_method_outside_the_plan_shows_the_time_to_build_its_map_in_no_contest
         ({"dataset": "railway", "places": "half of the places"}, False),
         ({"dataset": "rails", "places": "half of the places", "also_in": ["railway"]}, False),
         ({"dataset": "street", "places": "half of the places"}, True),
-        ({}, True),
     ],
 )
-def test_a_row_that_was_tuned_on_a_columns_places_says_so_and_is_in_no_contest_there(
-    tuned_on: dict[str, object], best: bool
-) -> None:
+def test_a_row_that_was_tuned_on_a_columns_places_says_so_and_is_in_no_contest_there(tuned_on, best):
     tuned = [tempo(s, hits=[1] * 60, match_seconds=FAST, fit_compute_seconds=6, tuned_on=tuned_on) for s in (0, 1, 2)]
     slow = {"match_seconds": SLOW, "fit_compute_seconds": 600}
     made = table([*tuned, run("vprsnn", hits=[0] * 60, **slow)], rows=[VPRSNN, VPRTEMPO])
@@ -237,40 +199,31 @@ def test_a_row_that_was_tuned_on_a_columns_places_says_so_and_is_in_no_contest_t
 
 
 @pytest.mark.parametrize(("kind", "marked"), [("noisy", True), ("invalid", True), ("caching", False)])
-def test_times_of_a_busy_machine_or_of_too_few_laps_are_marked_and_recall_is_not(kind: Any, marked: bool) -> None:
+def test_times_of_a_busy_machine_or_of_too_few_laps_are_marked_and_recall_is_not(kind, marked):
     made = table([tempo(0), tempo(1, notes=(Note(kind, "noisy: carts"),)), tempo(2)], rows=[VPRTEMPO])
     assert [measured(made, "VPRTempo", quantity).disturbed for quantity in NAMES[:3]] == [False, marked, marked]
     assert any("tilde" in sentence for sentence in made.caption) == marked
 
 
-def test_two_protocols_are_two_columns_with_titles_that_tell_them_apart() -> None:
+def test_two_protocols_are_two_columns_with_titles_that_tell_them_apart():
     old = run(protocol={"query": "summer", "renderer": 1}, day="2025-01-01", hits=[1, 1, 1, 1])
     made = table([run(protocol={"query": "summer", "renderer": 2}), old], rows=[SAD, VPRSNN])
-    assert [(column.name, column.title) for column in made.columns] == [
-        ("railway", "Railway (rendered), renderer 2"),
-        ("railway-2", "Railway (rendered), renderer 1"),
-    ]
+    titles = {"railway": "Railway (rendered), renderer 2", "railway-2": "Railway (rendered), renderer 1"}
+    assert {column.name: column.title for column in made.columns} == titles
     assert measured(made, "SAD", "recall_at_1", "railway-2").value == approx(100)
     assert cell(made, "VPRSNN", "recall_at_1", "railway-2").mark == "not run"
 
 
-def test_the_order_of_a_store_changes_nothing() -> None:
-    runs = [
-        run(),
-        run(day="2025-01-01"),
-        run(device="cuda"),
-        run(protocol={"query": "night"}, day="2025-02-01"),
-        *(tempo(seed) for seed in (0, 1, 2)),
-        tempo(0, config={"code": "beef"}, day="2025-04-01"),
-        run("netvlad"),
-    ]
+def test_the_order_of_a_store_changes_nothing():
+    sads = [run(), run(day="2025-01-01"), run(device="cuda"), run(protocol={"query": "night"}, day="2025-02-01")]
+    runs = [*sads, *map(tempo, (0, 1, 2)), tempo(config={"code": "beef"}, day="2025-04-01"), run("netvlad")]
     failures = [failure("vprsnn"), failure("vprtempo", 2, day="2025-05-01")]
     first = asdict(table(runs, failures))
     for order in (runs[::-1], runs[4:] + runs[:4]):
         assert asdict(table(order, failures[::-1])) == first
 
 
-def test_a_comparison_has_its_own_title_and_neither_published_numbers_nor_times_on_a_gpu() -> None:
+def test_a_comparison_has_its_own_title_and_neither_published_numbers_nor_times_on_a_gpu():
     mine = PlannedColumn("mine", "My street", ("dataset=street",))
     asked, rows = [ResolvedColumn(mine, STREET)], [replace(VPRTEMPO, seeds=(0,)), SAD]
     found = groups([run(dataset=STREET), tempo(dataset=STREET)], (), asked, rows)
@@ -289,7 +242,7 @@ RTX = {**LOOM, "accelerator": "NVIDIA GeForce RTX 2080"}
 OXFORD, FIRST = PlannedColumn("oxford", "Oxford", (), "Oxford RobotCar"), replace(VPRTEMPO, seeds=(0,))
 
 
-def protocol(references: list[str], query: str, **more: Any) -> dict[str, Any]:
+def protocol(references, query, **more):
     return {"protocol": {"references": references, "query": query, **more}}
 
 
@@ -297,7 +250,7 @@ OXFORDS = {"hits": [1] * 360, "n_places": 450, **protocol(["sun", "rain"], "dusk
 OTHER_SIZE = {"hits": [1] * 2761, "n_places": 2761}
 
 
-def why(quantity: str, changes: dict[str, Any], row: Row = FIRST, planned: PlannedColumn = NORDLAND) -> Any:
+def why(quantity, changes, row=FIRST, planned=NORDLAND):
     """Return code and text of what sets a number apart from the paper's; `changes` are of a run as the paper's."""
     paper = {"hits": [1] * 2700, "n_places": 3300, "machine": PAPERS_MACHINE}
     device = "cuda" if quantity.endswith("gpu") else "cpu"
@@ -315,10 +268,8 @@ def why(quantity: str, changes: dict[str, Any], row: Row = FIRST, planned: Plann
         ("train_cpu", {}, {}, {}),
         ("query_cpu", {}, {}, {}),
         ("query_cpu", {}, {"row": SAD}, {"paper's way": ""}),
-        ("recall_at_1", {}, {"row": SAD}, {"distractors": ""}),
         ("query_cpu", {"machine": ABACUS}, {}, {"hardware": ""}),
         ("train_cpu", {"machine": ABACUS}, {}, {"hardware": ": Abacus 9; the paper's: Intel i7-9700K"}),
-        ("query_gpu", {"machine": LOOM}, {}, {"hardware": ""}),
         ("train_gpu", {"machine": LOOM}, {}, {"hardware": ": Spindle 80GB; the paper's: Nvidia RTX 2080"}),
         ("train_gpu", {"machine": RTX}, {}, {}),
         ("recall_at_1", protocol(["morning"], "dusk"), {"planned": RAIL.planned}, {"rendered": "Nordland"}),
@@ -327,29 +278,26 @@ def why(quantity: str, changes: dict[str, Any], row: Row = FIRST, planned: Plann
             "recall_at_1",
             protocol(["winter"], "summer"),
             {},
-            {"traverses": ": winter against summer; the paper's: spring and fall against summer"},
+            {"traverses": ": winter against summer; the paper's: spring"},
         ),
-        ("recall_at_1", protocol(["fall", "spring"], "summer"), {}, {"distractors": ""}),
         ("recall_at_1", OXFORDS, {"planned": OXFORD}, {"distractors": ""}),
         ("recall_at_1", OTHER_SIZE, {}, {"counts": ": 2,761 queries of 2,761 places; the paper's: 2,700 of 3,300"}),
         ("query_cpu", OTHER_SIZE, {}, {"size": ""}),
         ("train_cpu", OTHER_SIZE, {}, {"size": ": 2,761 places; the paper's: 3,300"}),
         ("recall_at_1", protocol(["spring", "fall"], "summer", tolerance_places=1), {}, {"tolerance": " 1 place;"}),
-        ("recall_at_1", protocol(["spring", "fall"], "summer", tolerance_places=3), {}, {"tolerance": " 3 places;"}),
+        ("recall_at_1", protocol(["fall", "spring"], "summer", tolerance_places=3), {}, {"tolerance": " 3 places;"}),
         ("recall_at_1", protocol(["spring", "fall"], "summer", radius_metres=25.0), {}, {"tolerance": " 25 m;"}),
         ("recall_at_1", {**protocol(["spring", "fall"], "summer"), "n_places": 2700}, {}, {"no distractors": " 600 "}),
         *((quantity, {"machine": LOOM}, {"planned": CITY}, {}) for quantity in NAMES),
     ],
 )
-def test_a_difference_has_its_reasons_which_name_both_sides(
-    quantity: str, changes: dict[str, Any], named: dict[str, Any], told: dict[str, str]
-) -> None:
+def test_a_difference_has_its_reasons_which_name_both_sides(quantity, changes, named, told):
     found = why(quantity, changes, **named)
     assert [code for code, _ in found] == [*told]
     assert [words for (_, text), words in zip(found, told.values(), strict=True) if words not in text] == []
 
 
-def test_every_reason_is_short() -> None:
+def test_every_reason_is_short():
     machine = {**LOOM, "processor": "A processor of a very long name " * 9, "accelerator": "A very long name " * 9}
     long = protocol(["an autumn of rain", "a winter of snow"], "a day of hail", tolerance_places=3)
     for quantity in NAMES:
@@ -363,7 +311,7 @@ def test_every_reason_is_short() -> None:
 # Rates that were timed otherwise
 
 
-def timed(**changes: Any) -> dict[str, Any]:
+def timed(**changes):
     return {"config": {"timing": {"minimum_seconds": 2.0, "minimum_queries": 64, "sample": 256, **changes}}}
 
 
@@ -381,25 +329,17 @@ USUAL, SHORT = timed(), timed(minimum_seconds=0.01, minimum_queries=1)
         ({"A": [USUAL, SHORT]}, {"A": "its other seeds: at least 0.01 s and 1 query"}),
     ],
 )
-def test_the_row_that_is_timed_otherwise_says_how(ways: dict[str, list[dict[str, Any]]], told: dict[str, str]) -> None:
+def test_the_row_that_is_timed_otherwise_says_how(ways, told):
     rows = [Row(name, name, seeds=tuple(range(len(given)))) for name, given in ways.items()]
     runs = [run(name, seed, **way) for name, given in ways.items() for seed, way in enumerate(given)]
     made = table([*runs, run("A", device="cuda", **SHORT)], rows=rows)
-    apart = {
-        (row.name, quantity): text
-        for row in rows
-        for quantity in NAMES
-        for code, text in reasons(made, row.name, quantity)
-        if code == "timing"
-    }
+    cells = [(row.name, quantity) for row in rows for quantity in NAMES]
+    apart = {each: text for each in cells for code, text in reasons(made, *each) if code == "timing"}
     assert apart.keys() == {(name, "query_cpu") for name in told}
     assert all(apart[name, "query_cpu"].endswith(f" {end}") for name, end in told.items())
 
 
-# The caption
-
-
-def test_runs_of_other_options_are_told_where_they_fill_a_column_of_their_own() -> None:
+def test_runs_of_other_options_are_told_where_they_fill_a_column_of_their_own():
     asked = ResolvedColumn(RAIL.planned, {**RAIL.dataset, "fog": 0.5})
     before = run(protocol={"query": "summer", "renderer": 1}, day="2025-01-01")
     todays = run(dataset=asked.dataset, protocol={"query": "summer", "renderer": 2})
