@@ -1,7 +1,5 @@
 """A comparison makes what is missing, ranks it and writes it, of the runs that were asked for and no others."""
 
-from __future__ import annotations
-
 import csv
 from dataclasses import replace
 from pathlib import Path
@@ -9,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from small_plan import Apart, install, quick_figures
+from quick_runs import quick_runs
+from small_plan import install, quick_figures
 
 from vprbench.cli import main
 from vprbench.compare import make
@@ -19,12 +18,12 @@ ASKED = ["compare", "timing=none", "threads=1", "name=mine"]
 METHODS = ["methods=sad,pca,cosplace", "seeds=2", "sad.patch=5"]
 
 
-def dataset(folder: Path) -> list[str]:
+def dataset(folder):
     return ["dataset=folders", f"dataset.references=[{folder / 'ref'}]", f"dataset.queries={folder / 'query'}"]
 
 
 @pytest.fixture(scope="module")
-def compared(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Apart]:
+def compared(tmp_path_factory):
     """A folder with frames, of which half the queries are noise, and with a comparison and the run of another one."""
     folder = tmp_path_factory.mktemp("compared")
     random = np.random.default_rng(0)
@@ -38,26 +37,25 @@ def compared(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Apart]:
     with pytest.MonkeyPatch.context() as monkeypatch:
         apart = install(monkeypatch, folder)
         quick_figures(monkeypatch)
+        quick_runs(monkeypatch)
         assert main(["method=sad", *dataset(folder), *ASKED[1:3]]) == 0
         assert main([*ASKED, *METHODS, *dataset(folder)]) == 0
     return folder, apart
 
 
 @pytest.fixture
-def apart(compared: tuple[Path, Apart], monkeypatch: pytest.MonkeyPatch) -> Apart:
+def apart(compared, monkeypatch):
     """Stand in the folder of the comparison, with nothing to be written; returns what stands in for processes."""
     monkeypatch.setattr(make, "written", lambda *_: [])
     return install(monkeypatch, compared[0])
 
 
-def lines(name: str) -> list[dict[str, str]]:
+def lines(name):
     with Path("results", name).open(encoding="utf-8", newline="") as file:
         return list(csv.DictReader(file))
 
 
-def test_the_files_hold_the_asked_runs_in_their_order_and_say_nothing_of_a_paper(
-    compared: tuple[Path, Apart], apart: Apart
-) -> None:
+def test_the_files_hold_the_asked_runs_in_their_order_and_say_nothing_of_a_paper(compared, apart):
     asked = [(options[3], [o for o in options if o.startswith("seed=")]) for options in compared[1].asked]
     assert asked == [("method=sad", ["seed=0"]), ("method=pca", ["seed=0"]), ("method=pca", ["seed=1"])]
     recalls = [line for line in lines("mine.csv") if line["quantity"] == "recall_at_1"]
@@ -75,9 +73,7 @@ def test_the_files_hold_the_asked_runs_in_their_order_and_say_nothing_of_a_paper
 
 
 @pytest.mark.parametrize("more", [[], ["stored=true"]])
-def test_what_is_stored_is_shown_without_a_process_however_its_folder_is_called(
-    apart: Apart, capsys: pytest.CaptureFixture[str], more: list[str]
-) -> None:
+def test_what_is_stored_is_shown_without_a_process_however_its_folder_is_called(apart, capsys, more):
     assert main([*ASKED, *METHODS, *dataset(Path.cwd() if more else Path()), *more]) == 0
     assert apart.asked == []
     shown = capsys.readouterr().out
@@ -86,7 +82,7 @@ def test_what_is_stored_is_shown_without_a_process_however_its_folder_is_called(
     assert " level with " in shown
 
 
-def test_all_that_is_wrong_is_told_at_once_and_nothing_runs(apart: Apart, capsys: pytest.CaptureFixture[str]) -> None:
+def test_all_that_is_wrong_is_told_at_once_and_nothing_runs(apart, capsys):
     wrong = ["methods=sda,pca,vprtempo,hog", "pca.components=many", "vprtempo.max_module=25", "hog.epochs=3"]
     stored = len(list(Store(Path("results"), read_only=True).runs()))
     assert main([*ASKED, *wrong, *dataset(Path())]) == 2
@@ -95,34 +91,25 @@ def test_all_that_is_wrong_is_told_at_once_and_nothing_runs(apart: Apart, capsys
     assert (apart.asked, len(list(Store(Path("results"), read_only=True).runs()))) == ([], stored)
 
 
-SAD = ["methods=sad", "dataset=folders"]
-
-
 @pytest.mark.parametrize(
     ("options", "word"),
     [
-        (SAD[1:], "methods="),
-        (SAD[:1], "dataset="),
-        ([*SAD, "method=pca"], "method=pca"),
-        ([*SAD, "seeds=0"], "seeds=0"),
-        ([*SAD, "metrics=r1p"], "r1p"),
-        ([*SAD, "dataset.tolerence=1"], "tolerence"),
-        ([*SAD, "sad.seed=1"], "sad.seed"),
-        ([*SAD, "sequnce=3"], "sequnce"),
-        (["methods=sad", "dataset=floders"], "floders"),
+        ("dataset=folders", "methods="),
+        ("methods=sad", "dataset="),
+        ("methods=sad dataset=floders", "floders"),
+        *(
+            (f"methods=sad dataset=folders {option}", option.partition("=")[0].removeprefix("dataset."))
+            for option in ("method=pca", "seeds=0", "metrics=r1p", "dataset.tolerence=1", "sad.seed=1", "sequnce=3")
+        ),
     ],
 )
-def test_an_option_of_no_comparison_is_named(
-    apart: Apart, capsys: pytest.CaptureFixture[str], options: list[str], word: str
-) -> None:
-    assert main(["compare", *options]) == 2
+def test_an_option_of_no_comparison_is_named(apart, capsys, options, word):
+    assert main(["compare", *options.split()]) == 2
     assert word in capsys.readouterr().err
     assert apart.asked == []
 
 
-def test_sequences_are_ranked_from_the_same_stored_runs_side_by_side(
-    apart: Apart, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_sequences_are_ranked_from_the_same_stored_runs_side_by_side(apart, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "100")
     assert main([*ASKED, *METHODS, *dataset(Path()), "sequence=[1,3]"]) == 0
     assert apart.asked == []
@@ -136,9 +123,7 @@ def test_sequences_are_ranked_from_the_same_stored_runs_side_by_side(
     assert all(len(line) <= 100 for line in rows[: rows.index("")])
 
 
-def test_a_sequence_says_of_runs_without_scores_what_to_do(
-    apart: Apart, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_sequence_says_of_runs_without_scores_what_to_do(apart, capsys, tmp_path, monkeypatch):
     other = Store(tmp_path)
     other.prepare()
     for run in Store(Path("results"), read_only=True).runs():
