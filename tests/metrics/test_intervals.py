@@ -189,14 +189,12 @@ def transcribed(x):
     def rho_is_large(k):
         return abs(r(k) / r(0)) >= 2 * sqrt(log10(n) / n)
 
-    m_hat = next(
-        (m for m in range(m_max - k_n + 1) if not any(rho_is_large(m + k) for k in range(1, k_n + 1))),
-        max((k for k in range(1, m_max + 1) if rho_is_large(k)), default=1),
-    )
+    small = (m for m in range(m_max - k_n + 1) if not any(rho_is_large(m + k) for k in range(1, k_n + 1)))
+    m_hat = next(small, max((k for k in range(1, m_max + 1) if rho_is_large(k)), default=1))
     m = min(2 * max(m_hat, 1), m_max)
 
     def window(t):
-        return 1.0 if abs(t) <= 0.5 else 2 * (1 - abs(t)) if abs(t) <= 1 else 0.0
+        return min(1.0, max(0.0, 2 * (1 - abs(t))))
 
     g_hat = sum(window(k / m) * abs(k) * r(k) for k in range(-m, m + 1))
     spectrum_at_0 = sum(window(k / m) * r(k) for k in range(-m, m + 1))

@@ -64,9 +64,7 @@ def main(python, n_queries=1000):
                     f"{np.abs(answers - own).max():.1e}, check vector {'answered' if known else 'missed'}"
                 )
                 fine &= "steps" in name or (not known if name in WRONG else known and same >= wanted)
-    print(
-        "all agree" if fine else "NOT all agree: only a wrong neuron has to miss the check vector"
-    )
+    print("all agree" if fine else "NOT all agree: only a wrong neuron has to miss the check vector")
     return fine
 
 

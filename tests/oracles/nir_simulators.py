@@ -11,7 +11,6 @@ Simulate = Callable[[nir.NIRGraph, np.ndarray], np.ndarray]  # inputs (n, n_in) 
 
 
 def chain(graph):
-    """Return the nodes between input and output in their order."""
     after, name, nodes = dict(graph.edges), "input", []
     while (name := after[name]) != "output":
         nodes.append(graph.nodes[name])

@@ -114,13 +114,11 @@ def _target(y, label):
 
 
 def _limit_signed(w, positive, negative):
-    """Keep sign and size of signed weights."""
     w = np.where(positive, np.clip(w, SMALLEST, LARGEST), w)
     return np.where(negative, np.clip(w, -LARGEST, -SMALLEST), w)
 
 
 def _limit_magnitude(w):
-    """Keep sign and size of magnitudes."""
     return np.minimum(np.where(w < 0, SMALLEST, w), LARGEST)
 
 

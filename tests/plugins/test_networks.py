@@ -10,7 +10,7 @@ import pickle
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -81,16 +81,9 @@ class Holding(Prototypes):
         return self
 
 
-class Others(Prototypes):
-    pass
-
-
-class First(Prototypes):
-    stored_as: ClassVar[str] = "prototypes"
-
-
-class Second(First):
-    pass
+Others = type("Others", (Prototypes,), {})
+First = type("First", (Prototypes,), {"stored_as": "prototypes"})
+Second = type("Second", (First,), {})
 
 
 def test_arrays_come_back_bit_by_bit(path):

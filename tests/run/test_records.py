@@ -9,7 +9,6 @@ import os
 import pickle
 import shutil
 import time
-from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import fields, is_dataclass, replace
 from functools import partial
@@ -29,7 +28,6 @@ from vprbench.run.record import SCHEMA, OtherLayoutError, content_key, load
 from vprbench.run.store import Store
 
 KEY = "0123456789abcdef"
-Spoil = Callable[[Path], object]
 
 
 @pytest.fixture
@@ -60,12 +58,6 @@ def stored(store, key=KEY):
 
 def keys(store):
     return [run.key for run in store.runs()]
-
-
-def flip_a_bit(path):
-    content = bytearray(path.read_bytes())
-    content[len(content) // 2] ^= 1
-    path.write_bytes(content)
 
 
 def parts(value):
@@ -146,8 +138,13 @@ def change(name, value, folder):
     (folder / "run.json").write_text(json.dumps({**summary_of(folder), name: value}))
 
 
-def cut(name, folder):
-    (folder / name).write_bytes((folder / name).read_bytes()[:-40])
+def spoil_file(name, spoil, folder):
+    (folder / name).write_bytes(spoil((folder / name).read_bytes()))
+
+
+def flip_a_bit(content):
+    middle = len(content) // 2
+    return content[:middle] + bytes([content[middle] ^ 1]) + content[middle + 1 :]
 
 
 def instead(make, folder):
@@ -162,9 +159,9 @@ def enlarge(folder):
 
 
 FILES = [
-    *(partial(cut, name) for name in ("run.json", "arrays.npz")),
-    *(lambda folder, text=text: (folder / "run.json").write_text(text) for text in ("", "[]", "[" * 100_000)),
-    *(lambda folder, name=name: flip_a_bit(folder / name) for name in ("arrays.npz", "scores.npy")),
+    *(partial(spoil_file, name, lambda content: content[:-40]) for name in ("run.json", "arrays.npz")),
+    *(partial(spoil_file, "run.json", lambda _, text=text: text) for text in (b"", b"[]", b"[" * 100_000)),
+    *(partial(spoil_file, name, flip_a_bit) for name in ("arrays.npz", "scores.npy")),
     *(lambda folder, name=name: (folder / name).unlink() for name in ("arrays.npz", "scores.npy")),
     *(partial(change, *changed) for changed in (("timing", {}), ("fit_seconds", 10.34))),
     *(partial(instead, make) for make in (os.mkfifo, Path.mkdir)),  # a pipe that nobody writes to, and a folder
@@ -339,6 +336,22 @@ def test_several_processes_lose_no_run_and_leave_one_of_a_key(store, processes):
         assert list(pool.map(save_keys, [store.root] * 4, written)) == [8] * 4
     assert sorted(keys(store)) == sorted({key for row in written for key in row})
     assert [path.name for path in store.root.iterdir()] == ["journey"]
+
+
+def test_a_run_that_another_process_takes_away_in_the_middle_of_a_save_is_no_error(store, monkeypatch):
+    folder = store.save(a_run(n_references=21))
+    rename = Path.rename
+
+    def rename_while_another_replaces(path, target):
+        try:
+            return rename(path, target)
+        except OSError:
+            shutil.rmtree(folder)  # the other process has just moved the old run away
+            raise
+
+    monkeypatch.setattr(Path, "rename", rename_while_another_replaces)
+    store.save(a_run(n_references=22))
+    assert stored(store).n_references == 22
 
 
 def test_a_run_that_is_replaced_while_it_is_read_is_not_set_aside(store, monkeypatch):

@@ -10,7 +10,6 @@ from vprbench.api.images import Images
 
 
 def image(height, width, seed=0):
-    """Return noise."""
     return np.random.default_rng(seed).integers(0, 256, (height, width, 3), dtype=np.uint8)
 
 
@@ -30,12 +29,10 @@ def drawn_images(*sizes, seed=0):
 
 
 def encoded(method, *images):
-    """Return the codes of images."""
     return method.encode(Images.from_arrays(list(images)))
 
 
 def distance(codes, others):
-    """Return the largest difference between numbers."""
     return float(np.abs(codes - others).max())
 
 

@@ -88,7 +88,6 @@ def wrong(found):
 
 
 def notes(found, check):
-    """Return the texts of a check's notes."""
     return [finding.text for finding in found if finding.level == "note" and finding.check == check]
 
 

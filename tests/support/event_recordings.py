@@ -23,7 +23,6 @@ def in_chunks(events, seed=0):
 
 
 def joined(chunks):
-    """Return all chunks as one."""
     parts = [(chunk.t, chunk.x, chunk.y, chunk.p) for chunk in chunks]
     return Events(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 

@@ -33,7 +33,6 @@ def rights(dataset):
 
 
 def answer(make, *arguments, kind=BadInput, **options):
-    """Return the one line that refuses these arguments."""
     with pytest.raises(BadInput) as error:
         make(*arguments, **options)
     assert type(error.value) is kind

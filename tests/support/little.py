@@ -139,7 +139,6 @@ def laps(encode_seconds, match_seconds, images_per_call=1):
 
 
 def a_layer(*values):
-    """Return what a run keeps of the spikes of one layer."""
     names = ("name", "neurons", "spikes_per_query", "active_share", "amplitude_mean")
     return dict(zip(names, values, strict=True))
 
@@ -230,7 +229,6 @@ def a_failure(**changes):
 
 
 def unanswerable_run():
-    """Return a run of four queries of which none has a right place."""
     none = dict.fromkeys(("top_tied_correct", "tied", "tied_correct", "n_positives"), np.zeros(4, np.int64))
     outcome = replace(a_run().outcome, above=np.full(4, 10), **none)
     return a_run(positives=(np.empty(0, np.int64),) * 4, outcome=outcome)

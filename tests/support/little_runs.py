@@ -47,7 +47,6 @@ def asked_for(
 
 
 def table(n_queries, n_places, levels=1000):
-    """Return random scores of so many levels."""
     return np.random.default_rng(1).integers(0, levels, (n_queries, n_places)).astype(np.float32)
 
 
@@ -73,5 +72,4 @@ def quiet_surroundings():
 
 
 def kinds(run):
-    """Return the kinds of a run's notes."""
     return [note.kind for note in run.notes]

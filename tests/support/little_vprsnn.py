@@ -45,7 +45,6 @@ def same(one, other):
 
 
 def layers(method, codes):
-    """Return the spikes of each layer by its name."""
     found: Sequence[LayerSpikes] = method.spikes(codes)
     return {layer.name: np.asarray(layer.values) for layer in found}
 
@@ -76,7 +75,6 @@ def one_thread():
 
 
 def member(state, number):
-    """Return the arrays of one network of an ensemble."""
     start = f"member_{number}."
     return {name.removeprefix(start): array for name, array in state.items() if name.startswith(start)}
 

@@ -91,7 +91,6 @@ class PublishedNetwork:
         return kind(**{**given, **self.arguments, **arguments})
 
     def encode(self, folder: Path, *images: Image, **arguments: Any) -> npt.NDArray[np.float32]:
-        """Return the descriptors of images under arguments."""
         return encoded(self.method(self.file(folder), **arguments), *images)
 
     def codes(self, folder: Path) -> npt.NDArray[np.float32]:
@@ -106,7 +105,6 @@ class PublishedNetwork:
         return np.stack([unit(np.asarray(self.expected(own, seen, **how))) for seen in images])
 
     def refusal(self, path: Path, **arguments: Any) -> str:
-        """Return the one line that refuses a file and names it."""
         with pytest.raises(BadInput) as error:
             self.method(path, **arguments).load(path)
         assert "\n" not in str(error.value)

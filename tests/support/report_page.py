@@ -121,7 +121,6 @@ TABLE = """<div class="scroll" tabindex="0" role="region" aria-label="Table II">
 
 
 def made_up_page(sections=None):
-    """Return a whole report."""
     figure = Picture("speed", "How long a query takes, on Abacus 9.", drawn_figure())
     given = [journey_section(thumbnails=journey_thumbnails())] if sections is None else sections
     return page(TABLE, [figure], given, made_from="Made from 3 stored runs.")

@@ -108,8 +108,6 @@ class _Quiet(ThreadingHTTPServer):
 
 @contextmanager
 def serving():
-    """Run a server while the block lasts."""
-
     class Handler(BaseHTTPRequestHandler):
         def do_GET(self) -> None:
             server.answer(self)
