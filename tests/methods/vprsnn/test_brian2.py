@@ -1,4 +1,4 @@
-"""The direct simulation, and the training of a module, do in each step what Brian2, the authors' simulator, does."""
+"""The direct simulation does in each step what Brian2, the authors' simulator, does."""
 
 from __future__ import annotations
 
@@ -13,13 +13,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from checkout import ROOT
-from little_vprsnn import recorded_trains
 
-from vprbench.methods.vprsnn import training
 from vprbench.methods.vprsnn.arguments import Arguments
-from vprbench.methods.vprsnn.arrays import unpadded
-from vprbench.methods.vprsnn.model import Model
-from vprbench.methods.vprsnn.training_sets import Lesson
 
 pytestmark = [
     pytest.mark.extended,
@@ -38,7 +33,7 @@ Arrays = dict[str, npt.NDArray[np.float64]]
 
 def by_brian2(
     folder: Path, module: Arrays, images: list[npt.NDArray[np.bool_]], weight_sum: float, start: tuple[float, float]
-) -> dict[str, npt.NDArray[np.float64]]:
+) -> Arrays:
     """Run Brian2 in a process of its own, whose home is an empty folder; a `weight_sum` of 0: nothing is learnt."""
     steps, sources = np.nonzero(np.concatenate([np.pad(image, ((0, LENGTH - SHOWN), (0, 0))) for image in images]))
     potentials = dict(zip(("v", "v_i"), start, strict=True))
@@ -84,22 +79,3 @@ def test_the_direct_simulation_spikes_step_for_step_as_brian2_and_has_its_weight
         np.testing.assert_array_equal(np.argwhere(found), theirs[group][np.lexsort(theirs[group].T[::-1])], group)
     for found, name in ((ours.weights, "weights"), (ours.theta, "theta"), (ours.potentials[-1], "v")):
         np.testing.assert_allclose(found, theirs[name], rtol=0, atol=1e-9)
-
-
-def test_the_training_of_a_module_leaves_what_brian2_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    trains = recorded_trains(monkeypatch)
-    model = Model(height=6, width=8, n_excitatory=N_NEURONS, levels_per_hz=0.8, weight_sum=WEIGHT_SUM, epochs=2)
-    levels = np.random.default_rng(2).integers(0, 200, (2, N_INPUTS)).astype(np.uint8)
-    lesson = Lesson(0, levels, labels=np.arange(2), places=np.arange(2))
-    trained = training.train(model, lesson, lambda share: None)
-
-    weights = model.weights(0)
-    weights *= WEIGHT_SUM / weights.sum(axis=0)
-    module = {"weights": weights, "delays": model.delays(0), "theta": np.full(N_NEURONS, 20.0)}
-    theirs = by_brian2(tmp_path, module, trains, WEIGHT_SUM, (-105.0, -100.0))
-    np.testing.assert_allclose(unpadded(trained["weights"], N_NEURONS), theirs["weights"], rtol=0, atol=1e-9)
-    np.testing.assert_allclose(trained["theta"], theirs["theta"], rtol=0, atol=1e-9)
-    step, neuron = theirs["excitatory"].T
-    counts = np.zeros((5, N_NEURONS), int)  # from the end of each input to the end of the next
-    np.add.at(counts, ((step - SILENCE - SHOWN) // LENGTH + 1, neuron), 1)
-    np.testing.assert_array_equal(trained["sums"].T, counts[:2] + counts[2:4])

@@ -113,9 +113,6 @@ def test_several_spiking_networks_answer_with_their_mean_score(count: int, rules
     assert ask(asking(members, rules), spikes) == pytest.approx(expected, abs=1e-6)
 
 
-# what a query leaves alone
-
-
 QUERIES: dict[str, Callable[[], Query]] = {
     "v1": lambda: asking([network([5, 5, 3])], V1),
     "paper of two": lambda: asking([network([5, 5, 3], seed=seed) for seed in range(2)], PAPER),
