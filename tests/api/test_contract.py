@@ -1,13 +1,17 @@
-"""The contract: what a descriptor method gets for free, and parts of a dataset that do not fit."""
+"""The contract: what a descriptor method gets for free, datasets that do not fit, and the face of vprbench.api."""
 
 import re
+import subprocess
+import sys
 import tracemalloc
 from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from checkout import ROOT
 
+from vprbench import api
 from vprbench.api.dataset import Dataset
 from vprbench.api.descriptor import DescriptorMethod, best_image_of_place
 from vprbench.api.images import Images
@@ -57,15 +61,21 @@ def test_a_place_scores_the_inner_product_with_its_best_image_by_an_own_copy_of_
     assert method.query(plain(OLIVE, RED)) == pytest.approx(np.array([[0.8, 1], [1, 0.6]]), abs=1e-6)
 
 
-def test_references_are_encoded_in_blocks_and_in_order():
+def test_references_are_encoded_in_blocks_in_order_and_held_once():
     colours = [(1 + i, 200 - i, 0) for i in range(150)]
     method = Colour().fit(plain(*colours), np.arange(150))
     assert sum(method.encoded) == 150
     assert max(method.encoded) < 150
     assert method.query(plain(*colours[::-1])).argmax(axis=1).tolist() == list(range(150))[::-1]
+    references = drawn(2000)
+    tracemalloc.start()
+    Drawn().fit(references, np.arange(2000))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 1.5 * 2000 * 1000 * 4
 
 
-def test_without_references_or_after_a_failed_fit_there_is_no_map():
+def test_without_references_there_is_no_map_and_arguments_of_the_search_come_by_name_alone():
     with pytest.raises(NotFittedError, match="fit"):
         Colour().match(np.zeros((1, 3), np.float32))
     with pytest.raises(BadInput, match="0 came"):
@@ -75,6 +85,17 @@ def test_without_references_or_after_a_failed_fit_there_is_no_map():
         method.fit_descriptors(np.zeros((2, 3), np.float32), np.arange(3))
     with pytest.raises(NotFittedError):
         method.match(np.zeros((1, 3), np.float32))
+    method = Colour()
+    assert (method.index, method.neighbours) == ("exact", 100)
+    method.index = "ivfpq"
+    with pytest.raises(BadInput, match=r"ivfpq .*256 .*2 came"):
+        method.fit(plain(RED, GREEN), np.arange(2))
+    assert method.encoded == []
+    assert Drawn.query_arguments == {"index", "neighbours", "rerank", "probes"}
+    assert Drawn(5).n_dimensions == 5
+    with pytest.raises(TypeError):
+        Drawn(5, "hnsw")
+    assert len({Colour(), Colour()}) == 2  # equal to itself alone
 
 
 def drawn(n):
@@ -92,15 +113,6 @@ class Drawn(DescriptorMethod):
         return (vectors / np.linalg.norm(vectors, axis=1, keepdims=True)).astype(np.float32)
 
 
-def test_fitting_holds_the_descriptors_once():
-    references = drawn(2000)
-    tracemalloc.start()
-    Drawn().fit(references, np.arange(2000))
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert peak < 1.5 * 2000 * 1000 * 4
-
-
 # 1024x1024 pixels are 3 MiB
 @pytest.mark.parametrize(("height", "count", "at_most"), [(2, 70, 64), (1024, 30, 21), (10_000, 3, 2)])
 def test_large_references_are_encoded_in_smaller_blocks_and_large_codes_held_in_fewer(height, count, at_most):
@@ -109,20 +121,6 @@ def test_large_references_are_encoded_in_smaller_blocks_and_large_codes_held_in_
     assert max(method.encoded) == at_most
     for code_bytes, together in (0, 100), (1 << 24, 64), ((1 << 28) + 1, 3), (1 << 40, 1):
         assert held_together(SimpleNamespace(code_bytes=code_bytes), 100) == together
-
-
-def test_arguments_of_the_search_come_by_name_alone_fit_any_network_and_are_refused_before_anything_is_encoded():
-    method = Colour()
-    assert (method.index, method.neighbours) == ("exact", 100)
-    method.index = "ivfpq"
-    with pytest.raises(BadInput, match=r"ivfpq .*256 .*2 came"):
-        method.fit(plain(RED, GREEN), np.arange(2))
-    assert method.encoded == []
-    assert Drawn.query_arguments == {"index", "neighbours", "rerank", "probes"}
-    assert Drawn(5).n_dimensions == 5
-    with pytest.raises(TypeError):
-        Drawn(5, "hnsw")
-    assert len({Colour(), Colour()}) == 2  # equal to itself alone
 
 
 class Halved(Drawn):
@@ -136,9 +134,7 @@ class Halved(Drawn):
 
 
 @pytest.mark.parametrize(("kind", "step"), [(Drawn, 1), (Halved, 2)])
-def test_an_audit_counts_what_an_index_finds_of_the_best_through_what_a_method_makes_of_matching(
-    kind, step, monkeypatch
-):
+def test_an_audit_counts_what_an_index_finds_of_the_best_through_a_methods_own_matching(kind, step, monkeypatch):
     monkeypatch.setattr("vprbench.api.search.CELLS", 600 * 7)  # seven queries at a time
     method = kind(32, index="ivfpq", neighbours=20).fit(drawn(600), np.arange(600))
     index, codes = method.searched, method.encode(drawn(660)[600:])
@@ -187,3 +183,30 @@ def test_parts_of_a_dataset_that_do_not_fit_are_refused_with_their_numbers(parts
         dataset(**parts)
     assert dataset(places=np.array([0, 1, 0, 1])).n_places == 2
     assert dataset(positives=(np.array([0, 3]), np.array([], np.int64))).n_places == 4
+
+
+def test_each_name_leads_to_its_home_and_an_unknown_one_raises_with_the_near_names():
+    for name in api.__all__:
+        found, home = getattr(api, name), sys.modules[api.HOMES[name]]
+        assert found is home or found is getattr(home, name)
+        assert getattr(found, "__module__", api.HOMES[name]) in (api.HOMES[name], "types", "typing", "numpy")
+    assert api.Images is Images
+    with pytest.raises(AttributeError, match=r"\bImags\b.*\bImages\b"):
+        _ = api.Imags
+    with pytest.raises(AttributeError, match=r"Images, .*Search"):
+        _ = api.zzz
+
+
+def test_what_needs_no_torch_does_not_wait_for_it():
+    with_torch = {"GaborBank", "NeuralDescriptor", "OrientedEdges", "PatchNormalisation", "Variant", "packed"}
+    free = sorted({*api.__all__} - with_torch - {"Interpolation", "Resize"})
+    code = f"""
+import sys, vprbench.api as api
+face = {{'torch', 'matplotlib', 'faiss', 'numba'}} & {{*sys.modules}}
+for name in {free}: getattr(api, name)
+import numpy as np
+api.Search(np.eye(3, dtype=np.float32), np.arange(3)).scores(np.eye(3, dtype=np.float32))
+print(face, 'torch' in sys.modules or 'faiss' in sys.modules)
+"""
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["set()", "False"]

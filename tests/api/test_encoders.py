@@ -1,17 +1,138 @@
-"""What all encoders of frames share: patch normalisation, Gabor filters and oriented edges."""
+"""Encoders of frames by hand, by a float64 oracle and by two engines: patch normalisation, Gabor filters, edges."""
 
+import itertools
 import math
 
 import numpy as np
+import preprocess_oracle as oracle
 import pytest
 import torch
-from preprocess_frames import smooth_frame
+from preprocess_frames import saturated_frame, smooth_frame
 
-from vprbench.api.gabor import GaborBank
+from vprbench.api.gabor import GaborBank, gabor_filters
 from vprbench.api.images import Images
 from vprbench.api.oriented import OrientedEdges
-from vprbench.api.preprocess import PatchNormalisation
+from vprbench.api.preprocess import PatchNormalisation, patch_normalise
 from vprbench.errors import BadInput
+
+VARIANTS = ("A", "B", "C")
+SIZES = [(28, 28), (32, 64), (90, 160), (20, 17), (53, 37), (1, 9)]
+
+
+def grey_frame(levels):
+    return np.repeat(np.asarray(levels, np.uint8)[:, :, None], 3, axis=2)
+
+
+def preprocess(variant, *frames, **arguments):
+    return PatchNormalisation(variant, **arguments)(Images.from_arrays(frames))
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_a_constant_frame_is_127_everywhere(variant):
+    colours = [(0, 0, 0), (1, 1, 1), (2, 2, 2), (100,) * 3, (255,) * 3, (10, 200, 30)]
+    frames = [np.full((56, 56, 3), colour, np.uint8) for colour in colours]
+    frames += [np.full((*size, 3), 7, np.uint8) for size in (*SIZES, (360, 640))]
+    for engine in ("fused", "readable"):
+        assert (preprocess(variant, *frames, engine=engine) == 127).all()
+
+
+# One level of 9 in a 3 x 3 frame. Corner: window 0 0 0 9, mean 2.25, squares 60.75. Edge: window of six, mean 1.5,
+# squares 67.5. Centre: z = 8 / 2.8 or 8 / 3, clipped to 1.
+# ddof 0: corner z = -2.25 / sqrt(60.75 / 4) = -0.5774, edge z = -1.5 / sqrt(67.5 / 6) = -0.4472.
+# ddof 1: corner z = -2.25 / sqrt(60.75 / 3) = -0.5, edge z = -1.5 / sqrt(67.5 / 5) = -0.4082.
+# Level = floor(255 (1 + z) / 2).
+# Windows 0 4 | 0 4 8 | 4 8. ddof 0: z = -1, 0, 1. ddof 1: z = -2 / sqrt(8) = -0.7071, 0, 0.7071.
+@pytest.mark.parametrize(
+    ("levels", "patch", "ddof", "expected"),
+    [
+        ([[0, 0, 0], [0, 9, 0], [0, 0, 0]], 3, 0, [53, 70, 53, 70, 255, 70, 53, 70, 53]),
+        ([[0, 0, 0], [0, 9, 0], [0, 0, 0]], 3, 1, [63, 75, 63, 75, 255, 75, 63, 75, 63]),
+        ([[0, 4, 8]], 3, 0, [0, 127, 255]),
+        ([[0, 4, 8]], 3, 1, [37, 127, 217]),
+        ([[200, 200], [200, 200]], 7, 1, [127] * 4),  # black beyond the border is no part of a window
+        ([[80]], 3, 1, [127]),
+    ],
+)
+def test_a_pixel_is_compared_with_its_window_cut_at_the_border(levels, patch, ddof, expected):
+    assert patch_normalise(np.array([levels], np.float32), patch, ddof).tolist() == [expected]
+
+
+BRIGHT = np.zeros((20, 20), np.uint8)
+BRIGHT[0, :2] = 255  # the mean is 1.275, the exponent 20: beyond float32, so clipped
+
+
+@pytest.mark.parametrize(
+    ("levels", "expected"),
+    [
+        *([[[level] * 5] * 4, np.full((4, 5), 127.5)] for level in (2, 10, 127, 200, 255)),
+        # The mean is 16; 4 is its square root, so it goes to the square root of 127.5; 28 would go to 339.
+        ([[4, 16], [28, 16]], [[127.5**0.5, 127.5], [255, 127.5]]),
+        ([[0, 255], [100, 155]], [[0, 255], [100, 155]]),  # the mean is 127.5
+        *((levels, levels) for levels in ([[0, 0]], [[0, 2]])),  # at most 1
+        (BRIGHT, BRIGHT),
+    ],
+    ids=str,
+)
+def test_gamma_maps_the_mean_level_to_127_and_a_half_and_clips_in_variant_c_and_truncates_in_b(levels, expected):
+    frame = grey_frame(levels)
+    b, c = (PatchNormalisation(variant, *frame.shape[:2]).shrink(frame) for variant in "BC")
+    assert c == pytest.approx(np.asarray(expected, np.float64), abs=0.01)
+    assert np.array_equal(b, np.floor(expected))
+
+
+@pytest.mark.parametrize("size", [(32, 64), (53, 37), (28, 28)])
+@pytest.mark.parametrize("target", [(28, 28), (12, 20)])
+def test_variant_c_is_the_oracle_but_for_a_level_where_a_window_is_not_flat(size, target):
+    frame = smooth_frame(*size)
+    grey = oracle.resize_bilinear(oracle.gamma_c(oracle.grey_c(frame)), *target)
+    expected = oracle.patch_normalise(grey, 7, 1).astype(int)
+    got = preprocess("C", frame, height=target[0], width=target[1])[0].reshape(target)
+    told = oracle.local_std(grey, 7, 1) > 1e-3
+    assert np.abs(got - expected)[told].max() <= 1
+
+
+def test_variant_b_has_the_oracles_whole_levels_and_a_no_gamma_and_resizes_before_it_takes_the_grey():
+    frame = smooth_frame(28, 28)
+    difference = np.abs(PatchNormalisation("B").shrink(frame) - oracle.gamma_b(oracle.grey_b(frame)))
+    assert difference.max() <= 2  # near-ties of OpenCV's fixed-point grey
+    assert np.count_nonzero(difference) <= 8
+    assert (PatchNormalisation("A").shrink(np.full((56, 56, 3), 10, np.uint8)) == 10).all()
+    # The mean colour is (1, 0.25, 1.25), rounded (1, 0, 1), grey 0.413. Grey first would give 1 in every pixel
+    # (0.598, 0.587, 0.57, 0.598 rounded), and 1 after the resize.
+    frame = np.array([[[2, 0, 0], [0, 1, 0]], [[0, 0, 5], [2, 0, 0]]], np.uint8)
+    assert PatchNormalisation("A", 1, 1, 3).shrink(frame).tolist() == [[0]]
+
+
+def structured(frames, patch, **arguments):
+    """Which windows of the shrunk frames are not flat, (n, height * width): there rounding decides."""
+    found = []
+    for frame in frames:
+        small = PatchNormalisation(**arguments).shrink(frame).astype(np.float64)
+        padded = np.pad(small, patch // 2, constant_values=np.nan)
+        windows = np.lib.stride_tricks.sliding_window_view(padded, (patch, patch))
+        with np.errstate(invalid="ignore"):
+            found.append((np.nanstd(windows, (2, 3)) > 1e-3 * np.nanmean(windows, (2, 3))).ravel())
+    return np.stack(found)
+
+
+def both_engines(frames, variant, **sizes):
+    """Levels of the fused and of the readable engine, as (n, height * width) of int."""
+    return [preprocess(variant, *frames, **sizes, engine=engine).astype(int) for engine in ("fused", "readable")]
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("size", SIZES, ids=str)
+def test_engines_differ_by_at_most_one_level_outside_flat_windows(variant, size):
+    frames = [smooth_frame(*size, seed) for seed in range(3)] + [saturated_frame(*size, seed) for seed in range(3)]
+    frames.append(grey_frame((np.indices(size).sum(axis=0) % 2) * 2))  # its mean is 1
+    fused, readable = both_engines(frames, variant=variant)
+    away = np.abs(fused - readable)
+    assert away[structured(frames, 7, variant=variant)].max() <= 1
+    assert (away > 1).mean() < 0.02  # in flat windows the rounding of the processor decides
+    for height, width, patch in ((12, 40, 5), (56, 56, 15), (5, 4, 7), (1, 1, 3)):
+        fused, readable = both_engines([smooth_frame(90, 160)], variant, height=height, width=width, patch=patch)
+        assert np.abs(fused - readable).max() <= 1
+
 
 ENCODERS = [*map(PatchNormalisation, "ABC"), GaborBank(), OrientedEdges()]
 
@@ -59,3 +180,120 @@ def test_arguments_without_a_code_are_refused_by_name(encoder, argument, value, 
         encoder(**{argument: value})
     with pytest.raises(BadInput, match="2 thresholds came: give one for each of 32 filters"):
         GaborBank(thresholds=(0.1, 0.2))
+
+
+FRAMES = [smooth_frame(90, 160, seed) for seed in range(3)] + [saturated_frame(32, 64, seed) for seed in range(3)]
+
+
+def filter_by_hand(angle, wavelength, phase, width):
+    """One filter of 5x5 pixels."""
+    y, x = np.mgrid[-2:3, -2:3]
+    across, along = x * math.cos(angle) + y * math.sin(angle), y * math.cos(angle) - x * math.sin(angle)
+    wave = np.exp(-(across**2 + 0.25 * along**2) / (2 * width**2)) * np.cos(2 * np.pi * across / wavelength + phase)
+    return ((wave - wave.mean()) / np.abs(wave - wave.mean()).sum()).ravel()
+
+
+FILTERS = [
+    filter_by_hand(quarter * math.pi / 4, *others)
+    for quarter in range(4)
+    for others in itertools.product((2.25, 3), (0, math.pi / 2), (1, 2))
+]
+
+
+def by_hand(levels, block, epsilon):
+    """The codes of patch-normalised frames (n, h, w) before anything is clipped, (n, rows * columns * 32)."""
+    windows = np.lib.stride_tricks.sliding_window_view(levels / 255, (5, 5), (1, 2)).reshape(
+        *levels[:, 4:, 4:].shape, 25
+    )
+    waves = windows @ np.transpose(FILTERS)
+    n, rows, columns = len(waves), waves.shape[1] // 2, waves.shape[2] // 2
+    strongest = waves[:, : 2 * rows, : 2 * columns].reshape(n, rows, 2, columns, 2, 32).max((2, 4))
+    around = [np.pad(range(size), block // 2, mode="symmetric") for size in (rows, columns)]
+    energy = (strongest**2).sum(3)
+    codes = []
+    for r in range(rows):
+        for c in range(columns):
+            near = energy[:, around[0][r : r + block]][:, :, around[1][c : c + block]]
+            codes.append(4 * strongest[:, r, c] / (np.sqrt(near.mean((1, 2))) + epsilon)[:, None])
+    return np.concatenate(codes, axis=1)
+
+
+def test_the_filters_are_32_different_waves_and_adapted_thresholds_give_each_its_share_of_active_cells():
+    assert gabor_filters().shape == (32, 5, 5)
+    np.testing.assert_allclose(gabor_filters().reshape(32, 25), FILTERS, atol=1e-6)
+    alike = np.abs(np.corrcoef(gabor_filters().reshape(32, 25))) - np.eye(32)
+    assert alike.max() < 0.999
+    images = Images.from_arrays(FRAMES * 3)
+    active = (GaborBank().adapted(images, 0.2, 0.9)(images).reshape(-1, 32) > 0).mean(0)
+    np.testing.assert_allclose(active, np.linspace(0.2, 0.9, 32), atol=0.01)
+
+
+@pytest.mark.parametrize("engine", ["fused", "readable"])
+@pytest.mark.parametrize(("block", "epsilon"), [(1, 0.3), (3, 0.1), (7, 0.01)])
+def test_codes_are_those_of_the_formula(engine, block, epsilon):
+    images = Images.from_arrays(FRAMES[2:5])
+    codes = GaborBank(10, 13, 5, block, epsilon, engine=engine)(images)
+    levels = PatchNormalisation("C", 10, 13, 5, engine)(images).reshape(3, 10, 13)
+    wanted = by_hand(levels.astype(float), block, epsilon)
+    np.testing.assert_allclose(codes, np.clip(wanted, 0, 1), atol=2e-5)
+    assert 0.05 < np.mean(np.clip(wanted, 0, 1) != wanted) < 0.95  # some are clipped
+
+
+def test_the_compiled_engine_gives_what_the_readable_one_gives_within_0_and_1():
+    images = Images.from_arrays([*FRAMES, *(np.full((48, 64, 3), level, np.uint8) for level in (0, 97, 255))])
+    fused, readable = (GaborBank(thresholds=(0.01,) * 32, engine=engine)(images) for engine in ("fused", "readable"))
+    # In flat windows the rounding of the patch normalisation decides, and there the engines may differ by a level.
+    assert np.median(np.abs(fused - readable)) < 1e-6
+    assert np.abs(fused - readable).mean() < 1e-3
+    assert fused.shape == (9, GaborBank().n_inputs) == (9, 14 * 30 * 32)
+    assert (fused.min(), fused.max()) == (0, 1)
+    assert not fused[6:].any()
+
+
+EDGE_SIZES = [(32, 64), (53, 37), (20, 17), (1, 9), (7, 1), (1, 1), (2, 9000), (5000, 3)]
+
+
+def both(frames, **sizes):
+    """The codes of both engines."""
+    return [OrientedEdges(**sizes, engine=engine)(Images.from_arrays(frames)) for engine in ("fused", "readable")]
+
+
+@pytest.mark.parametrize("size", EDGE_SIZES, ids=str)
+def test_both_engines_give_the_same_codes_and_zeros_for_one_level(size):
+    fused, readable = both([smooth_frame(*size, 4), saturated_frame(*size, 5)])
+    assert fused.dtype == readable.dtype == np.float32
+    assert np.abs(fused - readable).max() < 1e-6
+    flat = [np.full((*size, 3), level, np.uint8) for level in (0, 1, 77, 255)]
+    flat.append(np.broadcast_to(np.uint8([10, 200, 30]), (*size, 3)))
+    assert not np.any(both(flat))
+
+
+@pytest.mark.parametrize("power", [1.0, 0.75, 0.5])
+@pytest.mark.parametrize(
+    "sizes",
+    [(33, 61, 8, 16, 8, 3, 16.0), (12, 40, 5, 7, 3, 5, 1.0), (5, 4, 8, 2, 2, 7, 0.1), (1, 30, 1, 5, 9, 1, 40.0)],
+)
+def test_both_engines_agree_on_any_sizes(sizes, power):
+    names = ("height", "width", "rows", "columns", "orientations", "block", "epsilon")
+    fused, readable = both([smooth_frame(45, 70, 3)], **dict(zip(names, sizes, strict=True)), power=power)
+    assert fused.shape == (1, sizes[2] * sizes[3] * sizes[4])
+    assert np.abs(fused - readable).max() < (1e-6 if power == 1 else 1e-5)
+
+
+@pytest.mark.parametrize("power", [1.0, 0.75])
+@pytest.mark.parametrize(("shape", "turned"), [((64, 32, 16, 8), True), ((32, 64, 8, 16), False)])
+def test_an_edge_votes_in_its_own_cells_and_orientations_alone(shape, turned, power):
+    # Left half 0, right half of a colour whose grey is 0.299 * 100 + 0.587 * 200 + 0.114 * 50 = 153: slopes of 153
+    # across in the two columns beside the step, theta = 0, halfway between the first bin (pi / 16) and the last: half a
+    # vote each. A cell of 4 x 4 pixels beside the step has one such column: 153 / 4 / 2 in both bins, twice its square
+    # in energy; of the 9 cells of its block 6 hold it at every row. Turned, theta = pi / 2 lies between bins 3 and 4.
+    frame = np.zeros((32, 64, 3), np.uint8)
+    frame[:, 32:] = (100, 200, 50)
+    expected = np.zeros((8, 16, 8))
+    vote = 153 / 4 / 2
+    expected[:, 7:9, [3, 4] if turned else [0, 7]] = (vote / (math.sqrt(2 * vote**2 * 6 / 9) + 16)) ** power
+    if turned:
+        frame, expected = frame.swapaxes(0, 1), expected.swapaxes(0, 1)
+    sizes = dict(zip(("height", "width", "rows", "columns"), shape, strict=True))
+    for codes in both([frame], **sizes, power=power):
+        assert np.abs(codes.reshape(expected.shape) - expected).max() < 1e-6

@@ -1,10 +1,10 @@
-"""Events are counted into frames chunk by chunk, and the frames of a recording are kept."""
+"""Events are counted into frames chunk by chunk, and frames that are kept are those that were made."""
 
 import numpy as np
 import pytest
 from event_recordings import by_chance, in_chunks
 
-from vprbench.api import Events, Recording, counted, event_frames, frames_kept, hot_pixels
+from vprbench.api import Events, Images, Recording, counted, event_frames, frames_kept, hot_pixels, kept_frames
 from vprbench.errors import BadInput
 
 SHAPE = (20, 30)
@@ -39,9 +39,13 @@ def at(*times, x=0):
     return Events(np.array(times), np.full(n, x, np.uint16), np.zeros(n, np.uint16), np.ones(n, bool))
 
 
-def test_an_event_may_come_ten_milliseconds_late_and_a_gap_gives_empty_frames():
+def test_late_events_count_gaps_give_empty_frames_and_hot_pixels_stand_out_where_an_edge_does_not():
     frames = list(counted([at(0, 100_000, 91_000, 450_000)], *SHAPE, window_us=100_000))
     assert [int(frame.counts.sum()) for frame in frames] == [1, 2, 0, 0]
+    totals = np.random.default_rng(0).poisson(20, SHAPE)
+    totals[:, 12:15] = 900  # an edge that was always there
+    totals[4, 3] = totals[9, 13] = 20_000
+    assert np.argwhere(hot_pixels(totals, 10.0)).tolist() == [[4, 3], [9, 13]]
 
 
 @pytest.mark.parametrize(
@@ -56,27 +60,6 @@ def test_an_event_may_come_ten_milliseconds_late_and_a_gap_gives_empty_frames():
 def test_late_events_those_outside_the_sensor_long_gaps_and_no_window_are_refused(events, counting, named):
     with pytest.raises(BadInput, match=named):
         list(counted([events], *SHAPE, **counting))
-
-
-def test_no_more_than_the_next_chunk_is_read_ahead():
-    read = 0
-
-    def chunks():
-        nonlocal read
-        for second in range(50):
-            read += 1
-            yield at(second * 1_000_000, second * 1_000_000 + 10)
-
-    ahead = [read - number for number, _ in enumerate(counted(chunks(), *SHAPE, window_us=1_000_000))]
-    assert len(ahead) == 49
-    assert max(ahead) <= 3  # the one that ended the window, and the next
-
-
-def test_hot_pixels_stand_out_of_those_around_them_and_an_edge_does_not():
-    totals = np.random.default_rng(0).poisson(20, SHAPE)
-    totals[:, 12:15] = 900  # an edge that was always there
-    totals[4, 3] = totals[9, 13] = 20_000
-    assert np.argwhere(hot_pixels(totals, 10.0)).tolist() == [[4, 3], [9, 13]]
 
 
 def test_frames_are_grey_counts_up_to_255_without_hot_pixels_and_kept(tmp_path, monkeypatch):
@@ -106,3 +89,84 @@ def test_frames_are_grey_counts_up_to_255_without_hot_pixels_and_kept(tmp_path, 
 
 def recording(events, reads):
     return Recording("drive", lambda: reads.append("read") or iter([events]), *SHAPE)
+
+
+N = 300
+
+
+@pytest.fixture(autouse=True)
+def frames_folder(tmp_path, monkeypatch):
+    monkeypatch.setenv("VPRBENCH_FRAMES", str(tmp_path / "frames"))
+    return tmp_path / "frames"
+
+
+class Painter:
+    """Frames of one seed, and how many were made."""
+
+    def __init__(self, seed=0, n=N):
+        self.frames = np.random.default_rng(seed).integers(0, 256, (n, 4, 5, 3), np.uint8)
+        self.made = 0
+
+    def read(self, number):
+        self.made += 1
+        return self.frames[number]
+
+    def shown(self, **what):
+        return kept_frames(Images(self.read, [str(i) for i in range(len(self.frames))]), {"seed": 0, **what})
+
+    def check(self, **what):
+        """Look at all frames, which are those that were made."""
+        np.testing.assert_array_equal(np.stack(list(self.shown(**what))), self.frames)
+
+
+def test_frames_are_made_once_and_read_in_any_order_by_all_that_ask_for_the_same_and_others_have_their_own():
+    painter, other = Painter(), Painter(1)
+    order = np.random.default_rng(1).permutation(N)
+    images = painter.shown()
+    np.testing.assert_array_equal(np.stack([images[i] for i in order]), painter.frames[order])
+    for _ in range(3):
+        painter.check()
+        other.check(seed=1)
+    assert painter.made == N + 4  # each time the first tells their size
+    assert other.made == N + 3
+
+
+@pytest.mark.parametrize("damage", [b"", b"short", None])
+def test_a_damaged_or_missing_file_is_made_anew(frames_folder, damage):
+    painter = Painter()
+    painter.check()
+    (first, *_) = sorted(frames_folder.rglob("*.frames"))
+    content = bytearray(first.read_bytes())
+    content[17] ^= 1
+    first.write_bytes(content if damage is None else damage)
+    for _ in range(2):
+        painter.check()
+    assert painter.made == N + 3 + 64
+
+
+def test_nothing_is_kept_where_that_was_not_asked_for_frames_are_few_or_the_folder_refuses(frames_folder, monkeypatch):
+    with frames_kept(False):
+        list(Painter().shown())
+    Painter(n=255).check()
+    assert not frames_folder.exists()
+    Painter(n=256).check()
+    assert list(frames_folder.rglob("*.frames"))
+    (frames_folder / "file").write_text("no folder")
+    monkeypatch.setenv("VPRBENCH_FRAMES", str(frames_folder / "file"))
+    Painter().check()
+
+
+def test_who_was_not_read_for_longest_makes_room_and_more_than_fits_is_not_kept(frames_folder, monkeypatch):
+    most = 2 * N * 60 + 100
+    monkeypatch.setattr("vprbench.api.frame_cache._MOST_BYTES", most)
+    for seed in range(4):
+        Painter(seed).check(seed=seed)
+        assert sum(file.stat().st_size for file in frames_folder.rglob("*.frames")) <= most
+    for seed in (2, 3):
+        newest = Painter(seed)
+        newest.check(seed=seed)
+        assert newest.made == 1
+    monkeypatch.setattr("vprbench.api.frame_cache._MOST_BYTES", 1000)
+    kept = sorted(frames_folder.rglob("*.frames"))
+    Painter(5).check(seed=5)
+    assert sorted(frames_folder.rglob("*.frames")) == kept

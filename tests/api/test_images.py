@@ -126,7 +126,7 @@ def test_blocks_hold_the_images_in_order_under_their_names_decoded_already_of_so
     assert blocks == [[1, 1], [30], [3, 4, 3], [10], [11], [1]]
 
 
-def test_in_memory_reads_every_image_once_and_the_fingerprint_of_many_looks_at_sixteen():
+def test_in_memory_reads_every_image_once_and_views_share_the_reading_time_of_the_whole(monkeypatch):
     reader = Reader()
     decoded = reader.images(20).in_memory()
     assert levels(decoded) == levels(decoded) == list(range(20))
@@ -134,9 +134,6 @@ def test_in_memory_reads_every_image_once_and_the_fingerprint_of_many_looks_at_s
     reader.images(1000).fingerprint()
     assert len(reader.read) == 20 + 16
     assert Images.from_arrays([]).fingerprint() == Images.from_files([]).fingerprint()
-
-
-def test_views_share_the_reading_time_of_the_whole(monkeypatch):
     clock = Clock()
     clock.replaces_those_of([images], monkeypatch)
     monkeypatch.setattr(images, "ThreadPoolExecutor", ReadersThatWait)
@@ -146,7 +143,7 @@ def test_views_share_the_reading_time_of_the_whole(monkeypatch):
     assert whole.reading.seconds == whole[3:4].reading.seconds == 11
 
 
-def test_files_keep_their_own_sizes_and_an_error_in_a_reading_thread_reaches_the_caller_with_the_path(tmp_path):
+def test_files_keep_their_own_sizes_errors_name_their_path_and_the_fingerprint_decodes_nothing(tmp_path):
     sizes = [(4, 6), (7, 3), *[(1, 1)] * 118]
     paths = [save(tmp_path / f"{i:03}.png", noise(*size)) for i, size in enumerate(sizes)]
     images = Images.from_files(paths)
@@ -157,6 +154,10 @@ def test_files_keep_their_own_sizes_and_an_error_in_a_reading_thread_reaches_the
         list(Images.from_files(paths))
     with pytest.raises(BadInput, match=str(paths[117])):
         next(iter(Images.from_files(paths[117:])))
+    (tmp_path / "a.png").write_text("no image")
+    assert Images.from_files([tmp_path / "a.png"]).fingerprint()
+    with pytest.raises(BadInput, match=str(tmp_path / "b.png")):
+        Images.from_files([tmp_path / "a.png", tmp_path / "b.png"]).fingerprint()
 
 
 @pytest.mark.parametrize(("shape", "kind"), [((3, 4, 3), "f8"), ((3, 4, 2), "u1"), ((4,), "u1"), ((3, 4), "f8")])
@@ -192,13 +193,6 @@ def test_the_fingerprint_changes_with_images_names_and_order_and_else_stays(kind
         ([ARRAYS[0], ARRAYS[1].reshape(32, 128, 3), ARRAYS[2]], "abc"),
     ]
     assert whole.fingerprint() not in [wrap(*other).fingerprint() for other in others]
-
-
-def test_the_fingerprint_of_files_decodes_nothing_and_names_a_missing_one(tmp_path):
-    (tmp_path / "a.png").write_text("no image")
-    assert Images.from_files([tmp_path / "a.png"]).fingerprint()
-    with pytest.raises(BadInput, match=str(tmp_path / "b.png")):
-        Images.from_files([tmp_path / "a.png", tmp_path / "b.png"]).fingerprint()
 
 
 ARRAYS = [noise(64, 64, seed) for seed in range(3)]
@@ -241,9 +235,7 @@ def frame_files(folder, *sizes):
 
 
 @pytest.mark.parametrize(("room", "together"), [(10, 10), (5, 5), (0.5, 4)])
-def test_large_frames_are_bounded_by_their_bytes_but_not_below_four_and_small_ones_by_their_number(
-    seen, tmp_path, monkeypatch, room, together
-):
+def test_large_frames_are_bounded_by_bytes_and_small_ones_by_number(seen, tmp_path, monkeypatch, room, together):
     list(Images.from_files(frame_files(tmp_path, (3, 4)) * 400))
     assert 2 * 8 <= max(map(len, seen)) <= 128
     seen.clear()

@@ -245,9 +245,7 @@ def test_arguments_that_do_not_fit_are_named_before_the_file_is_looked_for(kind,
     ],
 )
 @pytest.mark.parametrize("device", ["cpu", GPU])
-def test_an_image_that_cannot_be_described_is_the_callers_error(
-    device, kind, images, wanted, weights, pinned, no_thread_stays
-):
+def test_no_description_is_the_callers_error(device, kind, images, wanted, weights, pinned, no_thread_stays):
     with pytest.raises(BadInput, match=wanted):
         kind(weights=weights, batch_size=2, device=device).encode(images)
 
@@ -256,9 +254,7 @@ def test_an_image_that_cannot_be_described_is_the_callers_error(
 @pytest.mark.parametrize(
     ("precision", "least", "most"), [("float32", 0, 1e-6), ("float16", 1e-6, 5e-3), ("bfloat16", 1e-6, 4e-2)]
 )
-def test_pinned_batches_with_channels_last_give_nearly_what_the_cpu_gives(
-    how, precision, least, most, weights, pinned, no_thread_stays
-):
+def test_pinned_batches_give_nearly_what_the_cpu_gives(how, precision, least, most, weights, pinned, no_thread_stays):
     arguments = {"weights": weights, "batch_size": 2, "resize": how, "height": 10}
     method = Tiny(**arguments, device=GPU, precision=precision)
     codes = method.encode(slowly(mixed()))
@@ -273,8 +269,7 @@ def test_pinned_batches_with_channels_last_give_nearly_what_the_cpu_gives(
 
 
 def test_on_a_gpu_the_next_batch_and_no_more_is_made_in_one_thread_meanwhile(pinned):
-    made, counts = [], []
-    fifth = threading.Event()
+    made, counts, fifth = [], [], threading.Event()
 
     class Slow(Tiny):
         def _sized(self, image):
@@ -285,8 +280,7 @@ def test_on_a_gpu_the_next_batch_and_no_more_is_made_in_one_thread_meanwhile(pin
 
     class Waiting(nn.Module):
         def forward(self, images):
-            if len(counts) == 0:  # batches 1 and 2, and the look at batch 3 that ends batch 2
-                assert fifth.wait(30)
+            assert counts or fifth.wait(30)  # batches 1 and 2, and the look at batch 3 that ends batch 2
             counts.append(len(made))
             return images.mean((2, 3))
 

@@ -1,9 +1,7 @@
-"""The search of descriptors: exact against plain sums in float64, approximate indexes against exact search."""
+"""The search of descriptors: exact against plain sums, approximate indexes against exact search, and packed bits."""
 
-import os
 import pickle
-import subprocess
-import sys
+import re
 import tracemalloc
 
 import faiss
@@ -11,6 +9,8 @@ import numpy as np
 import pytest
 
 from vprbench.api import bit_indexes, nearest, search, search_indexes
+from vprbench.api.binary import BinaryMap
+from vprbench.api.hamming import packed
 from vprbench.api.search import Search, agreement
 from vprbench.errors import BadInput
 from vprbench.storage.shards import Writer
@@ -279,15 +279,6 @@ def test_scoring_needs_little_more_memory_than_its_scores(kind, layout, monkeypa
     assert peak_bytes(lambda: index.scores(codes)) < wanted < references.nbytes
 
 
-def test_faiss_is_imported_with_the_threads_that_were_pinned():
-    code = (
-        "from vprbench.api import search_indexes; from vprbench.run import machine; machine.pin_threads(3); "
-        "print(search_indexes.faiss_module().omp_get_max_threads())"
-    )
-    free = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
-    assert subprocess.run([sys.executable, "-c", code], env=free, capture_output=True, text=True).stdout == "3\n"
-
-
 @pytest.mark.parametrize(("kind", "index"), [("hnsw", faiss.IndexHNSWFlat), ("binary_hnsw", faiss.IndexBinaryHNSW)])
 def test_a_graph_is_made_by_one_thread_and_leaves_faiss_its_threads(kind, index, monkeypatch):
     # Of several threads the fastest would decide what is linked, another one each time.
@@ -317,3 +308,42 @@ BEST_FIRST = np.linspace(1, 0, 20, dtype=np.float32)  # the best are 0 to 9
 def test_what_an_index_agrees_on_are_the_places_as_good_as_the_exactly_best(scores, exact, shares):
     found = agreement(np.array([scores], np.float32), np.array([exact], np.float32))
     assert found.tolist() == [pytest.approx(shares)]
+
+
+def drawn(n, n_words, seed, share=0.5):
+    """Random truth values, as many as fill the words."""
+    return np.random.default_rng(seed).random((n, 64 * n_words)) < share
+
+
+def counted(queries, references):
+    """Minus the bits that differ, (n_queries, n_references), by truth values."""
+    return np.array([-(query != references).sum(1) for query in queries]).reshape(len(queries), len(references))
+
+
+@pytest.mark.parametrize("n_words", [1, 7, 8, 72])
+def test_scores_are_minus_the_bits_that_differ(n_words):
+    for n_references in (1, 8, 75):
+        references, queries = drawn(n_references, n_words, 1), drawn(5, n_words, 2, 0.2)
+        known, wanted = BinaryMap(packed(references), np.arange(n_references)), counted(queries, references)
+        for n_queries in (0, 1, 5):
+            scores = known.scores(packed(queries[:n_queries]))
+            assert scores.dtype == np.float32
+            assert np.array_equal(scores, wanted[:n_queries])
+            assert np.array_equal(known.scores(np.asfortranarray(packed(queries[:n_queries]))), scores)
+    bits = np.repeat([[False], [True]], 64 * 300, axis=1)
+    assert BinaryMap(packed(bits), np.arange(2)).scores(packed(bits)).tolist() == [[0, -19200], [-19200, 0]]
+
+
+def test_a_place_costs_all_of_its_images_in_whole_words_and_codes_of_another_kind_are_refused():
+    references, queries = drawn(30, 3, 1)[:, :130], drawn(4, 3, 2)[:, :130]
+    known = BinaryMap(packed(references), np.arange(30) % 10)
+    wanted = counted(queries, references).reshape(4, 3, 10).max(1)
+    assert np.array_equal(known.scores(packed(queries)), wanted)
+    assert known.bytes_per_place == 3 * 3 * 8
+    known = BinaryMap(packed(drawn(3, 2, 1)), np.arange(3))
+    with pytest.raises(ValueError, match=re.escape("uint64 (5, 1) came; this map compares uint64 (n_queries, 2)")):
+        known.scores(packed(drawn(5, 1, 2)))
+    with pytest.raises(ValueError, match="codes of bool"):
+        known.scores(drawn(5, 2, 2))
+    with pytest.raises(BadInput, match=re.escape("references of uint64 (3, 2) came with places (2,)")):
+        BinaryMap(packed(drawn(3, 2, 1)), np.arange(2))

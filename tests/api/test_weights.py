@@ -4,7 +4,6 @@ import hashlib
 import pickle
 import re
 import shlex
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +16,7 @@ from trap import Trap
 
 from vprbench.api import weights as module_under_test
 from vprbench.api.weight_files import read_tensor, read_weights, state_dict
-from vprbench.api.weights import Stated, Weights, find_weights, load_strictly, weights_folder, without_prefix
+from vprbench.api.weights import Stated, Weights, find_weights, load_strictly, without_prefix
 from vprbench.errors import BadInput, NotThere
 
 CONTENT = b"published"
@@ -54,15 +53,7 @@ def of_content(**stated):
     return replace(LINKED, stated={"net.pth": Stated(**stated)})
 
 
-def test_the_environment_chooses_the_folder_which_is_in_the_users_cache_otherwise(monkeypatch):
-    monkeypatch.setenv("VPRBENCH_WEIGHTS", "~/nets")
-    assert weights_folder() == Path.home() / "nets"
-    monkeypatch.delenv("VPRBENCH_WEIGHTS")
-    monkeypatch.setenv("XDG_CACHE_HOME", str(Path.home() / ".kept"))
-    assert weights_folder() == Path.home() / ".kept/vprbench/weights" or not sys.platform.startswith("linux")
-
-
-def test_an_own_copy_comes_before_everything_and_is_named_if_it_is_no_file(folder, tmp_path, downloads, monkeypatch):
+def test_an_own_copy_comes_first_then_a_right_file_in_the_folder(folder, tmp_path, downloads, monkeypatch, caplog):
     monkeypatch.setenv("HOME", str(tmp_path))
     own = tmp_path / "own.pth"
     own.write_bytes(b"mine")
@@ -77,9 +68,6 @@ def test_an_own_copy_comes_before_everything_and_is_named_if_it_is_no_file(folde
     with pytest.raises(BadInput, match=r"cannot be read \(File name too long\)"):
         find_weights(replace(LINKED, file="x" * 300), "gcl")
     assert downloads == []
-
-
-def test_a_file_in_the_folder_is_the_stated_one_or_warns_of_what_a_third_party_states(folder, downloads, caplog):
     (folder / "net.pth").write_bytes(CONTENT)
     assert find_weights(of_content(size_bytes=9, sha256=SHA256.upper()), "gcl") == folder / "net.pth"
     for stated in ({"size_bytes": 7}, {"sha256": "0" * 64}):
@@ -200,16 +188,13 @@ def test_what_holds_no_weights_is_refused(path, content, message):
     assert "\n" not in str(error.value)
 
 
-def test_a_file_of_one_tensor_gives_it_and_anything_else_is_refused(path):
+def test_a_file_of_one_tensor_gives_it_and_of_several_the_first_key_that_is_there_counts_or_the_top(path):
     assert torch.equal(read_tensor(write_torch(torch.arange(3.0), path)), torch.arange(3.0))
     with pytest.raises(BadInput, match=r"net\.pth holds one"):
         read_weights(path)
     for content in (TENSORS, [torch.ones(1)], torch.ones(2, dtype=torch.complex64)):
         with pytest.raises(BadInput, match=r"net\.pth holds one"):
             read_tensor(write_torch(content, path))
-
-
-def test_the_first_key_that_is_there_counts_or_the_top_and_parameters_come_as_tensors(path):
     parameters = {"weight": nn.Parameter(torch.ones(2)), "bias": torch.ones(1)}
     for content in (parameters, {"state_dict": {"a": torch.ones(1)}, "model_state_dict": parameters}):
         found = state_dict(write_torch(content, path), "model_state_dict", "state_dict")
@@ -226,13 +211,22 @@ def test_anything_but_tensors_is_refused_with_what_is_there(path, content):
         state_dict(write_torch(content, path), "state_dict")
 
 
-def test_prefixes_go_wherever_a_part_of_a_name_begins_and_two_names_that_become_one_are_refused():
+def test_prefixes_go_wherever_a_part_of_a_name_begins_and_a_module_on_meta_is_a_fault_of_its_own():
     names = ["module.encoder.0.weight", "encoder.module.1.weight", "pool.module.module.conv.weight", "submodule.b"]
     kept = ["encoder.0.weight", "encoder.1.weight", "pool.conv.weight", "submodule.b"]
     assert list(without_prefix(dict.fromkeys(names, torch.ones(1)), "module.")) == kept
     assert list(without_prefix({"model.module.a": torch.ones(1)}, "module.", "model")) == ["a"]
     with pytest.raises(BadInput, match=r"a\.b.*a\.module\.b.*a\.b"):
         without_prefix({"a.b": torch.ones(1), "a.module.b": torch.ones(1)}, "module.")
+    with torch.device("meta"):
+        module, conv = nn.Linear(3, 2), nn.Conv2d(2, 2, 3, bias=False)
+        module.register_buffer("mean", torch.ones(3), persistent=False)
+    with pytest.raises(RuntimeError, match="Linear keeps mean on meta"):
+        load_strictly(module, TENSORS, HERE)
+    given = torch.arange(36.0).reshape(2, 2, 3, 3).to(memory_format=torch.channels_last)
+    load_strictly(conv, {"weight": given, "norm.num_batches_tracked": torch.tensor(3)}, HERE)
+    assert conv.weight.is_contiguous()
+    assert torch.equal(conv.weight, given)
 
 
 @pytest.mark.parametrize(
@@ -264,15 +258,3 @@ def test_a_module_has_the_values_in_its_own_precision_and_keeps_nothing_of_the_f
     assert network[1].num_batches_tracked.item() == 0
     assert network[0].weight.dtype == torch.float32
     assert network[0].weight.requires_grad
-
-
-def test_a_module_that_stays_on_meta_is_a_fault_of_its_own_and_counters_and_strides_do_not_matter():
-    with torch.device("meta"):
-        module, conv = nn.Linear(3, 2), nn.Conv2d(2, 2, 3, bias=False)
-        module.register_buffer("mean", torch.ones(3), persistent=False)
-    with pytest.raises(RuntimeError, match="Linear keeps mean on meta"):
-        load_strictly(module, TENSORS, HERE)
-    given = torch.arange(36.0).reshape(2, 2, 3, 3).to(memory_format=torch.channels_last)
-    load_strictly(conv, {"weight": given, "norm.num_batches_tracked": torch.tensor(3)}, HERE)
-    assert conv.weight.is_contiguous()
-    assert torch.equal(conv.weight, given)

@@ -1,24 +1,27 @@
-"""Fetching: a dataset gets into its folder whatever server, archive and disk do, or nothing changes there."""
+"""Fetching: a dataset gets into its folder whatever happens, or nothing changes there, and entries are complete."""
 
 import hashlib
 import json
 import logging
 import re
 import shutil
-from contextlib import contextmanager
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from archive_files import special, tarred, zipped
+from checkout import SHARED
 from filelock import FileLock
 
 from vprbench.data.fetch import command
 from vprbench.data.fetch.command import Settings, fetch, fetch_command
-from vprbench.data.fetch.entries import Download, Held, Part, downloads
+from vprbench.data.fetch.entries import Download, Held, Part, downloads, read
+from vprbench.data.fetch.received import content_sha256, count_files
 from vprbench.errors import BadInput, NotThere
+from vprbench.plugins import registry
 from vprbench.progress import listening
-from vprbench.storage.unpack import Wanted
+from vprbench.storage.unpack import Wanted, unpack
 
 CHUNK = 512 * 1024  # bytes that a download writes at once
 NOISE = np.random.default_rng(0).bytes(3 * CHUNK)
@@ -69,9 +72,7 @@ def url(server):
 
 
 @pytest.mark.parametrize("keep_archives", [True, False])
-def test_a_dataset_gets_into_its_folder_with_a_record_and_is_not_asked_for_again(
-    server, url, tmp_path, monkeypatch, capsys, keep_archives
-):
+def test_a_dataset_is_fetched_once(server, url, tmp_path, monkeypatch, capsys, keep_archives):
     monkeypatch.setenv("VPRBENCH_DATA", str(tmp_path))
     root = tmp_path / "little"  # where runs look for it
     assert get(little(url), None, keep_archives=keep_archives) == 0
@@ -89,36 +90,27 @@ def test_a_dataset_gets_into_its_folder_with_a_record_and_is_not_asked_for_again
     assert re.search(r"spring is there already, fetched on \d+-\d+-\d+\.\n.*2 files\n", capsys.readouterr().out)
 
 
-def test_a_file_that_is_no_archive_is_kept_as_it_is(server, root):
-    wanted = Wanted(plain=True, into="drive", unpacked_bytes=len(NOISE))
-    part = Part(file="drive.h5", urls=(server.serve("/drive", NOISE),), unpack=wanted, holds={"drive": Held(files=1)})
-    assert get(little(parts={"drive": part}), root) == 0
-    assert (root / "drive" / "drive.h5").read_bytes() == NOISE
-
-
-def test_parts_that_are_named_or_usual_and_not_there_are_fetched(server, url, root):
+def test_named_or_usual_parts_are_fetched_and_what_is_no_archive_kept_as_it_is(server, url, root):
     wanted = Wanted(unpacked_bytes=100)
     summer = Part("summer.tar.gz", (server.serve("/summer", SUMMER),), wanted, {"summer": Held(files=2)})
-    both = little(parts={"spring": spring(url), "summer": summer})
+    wanted = Wanted(plain=True, into="drive", unpacked_bytes=100)
+    drive = Part("drive.h5", (server.serve("/drive", b"events"),), wanted, {"drive": Held(files=1)})
+    both = little(parts={"spring": spring(url), "summer": summer, "drive": drive})
     refused(both, root, "parts: little has no sumer: did you mean summer", parts=["sumer"])
     get(little(parts=both.parts, default=("summer",)), root)
     assert visible(root) == ["fetched.json", "summer", "summer/1.png", "summer/2.png"]
     assert {asked.path for asked in server.asked} == {"/summer"}
     server.asked.clear()
     get(both, root)
-    assert {asked.path for asked in server.asked} == {"/spring"}
-    assert sorted(recorded(root)) == ["spring", "summer"]
+    assert {asked.path for asked in server.asked} == {"/spring", "/drive"}
+    assert sorted(recorded(root)) == ["drive", "spring", "summer"]
+    assert (root / "drive" / "drive.h5").read_bytes() == b"events"
     shutil.rmtree(root)
     get(both, root, parts=["summer"])
     assert sorted(recorded(root)) == ["summer"]
 
 
-# Addresses
-
-
-def test_the_next_address_is_tried_where_a_file_is_gone_another_one_or_damaged_or_its_server_stalls(
-    server, url, root, caplog
-):
+def test_the_next_address_is_tried_where_a_file_is_gone_or_wrong_or_its_server_stalls(server, url, root, caplog):
     gone, stalling = f"{server.url}/gone", server.serve("/stalling", SPRING, stalls_after=0)
     other, damaged = server.serve("/other", zipped({"spring/1.png": b"another"})), server.serve("/cut", SPRING[:-CHUNK])
     for wrong, stated in ((gone, {}), (stalling, {}), (other, {"sha256": SHA256}), (damaged, {})):
@@ -131,9 +123,7 @@ def test_the_next_address_is_tried_where_a_file_is_gone_another_one_or_damaged_o
     assert len(warned) == 4
 
 
-def test_what_a_person_can_do_is_said_where_all_fail_and_nothing_is_asked_for_where_downloads_are_forbidden(
-    server, root, monkeypatch
-):
+def test_a_person_is_told_what_to_do_where_all_fail_or_downloads_are_forbidden(server, root, monkeypatch):
     entry = little(f"{server.url}/one", f"{server.url}/two")
     by_hand = f"/two answers 404 .* get the file by hand and store it as {root / 'archives' / 'spring.zip'}$"
     refused(entry, root, by_hand, NotThere)
@@ -144,48 +134,31 @@ def test_what_a_person_can_do_is_said_where_all_fail_and_nothing_is_asked_for_wh
     assert len(server.asked) == 2
 
 
-# Interruptions
-
-
-@contextmanager
-def interrupting(title):
-    """As when somebody presses Ctrl-C a third into a download."""
+def interrupt(entry, root, monkeypatch):
+    """Fetch as when somebody presses Ctrl-C a third into a download."""
 
     def interrupt(stage, done):
         if stage.startswith("downloading") and 0.3 < done < 1:
             raise KeyboardInterrupt
 
-    with listening(interrupt):
-        yield
-
-
-def interrupt(entry, root, monkeypatch):
     with monkeypatch.context() as patch:
-        patch.setattr(command, "progress_shown", interrupting)
+        patch.setattr(command, "progress_shown", lambda title: listening(interrupt))
         with pytest.raises(KeyboardInterrupt):
             get(entry, root)
     assert not (root / "spring").exists()
 
 
-def test_an_interrupted_download_is_continued_and_what_was_begun_to_unpack_is_removed(server, url, root, monkeypatch):
+def test_an_interrupted_download_is_continued_and_two_fetches_do_not_share_a_folder(server, url, root, monkeypatch):
     interrupt(little(url), root, monkeypatch)
     (root / ".unpacking-12345678" / "spring").mkdir(parents=True)
     server.asked.clear()
+    with FileLock(root / ".fetch.lock"):
+        refused(little(url), root, "another fetch is under way in")
+    assert server.asked == []
     get(little(url), root)
     assert visible(root) == COMPLETE
     assert {asked.range for asked in server.asked} - {None} == {f"bytes={CHUNK}-"}
     assert not (root / ".unpacking-12345678").exists()
-
-
-def test_two_fetches_do_not_share_a_folder(server, url, root):
-    root.mkdir(parents=True)
-    with FileLock(root / ".fetch.lock"):
-        refused(little(url), root, "another fetch is under way in")
-    assert server.asked == []
-    assert get(little(url), root) == 0
-
-
-# Archives
 
 
 def test_a_damaged_archive_is_deleted_or_replaced_and_the_next_fetch_is_right(server, url, root):
@@ -232,26 +205,19 @@ def test_an_archive_put_there_by_hand_needs_no_net_and_is_compared_with_what_is_
     assert f"SHA-256 {SHA256} (as stated)" in capsys.readouterr().out
 
 
-# Disks and folders
+def test_a_disk_that_is_too_small_is_named_before_anything_is_asked_for(server, url, root, monkeypatch):
+    def leave_free(n_bytes):
+        monkeypatch.setattr(shutil, "disk_usage", lambda folder: SimpleNamespace(total=10**12, used=0, free=n_bytes))
 
-
-def free(monkeypatch, n_bytes):
-    """Let every disk have so many bytes free."""
-    monkeypatch.setattr(shutil, "disk_usage", lambda folder: SimpleNamespace(total=10**12, used=0, free=n_bytes))
-
-
-def test_a_disk_that_is_too_small_is_named_before_anything_is_asked_for_and_what_is_left_is_not_counted_twice(
-    server, url, root, monkeypatch
-):
     needed = 4 * CHUNK + 5_000_000  # what is unpacked, and what is downloaded
     entry = little(parts={"spring": spring(url, about_bytes=5_000_000)})
-    free(monkeypatch, needed - 1)
+    leave_free(needed - 1)
     refused(entry, root, r"has 7\.1 MB free, but 7\.1 MB may be needed: free some")
     assert server.asked == []
     assert not root.exists()
-    free(monkeypatch, needed)
+    leave_free(needed)
     interrupt(entry, root, monkeypatch)
-    free(monkeypatch, needed - CHUNK)
+    leave_free(needed - CHUNK)
     assert get(entry, root) == 0
 
 
@@ -266,9 +232,6 @@ def test_folders_that_are_there_in_part_or_links_are_refused_before_anything_is_
     (root / "summer" / "1.png").write_bytes(b"mine")
     refused(little(parts={"both": part}), root, f"{root / 'summer'} is there, but not {root / 'spring'}: move it away")
     assert server.asked == []
-
-
-# The command: what it lists, what it checks afterwards, and what it tells who has to register
 
 
 @pytest.mark.parametrize(
@@ -290,32 +253,24 @@ def test_the_first_dataset_that_has_its_frames_is_checked(url, root, capsys, mis
     assert said in capsys.readouterr().out
 
 
-def test_a_person_is_told_what_to_do_and_what_the_person_put_there_is_checked(root, capsys):
-    entry = little(register="Register at https://example.org, and put spring/ into {folder}.\n")
+def test_a_person_is_told_what_to_do_and_what_the_person_put_there_is_checked(server, url, root, capsys):
+    entry = little(url, register="Register at https://example.org, and put frames/ into {folder}.\n")
 
     def missing(name, folder):
         raise NotThere("1.png is missing")
 
-    assert get(entry, root) == 2
-    assert f"Register at https://example.org, and put spring/ into {root}.\n" in capsys.readouterr().out
+    assert get(little(register=entry.register), root) == 2
+    assert f"Register at https://example.org, and put frames/ into {root}.\n" in capsys.readouterr().out
     assert not root.exists()
-    (root / "spring").mkdir(parents=True)
+    assert get(entry, root) == 2
+    assert visible(root) == COMPLETE  # the public parts
+    (root / "frames").mkdir()
     assert get(entry, root, missing) == 2
     assert "1.png is missing" in capsys.readouterr().out
-    assert get(entry, root, lambda name, folder: ("2 frames, as expected",)) == 0
-    assert "2 frames, as expected" in capsys.readouterr().out
-
-
-def test_the_public_parts_are_fetched_and_those_that_are_gone_do_not_keep_from_the_check(server, url, root, capsys):
-    entry = little(url, register="Ask its authors.")
-    assert get(entry, root) == 2
-    assert visible(root) == COMPLETE
-    (root / "frames").mkdir()
-    assert get(entry, root) == 0
-    gone = little(register="Ask its authors.", parts={"lists": spring(f"{server.url}/gone")})
+    gone = little(register=entry.register, parts={"lists": spring(f"{server.url}/gone")})
     shutil.rmtree(root / "spring")
-    assert get(gone, root, lambda name, folder: ("fine",)) == 0
-    assert re.search(r"/gone answers 404 [^\n]*\n.*\nfine\n$", capsys.readouterr().out)
+    assert get(gone, root, lambda name, folder: ("2 frames, as expected",)) == 0
+    assert re.search(r"/gone answers 404 [^\n]*\n.*\n2 frames, as expected\n$", capsys.readouterr().out)
 
 
 def test_the_command_lists_what_there_is_and_hands_its_options_on(root, capsys):
@@ -328,3 +283,84 @@ def test_the_command_lists_what_there_is_and_hands_its_options_on(root, capsys):
     for name, told in (("synthetic", "nothing to download"), ("nordlund", "did you mean nordland")):
         with pytest.raises(BadInput, match=f"fetch {name}: .*{told}"):
             fetch_command([name])
+
+
+KNOWN = downloads()
+DATA = SHARED / "data"
+LENS = "LENS-f44a08c/lens/dataset"
+
+
+@pytest.mark.parametrize("entry", KNOWN.values(), ids=KNOWN)
+def test_an_entry_says_what_a_person_has_to_know_and_its_parts_are_apart(entry):
+    assert entry.description
+    assert entry.licence
+    assert entry.source.startswith("https://")
+    assert set(entry.datasets) <= set(registry.entries("dataset"))
+    parts = entry.parts.values()
+    for part in parts:
+        assert part.urls
+        assert all(url.startswith("https://") for url in part.urls)
+        assert part.file == Path(part.file).name
+        assert part.holds
+        assert part.sha256 is None or len(part.sha256) == 64
+        assert part.about_bytes is None or part.size_bytes is None
+    for names in ([part.file for part in parts], [folder for part in parts for folder in part.holds]):
+        assert len({*names}) == len(names)
+        assert not {"archives", "fetched.json"} & {Path(name).parts[0] for name in names}
+
+
+@pytest.mark.parametrize(
+    ("where", "folder", "inside", "outside"),
+    [
+        ("nordland spring", "", "spring/images-00001.png", "spring/read.me"),
+        ("nordland_64x32 frames", "seqslam-38311ac/datasets/", "nordland_trimmed/summer/1.png", "other/1.png"),
+        ("corridor frames", "VPR-Bench-77ad30f/datasets/", "corridor/query/0.jpg", "17places/query/0.jpg"),
+        ("oxford_robotcar lists", "V/dataset_imagenames/", "ORC_Sun_timestamps.csv", "ORC_imageNames_Sun.txt"),
+        ("gardens_point frames", "day_left/", "Image000.jpg", "Thumbs.db"),
+        ("brisbane_events_7x7 frames", f"{LENS}/brisevent/davis346/", "sunset1/images_00000.png", "night/1.png"),
+    ],
+)
+def test_a_part_takes_its_files_out_of_an_archive(tmp_path, where, folder, inside, outside):
+    name, part = where.split()
+    wanted, holds = KNOWN[name].parts[part].unpack, KNOWN[name].parts[part].holds
+    (tmp_path / "archive.zip").write_bytes(zipped({folder + inside: b"frame", folder + outside: b"other"}))
+    assert unpack(tmp_path / "archive.zip", tmp_path / "to", wanted) == 1
+    there = next(tmp_path / "to" / held for held in holds if (tmp_path / "to" / held).exists())
+    assert (there / Path(inside).name).read_bytes() == b"frame"
+
+
+@pytest.mark.real_frames
+@pytest.mark.parametrize("folder", ["corridor/ref", "brisbane_events_7x7/sunset1"])
+def test_the_stated_hash_is_that_of_the_frames(folder):
+    name, _, part = folder.partition("/")
+    held = KNOWN[name].parts["frames"].holds[part]
+    assert (count_files(DATA / folder), content_sha256(DATA / folder)) == (held.files, held.sha256)
+
+
+HEAD = "# A little journey\nlicence: CC BY 4.0\nsource: https://example.org\ndatasets: []\n"
+PART = """\
+parts:
+  all: {file: all.zip, urls: ["https://example.org/all.zip"], unpack: {unpacked_bytes: 9}, holds: {spring: {}}}
+"""
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (HEAD, "little.yaml has neither parts nor register"),
+        (HEAD + PART + "seasons: 4\n", "little.yaml=.*nexpected"),
+        (HEAD + PART + "default: [some]\n", "default names some, which is none of its parts"),
+        (HEAD.replace("licence", "license") + PART, "little.yaml=.*"),
+        ("- a list\n", "little.yaml holds no entry"),
+        ("a: [\n", "little.yaml is no yaml"),
+    ],
+)
+def test_an_entry_is_named_and_described_by_its_file_and_a_broken_one_named_in_one_line(tmp_path, text, message):
+    (tmp_path / "little.yaml").write_text(HEAD + PART)
+    entry = read(tmp_path / "little.yaml")
+    assert (entry.name, entry.folder, entry.description) == ("little", "little", "A little journey")
+    assert entry.parts["all"].unpack.strip == 0
+    (tmp_path / "little.yaml").write_text(text)
+    with pytest.raises(BadInput, match=message) as caught:
+        read(tmp_path / "little.yaml")
+    assert "\n" not in str(caught.value)

@@ -3,17 +3,13 @@
 import os
 import pickle
 import struct
-from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from image_folders import answer, lists
 
 from vprbench.datasets.readers.pickled_lists import read_lists
-from vprbench.errors import BadInput
 
 ADVICE = "get it again"
 WANTED = [[0, [0, 1]], [1, []], [2, [1, 2, 700]]]
@@ -81,6 +77,9 @@ def test_bytes_that_python_2_wrote_as_text_are_numbers(write):
         b"J\xff\xff\xff\xffJ\xff\xff\xff\xffK\x00tb\x89U\x04\x05\x00\xc8\x00tba."
     )
     assert read_lists(write(content), ADVICE) == [[5, 200]]
+    path = write(b"")
+    np.save(path, np.zeros((3, 2)))
+    assert "plain numbers" in refusal(path)
 
 
 class Calls:
@@ -129,18 +128,14 @@ REFUSED = {
     "another object": (b"\x80\x02cnumpy\nndarray\n)\x81.", "asks for the step NEWOBJ"),
     "too large a file": (bytes((1 << 24) + 1), f"has {(1 << 24) + 1} bytes"),
     "a place in the memo beyond the file": (b"\x80\x02Nr\xff\xff\xff\x7f.", "LONG_BINPUT 2147483647, beyond"),
-    "a place in the memo, as text": (b"Np99999999999\n.", "PUT 99999999999, beyond"),
     "a frame beyond the file": (b"\x80\x04\x95" + struct.pack("<Q", 1 << 40) + b"].", ""),
     "bytes beyond the file": (b"\x80\x04\x8e" + struct.pack("<Q", 1 << 40) + b"x.", ""),
     "lists used again and again": (pickle.dumps([[*range(2100)]] * 2100), "makes lists of more than 4194304"),
-    "arrays used again and again": (pickle.dumps([np.zeros(3000)] * 3000), "makes lists of more than 4194304"),
     "an array of empty rows": (stored_array((10**12, 0), "i8", b""), "impossible shape"),
     "an array without content": (stored_array((10**6,), "i8", b""), "of shape (1000000,) with other content"),
-    "an array of objects without content": (stored_array((10**6,), "O", []), "with other content"),
     "an array of negative shape": (stored_array((-1,), "i8", b""), "impossible shape"),
     "an array of three dimensions": (stored_array((1, 1, 1), "i8", b"x" * 8), "neither a list nor a table"),
     "an array of text": (stored_array((1,), "S3", b"abc"), "elements of type S3"),
-    "an array whose bytes are no whole numbers": (stored_array((2,), "i8", b"x" * 15), "with other content"),
     "an array that is made at once": (b"\x80\x02cnumpy\nndarray\n\x8a\x06\x00\x00\x00\x00\x00\x10\x85R.", ""),
     "a list in itself": (b"]p0\ng0\na.", "holds a list where"),
     "lists four deep": (pickle.dumps([[0, [[1]]]]), "holds a list where"),
@@ -156,28 +151,3 @@ REFUSED = {
 def test_a_file_that_asks_for_more_than_numbers_would_fill_the_memory_or_is_no_list_is_refused(write, kind):
     content, told = REFUSED[kind]
     assert told in refusal(write(content))
-
-
-def test_an_array_of_plain_numbers_is_no_list_of_lists(write):
-    path = write(b"")
-    np.save(path, np.zeros((3, 2)))
-    assert "plain numbers" in refusal(path)
-
-
-HONEST = [pickle.dumps(held(kind), protocol=protocol) for kind in KINDS for protocol in (0, 2, 4)]
-
-
-@settings(derandomize=True, deadline=None, database=None, max_examples=60)
-@given(
-    st.sampled_from(HONEST),
-    st.lists(st.tuples(st.integers(0, 1 << 16), st.integers(0, 255)), min_size=1, max_size=4),
-    st.integers(0, 20),
-)
-def test_a_damaged_pickle_is_read_as_lists_or_refused(tmp_path_factory, content, changes, cut):
-    damaged = bytearray(content)
-    for at, byte in changes:
-        damaged[at % len(damaged)] = byte
-    path = tmp_path_factory.getbasetemp() / "damaged"
-    path.write_bytes(damaged[: len(damaged) - cut])
-    with suppress(BadInput):
-        assert isinstance(read_lists(path, ADVICE), list)

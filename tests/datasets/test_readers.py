@@ -1,425 +1,269 @@
-"""Every dataset of files gives what was written, and refuses missing, damaged and hostile files by name."""
+"""Places of traverses, by rule or position, and frames of folders, in order or refused by name."""
 
+import os
 import re
-from collections.abc import Callable
-from functools import partial
+from collections import namedtuple
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from image_folders import answer, fill, lists, numbered, reds, rights, used
-from mat_cells import cells
-from scipy.io import savemat
+import yaml
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from image_folders import answer, fill
+from little import a_run, numbers_in, pictures
+from stored_runs import answers
 
-from vprbench.api.dataset import Dataset
-from vprbench.datasets.brisbane_events_7x7 import brisbane_events_7x7
-from vprbench.datasets.dbstruct import dbstruct
-from vprbench.datasets.folders import folders
-from vprbench.datasets.image_list import image_list
-from vprbench.datasets.utm_folders import utm_folders
-from vprbench.datasets.vpr_bench import vpr_bench
-from vprbench.datasets.vpr_tutorial import gardens_point, with_matrix
+from vprbench.datasets.readers.image_files import images_in
+from vprbench.datasets.readers.positions import by_names, by_radius, earth_centred, position_in
+from vprbench.datasets.readers.traverses import Traverses, dataset_of, right_places, set_aside, split
 from vprbench.errors import BadInput, NotThere
-from vprbench.storage import mat_files
+from vprbench.paper.plan import PlannedColumn
+from vprbench.plugins import registry
+from vprbench.tuning.places import cut, querying, searchable
 
-WRITERS = {
-    ".mat": savemat,
-    ".npy": partial(np.save, allow_pickle=True),
-    ".npz": lambda file, arrays: np.savez_compressed(file, **arrays),
-}
+quickly = settings(derandomize=True, deadline=None, max_examples=60, database=None)
 
 
-def put(path, content):
-    """Write images into a folder, or a text or arrays into a file; None takes away what is there."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    if content is None:
-        path.rename(path.with_name("away"))
-    elif isinstance(content, list):
-        fill(path, content)
-    elif isinstance(content, str | bytes):
-        path.write_bytes(content.encode() if isinstance(content, str) else content)
-    elif callable(content):
-        path.write_bytes(content(path.read_bytes()))
+Asked = namedtuple("Asked", "protocol places first_query_place query_places tolerance query_stride")
+
+
+@st.composite
+def asked(draw):
+    protocol = draw(st.sampled_from(["vprtempo", "vprsnn"]))
+    places = draw(st.integers(1, 60))
+    first = draw(st.integers(0, places - 1))
+    stride = 1 if protocol == "vprsnn" else draw(st.one_of(st.integers(1, 12), st.just(10**30)))
+    queries = draw(st.integers(1, len(range(first, places, stride))))
+    tolerance = draw(st.one_of(st.integers(0, places + 2), st.sampled_from([2**63 - 1, 10**30])))
+    return Asked(protocol, places, first, queries, tolerance, stride)
+
+
+@quickly
+@given(asked())
+def test_places_stay_in_order_queries_lie_in_the_map_and_right_is_what_lies_within_the_tolerance(given):
+    parts = split(*given)
+    mapped, queried, held_out = parts.mapped.tolist(), parts.queried.tolist(), parts.held_out.tolist()
+    assert all(numbers == sorted({*numbers}) for numbers in (mapped, queried, held_out))
+    assert (len(queried), len(held_out)) == (given.query_places, given.first_query_place)
+    assert sorted({*mapped, *held_out}) == [*range(given.places)]
+    assert ({*held_out} <= {*mapped}) if given.protocol == "vprtempo" else not {*held_out} & {*mapped}
+    allowed = [place for place in mapped if place not in {*held_out}]
+    assert queried == allowed[:: given.query_stride][: given.query_places]
+    found = right_places(parts.queried, parts.mapped, given.tolerance)
+    for query, right in zip(queried, found, strict=True):
+        assert right.tolist() == [i for i, place in enumerate(mapped) if abs(place - query) <= given.tolerance]
+
+
+@pytest.mark.parametrize(
+    ("protocol", "stride", "recorded"),
+    [
+        ("vprtempo", 2, {"first_query_place": 3, "reference_places": 10, "held_out_places": 3, "query_stride": 2}),
+        ("vprsnn", 1, {"reference_places": 7, "held_out_places": 3}),
+    ],
+)
+def test_the_places_set_aside_are_the_published_draw_and_the_record_counts_the_places(protocol, stride, recorded):
+    # The ten numbers that numpy's RandomState(42).permutation(10) is known for: 8 1 5 0 7 2 9 4 3 6.
+    assert [set_aside(10, count).tolist() for count in (0, 3, 10)] == [[], [1, 5, 8], [*range(10)]]
+    told = {"places": 10, "query_places": 4, "tolerance_places": 1}
+    assert split(protocol, 10, 3, 4, 1, stride).record() == told | recorded
+
+
+@pytest.mark.parametrize(
+    ("protocol", "asked", "told"),
+    [
+        ("sift", (3, 4, 0), "dataset.protocol=sift: choose vprtempo or vprsnn"),
+        ("vprtempo", (4, 3, 0), "dataset.first_query_place=4 and dataset.query_places=3"),
+        ("vprsnn", (4, 3, 0), "dataset.first_query_place=4 and dataset.query_places=3"),
+        ("vprtempo", (-1, 3, 0), "dataset.first_query_place=-1"),
+        ("vprsnn", (0, 0, 0), "dataset.query_places=0"),
+        ("vprtempo", (0, 10**30, 0), f"dataset.query_places={10**30}"),
+        ("vprtempo", (1, 3, 0, 3), " need 8 places, and there are 6"),
+        ("vprtempo", (1, 3, 0, 0), "dataset.query_stride=0 with"),
+        ("vprsnn", (2, 1, 0, 4), "dataset.query_stride=4 with dataset.protocol=vprsnn"),
+        ("vprtempo", (1, 3, -1), "dataset.tolerance=-1"),
+    ],
+)
+def test_a_split_that_does_not_fit_six_places_is_refused_with_its_options(protocol, asked, told):
+    assert told in answer(split, protocol, 6, *asked)
+
+
+def test_frames_that_are_missing_between_places_break_the_journey():
+    numbers = [10, 20, 30, 60, 70, 110]
+    assert Traverses(["a"], "b", None, numbers=numbers).breaks(np.arange(6)).tolist() == [3, 5]
+    assert Traverses(["a"], "b", None, numbers=numbers).breaks(np.array([1, 2, 4])).tolist() == [2]
+    for places, broken in (([0, 1, 4, 5], [2]), ([0, 2, 4], []), ([7], [])):
+        assert Traverses(["a"], "b", None).breaks(np.array(places)).tolist() == broken
+
+
+@pytest.mark.parametrize(
+    ("protocol", "mapped", "queried", "held_out", "in_map"),
+    [
+        ("vprtempo", [*range(10)], [3, 5, 7], [0, 1, 2], True),
+        ("vprsnn", [0, 2, 3, 4, 6, 7, 9], [0, 2, 3], [1, 5, 8], False),
+    ],
+)
+def test_images_come_traverse_by_traverse_and_queries_have_their_place(protocol, mapped, queried, held_out, in_map):
+    def frames(shown):
+        return pictures([1000 * int(traverse) + place for traverse, place in shown])
+
+    parts = split(protocol, 10, 3, 3, 1, 2 if in_map else 1)
+    dataset = dataset_of("made", parts, Traverses(["4", "0"], "2", frames), {"kind": 1}, ["note"])
+    assert numbers_in(dataset.references) == [1000 * traverse + place for traverse in (4, 0) for place in mapped]
+    assert dataset.places.tolist() == [*range(len(mapped))] * 2
+    assert numbers_in(dataset.queries) == [2000 + place for place in queried]
+    right = [[i for i, place in enumerate(mapped) if abs(place - query) <= 1] for query in queried]
+    assert [found.tolist() for found in dataset.positives] == right
+    assert (dataset.name, dict(dataset.protocol), dataset.notes) == ("made", {"kind": 1}, ("note",))
+    assert (dataset.place_numbers is None) if in_map else dataset.place_numbers.tolist() == mapped
+    aside = dataset.held_out
+    assert numbers_in(aside.references) == [1000 * traverse + place for traverse in (4, 0) for place in held_out]
+    assert numbers_in(aside.queries) == [2000 + place for place in held_out]
+    assert (aside.right.tolist(), aside.places.tolist(), aside.in_map) == ([0, 1, 2], [0, 1, 2] * 2, in_map)
+    whole = split(protocol, 10, 0, 3, 1, 1)
+    assert dataset_of("made", whole, Traverses(["4"], "2", frames), {}, []).held_out is None
+
+
+EASTING, NORTHING = 54_325_696, 417_890_670  # centimetres, a corner of San Francisco
+AROUND = st.tuples(st.integers(-6000, 6000), st.integers(-6000, 6000))
+EDGE = st.sampled_from([(700, 2400), (-1500, 2000), (2500, 0), (2400, 701), (2401, 700), (0, 2501)])  # 7-24-25
+
+
+def named(centimetres, grid="@10@S"):
+    east, north = centimetres
+    return Path(f"@{(EASTING + east) / 100:.2f}@{(NORTHING + north) / 100:.2f}{grid}@.jpg")
+
+
+@settings(derandomize=True, deadline=None, database=None, max_examples=60)
+@given(st.lists(st.tuples(AROUND | EDGE, st.integers(31, 32)), min_size=1, max_size=20), st.integers(31, 33))
+@example([((700, 2400), 31), ((701, 2400), 31), ((0, 0), 32)], 31)
+def test_right_is_what_whole_centimetres_say_is_within_25_metres_the_edge_included_and_in_the_zone(references, zone):
+    files = [named(at, f"@{own}@V") for at, own in references]
+    truth = by_names(files, [named((0, 0), f"@{zone}@V")], 25.0, "apart")
+    near = [i for i, ((x, y), own) in enumerate(references) if x * x + y * y <= 2500**2 and own == zone]
+    assert truth.positives[0].tolist() == near
+    assert truth.places.tolist() == [*range(len(references))]
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "zones", "told"),
+    [
+        ("@10@S", "@10@t", "error", ""),
+        ("@10@S", "@33@U", "error", "10 north.*33 north"),
+        ("@23@M", "@23@N", "error", "23 south.*23 north"),
+        ("@10@S", "", "error", ""),
+        ("@10@S", "@61@S", "error", ""),
+        ("@10@S", "@60@S", "error", "10 north.*60 north"),
+        ("@10@S", "", "apart", "10 north.*no zone"),
+    ],
+)
+def test_metres_of_several_zones_or_sides_of_the_equator_do_not_compare(first, second, zones, told):
+    names = [named((0, 0), first)], [named((0, 0), second)]
+    if told:
+        assert re.search(told, answer(by_names, *names, 25.0, zones))
     else:
-        WRITERS[path.suffix](path, content)
+        assert len(by_names(*names, 25.0, zones).positives[0]) == 1
 
 
-def table(header, *rows):
-    """Return a CSV of the images 0.jpg, 1.jpg and so on."""
-    return "\n".join([f"image,{header}", *(f"{number}.jpg,{row}" for number, row in enumerate(rows))]) + "\n"
+def test_a_position_may_be_negative_and_zone_and_letter_may_be_left_out():
+    assert position_in(Path("a@b/@-0012.50@0000003.25@@@@@.jpg")) == (-12.5, 3.25, "")
+    assert "a@b/1.jpg" in answer(position_in, Path("a@b/1.jpg"))
 
 
-def structure(**changes):
-    """Return the fields of dbStruct in the order in which Relja/netvlad writes them."""
-    return {
-        "whichSet": "test",
-        "dbImageFns": cells(["000/a.jpg", "000/b.jpg", "001/c.jpg"]),
-        "utmDb": np.array([[585000.0, 585020.0, 585100.0], [4477000.0] * 3]),
-        "qImageFns": cells(["q1.jpg", "q2.jpg"]),
-        "utmQ": np.array([[585007.0, 585060.0], [4477024.0, 4477000.0]]),  # 7-24-25 from the first; 40 m from others
-        "numImages": 3.0,
-        "numQueries": 2.0,
-        "posDistThr": 25.0,
-        **changes,
-    }
+@pytest.mark.parametrize("radius", [0, float("nan"), 1.01e8])
+def test_a_radius_that_is_no_length_is_refused(radius):
+    with pytest.raises(BadInput, match=r"dataset\.radius_metres="):
+        by_radius(np.zeros((1, 2)), np.zeros((1, 2)), radius)
 
 
-RIGHT = np.array([[1, 0, 0], [0, 1, 1], [0, 0, 0], [1, 0, 1]], bool)  # of four queries, the third has no place
-HARD = np.array([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]], bool)  # of four queries, the last has none
-AT = ["@0@0@10@S@.jpg", "@20@0@10@S@.jpg", "@40@0@10@S@.jpg"]
+# Lengths of one degree on the WGS 84 ellipsoid as the tables of the US National Geospatial-Intelligence Agency have
+# them (whole metres); a thousandth of a degree, so that chord and arc do not differ.
+@pytest.mark.parametrize(
+    ("latitude", "north", "east"), [(0, 110.574, 111.320), (60, 111.412, 55.800), (-30, 110.852, 96.486)]
+)
+def test_a_thousandth_of_a_degree_is_as_long_as_the_tables_say(latitude, north, east):
+    points = earth_centred(np.array([latitude, latitude + 1e-3, latitude]), np.array([10.0, 10.0, 10.001]))
+    lengths = np.linalg.norm(points[1:] - points[0], axis=1)
+    assert lengths == pytest.approx([north, east], rel=1e-4)
 
 
-class Source(NamedTuple):
-    """A dataset, what lies on the disk for it, how it is called, and what it holds."""
-
-    make: Callable[..., Dataset]
-    files: dict[str, Any]
-    options: dict[str, Any]
-    rights: list[list[int]]
-    protocol: str
-    note: str = ""
+def names_in(folder, **options):
+    return images_in(folder, "dataset.queries", "", **options).names
 
 
-TWO = {"references": ["a", "b"], "queries": "c"}
-SOURCES = {
-    "index": Source(
-        folders,
-        {"a": numbered(3), "b": numbered(3), "c": numbered(3)},
-        {**TWO, "tolerance": 1},
-        [[0, 1], [0, 1, 2], [1, 2]],
-        "protocol=folders references=a+b queries=c ground_truth=index tolerance_places=1 unmatched=error",
-    ),
-    "utm": Source(
-        folders,
-        {"a": AT, "c": ["@45@0@10@S@.jpg"]},
-        {"references": ["a"], "queries": "c", "ground_truth": "utm"},
-        [[1, 2]],
-        "protocol=folders references=a queries=c ground_truth=utm radius_metres=25.0 unmatched=error",
-    ),
-    "matrix": Source(
-        folders,
-        {"a": numbered(2), "b": numbered(1), "c": numbered(4), "truth.npz": {"positives": RIGHT.astype(np.float32)}},
-        {**TWO, "ground_truth": "truth.npz", "unmatched": "keep"},
-        [[0], [1, 2], [], [0, 2]],
-        "protocol=folders references=a+b queries=c ground_truth=truth.npz unmatched=keep",
-        "1 of 4 queries have no right reference in truth.npz; they count as misses (dataset.unmatched=keep)",
-    ),
-    "lens": Source(
-        brisbane_events_7x7,
-        {"sunset2": numbered(4), "sunset1": numbered(3), "ground_truth.npz": {"positives": np.eye(3, 4, dtype=bool)}},
-        {"root": "."},
-        [[0], [1], [2]],
-        "protocol=lens_frames references=sunset2 queries=sunset1 ground_truth=ground_truth.npz unmatched=keep",
-        "sequences of 2",
-    ),
-    "database": Source(
-        utm_folders,
-        {"images/test/database": AT, "images/test/queries": ["@0@5@@.jpg", "@30@0@@.jpg", "@900@0@@.jpg"]},
-        {"root": "."},
-        [[0, 1], [1, 2], []],
-        "protocol=utm_folders split=test database=database queries=queries radius_metres=25.0 zones=error "
-        "unmatched=keep",
-        "1 of 3 queries have no reference within 25 m; they count as misses (dataset.unmatched=keep)",
-    ),
-    "list": Source(
-        image_list,
-        {
-            ".": numbered(5),
-            "map0.csv": table("place", "yard", "hall", "yard", "7", "stairs"),
-            "map1.csv": "place,image\nhall,4.jpg\nattic,0.jpg\n",
-            "asked.csv": table("place", "stairs", "yard", "007"),
-        },
-        {"references": ["map0.csv", "map1.csv"], "queries": "asked.csv", "tolerance": 1},
-        [[2, 3, 4], [0, 1], [1, 2, 3]],
-        "protocol=image_list references=map0.csv+map1.csv queries=asked.csv ground_truth=place tolerance_places=1 "
-        "unmatched=error",
-    ),
-    "dbstruct": Source(
-        dbstruct,
-        {
-            ".": ["000/a.jpg", "000/b.jpg", "001/c.jpg"],
-            "asked": ["q1.jpg", "q2.jpg"],
-            "set.mat": {"dbStruct": structure()},
-        },
-        {"root": ".", "mat": "set.mat", "query_folder": "asked"},
-        [[0], []],
-        "protocol=dbstruct mat=set.mat database_folder= query_folder=asked database_suffix=None radius_metres=25.0 "
-        "unmatched=keep",
-        "1 of 2 queries have no reference within 25 m",
-    ),
-    "numbers": Source(
-        vpr_bench,
-        {"query": numbered(11), "ref": numbered(11), "ground_truth_new.npy": lists(*([n] for n in range(11)))},
-        {"root": "."},
-        [[n] for n in range(11)],
-        "protocol=vpr_bench references=ref queries=query ground_truth=ground_truth_new.npy out_of_range=error "
-        "out_of_range_queries=0 unmatched=keep",
-    ),
-    "gardens": Source(
-        gardens_point,
-        {"day_right": numbered(20), "night_right": numbered(20)},
-        {"root": ".", "images": 20},
-        [[n] for n in range(20)],
-        "protocol=vpr_tutorial references=day_right query=night_right images=20 ground_truth=hard tolerance_places=0 "
-        "unmatched=error",
-    ),
-    "tutorial": Source(
-        with_matrix,
-        {"dry": numbered(3), "jan": numbered(4), "GT.npz": {"GThard": HARD, "GTsoft": HARD}},
-        {"root": ".", "reference": "dry", "query": "jan", "source": "get it from there"},
-        [[0], [1], [2]],
-        "protocol=vpr_tutorial reference=dry query=jan ground_truth=hard unmatched=drop",
-        "1 of 4 queries have no right reference in GThard; they are left out (dataset.unmatched=drop)",
-    ),
-}
+def test_sub_folders_are_included_in_natural_order_and_what_is_no_image_left_out(tmp_path):
+    names = ["run10/10.png", "run10/9.png", "run2/7.png", "run2/deep/3.png", ".thumbnails/2.png", "5.png"]
+    assert names_in(fill(tmp_path / "a", names)) == ("5.png", "7.png", "3.png", "9.png", "10.png")
+    assert names_in(fill(tmp_path / "a", names), order="plain") == ("5.png", "10.png", "9.png", "7.png", "3.png")
+    assert names_in(fill(tmp_path / "a", names), deep=False) == ("5.png",)
+    assert names_in(fill(tmp_path / "b", ["1.png", "01.png", "001.png"])) == ("001.png", "01.png", "1.png")
+    beside = ["poses.txt", "GT.npz", "ground_truth.csv", "1.json", "README", "Thumbs.db", "._1.png", "@eaDir/1.jpg"]
+    images = ("1.png", "2.JPG", "3.jpe", "4.pnm")
+    assert names_in(fill(tmp_path / "d", [*images, *beside])) == images
 
 
-@pytest.fixture(autouse=True)
-def _elsewhere(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_a_folder_that_cannot_be_read_is_refused_and_linked_ones_are_included(tmp_path, monkeypatch):
+    twice = fill(tmp_path / "c", ["1.png", "inner/2.png"])
+    (twice / "link").symlink_to(twice / "inner")
+    assert str(twice / "link") in answer(names_in, twice)
+    top = fill(tmp_path / "a", ["1.png"])
+    (top / "2").symlink_to(fill(tmp_path / "elsewhere", ["5.png"]))
+    (top / "again").symlink_to(tmp_path / "a")
+    (top / "0.png").symlink_to(tmp_path / "gone.png")
+    assert names_in(top) == ("0.png", "1.png", "5.png")
+    top, listed = fill(tmp_path / "e", ["1.png", "closed/2.png"]), os.scandir
+
+    def scandir(folder):
+        if Path(folder).name == "closed":
+            raise PermissionError(13, "Permission denied", str(folder))
+        return listed(folder)
+
+    monkeypatch.setattr(os, "scandir", scandir)
+    assert f"{top / 'closed'} cannot be read (Permission denied)" in answer(names_in, top, kind=NotThere)
 
 
-def written(source, **changed):
-    """Write the files of a source; returns the dataset's function and its options, some of them changed."""
-    make, files, options, *_ = SOURCES[source]
-    for path, content in files.items():
-        put(Path(path), content)
-    return make, {"name": "mine", **options, **changed}
-
-
-def read(source, **changed):
-    make, options = written(source, **changed)
-    return make(**options)
-
-
-@pytest.mark.parametrize("source", SOURCES)
-def test_what_was_written_is_read(source):
-    expected, dataset = SOURCES[source], read(source)
-    assert dataset.name == "mine"
-    assert rights(dataset) == expected.rights
-    told = {key: "+".join(value) if isinstance(value, list) else value for key, value in dataset.protocol.items()}
-    assert sorted(f"{key}={value}" for key, value in told.items()) == sorted(expected.protocol.split(" "))
-    assert [expected.note in note for note in dataset.notes] == [True] * bool(expected.note)
-    assert len(used(dataset)) == sum(len(names) for names in expected.files.values() if isinstance(names, list))
-    assert reds(dataset.queries) == [*range(len(expected.rights))]
-    if source == "list":
-        assert dataset.places.tolist() == [0, 1, 0, 2, 3, 1, 4]
-        assert reds(dataset.references) == [0, 1, 2, 3, 4, 4, 0]
-    elif source == "index":
-        assert dataset.places.tolist() == [0, 1, 2] * 2
-    elif source == "matrix":
-        assert reds(dataset.references) == [0, 1, 0]
+@pytest.mark.parametrize("kind", ["2.heic", "2.png~", "2", "a folder", "a pipe", "a linked folder"])
+def test_what_may_be_a_frame_and_cannot_be_read_is_refused_by_name(tmp_path, kind):
+    top = fill(tmp_path / "a", ["1.png", "3.png"])
+    stranger = top / (kind if kind.startswith("2") else "2.png")
+    if kind == "a folder":
+        fill(tmp_path / "a/2.png", ["2.png"])
+    elif kind == "a linked folder":
+        stranger.symlink_to(fill(tmp_path / "b", ["2.png"]))
+    elif kind == "a pipe":
+        os.mkfifo(stranger)
     else:
-        assert dataset.places.tolist() == reds(dataset.references) == [*range(dataset.n_places)]
+        stranger.touch()
+    for deep in (True, False):
+        assert answer(names_in, top, deep=deep).startswith(f"dataset.queries: {stranger} is ")
 
 
-def flipped(bit):
-    at, by = bit // 8, 1 << bit % 8
-    return lambda content: content[:at] + bytes([content[at] ^ by]) + content[at + 1 :]
+def config(name):
+    return dict(yaml.safe_load(registry.entries("dataset")[name].path.read_text(encoding="utf-8")))
 
 
-def first(keep):
-    return lambda content: content[:keep]
+def test_nothing_is_searched_under_a_protocol_or_beside_a_column_that_scatters_its_held_out_places():
+    with pytest.raises(BadInput, match=r"dataset\.protocol=vprsnn: a search needs places in a row"):
+        searchable("nordland", {**config("nordland"), "protocol": "vprsnn"}, 20, [])
+    nordland, rendered = (
+        PlannedColumn("a column", "A column", (f"dataset={name}", "dataset.protocol=vprsnn"))
+        for name in ("nordland", "synthetic")
+    )
+    with pytest.raises(BadInput, match="reported results query all of its 3300 places"):
+        searchable("nordland", config("nordland"), 100, [nordland])
+    assert searchable("synthetic", config("synthetic"), 20, [rendered]).searched == range(20)
+    whole = registry.make_dataset({**config("synthetic"), "places": 12})
+    assert whole.held_out is not None
+    assert cut(whole, range(2, 8)).held_out is None
 
 
-def zip_field(field, value):
-    """Change a field of every member, in its own header and in that of the directory."""
-
-    def spoil(content):
-        spoilt = bytearray(content)
-        for signature, shift in ((b"PK\3\4", 0), (b"PK\1\2", 2)):
-            for start in (found.start() for found in re.finditer(re.escape(signature), content)):
-                spoilt[start + field + shift] = value
-        return bytes(spoilt)
-
-    return spoil
-
-
-def both(content):
-    return {"map0.csv": content, "map1.csv": content, "asked.csv": content}
-
-
-OWN = [[query] for query in range(11)]
-HDF5 = b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM" + b"\x89HDF\r\n\x1a\n" + bytes(600)
-BY_CSV = {"ground_truth": "ground_truth.csv"}
-METRES = structure()["utmDb"]
-
-# What is changed on the disk, which options, and what the message names.
-REFUSED = {
-    "index": [
-        ({"b": ["3.jpg"]}, {}, "dataset.references hold different numbers of images (a 3, b 4)"),
-        ({"c": numbered(7)}, {}, "3 of 7 queries have no reference within 1 places (first: c/4.jpg)"),
-        ({}, {"tolerance": -1}, "dataset.tolerance=-1"),
-        ({}, {"ground_truth": "idx"}, "dataset.ground_truth=idx"),
-    ],
-    "utm": [
-        *(({"c": [name]}, {}, f"c/{name}") for name in ("@east@north@.png", "@12.png", "@nan@4@.png", "@1@-1e9@.png")),
-        ({"a": ["1.png"]}, {}, "a/1.png"),
-        ({"c": ["@45@0@11@S@.jpg"]}, {}, "2 UTM zones"),
-    ],
-    "matrix": [
-        ({"truth.npz": {"positives": RIGHT.T}}, {}, "(3, 4) (it is transposed); wanted is (4, 3), queries by ref"),
-        ({"truth.npz": {"truth": RIGHT}}, {}, "truth.npz holds no positives"),
-    ],
-    "database": [
-        ({}, {"unmatched": "error"}, "1 of 3 queries have no reference within 25 m (first: images/test/queries/@900@"),
-        ({}, {"radius_metres": 1, "unmatched": "drop"}, "leaves none"),
-        ({"images/test/queries_images_paths.txt": b"\xff\xfe@\x00\n"}, {}, "queries_images_paths.txt is no text"),
-    ],
-    "list": [
-        ({"asked.csv": table("place", "yard", "x")}, {}, "1 of 2 queries have a place that no reference shows"),
-        ({"asked.csv": table("lat,lon", "1,2")}, {}, "map1.csv has place, image; asked.csv has image, lat, lon"),
-        *(
-            (both(content), {}, told)
-            for content, told in (
-                ("a,b\n1,2\n", "has the columns a, b"),
-                ("image,place,Image name\n0.jpg,1,2\n", "each once"),
-                ("image\n0.jpg\n", "image, and place or east,north or lat,lon"),
-                ("image,place\n", "lists no image"),
-                ("", "has the columns none"),
-                ('image,place\n"0.jpg,1\n', "cannot be read as a CSV"),
-                ("image,place" + ",x" * 999 + "\n0.jpg,1\n", "has 1001 columns"),
-                ("image,place\n0.jpg,1\n0.jpg,\n", "row 2 of map0.csv"),
-                ("image,place\n0.jpg,1\n,2\n", "row 2 of"),
-                ("image,place\n0.jpg,1\n0.jpg,1,5\n", "line 3 of map0.csv has more cells"),
-                ("image,place\n0.jpg\n", "line 2 of map0.csv has fewer cells"),
-                ("image,east,north\n0.jpg,1,x\n", "north x in row 1 of"),
-                ("image,east,north\n0.jpg,0,0\n1.jpg,inf,1\n", "east inf in row 2 of"),
-                ("image,lat,lon\n0.jpg,90.1,1\n", "lat 90.1 in row 1 of"),
-                ("image,lat,lon\n0.jpg,90,180\n0.jpg,1,-181\n", "lon -181 in row 2 of"),
-            )
-        ),
-    ],
-    "dbstruct": [
-        *(
-            ({"set.mat": content}, {}, f"holds {next(iter(content))}, but no dbStruct")
-            for content in ({"other": 1.0}, {"dbStruct": dict.fromkeys("abcd", 1.0)})
-        ),
-        *(
-            ({"set.mat": {"dbStruct": structure(**{field: value})}}, {}, f"field {number} of dbStruct")
-            for number, field, value in (
-                (2, "dbImageFns", np.zeros((3, 1))),
-                (3, "utmDb", METRES.T),
-                (3, "utmDb", METRES * 1e300),
-                (4, "qImageFns", cells([1.0, 2.0])),
-                (4, "qImageFns", cells([])),
-                (5, "utmQ", METRES),
-            )
-        ),
-        *(({"set.mat": first(keep)}, {}, "cannot be read as a .mat file") for keep in (0, 300)),
-        # scipy 1.17 crashes on each of these bits
-        *(({"set.mat": flipped(bit)}, {}, "set.mat cannot be read as a .mat file") for bit in (2432, 5252)),
-        ({"set.mat": HDF5}, {}, "-v7"),
-    ],
-    "numbers": [
-        *(
-            ({"ground_truth_new.npy": lists(*rows)}, {}, f"ground_truth_new.npy {told}")
-            for rows, told in (
-                ([*OWN[:10], [10, 11]], "names reference 11 for query 10, but ref/ holds 11 images"),
-                ([*OWN[:10], [-1]], "names reference -1 for query 10"),
-                ([*OWN, [0]], "names query 11, but query/ holds 11 images"),
-                (OWN[:9], "has no row for 2 of 11 queries (first: query 9)"),
-                *(([*OWN[:10], bad], "is no [query, [references]]") for bad in (5, [0.5], [True])),
-                *(([*OWN[:10], bad], "cannot be read as pickled lists of numbers") for bad in ([[1]], "1")),
-            )
-        ),
-        *(
-            ({"ground_truth.csv": content}, BY_CSV, f"ground_truth.csv {told}" if told[0].islower() else told[1:])
-            for content, told in (
-                (b"", "has the columns none"),
-                (b"query,refs\n0,0\n", "has the columns query, refs"),
-                (b"query,matching_refs\n0,0,1\n", "-line 2 of"),
-                *((b"query,matching_refs\n0,0\n" + line, "-line 3 of") for line in (b"x,1", b"1,a b", b"1", b"1,2.5")),
-                (b"query,matching_refs\n0,0\n0,1\n", "has two rows for query 0"),
-                ("query,matching_refs\n0,1\n".encode("utf-16"), "cannot be read as a CSV"),
-                (b"query,matching_refs\n0," + b"1 " * 70_000, "cannot be read as a CSV"),
-            )
-        ),
-    ],
-    "gardens": [
-        ({}, {"references": []}, "dataset.references=[]"),
-        ({}, {"references": ["day_right", "day_right"]}, "each once"),
-        ({}, {"images": 0}, "dataset.images=0"),
-        ({}, {"tolerance": -1}, "dataset.tolerance=-1"),
-    ],
-    "tutorial": [
-        ({"GT.npz": {"GThard": HARD.T}}, {}, "GT.npz has the shape (4, 3) (it is transposed); wanted is (3, 4)"),
-        *(
-            ({"GT.npz": {"GThard": values}}, {}, "GT.npz holds " + told)
-            for values, told in ((HARD * 2, "int64 values"), (HARD * 0.5, "float64"), (HARD.astype(str), "<U5"))
-        ),
-        ({"GT.npz": {"GThard": np.zeros((1000, 1000), bool)}}, {}, "unpacks to 1000128 bytes"),
-        ({"GT.npz": {"GTsoft": HARD}}, {}, "GT.npz holds no GThard"),
-        ({"GT.npz": {"GThard": HARD.astype(object)}}, {}, "GT.npz cannot be read"),  # nor unpickled
-        *(
-            ({"GT.npz": spoil}, {}, "GT.npz cannot be read")
-            # encrypted, of an unknown compression, of another compression than it says
-            for spoil in (first(0), first(200), zip_field(6, 1), zip_field(8, 97), zip_field(8, 14))
-        ),
-    ],
-}
-MISSING = {
-    "index": [
-        *(({}, {option: None}, "dataset.references and dataset.queries") for option in ("references", "queries")),
-        ({}, {"queries": "gone"}, "dataset.queries: gone is no folder"),
-        ({"d": "a file"}, {"queries": "d"}, "dataset.queries: d is no folder"),
-        ({}, {"queries": ""}, "dataset.queries: nothing is no folder"),
-        ({"d/notes.txt": "no image"}, {"references": ["a", "d"]}, "dataset.references: d holds no images"),
-    ],
-    "matrix": [({}, {"ground_truth": "gone.npz"}, "gone.npz is no file")],
-    "lens": [({"sunset2": None}, {}, "sunset2 is no folder")],
-    "database": [
-        ({"images/test/queries_images_paths.txt": "\n"}, {}, "queries_images_paths.txt names no image"),
-        ({"images/test/queries_images_paths.txt": "@7@.jpg\n"}, {}, "queries/@7@.jpg does not exist (1 of 1 images in"),
-        ({}, {"root": None, "name": "pitts30k"}, "dataset.root is not set: pitts30k"),
-        ({}, {"split": "val"}, "images/val"),
-    ],
-    "list": [
-        ({}, {"references": ["gone.csv"]}, "gone.csv is no file"),
-        ({"3.jpg": None}, {}, "3.jpg does not exist (1 of 5 images in map0.csv are missing)"),
-        *(({}, {option: None}, "dataset.references and dataset.queries") for option in ("references", "queries")),
-    ],
-    "dbstruct": [
-        ({"001/c.jpg": None}, {}, "001/c.jpg does not exist (1 of 3 images in the database of set.mat are missing)"),
-        ({"asked/q2.jpg": None}, {}, "asked/q2.jpg does not exist (1 of 2 images in the queries of set.mat"),
-        ({}, {"mat": None}, "dataset.mat"),
-        ({}, {"mat": "gone.mat"}, "dataset.mat: gone.mat"),
-    ],
-    "numbers": [
-        *(({part: None}, {}, f"{part} is no folder") for part in ("query", "ref")),
-        ({"ground_truth_new.npy": None}, {}, "holds no ground_truth_new.npy and no ground_truth.csv"),
-    ],
-    "gardens": [({}, {"images": 21}, "day_right holds 20 of 21 images: restore the others, or pass dataset.images=20")],
-    "tutorial": [({"GT.npz": None}, {}, "GT.npz is no file: get it from there")],
-}
-
-
-def cases(refused):
-    every = [pytest.param(source, *case, id=f"{source} {case[2]}") for source in refused for case in refused[source]]
-    return pytest.mark.parametrize(("source", "files", "options", "told"), every)
-
-
-def refusal(source, files, options, kind):
-    make, given = written(source, **options)
-    for path, content in files.items():
-        put(Path(path), content)
-    return answer(make, kind=kind, **given)
-
-
-@cases(REFUSED)
-def test_what_does_not_fit_or_is_damaged_or_hostile_is_refused(source, files, options, told):
-    assert told in refusal(source, files, options, BadInput)
-
-
-@cases(MISSING)
-def test_what_is_missing_is_named(source, files, options, told):
-    assert told in refusal(source, files, options, NotThere)
-
-
-def test_a_small_mat_file_that_unpacks_to_a_large_one_is_refused(monkeypatch):
-    monkeypatch.setattr(mat_files, "_LEAST_BYTES", 1 << 24)
-    bomb = partial(savemat, mdict={"dbStruct": structure(), "zeros": np.zeros(1 << 26, np.uint8)}, do_compression=True)
-    make, options = written("dbstruct")
-    bomb("set.mat")
-    assert "more than 16 MB of memory" in answer(make, **options)
+@pytest.mark.parametrize(("protocol", "named"), [("vprtempo", False), ("vprsnn", True)])
+def test_a_stored_run_whose_queries_are_scattered_may_query_any_place(protocol, named):
+    stored = a_run(
+        dataset="nordland",
+        config={**a_run().config, "dataset": {**config("nordland"), "protocol": protocol}},
+        positives=tuple(np.array([place]) for place in (700, 701)),
+        outcome=answers([1, 1]),
+    )
+    found = querying([stored], searchable("nordland", config("nordland"), 500, []))
+    assert found == [f"nordland/little-{stored.key}"] * named

@@ -199,25 +199,19 @@ def test_another_file_than_stated_a_web_page_or_nothing_is_deleted_and_named(ser
     assert left_behind(to) == []
 
 
-def test_two_that_want_one_file_download_it_once(server, to):
+def test_a_full_disk_or_no_folder_is_named_and_two_that_want_one_file_download_it_once(server, to, tmp_path):
     with ThreadPoolExecutor(2) as threads:
-        [*threads.map(lambda _: get(server, to, sha256=SHA256), range(2))]
-    assert to.read_bytes() == CONTENT
+        [*threads.map(lambda _: get(server, tmp_path / "shared.pth", sha256=SHA256), range(2))]
+    assert (tmp_path / "shared.pth").read_bytes() == CONTENT
     assert len(server.net.asked) == 2  # whether a part fits, and the file
-
-
-def test_a_full_disk_and_a_folder_that_cannot_be_made_are_named(server, to, tmp_path):
     with no_file_may_exceed(CHUNK + 1000):
         refused(server, to, r"\(File.*large\): free")
     get(server, to, sha256=SHA256)
     assert to.read_bytes() == CONTENT
-    (tmp_path / "file").touch()
-    refused(server, tmp_path / "file" / "net.pth", "cannot be written .*: mend")
+    refused(server, tmp_path / "shared.pth" / "net.pth", "cannot be written .*: mend")
 
 
-def test_google_drives_page_that_asks_for_confirmation_is_passed_and_a_file_that_is_not_public_named(
-    server, to, monkeypatch
-):
+def test_google_drives_confirmation_is_passed_and_a_file_that_is_not_public_named(server, to, monkeypatch):
     request = requests.Session.request
 
     def elsewhere(session, method, url, **options):

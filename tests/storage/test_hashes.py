@@ -1,22 +1,22 @@
-"""Hashes of files are right whatever happens to the files or to the database, and computed once."""
+"""Hashes of files are right whatever happens to them, and computed once; a cache without a home asks for it."""
 
-import errno
 import hashlib
 import os
-import sqlite3
+import pwd
 import sys
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing
 from pathlib import Path
 
 import platformdirs
 import pytest
 
+from vprbench.api.checkpoints import partial_folder
+from vprbench.api.weights import weights_folder
 from vprbench.errors import BadInput
 from vprbench.progress import listening
 from vprbench.storage import hashes as file_hashes
-from vprbench.storage.hashes import FileHash, FileHashes
+from vprbench.storage.hashes import FileHash, FileHashes, hashes_folder
 
 SECOND = 1_000_000_000  # nanoseconds
 YEAR_2096 = 4_000_000_000 * SECOND
@@ -83,9 +83,7 @@ def test_the_hash_of_a_file_is_its_sha256_whatever_its_name_and_what_cannot_be_r
 
 
 @pytest.mark.parametrize("again", [False, True], ids=["another program", "the same one"])
-def test_hashes_come_in_the_order_of_the_files_and_a_second_call_reads_what_came_since_alone(
-    tmp_path, folder, read, monkeypatch, again
-):
+def test_a_second_call_reads_what_came_since_alone(tmp_path, folder, read, monkeypatch, again):
     (a, b, c, d, e), first = files(tmp_path, 5), later(folder)
     assert [*first.of([])] == []
     assert not folder.exists()
@@ -95,33 +93,6 @@ def test_hashes_come_in_the_order_of_the_files_and_a_second_call_reads_what_came
     monkeypatch.chdir(tmp_path / "frames")  # a file is known by its relative name too
     assert are_right(first if again else later(folder), [a, Path("1.png"), c, d, e])
     assert read == {"3.png": 1, "4.png": 1}
-
-
-def test_what_is_known_is_found_among_much_or_little_else(tmp_path, folder, read, monkeypatch):
-    monkeypatch.setattr(file_hashes, "_ASKED", 3)
-    paths = files(tmp_path, 40)
-    later(folder).of(paths)
-    read.clear()
-    for asked in ([0, 20, 39], [*range(40)], [39, 3, 39, 20]):
-        assert are_right(later(folder), [paths[number] for number in asked])
-    assert not read
-
-
-def test_hashes_that_were_read_before_an_error_are_kept(tmp_path, folder, read, monkeypatch):
-    monkeypatch.setattr(file_hashes, "_BATCH", 4)
-    paths, digest = files(tmp_path, 10), file_hashes.file_digest
-
-    def broken(file, kind):
-        if file.name.endswith("9.png"):
-            raise OSError(errno.EIO, "Input/output error")
-        return digest(file, kind)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(file_hashes, "file_digest", broken)
-        assert refused(later(folder), paths) == f"{paths[9]} cannot be read (Input/output error): restore the file"
-    read.clear()
-    assert are_right(later(folder), paths[:8])
-    assert not read
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows keeps no time of change that nobody can set back")
@@ -193,42 +164,6 @@ def test_a_damaged_database_is_begun_anew(tmp_path, folder, read, caplog, kept):
     assert not read
 
 
-def ask(folder, *questions):
-    """Put questions to the database by other means; returns the rows that answer the last."""
-    (path,) = folder.iterdir()
-    with closing(sqlite3.connect(path)) as database, database:
-        return [[*database.execute(question)] for question in questions][-1]
-
-
-def test_what_is_no_hash_is_not_taken_for_one_and_a_database_of_another_kind_is_left_alone(tmp_path, folder, caplog):
-    paths = files(tmp_path, 2)
-    later(folder).of(paths)
-    for stored in ("'text'", "x'1234'"):
-        ask(folder, f"UPDATE files SET sha256 = {stored}")
-        assert are_right(later(folder), paths)
-    ask(folder, "DROP TABLE files", "CREATE TABLE files (recipe TEXT)", "INSERT INTO files VALUES ('soup')")
-    assert are_right(later(folder), paths)
-    assert "no hashes of files are kept" in caplog.text
-    assert ask(folder, "SELECT recipe FROM files") == [("soup",)]
-
-
-def test_a_locked_database_costs_one_line_and_never_the_hashes(tmp_path, folder, read, caplog, monkeypatch):
-    monkeypatch.setattr(file_hashes, "_PATIENCE_SECONDS", 0)
-    paths = files(tmp_path, 4)
-    later(folder).of(paths[:2])
-    (path,) = folder.iterdir()
-    hashes = later(folder)
-    with closing(sqlite3.connect(path)) as other:
-        other.execute("PRAGMA locking_mode=EXCLUSIVE")
-        other.execute("BEGIN EXCLUSIVE")
-        assert are_right(hashes, paths[:2])
-        assert are_right(hashes, paths)
-    assert [record.getMessage() for record in caplog.records] == [
-        f"no hashes of files are kept in {path} (database is locked): the next run reads them again"
-    ]
-    assert read == {"0.png": 2, "1.png": 2, "2.png": 1, "3.png": 1}  # what was read since is known without a database
-
-
 @pytest.mark.parametrize("which", ["hashes", "hashes/files-1.sqlite3"])
 def test_where_no_database_can_be_made_the_hashes_are_right(tmp_path, folder, caplog, which):
     if which == "hashes":
@@ -260,10 +195,45 @@ def test_the_folder_is_in_the_users_cache(tmp_path, monkeypatch):
     assert [path.name for path in (tmp_path / "vprbench" / "hashes").iterdir()] == ["files-1.sqlite3"]
 
 
-def test_hashing_more_files_than_a_batch_is_told_of_once(tmp_path, folder, monkeypatch):
+def test_more_files_than_a_batch_are_told_of_once_and_known_ones_found_again(tmp_path, folder, monkeypatch, read):
     monkeypatch.setattr(file_hashes, "_BATCH", 4)
     paths, told = files(tmp_path, 13), list[tuple[str, float]]()
     with listening(lambda stage, done: told.append((stage, done))):
         for some in (paths[:4], paths, paths):
             later(folder).of(some)
     assert told == [("hashing frames", share) for share in (4 / 9, 8 / 9, 1.0)]
+    monkeypatch.setattr(file_hashes, "_ASKED", 3)
+    paths = files(tmp_path, 40)
+    later(folder).of(paths)
+    read.clear()
+    for asked in ([0, 20, 39], [*range(40)], [39, 3, 39, 20]):
+        assert are_right(later(folder), [paths[number] for number in asked])
+    assert not read
+
+
+FOLDERS = {"VPRBENCH_WEIGHTS": weights_folder, "VPRBENCH_PARTIAL": partial_folder, "VPRBENCH_HASHES": hashes_folder}
+
+
+@pytest.fixture
+def nameless(monkeypatch, tmp_path):
+    """Be a user without a name and a home, as in many a container."""
+
+    def unknown(_):
+        raise KeyError("uid not found")
+
+    monkeypatch.setattr(pwd, "getpwuid", unknown)
+    for name in ("HOME", "XDG_CACHE_HOME", *FOLDERS):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.mark.usefixtures("nameless")
+@pytest.mark.parametrize("variable", FOLDERS)
+def test_a_cache_without_a_home_asks_for_its_variable(variable, monkeypatch):
+    with pytest.raises(BadInput, match=f"HOME, or {variable}"):
+        FOLDERS[variable]()
+    monkeypatch.setenv(variable, "~/kept")
+    with pytest.raises(BadInput, match=f"{variable}=~/kept"):
+        FOLDERS[variable]()
+    monkeypatch.setenv(variable, "kept")
+    assert FOLDERS[variable]() == Path("kept")

@@ -80,15 +80,6 @@ def test_the_wanted_files_come_out_under_their_names(archive, to, maker):
     assert (heard[0], heard[-1]) == (0.0, 1.0)
 
 
-def test_all_folders_can_be_left_out_and_one_put_in_front_and_a_plain_file_is_wanted_itself(archive, tmp_path):
-    archive.write_bytes(zipped({"a/b/1.png": b"one", "2.png": b"two"}))
-    to = tmp_path / "new" / "data"  # is made
-    unpack(archive, to, Wanted(unpacked_bytes=100, strip="all", into="fall"))
-    unpack(archive, to, Wanted(unpacked_bytes=1000, plain=True, into="whole"))
-    plain = {"whole/frames.tar.gz": archive.read_bytes()}
-    assert everything(to) == {"fall/1.png": b"one", "fall/2.png": b"two", **plain}
-
-
 def test_what_is_not_approved_or_interrupted_does_not_get_there(archive, to):
     archive.write_bytes(zipped(FILES))
     seen = []
@@ -117,8 +108,7 @@ def test_a_path_that_leads_out_is_refused_wanted_or_not(archive, to, name, maker
 
 
 @pytest.mark.parametrize(
-    ("kind", "said"),
-    [(tarfile.SYMTYPE, "a link"), (tarfile.LNKTYPE, "a link"), (tarfile.FIFOTYPE, "no plain file")],
+    ("kind", "said"), [(tarfile.SYMTYPE, "a link"), (tarfile.LNKTYPE, "a link"), (tarfile.FIFOTYPE, "no plain file")]
 )
 def test_a_tar_with_more_than_files_is_refused_and_nothing_written_through_a_link(archive, to, tmp_path, kind, said):
     archive.write_bytes(tarred(FILES, [special("set/spring/3.png", kind, "/etc/passwd")]))
@@ -166,9 +156,6 @@ def test_a_zip_is_refused_for_what_it_states(archive, to, offset, field, said, k
         content[at : at + len(field)] = field
     archive.write_bytes(content)
     refused(archive, to, Wanted(unpacked_bytes=100), said, kind)
-
-
-# Headers that ask for the whole memory
 
 
 def empty(name, **fields):
@@ -245,7 +232,7 @@ def test_an_archive_that_ends_early_has_a_changed_byte_or_is_none_is_damaged(arc
     refused(archive, to, WANTED, "damaged|ends early", DamagedArchive)
 
 
-def test_a_full_disk_is_named_and_what_was_moved_goes_back_where_the_rest_cannot_be(archive, to, monkeypatch):
+def test_folders_can_be_left_out_and_on_a_full_disk_moved_files_go_back(archive, to, monkeypatch, tmp_path):
     archive.write_bytes(zipped({"set/a/1.png": bytes(50_000), "set/b/1.png": b"two"}))
     with no_file_may_exceed(20_000):
         refused(archive, to, WANTED, r"\(.*File.*large\).*: free")
@@ -258,3 +245,9 @@ def test_a_full_disk_is_named_and_what_was_moved_goes_back_where_the_rest_cannot
 
     monkeypatch.setattr(Path, "rename", fails_for_b)
     refused(archive, to, WANTED, "nothing was unpacked: mend that")
+    archive.write_bytes(zipped({"a/b/1.png": b"one", "2.png": b"two"}))
+    to = tmp_path / "new" / "data"  # is made
+    unpack(archive, to, Wanted(unpacked_bytes=100, strip="all", into="fall"))
+    unpack(archive, to, Wanted(unpacked_bytes=1000, plain=True, into="whole"))
+    plain = {"whole/frames.tar.gz": archive.read_bytes()}
+    assert everything(to) == {"fall/1.png": b"one", "fall/2.png": b"two", **plain}

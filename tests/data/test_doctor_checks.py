@@ -1,0 +1,296 @@
+"""What the doctor finds in lists, in the comparison of traverses, in recordings, and in real frames."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from checkout import SHARED
+from doctored import NAMES, PLACES, coded, dataset_of, healthy, notes, season, wrong
+from little import picture
+
+from vprbench.api.dataset import Dataset, FrameFolder
+from vprbench.api.events import Events, Recording
+from vprbench.api.images import Images
+from vprbench.data.doctor import examine, quick
+
+PLAIN = [f"{number}.png" for number in range(12)]
+
+
+def checked(names=NAMES, query_names=NAMES, right=None, more=(), **protocol):
+    """Return what the cheap checks find where places, queries and further reference traverses have these names."""
+    listed = [*names, *(name for others in more for name in others)]
+    positives = [[number] for number in range(len(query_names))] if right is None else right
+    return quick(
+        Dataset(
+            name="lists",
+            references=Images.from_arrays([picture(0)] * len(listed), listed),
+            places=np.tile(np.arange(len(names)), 1 + len(more)),
+            queries=Images.from_arrays([picture(0)] * len(query_names), query_names),
+            positives=tuple(np.array(places, np.int64) for places in positives),
+            protocol={"references": ["sun", "rain"][: 1 + len(more)], "query": "dusk", **protocol},
+        )
+    )
+
+
+def places(count, skipped=()):
+    """Return the place of its own for each query, none for some."""
+    return [[] if query in skipped else [query] for query in range(count)]
+
+
+PAST_THE_GAP = [*range(10), 8, *range(11, 30), *range(55, 60)]
+SHUFFLED = [[int(place)] for place in np.random.default_rng(0).permutation(PLACES)]
+AROUND = [range(max(0, query - 1), min(20, query + 2)) for query in range(20)]
+FINDINGS = {
+    "a name twice too often": ({"names": [*NAMES[:58], "003.png", "003.png"]}, ["note names: 1 2 60 003"]),
+    "queries in dictionary order": (
+        {"names": PLAIN, "query_names": sorted(PLAIN)},
+        ["error order: 10 11 2", "warning names: 10 12 10 2"],
+    ),
+    "all in dictionary order": ({"names": sorted(PLAIN), "query_names": sorted(PLAIN)}, ["warning order: 10 11 2"]),
+    "a file missing in the midst": (
+        {"names": [name for name in NAMES if name != "020.png"], "query_names": NAMES[:59]},
+        ["warning names: 38 59 021 022"],
+    ),
+    "references that begin at another file": ({"more": [[*NAMES[1:], NAMES[0]]]}, ["warning names: 60 60 001 000"]),
+    "queries of every other place": (
+        {"query_names": NAMES[:20], "right": [[2 * query] for query in range(20)]},
+        ["note ground truth: 40 60"],
+    ),
+    "names of another scheme": ({"query_names": [f"frame{number:03d}.png" for number in range(PLACES)]}, []),
+    "queries without a right place": (
+        {"right": places(PLACES, (4, 9, 14))},
+        ["warning ground truth: 3 60 1 95.0 004 009 014", "note ground truth: 3 60"],
+    ),
+    "such queries, asked for": (
+        {"right": places(PLACES, (4,)), "unmatched": "keep"},
+        ["note ground truth: 1 60 1 98.3 004", "note ground truth: 1 60"],
+    ),
+    "no right place at all": (
+        {"right": [[]] * PLACES},
+        ["error ground truth: 60 60 1 0.0 000 001 002 003 004 55", "note ground truth: 60 60"],
+    ),
+    "most places right": (
+        {"right": [range(45)] * PLACES},
+        ["warning ground truth: 60 60 10 60 75.0", "note ground truth: 15 60"],
+    ),
+    # 18 queries with 3 of 20 places and 2 with 2 of 20, which is no more than 10 %
+    "few places, a wide tolerance": (
+        {"names": NAMES[:20], "query_names": NAMES[:20], "right": AROUND, "tolerance_places": 1},
+        ["note ground truth: 18 20 10 20 14.5"],
+    ),
+    "places that are never right": ({"query_names": NAMES[:48]}, ["note ground truth: 12 60"]),
+    "more right than the tolerance allows": (
+        {"right": [*places(7), [6, 7, 8, 9], *places(PLACES)[8:]], "tolerance_places": 1},
+        ["warning ground truth: 1 3 1 007"],
+    ),
+    "a step back and a leap": (
+        {"query_names": NAMES[: len(PAST_THE_GAP)], "right": [[middle] for middle in PAST_THE_GAP]},
+        ["note ground truth: 26 60", "note ground truth: 1 010", "note ground truth: 1 030"],
+    ),
+    "no order at all": ({"right": SHUFFLED, "query_names": [f"q{name}" for name in NAMES]}, []),
+}
+
+
+@pytest.mark.parametrize("lists", FINDINGS)
+def test_the_cheap_checks_find_in_lists(lists, tmp_path):
+    given, expected = FINDINGS[lists]
+    assert coded(checked(**given), tmp_path) == expected
+
+
+@pytest.mark.parametrize("names", [PLAIN, [f"{number:02d}.png" for number in range(12)], list("gadbhecf"), PLAIN[::-1]])
+def test_other_orders_are_not_taken_for_dictionary_order(names):
+    assert not [finding for finding in checked(names=names, query_names=names) if finding.check == "order"]
+
+
+def test_the_notes_of_a_dataset_are_shown():
+    frames, own = Images.from_arrays([picture(0)] * 2), (np.array([0]), np.array([1]))
+    dataset = Dataset("noted", frames, np.arange(2), frames, own, {}, notes=("41 rows step back in time",))
+    assert notes(quick(dataset), "dataset") == ["41 rows step back in time"]
+
+
+def compared(references, queries, right=None, tolerance=0, **protocol):
+    """Return what alignment says where query i shows place i, give or take the tolerance, or `right` if given."""
+    places = len(references[0])
+    if right is None:
+        right = [range(max(0, i - tolerance), min(places, i + tolerance + 1)) for i in range(len(queries))]
+    dataset = Dataset(
+        name="ride",
+        references=Images.from_arrays([frame for frames in references for frame in frames]),
+        places=np.tile(np.arange(places), len(references)),
+        queries=Images.from_arrays(queries),
+        positives=tuple(np.array(one, np.int64) for one in right),
+        protocol={"references": ["spring", "fall"][: len(references)], "query": "summer", **protocol},
+    )
+    return [finding for finding in examine(dataset) if finding.check == "alignment"]
+
+
+def noise(seed, places=PLACES):
+    return [*np.random.default_rng(seed).integers(0, 256, (places, 32, 64, 3), np.uint8)]
+
+
+@pytest.mark.parametrize(
+    ("references", "queries", "tolerance", "told"),
+    [
+        (season(0), season(1), 0, r"summer and spring are aligned: likeness 0\..*20 of 20 stretches agree$"),
+        (season(0), noise(5), 0, "too different"),
+        *((season(0), noise(seed), 20, "too different") for seed in (8, 9, 10)),  # the best shift is no wrong one
+        # what comes a lap further on looks more alike: 25 places, more than a single query is compared with
+        ([*noise(6, 25), *season(0, 25) * 4], season(1, 25) * 5, 0, "too different"),
+    ],
+)
+def test_traverses_are_aligned_or_too_different_to_tell(references, queries, tolerance, told):
+    (found,) = compared([references], queries, tolerance=tolerance)
+    assert found.level == "note"
+    assert re.search(told, found.text)
+
+
+def test_of_several_reference_traverses_the_shifted_one_is_named_and_of_all_the_queries():
+    first, second = compared([season(0)[:57], season(2)[3:]], season(1)[:57])
+    assert (first.level, second.level) == ("error", "note")
+    assert "what fall shows 3 places earlier" in first.text
+    assert "summer and spring are aligned" in second.text
+    (found,) = compared([season(0)[:57], season(2)[:57]], season(1)[3:])
+    assert found.level == "error"
+    assert "each of the 2 reference traverses" in found.text
+    # Of the 57 queries the first 54 have a place 3 further on; amid these is number 27, which shows place 27 + 3.
+    assert found.advice.startswith("compare image 27 of summer with image 30 of spring by eye; ")
+
+
+@pytest.mark.parametrize(
+    ("first_reference", "first_query", "told"),
+    [(0, 3, "3 places later"), (3, 0, "3 places earlier"), (0, 1, "1 place later"), (25, 0, "25 places earlier")],
+)
+def test_a_traverse_that_begins_at_another_place_is_an_error(first_reference, first_query, told):
+    long = 120
+    references = season(0, long)[first_reference : first_reference + long - 25]
+    queries = season(1, long)[first_query : first_query + long - 25]
+    (found,) = compared([references], queries)
+    assert found.level == "error"
+    assert found.text.startswith(f"summer is shifted against spring: all of it shows what spring shows {told} (")
+
+
+def test_a_shift_is_told_by_the_places_that_the_ground_truth_says_are_right_and_a_part_of_it_with_its_ends():
+    references, queries = season(0, 400), season(1, 400)
+    queries[100:130] = season(1, 400)[105:135]
+    (found,) = compared([references], queries)
+    assert found.level == "warning"
+    assert "image 100 to image 129 (30 of 400 queries) show what spring shows 5 places later" in found.text
+    (tolerated,) = compared([season(0)[:58]], season(1)[2:], tolerance=2)
+    assert tolerated.level == "note"
+    assert "all of it shows what spring shows 2 places later" in tolerated.text
+    assert tolerated.advice == "the ground truth counts these places as right"
+    right = [[place] for place in range(0, 300, 5)]
+    (aligned,) = compared([season(0, 300)], season(1, 300)[::5], right)
+    (shifted,) = compared([season(0, 300)], season(1, 300)[3::5], right)
+    assert "are aligned" in aligned.text
+    assert "all of it shows what spring shows 3 places later" in shifted.text
+    order = np.random.default_rng(0).permutation(PLACES)
+    (unordered,) = compared([season(0)], [season(1)[place] for place in order], [[int(place)] for place in order])
+    assert (unordered.level, unordered.text.startswith("not checked: ")) == ("note", True)
+
+
+HEIGHT, WIDTH = 24, 32
+SECOND = 1_000_000
+
+
+def speed():
+    """Metres in each of 60 seconds of a drive that stops again and again."""
+    return 2 + 8 * (np.random.default_rng(5).random(PLACES) > 0.4)
+
+
+def drive(seed):
+    """Events as many as the camera is fast; light rises where the place says, whatever the season."""
+    chance = np.random.default_rng(seed)
+    second = np.repeat(np.arange(PLACES), 40 * speed().astype(int))
+    t = np.sort(second * SECOND + chance.integers(SECOND, size=len(second)))
+    x, y = chance.integers(WIDTH, size=len(t)), chance.integers(HEIGHT, size=len(t))
+    rises = np.random.default_rng(9).random((PLACES, 3, 4)) > 0.5
+    p = rises[t // SECOND, y // 8, x // 8] ^ (chance.random(len(t)) < 0.3)
+    return Events(t, x.astype(np.uint16), y.astype(np.uint16), p)
+
+
+def recorded(events, name, late_us=0, unit=1):
+    """Return a recording that comes in chunks, with a position each second."""
+    metres = np.stack([np.cumsum(speed()), np.zeros(PLACES)], axis=1)
+    middle = SECOND * np.arange(PLACES) + SECOND // 2
+
+    def chunks():
+        for part in np.array_split(np.arange(len(events.t)), 7):
+            yield Events(events.t[part], events.x[part], events.y[part], events.p[part])
+
+    return Recording(name, chunks, HEIGHT, WIDTH, (middle + SECOND // 2 + late_us) // unit, metres, middle)
+
+
+def swapped(events, back_us):
+    t = events.t.copy()
+    t[1000] = t[999] - back_us
+    return replace(events, t=t)
+
+
+def hole(events):
+    kept = (events.t < 20 * SECOND) | (events.t > 22 * SECOND)
+    return Events(events.t[kept], events.x[kept], events.y[kept], events.p[kept])
+
+
+def hot(events):
+    often = np.arange(len(events.t)) % 10 == 0
+    x, y = (np.where(often, at, column).astype(np.uint16) for at, column in ((7, events.x), (5, events.y)))
+    return replace(events, x=x, y=y)
+
+
+FOUND = {
+    "nothing": (lambda events: recorded(events, "winter"), []),
+    "time that runs backwards": (lambda events: recorded(swapped(events, 70_000), "winter"), ["error time: 1 70,000"]),
+    "a late packet": (lambda events: recorded(swapped(events, 7_000), "winter"), ["note time: 1 7,000"]),
+    "a gap": (lambda events: recorded(hole(events), "winter"), ["warning gaps: 1 2.0"]),
+    "a hot pixel": (lambda events: recorded(hot(events), "winter"), ["warning hot pixels: 1 10."]),
+    "polarity that is always the same": (
+        lambda events: recorded(replace(events, p=np.ones_like(events.p)), "winter"),
+        ["warning polarity: 100.0 1"],
+    ),
+    "inverted polarity": (lambda events: recorded(replace(events, p=~events.p), "winter"), ["warning polarity: 0."]),
+    "positions of another unit": (
+        lambda events: recorded(events, "winter", unit=1000),
+        ["error clocks: 0.0 0.1 0.0 60.0 0"],
+    ),
+    "positions of another second": (
+        lambda events: recorded(events, "winter", late_us=4 * SECOND),
+        ["warning clocks: 4.0"],
+    ),
+    "positions that are not in order": (
+        lambda events: replace(recorded(events, "winter"), positions_us=np.zeros(PLACES, np.int64)),
+        ["error clocks:"],
+    ),
+}
+
+
+@pytest.mark.parametrize("damage", FOUND)
+def test_the_doctor_finds_in_a_recording(damage, tmp_path):
+    winter, summer = healthy(tmp_path)
+    spoil, expected = FOUND[damage]
+    recordings = spoil(drive(1)), recorded(drive(2), "summer")
+    found = coded(examine(replace(dataset_of([winter], summer), recordings=recordings)), tmp_path)
+    told = [code for code in found if not code.startswith("note alignment")]
+    assert [code[: len(start)] for code, start in zip(told, expected, strict=True)] == expected
+
+
+DATA = SHARED / "data"
+NORDLAND = DATA / "nordland_64x32"
+
+
+@pytest.mark.extended
+@pytest.mark.real_frames
+def test_nordland_is_aligned_and_its_tunnels_are_among_what_is_not_used():
+    names = (NORDLAND / "frames_clean_qvpr.txt").read_text().split()
+    folders = [NORDLAND / season for season in ("winter", "summer")]
+    winter, summer = (Images.from_files([folder / name for name in names]) for folder in folders)
+    given = winter, np.arange(2761), summer, tuple(np.array([place]) for place in range(2761))
+    protocol = {"references": ["winter"], "query": "summer", "tolerance_places": 0}
+    kept = tuple(FrameFolder(folder, tuple(names)) for folder in folders)
+    found = examine(Dataset("ride", *given, protocol, folders=kept))
+    assert not wrong(found)
+    assert notes(found, "alignment")[0].startswith("summer and winter are aligned")
+    for text in notes(found, "unused"):
+        assert re.findall(r"[\d,]+\d", text)[:3] == ["3,576", "2,761", "815"]
+        assert 150 <= int(text.partition("of these ")[2].split()[0]) <= 250  # "about 200" says who published the frames

@@ -1,0 +1,376 @@
+"""Events: files of any format, drives placed by their logs, and the simulated event camera."""
+
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from datetime import UTC, datetime
+
+import numpy as np
+import pytest
+from event_recordings import by_chance, joined, same, write_aedat2, write_aedat4, write_evt3
+from image_folders import REAL, answer, needs_real_frames, rights
+
+from vprbench.api.events import hot_pixels
+from vprbench.datasets import synthetic_events
+from vprbench.datasets.brisbane_events_7x7 import brisbane_events_7x7
+from vprbench.datasets.event_folders import event_folders
+from vprbench.datasets.event_vpr import brisbane_event_vpr, qcr_event_vpr
+from vprbench.datasets.readers import event_files
+from vprbench.datasets.readers.event_files import events_in
+from vprbench.datasets.rendering.film import HEIGHT, WIDTH
+from vprbench.datasets.rendering.journey import World
+from vprbench.datasets.synthetic_events import EventJourney, event_journey, write_recording
+from vprbench.errors import NotThere
+from vprbench.methods.sad import SAD
+
+EVENTS = by_chance(500, seconds=40.0)
+
+
+@pytest.fixture(autouse=True)
+def small_chunks(monkeypatch):
+    monkeypatch.setattr(event_files, "_CHUNK", 64)
+
+
+def dsec(file):
+    group = file.create_group("events")
+    for name, column in {"t": EVENTS.t - 5_000_000, "x": EVENTS.x, "y": EVENTS.y, "p": EVENTS.p.astype("u1")}.items():
+        group.create_dataset(name, data=column, chunks=(100,), compression="gzip")
+    file["t_offset"] = 5_000_000
+
+
+def seconds(file):
+    for name, column in {"xs": EVENTS.x, "ys": EVENTS.y, "ts": EVENTS.t / 1e6, "ps": EVENTS.p * 2 - 1}.items():
+        file[f"davis/left/{name}"] = column
+    file["davis/left/image"] = np.zeros((3, 4))
+
+
+def table(file):
+    rows = np.zeros(500, [("x", "<u2"), ("y", "<u2"), ("p", "<i2"), ("t", "<i8")])
+    rows["x"], rows["y"], rows["p"], rows["t"] = EVENTS.x, EVENTS.y, EVENTS.p, EVENTS.t
+    file["CD/events"] = rows
+    file["EXT_TRIGGER/events"] = rows[:3]
+
+
+def nanoseconds(file):
+    file["t"] = EVENTS.t * 1000 + 1_600_000_000_000_000_000
+    file["x"], file["y"], file["polarity"] = EVENTS.x, EVENTS.y, EVENTS.p
+
+
+@pytest.mark.parametrize("layout", [dsec, seconds, table, nanoseconds])
+def test_layouts_of_hdf5_are_found_by_name(layout, tmp_path):
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "drive.h5", "w") as file:
+        layout(file)
+    since = 1_600_000_000_000_000 if layout is nanoseconds else 0
+    assert same(joined(events_in(tmp_path / "drive.h5")), replace(EVENTS, t=EVENTS.t + since))
+
+
+def test_parquet_is_read_and_hdf5_without_events_or_its_library_refused(tmp_path, monkeypatch):
+    parquet, arrow = pytest.importorskip("pyarrow.parquet"), pytest.importorskip("pyarrow")
+    columns = {"t": EVENTS.t, "x": EVENTS.x, "y": EVENTS.y, "p": EVENTS.p}
+    parquet.write_table(arrow.table(columns), tmp_path / "drive.parquet")
+    assert same(joined(events_in(tmp_path / "drive.parquet")), EVENTS)
+    parquet.write_table(arrow.table({"t": EVENTS.t, "x": EVENTS.x}), tmp_path / "drive.parquet")
+    assert "drive.parquet holds no" in answer(joined, events_in(tmp_path / "drive.parquet"))
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "drive.h5", "w") as file:
+        file["events/t"] = EVENTS.t
+    assert "drive.h5 holds no" in answer(joined, events_in(tmp_path / "drive.h5"))
+    monkeypatch.setitem(sys.modules, "h5py", None)
+    assert "vprbench[events]" in answer(joined, events_in(tmp_path / "drive.h5"))
+
+
+@pytest.mark.parametrize("begin", [0, 2**31 - 10_000_000, 2**32 - 20_000_000])
+def test_aedat_2_is_read_though_its_clock_wraps(begin, tmp_path):
+    found = joined(events_in(write_aedat2(tmp_path / "drive.aedat", EVENTS, begin)))
+    since = begin - 2**32 * (begin >= 2**31)  # its numbers are signed
+    assert same(found, replace(EVENTS, t=EVENTS.t + since))
+
+
+def test_evt3_is_read_though_its_clock_wraps_and_its_vectors_are_events_and_aedat_4_too(tmp_path):
+    assert same(joined(events_in(write_evt3(tmp_path / "drive.raw", EVENTS))), EVENTS)
+    words = [0x8001, 0x6005, 0x0007, 0x3800 | 100, 0x4803, 0x5081]  # base 100, brighter: twelve, then eight pixels
+    (tmp_path / "drive.raw").write_bytes(b"% evt 3.0\n% end\n" + np.array(words, "<u2").tobytes())
+    found = joined(events_in(tmp_path / "drive.raw"))
+    assert found.x.tolist() == [100, 101, 111, 112, 119]
+    assert [*found.y, *found.t, *found.p] == [7] * 5 + [4096 + 5] * 5 + [True] * 5
+    pytest.importorskip("aedat")
+    assert same(joined(events_in(write_aedat4(tmp_path / "drive.aedat4", EVENTS))), EVENTS)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "told"),
+    [
+        ("drive.h5", b"neither of them", "drive.h5 cannot be read as .h5"),
+        ("drive.aedat", b"neither of them", "drive.aedat begins with"),
+        ("drive.raw", b"% evt 2.0\n% end\n", "drive.raw is no EVT 3.0"),
+        ("drive.txt", b"", ".aedat"),
+        ("gone.h5", None, "gone.h5"),
+    ],
+)
+def test_what_is_no_recording_is_refused_by_name(name, content, told, tmp_path):
+    if name == "drive.h5":
+        pytest.importorskip("h5py")
+    if content is None:
+        assert told in answer(joined, events_in(tmp_path / name), kind=NotThere)
+    else:
+        (tmp_path / name).write_bytes(content)
+        assert told in answer(joined, events_in(tmp_path / name))
+
+
+METRES_A_DEGREE = 110_574  # of latitude, at the equator
+OPTIONS = {"height": 20, "width": 30, "hot_factor": None}
+
+
+@pytest.fixture(autouse=True)
+def _frames(tmp_path, monkeypatch):
+    monkeypatch.setenv("VPRBENCH_EVENTS", str(tmp_path / "frames"))
+
+
+@pytest.fixture
+def options(tmp_path):
+    """A drive of 10 s in the map, and one of 7 s."""
+    write_aedat2(tmp_path / "map.aedat", by_chance(4000, 1, seconds=10.0))
+    write_aedat2(tmp_path / "drive.aedat", by_chance(4000, 2, seconds=7.0))
+    return {"references": [str(tmp_path / "map.aedat")], "queries": str(tmp_path / "drive.aedat"), **OPTIONS}
+
+
+def track(file, metres, times):
+    rows = [f"{time},{metres(time) / METRES_A_DEGREE!r},0" for time in times.tolist()]
+    file.with_suffix(".csv").write_text("\n".join(["time,lat,lon", *rows]) + "\n")
+
+
+def test_frames_of_the_same_number_show_the_same_place_or_positions_say_what_lies_within_metres(options, tmp_path):
+    dataset = event_folders(**options, window_ms=500.0, tolerance=1)
+    assert (dataset.n_places, len(dataset.queries)) == (19, 13)
+    assert rights(dataset)[:2] == [[0, 1], [0, 1, 2]]
+    assert dataset.references[0].sum() > 0
+    assert dict(dataset.protocol) == {
+        **{"protocol": "event_folders", "references": ["map.aedat"], "queries": "drive.aedat", "hot_factor": None},
+        **{"ground_truth": "index", "window_us": 500_000, "tolerance_places": 1, "unmatched": "error"},
+    }
+    by_number = event_folders(**options, events_per_frame=400)
+    assert (by_number.n_places, [int(image[..., 0].sum()) for image in by_number.queries]) == (10, [400] * 10)
+    # The map is driven at 10 m/s from 5 s on, the other drive at 20 m/s; its positions begin at 6 s.
+    track(tmp_path / "map.aedat", lambda time: 10 * time, np.arange(5.0, 16.0))
+    track(tmp_path / "drive.aedat", lambda time: 20 * time - 60, np.arange(6.0, 13.0, 0.5))
+    dataset = event_folders(**options, ground_truth="gps", radius_metres=12.0, unmatched="keep")
+    t = [np.floor(5 + 1e-3) + np.arange(n) + 0.5 for n in (9, 6)]
+    mapped, asked = 10 * t[0], 20 * t[1][t[1] > 6] - 60
+    assert (dataset.n_places, len(dataset.queries)) == (9, 5)
+    assert rights(dataset) == [np.flatnonzero(abs(mapped - metres) <= 12).tolist() for metres in asked]
+    assert [len(recording.positions_us) for recording in dataset.recordings] == [11, 14]
+
+
+@pytest.mark.parametrize(
+    ("rows", "told"),
+    [
+        ("time,lat,lon\n900,0,0\n999,0,0\n", "map.aedat run from 900.0 to"),
+        ("time,lat,lon\n9,0,0\n8,0,0\n", "map.csv holds times that do not ascend"),
+        ("time,lat,lon\n8,0,0\n9,inf,0\n", "map.csv holds times that do not ascend, or no numbers"),
+        ("time,lat,lon\n", "map.csv holds"),
+        ("time,lat,lon\n8,x,0\n", "map.csv: "),
+        ("a,b\n", "map.csv"),
+    ],
+)
+def test_tables_that_do_not_fit_are_refused_by_name(options, tmp_path, rows, told):
+    for name in ("map.csv", "drive.csv"):
+        (tmp_path / name).write_text(rows)
+    assert told in answer(event_folders, **options, ground_truth="gps")
+
+
+def test_recordings_that_are_missing_are_named(options, tmp_path):
+    assert "dataset.references" in answer(event_folders, kind=NotThere)
+    assert "gone.h5" in answer(event_folders, kind=NotThere, **options | {"queries": "gone.h5"})
+    assert "fetch brisbane_event_vpr" in answer(brisbane_event_vpr, kind=NotThere, root=str(tmp_path))
+    write_aedat2(tmp_path / "dvs_vpr_2020-04-22-17-24-21.aedat", by_chance(40))
+    write_aedat2(tmp_path / "dvs_vpr_2020-04-21-17-03-03.aedat", by_chance(40))
+    assert "nmea" in answer(brisbane_event_vpr, kind=NotThere, root=str(tmp_path))
+    assert "sunset" in answer(brisbane_event_vpr, root=str(tmp_path), queries="sunset3")
+
+
+def write_hdf5(file, events, nanoseconds):
+    """Write events whose clock of nanoseconds since 1970 is at `nanoseconds` when that of `events` is at 0."""
+    h5py = pytest.importorskip("h5py", reason="h5py is not installed: pip install vprbench[events]")
+    file.parent.mkdir(exist_ok=True)
+    with h5py.File(file, "w") as stored:
+        for name, column in (("t", events.t * 1000 + nanoseconds), ("x", events.x), ("y", events.y), ("p", events.p)):
+            stored[name] = column
+
+
+def sentence(kind, at, lat, fix=True):
+    """Return a sentence of NMEA 0183 with its checksum, at 0 degrees of longitude."""
+    clock, degrees = f"{at:%H%M%S}.00", int(lat)
+    where = f"{degrees:02d}{60 * (lat - degrees):010.7f},N,00000.0000000,E"
+    if kind == "RMC":
+        text = f"GPRMC,{clock},{'A' if fix else 'V'},{where},0.0,0.0,{at:%d%m%y},,,A"
+    else:
+        text = f"GPGGA,{clock},{where},{int(fix)},08,1.0,10.0,M,0.0,M,,"
+    return f"${text}*{np.bitwise_xor.reduce(np.frombuffer(text.encode(), np.uint8)):02X}\r\n"
+
+
+def log(begin, seconds, metres_a_second, kinds=("RMC",)):
+    """Return a log of a drive to the north that has no fix in its first two seconds, and a broken line."""
+    lines = ["$GPGSV,3,1,11,03,03,111,00*74\r\n", "$GPRMC,broken\r\n"]
+    for n in range(seconds):
+        at = datetime.fromtimestamp(begin.timestamp() + n, UTC)
+        lines += [sentence(kind, at, n * metres_a_second / METRES_A_DEGREE, fix=n >= 2) for kind in kinds]
+    return "".join(lines)
+
+
+@pytest.mark.parametrize("kinds", [("RMC",), ("GGA",), ("RMC", "GGA"), ("GGA", "RMC")])
+def test_a_brisbane_drive_is_placed_by_its_gps_log(tmp_path, kinds):
+    # The log of the camera car has a date of its own; events begin at 5 s, the logs at 3 s before midnight.
+    midnight = datetime(2020, 1, 1, 23, 59, 57, tzinfo=UTC)
+    for name, date, begin, seconds, speed in (
+        ("sunset2", "2020-04-22-17-24-21", 1587540271.65, 12.0, 10),
+        ("sunset1", "2020-04-21-17-03-03", 1587452582.35, 8.0, 20),
+    ):
+        events = by_chance(4000, seed=speed, seconds=seconds)
+        write_hdf5(tmp_path / name / f"dvs_vpr_{date}.hdf5", events, round(begin * 1e9))
+        (tmp_path / f"2020-{name}_concat.nmea").write_text(log(midnight, 15, speed, kinds))
+    dataset = brisbane_event_vpr(root=str(tmp_path), **OPTIONS, radius_metres=13.0, unmatched="keep")
+    mapped, asked = 10 * (5.5 + np.arange(len(dataset.places))), 20 * (5.5 + np.arange(len(dataset.queries)))
+    assert (dataset.n_places, len(dataset.queries)) == (9, 7)  # until 14 s, where the log ends
+    assert rights(dataset) == [np.flatnonzero(abs(mapped - metres) <= 13).tolist() for metres in asked]
+    assert dataset.protocol["references"] == ["dvs_vpr_2020-04-22-17-24-21.hdf5"]
+
+
+def test_an_own_gps_log_is_read_on_the_clock_of_1970(tmp_path):
+    begin = datetime(2026, 3, 4, 5, 6, 7, tzinfo=UTC)
+    for name in ("map", "drive"):
+        write_hdf5(tmp_path / f"{name}.h5", by_chance(4000, seconds=9.0), round(begin.timestamp() * 1e9))
+        (tmp_path / f"{name}.nmea").write_text(log(begin, 20, 10))
+    files = {"references": [str(tmp_path / "map.h5")], "queries": str(tmp_path / "drive.h5")}
+    dataset = event_folders(**files, **OPTIONS, ground_truth="gps", radius_metres=1.0)
+    assert rights(dataset) == [[place] for place in range(8)]
+    (tmp_path / "map.nmea").write_text(sentence("RMC", begin, 0.0, fix=False))
+    assert "map.nmea" in answer(event_folders, **files, **OPTIONS, ground_truth="gps")
+
+
+def test_a_qcr_drive_is_placed_by_the_points_that_it_passes(tmp_path):
+    write_aedat2(tmp_path / "bags_2021-08-19-08-25-42_denoised.aedat", by_chance(20_000, 1, 170.0))  # normal1
+    write_aedat2(tmp_path / "bags_2021-08-20-10-19-45_denoised.aedat", by_chance(20_000, 2, 70.0))  # fast2
+    dataset = qcr_event_vpr(root=str(tmp_path), **OPTIONS, queries="fast2")
+    # The first way begins 2 s after the first event, and both pass their fifth point after 58 and 23.7 s.
+    assert dataset.n_places == 163
+    at_fifth = 23  # the frame from 23 to 24 s, whose middle is 0.2 s before it: 0.2 * (31 - 58) / (12.7 - 23.7) = 0.5 s
+    middle = 58 - 0.2 * 27 / 11
+    right = [place for place in range(163) if abs(place + 0.5 - middle) <= 0.02 * 163]
+    assert rights(dataset)[at_fifth] == right
+    assert dataset.protocol["radius_percent"] == 2.0
+    assert "none" in answer(qcr_event_vpr, root=str(tmp_path), queries="none")
+
+
+@needs_real_frames
+def test_sad_finds_76_of_724_places_of_brisbane():
+    dataset = brisbane_events_7x7("brisbane", root=str(REAL / "brisbane_events_7x7"))
+    assert (dataset.n_places, len(dataset.queries), sum(map(len, dataset.positives))) == (641, 724, 822)
+    sad = SAD(preprocessing="grey", height=7, width=7).fit(dataset.references, dataset.places)
+    best = sad.query(dataset.queries).argmax(axis=1)
+    hits = sum(place in right for place, right in zip(best, dataset.positives, strict=True))
+    assert hits == 76  # 0.105 of 724, as the data's own description measured it
+
+
+PIXELS = HEIGHT * WIDTH
+EXACT = {"threshold_spread": 0, "noise_hz": 0, "refractory_us": 0, "steps": 1, "metres": 180 / 16}
+BRIGHTER, DARKER = 0, 1
+
+
+class Wall:
+    """A wall of one grey value, which becomes 1 brighter each 1/16 metre from 20 on; place 1 darkens from 200 on."""
+
+    def __init__(self, seed):
+        self.seed = seed
+
+    def render(self, traverse, place, ahead=0):
+        return np.full((HEIGHT, WIDTH, 3), 200 - ahead if place == DARKER else 20 + ahead, np.uint8)
+
+
+@pytest.fixture
+def _wall(monkeypatch):
+    world = World("the wall", "hour", ("spring",), (0, 1), Wall, 1)
+    monkeypatch.setitem(synthetic_events._WORLDS, "synthetic", world)
+
+
+def seen(place=BRIGHTER, **options):
+    (events,) = EventJourney(**options).recording("spring", [place]).events()
+    return events
+
+
+def per_pixel(events):
+    return np.bincount(events.y.astype(int) * WIDTH + events.x, minlength=PIXELS)
+
+
+# The rule, on a wall whose light changes by the factor (200 + 5.1) / (20 + 5.1) in half a second: by 2.1006 in
+# logarithms, so that the threshold 0.2 is crossed ten times, every 500 * 0.2 / 2.1006 = 47.6 ms.
+
+
+@pytest.mark.usefixtures("_wall")
+@pytest.mark.parametrize(("place", "rising"), [(BRIGHTER, True), (DARKER, False)])
+def test_a_pixel_sends_an_event_whenever_the_logarithm_of_light_has_changed_by_the_threshold(place, rising):
+    events = seen(place, **EXACT)
+    assert (per_pixel(events) == 10).all()
+    assert np.abs(events.t.reshape(10, PIXELS) - 47_605 * np.arange(1, 11)[:, None]).max() < 10
+    assert (events.p == rising).all()
+
+
+@pytest.mark.usefixtures("_wall")
+def test_refractory_times_renderings_thresholds_noise_and_hot_pixels_are_as_the_options_say():
+    for option, expected in (("refractory_us", 47_000), 10), (("refractory_us", 60_000), 5), (("steps", 9), 10):
+        assert (per_pixel(seen(**EXACT | dict([option]))) == expected).all()
+    spread = per_pixel(seen(**EXACT | {"threshold_spread": 0.02}))
+    assert spread.min() < 9 < 11 < spread.max()
+    assert np.array_equal(spread, per_pixel(seen(place=5, **EXACT | {"threshold_spread": 0.02})))  # it lasts
+    still = EXACT | {"metres": 0, "noise_hz": 2.0}
+    expected = 2.0 * PIXELS * 0.5
+    assert abs(per_pixel(seen(**still)).sum() - expected) < 5 * expected**0.5
+    counts = per_pixel(seen(**still | {"hot_pixels": 7})).reshape(HEIGHT, WIDTH)
+    assert hot_pixels(counts, 10).sum() == 7
+    assert not np.array_equal(seen(noise_hz=3, seed=1).t, seen(noise_hz=3).t)
+
+
+def test_frames_count_the_events_of_the_recording_and_places_are_recognised_under_another_light():
+    dataset = event_journey(places=12, references=["spring"], query="winter", hot_pixels=3, first_query_place=2)
+    assert [recording.name for recording in dataset.recordings] == ["spring", "winter"]
+    for images, recording in zip((dataset.references, dataset.queries), dataset.recordings, strict=True):
+        with ThreadPoolExecutor(3) as threads:
+            frames = list(threads.map(images.__getitem__, range(len(images))))
+        chunks = list(recording.events())
+        t, x, y = (np.concatenate([getattr(chunk, name) for chunk in chunks]) for name in "txy")
+        assert (np.diff(t) >= 0).all()
+        counts = np.zeros((len(images), HEIGHT, WIDTH), int)
+        np.add.at(counts, (t // 500_000, y, x), 1)
+        assert np.array_equal(np.minimum(8 * counts, 255), np.array(frames)[..., 0])
+        assert np.array_equal(recording.middle_us, 500_000 * np.arange(len(images)) + 250_000)
+    dataset = event_journey(places=20, journey="street", references=["sun"], query="rain", first_query_place=0)
+    counts = [np.array([frame.ravel() for frame in frames], float) for frames in (dataset.references, dataset.queries)]
+    known, asked = (frames / np.linalg.norm(frames, axis=1, keepdims=True) for frames in counts)
+    assert ((asked @ known.T).argmax(1) == np.arange(20)).mean() > 0.3  # a guess: 0.05
+    one, other = (event_journey(places=10, seed=seed).protocol for seed in (0, 1))
+    assert one != other
+    assert one["threshold"] == 0.2
+
+
+def test_a_written_recording_holds_the_events(tmp_path):
+    h5py = pytest.importorskip("h5py", reason="HDF5 is written with h5py (pip install vprbench[events])")
+    recording = EventJourney(steps=1).recording("fall", [3, 4])
+    write_recording(tmp_path / "fall.h5", recording)
+    with h5py.File(tmp_path / "fall.h5") as file:
+        for name in "txyp":
+            expected = np.concatenate([getattr(chunk, name) for chunk in recording.events()])
+            assert np.array_equal(file["events"][name][:], expected)
+
+
+@pytest.mark.parametrize(
+    ("asked", "told"),
+    [
+        ({"journey": "sea"}, "dataset.journey=sea: choose synthetic or street"),
+        ({"threshold": 0}, "dataset.threshold=0: "),
+        ({"noise_hz": float("nan")}, "dataset.noise_hz=nan: "),
+        ({"hot_pixels": 20_000}, "dataset.hot_pixels=20000: give 0 to 14400"),
+        ({"journey": "street"}, "the city street has sun, rain, dusk"),
+    ],
+)
+def test_what_cannot_be_simulated_is_refused_by_its_option(asked, told):
+    assert told in answer(event_journey, **asked)

@@ -1,0 +1,454 @@
+"""RobotCar: published lists, raw frames processed when looked at, kept, and made anew where they are something else."""
+
+import hashlib
+import json
+import logging
+import os
+import re
+import shutil
+from hashlib import sha256
+
+import numpy as np
+import pytest
+import robotcar_download as frames
+import yaml
+from image_folders import answer, rights
+from PIL import Image as PillowImage
+from scipy.ndimage import map_coordinates
+
+import vprbench.datasets.oxford_robotcar as robotcar
+from vprbench.datasets.oxford_robotcar import kept, oxford_robotcar
+from vprbench.datasets.oxford_robotcar.calibration import (
+    STEREO_LEFT,
+    Camera,
+    find_calibration,
+    processed,
+    read_calibration,
+)
+from vprbench.datasets.oxford_robotcar.lists import published_timestamps, vprsnn_timestamps
+from vprbench.datasets.oxford_robotcar.repeats import ceiling, remarks, sharing, steps_back
+from vprbench.errors import BadInput, NotThere
+from vprbench.plugins import registry
+from vprbench.run.identity import fingerprint
+
+# The camera
+
+
+def calibration(folder, x, y, camera=frames.SMALL):
+    return read_calibration(frames.write_table(folder, x, y), camera)
+
+
+def noise(camera):
+    return np.random.default_rng(0).integers(0, 256, (camera.height, camera.width), dtype=np.uint8)
+
+
+def test_noise_is_demosaiced_to_the_mean_of_the_nearest_pixels_and_half_a_pixel_is_the_mean_of_two(tmp_path):
+    # Every channel inside the frame: the pixel itself, or else its two or four nearest neighbours that record it.
+    raw = noise(frames.SMALL)
+    seen = processed(raw, calibration(tmp_path, *frames.grid()))
+    for y, x, channel in np.ndindex(frames.SMALL.height - 2, frames.SMALL.width - 2, 3):
+        by_distance = {}
+        for dy, dx in np.ndindex(3, 3):
+            if frames.SITES[(y + dy) % 2, (x + dx) % 2] == channel:
+                by_distance.setdefault((dy - 1) ** 2 + (dx - 1) ** 2, []).append(int(raw[y + dy, x + dx]))
+        nearest = by_distance[min(by_distance)]
+        assert seen[y + 1, x + 1, channel] == sum(nearest) // len(nearest)
+    x, y = frames.grid()
+    image = np.zeros((12, 16, 3), np.uint8)
+    image[:, :, 1] = 8 * x  # green, a ramp that demosaicing leaves as it is but at the ends
+    seen = processed(frames.mosaic(image), calibration(tmp_path, x + 0.5, y))
+    np.testing.assert_array_equal(seen[1:-1, 1:14, 1], np.tile(8 * np.arange(1, 14) + 4, (10, 1)))
+    flat = processed(frames.mosaic(frames.uniform((90, 80, 70))), calibration(tmp_path, np.minimum(x + 0.75, 15), y))
+    np.testing.assert_array_equal(flat, frames.uniform((90, 80, 70)))
+
+
+@pytest.mark.parametrize("camera", [Camera(40, 30, (1, 1), (1, 1)), STEREO_LEFT], ids=["small", "full size"])
+def test_a_bent_table_is_followed_as_scipy_interpolates_in_float64(tmp_path, camera):
+    raw = noise(camera)
+    x, y = frames.bent(camera)
+    straight = processed(raw, calibration(tmp_path / "straight", *frames.grid(camera), camera)).astype(float)
+    bent_one = processed(raw, calibration(tmp_path / "bent", x, y, camera))
+    exact = np.stack([map_coordinates(straight[:, :, channel], [y, x], order=1) for channel in range(3)], axis=2)
+    outside = (x < 0) | (y < 0) | (x > camera.width - 1) | (y > camera.height - 1)
+    assert 0.01 < outside.mean() < 0.4
+    assert not bent_one[outside].any()
+    # `exact` starts from levels whose decimals are cut off: it may be up to a level darker before its own are cut off.
+    difference = bent_one - np.floor(exact)
+    assert (difference.min(), difference.max()) in ((0, 0), (0, 1))
+    assert difference.mean() < 0.5
+
+
+@pytest.mark.parametrize(
+    ("spoil", "told"),
+    [
+        (lambda table: table[:-1], "holds 3064 bytes; .* 16 x 12 frames holds 3072"),
+        (lambda table: np.where(np.arange(384) == 250, np.nan, table), "not finite"),
+        (lambda table: table + 1000, "only 0 %"),
+        (lambda table: np.roll(table, 192), "do not grow"),
+    ],
+)
+def test_a_table_that_is_none_is_refused(tmp_path, spoil, told):
+    path = frames.write_table(tmp_path, *frames.grid())
+    path.write_bytes(spoil(np.frombuffer(path.read_bytes())).tobytes())
+    with pytest.raises(BadInput, match=f"{path} .*{told}.*robotcar-dataset-sdk"):
+        read_calibration(path, frames.SMALL)
+
+
+@pytest.mark.parametrize(
+    ("folder", "given"),
+    [("models", None), ("robotcar-dataset-sdk/models", None), ("a", "a"), ("a", f"a/{frames.TABLE}")],
+)
+def test_the_table_is_found_in_the_root_or_where_the_option_says(tmp_path, folder, given):
+    asked = given and str(tmp_path / given)
+    told = answer(find_calibration, tmp_path, asked, kind=NotThere)
+    assert str(tmp_path / (given or f"robotcar-dataset-sdk/models/{frames.TABLE}")) in told
+    assert "https://github.com/ori-mrg/robotcar-dataset-sdk" in told
+    if given:
+        frames.write_table(tmp_path / "models", *frames.grid())
+    path = frames.write_table(tmp_path / folder, *frames.grid())
+    assert find_calibration(tmp_path, asked) == path
+
+
+@pytest.fixture
+def root(tmp_path, monkeypatch):
+    monkeypatch.setattr(robotcar, "STEREO_LEFT", frames.SMALL)
+    monkeypatch.setenv("VPRBENCH_DATA", str(tmp_path / "no-downloads"))
+    return frames.write_download(tmp_path / "robotcar")
+
+
+@pytest.fixture
+def processings(monkeypatch):
+    """Grows by one whenever a raw frame is processed."""
+    seen = []
+    process = kept.processed
+    monkeypatch.setattr(kept, "processed", lambda *given: seen.append(None) or process(*given))
+    return seen
+
+
+def dataset(root, **arguments):
+    return robotcar.oxford_robotcar(root=str(root), **{**frames.TINY, **arguments})
+
+
+def frame_path(root, traverse, place):
+    return root / frames.RECORDINGS[traverse] / "demosaiced" / f"{frames.STAMPS[traverse][place]}.png"
+
+
+def raw_path(root, traverse, place):
+    return frames.raw_folder(root, traverse) / f"{frames.STAMPS[traverse][place]}.png"
+
+
+def shows_all(found):
+    """Whether references and queries are uniform in the colours of their traverses and places."""
+    expected = [frames.colour_of(traverse, place) for traverse in ("sun", "rain") for place in range(4)]
+    expected += [frames.colour_of("dusk", place) for place in (1, 2, 3)]
+    seen = [*found.references, *found.queries]
+    return all((image == frames.uniform(colour)).all() for image, colour in zip(seen, expected, strict=True))
+
+
+def test_a_frame_is_processed_once_when_it_is_looked_at_and_then_taken_from_where_it_is_kept(root, processings):
+    before = sorted(root.rglob("*"))
+    found = dataset(root)
+    assert sorted(root.rglob("*")) == before
+    assert not processings
+    assert any(note.startswith("frames of sun, rain, dusk: ") for note in found.notes)
+    assert any("can reach 100.00 %" in note for note in found.notes)
+    assert found.protocol["also_tolerance_places"] == [1, 2, 3]
+    assert shows_all(found)
+    assert shows_all(dataset(root))
+    assert len(processings) == 11
+    path = frame_path(root, "dusk", 1)
+    with PillowImage.open(path) as stored:
+        assert (stored.format, stored.mode) == ("PNG", "RGB")
+        np.testing.assert_array_equal(np.asarray(stored), found.queries[0])
+    assert {entry.name for entry in path.parent.iterdir()} >= {path.name, "vprbench.json"}
+    record = json.loads((path.parent / "vprbench.json").read_text())
+    assert record["calibration_sha256"] == sha256((root / "models" / frames.TABLE).read_bytes()).hexdigest()
+    assert (record["width"], record["height"], record["focal_lengths"]) == (16, 12, [9.0, 9.0])
+    assert record["code_version"] == kept.VERSION
+
+
+def test_other_pixels_and_flipped_bits_are_noticed(root):
+    right = dataset(root).queries[0]
+    path = frame_path(root, "dusk", 1)
+    content = path.read_bytes()
+    with PillowImage.open(path) as stored:
+        text = kept.PngInfo()
+        text.add_text("vprbench", stored.info["vprbench"])
+    PillowImage.new("RGB", (16, 12), (1, 2, 3)).save(path, pnginfo=text)  # other pixels under the same mark
+    np.testing.assert_array_equal(dataset(root).queries[0], right)
+    for at in range(0, len(content), 51):
+        path.write_bytes(content[:at] + bytes([content[at] ^ (1 << at % 8)]) + content[at + 1 :])
+        np.testing.assert_array_equal(dataset(root).queries[0], right)
+
+
+def test_another_table_frame_or_version_makes_a_frame_anew(root, processings, monkeypatch):
+    PillowImage.fromarray(noise(frames.SMALL)).save(raw_path(root, "dusk", 1))
+    x, y = frames.grid()
+    before = fingerprint(dataset(root))
+    straight = dataset(root).queries[0]
+    assert fingerprint(dataset(root)) == before  # of the raw frames and the table, not of what is kept
+    frames.write_table(root / "models", x + 1, y)
+    assert fingerprint(dataset(root)) != before
+    np.testing.assert_array_equal(dataset(root).queries[0][:, :-1], straight[:, 1:])
+    frames.write_table(root / "models", x, y)
+    for _ in range(2):
+        np.testing.assert_array_equal(dataset(root).queries[0], straight)
+    assert len(processings) == 3
+    raw_path(root, "dusk", 1).write_bytes(raw_path(root, "sun", 3).read_bytes())
+    assert (dataset(root).queries[0] == frames.uniform(frames.colour_of("sun", 3))).all()
+    monkeypatch.setattr(kept, "VERSION", kept.VERSION + 1)
+    dataset(root).queries[0]
+    assert len(processings) == 5
+
+
+def test_another_folder_may_keep_the_frames_and_a_file_in_its_place_costs_a_warning(root, tmp_path, caplog):
+    before, aside = sorted(root.rglob("*")), tmp_path / "aside"
+    assert shows_all(dataset(root, processed=str(aside)))
+    assert sorted(root.rglob("*")) == before
+    assert (aside / frames.RECORDINGS["dusk"] / f"{frames.STAMPS['dusk'][1]}.png").is_file()
+    for traverse in frames.RECORDINGS:
+        frame_path(root, traverse, 0).parent.write_text("no folder")
+    with caplog.at_level(logging.WARNING):
+        found = dataset(root)
+        assert shows_all(found)
+        assert shows_all(found)
+    (told,) = (record.getMessage() for record in caplog.records)
+    assert "dataset.processed" in told
+
+
+def write_processed(folder, traverse, places=4, mode="RGB"):
+    folder.mkdir(parents=True, exist_ok=True)
+    for place in range(places):
+        colour = (250, place, 0) if mode == "RGB" else place
+        PillowImage.new(mode, (3, 2), colour).save(folder / f"{frames.STAMPS[traverse][place]}.png")
+
+
+@pytest.mark.parametrize("where", ["demosaiced", "traverse"])
+def test_frames_that_somebody_processed_come_before_raw_ones_where_all_are_there(root, where):
+    theirs = frame_path(root, "sun", 0).parent if where == "demosaiced" else root / "sun"
+    write_processed(theirs, "sun", 2)
+    before = {path: path.read_bytes() for path in theirs.iterdir()}
+    assert all(shows_all(dataset(root)) for _ in range(2))
+    assert {path: path.read_bytes() for path in before} == before
+    shutil.rmtree(theirs)
+    write_processed(theirs, "sun")
+    found = dataset(root)
+    assert [image[0, 0].tolist() for image in found.references[:4]] == [[250, place, 0] for place in range(4)]
+    assert (found.references[4] == frames.uniform(frames.colour_of("rain", 0))).all()
+    assert any(note.startswith("frames of sun: ") and "by somebody else" in note for note in found.notes)
+
+
+def test_kept_frames_of_one_table_are_enough_without_the_raw_ones(root):
+    assert shows_all(dataset(root))
+    for traverse in frames.RECORDINGS:
+        frames.raw_folder(root, traverse).rename(root / f"moved-{traverse}")
+    found = dataset(root)
+    assert shows_all(found)
+    assert "here before" in found.notes[0]
+    (root / "moved-dusk").rename(frames.raw_folder(root, "dusk"))
+    x, y = frames.grid()
+    frames.write_table(root / "models", x, y + 0.25)
+    dataset(root).queries[0]
+    frames.raw_folder(root, "dusk").rename(root / "moved-dusk")
+    with pytest.raises(BadInput, match="2 of 3 frames in"):
+        dataset(root)
+
+
+@pytest.mark.parametrize(
+    ("mode", "size", "told"),
+    [
+        ("I;16", (16, 12), "is of mode I;16"),
+        ("L", (12, 16), "is 12 x 16; raw frames are 16 x 12"),
+        ("", (0, 0), "cannot be read as an image"),
+    ],
+)
+def test_a_file_that_is_no_raw_frame_is_named_when_it_is_read(root, mode, size, told):
+    for place in (2, 0):  # the first is looked at when the dataset is made
+        path = frames.raw_folder(root, "sun") / f"{frames.STAMPS['sun'][place]}.png"
+        path.write_bytes(path.read_bytes()[:-40])
+        if mode:
+            PillowImage.new(mode, size).save(path)
+        with pytest.raises(BadInput, match=f"{path} {told}"):
+            [*dataset(root).references]
+
+
+def test_raw_frames_among_processed_ones_are_refused_and_without_a_root_the_download_is_taken(tmp_path, monkeypatch):
+    root = tmp_path / "oxford_robotcar"
+    for name in frames.RECORDINGS:
+        write_processed(root / name, name)
+    monkeypatch.setenv("VPRBENCH_DATA", str(tmp_path))
+    found = robotcar.oxford_robotcar("mine", **frames.TINY)
+    assert [image[0, 0].tolist() for image in found.queries] == [[250, place, 0] for place in (1, 2, 3)]
+    for name in ("dusk", "rain"):
+        write_processed(root / name, name, mode="L")
+        message = answer(dataset, root)
+        assert str(root / name) in message
+        assert "raw Bayer frames" in message
+    (root / "sun" / f"{frames.STAMPS['sun'][0]}.png").write_bytes(b"")
+    assert f"{frames.STAMPS['sun'][0]}.png cannot be read as an image" in answer(dataset, root)
+
+
+PUBLISHED = {traverse: published_timestamps(traverse)[:3150:7] for traverse in frames.RECORDINGS}
+DIAGONAL = tuple(np.array([place]) for place in range(450))
+
+
+@pytest.fixture(autouse=True)
+def _no_downloads(tmp_path, monkeypatch):
+    monkeypatch.setenv("VPRBENCH_DATA", str(tmp_path / "downloads"))
+
+
+def one_frame_under(root, stamps):
+    """Put one processed frame under all the names of every traverse."""
+    for traverse, listed in stamps.items():
+        (root / traverse).mkdir(parents=True)
+        PillowImage.new("RGB", (3, 2)).save(root / traverse / "frame.png")
+        for stamp in {*listed}:
+            os.link(root / traverse / "frame.png", root / traverse / f"{stamp}.png")
+    return root
+
+
+def test_the_lists_are_those_that_were_published_with_their_repeats_and_steps_back():
+    # sha256 of the whole original files, header and row numbers included; QVPR/VPRTempo 64154e5, orc-*.csv.
+    digests = {
+        "sun": "3ac989cf3ccb4065b5ad71e8410a25db50791160473e30ec75b0cc7f7d5a86ee",
+        "rain": "000c064fec256cd4ecd0eea769f1c9b318f7ff00b3dc759a070ffd52c2a90338",
+        "dusk": "0740768981b3065bb6e74b01a80845d6f09ea3f90d2c3152fcabb8bd4c27f019",
+    }
+    for traverse, digest in digests.items():
+        rows = [f"{stamp}.png,{row}" for row, stamp in enumerate(published_timestamps(traverse))]
+        original = "".join(f"{line}\n" for line in ["Image name,index", *rows])
+        assert hashlib.sha256(original.encode()).hexdigest() == digest
+    assert [steps_back(PUBLISHED[traverse]) for traverse in ("sun", "rain", "dusk")] == [55, 59, 5]
+    assert steps_back([3, 3, 2, 5]) == 1
+    # 445, 448 and 449 distinct images of 450, and none stands at more than two places.
+    assert [sharing(PUBLISHED[traverse]) for traverse in ("sun", "rain", "dusk")] == [10, 4, 2]
+    maps = {traverse: PUBLISHED[traverse] for traverse in ("sun", "rain")}
+    images, steps = remarks(maps, PUBLISHED["dusk"][90:], DIAGONAL[90:], 0)
+    assert re.findall(r"[\d.]+", images) == ["10", "450", "4", "450", "0", "360", "1", "0", "99.72"]  # 359 of 360
+    assert re.findall(r"[\d.]+", steps) == ["55", "449", "59", "449", "4", "359"]
+
+
+def test_the_queries_of_the_paper_are_places_90_to_449_and_the_protocol_says_what_is_odd_about_the_list(tmp_path):
+    # 445 and 448 of the 450 reference images are distinct, and all 360 queries; steps back of 450 places: 55 and 59.
+    paper = oxford_robotcar(root=str(one_frame_under(tmp_path, PUBLISHED)))
+    assert (paper.queries.names[0], paper.queries.names[-1]) == ("1416586236868041.png", "1416587169054477.png")
+    assert rights(paper) == [[place] for place in range(90, 450)]
+    assert (paper.n_places, paper.places.tolist()) == (450, [*range(450), *range(450)])
+    assert dict(paper.protocol) == {
+        **{"protocol": "vprtempo", "image_list": "vprtempo", "references": ["sun", "rain"], "query": "dusk"},
+        **{"stride": 7, "places": 450, "query_places": 360, "first_query_place": 90, "reference_places": 450},
+        **{"held_out_places": 90, "tolerance_places": 0, "also_tolerance_places": [1, 2, 3]},
+        "repeated_images": {"sun": 5, "rain": 2, "queries": 0},
+        "steps_back_in_time": {"sun": 55, "rain": 59, "queries": 4},
+    }
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({}, "https://mrgdatashare.robots.ox.ac.uk/register/"),
+        ({"query": "night"}, "dataset.query=night: Oxford RobotCar has sun, rain, dusk"),
+        ({"references": []}, "dataset.references=[]: name at least one traverse"),
+        ({"places": 483}, "dataset.places=483: the list of 3369 names at stride 7 has 482 places"),
+        ({"first_query_place": 91}, "dataset.first_query_place=91 and dataset.query_places=360"),
+    ],
+)
+def test_a_bad_option_is_named_in_one_line(arguments, message):
+    assert message in answer(oxford_robotcar, kind=BadInput if arguments else NotThere, **arguments)
+
+
+START = {"sun": 1439388276045321, "rain": 1446121117630140, "dusk": 1416586027583964}
+
+
+def stamps(traverse):
+    """The timestamps of a made-up list: a row repeats the one before it now and then, but none of every eighth."""
+    return [START[traverse] + 1000 * (row - (row % 8 == 3)) for row in range(3876)]
+
+
+def write_list(folder, traverse, lines):
+    folder.mkdir(parents=True, exist_ok=True)
+    text = "".join(f"{line}\n" for line in lines)
+    (folder / f"ORC_{traverse.capitalize()}_timestamps.csv").write_text(text, errors="surrogateescape")
+
+
+def column(line, traverse="sun"):
+    """Lines of the same stamps in other words."""
+    return [line.format(row=row, stamp=stamp) for row, stamp in enumerate(stamps(traverse))]
+
+
+NAMED, PLAIN = column("{row:06d}.png,{stamp}.png"), column("{stamp}.png")
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        ["Image from this repo,Image from ORC", *NAMED],
+        column("{stamp}"),
+        ["", "stamp", *column(" {stamp}.png "), ""],
+        ["\ufeffname,index", *column('"{stamp}.png",{row}')],
+    ],
+    ids=["as published", "no head", "blanks", "quoted after a byte order mark"],
+)
+def test_the_column_of_timestamps_is_found_whatever_stands_beside_and_above_it(tmp_path, lines):
+    write_list(tmp_path, "sun", lines)
+    assert vprsnn_timestamps(tmp_path, "sun") == stamps("sun")
+
+
+@pytest.mark.parametrize(
+    ("lines", "told"),
+    [
+        (["head", *PLAIN[:3875]], "lists 3875 images; VPRSNN's list has 3876"),
+        ([*PLAIN[:16], PLAIN[8], *PLAIN[17:]], "every 8th row names 449 distinct images among the first 450"),
+        ([*NAMED[:7], "000007.png,no stamp", *NAMED[8:]], "line 8: 000007.png,no stamp names"),
+        ([*NAMED[:7], "000007.png,143938827604532.png", *NAMED[8:]], "line 8: "),
+        (["\0\udcff"], "cannot be read as a list"),
+        ([], "does not exist"),
+    ],
+    ids=["too short", "a repeat", "no stamp", "a short stamp", "no text", "missing"],
+)
+def test_another_list_is_refused_with_where_to_get_the_right_one(tmp_path, lines, told):
+    if lines:
+        write_list(tmp_path, "sun", lines)
+    message = answer(vprsnn_timestamps, tmp_path, "sun", kind=BadInput if lines else NotThere)
+    assert f"{tmp_path / 'ORC_Sun_timestamps.csv'}" in message
+    assert told in message
+    assert "https://github.com/QVPR/VPRSNN" in message
+
+
+def test_the_places_are_every_eighth_row_without_those_set_aside_and_lists_may_lie_outside_of_the_root(tmp_path):
+    root = one_frame_under(tmp_path / "robotcar", {name: stamps(name)[:3600:8] for name in frames.RECORDINGS})
+    for traverse in frames.RECORDINGS:
+        write_list(root / "lists", traverse, column("{row},{stamp}.png", traverse))
+    config = yaml.safe_load(registry.entries("dataset")["oxford_robotcar_vprsnn"].path.read_text("utf-8"))
+
+    def asked(**arguments):
+        return registry.make_dataset({**config, "root": str(root), **arguments})
+
+    dataset = asked()
+    aside = set(np.random.RandomState(42).permutation(450)[:75].tolist())
+    wanted = [f"{stamps('dusk')[8 * place]}.png" for place in range(450) if place not in aside]
+    assert list(dataset.queries.names) == wanted
+    assert (len(dataset.queries), dataset.n_places, len(dataset.references)) == (375, 375, 750)
+    assert rights(dataset) == [[place] for place in range(375)]
+    assert (dataset.protocol["protocol"], dataset.protocol["image_list"]) == ("vprsnn", "vprsnn")
+    assert (dataset.protocol["held_out_places"], dataset.protocol["also_tolerance_places"]) == (75, [1, 2, 3])
+    download = tmp_path / "downloads" / "oxford_robotcar" / "lists"
+    download.parent.mkdir(parents=True)
+    (root / "lists").rename(download)
+    assert len(asked().queries) == 375
+    named = download.rename(tmp_path / "named")
+    assert len(asked(lists=str(named)).queries) == 375
+    assert "dataset.lists" in answer(asked, kind=NotThere)
+
+
+@pytest.mark.parametrize(
+    ("references", "queries", "right", "best"),
+    [
+        ("abc", "xyz", [[0], [1], [2]], 1.0),
+        ("abb", "xy", [[0], [1]], 0.75),  # a tie of two for y
+        ("abb", "xxx", [[0], [1], [1, 2]], 0.5),  # b is right for half of one and all of another, a for one
+        ("aab", "xyy", [[0, 2], [], [0, 1]], 2 / 3),  # two lack nothing, one has no right place
+    ],
+)
+def test_the_ceiling_is_reached_by_the_best_group_of_places_for_each_image(references, queries, right, best):
+    assert ceiling(references, queries, right) == pytest.approx(best)
