@@ -168,19 +168,12 @@ def test_what_learns_its_places_together_says_so(method: Method) -> None:
     [{}, {"rules": "reference"}, {"calibrated_scores": True, "output_rule": "covariance", "feature_rule": "rates"}],
 )
 def test_known_neurons_keep_their_weights_and_after_a_module_of_new_ones_another_begins(rules: dict[str, Any]) -> None:
-    before, after = (
-        learnt(VPRTempo(**TEMPO, **rules), 15).state(),
-        learnt(VPRTempo(**TEMPO, **rules), 15, 18, 19, 20),
-    )
+    before, after = (learnt(VPRTempo(**TEMPO, **rules), 15).state(), learnt(VPRTempo(**TEMPO, **rules), 15, 18, 19, 20))
     grown = after.state()
     for name in ("outputs_0", "outputs_1", "output_thresholds_1"):
         assert np.array_equal(before[name], grown[name])
     assert [len(grown[f"outputs_{module}"]) for module in range(3)] == [8, 7, 5]
-    assert [len(learnt(VPRTempo(**TEMPO, **rules), 8, 12, 20).state()[f"outputs_{n}"]) for n in range(3)] == [
-        8,
-        4,
-        8,
-    ]
+    assert [len(learnt(VPRTempo(**TEMPO, **rules), 8, 12, 20).state()[f"outputs_{n}"]) for n in range(3)] == [8, 4, 8]
     assert all(np.array_equal(features, grown["features"][1]) for features in grown["features"][1:])
     readable = learnt(VPRTempo(**TEMPO, **rules, engine="readable"), 15, 18, 19, 20).state()
     assert grown["outputs_2"] == pytest.approx(readable["outputs_2"], abs=1e-3)

@@ -31,11 +31,7 @@ ENTRIES = registry.entries("method")
 NETWORKS = [name for name, entry in ENTRIES.items() if issubclass(entry.target(), NeuralDescriptor)]
 
 #: Options in which a yaml departs from the defaults of its class.
-OWN = {
-    "gcl_whitened": {"n_components": 2048},
-    "mixvpr_128": {"n_dimensions": 128},
-    "mixvpr_512": {"n_dimensions": 512},
-}
+OWN = {"gcl_whitened": {"n_components": 2048}, "mixvpr_128": {"n_dimensions": 128}, "mixvpr_512": {"n_dimensions": 512}}
 
 
 #: The files whose names follow from options.

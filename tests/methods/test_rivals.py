@@ -73,8 +73,7 @@ def slow_kernel(rows, columns, reach):
 
 
 @pytest.mark.parametrize(
-    ("features", "reach", "rows", "columns"),
-    [("patches", 0.5, 3, 5), ("patches", 3.0, 3, 5), ("oriented", 2.0, 4, 6)],
+    ("features", "reach", "rows", "columns"), [("patches", 0.5, 3, 5), ("patches", 3.0, 3, 5), ("oriented", 2.0, 4, 6)]
 )
 def test_cosines_of_bundles_are_those_of_cells_weighed_by_how_near_they_are(features, reach, rows, columns):
     method = HyperDimensional(features, height=16, width=24, components=1 << 16, reach=reach)

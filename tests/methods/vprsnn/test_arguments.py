@@ -1,7 +1,5 @@
 """VPRSNN's arguments: the published numbers, what each of them changes, and which are refused."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

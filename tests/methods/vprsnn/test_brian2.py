@@ -1,7 +1,5 @@
 """The direct simulation does in each step what Brian2, the authors' simulator, does."""
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import subprocess

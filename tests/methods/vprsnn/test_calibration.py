@@ -1,7 +1,5 @@
 """The choice of VPRSNN's hyperactive neurons: by held-out places alone, from reactions that are counted by hand."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, NoReturn

@@ -1,7 +1,5 @@
 """Several VPRSNN networks of the same places: each is the one of its seed, and their scores are summed."""
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any
 
@@ -33,11 +31,7 @@ def alone(**arguments: Any) -> VPRSNN:
     [
         ({"seed": 3}, {"seed": 3}, {"seed": 13}),
         ({"member_epochs": [2, 5]}, {"epochs": 2}, {"seed": 10, "epochs": 5}),
-        (
-            {"member_thresholds": [0, 4]},
-            {"hyperactive_threshold": 0},
-            {"seed": 10, "hyperactive_threshold": 4},
-        ),
+        ({"member_thresholds": [0, 4]}, {"hyperactive_threshold": 0}, {"seed": 10, "hyperactive_threshold": 4}),
     ],
     ids=lambda given: str(given),
 )

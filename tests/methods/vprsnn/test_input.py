@@ -1,7 +1,5 @@
 """The input of VPRSNN: Poisson spikes whose rates are the grey levels over `levels_per_hz`."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """VPRSNN as a method: how it answers queries against a direct simulation, and what it recognises."""
 
-from __future__ import annotations
-
 from typing import Any, NoReturn
 
 import direct_vprsnn as direct

@@ -1,7 +1,5 @@
 """VPRSNN's network as stored arrays: what comes back, and what is refused."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """VPRSNN's published weights: every synapse finds its place, volts become millivolts, and nothing else is read."""
 
-from __future__ import annotations
-
 import errno
 from pathlib import Path
 from typing import Any, NoReturn

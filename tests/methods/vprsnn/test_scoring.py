@@ -1,7 +1,5 @@
 """VPRSNN's neurons: which place each speaks for, what they say of a query, who is silenced, and for which threshold."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

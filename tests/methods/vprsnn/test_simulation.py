@@ -1,9 +1,7 @@
 """The compiled simulation of VPRSNN equals the direct one, in spikes exactly; and what a presentation counts."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -37,7 +35,7 @@ class Given:
         share: float = 0.0125,
         n_images: int = 4,
         **changes: float,
-    ) -> Given:
+    ) -> Self:
         """Draw weights, delays and images, whose inputs spike in up to twice `share` of the steps."""
         random = np.random.default_rng(seed)
         values = Arguments(**{**BRIEF, **changes})

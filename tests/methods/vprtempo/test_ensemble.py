@@ -1,7 +1,5 @@
 """Several VPRTempo networks of the same places, and scores that are calibrated by those of the references."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, get_args

@@ -4,8 +4,6 @@ The engine for GPUs runs on one, or under Triton's interpreter. Triton decides o
 training runs in a process of its own, which is this file as a script.
 """
 
-from __future__ import annotations
-
 import functools
 import importlib.util
 import os

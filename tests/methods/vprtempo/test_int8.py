@@ -1,7 +1,5 @@
 """VPRTempo in 8 bits: its numbers against the scheme written down once more, and how near the float network is."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

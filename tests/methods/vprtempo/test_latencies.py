@@ -1,7 +1,5 @@
 """VPRTempo in time: its steps against a simulation of single neurons, where queries end, and what a run keeps."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

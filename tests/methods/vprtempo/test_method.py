@@ -1,7 +1,5 @@
 """VPRTempo as a method: its modules, arguments, seeds and refusals, and what it reads of a frame."""
 
-from __future__ import annotations
-
 from dataclasses import fields, replace
 from functools import cache
 from typing import Any, get_args, get_type_hints

@@ -1,7 +1,5 @@
 """A trained VPRTempo network as arrays: stored, restored, published by the authors, refused, and how fast it learns."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from functools import cache
 from typing import Any

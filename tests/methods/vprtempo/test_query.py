@@ -1,7 +1,5 @@
 """Asking a trained VPRTempo network: a single query, a batch and several networks against Eq. 1 in float64."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace

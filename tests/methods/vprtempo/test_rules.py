@@ -1,7 +1,5 @@
 """The learning rules of VPRTempo, in both engines for CPUs: by hand, and over 200 steps against a float64 oracle."""
 
-from __future__ import annotations
-
 import copy
 from dataclasses import dataclass, replace
 from functools import cache

@@ -1,7 +1,5 @@
 """What each module of VPRTempo is shown, and that a diverged network is refused."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -13,13 +11,7 @@ import vprtempo_oracle as oracle
 from vprbench.errors import TrainingDivergedError
 from vprbench.methods.vprtempo.layer import Layer
 from vprbench.methods.vprtempo.rules import PAPER, REFERENCE, V1, Rules
-from vprbench.methods.vprtempo.training import (
-    Schedule,
-    check_weights,
-    check_winners,
-    draw_schedule,
-    module_sizes,
-)
+from vprbench.methods.vprtempo.training import Schedule, check_weights, check_winners, draw_schedule, module_sizes
 
 SIZES = [12, 12, 5]  # places of each module
 TRAVERSES = np.tile(np.arange(29), 2)  # the place of each of 58 reference images
