@@ -15,6 +15,7 @@ from safetensors.numpy import save_file
 from stopped_clock import Clock
 
 from vprbench.api import checkpoints
+from vprbench.storage import tensors
 
 WHAT = {"method": "walks", "seed": 3}
 FOUR = {"w": np.arange(4.0)}
@@ -214,7 +215,7 @@ def test_a_run_that_is_interrupted_in_its_second_training_keeps_the_first_and_te
 
 
 def test_a_full_disk_or_no_place_to_write_costs_one_line_and_nothing_that_was_kept(tmp_path, monkeypatch, caplog):
-    def full_disk(*_):
+    def full_disk(*_, **__):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     home = interrupt(tmp_path, first=FOUR)
@@ -222,17 +223,18 @@ def test_a_full_disk_or_no_place_to_write_costs_one_line_and_nothing_that_was_ke
         patch.setattr(checkpoints, "replace_bytes", full_disk)
         kept.put("second", FOUR)
         kept.put("third", FOUR)
+        assert "No space left on device" in said(caplog)[0]
+        patch.setattr(tensors, "safe_open", full_disk)
+        assert kept.get("first") is None
         raise Interrupted
     assert [path.name for path in home.iterdir()] == ["first.safetensors"]
-    (line,) = said(caplog)
-    assert "No space left on device" in line
     (tmp_path / "file").touch()
     for number, place in enumerate(("file/deeper", "x" * 300)):
         with checkpoints.training(WHAT, tmp_path / place) as kept:
             kept.put("second", FOUR)
             kept.put("third", FOUR)
             assert kept.get("second") is None
-        assert len(said(caplog)) == 2 + number
+        assert len(said(caplog)) == 3 + number
 
 
 def test_threads_that_keep_parts_at_once_lose_none_and_their_time_is_that_on_the_wall(tmp_path):

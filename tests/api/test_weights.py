@@ -4,6 +4,7 @@ import hashlib
 import pickle
 import re
 import shlex
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from trap import Trap
 
 from vprbench.api import weights as module_under_test
 from vprbench.api.weight_files import read_tensor, read_weights, state_dict
-from vprbench.api.weights import Stated, Weights, find_weights, load_strictly, without_prefix
+from vprbench.api.weights import Stated, Weights, find_weights, load_strictly, weights_folder, without_prefix
 from vprbench.errors import BadInput, NotThere
 
 CONTENT = b"published"
@@ -67,6 +68,10 @@ def test_an_own_copy_comes_first_then_a_right_file_in_the_folder(folder, tmp_pat
             find_weights(replace(LINKED, file=name), "gcl")
     with pytest.raises(BadInput, match=r"cannot be read \(File name too long\)"):
         find_weights(replace(LINKED, file="x" * 300), "gcl")
+    with monkeypatch.context() as patch:
+        patch.delenv("VPRBENCH_WEIGHTS")
+        patch.setenv("XDG_CACHE_HOME", "/kept")
+        assert weights_folder() == Path("/kept/vprbench/weights") or not sys.platform.startswith("linux")
     assert downloads == []
     (folder / "net.pth").write_bytes(CONTENT)
     assert find_weights(of_content(size_bytes=9, sha256=SHA256.upper()), "gcl") == folder / "net.pth"

@@ -275,8 +275,7 @@ def test_the_doctor_finds_in_a_recording(damage, tmp_path):
     assert [code[: len(start)] for code, start in zip(told, expected, strict=True)] == expected
 
 
-DATA = SHARED / "data"
-NORDLAND = DATA / "nordland_64x32"
+NORDLAND = SHARED / "data" / "nordland_64x32"
 
 
 @pytest.mark.extended

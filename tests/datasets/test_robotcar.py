@@ -387,7 +387,6 @@ NAMED, PLAIN = column("{row:06d}.png,{stamp}.png"), column("{stamp}.png")
         ["", "stamp", *column(" {stamp}.png "), ""],
         ["\ufeffname,index", *column('"{stamp}.png",{row}')],
     ],
-    ids=["as published", "no head", "blanks", "quoted after a byte order mark"],
 )
 def test_the_column_of_timestamps_is_found_whatever_stands_beside_and_above_it(tmp_path, lines):
     write_list(tmp_path, "sun", lines)
