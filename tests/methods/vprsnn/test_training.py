@@ -2,7 +2,7 @@
 
 import itertools
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Literal, NoReturn
@@ -11,7 +11,7 @@ import direct_vprsnn as direct
 import numpy as np
 import pytest
 import torch
-from little_vprsnn import SMALL, WORLD, fitted, held_out, images, one_thread, recorded_trains, references, same  # noqa: F401 - fixture
+from little_vprsnn import SMALL, WORLD, fitted, held_out, images, recorded_trains, references, same
 
 from vprbench import progress
 from vprbench.methods.vprsnn import training
@@ -23,7 +23,14 @@ from vprbench.methods.vprsnn.parallel import Stage, Tell, for_each_module
 from vprbench.methods.vprsnn.training import train
 from vprbench.methods.vprsnn.training_sets import Lesson, lesson, modules
 
-pytestmark = pytest.mark.usefixtures("one_thread")
+
+@pytest.fixture(autouse=True)
+def one_thread() -> Iterator[None]:
+    """Modules are trained one after the other, unless a test says otherwise."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
 
 
 class Interrupted(Exception):
