@@ -14,7 +14,6 @@ from vprbench.cli import main
 from vprbench.paper.plan import read_plan
 from vprbench.paper.table.quantities import TRAINING_TIME
 from vprbench.plugins import registry
-from vprbench.run.compose import composed
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 PLUG_INS = (ROOT / "docs" / "plug-ins.md").read_text(encoding="utf-8")
@@ -92,15 +91,3 @@ def test_the_table_it_shows_is_the_stored_one_beside_the_papers():
 def test_every_method_and_dataset_stands_in_its_table(group):
     text = (ROOT / "docs" / f"{group}s.md").read_text(encoding="utf-8")
     assert [name for name in registry.entries(group) if f"`{name}`" not in text] == []
-
-
-def test_the_table_of_methods_names_the_file_that_each_network_takes():
-    text = (ROOT / "docs" / "methods.md").read_text(encoding="utf-8")
-    files = {}
-    for name, entry in registry.entries("method").items():
-        if entry.needs_weights:
-            file = entry.values()["weights"]["file"]
-            file = file if "${" not in file else composed([f"method={name}"])["method"]["weights"]["file"]
-            files[name] = file.removesuffix(".pth.tar")
-    assert len(files) >= 15
-    assert [name for name, file in files.items() if file not in text] == ["mixvpr_128", "mixvpr_512"]  # "two others"

@@ -91,7 +91,7 @@ def test_what_is_printed_beside_the_answer_goes_to_standard_error_and_names_in_p
     assert told == "a\\nvprbench: b: \\x1b[2Jfit\n"
 
 
-def test_a_process_that_is_read_marks_its_stages_and_warnings(clock, monkeypatch, capsys):
+def test_a_process_that_is_read_marks_stages_and_warnings_which_stand_above_a_bar_elsewhere(clock, monkeypatch, capsys):
     monkeypatch.setenv(progress.MARKED, "1")
     lines = shown(clock, [(0, "fit\n", 0), (0.1, "fit\n", 0.5), (1, "fit\n", 0.75)], io.StringIO()).splitlines()
     assert [progress.marked(line) for line in lines] == [("fit\\n", 0.0), ("fit\\n", 0.75)]
@@ -100,10 +100,8 @@ def test_a_process_that_is_read_marks_its_stages_and_warnings(clock, monkeypatch
     for level in (logging.WARNING, logging.INFO):
         handler.handle(logging.makeLogRecord({"msg": "a\ttab", "levelno": level}))
     assert [progress.marked(line) for line in capsys.readouterr().err.splitlines()] == ["a\ttab", None]
-
-
-def test_a_warning_stands_above_a_bar_and_is_coloured(monkeypatch):
     stream = Terminal()
+    monkeypatch.delenv(progress.MARKED)
     monkeypatch.setattr("sys.stderr", stream)
     monkeypatch.delenv("NO_COLOR", raising=False)
     handler = progress._Lines()

@@ -34,15 +34,12 @@ def test_type_checkers_see_the_names_that_programs_find():
         assert inspect.ismodule(found) or found is wanted
 
 
-def test_a_room_that_has_the_name_of_a_function_is_both_and_an_unknown_name_raises_with_the_near_ones():
+def test_a_room_that_has_the_name_of_a_function_is_both_and_registered_methods_and_datasets_are_tables():
     assert vprbench.run.rates is by_its_name
     assert list(inspect.signature(vprbench.run).parameters) == ["method", "dataset", "options"]
     assert "NotThere" in pydoc.render_doc(vprbench.run)
     with pytest.raises(AttributeError, match="compare"):
         _ = vprbench.compre
-
-
-def test_registered_methods_and_datasets_are_tables():
     methods, datasets = vprbench.methods().set_index("name"), vprbench.datasets().set_index("name")
     assert methods.loc[["vprtempo", "netvlad", "sad"], "spiking"].tolist() == [True, False, False]
     assert methods.loc[["vprtempo", "netvlad", "sad"], "needs_weights"].tolist() == [False, True, False]

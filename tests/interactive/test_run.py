@@ -63,7 +63,7 @@ def test_an_object_runs_as_it_is_is_not_fitted_and_is_found_by_its_arguments():
     assert untimed(Prototypes, data, seed=3).run.config["method"]["seed"] == 3
 
 
-def test_a_class_without_dataclass_is_known_by_its_attributes_or_not_stored(caplog):
+def test_a_class_is_known_by_its_attributes_and_nothing_is_stored_without_them_or_a_folder(caplog, tmp_path):
     stored = untimed(Plain(weight=2.0), journey(4, 4))
     assert stored.run.config["method"]["weight"] == 2.0
     with caplog.at_level(logging.WARNING):
@@ -71,13 +71,11 @@ def test_a_class_without_dataclass_is_known_by_its_attributes_or_not_stored(capl
     assert hidden.folder is None
     assert any("weight" in record.getMessage() for record in caplog.records)
     assert hidden.recall(1) == stored.recall(1) == 0.25
-
-
-def test_without_a_folder_nothing_is_stored_or_looked_up(tmp_path):
+    there = list(tmp_path.rglob("*"))
     for _ in range(2):
         result = untimed(Lookup(np.eye(4, dtype=np.float32)), journey(4, 4), results=None)
         assert (result.folder, result.from_store, result.run.scores.shape) == (None, False, (4, 4))
-    assert list(tmp_path.iterdir()) == []
+    assert list(tmp_path.rglob("*")) == there
 
 
 def test_results_is_a_row_for_each_stored_run_and_tells_data_of_one_name_apart():

@@ -70,7 +70,7 @@ def test_every_row_that_learns_from_a_seed_has_three_and_says_whether_its_scores
         assert len({seed + member for seed in seeds for member in range(5)}) == 15
 
 
-def test_columns_name_published_datasets_and_say_what_stands_in_for_them(plan):
+def test_columns_name_published_datasets_and_what_stands_in_and_the_growth_asks_for_no_more_queries_than_places(plan):
     columns = plan.columns
     assert {column.published for column in columns.values()} - {None} == {dataset for _, dataset in published()}
     for column in columns.values():
@@ -86,9 +86,6 @@ def test_columns_name_published_datasets_and_say_what_stands_in_for_them(plan):
     column = PlannedColumn("x", "X", (), fits={"little": {"module": 5, "window": 1}})
     assert column.arguments(Row("A", "little", arguments={"window": 9})) == {"module": 5, "window": 9}
     assert column.arguments(Row("B", "other")) == {}
-
-
-def test_the_sizes_of_the_growth_ask_for_no_more_queries_than_there_are_places(plan):
     for size in plan.growth.sizes:
         column = plan.growth.column(size)
         asked = {name: int(value) for name, _, value in (text.partition("=") for text in column.options[-2:])}

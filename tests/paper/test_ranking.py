@@ -43,22 +43,16 @@ def test_the_first_sentence_gives_the_difference_its_interval_whether_a_test_see
     assert not any(word in sentence for word in ("is best", "faster"))
 
 
-def test_a_third_row_that_is_fastest_of_all_is_named():
+def test_the_fastest_row_is_named_and_one_tuned_on_these_places_or_without_right_places_is_not_called_best():
     rows = [row("hog", seconds=0.04), row("pca", 1, seconds=0.02), row("sad", *MANY, seconds=0.005)]
     told = ranked(rows).sentences
     assert "and" not in told[0]
     assert ("sad" in told[1], "200" in told[1]) == (True, True)
-
-
-def test_a_row_tuned_on_these_places_is_ranked_and_not_called_best():
     tuned = row("tuned", tuned_on={"dataset": "railway", "places": "0-9"})
     ranking = ranked([row("hog", 7), row("sad", *MANY), tuned])
     assert ranking.rows[0].name == "tuned"
     assert ranking.sentences[0].startswith("hog is best")
     assert "tuned" in ranking.sentences[-1]
-
-
-def test_where_no_query_has_a_right_place_nothing_is_ranked():
     ranking = ranked([series("a", unanswerable_run()), series("b", unanswerable_run())])
     assert [one.recall for one in ranking.rows] == [None, None]
     assert len(ranking.sentences) == 1

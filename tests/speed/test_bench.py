@@ -131,7 +131,7 @@ def test_the_json_holds_every_lap_the_stages_of_a_fit_and_the_rounds_in_which_mo
     assert done.cores == [2, *(1, 2) * 2, *(1, 2, 2, 2) * 2]
 
 
-def test_printed_rates_and_ratios_are_those_of_the_laps(done):
+def test_printed_rates_and_ratios_to_floors_and_libraries_are_those_of_the_laps(done):
     queries = rows(done.text, "Queries at")
     laps = done.raw["queries"][0]["rates"]["streaming_laps"]
     assert f"/ {1 / np.median(np.add(laps['encode'], laps['match'])):,.0f}" in queries[0][1]
@@ -147,9 +147,6 @@ def test_printed_rates_and_ratios_are_those_of_the_laps(done):
         readable, fused = step["readable"], step["fused"]
         wanted = [readable, fused, readable / fused, floor, readable / floor, fused / floor]
         assert numbers(row[4:]) == pytest.approx(wanted, rel=0.006)
-
-
-def test_matching_is_compared_with_a_library_by_medians_of_calls_in_turn(done):
     cells, found = done.raw["search"], rows(done.text, "Matching beside")
     asked = [*(("faiss.IndexFlatIP", count) for count in (1, 4, 300)), ("torch.cdist", 1)]
     assert [(cell["library"], cell["images_per_call"]) for cell in cells] == asked

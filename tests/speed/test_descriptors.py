@@ -143,7 +143,7 @@ def test_random_networks_are_those_of_their_seed_and_keep_their_activations_fini
     assert not np.array_equal(first, other)
 
 
-def test_every_method_here_but_spiking_networks_is_in_the_benchmark(tmp_path, monkeypatch):
+def test_every_method_here_but_spiking_networks_is_measured_and_what_measures_nothing_is_refused(tmp_path, monkeypatch):
     assert {"sad", "hog", "netvlad", "megaloc"} <= set(Settings().methods)
     for name in ("own/method/new", "own/method/vprtempo_new", "own/method/vprsnn", "other/method/strange"):
         path = tmp_path / f"{name}.yaml"
@@ -152,9 +152,6 @@ def test_every_method_here_but_spiking_networks_is_in_the_benchmark(tmp_path, mo
     folders = {"vprbench": tmp_path / "own", "other": tmp_path / "other"}
     monkeypatch.setattr("vprbench.plugins.entries.conf_folders", lambda: folders)
     assert Settings().methods == ["new"]
-
-
-def test_settings_that_measure_nothing_are_refused():
     wrong = {"frames": [[3]], "batch": 0, "minimum_seconds": math.inf, "precisions": ["half"], "devices": []}
     for name, given in wrong.items():
         with pytest.raises(BadInput, match=f"^{name}="):

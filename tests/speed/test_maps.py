@@ -65,27 +65,20 @@ def test_found_is_the_share_of_the_exactly_best_places_and_a_process_that_takes_
         searched(case, 0)
 
 
-def test_a_row_replaces_the_earlier_one_of_the_same_map_and_index_alone(tmp_path):
+def test_rows_replace_earlier_ones_and_are_compared_with_exact_search_and_extrapolated(tmp_path):
     path = tmp_path / "maps.csv"
     for each in (row(), row("exact"), row(places=1000), row(query_seconds=0.002), row("hnsw", failed="too slow")):
         keep(path, each)
     kept = [[each[name] for name in ("places", "index", "query_seconds", "failed")] for each in stored(path)]
     of_10_000 = [["binary", 0.002, None], ["exact", 0.001, None], ["hnsw", 0.001, "too slow"]]
     assert kept == [[1000, "binary", 0.001, None], *([10_000, *each] for each in of_10_000)]
-
-
-def test_rows_are_compared_with_exact_search_and_extrapolated_by_their_two_largest_maps(tmp_path):
-    path = tmp_path / "maps.csv"
+    path = tmp_path / "others.csv"
     keep(path, row("all", places=10**9, rerank="0", failed="left out: large"))
     for places, seconds in ((1000, 5.0), (10_000, 0.001), (1_000_000, 0.01)):  # grows as the root
         keep(path, row(places=places, query_seconds=seconds, building_seconds=places / 1e4))
     keep(path, row("exact", places=1_000_000, query_seconds=0.5, libraries_bytes=None, building_bytes=None))
-    lines = {
-        (cells[1], cells[3]): cells
-        for line in text_of(stored(path)).splitlines()
-        if line.startswith("| 64")
-        for cells in [[cell.strip() for cell in line.split("|")[1:-1]]]
-    }
+    rows = [line.split("|")[1:-1] for line in text_of(stored(path)).splitlines() if line.startswith("| 64")]
+    lines = {(cells[1].strip(), cells[3].strip()): [cell.strip() for cell in cells] for cells in rows}
     measured = ["100", "8", "40 / 50", "100", "50", "2,000 (5)", "50.0 / 25.0", "0.0"]
     assert lines["1,000,000", "binary + rerank 100"][4:] == measured
     assert lines["1,000,000", "exact"][6] == "? / 50"

@@ -83,16 +83,13 @@ def test_parts_are_timed_on_every_seventh_presentation_each_alone_and_leave_no_t
     assert potentials == {True: [*range(15)], False: [0, 7, 14]}
 
 
-def test_the_modules_that_are_asked_are_copies_with_places_of_their_own():
+def test_as_many_modules_are_asked_as_memory_has_room_for_copies_with_places_of_their_own(monkeypatch):
     module = VPRSNN(**MODULE, fast=True).fit(*shown())
     several = VPRSNN(**MODULE, fast=True).restore(copies(module.state(), 3))
     queries, _ = Route.drawn(2, 12, 12, 0).queries(2, 2)
     alone = module.query(queries)
     assert alone.max() > 0
     np.testing.assert_array_equal(several.query(queries), np.tile(alone, 3))
-
-
-def test_no_more_modules_are_asked_than_memory_has_room_for(monkeypatch):
     for free, modules in ((79_999_999, 9), (80_000_000, 10), (1e12, 111)):
         monkeypatch.setattr(vprsnn.psutil, "virtual_memory", lambda free=free: SimpleNamespace(available=free))
         assert affordable(111, 2_000_000) == modules
@@ -113,7 +110,7 @@ ASKED = [
 ]
 
 
-def test_rows_tell_medians_shares_of_whole_presentations_and_the_modules_that_memory_left():
+def test_rows_tell_medians_and_shares_of_presentations_and_the_papers_numbers_stand_beside_those_of_modules():
     # 13.125 million spikes to 400 neurons each: 5,250 million arrivals, in 15 s
     row = ["vprsnn", "15 (3)", "1,500", "10", "13,125,000", "5,250 million", "350 million", "9,876"]
     assert [*CELL.row().values()] == row
@@ -123,9 +120,6 @@ def test_rows_tell_medians_shares_of_whole_presentations_and_the_modules_that_me
     assert [*ASKED[0].row().values()][:3] == ["18", "450", "1"]
     asked = ["60 of 111: memory is short", "1,500", "1", "500", "250", "2", "4", "2x"]
     assert [*ASKED[1].row().values()] == asked
-
-
-def test_the_papers_numbers_stand_beside_those_of_a_module_and_of_the_most_modules():
     cells = {name: [] for name in SECTIONS}
     cells |= {"vprsnn_training": [CELL, Failed({"method": "vprsnn_fast"}, "no room")], "vprsnn_queries": ASKED}
     here = {**machine.capture("cpu", 1), "cpu_pressure_avg10": None}

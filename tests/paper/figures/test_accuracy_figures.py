@@ -3,7 +3,7 @@
 import little
 import numpy as np
 import pytest
-from figure_runs import five_rows, run, series
+from figure_runs import run, series
 
 from vprbench.errors import BadInput
 from vprbench.metrics.intervals import share_interval
@@ -99,7 +99,7 @@ def test_the_band_of_independent_queries_is_as_wide_as_95_percent_of_their_waiti
     assert np.mean(ratios) == pytest.approx(2 * 1.96, rel=0.12)
 
 
-def test_recalls_are_those_worked_by_hand_in_percent_with_wilsons_interval():
+def test_recalls_are_those_worked_by_hand_with_wilsons_interval_and_count_ties_by_their_expected_value():
     drawn = recall_at_n([series("SAD", little.a_run())])
     (line,) = named_lines(drawn)
     assert points(line) == list(zip(range(1, 11), [50, 50, 75, 75, 75, 75, 75, 100, 100, 100], strict=True))
@@ -108,6 +108,10 @@ def test_recalls_are_those_worked_by_hand_in_percent_with_wilsons_interval():
     assert edges[10] == pytest.approx((51.01, 100), abs=0.01)  # and of 4 of 4
     (line,) = named_lines(recall_at_tolerance([series("SAD", little.a_run())]))
     assert points(line) == list(zip(range(11), [50] * 4 + [75] * 3 + [100] * 4, strict=True))
+    """All 50 places tie and one is right, so that it is among the N best with a chance of N / 50."""
+    made = answering(np.zeros((8, 50), np.float32), [[query] for query in range(8)])
+    (line,) = named_lines(recall_at_n([series("SAD", made)]))
+    assert points(line) == [(n, pytest.approx(2 * n)) for n in range(1, 26)]
 
 
 @pytest.mark.parametrize("draw", RECALLS)
@@ -119,13 +123,6 @@ def test_where_neighbouring_queries_are_alike_the_band_is_that_of_blocks(draw):
     assert band(drawn)[points(named_lines(drawn)[0])[0][0]] == pytest.approx((100 * expected.low, 100 * expected.high))
 
 
-def test_recall_at_n_goes_from_1_to_25_and_counts_ties_by_their_expected_value():
-    """All 50 places tie and one is right, so that it is among the N best with a chance of N / 50."""
-    made = answering(np.zeros((8, 50), np.float32), [[query] for query in range(8)])
-    (line,) = named_lines(recall_at_n([series("SAD", made)]))
-    assert points(line) == [(n, pytest.approx(2 * n)) for n in range(1, 26)]
-
-
 @pytest.mark.parametrize("draw", RECALLS)
 def test_several_seeds_are_thin_lines_around_their_mean_with_the_interval_of_the_mean_hits(draw):
     drawn = draw([series("VPRTempo", *(run(share=share, seed=i) for i, share in enumerate((0.25, 0.55, 0.7))))])
@@ -134,20 +131,6 @@ def test_several_seeds_are_thin_lines_around_their_mean_with_the_interval_of_the
     assert y == pytest.approx(50)
     assert band(drawn)[x] == pytest.approx((35.20, 64.80), abs=0.01)  # Wilson's interval of 20 of 40
     assert [points(line)[0][1] for line in panel(drawn).lines if line is not mean] == pytest.approx([25, 55, 70])
-
-
-@pytest.mark.parametrize("draw", [precision_recall, *RECALLS])
-def test_rows_differ_in_more_than_colour_stand_in_their_order_and_lie_within_the_axes(draw):
-    drawn = draw(five_rows(n_places=20))
-    (legend,) = drawn.figure.legends
-    written = [text.get_text().split(",")[0] for text in legend.get_texts()]
-    assert written == ["SAD", "NetVLAD", "GCL", "VPRSNN", "VPRTempo"]
-    assert len({(line.get_marker(), str(line._unscaled_dash_pattern)) for line in named_lines(drawn)}) == 5
-    drawn = draw([series("SAD", run("sad", share=0.02)), series("GCL", run("gcl", share=1.0))])
-    low, high = panel(drawn).get_ylim()
-    drawn_at = [y for line in named_lines(drawn) for _, y in points(line)]
-    drawn_at += [y for number in range(2) for edges in band(drawn, number).values() for y in edges]
-    assert low <= min(drawn_at) <= max(drawn_at) <= high
 
 
 def test_sequences_have_their_recall_at_each_length_and_the_caption_counts_the_queries():

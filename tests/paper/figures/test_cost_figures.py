@@ -44,9 +44,6 @@ def bar_ends(axes, number=0):
     return low, high
 
 
-# R@1 against rate and memory
-
-
 def method(name, share, hz=100.0, megabytes=500.0, kept=None):
     """Return a row of one run on 400 queries whose encode and match take equally long."""
     times = {"encode_seconds": 0.5 / hz, "match_seconds": 0.5 / hz}
@@ -134,9 +131,6 @@ def test_names_stand_in_a_legend_where_a_panel_has_no_room_for_them():
         assert legend(drawn) == [one.name for one in many]
 
 
-# Bars of times
-
-
 def tempo(*minutes, device="cpu"):
     """Return VPRTempo with a run for each number of minutes of training; the n-th matches in n ms and encodes in 1."""
     times = [{"fit_seconds": 60 * each, "match_seconds": 0.001 * i} for i, each in enumerate(minutes, 1)]
@@ -155,7 +149,7 @@ def black_lines(axes):
     return [list(line.get_xdata()) for line in axes.lines if line.get_color() == "black"]
 
 
-def test_training_bars_end_at_the_measured_and_the_published_minutes():
+def test_training_bars_end_at_the_minutes_without_waiting_for_images_and_a_tick_with_it_beside_the_published():
     netvlad = series("NetVLAD", figure_runs.run("netvlad", fit_seconds=6000.0))  # comes trained
     drawn = training_time([tempo(3.0), netvlad], (), ROWS, NORDLAND, {})
     (axes,) = drawn.figure.axes
@@ -167,9 +161,6 @@ def test_training_bars_end_at_the_measured_and_the_published_minutes():
     hatches = {round(bar.get_y() + 0.19): bar.get_hatch() for bar in axes.patches if bar.get_hatch()}
     assert hatches[1] == hatches[2] != hatches[3] == hatches[4]  # quoted ones have their own
     assert legend(drawn) == ["measured here", "published", "published, quoted there", "with reading the images"]
-
-
-def test_training_is_drawn_without_waiting_for_images_and_a_tick_with_it():
     times = [(600.0, 60.0), (660.0, 120.0), (900.0, 240.0)]
     runs = [figure_runs.run("t", seed=i, fit_seconds=w, fit_compute_seconds=own) for i, (w, own) in enumerate(times)]
     drawn = training_time([series("VPRTempo", *runs)], (), ROWS, NORDLAND, {})
@@ -181,16 +172,13 @@ def test_training_is_drawn_without_waiting_for_images_and_a_tick_with_it():
     assert number.get_window_extent().x0 > axes.transData.transform((11, 0))[0]
 
 
-def test_rates_are_of_encode_and_match_together_beside_the_paper_s():
+def test_rates_are_of_encode_and_match_together_with_the_middle_four_fifths_of_laps_beside_the_paper_s():
     netvlad = series("NetVLAD", figure_runs.run("netvlad", encode_seconds=0.5, match_seconds=0.1))
     sad = series("SAD", figure_runs.run("sad", encode_seconds=0.001, match_seconds=0.004))
     for column, rates in ((NORDLAND, [10, 0.5, 2, 2, 353]), (STREET, [185, 0.5, 0.4, 2, 1670])):
         (axes,) = query_rate([sad, netvlad], (), ROWS, column, {}).figure.axes
         assert bars(axes, hatched=False) == {0: approx(200), 1: approx(1 / 0.6)}
         assert [bars(axes, hatched=True)[i] for i in range(5)] == approx(rates)
-
-
-def test_a_single_seed_s_rate_shows_the_middle_four_fifths_of_its_laps():
     run = figure_runs.run("vprtempo", match_seconds=0.001, spread=0.2)
     laps = sorted(run.timing.streaming.total_seconds)  # 101 laps: the quantiles 0.1 and 0.9 are laps 11 and 91
     one, several = series("VPRTempo", run), tempo(1.0, 1.0)  # of two seeds: 500 and 333 Hz
@@ -214,7 +202,7 @@ def test_a_row_without_a_bar_says_why_or_has_the_word_of_the_table_for_its_devic
     assert words(gpu)[:4] == ["not run", "not run", "unfinished", "not run"]
 
 
-def test_a_gpu_gets_a_panel_of_its_own_on_the_same_scale():
+def test_a_gpu_gets_a_panel_of_its_own_and_a_column_that_the_paper_does_not_have_measured_bars_alone():
     cpu, gpu = query_rate([tempo(3.0)], [tempo(0.1, device="cuda")], ROWS, NORDLAND, {}).figure.axes
     assert (cpu.get_title(loc="left"), gpu.get_title(loc="left")) == ("CPU", "GPU")
     assert cpu.get_xlim() == gpu.get_xlim()
@@ -226,9 +214,6 @@ def test_a_gpu_gets_a_panel_of_its_own_on_the_same_scale():
     figure = query_rate(*five, ROWS, STREET, {}).figure
     figure.draw_without_rendering()
     assert all(text.get_window_extent().x1 <= axes.bbox.x1 for axes in figure.axes for text in axes.texts)
-
-
-def test_a_column_that_the_paper_does_not_have_shows_measured_bars_alone():
     drawn = query_rate([tempo(3.0)], (), ROWS, UNPUBLISHED, {})
     assert bars(drawn.figure.axes[0], hatched=True) == {}
     assert legend(drawn) == ["measured here"]
@@ -291,15 +276,12 @@ def test_the_exponent_stands_in_the_legend_and_what_was_not_trained_or_not_timed
     assert (words(right), len(left.containers), len(right.containers)) == (["nothing was timed"], 1, 0)
 
 
-def test_several_seeds_are_several_points_and_the_law_is_that_of_their_median():
+def test_seeds_are_several_points_disturbed_sizes_hollow_and_the_bar_of_a_query_the_interval_of_its_median():
     runs = [run for seed in range(3) for run in sizes(lambda n, s=seed: n / 100 * (1, 2, 9)[s], seed=seed)]
     left, _ = growth([grown(runs)]).figure.axes
     assert list(left.containers[0].lines[0].get_ydata()[:3]) == approx([1, 2, 9])
     (line,) = (line for line in left.lines if line.get_label() == "linear, lowest AICc")
     assert line.get_xydata()[[0, -1]] == approx(np.array([[100, 2], [27000, 540]]))
-
-
-def test_disturbed_sizes_are_hollow_and_the_bar_of_a_query_is_the_interval_of_its_median():
     noisy = (Note("noisy", "noisy: two carts passed"),)
     runs = [replace(r, notes=noisy * (r.outcome.n_places in (300, 9000))) for r in grown().runs]
     for axes in growth([grown(runs)]).figure.axes:

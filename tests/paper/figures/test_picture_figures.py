@@ -48,9 +48,6 @@ def test_a_row_shows_the_right_place_and_the_query_as_they_are_and_patch_normali
     assert [axes[0].get_ylabel(), axes[4].get_ylabel()] == ["Place 5\nquery 0", "Place 8\nquery 3"]
 
 
-# Similarity
-
-
 def matrices(drawn):
     """The panels of the ground truth and of the scores, without the colour bar."""
     truth, scores, _ = drawn.figure.axes
@@ -77,7 +74,7 @@ def test_right_places_are_dark_and_the_scores_of_each_query_run_from_0_to_1():
     assert scores.get_title(loc="left") == "Similarity, VPRTempo, five networks"
 
 
-def test_cells_of_a_large_matrix_are_the_maxima_of_blocks_and_stand_at_their_numbers():
+def test_cells_of_a_large_matrix_are_the_maxima_of_blocks_so_that_no_right_place_vanishes_and_files_stay_small():
     """1000 places need blocks of 3, and neither 1000 nor 20 is a multiple of 3."""
     made = run(n_queries=20, n_places=1000)
     truth, scores = matrices(similarity(made))
@@ -91,18 +88,12 @@ def test_cells_of_a_large_matrix_are_the_maxima_of_blocks_and_stand_at_their_num
         assert panel.images[0].get_extent() == [-0.5, 1001.5, 20.5, -0.5]  # 334 x 3 places, 7 x 3 queries
         assert panel.get_xlim() == (-0.5, 999.5)
         assert panel.get_ylim() == (19.5, -0.5)  # the first query on top
-
-
-def test_at_the_size_of_nordland_no_right_place_vanishes_and_the_file_stays_small():
     drawn = similarity(with_scores(np.eye(2700, 3300, 600), *([query + 600] for query in range(2700))))
     rows, columns = np.arange(2700) // 8, (np.arange(2700) + 600) // 8
     for panel in matrices(drawn):
         assert shown(panel)[rows, columns].min() == 1
         assert shown(panel).sum() == len({*zip(rows.tolist(), columns.tolist(), strict=True)})
     assert len(pdf(drawn)) < 500_000
-
-
-# Spikes
 
 
 def spiking(name, *seeds):

@@ -41,9 +41,6 @@ def row(tab, query):
     return tab.locator("#queries > li").nth(listed(tab).index(query))
 
 
-# Failures, query by query
-
-
 def test_the_page_asks_for_nothing_else_and_opens_with_the_surest_errors_of_the_first_method(reader):
     tab = reader.read(made_up_page())
     expect(tab.locator("#queries > li")).to_have_count(len(SAD_WRONG))
@@ -171,9 +168,6 @@ def test_several_datasets_are_chosen_between_and_their_frames_kept_apart(reader)
     assert row(tab, 10).locator(".no-frame").all_text_contents() == ["query 10", "place 22", "place 15"]
 
 
-# Strip, slider, keys and pages
-
-
 def test_the_strip_shows_hits_and_misses_and_leads_to_the_nearest_query_that_is_shown(tab):
     choose(tab, method_b="VPRTempo, seed 0")
     lanes = tab.locator("#lanes .lane")
@@ -201,23 +195,6 @@ def test_the_slider_steps_from_one_shown_query_to_the_next_along_the_route(tab):
     for x, query in [(box["width"] - 3, 30), (3, 3)]:
         slider.click(position={"x": x, "y": box["height"] / 2})
         assert current(tab) == query
-
-
-def test_tab_goes_from_the_controls_over_the_slider_to_one_query_and_on(tab):
-    tab.locator("#method-a").focus()
-    visited = []
-    for _ in range(6):
-        visited.append(focused(tab))
-        tab.keyboard.press("Tab")
-        outline = tab.evaluate("getComputedStyle(document.activeElement).outline")
-        assert ("solid" in outline, "3px" in outline) == (True, True)
-    assert visited == ["method-a", "method-b", "kind", "order", "along", "query-11"]
-    assert not focused(tab).startswith("query-")
-    tab.locator("#query-11").focus()
-    tab.keyboard.press("ArrowDown")
-    for expanded in ("true", "false"):
-        tab.keyboard.press("Enter")
-        expect(tab.locator("#query-3")).to_have_attribute("aria-expanded", expanded)
 
 
 def test_arrow_keys_walk_the_list_over_the_ends_of_its_pages_which_buttons_turn(tab):
@@ -248,9 +225,6 @@ def test_arrow_keys_walk_the_list_over_the_ends_of_its_pages_which_buttons_turn(
         for _ in range(5):
             tab.keyboard.press("Enter")
         assert (focused(tab), current(tab)) == (name, query)
-
-
-# The whole report: findings, tabs, links, the table, its footnotes and the figures
 
 
 @pytest.fixture(scope="module")
@@ -371,9 +345,6 @@ def test_a_figure_is_enlarged_by_click_or_enter_and_closed_again(report):
         assert image.bounding_box()["width"] > 1.5 * small["width"]
         close()
         assert image.bounding_box() == small
-
-
-# Looks and trust
 
 
 def test_without_javascript_everything_else_is_there_and_the_page_says_what_is_not(reader):

@@ -84,7 +84,7 @@ def test_a_difference_of_one_stretch_of_the_route_separates_nothing_in_whatever_
     assert bold(RECALL, {"a": [run(hits=[1] * n_queries, **asked)], "b": [run(hits=hits, **asked)]}) == ""
 
 
-def test_hits_by_luck_among_equal_scores_separate_nothing():
+def test_hits_by_luck_among_equal_scores_separate_nothing_and_rows_without_a_number_are_in_no_contest():
     two = np.full(60, 2)
     lucky = replace(SAME, outcome=replace(SAME.outcome, top_tied=two, tied=two))  # expected R@1 1 / 2
     assert bold(RECALL, {"a": [lucky], "b": [ALL_WRONG]}) == ""
@@ -94,6 +94,13 @@ def test_hits_by_luck_among_equal_scores_separate_nothing():
     assert bold(RECALL, {"a": [SAME], "b": [unlucky]}) == "a"  # at best right at every other query
     third = misses(*(query for query in range(60) if query % 3))  # expected R@1 1 / 3, and no luck in it
     assert bold(RECALL, {"a": [lucky], "b": [third]}) == ""
+    nothing = np.zeros(60, np.int64)
+    undefined = replace(SAME, outcome=replace(SAME.outcome, n_positives=nothing, tied=nothing, above=nothing + 10))
+    assert bold(RECALL, {"a": [SAME], "b": [spread(6)], "c": [undefined]}) == "a"
+    assert bold(RECALL, {"a": [SAME], "c": [undefined]}) == ""
+    untrained = run(fit_seconds=None, fit_compute_seconds=None)
+    assert bold(TRAINING, {"a": trained(60), "b": trained(90), "c": [untrained]}) == "a"
+    assert bold(TRAINING, {"a": trained(60), "c": [untrained]}) == ""
 
 
 def timed(match_ms, encode_ms=0.001, **changes):
@@ -167,13 +174,3 @@ def test_training_is_fastest_where_every_seed_is_a_quarter_faster(fast, slow, be
 def test_no_time_is_best_where_rows_were_timed_in_another_way(changes):
     assert bold(RATE, {"fast": [timed(FAST)], "slow": [timed(SLOW, **changes)]}) == ""
     assert bold(TRAINING, {"fast": trained(60), "slow": trained(90, **changes)}) == ""
-
-
-def test_rows_without_a_number_are_in_no_contest():
-    nothing = np.zeros(60, np.int64)
-    undefined = replace(SAME, outcome=replace(SAME.outcome, n_positives=nothing, tied=nothing, above=nothing + 10))
-    assert bold(RECALL, {"a": [SAME], "b": [spread(6)], "c": [undefined]}) == "a"
-    assert bold(RECALL, {"a": [SAME], "c": [undefined]}) == ""
-    untrained = run(fit_seconds=None, fit_compute_seconds=None)
-    assert bold(TRAINING, {"a": trained(60), "b": trained(90), "c": [untrained]}) == "a"
-    assert bold(TRAINING, {"a": trained(60), "c": [untrained]}) == ""

@@ -21,7 +21,7 @@ FAST = [0.0010, 0.0011, 0.0012, 0.0013, 0.0014]
 SLOW = [10 * each for each in FAST]
 
 
-def test_the_numbers_of_a_single_run_are_those_worked_by_hand():
+def test_the_numbers_of_one_run_and_of_several_seeds_are_those_worked_by_hand():
     made = table([run(), run("netvlad")])  # 2 of 4 right; 10 ms to encode and 2.5 ms to match
     recall = measured(made, "SAD", "recall_at_1")
     assert (recall.value, recall.spread, recall.total, recall.seeds) == (50.0, None, None, (0,))
@@ -32,9 +32,6 @@ def test_the_numbers_of_a_single_run_are_those_worked_by_hand():
     (column,) = made.columns
     assert (column.n_places, column.n_queries, column.stand_in_for) == (10, 4, "Nordland")
     assert column.protocol == "references spring+fall, query summer, tolerance places 0"
-
-
-def test_several_seeds_give_mean_and_spread_and_the_median_of_minutes():
     # R@1 75, 50 and 25 %: mean 50, sample deviation 25, 2 of 4 hits in the mean; rates 80, 66.7 and 50 Hz, to match
     # alone 400, 200 and 100; 1, 9 and 2 minutes, with the images 11, 10 and 3
     runs = [
@@ -60,7 +57,7 @@ def test_a_difference_to_the_paper_is_given_on_its_own_frames_and_never_on_those
     assert {each.difference for row in rendered.rows for each in row.cells.values()} == {None}
 
 
-def test_an_empty_store_shows_words_in_every_cell():
+def test_an_empty_store_shows_words_in_every_cell_and_without_runs_on_a_cpu_accuracy_is_of_the_gpu():
     made = table()
     (column,) = made.columns
     assert (column.n_places, column.n_queries, made.machines) == (None, None, ())
@@ -69,9 +66,6 @@ def test_an_empty_store_shows_words_in_every_cell():
     assert reasons(made, "VPRTempo", "recall_at_1") == [("seeds", "0 of 3 seeds are stored")]
     assert reasons(made, "SAD", "recall_at_1") == [("seeds", "0 of 1 seed is stored")]
     assert codes(made, "VPRTempo", "query_gpu") == ["device"]
-
-
-def test_without_runs_on_a_cpu_accuracy_is_of_the_gpu_and_the_machine_has_its_newest_day():
     made = table([run(device="cuda", day="2025-03-04"), run("vprsnn", device="cuda", day="2025-03-01")])
     assert absences(made, "SAD") == ["measured", "not applicable", "not run", "not applicable", "measured"]
     assert codes(made, "SAD", "query_cpu") == ["device"]
@@ -205,13 +199,19 @@ def test_times_of_a_busy_machine_or_of_too_few_laps_are_marked_and_recall_is_not
     assert any("tilde" in sentence for sentence in made.caption) == marked
 
 
-def test_two_protocols_are_two_columns_with_titles_that_tell_them_apart():
+def test_two_protocols_are_two_columns_with_titles_that_tell_them_apart_and_other_options_are_told():
     old = run(protocol={"query": "summer", "renderer": 1}, day="2025-01-01", hits=[1, 1, 1, 1])
     made = table([run(protocol={"query": "summer", "renderer": 2}), old], rows=[SAD, VPRSNN])
     titles = {"railway": "Railway (rendered), renderer 2", "railway-2": "Railway (rendered), renderer 1"}
     assert {column.name: column.title for column in made.columns} == titles
     assert measured(made, "SAD", "recall_at_1", "railway-2").value == approx(100)
     assert cell(made, "VPRSNN", "recall_at_1", "railway-2").mark == "not run"
+    asked = ResolvedColumn(RAIL.planned, {**RAIL.dataset, "fog": 0.5})
+    before = run(protocol={"query": "summer", "renderer": 1}, day="2025-01-01")
+    todays = run(dataset=asked.dataset, protocol={"query": "summer", "renderer": 2})
+    told = [s for s in table([before, todays], rows=[SAD], asked=[asked]).caption if "other options" in s]
+    assert told == ["Railway (rendered), renderer 1: its runs are of a time when the dataset had other options (fog)."]
+    assert not any("other options" in s for s in table([before], rows=[SAD], asked=[asked]).caption)
 
 
 def test_the_order_of_a_store_changes_nothing():
@@ -308,9 +308,6 @@ def test_every_reason_is_short():
             assert all(len(text) <= 120 for _, text in found)
 
 
-# Rates that were timed otherwise
-
-
 def timed(**changes):
     return {"config": {"timing": {"minimum_seconds": 2.0, "minimum_queries": 64, "sample": 256, **changes}}}
 
@@ -337,12 +334,3 @@ def test_the_row_that_is_timed_otherwise_says_how(ways, told):
     apart = {each: text for each in cells for code, text in reasons(made, *each) if code == "timing"}
     assert apart.keys() == {(name, "query_cpu") for name in told}
     assert all(apart[name, "query_cpu"].endswith(f" {end}") for name, end in told.items())
-
-
-def test_runs_of_other_options_are_told_where_they_fill_a_column_of_their_own():
-    asked = ResolvedColumn(RAIL.planned, {**RAIL.dataset, "fog": 0.5})
-    before = run(protocol={"query": "summer", "renderer": 1}, day="2025-01-01")
-    todays = run(dataset=asked.dataset, protocol={"query": "summer", "renderer": 2})
-    told = [s for s in table([before, todays], rows=[SAD], asked=[asked]).caption if "other options" in s]
-    assert told == ["Railway (rendered), renderer 1: its runs are of a time when the dataset had other options (fog)."]
-    assert not any("other options" in s for s in table([before], rows=[SAD], asked=[asked]).caption)
