@@ -14,6 +14,7 @@ import torch
 from little_vprsnn import SMALL, WORLD, fitted, held_out, images, recorded_trains, references, same
 
 from vprbench import progress
+from vprbench.api import checkpoints
 from vprbench.methods.vprsnn import training
 from vprbench.methods.vprsnn.arrays import unpadded
 from vprbench.methods.vprsnn.ensemble import VPRSNNEnsemble
@@ -289,6 +290,16 @@ def test_an_interrupted_calibration_trains_only_what_is_missing(trainings: Path,
     assert len(trained.numbers) == 1
     assert same(found.state(), expected)
     assert not list(trainings.iterdir())
+
+
+def test_an_interrupted_calibration_belongs_to_its_map(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen, begin = [], checkpoints.training
+    monkeypatch.setattr(checkpoints, "training", lambda identity: seen.append(identity) or begin(identity))
+    for second in (10, 20):  # the second traverse shows other images; the first, for which reactions count, is the same
+        rows = [*range(5), *range(second, second + 5)]
+        shown = images([WORLD.references[row] for row in rows])
+        VPRSNN(**SMALL | {"epochs": 1}).fit(shown, np.tile(range(5), 2)).calibrate(held_out())
+    assert seen[1] != seen[3]
 
 
 def interrupted(*_: Any) -> NoReturn:
