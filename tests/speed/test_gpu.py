@@ -36,9 +36,9 @@ def make(name, device, **arguments):
     return registry.make_method({"_target_": VPRTempo.__module__ + ".VPRTempo", "device": device, **arguments})
 
 
-def comparisons(make, rules="paper"):
+def comparisons(make):
     settings = chosen(Settings, ["quick=true", "device=cpu", "max_module=12"], gpu.QUICK)
-    return compared(settings, make, Route.drawn(settings.check_places, 32, 64, 0), rules)
+    return compared(settings, make, Route.drawn(settings.check_places, 32, 64, 0), "paper")
 
 
 def bent(engine, name, bend, number=None):
@@ -54,11 +54,6 @@ def bent(engine, name, bend, number=None):
         return method
 
     return bending
-
-
-@pytest.mark.parametrize("rules", ["paper", "reference"])
-def test_the_same_networks_are_the_same(rules):
-    assert [(each.holds, each.queries) for each in comparisons(make, rules)] == [(True, 12)] * 3
 
 
 @pytest.mark.parametrize(("name", "change"), [("features", 2e-4), ("outputs_0", np.nan), ("feature_thresholds", 2e-4)])

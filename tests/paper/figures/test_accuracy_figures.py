@@ -26,7 +26,7 @@ def named_lines(drawn):
 
 
 def points(line):
-    return list(zip(np.asarray(line.get_xdata()).tolist(), np.asarray(line.get_ydata()).tolist(), strict=True))
+    return [(x, y) for x, y in line.get_xydata().tolist()]
 
 
 def band(drawn, number=0):

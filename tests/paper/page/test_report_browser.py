@@ -139,17 +139,6 @@ def test_margins_that_are_infinite_missing_or_bounded_say_so_and_sort_to_their_e
         expect(tab.locator("#queries > li")).to_contain_text(text)
 
 
-def test_methods_that_prefer_different_right_places_name_that_of_the_score(reader):
-    no = -np.inf
-    a = answered([[0.75, 0.5, 0.25, 0.125], [0.5, no, no, 0.25]], [[1, 2], [2]])
-    b = answered([[0.75, 0.25, 0.5, 0.125], [0.5, no, 0.25, 0.25]], [[1, 2], [2]])
-    series = (Series("SAD", False, (a,)), Series("GCL", False, (b,)))
-    tab = reader.read(page("", [], [Section("Journey", series, None)]))
-    choose(tab, method_b="GCL", order=ROUTE)
-    for query, text in enumerate(["score by A 0.5, by B 0.5 for place 2", "score by A none, by B 0.25"]):
-        expect(row(tab, query).locator("figcaption").last).to_contain_text(text)
-
-
 def test_several_datasets_are_chosen_between_and_their_frames_kept_apart(reader):
     swapped = made.journey_thumbnails(queries=tuple(reversed(made.journey_thumbnails().queries)))
     other = replace(one(journey_run({4: 0.25}, n_references=120), "Other", "GCL"), thumbnails=swapped)

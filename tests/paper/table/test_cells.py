@@ -297,17 +297,6 @@ def test_a_difference_has_its_reasons_which_name_both_sides(quantity, changes, n
     assert [words for (_, text), words in zip(found, told.values(), strict=True) if words not in text] == []
 
 
-def test_every_reason_is_short():
-    machine = {**LOOM, "processor": "A processor of a very long name " * 9, "accelerator": "A very long name " * 9}
-    long = protocol(["an autumn of rain", "a winter of snow"], "a day of hail", tolerance_places=3)
-    for quantity in NAMES:
-        for planned in (NORDLAND, RAIL.planned):
-            row = replace(FIRST, rate_remark="slow " * 60)
-            found = why(quantity, {"machine": machine, "hits": [1] * 9, "n_places": 27_592, **long}, row, planned)
-            assert found
-            assert all(len(text) <= 120 for _, text in found)
-
-
 def timed(**changes):
     return {"config": {"timing": {"minimum_seconds": 2.0, "minimum_queries": 64, "sample": 256, **changes}}}
 
