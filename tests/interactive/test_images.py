@@ -17,7 +17,7 @@ def shown(dataset):
     return [number_in(image) for image in dataset.references], [number_in(image) for image in dataset.queries]
 
 
-def test_a_traverse_is_a_folder_a_list_of_files_or_arrays(tmp_path):
+def test_a_traverse_is_a_folder_a_list_of_files_or_arrays_grey_ones_too_and_any_changed_pixel_is_another(tmp_path):
     for number in range(4):
         PillowImage.fromarray(picture(number)).save(tmp_path / f"{number}.png")
     files = sorted(tmp_path.iterdir())
@@ -32,9 +32,6 @@ def test_a_traverse_is_a_folder_a_list_of_files_or_arrays(tmp_path):
     (tmp_path / "empty").mkdir()
     with pytest.raises(NotThere, match="queries"):
         vprbench.dataset_of(references=stack(0), queries=tmp_path / "empty")
-
-
-def test_grey_frames_in_one_array_and_in_a_list_are_images_and_any_changed_pixel_is_another_dataset():
     grey = np.arange(2 * 5 * 6, dtype=np.uint8).reshape(2, 5, 6)
     for given in (grey, list(grey)):
         made = vprbench.dataset_of(references=given, queries=given)
@@ -44,8 +41,8 @@ def test_grey_frames_in_one_array_and_in_a_list_are_images_and_any_changed_pixel
     changed[11, 3, 3] = 1
     hashes = {vprbench.dataset_of(each, frames[:1]).references.fingerprint() for each in (frames, changed)}
     assert len(hashes) == 2
-    shown = repr(vprbench.dataset_of(frames, frames, name="n" * 300))
-    assert (shown.count("\n"), len(shown)) == (0, 100)
+    text = repr(vprbench.dataset_of(frames, frames, name="n" * 300))
+    assert (text.count("\n"), len(text)) == (0, 100)
     assert "20 places, 40 images, 20 queries" in repr(vprbench.dataset_of([frames[:20], frames[20:]], frames[:20]))
 
 

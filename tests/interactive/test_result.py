@@ -46,7 +46,7 @@ def test_the_frame_has_a_row_a_query_and_failures_come_by_their_margin():
     assert Result(run, None, NAMES).failures().index.tolist() == [3, 2]
 
 
-def test_it_shows_itself_in_few_words_and_draws():
+def test_it_shows_itself_in_few_words_and_draws_and_sequences_and_filters_are_results_of_the_queries_they_keep():
     assert max(len(repr(result())), len(repr(result(dataset="d" * 300)))) <= 100
     assert "little window=5 on journey" in repr(result())
     page = result()._repr_html_()
@@ -54,9 +54,6 @@ def test_it_shows_itself_in_few_words_and_draws():
     assert "two carts" in page
     assert result().plot_pr()._repr_png_()[:4] == b"\x89PNG"
     assert len(result().plot_matrix().axes) == 3
-
-
-def test_sequences_and_filters_are_results_of_the_queries_that_they_keep():
     diagonal = {"scores": np.eye(4, 10, dtype=np.float32), "positives": tuple(np.array([place]) for place in range(4))}
     pairs = result(**diagonal).in_sequences(2)
     assert (pairs.queries, pairs.recall()) == (NAMES[1:], 1.0)

@@ -55,15 +55,12 @@ def test_runs_belong_to_the_column_with_their_dataset(runs, failures, asked, fou
     assert [len(group.failures) for group in told] == [failures.count(failure())] + [0] * (len(asked) - 1)
 
 
-def test_corrupted_queries_stand_in_no_column_of_clean_ones_nor_of_other_corruptions():
+def test_two_protocols_are_two_groups_the_newest_first_and_corrupted_queries_stand_in_columns_of_their_own():
     shift, noise = (replace(RAIL, corruption=name) for name in ("shift-1", "noise-2"))
     clean, moved = run(config={"corruption": None}), run(config={"corruption": "shift-1"}, day="2025-09-09")
     failed = lost(config={"corruption": "noise-2"})
     found = grouped([clean, moved], [failed], RAIL, shift, noise)
     assert [(group.runs, group.failures) for group in found] == [((clean,), ()), ((moved,), ()), ((), (failed,))]
-
-
-def test_two_protocols_are_two_groups_the_newest_first():
     old = run(protocol={"query": "summer", "renderer": 1}, day="2025-02-01")
     new = tempo(protocol={"query": "summer", "renderer": 2}, day="2025-02-02")
     no_row = run("hog", protocol={"query": "night"}, day="2025-06-01")
@@ -82,7 +79,7 @@ def test_a_run_belongs_to_the_row_with_its_arguments(changed, row):
     assert [each for each in ROWS if of_row(group, each, "cpu").runs] == ([row] if row else [])
 
 
-def test_the_arguments_that_a_size_needs_are_part_of_the_row():
+def test_the_arguments_that_a_size_needs_are_part_of_the_row_and_a_failure_belongs_where_its_options_say():
     fitting = tempo(changed={"max_module": 450}, dataset=STREET)
     both = tempo(changed={"max_module": 450, "rules": "reference"}, dataset=STREET)
     stored = tempo(dataset=STREET), fitting, both
@@ -91,8 +88,6 @@ def test_the_arguments_that_a_size_needs_are_part_of_the_row():
     default_by_now = tempo(dataset=STREET, config={"method": {"_target_": "made.x", "max_module": 450, "seed": 0}})
     assert stored_of(VPRTEMPO, default_by_now, column=TOWN).runs == (default_by_now,)
 
-
-def test_a_failure_before_its_arguments_were_known_belongs_where_its_options_say():
     def early(**changes):
         failed = lost(**changes)
         return replace(failed, config={name: value for name, value in failed.config.items() if name != "changed"})

@@ -67,7 +67,9 @@ def test_every_file_is_read_ahead_once_and_some_of_them_in_bare_loops_in_every_t
     assert cell.peak_memory_bytes > 0
 
 
-def test_a_share_is_the_median_of_those_of_the_turns_and_an_error_comes_back_from_the_process_that_measures():
+def test_a_share_is_the_median_of_those_of_the_turns_and_a_failure_names_the_frame_and_leaves_no_files(
+    monkeypatch, tmp_path
+):
     with pytest.raises(BadInput, match=r"none\.png does not exist"):
         in_own_process(read_image, Path("none.png"))
     rates = [100.0, 120.0, 110.0], [390.0, 400.0, 410.0], [380.0, 480.0, 420.0]
@@ -76,8 +78,6 @@ def test_a_share_is_the_median_of_those_of_the_turns_and_an_error_comes_back_fro
     row = ["640x360", "27,592", "4", "110", "400", "420", "0.955x", "1.02x", "300", "400"]
     assert [*cell.row().values()] == row
 
-
-def test_a_section_that_fails_names_the_frame_and_leaves_no_files(monkeypatch, tmp_path):
     def fails(*_):
         raise MemoryError("only 3 bytes are left")
 

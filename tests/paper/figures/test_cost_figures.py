@@ -16,7 +16,6 @@ from stored_runs import answers
 from vprbench.metrics.intervals import share_interval
 from vprbench.paper.figures.growth import growth
 from vprbench.paper.figures.speed import query_rate, training_time
-from vprbench.paper.figures.style import looks
 from vprbench.paper.figures.tradeoff import against_memory, against_rate, front
 from vprbench.paper.growth import samples
 from vprbench.paper.plan import Row, read_plan
@@ -156,8 +155,6 @@ def test_training_bars_end_at_the_minutes_without_waiting_for_images_and_a_tick_
     assert bars(axes, hatched=False) == {4: approx(3.0)}
     assert bars(axes, hatched=True) == {1: approx(15120), 2: approx(360), 3: approx(360), 4: 60}
     assert [x[0] == x[1] for x in black_lines(axes)] == [True]  # the tick alone: nobody saw a spread
-    (measured,) = (bar for bar in axes.patches if not bar.get_hatch())
-    assert to_hex(measured.get_facecolor()) == looks(["VPRTempo"])["VPRTempo"].colour.lower()
     hatches = {round(bar.get_y() + 0.19): bar.get_hatch() for bar in axes.patches if bar.get_hatch()}
     assert hatches[1] == hatches[2] != hatches[3] == hatches[4]  # quoted ones have their own
     assert legend(drawn) == ["measured here", "published", "published, quoted there", "with reading the images"]
@@ -167,9 +164,7 @@ def test_training_bars_end_at_the_minutes_without_waiting_for_images_and_a_tick_
     (axes,) = drawn.figure.axes
     assert bars(axes, hatched=False)[4] == approx(2.0)
     assert black_lines(axes) == [approx([1, 4]), approx([11, 11])]
-    drawn.figure.draw_without_rendering()
-    (number,) = (text for text in axes.texts if text.get_text() == "2 (11)")
-    assert number.get_window_extent().x0 > axes.transData.transform((11, 0))[0]
+    assert "2 (11)" in words(axes)
 
 
 def test_rates_are_of_encode_and_match_together_with_the_middle_four_fifths_of_laps_beside_the_paper_s():
@@ -210,10 +205,6 @@ def test_a_gpu_gets_a_panel_of_its_own_and_a_column_that_the_paper_does_not_have
     assert 3 not in bars(gpu, hatched=True)  # the paper has no GPU code of VPRSNN
     (alone,) = training_time((), [tempo(0.1, device="cuda")], ROWS, NORDLAND, {}).figure.axes
     assert alone.get_title(loc="left") == "GPU"
-    five = [figure_runs.five_rows(device, n_places=20) for device in ("cpu", "cuda")]
-    figure = query_rate(*five, ROWS, STREET, {}).figure
-    figure.draw_without_rendering()
-    assert all(text.get_window_extent().x1 <= axes.bbox.x1 for axes in figure.axes for text in axes.texts)
     drawn = query_rate([tempo(3.0)], (), ROWS, UNPUBLISHED, {})
     assert bars(drawn.figure.axes[0], hatched=True) == {}
     assert legend(drawn) == ["measured here"]
@@ -221,8 +212,6 @@ def test_a_gpu_gets_a_panel_of_its_own_and_a_column_that_the_paper_does_not_have
     drawn = query_rate([cosplace], (), [Row("CosPlace", "cosplace")], UNPUBLISHED, {})  # a row outside the paper
     assert bars(drawn.figure.axes[0], hatched=False) == {0: approx(20)}
 
-
-# Growth with the places
 
 SIZES = (100, 300, 1000, 3000, 9000, 27000)
 

@@ -136,16 +136,13 @@ def test_each_layer_has_a_box_of_the_middle_half_of_its_queries_with_whiskers_an
     assert (ends.min(), ends.max()) == (105, 195)
 
 
-def test_queries_of_several_seeds_share_a_box_and_their_bar_is_the_mean_with_a_dot_each():
+def test_seeds_share_a_box_with_a_dot_each_at_the_bar_and_rows_with_spikes_stand_side_by_side():
     seeds = [layer("output", [10, 10], 0.2)], [layer("output", [14, 16], 0.4)]
     axes, active = panels(spiking("VPRTempo", *seeds))
     assert medians(axes) == [12]  # of 10, 10, 14, 16
     assert bars(active) == pytest.approx([30])
     (dots,) = active.lines
     assert np.asarray(dots.get_ydata()).tolist() == [20, 40]
-
-
-def test_rows_with_spikes_stand_side_by_side_in_their_order_and_differ_in_hatch():
     other = spiking("VPRSNN", [layer("inhibitory", [5, 6, 7]), layer("output", [50, 60, 70], 0.75)])
     drawn = spike_statistics([series("SAD", little.a_run(spikes=None)), other, TEMPO])
     *layers, active = drawn.figure.axes

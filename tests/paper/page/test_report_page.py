@@ -238,7 +238,7 @@ def on(run, **changes):
     return replace(run, environment={**run.environment, **changes})
 
 
-def test_each_machine_is_told_once_with_what_ran_on_it():
+def test_each_machine_is_told_once_with_what_ran_on_it_and_notes_are_of_everything_measured():
     git = {"commit": "0123456789abcdef0123", "changed": True}
     first = on(a_run(), memory_bytes=16e9, python="3.11.2", git=git)
     later = on(first, load_average=[1.75, 0, 0], time_utc="2025-02-03T00:00:00Z", libraries={"torch": "2.7.0"})
@@ -262,9 +262,6 @@ def test_each_machine_is_told_once_with_what_ran_on_it():
     assert "Accelerator" not in facts
     assert (second_facts["Accelerator"], second_facts["Commit"]) == ("Mill, 8 GB", "not recorded")
     assert little_facts == {"Processor": "Abacus 1", "Commit": "not recorded", "Runs": "HOG (journey)"}
-
-
-def test_machines_and_notes_are_of_everything_measured_not_only_of_what_is_browsed():
     run = journey_run({}, notes=(Note("dataset", "the clock was not locked"),))
     on_gpu = on(replace(run, config={**run.config, "device": "cuda"}), processor="Difference Engine")
     browsed = journey_section()
