@@ -236,7 +236,7 @@ def test_results_that_cannot_be_written_are_named_before_the_run(capsys, monkeyp
     assert f"{place} cannot be written" in refused(["method=sad", *QUICK], capsys)
 
 
-def test_what_a_full_disk_refuses_is_still_shown(capsys, monkeypatch):
+def test_what_a_full_disk_refuses_is_shown_and_a_failure_is_recorded_without_the_name_of_a_home(capsys, monkeypatch):
     def full(*_, **__):
         raise OSError(errno.ENOSPC, "No space left on device")
 
@@ -247,8 +247,6 @@ def test_what_a_full_disk_refuses_is_still_shown(capsys, monkeypatch):
     assert "No space left on device" in captured.err
     assert not list(Path("results").rglob("*.*"))
 
-
-def test_a_method_that_fails_ends_with_code_1_and_is_recorded_without_the_name_of_a_persons_home(capsys, monkeypatch):
     def fail(*_):
         raise RuntimeError(f"{Path.home() / 'photos'} is strange")
 
