@@ -4,7 +4,6 @@ import csv
 import json
 import subprocess
 import sys
-from functools import cache
 from itertools import permutations, product
 from math import comb
 
@@ -261,61 +260,40 @@ def test_importing_the_metrics_loads_neither_scipy_nor_scikit_learn_nor_torch():
     assert not {"scipy", "sklearn", "torch"} & set(done.stdout.split())
 
 
-# Values derived from the stored VPR-Bench results on Corridor
-
-ORACLE = SHARED / "oracles" / "vprbench_corridor.json"
 CORRIDOR = SHARED / "data" / "corridor"
-TECHNIQUES = (
-    *("AMOSNet", "HybridNet", "NetVLAD", "denseVLAD", "ap-gem-r101"),
-    *("AlexNet_VPR", "RegionVLAD", "CoHOG", "HOG", "CALC"),
-)
-
-
-@cache
-def stored():
-    with np.load(CORRIDOR / "vprbench_precomputed.npz") as arrays:
-        return dict(arrays)
-
-
-@cache
-def oracle():
-    return json.loads(ORACLE.read_text())["corridor"]
-
-
-@cache
-def positives():
-    with (CORRIDOR / "ground_truth.csv").open(newline="") as rows:
-        return tuple(np.array(row["matching_refs"].split(), np.int64) for row in csv.DictReader(rows))
-
-
-def similarity(technique):
-    return stored()[f"{technique}__similarity"]
-
-
-@cache
-def corridor(technique):
-    return outcome(similarity(technique), positives())
+TECHNIQUES = [
+    "AMOSNet",
+    "HybridNet",
+    "NetVLAD",
+    "denseVLAD",
+    "ap-gem-r101",
+    "AlexNet_VPR",
+    "RegionVLAD",
+    "CoHOG",
+    "HOG",
+    "CALC",
+]
 
 
 @pytest.mark.real_frames
 @pytest.mark.parametrize("technique", TECHNIQUES)
-def test_numbers_of_stored_scores_are_those_of_the_authors_and_swapped_axes_give_others(technique):
-    expected, found = oracle()[technique], corridor(technique)
+def test_numbers_of_scores_that_vpr_bench_stored_are_those_of_the_authors_and_swapped_axes_give_others(technique):
+    expected = json.loads((SHARED / "oracles" / "vprbench_corridor.json").read_text())["corridor"][technique]
+    with np.load(CORRIDOR / "vprbench_precomputed.npz") as arrays:
+        scores, match, best = (arrays[f"{technique}__{name}"] for name in ("similarity", "match", "score"))
+    with (CORRIDOR / "ground_truth.csv").open(newline="") as rows:
+        positives = places(*(row["matching_refs"].split() for row in csv.DictReader(rows)))
+    found = outcome(scores, positives)
     for n in (1, 5, 10, 20):
         recall = accuracy.recall_at(found, n)
         assert recall.expected == recall.pessimistic == recall.optimistic == expected[f"R@{n}"]
         assert recall.n_queries == expected["nq"]
-    match = stored()[f"{technique}__match"]
-    np.testing.assert_array_equal(
-        accuracy.hits_at(found, 1), [int(match[query]) in right for query, right in enumerate(positives())]
-    )
+    right = [int(place) in row for place, row in zip(match, positives, strict=True)]
+    np.testing.assert_array_equal(accuracy.hits_at(found, 1), right)
     assert (found.top_tied == 1).all()
-    np.testing.assert_allclose(found.best_score, stored()[f"{technique}__score"], rtol=1e-6, atol=0)
-    of_reference = [
-        np.array([query for query, right in enumerate(positives()) if reference in right], np.int64)
-        for reference in range(similarity(technique).shape[1])
-    ]
-    swapped = accuracy.recall_at(outcome(similarity(technique).T, of_reference), 1)
+    np.testing.assert_allclose(found.best_score, best, rtol=1e-6, atol=0)
+    of_references = [[query for query, row in enumerate(positives) if place in row] for place in range(scores.shape[1])]
+    swapped = accuracy.recall_at(outcome(scores.T, places(*of_references)), 1)
     assert expected["R@1"] != swapped.expected == expected["wrong_axis_R1"]
 
     curve_a, curve_b = accuracy.pr_curve(found, "A"), accuracy.pr_curve(found, "B")

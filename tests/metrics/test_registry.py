@@ -90,9 +90,8 @@ def test_a_metric_of_the_table_is_the_mean_of_its_seeds_in_its_unit_and_never_bo
     assert lost.explained.endswith("lower is better.")
     unasked = table([run()], rows=[SAD])
     assert unasked.quantities == QUANTITIES == quantities([]) == quantities(["recall_at_1"])
-    assert (
-        "lost" not in "".join(getattr(formats, form)(unasked) for form in ("markdown", "csv", "latex", "html")).lower()
-    )
+    for form in ("markdown", "csv", "latex", "html"):
+        assert "lost" not in getattr(formats, form)(unasked).lower()
 
 
 def test_an_unknown_metric_is_told_with_its_neighbours(capfd):
@@ -110,25 +109,15 @@ def test_the_figure_of_a_metric_shows_its_rows():
     assert METRICS["r100p"].explained in drawn.caption
 
 
-@pytest.mark.parametrize(
-    ("arithmetic", "picojoules"),
-    [
+def test_arithmetic_costs_what_the_table_says_and_synaptic_operations_add_up_by_their_kind():
+    for arithmetic, picojoules in (
         ([Arithmetic(1000, 0)], 4600),  # Horowitz: 3.7 + 0.9
         ([Arithmetic(0, 1000)], 900),
         ([Arithmetic(1000, 1000, "int8")], 330),  # 0.2 + 0.1 of a sum in 32 bits; 0.03
         ([Arithmetic(10, 0), Arithmetic(10, 10, "int64")], 79),  # 0.1 + 3.1; 0.1
-    ],
-)
-def test_arithmetic_costs_what_the_table_says(arithmetic, picojoules):
-    assert 1e12 * estimated_joules(arithmetic) == pytest.approx(picojoules)
-
-
-def test_synaptic_operations_add_up_by_their_kind_over_the_layers_that_lead_on():
-    layers = [
-        {"synops": 5.0, "operation": "AC"},
-        {"synops": 7.0, "operation": "MAC"},
-        {"synops": 1.5, "operation": "AC"},
-    ]
+    ):
+        assert 1e12 * estimated_joules(arithmetic) == pytest.approx(picojoules)
+    layers = [{"synops": n, "operation": kind} for n, kind in ((5.0, "AC"), (7.0, "MAC"), (1.5, "AC"))]
     assert synaptic_operations({"layers": [*layers, {"name": "output"}]}) == (6.5, 7.0)
     assert synaptic_operations({"layers": [{"name": "output"}]}) is None
     assert synaptic_operations(None) is None

@@ -22,9 +22,8 @@ def hits(best, scores, right, tolerances, numbers=None):
     return hits_within(*given, tolerances, numbers)[:, 0]
 
 
-@pytest.mark.parametrize(
-    ("best", "scored", "right", "tolerances", "numbers", "wanted"),
-    [
+def test_the_best_places_of_a_query_are_right_from_the_tolerance_on_that_reaches_them():
+    for best, scored, right, tolerances, numbers, wanted in (
         ([4, 2], [0.9, 0.8], [2], [0, 1, 2, 3], None, [0, 0, 1, 1]),
         ([3], [0.5], [2], [1, 2, 3], GAPS, [0, 0, 1]),
         ([4], [0.5], [3], [1], GAPS, [1]),
@@ -33,12 +32,8 @@ def hits(best, scores, right, tolerances, numbers=None):
         ([3, 7, 20, 4], [0.5, 0.5, 0.5, 0.4], [4], [0, 1, 3], None, [0, 1 / 3, 2 / 3]),  # ties
         ([1, 0], [0.5, 0.4], [], [0, 100], None, [0, 0]),
         ([1, 0], [LOST, LOST], [1], [0, 100], None, [0, 0]),
-    ],
-)
-def test_the_best_places_of_a_query_are_right_from_the_tolerance_on_that_reaches_them(
-    best, scored, right, tolerances, numbers, wanted
-):
-    np.testing.assert_allclose(hits(best, scored, right, tolerances, numbers), wanted)
+    ):
+        np.testing.assert_allclose(hits(best, scored, right, tolerances, numbers), wanted)
 
 
 def test_hits_agree_with_whole_score_matrices_under_widened_ground_truth():

@@ -14,26 +14,26 @@ Tensors = Mapping[str, Tensor]
 class Draw:
     """Random values of the parts of networks, under their names, so large that every part matters."""
 
-    def __init__(self, seed: int = 0) -> None:
+    def __init__(self, seed=0):
         self.generator = torch.Generator().manual_seed(seed)
 
-    def normal(self, *shape: int, scale: float = 1.0, mean: float = 0.0) -> Tensor:
+    def normal(self, *shape, scale=1.0, mean=0.0):
         return mean + scale * torch.randn(shape, generator=self.generator)
 
-    def linear(self, name: str, n_in: int, n_out: int) -> dict[str, Tensor]:
+    def linear(self, name, n_in, n_out):
         return {
             f"{name}.weight": self.normal(n_out, n_in, scale=n_in**-0.5),
             f"{name}.bias": self.normal(n_out, scale=0.3),
         }
 
-    def attention(self, name: str, dim: int) -> dict[str, Tensor]:
+    def attention(self, name, dim):
         return {
             f"{name}.in_proj_weight": self.normal(3 * dim, dim, scale=2 * dim**-0.5),
             f"{name}.in_proj_bias": self.normal(3 * dim, scale=0.3),
             **self.linear(f"{name}.out_proj", dim, dim),
         }
 
-    def norm(self, name: str, dim: int) -> dict[str, Tensor]:
+    def norm(self, name, dim):
         return {f"{name}.weight": self.normal(dim, scale=0.25, mean=1), f"{name}.bias": self.normal(dim, scale=0.25)}
 
 

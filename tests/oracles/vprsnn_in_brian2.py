@@ -9,8 +9,6 @@ excitatory neurons in the end.
 
 import importlib.machinery
 import sys
-from types import CodeType
-from typing import Any
 
 import numpy as np
 
@@ -55,11 +53,11 @@ post2 = 1
 class Mended(importlib.machinery.SourceFileLoader):
     """Brian2 2.9 names a method of arrays that NumPy 2.4 has no more; its next version does without it."""
 
-    def get_code(self, fullname: str) -> CodeType:
+    def get_code(self, fullname):
         return self.source_to_code(self.get_data(self.path).replace(b"np.ndarray.ptp", b"np.ptp"), self.path)
 
     @classmethod
-    def find_spec(cls, name: str, path: Any, target: Any = None) -> importlib.machinery.ModuleSpec | None:
+    def find_spec(cls, name, path, target=None):
         if name != MODULE_OF_UNITS:
             return None
         spec = importlib.machinery.PathFinder.find_spec(name, path, target)

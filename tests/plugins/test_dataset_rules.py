@@ -7,7 +7,6 @@ import tempfile
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -44,13 +43,13 @@ COUNT = itertools.count()
 
 
 class OtherInASlice(Images):
-    def __getitem__(self, index: Any) -> Any:
+    def __getitem__(self, index):
         found = super().__getitem__(index)
         return found if isinstance(index, int) else found.unnamed().__class__(lambda i: picture(i + 50), found.names)
 
 
 class ByName(Images):
-    def unnamed(self) -> Images:
+    def unnamed(self):
         return Images(lambda i: picture(i + 50), super().unnamed().names)
 
 

@@ -42,17 +42,7 @@ def healthy(tmp_path):
     return save(tmp_path / "winter", season(0)), save(tmp_path / "summer", season(1))
 
 
-def dataset_of(
-    references,
-    queries,
-    names=NAMES,
-    query_names=None,
-    right=None,
-    tolerance=0,
-    counts=(),
-    wrong_counts=None,
-    protocol=None,
-):
+def dataset_of(references, queries, names=NAMES, query_names=None, right=None, tolerance=0, protocol=None, **counts):
     """Return the dataset of these folders; the i-th query shows the i-th place unless `right` says otherwise."""
     asked = names if query_names is None else query_names
     n = len(names)
@@ -65,14 +55,12 @@ def dataset_of(
         queries=Images.from_files([queries / name for name in asked]),
         positives=tuple(np.array(places, np.int64) for places in right),
         protocol={
-            "references": [folder.name for folder in references],
-            "query": queries.name,
-            "tolerance_places": tolerance,
-            **(protocol or {}),
+            **{"references": [folder.name for folder in references], "query": queries.name},
+            **{"tolerance_places": tolerance, **(protocol or {})},
         },
-        folders=(
-            *(FrameFolder(folder, tuple(names), counts, wrong_counts or {}) for folder in references),
-            FrameFolder(queries, tuple(asked), counts, wrong_counts or {}),
+        folders=tuple(
+            FrameFolder(folder, tuple(used), **counts)
+            for folder, used in [*((folder, names) for folder in references), (queries, asked)]
         ),
     )
 

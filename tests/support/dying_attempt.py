@@ -10,7 +10,7 @@ from pathlib import Path
 class Attempt:
     died: Path  # the file that says that a process did
 
-    def __call__(self, task: float) -> float:
+    def __call__(self, task):
         if not self.died.exists():
             self.died.touch()
             os._exit(7)

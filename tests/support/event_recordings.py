@@ -15,27 +15,30 @@ def by_chance(n, seed=0, seconds=3.0, height=20, width=30):
     return Events(t, x, y, rng.random(n) < 0.5)
 
 
+def columns(events):
+    return events.t, events.x, events.y, events.p
+
+
 def in_chunks(events, seed=0):
     """Yield the events in pieces of any length, empty ones too."""
     cuts = np.sort(np.random.default_rng(seed).integers(0, len(events.t), 7))
-    pieces = (np.split(column, cuts) for column in (events.t, events.x, events.y, events.p))
+    pieces = (np.split(column, cuts) for column in columns(events))
     yield from (Events(*piece) for piece in zip(*pieces, strict=True))
 
 
 def joined(chunks):
-    parts = [(chunk.t, chunk.x, chunk.y, chunk.p) for chunk in chunks]
-    return Events(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+    return Events(*(np.concatenate(column) for column in zip(*map(columns, chunks), strict=True)))
 
 
 def same(first, second):
-    pairs = ((first.t, second.t), (first.x, second.x), (first.y, second.y), (first.p, second.p))
+    pairs = zip(columns(first), columns(second), strict=True)
     return all(one.dtype == other.dtype and np.array_equal(one, other) for one, other in pairs)
 
 
 def write_aedat2(file, events, begin=0):
     """Write AEDAT 2.0 as a DAVIS does, its clock `begin` microseconds ahead; an image sample and a signal beside."""
     words = []
-    for t, x, y, p in zip(*(c.tolist() for c in (events.t, events.x, events.y, events.p)), strict=True):
+    for t, x, y, p in zip(*(c.tolist() for c in columns(events)), strict=True):
         words += [y << 22 | x << 12 | int(p) << 11, (t + begin) % 2**32]
     beside = [1 << 31 | 3 << 12, words[1], 1 << 10, words[1]]
     head = b"#!AER-DAT2.0\r\n# a DAVIS346\r\n"
@@ -47,7 +50,7 @@ def write_evt3(file, events):
     """Write EVT 3.0 with one word for each coordinate that changes; the clock of 24 bits begins with the events."""
     words, row = [], None
     last = (-1, -1)
-    for t, x, y, p in zip(*(c.tolist() for c in (events.t, events.x, events.y, events.p)), strict=True):
+    for t, x, y, p in zip(*(c.tolist() for c in columns(events)), strict=True):
         high, low = t >> 12 & 0xFFF, t & 0xFFF
         words += [0x8000 | high] * (high != last[0]) + [0x6000 | low] * ((high, low) != last) + [y] * (y != row)
         words.append(0x2000 | int(p) << 11 | x)

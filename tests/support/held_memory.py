@@ -6,18 +6,13 @@ What a process has freed and kept serves its next 200 MB too, and then nothing r
 import multiprocessing
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from typing import Self, TypeVar
 
 import numpy as np
 import psutil
 from little import Lookup, journey
 from little_runs import run_of, table
 
-from vprbench.api.arrays import Places
-from vprbench.api.images import Images
 from vprbench.run import machine
-
-Answer = TypeVar("Answer")
 
 
 def in_a_new_process(measure):
@@ -48,7 +43,7 @@ class Large(Lookup):
 
     resident_bytes: int = 0
 
-    def fit(self, references: Images, places: Places) -> Self:
+    def fit(self, references, places):
         self.resident_bytes = psutil.Process().memory_info().rss
         np.ones(200_000_000, np.uint8)
         return self

@@ -6,7 +6,6 @@ import os
 import signal
 import sys
 import time
-from typing import Any, Self
 
 from little import Prototypes
 
@@ -15,40 +14,40 @@ from vprbench.methods.sad import SAD
 
 
 class Crashing(SAD):
-    def fit(self, *given: Any) -> Self:
+    def fit(self, *given):
         ctypes.string_at(0)
         return super().fit(*given)
 
 
 class Leaving(SAD):
-    def fit(self, *given: Any) -> Self:
+    def fit(self, *given):
         sys.exit()
 
 
 class Hanging(SAD):
-    def fit(self, *given: Any) -> Self:
+    def fit(self, *given):
         signal.signal(signal.SIGALRM, signal.SIG_IGN)  # as what has time limits of its own
         time.sleep(600)
         return self
 
 
 class Silent(SAD):
-    def fit(self, *given: Any) -> Self:
+    def fit(self, *given):
         raise BadInput
 
 
 class Colourful(SAD):
-    def fit(self, *given: Any) -> Self:
+    def fit(self, *given):
         raise RuntimeError("a name\x1b[31m\nvprbench: all is well")
 
 
 class Rootless(SAD):
-    def fit(self, *given: Any) -> Self:
+    def fit(self, *given):
         raise GeneratorExit("a name\x1b[31m\nvprbench: all is well")
 
 
 class Unruly(SAD):
-    def fit(self, *given: Any) -> Self:
+    def fit(self, *given):
         print('{"method": "mine"}')
         os.write(1, b"{}\n")
         os.system("echo from a shell")
@@ -60,6 +59,6 @@ class Unruly(SAD):
 
 
 class Moving(Prototypes):
-    def fit(self, *given: Any) -> Self:
+    def fit(self, *given):
         os.chdir("/")
         return super().fit(*given)

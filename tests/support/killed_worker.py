@@ -11,7 +11,7 @@ from pathlib import Path
 class Kills:
     folder: Path  # holds a file for each attempt
 
-    def __call__(self, always: bool) -> int:
+    def __call__(self, always):
         attempts = self.folder / str(always)
         attempts.mkdir(exist_ok=True)
         (attempts / uuid.uuid4().hex).touch()

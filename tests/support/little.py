@@ -3,15 +3,14 @@
 import os
 import signal
 import sys
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from itertools import count
-from typing import Any, ClassVar, Self
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.api.arrays import Places, Scores
+from vprbench.api.arrays import Scores
 from vprbench.api.dataset import Dataset
 from vprbench.api.descriptor import DescriptorMethod
 from vprbench.api.images import Images
@@ -48,7 +47,7 @@ def numbers_in(images):
 class Angles(DescriptorMethod):
     """Describes image number i by cosines of i, in 16 dimensions; images of every 20th number look alike."""
 
-    def encode(self, images: Images) -> npt.NDArray[np.float32]:
+    def encode(self, images):
         numbers = np.array([number_in(image) for image in images]) % 20
         vectors = np.cos(numbers[:, None] * np.arange(1, 17) + np.arange(16))
         return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True), np.float32)
@@ -61,15 +60,15 @@ class Lookup(Method):
     table: Scores  # (n_queries, n_places)
     asked: list[list[int]] = field(default_factory=list)  # the numbers of the images of each call
 
-    def fit(self, references: Images, places: Places) -> Self:
+    def fit(self, references, places):
         return self
 
-    def encode(self, images: Images) -> npt.NDArray[np.int64]:
+    def encode(self, images):
         numbers = numbers_in(images)
         self.asked.append(numbers)
         return np.array(numbers)
 
-    def match(self, codes: npt.NDArray[np.int64]) -> Scores:
+    def match(self, codes):
         return self.table[codes]
 
 
@@ -86,25 +85,25 @@ class Prototypes(Method):
 
     _means: npt.NDArray[np.float32] | None = field(default=None, init=False, repr=False, compare=False)
 
-    def fit(self, references: Images, places: Places) -> Self:
+    def fit(self, references, places):
         codes = self.encode(references)
         means = np.stack([codes[places == place].mean(0) for place in range(int(places.max()) + 1)])
         noise = np.random.default_rng(self.seed).normal(size=means.shape).astype(np.float32)
         self._means = means + np.float32(self.noise) * noise
         return self
 
-    def encode(self, images: Images) -> npt.NDArray[np.float32]:
+    def encode(self, images):
         return np.array([[*image[0, 0, :2], image.mean(), image.std()] for image in images], np.float32)
 
-    def match(self, codes: npt.NDArray[np.float32]) -> Scores:
+    def match(self, codes):
         return -np.float32(self.contrast) * np.abs(codes[:, None] - self.state()["means"]).mean(2)
 
-    def state(self) -> Mapping[str, npt.NDArray[np.float32]]:
+    def state(self):
         if self._means is None:
             raise NotFittedError("Prototypes has learnt nothing yet")
         return {"means": self._means}
 
-    def restore(self, state: Mapping[str, npt.NDArray[Any]]) -> Self:
+    def restore(self, state):
         if set(state) != {"means"}:
             raise BadInput(f"{', '.join(sorted(state))} came; wanted means")
         self._means = state["means"]

@@ -1,16 +1,11 @@
 """Small VPRSNN networks: trained on a made-up world, or made by hand with a known input for each neuron."""
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
-import pytest
-import torch
 
 from vprbench.api.dataset import HeldOut
 from vprbench.api.images import Images
-from vprbench.api.method import LayerSpikes
 from vprbench.methods.vprsnn import model
 from vprbench.methods.vprsnn.method import VPRSNN
 from vprbench.plugins.rules import Journey
@@ -45,14 +40,12 @@ def same(one, other):
 
 
 def layers(method, codes):
-    found: Sequence[LayerSpikes] = method.spikes(codes)
-    return {layer.name: np.asarray(layer.values) for layer in found}
+    return {layer.name: np.asarray(layer.values) for layer in method.spikes(codes)}
 
 
 def recorded_trains(monkeypatch):
     """Return a list to which every train that a network draws is added, as (n_steps, n_inputs)."""
-    trains: list[npt.NDArray[np.bool_]] = []
-    draw = model.spike_train
+    trains, draw = [], model.spike_train
 
     def record(levels, generator, intensity, steps, step_ms):
         train = draw(levels, generator, intensity, steps, step_ms)
@@ -63,15 +56,6 @@ def recorded_trains(monkeypatch):
 
     monkeypatch.setattr(model, "spike_train", record)
     return trains
-
-
-@pytest.fixture
-def one_thread():
-    """Modules are trained one after the other, unless a test says otherwise."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
 
 
 def member(state, number):
@@ -91,14 +75,9 @@ def made(heard, spoken_for, n_inputs):
         weights[0, list(inputs), neuron] = STRONG
         if place >= 0:
             sums[0, neuron, place] = 10
-    return {
-        "weights": weights,
-        "theta": np.full((1, n_neurons), 20.0),
-        "sums": sums,
-        "shown": np.full((1, n_places), 10),
-        "places": np.arange(n_places)[None],
-        "threshold": np.array(0),
-    }
+    places, shown = np.arange(n_places)[None], np.full((1, n_places), 10)
+    learnt = {"weights": weights, "theta": np.full((1, n_neurons), 20.0), "sums": sums}
+    return learnt | {"shown": shown, "places": places, "threshold": np.array(0)}
 
 
 def lit(n_inputs, *pixels):

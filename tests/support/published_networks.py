@@ -1,7 +1,7 @@
 """Checks that every published network has to pass, put to it as scikit-learn puts its own to estimators."""
 
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -15,7 +15,6 @@ from described_images import composed, distance, encoded, image
 from torch import Tensor
 
 from vprbench.api.arrays import Image
-from vprbench.api.neural import NeuralDescriptor
 from vprbench.api.weights import Weights
 from vprbench.errors import BadInput
 from vprbench.plugins import conformance, registry
@@ -72,46 +71,46 @@ class PublishedNetwork:
     _kept: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
 
     @property
-    def tensors(self) -> Tensors:
+    def tensors(self):
         """The random values, drawn once."""
         if "tensors" not in self._kept:
             self._kept["tensors"] = self.draw()
         return self._kept["tensors"]
 
-    def file(self, folder: Path) -> Path:
+    def file(self, folder):
         """Return the file, written where it is missing."""
         path = folder / f"{self.name}.weights"
         return path if path.exists() else self.write(path, self.tensors)
 
-    def method(self, path: Path, **arguments: Any) -> NeuralDescriptor:
+    def method(self, path, **arguments):
         """Return the method with these weights; what the yaml says of the size of images is left out."""
         kind = registry.entries("method")[self.name].target()
         files = {"weights": path} | {name: write(path) for name, write in self.beside.items()}
         given = {name: Weights(file.name, "none", "nothing", path=str(file)) for name, file in files.items()}
         return kind(**{**given, **self.arguments, **arguments})
 
-    def encode(self, folder: Path, *images: Image, **arguments: Any) -> npt.NDArray[np.float32]:
+    def encode(self, folder, *images, **arguments):
         return encoded(self.method(self.file(folder), **arguments), *images)
 
-    def codes(self, folder: Path) -> npt.NDArray[np.float32]:
+    def codes(self, folder):
         """Return the descriptors of the images, computed once."""
         if "codes" not in self._kept:
             self._kept["codes"] = self.encode(folder, *self.images)
         return self._kept["codes"]
 
-    def slowly(self, *images: Image, tensors: Tensors | None = None, **how: Any) -> Floats:
+    def slowly(self, *images, tensors=None, **how):
         """Return the descriptors of the slow computation at unit length, each image alone."""
         own = self.tensors if tensors is None else tensors
         return np.stack([unit(np.asarray(self.expected(own, seen, **how))) for seen in images])
 
-    def refusal(self, path: Path, **arguments: Any) -> str:
+    def refusal(self, path, **arguments):
         with pytest.raises(BadInput) as error:
             self.method(path, **arguments).load(path)
         assert "\n" not in str(error.value)
         assert str(path) in str(error.value)
         return str(error.value)
 
-    def check_contract(self, folder: Path, **options: Any) -> set[str]:
+    def check_contract(self, folder, **options):
         """Put the method to every rule; returns the rules that it is excepted from. The network is read once."""
         config = composed(f"method={self.name}") | dict(self.arguments) | options
         path = self.file(folder)
@@ -119,7 +118,7 @@ class PublishedNetwork:
             config[name]["path"] = str(file)
         return excepted(config, registry.make_method(config).load(path))
 
-    def checks(self) -> Iterator[tuple[str, Callable[[Path], None]]]:
+    def checks(self):
         """Yield each check's name and what runs it, given a folder that files may be written to."""
         yield "descriptors", self._has_the_descriptors_of_the_slow_computation
         yield "batches", self._neither_batch_nor_repetition_changes_a_descriptor
@@ -132,7 +131,7 @@ class PublishedNetwork:
         for name, form in self.forms.items():
             yield f"form {name}", partial(self._reads, form)
 
-    def _has_the_descriptors_of_the_slow_computation(self, folder: Path) -> None:
+    def _has_the_descriptors_of_the_slow_computation(self, folder):
         codes = self.codes(folder)
         assert codes.shape == (len(self.images), self.n_dimensions)
         assert codes.dtype == np.float32
@@ -140,13 +139,13 @@ class PublishedNetwork:
         assert distance(codes, self.slowly(*self.images)) < self.tolerance
         assert distance(codes[0], codes[1]) > 1e-3
 
-    def _neither_batch_nor_repetition_changes_a_descriptor(self, folder: Path) -> None:
+    def _neither_batch_nor_repetition_changes_a_descriptor(self, folder):
         method = self.method(self.file(folder), batch_size=3)
         singles = np.concatenate([encoded(method, one) for one in self.images])
         assert distance(singles, self.codes(folder)) < 1e-5
         assert np.array_equal(encoded(method, *self.images), encoded(method, *self.images))
 
-    def _half_the_precision_keeps_the_descriptor(self, folder: Path) -> None:
+    def _half_the_precision_keeps_the_descriptor(self, folder):
         method = self.method(self.file(folder))
         network = method.load(self.file(folder))
         method.use(network)
@@ -158,7 +157,7 @@ class PublishedNetwork:
             half = network(seen.to(torch.bfloat16)).float()
         assert torch.nn.functional.cosine_similarity(half, exact).min() > self.alike_in_half
 
-    def _names_wrong_tensors(self, folder: Path) -> None:
+    def _names_wrong_tensors(self, folder):
         method, path = self.method(folder / "none"), folder / "x.pth"
         tensors = {name.removeprefix("module."): tensor for name, tensor in self.tensors.items()}
         for name, shape in {next(iter(tensors)): None, "other.weight": (3, 3), **self.wrong}.items():
@@ -168,17 +167,15 @@ class PublishedNetwork:
             with pytest.raises(BadInput, match=f"x.pth.*{re.escape(shown)}"):
                 method.loaded(changed, path)
 
-    def _has_the_descriptors_under(
-        self, arguments: Mapping[str, Any], seen: Image, how: Mapping[str, Any], folder: Path
-    ) -> None:
+    def _has_the_descriptors_under(self, arguments, seen, how, folder):
         assert distance(self.encode(folder, seen, **arguments), self.slowly(seen, **how)) < self.tolerance
 
-    def _refuses(self, told: str, arguments: Mapping[str, Any], size: tuple[int, int], folder: Path) -> None:
+    def _refuses(self, told, arguments, size, folder):
         with pytest.raises(BadInput, match=re.escape(told)) as error:
             self.encode(folder, image(*size), **arguments)
         assert "\n" not in str(error.value)
 
-    def _reads(self, form: Callable[[Tensors], Mapping[str, Any]], folder: Path) -> None:
+    def _reads(self, form, folder):
         method = self.method(saved(folder / "form.weights", form(self.tensors)))
         assert distance(encoded(method, *self.images), self.codes(folder)) < 1e-5
 
@@ -189,13 +186,13 @@ class SmallNetwork(torch.nn.Module):
     mean: tuple[float, ...] | None = None  # what NetVLAD asks for
     seen: Tensor
 
-    def __init__(self) -> None:
+    def __init__(self):
         super().__init__()
         self.convolution = torch.nn.Conv2d(3, 32, 8, stride=8)
         self.convolution.weight.data = torch.randn(32, 3, 8, 8, generator=torch.Generator().manual_seed(0))
         self.register_buffer("centres", torch.zeros(1))  # what AnyLoc sets
 
-    def forward(self, images: Tensor) -> Tensor:
+    def forward(self, images):
         self.seen = images
         return torch.nn.functional.adaptive_avg_pool2d(self.convolution(images), 3).flatten(1)
 

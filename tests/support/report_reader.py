@@ -1,10 +1,8 @@
 """Someone who reads a report in a browser, and what they see of it."""
 
 import re
-from pathlib import Path
-from typing import Any
 
-from playwright.sync_api import Browser, BrowserContext, Page
+from playwright.sync_api import BrowserContext
 
 PATIENCE = 30_000  # milliseconds, where nothing is slow but the machine may be
 
@@ -12,14 +10,14 @@ PATIENCE = 30_000  # milliseconds, where nothing is slow but the machine may be
 class Reader:
     """Someone who opens pages and writes down what goes wrong meanwhile."""
 
-    def __init__(self, browser: Browser, folder: Path) -> None:
+    def __init__(self, browser, folder):
         self.browser = browser
         self.folder = folder
         self.contexts: list[BrowserContext] = []
         self.complaints: list[str] = []
         self.requests: list[str] = []
 
-    def read(self, text: str, **options: Any) -> Page:
+    def read(self, text, **options):
         file = self.folder / f"report-{len(self.contexts)}.html"
         file.write_text(text, encoding="utf-8")
         self.contexts.append(self.browser.new_context(**{"viewport": {"width": 1280, "height": 900}, **options}))

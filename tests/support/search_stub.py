@@ -1,12 +1,10 @@
 """Stands in for training in tests of the search: a known recall for any settings, and ways to fail."""
 
-from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
 
-from vprbench.tuning.objective import Task, Tried
+from vprbench.tuning.objective import Tried
 from vprbench.tuning.workers import Answer
 
 
@@ -23,7 +21,7 @@ class Stub:
     diverges_above: float = 2.0  # rate_max
     shifts_by_seed: float = 0.0  # how much less recall a seed has than the one before
 
-    def __call__(self, task: Task) -> Tried:
+    def __call__(self, task):
         values, seed = task.values, task.seed or 0
         if values["rate_max"] > self.fails_above:
             raise MemoryError("no room")
@@ -36,16 +34,16 @@ class Stub:
 class Here:
     """In place of processes: tries in this one."""
 
-    def __init__(self, attempt: Callable[[Task], Tried], count: int = 1, killed_at: int | None = None) -> None:
+    def __init__(self, attempt, count=1, killed_at=None):
         self.attempt, self.started, self.killed_at = attempt, count, killed_at
 
-    def __enter__(self) -> Self:
+    def __enter__(self):
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, *_):
         """Nothing was started."""
 
-    def answers(self, tasks: Sequence[Task], begins: Callable[[int], None]) -> Iterator[Answer[Tried]]:
+    def answers(self, tasks, begins):
         for number, task in enumerate(tasks):
             begins(number)
             if number == self.killed_at:

@@ -4,7 +4,6 @@ import threading
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from typing import Any
 
 _PIECE = 1 << 15
 
@@ -37,9 +36,9 @@ class Served:
     breaks_after: int | None = None  # bytes of each answer
     stalls_after: int | None = None  # bytes of each answer
 
-    def answer(self, handler: BaseHTTPRequestHandler, asked: Asked) -> None:
+    def answer(self, handler, asked):
         start = int(asked.range.removeprefix("bytes=").removesuffix("-")) if asked.range and self.honours_ranges else 0
-        version = self.etag or self.modified
+        version, size = self.etag or self.modified, len(self.content)
         if handler.headers.get("If-Range", version) != version:
             start = 0
         rest = self.content[start:]
@@ -47,17 +46,12 @@ class Served:
         headers = {"Content-Type": self.kind, "Content-Length": str(len(rest)), "Location": self.location}
         headers |= {"ETag": self.etag, "Last-Modified": self.modified}
         headers["Content-Disposition"] = 'attachment; filename="published.ckpt"' if self.attached else None
-        if asked.status == 206:
-            size = len(self.content)
-            headers["Content-Range"] = f"bytes {start}-{size - 1}/{size}"
+        headers["Content-Range"] = f"bytes {start}-{size - 1}/{size}" if asked.status == 206 else None
         handler.send_response(asked.status)
         for name, value in headers.items():
             if value is not None:
                 handler.send_header(name, value)
         handler.end_headers()
-        self._send(handler, asked, rest)
-
-    def _send(self, handler: BaseHTTPRequestHandler, asked: Asked, rest: bytes) -> None:
         for at in range(0, len(rest), _PIECE):
             if self.breaks_after is not None and at >= self.breaks_after:
                 return
@@ -65,8 +59,7 @@ class Served:
                 self.net.stalled.set()
                 self.net.go_on.wait(240)
                 return
-            handler.wfile.write(rest[at : at + _PIECE])
-            asked.sent_bytes += len(rest[at : at + _PIECE])
+            asked.sent_bytes += handler.wfile.write(rest[at : at + _PIECE])
 
 
 @dataclass
@@ -79,16 +72,16 @@ class Server:
     stalled: threading.Event = field(default_factory=threading.Event)
     go_on: threading.Event = field(default_factory=threading.Event)
 
-    def serve(self, path: str, content: bytes = b"", **trouble: Any) -> str:
+    def serve(self, path, content=b"", **trouble):
         """Put a file on the net; returns its address."""
         self.files[path] = Served(content, self, self.url + path, **trouble)
         return self.url + path
 
-    def ranges(self) -> list[str | None]:
+    def ranges(self):
         """Return the parts that were answered, each once."""
         return list(dict.fromkeys(asked.range for asked in self.asked if asked.status == 206))
 
-    def answer(self, handler: BaseHTTPRequestHandler) -> None:
+    def answer(self, handler):
         asked = Asked(handler.path, handler.headers.get("Range"))
         self.asked.append(asked)
         served = self.files.get(handler.path.partition("?")[0])
@@ -102,17 +95,17 @@ class Server:
 
 
 class _Quiet(ThreadingHTTPServer):
-    def handle_error(self, *_: Any) -> None:
+    def handle_error(self, *_):
         pass  # a client that goes away
 
 
 @contextmanager
 def serving():
     class Handler(BaseHTTPRequestHandler):
-        def do_GET(self) -> None:
+        def do_GET(self):
             server.answer(self)
 
-        def log_message(self, *_: Any) -> None:
+        def log_message(self, *_):
             pass
 
     with _Quiet(("127.0.0.1", 0), Handler) as http:

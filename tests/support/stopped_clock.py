@@ -1,39 +1,35 @@
 """A clock that only tests move, in place of those by which runs are timed, and reading that waits to be waited for."""
 
 import threading
-from collections.abc import Callable
 from functools import partial
-from types import ModuleType, SimpleNamespace
-from typing import Any, Self
+from types import SimpleNamespace
 
-import pytest
-
-from vprbench.run.stopwatch import Protocol, Stopwatch
+from vprbench.run.stopwatch import Stopwatch
 
 
 class Clock:
     """Stands still until somebody spends time; any thread may."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.now = 0  # nanoseconds
         self._one_at_a_time = threading.Lock()
 
-    def __call__(self) -> int:
+    def __call__(self):
         return self.now
 
-    def seconds(self) -> float:
+    def seconds(self):
         return self.now / 1e9
 
-    def spend(self, seconds: float) -> None:
+    def spend(self, seconds):
         with self._one_at_a_time:
             self.now += round(seconds * 1e9)
 
-    def replaces_those_of(self, modules: list[ModuleType], patch: pytest.MonkeyPatch) -> None:
+    def replaces_those_of(self, modules, patch):
         """Let modules take the time from this clock, themselves and by the stopwatches that they make."""
         clock = self
 
         class Stopped(Stopwatch):
-            def __init__(self, protocol: Protocol, **options: Any) -> None:
+            def __init__(self, protocol, **options):
                 super().__init__(protocol, clock, **options)
 
         for module in modules:
@@ -46,17 +42,17 @@ class Clock:
 class ReadersThatWait:
     """In place of a pool of threads: does what it was asked for when the answer is waited for, and not before."""
 
-    def __init__(self, workers: int) -> None:
+    def __init__(self, workers):
         self.workers = workers
 
-    def __enter__(self) -> Self:
+    def __enter__(self):
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, *_):
         self.shutdown()
 
-    def submit(self, call: Callable[..., Any], *arguments: Any) -> SimpleNamespace:
+    def submit(self, call, *arguments):
         return SimpleNamespace(result=partial(call, *arguments))
 
-    def shutdown(self, cancel_futures: bool = False) -> None:
+    def shutdown(self, cancel_futures=False):
         """Nothing is under way."""

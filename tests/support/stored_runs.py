@@ -1,6 +1,7 @@
 """Made-up runs, failures and a plan for what is made of stored runs; every number in them is known."""
 
 from dataclasses import replace
+from types import MappingProxyType
 
 import little
 import numpy as np
@@ -53,13 +54,12 @@ def run(
     *,
     device="cpu",
     day="2025-03-01",
-    changed=None,
+    changed=MappingProxyType({}),
     dataset=RAILWAY,
     machine=None,
     encode_seconds=(0.010,) * 5,
     match_seconds=(0.0025,) * 5,
     n_places=10,
-    notes=(),
     config=None,
     **changes,
 ):
@@ -71,25 +71,19 @@ def run(
         dataset=str(dataset["name"]),
         key=f"{method}-{seed}-{device}-{day}",
         config={
-            "method": {
-                "_target_": f"made.{method}",
-                "rules": "paper",
-                "max_module": 1100,
-                **(changed or {}),
-                "seed": seed,
-            },
+            "method": {"_target_": f"made.{method}", "rules": "paper", "max_module": 1100, **changed, "seed": seed},
             "dataset": dict(dataset),
             "seed": seed,
             "device": device,
-            "overrides": [f"method={method}", *(f"method.{name}={value}" for name, value in (changed or {}).items())],
-            "changed": dict(changed or {}),
+            "overrides": [f"method={method}", *(f"method.{name}={changed[name]}" for name in changed)],
+            "changed": dict(changed),
             "code": "c0de",
             "timing": {"minimum_seconds": 2.0, "minimum_queries": 64, "sample": 256},
             **(config or {}),
         },
         protocol=protocol,
         environment={**(machine or (LOOM if device == "cuda" else ABACUS)), "time_utc": f"{day}T12:00:00Z"},
-        notes=notes,
+        notes=(),
         search=None,
         timing=timing,
         outcome=answers(hits, n_places),

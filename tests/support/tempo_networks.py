@@ -63,11 +63,11 @@ def shown(count, n_pixels=N_PIXELS, seed=1):
 
 def one_matrix(members):
     """Return the mean over the members of W_o W_f, (n_places, n_pixels)."""
-    products = [
-        np.concatenate([double(w_o).T @ double(w_f) for w_f, w_o in zip(member.features, member.outputs, strict=True)])
-        for member in members
-    ]
-    return np.mean(products, axis=0)
+
+    def product(part):
+        return np.concatenate([double(o).T @ double(f) for f, o in zip(part.features, part.outputs, strict=True)])
+
+    return np.mean([product(member) for member in members], axis=0)
 
 
 def one_by_one(query, spikes):

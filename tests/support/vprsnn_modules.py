@@ -16,14 +16,8 @@ Spikes = npt.NDArray[np.bool_]  # (n_steps, n_inputs)
 class Module:
     """A module that is shown one image after the other, from a silence without beginning."""
 
-    def __init__(
-        self,
-        weights: Floats,  # (n_inputs, n_neurons)
-        theta: float | Floats = 20.0,
-        delays: npt.NDArray[np.integer] | None = None,  # none: all arrive at once
-        learning: bool = True,
-        values: Arguments | None = None,
-    ) -> None:
+    def __init__(self, weights, theta=20.0, delays=None, learning=True, values=None):
+        """Take weights and delays, (n_inputs, n_neurons); without delays all spikes arrive at once."""
         values = Arguments() if values is None else values
         n_inputs, self.n = weights.shape
         delays = np.zeros(weights.shape, np.int16) if delays is None else delays.astype(np.int16)
@@ -33,25 +27,25 @@ class Module:
         self.longest, self.n_inputs, self.now = int(delays.max()), n_inputs, 0
 
     @property
-    def weights(self) -> Floats:
+    def weights(self):
         return unpadded(self.synapses.weights, self.n)
 
     @property
-    def theta(self) -> Floats:
+    def theta(self):
         return self.state.theta[: self.n].copy()
 
     @property
-    def v(self) -> Floats:
+    def v(self):
         return self.state.v[: self.n].copy()
 
     @property
-    def counts(self) -> npt.NDArray[np.int32]:
+    def counts(self):
         return self.state.counts[: self.n].copy()
 
-    def normalise(self, total: float) -> None:
+    def normalise(self, total):
         normalise(self.synapses.weights, total)
 
-    def show(self, spikes: Spikes, resting: bool = True) -> npt.NDArray[np.int32]:
+    def show(self, spikes, resting=True):
         """Return the counts (n_neurons,) of an image, which lasts as long as its spikes, and of the rest before it."""
         physics = self.physics._replace(shown=len(spikes))
         scratch = Scratch.of(physics, self.n, self.n_inputs, self.longest, self.learning)
