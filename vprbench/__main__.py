@@ -1,26 +1,29 @@
-"""Makes `python -m vprbench` the command line, in a process that another one waits for: it may die without a word."""
+"""Makes `python -m vprbench` the command line, and the process that makes one job of another process."""
 
 from __future__ import annotations
 
 import contextlib
+import faulthandler
 import io
 import os
 import signal
 import sys
+from pathlib import Path
 from typing import NoReturn
-
-from vprbench import ending
 
 
 def main() -> int:
     """Run the command line; returns the exit code, 0 only if every run or command that was asked for is done."""
-    if ending.waited_for():
-        return _waited_for()
+    _open_streams()
+    faulthandler.enable(2)  # standard error: a crash names the line of the plug-in
+    from vprbench.run import job
+
+    if folder := os.environ.pop(job.FOLDER, ""):
+        return _make_job(Path(folder))
     from vprbench.commands.at_once import answered
     from vprbench.errors import BadInput
     from vprbench.text import printable
 
-    _open_streams()
     try:
         if (code := answered(sys.argv[1:])) is not None:
             sys.stdout.flush()
@@ -30,47 +33,42 @@ def main() -> int:
     except OSError:
         sys.stdout = io.StringIO()  # the interpreter flushes it in the end
         return _complain("standard output was closed before all was printed", 1)
-    from vprbench.run.processes import run_apart
+    signal.signal(signal.SIGTERM, _interrupt)
+    from vprbench import cli, progress
 
-    try:
-        return run_apart(sys.argv[1:], in_sweep=False).code
-    except KeyboardInterrupt as interruption:
-        return _complain("interrupted; what was finished before is kept", 128 + interruption.args[0])
-    except OSError as error:
-        return _complain(f"no process can be started: {error}", 1)
+    progress.own_process = True
+    return cli.main()
 
 
-def _waited_for() -> int:
-    """Do what the command line asks for, and end with the process that waits."""
+def _make_job(folder: Path) -> int:
+    """Make a job in this process, and leave its result in the folder that it was asked in."""
+    from vprbench.run import job, timing_lock
+
+    job.current = job.Job.read(folder)
     if sys.platform == "linux":
         import ctypes
 
-        ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
-        if not ending.heard():  # it has died before
+        ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG: this process ends with the one that asked
+        if os.getppid() != job.current.parent:  # which has died before
             return 1
-    signal.signal(signal.SIGINT, _interrupt)
-    try:
-        from vprbench.run import timing_lock
+    signal.signal(signal.SIGINT, _interrupt_once)
+    with timing_lock.computing():
+        from vprbench import cli, progress
 
-        with timing_lock.computing() if "VPRBENCH_IN_SWEEP" in os.environ else contextlib.nullcontext():
-            from vprbench import cli
-
-            code = cli.main()
-    except SystemExit as error:  # of Hydra, which says why; a plug-in's is caught where the plug-in runs
-        code = error.code if isinstance(error.code, int) else int(error.code is not None)
-    except KeyboardInterrupt:  # before the command line could say so: the process that waits does
-        return 128 + signal.SIGINT
-    except BaseException:
-        ending.tell(code=1)  # and the traceback says the rest
-        raise
-    ending.tell(code=code)
-    return code
+        progress.own_process = True
+        result = cli.attempt(job.current.options)
+    result.write(folder)
+    return result.code
 
 
-def _interrupt(*_: object) -> NoReturn:
-    """Interrupt once: a terminal interrupts this process, and so does the one that waits."""
+def _interrupt(number: int, _: object) -> NoReturn:
+    raise KeyboardInterrupt(number)
+
+
+def _interrupt_once(number: int, _: object) -> NoReturn:
+    """Interrupt once: a terminal interrupts this process, and so does the one that asked."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    raise KeyboardInterrupt
+    raise KeyboardInterrupt(number)
 
 
 def _open_streams() -> None:

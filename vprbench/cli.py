@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import io
 import logging
 import os
@@ -10,11 +11,10 @@ import re
 import signal
 import sys
 import textwrap
-import time
 import traceback
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
@@ -23,30 +23,39 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from vprbench import ending
 from vprbench.cluster.search import spread_over
-from vprbench.cluster.sweep import divided, swept
+from vprbench.cluster.sweep import as_json, divided, swept
 from vprbench.commands import working
 from vprbench.commands.at_once import COMMANDS, answered
 from vprbench.errors import BadInput, ClusterLostError, NotThere, TrainingDivergedError
 from vprbench.plugins import registry
 from vprbench.progress import answers_alone, log_lines
+from vprbench.run import job
+from vprbench.run.child import run_job, scratch
 from vprbench.run.compose import check_names, explained, in_order, readable
-from vprbench.run.processes import IN_SWEEP, as_json, record, scratch
+from vprbench.run.job import JobResult
 from vprbench.run.settings import KNOWN, RECORDED, checked_settings, n_threads
 from vprbench.text import near, printable
+
+if TYPE_CHECKING:
+    from vprbench.run.record import Failure
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code: 0, 1 for a run that failed, 2 for input to be mended."""
+    return attempt(sys.argv[1:] if arguments is None else arguments).code
+
+
+def attempt(given: Sequence[str]) -> JobResult:
+    """Run the command line; returns the exit code and why it is not 0, which standard error says too."""
     log_lines()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a terminal that knows no arrows shows something else
             stream.reconfigure(errors="replace")
-    arguments = list(sys.argv[1:] if arguments is None else arguments)
+    arguments = list(given)
     try:
         if (code := answered(arguments)) is not None:
-            return code
+            return JobResult(code)
         arguments = ["wide=true" if argument == "--wide" else argument for argument in arguments]
         registry.register_search_path()
         name = arguments[0] if re.fullmatch(r"\w[\w-]*", arguments[0]) else "run"
@@ -56,7 +65,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             )
         if name != "run":
             try:
-                return int(getattr(working, COMMANDS[name].does.partition(":")[2])(arguments[1:]))
+                return JobResult(int(getattr(working, COMMANDS[name].does.partition(":")[2])(arguments[1:])))
             except SystemExit as error:  # of a plug-in; Hydra's goes on
                 return _complain(_told(error), 1)
         return run_or_sweep(in_order(readable(arguments[arguments[0] == "run" :])))
@@ -72,17 +81,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _complain(f"{error.filename or 'a file'}: {error.strerror or error}")
     except KeyboardInterrupt as error:
         code = 128 + int((error.args or (signal.SIGINT,))[0])
-        if os.environ.get(IN_SWEEP):  # the sweep or the table that waits for this run says it
-            return code
+        if job.current is not None:  # the process that asked says it
+            return JobResult(code)
         return _complain("interrupted; what was finished before is kept: give the same command again", code)
 
 
-def run_or_sweep(arguments: list[str]) -> int:
+def run_or_sweep(arguments: list[str]) -> JobResult:
     """Run one method on one dataset, or with -m all combinations, each in a process of its own."""
     sweep = any(text == "-m" or "multirun" in text.lower() for text in arguments)
     options, arguments = divided(arguments, sweep)
     check_names(arguments)
-    codes: list[int] = []
+    results: list[JobResult] = []
     runs: list[list[str]] = []  # of a sweep, the options of each
     errors: list[Exception] = []
 
@@ -92,7 +101,7 @@ def run_or_sweep(arguments: list[str]) -> int:
             if HydraConfig.get().mode == RunMode.MULTIRUN:
                 runs.append(list(HydraConfig.get().overrides.task))
             else:
-                codes.append(_run(config))
+                results.append(_run(config))
         except Exception as error:  # Hydra would print lines of its own; it is raised again below
             errors.append(error)
 
@@ -108,64 +117,74 @@ def run_or_sweep(arguments: list[str]) -> int:
             sys.argv = kept
     if errors:
         raise errors[0]
-    return swept(runs, options) if runs else max(codes, default=0)
+    return JobResult(swept(runs, options)) if runs else [*results, JobResult(0)][0]
 
 
-def _run(config: DictConfig) -> int:
+def _run(config: DictConfig) -> JobResult:
     """Run one configuration, or answer it from the store."""
     plain = cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
     settings = checked_settings(plain)
-    choices = HydraConfig.get().runtime.choices
+    choices, given = HydraConfig.get().runtime.choices, [*HydraConfig.get().overrides.task]
     registry.insist_on_one("method", choices["method"])
     registry.insist_on_one("dataset", choices["dataset"])
     asked = {name: plain[name] for name in RECORDED}
-    asked["overrides"] = [registry.as_asked(option) for option in HydraConfig.get().overrides.task]
+    asked["overrides"] = [registry.as_asked(option) for option in given]
     from vprbench.run import machine
     from vprbench.run.find_or_make import FailedElsewhereError, answer
     from vprbench.run.record import Failure
     from vprbench.run.run_lock import HeldElsewhereError
     from vprbench.run.store import Store
 
-    whose = {"method": choices["method"], "dataset": asked["dataset"].get("name", choices["dataset"]), "config": asked}
     store, threads, process = Store(Path(settings.results).expanduser()), n_threads(settings), os.getpid()
-    output = settings.output if os.environ.get(IN_SWEEP) else "row"
-    ending.tell(run=whose, results=str(store.root.absolute()), threads=threads, output=output)
-    if settings.limit_minutes is not None:
-        ending.tell(limit_minutes=settings.limit_minutes, until=time.monotonic() + 60 * settings.limit_minutes)
+
+    def failed(error: str, missing: bool = False) -> Failure:
+        dataset = asked["dataset"].get("name", choices["dataset"])
+        return Failure(choices["method"], dataset, asked, error, machine.capture(settings.device, threads), missing)
+
+    as_job = job.current is not None
+    if settings.limit_minutes is not None and not as_job:
+        result = run_job(given)
+        if result.code == 1 and not result.recorded:
+            store.try_to_save_failure(failed(result.error))
+        return result
     with answers_alone() as say:
         try:
             with spread_over(settings.search_scheduler):
-                return answer(choices["method"], asked, settings, store, say)
+                key = answer(choices["method"], asked, settings, store, functools.partial(_say, process, say))
+                return JobResult(0, key=key)
         except KeyboardInterrupt:
             raise
-        except HeldElsewhereError as error:  # whoever waits asks again
+        except HeldElsewhereError as error:  # the process that asked asks again
             logging.info("%s: it is left to that", error)
-            ending.tell(held=str(error.path))
-            return 0
-        except FailedElsewhereError as error:
-            ending.tell(recorded=True, missing=error.failure.missing)
-            if output == "json":
-                say(as_json(error.failure))
-            return _complain(str(error), 1)
+            return JobResult(0, held=str(error.path))
         except BaseException as error:  # whatever a plug-in raises
-            ending.leave_if_forked(process)
-            failure = Failure(
-                **whose,
-                error=_public(_told(error).splitlines()[0]),
-                environment=machine.capture(settings.device, threads),
-                missing=isinstance(error, NotThere),
-            )
-            if isinstance(error, BadInput) and not os.environ.get(IN_SWEEP):
+            _leave_if_forked(process)
+            elsewhere = error.failure if isinstance(error, FailedElsewhereError) else None
+            failure = elsewhere or failed(_public(_told(error).splitlines()[0]), isinstance(error, NotThere))
+            if isinstance(error, BadInput) and not as_job:
                 raise
-            record(failure, store.root)
-            ending.tell(recorded=True, missing=failure.missing)
-            if output == "json":
+            if elsewhere is None:
+                store.try_to_save_failure(failure)
+            if settings.output == "json" and as_job:
                 say(as_json(failure))
             if isinstance(error, BadInput):
-                raise
+                return _complain(str(error).strip() or failure.error, 2, failure)
+            if elsewhere is not None:
+                return _complain(str(error), 1, failure)
             if not isinstance(error, TrainingDivergedError):
                 print(textwrap.indent(printable(traceback.format_exc(), but="\n"), "  "), file=sys.stderr)
-            return _complain(f"{failure.method} failed: {failure.error}", 1)
+            return _complain(f"{failure.method} failed: {failure.error}", 1, failure)
+
+
+def _say(process: int, say: Callable[[str], None], line: str) -> None:
+    _leave_if_forked(process)
+    say(line)
+
+
+def _leave_if_forked(process: int) -> None:
+    """End this process if a plug-in has forked it: its answer would be a second one."""
+    if os.getpid() != process:
+        os._exit(0)
 
 
 def _told(error: BaseException) -> str:
@@ -185,8 +204,8 @@ def _public(text: str) -> str:
     return text if home in ("~", "/", "") else text.replace(home, "~")
 
 
-def _complain(message: str, code: int = 2) -> int:
-    ending.tell(error=message)
+def _complain(message: str, code: int = 2, stored: Failure | None = None) -> JobResult:
+    """Say why the exit code is not 0; `stored` is the failure that the store knows of."""
     with contextlib.suppress(OSError):  # nobody may be there to read it
         print(printable(f"vprbench: {message}"), file=sys.stderr, flush=True)
-    return code
+    return JobResult(code, stored is not None and stored.missing, message, recorded=stored is not None)

@@ -13,13 +13,13 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext, redi
 from contextvars import ContextVar
 from typing import Any, TextIO
 
-from vprbench import ending
 from vprbench.text import printable
 
 Listener = Callable[[str, float], None]  # stage, share done from 0 to 1
 
 MARKED = "VPRBENCH_MARKED"  # set for a process whose standard error another one reads: stages and warnings are marked
 _MARK, _WARNING = "\x01", "!"
+own_process = False  # whether this process is the command line's own, and no program or test that calls it
 
 _listener: ContextVar[Listener | None] = ContextVar("progress_listener", default=None)
 _elsewhere: ContextVar[Listener | None] = ContextVar("progress_elsewhere", default=None)
@@ -103,10 +103,10 @@ def marked(line: str) -> tuple[str, float] | str | None:
 def answers_alone() -> Iterator[Callable[[str], None]]:
     """Yield what prints a line on standard output; all else that is printed inside goes to standard error.
 
-    In a process that another process waits for this holds for compiled code too, and until the process ends.
+    In a process of the command line this holds for compiled code too, and until the process ends.
     """
     stream = sys.stdout
-    if ending.waited_for():
+    if own_process:
         stream.flush()
         stream = os.fdopen(os.dup(1), "w", encoding=stream.encoding, errors="replace")
         os.dup2(2, 1)

@@ -16,10 +16,10 @@ from served_files import serving
 from small_plan import RUN, Apart
 
 from vprbench.cli import main
-from vprbench.cluster import crew
+from vprbench.cluster import executors
 from vprbench.plugins import registry
-from vprbench.run import runner
-from vprbench.run.processes import IN_SWEEP, Ending
+from vprbench.run import job, runner
+from vprbench.run.job import Job, JobResult
 
 QUICK = ["dataset.places=12", "dataset.first_query_place=0", *RUN]
 KEYS = {*(f"recall_at_{n}" for n in (1, 5, 10, 25)), "recall_at_1_low", "recall_at_1_high", "fit_seconds", "run_folder"}
@@ -54,7 +54,7 @@ def frames(folder, count, size=(16, 12), mode="RGB"):
     return folder
 
 
-@pytest.mark.parametrize(("one", "options"), [("cli._run", []), ("cluster.crew.run_apart", ["-m"])])
+@pytest.mark.parametrize(("one", "options"), [("cli._run", []), ("cluster.executors.run_job", ["-m"])])
 def test_no_run_sees_a_temporary_folder_and_what_a_killed_sweep_left_is_removed_after_a_day(
     tmp_path, monkeypatch, one, options
 ):
@@ -67,7 +67,7 @@ def test_no_run_sees_a_temporary_folder_and_what_a_killed_sweep_left_is_removed_
 
     def look(*_, **__):
         seen.append(len({*temporary.iterdir()} - {old}))
-        return Ending(0) if options else 0
+        return JobResult(0)
 
     monkeypatch.setattr(f"vprbench.{one}", look)
     assert main([*options, "method=sad", *QUICK]) == 0
@@ -116,8 +116,8 @@ def test_a_row_names_its_numbers_and_its_folder_from_the_store_too_under_the_wor
 
 
 def test_a_sweep_survives_failing_cells_and_says_in_a_line_each_which_weights_are_missing(capsys, monkeypatch):
-    monkeypatch.setenv(IN_SWEEP, "1")
-    monkeypatch.setattr(crew, "run_apart", Apart())
+    monkeypatch.setattr(job, "current", Job())
+    monkeypatch.setattr(executors, "run_job", Apart())
     assert main(["-m", "method=gcl,salad,sad", *QUICK]) == 2
     (run,) = Path().rglob("run.json")
     assert json.loads(run.read_text())["method"] == "sad"

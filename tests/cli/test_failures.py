@@ -8,6 +8,8 @@ import pytest
 from little import a_failure, a_run
 
 from vprbench.cli import main
+from vprbench.run import job
+from vprbench.run.job import Job
 from vprbench.run.store import Store
 
 QUICK = ["dataset.places=12", "dataset.first_query_place=0", "timing.minimum_seconds=0", "threads=1"]
@@ -76,7 +78,7 @@ def test_a_failure_in_a_sweep_says_whether_something_was_missing_and_which_argum
     arguments, missing, capsys, tmp_path, monkeypatch
 ):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("VPRBENCH_IN_SWEEP", "1")  # where failures that are the user's are recorded too
+    monkeypatch.setattr(job, "current", Job())  # where failures that are the user's are recorded too
     assert main([*arguments, "output=json"]) == 2
     if missing is None:  # there is no such method, and nothing is stored
         assert not Path("results").exists()

@@ -11,12 +11,12 @@ import pytest
 from small_plan import RUN
 
 from vprbench.cli import main
-from vprbench.cluster import crew
+from vprbench.cluster import executors
 from vprbench.paper import missing_runs, shelf
 from vprbench.paper.missing_runs import MissingRun
 from vprbench.paper.plan import Row
 from vprbench.run.compose import composed
-from vprbench.run.processes import Ending
+from vprbench.run.job import JobResult
 from vprbench.run.store import Store
 
 SAD = Row("SAD", "sad", training="none")
@@ -43,7 +43,7 @@ def children(monkeypatch):
     def ending(*answers):
         asked = []
         left = list(answers)
-        monkeypatch.setattr(crew, "run_apart", lambda options, **_: asked.append(list(options)) or left.pop(0))
+        monkeypatch.setattr(executors, "run_job", lambda options, **_: asked.append(list(options)) or left.pop(0))
         return asked
 
     return ending
@@ -55,9 +55,9 @@ def store(tmp_path):
 
 
 def test_a_run_is_asked_for_by_its_options_and_one_without_its_method_is_a_failure_without_a_process(children, store):
-    asked = children(Ending(0))
+    asked = children(JobResult(0))
     row = Row("Big patches", "sad", arguments={"patch": 14, "preprocessing": "A"})
-    assert fill([a_wish(row, seed=3)], store, ["threads=1"]) == [Ending(0)]
+    assert fill([a_wish(row, seed=3)], store, ["threads=1"]) == [JobResult(0)]
     of_method = ["method=sad", "method.patch=14", 'method.preprocessing="A"']
     assert asked == [[*ROUTE[:2], *of_method, "seed=3", "device=cpu", "threads=1", f"results={store.root}"]]
     asked = children()
@@ -67,13 +67,13 @@ def test_a_run_is_asked_for_by_its_options_and_one_without_its_method_is_a_failu
     (failure,) = store.failures()
     assert (failure.method, failure.dataset, failure.missing) == ("no_such_method", "synthetic", True)
     assert "no_such_method" in failure.error
-    assert fill([a_wish(Row("HOG", "hog"), device="cuda")], store) == [Ending(0)]  # it knows no device
+    assert fill([a_wish(Row("HOG", "hog"), device="cuda")], store) == [JobResult(0)]  # it knows no device
     assert asked == []
 
 
 def test_weights_that_are_missing_are_looked_for_once_and_without_a_process(monkeypatch, children, store, tmp_path):
     monkeypatch.setenv("VPRBENCH_WEIGHTS", str(tmp_path))
-    asked = children(Ending(0))
+    asked = children(JobResult(0))
     row = Row("GCL", "gcl", arguments={"backbone": "vgg16"}, training="pretrained")
     wishes = [a_wish(row), a_wish(row, title="Street", dataset={"name": "street", "places": 20})]
     assert [(ending.code, ending.missing) for ending in fill(wishes, store)] == [(2, True)] * 2
@@ -81,17 +81,17 @@ def test_weights_that_are_missing_are_looked_for_once_and_without_a_process(monk
     assert told == {("synthetic", True, True), ("street", True, True)}
     assert asked == []
     (tmp_path / "MSLS_vgg16_GeM_480_GCL.pth").write_bytes(b"what is in it is for the process to see")
-    assert fill(wishes[:1], store) == [Ending(0)]
+    assert fill(wishes[:1], store) == [JobResult(0)]
     assert len(asked) == 1
-    missing = Ending(2, True, "weights are missing", recorded=True)  # as a process tells of its first seed
-    asked = children(missing, Ending(0))
+    missing = JobResult(2, True, "weights are missing", recorded=True)  # as a process tells of its first seed
+    asked = children(missing, JobResult(0))
     endings = fill([a_wish(seed=0), a_wish(seed=1), a_wish(Row("PCA", "pca"))], store)
-    assert (endings, len(asked)) == ([missing, missing, Ending(0)], 2)
+    assert (endings, len(asked)) == ([missing, missing, JobResult(0)], 2)
 
 
 def test_a_failure_of_one_seed_does_not_stop_the_next_and_is_stored_unless_the_process_did(children, store):
-    diverged, killed = Ending(1, False, "it diverged", recorded=True), Ending(1, False, "was ended by signal 9")
-    children(diverged, killed, Ending(0))
+    diverged, killed = JobResult(1, False, "it diverged", recorded=True), JobResult(1, False, "was ended by signal 9")
+    children(diverged, killed, JobResult(0))
     endings = fill([a_wish(seed=seed) for seed in range(3)], store, ROUTE[2:])
     assert [(ending.code, ending.recorded) for ending in endings] == [(1, True), (1, True), (0, False)]
     (failure,) = store.failures()
@@ -121,17 +121,17 @@ STORED = a_wish(dataset_options=ROUTE)
 def test_a_process_is_started_only_for_what_is_not_stored_as_it_would_be_made_now(
     made, monkeypatch, children, wish, options, patched, n_processes
 ):
-    asked = children(Ending(0))
+    asked = children(JobResult(0))
     for name, value in patched.items():
         monkeypatch.setattr(shelf, name, lambda _, value=value: value)
-    assert fill([wish], Store(made[0] / "results"), [*RUN, *options]) == [Ending(0)]
+    assert fill([wish], Store(made[0] / "results"), [*RUN, *options]) == [JobResult(0)]
     assert len(asked) == n_processes
 
 
 def test_frames_that_were_removed_are_kept_again_by_a_process(copied, children):
     shutil.rmtree("results/frames")
     assert missing_runs.results_folder("mine") == Path.cwd() / "mine"  # which a process elsewhere finds, too
-    asked = children(Ending(0))
+    asked = children(JobResult(0))
     fill([STORED], Store(Path("results")), [*RUN, "frames=false"])
     assert asked == []
     fill([STORED], Store(Path("results")), RUN)
@@ -143,12 +143,12 @@ def test_a_table_of_stored_runs_imports_no_torch(copied):
     code = """
 import sys
 from pathlib import Path
-from vprbench.cluster import crew
+from vprbench.cluster import executors
 from vprbench.paper import gather
 from vprbench.paper.plan import read_plan
 from vprbench.cli import main
 gather.read_plan = lambda _: read_plan(Path("plan.yaml"))
-crew.run_apart = None
+executors.run_job = None
 code = main(["table", "rows=[SAD]", "devices=[cpu]", *sys.argv[1:]])
 sys.exit("torch" if "torch" in sys.modules else code)
 """
@@ -167,18 +167,18 @@ def test_on_a_terminal_a_table_fills_with_what_is_stored_and_leaves_it_clean_if_
     def failing(_, heard, **__):
         for line in ("\x01fit\t0.250", "\x01!note: a warning", "vprbench: it failed"):
             heard(line)
-        return Ending(1, False, "it failed", recorded=True)
+        return JobResult(1, False, "it failed", recorded=True)
 
     def interrupted(_, heard, **__):
         heard("\x01query\t0.500")
         raise KeyboardInterrupt(2)
 
     wishes = [STORED, a_wish(Row("A row with a name that is longer than its column may be", "sad"), seed=1)]
-    monkeypatch.setattr(crew, "run_apart", failing)
+    monkeypatch.setattr(executors, "run_job", failing)
     assert [ending.code for ending in fill(wishes, Store(made[0] / "results"), RUN)] == [0, 1]
     for text in ("\x1b[33mnote: a warning", "\x1b[31mvprbench: it failed", " %  ", " Hz", "fit 25 %"):
         assert text in screen.getvalue()
-    monkeypatch.setattr(crew, "run_apart", interrupted)
+    monkeypatch.setattr(executors, "run_job", interrupted)
     with pytest.raises(KeyboardInterrupt):
         fill(wishes, Store(made[0] / "results"), RUN)
     assert screen.getvalue().rindex("\x1b[?25h") > screen.getvalue().rindex("\x1b[?25l")  # the cursor is there again

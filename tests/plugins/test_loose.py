@@ -12,11 +12,12 @@ from PIL import Image
 from small_plan import Apart
 
 from vprbench.cli import main
-from vprbench.cluster import crew
+from vprbench.cluster import executors
 from vprbench.errors import BadInput
 from vprbench.plugins import entries, registry
+from vprbench.run import job
 from vprbench.run.compose import composed, readable
-from vprbench.run.processes import IN_SWEEP
+from vprbench.run.job import Job
 from vprbench.run.store import Store
 
 METHOD = """
@@ -172,8 +173,8 @@ def test_the_source_of_the_file_and_of_what_lies_beside_it_counts(here):
 
 
 def test_a_sweep_over_loose_files_stores_their_runs_by_name_and_another_process_gets_the_path(here, monkeypatch):
-    monkeypatch.setenv(IN_SWEEP, "1")
-    monkeypatch.setattr(crew, "run_apart", Apart())
+    monkeypatch.setattr(job, "current", Job())
+    monkeypatch.setattr(executors, "run_job", Apart())
     assert main(["-m", "method=./means.py:Means,sad", "dataset=./walk.py", "dataset.places=6", *QUICK]) == 0
     runs = [*Store(here / "results").runs()]
     assert sorted((run.method, run.dataset) for run in runs) == [("Means", "walk"), ("sad", "walk")]

@@ -10,7 +10,7 @@ import pickle
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -24,11 +24,11 @@ from small_plan import Apart
 from trap import Trap
 
 from vprbench.cli import main
-from vprbench.cluster import crew
+from vprbench.cluster import executors
 from vprbench.errors import BadInput, NotFittedError
 from vprbench.plugins import networks
-from vprbench.run import rows
-from vprbench.run.processes import IN_SWEEP
+from vprbench.run import job, rows
+from vprbench.run.job import Job
 from vprbench.run.store import Store
 
 WORLD = journey(8, 4)
@@ -73,10 +73,10 @@ class Holding(Prototypes):
 
     arrays: Mapping[str, npt.NDArray[Any]] = field(default_factory=dict)
 
-    def state(self) -> Mapping[str, npt.NDArray[Any]]:
+    def state(self):
         return self.arrays
 
-    def restore(self, state: Mapping[str, npt.NDArray[Any]]) -> Self:
+    def restore(self, state):
         self.arrays = state
         return self
 
@@ -411,8 +411,8 @@ def test_a_network_outlives_a_failure_at_the_queries_and_a_failed_training_leave
 
 
 def test_cells_of_a_sweep_store_networks_under_their_own_names_and_none_replaces_another(run, monkeypatch):
-    monkeypatch.setenv(IN_SWEEP, "1")
-    monkeypatch.setattr(crew, "run_apart", Apart())
+    monkeypatch.setattr(job, "current", Job())
+    monkeypatch.setattr(executors, "run_job", Apart())
     run("-m", "seed=0,1", "save=nets/net-${seed}.safetensors")
     assert sorted(path.name for path in Path("nets").iterdir()) == ["net-0.safetensors", "net-1.safetensors"]
     told = run("-m", "seed=2,3", "save=nets/net.safetensors", code=2)[1]

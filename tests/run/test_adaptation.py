@@ -4,14 +4,15 @@ import pytest
 from small_plan import RUN, install
 
 from vprbench.cli import main
-from vprbench.cluster import crew
+from vprbench.cluster import executors
 from vprbench.methods.sad import SAD
 from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.paper import missing_runs
 from vprbench.paper.missing_runs import MissingRun
 from vprbench.paper.plan import Row
+from vprbench.run import job
 from vprbench.run.compose import composed
-from vprbench.run.processes import Ending
+from vprbench.run.job import JobResult
 from vprbench.run.store import Store
 
 SMALL = {"height": 12, "width": 12, "epochs": 1}
@@ -48,17 +49,17 @@ def test_a_process_is_started_unless_an_adapted_run_of_these_arguments_is_stored
     adapted, monkeypatch, arguments, n_processes
 ):
     asked = []
-    monkeypatch.setattr(crew, "run_apart", lambda *given, **_: asked.append(given) or Ending(0))
+    monkeypatch.setattr(executors, "run_job", lambda *given, **_: asked.append(given) or JobResult(0))
     changed = {**SMALL, **arguments}
     wish = MissingRun(Row("VPRTempo", "vprtempo"), "Route", tuple(DATASET), {"name": "synthetic"}, changed, 0, "cpu")
     store = Store(adapted / "results")
-    assert missing_runs.fill([wish], RUN, store, lambda options: composed(list(options))) == [Ending(0)]
+    assert missing_runs.fill([wish], RUN, store, lambda options: composed(list(options))) == [JobResult(0)]
     assert len(asked) == n_processes
 
 
 def test_what_was_set_by_hand_and_does_not_fit_is_refused_before_anything_is_made(tmp_path, monkeypatch, capsys):
     install(monkeypatch, tmp_path)
-    monkeypatch.delenv("VPRBENCH_IN_SWEEP")
+    monkeypatch.setattr(job, "current", None)
     for places in (13, 1100):  # 1100 is the default, and yet set
         assert main([*ASKED, f"method.max_module={places}"]) == 2
         assert f"method.max_module={places}" in capsys.readouterr().err

@@ -16,9 +16,9 @@ from little import Lookup, a_failure, a_run, journey
 from little_runs import QUICK, asked_for, table
 
 from vprbench import cli
-from vprbench.run import find_or_make, run_lock
+from vprbench.run import find_or_make, job, run_lock
 from vprbench.run.find_or_make import FailedElsewhereError
-from vprbench.run.processes import IN_SWEEP, SINCE
+from vprbench.run.job import Job
 from vprbench.run.run_lock import HeldElsewhereError, RunLock, held_locks
 from vprbench.run.settings import Settings
 from vprbench.run.store import Store
@@ -138,7 +138,7 @@ def test_of_a_run_that_fails_or_is_interrupted_nothing_is_left(error, store):
 
 def test_in_a_sweep_a_run_that_another_process_makes_is_left_to_it(store, monkeypatch):
     method = busy()
-    monkeypatch.setenv(IN_SWEEP, "1")
+    monkeypatch.setattr(job, "current", Job())
     with lock_of_another(store) as process:
         with pytest.raises(HeldElsewhereError) as raised:
             made(method, store)
@@ -187,10 +187,10 @@ def test_a_sweep_tries_again_what_failed_before_it_began_and_nothing_that_failed
     method = busy()
     before = store.now() - 1
     store.save_failure(failure_of(method))
-    monkeypatch.setenv(SINCE, repr(before))
+    monkeypatch.setattr(job, "current", Job(since=before))
     with pytest.raises(FailedElsewhereError):
         made(method, store)
-    monkeypatch.setenv(SINCE, repr(before + 60))
+    monkeypatch.setattr(job, "current", Job(since=before + 60))
     assert not made(method, store).from_store
     assert method.fits == [1]
 

@@ -2,17 +2,15 @@
 
 import contextlib
 import io
-from collections.abc import Sequence
-from typing import Any
 
-import pytest
 from PIL import Image
 
-from vprbench import cli, ending
-from vprbench.cluster import crew
+from vprbench import cli
+from vprbench.cluster import executors
 from vprbench.paper import gather
 from vprbench.paper.plan import read_plan
-from vprbench.run.processes import IN_SWEEP, Ending
+from vprbench.run import job
+from vprbench.run.job import Job
 
 PLAN = """
 seeds: [0, 1]
@@ -56,17 +54,13 @@ RUN = [
 class Apart:
     """Stands in for processes of their own: the same command line, run here; remembers what was asked."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.asked: list[list[str]] = []
 
-    def __call__(self, options: Sequence[str], **_: object) -> Ending:
+    def __call__(self, options, **_):
         self.asked.append(list(options))
-        words: dict[str, Any] = {}
-        with contextlib.redirect_stdout(io.StringIO()), pytest.MonkeyPatch.context() as patch:
-            patch.setattr(ending, "tell", lambda **told: words.update(told))
-            code = cli.main(options)
-        known = {name: words[name] for name in ("missing", "error", "recorded") if name in words}
-        return Ending(code, **known)
+        with contextlib.redirect_stdout(io.StringIO()):
+            return cli.attempt(options)
 
 
 def quick_figures(monkeypatch):
@@ -88,7 +82,7 @@ def install(monkeypatch, folder, plan=PLAN):
     path.write_text(plan, encoding="utf-8")
     apart = Apart()
     monkeypatch.chdir(folder)
-    monkeypatch.setenv(IN_SWEEP, "1")
-    monkeypatch.setattr(crew, "run_apart", apart)
+    monkeypatch.setattr(job, "current", Job())
+    monkeypatch.setattr(executors, "run_job", apart)
     monkeypatch.setattr(gather, "read_plan", lambda _: read_plan(path))
     return apart

@@ -1,1 +1,1 @@
-"""Cells, one run each, made here one after the other or side by side on dask, which no other room knows."""
+"""Runs made here one after the other, or side by side on dask, which no other room knows."""

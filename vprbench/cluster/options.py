@@ -22,7 +22,6 @@ class ClusterOptions:
     workers: int | None = None  # runs made side by side by processes of this machine; of cluster= the most jobs
     scheduler: str | None = None  # address of a dask cluster that is there, as tcp://host:8786: runs are made on it
     cluster: dict[str, Any] = field(default_factory=dict)  # slurm, pbs, lsf, sge or a yaml: runs are made in its jobs
-    gather: bool = False  # results come back from workers that do not see the results folder, checked by hash
 
     def __post_init__(self) -> None:
         """Check that one place is asked for, and that what it needs is there."""
@@ -30,12 +29,10 @@ class ClusterOptions:
             raise BadInput(f"workers={self.workers}: give at least 1")
         if self.scheduler is not None and (self.cluster or self.workers is not None):
             raise BadInput(f"scheduler={self.scheduler} has workers of its own: leave workers= and cluster= out")
-        if self.gather and not self.elsewhere:
-            raise BadInput("gather=true: give workers=, scheduler= or cluster= too, from which results come")
         for library in ("distributed", *(["dask_jobqueue"] if self.cluster else [])):
             if self.elsewhere and importlib.util.find_spec(library) is None:
                 raise BadInput(
-                    f"{library} is not installed, which makes cells side by side: pip install vprbench[cluster]"
+                    f"{library} is not installed, which makes runs side by side: pip install vprbench[cluster]"
                 )
         if self.cluster:
             self.job()

@@ -1,23 +1,26 @@
-"""A sweep of runs, as `-m` asks for: made by a crew, each run told when it begins, and stored if it is lost."""
+"""A sweep of runs, as `-m` asks for: each run is told when it begins, and stored as failed if its process dies."""
 
 from __future__ import annotations
 
+import json
 import logging
 import sys
 from collections.abc import Sequence
 from contextlib import nullcontext
 
-from vprbench.cluster.crew import crew, results_of
+from vprbench.cluster.executors import Listener, executor_for, run_all
 from vprbench.cluster.options import ClusterOptions
 from vprbench.errors import BadInput
 from vprbench.plugins import registry
 from vprbench.plugins.options import chosen
 from vprbench.progress import marked
 from vprbench.run import machine
+from vprbench.run.child import results_of
 from vprbench.run.compose import composed
-from vprbench.run.processes import Ending, record
+from vprbench.run.job import JobResult
 from vprbench.run.record import Failure
 from vprbench.run.settings import RECORDED
+from vprbench.run.store import Store
 from vprbench.terminal.live import LiveTable
 
 logger = logging.getLogger(__name__)
@@ -35,11 +38,11 @@ def divided(arguments: Sequence[str], sweep: bool) -> tuple[ClusterOptions, list
 
 def swept(runs: Sequence[Sequence[str]], options: ClusterOptions) -> int:
     """Make runs of the command line, whose answers go to standard output; returns the highest exit code."""
-    making = crew(options, stdout=None)
-    live = LiveTable([], [], len(runs)) if making.elsewhere and sys.stderr.isatty() else None
+    executor = executor_for(options, stdout=None)
+    live = LiveTable([], [], len(runs)) if executor.elsewhere and sys.stderr.isatty() else None
 
     def begins(number: int, host: str) -> None:
-        where = f" on {host}" if making.elsewhere else ""
+        where = f" on {host}" if executor.elsewhere else ""
         logger.info("run %d of the sweep%s: %s", number + 1, where, " ".join(runs[number]))
         if live is not None:
             live.begin(number, " ".join(runs[number]), host)
@@ -52,21 +55,29 @@ def swept(runs: Sequence[Sequence[str]], options: ClusterOptions) -> int:
             live.line(told or line)
 
     codes = []
-    with making, live or nullcontext():
-        for number, ending in making.endings(enumerate(runs), begins, heard if live else None):
-            codes.append(ending.code)
+    with executor, live or nullcontext():
+        for number, result in run_all(executor, enumerate(runs), Listener(begins, heard if live else None)):
+            codes.append(result.code)
             if live is not None:
-                live.step(number, bool(ending.code))
-            if ending.code == 1 and not ending.recorded:
-                record(lost(runs[number], ending), results_of(runs[number]))
+                live.step(number, bool(result.code))
+            if result.code == 1 and not result.recorded:
+                failure = lost(runs[number], result)
+                Store(results_of(runs[number])).try_to_save_failure(failure)
+                if "output=json" in runs[number]:
+                    print(as_json(failure), flush=True)
     return max(codes, default=0)
 
 
-def lost(options: Sequence[str], ending: Ending) -> Failure:
+def as_json(failure: Failure) -> str:
+    """Return what a reader of JSON is told of a failure."""
+    return json.dumps({name: getattr(failure, name) for name in ("method", "dataset", "error", "missing")})
+
+
+def lost(options: Sequence[str], result: JobResult) -> Failure:
     """Return the failure of a run whose process could not store it, under the key that the run itself has."""
     config = composed(options)
     name = next((option.partition("=")[2] for option in options if option.startswith("method=")), "sad")
     asked = {each: config[each] for each in RECORDED} | {"overrides": list(map(registry.as_asked, options))}
     asked["method"] = registry.declared(name, asked["method"])[0]
     dataset = str(asked["dataset"].get("name", "dataset"))
-    return Failure(name, dataset, asked, ending.error, machine.capture("cpu", 1), ending.missing)
+    return Failure(name, dataset, asked, result.error, machine.capture("cpu", 1), result.missing)

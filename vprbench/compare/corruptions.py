@@ -6,7 +6,7 @@ import itertools
 from collections.abc import Sequence
 from dataclasses import replace
 
-from vprbench.cluster.crew import Crew
+from vprbench.cluster.executors import Executor
 from vprbench.compare.checks import Checked
 from vprbench.compare.request import Asked
 from vprbench.errors import BadInput
@@ -17,7 +17,7 @@ from vprbench.progress import progress_shown
 from vprbench.run.corrupted_frames import corrupted
 from vprbench.run.corruption import Corruption, corruptions
 from vprbench.run.identity import fingerprint
-from vprbench.run.processes import Ending
+from vprbench.run.job import JobResult
 
 _UNTIMED = ("timing=none", "frames=false")
 
@@ -43,14 +43,14 @@ def make_missing(
     spoilt: dict[Corruption, Checked],
     asked: Asked,
     compose: Compose,
-    crew: Crew | None = None,
-) -> list[Ending]:
+    executor: Executor | None = None,
+) -> list[JobResult]:
     """Make the runs that are not stored, kind by kind, on the first device alone; returns how each ended."""
     once = replace(chosen, devices=chosen.devices[:1])
     options = [option for option in asked.of_runs if option.partition("=")[0].partition(".")[0] != "timing"]
-    endings: list[Ending] = []
+    endings: list[JobResult] = []
     for _, of_kind in itertools.groupby(spoilt.items(), lambda each: each[0].kind):
         columns = [there.column for _, there in of_kind]
         runs = [run for row in rows for column in columns for run in wanted(once, column, [row])]
-        endings += made(once, runs, [*options, *_UNTIMED], compose, crew)
+        endings += made(once, runs, [*options, *_UNTIMED], compose, executor)
     return endings

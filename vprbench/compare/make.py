@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from vprbench.cluster.crew import crew
+from vprbench.cluster.executors import executor_for
 from vprbench.compare.checks import Cell, Checked, checked
 from vprbench.compare.corruptions import make_missing, under
 from vprbench.compare.quantities import quantities
@@ -30,7 +30,7 @@ from vprbench.paper.titles import protocol_words
 from vprbench.paper.viewed import seen
 from vprbench.progress import progress_shown
 from vprbench.run import rows
-from vprbench.run.processes import Ending
+from vprbench.run.job import JobResult
 from vprbench.run.record import Failure, Run
 from vprbench.run.sequences import suffix, views
 from vprbench.run.settings import n_threads
@@ -55,10 +55,10 @@ def make_comparison(asked: Asked, compose: Compose) -> int:
         if cell.missing is not None:
             print(printable(f"vprbench: {cell.row.name} is left out: {cell.missing}"), file=sys.stderr)
     options = [*asked.of_runs, *["scores=true"] * bool(chosen.views)]
-    with crew(asked.request) as making:
-        endings = made(chosen, list(wanted(chosen, found.column, there)), options, compose, making)
+    with executor_for(asked.request) as executor:
+        endings = made(chosen, list(wanted(chosen, found.column, there)), options, compose, executor)
         spoilt = under(found, asked.request.corruptions)
-        endings += make_missing(chosen, there, spoilt, asked, compose, making)
+        endings += make_missing(chosen, there, spoilt, asked, compose, executor)
     known, failures = stored(chosen)
     compared, rankings = ranked_material(chosen, found, known, failures, endings)
     show(compared, rankings, asked.request.wide)
@@ -96,7 +96,7 @@ def ranked_material(
     found: Checked,
     known: Sequence[Run],
     failures: Sequence[Failure],
-    endings: Sequence[Ending] = (),
+    endings: Sequence[JobResult] = (),
 ) -> tuple[Material, list[Ranking]]:
     """Put the runs of a comparison into one table, best first, rows without runs last; other stored runs stay out.
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
-from vprbench.cluster.crew import Crew
+from vprbench.cluster.executors import Executor
 from vprbench.cluster.options import ClusterOptions
 from vprbench.errors import BadInput
 from vprbench.metrics.registry import GROUPS
@@ -25,7 +25,7 @@ from vprbench.paper.table.cells import Table
 from vprbench.paper.table.quantities import QUANTITIES, Quantity, quantities
 from vprbench.paper.viewed import seen
 from vprbench.plugins import registry
-from vprbench.run.processes import Ending
+from vprbench.run.job import JobResult
 from vprbench.run.record import Failure, Run
 from vprbench.run.sequences import Seen, views
 from vprbench.run.settings import insist_on_metrics
@@ -107,7 +107,7 @@ class Material:
     groups: tuple[Group, ...]
     table: Table
     runs: tuple[Run, ...]  # all that are stored
-    endings: tuple[Ending, ...]  # of what was tried now
+    endings: tuple[JobResult, ...]  # of what was tried now
 
 
 def choose(asked: TableRequest, compose: Compose) -> Chosen:
@@ -139,12 +139,12 @@ def choose(asked: TableRequest, compose: Compose) -> Chosen:
     )
 
 
-def gather(chosen: Chosen, options: Sequence[str], compose: Compose, crew: Crew | None = None) -> Material:
+def gather(chosen: Chosen, options: Sequence[str], compose: Compose, executor: Executor | None = None) -> Material:
     """Make the runs that are wanted and not stored, unless `stored` was asked for, and put the stored ones together.
 
     `options` of the command line are those of all runs. Raises BadInput if there is no run at all.
     """
-    endings = made(chosen, [run for runs in all_runs(chosen) for run in runs], options, compose, crew)
+    endings = made(chosen, [run for runs in all_runs(chosen) for run in runs], options, compose, executor)
     runs, failures = stored(chosen)
     return material(chosen, runs, failures, tuple(endings))
 
@@ -154,16 +154,16 @@ def made(
     runs: Sequence[MissingRun],
     options: Sequence[str],
     compose: Compose,
-    crew: Crew | None = None,
+    executor: Executor | None = None,
     watch: Watch | None = None,
-) -> list[Ending]:
+) -> list[JobResult]:
     """Make those of some runs that are not stored, none if `stored` was asked for; returns how each ended."""
     options = [*options, *["energy=true"] * bool({*chosen.metrics} & {*GROUPS["energy"]})]
-    return [] if chosen.stored else fill(runs, options, Store(results_folder(chosen.results)), compose, crew, watch)
+    return [] if chosen.stored else fill(runs, options, Store(results_folder(chosen.results)), compose, executor, watch)
 
 
 def material(
-    chosen: Chosen, runs: Sequence[Run], failures: Sequence[Failure], endings: tuple[Ending, ...] = ()
+    chosen: Chosen, runs: Sequence[Run], failures: Sequence[Failure], endings: tuple[JobResult, ...] = ()
 ) -> Material:
     """Put stored runs and failures into the rows and columns that were chosen; raises BadInput if no run is theirs."""
     found = seen(groups(runs, failures, chosen.columns, chosen.rows), chosen.rows, chosen.views)
@@ -171,7 +171,7 @@ def material(
 
 
 def assembled(
-    chosen: Chosen, found: Sequence[Group], runs: Sequence[Run], endings: tuple[Ending, ...] = ()
+    chosen: Chosen, found: Sequence[Group], runs: Sequence[Run], endings: tuple[JobResult, ...] = ()
 ) -> Material:
     """Put groups of runs, or of views of them, into the table; raises BadInput if they hold none."""
     left_out = {

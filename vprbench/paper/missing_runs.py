@@ -14,7 +14,7 @@ from statistics import mean
 from typing import Any
 
 from vprbench.api.weights import Weights, find_weights
-from vprbench.cluster.crew import Cell, Crew
+from vprbench.cluster.executors import Executor, Listener, Numbered, SerialExecutor, run_all
 from vprbench.cluster.sweep import lost
 from vprbench.errors import NotThere
 from vprbench.metrics.accuracy import recall_at
@@ -23,7 +23,7 @@ from vprbench.paper.shelf import Compose, Shelf
 from vprbench.plugins import registry
 from vprbench.progress import marked, shown_by
 from vprbench.run import machine
-from vprbench.run.processes import Ending
+from vprbench.run.job import JobResult
 from vprbench.run.rates import StageRates, best_batch
 from vprbench.run.record import Failure, Run, content_key
 from vprbench.run.store import Store
@@ -91,28 +91,28 @@ def fill(
     options: Sequence[str],
     store: Store,
     compose: Compose,
-    crew: Crew | None = None,
+    executor: Executor | None = None,
     watch: Watch | None = None,
-) -> list[Ending]:
-    """Make the runs that are not stored yet, by a crew or one after the other; returns how each ended.
+) -> list[JobResult]:
+    """Make the runs that are not stored yet, by an executor or one after the other; returns how each ended.
 
     `options` of the command line are those of all runs. For a run that is stored no process is started, nor for one
     whose published weights cannot be had. What is missing for the first seed of a row is missing for the others, which
     are not tried if it is known by then. A failure is stored, never raised. `watch` is told how it goes.
     """
-    crew, watch = crew or Crew(), watch or Watch()
+    executor, watch = executor or SerialExecutor(), watch or Watch()
     shown = _Shown(wanted) if sys.stderr.isatty() and len(wanted) > 1 else None
-    filling = _Filling(wanted, options, store, compose, shown, crew.elsewhere)
+    filling = _Filling(wanted, options, store, compose, shown, executor.elsewhere)
     cells = filling.cells()
     first = list(itertools.islice(cells, 1))
     if first:
         watch.before_first(wanted[first[0][0]])
     heard = shown.heard if shown else None
     with shown.table if shown else nullcontext(), shown_by(shown.progress) if shown else nullcontext():
-        for number, ending in crew.endings(itertools.chain(first, cells), filling.begin, heard):
-            filling.end(number, ending)
+        for number, result in run_all(executor, itertools.chain(first, cells), Listener(filling.begin, heard)):
+            filling.end(number, result)
             watch.after_each()
-    return [filling.endings[number] for number in range(len(wanted))]
+    return [filling.results[number] for number in range(len(wanted))]
 
 
 @dataclass(frozen=True)
@@ -164,24 +164,24 @@ class _Filling:
         self._wanted, self._options, self._store = wanted, options, store
         self._shelf, self._weights = Shelf(store, options, compose), _Weights(options, compose)
         self._shown, self._elsewhere = shown, elsewhere
-        self._missing: dict[tuple[str, str, str], Ending] = {}
-        self.endings: dict[int, Ending] = {}
+        self._missing: dict[tuple[str, str, str], JobResult] = {}
+        self.results: dict[int, JobResult] = {}
 
-    def cells(self) -> Iterator[Cell]:
+    def cells(self) -> Iterator[Numbered]:
         """Yield the runs that a process has to make, by their numbers; the others end at once."""
         for number, run in enumerate(self._wanted):
             if self._shown is not None:
                 self._shown.at(number)
-            ending, found = self._missing.get(_known(run)), None
-            if ending is None:
+            result, found = self._missing.get(_known(run)), None
+            if result is None:
                 found = self._shelf.held(run)
-                ending = Ending(0) if found else None
-            if ending is None:
-                ending = self._unmade(run)
-            if ending is None:
+                result = JobResult(0) if found else None
+            if result is None:
+                result = self._unmade(run)
+            if result is None:
                 yield number, [*run.options(), *self._options, f"results={self._store.root}"]
             else:
-                self._end(number, ending, found)
+                self._end(number, result, found)
 
     def begin(self, number: int, host: str) -> None:
         """Tell that a process makes a run."""
@@ -190,33 +190,33 @@ class _Filling:
         else:
             self._say(number, f" on {host}" * self._elsewhere)
 
-    def end(self, number: int, ending: Ending) -> None:
+    def end(self, number: int, result: JobResult) -> None:
         """Take how a process ended; a failure that it has not stored is stored."""
         run, found = self._wanted[number], None
-        if ending.code and not ending.recorded:
+        if result.code and not result.recorded:
             options = [*run.options(), *self._options]
-            failure = lost(options, ending) if ending.code == 1 else run.failed(ending.error, ending.missing)
-            ending = _stored(failure, self._store, ending.code)
-        if self._shown is not None and ending.key:
-            found = self._store.find(str(run.dataset["name"]), run.row.method, ending.key)
-        self._end(number, ending, found)
+            failure = lost(options, result) if result.code == 1 else run.failed(result.error, result.missing)
+            result = _stored(failure, self._store, result.code)
+        if self._shown is not None and result.key:
+            found = self._store.find(str(run.dataset["name"]), run.row.method, result.key)
+        self._end(number, result, found)
         if self._shown is None and self._elsewhere:
-            logger.info("%d of %d done", len(self.endings), len(self._wanted))
+            logger.info("%d of %d done", len(self.results), len(self._wanted))
 
-    def _end(self, number: int, ending: Ending, found: Run | None) -> None:
-        self.endings[number] = ending
-        if ending.missing:
-            self._missing[_known(self._wanted[number])] = ending
+    def _end(self, number: int, result: JobResult, found: Run | None) -> None:
+        self.results[number] = result
+        if result.missing:
+            self._missing[_known(self._wanted[number])] = result
         if self._shown is not None:
-            self._shown.end(number, ending, found)
+            self._shown.end(number, result, found)
 
-    def _unmade(self, run: MissingRun) -> Ending | None:
+    def _unmade(self, run: MissingRun) -> JobResult | None:
         """Return how a run ends that no process can make; None if one has to tell."""
         known = registry.entries("method")
         if run.row.method not in known:
             return _stored(run.failed(f"there is no method {run.row.method} here yet", missing=True), self._store)
         if run.device != "cpu" and "device" not in known[run.row.method].options:
-            return Ending(0)
+            return JobResult(0)
         if known[run.row.method].needs_weights and (lacking := self._weights.lacking(run)):
             return _stored(run.failed(lacking, missing=True), self._store)
         return None
@@ -271,11 +271,11 @@ class _Shown:
         elif line:
             self.table.line(line, "red" if line.startswith("vprbench: ") else "")
 
-    def end(self, number: int, ending: Ending, found: Run | None) -> None:
+    def end(self, number: int, result: JobResult, found: Run | None) -> None:
         """Show what a run has come to."""
         cell = (self._wanted[number].row.name, _column(self._wanted[number]))
-        if ending.code:
-            self.table.show(*cell, *(("not there", "dim") if ending.missing else ("failed", "red")))
+        if result.code:
+            self.table.show(*cell, *(("not there", "dim") if result.missing else ("failed", "red")))
         elif found is not None:
             numbers = self._numbers.setdefault(cell, [])
             first = recall_at(found.outcome, 1)
@@ -288,17 +288,17 @@ class _Shown:
             self.table.show(*cell, "  ".join(words))
         else:
             self.table.show(*cell, "-", "dim")
-        self.table.step(number, bool(ending.code and not ending.missing))
+        self.table.step(number, bool(result.code and not result.missing))
 
 
 def _column(run: MissingRun) -> str:
     return run.title if run.device == "cpu" else f"{run.title}, {run.device}"
 
 
-def _stored(failure: Failure, store: Store, code: int = 2) -> Ending:
+def _stored(failure: Failure, store: Store, code: int = 2) -> JobResult:
     store.prepare()
     store.save_failure(failure)
-    return Ending(code, failure.missing, failure.error, recorded=True)
+    return JobResult(code, failure.missing, failure.error, recorded=True)
 
 
 def results_folder(results: str) -> Path:

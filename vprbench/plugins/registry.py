@@ -15,7 +15,6 @@ from hydra.core.plugins import Plugins
 from hydra.plugins.search_path_plugin import SearchPathPlugin
 from hydra.utils import get_object
 
-from vprbench import ending
 from vprbench.api.dataset import Dataset
 from vprbench.api.method import Method
 from vprbench.errors import BadInput
@@ -106,9 +105,7 @@ def beside(entry: Entry, module: str) -> ModuleType:
 def _locate(target: str) -> Callable[..., Any]:
     """Import what a dotted path names; raises BadInput with the reason."""
     try:
-        ending.tell(doing=f"importing {target}")
         found = get_object(target)
-        ending.tell(doing=None)
     except (Exception, SystemExit) as error:  # a plug-in may fail in any way, and must hurt only itself
         raise BadInput(f"{target} cannot be imported: {faults.told(error.__cause__ or error)}") from error
     if not callable(found):

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from vprbench import ending
 from vprbench.api.checkpoints import ledger
 from vprbench.api.dataset import Dataset
 from vprbench.api.frame_cache import frames_kept
@@ -21,11 +20,10 @@ from vprbench.metrics.accuracy import recall_at
 from vprbench.metrics.registry import METRICS
 from vprbench.plugins import networks, registry
 from vprbench.progress import overheard, progress_shown
-from vprbench.run import energy, machine, runner, stream, thumbnails
+from vprbench.run import energy, job, machine, runner, stream, thumbnails
 from vprbench.run.adaptation import adaptation
 from vprbench.run.corrupted_frames import corrupted
 from vprbench.run.identity import Request, data_record, fingerprint, hashed
-from vprbench.run.processes import IN_SWEEP, SINCE
 from vprbench.run.record import Failure, Run
 from vprbench.run.run_lock import HeldElsewhereError, RunLock
 from vprbench.run.sequences import views
@@ -62,15 +60,15 @@ class Made:
     from_store: bool
 
 
-def answer(name: str, asked: dict[str, Any], settings: Settings, store: Store, say: Callable[[str], None]) -> int:
-    """Find the run in the store or make it, and say it; raises what `find_or_make` raises."""
+def answer(name: str, asked: dict[str, Any], settings: Settings, store: Store, say: Callable[[str], None]) -> str:
+    """Find the run in the store or make it, say it, and return its key; raises what `find_or_make` raises."""
     try:
         made = find_or_make(name, asked, settings, store)
     except UnstoredRunError as error:
         say(_text(error.run, None, False, settings))
         raise
     say(_text(made.run, made.folder, made.from_store, settings))
-    return 0
+    return made.run.key
 
 
 def _text(*made: Any) -> str:
@@ -95,7 +93,7 @@ def made(request: Request, settings: Settings, store: Store, tuned_on: Mapping[s
     While another process makes it this one waits; in a sweep it raises HeldElsewhereError instead. Raises
     FailedElsewhereError if that failed meanwhile.
     """
-    process, refused = os.getpid(), _refused(store)
+    refused = _refused(store)
     key, dataset = request.key(), request.dataset
     if request.files.save is not None and networks.made_by(request.files.save) == key:
         # its own, left by a run that was killed before it was stored
@@ -117,7 +115,6 @@ def made(request: Request, settings: Settings, store: Store, tuned_on: Mapping[s
             run = replace(_run(request, settings, store, stored, lock, tuned_on), tuned_on=tuned_on)
         else:
             run = _told(found, request, tuned_on)
-        ending.leave_if_forked(process)  # a plug-in's fork has the same run to store
         # yaml and dataset may say so only since the run was stored
         known = found is not None and (refused or (found.tuned_on == tuned_on and _gaps(found) == _gaps(dataset)))
         if run.readouts is None and stored is not None:
@@ -131,7 +128,6 @@ def made(request: Request, settings: Settings, store: Store, tuned_on: Mapping[s
                 store.save(run)
         except BadInput as error:
             raise UnstoredRunError(error, run) from error
-    ending.tell(code=0, key=key)
     if settings.frames:
         _keep_frames(store, run, dataset)
     return Made(run, folder, found is not None)
@@ -158,10 +154,10 @@ def _locked(request: Request, folder: Path, store: Store, held: ExitStack) -> tu
     named = {name: request.config.get(name) for name in ("seed", "device", "corruption")}
     about = {"method": request.name, "dataset": request.dataset.name, **named}
     lock = RunLock(store.root, f"{request.dataset.name}/{folder.name}", about)
-    since = float(os.environ[SINCE]) if SINCE in os.environ else None
+    since = None if job.current is None else job.current.since
     if not lock.acquire(wait=False):
         error = HeldElsewhereError(f"{request.name} on {request.dataset.name}", lock.path)
-        if os.environ.get(IN_SWEEP):
+        if job.current is not None:
             raise error
         logging.info("%s: waiting for it", error)
         since = since or store.now()
@@ -179,14 +175,11 @@ def _run(
     tuned_on: Mapping[str, Any],
 ) -> Run:
     """Make a run."""
-    process, key, title = os.getpid(), request.key(), f"{request.name} on {request.dataset.name}"
+    key, title = request.key(), f"{request.name} on {request.dataset.name}"
     needed = settings.scores or bool(views(settings.sequence, settings.filter))
     request = replace(request, scores=needed or (stored is not None and stored.scores is not None))  # which stay
-    # what a process fails at that dies without a word
-    ending.tell(run={"method": request.name, "dataset": request.dataset.name, "config": dict(request.config)})
 
     def keep(scored: Run) -> None:  # whatever becomes of its timing; a stored run stays until it can be replaced
-        ending.leave_if_forked(process)
         logging.info("%s on %s: %s; its times follow", scored.method, scored.dataset, _recall(scored))
         if stored is None:
             with suppress(BadInput):  # which is raised when it is stored with its times

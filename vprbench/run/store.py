@@ -50,9 +50,8 @@ class Store:
         self._insist_on_writing()
         try:
             self.root.mkdir(parents=True, exist_ok=True)
-            self._remove_leftovers()
+            self.remove_leftovers()
             self._partial().rmdir()
-            run_lock.remove_leftovers(self.root)
         except OSError as error:
             raise BadInput(
                 f"results={self.root} cannot be written ({error.strerror or error}): "
@@ -114,6 +113,12 @@ class Store:
         except OSError as error:
             raise BadInput(f"the failure could not be stored in {folder} ({error.strerror or error})") from error
         return folder
+
+    def try_to_save_failure(self, failure: Failure) -> None:
+        """Store a failure, where that is possible: the error itself is told in any case."""
+        with contextlib.suppress(OSError, BadInput):
+            self.root.mkdir(parents=True, exist_ok=True)
+            self.save_failure(failure)
 
     def failure(
         self, method: str, dataset: str, config: Mapping[str, Any], since: float | None = None
@@ -183,8 +188,9 @@ class Store:
         folder.mkdir()
         return folder
 
-    def _remove_leftovers(self) -> None:
-        """Remove what was left unfinished, and return runs whose replacement never arrived to their places."""
+    def remove_leftovers(self) -> None:
+        """Remove what killed processes left unfinished, and return runs whose replacement never arrived."""
+        run_lock.remove_leftovers(self.root)
         for folder in self.root.glob(f"{PARTIAL}*{REPLACED}*"):
             with contextlib.suppress(OtherLayoutError, UnreadableRunError):  # it is left to whoever can read it
                 self._put_back(folder)

@@ -54,8 +54,8 @@ class Settings(ClusterOptions):
     def __post_init__(self) -> None:
         """Check that something will be tried."""
         super().__post_init__()
-        if (self.jobs is not None and self.elsewhere) or self.gather:
-            raise BadInput("jobs= are processes of this machine, and nothing is gathered: leave jobs= and gather= out")
+        if self.jobs is not None and self.elsewhere:
+            raise BadInput("jobs= are processes of this machine: leave jobs= out")
         for name, least in (("places", places.FEWEST), ("trials", 1), ("jobs", 1), ("seed", 0)):
             given = getattr(self, name)
             if given is not None and given < least:
@@ -211,9 +211,9 @@ def _workers(attempt: objective.Training, settings: Settings, jobs: int) -> Work
     """Return who tries settings."""
     if not settings.elsewhere:
         return Workers(attempt, jobs)
-    from vprbench.cluster.dask_crew import DaskCrew
+    from vprbench.cluster.dask_executor import DaskExecutor
 
-    return Spread(attempt, DaskCrew(settings))
+    return Spread(attempt, DaskExecutor(settings))
 
 
 def _named(allowed: places.Searchable) -> dict[StretchName, range]:

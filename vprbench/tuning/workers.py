@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar
 from vprbench.run import machine
 
 if TYPE_CHECKING:
-    from vprbench.cluster.dask_crew import DaskCrew
+    from vprbench.cluster.dask_executor import DaskExecutor
 
 Asked = TypeVar("Asked")
 Given = TypeVar("Given")
@@ -106,28 +106,28 @@ class Workers(Generic[Asked, Given]):
 class Spread(Workers[Asked, Given]):
     """The workers of a dask cluster in the place of processes of this machine."""
 
-    def __init__(self, attempt: Callable[[Asked], Given], crew: DaskCrew) -> None:
+    def __init__(self, attempt: Callable[[Asked], Given], executor: DaskExecutor) -> None:
         """Start nothing yet."""
         super().__init__(attempt, 0)
-        self._crew = crew
+        self._executor = executor
 
     def __enter__(self) -> Self:
         """Start nothing yet."""
-        self._crew.__enter__()
+        self._executor.__enter__()
         return self
 
     def __exit__(self, *error: Any) -> None:
         """End what was started."""
-        self._crew.__exit__(*error)
+        self._executor.__exit__(*error)
 
     @property
     def started(self) -> int:
         """How many tasks may run at a time."""
-        return self._crew.room()
+        return self._executor.room()
 
     def answers(self, tasks: Sequence[Asked], begins: Callable[[int], None]) -> Iterator[Answer[Given]]:
         """Yield the answer to each task as tasks end; a worker that dies is made up for by another."""
-        return itertools.starmap(Answer, self._crew.answers(self._attempt, tasks, begins))
+        return itertools.starmap(Answer, self._executor.answers(self._attempt, tasks, begins))
 
 
 def _begin() -> None:

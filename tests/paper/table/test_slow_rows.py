@@ -9,7 +9,7 @@ from quick_runs import quick_runs
 from small_plan import RUN, install
 
 from vprbench.cli import main
-from vprbench.cluster import crew
+from vprbench.cluster import executors
 
 MARKS = list[dict[tuple[str, str], str]]
 
@@ -35,7 +35,7 @@ def seen(tmp_path, monkeypatch):
             raise KeyboardInterrupt
         return apart(options)
 
-    monkeypatch.setattr(crew, "run_apart", run)
+    monkeypatch.setattr(executors, "run_job", run)
     return seen
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vprbench import progress
-from vprbench.cluster.crew import crew
+from vprbench.cluster.executors import executor_for
 from vprbench.errors import BadInput
 from vprbench.metrics.registry import METRICS
 from vprbench.paper.gather import Chosen, Material, TableRequest, choose, gather, made, stored, wanted
@@ -36,12 +36,12 @@ logger = logging.getLogger(__name__)
 
 def make_figures(asked: TableRequest, options: Sequence[str], compose: Compose) -> int:
     """Draw all figures as PDF and PNG under results/figures; returns the exit code, 1 where a run failed."""
-    with crew(asked) as making:
-        found = gather(choose(asked, compose), options, compose, making)
+    with executor_for(asked) as executor:
+        found = gather(choose(asked, compose), options, compose, executor)
         growth = growth_columns(found, compose)
         once = replace(found.chosen, devices=("cpu",))
         sizes = [run for column in growth for run in wanted(once, column, _growing(found))]
-        endings = made(found.chosen, sizes, [*options, "frames=false"], compose, making)  # nobody looks at theirs
+        endings = made(found.chosen, sizes, [*options, "frames=false"], compose, executor)  # nobody looks at theirs
     runs = stored(found.chosen)[0] if sizes else found.runs
     folder = Path(asked.results).expanduser() / "figures"
     for path in write_figures(draw_all(found, runs, growth), folder):

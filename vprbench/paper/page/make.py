@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from vprbench.cluster.crew import crew
+from vprbench.cluster.executors import executor_for
 from vprbench.paper.figures.make import draw_all, growth_columns, thumbnails_of
 from vprbench.paper.gather import Material, TableRequest, choose, gather
 from vprbench.paper.selection import Group, accuracy_series, series
@@ -31,8 +31,8 @@ def make_report(asked: TableRequest, options: Sequence[str], compose: Compose) -
 
     Runs of the table that are missing are made; those of the growth are drawn where they are stored.
     """
-    with crew(asked) as making:
-        found = gather(choose(asked, compose), options, compose, making)
+    with executor_for(asked) as executor:
+        found = gather(choose(asked, compose), options, compose, executor)
     absent: list[str] = []
     drawings = draw_all(found, found.runs, growth_columns(found, compose), absent.append)
     default = asked.name is None and not asked.columns and not views(asked.sequence, asked.filter)

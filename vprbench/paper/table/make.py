@@ -6,14 +6,14 @@ from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from vprbench.cluster.crew import crew
+from vprbench.cluster.executors import executor_for
 from vprbench.errors import BadInput
 from vprbench.paper.gather import Chosen, Material, TableRequest, all_runs, choose, made, material, stored
 from vprbench.paper.missing_runs import MissingRun, Watch
 from vprbench.paper.shelf import Compose
 from vprbench.paper.table import formats
 from vprbench.run import rows
-from vprbench.run.processes import Ending
+from vprbench.run.job import JobResult
 from vprbench.run.sequences import suffix, views
 from vprbench.run.store import Store
 from vprbench.storage.atomic import replace_text
@@ -28,8 +28,8 @@ def make_table(asked: TableRequest, options: Sequence[str], compose: Compose) ->
     """
     chosen = choose(asked, compose)
     quick, slow = all_runs(chosen)
-    with crew(asked) as making:
-        endings = made(chosen, quick, options, compose, making)
+    with executor_for(asked) as executor:
+        endings = made(chosen, quick, options, compose, executor)
 
         def before_slow(run: MissingRun) -> None:
             with suppress(BadInput):  # no run is there yet
@@ -40,13 +40,13 @@ def make_table(asked: TableRequest, options: Sequence[str], compose: Compose) ->
             with suppress(BadInput):  # no run is there yet
                 write(_put_together(chosen, endings), _folder(asked), file_name(asked))
 
-        endings += made(chosen, slow, options, compose, making, Watch(before_slow, after_slow))
+        endings += made(chosen, slow, options, compose, executor, Watch(before_slow, after_slow))
     found = _put_together(chosen, endings)
     _show(found, asked)
     return exit_code(found.endings)
 
 
-def _put_together(chosen: Chosen, endings: Sequence[Ending]) -> Material:
+def _put_together(chosen: Chosen, endings: Sequence[JobResult]) -> Material:
     """Return what is stored now as the table."""
     return material(chosen, *stored(chosen), tuple(endings))
 
@@ -88,6 +88,6 @@ def file_name(asked: TableRequest) -> str:
     return asked.name or default + suffix(views(asked.sequence, asked.filter))
 
 
-def exit_code(endings: Sequence[Ending]) -> int:
+def exit_code(endings: Sequence[JobResult]) -> int:
     """Return 1 where a run failed that could have been made."""
     return int(any(ending.code and not ending.missing for ending in endings))
