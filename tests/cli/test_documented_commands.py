@@ -1,25 +1,58 @@
-"""Every command that README and docs show is understood, and its document says how to get its frames."""
+"""Every command that README and docs show is understood, and runs in the order of its document on a smaller journey."""
 
 import os
 import re
 import shlex
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
+import torch
+import yaml
 from checkout import ROOT
+from mat_cells import cells
 from omegaconf import OmegaConf
+from PIL import Image as PillowImage
+from scipy.io import savemat
+from small_plan import RUN, Apart
 
 from vprbench import cli
+from vprbench.api.neural import NeuralDescriptor
+from vprbench.cluster import executors
 from vprbench.compare.checks import checked
-from vprbench.datasets.synthetic import synthetic
+from vprbench.datasets.nordland import chosen_names
+from vprbench.datasets.synthetic_events import EventJourney, write_recording
 from vprbench.paper import gather
+from vprbench.paper.plan import read_plan
 from vprbench.plugins import registry
+from vprbench.run import job
+from vprbench.run.job import Job, JobResult
 from vprbench.run.settings import checked_settings
 
-GUIDES = (f"docs/{path.name}" for path in sorted((ROOT / "docs").glob("*.md")))
-DOCUMENTS = ("README.md", "CONTRIBUTING.md", "results/README.md", *GUIDES)
-JOURNEY = synthetic(places=12)
+DOCUMENTS = (
+    "README.md",
+    "CONTRIBUTING.md",
+    "results/README.md",
+    *(f"docs/{path.name}" for path in sorted((ROOT / "docs").glob("*.md"))),
+)
+PLACES = 12
+PART = (f"dataset.places={PLACES}", "dataset.query_places=8", "dataset.first_query_place=4")
+SMALLER = {
+    **dict.fromkeys(("synthetic", "street", "nordland"), PART),
+    "nordland_64x32": (*PART, "dataset.first_place=0"),
+    "vprtempo": (f"method.max_module={PLACES}", "method.epochs=1", "method.stdp_rate=0.0001"),
+    "vprsnn": (
+        "method.places_per_module=4",
+        "method.n_excitatory=4",
+        "method.epochs=1",
+        "method.recorded_presentations=8",
+    ),
+}
+NO_WEIGHTS = {
+    name for name, entry in registry.entries("method").items() if issubclass(entry.target(), NeuralDescriptor)
+}
 
 
 def shown(document):
@@ -40,6 +73,50 @@ def commands(document):
 COMMANDS = sorted({command for document in DOCUMENTS for command in commands(document)})
 
 
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    """The folder /data of the documents, with few little frames in each of its folders."""
+    data = tmp_path_factory.mktemp("data")
+    for folder, names in {
+        "nordland": chosen_names(8, PLACES, 1, ".png"),
+        "nordland_64x32": chosen_names(1, PLACES, 10, ".png"),
+    }.items():
+        for season in ("spring", "summer", "fall", "winter"):
+            frames(data / folder / season, names)
+    (data / "robotcar").mkdir()
+    for folder in ("monday", "tuesday", "friday", "17places/ref", "17places/query"):
+        frames(data / folder, [f"{number}.jpg" for number in range(PLACES)])
+    (data / "17places" / "ground_truth.csv").write_text(
+        "query,matching_refs\n" + "".join(f"{number},{number}\n" for number in range(PLACES))
+    )
+    positions = [f"@{585000 + 100 * number}.0@4477000.0@{number}.jpg" for number in range(PLACES)]
+    for folder in ("database", "queries", "pitts30k/images/test/database", "pitts30k/images/test/queries"):
+        frames(data / folder, positions)
+    for name, season in {"monday": "spring", "friday": "summer"}.items():
+        drive = EventJourney(window_ms=1000).recording(season, range(PLACES))
+        write_recording(data / f"{name}.h5", drive)
+    for name in ("map", "today"):
+        (data / f"{name}.csv").write_text("image,place\n" + "".join(f"friday/{n}.jpg,{n}\n" for n in range(PLACES)))
+    for drive in ("sunset1", "sunset2"):
+        frames(data / "brisbane_events_7x7" / drive, [f"images_{n:05d}.png" for n in range(PLACES)], "L", (7, 7))
+    np.savez(data / "brisbane_events_7x7" / "ground_truth.npz", positives=np.eye(PLACES, dtype=bool))
+    names = frames(data / "tokyo247", [f"{number}.png" for number in range(PLACES)])
+    metres = np.array([[585000.0 + 100 * n for n in range(PLACES)], [4477000.0] * PLACES])
+    fields = {"whichSet": "test", "dbImageFns": cells([name.replace("png", "jpg") for name in names]), "utmDb": metres}
+    fields |= {"qImageFns": cells(names), "utmQ": metres, "numImages": float(PLACES), "numQueries": float(PLACES)}
+    savemat(data / "tokyo247" / "tokyo247.mat", {"dbStruct": fields | {"posDistThr": 25.0, "posDistSqThr": 625.0}})
+    return data
+
+
+def frames(folder, names, mode="RGB", size=(64, 32)):
+    """Put an image into the folder under each name; the same place looks alike in every folder."""
+    folder.mkdir(parents=True)
+    for number, name in enumerate(names):
+        levels = np.random.default_rng(number).integers(0, 256, (8, 16, 3), dtype=np.uint8)
+        PillowImage.fromarray(levels).resize(size).convert(mode).save(folder / name)
+    return names
+
+
 def of_make(command):
     """Return the options with which a target of the Makefile calls the program."""
     given = {name: value for name, value in os.environ.items() if name not in ("MAKEFLAGS", "MAKEOVERRIDES", "ARGS")}
@@ -48,25 +125,34 @@ def of_make(command):
     return shlex.split(told.stdout.replace("\\\n", " ").rsplit("-m vprbench ", 1)[1].splitlines()[0])
 
 
-def options_of(command, folder):
-    """Return the options that a documented command gives the program; its folders under /data lie in `folder`."""
-    for name in re.findall(r"/data/(\w+)", command):
-        (folder / name).mkdir(exist_ok=True)
-    command = command.replace("/data/", f"{folder}/")
+def options_of(command, data):
+    """Return the options that a documented command gives the program, its own frames in `data`."""
+    command = command.replace("/data/", f"{data}/")
     options = of_make(command) if command.startswith("make") else command.removeprefix("python -m ").split()[1:]
     return [option for option in options if not re.match(r"workers=|cluster[.=]", option)]  # one process here
 
 
 @pytest.fixture
-def understood(tmp_path, monkeypatch):
-    """What stands in for the work of each command checks its options; the names of those that came so far."""
+def clean(data, tmp_path, monkeypatch):
+    """A folder of its own, in which nothing was run."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(registry, "make_dataset", lambda config: JOURNEY)  # whatever is there of the documents' frames
+    monkeypatch.setenv("VPRBENCH_DATA", str(data))
+
+
+@pytest.fixture
+def understood(clean, monkeypatch):
+    """What stands in for the work of each command checks its options; the names of those that came so far."""
     done = []
 
     def instead(target, check):
         name = target.rpartition(".")[2]
-        monkeypatch.setattr(target, lambda *given, **_: int(check(*given) is None or done.append(name) is not None))
+
+        def stand_in(*given, **_):
+            assert check(*given) is not None
+            done.append(name)
+            return JobResult(0) if name == "_run" else 0
+
+        monkeypatch.setattr(target, stand_in)
 
     def check_run(config):
         plain = OmegaConf.to_container(config, resolve=True)
@@ -85,13 +171,20 @@ def understood(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_a_documented_command_is_understood(command, understood, tmp_path):
-    options = options_of(command, tmp_path)
+def test_a_documented_command_is_understood(command, data, understood, tmp_path):
+    options = options_of(command, data)
+    store_what_others_trained(options)
     (tmp_path / "results").mkdir()
     if answered_at_once(options) is None:
         foreign = "stores=[/mnt/gpu-box/results]" in options  # a folder that is not here
-        assert cli.main(options) == (2 if foreign else 0)
+        assert cli.main(with_few_frames(options)) == (2 if foreign else 0)
         assert len(understood) == (not foreign)
+
+
+def with_few_frames(options):
+    """Return the options of a comparison or an examination for as few frames as there are."""
+    named = [option.partition("=")[2] for option in options if option.startswith("dataset=")]
+    return [*options, *SMALLER.get(named[0], ())] if options[0] in ("compare", "doctor") else options
 
 
 @pytest.mark.parametrize("document", DOCUMENTS)
@@ -114,3 +207,73 @@ def answered_at_once(options):
     else:
         return None
     return 0
+
+
+def smaller(options):
+    """Return the options of a run, and after them those that make it short."""
+    chosen = dict(option.split("=", 1) for option in options if re.match(r"(method|dataset)=", option))
+    names = (chosen.get("dataset", "synthetic"), *re.findall("^(?:vprtempo|vprsnn)", chosen.get("method", "sad")))
+    return [*options, *(option for name in names for option in SMALLER.get(name, ())), *RUN]
+
+
+def smaller_plan(path):
+    """Return the plan of the table with its own names, every column of few places and every row of one seed."""
+    plan = read_plan(path)
+    quick = {
+        method: {option[len("method.") :].split("=")[0]: yaml.safe_load(option.split("=")[1]) for option in options}
+        for method, options in SMALLER.items()
+        if method in ("vprtempo", "vprsnn")
+    }
+    columns = {
+        name: replace(column, options=(*column.options, *PART), fits=quick) for name, column in plan.columns.items()
+    }
+    growth = replace(plan.growth, sizes=(10, 12), at_most={"vprtempo": {"max_module": PLACES}})
+    return replace(plan, columns=columns, growth=growth)
+
+
+@pytest.mark.extended
+@pytest.mark.parametrize("document", [document for document in DOCUMENTS if commands(document)])
+def test_the_commands_of_a_document_run_in_its_order_from_a_clean_folder(document, data, clean, monkeypatch):
+    monkeypatch.setattr(job, "current", Job())
+    monkeypatch.setattr(executors, "run_job", lambda options, **_: Apart()(smaller(list(options))))
+    monkeypatch.setattr(gather, "read_plan", smaller_plan)
+    for command in commands(document):
+        options = options_of(command, data)
+        store_what_others_trained(options)
+        if options[0] == "status":
+            Path("results").mkdir(exist_ok=True)
+        if answered_at_once(options) is None:
+            assert execute(options) is None, command
+
+
+def execute(options):
+    """Run a command in a smaller size; return what is wrong with how it ends."""
+    of_table, expected = ["rows=[SAD]", "seeds=1", "columns=[railway]"], 0
+    if options[0] in ("table", "figures", "report"):
+        options = [*options, *of_table]
+        expected = 2 if "stores=[/mnt/gpu-box/results]" in options else 0
+    elif options[0] == "search":
+        options = [*options, "dataset=synthetic", f"places={PLACES}", "trials=1", "jobs=1"]
+    elif options[0] == "doctor":
+        options, expected = with_few_frames(options), 1  # a dozen frames, equal ones, are no journey
+    elif options[0] == "compare":
+        options = [*with_few_frames(options), *RUN]
+    elif options[0] != "-m":
+        result = Apart()(smaller(options))
+        missing = any(option == f"method={name}" for option in options for name in NO_WEIGHTS)
+        told = (result.code, result.missing)
+        return None if told == ((2, True) if missing else (0, False)) else f"{told}: {result.error}"
+    code = cli.main(options)
+    missing = {name for name in NO_WEIGHTS if any(re.search(rf"\b{name}\b", option) for option in options)}
+    return None if code == expected or (options[0] == "-m" and missing) else f"exit code {code}, not {expected}"
+
+
+def store_what_others_trained(options):
+    """Store the network that a command loads in the layout of the authors' code."""
+    for path in (Path(option.removeprefix("load=")) for option in options if option.startswith("load=")):
+        if path.suffix == ".pth":
+            sizes = {"feature": (1568, 784), "output": (PLACES, 1568)}
+            layers = {f"{name}_layer.w.weight": torch.ones(size) for name, size in sizes.items()}
+            torch.save(
+                {"model_0": layers | {f"{name}_layer.thr": torch.zeros(1, n) for name, (n, _) in sizes.items()}}, path
+            )

@@ -73,6 +73,7 @@ def test_an_interruption_of_the_one_who_asked_ends_the_process_too(ends, number,
     def interrupt(*_):
         raise KeyboardInterrupt(number)
 
+    monkeypatch.setattr(child, "_PATIENCE", 1.0)
     before = signal.signal(number, interrupt)
     try:
         with pytest.raises(KeyboardInterrupt) as ended:
