@@ -1,16 +1,12 @@
 """No test reaches for the internet or for what a person keeps of runs, and none leaves large files behind."""
 
-from __future__ import annotations
-
 import os
 import tempfile
-from collections.abc import Iterator
 from itertools import count
-from pathlib import Path
 
 import pytest
 from checkout import SHARED
-from served_files import Server, serving
+from served_files import serving
 
 os.environ["VPRBENCH_OFFLINE"] = "1"
 os.environ["VPRBENCH_WEIGHTS"] = tempfile.mkdtemp(prefix="vprbench-no-weights-")
@@ -22,7 +18,7 @@ NUMBERS = count()
 
 
 @pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(items):
     """Tests of real frames are extended, and skipped where there are none."""
     for item in items:
         if item.get_closest_marker("real_frames"):
@@ -32,7 +28,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def partial_trainings(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+def partial_trainings(tmp_path_factory):
     """The folder that keeps partial trainings: fixtures that several tests share train before a test has its own."""
     folder = tmp_path_factory.mktemp("partial")
     with pytest.MonkeyPatch.context() as patch:
@@ -41,13 +37,13 @@ def partial_trainings(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path
 
 
 @pytest.fixture(autouse=True)
-def _own_partial_trainings(partial_trainings: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def _own_partial_trainings(partial_trainings, monkeypatch):
     """No test goes on with what another has left."""
     monkeypatch.setenv(PARTIAL, str(partial_trainings / str(next(NUMBERS))))
 
 
 @pytest.fixture(scope="session", autouse=True)
-def _own_file_hashes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+def _own_file_hashes(tmp_path_factory):
     """No test keeps hashes of files or rendered frames in a person's cache."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("VPRBENCH_FRAMES", str(tmp_path_factory.mktemp("frames")))
@@ -56,7 +52,7 @@ def _own_file_hashes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+def folder(tmp_path_factory):
     """A folder that is emptied in the end: files of weights are large."""
     folder = tmp_path_factory.mktemp("weights")
     yield folder
@@ -65,7 +61,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 @pytest.fixture
-def on_the_net(monkeypatch: pytest.MonkeyPatch) -> None:
+def on_the_net(monkeypatch):
     """Downloads are allowed, and ask the servers of the tests whatever stands between this machine and the net."""
     monkeypatch.delenv("VPRBENCH_OFFLINE")
     for name in ("no_proxy", "NO_PROXY"):
@@ -73,7 +69,7 @@ def on_the_net(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def server() -> Iterator[Server]:
+def server():
     """A server of files; nothing is served yet."""
     with serving() as server:
         yield server

@@ -21,13 +21,11 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from vprbench.run.record import Run
 from vprbench.run.store import Store
 
 HERE = Path(__file__).resolve().parent
@@ -53,7 +51,7 @@ MARK = "CHAOS_HOME"  # environment variable of all processes that are begun here
 class Chaos:
     """The processes of the sweep, and who kills them."""
 
-    def __init__(self, home: Path, n_cells: int, seed: int) -> None:
+    def __init__(self, home, n_cells, seed):
         """Use a folder of its own."""
         self.home = home
         self.drawn = random.Random(seed)
@@ -78,20 +76,20 @@ class Chaos:
         self.environment = {**os.environ, **{name: str(home / folder) for name, folder in own.items()}}
         self.environment["PYTHONPATH"] = os.pathsep.join([str(home / "plugin"), str(ROOT)])
 
-    def begin(self, name: str, *arguments: str) -> subprocess.Popen[bytes]:
+    def begin(self, name, *arguments):
         """Begin a process of Python; what it says goes to a file of its own."""
         self._begun[name] += 1
         command, ours = [sys.executable, "-m", *arguments], self.environment
         with (self.home / "logs" / f"{name}-{self._begun[name]}.log").open("wb") as log:  # Ctrl-C is for this process
             return subprocess.Popen(command, cwd=self.home, env=ours, stdout=log, stderr=log, start_new_session=True)
 
-    def client(self, results: Path) -> subprocess.Popen[bytes]:
+    def client(self, results):
         """Give the command, with workers of its own or on the cluster."""
         elsewhere = self.drawn.choice([f"workers={N_WORKERS}", f"scheduler={self.scheduler}"])
         timing = ["timing=quick", "timing.total_seconds=0.4"]  # while a cell is timed the others are stopped
         return self.begin("client", "vprbench", *self.command, *timing, f"results={results}", elsewhere)
 
-    def keep_cluster(self) -> None:
+    def keep_cluster(self):
         """Begin again what is gone of scheduler and workers."""
         wanted = {"scheduler": ["scheduler", "--host", "127.0.0.1", "--port", self.scheduler.rpartition(":")[2]]}
         wanted |= {f"worker{n}": ["worker", self.scheduler, "--nthreads", "1"] for n in range(N_WORKERS)}
@@ -99,7 +97,7 @@ class Chaos:
             if name not in self._cluster or self._cluster[name].poll() is not None:
                 self._cluster[name] = self.begin(name, "dask", *arguments, "--no-dashboard")
 
-    def kill_one(self) -> None:
+    def kill_one(self):
         """Kill a process, chosen at random."""
         kind = self.drawn.choices([*KILLS], [*KILLS.values()])[0]
         found = sorted(process for process, what in self.processes() if what == kind)
@@ -108,7 +106,7 @@ class Chaos:
                 os.kill(self.drawn.choice(found), signal.SIGKILL)
                 self.kills[kind] += 1
 
-    def processes(self) -> Iterator[tuple[int, str]]:
+    def processes(self):
         """Yield all processes of the sweep that live, and what they are."""
         mark = f"{MARK}={self.environment[MARK]}".encode()
         for folder in Path("/proc").glob("[0-9]*"):
@@ -116,7 +114,7 @@ class Chaos:
                 if mark in (folder / "environ").read_bytes().split(b"\0"):
                     yield int(folder.name), _kind((folder / "cmdline").read_text(errors="replace").replace("\0", " "))
 
-    def disturb(self, seconds: float, right: dict[str, Run]) -> None:
+    def disturb(self, seconds, right):
         """Kill and begin again for so many seconds; a sweep that ends is looked at, and the next one begins."""
         until = time.monotonic() + seconds
         round_number, client = 0, None
@@ -138,7 +136,7 @@ class Chaos:
             time.sleep(0.2)
         self.end_in_peace(client, self.home / f"results-{round_number}", right)
 
-    def end_in_peace(self, client: subprocess.Popen[bytes] | None, results: Path, right: dict[str, Run]) -> None:
+    def end_in_peace(self, client, results, right):
         """Let the sweep end, by the same command if need be, and look at it."""
         until, code = time.monotonic() + PEACE, None
         for _ in range(3):  # the first may have lost its scheduler, the second meet what that left
@@ -153,7 +151,7 @@ class Chaos:
         self.ends[f"in peace, code {code}"] += 1
         self.judge(results, right)
 
-    def judge(self, results: Path, right: dict[str, Run]) -> None:
+    def judge(self, results, right):
         """Compare a store with the serial one, which may hold cells of older code too."""
         made, watched = stored(results), self.home / "watch" / "doubled"
         found = {
@@ -168,7 +166,7 @@ class Chaos:
         print(f"{results.name}: {len(made)} of {self.n_cells} cells; {counts}", flush=True)
         self.faults += [f"{results.name}: {what}: {each}" for what, those in found.items() for each in those]
 
-    def end(self) -> None:
+    def end(self):
         """End the cluster and see what is left."""
         for process in self._cluster.values():
             process.terminate()
@@ -183,12 +181,12 @@ class Chaos:
             os.kill(process, signal.SIGKILL)
 
 
-def _kind(line: str) -> str:
+def _kind(line):
     of = {"dask scheduler": "scheduler", "vprbench compare": "client", "dask worker": "worker", "spawn_main": "worker"}
     return next((kind for word, kind in of.items() if word in line), line)
 
 
-def _temporary(path: Path) -> bool:
+def _temporary(path):
     """Tell whether a file should not be left: of dask's own folders it clears away itself, when it starts again."""
     first = path.parts[0]
     if first == "tmp":
@@ -196,12 +194,12 @@ def _temporary(path: Path) -> bool:
     return first not in ("dask", "watch", "logs") and (path.name.startswith(".") or path.suffix == ".tmp")
 
 
-def stored(results: Path) -> dict[str, Run]:
+def stored(results):
     """Return the runs of a store by the names of their folders."""
     return {f"{run.dataset}/{run.method}-{run.key}": run for run in Store(results, read_only=True).runs()}
 
 
-def _equal(left: Run, right: Run) -> bool:
+def _equal(left, right):
     """Tell whether two runs gave the same answers, bit for bit."""
     return all(
         np.array_equal(getattr(one, name), getattr(other, name))
@@ -211,7 +209,7 @@ def _equal(left: Run, right: Run) -> bool:
     )
 
 
-def main() -> int:
+def main():
     """Make the serial run, disturb, report; returns the exit code."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--minutes", type=float, default=10.0, help="of disturbance")

@@ -1,20 +1,17 @@
 """Methods of the sweep that `make chaos` disturbs, which notice a second process that makes their own cell."""
 
-from __future__ import annotations
-
 import fcntl
 import hashlib
 import os
 import sys
 from pathlib import Path
-from typing import IO, Any, Self
 
 from vprbench.methods import flyhash, hyperdimensional, pca, random_projection
 
-_locks: list[IO[str]] = []  # held until the process ends, however it does
+_locks = []  # held until the process ends, however it does
 
 
-def _watch() -> None:
+def _watch():
     if _locks or not (folder := os.environ.get("CHAOS_WATCH")):
         return
     cell = " ".join(sorted(each for each in sys.argv[1:] if each.startswith(("method", "corruption=", "seed="))))
@@ -27,13 +24,13 @@ def _watch() -> None:
 
 
 class _Watched:
-    def fit(self, *given: Any) -> Self:
+    def fit(self, *given):
         _watch()
-        return super().fit(*given)  # type: ignore[misc,no-any-return]
+        return super().fit(*given)
 
-    def match(self, *given: Any) -> Any:
+    def match(self, *given):
         _watch()  # a map may come from a file
-        return super().match(*given)  # type: ignore[misc]
+        return super().match(*given)
 
 
 class RandomProjection(_Watched, random_projection.RandomProjection):

@@ -1,18 +1,15 @@
 """AnyLoc: equal to a slow computation from the tensors of its files, and centres learnt from the references."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 import torch
-from backbones_oracle import Draw, Tensors, imagenet, vit_checkpoint, vit_qkv, vit_tokens
+from backbones_oracle import Draw, imagenet, vit_checkpoint, vit_qkv, vit_tokens
 from described_images import distance, encoded, image
 from published_networks import PublishedNetwork, saved, unit, with_checks
 from torch.nn.functional import normalize
 
-from vprbench.api.arrays import Image
 from vprbench.api.images import Images
 from vprbench.api.weights import Weights
 from vprbench.errors import BadInput, NotFittedError
@@ -24,22 +21,22 @@ DIM, LAYER, WORDS = 128, 1, 5
 CENTRES = normalize(Draw(5).normal(WORDS, DIM), dim=1) * torch.tensor([0.2, 0.4, 0.6, 0.8, 1.2])[:, None]
 
 
-def weights(path: Path) -> Weights:
+def weights(path):
     return Weights(file=path.name, licence="none", trained_on="nothing", path=str(path))
 
 
-def written(centres: torch.Tensor, path: Path) -> Path:
+def written(centres, path):
     torch.save(centres, path)
     return path
 
 
-def facet(tensors: Tensors, image: Image) -> npt.NDArray[np.float64]:
+def facet(tensors, image):
     """The values of the patches, unit vectors, (n_patches, DIM)."""
     tokens = vit_tokens(tensors, "", imagenet(image), n_blocks=LAYER, final_norm=False)
     return unit(vit_qkv(tensors, "", tokens, LAYER)[2][0].transpose(0, 1).flatten(1).numpy()[1:])
 
 
-def vlad(values: npt.NDArray[np.float64], centres: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def vlad(values, centres):
     sums = np.zeros_like(centres)
     for value in values:
         nearest = (unit(centres) @ value).argmax()
@@ -67,21 +64,21 @@ NETWORK = PublishedNetwork(
 tensors = NETWORK.tensors
 
 
-def learning(folder: Path, **arguments: Any) -> AnyLoc:
+def learning(folder, **arguments):
     own = {"vocabulary": "references", "words": 3, "centres": None, **arguments}
     return NETWORK.method(NETWORK.file(folder), **own)
 
 
 @with_checks(NETWORK)
-def test_it_is_the_published_network(check, folder: Path) -> None:
+def test_it_is_the_published_network(check, folder):
     check(folder)
 
 
-def test_with_the_references_vocabulary_it_keeps_the_contract(folder: Path) -> None:
+def test_with_the_references_vocabulary_it_keeps_the_contract(folder):
     assert NETWORK.check_contract(folder, vocabulary="references", height=42, width=42, batch_size=16) == set()
 
 
-def test_a_centre_without_values_has_zeros(folder: Path) -> None:
+def test_a_centre_without_values_has_zeros(folder):
     values = facet(tensors, image(28, 28))
     centres = torch.tensor(np.stack([values[0] / 2, -values.mean(0)]))  # float64, as k-means may leave it
     path = written(centres, folder / "two.pt")
@@ -90,7 +87,7 @@ def test_a_centre_without_values_has_zeros(folder: Path) -> None:
     assert np.all(code[DIM:] == 0)
 
 
-def test_blocks_after_the_layer_need_not_be_there_nor_fit_nor_are_kept(folder: Path) -> None:
+def test_blocks_after_the_layer_need_not_be_there_nor_fit_nor_are_kept(folder):
     odd = {**tensors, "blocks.2.norm1.weight": torch.zeros(3), "blocks.2.more": torch.zeros(1)}
     path = saved(folder / "changed.pth", odd)
     assert np.array_equal(encoded(NETWORK.method(path), *NETWORK.images), NETWORK.codes(folder))
@@ -98,11 +95,11 @@ def test_blocks_after_the_layer_need_not_be_there_nor_fit_nor_are_kept(folder: P
     assert sum(name.endswith("attn.qkv.weight") for name, _ in network.named_parameters()) == LAYER + 1
 
 
-def references(n: int) -> Images:
+def references(n):
     return Images.from_arrays([image(42, 56, 10 + seed) for seed in range(n)])
 
 
-def test_learnt_centres_are_the_means_of_the_values_that_are_nearest_to_them(folder: Path) -> None:
+def test_learnt_centres_are_the_means_of_the_values_that_are_nearest_to_them(folder):
     fitted = learning(folder).fit(references(6), np.arange(6))
     centres = fitted._network.centres.double().numpy()
     values = np.concatenate([facet(tensors, seen) for seen in references(6)])
@@ -118,7 +115,7 @@ def test_learnt_centres_are_the_means_of_the_values_that_are_nearest_to_them(fol
     assert list(fitted.files()) == [path]
 
 
-def test_of_many_values_some_are_drawn_by_the_seed(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_of_many_values_some_are_drawn_by_the_seed(folder, monkeypatch):
     monkeypatch.setattr("vprbench.methods.anyloc._SAMPLED_IMAGES", 4)
     monkeypatch.setattr("vprbench.methods.anyloc._SAMPLED_PER_CENTRE", 8)
     codes = [learning(folder, seed=seed).fit(references(8), np.arange(8)).encode(references(8)) for seed in (1, 1, 2)]
@@ -127,7 +124,7 @@ def test_of_many_values_some_are_drawn_by_the_seed(folder: Path, monkeypatch: py
 
 
 @pytest.mark.parametrize(("apart", "length"), [(1e-7, 0.0), (1e-2, 1.0)])
-def test_a_residual_that_is_rounding_is_none(apart: float, length: float) -> None:
+def test_a_residual_that_is_rounding_is_none(apart, length):
     draw = Draw(6)
     values = normalize(draw.normal(4, DIM), dim=1)
     centres = values + apart * normalize(draw.normal(4, DIM), dim=1)
@@ -135,7 +132,7 @@ def test_a_residual_that_is_rounding_is_none(apart: float, length: float) -> Non
     assert torch.allclose(parts, torch.full((4,), length), atol=1e-6)
 
 
-def test_a_fit_of_too_few_values_is_refused_and_forgets_the_one_before(folder: Path) -> None:
+def test_a_fit_of_too_few_values_is_refused_and_forgets_the_one_before(folder):
     with pytest.raises(NotFittedError, match="fit"):
         encoded(learning(folder), image(42, 42))
     fitted = learning(folder, words=5).fit(references(6), np.arange(6))
@@ -145,14 +142,14 @@ def test_a_fit_of_too_few_values_is_refused_and_forgets_the_one_before(folder: P
         encoded(fitted, image(42, 42))
 
 
-def refusal(made: AnyLoc) -> str:
+def refusal(made):
     with pytest.raises(BadInput) as error:
         encoded(made, image(42, 42))
     assert "\n" not in str(error.value)
     return str(error.value)
 
 
-def test_centres_that_do_not_fit_are_refused(folder: Path) -> None:
+def test_centres_that_do_not_fit_are_refused(folder):
     assert "method.centres.path=nowhere.pt" in refusal(
         NETWORK.method(NETWORK.file(folder), centres=weights(Path("nowhere.pt")))
     )
@@ -164,7 +161,7 @@ def test_centres_that_do_not_fit_are_refused(folder: Path) -> None:
         assert f"({WORDS}, {DIM})" in message
 
 
-def test_centres_are_published_for_one_network_layer_and_number_alone(folder: Path) -> None:
+def test_centres_are_published_for_one_network_layer_and_number_alone(folder):
     published = Weights(file="centres.pt", licence="none", trained_on="nothing", url="https://example.org/centres.pt")
     for other in ({"backbone": "vitl14", "layer": 20}, {"layer": 30}, {"words": 64}):
         made = AnyLoc(weights=weights(NETWORK.file(folder)), centres=published, **other)
@@ -174,7 +171,7 @@ def test_centres_are_published_for_one_network_layer_and_number_alone(folder: Pa
 @pytest.mark.parametrize(
     "wrong", [{"layer": -1}, {"layer": 40}, {"words": 0}, {"longest_side": 13}, {"centres": None}], ids=str
 )
-def test_arguments_that_make_no_descriptor_are_refused(folder: Path, wrong: dict[str, Any]) -> None:
+def test_arguments_that_make_no_descriptor_are_refused(folder, wrong):
     ((name, value),) = wrong.items()
     told = refusal(NETWORK.method(NETWORK.file(folder), **wrong))
     assert (f"method.{name}" if value is None else f"method.{name}={value}") in told

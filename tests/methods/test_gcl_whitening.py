@@ -1,7 +1,5 @@
 """GCL's whitening against the authors' way by singular values."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 from published_networks import unit
@@ -11,18 +9,18 @@ from vprbench.errors import BadInput, NotFittedError
 from vprbench.methods.gcl import GCL, Whitening
 
 
-def gcl(**arguments: Any) -> GCL:
+def gcl(**arguments):
     return GCL(weights=Weights("none", "", ""), **arguments)
 
 
-def vectors(n: int, seed: int, n_dimensions: int = 40) -> np.ndarray:
+def vectors(n, seed, n_dimensions=40):
     """Unit vectors as networks give them: about a mean, with few strong directions and many weak ones."""
     generator = np.random.default_rng(seed)
     basis = np.random.default_rng(0).normal(size=(n_dimensions, n_dimensions)) / np.arange(1, n_dimensions + 1)[:, None]
     return unit(3 + generator.normal(size=(n, n_dimensions)) @ basis).astype(np.float32)
 
 
-def whitened_slowly(references: np.ndarray, vectors: np.ndarray, kept: slice) -> np.ndarray:
+def whitened_slowly(references, vectors, kept):
     """The authors' whitening from singular values, learnt exactly and applied to float16."""
     precise = references.astype(np.float64)
     mean = precise.mean(0)
@@ -32,13 +30,13 @@ def whitened_slowly(references: np.ndarray, vectors: np.ndarray, kept: slice) ->
     return components / (np.linalg.norm(components, axis=1, keepdims=True) + 1e-6)
 
 
-def scores(references: np.ndarray, queries: np.ndarray, n_components: int | None) -> np.ndarray:
+def scores(references, queries, n_components):
     method = gcl(n_components=n_components)
     return method.fit_descriptors(references, np.arange(len(references))).match(queries)
 
 
 @pytest.mark.parametrize(("n_references", "n_components"), [(90, None), (90, 10), (90, 40), (25, 24), (5000, 12)])
-def test_whitened_scores_are_those_of_singular_values(n_references: int, n_components: int | None) -> None:
+def test_whitened_scores_are_those_of_singular_values(n_references, n_components):
     references, queries = vectors(n_references, 1), vectors(7, 2)
     left, right = queries, references
     if n_components:
@@ -46,7 +44,7 @@ def test_whitened_scores_are_those_of_singular_values(n_references: int, n_compo
     np.testing.assert_allclose(scores(references, queries, n_components), left @ right.T, rtol=0, atol=1e-4)
 
 
-def test_repeated_references_and_constant_dimensions_add_no_components() -> None:
+def test_repeated_references_and_constant_dimensions_add_no_components():
     assert Whitening.learn(vectors(12, 1), 2048).projection.shape == (40, 11)
     references = np.tile(vectors(6, 1), (20, 1))
     references[:, :3] = 0
@@ -54,7 +52,7 @@ def test_repeated_references_and_constant_dimensions_add_no_components() -> None
 
 
 @pytest.mark.parametrize("index", ["exact", "hnsw", "sq8"])
-def test_an_index_holds_whitened_references_and_is_audited_with_whitened_queries(index: str) -> None:
+def test_an_index_holds_whitened_references_and_is_audited_with_whitened_queries(index):
     references, queries = vectors(90, 1), vectors(7, 2)
     method = gcl(n_components=10, index=index)
     found = method.fit_descriptors(references, np.arange(90)).match(queries)
@@ -68,7 +66,7 @@ def test_an_index_holds_whitened_references_and_is_audited_with_whitened_queries
     assert not method.match(vectors(3, 2)).any()  # equal references have no direction
 
 
-def test_whitening_needs_a_map_and_a_component() -> None:
+def test_whitening_needs_a_map_and_a_component():
     with pytest.raises(NotFittedError):
         gcl(n_components=4).match(vectors(2, 1))
     with pytest.raises(BadInput, match=r"method.n_components=0"):

@@ -1,15 +1,12 @@
 """What every method without a published network does with its arguments and its map, and with places learnt later."""
 
 import re
-from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import pytest
 from described_images import drawn_images
 
 from vprbench.api.images import Images
-from vprbench.api.method import Method
 from vprbench.errors import BadInput, NotFittedError
 from vprbench.methods.cohog import CoHOG
 from vprbench.methods.densevlad.method import DenseVLAD
@@ -38,7 +35,7 @@ METHODS = {
 STORED = ["cohog", "densevlad", "pca"]
 
 #: Arguments of which each does not fit.
-REFUSED: dict[str, dict[str, Any]] = {
+REFUSED = {
     "cohog": {"size": 16, "cell": 0, "bins": 1, "sobel": 4, "entropy_radius": -1, "entropy_threshold": float("nan")},
     "densevlad": {"words": 0, "n_components": -1},
     "flyhash": {"units": 0, "summed": 785, "winners": 7841},
@@ -48,7 +45,7 @@ REFUSED: dict[str, dict[str, Any]] = {
     "random_projection": {"components": 0},
 }
 #: Arguments that do not fit one another; the refusal names the first and, here last, another.
-TOGETHER: list[tuple[str, dict[str, Any], str]] = [
+TOGETHER = [
     ("cohog", {"size": 500}, "method.cell=16"),
     ("cohog", {"region_cells": 0}, ""),
     ("cohog", {"entropy_size": 0}, ""),
@@ -63,7 +60,7 @@ TOGETHER: list[tuple[str, dict[str, Any], str]] = [
 
 
 @pytest.fixture(params=METHODS)
-def make(request: pytest.FixtureRequest) -> Callable[[], Method]:
+def make(request):
     return METHODS[request.param]
 
 
@@ -71,13 +68,13 @@ def make(request: pytest.FixtureRequest) -> Callable[[], Method]:
     ("name", "arguments", "besides"),
     [*((name, {one: value}, "") for name, wrong in REFUSED.items() for one, value in wrong.items()), *TOGETHER],
 )
-def test_arguments_that_do_not_fit_are_named(name: str, arguments: dict[str, Any], besides: str) -> None:
+def test_arguments_that_do_not_fit_are_named(name, arguments, besides):
     argument, value = next(iter(arguments.items()))
     with pytest.raises(BadInput, match=rf"method\.{argument}={value}\b.*{re.escape(besides)}"):
         registry.entries("method")[name].target()(**arguments).fit(IMAGES, np.arange(12))
 
 
-def test_of_several_traverses_the_most_similar_image_of_a_place_counts(make: Callable[[], Method]) -> None:
+def test_of_several_traverses_the_most_similar_image_of_a_place_counts(make):
     places = np.array([3, 0, 1, 2, 0, 1, 3, 2, 2, 0, 1, 3])
     each = make().fit(IMAGES, np.arange(12)).query(IMAGES)
     best = np.stack([each[:, places == place].max(1) for place in range(4)], axis=1)
@@ -85,7 +82,7 @@ def test_of_several_traverses_the_most_similar_image_of_a_place_counts(make: Cal
     assert np.array_equal(best.argmax(1), places)
 
 
-def test_fit_keeps_its_own_copy_of_the_places_and_no_queries_have_no_scores(make: Callable[[], Method]) -> None:
+def test_fit_keeps_its_own_copy_of_the_places_and_no_queries_have_no_scores(make):
     places = np.arange(12)[::-1].copy()
     method = make().fit(IMAGES, places)
     before = method.query(IMAGES)
@@ -97,13 +94,13 @@ def test_fit_keeps_its_own_copy_of_the_places_and_no_queries_have_no_scores(make
 
 
 @pytest.mark.parametrize("name", STORED)
-def test_a_stored_map_answers_as_the_learnt_one(name: str) -> None:
+def test_a_stored_map_answers_as_the_learnt_one(name):
     learnt = METHODS[name]().fit(IMAGES, np.arange(12))
     assert np.array_equal(METHODS[name]().restore(learnt.state()).query(IMAGES), learnt.query(IMAGES))
 
 
 @pytest.mark.parametrize("name", STORED)
-def test_arrays_that_are_no_map_are_refused_by_name_and_leave_none(name: str) -> None:
+def test_arrays_that_are_no_map_are_refused_by_name_and_leave_none(name):
     method = METHODS[name]().fit(IMAGES, np.arange(12))
     state = dict(method.state())
     broken = [
@@ -124,10 +121,10 @@ def test_arrays_that_are_no_map_are_refused_by_name_and_leave_none(name: str) ->
 
 WORLD = Journey.draw(3)
 TRAVERSES, QUERIES = Images.from_arrays(WORLD.references), Images.from_arrays(WORLD.queries)
-TEMPO: dict[str, Any] = {"height": 12, "width": 12, "max_module": 8}
+TEMPO = {"height": 12, "width": 12, "max_module": 8}
 
 
-def learnt(method: Method, first: int, *more: int) -> Any:
+def learnt(method, first, *more):
     """Fit the first places, then learn those up to each of the next numbers."""
     for start, end in zip((0, first, *more), (first, *more), strict=False):
         own = np.flatnonzero((WORLD.places >= start) & (WORLD.places < end))
@@ -136,7 +133,7 @@ def learnt(method: Method, first: int, *more: int) -> Any:
 
 
 @pytest.mark.parametrize("make", [SAD, HOG])
-def test_a_map_that_grew_answers_as_one_that_was_learnt_at_once(make: Callable[[], Method]) -> None:
+def test_a_map_that_grew_answers_as_one_that_was_learnt_at_once(make):
     grown = learnt(make(), 12, 13, 14, 19, 20)
     at_once = make().fit(TRAVERSES, WORLD.places)
     assert grown.query(QUERIES) == pytest.approx(at_once.query(QUERIES), rel=1e-6)
@@ -145,7 +142,7 @@ def test_a_map_that_grew_answers_as_one_that_was_learnt_at_once(make: Callable[[
 
 
 @pytest.mark.parametrize("make", [SAD, HOG, lambda: VPRTempo(**TEMPO)])
-def test_new_places_follow_the_known_ones_without_a_gap_and_after_a_fit(make: Callable[[], Method]) -> None:
+def test_new_places_follow_the_known_ones_without_a_gap_and_after_a_fit(make):
     new = np.flatnonzero(WORLD.places >= 15)
     with pytest.raises(NotFittedError):
         make().extend(TRAVERSES[new], WORLD.places[new])
@@ -157,7 +154,7 @@ def test_new_places_follow_the_known_ones_without_a_gap_and_after_a_fit(make: Ca
 
 
 @pytest.mark.parametrize("method", [PCA(), HOG(index="sq8"), VPRTempo(**TEMPO, silent_winner=True)])
-def test_what_learns_its_places_together_says_so(method: Method) -> None:
+def test_what_learns_its_places_together_says_so(method):
     assert not method.extends
     with pytest.raises(BadInput):
         learnt(method, 15, 16)
@@ -167,7 +164,7 @@ def test_what_learns_its_places_together_says_so(method: Method) -> None:
     "rules",
     [{}, {"rules": "reference"}, {"calibrated_scores": True, "output_rule": "covariance", "feature_rule": "rates"}],
 )
-def test_known_neurons_keep_their_weights_and_after_a_module_of_new_ones_another_begins(rules: dict[str, Any]) -> None:
+def test_known_neurons_keep_their_weights_and_after_a_module_of_new_ones_another_begins(rules):
     before, after = (learnt(VPRTempo(**TEMPO, **rules), 15).state(), learnt(VPRTempo(**TEMPO, **rules), 15, 18, 19, 20))
     grown = after.state()
     for name in ("outputs_0", "outputs_1", "output_thresholds_1"):

@@ -1,21 +1,17 @@
 """NetVLAD in its three published layouts, and SFRS, against a float64 version written from the names in the files."""
 
 import re
-from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import backbones_oracle as oracle
 import numpy as np
 import pytest
 import scipy.io
 import torch
-from backbones_oracle import Draw, Tensors
+from backbones_oracle import Draw
 from described_images import drawn_images, encoded
 from published_networks import PublishedNetwork, saved, with_checks
-
-from vprbench.api.arrays import Image
 
 pytestmark = pytest.mark.extended  # published networks at full size
 
@@ -25,7 +21,7 @@ SFRS_MEAN = np.array([0.48501960784313836, 0.4579568627450961, 0.407603921568625
 SIZES = [(64, 96), (49, 70), (64, 96)]
 
 
-def drawn(clusters: int, components: int | None = None, of_levels: bool = False) -> Tensors:
+def drawn(clusters, components=None, of_levels=False):
     """Random tensors under the names of family C; without `components` those of family B."""
     draw = Draw(clusters)
     tensors = oracle.vgg16_checkpoint(draw, "encoder.")
@@ -39,7 +35,7 @@ def drawn(clusters: int, components: int | None = None, of_levels: bool = False)
     return tensors
 
 
-def cell(*values: Any) -> np.ndarray:
+def cell(*values):
     """What savemat writes as a row of cells."""
     cells = np.empty((1, len(values)), dtype=object)
     for i, value in enumerate(values):
@@ -47,11 +43,11 @@ def cell(*values: Any) -> np.ndarray:
     return cells
 
 
-def layer(kind: str, *weights: np.ndarray) -> dict[str, Any]:
+def layer(kind, *weights):
     return {"type": kind, "name": kind, "weights": cell(*weights)}
 
 
-def write_struct(path: Path, tensors: Tensors) -> Path:
+def write_struct(path, tensors):
     """Write tensors, of which the whitening takes channels first, as MatConvNet keeps them."""
     t = {name: tensor.float().numpy() for name, tensor in tensors.items()}
     layers = []
@@ -70,15 +66,13 @@ def write_struct(path: Path, tensors: Tensors) -> Path:
     return path
 
 
-def write_checkpoint(path: Path, tensors: Tensors, **extras: Any) -> Path:
+def write_checkpoint(path, tensors, **extras):
     """Write what training with PyTorch writes: the tensors, and what else there is."""
     optimizer = {"state": {}, "param_groups": [{"lr": 0.1, "params": [0, 1]}]}
     return saved(path, {"epoch": 30, "state_dict": dict(tensors), "optimizer": optimizer, "parallel": False, **extras})
 
 
-def expected(
-    family: str, tensors: Tensors, image: Image, halved: bool = False, whiten: bool = True, keep: int | None = None
-) -> torch.Tensor:
+def expected(family, tensors, image, halved=False, whiten=True, keep=None):
     x = image.reshape(64, 2, 96, 2, 3).mean((1, 3)) if halved else image.astype(np.float64)
     less = {"matconvnet": AVERAGE, "sfrs": SFRS_MEAN}
     x = x - less[family] if family in less else (x / 255 - IMAGENET[0]) / IMAGENET[1]
@@ -101,7 +95,7 @@ REFUSED = [
 ]
 
 
-def network(name: str, family: str, n_dimensions: int, **more: Any) -> PublishedNetwork:
+def network(name, family, n_dimensions, **more):
     arguments = {"family": family, "whiten": family != "pytorch", "longest_side": None, "resize": "pillow"}
     return PublishedNetwork(
         name,
@@ -149,7 +143,7 @@ MSLS = network(
 SFRS_NAMES = {"encoder.": "base_model.base.", "pool.": "net_vlad.", "WPCA.0.": "pca_layer."}
 
 
-def as_sfrs(tensors: Tensors, names: Mapping[str, str]) -> Tensors:
+def as_sfrs(tensors, names):
     return {
         name.replace(own, other, 1): tensor
         for name, tensor in tensors.items()
@@ -172,7 +166,7 @@ SFRS = PublishedNetwork(
 
 
 @with_checks(MATCONVNET, PYTORCH, MSLS, SFRS)
-def test_it_is_the_published_network(check, folder: Path) -> None:
+def test_it_is_the_published_network(check, folder):
     check(folder)
 
 
@@ -180,11 +174,11 @@ def test_it_is_the_published_network(check, folder: Path) -> None:
     ("size", "target"),
     [((1080, 1920), (576, 1024)), ((1500, 1000), (1024, 683)), ((1024, 768), (1024, 768)), ((3, 4000), (1, 1024))],
 )
-def test_only_images_of_more_than_the_longest_side_change_their_size(size, target) -> None:
+def test_only_images_of_more_than_the_longest_side_change_their_size(size, target):
     assert MATCONVNET.method(Path("none"), longest_side=1024).target(*size) == target
 
 
-def test_other_forms_of_a_checkpoint_are_read_and_values_are_float32(folder: Path) -> None:
+def test_other_forms_of_a_checkpoint_are_read_and_values_are_float32(folder):
     network = MSLS.method(MSLS.file(folder)).load(MSLS.file(folder))
     assert {values.dtype for values in network.state_dict().values()} == {torch.float32}
     parallel = {re.sub(r"^(encoder|pool)\.", r"\1.module.", name): tensor for name, tensor in PYTORCH.tensors.items()}
@@ -210,7 +204,7 @@ META = {"normalization": {"averageImage": np.zeros((1, 1, 3))}}
     ],
     ids=["no net", "an object", "no mean", "34 layers", "no weights", "a page", "cut off"],
 )
-def test_another_file_than_a_mat_of_this_structure_is_refused_with_what_is_wanted(content: Any, folder: Path) -> None:
+def test_another_file_than_a_mat_of_this_structure_is_refused_with_what_is_wanted(content, folder):
     path = folder / "x.mat"
     if isinstance(content, dict):
         scipy.io.savemat(path, content)

@@ -1,11 +1,8 @@
 """Patch-NetVLAD: patches by direct loops in float64, matching and geometry on worked examples, and what it costs."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import backbones_oracle as oracle
 import cv2
@@ -15,7 +12,6 @@ from described_images import drawn_images, encoded, image, pillow
 from published_networks import PublishedNetwork, saved, unit, with_checks
 from torch import Tensor, nn
 
-from vprbench.api.arrays import Image
 from vprbench.api.images import Images
 from vprbench.api.method import held_together
 from vprbench.api.weights import Weights
@@ -33,7 +29,7 @@ SHARES = {"performance": (0.45, 0.15, 0.4), "speed": (1.0,), "storage": (1.0,)}
 Tensors = dict[str, Tensor]
 
 
-def drawn(clusters: int = 3, components: int = 10, encoder: Tensors | None = None) -> Tensors:
+def drawn(clusters=3, components=10, encoder=None):
     draw = oracle.Draw(5)
     return {
         **(encoder or oracle.vgg16_checkpoint(draw, "encoder.")),
@@ -44,16 +40,16 @@ def drawn(clusters: int = 3, components: int = 10, encoder: Tensors | None = Non
     }
 
 
-def written(path: Path, tensors: Tensors) -> Path:
+def written(path, tensors):
     return saved(path, {"epoch": 9, "num_pcs": 10, "state_dict": dict(tensors)})
 
 
-def made(path: Path | str = "none", n_components: int = 10, **arguments: Any) -> PatchNetVLAD:
+def made(path="none", n_components=10, **arguments):
     arguments = {"components": dict.fromkeys(SIDES, n_components), "height": 144, "width": 160, **arguments}
     return PatchNetVLAD(weights=Weights("x", "", "", path=str(path)), **arguments)
 
 
-def described(tensors: Tensors, seen: Image, sides: Sequence[int] = (2, 5, 8)) -> np.ndarray:
+def described(tensors, seen, sides=(2, 5, 8)):
     """Descriptors of an image and of its patches, patch by patch, (1 + n_patches, 10)."""
     features = oracle.vgg16(tensors, "encoder.", oracle.imagenet(seen), 28)[0]
     residuals = oracle.residuals(features, tensors["pool.conv.weight"], tensors["pool.centroids"])
@@ -89,12 +85,12 @@ NETWORK = PublishedNetwork(
 
 
 @with_checks(NETWORK)
-def test_it_is_the_published_network(check, folder: Path) -> None:
+def test_it_is_the_published_network(check, folder):
     check(folder)
 
 
 @pytest.mark.parametrize("configuration", ["performance", "storage"])
-def test_the_contract_is_kept(configuration: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_contract_is_kept(configuration, tmp_path, monkeypatch):
     """With one convolution in VGG16's place."""
     monkeypatch.setattr(netvlad, "vgg16_features", lambda _: nn.Sequential(nn.Conv2d(3, 512, 16, stride=16)))
     draw = oracle.Draw()
@@ -104,7 +100,7 @@ def test_the_contract_is_kept(configuration: str, tmp_path: Path, monkeypatch: p
     assert network.check_contract(tmp_path, configuration=configuration) == set()
 
 
-def test_a_configuration_of_one_size_has_those_patches_alone_and_the_bytes_of_a_code_are_known(folder: Path) -> None:
+def test_a_configuration_of_one_size_has_those_patches_alone_and_the_bytes_of_a_code_are_known(folder):
     code = NETWORK.codes(folder)[0].reshape(-1, 10)
     for configuration, kept in (("performance", code), ("speed", np.concatenate([code[:1], code[73:103]]))):
         method = NETWORK.method(NETWORK.file(folder), configuration=configuration)
@@ -117,11 +113,11 @@ def test_a_configuration_of_one_size_has_those_patches_alone_and_the_bytes_of_a_
     assert held_together(published, 128) == 23
 
 
-def test_cancellation_as_published_is_had_on_request(tmp_path: Path) -> None:
+def test_cancellation_as_published_is_had_on_request(tmp_path):
     """Most clusters get hardly a share of most local descriptors: what an integral image leaves of it is rounding."""
     seen = image(144, 160)
 
-    def cosines(precision: str, decided: float) -> np.ndarray:
+    def cosines(precision, decided):
         tensors = drawn()
         tensors["pool.conv.weight"] *= decided
         path = written(tmp_path / "x.pth.tar", tensors)
@@ -148,16 +144,16 @@ FOUR = [0, 4, 11, 13]
         ("displacement", [0, 1, 5, 6], [1, 2, 6, 7], 4 * (4**2 + 2**2) / 15),  # all one to the right
     ],
 )
-def test_pairs_score_what_is_computed_by_hand(geometry: Any, query: list[int], reference: list[int], wanted) -> None:
+def test_pairs_score_what_is_computed_by_hand(geometry, query, reference, wanted):
     pairs = np.array(query, np.int64), np.array(reference, np.int64)
     assert score(geometry, cells(3, 5), 2, pairs) == pytest.approx(wanted)
 
 
-def cells(rows: int, columns: int) -> np.ndarray:
+def cells(rows, columns):
     return np.array([(x, y) for y in range(rows) for x in range(columns)])
 
 
-def test_points_are_inliers_within_24_pixels_of_the_query_image_whatever_was_asked_before() -> None:
+def test_points_are_inliers_within_24_pixels_of_the_query_image_whatever_was_asked_before():
     reference = np.random.default_rng(0).uniform((0, 0), (640, 480), (40, 2)).astype(np.float32)
     query, near, far = 4 * reference, reference.copy(), reference.copy()
     query[::4] += 90 * unit(np.random.default_rng(1).standard_normal((10, 2)))  # 22.5 pixels in the reference
@@ -176,7 +172,7 @@ LOWEST[3] = -math.sqrt(99)  # the standard scores if one of 100 differs
     ("agreement", "cosines"),
     [(np.array([0.5, -1.7, 1.2, 0.0]), [0.1, 0.99, -0.3, 0.2]), (LOWEST, np.zeros(100)), (np.zeros(1), [0.3])],
 )
-def test_candidates_score_above_every_cosine_in_the_order_of_their_agreement(agreement: np.ndarray, cosines) -> None:
+def test_candidates_score_above_every_cosine_in_the_order_of_their_agreement(agreement, cosines):
     scores = above_cosines(agreement, np.array(cosines, np.float32))
     np.testing.assert_allclose(scores, agreement + 2 + math.sqrt(len(agreement) - 1), rtol=1e-6, atol=1e-5)
     assert scores.min() > 1.99999
@@ -186,7 +182,7 @@ def test_candidates_score_above_every_cosine_in_the_order_of_their_agreement(agr
 N_PLACES, ROWS, COLUMNS, COMPONENTS = 7, 9, 10, 12
 
 
-def made_up(configuration: str = "performance") -> SimpleNamespace:
+def made_up(configuration="performance"):
     """Made-up codes: two reference images a place, of which the patches are moved and noisy, and three queries."""
     generator = np.random.default_rng(4)
     n_patches = [(ROWS - side + 1) * (COLUMNS - side + 1) for side in SIDES[configuration]]
@@ -201,17 +197,17 @@ def made_up(configuration: str = "performance") -> SimpleNamespace:
 
 
 @pytest.fixture
-def world() -> SimpleNamespace:
+def world():
     return made_up()
 
 
-def fitted(world: SimpleNamespace, monkeypatch: pytest.MonkeyPatch, **arguments: Any) -> PatchNetVLAD:
+def fitted(world, monkeypatch, **arguments):
     codes = world.codes
     monkeypatch.setattr(PatchNetVLAD, "encode", lambda _, images: codes[[image[0, 0, 0] for image in images]])
     return made(n_components=COMPONENTS, **arguments).fit(world.references, world.places)
 
 
-def slow_score(configuration: str, query: np.ndarray, other: np.ndarray, side: int) -> float:
+def slow_score(configuration, query, other, side):
     """The score, which is worked by hand above, of the patches that are each other's nearest."""
     rows, columns = ROWS - side + 1, COLUMNS - side + 1
     distances = np.linalg.norm(query[:, None] - other, axis=2)
@@ -221,7 +217,7 @@ def slow_score(configuration: str, query: np.ndarray, other: np.ndarray, side: i
     return score(GEOMETRY[configuration], cells(rows, columns), side, tuple(ends))
 
 
-def slow_scores(world: SimpleNamespace, code: np.ndarray, configuration: str, n_candidates: int) -> np.ndarray:
+def slow_scores(world, code, configuration, n_candidates):
     """A query's scores, place by place."""
     query, *split = (unit(one.reshape(-1, COMPONENTS).astype(np.float64)) for one in (code, *world.codes[:-3]))
     best = {}
@@ -241,7 +237,7 @@ def slow_scores(world: SimpleNamespace, code: np.ndarray, configuration: str, n_
 
 
 @pytest.mark.parametrize(("configuration", "n_candidates"), [("performance", 3), ("speed", 100), ("storage", N_PLACES)])
-def test_scores_are_those_of_direct_loops(configuration: str, n_candidates: int, monkeypatch) -> None:
+def test_scores_are_those_of_direct_loops(configuration, n_candidates, monkeypatch):
     world = made_up(configuration)
     method = fitted(world, monkeypatch, configuration=configuration, candidates=n_candidates)
     scores = method.query(world.queries)
@@ -252,7 +248,7 @@ def test_scores_are_those_of_direct_loops(configuration: str, n_candidates: int,
     assert np.count_nonzero(scores >= 2, axis=1).tolist() == [n_candidates] * 3
 
 
-def test_float16_gives_almost_the_same_scores_and_descriptors_from_elsewhere_the_same_map(world, monkeypatch) -> None:
+def test_float16_gives_almost_the_same_scores_and_descriptors_from_elsewhere_the_same_map(world, monkeypatch):
     references, queries = world.codes[:-3], world.codes[-3:]
     world.codes.flags.writeable = references.flags.writeable = False  # as what is read from disk
     scores = {}
@@ -266,7 +262,7 @@ def test_float16_gives_almost_the_same_scores_and_descriptors_from_elsewhere_the
     assert np.array_equal(scores["float16"].argmax(1), scores["float32"].argmax(1))
 
 
-def cosines(world: SimpleNamespace) -> np.ndarray:
+def cosines(world):
     """Of each query with the best image of each place."""
     whole = unit(world.codes.reshape(len(world.codes), -1, COMPONENTS)[:, 0])
     similarity = whole[-3:] @ whole[:-3].T
@@ -274,7 +270,7 @@ def cosines(world: SimpleNamespace) -> np.ndarray:
 
 
 @pytest.mark.parametrize("constant", [0.0, 0.1 + 0.2])
-def test_candidates_of_equal_scores_keep_the_order_of_their_cosines(constant: float, world, monkeypatch) -> None:
+def test_candidates_of_equal_scores_keep_the_order_of_their_cosines(constant, world, monkeypatch):
     method = fitted(world, monkeypatch)
     monkeypatch.setattr(patch_netvlad, "score", lambda *_: constant)
     scores = method.query(world.queries)
@@ -282,7 +278,7 @@ def test_candidates_of_equal_scores_keep_the_order_of_their_cosines(constant: fl
     np.testing.assert_array_equal(np.argsort(scores), np.argsort(cosines(world)))
 
 
-def test_candidates_are_taken_from_what_an_approximate_index_retrieves(world, monkeypatch) -> None:
+def test_candidates_are_taken_from_what_an_approximate_index_retrieves(world, monkeypatch):
     method = fitted(world, monkeypatch, index="hnsw", neighbours=3)
     scores = method.query(world.queries)
     shown = np.isfinite(scores)
@@ -302,9 +298,7 @@ def test_candidates_are_taken_from_what_an_approximate_index_retrieves(world, mo
         ("encode", "float32", r"46\.3 GB", "method.configuration=storage"),
     ],
 )
-def test_patches_that_do_not_fit_into_memory_are_refused_before_any_is_made(
-    call: str, patches: str, needed: str, advice: str, monkeypatch
-) -> None:
+def test_patches_that_do_not_fit_into_memory_are_refused_before_any_is_made(call, patches, needed, advice, monkeypatch):
     monkeypatch.setattr(patch_netvlad.psutil, "virtual_memory", lambda: SimpleNamespace(available=3e9))
     method = made(n_components=4096, height=480, width=640, patches=patches)
     images = Images(lambda _: pytest.fail("an image was read"), ["x"] * 1000)

@@ -1,10 +1,8 @@
 """Every published network: its yaml, its published sizes, the contract, and what it sees of an image."""
 
-from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import fields
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import cv2
@@ -16,10 +14,8 @@ from described_images import composed, drawn_images
 from described_images import pillow as resized_by_pillow
 from PIL import Image as PillowImage
 from published_networks import SmallNetwork, excepted
-from torch import Tensor
 from torch.nn import functional
 
-from vprbench.api.arrays import Image
 from vprbench.api.images import Images
 from vprbench.api.neural import NeuralDescriptor
 from vprbench.errors import BadInput
@@ -68,12 +64,12 @@ SIZES = {
 
 
 @cache
-def configured(words: str) -> dict[str, Any]:
+def configured(words):
     name, *options = words.split(" method.")
     return composed(f"method={name}", *(f"method.{option}" for option in options))
 
 
-def configuration(words: str) -> dict[str, Any]:
+def configuration(words):
     """Return what a run with a method and options of it gets."""
     return deepcopy(configured(words))
 
@@ -82,14 +78,14 @@ def configuration(words: str) -> dict[str, Any]:
 CONTRACT = {*{ENTRIES[name].target(): name for name in NETWORKS}.values(), "gcl_whitened", "supervlad_crossimage"}
 
 
-def made(words: str) -> NeuralDescriptor:
+def made(words):
     method = registry.make_method(configuration(words))
     assert isinstance(method, NeuralDescriptor)
     return method
 
 
 @pytest.mark.parametrize("name", sorted(CONTRACT - {"patch_netvlad"}))
-def test_a_method_keeps_the_contract_with_a_small_network_in_place_of_its_own(name: str, tmp_path: Path) -> None:
+def test_a_method_keeps_the_contract_with_a_small_network_in_place_of_its_own(name, tmp_path):
     config = configuration(name) | {"height": 56, "width": 56}
     for file in {"weights", "centres"} & set(config):
         config[file]["path"] = str(tmp_path / "there")
@@ -99,7 +95,7 @@ def test_a_method_keeps_the_contract_with_a_small_network_in_place_of_its_own(na
 
 
 @pytest.mark.parametrize("name", NETWORKS)
-def test_the_yaml_holds_the_arguments_of_the_class_and_their_defaults(name: str) -> None:
+def test_the_yaml_holds_the_arguments_of_the_class_and_their_defaults(name):
     method = made(name)
     own = [field.name for field in fields(method) if field.init]
     assert set(ENTRIES[name].options) == set(own)
@@ -109,7 +105,7 @@ def test_the_yaml_holds_the_arguments_of_the_class_and_their_defaults(name: str)
 
 
 @pytest.mark.parametrize("words", [*NETWORKS, *(words for words in FILES if " " in words)])
-def test_the_yaml_names_the_published_file_and_where_it_is_or_how_it_is_fetched_by_hand(words: str) -> None:
+def test_the_yaml_names_the_published_file_and_where_it_is_or_how_it_is_fetched_by_hand(words):
     weights = configuration(words)["weights"]
     file, url = weights["file"], weights["url"]
     assert file == FILES.get(words, file)
@@ -118,13 +114,13 @@ def test_the_yaml_names_the_published_file_and_where_it_is_or_how_it_is_fetched_
 
 
 @pytest.mark.parametrize("words", SIZES)
-def test_the_network_without_values_has_the_published_dimensions(words: str) -> None:
+def test_the_network_without_values_has_the_published_dimensions(words):
     side, n_dimensions = SIZES[words]
     with torch.device("meta"):
         assert made(words).blank()(torch.zeros(2, 3, side, side)).shape == (2, n_dimensions)
 
 
-def boq_values(dim: int, n_channels: int) -> int:
+def boq_values(dim, n_channels):
     """The values of BoQ's convolution, norm, two blocks of 64 queries with their encoders, and last layer."""
     block = 64 * dim + 3 * (4 * dim**2 + 4 * dim) + 4 * 2 * dim + 8 * dim**2 + 5 * dim
     return 9 * n_channels * dim + dim + 2 * dim + 2 * block + 128 * 32 + 32
@@ -155,7 +151,7 @@ VALUES = {
 
 
 @pytest.mark.parametrize("words", VALUES)
-def test_the_network_without_values_has_the_published_number_of_values(words: str) -> None:
+def test_the_network_without_values_has_the_published_number_of_values(words):
     with torch.device("meta"):
         assert sum(values.numel() for values in made(words).blank().parameters()) == VALUES[words]
 
@@ -167,7 +163,7 @@ LARGE, SMALL = (768, 2048), (47, 61)
 MEANS = {"netvlad": (117.5, 120.25, 90.75), "sfrs": (123.68, 116.779, 103.939)}
 
 
-def shown(name: str, image: Image, **changed: Any) -> tuple[NeuralDescriptor, Tensor]:
+def shown(name, image, **changed):
     """A method, and what its network sees of an image, (3, height, width)."""
     method = registry.make_method({**configuration(name), **changed})
     method.use(network := SmallNetwork())
@@ -176,7 +172,7 @@ def shown(name: str, image: Image, **changed: Any) -> tuple[NeuralDescriptor, Te
     return method, network.seen[0]
 
 
-def seen(name: str, image: Image, **changed: Any) -> Levels:
+def seen(name, image, **changed):
     """What the network sees, as levels 0..255, (height, width, 3)."""
     values = shown(name, image, **changed)[1].permute(1, 2, 0).double().numpy()
     if name in MEANS:
@@ -184,12 +180,12 @@ def seen(name: str, image: Image, **changed: Any) -> Levels:
     return (values * [0.229, 0.224, 0.225] + [0.485, 0.456, 0.406]) * 255
 
 
-def pillow(side: tuple[int, int], how: Any = PillowImage.Resampling.BILINEAR) -> Callable[[Image], Levels]:
+def pillow(side, how=PillowImage.Resampling.BILINEAR):
     return lambda image: resized_by_pillow(image, *side, how)
 
 
-def floats(side: tuple[int, int], mode: str = "bilinear") -> Callable[[Image], Levels]:
-    def resized(image: Image) -> Levels:
+def floats(side, mode="bilinear"):
+    def resized(image):
         levels = torch.from_numpy(image).permute(2, 0, 1)[None].double()
         if levels.shape[2:] != side:
             levels = functional.interpolate(levels, side, mode=mode, antialias=True, align_corners=False)
@@ -198,11 +194,11 @@ def floats(side: tuple[int, int], mode: str = "bilinear") -> Callable[[Image], L
     return resized
 
 
-def means_of_four(image: Image) -> Levels:
+def means_of_four(image):
     return image.reshape(image.shape[0] // 2, 2, image.shape[1] // 2, 2, 3).mean((1, 3))
 
 
-AUTHORS: list[tuple[str, tuple[int, int], Callable[[Image], Levels]]] = [
+AUTHORS = [
     ("netvlad", LARGE, means_of_four),  # hloc: at most 1024 pixels
     ("netvlad", SMALL, lambda image: image),
     ("netvlad_pytorch", LARGE, lambda image: image),
@@ -229,7 +225,7 @@ AUTHORS: list[tuple[str, tuple[int, int], Callable[[Image], Levels]]] = [
 
 
 @pytest.mark.parametrize(("name", "size", "expected"), AUTHORS)
-def test_images_are_seen_as_in_the_authors_evaluation(name: str, size: tuple[int, int], expected) -> None:
+def test_images_are_seen_as_in_the_authors_evaluation(name, size, expected):
     (image,) = drawn_images(size)
     found, wanted = seen(name, image), expected(image)
     assert found.shape == wanted.shape
@@ -239,7 +235,7 @@ def test_images_are_seen_as_in_the_authors_evaluation(name: str, size: tuple[int
 @pytest.mark.parametrize(
     ("name", "size"), [*((name, (200, 301)) for name in NETWORKS), ("netvlad", LARGE), ("anyloc", LARGE)]
 )
-def test_images_are_seen_as_in_vpr_methods_evaluation_by_every_network(name: str, size: tuple[int, int]) -> None:
+def test_images_are_seen_as_in_vpr_methods_evaluation_by_every_network(name, size):
     (image,) = drawn_images(size)
     config = configuration(name)
     assert config["preprocessing"] == "authors"
@@ -254,6 +250,6 @@ def test_images_are_seen_as_in_vpr_methods_evaluation_by_every_network(name: str
     assert (found - wanted).abs().max() < np.ptp(normalised) / 2000
 
 
-def test_anyloc_refuses_an_image_without_a_whole_patch() -> None:
+def test_anyloc_refuses_an_image_without_a_whole_patch():
     with pytest.raises(BadInput, match="AnyLoc needs 14 pixels a side"):
         seen("anyloc", drawn_images((13, 40))[0])

@@ -3,22 +3,19 @@
 import contextlib
 import sys
 from functools import partial
-from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 import backbones_oracle as oracle
 import numpy as np
 import pytest
 import torch
-from backbones_oracle import Draw, Tensors, gem, imagenet, prefixed, under
+from backbones_oracle import Draw, gem, imagenet, prefixed, under
 from described_images import distance, drawn_images, encoded, pillow
 from PIL import Image as PillowImage
 from published_networks import PublishedNetwork, saved, with_checks
 from sklearn.decomposition import PCA
 from torch.nn import functional
 
-from vprbench.api.arrays import Image
 from vprbench.api.weights import Weights
 from vprbench.errors import BadInput
 from vprbench.methods.cosplace import CosPlace, EigenPlaces
@@ -28,12 +25,12 @@ from vprbench.methods.mixvpr import MixVPR
 pytestmark = pytest.mark.extended  # published networks at full size
 
 
-def backbone_checkpoint(draw: Draw, kind: str) -> Tensors:
+def backbone_checkpoint(draw, kind):
     checkpoint = oracle.vgg16_checkpoint(draw) if kind == "vgg16" else oracle.resnet_checkpoint(draw, kind)
     return prefixed("backbone.", checkpoint)
 
 
-def backbone(tensors: Tensors, kind: str, x: torch.Tensor, last: int) -> torch.Tensor:
+def backbone(tensors, kind, x, last):
     """The features of VGG16 up to a layer, or of a ResNet."""
     if kind == "vgg16":
         return oracle.vgg16(tensors, "backbone.", x, last)
@@ -43,7 +40,7 @@ def backbone(tensors: Tensors, kind: str, x: torch.Tensor, last: int) -> torch.T
 # CosPlace, EigenPlaces, and EigenPlaces trained indoors, one module deeper in its file
 
 
-def draw_cosplace(kind: str, n_channels: int = 512, n_dimensions: int = 64) -> Tensors:
+def draw_cosplace(kind, n_channels=512, n_dimensions=64):
     draw = Draw(len(kind))
     return backbone_checkpoint(draw, kind) | {
         "aggregation.1.p": torch.tensor([2.4]),
@@ -53,9 +50,7 @@ def draw_cosplace(kind: str, n_channels: int = 512, n_dimensions: int = 64) -> T
     }
 
 
-def described_by_cosplace(
-    tensors: Tensors, seen: Image, kind: str = "vgg16", size: tuple[int, int] | None = None, prefix: str = ""
-) -> torch.Tensor:
+def described_by_cosplace(tensors, seen, kind="vgg16", size=None, prefix=""):
     t, x = under(tensors, prefix), imagenet(seen)
     x = x if size is None else functional.interpolate(x, size, mode="bilinear", antialias=True)
     pooled = gem(functional.normalize(backbone(t, kind, x, 28), dim=1), t["aggregation.1.p"])[0]
@@ -87,7 +82,7 @@ INDOOR = PublishedNetwork(
 )
 
 
-def test_a_resnet_of_cosplace_takes_the_smallest_image_too(folder: Path) -> None:
+def test_a_resnet_of_cosplace_takes_the_smallest_image_too(folder):
     tensors = draw_cosplace("resnet18", n_dimensions=32)
     path = saved(folder / "resnet.pth", tensors)
     method = COSPLACE.method(path, backbone="ResNet18", n_dimensions=32)
@@ -110,9 +105,7 @@ def test_a_resnet_of_cosplace_takes_the_smallest_image_too(folder: Path) -> None
         (EigenPlacesIndoor, "ResNet50", {2048}),
     ],
 )
-def test_only_what_was_published_is_looked_for(
-    kind, backbone: str, published: set[int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_only_what_was_published_is_looked_for(kind, backbone, published, tmp_path, monkeypatch):
     monkeypatch.setenv("VPRBENCH_WEIGHTS", str(tmp_path))
     (tmp_path / "there.pth").touch()
     found = set()
@@ -127,20 +120,18 @@ def test_only_what_was_published_is_looked_for(
 # GCL; its whitening has tests of its own
 
 
-def draw_gcl(kind: str, pooling: str = "GeM") -> Tensors:
+def draw_gcl(kind, pooling="GeM"):
     return backbone_checkpoint(Draw(len(kind)), kind) | ({"pool.p": torch.tensor([2.4])} if pooling == "GeM" else {})
 
 
-def written_by_gcl(path: Path, tensors: Tensors, key: str = "model_state_dict", prefix: str = "") -> Path:
+def written_by_gcl(path, tensors, key="model_state_dict", prefix=""):
     """Write what the authors' training writes."""
     named = prefixed(prefix, tensors)
     optimizer = {"state": {}, "param_groups": [{"lr": 0.1, "momentum": 0, "params": [0, 1]}]}
     return saved(path, {key: named, "step": 1300, "optimizer": optimizer} if key else named)
 
 
-def described_by_gcl(
-    tensors: Tensors, seen: Image, kind: str = "vgg16", pooling: str = "GeM", size: tuple[int, int] = (64, 96)
-) -> torch.Tensor:
+def described_by_gcl(tensors, seen, kind="vgg16", pooling="GeM", size=(64, 96)):
     x = backbone(tensors, kind, imagenet(pillow(seen, *size)), 30)
     if pooling == "GeM":
         return gem(x, tensors["pool.p"])[0]
@@ -184,9 +175,7 @@ GCL = PublishedNetwork(
         ("vgg16", "vgg16", "max"),
     ],
 )
-def test_other_backbones_and_poolings_of_gcl_are_those_of_the_published_layout(
-    backbone: str, kind: str, pooling: str, folder: Path
-) -> None:
+def test_other_backbones_and_poolings_of_gcl_are_those_of_the_published_layout(backbone, kind, pooling, folder):
     tensors, seen = draw_gcl(kind, pooling), GCL.images[0]
     method = GCL.method(written_by_gcl(folder / "other.pth", tensors), backbone=backbone, pooling=pooling)
     wanted = GCL.slowly(seen, tensors=tensors, kind=kind, pooling=pooling)
@@ -197,7 +186,7 @@ def test_other_backbones_and_poolings_of_gcl_are_those_of_the_published_layout(
 
 
 @pytest.mark.parametrize(("key", "prefix"), [("state_dict", ""), ("model_state_dict", "module."), ("", "module.")])
-def test_other_nestings_and_a_prefix_are_read(key: str, prefix: str, folder: Path) -> None:
+def test_other_nestings_and_a_prefix_are_read(key, prefix, folder):
     path = written_by_gcl(folder / "nested.pth", GCL.tensors, key, prefix)
     assert distance(encoded(GCL.method(path), GCL.images[0]), GCL.codes(folder)[:1]) < 2e-6
 
@@ -205,7 +194,7 @@ def test_other_nestings_and_a_prefix_are_read(key: str, prefix: str, folder: Pat
 # MixVPR, of 4x6 positions
 
 
-def draw_mixvpr(n_positions: int = 24, channels: int = 16, rows: int = 3) -> Tensors:
+def draw_mixvpr(n_positions=24, channels=16, rows=3):
     draw = Draw(5)
     tensors = oracle.resnet_checkpoint(draw, "resnet50", "backbone.model.", n_stages=3, numbered=False)
     for number in range(4):
@@ -216,7 +205,7 @@ def draw_mixvpr(n_positions: int = 24, channels: int = 16, rows: int = 3) -> Ten
     return tensors | draw.linear("aggregator.row_proj", n_positions, rows)
 
 
-def described_by_mixvpr(tensors: Tensors, seen: Image) -> torch.Tensor:
+def described_by_mixvpr(tensors, seen):
     """The rows of each output channel side by side; levels are rounded before they become floats."""
     t, x = under(tensors, "aggregator."), imagenet(pillow(seen, 64, 96))
     x = oracle.resnet(tensors, "backbone.model.", x, "resnet50", n_stages=3, numbered=False).flatten(2)
@@ -249,7 +238,7 @@ MIXVPR = PublishedNetwork(
 )
 
 
-def test_weights_for_images_of_320x320_ask_for_their_size(folder: Path) -> None:
+def test_weights_for_images_of_320x320_ask_for_their_size(folder):
     path = saved(folder / "large.ckpt", draw_mixvpr(400, 64, 2))
     (image,) = drawn_images((90, 120))
     method = MixVPR(weights=Weights("", "", "", path=str(path)), n_dimensions=128)
@@ -265,7 +254,7 @@ def test_weights_for_images_of_320x320_ask_for_their_size(folder: Path) -> None:
 CHANNELS = 6
 
 
-def draw_conv_ap() -> Tensors:
+def draw_conv_ap():
     draw = Draw(4)
     return oracle.resnet_checkpoint(draw, "resnet50", "backbone.model.", numbered=False) | {
         "aggregator.channel_pool.weight": draw.normal(CHANNELS, 2048, 1, 1, scale=1 / 45),
@@ -273,7 +262,7 @@ def draw_conv_ap() -> Tensors:
     }
 
 
-def described_by_conv_ap(tensors: Tensors, seen: Image) -> torch.Tensor:
+def described_by_conv_ap(tensors, seen):
     t, x = under(tensors, "aggregator.channel_pool."), imagenet(pillow(seen, 96, 160, PillowImage.Resampling.BICUBIC))
     features = oracle.resnet(tensors, "backbone.model.", x, "resnet50", numbered=False)[0]
     maps = torch.einsum("oc,chw->ohw", t["weight"].flatten(1), features) + t["bias"][:, None, None]
@@ -294,7 +283,7 @@ CONV_AP = PublishedNetwork(
 )
 
 
-def test_a_file_of_other_channels_is_refused_with_the_argument_that_it_wants(folder: Path) -> None:
+def test_a_file_of_other_channels_is_refused_with_the_argument_that_it_wants(folder):
     path = saved(folder / "changed", {**CONV_AP.tensors, "aggregator.channel_pool.bias": torch.zeros(7)})
     assert "method.channels=7" in CONV_AP.refusal(path)
 
@@ -308,7 +297,7 @@ FITTED = PCA(whiten=True).fit(
 )
 
 
-def draw_ap_gem(kind: str = "resnet101", n_features: int = 2048) -> Tensors:
+def draw_ap_gem(kind="resnet101", n_features=2048):
     draw = Draw(6)
     tensors = oracle.resnet_checkpoint(draw, kind, numbered=False) | {"adpool.p": torch.tensor([2.6])}
     tensors["fc.weight"] = draw.normal(DIMENSIONS, n_features, scale=1 / 45)
@@ -316,7 +305,7 @@ def draw_ap_gem(kind: str = "resnet101", n_features: int = 2048) -> Tensors:
     return prefixed("module.", tensors)
 
 
-def written_by_ap_gem(path: Path, tensors: Tensors, **changes: Any) -> Path:
+def written_by_ap_gem(path, tensors, **changes):
     """Write what the published file holds, as torch and numpy wrote it in 2019."""
     MODULE.PCA = type("PCA", (), {"__module__": MODULE.__name__})
     pca = MODULE.PCA()
@@ -329,9 +318,7 @@ def written_by_ap_gem(path: Path, tensors: Tensors, **changes: Any) -> Path:
     return path
 
 
-def described_by_ap_gem(
-    tensors: Tensors, seen: Image, kind: str = "resnet101", unit_features: bool = False
-) -> np.ndarray:
+def described_by_ap_gem(tensors, seen, kind="resnet101", unit_features=False):
     t = under(tensors, "module.")
     pooled = gem(oracle.resnet(t, "", imagenet(seen), kind, numbered=False), t["adpool.p"])[0]
     pooled = pooled / pooled.norm() if unit_features else pooled
@@ -353,20 +340,20 @@ AP_GEM = PublishedNetwork(
 
 
 @pytest.fixture
-def small(monkeypatch: pytest.MonkeyPatch) -> Tensors:
+def small(monkeypatch):
     """Tensors of a smaller backbone, where it is not the backbone that matters."""
     monkeypatch.setattr("vprbench.methods.ap_gem._BACKBONE", "resnet18")
     return draw_ap_gem("resnet18", 512)
 
 
-def test_pooled_features_get_unit_length_where_the_file_says_so(folder: Path, small: Tensors) -> None:
+def test_pooled_features_get_unit_length_where_the_file_says_so(folder, small):
     path = written_by_ap_gem(folder / "unit.pt", small, model_options={"norm_features": True})
     seen = AP_GEM.images[0]
     wanted = AP_GEM.slowly(seen, tensors=small, kind="resnet18", unit_features=True)
     assert distance(encoded(AP_GEM.method(path), seen), wanted) < 1e-4
 
 
-def test_the_pickled_pca_runs_no_code_of_its_own(folder: Path, small: Tensors, monkeypatch) -> None:
+def test_the_pickled_pca_runs_no_code_of_its_own(folder, small, monkeypatch):
     path = written_by_ap_gem(folder / "code.pt", small)
     monkeypatch.setitem(sys.modules, MODULE.__name__, MODULE)
     monkeypatch.setattr(MODULE.PCA, "__setstate__", lambda *_: pytest.fail("code of the file ran"), raising=False)
@@ -382,16 +369,16 @@ def test_the_pickled_pca_runs_no_code_of_its_own(folder: Path, small: Tensors, m
         ({"argument": np.random.RandomState}, "holds more than tensors"),
     ],
 )
-def test_another_file_than_that_of_ap_gem_is_refused(changes, told: str, folder: Path, small: Tensors) -> None:
+def test_another_file_than_that_of_ap_gem_is_refused(changes, told, folder, small):
     path = written_by_ap_gem(folder / "other.pt", small, **changes)
     with pytest.raises(BadInput, match=told):
         AP_GEM.method(path).load(path)
 
 
 @with_checks(COSPLACE, INDOOR, GCL, MIXVPR, CONV_AP, AP_GEM)
-def test_it_is_the_published_network(check, folder: Path) -> None:
+def test_it_is_the_published_network(check, folder):
     check(folder)
 
 
-def test_a_file_without_the_wrapper_of_indoor_vpr_is_refused(folder: Path) -> None:
+def test_a_file_without_the_wrapper_of_indoor_vpr_is_refused(folder):
     assert "model." in INDOOR.refusal(saved(folder / "bare.pth", draw_cosplace("resnet18")))

@@ -1,7 +1,6 @@
 """SAD: its compiled matching against whole numbers in int64 and PyTorch, and what it finds on real frames."""
 
 import re
-from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from types import SimpleNamespace
 from unittest.mock import Mock
@@ -11,39 +10,38 @@ import pytest
 import torch
 from corridor import needs_corridor, right, scored
 
-from vprbench.api.arrays import Scores
 from vprbench.api.images import Images
 from vprbench.methods import sad
-from vprbench.methods.sad import SAD, Levels
+from vprbench.methods.sad import SAD
 
 
 class Pixels(SAD):
     """SAD on raw pixels: its codes are made by hand."""
 
-    def encode(self, images: Images) -> Levels:
+    def encode(self, images):
         return np.stack([image[:, :, 0].ravel() for image in images])
 
 
-def fitted(references: Levels) -> SAD:
+def fitted(references):
     return Pixels().fit(Images.from_arrays(list(references[:, None])), np.arange(len(references)))
 
 
-def codes(n: int, n_pixels: int, seed: int) -> Levels:
+def codes(n, n_pixels, seed):
     return np.random.default_rng(seed).integers(0, 256, (n, n_pixels), dtype=np.uint8)
 
 
-def oracle(queries: Levels, references: Levels) -> Scores:
+def oracle(queries, references):
     """Return minus the mean absolute differences: whole numbers in int64, one division, one rounding."""
     totals = [np.abs(query.astype(np.int64) - references.astype(np.int64)).sum(1) for query in queries]
     return (np.array(totals).reshape(len(queries), len(references)) / -queries.shape[1]).astype(np.float32)
 
 
-def same_bits(left: Scores, right: Scores) -> bool:
+def same_bits(left, right):
     return left.dtype == right.dtype and left.shape == right.shape and left.tobytes() == right.tobytes()
 
 
 @pytest.fixture
-def threads() -> Iterator[None]:
+def threads():
     """Give back the number of threads that a test changes."""
     before = torch.get_num_threads()
     yield
@@ -53,12 +51,12 @@ def threads() -> Iterator[None]:
 @pytest.mark.parametrize(
     ("n_pixels", "n_references", "n_queries"), [(1, 7, 2), (63, 1, 1), (65, 300, 9), (784, 7, 130)]
 )
-def test_scores_are_those_of_int64(n_pixels: int, n_references: int, n_queries: int) -> None:
+def test_scores_are_those_of_int64(n_pixels, n_references, n_queries):
     references, queries = codes(n_references, n_pixels, seed=1), codes(n_queries, n_pixels, seed=2)
     assert same_bits(fitted(references).match(queries), oracle(queries, references))
 
 
-def test_scores_have_the_bits_that_pytorch_gives_on_other_devices() -> None:
+def test_scores_have_the_bits_that_pytorch_gives_on_other_devices():
     references, queries = codes(300, 784, seed=1), codes(9, 784, seed=2)
     references[5] = queries[3]  # a difference of nothing: minus zero
     method = fitted(references)
@@ -72,12 +70,12 @@ def test_scores_have_the_bits_that_pytorch_gives_on_other_devices() -> None:
 
 
 @pytest.mark.parametrize("n_pixels", [64, 70_001, 2**31 // 255 + 1000])  # the last sum takes 33 bits
-def test_black_against_white_is_255_levels_at_any_length(n_pixels: int) -> None:
+def test_black_against_white_is_255_levels_at_any_length(n_pixels):
     levels = np.repeat(np.array([[0], [255]], np.uint8), n_pixels, axis=1)
     assert fitted(levels).match(levels) == pytest.approx(np.array([[0, -255], [-255, 0]]), rel=1e-6)
 
 
-def test_chunks_and_tiles_leave_nothing_out(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_chunks_and_tiles_leave_nothing_out(monkeypatch):
     monkeypatch.setattr(sad, "_TILE", 700)
     monkeypatch.setattr(sad, "_CHUNK", 60)
     references, queries = codes(31, 200, seed=1), codes(5, 200, seed=2)
@@ -86,7 +84,7 @@ def test_chunks_and_tiles_leave_nothing_out(monkeypatch: pytest.MonkeyPatch) -> 
     assert similarity == pytest.approx(oracle(queries, references), rel=1e-6)
 
 
-def test_codes_may_lie_anyhow_but_have_to_fit_the_map() -> None:
+def test_codes_may_lie_anyhow_but_have_to_fit_the_map():
     references, queries = codes(18, 65, 1), np.asfortranarray(codes(36, 130, 2)[:18, :65])
     queries.flags.writeable = False
     assert same_bits(fitted(references).match(queries), oracle(queries, references))
@@ -98,7 +96,7 @@ def test_codes_may_lie_anyhow_but_have_to_fit_the_map() -> None:
 ASLEEP = SimpleNamespace(submit=lambda *_: Future())  # helpers that never come: no answer waits for them
 
 
-def test_threads_are_started_only_if_that_pays_and_pytorch_may_use_them(monkeypatch, threads) -> None:
+def test_threads_are_started_only_if_that_pays_and_pytorch_may_use_them(monkeypatch, threads):
     for n_threads, n_references, n_queries, others in ((2, 3300, 1, 0), (2, 27_592, 1, 1), (1, 3300, 128, 0)):
         helpers = Mock(wraps=ThreadPoolExecutor(2))
         monkeypatch.setattr(sad, "_helpers", lambda helpers=helpers: helpers)
@@ -108,7 +106,7 @@ def test_threads_are_started_only_if_that_pays_and_pytorch_may_use_them(monkeypa
 
 
 @pytest.mark.parametrize(("n_references", "n_threads", "helpers"), [(1, 2, None), (301, 5, None), (30, 2, ASLEEP)])
-def test_any_number_of_threads_gives_the_same(n_references, n_threads, helpers, monkeypatch, threads) -> None:
+def test_any_number_of_threads_gives_the_same(n_references, n_threads, helpers, monkeypatch, threads):
     monkeypatch.setattr(sad, "_WORTH_A_THREAD", 1)
     if helpers is not None:
         monkeypatch.setattr(sad, "_helpers", lambda: helpers)
@@ -118,6 +116,6 @@ def test_any_number_of_threads_gives_the_same(n_references, n_threads, helpers, 
 
 
 @needs_corridor
-def test_raw_sad_on_corridor_finds_47_of_111() -> None:
+def test_raw_sad_on_corridor_finds_47_of_111():
     # Regression anchor of the spec (metrics.md): 28x28 INTER_AREA grey.
     assert right(scored(SAD(preprocessing="grey"))) == 47

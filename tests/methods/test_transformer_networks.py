@@ -1,7 +1,6 @@
 """Networks on DINOv2, each against a slow computation from the tensors of a file by their published names."""
 
 import re
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise, product
@@ -11,15 +10,12 @@ import backbones_oracle as oracle
 import numpy as np
 import pytest
 import torch
-from backbones_oracle import Draw, Tensors, imagenet, prefixed, under, vit_checkpoint, vit_tokens
+from backbones_oracle import Draw, imagenet, prefixed, under, vit_checkpoint, vit_tokens
 from cross_image_oracle import encoded_together, encoder_checkpoint
 from described_images import distance, encoded, image, pillow
 from published_networks import PublishedNetwork, saved, saved_training, unit, with_checks, without
 from safetensors.torch import save_file
-from torch import Tensor
 from torch.nn import functional
-
-from vprbench.api.arrays import Image
 
 pytestmark = pytest.mark.extended  # published networks at full size
 
@@ -28,12 +24,12 @@ IMAGES = [image(56, 98), image(42, 70, 1), image(42, 70, 2)]
 OWN_SIZE = {"height": None, "width": None}
 
 
-def floats(seen: Image, height: int, width: int, mode: str = "bilinear") -> Tensor:
+def floats(seen, height, width, mode="bilinear"):
     """What a network sees of an image that is resized as antialiased floats."""
     return functional.interpolate(imagenet(seen), (height, width), mode=mode, antialias=True)
 
 
-def dinov2(tensors: Tensors, seen: Image, pooling: str = "cls") -> Tensor:
+def dinov2(tensors, seen, pooling="cls"):
     tokens = vit_tokens(tensors, "", imagenet(seen))[0]
     return {"cls": tokens[0], "mean": tokens[1:].mean(0), "gem": oracle.gem(tokens[1:], 3, 0)}[pooling]
 
@@ -55,7 +51,7 @@ DINOV2 = PublishedNetwork(
 )
 
 
-def test_a_gate_in_place_of_gelu_is_told_from_the_file(tmp_path: Path) -> None:
+def test_a_gate_in_place_of_gelu_is_told_from_the_file(tmp_path):
     tensors = vit_checkpoint(Draw(2), swiglu=True)
     method = DINOV2.method(saved(tmp_path / "gate.pth", tensors), backbone="vitg14")
     assert distance(encoded(method, IMAGES[1]), DINOV2.slowly(IMAGES[1], tensors=tensors)) < DINOV2.tolerance
@@ -66,7 +62,7 @@ def test_a_gate_in_place_of_gelu_is_told_from_the_file(tmp_path: Path) -> None:
 PARTS, N_DIMENSIONS = {"clusters": 7, "cluster_dim": 12, "token_dim": 10}, 40
 
 
-def draw_salad(prefix: str = "") -> Tensors:
+def draw_salad(prefix=""):
     draw = Draw(1)
     tensors = prefixed("backbone.model.", vit_checkpoint(draw)) | prefixed(
         "aggregator.", oracle.salad_checkpoint(draw, **PARTS)
@@ -74,17 +70,17 @@ def draw_salad(prefix: str = "") -> Tensors:
     return prefixed(prefix, tensors)
 
 
-def described_by_salad(tensors: Tensors, seen: Image) -> Tensor:
+def described_by_salad(tensors, seen):
     return oracle.salad(tensors, "aggregator.", vit_tokens(tensors, "backbone.model.", imagenet(seen))[0])
 
 
-def described_indoors(tensors: Tensors, seen: Image) -> Tensor:
+def described_indoors(tensors, seen):
     """Images are seen at the nearest multiples of 14."""
     tokens = vit_tokens(tensors, "model.backbone.model.", floats(seen, 56, 84))[0]
     return oracle.salad(tensors, "model.aggregator.", tokens)
 
 
-def biased(tensors: Tensors) -> Tensors:
+def biased(tensors):
     """Scores moved together for each cluster, which changes nothing: float32 does not hold their exponentials."""
     bias = tensors["aggregator.score.3.bias"].clone()
     bias[0], bias[1] = bias[0] + 300, bias[1] - 300
@@ -114,7 +110,7 @@ SALAD_INDOOR = PublishedNetwork(
 )
 
 
-def draw_megaloc() -> Tensors:
+def draw_megaloc():
     draw = Draw(3)
     aggregator = prefixed("agg.", oracle.salad_checkpoint(draw, **PARTS)) | draw.linear(
         "linear", 7 * 12 + 10, N_DIMENSIONS
@@ -122,12 +118,12 @@ def draw_megaloc() -> Tensors:
     return prefixed("backbone.", vit_checkpoint(draw)) | prefixed("aggregator.", aggregator)
 
 
-def saved_safely(path: Path, tensors: Tensors) -> Path:
+def saved_safely(path, tensors):
     save_file({name: tensor.contiguous() for name, tensor in tensors.items()}, path)
     return path
 
 
-def described_by_megaloc(tensors: Tensors, seen: Image) -> Tensor:
+def described_by_megaloc(tensors, seen):
     inner = oracle.salad(tensors, "aggregator.agg.", vit_tokens(tensors, "backbone.", imagenet(seen))[0])
     return tensors["aggregator.linear.weight"].double() @ inner + tensors["aggregator.linear.bias"].double()
 
@@ -149,14 +145,14 @@ CLUSTERS = 4
 SMALL, LARGE = ([image(*size, seed) for seed in range(5)] for size in ((56, 98), (224, 224)))
 
 
-def draw_supervlad() -> Tensors:
+def draw_supervlad():
     draw = Draw(5)
     tensors = prefixed("backbone.", vit_checkpoint(draw)) | encoder_checkpoint(draw, DIM, 48)
     tensors["aggregation.conv.weight"] = draw.normal(CLUSTERS + 1, DIM, 1, 1, scale=6)
     return prefixed("module.", tensors)
 
 
-def clusters(tensors: Tensors, seen: Image) -> Tensor:
+def clusters(tensors, seen):
     """The clusters of one image, but for the ghost, as a vector of unit length, (CLUSTERS, DIM)."""
     t = under(tensors, "module.")
     patches = functional.normalize(vit_tokens(t, "backbone.", imagenet(seen))[0, 1:], dim=1)
@@ -164,7 +160,7 @@ def clusters(tensors: Tensors, seen: Image) -> Tensor:
     return functional.normalize(shares[:, :CLUSTERS].T @ patches, dim=1) / CLUSTERS**0.5
 
 
-def supervlad_together(tensors: Tensors, *images: Image) -> np.ndarray:
+def supervlad_together(tensors, *images):
     own = torch.stack([clusters(tensors, seen) for seen in images])
     return unit(encoded_together(under(tensors, "module."), own).flatten(1).numpy())
 
@@ -186,11 +182,11 @@ CROSS_IMAGE = replace(
 )
 
 
-def draw_cricavpr() -> Tensors:
+def draw_cricavpr():
     """Random values under the names of a file of several devices, whose adapters weigh as much as the MLPs."""
     draw = Draw(3)
 
-    def convolution(name: str, n_in: int, n_out: int, side: int) -> Tensors:
+    def convolution(name, n_in, n_out, side):
         return {
             f"{name}.conv.weight": draw.normal(n_out, n_in, side, side, scale=0.1 / (side * n_in**0.5)),
             f"{name}.conv.bias": draw.normal(n_out, scale=0.02),
@@ -213,11 +209,11 @@ def draw_cricavpr() -> Tensors:
     return prefixed("module.", tensors | encoder_checkpoint(draw, DIM, 48))
 
 
-def adapted(block: Tensors, tokens: Tensor) -> Tensor:
+def adapted(block, tokens):
     """What an adapter adds to the MLP, from its definition: half the dimensions, three kinds of surroundings."""
     b = under(block, "adapter.")
 
-    def convolution(name: str, x: Tensor) -> Tensor:
+    def convolution(name, x):
         t = {part: values[:, None, None] for part, values in under(b, f"{name}.bn.").items()}
         weight = b[f"{name}.conv.weight"]
         x = functional.conv2d(x, weight, b[f"{name}.conv.bias"], padding=weight.shape[-1] // 2)
@@ -232,7 +228,7 @@ def adapted(block: Tensors, tokens: Tensor) -> Tensor:
     return 0.2 * (inner @ b["D_fc2.weight"].T + b["D_fc2.bias"])
 
 
-def cricavpr_together(tensors: Tensors, *images: Image) -> np.ndarray:
+def cricavpr_together(tensors, *images):
     t = under(tensors, "module.")
     tokens = vit_tokens(t, "backbone.", imagenet(*images), beside_mlp=adapted)
     grid = functional.normalize(tokens[:, 1:].reshape(len(images), 16, 16, DIM), dim=3)
@@ -259,7 +255,7 @@ CRICAVPR = PublishedNetwork(
 )
 
 
-def test_images_that_see_one_another_except_two_rules(folder: Path) -> None:
+def test_images_that_see_one_another_except_two_rules(folder):
     excepted = CROSS_IMAGE.check_contract(folder, images_together=16, height=28, width=42)
     assert excepted == {"a batch gives what its single images give", "the order of queries does not matter"}
 
@@ -271,16 +267,14 @@ def test_images_that_see_one_another_except_two_rules(folder: Path) -> None:
         *((CRICAVPR, cricavpr_together, LARGE, batch_size) for batch_size in (1, 3)),
     ],
 )
-def test_consecutive_images_see_one_another_whatever_the_batch(
-    network: PublishedNetwork, together: Callable[..., np.ndarray], images: list[Image], batch_size: int, folder: Path
-) -> None:
+def test_consecutive_images_see_one_another_whatever_the_batch(network, together, images, batch_size, folder):
     codes = network.encode(folder, *images, images_together=2, batch_size=batch_size)
     wanted = [together(network.tensors, *images[first : first + 2]) for first in (0, 2, 4)]
     assert distance(codes, np.concatenate(wanted)) < 2e-5
     assert distance(codes[:1], network.slowly(images[0])) > 1e-3
 
 
-def test_cricavpr_sees_images_that_are_resized_without_antialiasing(folder: Path) -> None:
+def test_cricavpr_sees_images_that_are_resized_without_antialiasing(folder):
     seen = image(448, 560)
     pixels = torch.from_numpy(seen).permute(2, 0, 1)[None].double()
     plain = functional.interpolate(pixels, (224, 224), mode="bilinear", align_corners=False, antialias=False)
@@ -289,7 +283,7 @@ def test_cricavpr_sees_images_that_are_resized_without_antialiasing(folder: Path
     assert distance(code, CRICAVPR.slowly(levels)) < 0.1 * distance(code, CRICAVPR.slowly(smooth))
 
 
-def test_a_run_whose_images_see_one_another_says_so_and_keeps_no_descriptors() -> None:
+def test_a_run_whose_images_see_one_another_says_so_and_keeps_no_descriptors():
     alone, together, coarse = (
         CRICAVPR.method(Path("none"), **how)
         for how in ({"images_together": 1}, {"images_together": 16}, {"index": "sq8"})
@@ -304,7 +298,7 @@ def test_a_run_whose_images_see_one_another_says_so_and_keeps_no_descriptors() -
 QUERIES, ROWS = 7, 5
 
 
-def draw_boq(backbone: Callable[[Draw], Tensors], n_channels: int) -> Tensors:
+def draw_boq(backbone, n_channels):
     draw = Draw(5)
     tensors = {"proj_c.weight": draw.normal(DIM, n_channels, 3, 3, scale=(9 * n_channels) ** -0.5)}
     tensors |= {"proj_c.bias": draw.normal(DIM, scale=0.3)}
@@ -320,11 +314,11 @@ def draw_boq(backbone: Callable[[Draw], Tensors], n_channels: int) -> Tensors:
     return prefixed("backbone.", backbone(draw)) | prefixed("aggregator.", tensors)
 
 
-def norm(t: Tensors, at: str, x: Tensor) -> Tensor:
+def norm(t, at, x):
     return oracle.layer_norm(x, t[f"{at}.weight"], t[f"{at}.bias"], eps=1e-5)
 
 
-def gathered(tensors: Tensors, features: Tensor) -> Tensor:
+def gathered(tensors, features):
     """BoQ's descriptor of one image's features (1, n_channels, rows, columns)."""
     t = under(tensors, "aggregator.")
     x = functional.conv2d(features, t["proj_c.weight"], t["proj_c.bias"], padding=1).flatten(2)[0].T
@@ -341,18 +335,18 @@ def gathered(tensors: Tensors, features: Tensor) -> Tensor:
     return (torch.cat(outs).T @ t["fc.weight"].T + t["fc.bias"]).flatten()  # (DIM, ROWS)
 
 
-def described_by_boq(tensors: Tensors, seen: Image) -> Tensor:
+def described_by_boq(tensors, seen):
     tokens = vit_tokens(tensors, "backbone.dino.", floats(seen, 42, 56, "bicubic"), final_norm=False)
     return gathered(tensors, tokens[:, 1:].transpose(1, 2).unflatten(2, (3, 4)))
 
 
-def described_by_boq_on_resnet(tensors: Tensors, seen: Image) -> Tensor:
+def described_by_boq_on_resnet(tensors, seen):
     return gathered(
         tensors, oracle.resnet(tensors, "backbone.net.", floats(seen, 48, 80, "bicubic"), "resnet50", n_stages=3)
     )
 
 
-def wrapped(tensors: Tensors) -> Tensors:
+def wrapped(tensors):
     """Tensors under the names of the other public wrapper."""
     others = {"0": "frozen_layers.0.0", "1": "frozen_layers.0.1", "4": "frozen_layers.1", "5": "frozen_layers.2"}
     others["6"] = "unfrozen_layers.0"
@@ -397,11 +391,11 @@ BOQ_RESNET = PublishedNetwork(
 )
 
 
-def test_one_tensor_under_the_names_of_two_wrappers_is_refused(folder: Path) -> None:
+def test_one_tensor_under_the_names_of_two_wrappers_is_refused(folder):
     twice = {**BOQ_RESNET.tensors, "backbone.frozen_layers.0.0.weight": BOQ_RESNET.tensors["backbone.net.0.weight"]}
     assert "backbone.net.0.weight" in BOQ_RESNET.refusal(saved(folder / "twice.pth", twice))
 
 
 @with_checks(DINOV2, SALAD, SALAD_INDOOR, MEGALOC, SUPERVLAD, CROSS_IMAGE, CRICAVPR, BOQ, BOQ_RESNET)
-def test_it_is_the_published_network(check, folder: Path) -> None:
+def test_it_is_the_published_network(check, folder):
     check(folder)

@@ -1,15 +1,11 @@
 """Best against paper: a verdict needs the queries and nearly all seeds, none of them the one that was searched."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 import numpy.typing as npt
 import pytest
 from search_stub import Here, Stub, recall
 
-from vprbench.tuning.comparison import Comparison, Verdict, compare, compared
+from vprbench.tuning.comparison import compare, compared
 from vprbench.tuning.objective import Tried
 from vprbench.tuning.space import PAPER
 
@@ -17,12 +13,12 @@ RIGHT, WRONG = np.ones(40), np.zeros(40)
 Rows = list[npt.NDArray[np.float64]]
 
 
-def at(*places: int) -> npt.NDArray[np.float64]:
+def at(*places):
     """Hits on these queries alone."""
     return np.isin(np.arange(40), places).astype(np.float64)
 
 
-def of(best: Rows, paper: Rows) -> Comparison:
+def of(best, paper):
     return compare(len(best[0]), (1, 2, 3, 4, 5), *([Tried(row, row) for row in rows] for rows in (best, paper)))
 
 
@@ -35,7 +31,7 @@ def of(best: Rows, paper: Rows) -> Comparison:
         ([WRONG] * 2 + [RIGHT] * 3, "not told apart"),
     ],
 )
-def test_a_verdict_needs_four_of_five_seeds(best: Rows, verdict: Verdict) -> None:
+def test_a_verdict_needs_four_of_five_seeds(best, verdict):
     compared = of(best, [1 - row for row in best])
     assert compared.interval is not None
     gain = np.mean([2 * row.mean() - 1 for row in best])
@@ -44,7 +40,7 @@ def test_a_verdict_needs_four_of_five_seeds(best: Rows, verdict: Verdict) -> Non
     assert compared.verdict == verdict
 
 
-def test_seeds_that_agree_are_no_verdict_where_few_or_neighbouring_queries_made_it() -> None:
+def test_seeds_that_agree_are_no_verdict_where_few_or_neighbouring_queries_made_it():
     compared = of([at(0, 1, 2, 3)] * 5, [at(20, 21, 22)] * 5)  # a traverse without queries 0 to 3 says the opposite
     assert compared.differences == pytest.approx((0.025,) * 5)
     assert compared.interval is not None
@@ -54,7 +50,7 @@ def test_seeds_that_agree_are_no_verdict_where_few_or_neighbouring_queries_made_
     assert (few.interval, few.verdict) == (None, "not told apart")
 
 
-def test_the_interval_takes_neighbouring_queries_together() -> None:
+def test_the_interval_takes_neighbouring_queries_together():
     together = of([at(*range(20))] * 5, [WRONG] * 5).interval
     spread = of([at(*range(0, 40, 2))] * 5, [WRONG] * 5).interval  # as many hits, in any block half of all
     assert together is not None
@@ -63,7 +59,7 @@ def test_the_interval_takes_neighbouring_queries_together() -> None:
     assert together.high - together.low > 0.5 > 0.35 > spread.high - spread.low
 
 
-def test_means_deviations_and_differences_are_those_over_the_seeds() -> None:
+def test_means_deviations_and_differences_are_those_over_the_seeds():
     compared = of([at(*range(n)) for n in (8, 12, 16, 20, 24)], [at(*range(12))] * 5)
     assert compared.best.recall_at_1 == pytest.approx(0.4)
     assert compared.best.spread == pytest.approx((0.1 * 0.1 * 10 / 4) ** 0.5)  # of 0.2, 0.3, 0.4, 0.5 and 0.6
@@ -71,8 +67,8 @@ def test_means_deviations_and_differences_are_those_over_the_seeds() -> None:
     assert [(test.b, test.c) for test in compared.tests] == [(0, 4), (0, 0), (4, 0), (8, 0), (12, 0)]
 
 
-def test_both_settings_are_trained_with_the_five_seeds_after_the_searched_one_and_a_failure_ends_it() -> None:
-    workers: Any = Here(Stub(shifts_by_seed=0.01))
+def test_both_settings_are_trained_with_the_five_seeds_after_the_searched_one_and_a_failure_ends_it():
+    workers = Here(Stub(shifts_by_seed=0.01))
     best = {**PAPER, "rate_min": 0.4}
     both = compared(workers, best, {"searched": 12, "checked": 10}, seed=7)
     assert {name: (each.n_places, each.seeds) for name, each in both.items()} == {
@@ -82,6 +78,6 @@ def test_both_settings_are_trained_with_the_five_seeds_after_the_searched_one_an
     for each in both.values():
         assert each.best.recalls_at_1 == pytest.approx([recall(best) - 0.01 * seed for seed in range(8, 13)])
         assert each.paper.recalls_at_1 == pytest.approx([recall(PAPER) - 0.01 * seed for seed in range(8, 13)])
-    failing: Any = Here(Stub(fails_above=0.0))
+    failing = Here(Stub(fails_above=0.0))
     with pytest.raises(RuntimeError, match="failed: MemoryError: no room"):
         compared(failing, PAPER, {"searched": 12}, seed=0)

@@ -1,9 +1,6 @@
 """Where may be searched: nowhere that a reported result queries, and what is checked is never what was searched."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,15 +12,14 @@ from vprbench.api.dataset import Dataset
 from vprbench.errors import BadInput
 from vprbench.paper.plan import PlannedColumn, read_plan
 from vprbench.plugins import registry
-from vprbench.run.record import Run
 from vprbench.tuning.places import Searchable, cut, querying, searchable
 
 
-def config(name: str) -> dict[str, Any]:
+def config(name):
     return dict(yaml.safe_load(registry.entries("dataset")[name].path.read_text(encoding="utf-8")))
 
 
-def column(*options: str) -> PlannedColumn:
+def column(*options):
     return PlannedColumn("a column", "A column", options)
 
 
@@ -31,7 +27,7 @@ NORDLAND = config("nordland")
 
 
 @pytest.mark.parametrize("name", ["synthetic", "street"])
-def test_a_rendered_journey_is_another_one_than_every_reported_one_and_all_of_its_places_are_queried(name: str) -> None:
+def test_a_rendered_journey_is_another_one_than_every_reported_one_and_all_of_its_places_are_queried(name):
     reported = [column(f"dataset={name}"), column(f"dataset={name}", "dataset.seed=7")]
     assert searchable(name, {**config(name), "seed": 3}, 20, reported).dataset["seed"] not in (3, 7)
     allowed = searchable(name, config(name), 10, [])
@@ -57,16 +53,14 @@ SMALLER = ("dataset.places=450", "dataset.first_query_place=90", "dataset.query_
     ],
     ids=["its own", "on request, of another dataset", "a column with fewer places", "robotcar"],
 )
-def test_places_that_the_paper_or_a_column_of_the_table_queries_are_left_out(
-    name: str, columns: list[Any], places: int, searched: range, checked: range
-) -> None:
+def test_places_that_the_paper_or_a_column_of_the_table_queries_are_left_out(name, columns, places, searched, checked):
     whole = {"first_query_place": 0, "query_places": {"nordland": 3300, "oxford_robotcar": 450}[name]}
     assert searchable(name, config(name), places, columns) == Searchable({**config(name), **whole}, searched, checked)
 
 
-def test_no_place_of_nordland_that_this_projects_table_queries_is_searched_or_checked() -> None:
+def test_no_place_of_nordland_that_this_projects_table_queries_is_searched_or_checked():
     plan = read_plan(ROOT / "conf" / "table.yaml")
-    queried: set[int] = set(range(600, 3300))
+    queried = set(range(600, 3300))
     for each in plan.columns.values():
         if "dataset=nordland" in each.options and not each.on_request:
             given = dict(option.removeprefix("dataset.").split("=") for option in each.options)
@@ -87,12 +81,12 @@ def test_no_place_of_nordland_that_this_projects_table_queries_is_searched_or_ch
         ("oxford_robotcar", 85, "10 or more have to be left to check"),
     ],
 )
-def test_what_has_no_free_places_is_refused_with_the_reason(name: str, places: int, complaint: str) -> None:
+def test_what_has_no_free_places_is_refused_with_the_reason(name, places, complaint):
     with pytest.raises(BadInput, match=complaint):
         searchable(name, config(name), places, [])
 
 
-def stored(dataset: dict[str, Any], *queried: int) -> Run:
+def stored(dataset, *queried):
     """A run whose queries show these places."""
     return a_run(
         dataset=dataset["name"],
@@ -110,15 +104,13 @@ def stored(dataset: dict[str, Any], *queried: int) -> Run:
         ({"name": "other"}, (3,), False),
     ],
 )
-def test_a_stored_run_that_queries_a_searched_or_checked_place_is_named(
-    changed: dict[str, Any], queried: tuple[int, ...], named: bool
-) -> None:
+def test_a_stored_run_that_queries_a_searched_or_checked_place_is_named(changed, queried, named):
     run = stored({**NORDLAND, **changed}, *queried)
     allowed = searchable("nordland", NORDLAND, 500, [])
     assert querying([run], allowed) == [f"nordland/little-{run.key}"] * named
 
 
-def test_a_stored_run_of_another_journey_or_of_later_places_is_not_named() -> None:
+def test_a_stored_run_of_another_journey_or_of_later_places_is_not_named():
     rendered = config("synthetic")
     allowed = searchable("synthetic", rendered, 20, [])
     runs = [stored({**rendered, "seed": seed}, 5) for seed in (0, allowed.dataset["seed"], 9)]
@@ -128,7 +120,7 @@ def test_a_stored_run_of_another_journey_or_of_later_places_is_not_named() -> No
     assert (querying([run], nordland), len(querying([replace(run, place_numbers=None)], nordland))) == ([], 1)
 
 
-def two_traverses(tolerance: int = 0) -> Dataset:
+def two_traverses(tolerance=0):
     """Six places in two traverses; query i shows place i, the last none."""
     rights = [np.arange(max(0, place - tolerance), min(6, place + tolerance + 1)) for place in range(6)]
     return Dataset(
@@ -144,7 +136,7 @@ def two_traverses(tolerance: int = 0) -> Dataset:
     )
 
 
-def test_a_stretch_has_its_own_references_queries_and_numbers() -> None:
+def test_a_stretch_has_its_own_references_queries_and_numbers():
     part = cut(two_traverses(), range(2, 5))
     assert [*part.references.names] == [f"image {number}" for number in (2, 3, 4, 8, 9, 10)]
     assert [*part.queries.names] == ["image 2", "image 3", "image 4"]
@@ -153,6 +145,6 @@ def test_a_stretch_has_its_own_references_queries_and_numbers() -> None:
     assert part.protocol == {"query": "dusk", "stretch": [2, 4]}
 
 
-def test_a_query_with_a_right_place_in_another_stretch_belongs_to_neither() -> None:
+def test_a_query_with_a_right_place_in_another_stretch_belongs_to_neither():
     parts = [cut(two_traverses(tolerance=1), stretch) for stretch in (range(3), range(3, 6))]
     assert [[*part.queries.names] for part in parts] == [["image 0", "image 1"], ["image 4", "image 5"]]

@@ -1,7 +1,5 @@
 """The search: random, then a grid, never more trials than asked for, and whole again after any kill."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import pickle
@@ -9,7 +7,6 @@ import subprocess
 import sys
 from collections import Counter
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +16,6 @@ from little import a_run
 from search_stub import Here, Stub, recall
 
 import vprbench
-from vprbench.api.dataset import Dataset
 from vprbench.errors import BadInput
 from vprbench.plugins import registry
 from vprbench.plugins.options import chosen
@@ -29,27 +25,27 @@ from vprbench.tuning import objective, places, space
 from vprbench.tuning.objective import Task, Training
 from vprbench.tuning.search import QUICK, Settings, explore, search
 from vprbench.tuning.space import PAPER
-from vprbench.tuning.study import JOURNAL, Study, Trial, best_of, opened
+from vprbench.tuning.study import JOURNAL, best_of, opened
 from vprbench.tuning.workers import Workers
 
 
-def explored(folder: Path, trials: int, seed: int = 0, stub: Stub | None = None) -> list[Trial]:
-    workers: Any = Here(stub or Stub())
+def explored(folder, trials, seed=0, stub=None):
+    workers = Here(stub or Stub())
     with opened(folder) as study:
         explore(study, workers, trials, seed)
         return study.trials()
 
 
-def finished(trials: list[Trial]) -> list[Trial]:
+def finished(trials):
     return [trial for trial in trials if trial.recall_at_1 is not None]
 
 
-def tried(trials: list[Trial]) -> list[tuple[Any, ...]]:
+def tried(trials):
     """What was tried and what it gave, in an order that does not depend on which process was first."""
     return sorted((trial.stage, trial.point, trial.recall_at_1, *trial.values.values()) for trial in finished(trials))
 
 
-def test_two_thirds_of_the_trials_are_random_and_the_rest_a_grid_around_the_best_of_them(tmp_path: Path) -> None:
+def test_two_thirds_of_the_trials_are_random_and_the_rest_a_grid_around_the_best_of_them(tmp_path):
     trials = explored(tmp_path, 9)
     assert [trial.stage for trial in trials] == ["random"] * 6 + ["grid"] * 3
     best = max(trials[:6], key=lambda trial: recall(trial.values))
@@ -61,13 +57,13 @@ def test_two_thirds_of_the_trials_are_random_and_the_rest_a_grid_around_the_best
     assert found.recall_at_1 == max(trial.recall_at_1 or 0 for trial in trials)
 
 
-def test_the_same_seed_finds_the_same_and_another_one_tries_other_settings(tmp_path: Path) -> None:
+def test_the_same_seed_finds_the_same_and_another_one_tries_other_settings(tmp_path):
     first, again, other = (tried(explored(tmp_path / name, 9, seed)) for name, seed in (("a", 0), ("b", 0), ("c", 1)))
     assert first == again
     assert not {values[3:] for values in first} & {values[3:] for values in other}
 
 
-def test_a_search_goes_on_from_the_trials_that_are_stored_up_to_as_many_as_are_asked_for(tmp_path: Path) -> None:
+def test_a_search_goes_on_from_the_trials_that_are_stored_up_to_as_many_as_are_asked_for(tmp_path):
     before = explored(tmp_path, 6)
     assert explored(tmp_path, 6) == explored(tmp_path, 3) == before
     after = explored(tmp_path, 9)
@@ -76,8 +72,8 @@ def test_a_search_goes_on_from_the_trials_that_are_stored_up_to_as_many_as_are_a
 
 
 @pytest.mark.extended
-def test_a_process_that_dies_costs_its_task_and_no_more_start_than_there_are_tasks(tmp_path: Path) -> None:
-    begun: list[int] = []
+def test_a_process_that_dies_costs_its_task_and_no_more_start_than_there_are_tasks(tmp_path):
+    begun = []
     with Workers(Attempt(tmp_path / "died"), 8) as workers:
         assert workers.started == 0
         assert [answer.error for answer in workers.answers([0.5], begun.append)] == ["the process that tried it ended"]
@@ -89,7 +85,7 @@ def test_a_process_that_dies_costs_its_task_and_no_more_start_than_there_are_tas
     assert (answers[1].given, answers[1].error) == (None, "MemoryError: no room")
 
 
-def test_settings_that_fail_three_times_are_left_out_and_made_up_for(tmp_path: Path) -> None:
+def test_settings_that_fail_three_times_are_left_out_and_made_up_for(tmp_path):
     drawn = [values["rate_max"] for values in space.drawn(4, seed=0)]
     limit = sorted(drawn)[-1] - 1e-9  # the highest of four draws fails, and so do points of the grid above it
     trials = explored(tmp_path, 6, stub=Stub(fails_above=limit))
@@ -100,18 +96,18 @@ def test_settings_that_fail_three_times_are_left_out_and_made_up_for(tmp_path: P
     assert sum(trial.stage == "random" for trial in finished(trials)) == 3
 
 
-def test_where_every_trial_fails_the_search_ends_with_the_reason(tmp_path: Path) -> None:
+def test_where_every_trial_fails_the_search_ends_with_the_reason(tmp_path):
     with pytest.raises(RuntimeError, match="the first 5 trials failed; the last: MemoryError: no room"):
         explored(tmp_path, 9, stub=Stub(fails_above=0.0))
 
 
-def test_a_diverged_training_counts_as_recall_0_and_is_kept_with_its_reason(tmp_path: Path) -> None:
+def test_a_diverged_training_counts_as_recall_0_and_is_kept_with_its_reason(tmp_path):
     trials = explored(tmp_path, 3, stub=Stub(diverges_above=0.0))
     assert [(trial.recall_at_1, trial.diverged) for trial in trials] == [(0.0, "one output neuron wins for all")] * 3
 
 
-def test_a_killed_search_goes_on_where_it_stopped(tmp_path: Path) -> None:
-    workers: Any = Here(Stub(), killed_at=3)
+def test_a_killed_search_goes_on_where_it_stopped(tmp_path):
+    workers = Here(Stub(), killed_at=3)
     with contextlib.suppress(KeyboardInterrupt), opened(tmp_path / "killed") as study:
         explore(study, workers, 9, seed=0)
     with opened(tmp_path / "killed") as study:
@@ -124,7 +120,7 @@ def test_a_killed_search_goes_on_where_it_stopped(tmp_path: Path) -> None:
 
 
 @pytest.mark.extended
-def test_a_process_of_the_search_ends_with_the_search() -> None:
+def test_a_process_of_the_search_ends_with_the_search():
     program = """
 from dying_attempt import begin_and_wait
 from vprbench.tuning.workers import Workers
@@ -141,7 +137,7 @@ if __name__ == "__main__":
         assert child.stdout.read() == ""  # when the process that waits has ended too
 
 
-def test_whatever_part_of_the_journal_was_written_the_search_goes_on_from_it(tmp_path: Path) -> None:
+def test_whatever_part_of_the_journal_was_written_the_search_goes_on_from_it(tmp_path):
     explored(tmp_path / "whole", 3)
     journal = (tmp_path / "whole" / JOURNAL).read_bytes()
     for number, length in enumerate(np.linspace(0, len(journal) - 1, 12).astype(int).tolist()):
@@ -156,7 +152,7 @@ def test_whatever_part_of_the_journal_was_written_the_search_goes_on_from_it(tmp
         assert len(finished(after)) == 3
 
 
-def test_a_journal_that_cannot_be_read_or_is_in_use_is_named(tmp_path: Path) -> None:
+def test_a_journal_that_cannot_be_read_or_is_in_use_is_named(tmp_path):
     with opened(tmp_path), pytest.raises(BadInput, match="in use by another search"), opened(tmp_path):
         pass
     (tmp_path / JOURNAL).write_bytes(b"no json\n{}\n")
@@ -164,7 +160,7 @@ def test_a_journal_that_cannot_be_read_or_is_in_use_is_named(tmp_path: Path) -> 
         pass
 
 
-def test_importance_names_the_parameters_that_matter(tmp_path: Path) -> None:
+def test_importance_names_the_parameters_that_matter(tmp_path):
     explored(tmp_path, 45)
     with opened(tmp_path) as study:
         shares = study.importance()
@@ -174,12 +170,12 @@ def test_importance_names_the_parameters_that_matter(tmp_path: Path) -> None:
     assert sum(shares.values()) == pytest.approx(1)
 
 
-def stored(study: Study, stage: Any, recalls: list[float]) -> None:
+def stored(study, stage, recalls):
     for point, (values, value) in enumerate(zip(space.drawn(len(recalls), seed=9), recalls, strict=True)):
         study.end(study.begin(stage, point, values), value, None)
 
 
-def test_importance_looks_at_random_trials_alone_and_needs_a_recall_that_varies(tmp_path: Path) -> None:
+def test_importance_looks_at_random_trials_alone_and_needs_a_recall_that_varies(tmp_path):
     with opened(tmp_path / "varies") as study:
         stored(study, "random", [0.1, 0.5, 0.3, 0.2])
         before = study.importance()
@@ -190,7 +186,7 @@ def test_importance_looks_at_random_trials_alone_and_needs_a_recall_that_varies(
         assert study.importance() == {}
 
 
-def test_settings_under_which_nothing_is_searched_are_refused_by_name() -> None:
+def test_settings_under_which_nothing_is_searched_are_refused_by_name():
     for option in ("places=9", "trials=0", "jobs=0", "seed=-1"):
         with pytest.raises(BadInput, match=f"^{option}: give at least"):
             chosen(Settings, [option], QUICK)
@@ -202,7 +198,7 @@ for set_by_the_run in ("seed", "device", "tags"):
 DATASET = registry.entries("dataset")["synthetic"].values()
 
 
-def kept(folder: Path, n_places: int, **arguments: Any) -> tuple[Dataset, Training]:
+def kept(folder, n_places, **arguments):
     """Keep the searched stretch of a rendered journey; returns it, and what tries settings on it."""
     allowed = places.searchable("synthetic", DATASET, n_places, [])
     part = places.cut(registry.make_dataset(allowed.dataset), allowed.searched)
@@ -211,7 +207,7 @@ def kept(folder: Path, n_places: int, **arguments: Any) -> tuple[Dataset, Traini
     return part, pickle.loads(pickle.dumps(Training(folder, method)))  # as a process gets it
 
 
-def test_a_trial_gives_the_recall_of_the_method_itself_on_the_images(tmp_path: Path) -> None:
+def test_a_trial_gives_the_recall_of_the_method_itself_on_the_images(tmp_path):
     part, attempt = kept(tmp_path, 20, seed=4)
     values = {**PAPER, "rate_min": 0.4}
     answers = []
@@ -226,7 +222,7 @@ def test_a_trial_gives_the_recall_of_the_method_itself_on_the_images(tmp_path: P
     assert answers[0] != answers[1]
 
 
-def test_a_training_that_diverges_answers_nothing_and_says_why(tmp_path: Path) -> None:
+def test_a_training_that_diverges_answers_nothing_and_says_why(tmp_path):
     _, attempt = kept(tmp_path, 12, seed=0, homeostasis_gain=1e30)
     given = attempt(Task("searched", PAPER))
     assert (given.recall_at_1, given.sure_hits.sum()) == (0.0, 0.0)
@@ -234,8 +230,8 @@ def test_a_training_that_diverges_answers_nothing_and_says_why(tmp_path: Path) -
 
 
 def test_a_real_search_compares_its_best_with_the_paper_on_both_stretches_and_the_same_again_only_compares(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+    tmp_path, monkeypatch, caplog
+):
     monkeypatch.setattr("vprbench.tuning.search.Workers", Here)
     monkeypatch.setattr(machine, "cores", lambda: [0, 1])
     found = search(Settings(places=12, trials=3, jobs=2, results=str(tmp_path)), METHOD, DATASET)
@@ -262,7 +258,7 @@ def test_a_real_search_compares_its_best_with_the_paper_on_both_stretches_and_th
     assert other.queried_by == (f"synthetic/sad-{there.key}",)
 
 
-def test_a_dataset_without_free_places_is_refused_before_anything_is_made(tmp_path: Path) -> None:
+def test_a_dataset_without_free_places_is_refused_before_anything_is_made(tmp_path):
     reported = {**DATASET, "first_query_place": 0, "query_places": 3300}
     del reported["seed"]
     with pytest.raises(BadInput, match="query all of its 3300 places"):

@@ -1,7 +1,5 @@
 """The settings that are searched: Table I, drawn at random within ranges, and a grid around the best."""
 
-from __future__ import annotations
-
 from itertools import islice
 
 import numpy as np
@@ -9,24 +7,24 @@ import pytest
 import yaml
 
 from vprbench.plugins import registry
-from vprbench.tuning.space import PAPER, PARAMETERS, Values, around, drawn
+from vprbench.tuning.space import PAPER, PARAMETERS, around, drawn
 
-CENTRE: Values = {**PAPER, "rate_min": 0.4, "rate_max": 0.7, "p_excitatory": 0.2}
-CORNER: Values = {**PAPER, "rate_min": 0.99, "rate_max": 1.0, "p_excitatory": 0.02, "p_inhibitory": 0.06}
+CENTRE = {**PAPER, "rate_min": 0.4, "rate_max": 0.7, "p_excitatory": 0.2}
+CORNER = {**PAPER, "rate_min": 0.99, "rate_max": 1.0, "p_excitatory": 0.02, "p_inhibitory": 0.06}
 
 
-def changed(values: Values) -> set[str]:
+def changed(values):
     return {name for name in CENTRE if values[name] != CENTRE[name]}
 
 
-def test_the_papers_settings_are_vprtempos_defaults_and_lie_within_the_ranges() -> None:
+def test_the_papers_settings_are_vprtempos_defaults_and_lie_within_the_ranges():
     assert [*PAPER.values()] == [0.5, 0.005, 0.15, 0.2, 0.9, 0.1, 0.5, 0.1]  # Table I
     assert all(each.low <= each.paper <= each.high for each in PARAMETERS)
     defaults = yaml.safe_load(registry.entries("method")["vprtempo"].path.read_text(encoding="utf-8"))
     assert {name: defaults[name] for name in PAPER} == {**PAPER, "constant_input": None}  # null: 0.1, as the rules say
 
 
-def test_settings_lie_within_the_ranges_f_min_is_never_above_f_max_and_three_digits_are_enough() -> None:
+def test_settings_lie_within_the_ranges_f_min_is_never_above_f_max_and_three_digits_are_enough():
     points = [*drawn(300, seed=1), *islice(around(CENTRE), 80), *islice(around(CORNER), 200)]
     assert len(points) > 400
     for values in points:
@@ -36,7 +34,7 @@ def test_settings_lie_within_the_ranges_f_min_is_never_above_f_max_and_three_dig
         assert all(float(f"{value:.3g}") == value for value in values.values())
 
 
-def test_random_settings_are_spread_over_the_range_evenly_or_by_its_logarithm() -> None:
+def test_random_settings_are_spread_over_the_range_evenly_or_by_its_logarithm():
     points = drawn(300, seed=2)
     for each in (each for each in PARAMETERS if "rate_m" not in each.name):
         scale = np.log if each.log else np.asarray
@@ -46,12 +44,12 @@ def test_random_settings_are_spread_over_the_range_evenly_or_by_its_logarithm() 
         assert thirds.min() > 70, each.name  # 100 expected, standard deviation 8
 
 
-def test_a_longer_search_begins_with_the_settings_of_a_shorter_one() -> None:
+def test_a_longer_search_begins_with_the_settings_of_a_shorter_one():
     assert drawn(9, seed=3)[:4] == drawn(4, seed=3)
     assert drawn(1, seed=3) != drawn(1, seed=4)
 
 
-def test_the_grid_goes_through_all_neighbours_a_step_away_those_that_differ_least_first() -> None:
+def test_the_grid_goes_through_all_neighbours_a_step_away_those_that_differ_least_first():
     # 4 parameters, a step up or down: 4 x 2 points differ in one, 6 x 4 in two, 4 x 8 in three, 16 in four
     neighbours = list(islice(around(CENTRE), 80))
     assert [len(changed(values)) for values in neighbours] == [1] * 8 + [2] * 24 + [3] * 32 + [4] * 16
@@ -65,7 +63,7 @@ def test_the_grid_goes_through_all_neighbours_a_step_away_those_that_differ_leas
     }
 
 
-def test_after_all_neighbours_the_grid_takes_two_steps() -> None:
+def test_after_all_neighbours_the_grid_takes_two_steps():
     beyond, *ring = islice(around(CENTRE), 80, 300)
     assert [len(changed(values)) for values in ring] == sorted(len(changed(values)) for values in ring)
     (name,) = changed(beyond)

@@ -1,13 +1,10 @@
 """What a search tells people: the settings, what mattered, how sure the gain is, and how to go on."""
 
-from __future__ import annotations
-
 import csv
 import io
 import shlex
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 from checkout import ROOT
@@ -34,7 +31,7 @@ TRIALS = (
 )
 
 
-def comparison(gain: float, low: float, high: float) -> Comparison:
+def comparison(gain, low, high):
     """Best has 0.5 in the mean and paper less by `gain`, with every seed; 0.1 apart from seed to seed."""
     recalls = (0.3, 0.4, 0.5, 0.6, 0.7)
     tests = tuple(McNemar(n, 2 * n, 1 / 2**n) for n in range(5))
@@ -47,7 +44,7 @@ OPEN = comparison(0.125, -0.0625, 0.25)
 WORSE = comparison(-0.25, -0.375, -0.125)
 
 
-def a_search(**changes: Any) -> Found:
+def a_search(**changes):
     found = Found(
         settings=Settings(places=40, trials=3, seed=5),
         method={"max_module": 1100},
@@ -78,7 +75,7 @@ def a_search(**changes: Any) -> Found:
     return replace(found, **changes)
 
 
-def test_a_search_is_told_as_it_is_stored() -> None:
+def test_a_search_is_told_as_it_is_stored():
     # the sample deviation of 30, 40, 50, 60 and 70 is sqrt(1000 / 4) = 15.8
     assert text.text_of(a_search()) == (ROOT / "tests/tuning/search.md").read_text(encoding="utf-8")
 
@@ -103,7 +100,7 @@ DIVERGED = replace(BETTER, paper=Repeated((0.0,) * 5, (None, "more than half are
         ({"minutes": 0.5}, "in 30 seconds"),
     ],
 )
-def test_what_is_peculiar_to_a_search_is_told(changes: dict[str, Any], told: str) -> None:
+def test_what_is_peculiar_to_a_search_is_told(changes, told):
     assert told in text.text_of(a_search(**changes))
     assert told not in text.text_of(a_search())
 
@@ -111,9 +108,7 @@ def test_what_is_peculiar_to_a_search_is_told(changes: dict[str, Any], told: str
 @pytest.mark.parametrize(
     ("checked", "warning"), [(OPEN, "not shown to be better than"), (BETTER, None), (WORSE, "worse than")]
 )
-def test_the_verdict_is_that_of_the_places_held_out_and_stands_above_the_command(
-    checked: Comparison, warning: str | None
-) -> None:
+def test_the_verdict_is_that_of_the_places_held_out_and_stands_above_the_command(checked, warning):
     told = text.text_of(a_search(compared={"searched": BETTER, "checked": checked}))
     above = told.partition("## Run the best settings")[2].partition("```")[0].strip()
     assert above == ("" if warning is None else f"On the places held out these settings were {warning} the paper's.")
@@ -124,12 +119,12 @@ def test_the_verdict_is_that_of_the_places_held_out_and_stands_above_the_command
     )
 
 
-def composed(found: Found) -> dict[str, Any]:
+def composed(found):
     return compose.composed(compose.readable(shlex.split(text.command(found))[3:]))
 
 
 @pytest.mark.parametrize("name", ["synthetic", "nordland", "oxford_robotcar"])
-def test_the_command_fits_the_network_to_the_dataset_as_the_table_does(name: str) -> None:
+def test_the_command_fits_the_network_to_the_dataset_as_the_table_does(name):
     columns = read_plan(registry.conf_folders()["vprbench"] / "table.yaml").columns.values()
     (fits,) = (column.fits for column in columns if column.options == (f"dataset={name}",))
     config = compose.composed(["method=vprtempo", f"dataset={name}"])
@@ -141,7 +136,7 @@ def test_the_command_fits_the_network_to_the_dataset_as_the_table_does(name: str
     assert {name: run["method"][name] for name in BEST} == BEST
 
 
-def test_every_trial_is_a_line_of_csv() -> None:
+def test_every_trial_is_a_line_of_csv():
     lines = list(csv.DictReader(io.StringIO(text.trials_csv(a_search()))))
     assert [line["state"] for line in lines] == ["done", "diverged", "failed", "failed", "done"]
     assert [line["recall_at_1"] for line in lines] == ["0.25", "0.0", "", "", "0.5"]
@@ -157,8 +152,8 @@ def test_every_trial_is_a_line_of_csv() -> None:
     [(Settings(), "search"), (Settings(dataset="street"), "search-street"), (Settings(quick=True), "search-quick")],
 )
 def test_both_files_are_written_by_dataset_and_size_and_into_the_study_and_the_text_to_print_names_them(
-    tmp_path: Path, settings: Settings, stem: str
-) -> None:
+    tmp_path, settings, stem
+):
     study = tmp_path / "search" / "0123456789abcdef"
     study.mkdir(parents=True)
     found = a_search(settings=settings, folder=study)

@@ -1,9 +1,6 @@
 """VPRSNN's arguments: the published numbers, what each of them changes, and which are refused."""
 
-from typing import Any
-
 import numpy as np
-import numpy.typing as npt
 import pytest
 import yaml
 from checkout import ROOT
@@ -17,7 +14,7 @@ CONFIGURATIONS = ROOT / "conf" / "method"
 QUERIES = images(WORLD.queries)
 
 # The numbers of QVPR/VPRSNN, whose neurons spike above theta - 20 mV - 52 mV, and others that change what is learnt.
-NUMBERS: dict[str, tuple[Any, Any]] = {
+NUMBERS = {
     "preprocessing": ("A", "C"),
     "height": (28, None),
     "width": (28, None),
@@ -66,7 +63,7 @@ NUMBERS: dict[str, tuple[Any, Any]] = {
     "post_rate": (0.01, 0.02),
 }
 # What is no number of theirs: how the simulation runs, or which of their variants.
-CHOICES: dict[str, Any] = {
+CHOICES = {
     "module_order": "contiguous",
     "calibration_places": 0,
     "probabilities": False,
@@ -80,7 +77,7 @@ CHOICES: dict[str, Any] = {
 }
 
 
-def test_the_defaults_are_the_published_numbers() -> None:
+def test_the_defaults_are_the_published_numbers():
     assert VPRSNN().given() == {name: published for name, (published, _) in NUMBERS.items()} | CHOICES
 
 
@@ -88,14 +85,14 @@ def test_the_defaults_are_the_published_numbers() -> None:
     ("name", "kind", "differs"),
     [("vprsnn", VPRSNN, {}), ("vprsnn_fast", VPRSNN, {"fast": True}), ("vprsnn_ensemble", VPRSNNEnsemble, {})],
 )
-def test_a_configuration_has_the_defaults_of_its_class(name: str, kind: type[VPRSNN], differs: dict[str, Any]) -> None:
+def test_a_configuration_has_the_defaults_of_its_class(name, kind, differs):
     configured = yaml.safe_load((CONFIGURATIONS / f"{name}.yaml").read_text())
     assert configured.pop("_target_") == f"{kind.__module__}.{kind.__name__}"
     assert configured.pop("tags") == ["spiking"]
     assert configured == {**kind().given(), **differs, "seed": "${seed}"}
 
 
-REFUSED: dict[str, list[Any]] = {
+REFUSED = {
     **{key: [0] for key in ("places_per_module", "n_excitatory", "epochs", "recorded_presentations", "height")},
     **{key: [0.0] for key in ("levels_per_hz", "time_step_ms", "weight_sum", "weight_max", "excitatory_tau_ms")},
     **{key: [-1.0] for key in ("rest_ms", "excitatory_refractory_ms", "inhibitory_to_excitatory_weight")},
@@ -127,7 +124,7 @@ REFUSED: dict[str, list[Any]] = {
     ],
     ids=str,
 )
-def test_an_argument_without_a_network_is_refused_by_name(change: dict[str, Any]) -> None:
+def test_an_argument_without_a_network_is_refused_by_name(change):
     with pytest.raises(BadInput) as error:
         fitted(**change)
     name, value = next(iter(change.items()))
@@ -136,13 +133,13 @@ def test_an_argument_without_a_network_is_refused_by_name(change: dict[str, Any]
     assert "\n" not in str(error.value)
 
 
-def test_whether_it_calibrates_can_be_asked_before_its_arguments_are_checked() -> None:
+def test_whether_it_calibrates_can_be_asked_before_its_arguments_are_checked():
     assert VPRSNN(time_step_ms=0.0, excitatory_tau_ms=0.0).calibrates
     assert VPRSNNEnsemble(member_epochs=[1]).calibrates
     assert not VPRSNNEnsemble(member_thresholds=[1, 2]).calibrates
 
 
-OTHERS: list[dict[str, Any]] = [
+OTHERS = [
     *({name: other} for name, (_, other) in NUMBERS.items() if other is not None),
     {"excitatory_start_mv": -95.0, "first_rest_ms": 50.0},
     {"inhibitory_refractory_ms": 0.0, "excitatory_to_inhibitory_weight": 30.0},
@@ -152,11 +149,11 @@ OTHERS: list[dict[str, Any]] = [
 
 
 @pytest.fixture(scope="module")
-def usual_weights() -> npt.NDArray[np.float64]:
+def usual_weights():
     return fitted(epochs=2).state()["weights"]
 
 
 @pytest.mark.parametrize("change", OTHERS, ids=str)
-def test_every_argument_of_the_training_changes_what_is_learnt(change: dict[str, Any], usual_weights) -> None:
+def test_every_argument_of_the_training_changes_what_is_learnt(change, usual_weights):
     one, other = usual_weights, fitted(**{"epochs": 2, **change}).state()["weights"]
     assert one.shape != other.shape or not np.array_equal(one, other)

@@ -1,17 +1,13 @@
 """The choice of VPRSNN's hyperactive neurons: by held-out places alone, from reactions that are counted by hand."""
 
-from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any, NoReturn
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from little_vprsnn import SMALL, WORLD, fitted, images, layers, lit, made, member, references, same
 from little_vprsnn import held_out as others
 
 from vprbench.api.dataset import HeldOut
-from vprbench.api.images import Images
 from vprbench.methods.vprsnn import query, training
 from vprbench.methods.vprsnn.ensemble import VPRSNNEnsemble
 from vprbench.methods.vprsnn.method import VPRSNN
@@ -25,13 +21,13 @@ MADE = made([[0, 1, 2], [1], [3], []], [0, 1, 2, 2], N)
 SIGHTS = lit(N, [0], [1], [2], [3], [], [0])
 
 
-def by_hand(threshold: int = 0, **arguments: Any) -> VPRSNN:
+def by_hand(threshold=0, **arguments):
     """Return a method with the network made by hand, which has counted reactions to `SIGHTS`."""
     state = {**MADE, "reactions": np.array([[4, 1, 1, 0]]), "threshold": np.array(threshold)}
     return VPRSNN(height=1, width=N, n_excitatory=4, **arguments).restore(state)
 
 
-def counted(state: dict[str, npt.NDArray[Any]], sights: npt.NDArray[np.uint8], carried: bool) -> list[list[int]]:
+def counted(state, sights, carried):
     """Return for how many sights each neuron fires."""
     model = Model(height=1, width=N, n_excitatory=4, carried_potentials=carried)
     return query.reactions(ReadyNetwork.of(model, Network.from_state(state, N, 4)), sights, Stage()).tolist()
@@ -71,27 +67,27 @@ CANDIDATES = [0, 1, 3, 5, 6]
 class Raw(VPRSNN):
     """VPRSNN that sees pixels as they are."""
 
-    def encode(self, images: Images) -> npt.NDArray[np.uint8]:
+    def encode(self, images):
         return np.stack([image[..., 0].ravel() for image in images])
 
 
-def sights(*pixels: Sequence[int]) -> Images:
+def sights(*pixels):
     """Return one image a sequence of pixels, which are white in it beside the background."""
     levels = lit(PIXELS, *([*white, *BACKGROUND] for white in pixels))
     return images([np.repeat(row.reshape(1, PIXELS, 1), 3, axis=2) for row in levels])
 
 
-def held_out(in_map: bool = False) -> HeldOut:
+def held_out(in_map=False):
     """Return two held-out places; of the first there are two images, in both traverses."""
     return HeldOut(sights([0], [1], [0]), np.array([0, 1, 0]), sights([0], [1]), np.array([0, 1]), in_map)
 
 
 @pytest.fixture
-def calibrated(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Raw]:
+def calibrated(monkeypatch):
     """What calibrates a map of three places: its network, too, is as good as `ASIDE`, or as is said."""
 
-    def calibrate(held_out: HeldOut, of_map: dict[str, npt.NDArray[Any]] = ASIDE, **arguments: Any) -> Raw:
-        def network(self: training.Training, lessons: object, stage: str, given: object = None) -> Network:
+    def calibrate(held_out, of_map=ASIDE, **arguments):
+        def network(self, lessons, stage, given=None):
             return Network.from_state(ASIDE if stage.startswith("calibration") else of_map, PIXELS, 7)
 
         monkeypatch.setattr(training.Training, "network", network)
@@ -101,7 +97,7 @@ def calibrated(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Raw]:
     return calibrate
 
 
-def chosen(calibrated: VPRSNN) -> int:
+def chosen(calibrated):
     return int(calibrated.state()["threshold"])
 
 
@@ -125,7 +121,7 @@ def test_the_first_threshold_with_the_best_recall_of_held_out_queries_is_chosen(
     assert ("reactions" in found.state()) == (best > 0)
 
 
-def test_what_was_chosen_and_whom_it_silences_is_noted(calibrated: Callable[..., Raw]) -> None:
+def test_what_was_chosen_and_whom_it_silences_is_noted(calibrated):
     # of the map's seven neurons those fire for 3 images or more that hear the background alone: one
     found = calibrated(held_out())
     (note,) = found.notes()
@@ -139,8 +135,8 @@ def test_what_was_chosen_and_whom_it_silences_is_noted(calibrated: Callable[...,
 
 @pytest.mark.parametrize(("in_map", "hyperactive"), [(False, 5), (True, 3)])
 def test_reactions_are_counted_over_all_places_once_whether_or_not_the_map_has_the_held_out_ones(
-    calibrated: Callable[..., Raw], in_map: bool, hyperactive: int
-) -> None:
+    calibrated, in_map, hyperactive
+):
     # The second image of held-out place 0 is of another traverse.
     found = calibrated(held_out(in_map), hyperactive_candidates=[0, hyperactive])
     assert chosen(found) == hyperactive
@@ -161,7 +157,7 @@ def test_the_network_of_the_map_has_no_say_in_the_choice_but_counts_its_own_reac
 def test_calibration_changes_the_threshold_alone_by_reactions_to_first_traverse_and_held_out_places(monkeypatch):
     seen, learn = [], training.train
 
-    def watch(*called: Any) -> Any:
+    def watch(*called):
         seen.append(called[1].number)
         return learn(*called)
 
@@ -190,15 +186,15 @@ def test_a_threshold_that_is_given_stays_and_counts_reactions_to_the_first_trave
     assert ("reactions" in state) == (threshold > 0)
     assert threshold == 0 or state["reactions"].ravel().tolist() == fires.sum(axis=0).tolist()
 
-    def train(*_: Any) -> NoReturn:
+    def train(*_):
         raise AssertionError("there is nothing to choose")
 
     monkeypatch.setattr(training, "train", train)
     assert same(found.calibrate(others()).state(), state)
 
 
-def test_each_member_of_an_ensemble_is_calibrated_as_it_would_be_alone() -> None:
-    given: dict[str, Any] = {**SMALL, "epochs": 2, "hyperactive_candidates": [5, 10]}
+def test_each_member_of_an_ensemble_is_calibrated_as_it_would_be_alone():
+    given = {**SMALL, "epochs": 2, "hyperactive_candidates": [5, 10]}
     together = VPRSNNEnsemble(**given, seeds=[0, 10]).fit(*references(5)).calibrate(others()).state()
     for number, seed in enumerate((0, 10)):
         alone = VPRSNN(**given, seed=seed).fit(*references(5)).calibrate(others()).state()

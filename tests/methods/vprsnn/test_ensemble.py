@@ -1,10 +1,8 @@
 """Several VPRSNN networks of the same places: each is the one of its seed, and their scores are summed."""
 
 from functools import cache
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from little_vprsnn import SMALL, WORLD, fitted, images, layers, lit, made, member, references, same
 
@@ -15,14 +13,14 @@ from vprbench.methods.vprsnn.method import VPRSNN
 QUERIES = images(WORLD.queries)
 
 
-def ensemble(**arguments: Any) -> VPRSNNEnsemble:
+def ensemble(**arguments):
     method = VPRSNNEnsemble(**{**SMALL, "seeds": [0, 10], **arguments})
     method.fit(*references(7))
     return method
 
 
 @cache
-def alone(**arguments: Any) -> VPRSNN:
+def alone(**arguments):
     return fitted(7, **arguments)
 
 
@@ -42,7 +40,7 @@ def test_each_member_is_the_network_of_its_own_seed_epochs_and_threshold(togethe
     assert not same(member(state, 0), member(state, 1))
 
 
-def test_members_shuffle_their_places_by_their_own_seeds_and_agree_on_them_in_the_end() -> None:
+def test_members_shuffle_their_places_by_their_own_seeds_and_agree_on_them_in_the_end():
     found = ensemble(module_order="shuffled", epochs=10)
     first, second = (member(found.state(), number)["places"] for number in (0, 1))
     assert first.tolist() != second.tolist()
@@ -51,7 +49,7 @@ def test_members_shuffle_their_places_by_their_own_seeds_and_agree_on_them_in_th
 
 
 @pytest.mark.parametrize("change", [{}, {"assignment": "weighted", "hyperactive_threshold": 6}], ids=str)
-def test_scores_are_the_sum_of_the_members_scores_and_spikes_those_of_the_first(change: dict[str, Any]) -> None:
+def test_scores_are_the_sum_of_the_members_scores_and_spikes_those_of_the_first(change):
     trained = ensemble(seeds=[0, 10, 20], **change)
     together = VPRSNNEnsemble(**SMALL, seeds=[0, 10, 20], assignment=trained.assignment).restore(trained.state())
     assert same(together.state(), trained.state())
@@ -69,7 +67,7 @@ def test_scores_are_the_sum_of_the_members_scores_and_spikes_those_of_the_first(
     assert together.match(codes) == pytest.approx(less / less.sum(axis=1, keepdims=True), rel=1e-5)
 
 
-def by_hand(*heard: list[list[int]], **arguments: Any) -> VPRSNNEnsemble:
+def by_hand(*heard, **arguments):
     """Return an ensemble of networks of two places whose neurons hear the inputs that are said."""
     state = {
         f"member_{number}.{name}": array
@@ -81,7 +79,7 @@ def by_hand(*heard: list[list[int]], **arguments: Any) -> VPRSNNEnsemble:
     return method
 
 
-def test_a_query_is_no_match_only_where_all_members_are_silent() -> None:
+def test_a_query_is_no_match_only_where_all_members_are_silent():
     # Pixel 0 drives a neuron of the first member, pixel 1 one of the second, pixel 3 nobody.
     scores = by_hand([[0], []], [[], [1]]).match(lit(4, [0], [1], [0, 1], [3]))
     assert (scores > 0).tolist() == [[True, False], [False, True], [True, True], [False, False]]
@@ -89,7 +87,7 @@ def test_a_query_is_no_match_only_where_all_members_are_silent() -> None:
     assert np.isneginf(scores[3]).all()
 
 
-def test_members_see_input_of_their_own() -> None:
+def test_members_see_input_of_their_own():
     # Two networks of the same weights: were their input the same, all scores would be twice those of one.
     twice = by_hand([[0], [1]], [[0], [1]])
     once = VPRSNN(height=2, width=2, n_excitatory=2).restore(made([[0], [1]], [0, 1], 4))
@@ -97,12 +95,12 @@ def test_members_see_input_of_their_own() -> None:
     assert not np.array_equal(twice.match(codes), 2 * once.match(codes))
 
 
-def stored(*numbers: int) -> dict[str, npt.NDArray[Any]]:
+def stored(*numbers):
     """Return the arrays of members so numbered."""
     return {f"member_{number}.{name}": array for number in numbers for name, array in alone().state().items()}
 
 
-def test_other_arrays_than_those_of_the_members_are_refused() -> None:
+def test_other_arrays_than_those_of_the_members_are_refused():
     for numbers, more in (((0,), ()), ((0, 1, 2), ()), ((1, 2), ()), ((), ("theta", "sums")), ((0, 1), ("theta",))):
         method = VPRSNNEnsemble(**SMALL, seeds=[0, 10]).restore(stored(0, 1))
         with pytest.raises(BadInput):
@@ -113,7 +111,7 @@ def test_other_arrays_than_those_of_the_members_are_refused() -> None:
         VPRSNN(**SMALL).restore(stored(0, 1))
 
 
-def test_what_does_not_fit_the_members_is_refused_by_name() -> None:
+def test_what_does_not_fit_the_members_is_refused_by_name():
     for name, values in {
         "weight_sum": [0.0],
         "seeds": [[], [0, 10, 0], [0, -1]],

@@ -3,17 +3,16 @@
 import numpy as np
 import pytest
 
-from vprbench.methods.vprsnn.arrays import Train
 from vprbench.methods.vprsnn.input import generator_for, generator_of_image, spike_train
 
 SHOWN, STEP_MS = 3500, 0.1
 
 
-def drawn(levels: object, seed: int = 0, intensity: float = 4.0, steps: int = SHOWN) -> Train:
+def drawn(levels, seed=0, intensity=4.0, steps=SHOWN):
     return spike_train(np.array(levels, np.uint8), np.random.default_rng(seed), intensity, steps, STEP_MS)
 
 
-def five_sigma(n_draws: float, probability: float) -> float:
+def five_sigma(n_draws, probability):
     return 5 * float(np.sqrt(n_draws * probability * (1 - probability)))
 
 
@@ -49,11 +48,11 @@ def test_spikes_come_in_the_order_of_their_steps_and_of_each_input():
         np.testing.assert_array_equal(train.step[train.source == source], own)
 
 
-def same(one: Train, other: Train) -> bool:
+def same(one, other):
     return all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
 
 
-def of_image(levels: np.ndarray, seed: int = 0) -> Train:
+def of_image(levels, seed=0):
     return spike_train(levels, generator_of_image(seed, levels), 4.0, SHOWN, STEP_MS)
 
 

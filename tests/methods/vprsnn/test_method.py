@@ -1,10 +1,7 @@
 """VPRSNN as a method: how it answers queries against a direct simulation, and what it recognises."""
 
-from typing import Any, NoReturn
-
 import direct_vprsnn as direct
 import numpy as np
-import numpy.typing as npt
 import pytest
 import yaml
 from checkout import ROOT
@@ -20,18 +17,16 @@ from vprbench.run.compose import composed_in_python
 from vprbench.run.settings import checked_settings
 
 QUERIES = images(WORLD.queries)
-SHORT: dict[str, Any] = {"presentation_ms": 120.0, "rest_ms": 30.0, "excitatory_start_mv": -80.0}
+SHORT = {"presentation_ms": 120.0, "rest_ms": 30.0, "excitatory_start_mv": -80.0}
 
 
 @pytest.fixture(scope="module")
-def trained() -> VPRSNN:
+def trained():
     """A network of ten places, in two modules; tests leave it as it is."""
     return fitted(10)
 
 
-def asked_directly(
-    method: VPRSNN, trains: list[npt.NDArray[np.bool_]], carried: bool
-) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+def asked_directly(method, trains, carried):
     """Return the spikes of excitatory and inhibitory neurons, (n_images, n_neurons), of a method of one module."""
     state, model = method.state(), Model.of(method)
     delays = model.delays(0, new=True)
@@ -45,7 +40,7 @@ def asked_directly(
 
 
 @pytest.mark.parametrize("carried", [False, True], ids=["each from rest", "carried"])
-def test_the_answers_are_those_of_the_direct_simulation(carried: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_answers_are_those_of_the_direct_simulation(carried, monkeypatch):
     # The first silence is so long that nothing is left of the start.
     trains = recorded_trains(monkeypatch)
     method = fitted(carried_potentials=carried, **SHORT | {"first_rest_ms": 5000.0})
@@ -59,7 +54,7 @@ def test_the_answers_are_those_of_the_direct_simulation(carried: bool, monkeypat
     assert found["input"].tolist() == [train.sum(axis=0).tolist() for train in trains[:4]]
 
 
-def test_an_asked_module_starts_as_published_and_relaxes_in_the_first_silence() -> None:
+def test_an_asked_module_starts_as_published_and_relaxes_in_the_first_silence():
     v = -105.0
     for _ in range(5000):  # steps of 0.1 ms
         v += (-65 - v) * 0.1 / 100
@@ -71,7 +66,7 @@ def test_an_asked_module_starts_as_published_and_relaxes_in_the_first_silence() 
     assert not state.gi.any()
 
 
-def test_the_start_acts_on_the_first_query_only_where_potentials_are_carried() -> None:
+def test_the_start_acts_on_the_first_query_only_where_potentials_are_carried():
     low = {**SMALL, **SHORT, "excitatory_start_mv": -105.0, "first_rest_ms": 50.0}
     stored = fitted(**low).state()
     codes = VPRSNN(**low).encode(QUERIES)
@@ -84,7 +79,7 @@ def test_the_start_acts_on_the_first_query_only_where_potentials_are_carried() -
         assert np.array_equal(from_low, from_rest) is not carried
 
 
-def test_new_delays_are_not_those_of_the_training_and_fast_leaves_them_out_and_nothing_else(trained: VPRSNN) -> None:
+def test_new_delays_are_not_those_of_the_training_and_fast_leaves_them_out_and_nothing_else(trained):
     same_again = VPRSNN(**SMALL, delays_at_query="trained").restore(trained.state())
     codes = trained.encode(QUERIES)
     assert not np.array_equal(trained.match(codes), same_again.match(codes))
@@ -95,7 +90,7 @@ def test_new_delays_are_not_those_of_the_training_and_fast_leaves_them_out_and_n
     assert np.mean(fast.query(shown).argmax(1) == places) > 0.7
 
 
-def test_scores_are_those_of_the_spikes_and_of_what_each_neuron_speaks_for(trained: VPRSNN) -> None:
+def test_scores_are_those_of_the_spikes_and_of_what_each_neuron_speaks_for(trained):
     codes, state = trained.encode(QUERIES), trained.state()
     spikes = layers(trained, codes)["excitatory"].reshape(len(codes), 2, -1)
     expected = np.zeros((len(codes), 10))
@@ -113,7 +108,7 @@ def test_scores_are_those_of_the_spikes_and_of_what_each_neuron_speaks_for(train
     assert not np.allclose(of_weights, expected)
 
 
-def test_probabilities_add_up_to_one_and_keep_the_order_of_places_and_darkness_matches_none(trained: VPRSNN) -> None:
+def test_probabilities_add_up_to_one_and_keep_the_order_of_places_and_darkness_matches_none(trained):
     codes = np.concatenate([trained.encode(QUERIES), np.zeros((1, 144), np.uint8)])
     plain, parts = trained.match(codes), VPRSNN(**SMALL, probabilities=True).restore(trained.state()).match(codes)
     assert parts[:-1].min(axis=1).tolist() == [0] * len(QUERIES)
@@ -122,7 +117,7 @@ def test_probabilities_add_up_to_one_and_keep_the_order_of_places_and_darkness_m
     assert np.isneginf([plain[-1], parts[-1]]).all()
 
 
-def test_all_modules_see_the_same_input(trained: VPRSNN) -> None:
+def test_all_modules_see_the_same_input(trained):
     state = {name: np.array(array) for name, array in trained.state().items()}
     for name in ("weights", "theta"):
         state[name][1] = state[name][0]
@@ -132,26 +127,26 @@ def test_all_modules_see_the_same_input(trained: VPRSNN) -> None:
     assert np.array_equal(first, second)
 
 
-def test_five_places_learnt_at_full_resolution_are_recognised() -> None:
+def test_five_places_learnt_at_full_resolution_are_recognised():
     shown, places = references(5)
     method = VPRSNN(places_per_module=5, n_excitatory=100).fit(shown, places)
     assert method.query(shown).argmax(1).tolist() == places.tolist()
 
 
-def test_shuffled_modules_answer_for_their_own_places() -> None:
+def test_shuffled_modules_answer_for_their_own_places():
     method = fitted(10, module_order="shuffled", seed=3, calibration_places=2)
     assert not np.array_equal(method.state()["places"].ravel(), np.arange(10))
     assert np.mean(method.query(references(10)[0]).argmax(1) == np.tile(np.arange(10), 2)) > 0.7
 
 
-def test_with_carried_potentials_it_keeps_all_rules_of_the_contract_but_two() -> None:
+def test_with_carried_potentials_it_keeps_all_rules_of_the_contract_but_two():
     config = {**yaml.safe_load((ROOT / "conf" / "method" / "vprsnn.yaml").read_text()), "seed": 0}
     results = list(check({**config, **SMALL, "carried_potentials": True}, set(SMALL)))
     assert [str(result) for result in results if result.state == "broken"] == []
     assert sum(result.state == "excepted" for result in results) == 2
 
 
-def test_a_gpu_is_refused_to_a_method_without_an_argument_device() -> None:
+def test_a_gpu_is_refused_to_a_method_without_an_argument_device():
     for name, fits in (("vprsnn", False), ("vprsnn_ensemble", False), ("vprtempo", True)):
         with pytest.raises(BadInput, match=r"device=cuda") as error:
             checked_settings(composed_in_python([f"method={name}"], {"device": "cuda:999"}))
@@ -159,7 +154,7 @@ def test_a_gpu_is_refused_to_a_method_without_an_argument_device() -> None:
 
 
 @pytest.mark.parametrize("ask", ["query", "state", "spikes", "match", "calibrate"])
-def test_nothing_is_answered_before_fit(ask: str) -> None:
+def test_nothing_is_answered_before_fit(ask):
     method = VPRSNN(**SMALL)
     codes = method.encode(QUERIES)
     given = {"query": (QUERIES,), "state": (), "spikes": (codes,), "match": (codes,), "calibrate": (held_out(),)}
@@ -167,8 +162,8 @@ def test_nothing_is_answered_before_fit(ask: str) -> None:
         getattr(method, ask)(*given[ask])
 
 
-def test_a_training_that_is_interrupted_leaves_no_older_network(monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupt(*_: Any) -> NoReturn:
+def test_a_training_that_is_interrupted_leaves_no_older_network(monkeypatch):
+    def interrupt(*_):
         raise KeyboardInterrupt
 
     method = fitted(epochs=1)

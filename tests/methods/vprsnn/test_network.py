@@ -1,6 +1,5 @@
 """VPRSNN's network as stored arrays: what comes back, and what is refused."""
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ from vprbench.methods.vprsnn.method import VPRSNN
 Array = npt.NDArray[Any]
 
 
-def test_a_restored_network_is_the_stored_one_and_answers_alike() -> None:
+def test_a_restored_network_is_the_stored_one_and_answers_alike():
     trained = fitted(7, hyperactive_threshold=3)
     stored = {name: array.copy() for name, array in trained.state().items()}
     assert {name: array.shape for name, array in stored.items()} == {
@@ -34,7 +33,7 @@ def test_a_restored_network_is_the_stored_one_and_answers_alike() -> None:
         assert VPRSNN(**SMALL, hyperactive_threshold=given).restore(stored).state()["threshold"] == kept
 
 
-def little() -> dict[str, Array]:
+def little():
     """Return the arrays of two modules of three and two places, with 4 pixels and 3 neurons."""
     draw = np.random.default_rng(0)
     sums = draw.integers(0, 50, (2, 3, 3)).astype(np.float32)
@@ -46,7 +45,7 @@ def little() -> dict[str, Array]:
     }
 
 
-def refusal(state: Mapping[str, Array], **changes: int) -> str:
+def refusal(state, **changes):
     """Return the line that refuses the arrays, and see that the method, which had a network, answers nothing."""
     asked = VPRSNN(height=2, width=2, n_excitatory=3).restore(little())
     for name, value in changes.items():
@@ -60,7 +59,7 @@ def refusal(state: Mapping[str, Array], **changes: int) -> str:
 
 
 @pytest.mark.parametrize("name", little())
-def test_an_array_that_is_missing_or_of_another_shape_is_refused(name: str) -> None:
+def test_an_array_that_is_missing_or_of_another_shape_is_refused(name):
     own = little()[name]
     wider = np.concatenate([np.atleast_2d(own), np.atleast_2d(own)[..., :1]], axis=-1)
     fewer = (own.reshape(-1)[0], own[:1]) if own.ndim else (np.repeat(own, 2),)
@@ -69,7 +68,7 @@ def test_an_array_that_is_missing_or_of_another_shape_is_refused(name: str) -> N
     assert name in refusal({key: array for key, array in little().items() if key != name})
 
 
-def spoilt(name: str, at: tuple[int, ...], value: float) -> dict[str, Array]:
+def spoilt(name, at, value):
     state = little()
     state[name][at] = value
     return state
@@ -89,11 +88,11 @@ def spoilt(name: str, at: tuple[int, ...], value: float) -> dict[str, Array]:
         ({**little(), "delays": np.zeros((2, 4, 3))}, "delays"),
     ],
 )
-def test_values_that_no_network_has_are_refused(state: dict[str, Array], culprit: str) -> None:
+def test_values_that_no_network_has_are_refused(state, culprit):
     assert culprit in refusal(state)
 
 
-def test_what_the_network_does_not_have_is_refused_with_the_argument() -> None:
+def test_what_the_network_does_not_have_is_refused_with_the_argument():
     uncounted = {**{key: array for key, array in little().items() if key != "reactions"}, "threshold": np.array(0)}
     for state, name, value in (
         (little(), "height", 3),

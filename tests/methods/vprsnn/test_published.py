@@ -1,8 +1,7 @@
 """VPRSNN's published weights: every synapse finds its place, volts become millivolts, and nothing else is read."""
 
 import errno
-from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -11,7 +10,7 @@ from little_vprsnn import SMALL, fitted, references
 
 from vprbench.errors import BadInput, NotThere
 from vprbench.methods.vprsnn.method import VPRSNN
-from vprbench.methods.vprsnn.published import PublishedModule, files_of, read_modules
+from vprbench.methods.vprsnn.published import files_of, read_modules
 
 Array = npt.NDArray[Any]
 
@@ -19,27 +18,20 @@ INPUTS, NEURONS = 6, 4
 THETA_VOLTS = np.array([0.02, 0.035, 0.0, 0.0615])
 
 
-def random_weights(seed: int = 0) -> Array:
+def random_weights(seed=0):
     return np.random.default_rng(seed).random((INPUTS, NEURONS))
 
 
-def by_input(weights: Array) -> Array:
+def by_input(weights):
     """Rows as the authors' program writes them: all neurons of the first input, then those of the second."""
-    return np.array([(*synapse, weight) for synapse, weight in np.ndenumerate(weights)])  # type: ignore[misc]
+    return np.array([(*synapse, weight) for synapse, weight in np.ndenumerate(weights)])
 
 
-def mixed(weights: Array) -> Array:
+def mixed(weights):
     return np.random.default_rng(1).permutation(by_input(weights))
 
 
-def publish(
-    folder: Path,
-    offset: int = 0,
-    weights: Array | None = None,
-    theta: Array = THETA_VOLTS,
-    kind: str = "ne4_L25",
-    ending: str = "",
-) -> Path:
+def publish(folder, offset=0, weights=None, theta=THETA_VOLTS, kind="ne4_L25", ending=""):
     """Write a module in the published layout; returns its folder."""
     module = folder / f"weights_{kind}_offset{offset}{ending}"
     module.mkdir(parents=True)
@@ -49,11 +41,11 @@ def publish(
     return module
 
 
-def read(folder: Path) -> list[PublishedModule]:
+def read(folder):
     return read_modules(folder, INPUTS, NEURONS)
 
 
-def refusal(folder: Path, kind: type[BadInput] = BadInput) -> str:
+def refusal(folder, kind=BadInput):
     """The complaint about a folder; a file that is wrong is no file that is missing."""
     with pytest.raises(BadInput) as complaint:
         read(folder)
@@ -76,7 +68,7 @@ def test_every_synapse_has_its_own_weight_whatever_the_layout(tmp_path, layout, 
 
 
 @pytest.mark.parametrize(("offsets", "ending"), [([0, 25, 50, 75, 100], ""), ([600, 625], "_S10")], ids=str)
-def test_modules_are_read_in_the_order_of_their_first_places(tmp_path: Path, offsets: list[int], ending: str) -> None:
+def test_modules_are_read_in_the_order_of_their_first_places(tmp_path, offsets, ending):
     for offset in reversed(offsets):
         publish(tmp_path, offset, by_input(random_weights(offset)), ending=ending)
     (tmp_path / "weights_ne4_L25_offset125").touch()  # whatever else lies there is left alone
@@ -115,20 +107,20 @@ def test_a_file_that_is_damaged_unreadable_or_holds_no_plain_numbers_is_named(tm
             np.save(module / name, np.zeros(NEURONS, kind))
             assert name in refusal(tmp_path)
 
-    def refuse(*_: Any, **__: Any) -> NoReturn:
+    def refuse(*_, **__):
         raise PermissionError(errno.EACCES, "Permission denied")
 
     monkeypatch.setattr(np.lib.format, "open_memmap", refuse)  # root, who may run these tests, may read every file
     assert "XeAe.npy cannot be read (Permission denied)" in refusal(tmp_path)
 
 
-def rows_but(row: int, source: float, neuron: float) -> Array:
+def rows_but(row, source, neuron):
     rows = by_input(random_weights())
     rows[row, :2] = source, neuron
     return rows
 
 
-def weights_but(value: float) -> Array:
+def weights_but(value):
     weights = random_weights()
     weights[2, 3] = value
     return weights
@@ -151,12 +143,12 @@ def weights_but(value: float) -> Array:
     ],
 )
 def test_shapes_synapses_weights_and_thresholds_that_cannot_be_are_refused(tmp_path, changed, array, culprit):
-    publish(tmp_path, **{changed: np.asarray(array)})  # type: ignore[arg-type]
+    publish(tmp_path, **{changed: np.asarray(array)})
     assert culprit in refusal(tmp_path)
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path):
     """The weights of a network that has learnt ten places, as published."""
     state = fitted(10).state()
     for number, (weights, theta) in enumerate(zip(state["weights"], state["theta"], strict=True)):
@@ -164,7 +156,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_published_weights_are_taken_over_unchanged_and_assigned_by_the_last_presentations(folder: Path) -> None:
+def test_published_weights_are_taken_over_unchanged_and_assigned_by_the_last_presentations(folder):
     state, found = fitted(10).state(), fitted(10, published_weights=str(folder), recorded_presentations=12).state()
     assert np.array_equal(found["weights"], state["weights"])
     assert found["theta"] == pytest.approx(state["theta"])
@@ -178,7 +170,7 @@ def test_published_weights_are_taken_over_unchanged_and_assigned_by_the_last_pre
     assert np.mean(turned.query(shown).argmax(1) == others) > 0.5
 
 
-def test_the_files_of_published_weights_are_told_or_missed_and_others_have_none(folder: Path) -> None:
+def test_the_files_of_published_weights_are_told_or_missed_and_others_have_none(folder):
     method = VPRSNN(**SMALL, published_weights=str(folder))
     assert [str(path.relative_to(folder)) for path in method.files()] == [
         f"weights_ne24_L5_offset{offset}/{name}" for offset in (600, 605) for name in ("XeAe.npy", "theta_A.npy")

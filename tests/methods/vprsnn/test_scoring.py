@@ -1,12 +1,9 @@
 """VPRSNN's neurons: which place each speaks for, what they say of a query, who is silenced, and for which threshold."""
 
-from collections.abc import Sequence
-
 import numpy as np
 import numpy.typing as npt
 import pytest
 
-from vprbench.api.arrays import Scores
 from vprbench.methods.vprsnn import scoring
 from vprbench.methods.vprsnn.scoring import Responses, labels
 from vprbench.methods.vprsnn.training_sets import modules
@@ -15,7 +12,7 @@ Array = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
 
 
-def network(seed: int, n_places: int = 23, per_module: int = 5, n_neurons: int = 9) -> Responses:
+def network(seed, n_places=23, per_module=5, n_neurons=9):
     """Return modules in shuffled order, the last with fewer places; neurons fired for none, some or all of theirs."""
     random = np.random.default_rng(seed)
     groups = modules(n_places, per_module, "shuffled", seed, 4)
@@ -28,16 +25,14 @@ def network(seed: int, n_places: int = 23, per_module: int = 5, n_neurons: int =
     return Responses(sums.astype(np.float32), np.where(places >= 0, 10, 0), places)
 
 
-def one_module(
-    sums: Sequence[Sequence[float]], shown: Sequence[int] | None = None, places: Sequence[int] | None = None
-) -> Responses:
+def one_module(sums, shown=None, places=None):
     """Return a module of neurons that gave `sums` (n_neurons, n_labels) in five presentations of each label."""
     n = len(sums[0])
     labelled = np.array([places or range(n)], np.int64)
     return Responses(np.array([sums], np.float32), np.array([shown or [5] * n]), labelled)
 
 
-def standard_slowly(responses: Array, spoken_for: Array, silenced: Mask, n_places: int) -> Scores:
+def standard_slowly(responses, spoken_for, silenced, n_places):
     """Score place by place: spikes of the place's neurons by the number of them."""
     scores, heard = np.zeros((len(responses), n_places)), responses * ~silenced
     for place in set(spoken_for.ravel().tolist()) - {-1}:
@@ -45,7 +40,7 @@ def standard_slowly(responses: Array, spoken_for: Array, silenced: Mask, n_place
     return scores.astype(np.float32)
 
 
-def weighted_slowly(responses: Array, learnt: Responses, silenced: Mask, n_places: int) -> Scores:
+def weighted_slowly(responses, learnt, silenced, n_places):
     """Score place by place from the spikes (n_neurons, n_places) of the training."""
     memory = np.zeros((silenced.size, n_places))
     for neuron, sums in enumerate(learnt.sums.reshape(silenced.size, -1)):
@@ -72,12 +67,12 @@ def weighted_slowly(responses: Array, learnt: Responses, silenced: Mask, n_place
         pytest.param(one_module([[2, 0, 0]], [5, 0, 0], [3, -1, -1]), [3], id="a smaller last module"),
     ],
 )
-def test_a_neuron_speaks_for_the_place_with_most_spikes_a_presentation(learnt: Responses, expected: list[int]) -> None:
+def test_a_neuron_speaks_for_the_place_with_most_spikes_a_presentation(learnt, expected):
     assert labels(learnt).tolist() == [expected]
     assert labels(learnt).dtype == np.int64
 
 
-def test_more_than_a_tenth_of_the_spikes_speak_for_a_place_and_are_divided_from_a_fiftieth_of_the_places_on() -> None:
+def test_more_than_a_tenth_of_the_spikes_speak_for_a_place_and_are_divided_from_a_fiftieth_of_the_places_on():
     sums = np.array([[[9, 1], [0, 0]], [[17, 2], [0, 0]]], np.float32)  # 1 of 10, 2 of 19
     learnt = Responses(sums, np.full((2, 2), 10), np.array([[0, 1], [2, 3]]))
     scores = scoring.weighted(np.array([[[1, 0], [1, 0]]]), learnt, np.zeros((2, 2), np.bool_), 1000)
@@ -93,8 +88,8 @@ def test_more_than_a_tenth_of_the_spikes_speak_for_a_place_and_are_divided_from_
     ("seed", "n_queries", "block_cells"), [(0, 7, 1), (1, 7, 61), (3, 7, 1 << 20), (0, 0, 1 << 20)]
 )
 def test_scores_are_those_of_a_loop_over_queries_and_places_in_blocks_of_any_size(
-    monkeypatch: pytest.MonkeyPatch, seed: int, n_queries: int, block_cells: int, n_places: int
-) -> None:
+    monkeypatch, seed, n_queries, block_cells, n_places
+):
     learnt = network(seed)
     random, shape = np.random.default_rng([seed, 1]), learnt.sums.shape[:2]
     responses = random.integers(1, 8, (n_queries, *shape)) * (random.random((n_queries, *shape)) < 0.3)
@@ -113,7 +108,7 @@ def test_scores_are_those_of_a_loop_over_queries_and_places_in_blocks_of_any_siz
     assert np.allclose(weighted, expected, rtol=1e-6, atol=0)
 
 
-def test_a_query_is_normalised_from_its_lowest_score_to_a_sum_of_one() -> None:
+def test_a_query_is_normalised_from_its_lowest_score_to_a_sum_of_one():
     scores = np.array([[2, 5, 3, 2], [0, 0, 0, 8], [0, 0, 0, 0], [-np.inf] * 4], np.float32)
     before = scores.copy()
     # (s - min) / (max - min): 0, 1, 1/3, 0, whose sum is 4/3; where all are equal they stay
@@ -122,7 +117,7 @@ def test_a_query_is_normalised_from_its_lowest_score_to_a_sum_of_one() -> None:
     assert np.array_equal(scores, before)
 
 
-def test_a_query_to_which_no_neuron_that_counts_responds_matches_no_place() -> None:
+def test_a_query_to_which_no_neuron_that_counts_responds_matches_no_place():
     responses, silent = np.array([[[0, 0]], [[5, 0]], [[5, 1]]]), [-np.inf] * 2
     for silenced, expected in (([], [silent, [5, 0], [5, 1]]), ([0], [silent, silent, [0, 1]]), ([0, 1], [silent] * 3)):
         mute = np.isin([[0, 1]], silenced)
@@ -134,7 +129,7 @@ def test_a_query_to_which_no_neuron_that_counts_responds_matches_no_place() -> N
 SILENT = [-np.inf, -np.inf]
 
 
-def test_a_neuron_is_hyperactive_from_the_threshold_on_and_none_for_a_threshold_of_0() -> None:
+def test_a_neuron_is_hyperactive_from_the_threshold_on_and_none_for_a_threshold_of_0():
     assert scoring.hyperactive(np.array([[0, 19, 20], [21, 5, 40]]), 20).tolist() == [[0, 0, 1], [1, 0, 1]]
     assert not scoring.hyperactive(np.array([[0, 7, 3000]]), 0).any()
 

@@ -1,12 +1,11 @@
 """The compiled simulation of VPRSNN equals the direct one, in spikes exactly; and what a presentation counts."""
 
 from dataclasses import dataclass, replace
-from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 import pytest
-from direct_vprsnn import Run, simulate
+from direct_vprsnn import simulate
 from vprsnn_modules import Floats, Module, Spikes, silence, spikes_at
 
 from vprbench.methods.vprsnn.arguments import Arguments
@@ -26,16 +25,7 @@ class Given:
     theta: float | Floats = 20.0
 
     @classmethod
-    def drawn(
-        cls,
-        seed: int,
-        n_neurons: int = 12,
-        n_inputs: int = 40,
-        longest: int = 100,
-        share: float = 0.0125,
-        n_images: int = 4,
-        **changes: float,
-    ) -> Self:
+    def drawn(cls, seed, n_neurons=12, n_inputs=40, longest=100, share=0.0125, n_images=4, **changes):
         """Draw weights, delays and images, whose inputs spike in up to twice `share` of the steps."""
         random = np.random.default_rng(seed)
         values = Arguments(**{**BRIEF, **changes})
@@ -48,7 +38,7 @@ class Given:
         )
 
 
-def agreed(given: Given, learning: bool = True, weight_sum: float | None = None) -> Run:
+def agreed(given, learning=True, weight_sum=None):
     """Show the images to both simulations, insist that they agree, and return the direct one's run."""
     n = given.weights.shape[1]
     theta = np.zeros(n) + given.theta
@@ -85,8 +75,8 @@ def test_an_asked_module_equals_the_direct_simulation_and_learns_nothing():
     assert (agreed(given, learning=False).weights == given.weights).all()
 
 
-ALONE: dict[str, Any] = {"weight_sum": None}
-ASKED: dict[str, Any] = {"learning": False, "weight_sum": None}
+ALONE = {"weight_sum": None}
+ASKED = {"learning": False, "weight_sum": None}
 
 
 @pytest.mark.parametrize(

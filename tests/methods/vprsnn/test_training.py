@@ -2,10 +2,7 @@
 
 import itertools
 import threading
-from collections.abc import Callable, Iterator
-from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, Literal, NoReturn
 
 import direct_vprsnn as direct
 import numpy as np
@@ -20,13 +17,13 @@ from vprbench.methods.vprsnn.arrays import unpadded
 from vprbench.methods.vprsnn.ensemble import VPRSNNEnsemble
 from vprbench.methods.vprsnn.method import VPRSNN
 from vprbench.methods.vprsnn.model import Model
-from vprbench.methods.vprsnn.parallel import Stage, Tell, for_each_module
+from vprbench.methods.vprsnn.parallel import Stage, for_each_module
 from vprbench.methods.vprsnn.training import train
 from vprbench.methods.vprsnn.training_sets import Lesson, lesson, modules
 
 
 @pytest.fixture(autouse=True)
-def one_thread() -> Iterator[None]:
+def one_thread():
     """Modules are trained one after the other, unless a test says otherwise."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
@@ -38,7 +35,7 @@ class Interrupted(Exception):
     """Somebody ended the training."""
 
 
-def published_order(n_test: int, n_calibration: int, seed: int) -> tuple[list[int], list[int]]:
+def published_order(n_test, n_calibration, seed):
     """Return the places for testing, ascending, and the order in which the authors' modules take them.
 
     Call by call over the list of all places, as their data split draws it, with the numbers of that list.
@@ -55,7 +52,7 @@ def published_order(n_test: int, n_calibration: int, seed: int) -> tuple[list[in
     return rest, shuffled
 
 
-def test_contiguous_modules_take_places_along_the_route_and_the_last_takes_what_is_left() -> None:
+def test_contiguous_modules_take_places_along_the_route_and_the_last_takes_what_is_left():
     for n_places, per_module, groups in (
         (7, 3, [[0, 1, 2], [3, 4, 5], [6]]),
         (6, 3, [[0, 1, 2], [3, 4, 5]]),
@@ -81,8 +78,8 @@ def test_shuffled_modules_hold_the_places_that_the_published_split_gives_them(se
     ],
 )
 def test_a_module_is_shown_its_places_along_the_first_traverse_and_then_along_the_second(
-    places: list[int], members: list[int], shown: list[int], labels: list[int]
-) -> None:
+    places, members, shown, labels
+):
     levels = np.arange(len(places), dtype=np.uint8)[:, None]
     found = lesson(7, np.array(members), levels, np.array(places))
     assert (found.number, found.places.tolist()) == (7, members)
@@ -115,7 +112,7 @@ def test_a_trained_module_equals_the_direct_simulation_from_its_first_silence_on
     assert found["places"].tolist() == [8, 9]
 
 
-def test_initial_weights_are_uniform_from_the_offset_on_and_delays_rounded_to_the_nearest_step() -> None:
+def test_initial_weights_are_uniform_from_the_offset_on_and_delays_rounded_to_the_nearest_step():
     weights = Model(height=1, width=200, n_excitatory=50).weights(0)
     assert weights.shape == (200, 50)
     shares = (weights / 0.3 - 0.01).ravel()
@@ -127,14 +124,14 @@ def test_initial_weights_are_uniform_from_the_offset_on_and_delays_rounded_to_th
     assert times[[0, 100]] == pytest.approx(1500, abs=200)  # half a step is nearest to each of them
 
 
-def test_delays_differ_between_modules_seeds_and_between_training_and_queries() -> None:
+def test_delays_differ_between_modules_seeds_and_between_training_and_queries():
     model, other_seed = (Model(height=1, width=50, n_excitatory=20, seed=seed) for seed in (0, 1))
     drawn = [model.delays(0), model.delays(1), model.delays(0, new=True), other_seed.delays(0)]
     for one, other in itertools.combinations(drawn, 2):
         assert np.mean(one == other) < 0.05
 
 
-def test_a_module_learns_the_same_whether_or_not_others_follow_and_each_draws_differently() -> None:
+def test_a_module_learns_the_same_whether_or_not_others_follow_and_each_draws_differently():
     alone, first = fitted(5).state(), fitted(10).state()
     for name in ("weights", "theta", "sums", "shown", "places"):
         assert np.array_equal(first[name][:1], alone[name])
@@ -151,7 +148,7 @@ def test_the_last_presentations_are_recorded_which_changes_nothing_else():
     assert np.array_equal(found["weights"], whole["weights"])
 
 
-def test_two_threads_train_and_answer_what_one_does() -> None:
+def test_two_threads_train_and_answer_what_one_does():
     alone = fitted(15, epochs=2)
     codes = alone.encode(images(WORLD.queries))
     expected = alone.match(codes)
@@ -163,11 +160,11 @@ def test_two_threads_train_and_answer_what_one_does() -> None:
 
 
 @pytest.mark.parametrize("end", ["a module that fails", "an interruption"])
-def test_a_failure_and_an_interruption_end_all_modules(end: Literal["a module that fails", "an interruption"]) -> None:
+def test_a_failure_and_an_interruption_end_all_modules(end):
     torch.set_num_threads(2)
     others_began, running = threading.Event(), []
 
-    def work(module: int, tell: Tell) -> None:
+    def work(module, tell):
         if module == 0 and end == "a module that fails":
             others_began.wait()
             raise Interrupted
@@ -179,7 +176,7 @@ def test_a_failure_and_an_interruption_end_all_modules(end: Literal["a module th
         finally:
             running.remove(module)
 
-    def interrupt(stage: str, done: float) -> None:
+    def interrupt(stage, done):
         if running and end == "an interruption":
             raise KeyboardInterrupt
 
@@ -188,8 +185,8 @@ def test_a_failure_and_an_interruption_end_all_modules(end: Literal["a module th
     assert not running
 
 
-def test_the_progress_rises_from_nothing_to_all_and_a_part_goes_on_where_the_one_before_ended() -> None:
-    told: list[tuple[str, float]] = []
+def test_the_progress_rises_from_nothing_to_all_and_a_part_goes_on_where_the_one_before_ended():
+    told = []
     with progress.listening(lambda stage, done: told.append((stage, done))):
         fitted(15, epochs=1)
         for_each_module(lambda module, tell: tell(1.0), 3, Stage("reactions", 0.5, 1.0).part(0.25, 0.75))
@@ -201,18 +198,18 @@ def test_the_progress_rises_from_nothing_to_all_and_a_part_goes_on_where_the_one
 
 
 @pytest.fixture
-def trainings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def trainings(tmp_path, monkeypatch):
     """The folder of partial trainings."""
     monkeypatch.setenv("VPRBENCH_PARTIAL", str(tmp_path))
     return tmp_path
 
 
 @pytest.fixture
-def trained(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
+def trained(monkeypatch):
     """The `numbers` of modules in the order they are trained; at the one called `fatal` the training is interrupted."""
     seen = SimpleNamespace(numbers=[], fatal=None)
 
-    def watched(model: Model, shown: Lesson, *others: Any) -> training.Arrays:
+    def watched(model, shown, *others):
         if len(seen.numbers) == seen.fatal:
             raise Interrupted
         seen.numbers.append(shown.number)
@@ -222,7 +219,7 @@ def trained(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     return seen
 
 
-def interrupt(trained: SimpleNamespace, after: int, work: Callable[[], Any]) -> None:
+def interrupt(trained, after, work):
     """Do the work, interrupted once so many modules are trained, and forget that they were."""
     trained.fatal = after
     with pytest.raises(Interrupted):
@@ -270,8 +267,8 @@ def test_a_training_that_is_interrupted_when_all_modules_are_trained_trains_none
     assert trained.numbers == []
 
 
-def test_an_ensemble_goes_on_with_the_members_that_it_had_trained(trainings: Path, trained: SimpleNamespace) -> None:
-    def fit() -> VPRSNN:
+def test_an_ensemble_goes_on_with_the_members_that_it_had_trained(trainings, trained):
+    def fit():
         return VPRSNNEnsemble(**SMALL, seeds=[0, 10]).fit(*references(10))
 
     expected = fit().state()
@@ -281,7 +278,7 @@ def test_an_ensemble_goes_on_with_the_members_that_it_had_trained(trainings: Pat
     assert trained.numbers == [1]
 
 
-def test_an_interrupted_calibration_trains_only_what_is_missing(trainings: Path, trained: SimpleNamespace) -> None:
+def test_an_interrupted_calibration_trains_only_what_is_missing(trainings, trained):
     expected = fitted().calibrate(held_out()).state()
     found = fitted()
     trained.numbers = []
@@ -292,7 +289,7 @@ def test_an_interrupted_calibration_trains_only_what_is_missing(trainings: Path,
     assert not list(trainings.iterdir())
 
 
-def test_an_interrupted_calibration_belongs_to_its_map(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interrupted_calibration_belongs_to_its_map(monkeypatch):
     seen, begin = [], checkpoints.training
     monkeypatch.setattr(checkpoints, "training", lambda identity: seen.append(identity) or begin(identity))
     for second in (10, 20):  # the second traverse shows other images; the first, for which reactions count, is the same
@@ -302,5 +299,5 @@ def test_an_interrupted_calibration_belongs_to_its_map(monkeypatch: pytest.Monke
     assert seen[1] != seen[3]
 
 
-def interrupted(*_: Any) -> NoReturn:
+def interrupted(*_):
     raise Interrupted

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, get_args
+from typing import get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -22,24 +22,24 @@ from vprbench.methods.vprtempo.rules import PAPER, RuleSet
 Arrays = Mapping[str, npt.NDArray[np.float32]]
 
 
-def empty(members: int, **arguments: Any) -> VPRTempo:
+def empty(members, **arguments):
     return VPRTempoEnsemble(members=members, **{**SMALL, **arguments})
 
 
-def ensemble(members: int, **arguments: Any) -> VPRTempoEnsemble:
+def ensemble(members, **arguments):
     return fitted(VPRTempoEnsemble, members=members, **arguments)
 
 
-def alone(seed: int, **arguments: Any) -> VPRTempo:
+def alone(seed, **arguments):
     return fitted(seed=seed, **arguments)
 
 
-def member(state: Arrays, number: int) -> Arrays:
+def member(state, number):
     start = f"member_{number}."
     return {name.removeprefix(start): array for name, array in state.items() if name.startswith(start)}
 
 
-def same(one: Arrays, other: Arrays) -> bool:
+def same(one, other):
     return one.keys() == other.keys() and all(np.array_equal(array, other[name]) for name, array in one.items())
 
 
@@ -53,7 +53,7 @@ def same(one: Arrays, other: Arrays) -> bool:
     ],
     ids=str,
 )
-def test_each_member_is_to_the_bit_the_network_that_vprtempo_trains_from_its_seed(arguments: dict[str, Any]) -> None:
+def test_each_member_is_to_the_bit_the_network_that_vprtempo_trains_from_its_seed(arguments):
     state = ensemble(3, **arguments).state()
     for number in range(3):
         assert same(member(state, number), alone(number, **arguments).state())
@@ -62,7 +62,7 @@ def test_each_member_is_to_the_bit_the_network_that_vprtempo_trains_from_its_see
 
 @RULE_SETS
 @pytest.mark.parametrize("members", [1, 3])
-def test_the_scores_are_the_mean_of_those_of_the_members_also_when_restored(rules: RuleSet, members: int) -> None:
+def test_the_scores_are_the_mean_of_those_of_the_members_also_when_restored(rules, members):
     trained = ensemble(members, rules=rules, seed=1)
     expected = np.mean([alone(1 + n, rules=rules).query(QUERIES).astype(np.float64) for n in range(members)], axis=0)
     assert trained.query(QUERIES) == pytest.approx(expected, abs=1e-6)
@@ -75,14 +75,14 @@ def test_the_scores_are_the_mean_of_those_of_the_members_also_when_restored(rule
 
 
 @pytest.mark.parametrize(("stored", "wanted"), [(2, 3), (3, 2), (1, 2), (2, 1)])
-def test_another_number_of_members_is_refused_with_both_numbers(stored: int, wanted: int) -> None:
+def test_another_number_of_members_is_refused_with_both_numbers(stored, wanted):
     with pytest.raises(BadInput, match=rf"\b{stored} members; wanted {wanted}\b"):
         empty(wanted).restore(ensemble(stored).state())
     many = ensemble(12, max_module=20, epochs=1).state()  # more than ten keep their order
     assert same(empty(12).restore(many).state(), many)
 
 
-def test_members_that_lack_an_array_or_know_other_places_are_refused_and_leave_no_network() -> None:
+def test_members_that_lack_an_array_or_know_other_places_are_refused_and_leave_no_network():
     whole = ensemble(2).state()
     for lacking in ("member_0.features", "member_1.outputs_1", "member_1.output_thresholds_2"):
         with pytest.raises(BadInput, match=lacking.split(".")[1]):
@@ -96,12 +96,12 @@ def test_members_that_lack_an_array_or_know_other_places_are_refused_and_leave_n
 
 
 @pytest.mark.parametrize(("name", "value"), [("members", 0), ("epochs", 0)])
-def test_arguments_under_which_there_is_no_ensemble_are_refused_by_name(name: str, value: int) -> None:
+def test_arguments_under_which_there_is_no_ensemble_are_refused_by_name(name, value):
     with pytest.raises(BadInput, match=rf"method\.{name}={value}: give at least 1"):
         ensemble(**{"members": 2, name: value})
 
 
-def scores(kind: type[VPRTempo] = VPRTempo, **arguments: Any) -> npt.NDArray[np.float32]:
+def scores(kind=VPRTempo, **arguments):
     return np.asarray(fitted(kind, **arguments).query(QUERIES))
 
 
@@ -118,7 +118,7 @@ def test_scores_are_counted_in_spreads_from_the_mean_over_the_references(rules, 
     assert anew.query(QUERIES) == pytest.approx(expected, rel=1e-3, abs=1e-3)
 
 
-def test_a_place_that_hardly_answers_is_divided_by_a_hundredth_of_the_mean_spread_or_by_1() -> None:
+def test_a_place_that_hardly_answers_is_divided_by_a_hundredth_of_the_mean_spread_or_by_1():
     nothing = torch.zeros(1, 1)
     network = Network(torch.ones(1, 1, 1), nothing, nothing, (torch.tensor([[0.5, 0.5]]),), (torch.zeros(2),))
     for loud, least in ((0.0, 1.0), (4.0, 0.005)):
@@ -129,21 +129,21 @@ def test_a_place_that_hardly_answers_is_divided_by_a_hundredth_of_the_mean_sprea
         assert found[0, 0] == pytest.approx(0.25 / least)
 
 
-def test_an_ensemble_averages_scores_calibrated_member_by_member() -> None:
+def test_an_ensemble_averages_scores_calibrated_member_by_member():
     members = [scores(calibrated_scores=True, seed=seed) for seed in (3, 4)]
     found = scores(VPRTempoEnsemble, members=2, seed=3, calibrated_scores=True)
     assert found == pytest.approx((members[0] + members[1]) / 2, rel=1e-4, abs=1e-4)
 
 
 @pytest.mark.parametrize("rules", ["paper", "reference"])
-def test_int8_scores_are_calibrated_as_those_of_the_float_network(rules: str) -> None:
+def test_int8_scores_are_calibrated_as_those_of_the_float_network(rules):
     exact = scores(rules=rules, calibrated_scores=True)
     found = scores(VPRTempoInt8, rules=rules, calibrated_scores=True)
     assert np.abs(found - exact).max() < 0.25
     assert np.corrcoef(found.ravel(), exact.ravel())[0, 1] > 0.999
 
 
-def test_the_linear_query_of_calibrated_networks_stays_one_affine_map() -> None:
+def test_the_linear_query_of_calibrated_networks_stays_one_affine_map():
     rules = replace(PAPER, query_rule="linear")
     members = [fitted(calibrated_scores=True, query_rule="linear", seed=seed)._members[0] for seed in (0, 1)]
     codes = fitted().encode(QUERIES)
@@ -151,7 +151,7 @@ def test_the_linear_query_of_calibrated_networks_stays_one_affine_map() -> None:
     assert asking(members, rules).scores(codes) == pytest.approx((apart[0] + apart[1]) / 2, rel=1e-4, abs=1e-4)
 
 
-def test_the_calibration_is_stored_and_holds_for_the_way_of_asking_that_it_was_made_with() -> None:
+def test_the_calibration_is_stored_and_holds_for_the_way_of_asking_that_it_was_made_with():
     trained = fitted(calibrated_scores=True)
     assert set(trained.state()) - set(fitted().state()) == {"score_mean", "score_spread"}
     restored = VPRTempo(**SMALL, calibrated_scores=True).restore(trained.state())

@@ -11,8 +11,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from types import ModuleType
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 import pytest
@@ -70,7 +69,7 @@ Found = Callable[[str], tuple[Trained, list[float]]]  # of a case, with the prog
 Report = Callable[[float], None]
 
 
-def spikes(case: Case) -> torch.Tensor:
+def spikes(case):
     """Two traverses of the same places: smooth frames, the second with noise, a sixth of the pixels silent."""
     generator = np.random.default_rng(3)
     scenes = np.cumsum(generator.normal(size=(sum(case.sizes), case.n_pixels)), axis=1)
@@ -79,7 +78,7 @@ def spikes(case: Case) -> torch.Tensor:
     return torch.from_numpy((np.floor(255 * (1 + np.clip(frames, -1, 1)) / 2) / 255).astype(np.float32))
 
 
-def trained(case: Case, engine: ModuleType, device: str, report: Report = lambda _: None) -> Trained:
+def trained(case, engine, device, report=lambda _: None):
     """Return excitation, inhibition and thresholds of both layers."""
     rules, sizes = replace(RULES[case.rule_set], **case.choices), case.sizes
     generators = [torch.Generator().manual_seed(11 + module) for module in range(len(sizes))]
@@ -98,11 +97,11 @@ def trained(case: Case, engine: ModuleType, device: str, report: Report = lambda
     return {**parts("features", features), **parts("outputs", outputs)}
 
 
-def parts(name: str, layer: Layer) -> Trained:
+def parts(name, layer):
     return {f"{name} {part}": getattr(layer, part).cpu() for part in ("excitation", "inhibition", "thresholds")}
 
 
-def train_in_triton(name: str, results: str) -> None:
+def train_in_triton(name, results):
     """Train a case and write what it gave and the progress it reported; the entry point of the other process."""
     from vprbench.methods.vprtempo import fused_cuda
 
@@ -112,7 +111,7 @@ def train_in_triton(name: str, results: str) -> None:
     torch.save((trained(case, fused_cuda, device, progress.append), progress), results)
 
 
-def not_run(reason: str) -> NoReturn:
+def not_run(reason):
     """Skip, but fail where these tests were asked for by name (`VPRBENCH_INSIST_ON_TRITON`)."""
     if os.environ.get("VPRBENCH_INSIST_ON_TRITON"):
         pytest.fail(reason)
@@ -120,14 +119,14 @@ def not_run(reason: str) -> NoReturn:
 
 
 @pytest.fixture(scope="module")
-def by_triton(tmp_path_factory: pytest.TempPathFactory) -> Found:
+def by_triton(tmp_path_factory):
     if importlib.util.find_spec("triton") is None:
         not_run("triton is not installed: the engine for GPUs can run neither on one nor interpreted")
     folder = tmp_path_factory.mktemp("triton")
     interpreted = {} if torch.cuda.is_available() else {"TRITON_INTERPRET": "1"}
 
     @functools.cache  # a process for each case: the interpreter takes about 10 s for one
-    def found(name: str) -> tuple[Trained, list[float]]:
+    def found(name):
         results = folder / f"{name}.pt"
         command = [sys.executable, __file__, name, results]
         child = subprocess.run(command, env=os.environ | interpreted, capture_output=True, text=True, check=False)
@@ -140,24 +139,24 @@ def by_triton(tmp_path_factory: pytest.TempPathFactory) -> Found:
 
 
 @functools.cache
-def by(engine: ModuleType, name: str) -> Trained:
+def by(engine, name):
     return trained(ALL[name], engine, "cpu")
 
 
-def distance(first: torch.Tensor, second: torch.Tensor) -> float:
+def distance(first, second):
     """Return the largest difference as a share of the largest number of `second`."""
     return float((first - second).abs().max()) / (float(second.abs().max()) or 1.0)
 
 
 @pytest.mark.parametrize("name", [*CASES, MANY])
-def test_a_compiled_training_gives_the_same_layers(name: str) -> None:
+def test_a_compiled_training_gives_the_same_layers(name):
     for part in PARTS:
         assert distance(by(fused, name)[part], by(training, name)[part]) <= RELATIVE, part
 
 
 @pytest.mark.extended
 @pytest.mark.parametrize("name", CASES)
-def test_a_training_in_triton_gives_the_same_layers(by_triton: Found, name: str) -> None:
+def test_a_training_in_triton_gives_the_same_layers(by_triton, name):
     for part in PARTS:
         assert distance(by_triton(name)[0][part], by(training, name)[part]) <= RELATIVE, part
 
@@ -173,7 +172,7 @@ def test_launches_of_few_steps_change_nothing_are_reported_and_leave_no_number_h
 
 @pytest.mark.parametrize("name", OVERFLOWING)
 @pytest.mark.parametrize("engine", [fused, training], ids=["fused", "readable"])
-def test_weights_that_are_no_numbers_stay_visible(engine: ModuleType, name: str) -> None:
+def test_weights_that_are_no_numbers_stay_visible(engine, name):
     for layer in ("features", "outputs"):
         found = {part: by(engine, name)[f"{layer} {part}"] for part in ("excitation", "inhibition", "thresholds")}
         whole = Layer(found["excitation"], found["inhibition"], None, None, found["thresholds"], found["thresholds"])
@@ -181,7 +180,7 @@ def test_weights_that_are_no_numbers_stay_visible(engine: ModuleType, name: str)
             training.check_weights(whole, layer)
 
 
-def test_the_number_of_threads_changes_nothing_and_progress_is_reported_up_to_the_end_of_each_layer() -> None:
+def test_the_number_of_threads_changes_nothing_and_progress_is_reported_up_to_the_end_of_each_layer():
     before, found, seen = torch.get_num_threads(), [], []
     try:
         for threads in (1, 2):
@@ -200,7 +199,7 @@ def test_the_number_of_threads_changes_nothing_and_progress_is_reported_up_to_th
 
 
 @pytest.mark.parametrize("one_sign", [False, True])
-def test_inhibition_that_a_step_took_away_comes_back_at_its_least(one_sign: bool) -> None:
+def test_inhibition_that_a_step_took_away_comes_back_at_its_least(one_sign):
     rules = replace(RULES["paper"], one_sign_per_synapse=one_sign, homeostasis_gain=1000.0)
     found = []
     for engine in (fused, training):

@@ -4,7 +4,6 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 import torch
 from tempo_networks import (
@@ -15,9 +14,6 @@ from tempo_networks import (
     SMALL,
     WAYS,
     WORLD,
-    Ask,
-    Floats,
-    Spikes,
     double,
     fitted,
     network,
@@ -34,31 +30,31 @@ from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.methods.vprtempo.network import Network
 from vprbench.methods.vprtempo.quantised import Int8LinearQuery, Int8SpikingQuery
 from vprbench.methods.vprtempo.query import Query
-from vprbench.methods.vprtempo.rules import PAPER, V1, Rules, RuleSet
+from vprbench.methods.vprtempo.rules import PAPER, V1
 
 
-def linear(rows: npt.ArrayLike) -> Int8LinearQuery:
+def linear(rows):
     """Return the query of a linear network whose one matrix has these rows."""
     return Int8LinearQuery([one_layer(np.asarray(rows, np.float32).T)])
 
 
-def in_127_steps(weights: Floats) -> tuple[Floats, Floats]:
+def in_127_steps(weights):
     """Return whole steps (n_out, n_in) and the size of a step of each row (n_out,)."""
     size = np.abs(weights).max(1) / 127
     return np.round(weights / np.where(size > 0, size, 1)[:, None]), size  # np.round takes halves to the even side
 
 
-def in_255_levels(activation: Floats, most: float) -> Floats:
+def in_255_levels(activation, most):
     return np.clip(np.round(activation * 255 / most), 0, 255)
 
 
-def affine(weights: Floats, bias: Floats, levels: Floats, most: float) -> Floats:
+def affine(weights, bias, levels, most):
     """Return (n_queries, n_out) of levels (n_queries, n_in), by whole sums."""
     steps, size = in_127_steps(weights)
     return (levels @ steps.T) * size * most / 255 + bias
 
 
-def spiking_in_8_bits(asked: Network, spikes: Spikes, rules: Rules) -> Floats:
+def spiking_in_8_bits(asked, spikes, rules):
     levels = in_255_levels(spikes.astype(np.float64), 1)
     parts = []
     for module, outputs in enumerate(asked.outputs):
@@ -78,7 +74,7 @@ def spiking_in_8_bits(asked: Network, spikes: Spikes, rules: Rules) -> Floats:
     "rules", [PAPER, V1, replace(PAPER, clip=0.3), replace(PAPER, clip=1.0)], ids=["paper", "v1", "clip 0.3", "clip 1"]
 )
 @SIZES
-def test_a_spiking_query_follows_the_scheme(sizes: list[int], rules: Rules, ask: Ask) -> None:
+def test_a_spiking_query_follows_the_scheme(sizes, rules, ask):
     asked, spikes = network(sizes), shown(9)
     expected = spiking_in_8_bits(asked, spikes, rules)
     assert ask(Int8SpikingQuery(asked, rules), spikes) == pytest.approx(expected, abs=1e-5)
@@ -87,7 +83,7 @@ def test_a_spiking_query_follows_the_scheme(sizes: list[int], rules: Rules, ask:
 @WAYS
 @pytest.mark.parametrize("members", [1, 3])
 @SIZES
-def test_a_linear_query_follows_the_scheme_on_the_mean_matrix(sizes: list[int], members: int, ask: Ask) -> None:
+def test_a_linear_query_follows_the_scheme_on_the_mean_matrix(sizes, members, ask):
     asked, spikes = [network(sizes, seed=seed) for seed in range(members)], shown(9)
     levels = in_255_levels(spikes.astype(np.float64), 1)
     matrix = one_matrix(asked)
@@ -96,7 +92,7 @@ def test_a_linear_query_follows_the_scheme_on_the_mean_matrix(sizes: list[int], 
 
 
 @WAYS
-def test_weights_halfway_between_two_steps_go_to_the_even_one_and_input_has_255_levels_up_to_1(ask: Ask) -> None:
+def test_weights_halfway_between_two_steps_go_to_the_even_one_and_input_has_255_levels_up_to_1(ask):
     # The largest weight is 127, so a step is 1; one pixel at a time is shown in full.
     found = ask(linear([[127, 0.5, 1.5, 2.5, -0.5, -1.5, -2.5, 3.4, 0]]), np.eye(9, dtype=np.float32))
     assert found[:, 0] == pytest.approx([127, 0, 2, 2, 0, -2, -2, 3, 0], abs=1e-5)
@@ -106,7 +102,7 @@ def test_weights_halfway_between_two_steps_go_to_the_even_one_and_input_has_255_
 
 
 @WAYS
-def test_activations_halfway_between_two_levels_go_to_the_even_one_and_end_at_the_clip(ask: Ask) -> None:
+def test_activations_halfway_between_two_levels_go_to_the_even_one_and_end_at_the_clip(ask):
     # No weight, so features say their constant; the clip of 255 makes a level 1; the place of each repeats it.
     constant = torch.tensor([[0.5, 1.5, 2.5, 3.4, 254.5, 300.0, -4.0]])
     asked = Network(torch.zeros(1, 7, 2), constant, torch.zeros(1, 7), (torch.eye(7),), (torch.zeros(7),))
@@ -136,13 +132,13 @@ def test_a_query_scores_in_a_batch_of_any_size_to_the_bit_as_alone(sizes, n_feat
 @WAYS
 @pytest.mark.parametrize("n_pixels", [2, 31, 3136])
 @pytest.mark.parametrize("sign", [1, -1])
-def test_the_largest_sums_do_not_overflow(n_pixels: int, sign: int, ask: Ask) -> None:
+def test_the_largest_sums_do_not_overflow(n_pixels, sign, ask):
     found = ask(linear(np.full((3, n_pixels), sign)), np.ones((9, n_pixels), np.float32))
     assert found == pytest.approx(np.full((9, 3), sign * n_pixels), rel=1e-6)
 
 
 def test_a_product_that_saturates_in_16_bits_as_on_a_processor_with_avx2_alone_is_not_used(monkeypatch):
-    def in_16_bits(left: torch.Tensor, right: torch.Tensor) -> torch.Tensor:
+    def in_16_bits(left, right):
         # oneDNN multiplies unsigned by signed, adds pairs in 16 bits, and takes the shift away in the end.
         pairs = ((left.int() + 128)[:, :, None] * right.int()).unflatten(1, (-1, 2)).sum(2)
         return pairs.clamp(-(2**15), 2**15 - 1).sum(1, dtype=torch.int32) - 128 * right.sum(0, dtype=torch.int32)
@@ -156,13 +152,13 @@ def test_a_product_that_saturates_in_16_bits_as_on_a_processor_with_avx2_alone_i
 
 @WAYS
 @pytest.mark.parametrize("size", [0.0, 1e-45, 1e-40])
-def test_places_of_no_or_hardly_any_weight_score_nothing(size: float, ask: Ask) -> None:
+def test_places_of_no_or_hardly_any_weight_score_nothing(size, ask):
     found = ask(linear([[size, -size, size], [1, 0, 0]]), np.ones((9, 3), np.float32))
     assert found == pytest.approx(np.array([[0.0, 1.0]] * 9), abs=1e-6)
 
 
 @RULE_SETS
-def test_the_trained_network_is_that_of_vprtempo_and_scores_nearly_alike(rules: RuleSet) -> None:
+def test_the_trained_network_is_that_of_vprtempo_and_scores_nearly_alike(rules):
     exact, rounded = fitted(rules=rules), fitted(VPRTempoInt8, rules=rules)
     assert exact.state().keys() == rounded.state().keys()
     assert all(np.array_equal(array, rounded.state()[name]) for name, array in exact.state().items())
@@ -175,13 +171,13 @@ def test_the_trained_network_is_that_of_vprtempo_and_scores_nearly_alike(rules: 
         assert 0 < np.abs(found - floating).max() < 0.05 * np.abs(floating).max()
 
 
-def test_a_map_weighs_a_byte_a_weight_and_8_bytes_a_neuron() -> None:
+def test_a_map_weighs_a_byte_a_weight_and_8_bytes_a_neuron():
     # Paper: in 3 modules 288 features of 144 inputs, and 20 places of 288 features; reference: one matrix.
     paper = 3 * 288 * 144 + 20 * 288 + 8 * (3 * 288 + 20)
     assert fitted(VPRTempoInt8).map_bytes() == paper
     assert fitted(VPRTempoInt8, rules="reference").map_bytes() == 20 * (144 + 8)
 
 
-def test_more_inputs_than_32_bits_can_sum_are_refused_before_the_training() -> None:
+def test_more_inputs_than_32_bits_can_sum_are_refused_before_the_training():
     with pytest.raises(BadInput, match="features_per_pixel=100"):
         VPRTempoInt8(features_per_pixel=100.0, max_module=8).fit(REFERENCES, WORLD.places)

@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 from little import a_run as little_run
 from small_plan import RUN
-from tempo_networks import QUERIES, SIZES, SMALL, Floats, double, fitted, network, one_layer, shown
+from tempo_networks import QUERIES, SIZES, SMALL, double, fitted, network, one_layer, shown
 
 from vprbench.cli import main
 from vprbench.errors import BadInput
 from vprbench.methods.vprtempo.latencies import LatencyQuery, VPRTempoLatencies
-from vprbench.methods.vprtempo.network import Network
 from vprbench.methods.vprtempo.query import SpikingQuery
 from vprbench.methods.vprtempo.rules import PAPER
 from vprbench.paper.figures.raster import in_time, raster, recall_at_step
@@ -20,7 +19,7 @@ from vprbench.paper.selection import Series
 from vprbench.run.store import Store
 
 
-def simulated(asked: Network, pixels: Floats, steps: int) -> Floats:
+def simulated(asked, pixels, steps):
     """Return the outputs after each step of the features' cycle, (steps, n_places), neuron by neuron."""
     clip, outputs = 0.9, []
     for module, weights in enumerate(asked.outputs):
@@ -39,14 +38,14 @@ def simulated(asked: Network, pixels: Floats, steps: int) -> Floats:
 
 
 @SIZES
-def test_each_step_is_that_of_a_simulation_of_single_neurons(sizes: list[int]) -> None:
+def test_each_step_is_that_of_a_simulation_of_single_neurons(sizes):
     asked, spikes = network(sizes), shown(6)
     found = np.array([scores.copy() for _, scores in LatencyQuery(asked, PAPER, 8, None).run(spikes, 1.0)])
     expected = np.stack([simulated(asked, pixels.astype(np.float64), 8) for pixels in spikes], axis=1)
     assert found == pytest.approx(expected, abs=1e-5)
 
 
-def test_with_many_steps_the_answer_is_that_of_amplitudes() -> None:
+def test_with_many_steps_the_answer_is_that_of_amplitudes():
     asked, spikes = network([5, 3]), shown(6)
     exact = SpikingQuery(asked, PAPER).scores(spikes)
     assert exact.max() > 0.5
@@ -75,7 +74,7 @@ def test_a_query_ends_once_a_place_is_ahead_by_a_share(lead, ends, answers, feat
     assert query.layers(PIXELS)[0] == pytest.approx(np.array(features), abs=1e-6)
 
 
-def test_a_network_of_vprtempo_answers_in_time_with_larger_amplitudes_earlier_in_the_cycle_of_their_layer() -> None:
+def test_a_network_of_vprtempo_answers_in_time_with_larger_amplitudes_earlier_in_the_cycle_of_their_layer():
     tempo, codes = fitted(), fitted().encode(QUERIES)
     for given in ({"steps": 3}, {"lead": 0.0}, {"query_rule": "linear"}, {"calibrated_scores": True}):
         with pytest.raises(BadInput):

@@ -2,10 +2,9 @@
 
 from dataclasses import fields, replace
 from functools import cache
-from typing import Any, get_args, get_type_hints
+from typing import get_args, get_type_hints
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 import torch
 import yaml
@@ -30,12 +29,12 @@ from vprbench.run import compose
 
 
 @cache
-def scores_of(**arguments: Any) -> npt.NDArray[np.float32]:
+def scores_of(**arguments):
     return fitted(**arguments).query(QUERIES)
 
 
 @RULE_SETS
-def test_references_are_mostly_recognised_and_the_seed_decides_about_the_scores(rules: RuleSet) -> None:
+def test_references_are_mostly_recognised_and_the_seed_decides_about_the_scores(rules):
     found = fitted.__wrapped__(rules=rules, seed=1)
     winners = found.query(REFERENCES[:20]).argmax(1)
     assert np.mean(winners == np.arange(20)) > 0.5
@@ -43,7 +42,7 @@ def test_references_are_mostly_recognised_and_the_seed_decides_about_the_scores(
     assert not np.allclose(scores_of(rules=rules, seed=1), scores_of(rules=rules, seed=0), rtol=0.01)
 
 
-def test_modules_draw_differently_and_the_first_learns_the_same_whether_or_not_others_follow() -> None:
+def test_modules_draw_differently_and_the_first_learns_the_same_whether_or_not_others_follow():
     first = np.flatnonzero(WORLD.places < 8)
     alone = VPRTempo(**SMALL).fit(REFERENCES[first], WORLD.places[first])
     assert scores_of()[:, :8] == pytest.approx(alone.query(QUERIES), abs=1e-6)
@@ -56,7 +55,7 @@ def test_modules_draw_differently_and_the_first_learns_the_same_whether_or_not_o
 CHOICES = [field.name for field in fields(Rules)]
 
 
-def another_value(name: str) -> Any:
+def another_value(name):
     """Return a value that the paper's rules do not have."""
     said = getattr(PAPER, name)
     if isinstance(said, bool):
@@ -66,7 +65,7 @@ def another_value(name: str) -> Any:
     return said + 1
 
 
-def test_an_argument_replaces_the_one_choice_of_its_name_and_none_leaves_the_rules_as_they_are() -> None:
+def test_an_argument_replaces_the_one_choice_of_its_name_and_none_leaves_the_rules_as_they_are():
     for rules in get_args(RuleSet):
         assert VPRTempo(rules=rules).chosen_rules() == RULES[rules]
     for name in CHOICES:
@@ -76,7 +75,7 @@ def test_an_argument_replaces_the_one_choice_of_its_name_and_none_leaves_the_rul
     assert np.array_equal(scores_of(rules="paper", **choices), scores_of(rules="v1"))
 
 
-OTHER_VALUES: dict[str, Any] = {
+OTHER_VALUES = {
     **{"preprocessing": "A", "height": 13, "width": 13, "patch": 5, "max_module": 10, "features_per_pixel": 1.5},
     **{"epochs": 3, "stdp_rate": 0.004, "itp_rate": 0.1, "threshold_max": 0.4, "rate_min": 0.3, "rate_max": 0.8},
     **{"p_excitatory": 0.2, "p_inhibitory": 0.4, "output_norm": 2.0},
@@ -87,13 +86,13 @@ OTHER_VALUES: dict[str, Any] = {
 
 
 @pytest.mark.parametrize("name", OTHER_VALUES)
-def test_every_argument_changes_the_scores(name: str) -> None:
+def test_every_argument_changes_the_scores(name):
     # The modules train for 64 steps, so that annealing every 100 would never act.
     usual = {"annealing_interval": 10}
     assert not np.allclose(scores_of(**{**usual, name: OTHER_VALUES[name]}), scores_of(**usual), rtol=1e-3)
 
 
-def test_the_configuration_has_every_argument_and_its_default_of_table_1() -> None:
+def test_the_configuration_has_every_argument_and_its_default_of_table_1():
     configured = yaml.safe_load((ROOT / "conf" / "method" / "vprtempo.yaml").read_text())
     own = {field.name: field.default for field in fields(VPRTempo) if not field.name.startswith("_")}
     assert set(configured) - {"_target_", "tags"} == set(own)
@@ -122,12 +121,12 @@ def test_the_configuration_has_every_argument_and_its_default_of_table_1() -> No
     ],
     ids=str,
 )
-def test_arguments_under_which_there_is_no_network_are_refused_by_name(arguments: dict[str, Any], wanted: str) -> None:
+def test_arguments_under_which_there_is_no_network_are_refused_by_name(arguments, wanted):
     with pytest.raises(BadInput, match=wanted):
         fitted(**arguments)
 
 
-def test_the_least_and_the_most_that_an_argument_may_be_are_accepted() -> None:
+def test_the_least_and_the_most_that_an_argument_may_be_are_accepted():
     VPRTempo(
         **{"max_module": 1, "epochs": 1, "stdp_rate": 0.0, "output_stdp_rate": 0.0, "itp_rate": 0.0},
         **{"threshold_max": 0.0, "rate_min": 0.9, "p_excitatory": 0.0, "p_inhibitory": 1.0, "annealing_interval": 1},
@@ -137,7 +136,7 @@ def test_the_least_and_the_most_that_an_argument_may_be_are_accepted() -> None:
 
 
 @RULE_SETS
-def test_a_diverged_training_is_an_error_and_leaves_the_method_unfitted(rules: RuleSet) -> None:
+def test_a_diverged_training_is_an_error_and_leaves_the_method_unfitted(rules):
     method = VPRTempo(**SMALL, rules=rules).restore(fitted(rules=rules).state())
     method.stdp_rate = 50.0
     with pytest.raises(TrainingDivergedError, match="training diverged"):
@@ -153,7 +152,7 @@ def test_references_that_show_nothing_are_called_so_and_no_diverged_training(siz
         VPRTempo(**SMALL).fit(Images.from_arrays([*empty, *WORLD.references[n_alike:20]]), np.arange(20))
 
 
-def test_fit_changes_neither_images_nor_places_nor_the_global_generator_and_takes_unwritable_places() -> None:
+def test_fit_changes_neither_images_nor_places_nor_the_global_generator_and_takes_unwritable_places():
     world, before = Journey.draw(0), torch.random.get_rng_state()
     world.places.flags.writeable = False  # as the harness gives them
     VPRTempo(**SMALL).fit(Images.from_arrays(world.references), world.places)
@@ -163,7 +162,7 @@ def test_fit_changes_neither_images_nor_places_nor_the_global_generator_and_take
 
 
 @pytest.mark.parametrize("variant", ["A", "B", "C"])
-def test_spikes_are_the_levels_over_255_in_variant_c_by_the_8_bit_step(variant: Any) -> None:
+def test_spikes_are_the_levels_over_255_in_variant_c_by_the_8_bit_step(variant):
     image = np.full((12, 12, 3), 150, np.uint8)
     image[3, 3] = 100  # one dark pixel: all others are only somewhat above the mean, so no level is 255
     shown = Images.from_arrays([*WORLD.queries, image])
@@ -178,14 +177,14 @@ def test_spikes_are_the_levels_over_255_in_variant_c_by_the_8_bit_step(variant: 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device that PyTorch can use")
 @RULE_SETS
-def test_a_network_trained_on_cuda_ranks_places_as_one_trained_on_the_cpu(rules: RuleSet) -> None:
+def test_a_network_trained_on_cuda_ranks_places_as_one_trained_on_the_cpu(rules):
     # The CPU learns module after module, a GPU all of them at once; what rounding parts is no difference in rank.
     on_cpu, on_cuda = (scores_of(rules=rules, device=device) for device in ("cpu", "cuda"))
     in_order_of_cuda = np.take_along_axis(on_cpu, on_cuda.argsort(1), axis=1)
     assert np.diff(in_order_of_cuda, axis=1).min() > -1e-4
 
 
-def test_without_learning_output_weights_of_each_sign_have_the_norm_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_learning_output_weights_of_each_sign_have_the_norm_asked_for(monkeypatch):
     # Nothing is learnt at rate 0, so equal weights of both signs cancel and leave no score at all; drawn ones scale.
     monkeypatch.setattr("vprbench.methods.vprtempo.method.check_winners", lambda *_: None)
     still = {"stdp_rate": 0.0, "itp_rate": 0.0, "rules": "paper", "query_rule": "linear"}
@@ -195,7 +194,7 @@ def test_without_learning_output_weights_of_each_sign_have_the_norm_asked_for(mo
     assert not fitted(**still, output_norm=2.0, equal_output_weights=True).state()["outputs_0"].any()
 
 
-INPUTS: dict[str, Any] = {
+INPUTS = {
     "oriented": {"encoding": "oriented", "height": 16, "width": 20, "rows": 4, "columns": 5, "max_module": 8},
     # At the paper's fan-in so many inputs that are active at once leave nearly all features silent.
     "gabor": {
@@ -208,11 +207,11 @@ ROUNDING = 2.5e-7
 ENCODINGS = pytest.mark.parametrize("encoding", INPUTS)
 
 
-def learnt(encoding: str, kind: type[VPRTempo] = VPRTempo, **arguments: Any) -> VPRTempo:
+def learnt(encoding, kind=VPRTempo, **arguments):
     return fitted(kind, **{**INPUTS[encoding], **arguments})
 
 
-def test_input_spikes_are_the_codes_of_the_encoder() -> None:
+def test_input_spikes_are_the_codes_of_the_encoder():
     oriented = VPRTempo(encoding="oriented", height=30, width=50, rows=5, columns=7, orientations=6)
     assert np.array_equal(oriented.encode(QUERIES), OrientedEdges(30, 50, 5, 7, 6)(QUERIES))
     gabor = VPRTempo(encoding="gabor", height=20, width=24, patch=9)
@@ -220,23 +219,23 @@ def test_input_spikes_are_the_codes_of_the_encoder() -> None:
 
 
 @pytest.mark.parametrize("encoding", get_args(Encoding))
-def test_the_encoder_runs_by_the_engine_that_trains(encoding: Encoding) -> None:
+def test_the_encoder_runs_by_the_engine_that_trains(encoding):
     for engine, expected in (("fused", "fused"), ("readable", "readable"), (None, "fused")):
-        encoder: Any = VPRTempo(encoding=encoding, engine=engine).encoder()
+        encoder = VPRTempo(encoding=encoding, engine=engine).encoder()
         assert getattr(encoder, "levels", encoder).engine == expected
 
 
 @pytest.mark.parametrize(
     ("encoding", "kind"), [("oriented", VPRTempoInt8), ("gabor", VPRTempo), ("gabor", VPRTempoEnsemble)]
 )
-def test_the_contract_is_kept_with_any_input(encoding: str, kind: type[VPRTempo]) -> None:
+def test_the_contract_is_kept_with_any_input(encoding, kind):
     config = {"_target_": f"{kind.__module__}.{kind.__name__}", **INPUTS[encoding]}
     assert [str(result) for result in check(config) if result.state != "kept"] == []
 
 
 @ENCODINGS
 @pytest.mark.parametrize("query_rule", get_args(QueryRule))
-def test_both_engines_learn_the_same_and_find_the_places(encoding: str, query_rule: QueryRule) -> None:
+def test_both_engines_learn_the_same_and_find_the_places(encoding, query_rule):
     fused, readable = (learnt(encoding, query_rule=query_rule, engine=engine) for engine in ("fused", "readable"))
     scores = fused.query(QUERIES)
     assert scores == pytest.approx(readable.query(QUERIES), abs=2e-3 * float(np.abs(scores).max()))
@@ -244,7 +243,7 @@ def test_both_engines_learn_the_same_and_find_the_places(encoding: str, query_ru
 
 
 @ENCODINGS
-def test_spikes_begin_with_the_input_and_another_input_is_refused_on_restoring(encoding: str) -> None:
+def test_spikes_begin_with_the_input_and_another_input_is_refused_on_restoring(encoding):
     method = learnt(encoding)
     layers, n_inputs = method.spikes(method.encode(QUERIES)), method.encoder().n_inputs
     assert [layer.name for layer in layers] == ["input", "feature", "output"]
@@ -257,7 +256,7 @@ def test_spikes_begin_with_the_input_and_another_input_is_refused_on_restoring(e
 
 
 @pytest.mark.parametrize("other", [{"rows": 3}, {"columns": 4}, {"orientations": 6}, {"height": 12}], ids=str)
-def test_every_argument_of_oriented_edges_changes_the_scores(other: dict[str, Any]) -> None:
+def test_every_argument_of_oriented_edges_changes_the_scores(other):
     assert not np.allclose(learnt("oriented").query(QUERIES), learnt("oriented", **other).query(QUERIES), rtol=1e-3)
 
 
@@ -270,18 +269,18 @@ def test_every_argument_of_oriented_edges_changes_the_scores(other: dict[str, An
     ],
     ids=str,
 )
-def test_sizes_without_an_input_are_refused_by_name(arguments: dict[str, Any], wanted: str) -> None:
+def test_sizes_without_an_input_are_refused_by_name(arguments, wanted):
     with pytest.raises(BadInput, match=wanted):
         VPRTempo(**{**INPUTS["oriented"], **arguments}).fit(REFERENCES, WORLD.places)
 
 
 @pytest.mark.parametrize(("name", "n_inputs"), [("vprtempo_oriented", 2048), ("vprtempo_oriented_ensemble", 3072)])
-def test_the_methods_of_oriented_edges_read_as_many_as_they_say(name: str, n_inputs: int) -> None:
+def test_the_methods_of_oriented_edges_read_as_many_as_they_say(name, n_inputs):
     method = make_method(compose.composed([f"method={name}"])["method"])
     assert method.encode(QUERIES).shape == (len(QUERIES), n_inputs)
 
 
-def test_a_spike_is_the_level_over_255_or_the_nearest_255th_of_the_maximum_of_its_image() -> None:
+def test_a_spike_is_the_level_over_255_or_the_nearest_255th_of_the_maximum_of_its_image():
     every = np.arange(256)[None].astype(np.uint8)
     for fake_quantised in (False, True):  # under a maximum of 255 the step of 8 bits changes nothing
         assert spikes_of(every, fake_quantised) == pytest.approx(every / 255, abs=ROUNDING)

@@ -1,8 +1,6 @@
 """A trained VPRTempo network as arrays: stored, restored, published by the authors, refused, and how fast it learns."""
 
-from collections.abc import Mapping
 from functools import cache
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -12,19 +10,18 @@ from tempo_networks import QUERIES, REFERENCES, RULE_SETS, SMALL, WORLD, fitted
 
 from vprbench.errors import BadInput, NotFittedError
 from vprbench.methods.vprtempo.method import VPRTempo
-from vprbench.methods.vprtempo.rules import RuleSet
 
 Arrays = dict[str, npt.NDArray[np.float32]]
 
 SIDE = SMALL["height"]
 
 
-def method(**arguments: Any) -> VPRTempo:
+def method(**arguments):
     return VPRTempo(**{**SMALL, **arguments})
 
 
 @pytest.mark.parametrize(("rules", "max_module"), [("paper", 8), ("reference", 8), ("v1", 8), ("reference", 1)])
-def test_a_restored_network_scores_to_the_bit_as_the_trained_one(rules: RuleSet, max_module: int) -> None:
+def test_a_restored_network_scores_to_the_bit_as_the_trained_one(rules, max_module):
     trained = fitted(rules=rules, max_module=max_module)
     state = {name: array.copy() for name, array in trained.state().items()}
     assert len(state) == 3 + 2 * -(-20 // max_module)
@@ -40,7 +37,7 @@ def test_a_restored_network_scores_to_the_bit_as_the_trained_one(rules: RuleSet,
     assert np.array_equal(restored.query(QUERIES), trained.query(QUERIES))
 
 
-def test_the_arrays_are_the_layers_of_each_module_without_padding_contiguous_and_float32() -> None:
+def test_the_arrays_are_the_layers_of_each_module_without_padding_contiguous_and_float32():
     n_pixels, n_features, state = SIDE * SIDE, 2 * SIDE * SIDE, fitted().state()
     features = {"features": (3, n_features, n_pixels)}
     per_feature = dict.fromkeys(("constant", "feature_thresholds"), (3, n_features))
@@ -50,7 +47,7 @@ def test_the_arrays_are_the_layers_of_each_module_without_padding_contiguous_and
     assert all(array.dtype == np.float32 and array.flags.c_contiguous for array in state.values())
 
 
-def test_restoring_and_training_forget_the_network_before() -> None:
+def test_restoring_and_training_forget_the_network_before():
     wanted, restored = fitted(seed=1), method(seed=1)
     for other in (fitted(), wanted):
         restored.restore(other.state())
@@ -59,7 +56,7 @@ def test_restoring_and_training_forget_the_network_before() -> None:
     assert np.array_equal(restored.query(QUERIES), wanted.query(QUERIES))
 
 
-def little() -> Arrays:
+def little():
     """Return the arrays of a network of two modules of 3 and 2 places, 4 features and 144 pixels."""
     draw = np.random.default_rng(0)
     shapes = {
@@ -69,7 +66,7 @@ def little() -> Arrays:
     return {name: draw.normal(size=shape).astype(np.float32) for name, shape in shapes.items()}
 
 
-def refusal(state: Mapping[str, npt.NDArray[Any]], **arguments: Any) -> str:
+def refusal(state, **arguments):
     """Return the line that refuses the arrays, and see that the method, which had a network, answers nothing."""
     asked = method().restore(little())
     assert asked.query(QUERIES).shape == (len(WORLD.queries), 5)
@@ -84,7 +81,7 @@ def refusal(state: Mapping[str, npt.NDArray[Any]], **arguments: Any) -> str:
     return str(error.value)
 
 
-def test_an_array_that_is_missing_or_too_many_is_named() -> None:
+def test_an_array_that_is_missing_or_too_many_is_named():
     for name in little():
         line = refusal({other: array for other, array in little().items() if other != name})
         assert name in line.replace(",", " ").split()
@@ -94,7 +91,7 @@ def test_an_array_that_is_missing_or_too_many_is_named() -> None:
 
 
 @pytest.mark.parametrize("name", little())
-def test_an_array_of_another_shape_or_without_finite_values_is_refused(name: str) -> None:
+def test_an_array_of_another_shape_or_without_finite_values_is_refused(name):
     own = little()[name]
     for array in (own[None], own[0], own.ravel()[0], own.reshape(-1, 1, 1, 1), own[:0]):
         assert "has the shape" in refusal({**little(), name: np.asarray(array)})
@@ -107,13 +104,13 @@ def test_an_array_of_another_shape_or_without_finite_values_is_refused(name: str
     assert name.removeprefix("outputs") in refusal({**little(), name: longer})  # or it is held against its thresholds
 
 
-def test_a_network_of_no_places_or_no_features_is_refused() -> None:
+def test_a_network_of_no_places_or_no_features_is_refused():
     refusal({name: array[:0] if name.startswith("output") else array for name, array in little().items()})
     refusal({name: array if "output_" in name else array[:, :0] for name, array in little().items()})
 
 
 @pytest.mark.parametrize("published", [False, True])
-def test_another_number_of_pixels_is_refused_with_both(published: bool) -> None:
+def test_another_number_of_pixels_is_refused_with_both(published):
     line = refusal(flat(checkpoint()) if published else little(), height=28, width=27)
     assert "144 inputs, not the 756" in line
     assert "method.height=28 x method.width=27" in line
@@ -123,11 +120,11 @@ N_FEATURES = 10
 PUBLISHED = ("feature_layer.w.weight", "feature_layer.thr", "output_layer.w.weight", "output_layer.thr")
 
 
-def checkpoint(sizes: tuple[int, ...] = (8, 4), n_features: int = N_FEATURES) -> dict[str, dict[str, torch.Tensor]]:
+def checkpoint(sizes=(8, 4), n_features=N_FEATURES):
     """Return what the authors' code saves (64154e5): a state dictionary for each module, thresholds as (1, n)."""
     draw = np.random.default_rng(5)
 
-    def layer(n_post: int, n_pre: int) -> torch.Tensor:
+    def layer(n_post, n_pre):
         return torch.from_numpy(draw.normal(0, n_pre**-0.5, (n_post, n_pre)).astype(np.float32))
 
     return {
@@ -141,11 +138,11 @@ def checkpoint(sizes: tuple[int, ...] = (8, 4), n_features: int = N_FEATURES) ->
     }
 
 
-def flat(content: Mapping[str, Mapping[str, torch.Tensor]]) -> Arrays:
+def flat(content):
     return {f"{module}.{name}": part.numpy() for module, layers in content.items() for name, part in layers.items()}
 
 
-def products(content: Mapping[str, Mapping[str, torch.Tensor]], x: npt.NDArray[np.float32]) -> npt.NDArray[np.float64]:
+def products(content, x):
     """Return W_o W_f x, (n_queries, n_places), places module by module."""
     scores = []
     for module in range(len(content)):
@@ -155,7 +152,7 @@ def products(content: Mapping[str, Mapping[str, torch.Tensor]], x: npt.NDArray[n
 
 
 @pytest.mark.parametrize("sizes", [(5,), tuple(range(1, 13))], ids=str)
-def test_a_published_network_scores_as_the_product_of_its_matrices(sizes: tuple[int, ...]) -> None:
+def test_a_published_network_scores_as_the_product_of_its_matrices(sizes):
     content = checkpoint(sizes)
     restored = method(rules="reference").restore(flat(dict(reversed(content.items()))))  # in any order
     x = restored.encode(QUERIES)
@@ -163,7 +160,7 @@ def test_a_published_network_scores_as_the_product_of_its_matrices(sizes: tuple[
     assert restored.match(x[:1]) == pytest.approx(products(content, x[:1]), abs=2e-6)
 
 
-def test_published_thresholds_act_where_the_query_is_spiking() -> None:
+def test_published_thresholds_act_where_the_query_is_spiking():
     content = checkpoint((1,), 1)
     # All pixels at 1 leave 0.75.
     for name, value in zip(PUBLISHED, (1.0, SIDE * SIDE - 0.75, 1.0, 0.25), strict=True):
@@ -172,7 +169,7 @@ def test_published_thresholds_act_where_the_query_is_spiking() -> None:
     assert restored.match(np.ones((1, SIDE * SIDE), np.float32)) == pytest.approx(0.5, abs=1e-4)
 
 
-def test_keys_that_a_published_network_lacks_or_should_not_have_are_named() -> None:
+def test_keys_that_a_published_network_lacks_or_should_not_have_are_named():
     whole = flat(checkpoint())
     for name in PUBLISHED:
         lacking = f"model_1.{name}"
@@ -182,7 +179,7 @@ def test_keys_that_a_published_network_lacks_or_should_not_have_are_named() -> N
     assert "lacks model_1." in refusal({key.replace("model_1", "model_2"): array for key, array in whole.items()})
 
 
-def test_published_layers_that_do_not_fit_each_other_are_refused() -> None:
+def test_published_layers_that_do_not_fit_each_other_are_refused():
     for name, shape in (
         ("feature_layer.w.weight", (N_FEATURES,)),
         ("feature_layer.thr", (1, N_FEATURES + 1)),
@@ -203,17 +200,17 @@ FIRST_8 = np.flatnonzero(WORLD.places < 8)  # so few that an untrained output la
 
 
 @cache
-def trained(**arguments: Any) -> Mapping[str, npt.NDArray[np.float32]]:
+def trained(**arguments):
     return method(max_module=5, **arguments).fit(REFERENCES[FIRST_8], WORLD.places[FIRST_8]).state()
 
 
-def differing(one: Mapping[str, npt.NDArray[Any]], other: Mapping[str, npt.NDArray[Any]]) -> set[str]:
+def differing(one, other):
     """Return the names of arrays that differ, without the number of their module."""
     return {name.rstrip("_0123456789") for name, array in one.items() if not np.array_equal(array, other[name])}
 
 
 @RULE_SETS
-def test_the_output_layer_alone_learns_at_a_rate_of_its_own_by_default_at_stdp_rate(rules: RuleSet) -> None:
+def test_the_output_layer_alone_learns_at_a_rate_of_its_own_by_default_at_stdp_rate(rules):
     slow = trained(rules=rules, stdp_rate=0.003)
     assert not differing(slow, trained(rules=rules, stdp_rate=0.003, output_stdp_rate=0.003))
     learnt = {"outputs", "output_thresholds"} if rules == "v1" else {"outputs"}

@@ -1,27 +1,26 @@
 """Asking a trained VPRTempo network: a single query, a batch and several networks against Eq. 1 in float64."""
 
-from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
-from tempo_networks import SIZES, WAYS, Ask, Floats, Spikes, double, network, one_by_one, one_matrix, shown
+from tempo_networks import SIZES, WAYS, double, network, one_by_one, one_matrix, shown
 
 from vprbench.methods.vprtempo.network import Network
 from vprbench.methods.vprtempo.quantised import Int8LinearQuery, Int8SpikingQuery
-from vprbench.methods.vprtempo.query import LinearQuery, Query, SpikingQuery, asking
-from vprbench.methods.vprtempo.rules import PAPER, REFERENCE, V1, Rules
+from vprbench.methods.vprtempo.query import LinearQuery, SpikingQuery, asking
+from vprbench.methods.vprtempo.rules import PAPER, REFERENCE, V1
 
 
-def feature_spikes(asked: Network, x: Floats, clip: float) -> Floats:
+def feature_spikes(asked, x, clip):
     """Return the feature spikes (modules, n_features) of one input by Eq. 1."""
     weights, constant, thresholds = map(double, (asked.features, asked.constant, asked.feature_thresholds))
     return np.clip(weights @ x + constant - thresholds, 0, clip)
 
 
-def eq_1(asked: Network, spikes: Spikes, rules: Rules) -> Floats:
+def eq_1(asked, spikes, rules):
     """Return the scores (n_queries, n_places) by Eq. 1 in both layers, query by query and module by module."""
     rows = []
     for x in spikes.astype(np.float64):
@@ -38,7 +37,7 @@ def eq_1(asked: Network, spikes: Spikes, rules: Rules) -> Floats:
     return np.array(rows)
 
 
-def products(members: Sequence[Network], spikes: Spikes) -> Floats:
+def products(members, spikes):
     """Return the mean over the members of W_o W_f x, (n_queries, n_places)."""
     return spikes.astype(np.float64) @ one_matrix(members).T
 
@@ -49,7 +48,7 @@ KINDS = pytest.mark.parametrize("rules", [PAPER, V1, REFERENCE], ids=["paper", "
 @WAYS
 @pytest.mark.parametrize("rules", [PAPER, V1, replace(PAPER, clip=0.3)], ids=["paper", "v1", "clip 0.3"])
 @SIZES
-def test_a_spiking_query_is_eq_1_also_of_few_synapses(sizes: list[int], rules: Rules, ask: Ask) -> None:
+def test_a_spiking_query_is_eq_1_also_of_few_synapses(sizes, rules, ask):
     whole, spikes = network(sizes), shown(9)
     for each in (20, 0, 1, 3):
         asked = replace(whole, features=whole.features * (torch.arange(20) < each))
@@ -58,13 +57,13 @@ def test_a_spiking_query_is_eq_1_also_of_few_synapses(sizes: list[int], rules: R
 
 @pytest.mark.parametrize("count", [255, 256, 257, 513])
 @KINDS
-def test_a_batch_of_any_size_answers_every_query_in_its_place(rules: Rules, count: int) -> None:
+def test_a_batch_of_any_size_answers_every_query_in_its_place(rules, count):
     asked, spikes = network([5, 5, 3]), shown(count)
     expected = products([asked], spikes) if rules is REFERENCE else eq_1(asked, spikes, rules)
     assert asking([asked], rules).scores(spikes) == pytest.approx(expected, abs=2e-6)
 
 
-def test_a_single_query_reads_no_output_weights_of_silent_features() -> None:
+def test_a_single_query_reads_no_output_weights_of_silent_features():
     asked, spikes = network([5, 3]), shown(1)
     expected = eq_1(asked, spikes, PAPER)
     spiking = feature_spikes(asked, spikes[0].astype(np.float64), 0.9)
@@ -97,7 +96,7 @@ def test_v1_lets_the_least_inhibited_place_of_module_0_answer_a_silent_query_and
 @WAYS
 @SIZES
 @pytest.mark.parametrize("count", [1, 3])
-def test_a_linear_query_is_the_mean_product_of_both_weight_matrices(count: int, sizes: list[int], ask: Ask) -> None:
+def test_a_linear_query_is_the_mean_product_of_both_weight_matrices(count, sizes, ask):
     members, spikes = [network(sizes, seed=seed) for seed in range(count)], shown(9)
     assert ask(LinearQuery(members), spikes) == pytest.approx(products(members, spikes), abs=2e-6)
 
@@ -105,13 +104,13 @@ def test_a_linear_query_is_the_mean_product_of_both_weight_matrices(count: int, 
 @WAYS
 @pytest.mark.parametrize("rules", [PAPER, V1], ids=["paper", "v1"])
 @pytest.mark.parametrize("count", [1, 2, 3])
-def test_several_spiking_networks_answer_with_their_mean_score(count: int, rules: Rules, ask: Ask) -> None:
+def test_several_spiking_networks_answer_with_their_mean_score(count, rules, ask):
     members, spikes = [network([5, 3], seed=seed) for seed in range(count)], shown(9)
     expected = np.mean([eq_1(member, spikes, rules) for member in members], axis=0)
     assert ask(asking(members, rules), spikes) == pytest.approx(expected, abs=1e-6)
 
 
-QUERIES: dict[str, Callable[[], Query]] = {
+QUERIES = {
     "v1": lambda: asking([network([5, 5, 3])], V1),
     "paper of two": lambda: asking([network([5, 5, 3], seed=seed) for seed in range(2)], PAPER),
     "reference of two": lambda: asking([network([5, 5, 3], seed=seed) for seed in range(2)], REFERENCE),
@@ -122,7 +121,7 @@ QUERIES: dict[str, Callable[[], Query]] = {
 
 @pytest.mark.parametrize("count", [0, 1, 9, 300])
 @pytest.mark.parametrize("name", QUERIES)
-def test_input_stays_as_it_was_and_may_lie_apart_and_an_answer_belongs_to_whoever_asked(name: str, count: int) -> None:
+def test_input_stays_as_it_was_and_may_lie_apart_and_an_answer_belongs_to_whoever_asked(name, count):
     query, spikes = QUERIES[name](), shown(count)
     before = spikes.copy()
     answer = query.scores(spikes)
@@ -157,7 +156,7 @@ def test_neither_the_number_of_threads_nor_onednn_change_a_score(rules, ask, mon
     assert ask(asking([asked], rules), spikes) == expected
 
 
-def test_several_threads_may_ask_one_network_at_once() -> None:
+def test_several_threads_may_ask_one_network_at_once():
     query, spikes = SpikingQuery(network([40, 40, 7]), PAPER), shown(64)
     expected = one_by_one(query, spikes)
     with ThreadPoolExecutor(4) as threads:

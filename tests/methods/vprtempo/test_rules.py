@@ -3,7 +3,6 @@
 import copy
 from dataclasses import dataclass, replace
 from functools import cache
-from types import ModuleType
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +12,7 @@ import vprtempo_oracle as oracle
 
 from vprbench.methods.vprtempo import fused, training
 from vprbench.methods.vprtempo.layer import LARGEST, Layer, draw_layer, feature_rates
-from vprbench.methods.vprtempo.rules import PAPER, REFERENCE, RULES, V1, Rules, RuleSet, annealing
+from vprbench.methods.vprtempo.rules import PAPER, REFERENCE, RULES, V1, Rules, annealing
 from vprbench.methods.vprtempo.training import Schedule, Training, draw_schedule
 
 Floats = npt.NDArray[np.float64]
@@ -28,15 +27,15 @@ STDP, ITP = 0.005, 0.15  # Table I
 ENGINES = pytest.mark.parametrize("engine", [fused, training], ids=["fused", "readable"])
 
 
-def close_to(expected: object, tolerance: float = 1e-6) -> object:
+def close_to(expected, tolerance=1e-6):
     return pytest.approx(np.asarray(expected), rel=0, abs=tolerance)
 
 
-def draws(seed: int) -> list[torch.Generator]:
+def draws(seed):
     return [torch.Generator().manual_seed(seed)]
 
 
-def random_spikes(n_images: int, height: int, width: int, seed: int) -> npt.NDArray[np.float32]:
+def random_spikes(n_images, height, width, seed):
     """Blocks and noise on the grid k / 255 with some 8 % of exact zeros, as patch normalisation leaves them."""
     random = np.random.default_rng(seed)
     blocks = random.normal(size=(n_images, height // 4 + 1, width // 4 + 1))
@@ -45,21 +44,21 @@ def random_spikes(n_images: int, height: int, width: int, seed: int) -> npt.NDAr
     return (np.floor(255 * (1 + z) / 2).reshape(n_images, -1) / 255).astype(np.float32)
 
 
-def as_float64(tensor: torch.Tensor) -> Floats:
+def as_float64(tensor):
     return tensor[0].numpy().astype(np.float64)
 
 
-def parts(layer: Layer) -> Parts:
+def parts(layer):
     return as_float64(layer.excitation), as_float64(layer.inhibition), as_float64(layer.thresholds)
 
 
-def exists(layer: Layer) -> list[npt.NDArray[np.bool_]]:
+def exists(layer):
     """Return which excitatory and which inhibitory synapses exist."""
     pairs = ((layer.largest_excitation, layer.excitation), (layer.largest_inhibition, layer.inhibition))
     return [(torch.ones_like(weights) if largest is None else largest)[0].numpy() > 0 for largest, weights in pairs]
 
 
-def signs_apart(w: Floats, thresholds: Floats) -> Parts:
+def signs_apart(w, thresholds):
     return np.maximum(w, 0), np.maximum(-w, 0), thresholds
 
 
@@ -68,7 +67,7 @@ TRAVERSES = np.tile(np.arange(20), 2)
 
 
 @cache
-def trained(rule_set: RuleSet) -> dict[object, tuple[Parts, Parts]]:
+def trained(rule_set):
     """Both layers of 60 inputs, 120 features and 20 places, by each engine and by the oracle.
 
     Theta(x_j) is a jump: where rounding decides on which side of its threshold a neuron lies, one step's weights
@@ -79,7 +78,7 @@ def trained(rule_set: RuleSet) -> dict[object, tuple[Parts, Parts]]:
     outputs = draw_layer(generators, [20], 120, OUTPUT_DRAW, 0.0, 0.0, rules)
     orders = [draw_schedule(generators, [20], TRAVERSES, 5, rules) for _ in range(2)]
     images = [order.image[:, 0].tolist() for order in orders]
-    found: dict[object, tuple[Parts, Parts]] = {"oracle": by_oracle(rules, features, outputs, spikes, images)}
+    found = {"oracle": by_oracle(rules, features, outputs, spikes, images)}
     lesson = Training(torch.from_numpy(spikes), feature_rates(120, 0.2, 0.9), rules, STDP, ITP, STDP)
     for engine in (fused, training):
         own_features, own_outputs = copy.deepcopy((features, outputs))
@@ -89,9 +88,7 @@ def trained(rule_set: RuleSet) -> dict[object, tuple[Parts, Parts]]:
     return found
 
 
-def by_oracle(
-    rules: Rules, features: Layer, outputs: Layer, spikes: npt.NDArray[np.float32], orders: list[list[int]]
-) -> tuple[Parts, Parts]:
+def by_oracle(rules, features, outputs, spikes, orders):
     """Train both layers by the oracle; its output layer sees its own features."""
     rates, constant = oracle.feature_rates(120), as_float64(features.constant)
     (plus, minus, theta), (plus_out, minus_out, theta_out) = parts(features), parts(outputs)
@@ -195,7 +192,7 @@ STEPS = {
 
 @ENGINES
 @pytest.mark.parametrize("name", STEPS)
-def test_a_step_by_hand(name: str, engine: ModuleType) -> None:
+def test_a_step_by_hand(name, engine):
     step, n = STEPS[name], 3
     plus, minus = torch.tensor([step.excitation]), torch.tensor([step.inhibition])
     largest = [LARGEST * (w > 0).float() for w in (plus, minus)]  # synapses are the weights that are not 0
@@ -214,13 +211,13 @@ def test_a_step_by_hand(name: str, engine: ModuleType) -> None:
         assert own == pytest.approx(np.array(wanted), rel=1e-6, abs=2e-7)
 
 
-def test_target_rates_are_an_even_ramp_from_just_above_the_lowest_to_the_highest() -> None:
+def test_target_rates_are_an_even_ramp_from_just_above_the_lowest_to_the_highest():
     rates = feature_rates(1568, 0.2, 0.9).numpy()
     assert (rates[0], rates[-1], len(rates)) == pytest.approx((0.2 + 0.7 / 1568, 0.9, 1568))
     assert np.diff(rates) == close_to(np.full(1567, 0.7 / 1568), 1e-7)
 
 
-def test_annealing_is_that_of_the_public_code_over_all_epochs_or_restarts_in_each_as_in_v1() -> None:
+def test_annealing_is_that_of_the_public_code_over_all_epochs_or_restarts_in_each_as_in_v1():
     once, restarting = annealing(4, 250, PAPER), annealing(3, 40, V1)
     assert once[[0, 1, 100, 101, 200, 201, 999]] == close_to([1, 1, 1, 0.9**2, 0.9**2, 0.8**2, 0.1**2])
     # The first step of an epoch has the rate that the last epoch left; the second starts anew.
@@ -229,11 +226,11 @@ def test_annealing_is_that_of_the_public_code_over_all_epochs_or_restarts_in_eac
 
 
 @cache
-def drawn(rule_set: RuleSet) -> Layer:
+def drawn(rule_set):
     return draw_layer(draws(0), [1568], 784, FEATURE_DRAW, 0.5, 0.1, RULES[rule_set])
 
 
-def test_10_and_50_percent_of_the_synapses_are_drawn_and_thresholds_and_constant_input_are_uniform() -> None:
+def test_10_and_50_percent_of_the_synapses_are_drawn_and_thresholds_and_constant_input_are_uniform():
     plus, minus = drawn("paper").excitation > 0, drawn("paper").inhibition > 0
     layer = drawn("reference")
     found = (plus, minus, plus & minus, layer.weights > 0, layer.weights < 0)
@@ -246,7 +243,7 @@ def test_10_and_50_percent_of_the_synapses_are_drawn_and_thresholds_and_constant
         assert values == close_to((np.arange(1568) + 0.5) / 1568, 0.05)
 
 
-def test_paper_weights_are_normal_around_3_standard_deviations_with_an_l1_norm_of_1_a_neuron() -> None:
+def test_paper_weights_are_normal_around_3_standard_deviations_with_an_l1_norm_of_1_a_neuron():
     for part in (drawn("paper").excitation[0], drawn("paper").inhibition[0]):
         assert part.sum(1).numpy() == close_to(np.ones(1568), 1e-5)
     # N(0.5, 1/6): standard deviation over mean is 1/3, whatever the divisor
@@ -254,7 +251,7 @@ def test_paper_weights_are_normal_around_3_standard_deviations_with_an_l1_norm_o
     assert float(w.std() / w.mean()) == pytest.approx(1 / 3, abs=0.02)
 
 
-def test_reference_weights_before_adding_share_the_divisor_of_the_last_neuron() -> None:
+def test_reference_weights_before_adding_share_the_divisor_of_the_last_neuron():
     # N(0.5, 1/6) over one divisor: a neuron's mean weight is the same for all but for 3.8 % of chance (78
     # synapses), while its sum follows the number of its synapses. Normalised per neuron the sums would be 1.
     layer = draw_layer(draws(0), [300], 784, (0.1, 0.0), 0.5, 0.0, REFERENCE)
@@ -267,7 +264,7 @@ def test_reference_weights_before_adding_share_the_divisor_of_the_last_neuron() 
     assert not without_synapses.weights.any()  # nor are they 0 / 0
 
 
-def test_a_module_draws_the_same_whatever_the_other_modules_are() -> None:
+def test_a_module_draws_the_same_whatever_the_other_modules_are():
     alone = draw_layer(draws(5), [12], 30, FEATURE_DRAW, 0.5, 0.1, PAPER)
     both = draw_layer([*draws(4), *draws(5)], [20, 12], 30, FEATURE_DRAW, 0.5, 0.1, PAPER)
     for part in ("excitation", "inhibition", "thresholds", "constant"):
@@ -275,7 +272,7 @@ def test_a_module_draws_the_same_whatever_the_other_modules_are() -> None:
 
 
 @pytest.mark.parametrize(("probability", "each"), [(0.001, 1), (0.1, 6), (1.0, 60)])
-def test_even_connections_give_neurons_and_inputs_equally_many(probability: float, each: int) -> None:
+def test_even_connections_give_neurons_and_inputs_equally_many(probability, each):
     layer = draw_layer(draws(0), [30], 60, (probability, 0.0), 0.5, 0.1, replace(PAPER, even_connections=True))
     excitatory, inhibitory = exists(layer)
     assert (excitatory.sum(1) == each).all()
@@ -283,7 +280,7 @@ def test_even_connections_give_neurons_and_inputs_equally_many(probability: floa
     assert not inhibitory.any()
 
 
-def untrained(n_modules: int, images_of: list[int]) -> tuple[Layer, Layer, Schedule, Training]:
+def untrained(n_modules, images_of):
     """Return layers of 60 inputs, 40 features and modules that see images of `images_of` places, 5 epochs of 40."""
     rules, generators = replace(PAPER, feature_rule="rates", output_rule="covariance"), draws(0) * n_modules
     features = draw_layer(generators, [40] * n_modules, 60, FEATURE_DRAW, 0.5, 0.1, rules)
@@ -293,7 +290,7 @@ def untrained(n_modules: int, images_of: list[int]) -> tuple[Layer, Layer, Sched
     return features, outputs, order, Training(spikes, feature_rates(40, 0.2, 0.9), rules, STDP, ITP, 0.3)
 
 
-def test_thresholds_are_set_where_a_neuron_fires_at_its_rate_and_never_below_0() -> None:
+def test_thresholds_are_set_where_a_neuron_fires_at_its_rate_and_never_below_0():
     features, _, order, lesson = untrained(2, [20, 12])
     training.set_thresholds(features, order, lesson)
     for module, count in enumerate([40, 24]):
@@ -310,7 +307,7 @@ def test_thresholds_are_set_where_a_neuron_fires_at_its_rate_and_never_below_0()
         assert ((net > 1e-6).mean(0) <= rates + 1.5 / count)[~free].all()
 
 
-def test_the_covariance_rule_is_its_formula() -> None:
+def test_the_covariance_rule_is_its_formula():
     features, outputs, order, lesson = untrained(1, [20])
     training.set_thresholds(features, order, lesson)
     training.associate_places(outputs, features, order, lesson, lambda _: None)
@@ -333,7 +330,7 @@ def test_the_covariance_rule_is_its_formula() -> None:
     assert np.abs(weights).max() > 1e-2
 
 
-def test_modules_that_learn_by_covariance_know_nothing_of_each_other() -> None:
+def test_modules_that_learn_by_covariance_know_nothing_of_each_other():
     features, outputs, order, lesson = untrained(2, [20, 12])
     alone = copy.deepcopy(outputs[slice(1, 2)])
     training.set_thresholds(features, order, lesson)

@@ -1,17 +1,14 @@
 """What each module of VPRTempo is shown, and that a diverged network is refused."""
 
-from collections.abc import Sequence
-
 import numpy as np
-import numpy.typing as npt
 import pytest
 import torch
 import vprtempo_oracle as oracle
 
 from vprbench.errors import TrainingDivergedError
 from vprbench.methods.vprtempo.layer import Layer
-from vprbench.methods.vprtempo.rules import PAPER, REFERENCE, V1, Rules
-from vprbench.methods.vprtempo.training import Schedule, check_weights, check_winners, draw_schedule, module_sizes
+from vprbench.methods.vprtempo.rules import PAPER, REFERENCE, V1
+from vprbench.methods.vprtempo.training import check_weights, check_winners, draw_schedule, module_sizes
 
 SIZES = [12, 12, 5]  # places of each module
 TRAVERSES = np.tile(np.arange(29), 2)  # the place of each of 58 reference images
@@ -19,27 +16,26 @@ EPOCHS = 4
 ALL_RULES = pytest.mark.parametrize("rules", [REFERENCE, PAPER, V1], ids=["reference", "paper", "v1"])
 
 
-def generators(seeds: Sequence[int] = (0, 1, 2)) -> list[torch.Generator]:
+def generators(seeds=(0, 1, 2)):
     return [torch.Generator().manual_seed(seed) for seed in seeds]
 
 
-def schedule(rules: Rules) -> Schedule:
+def schedule(rules):
     return draw_schedule(generators(), SIZES, TRAVERSES, EPOCHS, rules)
 
 
-def images_shown(rules: Rules, module: int, epoch: int) -> list[int]:
+def images_shown(rules, module, epoch):
     own = 2 * SIZES[module]
-    shown: list[int] = schedule(rules).image[epoch * own : (epoch + 1) * own, module].tolist()
-    return shown
+    return schedule(rules).image[epoch * own : (epoch + 1) * own, module].tolist()
 
 
-def test_places_are_split_so_that_only_the_last_module_is_smaller() -> None:
+def test_places_are_split_so_that_only_the_last_module_is_smaller():
     assert module_sizes(2761, 921) == [921, 921, 919]
     assert module_sizes(450, 450) == [450]
 
 
 @ALL_RULES
-def test_every_epoch_shows_a_module_each_image_of_its_places_once_to_the_neuron_of_the_place(rules: Rules) -> None:
+def test_every_epoch_shows_a_module_each_image_of_its_places_once_to_the_neuron_of_the_place(rules):
     neurons = schedule(rules).neuron
     for module, (first, size) in enumerate(zip([0, 12, 24], SIZES, strict=True)):
         both_traverses = [start + place for start in (0, 29) for place in range(first, first + size)]
@@ -48,19 +44,19 @@ def test_every_epoch_shows_a_module_each_image_of_its_places_once_to_the_neuron_
         assert neurons[: 2 * size * EPOCHS, module].tolist() == (TRAVERSES[np.concatenate(shown)] - first).tolist()
 
 
-def test_without_shuffling_images_come_traverse_after_traverse() -> None:
+def test_without_shuffling_images_come_traverse_after_traverse():
     assert images_shown(V1, 2, 1) == [24, 25, 26, 27, 28, 53, 54, 55, 56, 57]
     assert draw_schedule(generators([0]), [3], np.array([2, 0, 1, 0]), 1, V1).neuron[:, 0].tolist() == [2, 0, 1, 0]
 
 
-def test_shuffling_mixes_the_traverses_anew_for_every_epoch_and_module() -> None:
+def test_shuffling_mixes_the_traverses_anew_for_every_epoch_and_module():
     first_half = np.array(images_shown(PAPER, 0, 0)[:12])
     assert 0 < (first_half < 29).sum() < 12
     assert len({tuple(images_shown(PAPER, 0, epoch)) for epoch in range(EPOCHS)}) == EPOCHS
     assert images_shown(PAPER, 1, 0) != [12 + image for image in images_shown(PAPER, 0, 0)]
 
 
-def test_a_smaller_module_anneals_over_its_own_steps_and_ends_with_a_factor_of_0() -> None:
+def test_a_smaller_module_anneals_over_its_own_steps_and_ends_with_a_factor_of_0():
     expected = oracle.learning_rates_v1(EPOCHS, 10, 1.0)  # 5 places, 2 traverses
     assert schedule(V1).factor[: 10 * EPOCHS, 2].numpy() == pytest.approx(expected)
     factor = schedule(PAPER).factor
@@ -69,7 +65,7 @@ def test_a_smaller_module_anneals_over_its_own_steps_and_ends_with_a_factor_of_0
     assert (factor[:, 0] > 0).all()
 
 
-def weights_with(value: float, count: int, sign: str) -> Layer:
+def weights_with(value, count, sign):
     """A layer of 1000 excitatory and 1000 inhibitory weights of 0.1, `count` of one sign replaced."""
     weights, nothing = torch.full((1, 10, 100), 0.1), torch.zeros(1, 10)
     layer = Layer(weights, weights.clone(), None, None, nothing, nothing)
@@ -78,7 +74,7 @@ def weights_with(value: float, count: int, sign: str) -> Layer:
 
 
 @pytest.mark.parametrize("sign", ["excitation", "inhibition"])
-def test_weights_that_are_no_numbers_or_above_1_percent_at_their_limit_are_divergence(sign: str) -> None:
+def test_weights_that_are_no_numbers_or_above_1_percent_at_their_limit_are_divergence(sign):
     for value, count, wanted in (
         (float("nan"), 1, "output layer .*not finite"),
         (float("inf"), 1, "not finite"),
@@ -91,7 +87,7 @@ def test_weights_that_are_no_numbers_or_above_1_percent_at_their_limit_are_diver
         check_weights(weights_with(10, 21, sign), "output")
 
 
-def test_only_weights_that_exist_count_for_the_share_at_the_limit() -> None:
+def test_only_weights_that_exist_count_for_the_share_at_the_limit():
     layer = weights_with(10, 10, "excitation")
     layer.inhibition.zero_()
     layer.excitation[0, :5] = 0  # 500 weights are left, 10 of them at the limit
@@ -102,7 +98,7 @@ def test_only_weights_that_exist_count_for_the_share_at_the_limit() -> None:
 PLACES = 40
 
 
-def answers(winners: Sequence[int]) -> npt.NDArray[np.float32]:
+def answers(winners):
     """Scores in which the n-th probe is answered by the n-th winner."""
     scores = np.random.default_rng(0).uniform(0, 0.4, (len(winners), PLACES)).astype(np.float32)
     scores[np.arange(len(winners)), winners] = 0.5
