@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import yaml
 from checkout import ROOT
 from little import a_run, pictures
 
@@ -16,7 +15,7 @@ from vprbench.tuning.places import Searchable, cut, querying, searchable
 
 
 def config(name):
-    return dict(yaml.safe_load(registry.entries("dataset")[name].path.read_text(encoding="utf-8")))
+    return dict(registry.entries("dataset")[name].values())
 
 
 def column(*options):
@@ -51,7 +50,6 @@ SMALLER = ("dataset.places=450", "dataset.first_query_place=90", "dataset.query_
         ("nordland", [column("dataset=nordland", *SMALLER)], 150, range(450, 600), range(90)),
         ("oxford_robotcar", [], 60, range(60), range(60, 90)),
     ],
-    ids=["its own", "on request, of another dataset", "a column with fewer places", "robotcar"],
 )
 def test_places_that_the_paper_or_a_column_of_the_table_queries_are_left_out(name, columns, places, searched, checked):
     whole = {"first_query_place": 0, "query_places": {"nordland": 3300, "oxford_robotcar": 450}[name]}
@@ -88,36 +86,26 @@ def test_what_has_no_free_places_is_refused_with_the_reason(name, places, compla
 
 def stored(dataset, *queried):
     """A run whose queries show these places."""
-    return a_run(
-        dataset=dataset["name"],
-        config={**a_run().config, "dataset": dataset},
-        positives=tuple(np.array([place]) for place in queried),
-    )
+    positives = tuple(np.array([place]) for place in queried)
+    return a_run(dataset=dataset["name"], config={**a_run().config, "dataset": dataset}, positives=positives)
 
 
-@pytest.mark.parametrize(
-    ("changed", "queried", "named"),
-    [
+def test_a_stored_run_that_queries_a_searched_or_checked_place_of_this_journey_is_named():
+    allowed = searchable("nordland", NORDLAND, 500, [])
+    for changed, queried, named in (
         ({}, (3, 40), True),
         ({"root": "/elsewhere"}, (599,), True),
         ({}, (600, 601), False),
         ({"name": "other"}, (3,), False),
-    ],
-)
-def test_a_stored_run_that_queries_a_searched_or_checked_place_is_named(changed, queried, named):
-    run = stored({**NORDLAND, **changed}, *queried)
-    allowed = searchable("nordland", NORDLAND, 500, [])
-    assert querying([run], allowed) == [f"nordland/little-{run.key}"] * named
-
-
-def test_a_stored_run_of_another_journey_or_of_later_places_is_not_named():
+    ):
+        run = stored({**NORDLAND, **changed}, *queried)
+        assert querying([run], allowed) == [f"nordland/little-{run.key}"] * named
+    run = replace(stored(NORDLAND, 3, 4), place_numbers=np.arange(600, 700))
+    assert (querying([run], allowed), len(querying([replace(run, place_numbers=None)], allowed))) == ([], 1)
     rendered = config("synthetic")
     allowed = searchable("synthetic", rendered, 20, [])
     runs = [stored({**rendered, "seed": seed}, 5) for seed in (0, allowed.dataset["seed"], 9)]
     assert querying(runs, allowed) == querying(runs[1:2], allowed) == [f"synthetic/little-{runs[1].key}"]
-    nordland = searchable("nordland", NORDLAND, 500, [])
-    run = replace(stored(NORDLAND, 3, 4), place_numbers=np.arange(600, 700))
-    assert (querying([run], nordland), len(querying([replace(run, place_numbers=None)], nordland))) == ([], 1)
 
 
 def two_traverses(tolerance=0):
@@ -136,15 +124,12 @@ def two_traverses(tolerance=0):
     )
 
 
-def test_a_stretch_has_its_own_references_queries_and_numbers():
+def test_a_stretch_has_its_own_references_queries_and_numbers_and_no_query_that_is_right_in_another():
     part = cut(two_traverses(), range(2, 5))
     assert [*part.references.names] == [f"image {number}" for number in (2, 3, 4, 8, 9, 10)]
     assert [*part.queries.names] == ["image 2", "image 3", "image 4"]
     assert part.places.tolist() == [0, 1, 2, 0, 1, 2]
     assert [right.tolist() for right in part.positives] == [[0], [1], [2]]
     assert part.protocol == {"query": "dusk", "stretch": [2, 4]}
-
-
-def test_a_query_with_a_right_place_in_another_stretch_belongs_to_neither():
     parts = [cut(two_traverses(tolerance=1), stretch) for stretch in (range(3), range(3, 6))]
     assert [[*part.queries.names] for part in parts] == [["image 0", "image 1"], ["image 4", "image 5"]]

@@ -4,7 +4,6 @@ from itertools import islice
 
 import numpy as np
 import pytest
-import yaml
 
 from vprbench.plugins import registry
 from vprbench.tuning.space import PAPER, PARAMETERS, around, drawn
@@ -20,7 +19,7 @@ def changed(values):
 def test_the_papers_settings_are_vprtempos_defaults_and_lie_within_the_ranges():
     assert [*PAPER.values()] == [0.5, 0.005, 0.15, 0.2, 0.9, 0.1, 0.5, 0.1]  # Table I
     assert all(each.low <= each.paper <= each.high for each in PARAMETERS)
-    defaults = yaml.safe_load(registry.entries("method")["vprtempo"].path.read_text(encoding="utf-8"))
+    defaults = registry.entries("method")["vprtempo"].values()
     assert {name: defaults[name] for name in PAPER} == {**PAPER, "constant_input": None}  # null: 0.1, as the rules say
 
 
@@ -34,24 +33,20 @@ def test_settings_lie_within_the_ranges_f_min_is_never_above_f_max_and_three_dig
         assert all(float(f"{value:.3g}") == value for value in values.values())
 
 
-def test_random_settings_are_spread_over_the_range_evenly_or_by_its_logarithm():
+def test_random_settings_are_spread_evenly_or_by_the_logarithm_and_a_longer_search_begins_as_a_shorter_one():
     points = drawn(300, seed=2)
     for each in (each for each in PARAMETERS if "rate_m" not in each.name):
         scale = np.log if each.log else np.asarray
-        low, high = scale(each.low), scale(each.high)
-        shares = [(scale(values[each.name]) - low) / (high - low) for values in points]
-        thirds = np.histogram(shares, bins=3, range=(0, 1))[0]
+        values = scale([point[each.name] for point in points])
+        thirds = np.histogram(values, bins=3, range=(scale(each.low), scale(each.high)))[0]
         assert thirds.min() > 70, each.name  # 100 expected, standard deviation 8
-
-
-def test_a_longer_search_begins_with_the_settings_of_a_shorter_one():
     assert drawn(9, seed=3)[:4] == drawn(4, seed=3)
     assert drawn(1, seed=3) != drawn(1, seed=4)
 
 
-def test_the_grid_goes_through_all_neighbours_a_step_away_those_that_differ_least_first():
+def test_the_grid_goes_through_all_neighbours_those_that_differ_least_first_and_then_takes_two_steps():
     # 4 parameters, a step up or down: 4 x 2 points differ in one, 6 x 4 in two, 4 x 8 in three, 16 in four
-    neighbours = list(islice(around(CENTRE), 80))
+    *neighbours, beyond = islice(around(CENTRE), 81)
     assert [len(changed(values)) for values in neighbours] == [1] * 8 + [2] * 24 + [3] * 32 + [4] * 16
     assert len({tuple(values.values()) for values in neighbours}) == 80
     assert {name: sorted({CENTRE[name], *(values[name] for values in neighbours)}) for name in PAPER} == {
@@ -61,12 +56,8 @@ def test_the_grid_goes_through_all_neighbours_a_step_away_those_that_differ_leas
         "p_excitatory": [0.17, 0.2, 0.23],
         "p_inhibitory": [0.4, 0.5, 0.6],
     }
-
-
-def test_after_all_neighbours_the_grid_takes_two_steps():
-    beyond, *ring = islice(around(CENTRE), 80, 300)
-    assert [len(changed(values)) for values in ring] == sorted(len(changed(values)) for values in ring)
+    ring = [len(changed(values)) for values in islice(around(CENTRE), 81, 300)]
+    assert ring == sorted(ring)
     (name,) = changed(beyond)
     step = next(each.step for each in PARAMETERS if each.name == name)
-    assert step is not None
     assert abs(beyond[name] - CENTRE[name]) == pytest.approx(2 * step)

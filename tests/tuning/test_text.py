@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from checkout import ROOT
+from little import a_run
 
 from vprbench.metrics.intervals import McNemar, WiderInterval
 from vprbench.paper.plan import read_plan
@@ -20,8 +21,6 @@ from vprbench.tuning.space import PAPER
 from vprbench.tuning.study import Trial
 
 BEST = {**PAPER, "rate_min": 0.35, "p_excitatory": 0.225, "stdp_rate": 0.00062}
-
-
 TRIALS = (
     Trial(0, "random", 0, BEST, 0.25, None, None, 1.25),
     Trial(1, "random", 1, BEST, 0.0, "training diverged: one neuron wins, always", None, 1.25),
@@ -29,6 +28,7 @@ TRIALS = (
     Trial(3, "random", 3, {}, None, None, "", None),
     Trial(4, "grid", 0, BEST, 0.5, None, None, 1.25),
 )
+MACHINE = {"cores": 8, "memory_bytes": 8e9, "platform": "Linux", "python": "3.11.7", "vprbench": "0.6.1"}
 
 
 def comparison(gain, low, high):
@@ -39,9 +39,10 @@ def comparison(gain, low, high):
     return Comparison(40, 36, (6, 7, 8, 9, 10), best, paper, WiderInterval(low, high, "blocks", 7), tests)
 
 
-BETTER = comparison(0.25, 0.125, 0.375)
-OPEN = comparison(0.125, -0.0625, 0.25)
-WORSE = comparison(-0.25, -0.375, -0.125)
+BETTER, OPEN = comparison(0.25, 0.125, 0.375), comparison(0.125, -0.0625, 0.25)
+WORSE, EQUAL = comparison(-0.25, -0.375, -0.125), comparison(0.0, -0.1, 0.1)
+FEW = replace(OPEN, n_queries=12, interval=None)
+DIVERGED = replace(BETTER, paper=Repeated((0.0,) * 5, (None, "more than half are alike", None, None, None)))
 
 
 def a_search(**changes):
@@ -59,18 +60,7 @@ def a_search(**changes):
         queried_by=(),
         jobs=2,
         minutes=2.5,
-        environment={
-            "processor": "Abacus 9",
-            "threads": 1,
-            "cores": 8,
-            "memory_bytes": 8e9,
-            "platform": "Linux",
-            "python": "3.11.7",
-            "vprbench": "0.6.1",
-            "libraries": {"torch": "2.6.0"},
-            "git": None,
-            "time_utc": "2025-01-31T12:00:00Z",
-        },
+        environment={**a_run().environment, **MACHINE},
     )
     return replace(found, **changes)
 
@@ -80,15 +70,11 @@ def test_a_search_is_told_as_it_is_stored():
     assert text.text_of(a_search()) == (ROOT / "tests/tuning/search.md").read_text(encoding="utf-8")
 
 
-FEW = replace(OPEN, n_queries=12, interval=None)
-DIVERGED = replace(BETTER, paper=Repeated((0.0,) * 5, (None, "more than half are alike", None, None, None)))
-
-
 @pytest.mark.parametrize(
     ("changes", "told"),
     [
         ({"importance": {}}, "nothing says which parameters mattered"),
-        ({"compared": {"searched": comparison(0.0, -0.1, 0.1), "checked": OPEN}}, "do not beat the paper's"),
+        ({"compared": {"searched": EQUAL, "checked": OPEN}}, "do not beat the paper's"),
         ({"compared": {"searched": FEW, "checked": FEW}}, "12 queries are too few"),
         ({"compared": {"searched": FEW, "checked": FEW}}, "+12.5 [-]"),
         ({"compared": {"searched": OPEN, "checked": DIVERGED}}, "held out the training under the paper's settings"),
@@ -119,10 +105,6 @@ def test_the_verdict_is_that_of_the_places_held_out_and_stands_above_the_command
     )
 
 
-def composed(found):
-    return compose.composed(compose.readable(shlex.split(text.command(found))[3:]))
-
-
 @pytest.mark.parametrize("name", ["synthetic", "nordland", "oxford_robotcar"])
 def test_the_command_fits_the_network_to_the_dataset_as_the_table_does(name):
     columns = read_plan(registry.conf_folders()["vprbench"] / "table.yaml").columns.values()
@@ -130,7 +112,8 @@ def test_the_command_fits_the_network_to_the_dataset_as_the_table_does(name):
     config = compose.composed(["method=vprtempo", f"dataset={name}"])
     folder = "/data/it's a 100% path, {really}"
     settings = Settings(dataset=name, root=folder if "root" in config["dataset"] else None)
-    run = composed(a_search(settings=settings, dataset=config["dataset"]))
+    command = shlex.split(text.command(a_search(settings=settings, dataset=config["dataset"])))
+    run = compose.composed(compose.readable(command[3:]))
     assert run["dataset"].get("root") == settings.root
     assert run["method"]["max_module"] == fits.get("vprtempo", {}).get("max_module", 1100)
     assert {name: run["method"][name] for name in BEST} == BEST
@@ -138,29 +121,27 @@ def test_the_command_fits_the_network_to_the_dataset_as_the_table_does(name):
 
 def test_every_trial_is_a_line_of_csv():
     lines = list(csv.DictReader(io.StringIO(text.trials_csv(a_search()))))
-    assert [line["state"] for line in lines] == ["done", "diverged", "failed", "failed", "done"]
-    assert [line["recall_at_1"] for line in lines] == ["0.25", "0.0", "", "", "0.5"]
-    assert [line["stage"] for line in lines] == ["random"] * 4 + ["grid"]
-    assert lines[1]["reason"] == "training diverged: one neuron wins, always"
-    assert lines[3]["reason"] == "the search was ended meanwhile"
+    assert [[line[name] for name in ("stage", "state", "recall_at_1", "reason")] for line in lines] == [
+        ["random", "done", "0.25", ""],
+        ["random", "diverged", "0.0", "training diverged: one neuron wins, always"],
+        ["random", "failed", "", "MemoryError: no room"],
+        ["random", "failed", "", "the search was ended meanwhile"],
+        ["grid", "done", "0.5", ""],
+    ]
     assert {name: float(lines[4][name]) for name in PAPER} == BEST
     assert lines[3]["rate_min"] == ""
 
 
 @pytest.mark.parametrize(
     ("settings", "stem"),
-    [(Settings(), "search"), (Settings(dataset="street"), "search-street"), (Settings(quick=True), "search-quick")],
+    [({}, "search"), ({"dataset": "street"}, "search-street"), ({"quick": True}, "search-quick")],
 )
-def test_both_files_are_written_by_dataset_and_size_and_into_the_study_and_the_text_to_print_names_them(
-    tmp_path, settings, stem
-):
-    study = tmp_path / "search" / "0123456789abcdef"
-    study.mkdir(parents=True)
-    found = a_search(settings=settings, folder=study)
+def test_files_are_written_by_dataset_and_size_and_into_the_study_and_the_text_names_them(tmp_path, settings, stem):
+    found = a_search(settings=Settings(**settings), folder=tmp_path / "study")
+    found.folder.mkdir()
     printed = text.write(found, tmp_path)
-    for place, name in ((tmp_path, stem), (study, "search")):
-        assert sorted(path.name for path in place.iterdir() if path.is_file()) == [f"{name}.csv", f"{name}.md"]
-        assert (place / f"{name}.md").read_text(encoding="utf-8") == text.text_of(found)
-        assert (place / f"{name}.csv").read_text(encoding="utf-8") == text.trials_csv(found)
+    for place, name in ((tmp_path, stem), (found.folder, "search")):
+        written = {path.name: path.read_text(encoding="utf-8") for path in place.iterdir() if path.is_file()}
+        assert written == {f"{name}.csv": text.trials_csv(found), f"{name}.md": text.text_of(found)}
     assert printed.startswith("# Hyperparameter search")
-    assert printed.endswith(f"written to {tmp_path / stem}.md and {tmp_path / stem}.csv, and into {study}\n")
+    assert printed.endswith(f"written to {tmp_path / stem}.md and {tmp_path / stem}.csv, and into {found.folder}\n")
