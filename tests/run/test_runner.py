@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
-from little import Lookup, journey, number_in, picture
+from little import Lookup, journey, number_in, numbers_in, picture
 from little_runs import QUICK, asked_for, kinds, run_of, table
 
 from vprbench.api.binary import BinaryMethod
@@ -60,41 +60,31 @@ def test_of_places_that_tie_the_lower_comes_first_whatever_the_type(scores, dept
     assert (run.scores.dtype, run.top_scores.dtype) == (np.float32, np.float32)
 
 
-@pytest.mark.parametrize(("limit", "kept"), [(1200, True), (1199, False)])
-def test_a_small_matrix_is_kept_whole_and_no_larger_one(monkeypatch, limit, kept):
-    monkeypatch.setattr(answers, "_LARGEST_MATRIX", limit)
+def test_a_small_matrix_is_kept_whole_and_no_larger_one(monkeypatch):
     scores = table(300, 4)
-    run = run_of(Lookup(scores), journey(300, 4))
-    assert (run.scores is not None) is kept
-    assert run.scores is None or np.array_equal(run.scores, scores)
+    for limit in (1200, 1199):
+        monkeypatch.setattr(answers, "_LARGEST_MATRIX", limit)
+        run = run_of(Lookup(scores), journey(300, 4))
+        assert np.array_equal(run.scores, scores) if limit == 1200 else run.scores is None
 
 
 @pytest.mark.parametrize(
-    "spoil",
+    ("spoil", "named"),
     [
-        lambda scores: scores[:, :-1],
-        lambda scores: scores[0],
-        lambda scores: scores[:, :, None],
-        lambda scores: scores[:1],
-        lambda scores: np.vstack([scores, scores[:1]]),
+        (lambda scores, _: scores[:, :-1], r"shape.*4\b"),
+        (lambda scores, _: scores[:, :, None], r"shape.*4\b"),
+        (lambda scores, _: scores[:1], r"shape.*4\b"),
+        (lambda scores, queries: np.where(queries[:, None] == 2, np.nan, scores), r"NaN.*query 2\b"),
+        (lambda scores, queries: np.where(queries[:, None] == 200, np.inf, scores), r"\+inf.*query 200\b"),
     ],
-    ids=["place missing", "one dimension", "three", "query missing", "query too many"],
 )
-def test_scores_of_a_wrong_shape_are_refused_with_the_shape_wanted(spoil):
+def test_scores_of_a_wrong_shape_or_that_cannot_be_ranked_are_refused_by_name(spoil, named):
     class Spoilt(Lookup):
         def match(self, codes):
-            return spoil(self.table[codes])
+            return spoil(self.table[codes], codes)
 
-    with pytest.raises(BadInput, match=r"shape.*4\b"):
-        run_of(Spoilt(table(6, 4)), journey(6, 4))
-
-
-@pytest.mark.parametrize(("value", "name", "query"), [(np.nan, "NaN", 2), (np.inf, r"\+inf", 200)])
-def test_scores_that_cannot_be_ranked_are_refused_by_name_and_query(value, name, query):
-    scores = table(300, 4)
-    scores[query, 3] = value
-    with pytest.raises(BadInput, match=rf"{name}.*query {query}\b"):
-        run_of(Lookup(scores), journey(300, 4))
+    with pytest.raises(BadInput, match=named):
+        run_of(Spoilt(table(300, 4)), journey(300, 4))
 
 
 class Reusing(Lookup):
@@ -103,7 +93,7 @@ class Reusing(Lookup):
     codes, answer = np.empty(1000, np.int64), np.empty((1000, 4), np.float32)
 
     def encode(self, images):
-        self.codes[: len(images)] = super().encode(images)
+        self.codes[: len(images)] = numbers_in(images)
         return self.codes[: len(images)]
 
     def match(self, codes):
@@ -165,14 +155,7 @@ def test_fit_sees_every_reference_and_its_place_which_cannot_be_written():
     assert seen == [([0, 1, 2, 3], [0, 1, 2, 3])]
 
 
-def with_few_candidates():
-    """Return scores under which of each ten places one is a candidate."""
-    scores = table(12, 40, 100_000)
-    scores[:, np.arange(40) % 10 != 3] = -np.inf
-    return scores
-
-
-def test_candidates_stand_before_places_that_are_none_and_their_best_answer_is_audited():
+def test_candidates_stand_before_places_that_are_none_and_their_best_answer_is_audited(store):
     class Turned(Lookup):
         """Names the worst candidate where it is asked for a single image."""
 
@@ -180,16 +163,14 @@ def test_candidates_stand_before_places_that_are_none_and_their_best_answer_is_a
             scores = self.table[codes]
             return np.where(np.isfinite(scores), -scores, scores) if len(codes) == 1 else scores
 
-    run = run_of(Lookup(with_few_candidates()), journey(12, 40), depth=6)
+    scores = table(12, 40, 100_000)
+    scores[:, np.arange(40) % 10 != 3] = -np.inf  # one of each ten places is a candidate
+    run = run_of(Lookup(scores), journey(12, 40), depth=6)
     assert set(run.top_places[:, :4].ravel().tolist()) == {3, 13, 23, 33}
     assert run.top_places[:, 4:].tolist() == [[0, 1]] * 12
-    assert np.isfinite(run.top_scores[:, :4]).all()
-    assert np.isneginf(run.top_scores[:, 4:]).all()
+    assert np.array_equal(np.isneginf(run.top_scores), np.tile(np.arange(6) > 3, (12, 1)))
     assert "audit" not in kinds(run)
-    assert "audit" in kinds(run_of(Turned(with_few_candidates()), journey(12, 40), depth=6))
-
-
-def test_without_any_candidate_a_run_passes_the_audit_gives_plain_numbers_and_is_stored(store):
+    assert "audit" in kinds(run_of(Turned(scores), journey(12, 40), depth=6))
     run = run_of(Lookup(np.full((12, 40), -np.inf, np.float32)), journey(12, 40))
     assert "audit" not in kinds(run)
     json.dumps(rows.numbers(run), allow_nan=False)
@@ -218,7 +199,7 @@ def searching(index, **arguments):
     return run, dict(run.search), [note.text for note in run.notes if note.kind == "index"]
 
 
-def test_a_run_records_how_good_its_index_is_and_says_what_that_misses():
+def test_a_run_records_and_says_how_good_its_index_is_what_is_compared_again_and_how_long_it_took():
     run, found, _ = searching("hnsw", neighbours=20)
     assert found["index"] == "hnsw"
     assert 0.9 < found["recall_at_1"] <= 1
@@ -227,12 +208,8 @@ def test_a_run_records_how_good_its_index_is_and_says_what_that_misses():
     assert np.isneginf(run.scores).sum(1).tolist() == [280] * 300
     _, found, (note,) = searching("hnsw", neighbours=5)
     assert found["recall_at_10"] == pytest.approx(0.5, abs=0.02)  # 5 of the best 10
-    assert re.fullmatch(
-        r"index hnsw: (100\.0|9\d\.\d) % .*, (50\.0|4\d\.\d) % of the best 10; 3\d\d bytes a place, .* \d\.\d s", note
-    )
-
-
-def test_what_is_compared_again_and_how_long_an_index_took_is_recorded_and_said():
+    parts = r"index hnsw: (100\.0|9\d\.\d) % .*, (50\.0|4\d\.\d) % of the best 10; 3\d\d bytes a place, .* \d\.\d s"
+    assert re.fullmatch(parts, note)
     run, found, (note,) = searching("binary", rerank=40)
     assert (found["rerank"], found["bytes_per_place"]) == (40, 8)  # 16 bits in a word
     assert 0 < found["build_seconds"] < 60
@@ -258,12 +235,19 @@ def test_exact_search_goes_without_saying_codes_of_bits_tell_their_bytes_and_a_m
     signs = run_of(Signs(), journey(6, 4))
     assert signs.search == {**exact, "bytes_per_place": 16}
     assert any("16 bytes a place" in note.text for note in signs.notes)
+    quick = replace(QUICK, warmup_queries=1, minimum_queries=1, batch_sizes=[1])
+    methods = [Angles(index="exact"), Angles(index="hnsw")]
+    for method in methods:
+        run_of(method, journey(30, 300), quick)
+    assert len({sum(method.shown) for method in methods}) == 1  # an audit shows no image again
 
 
-@pytest.mark.parametrize("kept", [False, True], ids=["encoded", "descriptors kept"])
 @pytest.mark.parametrize(
-    ("n_queries", "code_bytes", "n_audited"),
-    [(3, 64, 3), (700, 64, 256), (30, 200 << 20, 5)],  # five codes of 200 MB are less than 1 GiB
+    ("n_queries", "code_bytes", "n_audited", "kept"),
+    [
+        *((3, 64, 3, False), (700, 64, 256, False), (700, 64, 256, True)),
+        (30, 200 << 20, 5, True),  # five codes of 200 MB are less than 1 GiB
+    ],
 )
 def test_an_index_is_compared_on_up_to_256_queries_from_the_first_to_the_last(
     n_queries, code_bytes, n_audited, kept, tmp_path
@@ -288,11 +272,3 @@ def test_an_index_is_compared_on_up_to_256_queries_from_the_first_to_the_last(
     assert np.array_equal(codes[[0, -1]], every[[0, -1]])
     spread = [int(np.flatnonzero((every == code).all(1))[0]) for code in codes]
     assert np.ptp(np.diff(spread)) <= 1
-
-
-def test_an_audit_shows_the_method_no_image_again():
-    quick = replace(QUICK, warmup_queries=1, minimum_queries=1, batch_sizes=[1])
-    methods = [Angles(index="exact"), Angles(index="hnsw")]
-    for method in methods:
-        run_of(method, journey(30, 300), quick)
-    assert len({sum(method.shown) for method in methods}) == 1

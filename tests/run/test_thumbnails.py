@@ -4,22 +4,25 @@ import errno
 import io
 import logging
 import tracemalloc
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from little import Lookup, journey
+from little_runs import QUICK, asked_for, table
 from PIL import Image as PillowImage
 
 from vprbench import progress
 from vprbench.api import images, read_ahead
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
-from vprbench.cli import main
 from vprbench.errors import BadInput
 from vprbench.run import thumbnails
+from vprbench.run.find_or_make import made
+from vprbench.run.settings import Settings
 
 FINGERPRINT = "0123456789abcdef" * 4
-QUICK = ["dataset.places=12", "dataset.first_query_place=0", "timing=none", "threads=1"]
 
 
 def plain(level, size=(20, 40)):
@@ -28,14 +31,11 @@ def plain(level, size=(20, 40)):
 
 
 def world(references, places, queries, right):
-    return Dataset(
-        "world",
-        Images.from_arrays(list(references), [f"r{i}.png" for i in range(len(references))]),
-        np.array(places),
-        Images.from_arrays(list(queries), [f"q{i}.png" for i in range(len(queries))]),
-        tuple(np.array(row, np.int64) for row in right),
-        {},
+    references, queries = (
+        Images.from_arrays(list(images), [f"{kind}{i}.png" for i in range(len(images))])
+        for kind, images in (("r", references), ("q", queries))
     )
+    return Dataset("world", references, np.array(places), queries, tuple(np.array(row, np.int64) for row in right), {})
 
 
 def two_traverses():
@@ -44,18 +44,10 @@ def two_traverses():
     return world(references, [1, 0, 2, 2, 0, 1], [plain(level) for level in (35, 15)], [[2], [0]])
 
 
-def known(root):
-    return thumbnails.find(root, FINGERPRINT)
-
-
 def kept(root, dataset):
     root.mkdir(exist_ok=True)
     thumbnails.keep(root, FINGERPRINT, dataset)
-    return known(root)
-
-
-def level(webp):
-    return round(float(decoded(webp).mean()))
+    return thumbnails.find(root, FINGERPRINT)
 
 
 def decoded(webp):
@@ -70,14 +62,12 @@ def path(root):
 
 def test_a_place_is_shown_by_its_first_reference_image_and_queries_are_kept_in_their_order(tmp_path):
     found = kept(tmp_path, two_traverses())
-    assert [level(found.references[place]) for place in range(3)] == pytest.approx([10, 20, 30], abs=2)
-    assert [level(found.queries[i]) for i in range(2)] == pytest.approx([35, 15], abs=2)
+    assert [decoded(frame).mean() for frame in found.references] == pytest.approx([10, 20, 30], abs=2)
+    assert [decoded(frame).mean() for frame in found.queries] == pytest.approx([35, 15], abs=2)
     assert (found.reference_names, found.query_names) == (("r1.png", "r0.png", "r2.png"), ("q0.png", "q1.png"))
 
 
-@pytest.mark.parametrize(
-    ("size", "small"), [((360, 640), (54, 96)), ((640, 360), (96, 54)), ((20, 40), (20, 40)), ((96, 96), (96, 96))]
-)
+@pytest.mark.parametrize(("size", "small"), [((360, 640), (54, 96)), ((640, 360), (96, 54)), ((20, 40), (20, 40))])
 def test_the_longest_side_has_at_most_96_pixels_and_none_is_enlarged(tmp_path, size, small):
     red = plain(0, size)
     red[..., 0] = 200
@@ -95,10 +85,9 @@ def large(monkeypatch):
 
 
 def there(root):
-    found = known(root)
+    found = thumbnails.find(root, FINGERPRINT)
     assert (len(found.query_names), len(found.reference_names)) == (20, 30)
-    queries, places = ([i for i, frame in enumerate(kind) if frame] for kind in (found.queries, found.references))
-    return queries, places
+    return tuple([i for i, frame in enumerate(frames) if frame] for frames in (found.queries, found.references))
 
 
 def test_of_a_large_dataset_a_run_keeps_what_it_shows_first_and_others_add_to_it_until_a_page_holds_no_more(
@@ -108,12 +97,14 @@ def test_of_a_large_dataset_a_run_keeps_what_it_shows_first_and_others_add_to_it
     one.mkdir()
     thumbnails.keep(one, FINGERPRINT, large, [(7, {1, 2}), (3, {2, 5}), (4, {1}), (0, {8, 9}), (1, {1})])
     assert there(one) == ([3, 4, 7], [1, 2, 5])
-    assert level(known(one).references[5]) == pytest.approx(5, abs=2)
-    thumbnails.keep(tmp_path, FINGERPRINT, large, [(7, {1, 2}), (3, {2, 5})])
-    thumbnails.keep(tmp_path, FINGERPRINT, large, [(7, {1, 20}), (8, {5, 21}), (9, {22, 23})])
-    assert there(tmp_path) == ([3, 7, 8], [1, 2, 5, 20, 21])
-    thumbnails.keep(tmp_path, FINGERPRINT, large, [(10, {11}), (11, {12}), (12, {13})])
-    assert there(tmp_path) == ([3, 7, 8, 10, 11], [1, 2, 5, 11, 12, 20, 21])
+    assert decoded(thumbnails.find(one, FINGERPRINT).references[5]).mean() == pytest.approx(5, abs=2)
+    for shown, frames in (
+        ([(7, {1, 2}), (3, {2, 5})], ([3, 7], [1, 2, 5])),
+        ([(7, {1, 20}), (8, {5, 21}), (9, {22, 23})], ([3, 7, 8], [1, 2, 5, 20, 21])),
+        ([(10, {11}), (11, {12}), (12, {13})], ([3, 7, 8, 10, 11], [1, 2, 5, 11, 12, 20, 21])),
+    ):
+        thumbnails.keep(tmp_path, FINGERPRINT, large, shown)
+        assert there(tmp_path) == frames
 
 
 def test_no_frame_of_a_large_dataset_is_read_that_is_not_shown_and_few_are_in_memory(tmp_path, large, monkeypatch):
@@ -137,7 +128,7 @@ def test_no_frame_of_a_large_dataset_is_read_that_is_not_shown_and_few_are_in_me
     assert peak < 20 << 20
 
 
-def test_an_example_is_a_query_with_its_right_place_exactly(tmp_path):
+def test_four_queries_that_have_a_right_place_are_examples_beside_it_exactly_and_no_larger_than_640_pixels(tmp_path):
     random = np.random.default_rng(0)
     one, other, unseen, query = random.integers(0, 256, (4, 30, 50, 3), dtype=np.uint8)
     (example,) = kept(tmp_path, world([one, other], [1, 0], [unseen, query], [[], [0]])).examples
@@ -146,19 +137,15 @@ def test_an_example_is_a_query_with_its_right_place_exactly(tmp_path):
     assert np.array_equal(example.reference_image, other)
     (large,) = kept(tmp_path / "large", world([plain(1, (400, 1280))], [0], [plain(2)], [[0]])).examples
     assert large.reference_image.shape == (200, 640, 3)
-
-
-@pytest.mark.parametrize(
-    ("right", "examples"),
-    [
-        ([[], *([i] for i in range(1, 8)), [], []], [(1, 1), (3, 3), (5, 5), (7, 7)]),
-        ([[1, 2, 3]], [(0, 2)]),  # the middle one
-        ([[]], []),
-    ],
-)
-def test_four_examples_are_spread_over_the_queries_that_have_a_right_place(tmp_path, right, examples):
-    dataset = world([plain(1)] * 10, range(10), [plain(2)] * len(right), right)
-    assert [(e.query, e.place) for e in kept(tmp_path, dataset).examples] == examples
+    for number, (right, examples) in enumerate(
+        [
+            ([[], *([i] for i in range(1, 8)), [], []], [(1, 1), (3, 3), (5, 5), (7, 7)]),
+            ([[1, 2, 3]], [(0, 2)]),  # the middle one
+            ([[]], []),
+        ]
+    ):
+        dataset = world([plain(1)] * 10, range(10), [plain(2)] * len(right), right)
+        assert [(e.query, e.place) for e in kept(tmp_path / f"{number}", dataset).examples] == examples
 
 
 def detailed(seed):
@@ -172,8 +159,7 @@ def detailed(seed):
 
 
 def test_detailed_pictures_take_so_little_that_six_thousand_fit_into_5_megabytes(tmp_path):
-    references, queries = [detailed(i) for i in range(55)], [detailed(1000 + i) for i in range(45)]
-    fine = kept(tmp_path, world(references, range(55), queries, [[]] * 45))
+    fine = kept(tmp_path, world([*map(detailed, range(55))], range(55), [*map(detailed, range(55, 100))], [[]] * 45))
     assert path(tmp_path).stat().st_size < 5e6 * 100 / 6000
     simple = kept(tmp_path / "simple", world([plain(9, (180, 320))], [0], [plain(9, (180, 320))], [[]]))
     assert decoded(fine.queries[0]).shape[1] < decoded(simple.queries[0]).shape[1] == 96
@@ -184,10 +170,15 @@ def test_what_is_kept_already_is_not_read_again_and_progress_rises_over_queries_
     with progress.listening(lambda stage, done: told.append((stage, done))):
         thumbnails.keep(tmp_path, FINGERPRINT, two_traverses(), iter([(1, {0})]))
     assert told == [("keeping small frames", i / 5) for i in range(5)]
-    assert all([*known(tmp_path).queries, *known(tmp_path).references])  # a small dataset is kept whole
-    assert [entry.name for entry in (tmp_path / "frames").iterdir()] == ["0123456789abcdef.npz"]
+    found = thumbnails.find(tmp_path, FINGERPRINT)
+    assert all([*found.queries, *found.references])  # a small dataset is kept whole
+    assert [*(tmp_path / "frames").iterdir()] == [path(tmp_path)]
     unread = Images(lambda _: pytest.fail("an image was read"), ["a", "b"])
     thumbnails.keep(tmp_path, FINGERPRINT, Dataset("world", unread, np.arange(2), unread, (np.array([0]),) * 2, {}))
+
+
+def refuse(*_):
+    raise OSError(errno.ENOSPC, "No space left on device")
 
 
 def test_a_full_disk_and_a_frame_that_cannot_be_read_leave_nothing_behind(tmp_path, monkeypatch):
@@ -195,12 +186,7 @@ def test_a_full_disk_and_a_frame_that_cannot_be_read_leave_nothing_behind(tmp_pa
     with pytest.raises(BadInput, match=r"gone\.png"):
         thumbnails.keep(tmp_path, "a" * 64, Dataset("world", missing, np.array([0]), missing, (np.array([0]),), {}))
     assert list(tmp_path.iterdir()) == []
-
-    def refuse(to, _):
-        to.touch()
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr(Path, "write_bytes", refuse)
+    monkeypatch.setattr(Path, "write_bytes", lambda to, _: refuse(to.touch()))
     with pytest.raises(OSError, match="No space left"):
         thumbnails.keep(tmp_path, FINGERPRINT, two_traverses())
     assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
@@ -209,12 +195,11 @@ def test_a_full_disk_and_a_frame_that_cannot_be_read_leave_nothing_behind(tmp_pa
 @pytest.mark.parametrize(
     "spoil",
     [
-        lambda whole: b"",
         lambda whole: whole[: len(whole) // 2],
-        lambda whole: b"<html></html>",
         lambda whole: whole.replace(b"queries.npy", b"queries.npz"),
         lambda whole: whole[: (n := whole.index(b"queries.npy") + 60)] + bytes([whole[n] ^ 4]) + whole[n + 1 :],
     ],
+    ids=["cut", "array missing", "another bit"],
 )
 def test_a_damaged_file_is_none_and_named_and_made_anew(tmp_path, spoil, caplog):
     assert (thumbnails.find(tmp_path, FINGERPRINT), caplog.records) == (None, [])
@@ -227,24 +212,22 @@ def test_a_damaged_file_is_none_and_named_and_made_anew(tmp_path, spoil, caplog)
     assert thumbnails.find(tmp_path, FINGERPRINT[:16] + "f" * 48) is None  # of a hash that begins alike
 
 
+@pytest.mark.usefixtures("surroundings")
 def test_a_run_makes_the_frames_that_are_missing_and_asked_for_and_is_not_lost_where_the_disk_refuses_them(
-    tmp_path, monkeypatch, caplog
+    store, monkeypatch, caplog
 ):
-    monkeypatch.chdir(tmp_path)
-    here = tmp_path / "results" / "frames"
-    main(["method=sad", *QUICK])
-    (made,) = here.glob("*.npz")
-    with np.load(made, allow_pickle=False) as archive:
+    def frames(seed=0, **settings):
+        request = asked_for(Lookup(table(6, 4)), journey(6, 4), replace(QUICK, rates=False), seed=seed)
+        made(request, Settings(timing=request.protocol, **settings), store, {})
+        return list((store.root / "frames").glob("*.npz"))
+
+    (first,) = frames()
+    with np.load(first, allow_pickle=False) as archive:
         assert {archive[name].dtype.kind for name in archive.files} <= set("iuU")
-    for options, frames in (([], [made]), (["frames=false"], [])):
-        made.unlink()
-        assert main(["method=sad", *options, *QUICK]) == 0
-        assert list(here.glob("*.npz")) == frames
-
-    def refuse(*_):
-        raise OSError(errno.ENOSPC, "No space left on device")
-
+    first.unlink()
+    assert frames(frames=False) == []
+    assert frames() == [first]
     monkeypatch.setattr(thumbnails, "keep", refuse)
-    assert main(["method=sad", "seed=1", *QUICK]) == 0
+    frames(seed=1)
     assert "(No space left on device)" in caplog.text
-    assert len(list(here.parent.glob("synthetic/sad-*/run.json"))) == 2
+    assert len([*store.runs()]) == 2
