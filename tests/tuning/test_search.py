@@ -217,7 +217,7 @@ def test_a_real_search_compares_its_best_with_the_paper_on_both_stretches_and_th
     found = search(Settings(trials=3, jobs=2, **mine), METHOD, DATASET)
     assert (len(found.trials), found.tried_now, found.jobs) == (3, 3, 2)
     compared = {name: (each.n_places, each.n_queries, each.seeds) for name, each in found.compared.items()}
-    assert compared == {name: (12, 12, (1, 2, 3, 4, 5)) for name in ("searched", "checked")}
+    assert compared == dict.fromkeys(("searched", "checked"), (12, 12, (1, 2, 3, 4, 5)))
     assert [found.protocols[name]["stretch"] for name in ("searched", "checked")] == [[0, 11], [12, 23]]
     again = search(Settings(trials=3, jobs=1, **mine), METHOD, DATASET)
     assert (again.tried_now, again.folder, again.trials) == (0, found.folder, found.trials)
