@@ -45,19 +45,12 @@ class Tiny(NeuralDescriptor):
             return Two()
 
     def pixels(self, levels):
-        self.seen = (*self.seen, tuple(levels.shape))
+        self.seen += (tuple(levels.shape),)
         return super().pixels(levels)
 
 
-class Fourteen(Tiny):
-    multiple = 14
-
-
-class Fixed(Tiny):
-    fixed_size = True
-
-    def target(self, height, width):
-        return 20, 20
+FOURTEEN = type("Fourteen", (Tiny,), {"multiple": 14})
+FIXED = type("Fixed", (Tiny,), {"fixed_size": True, "target": lambda *_: (20, 20)})
 
 
 @dataclass
@@ -75,7 +68,7 @@ class Slow(DescriptorMethod):
 
 
 class Broken(Slow):
-    def fit(self, references, places):
+    def fit(self, *_):
         raise BadInput("no map today")
 
 
@@ -95,18 +88,15 @@ def maker(**classes):
     return make, made
 
 
-@pytest.mark.parametrize(("network", "seen"), [(Tiny, (32, 48)), (Fourteen, (28, 42)), (Fixed, (20, 20))])
+@pytest.mark.parametrize(("network", "seen"), [(Tiny, (32, 48)), (FOURTEEN, (28, 42)), (FIXED, (20, 20))])
 def test_a_network_is_timed_without_its_weights_at_the_nearest_size_that_it_takes(network, seen):
     make, made = maker(tiny=network)
     (cell,) = measure(settings(methods=["tiny"]), make).sections["descriptors"]
-    assert isinstance(cell, DescriptorCell)
     assert (cell.seen, cell.n_dimensions, cell.places) == (seen, 5, 30)
     assert {shape[:2] for shape in made[-1].seen} == {(1, 3), (4, 3)}
-    assert network is Fixed or {shape[2:] for shape in made[-1].seen} == {seen}
+    assert network is FIXED or {shape[2:] for shape in made[-1].seen} == {seen}
     assert [*cell.seconds] == ["encode one", "encode batch", "match one", "match batch"]
-    for laps in cell.seconds.values():
-        assert len(laps) >= 3
-        assert min(laps) > 0
+    assert all(len(laps) >= 3 and min(laps) > 0 for laps in cell.seconds.values())
 
 
 def test_a_failure_is_a_row_and_a_method_that_learns_from_references_has_few_of_them():
@@ -145,10 +135,10 @@ def test_random_networks_are_those_of_their_seed_and_keep_their_activations_fini
 
 def test_every_method_here_but_spiking_networks_is_measured_and_what_measures_nothing_is_refused(tmp_path, monkeypatch):
     assert {"sad", "hog", "netvlad", "megaloc"} <= set(Settings().methods)
-    for name in ("own/method/new", "own/method/vprtempo_new", "own/method/vprsnn", "other/method/strange"):
-        path = tmp_path / f"{name}.yaml"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.touch()
+    for folder, names in (("own", ("new", "vprtempo_new", "vprsnn")), ("other", ("strange",))):
+        (tmp_path / folder / "method").mkdir(parents=True)
+        for name in names:
+            (tmp_path / folder / "method" / f"{name}.yaml").touch()
     folders = {"vprbench": tmp_path / "own", "other": tmp_path / "other"}
     monkeypatch.setattr("vprbench.plugins.entries.conf_folders", lambda: folders)
     assert Settings().methods == ["new"]

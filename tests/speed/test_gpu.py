@@ -56,16 +56,13 @@ def bent(engine, name, bend, number=None):
     return bending
 
 
-@pytest.mark.parametrize(("name", "change"), [("features", 2e-4), ("outputs_0", np.nan), ("feature_thresholds", 2e-4)])
-def test_a_network_that_learnt_something_else_is_seen(name, change):
+def changed(name, change):
     def bend(state):
         array = state[name].copy()
         array.flat[np.abs(array).argmax()] *= 1 + change
         return {**state, name: array}
 
-    found = comparisons(bent("readable", "state", bend))
-    assert [each.holds for each in found] == [True, False, True]
-    assert not found[1].difference < 1.9e-4
+    return bend
 
 
 def larger(state):
@@ -83,6 +80,9 @@ def stretched_in_batches(scores):
 @pytest.mark.parametrize(
     ("wrong", "holds"),
     [
+        (("readable", "state", changed("features", 2e-4)), [True, False, True]),
+        (("readable", "state", changed("outputs_0", np.nan)), [True, False, True]),
+        (("readable", "state", changed("feature_thresholds", 2e-4)), [True, False, True]),
         (("fused", "state", larger, 1), [False, True, True]),  # of the CPU
         (("fused", "state", larger, 2), [False, False, True]),
         (("readable", "match", rolled), [True, False, True]),
@@ -92,7 +92,8 @@ def stretched_in_batches(scores):
 def test_each_comparison_sees_its_difference(wrong, holds):
     found = comparisons(bent(*wrong))
     assert [each.holds for each in found] == holds
-    assert found[1].other_places == (12 if holds == [True, False, True] else 0)
+    assert found[1].other_places == (12 if wrong[2] is rolled else 0)
+    assert not found[1].difference < 1.9e-4 or holds[1] or wrong[2] is rolled
     assert holds[2] or found[2].difference == pytest.approx(1e-3, rel=0.01)
 
 
@@ -105,12 +106,10 @@ def test_what_was_found_is_written_and_a_difference_or_an_engine_that_cannot_run
     assert main(QUICK) == 0
     text = Path("here/gpu.md").read_text()
     assert capsys.readouterr().out.startswith(text)
-    assert "The GPU gives what the CPU gives." in text
     for row, times in (
         (r"\| (?:paper|reference) +\| GPU, fused.*\| same +\|", 6),
         (r"\| (?:paper|reference) +\| [\d.]+ +\| [\d.]+ +\| 2, (?:met|missed) by the second", 2),
         (r"offline, batch [14] +\| [\d,.]+ / [\d,.]+ / [\d,.]+ +\| 100,000, (?:met|missed)", 4),
-        (r"\ntriton (missing|\d)", 1),
     ):
         assert len(re.findall(row, text)) == times
     assert [path.name for path in Path("here").iterdir()] == ["gpu.md"]
@@ -120,15 +119,11 @@ def test_what_was_found_is_written_and_a_difference_or_an_engine_that_cannot_run
         return {name: array * (1.01 if self.engine == "readable" else 1) for name, array in state(self).items()}
 
     def missing(self):
-        if self.engine == "fused":
-            raise RuntimeError("no triton here")
-        return engine(self)
+        return 1 / 0 if self.engine == "fused" else engine(self)
 
     monkeypatch.setattr(VPRTempo, "state", wrong)
     assert main(QUICK) == 1
-    text = Path("here/gpu.md").read_text()
-    assert "**FAILED: see below.**" in text
-    assert len(re.findall(r"against GPU, readable.*\| FAILED +\|", text)) == 2
+    assert len(re.findall(r"against GPU, readable.*\| FAILED +\|", Path("here/gpu.md").read_text())) == 2
     monkeypatch.setattr(VPRTempo, "_engine", missing)
     assert main(QUICK) == 1
-    assert Path("here/gpu.md").read_text().count("RuntimeError: no triton here") == 4 + 2
+    assert Path("here/gpu.md").read_text().count("ZeroDivisionError") == 4 + 2

@@ -83,13 +83,12 @@ def test_rows_replace_earlier_ones_and_are_compared_with_exact_search_and_extrap
     assert lines["1,000,000", "binary + rerank 100"][4:] == measured
     assert lines["1,000,000", "exact"][6] == "? / 50"
     assert lines["1,000,000,000", "all"][4:] == ["left out: large"]
-    larger = lines["10^9", "binary + rerank 100"]
-    assert larger[4:] == ["10,000 and 1,000,000", "8", "256", "27.8 (b 1.00)", "0.316 (b 0.50)"]
+    larger = lines["10^9", "binary + rerank 100"][4:]
+    assert larger == ["10,000 and 1,000,000", "8", "256", "27.8 (b 1.00)", "0.316 (b 0.50)"]
     assert ("10^8", "exact") not in lines
     keep(path, row(places=1_000_000, others=1.5))
     disturbed = text_of(stored(path))
-    assert "| about 500 " in disturbed
-    assert "10^9" not in disturbed
+    assert ("| about 500 " in disturbed, "10^9" in disturbed) == (True, False)
 
 
 def test_the_figure_draws_each_index_by_the_length_of_its_descriptors():

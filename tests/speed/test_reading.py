@@ -37,9 +37,9 @@ def test_as_many_files_as_were_asked_for_hold_as_many_different_frames_like_phot
     assert len({path.read_bytes() for path in paths}) == N_FILES
     assert all(path.samefile(paths[number % N_FILES]) for number, path in enumerate(paths))
     assert {read_image(path).shape for path in paths[:N_FILES]} == {(24, 40, 3)}
-    large = quick_settings("frame=[360,640]", "reading_frames=3")
+    large = quick_settings("frame=[360,640]", "reading_frames=2")
     few = frame_files(large, tmp_path_factory.mktemp("few"))
-    assert len({path.read_bytes() for path in few}) == 3
+    assert len({path.read_bytes() for path in few}) == 2
     assert 300_000 < few[0].stat().st_size < 500_000  # of 691,200
     assert np.array_equal(read_image(few[1]), drawn(360, 640, [large.seed, 1]))
 
@@ -70,7 +70,7 @@ def test_every_file_is_read_ahead_once_and_some_of_them_in_bare_loops_in_every_t
 def test_a_share_is_the_median_of_those_of_the_turns_and_a_failure_names_the_frame_and_leaves_no_files(
     monkeypatch, tmp_path
 ):
-    with pytest.raises(BadInput, match=r"none\.png does not exist"):
+    with pytest.raises(BadInput, match=r"none\.png"):
         in_own_process(read_image, Path("none.png"))
     rates = [100.0, 120.0, 110.0], [390.0, 400.0, 410.0], [380.0, 480.0, 420.0]
     cell = ReadingCell(360, 640, 27_592, 300, 4, *rates, 300_000_000, 4 * 10**8)
@@ -103,8 +103,7 @@ def test_the_second_time_hashes_are_known_and_all_is_measured(tmp_path, monkeypa
         told.clear()
     assert [len(list((tmp_path / "database" / folder).iterdir())) for folder in ("00000", "00001")] == [1000, 200]
     for cell in cells:
-        assert len(cell.seconds) == 4
-        assert min(cell.seconds.values()) > 0
+        assert (len(cell.seconds), min(cell.seconds.values()) > 0) == (4, True)
         assert 0 < cell.memory_before_bytes <= cell.peak_memory_bytes
 
 

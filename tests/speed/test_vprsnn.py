@@ -109,8 +109,13 @@ ASKED = [
     AskingCell(60, 111, 1500, 2, {"vprsnn": [0.25], "vprsnn_fast": [0.125]}),
 ]
 
+CELLS = {"vprsnn_training": [CELL, Failed({"method": "vprsnn_fast"}, "no room")], "vprsnn_queries": ASKED}
+HERE = {**machine.capture("cpu", 1), "cpu_pressure_avg10": None}
+ABOUT = {"canary_seconds": {"start": 1.0, "training": 1.25}, "load_average_after": [0.5], "seconds": 60.0}
+ABOUT |= {"cpu_pressure_avg10_after": 3.0}
 
-def test_rows_tell_medians_and_shares_of_presentations_and_the_papers_numbers_stand_beside_those_of_modules():
+
+def test_rows_tell_medians_and_shares_of_presentations_and_rates_stand_beside_the_papers():
     # 13.125 million spikes to 400 neurons each: 5,250 million arrivals, in 15 s
     row = ["vprsnn", "15 (3)", "1,500", "10", "13,125,000", "5,250 million", "350 million", "9,876"]
     assert [*CELL.row().values()] == row
@@ -120,16 +125,7 @@ def test_rows_tell_medians_and_shares_of_presentations_and_the_papers_numbers_st
     assert [*ASKED[0].row().values()][:3] == ["18", "450", "1"]
     asked = ["60 of 111: memory is short", "1,500", "1", "500", "250", "2", "4", "2x"]
     assert [*ASKED[1].row().values()] == asked
-    cells = {name: [] for name in SECTIONS}
-    cells |= {"vprsnn_training": [CELL, Failed({"method": "vprsnn_fast"}, "no room")], "vprsnn_queries": ASKED}
-    here = {**machine.capture("cpu", 1), "cpu_pressure_avg10": None}
-    about = {"canary_seconds": {"start": 1.0, "training": 1.25}, "load_average_after": [0.5], "seconds": 60.0}
-    settings = Settings(sections=["vprsnn_training", "vprsnn_queries"])
-    told = bench.text_of(Report(settings, here, cells, {**about, "cpu_pressure_avg10_after": 3.0}))
-    for text in (
-        "25 places, on one core: vprsnn 15 s. The paper prints 360 min for 3,300 places",
-        "164 s for each of its 132 modules of 25.",  # 21,600 s / 132
-        "60 modules, 1,500 places: 2 Hz on 1 core, 4 Hz on 2 cores. The paper prints 2 Hz",
-        *("no room", "CPU pressure before and after: unknown, 3 %", "after training 1.25."),  # drifted more than 5 %
-    ):
+    told = bench.text_of(Report(Settings(sections=[*CELLS]), HERE, dict.fromkeys(SECTIONS, ()) | CELLS, ABOUT))
+    numbers = ["vprsnn 15 s", "164 s for each of its 132 modules of 25", "2 Hz on 1 core, 4 Hz on 2 cores"]
+    for text in (*numbers, "no room", "unknown, 3 %", "after training 1.25."):  # drifted more than 5 %
         assert text in told
