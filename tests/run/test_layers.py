@@ -1,7 +1,7 @@
 """What a run keeps of the layers of a network, spikes and readouts, and of a map that grows while queries come."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -29,7 +29,7 @@ from vprbench.run.spikes import summary
 from vprbench.run.stream import grown, step
 
 SMALL = {"max_module": 8, "height": 12, "width": 12}
-TWELVE = ["dataset.places=12", "dataset.first_query_place=0", *RUN, "timing=none"]
+TEN = ["dataset.places=10", "dataset.first_query_place=0", "frames=false", *RUN, "timing=none"]
 
 pytestmark = pytest.mark.usefixtures("surroundings")
 
@@ -63,31 +63,30 @@ def test_impossible_spikes_are_refused_by_the_name_of_the_layer():
 class Ticking(Lookup):
     """A lookup whose one layer spikes as often as the number of the query; remembers what it was asked for."""
 
+    spiking: Callable[[Any], Any] = lambda codes: codes
     counted: Sequence[int] = ()
 
     def spikes(self, codes):
         self.counted = codes.tolist()
-        return [LayerSpikes("tick", codes[:, None])]
+        return [LayerSpikes("tick", self.spiking(codes)[:, None])]
+
+
+SIX = np.eye(6, dtype=np.float32)
 
 
 def test_spikes_that_cannot_be_counted_or_cannot_be_lose_no_run():
-    class Failing(Ticking):
-        def spikes(self, codes):
-            raise KeyError("the layer\nis gone")
-
-    class Negative(Ticking):
-        def spikes(self, codes):
-            return [LayerSpikes("tick", -1.0 - codes[:, None])]
-
-    for kind, told in ((Failing, r"(KeyError: 'the layer\nis gone')"), (Negative, "BadInput")):
-        run = run_of(kind(np.eye(6, dtype=np.float32)), journey(6, 6))
+    for spiking, told in (
+        (lambda codes: {}["the layer\nis gone"], r"(KeyError: 'the layer\nis gone')"),
+        (lambda codes: -1.0 - codes, "BadInput"),
+    ):
+        run = run_of(Ticking(SIX, spiking=spiking), journey(6, 6))
         assert (run.spikes, run.outcome.above.tolist()) == (None, [0] * 6)
         (said,) = (note.text for note in run.notes if note.kind == "spikes")
         assert told in said
 
 
 def test_a_run_keeps_the_spikes_of_every_query_if_they_are_few_and_else_of_256_from_the_first_to_the_last(store):
-    run = run_of(Ticking(np.eye(6, dtype=np.float32)), journey(6, 6))
+    run = run_of(Ticking(SIX), journey(6, 6))
     assert run.spikes["layers"][0]["spikes_per_query"] == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
     store.save(run)
     assert [back.spikes for back in store.runs()] == [run.spikes]
@@ -95,7 +94,7 @@ def test_a_run_keeps_the_spikes_of_every_query_if_they_are_few_and_else_of_256_f
     many = run_of(method, journey(1000, 4)).spikes
     assert (many["queries"], method.counted[0], method.counted[-1]) == (256, 0, 999)
     assert set(np.diff(method.counted)) == {3, 4}
-    assert run_of(Lookup(np.zeros((6, 4), np.float32)), journey(6, 4)).spikes is None
+    assert run_of(Lookup(SIX), journey(6, 6)).spikes is None
 
 
 def test_counting_takes_no_part_in_what_a_run_times(clock):
@@ -104,11 +103,7 @@ def test_counting_takes_no_part_in_what_a_run_times(clock):
             clock.spend(0.001 * len(images))
             return super().encode(images)
 
-        def spikes(self, codes):
-            clock.spend(1000)
-            return super().spikes(codes)
-
-    run = run_of(Slow(np.eye(6, dtype=np.float32)), journey(6, 6))
+    run = run_of(Slow(SIX, spiking=lambda codes: clock.spend(1000) or codes), journey(6, 6))
     assert clock.seconds() > 1000
     assert (run.harness_seconds, run.method_seconds) == pytest.approx((0, 0.007))  # the first query is asked twice
     assert run.timing.streaming.total_seconds == pytest.approx([0.001] * 6)
@@ -158,23 +153,17 @@ def test_codes_layers_and_answer_are_judged_by_the_same_right_places_and_a_place
 
 
 def test_readouts_are_stored_runs_of_earlier_versions_have_none_and_a_method_without_layers_says_so(store):
-    class Failing(Layered):
-        def layers(self, codes):
-            raise KeyError("gone")
-
+    failing = type("Failing", (Layered,), {"layers": lambda self, codes: {}["gone"]})
     dataset, table = journey(4, 4), np.eye(4, dtype=np.float32)
     read, plain = read_run(Layered(table), dataset), replace(run_of(Layered(table), dataset), key="other")
-    for run in (read, plain):
-        store.save(run)
-    earlier = store.folder("journey", "little", "other") / "run.json"
+    earlier = [store.save(run) for run in (read, plain)][1] / "run.json"
     summary = json.loads(earlier.read_text())
     del summary["readouts"], summary["content_key"]  # as versions before wrote it
     earlier.write_text(json.dumps({**summary, "content_key": content_key(summary)}))
     assert {run.key: run.readouts for run in store.runs()} == {"key": read.readouts, "other": None}
-    none = read_run(Lookup(table), dataset)
+    none, failed = read_run(Lookup(table), dataset), read_run(failing(table), dataset)
     assert (none.readouts, "readouts: none" in readout_text(none), "readouts" in kinds(none)) == ([], True, False)
-    failed = read_run(Failing(table), dataset)
-    assert failed.readouts is None
+    assert (failed.readouts, kinds(failed).count("readouts")) == (None, 1)
     assert Note("readouts", "no layer was read (KeyError: 'gone')") in failed.notes
 
 
@@ -198,25 +187,21 @@ def by_eq_1(state, codes):
 def test_the_spikes_and_layers_of_vprtempo_are_those_of_eq_1_whatever_acts_on_scores_alone():
     method, codes = fitted(VPRTempo(**SMALL, seed=4))
     shown, features, outputs = method.spikes(codes)
-    right_features, right_outputs = by_eq_1(dict(method.state()), codes)
+    right = by_eq_1(dict(method.state()), codes)
     assert [layer.name for layer in (shown, features, outputs)] == ["input", "feature", "output"]
     assert {layer.kind for layer in (shown, features, outputs)} == {"amplitude"}
-    assert np.array_equal(shown.values, codes)
-    assert features.values == pytest.approx(right_features, abs=1e-5)
-    assert outputs.values == pytest.approx(right_outputs, abs=1e-5)
+    for layer, known in zip((shown, features, outputs), (codes, *right), strict=True):
+        assert layer.values == pytest.approx(known, abs=1e-5)
     assert 0 < np.count_nonzero(features.values) < features.values.size
     assert outputs.values == pytest.approx(method.match(codes), abs=1e-5)  # of one plain network they are its scores
     assert method.layers(codes)["feature"].tolist() == features.values.tolist()
-    others = [
-        VPRTempo(**SMALL).restore(method.state()),
-        fitted(VPRTempo(**SMALL, seed=4, calibrated_scores=True))[0],
-        fitted(VPRTempoEnsemble(**SMALL, seed=4, members=2))[0],  # of an ensemble the first network is shown
-    ]
-    for other in others:
+    ensemble = fitted(VPRTempoEnsemble(**SMALL, seed=4, members=2))[0]  # its first network is shown
+    calibrated = fitted(VPRTempo(**SMALL, seed=4, calibrated_scores=True))[0]
+    for other in (VPRTempo(**SMALL).restore(method.state()), calibrated, ensemble):
         for layer, own in zip(other.spikes(codes), (shown, features, outputs), strict=True):
             assert layer.values == pytest.approx(own.values, abs=1e-5)
-    each = [fitted(VPRTempo(**SMALL, seed=seed))[0].layers(codes)["feature"] for seed in (4, 5)]
-    assert others[2].layers(codes)["feature"] == pytest.approx(np.hstack(each), abs=1e-5)
+    second = fitted(VPRTempo(**SMALL, seed=5))[0].layers(codes)["feature"]
+    assert ensemble.layers(codes)["feature"] == pytest.approx(np.hstack([features.values, second]), abs=1e-5)
     for ask in (VPRTempo(**SMALL).spikes, VPRTempo(**SMALL).layers):
         with pytest.raises(NotFittedError):
             ask(codes)
@@ -247,8 +232,8 @@ class Growing(Lookup):
     known: int = 0
 
     def fit(self, references, places):
-        self.known = int(places.max()) + 1
         self.asked.append([-1, *places.tolist()])
+        self.known = int(places.max()) + 1
         return self
 
     def extend(self, references, places):
@@ -278,8 +263,14 @@ def test_each_stop_of_a_growing_map_asks_the_queries_whose_place_is_known():
 
 
 def asked(capsys, *options):
-    assert main([*TWELVE, *options, "output=json"]) == 0
+    assert main([*TEN, *options, "output=json"]) == 0
     return json.loads(capsys.readouterr().out)
+
+
+def heads(capsys, *options):
+    """Return the first words of the lines that the command prints."""
+    assert main([*TEN, *options]) == 0
+    return [line.split("  ")[0] for line in capsys.readouterr().out.splitlines()]
 
 
 def test_readouts_are_a_table_below_the_row_and_a_list_in_json_and_stay_with_the_run(tmp_path, monkeypatch, capsys):
@@ -290,27 +281,24 @@ def test_readouts_are_a_table_below_the_row_and_a_list_in_json_and_stay_with_the
     assert [each["name"] for each in made["readouts"]] == ["codes", "components", "answer"]
     for name in ("recall_at_1", "recall_at_1_low"):
         assert made["readouts"][2][name] == made[name]
-    assert asked(capsys, "method=pca", "force=true")["readouts"] == made["readouts"]
-    assert main(["method=pca", *TWELVE, "readouts=true"]) == 0
-    names = [line.split("  ")[0] for line in capsys.readouterr().out.splitlines()]
+    names = heads(capsys, "method=pca", "readouts=true")
     assert names[names.index("readout") :][:4] == ["readout", "codes, cosine", "components, cosine", "answer"]
+    assert asked(capsys, "method=pca", "force=true")["readouts"] == made["readouts"]
 
 
 def test_a_growing_map_is_stored_with_its_run_and_printed(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert "stream" not in asked(capsys)
-    made = asked(capsys, "stream=5")
+    made = asked(capsys, "stream=4")
     assert made["from_store"] is False  # the stored run had none
-    assert [(stop["places"], stop["queries"]) for stop in made["stream"]] == [(5, 5), (10, 10), (12, 12)]
+    assert [(stop["places"], stop["queries"]) for stop in made["stream"]] == [(4, 4), (8, 8), (10, 10)]
     assert made["stream"][-1]["recall_at_1"] == made["recall_at_1"]  # SAD learns the same one by one
     assert made["stream"][0]["recall_at_1"] == made["stream"][0]["recall_at_1_of_first"]
+    names = heads(capsys, "stream=4")
+    assert names[names.index("places") :][:4] == ["places", "4", "8", "10"]
     assert asked(capsys, "force=true")["from_store"] is False
-    again = asked(capsys, "stream=5")
+    again = asked(capsys, "stream=4")
     assert (again["from_store"], again["stream"]) == (True, made["stream"])
-    assert main([*TWELVE, "stream=5"]) == 0
-    table = capsys.readouterr().out.splitlines()
-    heads = next(n for n, line in enumerate(table) if line.startswith("places "))
-    assert [line.split()[0] for line in table[heads + 1 :][:4]] == ["5", "10", "12", "12"]
 
 
 def test_a_map_grows_by_the_places_asked_for_or_in_ten_stops_and_what_cannot_grow_is_refused():
