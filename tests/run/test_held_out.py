@@ -23,14 +23,8 @@ pytestmark = pytest.mark.usefixtures("surroundings")
 
 def held_out(**changes):
     """Three places in two traverses, each queried once, the last one first."""
-    parts = {
-        "references": pictures([50, 51, 52, 60, 61, 62]),
-        "places": np.array([0, 1, 2, 0, 1, 2]),
-        "queries": pictures([72, 71, 70]),
-        "right": np.array([2, 1, 0]),
-        "in_map": False,
-    }
-    return HeldOut(**parts | changes)
+    given = {"references": pictures([50, 51, 52, 60, 61, 62]), "places": np.array([0, 1, 2] * 2), "in_map": False}
+    return HeldOut(**{**given, "queries": pictures([72, 71, 70]), "right": np.array([2, 1, 0]), **changes})
 
 
 def with_held_out(held=None):
@@ -43,11 +37,7 @@ class Choosing(Lookup):
 
     given: list[HeldOut] = field(default_factory=list)
     calls: list[str] = field(default_factory=list)
-    threshold: float | None = None
-
-    @property
-    def calibrates(self):
-        return self.threshold is None
+    calibrates: bool = True
 
     def fit(self, references, places):
         self.calls.append("fit")
@@ -63,10 +53,6 @@ class Choosing(Lookup):
         return super().encode(images)
 
 
-def key(method, held):
-    return asked_for(method, replace(journey(6, 4), held_out=held)).key()
-
-
 @pytest.mark.parametrize(
     "changes",
     [
@@ -75,17 +61,14 @@ def key(method, held):
         {"queries": pictures([72, 71, 73])},
         {"right": np.array([2, 0, 1])},
     ],
-    ids=["references", "places", "queries", "ground truth"],
+    ids=lambda changes: next(iter(changes)),
 )
 def test_other_held_out_places_have_another_fingerprint_and_key_where_a_method_chooses_by_them(changes):
     assert held_out().fingerprint() == held_out().fingerprint() != held_out(**changes).fingerprint()
-    different = [None, held_out(), held_out(**changes)]
-    for method, n_keys in (
-        (Choosing(table(6, 4)), 3),
-        (Choosing(table(6, 4), threshold=1), 1),
-        (Lookup(table(6, 4)), 1),
-    ):
-        assert len({key(method, held) for held in different}) == n_keys
+    datasets = [replace(journey(6, 4), held_out=held) for held in (None, held_out(), held_out(**changes))]
+    scores = table(6, 4)
+    for method, n_keys in ((Choosing(scores), 3), (Choosing(scores, calibrates=False), 1), (Lookup(scores), 1)):
+        assert len({asked_for(method, dataset).key() for dataset in datasets}) == n_keys
 
 
 @pytest.mark.parametrize(
@@ -104,15 +87,13 @@ def test_held_out_parts_that_do_not_fit_one_another_are_refused(changes, named):
 
 
 def test_a_method_is_calibrated_once_between_fit_and_first_query_on_images_without_their_names():
-    method = Choosing(table(6, 4))
-    given = held_out()
-    named = [
-        Images.from_arrays(list(part), [f"place-{i}" for i in range(len(part))])
-        for part in (given.references, given.queries)
-    ]
-    stages = []
+    method, stages = Choosing(table(6, 4)), []
+    named = {
+        part: Images.from_arrays(list(images), [f"place-{i}" for i in range(len(images))])
+        for part, images in (("references", held_out().references), ("queries", held_out().queries))
+    }
     with progress.listening(lambda stage, _: stages.append(stage)):
-        run = run_of(method, with_held_out(held_out(references=named[0], queries=named[1])))
+        run = run_of(method, with_held_out(held_out(**named)))
     assert list(dict.fromkeys(stages)) == ["fit", "calibrate", "query", "timing"]
     assert method.calls[:3] == ["fit", "calibrate", "encode"]
     assert Note("calibrated", "calibrated on 3 held-out queries of 3 places") in run.notes
@@ -124,13 +105,10 @@ def test_a_method_is_calibrated_once_between_fit_and_first_query_on_images_witho
     for part in (seen.places, seen.right):
         with pytest.raises(ValueError, match="read-only"):
             part[0] = 1
-
-
-def test_a_method_that_was_given_its_settings_or_no_places_or_chooses_nothing_is_not_calibrated():
-    for method, dataset in (
+    for method, dataset in (  # without places, without a choice, with settings that were given
         (Choosing(table(6, 4)), journey(6, 4)),
         (Lookup(table(6, 4)), with_held_out()),
-        (Choosing(table(6, 4), threshold=0.5), with_held_out()),
+        (Choosing(table(6, 4), calibrates=False), with_held_out()),
     ):
         assert "calibrated" not in kinds(run_of(method, dataset))
         assert getattr(method, "given", []) == []
@@ -156,14 +134,14 @@ class Reading(Lookup):
 
 def test_calibrating_is_part_of_the_fit_and_its_waiting_for_images_of_no_computing(clock):
     slow = {"references": slow_pictures(6, 10, clock.spend), "queries": slow_pictures(3, 100, clock.spend)}
-    run = run_of(Reading(table(6, 4), clock=clock), with_held_out(held_out(**slow)))
-    assert run.fit_seconds == pytest.approx(6 * 10 + 3 * 100 + 3)
-    assert run.fit_compute_seconds == pytest.approx(3)
     dataset = replace(journey(6, 4), references=slow_pictures(4, 10, clock.spend))
     views = held_out(references=dataset.references[:2], places=np.arange(2), right=np.array([0, 1, 0]), in_map=True)
-    run = run_of(Reading(table(6, 4), clock=clock), replace(dataset, held_out=views))
-    assert run.fit_seconds == pytest.approx(4 * 10 + 2 * 10 + 3)
-    assert run.fit_compute_seconds == pytest.approx(3)  # the waiting counts once
+    for given, waited in (
+        (with_held_out(held_out(**slow)), 6 * 10 + 3 * 100),
+        (replace(dataset, held_out=views), 4 * 10 + 2 * 10),  # which counts once
+    ):
+        run = run_of(Reading(table(6, 4), clock=clock), given)
+        assert (run.fit_seconds, run.fit_compute_seconds) == pytest.approx((waited + 3, 3))
 
 
 @dataclass
@@ -182,25 +160,23 @@ class Sharpened(Prototypes):
         return super().restore({"means": state["means"]})
 
 
-def stored(path, method, dataset, load=False):
-    files = networks.Files(load=path) if load else networks.Files(save=path)
-    return runner.run(asked_for(method, dataset, files=files), "key")
-
-
 def test_a_stored_network_holds_what_was_chosen_and_nothing_is_chosen_anew(tmp_path):
-    path = tmp_path / "network.safetensors"
-    trained = stored(path, Sharpened(), with_held_out())
+    def run(method, dataset, **files):
+        return runner.run(asked_for(method, dataset, files=networks.Files(**files)), "key")
+
+    path, plain = tmp_path / "network.safetensors", tmp_path / "plain.safetensors"
+    trained = run(Sharpened(), with_held_out(), save=path)
     for dataset in (with_held_out(), journey(6, 4)):
         method = Sharpened()
-        loaded = stored(path, method, dataset, load=True)
+        loaded = run(method, dataset, load=path)
         assert method.contrast == 3.0
         assert np.array_equal(loaded.top_scores, trained.top_scores)
         assert "calibrated" not in kinds(loaded)
     other = with_held_out(held_out(queries=pictures([72, 71, 73])))
     with pytest.raises(BadInput, match="other held-out places"):
-        stored(path, Sharpened(), other, load=True)
-    stored(tmp_path / "plain.safetensors", Prototypes(), with_held_out())  # chooses nothing, so any places will do
-    assert stored(tmp_path / "plain.safetensors", Prototypes(), other, load=True).load_seconds is not None
+        run(Sharpened(), other, load=path)
+    run(Prototypes(), with_held_out(), save=plain)  # chooses nothing, so any places will do
+    assert run(Prototypes(), other, load=plain).load_seconds is not None
 
 
 @dataclass
@@ -216,18 +192,17 @@ class Resuming(Lookup):
             if kept.get("first") is None:
                 self.clock.spend(512)
                 kept.put("first", {"weights": np.arange(3)})
-            self._interrupt("fit")
-            self.clock.spend(60)
+            self._go_on("fit", 60)
         return self
 
     def match(self, codes):
-        self._interrupt("match")
-        self.clock.spend(len(codes))
+        self._go_on("match", len(codes))
         return super().match(codes)
 
-    def _interrupt(self, where):
+    def _go_on(self, where, seconds):
         if where == self.interrupted_in:
             raise KeyboardInterrupt
+        self.clock.spend(seconds)
 
 
 @pytest.mark.parametrize("where", ["fit", "match"])  # a training is kept until all queries are answered
@@ -237,7 +212,7 @@ def test_what_an_interrupted_run_spent_counts_is_told_and_is_no_time_of_the_run_
         run_of(replace(method, interrupted_in=where), journey(6, 4))
     assert [path for path in method.folder.rglob("*") if path.is_file()]
     run = run_of(method, journey(6, 4))
-    assert (run.fit_seconds, run.fit_compute_seconds) == (pytest.approx(572), pytest.approx(572))
+    assert (run.fit_seconds, run.fit_compute_seconds) == pytest.approx((572, 572))
     assert [note.text.count("512.0 s") for note in run.notes if note.kind == "resumed"] == [1]
     assert run.method_seconds == pytest.approx(60 + 1 + 6)  # the first query is asked once before
     assert run.harness_seconds == pytest.approx(0)

@@ -71,12 +71,9 @@ def test_a_large_map_is_asked_for_its_best_places_alone_when_scored_and_when_tim
     assert np.array_equal(run.top_places, places)
     np.testing.assert_allclose(run.top_scores, best, atol=1e-6)
     assert same(run.outcome, outcome(only(places, run.top_scores, N_PLACES), run.positives))
-    assert run.outcome.n_places == N_PLACES
-    assert run.scores is None
-    assert "audit" not in kinds(run)
+    assert (run.outcome.n_places, run.scores, "audit" in kinds(run)) == (N_PLACES, None, False)
     (note,) = [note.text for note in run.notes if note.kind == "shortlist"]
-    assert "90 places" in note
-    assert f"best {DEPTH} " in note
+    assert ("90 places" in note, f"best {DEPTH} " in note) == (True, True)
 
 
 @pytest.mark.parametrize("neighbours", [3, DEPTH])
@@ -97,10 +94,9 @@ def test_all_places_are_scored_where_all_scores_are_wanted_and_where_a_method_ma
             return -super().match(codes)
 
     whole = runner.run(replace(asked_for(Angles(), journey(N_QUERIES, N_PLACES)), scores=True), "key")
-    assert whole.scores.shape == (N_QUERIES, N_PLACES)
-    own = on(OwnWay())
-    assert own.scores is not None
-    assert "shortlist" not in kinds(own)
+    for run in (whole, on(OwnWay())):
+        assert run.scores.shape == (N_QUERIES, N_PLACES)
+        assert "shortlist" not in kinds(run)
 
 
 def test_descriptors_of_a_large_map_are_kept_unless_a_method_may_learn_them(tmp_path, monkeypatch):
@@ -108,12 +104,10 @@ def test_descriptors_of_a_large_map_are_kept_unless_a_method_may_learn_them(tmp_
         def fit(self, references, places):
             return super().fit(references, places)
 
-    kept = []
-    for n_places, method in ((N_PLACES, Angles()), (N_PLACES - 1, Angles()), (N_PLACES - 1, Learning())):
-        monkeypatch.setattr(descriptors, "LARGE_MAP", n_places)
-        runner.run(asked_for(method, journey(N_QUERIES, N_PLACES), cache=tmp_path / f"{len(kept)}"), "key")
-        kept.append(len(list((tmp_path / f"{len(kept)}").glob("*/*.npy"))))
-    assert kept == [0, 2, 0]
+    for large, method, kept in ((N_PLACES, Angles(), 0), (N_PLACES - 1, Learning(), 0), (N_PLACES - 1, Angles(), 2)):
+        monkeypatch.setattr(descriptors, "LARGE_MAP", large)
+        runner.run(asked_for(method, journey(N_QUERIES, N_PLACES), cache=tmp_path), "key")
+        assert len([*tmp_path.glob("*/*.npy")]) == kept
 
 
 @pytest.mark.parametrize("cached", [False, True])
@@ -122,19 +116,13 @@ def test_descriptors_that_fill_the_memory_stay_in_shards(cached, tmp_path, monke
     monkeypatch.setattr(shards, "_LEAST_ROWS", 64)
     for module in (descriptor, fitting):
         monkeypatch.setattr(module, "LARGE_BYTES", 1000)
-
-    class Kept(Angles):
-        def keeps_descriptors(self):
-            return cached
-
-    def files(folder):
-        return len(list((tmp_path / folder).glob("*/*.npy")))
-
-    method = Kept()
+    monkeypatch.setattr(Angles, "keeps_descriptors", lambda _: cached)
+    method = Angles()
     run = runner.run(asked_for(method, journey(N_QUERIES, N_PLACES), cache=tmp_path / "cache"), "key")
     assert method.searched.references.array is None
-    assert files("cache" if cached else "scratch") == (3 if cached else 2)  # of 90 references, and of 30 queries
+    folder = tmp_path / ("cache" if cached else "scratch")
+    assert len([*folder.glob("*/*.npy")]) == 2 + cached  # of 90 references, and of 30 queries
     np.testing.assert_allclose(run.scores, on(Angles()).scores, atol=1e-6)
     del method
     gc.collect()
-    assert files("scratch") == 0
+    assert not [*(tmp_path / "scratch").glob("*/*.npy")]
