@@ -34,36 +34,34 @@ def write(path, content):
     return path
 
 
-def dataset_of(references, queries):
-    n = len(references)
-    return Dataset("journey", references, np.arange(n), queries, (np.array([0]),) * len(queries), {})
-
-
-@pytest.fixture
-def winter(tmp_path):
-    return [write(tmp_path / "winter" / f"{name}.png", name.encode() * 3) for name in ("b", "a", "c")]
-
-
-@pytest.fixture
-def summer(tmp_path):
-    return [write(tmp_path / "summer" / f"{name}.png", name.encode() * 5) for name in ("a", "d")]
-
-
 def record(references, queries):
-    return data_record(dataset_of(Images.from_files(references), Images.from_files(queries)))
+    references, queries = (
+        images if isinstance(images, Images) else Images.from_files(images) for images in (references, queries)
+    )
+    right = (np.array([0]),) * len(queries)
+    return data_record(Dataset("journey", references, np.arange(len(references)), queries, right, {}))
+
+
+@pytest.fixture
+def frames(tmp_path):
+    """Files of references and of queries."""
+    return [
+        [write(tmp_path / folder / f"{name}.png", name.encode() * times) for name in names]
+        for folder, names, times in (("winter", "bac", 3), ("summer", "ad", 5))
+    ]
+
+
+NAMES = sha256(b"b.png\na.png\nc.png\na.png\nd.png")
 
 
 def test_the_record_of_files_is_as_worked_out_by_hand_and_names_content_and_order_change_their_part_of_it(
-    winter, summer, tmp_path
+    frames, tmp_path
 ):
+    winter, summer = frames
     contents = [b"bbb", b"aaa", b"ccc", b"aaaaa", b"ddddd"]
+    content = sha256(b"".join(hashlib.sha256(content).digest() for content in contents))
     before = record(winter, summer)
-    assert before == {
-        "names_sha256": sha256(b"b.png\na.png\nc.png\na.png\nd.png"),
-        "content_sha256": sha256(b"".join(hashlib.sha256(content).digest() for content in contents)),
-        "images": 5,
-        "bytes": 19,
-    }
+    assert before == {"names_sha256": NAMES, "content_sha256": content, "images": 5, "bytes": 19}
     no_unicode = write(Path(os.fsdecode(os.fsencode(tmp_path) + b"/\xe9t\xe9.png")), b"abc")
     assert record([no_unicode], summer)["names_sha256"] == sha256(b"\xe9t\xe9.png\na.png\nd.png")
     moved = winter[0].parent.rename(winter[0].parent.with_name("elsewhere"))
@@ -80,47 +78,43 @@ def test_the_record_of_files_is_as_worked_out_by_hand_and_names_content_and_orde
     assert changed([winter[0], winter[1].rename(moved / "e.png"), winter[2]], summer) == {"names_sha256"}
 
 
-@pytest.mark.parametrize("rendered", ["references", "queries", "both"])
-def test_frames_that_are_no_files_have_names_alone(winter, summer, rendered):
-    references, queries = Images.from_files(winter), Images.from_files(summer)
-    if rendered != "queries":
-        references = Images.from_arrays([picture(i) for i in range(3)], references.names)
-    if rendered != "references":
-        queries = Images.from_arrays([picture(i) for i in range(2)], queries.names)
-    names = sha256(b"b.png\na.png\nc.png\na.png\nd.png")
-    found = data_record(dataset_of(references, queries))
-    assert found == {"names_sha256": names, "content_sha256": None, "images": 5, "bytes": None}
+def test_frames_that_are_no_files_have_names_alone(frames):
+    named = [Images.from_files(files).names for files in frames]
+    drawn = [Images.from_arrays([picture(0)] * len(names), names) for names in named]
+    for images in ((drawn[0], frames[1]), (frames[0], drawn[1]), drawn):
+        found = record(*images)
+        assert found == {"names_sha256": NAMES, "content_sha256": None, "images": 5, "bytes": None}
 
 
-def test_fingerprint_record_and_content_of_views_read_a_file_once(winter, summer, monkeypatch, tmp_path):
+def test_fingerprint_record_and_content_of_views_read_a_file_once(frames, monkeypatch, tmp_path):
     read = Counter()
     digest = hashes.file_digest
 
     def counted(file, kind):
-        read["/".join(Path(os.fsdecode(file.name)).parts[-2:])] += 1
+        read[Path(os.fsdecode(file.name))] += 1
         return digest(file, kind)
 
     monkeypatch.setenv("VPRBENCH_HASHES", str(tmp_path / "hashes"))
     monkeypatch.setattr(hashes, "time_ns", lambda: 4 * 10**18)  # none has changed for long
     monkeypatch.setattr(hashes, "file_digest", counted)
-    dataset = dataset_of(Images.from_files(winter), Images.from_files([*summer, winter[2]]))
-    for images in (dataset.references, dataset.queries, dataset.references[1:], dataset.queries[::-1]):
+    winter, summer = (Images.from_files(files) for files in (frames[0], [*frames[1], frames[0][2]]))
+    for images in (winter, summer, winter[1:], summer[::-1]):
         images.fingerprint()
         images.content_hash()
-    data_record(dataset)
-    assert read == {f"winter/{name}.png": 1 for name in "abc"} | {f"summer/{name}.png": 1 for name in "ad"}
+    record(winter, summer)
+    assert read == dict.fromkeys([*frames[0], *frames[1]], 1)
 
 
 @pytest.mark.parametrize("hashed", ["fingerprint", "content_hash"])
-def test_what_images_are_made_from_beside_their_files_changes_their_hash(winter, hashed):
+def test_what_images_are_made_from_beside_their_files_changes_their_hash(frames, hashed):
     def made(besides, files):
         unread = lambda _: pytest.fail("an image was read")  # noqa: E731
         images = Images(unread, "abc", files=files, stamp=lambda _: besides, content=lambda _: besides)
         return str(getattr(images[:], hashed)())
 
-    assert made(b"lens 1", winter) == made(b"lens 1", winter)
-    assert len({made(b"lens 1", winter), made(b"lens 2", winter), made(b"lens 1", winter[::-1])}) == 3
-    assert made(b"lens 1", None) == made(b"lens 1", None) != made(b"lens 2", None)
+    for files in (frames[0], None):
+        assert made(b"lens 1", files) == made(b"lens 1", files) != made(b"lens 2", files)
+    assert made(b"lens 1", frames[0]) != made(b"lens 1", frames[0][::-1])
 
 
 def test_the_protocol_line_and_csv_tell_protocol_and_data_of_each_run_that_knows_them():
@@ -140,15 +134,11 @@ def test_a_run_of_files_prints_and_stores_their_record(tmp_path, monkeypatch, ca
     for path in paths:
         path.parent.mkdir(exist_ok=True)
         PillowImage.fromarray(picture(int(path.stem))).resize((16, 16)).save(path)
-    frames = ["dataset=folders", "dataset.references=[winter]", "dataset.queries=summer", "timing=none"]
+    options = ["dataset=folders", "dataset.references=[winter]", "dataset.queries=summer", "timing=none", "threads=1"]
     with quiet_surroundings():
-        assert main(["method=sad", *frames, "threads=1", "output=json"]) == 0
+        assert main(["method=sad", *options, "output=json"]) == 0
     row = json.loads(capsys.readouterr().out)
     (stored,) = (tmp_path / "results").rglob("run.json")
     assert row["data"] == json.loads(stored.read_text("utf-8"))["data"]
-    assert row["data"] == {
-        "names_sha256": sha256(b"0.png\n1.png\n2.png\n0.png\n1.png\n2.png"),
-        "content_sha256": sha256(b"".join(hashlib.sha256(path.read_bytes()).digest() for path in paths)),
-        "images": 6,
-        "bytes": sum(len(path.read_bytes()) for path in paths),
-    }
+    assert (row["data"]["images"], row["data"]["bytes"]) == (6, sum(path.stat().st_size for path in paths))
+    assert row["data"]["names_sha256"] == sha256(b"0.png\n1.png\n2.png\n0.png\n1.png\n2.png")
