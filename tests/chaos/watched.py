@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 from vprbench.methods import flyhash, hyperdimensional, pca, random_projection
+from vprbench.run import job
 
 _locks = []  # held until the process ends, however it does
 
@@ -14,7 +15,8 @@ _locks = []  # held until the process ends, however it does
 def _watch():
     if _locks or not (folder := os.environ.get("CHAOS_WATCH")):
         return
-    cell = " ".join(sorted(each for each in sys.argv[1:] if each.startswith(("method", "corruption=", "seed="))))
+    options = sys.argv[1:] if job.current is None else job.current.options
+    cell = " ".join(sorted(each for each in options if each.startswith(("method", "corruption=", "seed="))))
     _locks.append((Path(folder) / hashlib.sha256(cell.encode()).hexdigest()[:16]).open("a"))
     try:
         fcntl.flock(_locks[0], fcntl.LOCK_EX | fcntl.LOCK_NB)
