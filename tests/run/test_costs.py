@@ -9,7 +9,6 @@ from little import Lookup, journey
 from little_runs import asked_for, run_of
 from little_vprsnn import fitted as fitted_vprsnn
 from little_vprsnn import references
-from small_plan import RUN, install
 from torch.utils.flop_counter import FlopCounterMode
 
 from vprbench.api.arithmetic import tallied
@@ -24,9 +23,6 @@ from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.plugins.rules import Journey
 from vprbench.run import energy, joules
 
-SMALL = {"max_module": 20, "height": 12, "width": 12}
-ONE = ["method=sad", "dataset=synthetic", "dataset.places=20", "dataset.first_query_place=4", *RUN, "timing=none"]
-
 pytestmark = pytest.mark.usefixtures("surroundings")
 
 
@@ -35,6 +31,12 @@ def told(work):
     with tallied() as found:
         work()
     return sum(each.multiply_adds for each in found), sum(each.single for each in found), {each.kind for each in found}
+
+
+def fitted(kind=VPRTempo, **arguments):
+    world, small = Journey.draw(0), {"max_module": 20, "height": 12, "width": 12}
+    method = kind(**{**small, **arguments}).fit(Images.from_arrays(world.references), world.places)
+    return method, method.encode(Images.from_arrays(world.queries))
 
 
 def test_formulas_of_sad_products_and_binary_maps_agree_with_a_count():
@@ -63,19 +65,12 @@ def test_a_query_of_vprtempo_multiplies_every_weight_once(kind, numbers, query_r
     assert method.map_bytes() == (None if numbers == "float32" else weights + 8 * neurons)
 
 
-def fitted(kind=VPRTempo, **arguments):
-    world = Journey.draw(0)
-    method = kind(**{**SMALL, **arguments}).fit(Images.from_arrays(world.references), world.places)
-    return method, method.encode(Images.from_arrays(world.queries))
-
-
 def test_spikes_reach_every_synapse_that_exists_in_all_networks_and_modules():
     single, codes = fitted()
     several, _ = fitted(VPRTempoEnsemble, members=3)
     (_, one, _), (inputs, three, _) = single.spikes(codes), several.spikes(codes)
     assert np.array_equal(three.fan_out, 3 * one.fan_out)
-    states = several.state()
-    exist = [np.count_nonzero(states[f"member_{n}.features"], axis=(0, 1)) for n in range(3)]
+    exist = [np.count_nonzero(several.state()[f"member_{n}.features"], axis=(0, 1)) for n in range(3)]
     assert np.array_equal(inputs.fan_out, np.sum(exist, axis=0))
     (linear,) = fitted(query_rule="linear")[0].spikes(codes)
     assert linear.fan_out.tolist() == [20] * 144
@@ -92,66 +87,52 @@ def test_spikes_reach_every_synapse_that_exists_in_all_networks_and_modules():
     assert told(lambda: method.match(codes)) == (2 * 3 * steps * 48, 2 * 6 * steps * 48 + arrivals, {"float64"})
 
 
-def costs(method):
-    run = run_of(method, journey(6, 6))
-    return energy.costs(asked_for(method, journey(6, 6)), run)
+def test_what_pytorch_does_is_counted_a_step_without_a_formula_is_not_available_and_a_failure_keeps_the_run(
+    monkeypatch,
+):
+    class Multiplying(Lookup):
+        def match(self, codes):
+            torch.zeros(len(codes), 10) @ torch.zeros(10, 50)
+            return super().match(codes)
 
-
-class Multiplying(Lookup):
-    """A lookup whose match multiplies by PyTorch too, and whose encode, once it is told to, fails."""
-
-    failing = False
-
-    def encode(self, images):
-        if self.failing:
-            raise KeyError("gone")
-        return super().encode(images)
-
-    def match(self, codes):
-        torch.zeros(len(codes), 10) @ torch.zeros(10, 50)
-        return super().match(codes)
-
-
-def test_what_pytorch_does_is_counted_a_step_without_a_formula_is_not_available_and_a_failure_keeps_the_run():
-    method = Multiplying(np.eye(6, dtype=np.float32))
-    run = run_of(method, journey(6, 6))
-    found = energy.costs(asked_for(method, journey(6, 6)), run)
+    request = asked_for(Multiplying(np.eye(6, dtype=np.float32)), journey(6, 6))
+    run = run_of(request.method, request.dataset)
+    found = energy.costs(request, run)
     assert found["values"] == dict.fromkeys(found["values"])
-    assert "encode" in found["how"]["operations"]
-    assert "match" not in found["how"]["operations"]
-    method.failing = True
-    method.map_bytes = lambda: 60
-    found = energy.costs(asked_for(method, journey(6, 6)), run)
+    assert ("encode" in found["how"]["operations"], "match" in found["how"]["operations"]) == (True, False)
+    monkeypatch.setattr(Lookup, "encode", lambda *_: {}["gone"])
+    monkeypatch.setattr(Multiplying, "map_bytes", lambda _: 60)
+    found = energy.costs(request, run)
     assert "KeyError" in found["how"]["operations"]
     assert found["values"]["map_bytes"] == 10
 
 
 def test_costs_are_asked_for_stored_and_shown(tmp_path, monkeypatch, capfd):
-    install(monkeypatch, tmp_path)
+    monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(joules, "POWERCAP", tmp_path / "none")
-    assert main([*ONE, "output=json"]) == 0
-    assert "energy" not in json.loads(capfd.readouterr().out)
-    for asked, there in (("energy=true", False), ("metrics=[energy]", True)):
-        assert main([*ONE, asked, "output=json"]) == 0
-        said = json.loads(capfd.readouterr().out)
-        assert (said["from_store"], said["energy"]["values"]["joules_measured"]) == (there, None)
-        assert said["energy"]["values"]["map_bytes"] == 2 * 28 * 28  # two references of each place
-    assert said["operations"] == said["energy"]["values"]["operations"] > 3 * 40 * 28 * 28
-    assert main([*ONE, "energy=true"]) == 0
-    assert "n/a" in capfd.readouterr().out
+    small = ["dataset.places=10", "dataset.first_query_place=4", "threads=1", "timing=none", "frames=false"]
 
+    def said(*options):
+        assert main(["method=sad", *small, *options]) == 0
+        return capfd.readouterr().out
 
-MOST = 1_000_000  # microjoules, where the made-up counters wrap around
+    assert "energy" not in json.loads(said("output=json"))
+    for option, there in (("energy=true", False), ("metrics=[energy]", True)):
+        found = json.loads(said(option, "output=json"))
+        assert (found["from_store"], found["energy"]["values"]["joules_measured"]) == (there, None)
+        assert found["energy"]["values"]["map_bytes"] == 2 * 28 * 28  # two references of each place
+    assert found["operations"] == found["energy"]["values"]["operations"] > 3 * 20 * 28 * 28
+    assert "n/a" in said("energy=true")
 
 
 def powercap(root, **microjoules):
-    """Make counters `package`, `dram` and `core` as Linux has them: the last is part of the first."""
+    """Make counters `package`, `dram` and `core`, up to a joule, as Linux has them: the last is part of the first."""
     for zone, (name, value) in enumerate(microjoules.items()):
         folder = root / ("intel-rapl:0" if name == "package" else f"intel-rapl:0:{zone}")
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / "name").write_text("package-0\n" if name == "package" else f"{name}\n")
-        (folder / "max_energy_range_uj").write_text(f"{MOST}\n")
-        (folder / "energy_uj").write_text(f"{value}\n")
+        values = {"name": "package-0" if name == "package" else name, "max_energy_range_uj": 1_000_000}
+        for file, text in {**values, "energy_uj": value}.items():
+            (folder / file).write_text(f"{text}\n")
     return root
 
 
@@ -191,6 +172,6 @@ def test_what_cannot_be_read_is_told(tmp_path, broken, monkeypatch):
     if broken == "no package":
         powercap(tmp_path, core=5)
     if broken == "unreadable":
-        (powercap(tmp_path, package=5) / "intel-rapl:0" / "energy_uj").write_text("denied")
+        powercap(tmp_path, package="denied")
     with pytest.raises(joules.UnreadableError, match="NVML" if broken == "no driver" else str(tmp_path)):
         joules.nvml("cuda") if broken == "no driver" else joules.rapl(tmp_path)

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from checkout import SHARED
 from little import Lookup, a_run, journey
 from little_runs import QUICK, asked_for, table
 
@@ -12,14 +11,13 @@ from vprbench.api import BadInput
 from vprbench.metrics.ranking import outcome, ranked_places
 from vprbench.metrics.sequences import Filter, Sequences
 from vprbench.run import answers
-from vprbench.run.find_or_make import find_or_make, made
+from vprbench.run.find_or_make import made
 from vprbench.run.recall_intervals import recall_interval
 from vprbench.run.sequences import NoScoresError, filtered, in_sequences, suffix, views
-from vprbench.run.settings import Settings, checked_settings
+from vprbench.run.settings import Settings
 from vprbench.run.store import Store
 from vprbench.run.views import queries_shown, restricted, window_of
 
-NORDLAND = SHARED / "data" / "nordland_64x32"
 N = 40
 
 
@@ -157,36 +155,19 @@ def test_options_in_words_and_the_names_of_their_files(sequence, filter, wanted,
 
 
 @pytest.mark.parametrize(
-    ("sequence", "filter", "word"),
+    ("options", "word"),
     [
-        (0, None, "length=0"),
-        ([], None, "sequence"),
-        ([4, 4], None, "different"),
-        (2.5, None, "sequence.length=2.5"),
-        ({"length": 4, "windwo": "causal"}, None, "sequence.windwo is unknown.*window"),
-        ({"length": 4, "window": "lens", "contrast": 9}, None, "window=lens"),
-        ({"window": "centred"}, None, "length"),
-        (None, 3, "filter=3"),
-        (None, {"back": 3}, "back=3"),
+        ((0,), "length=0"),
+        (([],), "sequence"),
+        (([4, 4],), "different"),
+        ((2.5,), "sequence.length=2.5"),
+        (({"length": 4, "windwo": "causal"},), "sequence.windwo is unknown.*window"),
+        (({"length": 4, "window": "lens", "contrast": 9},), "window=lens"),
+        (({"window": "centred"},), "length"),
+        ((None, 3), "filter=3"),
+        ((None, {"back": 3}), "back=3"),
     ],
 )
-def test_options_that_do_not_fit_are_named(sequence, filter, word):
+def test_options_that_do_not_fit_are_named(options, word):
     with pytest.raises(BadInput, match=word):
-        views(sequence, filter)
-
-
-@pytest.mark.real_frames
-def test_sums_of_sads_find_what_was_measured_on_real_frames(tmp_path):
-    """R@1 of queries with a full window, along the list as it is, by another program on the same frames."""
-    from vprbench.run.compose import composed_in_python
-
-    options = ["method=sad", "dataset=nordland_64x32", "timing=none"]
-    config = composed_in_python(options, {"dataset.root": str(NORDLAND), "frames": False, "results": str(tmp_path)})
-    asked = {name: config[name] for name in ("method", "dataset", "seed", "device", "depth", "load")}
-    run = find_or_make("sad", {**asked, "overrides": options}, checked_settings(config), Store(tmp_path)).run
-    for length, share in ((1, 0.250), (2, 0.451), (4, 0.635), (6, 0.733), (10, 0.827), (20, 0.926)):
-        view = in_sequences(run, Sequences(length, gaps="bridge"))
-        right = view.outcome.tied == 1
-        assert float((right & (view.outcome.above == 0)).mean()) == pytest.approx(share, abs=0.0005)
-        assert len(view.outcome) == 2761 - (length - 1)
-    assert len(run.query_breaks) == 135
+        views(*options)

@@ -110,14 +110,9 @@ def test_of_a_large_dataset_a_run_keeps_what_it_shows_first_and_others_add_to_it
 def test_no_frame_of_a_large_dataset_is_read_that_is_not_shown_and_few_are_in_memory(tmp_path, large, monkeypatch):
     monkeypatch.setattr(read_ahead, "_BYTES", 4 << 20)
     monkeypatch.setattr(images, "_READERS", 2)
-    read = []
-
-    def reading(i):
-        read.append(i)
-        return plain(i % 256, (700, 500))  # 1 MB
-
     kept(tmp_path, two_traverses())  # imports what it needs
-    many = Images(reading, [f"{i}.png" for i in range(5000)])
+    read = []
+    many = Images(lambda i: read.append(i) or plain(i % 256, (700, 500)), [f"{i}.png" for i in range(5000)])  # 1 MB
     whole = Dataset("world", many, np.arange(5000), large.queries, large.positives, {})
     tracemalloc.start()
     thumbnails.keep(tmp_path, "f" * 64, whole, [(7, {4000, 4001})])
@@ -149,13 +144,9 @@ def test_four_queries_that_have_a_right_place_are_examples_beside_it_exactly_and
 
 
 def detailed(seed):
-    """Return a picture without noise, but full of edges: overlapping bars, 180 x 320 pixels."""
-    draw = np.random.default_rng(seed)
-    image = np.zeros((180, 320, 3), np.uint8)
-    for _ in range(60):
-        top, left = draw.integers(0, 170), draw.integers(0, 300)
-        image[top : top + draw.integers(5, 60), left : left + draw.integers(5, 60)] = draw.integers(0, 256, 3)
-    return image
+    """Return a picture full of edges, 180 x 320 pixels."""
+    colours = np.random.default_rng(seed).integers(0, 256, (9, 16, 3)).astype(np.uint8)
+    return np.kron(colours, np.ones((20, 20, 1), np.uint8))
 
 
 def test_detailed_pictures_take_so_little_that_six_thousand_fit_into_5_megabytes(tmp_path):
@@ -167,7 +158,7 @@ def test_detailed_pictures_take_so_little_that_six_thousand_fit_into_5_megabytes
 
 def test_what_is_kept_already_is_not_read_again_and_progress_rises_over_queries_and_places(tmp_path):
     told = []
-    with progress.listening(lambda stage, done: told.append((stage, done))):
+    with progress.listening(lambda *report: told.append(report)):
         thumbnails.keep(tmp_path, FINGERPRINT, two_traverses(), iter([(1, {0})]))
     assert told == [("keeping small frames", i / 5) for i in range(5)]
     found = thumbnails.find(tmp_path, FINGERPRINT)
