@@ -5,7 +5,6 @@ import hashlib
 import io
 import json
 import os
-from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +18,6 @@ from vprbench.api.images import Images
 from vprbench.cli import main
 from vprbench.run import rows
 from vprbench.run.identity import data_record
-from vprbench.storage import hashes
 
 RECORD = {"names_sha256": "5f74d2dc7bb3" + "0" * 52, "content_sha256": None, "images": 14, "bytes": None}
 
@@ -84,25 +82,6 @@ def test_frames_that_are_no_files_have_names_alone(frames):
     for images in ((drawn[0], frames[1]), (frames[0], drawn[1]), drawn):
         found = record(*images)
         assert found == {"names_sha256": NAMES, "content_sha256": None, "images": 5, "bytes": None}
-
-
-def test_fingerprint_record_and_content_of_views_read_a_file_once(frames, monkeypatch, tmp_path):
-    read = Counter()
-    digest = hashes.file_digest
-
-    def counted(file, kind):
-        read[Path(os.fsdecode(file.name))] += 1
-        return digest(file, kind)
-
-    monkeypatch.setenv("VPRBENCH_HASHES", str(tmp_path / "hashes"))
-    monkeypatch.setattr(hashes, "time_ns", lambda: 4 * 10**18)  # none has changed for long
-    monkeypatch.setattr(hashes, "file_digest", counted)
-    winter, summer = (Images.from_files(files) for files in (frames[0], [*frames[1], frames[0][2]]))
-    for images in (winter, summer, winter[1:], summer[::-1]):
-        images.fingerprint()
-        images.content_hash()
-    record(winter, summer)
-    assert read == dict.fromkeys([*frames[0], *frames[1]], 1)
 
 
 @pytest.mark.parametrize("hashed", ["fingerprint", "content_hash"])

@@ -4,12 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from checkout import ROOT
 from little import a_run, pictures
 
 from vprbench.api.dataset import Dataset
 from vprbench.errors import BadInput
-from vprbench.paper.plan import PlannedColumn, read_plan
+from vprbench.paper.plan import PlannedColumn
 from vprbench.plugins import registry
 from vprbench.tuning.places import Searchable, cut, querying, searchable
 
@@ -54,20 +53,6 @@ SMALLER = ("dataset.places=450", "dataset.first_query_place=90", "dataset.query_
 def test_places_that_the_paper_or_a_column_of_the_table_queries_are_left_out(name, columns, places, searched, checked):
     whole = {"first_query_place": 0, "query_places": {"nordland": 3300, "oxford_robotcar": 450}[name]}
     assert searchable(name, config(name), places, columns) == Searchable({**config(name), **whole}, searched, checked)
-
-
-def test_no_place_of_nordland_that_this_projects_table_queries_is_searched_or_checked():
-    plan = read_plan(ROOT / "conf" / "table.yaml")
-    queried = set(range(600, 3300))
-    for each in plan.columns.values():
-        if "dataset=nordland" in each.options and not each.on_request:
-            given = dict(option.removeprefix("dataset.").split("=") for option in each.options)
-            first, count = int(given.get("first_query_place", 600)), int(given.get("query_places", 2700))
-            queried |= set(range(first, first + count))
-    allowed = searchable("nordland", NORDLAND, 100, plan.columns.values())
-    assert len(allowed.searched) == 100
-    assert not queried & {*allowed.searched, *allowed.checked}
-    assert not {*allowed.searched} & {*allowed.checked}
 
 
 @pytest.mark.parametrize(

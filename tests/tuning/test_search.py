@@ -232,11 +232,3 @@ def test_a_real_search_compares_its_best_with_the_paper_on_both_stretches_and_th
     assert other.jobs == other.environment["threads"] == len(other.trials) == 1
     assert "jobs=64: 1 process is used" in caplog.text
     assert other.queried_by == (f"synthetic/sad-{there.key}",)
-
-
-def test_a_dataset_without_free_places_is_refused_before_anything_is_made(tmp_path):
-    reported = {**DATASET, "first_query_place": 0, "query_places": 3300}
-    del reported["seed"]
-    with pytest.raises(BadInput, match="query all of its 3300 places"):
-        search(Settings(dataset="mine", results=str(tmp_path)), METHOD, reported)
-    assert not list(tmp_path.iterdir())
