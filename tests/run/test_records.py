@@ -92,9 +92,10 @@ def summary_of(folder):
     return dict(json.loads((folder / "run.json").read_text()))
 
 
-def sign(folder, summary):
-    """Write a summary with the hashes that it needs to be believed."""
-    content = {name: value for name, value in summary.items() if name != "content_key"}
+def sign(folder, **changes):
+    """Change a summary, and its hash with it."""
+    content = {**summary_of(folder), **changes}
+    del content["content_key"]
     (folder / "run.json").write_text(json.dumps({**content, "content_key": content_key(content)}))
 
 
@@ -105,22 +106,21 @@ def tell(where, value, folder):
     for name in outer:
         part = part[int(name) if name.isdigit() else name]
     part[last] = value
-    sign(folder, summary)
+    sign(folder, **summary)
 
 
 def sign_files(folder):
-    digests = {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in ("arrays.npz", "scores.npy")}
-    sign(folder, {**summary_of(folder), "sha256": digests})
+    files = [folder / "arrays.npz", folder / "scores.npy"]
+    sign(folder, sha256={path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in files})
 
 
 def put(name, value, folder):
     """Change an array, or remove it, and its hashes with it."""
+    with np.load(folder / "arrays.npz") as archive:
+        arrays = {**archive, name: value}
     if name == "scores":
-        np.save(folder / "scores.npy", value)
-    else:
-        with np.load(folder / "arrays.npz") as archive:
-            arrays = {**archive, name: value}
-        np.savez(folder / "arrays.npz", **{name: array for name, array in arrays.items() if array is not None})
+        np.save(folder / "scores.npy", arrays.pop("scores"))
+    np.savez(folder / "arrays.npz", **{name: array for name, array in arrays.items() if array is not None})
     sign_files(folder)
 
 
@@ -129,12 +129,12 @@ def change(name, value, folder):
 
 
 def spoil_file(name, spoil, folder):
-    (folder / name).write_bytes(spoil((folder / name).read_bytes()))
+    (folder / name).write_bytes(spoil(bytearray((folder / name).read_bytes())))
 
 
 def flip_a_bit(content):
-    middle = len(content) // 2
-    return content[:middle] + bytes([content[middle] ^ 1]) + content[middle + 1 :]
+    content[len(content) // 2] ^= 1
+    return content
 
 
 def pipe(folder):
@@ -154,8 +154,7 @@ FILES = [
     *(partial(spoil_file, name, flip_a_bit) for name in ("arrays.npz", "scores.npy")),
     *(lambda folder, name=name: (folder / name).unlink() for name in ("arrays.npz", "scores.npy")),
     *(partial(change, *changed) for changed in (("timing", {}), ("fit_seconds", 10.34))),
-    pipe,
-    enlarge,
+    *(pipe, enlarge),
 ]
 VALUES = [  # of which each cannot be in any of the places beside it
     (None, "n_places method fingerprint config protocol environment data notes config.method config.seed schema"),
@@ -234,29 +233,28 @@ def test_a_failure_that_cannot_be_is_left_out_by_name(store, caplog):
     whole = store.save_failure(a_failure())
     path = store.save_failure(a_failure(config={"seed": 9})) / "failure.json"
     good = json.loads(path.read_text())
-    for content in (
-        *({"error": value} for value in (None, 5)),
-        *({"config": value} for value in (None, {}, {"seed": []}, {"seed": 1, "changed": "all"})),
-        {"environment": {"time_utc": 5}},
-        {"method": "../little"},
-        {"missing": "yes"},
-    ):
-        caplog.clear()
-        path.write_text(json.dumps({**good, **content}))
-        assert [failure.config["seed"] for failure in store.failures()] == [3]
-        assert [str(path) in record.getMessage() for record in caplog.records] == [True]
+    for part, values in {
+        "error": (None, 5),
+        "config": (None, {}, {"seed": []}, {"seed": 1, "changed": "all"}),
+        "environment": ({"time_utc": 5},),
+        "method": ("../little",),
+        "missing": ("yes",),
+    }.items():
+        for value in values:
+            caplog.clear()
+            path.write_text(json.dumps({**good, part: value}))
+            assert [failure.config["seed"] for failure in store.failures()] == [3]
+            assert [str(path) in record.getMessage() for record in caplog.records] == [True]
     assert whole.exists()
 
 
-@pytest.mark.parametrize(
-    ("refused", "number"), [("open", errno.EACCES), ("open", errno.EMFILE), ("iterdir", errno.EACCES)]
-)
+@pytest.mark.parametrize(("refused", "number"), [("open", errno.EMFILE), ("iterdir", errno.EACCES)])
 def test_a_run_or_a_dataset_that_the_system_does_not_let_read_stays_where_it_is_and_hides_no_other(
     store, monkeypatch, caplog, refused, number
 ):
-    for name in ("a", "b", "c"):
-        store.save(a_run(key=name) if refused == "open" else a_run(dataset=name))
-    folder = store.folder("journey", "little", "b") if refused == "open" else store.root / "b"
+    part = "key" if refused == "open" else "dataset"
+    _, folder, _ = (store.save(a_run(**{part: name})) for name in ("a", "b", "c"))
+    folder = folder if refused == "open" else folder.parent
     there = sorted(store.root.rglob("*"))
     system = getattr(Path, refused)
 
@@ -267,8 +265,8 @@ def test_a_run_or_a_dataset_that_the_system_does_not_let_read_stays_where_it_is_
 
     with monkeypatch.context() as patch:
         patch.setattr(Path, refused, refusing)
-        assert [run.key if refused == "open" else run.dataset for run in store.runs()] == ["a", "c"]
-        assert refused == "iterdir" or store.find("journey", "little", "b") is None
+        assert [getattr(run, part) for run in store.runs()] == ["a", "c"]
+        assert refused == "iterdir" or stored(store, "b") is None
     assert sorted(store.root.rglob("*")) == there
     assert {str(folder) in line.getMessage() for line in caplog.records} == {True}
 

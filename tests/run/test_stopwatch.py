@@ -89,40 +89,31 @@ def test_a_streaming_rate_is_of_the_median_an_offline_rate_of_the_sum_and_the_be
     assert best_batch(timing.offline).images_per_call == 2
 
 
-@pytest.mark.parametrize(
-    ("kind", "asked", "images", "held"),
-    [
-        (Timed, [2, 32, 128], 5, [2, 5]),  # no more than the sample
-        (type("Large", (Timed,), {"code_bytes": 300 << 20}), [1, 2, 4, 8], 8, [1, 2, 3]),  # nor than a gibibyte
-    ],
-)
-def test_batches_are_whole_and_hold_no_more_than_there_is(kind, asked, images, held):
-    method = kind()
-    timing = Stopwatch(short(batch_sizes=asked, minimum_passes=3)).measure(method, pictures(range(images)))
-    assert sizes(timing) == held
-    assert {len(numbers) for numbers in method.asked} == {1, *held}
+def test_batches_are_whole_and_hold_no_more_than_the_sample_nor_than_a_gibibyte():
+    large = type("Large", (Timed,), {"code_bytes": 300 << 20})
+    for method, asked, images, held in ((Timed(), [2, 32, 128], 5, [2, 5]), (large(), [1, 2, 4, 8], 8, [1, 2, 3])):
+        timing = Stopwatch(short(batch_sizes=asked, minimum_passes=3)).measure(method, pictures(range(images)))
+        assert sizes(timing) == held
+        assert {len(numbers) for numbers in method.asked} == {1, *held}
 
 
-@pytest.mark.parametrize(
-    ("milliseconds", "gain", "sample", "batches", "at_most"),
-    [
+def test_a_slow_method_is_asked_no_more_than_the_minima_take():
+    for milliseconds, gain, sample, batches, at_most in (
         (66, 1, 64, [1, 8], 15),  # VPRSNN on a laptop
         (66, 4, 64, [1, 8, 32], 15),  # once they gain no more
         (2, 1, 256, [1, 8, 32, 128], 10),
-    ],
-)
-def test_a_slow_method_is_asked_no_more_than_the_minima_take(milliseconds, gain, sample, batches, at_most):
-    clock = Clock()
-    method = timed_by(clock, lambda images: milliseconds * MS * len(images) // (gain if len(images) > 1 else 1))
-    timing = Stopwatch(Protocol(), clock).measure(method, pictures(range(300)), 0.1)
-    assert (len(timing.sample), sizes(timing)) == (sample, batches)
-    assert all(laps.valid for laps in (timing.streaming, *timing.offline))
-    assert clock.seconds() < at_most
+    ):
+        clock, each = Clock(), milliseconds * MS
+        method = timed_by(clock, lambda n, each=each, gain=gain: each * len(n) // (gain if len(n) > 1 else 1))
+        timing = Stopwatch(Protocol(), clock).measure(method, pictures(range(300)), 0.1)
+        assert (len(timing.sample), sizes(timing)) == (sample, batches)
+        assert all(laps.valid for laps in (timing.streaming, *timing.offline))
+        assert clock.seconds() < at_most
 
 
 def test_by_the_real_clock_calls_last_at_least_as_long_as_a_method_slept_and_all_no_longer_than_it_took():
-    method = Timed(lambda nanoseconds: time.sleep(nanoseconds / 1e9), lambda _: 5 * MS, lambda _: 2 * MS)
     began = time.perf_counter()
+    method = Timed(lambda nanoseconds: time.sleep(nanoseconds / 1e9), lambda _: 5 * MS, lambda _: 2 * MS)
     streaming = Stopwatch(short()).measure(method, pictures(range(5))).streaming
     assert (streaming.encode_seconds.min() >= 0.005, streaming.match_seconds.min() >= 0.002) == (True, True)
     assert 5 * 0.007 <= streaming.total_seconds.sum() <= time.perf_counter() - began
