@@ -131,14 +131,13 @@ def test_the_protocol_says_what_was_done_to_queries_and_nothing_else_is_touched(
 @pytest.mark.parametrize("kind", ["array", "file", "stamp"])
 def test_hashes_of_changed_images_see_the_images_and_the_change(kind, tmp_path):
     def hashes(level, how=""):
-        frame = grey(level, 4, 4)
-        if kind == "array":
-            images = Images.from_arrays([grey(0, 4, 4)] * 20 + [frame] + [grey(1, 4, 4)] * 20)
-        elif kind == "file":
-            PillowImage.fromarray(frame).save(tmp_path / "a.png")
-            images = Images.from_files([tmp_path / "a.png"])
-        else:
-            images = Images(lambda i: frame, ["a"], stamp=lambda i: b"%d" % level, content=lambda i: b"%d" % level)
+        frame, mark = grey(level, 4, 4), b"%d" % level
+        PillowImage.fromarray(frame).save(tmp_path / "a.png")
+        images = {
+            "array": Images.from_arrays([grey(0, 4, 4)] * 20 + [frame] + [grey(1, 4, 4)] * 20),
+            "file": Images.from_files([tmp_path / "a.png"]),
+            "stamp": Images(lambda i: frame, ["a"], stamp=lambda i: mark, content=lambda i: mark),
+        }[kind]
         images = images.changed(lambda image, name: image, how) if how else images
         return images.fingerprint(), images.content_hash()
 

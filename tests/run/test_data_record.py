@@ -26,12 +26,6 @@ def sha256(content):
     return hashlib.sha256(content).hexdigest()
 
 
-def write(path, content):
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(content)
-    return path
-
-
 def record(references, queries):
     references, queries = (
         images if isinstance(images, Images) else Images.from_files(images) for images in (references, queries)
@@ -43,10 +37,12 @@ def record(references, queries):
 @pytest.fixture
 def frames(tmp_path):
     """Files of references and of queries."""
-    return [
-        [write(tmp_path / folder / f"{name}.png", name.encode() * times) for name in names]
-        for folder, names, times in (("winter", "bac", 3), ("summer", "ad", 5))
-    ]
+    files = [[tmp_path / f"winter/{name}.png" for name in "bac"], [tmp_path / f"{name}.png" for name in "ad"]]
+    for times, paths in zip((3, 5), files, strict=True):
+        for path in paths:
+            path.parent.mkdir(exist_ok=True)
+            path.write_bytes(path.stem.encode() * times)
+    return files
 
 
 NAMES = sha256(b"b.png\na.png\nc.png\na.png\nd.png")
@@ -60,7 +56,8 @@ def test_the_record_of_files_is_as_worked_out_by_hand_and_names_content_and_orde
     content = sha256(b"".join(hashlib.sha256(content).digest() for content in contents))
     before = record(winter, summer)
     assert before == {"names_sha256": NAMES, "content_sha256": content, "images": 5, "bytes": 19}
-    no_unicode = write(Path(os.fsdecode(os.fsencode(tmp_path) + b"/\xe9t\xe9.png")), b"abc")
+    no_unicode = Path(os.fsdecode(os.fsencode(tmp_path) + b"/\xe9t\xe9.png"))
+    no_unicode.write_bytes(b"abc")
     assert record([no_unicode], summer)["names_sha256"] == sha256(b"\xe9t\xe9.png\na.png\nd.png")
     moved = winter[0].parent.rename(winter[0].parent.with_name("elsewhere"))
     winter = [moved / path.name for path in winter]

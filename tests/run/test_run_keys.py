@@ -105,10 +105,9 @@ def test_another_harness_changes_the_hash_of_every_method_and_nobody_changes_it_
 @pytest.fixture
 def package(tmp_path, monkeypatch):
     """An empty package named meadow."""
-    folder = tmp_path / "meadow"
-    (folder / "inner").mkdir(parents=True)
+    (tmp_path / "meadow/inner").mkdir(parents=True)
     monkeypatch.syspath_prepend(tmp_path)
-    yield folder
+    yield tmp_path / "meadow"
     forget()
 
 
@@ -140,39 +139,31 @@ def test_all_files_that_a_method_imports_in_any_way_or_inherits_from_count_and_n
     assert not any(word in name for name in ours for word in ("hog", "runner", "images", "progress"))
 
 
-@pytest.fixture
-def from_store(package, monkeypatch, capsys):
-    """Return what changes a text in the package's copy of SAD and tells whether its stored run is found then."""
-    text = (ROOT / "methods/sad.py").read_text().replace("from .parts", "from vprbench.methods.parts")
-    (package / "sad.py").write_text(text)
-    (package / "method").mkdir()
-    yaml = (ROOT / "conf/method/sad.yaml").read_text()
-    (package / "method/grass.yaml").write_text(yaml.replace("vprbench.methods.sad", "meadow.sad"))
-    ours = registry.conf_folders()
-    monkeypatch.setattr("vprbench.plugins.entries.conf_folders", lambda: {**ours, "meadow": package})
-    monkeypatch.chdir(package.parent)
-
-    def found(file="sad.py", old="", new=""):
-        text = (package / file).read_text()
-        assert old in text
-        (package / file).write_text(text.replace(old, new) if old else text)
-        forget()
-        asked = ["method=grass", "dataset.places=10", "dataset.first_query_place=0", "frames=false", "output=json"]
-        assert main([*asked, *RUN, "timing=none"]) == 0
-        return bool(json.loads(capsys.readouterr().out)["from_store"])
-
-    return found
-
-
 def test_the_run_of_a_real_method_is_found_after_an_edited_docstring_and_a_moved_file_and_not_after_another_number(
-    package, from_store
+    package, monkeypatch, capsys
 ):
-    assert not from_store()
-    moved = (package / "sad.py").rename(package / "inner" / "moved.py")
-    yaml = package / "method/grass.yaml"
-    yaml.write_text(yaml.read_text().replace("meadow.sad", "meadow.inner.moved"))
-    assert from_store(moved, '"""Scores a place by minus the', '"""Scores a place by less the')
-    assert not from_store(moved, "similarity[query, row] = -0.0", "similarity[query, row] = -1.0")
+    file, yaml = package / "inner/moved.py", package / "method/grass.yaml"
+    yaml.parent.mkdir()
+    text = (ROOT / "methods/sad.py").read_text().replace("from .parts", "from vprbench.methods.parts")
+    given = (ROOT / "conf/method/sad.yaml").read_text()
+    folders = {**registry.conf_folders(), "meadow": package}
+    monkeypatch.setattr("vprbench.plugins.entries.conf_folders", lambda: folders)
+    monkeypatch.chdir(package.parent)
+    asked = ["method=grass", "dataset.places=10", "dataset.first_query_place=0", "frames=false", "output=json"]
+    found = []
+    for path, old, new in (
+        (package / "sad.py", "", ""),
+        (file, '"""Scores a place by minus the', '"""Scores a place by less the'),
+        (file, "similarity[query, row] = -0.0", "similarity[query, row] = -1.0"),
+    ):
+        assert old in text
+        path.write_text(text.replace(old, new) if old else text)
+        module = ".".join(path.relative_to(package.parent).with_suffix("").parts)
+        yaml.write_text(given.replace("vprbench.methods.sad", module))
+        forget()
+        assert main([*asked, *RUN, "timing=none"]) == 0
+        found.append(json.loads(capsys.readouterr().out)["from_store"])
+    assert found == [False, True, False]
 
 
 BEFORE = '''"""Counts."""

@@ -1,7 +1,4 @@
-"""How much memory something takes, measured in a process of its own: one that ran other tests has freed memory at hand.
-
-What a process has freed and kept serves its next 200 MB too, and then nothing rises.
-"""
+"""How much memory something takes, measured in a process of its own: one that ran other tests has memory at hand."""
 
 import multiprocessing
 from concurrent.futures import ProcessPoolExecutor
