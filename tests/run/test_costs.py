@@ -1,6 +1,7 @@
 """Costs of a query: operations by formulas and by PyTorch, bytes, and joules of a made-up powercap."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -153,25 +154,17 @@ def test_package_and_memory_are_added_over_a_wrap_and_what_lies_within_a_package
     ],
 )
 def test_idle_power_is_subtracted_from_what_queries_take(query, watts, known):
-    now, spent = 0.0, 100.0
+    state = np.array([0.0, 100.0])  # seconds and joules
 
     def passes(seconds, watts=10):
-        nonlocal now, spent
-        now, spent = now + seconds, spent + seconds * watts
+        state[:] += seconds, seconds * watts
 
-    found = joules.measured(lambda: spent, lambda: passes(query, watts), lambda: now, passes)
+    found = joules.measured(lambda: state[1], lambda: passes(query, watts), lambda: state[0], passes)
     assert found == pytest.approx(known)
 
 
-@pytest.mark.parametrize("broken", ["nothing", "no package", "unreadable", "no driver"])
-def test_what_cannot_be_read_is_told(tmp_path, broken, monkeypatch):
-    def missing(name):
-        raise OSError(f"{name} is not there")
-
-    monkeypatch.setattr(joules.ctypes, "CDLL", missing)
-    if broken == "no package":
-        powercap(tmp_path, core=5)
-    if broken == "unreadable":
-        powercap(tmp_path, package="denied")
-    with pytest.raises(joules.UnreadableError, match="NVML" if broken == "no driver" else str(tmp_path)):
-        joules.nvml("cuda") if broken == "no driver" else joules.rapl(tmp_path)
+@pytest.mark.parametrize("counters", [{}, {"core": 5}, {"package": "denied"}, None])
+def test_what_cannot_be_read_is_told(tmp_path, counters, monkeypatch):
+    monkeypatch.setattr(joules.ctypes, "CDLL", lambda name: Path(name).read_text())  # which is not there
+    with pytest.raises(joules.UnreadableError, match="NVML" if counters is None else str(tmp_path)):
+        joules.nvml("cuda") if counters is None else joules.rapl(powercap(tmp_path, **counters))
