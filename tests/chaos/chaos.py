@@ -1,13 +1,4 @@
-"""A sweep whose workers, schedulers and clients are killed at random, and what it leaves: `make chaos`.
-
-A serial run tells what is right; it is kept in build/chaos, and made again if code changed. Then, until the minutes are
-over, clients are given one and the same command again and again, now with workers of their own, now on a dask cluster
-of other processes, while one process after the other is killed. In peace the command then ends, and everything it left
-is looked at. The exit code is 0 if every cell is stored once and equal to the serial run, if no two processes made one
-cell at the same time, and if no lock, no temporary file and no process is left.
-"""
-
-from __future__ import annotations
+"""A sweep whose workers, schedulers and clients are killed at random, and what it leaves: `make chaos`."""
 
 import argparse
 import contextlib
@@ -52,7 +43,6 @@ class Chaos:
     """The processes of the sweep, and who kills them."""
 
     def __init__(self, home, n_cells, seed):
-        """Use a folder of its own."""
         self.home = home
         self.drawn = random.Random(seed)
         self.kills: Counter[str] = Counter()
@@ -84,13 +74,11 @@ class Chaos:
             return subprocess.Popen(command, cwd=self.home, env=ours, stdout=log, stderr=log, start_new_session=True)
 
     def client(self, results):
-        """Give the command, with workers of its own or on the cluster."""
         elsewhere = self.drawn.choice([f"workers={N_WORKERS}", f"scheduler={self.scheduler}"])
         timing = ["timing=quick", "timing.total_seconds=0.4"]  # while a cell is timed the others are stopped
         return self.begin("client", "vprbench", *self.command, *timing, f"results={results}", elsewhere)
 
     def keep_cluster(self):
-        """Begin again what is gone of scheduler and workers."""
         wanted = {"scheduler": ["scheduler", "--host", "127.0.0.1", "--port", self.scheduler.rpartition(":")[2]]}
         wanted |= {f"worker{n}": ["worker", self.scheduler, "--nthreads", "1"] for n in range(N_WORKERS)}
         for name, arguments in wanted.items():
@@ -98,7 +86,6 @@ class Chaos:
                 self._cluster[name] = self.begin(name, "dask", *arguments, "--no-dashboard")
 
     def kill_one(self):
-        """Kill a process, chosen at random."""
         kind = self.drawn.choices([*KILLS], [*KILLS.values()])[0]
         found = sorted(process for process, what in self.processes() if what == kind)
         if found:
@@ -152,7 +139,6 @@ class Chaos:
         self.judge(results, right)
 
     def judge(self, results, right):
-        """Compare a store with the serial one, which may hold cells of older code too."""
         made, watched = stored(results), self.home / "watch" / "doubled"
         found = {
             "lost": [f"cell {number}" for number in range(len(made), self.n_cells)],
@@ -167,7 +153,6 @@ class Chaos:
         self.faults += [f"{results.name}: {what}: {each}" for what, those in found.items() for each in those]
 
     def end(self):
-        """End the cluster and see what is left."""
         for process in self._cluster.values():
             process.terminate()
         until = time.monotonic() + 30.0
@@ -195,7 +180,6 @@ def _temporary(path):
 
 
 def stored(results):
-    """Return the runs of a store by the names of their folders."""
     return {f"{run.dataset}/{run.method}-{run.key}": run for run in Store(results, read_only=True).runs()}
 
 
