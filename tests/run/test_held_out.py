@@ -27,8 +27,8 @@ def held_out(**changes):
     return HeldOut(**{**given, "queries": pictures([72, 71, 70]), "right": np.array([2, 1, 0]), **changes})
 
 
-def with_held_out(held=None):
-    return replace(journey(6, 4), held_out=held or held_out())
+def with_held_out(**changes):
+    return replace(journey(6, 4), held_out=held_out(**changes))
 
 
 @dataclass
@@ -71,19 +71,16 @@ def test_other_held_out_places_have_another_fingerprint_and_key_where_a_method_c
         assert len({asked_for(method, dataset).key() for dataset in datasets}) == n_keys
 
 
-@pytest.mark.parametrize(
-    ("changes", "named"),
-    [
+def test_held_out_parts_that_do_not_fit_one_another_are_refused():
+    for changes, named in (
         ({"places": np.array([0, 1])}, "6 reference images but 2 place ids"),
         ({"places": np.array([0, 1, 3, 0, 1, 3])}, "from 0 to 3"),
         ({"right": np.array([0])}, "3 queries but 1 right places"),
         ({"queries": pictures([]), "right": np.array([], np.int64)}, "0 queries but 0 right places"),
         *(({"right": np.array([0, 1, wrong])}, "from 0 to 2") for wrong in (3, -1)),
-    ],
-)
-def test_held_out_parts_that_do_not_fit_one_another_are_refused(changes, named):
-    with pytest.raises(BadInput, match=named):
-        held_out(**changes)
+    ):
+        with pytest.raises(BadInput, match=named):
+            held_out(**changes)
 
 
 def test_a_method_is_calibrated_once_between_fit_and_first_query_on_images_without_their_names():
@@ -93,7 +90,7 @@ def test_a_method_is_calibrated_once_between_fit_and_first_query_on_images_witho
         for part, images in (("references", held_out().references), ("queries", held_out().queries))
     }
     with progress.listening(lambda stage, _: stages.append(stage)):
-        run = run_of(method, with_held_out(held_out(**named)))
+        run = run_of(method, with_held_out(**named))
     assert list(dict.fromkeys(stages)) == ["fit", "calibrate", "query", "timing"]
     assert method.calls[:3] == ["fit", "calibrate", "encode"]
     assert Note("calibrated", "calibrated on 3 held-out queries of 3 places") in run.notes
@@ -137,7 +134,7 @@ def test_calibrating_is_part_of_the_fit_and_its_waiting_for_images_of_no_computi
     dataset = replace(journey(6, 4), references=slow_pictures(4, 10, clock.spend))
     views = held_out(references=dataset.references[:2], places=np.arange(2), right=np.array([0, 1, 0]), in_map=True)
     for given, waited in (
-        (with_held_out(held_out(**slow)), 6 * 10 + 3 * 100),
+        (with_held_out(**slow), 6 * 10 + 3 * 100),
         (replace(dataset, held_out=views), 4 * 10 + 2 * 10),  # which counts once
     ):
         run = run_of(Reading(table(6, 4), clock=clock), given)
@@ -156,8 +153,8 @@ class Sharpened(Prototypes):
         return {**super().state(), "contrast": np.array(self.contrast)}
 
     def restore(self, state):
-        self.contrast = float(state["contrast"])
-        return super().restore({"means": state["means"]})
+        self.contrast = float(state.pop("contrast"))
+        return super().restore(state)
 
 
 def test_a_stored_network_holds_what_was_chosen_and_nothing_is_chosen_anew(tmp_path):
@@ -172,7 +169,7 @@ def test_a_stored_network_holds_what_was_chosen_and_nothing_is_chosen_anew(tmp_p
         assert method.contrast == 3.0
         assert np.array_equal(loaded.top_scores, trained.top_scores)
         assert "calibrated" not in kinds(loaded)
-    other = with_held_out(held_out(queries=pictures([72, 71, 73])))
+    other = with_held_out(queries=pictures([72, 71, 73]))
     with pytest.raises(BadInput, match="other held-out places"):
         run(Sharpened(), other, load=path)
     run(Prototypes(), with_held_out(), save=plain)  # chooses nothing, so any places will do

@@ -223,11 +223,10 @@ def test_exact_search_goes_without_saying_codes_of_bits_tell_their_bytes_and_a_m
     signs = run_of(Signs(), journey(6, 4))
     assert signs.search == {**exact, "bytes_per_place": 16}
     assert any("16 bytes a place" in note.text for note in signs.notes)
-    quick = replace(QUICK, warmup_queries=1, minimum_queries=1, batch_sizes=[1])
     methods = [Angles(index="exact"), Angles(index="hnsw")]
     for method in methods:
-        run_of(method, journey(30, 300), quick)
-    assert len({method.shown for method in methods}) == 1  # an audit shows no image again
+        run_of(method, journey(30, 300), replace(QUICK, warmup_queries=1, minimum_queries=1, batch_sizes=[1]))
+    assert methods[0].shown == methods[1].shown  # an audit shows no image again
 
 
 @pytest.mark.parametrize(
@@ -284,38 +283,26 @@ class Learning(Lookup):
         return super().match(codes)
 
 
-def slow_journey(clock):
-    """Return a dataset whose eight references take 160 ms to read, and its eight queries as long."""
-    references, queries = (slow_pictures(8, 0.02, clock.spend) for _ in range(2))
-    return replace(journey(8, 8), references=references, queries=queries)
-
-
-def test_the_time_of_the_fit_of_computing_of_the_method_and_of_the_harness_are_told_apart(
-    clock, monkeypatch, surroundings
+@pytest.mark.parametrize("excess", [0, 0.6])
+def test_times_of_fit_computing_method_and_harness_are_told_apart_and_work_left_to_the_first_query_counts_as_training(
+    clock, monkeypatch, surroundings, excess
 ):
     monkeypatch.setattr(surroundings, "capture", lambda *_: clock.spend(7) or {})  # a look at the machine takes 7 s
-    dataset = slow_journey(clock)
-    for i in range(8):
-        dataset.references[i]  # what is read before a run does not count
-    for _ in range(2):
-        run = run_of(Learning(table(8, 8), clock=clock), dataset)
-        assert run.fit_seconds == pytest.approx(0.16 + 0.06)  # reading and computing
-        assert run.fit_compute_seconds == pytest.approx(0.06)
-        assert run.method_seconds == pytest.approx(0.06 + 8 * 0.006 + 0.006)  # the first query is asked once before
-        assert run.harness_seconds == pytest.approx(7)
-
-
-@pytest.mark.parametrize("excess", [0, 0.6])
-def test_work_that_is_left_to_the_first_query_is_seen_and_counts_as_training(clock, excess):
-    run = run_of(Learning(table(8, 8), clock=clock, late=excess), slow_journey(clock))
+    references, queries = (slow_pictures(8, 0.02, clock.spend) for _ in range(2))
+    numbers_in(references)  # what is read before a run does not count
+    dataset = replace(journey(8, 8), references=references, queries=queries)
+    run = run_of(Learning(table(8, 8), clock=clock, late=excess), dataset)
     shown = rows.numbers(run)
+    assert (shown["fit_seconds"], shown["fit_compute_seconds"]) == pytest.approx((8 * 0.02 + 0.06, 0.06))
     assert run.timing.first_query_seconds == pytest.approx(0.006 + excess)
-    assert (shown["fit_seconds"], shown["fit_compute_seconds"]) == pytest.approx((0.22, 0.06))
     trained = (shown["training_seconds"], shown["training_compute_seconds"])
     assert trained == pytest.approx((0.22 + excess, 0.06 + excess))
     assert rows.readable_row(run)["fit s"] == f"{0.22 + excess:.2g}"
     assert ("late" in kinds(run)) is bool(excess)
-    assert run.harness_seconds == pytest.approx(0)
+    assert run.method_seconds == pytest.approx(
+        0.06 + 8 * 0.006 + 0.006 + excess
+    )  # the first query is asked once before
+    assert run.harness_seconds == pytest.approx(7)
 
 
 def test_timing_takes_its_order_from_the_seed_of_the_run_and_every_stage_is_reported_to_its_end():
@@ -405,12 +392,11 @@ def test_a_run_is_noisy_if_processes_waited_for_a_core_or_a_fixed_computation_dr
 
 def test_a_run_beside_others_says_so_of_its_fit_and_of_its_rates(tmp_path, monkeypatch):
     monkeypatch.setenv(timing_lock.FOLDER, str(tmp_path))
-    alone = run_of(Lookup(table(12, 4)), journey(12, 4))
     monkeypatch.setattr(timing_lock, "PATIENCE_SECONDS", 0.0)
     with (timing_lock.folder() / "computing").open("ab") as of_another_run:
-        fcntl.flock(of_another_run, fcntl.LOCK_SH)
-        beside = run_of(Lookup(table(12, 4)), journey(12, 4))
-    for run, expected in ((alone, True), (beside, False)):
-        told = rows.numbers(run)
-        assert (told["fitted_alone"], told["timed_alone"]) == (expected, expected)
-        assert ({"fitted", "noisy"} <= {*kinds(run)}) is not expected
+        for alone in (True, False):
+            fcntl.flock(of_another_run, fcntl.LOCK_UN if alone else fcntl.LOCK_SH)
+            run = run_of(Lookup(table(12, 4)), journey(12, 4))
+            told = rows.numbers(run)
+            assert (told["fitted_alone"], told["timed_alone"]) == (alone, alone)
+            assert ({"fitted", "noisy"} <= {*kinds(run)}) is not alone

@@ -31,17 +31,17 @@ def plain(level, size=(20, 40)):
 
 
 def world(references, places, queries, right):
-    references, queries = (
-        Images.from_arrays(list(images), [f"{kind}{i}.png" for i in range(len(images))])
-        for kind, images in (("r", references), ("q", queries))
-    )
-    return Dataset("world", references, np.array(places), queries, tuple(np.array(row, np.int64) for row in right), {})
+    def named(kind, arrays):
+        arrays = list(arrays)
+        return Images.from_arrays(arrays, [f"{kind}{i}.png" for i in range(len(arrays))])
+
+    right = tuple(np.array(row, np.int64) for row in right)
+    return Dataset("world", named("r", references), np.array(places), named("q", queries), right, {})
 
 
 def two_traverses():
     """Return three places, each seen twice: at levels 10, 20, 30 and, in another order, at 110, 120, 130."""
-    references = [plain(level) for level in (20, 10, 30, 130, 110, 120)]
-    return world(references, [1, 0, 2, 2, 0, 1], [plain(level) for level in (35, 15)], [[2], [0]])
+    return world(map(plain, (20, 10, 30, 130, 110, 120)), [1, 0, 2, 2, 0, 1], map(plain, (35, 15)), [[2], [0]])
 
 
 def kept(root, dataset):
@@ -81,7 +81,7 @@ def large(monkeypatch):
     """Return a dataset of 30 places and 20 queries, of which 8 frames are kept for a run and 12 for all."""
     for name, number in (("_ALL", 40), ("_OF_RUN", 8), ("_MOST", 12)):
         monkeypatch.setattr(thumbnails, name, number)
-    return world([plain(level) for level in range(30)], range(30), [plain(9)] * 20, [[i] for i in range(20)])
+    return world(map(plain, range(30)), range(30), [plain(9)] * 20, [[i] for i in range(20)])
 
 
 def there(root):
@@ -150,7 +150,7 @@ def detailed(seed):
 
 
 def test_detailed_pictures_take_so_little_that_six_thousand_fit_into_5_megabytes(tmp_path):
-    fine = kept(tmp_path, world([*map(detailed, range(55))], range(55), [*map(detailed, range(55, 100))], [[]] * 45))
+    fine = kept(tmp_path, world(map(detailed, range(55)), range(55), map(detailed, range(55, 100)), [[]] * 45))
     assert path(tmp_path).stat().st_size < 5e6 * 100 / 6000
     simple = kept(tmp_path / "simple", world([plain(9, (180, 320))], [0], [plain(9, (180, 320))], [[]]))
     assert decoded(fine.queries[0]).shape[1] < decoded(simple.queries[0]).shape[1] == 96
