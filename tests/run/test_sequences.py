@@ -43,7 +43,7 @@ def test_a_sequence_of_one_answers_as_the_run_itself_and_longer_ones_for_the_que
     for window in ("causal", "centred"):
         view = in_sequences(run, Sequences(8, window))
         assert mean_hits(view) > 0.9 > 0.5 > mean_hits(run)
-        assert all(right[0] == query for query, right in zip(queries_shown(view), view.positives, strict=True))
+        assert queries_shown(view).tolist() == [right[0] for right in view.positives]
 
 
 def as_lens_scores(scores, positives, length):
@@ -129,29 +129,27 @@ BRIDGED = {"velocities": (0.8, 1), "gaps": "bridge"}
 
 
 @pytest.mark.parametrize(
-    ("sequence", "filter", "wanted", "name"),
+    ("options", "wanted", "name"),
     [
-        (None, None, [], ""),
-        (4, False, [Sequences(4)], "-sequence-4"),
-        ([2, 10], True, [Sequences(2), Sequences(10), Filter()], "-sequence-2-10-filter"),
+        ((None,), [], ""),
+        ((4, False), [Sequences(4)], "-sequence-4"),
+        (([2, 10], True), [Sequences(2), Sequences(10), Filter()], "-sequence-2-10-filter"),
         (
-            {"length": 4, "window": "centred", "gaps": "bridge", "velocities": [0.8, 1], "contrast": 10},
-            None,
+            ({"length": 4, "window": "centred", "gaps": "bridge", "velocities": [0.8, 1], "contrast": 10},),
             [Sequences(4, "centred", contrast=10, **BRIDGED)],
             "-sequence-4-centred-velocities-contrast10-bridge",
         ),
         (
-            "{length:[4,10],velocities:[0.8,1],gaps:bridge}",
-            None,
+            ("{length:[4,10],velocities:[0.8,1],gaps:bridge}",),
             [Sequences(4, **BRIDGED), Sequences(10, **BRIDGED)],
             "-sequence-4-10-velocities-bridge",
         ),
-        (None, {"back": -2, "ahead": 10}, [Filter(-2, 10)], "-filter-back-2-ahead10"),
+        ((None, {"back": -2, "ahead": 10}), [Filter(-2, 10)], "-filter-back-2-ahead10"),
     ],
 )
-def test_options_in_words_and_the_names_of_their_files(sequence, filter, wanted, name):
-    assert [view.keywords["asked"] for view in views(sequence, filter)] == wanted
-    assert suffix(views(sequence, filter)) == name
+def test_options_in_words_and_the_names_of_their_files(options, wanted, name):
+    assert [view.keywords["asked"] for view in views(*options)] == wanted
+    assert suffix(views(*options)) == name
 
 
 @pytest.mark.parametrize(
