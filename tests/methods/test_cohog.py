@@ -37,15 +37,13 @@ def unit(*numbers):
     return np.isin(np.arange(32), numbers).astype(np.float32) / max(1, len(numbers)) ** 0.5
 
 
+THREE = [unit(0), unit(0), unit(2), unit()], [unit(0), unit(1), unit(2), unit(0, 5)]
+
+
 @pytest.mark.parametrize(
     ("reference", "query", "good", "wanted"),
     [
-        (
-            [unit(0), unit(0), unit(2), unit()],
-            [unit(0), unit(1), unit(2), unit(0, 5)],
-            [1, 1, 0, 1],
-            (1 + 0.5**0.5) / 3,
-        ),
+        (*THREE, [1, 1, 0, 1], (1 + 0.5**0.5) / 3),
         ([unit(0)] * 4, [unit(0), unit(), unit(), unit()], [1, 1, 0, 0], 1 / 2),  # one without a gradient counts
         ([unit(0)] * 4, [unit(0)] * 4, [0] * 4, 0),  # none is good
     ],
@@ -113,13 +111,6 @@ def test_the_best_dots_in_blocks_and_in_tiles_equal_a_loop(monkeypatch, n_query,
     tiles = np.stack([in_tiles(own) for own in references])
     assert mean_best_cosine_in_tiles(query, tiles) == pytest.approx(wanted, rel=1e-5, abs=1e-5)
     assert np.array_equal(from_tiles(tiles, n_regions), references)
-
-
-@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU that PyTorch can use")
-def test_a_gpu_gives_the_scores_and_the_stored_regions_of_the_cpu():
-    on_cpu, on_gpu = (CoHOG(**SMALL, device=device).fit(SCENES, np.arange(5)) for device in ("cpu", "cuda"))
-    assert on_gpu.query(SCENES) == pytest.approx(on_cpu.query(SCENES), abs=1e-5)
-    assert np.array_equal(on_gpu.state()["references"], on_cpu.state()["references"])
 
 
 @needs_corridor

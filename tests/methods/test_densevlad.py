@@ -60,8 +60,8 @@ def test_grey_is_matlabs_and_halved_without_the_last_row_and_column():
 
 
 def test_a_zero_descriptor_belongs_to_the_first_word_and_what_rounding_leaves_of_a_residual_is_none():
-    words = torch.tensor([[0.6, 0.8], [1, 0]])
-    np.testing.assert_allclose(vlad.vlad([torch.zeros(3, 2)], words), [-0.6, -0.8, 0, 0], atol=1e-6)
+    zeros = vlad.vlad([torch.zeros(3, 2)], torch.tensor([[0.6, 0.8], [1, 0]]))
+    np.testing.assert_allclose(zeros, [-0.6, -0.8, 0, 0], atol=1e-6)
     words = torch.from_numpy(unit(np.random.default_rng(0).random((4, 128)))).float()
     assert not vlad.vlad([words[[2] * 1000]], words).any()
 

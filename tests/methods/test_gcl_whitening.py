@@ -31,8 +31,7 @@ def whitened_slowly(references, vectors, kept):
 
 
 def scores(references, queries, n_components):
-    method = gcl(n_components=n_components)
-    return method.fit_descriptors(references, np.arange(len(references))).match(queries)
+    return gcl(n_components=n_components).fit_descriptors(references, np.arange(len(references))).match(queries)
 
 
 @pytest.mark.parametrize(("n_references", "n_components"), [(90, None), (90, 10), (90, 40), (25, 24), (5000, 12)])

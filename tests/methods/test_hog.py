@@ -29,16 +29,14 @@ def slow_hog(rgb, block=16, stride=8, cell=16, bins=9, sigma=4.0, signed=False, 
     weights = np.exp(-((offsets[:, None] - block / 2) ** 2 + (offsets - block / 2) ** 2) / (2 * sigma**2))
     near = np.maximum(0, 1 - abs((offsets[:, None] + 0.5) / cell - 0.5 - np.arange(block // cell)))  # (offset, cell)
 
+    lower = np.floor(position).astype(int)
+    of_lower, of_upper = np.eye(bins)[lower % bins], np.eye(bins)[(lower + 1) % bins]
+    share = (position - lower)[..., None]
+    votes = np.hypot(gx, gy)[..., None] * ((1 - share) * of_lower + share * of_upper)  # (height, width, orientation)
+
     def histograms(top, left):
-        part = slice(top, top + block), slice(left, left + block)
-        votes, at = np.hypot(gx, gy)[part] * weights, position[part]
-        of_cell = np.zeros((block // cell, block // cell, bins))  # column, row, orientation
-        for y, x in np.ndindex(block, block):
-            lower, share = math.floor(at[y, x]), at[y, x] % 1
-            vote = votes[y, x] * near[x][:, None] * near[y]
-            of_cell[..., lower % bins] += vote * (1 - share)
-            of_cell[..., (lower + 1) % bins] += vote * share
-        flat = of_cell.ravel()
+        part = votes[top : top + block, left : left + block] * weights[..., None]
+        flat = np.einsum("yxo,yr,xc->cro", part, near, near).ravel()  # column, row, orientation
         clipped = np.minimum(flat / (np.linalg.norm(flat) + 0.1 * flat.size), 0.2)
         return clipped / (np.linalg.norm(clipped) + 1e-3)
 

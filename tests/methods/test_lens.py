@@ -71,14 +71,8 @@ def test_a_published_file_answers_by_its_two_weight_matrices_alone(tmp_path):
 def test_a_network_that_does_not_fit_is_refused():
     state = {name: tensor.numpy() for name, tensor in published().items()}
     outputs, features = "output_layer.w.weight", "feature_layer.w.weight"
-    wrong = [
-        {features: state[features]},
-        state | {outputs: np.ones((PLACES, 8), np.float32)},
-        state | {outputs: np.ones((0, 9), np.float32)},
-        state | {features: np.full((9, SIDE**2), np.nan, np.float32)},
-        state | {features: np.ones((9, SIDE * 5), np.float32)},  # of other frames
-    ]
-    for one in wrong:
+    sizes = [(outputs, (PLACES, 8), 1), (outputs, (0, 9), 1), (features, (9, 16), np.nan), (features, (9, 20), 1)]
+    for one in ({features: state[features]}, *(state | {name: np.full(*size, "f4")} for name, *size in sizes)):
         with pytest.raises(BadInput, match="feature_layer"):
             Lens(**SMALL).restore(one)
 

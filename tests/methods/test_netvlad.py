@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 import scipy.io
 import torch
-from backbones_oracle import Draw
-from described_images import drawn_images, encoded
+from backbones_oracle import Draw, prefixed, under
+from described_images import drawn_images
+from mat_cells import cells
 from published_networks import PublishedNetwork, saved, with_checks
 
 pytestmark = pytest.mark.extended  # published networks at full size
@@ -23,8 +24,7 @@ SIZES = [(64, 96), (49, 70), (64, 96)]
 
 def drawn(clusters, components=None, of_levels=False):
     """Random tensors under the names of family C; without `components` those of family B."""
-    draw = Draw(clusters)
-    tensors = oracle.vgg16_checkpoint(draw, "encoder.")
+    tensors = oracle.vgg16_checkpoint(draw := Draw(clusters), "encoder.")
     if of_levels:  # 0 to 255, not divided by deviations
         tensors["encoder.0.weight"] /= torch.tensor(255 * IMAGENET[1], dtype=torch.float32)[:, None, None]
     tensors["pool.centroids"] = draw.normal(clusters, 512, scale=512**-0.5)
@@ -35,41 +35,35 @@ def drawn(clusters, components=None, of_levels=False):
     return tensors
 
 
-def cell(*values):
-    """What savemat writes as a row of cells."""
-    cells = np.empty((1, len(values)), dtype=object)
-    for i, value in enumerate(values):
-        cells[0, i] = value
-    return cells
-
-
 def layer(kind, *weights):
-    return {"type": kind, "name": kind, "weights": cell(*weights)}
+    return {"type": kind, "name": kind, "weights": cells(weights).T}
 
 
 def write_struct(path, tensors):
     """Write tensors, of which the whitening takes channels first, as MatConvNet keeps them."""
     t = {name: tensor.float().numpy() for name, tensor in tensors.items()}
-    layers = []
-    for number in range(29):
-        name = f"encoder.{number}"
-        if f"{name}.weight" in t:
-            layers.append(layer("conv", t[f"{name}.weight"].transpose(2, 3, 1, 0), t[f"{name}.bias"][:, None]))
-        else:
-            layers.append(layer("pool" if number in oracle.VGG16_POOLS else "relu"))
+    layers = [layer("pool" if number in oracle.VGG16_POOLS else "relu") for number in range(29)]
+    for number in oracle.VGG16_CONVOLUTIONS:
+        weight, bias = (t[f"encoder.{number}.{part}"] for part in ("weight", "bias"))
+        layers[number] = layer("conv", weight.transpose(2, 3, 1, 0), bias[:, None])
     clusters = t["pool.conv.weight"][:, :, 0, 0].T[None, None], -t["pool.centroids"].T[None, None]
     whitening = t["WPCA.0.weight"][:, :, 0, 0].T[None, None], t["WPCA.0.bias"][:, None]
     layers += [layer("normalize"), layer("custom", *clusters), layer("custom"), layer("normalize")]
     layers += [layer("conv", *whitening), layer("normalize")]
     meta = {"normalization": {"averageImage": np.broadcast_to(AVERAGE, (5, 4, 3)), "imageSize": [224, 224, 3]}}
-    scipy.io.savemat(path, {"net": {"layers": cell(*layers), "meta": meta}})
+    scipy.io.savemat(path, {"net": {"layers": cells(layers).T, "meta": meta}})
     return path
 
 
-def write_checkpoint(path, tensors, **extras):
+def write_checkpoint(path, tensors):
     """Write what training with PyTorch writes: the tensors, and what else there is."""
     optimizer = {"state": {}, "param_groups": [{"lr": 0.1, "params": [0, 1]}]}
-    return saved(path, {"epoch": 30, "state_dict": dict(tensors), "optimizer": optimizer, "parallel": False, **extras})
+    return saved(path, {"epoch": 30, "state_dict": dict(tensors), "optimizer": optimizer, "parallel": False})
+
+
+def parallel(tensors):
+    named = {re.sub(r"^(encoder|pool)\.", r"\1.module.", name): tensor for name, tensor in tensors.items()}
+    return {"state_dict": named, "recalls": {1: np.float64(0.852)}, "best_score": np.float64(0.948)}
 
 
 def expected(family, tensors, image, halved=False, whiten=True, keep=None):
@@ -96,17 +90,9 @@ REFUSED = [
 
 
 def network(name, family, n_dimensions, **more):
-    arguments = {"family": family, "whiten": family != "pytorch", "longest_side": None, "resize": "pillow"}
-    return PublishedNetwork(
-        name,
-        images=drawn_images(*SIZES),
-        n_dimensions=n_dimensions,
-        expected=partial(expected, family),
-        arguments=arguments,
-        tolerance=1e-4,
-        alike_in_half=0.98,
-        **more,
-    )
+    own = {"family": family, "whiten": family != "pytorch", "longest_side": None, "resize": "pillow"}
+    more |= {"images": drawn_images(*SIZES), "expected": partial(expected, family), "arguments": own}
+    return PublishedNetwork(name, n_dimensions=n_dimensions, tolerance=1e-4, alike_in_half=0.98, **more)
 
 
 MATCONVNET = network(
@@ -126,6 +112,7 @@ PYTORCH = network(
     draw=lambda: drawn(5),
     write=write_checkpoint,
     wrong={"WPCA.0.bias": (3, 3)},
+    forms={"parallel": parallel},
     refused=[("method.whiten=true", {"whiten": True}, (32, 32)), ("=2561", {"n_dimensions": 2561}, (32, 32))],
 )
 MSLS = network(
@@ -144,12 +131,8 @@ SFRS_NAMES = {"encoder.": "base_model.base.", "pool.": "net_vlad.", "WPCA.0.": "
 
 
 def as_sfrs(tensors, names):
-    return {
-        name.replace(own, other, 1): tensor
-        for name, tensor in tensors.items()
-        for own, other in names.items()
-        if name.startswith(own)
-    }
+    parts = [(prefixed(other, under(tensors, own))) for own, other in names.items()]
+    return {name: tensor for part in parts for name, tensor in part.items()}
 
 
 SFRS = PublishedNetwork(
@@ -178,13 +161,9 @@ def test_only_images_of_more_than_the_longest_side_change_their_size(size, targe
     assert MATCONVNET.method(Path("none"), longest_side=1024).target(*size) == target
 
 
-def test_other_forms_of_a_checkpoint_are_read_and_values_are_float32(folder):
+def test_values_are_float32(folder):
     network = MSLS.method(MSLS.file(folder)).load(MSLS.file(folder))
     assert {values.dtype for values in network.state_dict().values()} == {torch.float32}
-    parallel = {re.sub(r"^(encoder|pool)\.", r"\1.module.", name): tensor for name, tensor in PYTORCH.tensors.items()}
-    recalls = {"recalls": {1: np.float64(0.852), 5: np.float64(0.948)}, "best_score": np.float64(0.948)}
-    path = write_checkpoint(folder / "other.pth.tar", parallel, **recalls)
-    assert np.array_equal(encoded(PYTORCH.method(path), *PYTORCH.images), PYTORCH.codes(folder))
 
 
 MATLAB_OBJECT = scipy.io.matlab.MatlabObject(np.zeros((1, 1), [("a", object)]), "dagnn.DagNN")
@@ -196,13 +175,12 @@ META = {"normalization": {"averageImage": np.zeros((1, 1, 3))}}
     [
         {"other": 1.0},
         {"net": MATLAB_OBJECT},
-        {"net": {"layers": cell(*[layer("relu")] * 35), "meta": {"x": 1.0}}},
-        {"net": {"layers": cell(*[layer("relu")] * 34), "meta": META}},
-        {"net": {"layers": cell(*[layer("relu")] * 35), "meta": META}},
+        {"net": {"layers": cells([layer("relu")] * 35).T, "meta": {"x": 1.0}}},
+        {"net": {"layers": cells([layer("relu")] * 35).T, "meta": META}},
         b"<html>",
         100_000,
     ],
-    ids=["no net", "an object", "no mean", "34 layers", "no weights", "a page", "cut off"],
+    ids=["no net", "an object", "no mean", "no weights", "a page", "cut off"],
 )
 def test_another_file_than_a_mat_of_this_structure_is_refused_with_what_is_wanted(content, folder):
     path = folder / "x.mat"

@@ -58,19 +58,14 @@ def test_scores_equal_those_of_the_covariances_eigenvectors(arguments, tolerance
     assert np.abs(scores - expected).max() < tolerance
 
 
-def test_the_randomized_solver_draws_from_the_seed():
+def test_the_randomized_solver_draws_from_the_seed_and_the_mean_scores_0():
     references, queries = (frames(n, seed=1, height=12, width=12) for n in (60, 5))
     how = {"components": 10, "solver": "randomized"}
     first, again, other = (fitted(references, **how, seed=seed).query(images(queries)) for seed in (0, 0, 1))
     assert np.array_equal(first, again)
     assert not np.array_equal(first, other)
-
-
-CROSS = np.array([[[100, 140]], [[100, 60]], [[110, 100]], [[90, 100]]])  # mean (100, 100)
-
-
-def test_the_mean_has_no_direction_and_scores_0():
-    assert not any(fitted(CROSS, whiten=whiten).query(images([[[100, 100]]])).any() for whiten in (False, True))
+    cross = np.array([[[100, 140]], [[100, 60]], [[110, 100]], [[90, 100]]])  # its mean has no direction
+    assert not any(fitted(cross, whiten=whiten).query(images([[[100, 100]]])).any() for whiten in (False, True))
 
 
 @pytest.mark.parametrize(

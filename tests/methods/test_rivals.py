@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from corridor import corridor, needs_corridor, right, scored
 from described_images import drawn_images
 from preprocess_frames import smooth_frame
 
@@ -95,13 +94,9 @@ def test_everything_random_is_drawn_by_the_seed_and_a_frame_without_contrast_sco
     assert not np.array_equal(first, other)
     grey = Images.from_arrays([np.full((40, 48, 3), 90, np.uint8)])
     assert not make().fit(FRAMES, np.arange(12)).query(grey).any()
-
-
-@needs_corridor
-@pytest.mark.parametrize("method", [FlyHash(), HyperDimensional(), RandomProjection()])
-def test_on_corridor_random_codes_lose_little_of_what_the_pixels_find(method):
-    pixels = contrasts(corridor("query")), contrasts(corridor("ref"))
-    assert right(scored(method)) > 0.75 * right(cosines(*pixels))
+    black = Images.from_arrays([np.zeros((32, 64, 3), np.uint8)])
+    assert not GaborBinary().encode(black).any()
+    assert not Gabor().fit(SMOOTH_FRAMES, np.arange(6)).query(black).any()
 
 
 SMOOTH_FRAMES = Images.from_arrays([smooth_frame(32, 64, seed) for seed in range(6)])
@@ -137,19 +132,11 @@ def test_a_map_holds_one_bit_for_each_value_and_says_so(method, n_bits):
 
 
 def test_bits_of_a_cell_are_those_of_its_8_strongest_filters():
-    bits = np.unpackbits(BY_CELL.encode(SMOOTH_FRAMES).view(np.uint8), axis=1).reshape(6, 144, 32).astype(bool)
-    codes = GaborBank(28, 28, 7)(SMOOTH_FRAMES).reshape(6, 144, 32)
-    for own, code in zip(bits.reshape(-1, 32), codes.reshape(-1, 32), strict=True):
-        if own.any() and not own.all():
-            assert code[own].min() >= code[~own].max()
-    assert np.median(bits.sum(2)) == 8
-
-
-def test_a_black_image_differs_from_nothing_by_its_bits_and_has_no_direction():
-    black = Images.from_arrays([np.zeros((32, 64, 3), np.uint8)])
-    assert not GaborBinary().encode(black).any()
-    assert not OrientedBinary().encode(black).any()
-    assert not Gabor().fit(SMOOTH_FRAMES, np.arange(6)).query(black).any()
+    bits = np.unpackbits(BY_CELL.encode(SMOOTH_FRAMES).view(np.uint8), axis=1).reshape(-1, 32).astype(bool)
+    codes = GaborBank(28, 28, 7)(SMOOTH_FRAMES).reshape(-1, 32)
+    weakest, strongest_other = np.where(bits, codes, np.inf).min(1), np.where(bits, -np.inf, codes).max(1)
+    assert (weakest >= strongest_other).all()
+    assert np.median(bits.sum(1)) == 8
 
 
 def test_gabor_scores_are_cosines_of_codes_or_of_the_responses_as_they_are():

@@ -40,14 +40,6 @@ def same_bits(left, right):
     return left.dtype == right.dtype and left.shape == right.shape and left.tobytes() == right.tobytes()
 
 
-@pytest.fixture
-def threads():
-    """Give back the number of threads that a test changes."""
-    before = torch.get_num_threads()
-    yield
-    torch.set_num_threads(before)
-
-
 @pytest.mark.parametrize(
     ("n_pixels", "n_references", "n_queries"), [(1, 7, 2), (63, 1, 1), (65, 300, 9), (784, 7, 130)]
 )
@@ -96,23 +88,23 @@ def test_codes_may_lie_anyhow_but_have_to_fit_the_map():
 ASLEEP = SimpleNamespace(submit=lambda *_: Future())  # helpers that never come: no answer waits for them
 
 
-def test_threads_are_started_only_if_that_pays_and_pytorch_may_use_them(monkeypatch, threads):
-    for n_threads, n_references, n_queries, others in ((2, 3300, 1, 0), (2, 27_592, 1, 1), (1, 3300, 128, 0)):
-        helpers = Mock(wraps=ThreadPoolExecutor(2))
-        monkeypatch.setattr(sad, "_helpers", lambda helpers=helpers: helpers)
-        torch.set_num_threads(n_threads)
-        fitted(codes(n_references, 784, seed=1)).match(codes(n_queries, 784, seed=2))
-        assert helpers.submit.call_count == others
-
-
-@pytest.mark.parametrize(("n_references", "n_threads", "helpers"), [(1, 2, None), (301, 5, None), (30, 2, ASLEEP)])
-def test_any_number_of_threads_gives_the_same(n_references, n_threads, helpers, monkeypatch, threads):
-    monkeypatch.setattr(sad, "_WORTH_A_THREAD", 1)
-    if helpers is not None:
-        monkeypatch.setattr(sad, "_helpers", lambda: helpers)
-    torch.set_num_threads(n_threads)
-    references, queries = codes(n_references, 784, seed=1), codes(9, 784, seed=2)
-    assert same_bits(fitted(references).match(queries), oracle(queries, references))
+def test_any_number_of_threads_gives_the_same_and_they_are_started_only_if_that_pays(monkeypatch):
+    before = torch.get_num_threads()
+    try:
+        for n_threads, n_references, n_queries, others in ((2, 3300, 1, 0), (2, 27_592, 1, 1), (1, 3300, 128, 0)):
+            helpers = Mock(wraps=ThreadPoolExecutor(2))
+            monkeypatch.setattr(sad, "_helpers", lambda helpers=helpers: helpers)
+            torch.set_num_threads(n_threads)
+            fitted(codes(n_references, 784, seed=1)).match(codes(n_queries, 784, seed=2))
+            assert helpers.submit.call_count == others
+        monkeypatch.setattr(sad, "_WORTH_A_THREAD", 1)
+        for n_references, n_threads, others in ((1, 2, helpers), (301, 5, helpers), (30, 2, ASLEEP)):
+            monkeypatch.setattr(sad, "_helpers", lambda helpers=others: helpers)
+            torch.set_num_threads(n_threads)
+            references, queries = codes(n_references, 784, seed=1), codes(9, 784, seed=2)
+            assert same_bits(fitted(references).match(queries), oracle(queries, references))
+    finally:
+        torch.set_num_threads(before)
 
 
 @needs_corridor

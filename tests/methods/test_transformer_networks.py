@@ -7,6 +7,7 @@ from itertools import pairwise, product
 from pathlib import Path
 
 import backbones_oracle as oracle
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -63,15 +64,8 @@ PARTS, N_DIMENSIONS = {"clusters": 7, "cluster_dim": 12, "token_dim": 10}, 40
 
 
 def draw_salad(prefix=""):
-    draw = Draw(1)
-    tensors = prefixed("backbone.model.", vit_checkpoint(draw)) | prefixed(
-        "aggregator.", oracle.salad_checkpoint(draw, **PARTS)
-    )
-    return prefixed(prefix, tensors)
-
-
-def described_by_salad(tensors, seen):
-    return oracle.salad(tensors, "aggregator.", vit_tokens(tensors, "backbone.model.", imagenet(seen))[0])
+    backbone, aggregator = vit_checkpoint(draw := Draw(1)), oracle.salad_checkpoint(draw, **PARTS)
+    return prefixed(prefix, prefixed("backbone.model.", backbone) | prefixed("aggregator.", aggregator))
 
 
 def described_indoors(tensors, seen):
@@ -92,7 +86,9 @@ SALAD = PublishedNetwork(
     draw_salad,
     IMAGES,
     7 * 12 + 10,
-    described_by_salad,
+    lambda tensors, seen: oracle.salad(
+        tensors, "aggregator.", vit_tokens(tensors, "backbone.model.", imagenet(seen))[0]
+    ),
     arguments=OWN_SIZE,
     alike_in_half=0.995,
     wrong={"aggregator.score.3.bias": (8,), "aggregator.cluster_features.0.weight": (32, 64, 1, 1)},
@@ -111,21 +107,14 @@ SALAD_INDOOR = PublishedNetwork(
 
 
 def draw_megaloc():
-    draw = Draw(3)
-    aggregator = prefixed("agg.", oracle.salad_checkpoint(draw, **PARTS)) | draw.linear(
-        "linear", 7 * 12 + 10, N_DIMENSIONS
-    )
+    aggregator = prefixed("agg.", oracle.salad_checkpoint(draw := Draw(3), **PARTS))
+    aggregator |= draw.linear("linear", 7 * 12 + 10, N_DIMENSIONS)
     return prefixed("backbone.", vit_checkpoint(draw)) | prefixed("aggregator.", aggregator)
-
-
-def saved_safely(path, tensors):
-    save_file({name: tensor.contiguous() for name, tensor in tensors.items()}, path)
-    return path
 
 
 def described_by_megaloc(tensors, seen):
     inner = oracle.salad(tensors, "aggregator.agg.", vit_tokens(tensors, "backbone.", imagenet(seen))[0])
-    return tensors["aggregator.linear.weight"].double() @ inner + tensors["aggregator.linear.bias"].double()
+    return oracle.linear(under(tensors, "aggregator."), "linear", inner)
 
 
 MEGALOC = PublishedNetwork(
@@ -134,7 +123,7 @@ MEGALOC = PublishedNetwork(
     IMAGES,
     N_DIMENSIONS,
     described_by_megaloc,
-    saved_safely,
+    lambda path, tensors: save_file(dict(tensors), path) or path,
     wrong={"aggregator.agg.dust_bin": None, "aggregator.linear.weight": (3, 5)},
     refused=[("6 patches", {}, (28, 42))],
 )
@@ -184,26 +173,19 @@ CROSS_IMAGE = replace(
 
 def draw_cricavpr():
     """Random values under the names of a file of several devices, whose adapters weigh as much as the MLPs."""
-    draw = Draw(3)
-
-    def convolution(name, n_in, n_out, side):
-        return {
-            f"{name}.conv.weight": draw.normal(n_out, n_in, side, side, scale=0.1 / (side * n_in**0.5)),
-            f"{name}.conv.bias": draw.normal(n_out, scale=0.02),
-            **draw.norm(f"{name}.bn", n_out),
-            f"{name}.bn.running_mean": draw.normal(n_out, scale=0.02),
-            # As small as the published epsilon, so that another epsilon would show.
-            f"{name}.bn.running_var": 0.001 + 0.001 * torch.rand(n_out, generator=draw.generator),
-        }
-
-    inner = DIM // 2
-    tensors = vit_checkpoint(draw)
+    draw, inner = Draw(3), DIM // 2
+    tensors, few = vit_checkpoint(draw), inner // 16
+    sizes = {"branch1": (inner, inner // 2, 1), "branch2.0": (inner, few, 1), "branch2.1": (few, inner // 4, 3)}
+    sizes |= {"branch3.0": (inner, few, 1), "branch3.1": (few, inner // 4, 5)}
     for number in range(2):
         adapter = draw.linear("D_fc1", DIM, inner) | draw.linear("D_fc2", inner, DIM)
-        adapter |= convolution("branch1", inner, inner // 2, 1)
-        for branch, side in (("branch2", 3), ("branch3", 5)):
-            adapter |= convolution(f"{branch}.0", inner, inner // 16, 1)
-            adapter |= convolution(f"{branch}.1", inner // 16, inner // 4, side)
+        for name, (n_in, n_out, side) in sizes.items():
+            adapter[f"{name}.conv.weight"] = draw.normal(n_out, n_in, side, side, scale=0.1 / (side * n_in**0.5))
+            adapter[f"{name}.conv.bias"] = draw.normal(n_out, scale=0.02)
+            adapter |= draw.norm(f"{name}.bn", n_out)
+            adapter[f"{name}.bn.running_mean"] = draw.normal(n_out, scale=0.02)
+            # As small as the published epsilon, so that another epsilon would show.
+            adapter[f"{name}.bn.running_var"] = 0.001 + 0.001 * torch.rand(n_out, generator=draw.generator)
         tensors |= prefixed(f"blocks.{number}.adapter.", adapter)
     tensors = prefixed("backbone.", tensors) | {"aggregation.1.p": torch.tensor([2.4])}
     return prefixed("module.", tensors | encoder_checkpoint(draw, DIM, 48))
@@ -214,18 +196,16 @@ def adapted(block, tokens):
     b = under(block, "adapter.")
 
     def convolution(name, x):
-        t = {part: values[:, None, None] for part, values in under(b, f"{name}.bn.").items()}
-        weight = b[f"{name}.conv.weight"]
-        x = functional.conv2d(x, weight, b[f"{name}.conv.bias"], padding=weight.shape[-1] // 2)
-        return ((x - t["running_mean"]) / (t["running_var"] + 1e-3).sqrt() * t["weight"] + t["bias"]).clamp(min=0)
+        x = functional.conv2d(x, b[f"{name}.conv.weight"], b[f"{name}.conv.bias"], padding="same")
+        return functional.batch_norm(x, **under(b, f"{name}.bn."), eps=1e-3).clamp(min=0)
 
-    inner = (tokens @ b["D_fc1.weight"].T + b["D_fc1.bias"]).clamp(min=0)
+    inner = oracle.linear(b, "D_fc1", tokens).clamp(min=0)
     grid = inner[:, 1:].reshape(len(inner), 16, 16, -1).permute(0, 3, 1, 2)
     seen = [convolution("branch1", grid)]
     seen += [convolution(f"{name}.1", convolution(f"{name}.0", grid)) for name in ("branch2", "branch3")]
     inner[:, 0] *= 2
     inner[:, 1:] += torch.cat(seen, 1).flatten(2).transpose(1, 2)
-    return 0.2 * (inner @ b["D_fc2.weight"].T + b["D_fc2.bias"])
+    return 0.2 * oracle.linear(b, "D_fc2", inner)
 
 
 def cricavpr_together(tensors, *images):
@@ -248,9 +228,8 @@ CRICAVPR = PublishedNetwork(
     saved_training,
     tolerance=2e-5,
     refused=[
-        ("method.height=224", {"height": 238}, (224, 224)),
-        ("method.width=224", {"width": 238}, (224, 224)),
-        ("method.images_together=0", {"images_together": 0}, (224, 224)),
+        (f"method.{name}={wanted}", {name: value}, (224, 224))
+        for name, wanted, value in [("height", 224, 238), ("width", 224, 238), ("images_together", 0, 0)]
     ],
 )
 
@@ -276,18 +255,14 @@ def test_consecutive_images_see_one_another_whatever_the_batch(network, together
 
 def test_cricavpr_sees_images_that_are_resized_without_antialiasing(folder):
     seen = image(448, 560)
-    pixels = torch.from_numpy(seen).permute(2, 0, 1)[None].double()
-    plain = functional.interpolate(pixels, (224, 224), mode="bilinear", align_corners=False, antialias=False)
-    levels = plain[0].permute(1, 2, 0).round().numpy().astype(np.uint8)
-    code, smooth = CRICAVPR.encode(folder, seen), pillow(seen, 224, 224)
-    assert distance(code, CRICAVPR.slowly(levels)) < 0.1 * distance(code, CRICAVPR.slowly(smooth))
+    plain, smooth = cv2.resize(seen, (224, 224)), pillow(seen, 224, 224)
+    code = CRICAVPR.encode(folder, seen)
+    assert distance(code, CRICAVPR.slowly(plain)) < 0.1 * distance(code, CRICAVPR.slowly(smooth))
 
 
 def test_a_run_whose_images_see_one_another_says_so_and_keeps_no_descriptors():
-    alone, together, coarse = (
-        CRICAVPR.method(Path("none"), **how)
-        for how in ({"images_together": 1}, {"images_together": 16}, {"index": "sq8"})
-    )
+    how = {"images_together": 1}, {"images_together": 16}, {"index": "sq8"}
+    alone, together, coarse = (CRICAVPR.method(Path("none"), **each) for each in how)
     assert (alone.notes(), alone.keeps_descriptors(), alone.extends) == ((), True, True)
     assert "16 consecutive images" in together.notes()[0]
     assert (together.keeps_descriptors(), together.extends, coarse.extends) == (False, False, False)
@@ -301,7 +276,7 @@ QUERIES, ROWS = 7, 5
 def draw_boq(backbone, n_channels):
     draw = Draw(5)
     tensors = {"proj_c.weight": draw.normal(DIM, n_channels, 3, 3, scale=(9 * n_channels) ** -0.5)}
-    tensors |= {"proj_c.bias": draw.normal(DIM, scale=0.3)}
+    tensors["proj_c.bias"] = draw.normal(DIM, scale=0.3)
     tensors |= draw.norm("norm_input", DIM) | draw.linear("fc", 2 * QUERIES, ROWS)
     for number in (0, 1):
         block = {"queries": draw.normal(1, QUERIES, DIM)}
@@ -327,12 +302,12 @@ def gathered(tensors, features):
     for number in (0, 1):
         b = under(t, f"boqs.{number}.")
         x = norm(b, "encoder.norm1", x + oracle.attention(b, "encoder.self_attn", x, x, 2))
-        inner = (x @ b["encoder.linear1.weight"].T + b["encoder.linear1.bias"]).clamp(min=0)
-        x = norm(b, "encoder.norm2", x + inner @ b["encoder.linear2.weight"].T + b["encoder.linear2.bias"])
+        inner = oracle.linear(b, "encoder.linear1", x).clamp(min=0)
+        x = norm(b, "encoder.norm2", x + oracle.linear(b, "encoder.linear2", inner))
         queries = b["queries"][0]
         asking = norm(b, "norm_q", queries + oracle.attention(b, "self_attn", queries, queries, 2))
         outs.append(norm(b, "norm_out", oracle.attention(b, "cross_attn", asking, x, 2)))
-    return (torch.cat(outs).T @ t["fc.weight"].T + t["fc.bias"]).flatten()  # (DIM, ROWS)
+    return oracle.linear(t, "fc", torch.cat(outs).T).flatten()  # (DIM, ROWS)
 
 
 def described_by_boq(tensors, seen):
@@ -340,17 +315,11 @@ def described_by_boq(tensors, seen):
     return gathered(tensors, tokens[:, 1:].transpose(1, 2).unflatten(2, (3, 4)))
 
 
-def described_by_boq_on_resnet(tensors, seen):
-    return gathered(
-        tensors, oracle.resnet(tensors, "backbone.net.", floats(seen, 48, 80, "bicubic"), "resnet50", n_stages=3)
-    )
-
-
 def wrapped(tensors):
     """Tensors under the names of the other public wrapper."""
     others = {"0": "frozen_layers.0.0", "1": "frozen_layers.0.1", "4": "frozen_layers.1", "5": "frozen_layers.2"}
     others["6"] = "unfrozen_layers.0"
-    return {re.sub(r"^(backbone\.)net\.(\d)", lambda m: m[1] + others[m[2]], name): t for name, t in tensors.items()}
+    return {re.sub(r"(?<=^backbone\.)net\.(\d)", lambda m: others[m[1]], name): t for name, t in tensors.items()}
 
 
 BOQ = PublishedNetwork(
@@ -380,7 +349,7 @@ BOQ_RESNET = PublishedNetwork(
     lambda: draw_boq(lambda draw: oracle.resnet_checkpoint(draw, "resnet50", "net.", n_stages=3), 1024),
     BOQ.images,
     DIM * ROWS,
-    described_by_boq_on_resnet,
+    lambda tensors, seen: gathered(tensors, oracle.resnet(tensors, "backbone.net.", floats(seen, 48, 80, "bicubic"))),
     arguments={"height": 48, "width": 80},
     wrong={"backbone.unfrozen_layers.1.w": (3, 3)},
     forms={

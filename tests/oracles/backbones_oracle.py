@@ -1,14 +1,10 @@
 """Backbones computed slowly, in float64, straight from the tensors of a checkpoint by their published names."""
 
 import math
-from collections.abc import Mapping
 
 import numpy as np
 import torch
-from torch import Tensor
 from torch.nn import functional
-
-Tensors = Mapping[str, Tensor]
 
 
 class Draw:
@@ -21,10 +17,8 @@ class Draw:
         return mean + scale * torch.randn(shape, generator=self.generator)
 
     def linear(self, name, n_in, n_out):
-        return {
-            f"{name}.weight": self.normal(n_out, n_in, scale=n_in**-0.5),
-            f"{name}.bias": self.normal(n_out, scale=0.3),
-        }
+        weight = self.normal(n_out, n_in, scale=n_in**-0.5)
+        return {f"{name}.weight": weight, f"{name}.bias": self.normal(n_out, scale=0.3)}
 
     def attention(self, name, dim):
         return {
@@ -62,14 +56,7 @@ def imagenet(*images):
     return (levels - mean) / deviation
 
 
-def vit_tokens(
-    tensors,
-    prefix,
-    x,
-    n_blocks=None,
-    final_norm=True,
-    beside_mlp=lambda block, tokens: 0.0,
-):
+def vit_tokens(tensors, prefix, x, n_blocks=None, final_norm=True, beside_mlp=lambda block, tokens: 0.0):
     """Tokens of DINOv2, CLS first, (n, 1 + rows * columns, dim), after `n_blocks` blocks (None: all of the file).
 
     What `beside_mlp` makes of a block's tensors and of its MLP's input is added to the MLP's output.
@@ -83,8 +70,7 @@ def vit_tokens(
     for number in range(depth if n_blocks is None else n_blocks):
         b = under(t, f"blocks.{number}.")
         q, k, v = vit_qkv(tensors, prefix, tokens, number)
-        weights = torch.softmax(q @ k.transpose(-1, -2) / math.sqrt(64), dim=-1)
-        mixed = (weights @ v).transpose(1, 2).flatten(2)
+        mixed = functional.scaled_dot_product_attention(q, k, v).transpose(1, 2).flatten(2)
         tokens = tokens + b["ls1.gamma"] * linear(b, "attn.proj", mixed)
         inner = layer_norm(tokens, b["norm2.weight"], b["norm2.bias"])
         tokens = tokens + b["ls2.gamma"] * (_mlp(b, inner) + beside_mlp(b, inner))
@@ -104,12 +90,11 @@ def layer_norm(x, weight, bias, eps=1e-6):
 
 
 def attention(t, at, asking, asked, heads):
-    """What (n_asking, dim) take from (n_asked, dim), by the names of `torch.nn.MultiheadAttention`, head by head."""
+    """What (n_asking, dim) take from (n_asked, dim), by the names of `torch.nn.MultiheadAttention`."""
     weights, biases = t[f"{at}.in_proj_weight"].chunk(3), t[f"{at}.in_proj_bias"].chunk(3)
-    q, k, v = (x @ w.T + b for x, w, b in zip((asking, asked, asked), weights, biases, strict=True))
-    q, k, v = (x.unflatten(1, (heads, -1)).transpose(0, 1) for x in (q, k, v))
-    mixed = torch.softmax(q @ k.mT / math.sqrt(q.shape[2]), dim=2) @ v
-    return linear(t, f"{at}.out_proj", mixed.transpose(0, 1).flatten(1))
+    parts = zip((asking, asked, asked), weights, biases, strict=True)
+    q, k, v = (functional.linear(*part).unflatten(1, (heads, -1)).transpose(0, 1) for part in parts)
+    return linear(t, f"{at}.out_proj", functional.scaled_dot_product_attention(q, k, v).transpose(0, 1).flatten(1))
 
 
 def _mlp(b, x):
@@ -122,7 +107,7 @@ def _mlp(b, x):
 def _positions(pos_embed, rows, columns):
     """Position embeddings of another grid: bicubic, scale (rows + 0.1) / side, as DINOv2 does it; own grid: as is."""
     side = math.isqrt(pos_embed.shape[1] - 1)
-    if (rows, columns) == (side, side):
+    if rows == columns == side:
         return pos_embed
     grid = pos_embed[:, 1:].transpose(1, 2).unflatten(2, (side, side))
     scale = ((rows + 0.1) / side, (columns + 0.1) / side)
@@ -177,31 +162,30 @@ def salad(tensors, prefix, tokens):
 def salad_checkpoint(draw, clusters, cluster_dim, token_dim, dim=128, hidden=32):
     """Random values under the names of SALAD's aggregator; scores so far apart that Sinkhorn is not done after 3."""
     tensors = {"dust_bin": torch.tensor(1.5)}
-    sizes = {"token_features": token_dim, "cluster_features": cluster_dim, "score": clusters}
-    for name, n_out in sizes.items():
+    for name, n_out in {"token_features": token_dim, "cluster_features": cluster_dim, "score": clusters}.items():
         second, sides = (2, ()) if name == "token_features" else (3, (1, 1))
         gain = 3 if name == "score" else 1
-        tensors[f"{name}.0.weight"] = draw.normal(hidden, dim, *sides, scale=(2 / dim) ** 0.5)
-        tensors[f"{name}.0.bias"] = draw.normal(hidden, scale=0.3)
-        tensors[f"{name}.{second}.weight"] = draw.normal(n_out, hidden, *sides, scale=gain / hidden**0.5)
-        tensors[f"{name}.{second}.bias"] = draw.normal(n_out, scale=0.3)
+        for number, n_to, n_from, scale in (
+            (0, hidden, dim, (2 / dim) ** 0.5),
+            (second, n_out, hidden, gain / hidden**0.5),
+        ):
+            tensors[f"{name}.{number}.weight"] = draw.normal(n_to, n_from, *sides, scale=scale)
+            tensors[f"{name}.{number}.bias"] = draw.normal(n_to, scale=0.3)
     return tensors
 
 
-VGG16_CONVOLUTIONS = {  # number of the layer: channels
-    **{0: 64, 2: 64, 5: 128, 7: 128, 10: 256, 12: 256, 14: 256},
-    **{17: 512, 19: 512, 21: 512, 24: 512, 26: 512, 28: 512},
-}
+#: By the number of the layer: channels.
+VGG16_CONVOLUTIONS = {0: 64, 2: 64, 5: 128, 7: 128} | dict.fromkeys((10, 12, 14), 256)
+VGG16_CONVOLUTIONS |= dict.fromkeys((17, 19, 21, 24, 26, 28), 512)
 VGG16_POOLS = (4, 9, 16, 23, 30)
 
 
 def vgg16(tensors, prefix, x, last=30):
     """VGG16's features up to layer `last` with it: 28 is conv5_3 before its ReLU, 30 the last pool."""
-    x = x.double()
+    t, x = under(tensors, prefix), x.double()
     for number in range(last + 1):
         if number in VGG16_CONVOLUTIONS:
-            weight, bias = (tensors[f"{prefix}{number}.{part}"].double() for part in ("weight", "bias"))
-            x = functional.conv2d(x, weight, bias, padding=1)
+            x = functional.conv2d(x, t[f"{number}.weight"], t[f"{number}.bias"], padding=1)
         else:
             x = functional.max_pool2d(x, 2) if number in VGG16_POOLS else x.clamp(min=0)
     return x
@@ -227,10 +211,10 @@ def vgg16_checkpoint(draw, prefix=""):
     """Random values under VGG16's names, under which activations stay near 1."""
     tensors, n_in = {}, 3
     for number, n_out in VGG16_CONVOLUTIONS.items():
-        tensors[f"{prefix}{number}.weight"] = draw.normal(n_out, n_in, 3, 3, scale=math.sqrt(2 / (9 * n_in)))
-        tensors[f"{prefix}{number}.bias"] = draw.normal(n_out, scale=0.2)
+        tensors[f"{number}.weight"] = draw.normal(n_out, n_in, 3, 3, scale=math.sqrt(2 / (9 * n_in)))
+        tensors[f"{number}.bias"] = draw.normal(n_out, scale=0.2)
         n_in = n_out
-    return tensors
+    return prefixed(prefix, tensors)
 
 
 RESNETS = {  # blocks of each stage, groups, channels of a group in the first stage
@@ -243,17 +227,15 @@ RESNETS = {  # blocks of each stage, groups, channels of a group in the first st
 }
 
 
-def resnet(tensors, prefix, x, kind, n_stages=4, numbered=True):
-    """A ResNet's last stage but for pooling and classifier; numbered: 0, 1, 4 to 7, else conv1, bn1, layer1 to 4."""
-    blocks, groups, _ = RESNETS[kind]
-    stem, norm, *stages = _resnet_names(numbered)
+def resnet(tensors, prefix, x):
+    """A ResNet's last stage of the file; layers are named 0, 1, 4 to 7, or conv1, bn1, layer1 to 4."""
     t = under(tensors, prefix)
+    stem, norm, *stages = _resnet_names("0.weight" in t)
     x = functional.conv2d(x.double(), t[f"{stem}.weight"], stride=2, padding=3)
     x = functional.max_pool2d(_batch_norm(t, norm, x).clamp(min=0), 3, stride=2, padding=1)
-    for stage in range(n_stages):
-        for block in range(blocks[stage]):
-            at = f"{stages[stage]}.{block}"
-            x = _resnet_block(t, at, x, stride=2 if stage and not block else 1, groups=groups)
+    blocks = {tuple(name.split(".")[:2]) for name in t if name.split(".")[0] in stages}
+    for stage, block in sorted(blocks, key=lambda at: (at[0], int(at[1]))):
+        x = _resnet_block(t, f"{stage}.{block}", x, stride=2 if stage != stages[0] and block == "0" else 1)
     return x
 
 
@@ -284,16 +266,15 @@ def _resnet_names(numbered):
     return ("0", "1", "4", "5", "6", "7") if numbered else ("conv1", "bn1", "layer1", "layer2", "layer3", "layer4")
 
 
-def _resnet_block(t, at, x, stride, groups):
+def _resnet_block(t, at, x, stride):
     """Two 3x3 convolutions, the first with the stride; or 1x1, 3x3 with the stride, 1x1; and the shortcut."""
-    way = x
-    strided = 2 if f"{at}.conv3.weight" in t else 1
-    for number in range(1, 4 if strided == 2 else 3):
+    way, last = x, 3 if f"{at}.conv3.weight" in t else 2
+    for number in range(1, last + 1):
         weight = t[f"{at}.conv{number}.weight"]
-        side, step = weight.shape[-1], stride if number == strided else 1
-        way = functional.conv2d(way, weight, None, step, side // 2, groups=groups if side == 3 else 1)
+        step, side = stride if number == last - 1 else 1, weight.shape[-1]
+        way = functional.conv2d(way, weight, None, step, side // 2, groups=way.shape[1] // weight.shape[1])
         way = _batch_norm(t, f"{at}.bn{number}", way)
-        way = way if f"{at}.conv{number + 1}.weight" not in t else way.clamp(min=0)
+        way = way if number == last else way.clamp(min=0)
     if f"{at}.downsample.0.weight" in t:
         x = _batch_norm(t, f"{at}.downsample.1", functional.conv2d(x, t[f"{at}.downsample.0.weight"], stride=stride))
     return (way + x).clamp(min=0)

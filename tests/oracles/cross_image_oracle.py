@@ -23,12 +23,7 @@ def encoder_checkpoint(draw, dim, hidden):
     """Random values, so large that images change one another."""
     tensors = {}
     for number in range(2):
-        layer = {
-            **draw.attention("self_attn", dim),
-            **draw.linear("linear1", dim, hidden),
-            **draw.linear("linear2", hidden, dim),
-            **draw.norm("norm1", dim),
-            **draw.norm("norm2", dim),
-        }
+        layer = draw.attention("self_attn", dim) | draw.norm("norm1", dim) | draw.norm("norm2", dim)
+        layer |= draw.linear("linear1", dim, hidden) | draw.linear("linear2", hidden, dim)
         tensors |= prefixed(f"encoder.layers.{number}.", layer)
     return tensors

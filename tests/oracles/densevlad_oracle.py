@@ -4,6 +4,8 @@ import math
 
 import numpy as np
 from scipy.ndimage import convolve1d
+from scipy.spatial.distance import cdist
+from sklearn.preprocessing import normalize
 
 SIZES = (4, 6, 8, 10)
 
@@ -46,16 +48,14 @@ def dense_sift(image, arctan=math.atan2):
         summed = [filtered(one, triangle) for one in orientation_maps(smooth, arctan)]
         first = math.floor(1 + 3 / 2 * (10 - size)) - 1  # the specification counts from 1
         frame = 3 * size + 1
-        descriptors = []
-        for top in range(first, image.shape[0] - frame + 1, 2):
-            for left in range(first, image.shape[1] - frame + 1, 2):
-                histogram = []
-                for by in range(4):
-                    for bx in range(4):
-                        weight = window(size, by) * window(size, bx)
-                        histogram += [weight * summed[t][top + by * size, left + bx * size] for t in range(8)]
-                descriptors.append(normalised(np.array(histogram), frame))
-        scales.append(np.array(descriptors).reshape(-1, 128))
+        weights = np.array([window(size, number) for number in range(4)])
+        bins = np.stack(summed, 2)  # (height, width, 8)
+        descriptors = [
+            (bins[top : top + frame : size, left : left + frame : size] * np.outer(weights, weights)[..., None]).ravel()
+            for top in range(first, image.shape[0] - frame + 1, 2)
+            for left in range(first, image.shape[1] - frame + 1, 2)
+        ]
+        scales.append(np.array([normalised(one, frame) for one in descriptors]).reshape(-1, 128))
     return scales
 
 
@@ -72,10 +72,7 @@ def root_sift(descriptor):
 
 
 def vlad(descriptors, words, word_of_zero=0):
-    sums = np.zeros(words.shape)
-    for descriptor in descriptors:
-        nearest = np.argmin(((descriptor - words) ** 2).sum(1)) if descriptor.any() else word_of_zero
-        sums[nearest] += descriptor - words[nearest]
-    norms = np.linalg.norm(sums, axis=1, keepdims=True)
-    laid_out = (sums / np.where(norms > 0, norms, 1)).ravel()
-    return laid_out / np.linalg.norm(laid_out)
+    values = np.array(descriptors)
+    nearest = np.where(values.any(1), cdist(values, words).argmin(1), word_of_zero)
+    sums = np.stack([(values[nearest == number] - word).sum(0) for number, word in enumerate(words)])
+    return normalize(normalize(sums).reshape(1, -1))[0]

@@ -1,34 +1,13 @@
-"""A slow VPRSNN module that judges the compiled one: every step, every neuron and every synapse, a line per rule.
+"""A slow VPRSNN module in Brian2's order of rules, from the description of QVPR/VPRSNN (Diehl and Cook, 2015) alone."""
 
-Written from the description of QVPR/VPRSNN (after Diehl and Cook, 2015) alone: forward Euler steps, and in each step
-the state update, the thresholds, the synapses (presynaptic before postsynaptic) and the resets, as in Brian2.
-"""
-
-from dataclasses import dataclass
+from collections import namedtuple
 
 import numpy as np
-import numpy.typing as npt
 
-Floats = npt.NDArray[np.float64]
-Spikes = npt.NDArray[np.bool_]  # (n_steps, n_cells): whether a cell spikes in a step
-
+#: What a module did and has become: whether cells spike, (n_steps, n_cells) each; counts (n_presentations, n_neurons)
+#: from the end of one image to the end of the next; potentials (n_steps, n_neurons) after each step, in mV.
+Run = namedtuple("Run", "excitatory inhibitory counts potentials weights theta ge gi v_i ge_i")
 _LONG_AGO = -(10**9)
-
-
-@dataclass(frozen=True)
-class Run:
-    """What a module did and has become; steps count from the first presentation's first."""
-
-    excitatory: Spikes
-    inhibitory: Spikes
-    counts: npt.NDArray[np.int64]  # (n_presentations, n_neurons) from the end of one image to the end of the next
-    potentials: Floats  # (n_steps, n_neurons) mV, of excitatory neurons after each step
-    weights: Floats  # (n_inputs, n_neurons)
-    theta: Floats  # (n_neurons,) mV
-    ge: Floats
-    gi: Floats
-    v_i: Floats  # mV
-    ge_i: Floats
 
 
 def simulate(
@@ -49,8 +28,7 @@ def simulate(
     w, theta = weights.copy(), theta.copy()
     shown, rest = round(c.presentation_ms / dt), round(c.rest_ms / dt)
     refractory, refractory_i = round(c.excitatory_refractory_ms / dt), round(c.inhibitory_refractory_ms / dt)
-    n_steps = len(images) * (shown + rest)
-    longest = int(delays.max())
+    n_steps, longest = len(images) * (shown + rest), int(delays.max())
     emitted = np.zeros((longest + n_steps, n_inputs), np.bool_)
     for number, image in enumerate(images):
         begin = longest + number * (shown + rest)
@@ -58,8 +36,7 @@ def simulate(
 
     v, v_i = np.full(n, c.excitatory_rest_mv), np.full(n, c.inhibitory_rest_mv)
     ge, gi, ge_i, post1, post2 = np.zeros((5, n))
-    timer = np.full(n, np.inf)  # seconds
-    timer_limit = 0.1 * c.excitatory_minimum_interval_ms / 1000
+    timer, timer_limit = np.full(n, np.inf), 0.1 * c.excitatory_minimum_interval_ms / 1000  # seconds
     last, last_i = np.full(n, _LONG_AGO), np.full(n, _LONG_AGO)
     prees = np.zeros((n_inputs, n))  # a trace at each synapse: its delay decides when it has been reached
     taus = c.pre_trace_tau_ms, c.post_trace_tau_ms, c.slow_post_trace_tau_ms
@@ -104,8 +81,7 @@ def simulate(
         # Synapses, postsynaptic spikes
         if learning and fires.any():
             w = np.where(fires, np.clip(w + c.post_rate * prees * post2, 0, c.weight_max), w)
-        post1[fires] = 1
-        post2[fires] = 1
+        post1[fires] = post2[fires] = 1
 
         # Resets
         v[fires] = c.excitatory_reset_mv
@@ -113,8 +89,7 @@ def simulate(
         if learning:
             theta[fires] += c.theta_plus_mv
         v_i[fires_i] = c.inhibitory_reset_mv
-        last[fires] = t
-        last_i[fires_i] = t
+        last[fires] = last_i[fires_i] = t
         potentials[t] = v
 
     counted = np.concatenate([np.zeros((1, n), np.int64), excitatory.cumsum(axis=0)])

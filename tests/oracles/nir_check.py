@@ -1,10 +1,6 @@
-"""Ask stored VPRTempo networks in other simulators: `nir_check.py PYTHON [QUERIES]`; PYTHON has Brian2.
-
-Exits with 1 if one of them names another best place too often, misses the check vector, or if a wrong neuron passes.
-"""
+"""Ask stored VPRTempo networks in other simulators: `nir_check.py PYTHON [QUERIES]`; code 1 if one differs."""
 
 import sys
-from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -20,20 +16,14 @@ from vprbench.plugins import networks
 
 WANTED = {"spiking": 0.99, "linear": 1.0}  # shares of queries with the same best place
 REAL = Path(__file__).resolve().parents[3] / "shared" / "data" / "nordland_64x32"
-WRONG: Mapping[str, simulators.Simulate] = {
-    "reset to 0": partial(simulators.plain, reset="zero"),
-    "leak of 0.9": partial(simulators.plain, kept=0.9),
-}
+WRONG = {"reset to 0": {"reset": "zero"}, "leak of 0.9": {"kept": 0.9}}
 
 
 def journey(n_queries):
     """Return 1000 places of Nordland where its frames lie beside the checkout, else of the rendered journey."""
     places = {"places": 1000, "query_places": n_queries, "first_query_place": 0}
-    if REAL.is_dir():
-        return nordland(
-            name="nordland_64x32", root=str(REAL), references=["winter"], stride=1, frame_multiple=10, **places
-        )
-    return synthetic(**places)
+    own = {"name": "nordland_64x32", "references": ["winter"], "stride": 1, "frame_multiple": 10}
+    return nordland(root=str(REAL), **own, **places) if REAL.is_dir() else synthetic(**places)
 
 
 def main(python, n_queries=1000):
@@ -54,7 +44,8 @@ def main(python, n_queries=1000):
             in_brian2 = partial(simulators.in_brian2, python, net, Path(folder))
             ways = {"plain": simulators.plain, "snnTorch": simulators.in_snntorch, "Brian2": in_brian2}
             if rule == "spiking":
-                ways |= {f"plain, {n} steps": partial(simulators.plain, steps=n) for n in (8, 16, 32, 128)} | WRONG
+                others = {f"plain, {n} steps": {"steps": n} for n in (8, 16, 32, 128)} | WRONG
+                ways |= {name: partial(simulators.plain, **how) for name, how in others.items()}
             for name, simulate in ways.items():
                 answers = simulators.scores(graph, simulate, inputs)
                 same = float((answers.argmax(1) == own.argmax(1)).mean())

@@ -1,8 +1,4 @@
-"""A graph of NIR simulated in Brian2, in a Python of its own: `nir_in_brian2.py NET.nir INPUTS.npy OUTPUTS.npy`.
-
-Inputs are (n, n_in), outputs, the mean of the steps, (n, n_out). A graph is one or more affine nodes, of which the
-first may be followed by neurons.
-"""
+"""A graph of NIR in Brian2, in a Python of its own: `nir_in_brian2.py NET.nir INPUTS.npy (n, n_in) OUTPUTS.npy`."""
 
 import sys
 

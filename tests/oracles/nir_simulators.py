@@ -40,10 +40,7 @@ def plain(graph, inputs, steps=0, reset="subtract", kept=1):
             if isinstance(node, nir.IF):
                 potential = kept * potential + node.r * x
                 x = (potential > node.v_threshold).astype(np.float64)
-                if reset == "subtract":
-                    potential = potential - node.v_threshold * x
-                elif reset == "zero":
-                    potential = potential * (1 - x)
+                potential = potential - (node.v_threshold if reset == "subtract" else potential) * x
             else:
                 x = x @ node.weight.astype(np.float64).T + node.bias
         total = total + x

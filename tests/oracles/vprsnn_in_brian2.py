@@ -1,11 +1,4 @@
-"""A module of VPRSNN in Brian2, the simulator of its authors: a script, for Brian2 changes the process that imports it.
-
-`python vprsnn_in_brian2.py GIVEN FOUND` reads and writes .npz files. Given are `weights` and `delays` (steps), both
-(n_inputs, n_neurons), `theta` (n_neurons,) mV, the potentials `v` and `v_i` (mV) that both groups start from, the input
-spikes by `steps` (from the first of all) and `sources`, `presentations`, and `weight_sum`: 0 where nothing is to be
-learnt. Found are the spikes of both groups, (n_spikes, 2) steps and neurons, and the `weights`, `theta` and `v` of the
-excitatory neurons in the end.
-"""
+"""A module of VPRSNN in Brian2, its authors' simulator: `python vprsnn_in_brian2.py GIVEN.npz FOUND.npz`."""
 
 import importlib.machinery
 import sys
@@ -67,7 +60,10 @@ class Mended(importlib.machinery.SourceFileLoader):
 
 
 def simulate(given):
-    """Return the spikes and the final state of one module, from 500 ms of silence to the end of the last rest."""
+    """Return spikes (n_spikes, 2), steps and neurons, and the final state of one module, after 500 ms of silence.
+
+    `weight_sum` is 0 where nothing is to be learnt; `weights` and `delays` (steps) are (n_inputs, n_neurons).
+    """
     import brian2
     from brian2 import ms, mV
 

@@ -1,9 +1,7 @@
-"""A slow float64 VPRTempo, one readable line per rule, that judges the fast implementation.
+"""A slow float64 VPRTempo: QVPR/VPRTempo 64154e5 (signed weights), the paper and v1.0.0 a3b07b2 (magnitudes)."""
 
-Weights and masks are (n_post, n_pre), thresholds and target rates (n_post,), inputs (n_images, n_pre), `order` the
-image and `labels[image]` the output neuron of each step. Weights with a sign are those of the public code
-QVPR/VPRTempo 64154e5; excitation and inhibition as magnitudes are those of the paper and of v1.0.0 a3b07b2.
-"""
+# Weights and masks are (n_post, n_pre), thresholds and target rates (n_post,), inputs (n_images, n_pre), `order` the
+# image and `labels[image]` the output neuron of each step.
 
 import numpy as np
 
@@ -69,10 +67,7 @@ def train_reference_output(w, positive, negative, pre_rates, inputs, labels, ord
 def train_separate_feature(
     plus, minus, has_plus, has_minus, constant, theta, rates, inputs, order, stdp_rates, itp_rates, heaviside
 ):
-    """Return excitation, inhibition and thresholds; the rates (n_steps,) are those in force during each step.
-
-    Eq. 5 counts spikes (the paper: `heaviside`) or adds amplitudes (v1.0.0).
-    """
+    """Return excitation, inhibition and thresholds; Eq. 5 counts spikes (`heaviside`) or adds amplitudes (v1.0.0)."""
     for image, eta, itp_eta in zip(order, stdp_rates, itp_rates, strict=True):
         x = np.asarray(inputs[image], dtype=np.float64)
         a = plus @ x - minus @ x + constant
@@ -90,11 +85,7 @@ def train_separate_feature(
 def train_separate_output(
     plus, minus, has_plus, has_minus, theta, rates, inputs, labels, order, etas, output_thresholds_learn, share=1.0
 ):
-    """Return excitation, inhibition and thresholds; inputs are clipped feature spikes of the target rates `rates`.
-
-    `share` of a step goes into each matrix: 1 in v1.0.0, 1/2 where Eq. 6 moves their difference. Output thresholds
-    learn in v1.0.0 alone.
-    """
+    """Return excitation, inhibition and thresholds; `share` of a step goes into each matrix (1/2: Eq. 6, 1: v1.0.0)."""
     for image, eta in zip(order, etas, strict=True):
         x = np.asarray(inputs[image], dtype=np.float64)
         a = plus @ x - minus @ x

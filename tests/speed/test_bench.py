@@ -162,7 +162,7 @@ def test_a_floor_counts_the_bytes_of_the_weights(done):
 
 
 def test_a_stage_lasts_from_its_first_report_to_that_of_the_next_and_a_floor_grows_with_the_bytes(monkeypatch):
-    clock = Clock()
+    clock, heard = Clock(), []
     clock.replaces_those_of([measure], monkeypatch)
 
     def fit(*_):
@@ -173,14 +173,10 @@ def test_a_stage_lasts_from_its_first_report_to_that_of_the_next_and_a_floor_gro
             progress.report(stage, 1.0)
         clock.spend(0.01)
 
-    heard = []
-    slow = SimpleNamespace(fit=fit)
     with progress.listening(lambda stage, _: heard.append(stage)):
-        found = timed_fit("slow", slow, *Route.drawn(2, 4, 4, 0).references(2, 1), "cpu")
+        found = timed_fit("slow", SimpleNamespace(fit=fit), *Route.drawn(2, 4, 4, 0).references(2, 1), "cpu")
     assert found.stages == pytest.approx({BEFORE: 0.02, "one": 0.03, "two": 0.06, AFTER: 0.01})
-    assert list(found.stages) == [BEFORE, "one", "two", AFTER]
-    assert found.seconds == pytest.approx(0.12)
-    assert found.training_seconds == found.stages["one"] + found.stages["two"]
+    assert (found.seconds, found.training_seconds) == pytest.approx((0.12, 0.09))
     assert heard == ["slow: one", "slow: one", "slow: two", "slow: two"]
 
     def buffer(count, device):  # a nanosecond reads a byte, two change it
@@ -236,7 +232,6 @@ def test_bad_options_are_refused_by_name(tmp_path, monkeypatch, capsys):
         captured = capsys.readouterr()
         assert captured.out == ""
         assert re.fullmatch(rf"vprbench: .*\b{option.partition('=')[0]}\b.*\n", captured.err)
-    assert not list(tmp_path.iterdir())
 
 
 def test_a_traverse_differs_from_the_first_by_a_little_noise_and_from_every_other():

@@ -5,10 +5,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from stopped_clock import Clock
 
 from vprbench.errors import BadInput
-from vprbench.methods.vprsnn import arrays, benchmark, model, training
+from vprbench.methods.vprsnn import benchmark, model, training
 from vprbench.methods.vprsnn.method import VPRSNN
 from vprbench.run import machine
 from vprbench.run.stopwatch import Protocol
@@ -48,39 +47,9 @@ def test_a_training_that_is_watched_learns_what_any_other_does_and_its_spikes_ar
     levels = network.encode(shown()[0]).astype(float)
     expected = 4 * (levels / 4 * 0.35).sum()  # epochs, levels a Hz, seconds of a presentation
     assert watch.presentations == 4 * 4
+    assert {len(laps) for laps in watch.laps.values()} == {3}  # of every seventh presentation
     assert watch.input_spikes == pytest.approx(expected, abs=5 * expected**0.5)
     assert watch.excitatory_spikes == own["sums"].sum() > 0
-
-
-def test_parts_are_timed_on_every_seventh_presentation_each_alone_and_leave_no_trace(monkeypatch):
-    clock, potentials = Clock(), {True: [], False: []}  # learning or not
-
-    def spends(seconds, given=None):
-        return lambda *_: clock.spend(seconds) or given
-
-    def show(module, train):
-        potentials[module.learning].append(module.state.v[0])
-        module.state.v[:] += 1
-        module.state.counts[:] = 2
-        clock.spend(16 + module.number if module.learning else 8)
-
-    clock.replaces_those_of([vprsnn], monkeypatch)
-    stand_ins = {"spike_train": spends(1, SimpleNamespace(step=[0, 4, 9])), "normalise": spends(2), "show": show}
-    for name, home in HOMES.items():
-        monkeypatch.setattr(home, name, stand_ins[name])
-    monkeypatch.setattr(benchmark, "sum_arrivals", spends(4))
-    state = arrays.State.at_rest(SimpleNamespace(e_rest=0.0, i_rest=0.0), np.zeros(8), 5)
-    scratch = SimpleNamespace(drive="drive")
-    with watched() as watch:
-        for number in range(15):
-            train = model.spike_train("levels")
-            training.normalise("weights")
-            module = SimpleNamespace(synapses="synapses", state=state, scratch=scratch, learning=True, number=number)
-            training.show(module, train)
-    each = {"input": [1.0] * 3, "normalising": [2.0] * 3, "arrivals": [4.0] * 3, "without learning": [8.0] * 3}
-    assert watch.laps == {**each, "with learning": [16.0, 16.0 + 7, 16.0 + 14]}
-    assert (watch.presentations, watch.input_spikes, watch.excitatory_spikes) == (15, 15 * 3, 15 * 8 * 2)
-    assert potentials == {True: [*range(15)], False: [0, 7, 14]}
 
 
 def test_as_many_modules_are_asked_as_memory_has_room_for_copies_with_places_of_their_own(monkeypatch):

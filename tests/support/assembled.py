@@ -9,14 +9,7 @@ from vprbench.paper.table.quantities import QUANTITIES
 NAMES = ("recall_at_1", "train_cpu", "query_cpu", "train_gpu", "query_gpu")
 
 
-def table(
-    runs=(),
-    failures=(),
-    rows=ROWS,
-    asked=(RAIL,),
-    left_out=None,
-    quantities=QUANTITIES,
-):
+def table(runs=(), failures=(), rows=ROWS, asked=(RAIL,), left_out=None, quantities=QUANTITIES):
     return assemble(groups(runs, failures, asked, rows), rows, PLAN, left_out or {}, quantities)
 
 

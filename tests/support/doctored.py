@@ -8,7 +8,6 @@ from PIL import Image as PillowImage
 
 from vprbench.api.dataset import Dataset, FrameFolder
 from vprbench.api.images import Images
-from vprbench.data.doctor import examine
 
 PLACES = 60
 NAMES = [f"{place:03d}.png" for place in range(PLACES)]
@@ -63,11 +62,6 @@ def dataset_of(references, queries, names=NAMES, query_names=None, right=None, t
             for folder, used in [*((folder, names) for folder in references), (queries, asked)]
         ),
     )
-
-
-def examined(winter, summer, **changes):
-    """Return what is found in winter as the references and summer as the queries."""
-    return examine(dataset_of([winter], summer, **changes))
 
 
 def wrong(found):

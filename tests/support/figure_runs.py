@@ -27,11 +27,7 @@ def timing(encode_seconds, match_seconds, spread=0.1):
 
 
 def scores_with_recall(share, n_queries, n_places, seed=0):
-    """Return scores (n_queries, n_places) whose right place, the query's own number, is best for `share` of them.
-
-    Hits are spread over the traverse and score higher than misses, but not all of them. Right places of misses score
-    above the noise, neighbours of a right place a little.
-    """
+    """Return scores (n_queries, n_places) whose right place, the query's own number, is best for `share` of them."""
     random = np.random.default_rng(seed)
     scores = random.uniform(0, 0.4, (n_queries, n_places)).astype(np.float32)
     hits = np.zeros(n_queries, bool)
@@ -49,12 +45,7 @@ def scores_with_recall(share, n_queries, n_places, seed=0):
 
 
 def run(method="little", share=0.5, n_queries=40, n_places=50, **changes):
-    """Return a run whose R@1 is `share`; `changes` are fields of the run, or these, which make some of them.
-
-    seed, device ("cpu" or "cuda"), processor, time_utc, encode_seconds, match_seconds (medians of streaming), spread
-    (of their logarithms), arguments (of the method), dataset_arguments, code, bytes_per_place. A fit waits for no image
-    unless fit_compute_seconds says otherwise.
-    """
+    """Return a run whose R@1 is `share`; `changes` are fields of the run, or what is taken from them below."""
     take = changes.pop
     if "fit_seconds" in changes:
         changes.setdefault("fit_compute_seconds", changes["fit_seconds"])
@@ -63,8 +54,7 @@ def run(method="little", share=0.5, n_queries=40, n_places=50, **changes):
     scores = scores_with_recall(share, n_queries, n_places, seed)
     positives = tuple(np.array([query % n_places]) for query in range(n_queries))
     best = best_places(scores, min(25, n_places))
-    order = np.argsort(-np.take_along_axis(scores, best, 1), axis=1, kind="stable")
-    top = np.take_along_axis(best, order, 1)
+    top = np.take_along_axis(best, np.argsort(-np.take_along_axis(scores, best, 1), axis=1, kind="stable"), 1)
     stored_bytes = take("bytes_per_place", None)
     made: dict[str, Any] = {
         "method": method,

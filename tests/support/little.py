@@ -48,7 +48,7 @@ class Angles(DescriptorMethod):
     """Describes image number i by cosines of i, in 16 dimensions; images of every 20th number look alike."""
 
     def encode(self, images):
-        numbers = np.array([number_in(image) for image in images]) % 20
+        numbers = np.array(numbers_in(images)) % 20
         vectors = np.cos(numbers[:, None] * np.arange(1, 17) + np.arange(16))
         return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True), np.float32)
 
@@ -147,7 +147,14 @@ def a_run(**changes):
 
     Streaming takes 10 ms to encode and 2.5 ms to match; a batch of eight takes 40 ms and 10 ms.
     """
-    rows = np.arange(4)
+    ones, above = np.ones(4, np.int64), np.array([0, 0, 2, 7])
+    scores = np.array([[0.9, 0.1], [0.8, 0.2], [0.7, 0.3], [0.6, 0.4]], np.float32)
+    layers = [
+        a_layer("input", 12, [9.0, 8.0, 10.0, 9.0], 1.0, 0.25),
+        a_layer("feature", 24, [2.0, 3.0, 2.0, 1.0], 0.25, 0.5),
+        a_layer("output", 10, [1.0, 1.0, 2.0, 1.0], 0.4, None),
+    ]
+    seen = {"load_average": [0.5, 0.25, 0.125], "git": None, "time_utc": "2025-01-31T12:00:00Z"}
     run = Run(
         method="little",
         dataset="journey",
@@ -165,15 +172,7 @@ def a_run(**changes):
         },
         protocol={"reference": ["spring", "fall"], "query": "summer", "tolerance_places": 0},
         fingerprint="f" * 64,
-        environment={
-            "processor": "Abacus 9",
-            "threads": 1,
-            "cores": 2,
-            "libraries": {"torch": "2.6.0"},
-            "time_utc": "2025-01-31T12:00:00Z",
-            "load_average": [0.5, 0.25, 0.125],
-            "git": None,
-        },
+        environment={"processor": "Abacus 9", "threads": 1, "cores": 2, "libraries": {"torch": "2.6.0"}} | seen,
         notes=(Note("noisy", "noisy: two carts passed"), Note("dataset", "ünïcode")),
         n_references=20,
         fit_seconds=12.34,
@@ -194,27 +193,13 @@ def a_run(**changes):
             repeated_seconds=0.0125,
         ),
         outcome=Outcome(
-            best_score=np.array([0.9, 0.8, 0.7, 0.6], np.float32),
-            top_tied=np.ones(4, np.int64),
-            top_tied_correct=np.array([1, 1, 0, 0]),
-            above=np.array([0, 0, 2, 7]),
-            tied=np.ones(4, np.int64),
-            tied_correct=np.ones(4, np.int64),
-            n_positives=np.array([1, 2, 1, 1]),
-            n_places=10,
+            scores[:, 0].copy(), ones, np.array([1, 1, 0, 0]), above, ones, ones, np.array([1, 2, 1, 1]), 10
         ),
         positives=tuple(np.array(right, np.int64) for right in ([0], [1, 5], [2], [3])),
         top_places=np.array([[0, 4], [1, 5], [9, 8], [7, 6]], np.int32),
-        top_scores=np.array([[0.9, 0.1], [0.8, 0.2], [0.7, 0.3], [0.6, 0.4]], np.float32),
-        scores=(rows[:, None] * 10 + np.arange(10)).astype(np.float32),
-        spikes={
-            "queries": 4,
-            "layers": [
-                a_layer("input", 12, [9.0, 8.0, 10.0, 9.0], 1.0, 0.25),
-                a_layer("feature", 24, [2.0, 3.0, 2.0, 1.0], 0.25, 0.5),
-                a_layer("output", 10, [1.0, 1.0, 2.0, 1.0], 0.4, None),
-            ],
-        },
+        top_scores=scores,
+        scores=np.arange(40, dtype=np.float32).reshape(4, 10),
+        spikes={"queries": 4, "layers": layers},
     )
     return replace(run, **changes)
 

@@ -3,12 +3,11 @@
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cache, cached_property, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 import torch
 from described_images import composed, distance, encoded, image
@@ -20,7 +19,6 @@ from vprbench.errors import BadInput
 from vprbench.plugins import conformance, registry
 
 Tensors = Mapping[str, Tensor]
-Floats = npt.NDArray[np.float64]
 
 
 def saved(path, tensors):
@@ -53,7 +51,7 @@ class PublishedNetwork:
     images: Sequence[Image]
     n_dimensions: int
     #: The descriptor in float64 of tensors and one image, of any length; keyword arguments are those of `options`.
-    expected: Callable[..., Tensor | Floats]
+    expected: Callable[..., Any]
     write: Callable[[Path, Tensors], Path] = saved
     arguments: Mapping[str, Any] = field(default_factory=dict)
     #: Arguments that are further files, and what writes each beside the file of weights.
@@ -68,14 +66,11 @@ class PublishedNetwork:
     refused: Sequence[tuple[str, Mapping[str, Any], tuple[int, int]]] = ()
     #: By name: what makes another form of the same file of its tensors.
     forms: Mapping[str, Callable[[Tensors], Mapping[str, Any]]] = field(default_factory=dict)
-    _kept: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
 
-    @property
+    @cached_property
     def tensors(self):
         """The random values, drawn once."""
-        if "tensors" not in self._kept:
-            self._kept["tensors"] = self.draw()
-        return self._kept["tensors"]
+        return self.draw()
 
     def file(self, folder):
         """Return the file, written where it is missing."""
@@ -84,19 +79,20 @@ class PublishedNetwork:
 
     def method(self, path, **arguments):
         """Return the method with these weights; what the yaml says of the size of images is left out."""
-        kind = registry.entries("method")[self.name].target()
-        files = {"weights": path} | {name: write(path) for name, write in self.beside.items()}
+        kind, files = registry.entries("method")[self.name].target(), self.files(path)
         given = {name: Weights(file.name, "none", "nothing", path=str(file)) for name, file in files.items()}
         return kind(**{**given, **self.arguments, **arguments})
+
+    def files(self, path):
+        return {"weights": path} | {name: write(path) for name, write in self.beside.items()}
 
     def encode(self, folder, *images, **arguments):
         return encoded(self.method(self.file(folder), **arguments), *images)
 
+    @cache  # noqa: B019 - networks live as long as the tests
     def codes(self, folder):
         """Return the descriptors of the images, computed once."""
-        if "codes" not in self._kept:
-            self._kept["codes"] = self.encode(folder, *self.images)
-        return self._kept["codes"]
+        return self.encode(folder, *self.images)
 
     def slowly(self, *images, tensors=None, **how):
         """Return the descriptors of the slow computation at unit length, each image alone."""
@@ -114,7 +110,7 @@ class PublishedNetwork:
         """Put the method to every rule; returns the rules that it is excepted from. The network is read once."""
         config = composed(f"method={self.name}") | dict(self.arguments) | options
         path = self.file(folder)
-        for name, file in ({"weights": path} | {name: write(path) for name, write in self.beside.items()}).items():
+        for name, file in self.files(path).items():
             config[name]["path"] = str(file)
         return excepted(config, registry.make_method(config).load(path))
 
@@ -184,7 +180,6 @@ class SmallNetwork(torch.nn.Module):
     """Stands in a large network's place: means over nine parts of one convolution; remembers what it sees."""
 
     mean: tuple[float, ...] | None = None  # what NetVLAD asks for
-    seen: Tensor
 
     def __init__(self):
         super().__init__()

@@ -1,24 +1,17 @@
 """VPRTempo networks drawn at random or trained on a little world, inputs to show them, and the two ways of asking."""
 
-from collections.abc import Callable
 from functools import cache
 from typing import Any, get_args
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 import torch
 
 from vprbench.api.images import Images
 from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.methods.vprtempo.network import Network
-from vprbench.methods.vprtempo.query import Query
 from vprbench.methods.vprtempo.rules import RuleSet
 from vprbench.plugins.rules import Journey
-
-Floats = npt.NDArray[np.float64]
-Spikes = npt.NDArray[np.float32]  # (n_queries, n_pixels)
-Ask = Callable[[Query, Spikes], Spikes]
 
 WORLD = Journey.draw(0)
 REFERENCES, QUERIES = Images.from_arrays(WORLD.references), Images.from_arrays(WORLD.queries)

@@ -26,21 +26,10 @@ class Module:
         self.state = State.at_rest(self.physics, np.zeros(self.n) + theta, n_inputs)
         self.longest, self.n_inputs, self.now = int(delays.max()), n_inputs, 0
 
-    @property
-    def weights(self):
-        return unpadded(self.synapses.weights, self.n)
-
-    @property
-    def theta(self):
-        return self.state.theta[: self.n].copy()
-
-    @property
-    def v(self):
-        return self.state.v[: self.n].copy()
-
-    @property
-    def counts(self):
-        return self.state.counts[: self.n].copy()
+    weights = property(lambda self: unpadded(self.synapses.weights, self.n))
+    theta = property(lambda self: self.state.theta[: self.n].copy())
+    v = property(lambda self: self.state.v[: self.n].copy())
+    counts = property(lambda self: self.state.counts[: self.n].copy())
 
     def normalise(self, total):
         normalise(self.synapses.weights, total)
