@@ -76,6 +76,7 @@ def test_the_wheel_runs_from_another_folder_with_a_plug_in_and_holds_no_top_leve
         assert f"{counted}, 0 broken" in run(installed, "-m", "vprbench", "check", asked, cwd=tmp_path)
 
 
+@pytest.mark.extended
 def test_a_bare_checkout_runs(tmp_path):
     there = run(sys.executable, "-c", "import vprbench.methods.sad as s; print(s.__file__)", cwd=copied(tmp_path))
     assert there.strip() == str(tmp_path / "methods" / "sad.py")

@@ -115,6 +115,7 @@ def test_a_row_names_its_numbers_and_its_folder_from_the_store_too_under_the_wor
     assert "patch=7" not in printed.out
 
 
+@pytest.mark.extended
 def test_a_sweep_survives_failing_cells_and_says_in_a_line_each_which_weights_are_missing(capsys, monkeypatch):
     monkeypatch.setattr(job, "current", Job())
     monkeypatch.setattr(executors, "run_job", Apart())

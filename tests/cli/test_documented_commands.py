@@ -171,6 +171,7 @@ def understood(clean, monkeypatch):
 
 
 @pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.extended
 def test_a_documented_command_is_understood(command, data, understood, tmp_path):
     options = options_of(command, data)
     store_what_others_trained(options)

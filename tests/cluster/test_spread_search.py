@@ -25,6 +25,7 @@ def cluster():
         yield started
 
 
+@pytest.mark.extended
 def test_each_worker_searches_its_shards_and_the_answers_are_those_of_one_machine(cluster, tmp_path, monkeypatch):
     monkeypatch.setattr(shards, "_LEAST_ROWS", 64)
     monkeypatch.setattr(nearest, "_CELLS_OF_A_PART", 128 * 8)

@@ -70,6 +70,7 @@ def test_untimed_runs_of_each_corruption_stand_beside_clean_frames_in_the_files(
     assert "robustness-mine" in Path("results/mine.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.extended
 def test_what_is_stored_is_found_by_all_commands_and_clean_frames_are_compared_and_tabled_alone(
     apart, monkeypatch, capsys
 ):

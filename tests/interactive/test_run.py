@@ -78,6 +78,7 @@ def test_a_class_is_known_by_its_attributes_and_nothing_is_stored_without_them_o
     assert list(tmp_path.rglob("*")) == there
 
 
+@pytest.mark.extended
 def test_results_is_a_row_for_each_stored_run_and_tells_data_of_one_name_apart():
     with pytest.raises(BadInput, match="there"):
         vprbench.results("there")

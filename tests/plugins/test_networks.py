@@ -385,6 +385,7 @@ def test_a_run_that_loads_trains_nothing_gives_the_same_scores_and_names_its_net
     assert second["network"] != loaded["network"]
 
 
+@pytest.mark.extended
 def test_a_run_is_answered_from_the_store_where_its_network_was_kept_and_else_made_again(run, ask, caplog):
     ask()
     caplog.set_level("INFO")
@@ -410,6 +411,7 @@ def test_a_network_outlives_a_failure_at_the_queries_and_a_failed_training_leave
     assert ask("load=match/net.safetensors")["queries"] > 0
 
 
+@pytest.mark.extended
 def test_cells_of_a_sweep_store_networks_under_their_own_names_and_none_replaces_another(run, monkeypatch):
     monkeypatch.setattr(job, "current", Job())
     monkeypatch.setattr(executors, "run_job", Apart())

@@ -77,7 +77,7 @@ def test_an_interruption_of_the_one_who_asked_ends_the_process_too(ends, number,
     before = signal.signal(number, interrupt)
     try:
         with pytest.raises(KeyboardInterrupt) as ended:
-            ends(f"kill -{number.name.removeprefix('SIG')} $PPID; exec sleep 20")
+            ends(f"sleep 0.5; kill -{number.name.removeprefix('SIG')} $PPID; exec sleep 20")
     finally:
         signal.signal(number, before)
     assert ended.value.args == (number,)

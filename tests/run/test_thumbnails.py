@@ -3,7 +3,6 @@
 import errno
 import io
 import logging
-import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +13,6 @@ from little_runs import QUICK, asked_for, table
 from PIL import Image as PillowImage
 
 from vprbench import progress
-from vprbench.api import images, read_ahead
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
 from vprbench.errors import BadInput
@@ -107,22 +105,6 @@ def test_of_a_large_dataset_a_run_keeps_what_it_shows_first_and_others_add_to_it
         assert there(tmp_path) == frames
 
 
-def test_no_frame_of_a_large_dataset_is_read_that_is_not_shown_and_few_are_in_memory(tmp_path, large, monkeypatch):
-    monkeypatch.setattr(read_ahead, "_BYTES", 4 << 20)
-    monkeypatch.setattr(images, "_READERS", 2)
-    kept(tmp_path, two_traverses())  # imports what it needs
-    read = []
-    many = Images(lambda i: read.append(i) or plain(i % 256, (700, 500)), [f"{i}.png" for i in range(5000)])  # 1 MB
-    whole = Dataset("world", many, np.arange(5000), large.queries, large.positives, {})
-    tracemalloc.start()
-    thumbnails.keep(tmp_path, "f" * 64, whole, [(7, {4000, 4001})])
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert {4000, 4001} <= set(read)
-    assert 30 < len(set(read)) < 50  # a few others tell how large thumbnails become, or are examples
-    assert peak < 20 << 20
-
-
 def test_four_queries_that_have_a_right_place_are_examples_beside_it_exactly_and_no_larger_than_640_pixels(tmp_path):
     random = np.random.default_rng(0)
     one, other, unseen, query = random.integers(0, 256, (4, 30, 50, 3), dtype=np.uint8)
@@ -147,13 +129,6 @@ def detailed(seed):
     """Return a picture full of edges, 180 x 320 pixels."""
     colours = np.random.default_rng(seed).integers(0, 256, (9, 16, 3)).astype(np.uint8)
     return np.kron(colours, np.ones((20, 20, 1), np.uint8))
-
-
-def test_detailed_pictures_take_so_little_that_six_thousand_fit_into_5_megabytes(tmp_path):
-    fine = kept(tmp_path, world(map(detailed, range(55)), range(55), map(detailed, range(55, 100)), [[]] * 45))
-    assert path(tmp_path).stat().st_size < 5e6 * 100 / 6000
-    simple = kept(tmp_path / "simple", world([plain(9, (180, 320))], [0], [plain(9, (180, 320))], [[]]))
-    assert decoded(fine.queries[0]).shape[1] < decoded(simple.queries[0]).shape[1] == 96
 
 
 def test_what_is_kept_already_is_not_read_again_and_progress_rises_over_queries_and_places(tmp_path):

@@ -13,17 +13,11 @@ from types import SimpleNamespace
 import numpy as np
 import psutil
 import pytest
-import torch
-from stopped_clock import Clock
 
-from vprbench import progress
 from vprbench.cli import main
-from vprbench.errors import BadInput
 from vprbench.plugins.options import chosen
 from vprbench.run import machine
-from vprbench.speed import bench, events, files, frames, measure, training, vprsnn
-from vprbench.speed.measure import AFTER, BEFORE, floor_laps, timed_fit
-from vprbench.speed.route import Route
+from vprbench.speed import bench, events, files, frames, training, vprsnn
 from vprbench.speed.settings import QUICK, Settings
 
 pytestmark = pytest.mark.extended  # a benchmark takes its time
@@ -96,33 +90,6 @@ def test_every_section_holds_its_rows_of_finite_numbers_and_the_papers_claims_be
         assert len(re.findall(r"as n\^-?\d+\.\d\d \(2 sizes, no interval\)", sentence)) == n_exponents
 
 
-def test_the_json_holds_every_lap_the_stages_of_a_fit_and_the_rounds_in_which_modules_of_vprsnn_were_asked(done):
-    raw = done.raw
-    for cell in raw["training"]:
-        assert {engine: len(fits) for engine, fits in cell["fits"].items()} == {"readable": 2, "fused": 2}
-        assert cell["steps"] == 2 * PLACES_OF_A_MODULE
-    assert min(len(cell["floor_seconds"]) for cell in (*raw["queries"], *raw["training"])) >= 20
-    pairs = [(cell["seconds"]["fused"], cell["seconds"]["readable"]) for cell in raw["preprocessing"]]
-    pairs += [(cell["seconds"]["vprsnn"], cell["seconds"]["vprsnn_fast"]) for cell in raw["vprsnn_queries"]]
-    assert all(len(one) == len(other) >= 2 for one, other in pairs)
-    for cell in (*raw["queries"], *raw["scaling"]):
-        streaming, offline = cell["rates"]["streaming_laps"], cell["rates"]["offline_laps"]
-        assert len(streaming["encode"]) == len(streaming["match"]) >= 4
-        assert [laps["images_per_call"] for laps in offline] == [1, 4]
-        assert all(lap > 0 for laps in (streaming, *offline) for lap in (*laps["encode"], *laps["match"]))
-    for cell in raw["fits"]:
-        stages = cell["fit"]["stages"]
-        assert list(stages) == [BEFORE, "training features", "training places", AFTER]
-        assert sum(stages.values()) == pytest.approx(cell["fit"]["seconds"], rel=1e-3)
-    for cell in raw["vprsnn_training"]:
-        assert (len(cell["fits"]), cell["neurons"], cell["presentations"]) == (2, 16, 2 * 2 * 2)
-        assert {len(laps) for laps in cell["parts"].values()} == {2}  # of 8 presentations the first and the eighth
-        assert cell["input_spikes"] > 0
-    told = [[cell[name] for name in ("modules", "wanted", "places", "threads")] for cell in raw["vprsnn_queries"]]
-    assert told == [[1, 1, 2, 1], [1, 1, 2, 2], [3, 3, 6, 1], [3, 3, 6, 2]]
-    assert done.cores == [2, *(1, 2) * 2, *(1, 2, 2, 2) * 2]
-
-
 def test_printed_rates_and_ratios_to_floors_and_libraries_are_those_of_the_laps(done):
     raw, queries = done.raw, rows(done.text, "Queries at")
     laps = raw["queries"][0]["rates"]["streaming_laps"]
@@ -161,32 +128,6 @@ def test_a_floor_counts_the_bytes_of_the_weights(done):
     assert {cell["floor_bytes"] for cell in done.raw["training"]} == {2 * each_module * 4}
 
 
-def test_a_stage_lasts_from_its_first_report_to_that_of_the_next_and_a_floor_grows_with_the_bytes(monkeypatch):
-    clock, heard = Clock(), []
-    clock.replaces_those_of([measure], monkeypatch)
-
-    def fit(*_):
-        clock.spend(0.02)
-        for stage, seconds in (("one", 0.03), ("two", 0.06)):
-            progress.report(stage, 0.0)
-            clock.spend(seconds)
-            progress.report(stage, 1.0)
-        clock.spend(0.01)
-
-    with progress.listening(lambda stage, _: heard.append(stage)):
-        found = timed_fit("slow", SimpleNamespace(fit=fit), *Route.drawn(2, 4, 4, 0).references(2, 1), "cpu")
-    assert found.stages == pytest.approx({BEFORE: 0.02, "one": 0.03, "two": 0.06, AFTER: 0.01})
-    assert (found.seconds, found.training_seconds) == pytest.approx((0.12, 0.09))
-    assert heard == ["slow: one", "slow: one", "slow: two", "slow: two"]
-
-    def buffer(count, device):  # a nanosecond reads a byte, two change it
-        return SimpleNamespace(sum=lambda: clock.spend(4e-9 * count), mul_=lambda _: clock.spend(8e-9 * count))
-
-    monkeypatch.setattr(torch, "ones", buffer)
-    assert floor_laps("read", 40_000, "cpu", 0.0) == pytest.approx([40e-6] * 20)
-    assert floor_laps("pass", 40_000, "cpu", 0.0) == pytest.approx([80e-6] * 20)
-
-
 def test_an_exponent_has_students_interval_if_there_are_three_sizes():
     # log n = 0, 1, 2 and log t = 0, 0, 1: slope 1/2, residuals 1/6, -1/3, 1/6; Student 12.7062
     cells = [SimpleNamespace(places=size, seconds=seconds) for size, seconds in ((1, 1.0), (10, 1.0), (100, 10.0))]
@@ -216,14 +157,6 @@ def test_what_cannot_be_measured_says_why_in_its_cell_and_no_other_section_is_to
     assert heads == ["A", "The", "Queries", "Matching", "Growth", "Machine"]
 
 
-def test_a_size_for_which_memory_is_missing_is_not_tried(monkeypatch):
-    smaller = SimpleNamespace(places=100, fits=[SimpleNamespace(peak_memory_bytes=3e9, memory_before_bytes=1e9)])
-    monkeypatch.setattr(training.psutil, "virtual_memory", lambda: SimpleNamespace(available=5e9))
-    training.check_memory(249, smaller)
-    with pytest.raises(BadInput, match=r"100 places took 2\.0 GB, and 5\.0 GB are free"):
-        training.check_memory(251, smaller)
-
-
 def test_bad_options_are_refused_by_name(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     of_lists = ("size=[100]", "sections=[serch]", "sizes=[]", "frame=[360]")
@@ -232,19 +165,3 @@ def test_bad_options_are_refused_by_name(tmp_path, monkeypatch, capsys):
         captured = capsys.readouterr()
         assert captured.out == ""
         assert re.fullmatch(rf"vprbench: .*\b{option.partition('=')[0]}\b.*\n", captured.err)
-
-
-def test_a_traverse_differs_from_the_first_by_a_little_noise_and_from_every_other():
-    route = Route.drawn(30, 32, 64, 0)
-    references, places = route.references(30, 3)
-    shown = np.stack(list(references)).astype(int)[..., 0].reshape(3, 30, 32, 64)
-    assert places.tolist() == [*range(30)] * 3
-    for first, second in ((0, 1), (0, 2), (1, 2)):
-        apart = np.abs(shown[first] - shown[second])
-        assert (0 < apart.mean() < 10, apart.max() <= 20) == (True, True)
-    assert np.abs(shown[0, 0] - shown[0, 1]).mean() > 30
-    queries, places = route.queries(21, 5)
-    assert places.tolist() == [0, 5, 10, 15, 20]
-    shown = [image[..., 0].astype(int) for image in queries]
-    apart = [np.abs(levels - route.frames[at]).mean() for levels, at in zip(shown, places, strict=True)]
-    assert 0 < min(apart) <= max(apart) < 10

@@ -89,6 +89,7 @@ def stretched_in_batches(scores):
         (("fused", "match", stretched_in_batches, 2), [True, True, False]),
     ],
 )
+@pytest.mark.extended
 def test_each_comparison_sees_its_difference(wrong, holds):
     found = comparisons(bent(*wrong))
     assert [each.holds for each in found] == holds

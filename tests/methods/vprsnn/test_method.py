@@ -139,6 +139,7 @@ def test_shuffled_modules_answer_for_their_own_places():
     assert np.mean(method.query(references(10)[0]).argmax(1) == np.tile(np.arange(10), 2)) > 0.7
 
 
+@pytest.mark.extended
 def test_with_carried_potentials_it_keeps_all_rules_of_the_contract_but_two():
     config = {**yaml.safe_load((ROOT / "conf" / "method" / "vprsnn.yaml").read_text()), "seed": 0}
     results = list(check({**config, **SMALL, "carried_potentials": True}, set(SMALL)))

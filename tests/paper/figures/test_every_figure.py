@@ -113,6 +113,7 @@ def every_kind():
     yield "spikes of two", spike_statistics([tempo, snn])
 
 
+@pytest.mark.extended
 def test_captions_are_the_stored_ones():
     text = "\n".join(f"## {name}\n\n{drawn.caption}\n" for name, drawn in every_kind())
     if "VPRBENCH_STORE_DOCUMENTS" in os.environ:

@@ -11,6 +11,8 @@ from small_plan import PLAN, RUN, install, quick_figures
 from vprbench.cli import main
 from vprbench.paper.figures.make import listed
 
+pytestmark = pytest.mark.extended
+
 SMALL = ["rows=[SAD,VPRTempo]", "seeds=1"]
 ONE = [*SMALL, "columns=[route_12]"]
 OF_A_COLUMN = (

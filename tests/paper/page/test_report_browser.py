@@ -313,33 +313,3 @@ def test_a_footnote_is_shown_on_hover_and_on_focus_until_escape(report):
         assert 0 <= box["x"] <= 360 - box["width"]
         report.keyboard.press("Escape")
         expect(note).to_be_hidden()
-
-
-def test_a_tap_shows_a_footnote_and_stays_at_the_cell(text, reader):
-    tab = reader.read(text, **PHONE, has_touch=True)
-    tab.locator("#table sup a", has_text=LEFT_OUT).first.tap()
-    expect(tab.get_by_role("tooltip")).to_contain_text("set FULL=1")
-    assert "#" not in tab.url
-
-
-def test_a_figure_is_enlarged_by_click_or_enter_and_closed_again(report):
-    image, button = report.locator("#large-recall img"), report.get_by_role("button", name="Enlarge figure recall")
-    cross = report.locator("#large-recall .close")
-    button.scroll_into_view_if_needed()
-    small = image.bounding_box()
-    escape = lambda: report.keyboard.press("Escape")  # noqa: E731
-    for enlarge, close in ((button.click, escape), (lambda: button.press("Enter"), cross.click)):
-        enlarge()
-        expect(cross).to_be_visible()
-        assert image.bounding_box()["width"] > 1.5 * small["width"]
-        close()
-        assert image.bounding_box() == small
-
-
-def test_without_javascript_everything_else_is_there_and_the_page_says_what_is_not(reader):
-    tab = reader.read(made_up_page(), java_script_enabled=False)
-    expect(tab.locator("noscript p")).to_contain_text("frames of single queries, their filters and the strip")
-    expect(tab.locator("#browsing")).to_be_hidden()
-    for seen in ("noscript p", "#table table", "#figures img"):
-        expect(tab.locator(seen)).to_be_visible()
-    expect(tab.locator("#protocol")).to_contain_text("60 places")

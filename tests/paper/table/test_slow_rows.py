@@ -43,6 +43,7 @@ ASKED = ("rows=[SAD,Nobody,PCA]", "name=table")
 QUICK = {("SAD", "route_12"): "measured", ("Nobody", "route_12"): "not there"}
 
 
+@pytest.mark.extended
 def test_quick_rows_are_shown_and_written_before_a_slow_one_and_after_it_or_its_interruption(seen, capsys):
     assert main(["table", *ASKED, "columns=[route_12]", *RUN]) == 0
     printed = capsys.readouterr().out
