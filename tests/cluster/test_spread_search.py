@@ -55,6 +55,7 @@ def test_each_worker_searches_its_shards_and_the_answers_are_those_of_one_machin
     assert len({*who[0]} - {os.getpid()}) == 2
 
 
+@pytest.mark.extended
 def test_a_run_on_a_large_map_is_answered_by_a_cluster_and_says_so(cluster, monkeypatch):
     monkeypatch.setattr(shortlist, "LARGE_MAP", 39)
     with quiet_surroundings():

@@ -13,6 +13,8 @@ from vprbench.compare import make
 from vprbench.metrics.accuracy import recall_at
 from vprbench.run.store import Store
 
+pytestmark = pytest.mark.extended
+
 ROUTE = {"places": 20, "first_query_place": 4}
 ASKED = [
     *("compare", "methods=sad", "timing=none", "threads=1", "name=mine", "dataset=synthetic"),
@@ -70,7 +72,6 @@ def test_untimed_runs_of_each_corruption_stand_beside_clean_frames_in_the_files(
     assert "robustness-mine" in Path("results/mine.html").read_text(encoding="utf-8")
 
 
-@pytest.mark.extended
 def test_what_is_stored_is_found_by_all_commands_and_clean_frames_are_compared_and_tabled_alone(
     apart, monkeypatch, capsys
 ):

@@ -106,6 +106,7 @@ def test_the_yaml_names_the_published_file_and_where_it_is_or_how_it_is_fetched_
 
 
 @pytest.mark.parametrize("words", SIZES)
+@pytest.mark.extended
 def test_the_network_without_values_has_the_published_dimensions(words):
     side, n_dimensions = SIZES[words]
     with torch.device("meta"):
@@ -135,6 +136,7 @@ VALUES = {
 
 
 @pytest.mark.parametrize("words", VALUES)
+@pytest.mark.extended
 def test_the_network_without_values_has_the_published_number_of_values(words):
     with torch.device("meta"):
         assert sum(values.numel() for values in made(words).blank().parameters()) == VALUES[words]

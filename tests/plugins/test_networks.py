@@ -351,6 +351,7 @@ def fail(*_):
     raise RuntimeError("not today")
 
 
+@pytest.mark.extended
 def test_a_run_that_loads_trains_nothing_gives_the_same_scores_and_names_its_network(run, ask, monkeypatch):
     stored = ask("save=net.safetensors")
     with monkeypatch.context() as patch:

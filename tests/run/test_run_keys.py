@@ -139,6 +139,7 @@ def test_all_files_that_a_method_imports_in_any_way_or_inherits_from_count_and_n
     assert not any(word in name for name in ours for word in ("hog", "runner", "images", "progress"))
 
 
+@pytest.mark.extended
 def test_the_run_of_a_real_method_is_found_after_an_edited_docstring_and_a_moved_file_and_not_after_another_number(
     package, monkeypatch, capsys
 ):

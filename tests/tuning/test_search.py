@@ -208,6 +208,7 @@ def test_a_training_that_diverges_answers_nothing_and_says_why(tmp_path):
     assert given.diverged.startswith("training diverged")
 
 
+@pytest.mark.extended
 def test_a_real_search_compares_its_best_with_the_paper_on_both_stretches_and_the_same_again_only_compares(
     tmp_path, monkeypatch, caplog
 ):

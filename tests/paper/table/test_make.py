@@ -56,6 +56,7 @@ def test_from_the_store_alone_and_without_the_methods_yaml_the_table_is_the_same
     assert {path.name: path.read_bytes() for path in Path("results").glob("table*")} == before
 
 
+@pytest.mark.extended
 def test_rows_on_request_stand_below_the_papers_and_full_runs_slow_rows_at_full_size(copied):
     assert main(["table", "rows=[SAD]", "methods=[sad,big_patches]", "columns=[route_12]", *RUN]) == 0
     found = cells(Path("results/route_12.csv"))
