@@ -135,8 +135,10 @@ class Images(Sequence[Image]):
         if self._in_memory or len(self) <= 1:
             yield from (self[i] for i in range(len(self)))
             return
-        window = Window(len(self), self._file_bytes if self._files else None, _READERS)
-        with ThreadPoolExecutor(_READERS) as readers:
+        # Frames that are computed keep the interpreter busy: several threads would only wait for one another.
+        n_readers = 1 if self._files is None else _READERS
+        window = Window(len(self), self._file_bytes if self._files else None, n_readers)
+        with ThreadPoolExecutor(n_readers) as readers:
             ahead: deque[tuple[range, Future[list[Image]]]] = deque()
             try:
                 while (chunk := window.take()) or ahead:
