@@ -193,6 +193,7 @@ def test_four_datasets_are_two_tables_and_a_name_in_brackets_is_no_argument_of_t
     assert [line.count(" & ") for line in lines] == [10, 10]
     assert not re.search(r"\\\\(\\addlinespace|\s)*\[", source)
     assert r"{a-{}-b ,{},c '{}'d \textless{} [U+5730] é}" in formats.latex(named("a--b ,,c ''d < 地 e\u0301"))
+    assert r"{\{x\} 50\% \& \#1 \$2}" in formats.latex(named("{x} 50% & #1 $2"))
 
 
 @pytest.mark.extended
