@@ -31,10 +31,11 @@ from vprbench.errors import BadInput, ClusterLostError, NotThere, TrainingDiverg
 from vprbench.plugins import registry
 from vprbench.progress import answers_alone, log_lines
 from vprbench.run import job
-from vprbench.run.child import run_job, scratch
+from vprbench.run.child import run_job
 from vprbench.run.compose import check_names, explained, in_order, readable
 from vprbench.run.job import JobResult
 from vprbench.run.settings import KNOWN, RECORDED, checked_settings, n_threads
+from vprbench.storage.atomic import scratch
 from vprbench.text import near, printable
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from vprbench import cli
 from vprbench.cluster import executors
 from vprbench.cluster import options as cluster_options
 from vprbench.cluster.dask_executor import DaskExecutor
-from vprbench.cluster.executors import Listener, SerialExecutor, run_all
+from vprbench.cluster.executors import Callbacks, SerialExecutor, run_all
 from vprbench.cluster.options import ClusterOptions
 from vprbench.cluster.worker import Order, make, put_in, taken_out
 from vprbench.errors import BadInput
@@ -101,7 +101,7 @@ def test_workers_of_this_machine_make_runs_bring_them_home_and_are_made_up_for_i
     monkeypatch.setattr(Path, "touch", Path.touch if shared else lambda *_: None)  # no worker finds the results folder
     with DaskExecutor(ClusterOptions(workers=2)) as executor:
         run = [*RUN, f"results={results}"]
-        ((number, result),) = run_all(executor, [(5, run)], Listener(lambda number, host: begun.append(number)))
+        ((number, result),) = run_all(executor, [(5, run)], Callbacks(lambda number, host: begun.append(number)))
         monkeypatch.undo()
         (once,) = executor.answers(Kills(tmp_path), [False], print)
         (always,) = executor.answers(Kills(tmp_path), [True], print)

@@ -83,8 +83,14 @@ def test_an_interruption_of_the_one_who_asked_ends_the_process_too(ends, number,
     assert ended.value.args == (number,)
 
 
-def test_a_job_that_is_stopped_is_interrupted(ends):
-    assert "signal 2" in ends("trap - INT; exec sleep 20", stopped=lambda: True).error
+@pytest.mark.parametrize(("script", "words"), [("exec sleep 20", "SIGINT"), ("trap '' INT; exec sleep 20", "SIGKILL")])
+def test_a_job_that_is_stopped_is_interrupted_and_ended_if_it_does_not_listen(ends, script, words, monkeypatch):
+    monkeypatch.setattr(child, "_PATIENCE", 0.5)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # the script inherits no deafness
+    try:
+        assert words in ends(script, stopped=lambda: True).error
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 @pytest.mark.parametrize("as_job", [True, False])

@@ -68,7 +68,7 @@ def test_what_is_no_sealed_file_is_not_whole_and_arrays_are_written_little_endia
     assert plain(given, "x").tobytes() == np.arange(6, dtype="<i4").tobytes()
     for wrong in ([1.0], np.array(["1"])):
         with pytest.raises(TypeError, match=r"^weights is (list|<U1)"):
-            plain(wrong, "weights")  # type: ignore[arg-type]
+            plain(wrong, "weights")
 
 
 N, D = 300, 5

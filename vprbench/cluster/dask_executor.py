@@ -24,7 +24,7 @@ from distributed import Future as Asked
 
 from vprbench import __version__
 from vprbench.cluster.batch import started
-from vprbench.cluster.executors import Listener
+from vprbench.cluster.executors import Callbacks
 from vprbench.cluster.options import ClusterOptions
 from vprbench.cluster.worker import Done, Order, make, on_one_thread, put_in, stop
 from vprbench.errors import BadInput, ClusterLostError
@@ -62,7 +62,7 @@ class DaskExecutor:
         self._hosts: dict[int, list[str]] = {}  # on which a run was begun
         self._put_back: Counter[int] = Counter()  # how often, for workers that died while it waited
         self._shared: dict[Path, Path] = {}  # the file by which workers see that they share a results folder
-        self._listener = Listener()
+        self._callbacks = Callbacks()
 
     def __enter__(self) -> Self:
         """Let a request to end interrupt, as Ctrl-C does."""
@@ -99,9 +99,9 @@ class DaskExecutor:
         threads: dict[str, int] = self._client.nthreads()
         return max(1, sum(threads.values()))
 
-    def submit(self, number: int, options: Sequence[str], since: float, listener: Listener) -> Future[JobResult]:
-        """Let a worker make a run; returns its future, which `done` fulfils."""
-        self._listener = listener
+    def submit(self, number: int, options: Sequence[str], since: float, callbacks: Callbacks) -> Future[JobResult]:
+        """Let a worker make a run; returns its future, which `wait` fulfils."""
+        self._callbacks = callbacks
         root = results_of(options)
         if root not in self._shared:
             Store(root).prepare()
@@ -124,17 +124,14 @@ class DaskExecutor:
         asked = self._client.submit(make, order, key=f"run-{uuid.uuid4().hex}", pure=False)
         self._running[asked] = order, future
 
-    def done(self, futures: Iterable[Future[JobResult]]) -> dict[Future[JobResult], JobResult]:
-        """Wait for a moment and return the results of the runs that are made."""
-        results = {}
+    def wait(self) -> None:
+        """Wait for a moment, and fulfil the futures of the runs that are made."""
         for asked in self._done(self._running):
             order, future = self._running.pop(asked)
             if self._only_waited(order.number, asked):
                 self._send(order, future)
             else:
-                results[future] = self._result(order, asked)
-                future.set_result(results[future])
-        return results
+                future.set_result(self._result(order, asked))
 
     def _only_waited(self, number: int, future: Asked[Done]) -> bool:
         """Tell whether dask has given up a run for workers that died while it waited for them, and not of it."""
@@ -196,13 +193,13 @@ class DaskExecutor:
         """Pass on what a worker tells of a run."""
         number, host, line = (event[1][name] for name in ("run", "host", "line"))
         if line is not None:
-            (self._listener.says or _say)(number, line)
+            (self._callbacks.says or _say)(number, line)
             return
         before = self._hosts.setdefault(number, [])
         if before:
             logger.warning("run %d begins again on %s: its worker on %s is gone", number + 1, host, before[-1])
         before.append(host)
-        self._listener.begins(number, host)
+        self._callbacks.begins(number, host)
 
     def _lost(self) -> ClusterLostError:
         self._running.clear()

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Any, Protocol, Self
+from typing import Protocol, Self
 
 from vprbench.cluster.options import ClusterOptions
 from vprbench.run import run_lock
@@ -24,7 +24,7 @@ Numbered = tuple[int, Sequence[str]]  # a run's number, and its options of the c
 
 
 @dataclass(frozen=True)
-class Listener:
+class Callbacks:
     """What is called while runs are made."""
 
     begins: Callable[[int, str], None] = lambda *_: None  # with the number of a run, and the host
@@ -45,11 +45,11 @@ class Executor(Protocol):
     def room(self) -> int:
         """Return how many runs may be made at a time."""
 
-    def submit(self, number: int, options: Sequence[str], since: float, listener: Listener) -> Any:
+    def submit(self, number: int, options: Sequence[str], since: float, callbacks: Callbacks) -> Future[JobResult]:
         """Begin to make a run; returns its future."""
 
-    def done(self, futures: Iterable[Any]) -> dict[Any, JobResult]:
-        """Wait for a moment and return the results of the futures that are done."""
+    def wait(self) -> None:
+        """Wait for a moment, and fulfil the futures of the runs that are made."""
 
 
 class SerialExecutor:
@@ -72,42 +72,42 @@ class SerialExecutor:
         """Return 1."""
         return 1
 
-    def submit(self, number: int, options: Sequence[str], since: float, listener: Listener) -> Future[JobResult]:
+    def submit(self, number: int, options: Sequence[str], since: float, callbacks: Callbacks) -> Future[JobResult]:
         """Make a run; its future is done."""
-        listener.begins(number, socket.gethostname())
-        says = None if listener.says is None else functools.partial(listener.says, number)
+        callbacks.begins(number, socket.gethostname())
+        says = None if callbacks.says is None else functools.partial(callbacks.says, number)
         future: Future[JobResult] = Future()
         future.set_result(run_job(options, since=since, stdout=self._stdout, heard=says))
         return future
 
-    def done(self, futures: Iterable[Future[JobResult]]) -> dict[Future[JobResult], JobResult]:
-        """Return the results of all futures."""
-        return {future: future.result() for future in futures}
+    def wait(self) -> None:
+        """Return at once: every future is done."""
 
 
 def run_all(
-    executor: Executor, runs: Iterable[Numbered], listener: Listener | None = None
+    executor: Executor, runs: Iterable[Numbered], callbacks: Callbacks | None = None
 ) -> Iterator[tuple[int, JobResult]]:
     """Make runs; yields the number of each and its result, in any order.
 
     A run is asked for when there is room for it, so that what is known by then may decide which. A run that another
     sweep makes is tried again at the end.
     """
-    coming, listener = iter(runs), listener or Listener()
+    coming, callbacks = iter(runs), callbacks or Callbacks()
     since = 0.0  # when the first run began, by the clock of the disk
     elsewhere: dict[int, tuple[Sequence[str], str]] = {}  # options, and the lock
-    running: dict[Any, Numbered] = {}
+    running: dict[Future[JobResult], Numbered] = {}
     while True:
         while len(running) < (executor.room() if running or elsewhere else 1):
             found = next(coming, None) or _freed(elsewhere, wait=not running)
             if found is None:
                 break
             since = since or Store(results_of(found[1])).now()
-            running[executor.submit(*found, since, listener)] = found
+            running[executor.submit(*found, since, callbacks)] = found
         if not running:
             return
-        for future, result in executor.done(running).items():
-            number, options = running.pop(future)
+        executor.wait()
+        for future in [each for each in running if each.done()]:
+            (number, options), result = running.pop(future), future.result()
             if result.held:
                 elsewhere[number] = options, result.held
             else:

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Sequence
 from contextlib import nullcontext
 
-from vprbench.cluster.executors import Listener, executor_for, run_all
+from vprbench.cluster.executors import Callbacks, executor_for, run_all
 from vprbench.cluster.options import ClusterOptions
 from vprbench.errors import BadInput
 from vprbench.plugins import registry
@@ -56,7 +56,7 @@ def swept(runs: Sequence[Sequence[str]], options: ClusterOptions) -> int:
 
     codes = []
     with executor, live or nullcontext():
-        for number, result in run_all(executor, enumerate(runs), Listener(begins, heard if live else None)):
+        for number, result in run_all(executor, enumerate(runs), Callbacks(begins, heard if live else None)):
             codes.append(result.code)
             if live is not None:
                 live.step(number, bool(result.code))

@@ -18,11 +18,11 @@ from distributed import Worker, get_worker
 import vprbench
 from vprbench.errors import BadInput
 from vprbench.run import machine
-from vprbench.run.child import run_job, scratch
+from vprbench.run.child import run_job
 from vprbench.run.job import JobResult
 from vprbench.run.record import load, read_failure
 from vprbench.run.store import Store
-from vprbench.storage.atomic import replace_bytes
+from vprbench.storage.atomic import replace_bytes, scratch
 
 _FRAMES = "frames"
 _stopped: dict[str, Event] = {}  # by sweep

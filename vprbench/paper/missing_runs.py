@@ -14,7 +14,7 @@ from statistics import mean
 from typing import Any
 
 from vprbench.api.weights import Weights, find_weights
-from vprbench.cluster.executors import Executor, Listener, Numbered, SerialExecutor, run_all
+from vprbench.cluster.executors import Callbacks, Executor, Numbered, SerialExecutor, run_all
 from vprbench.cluster.sweep import lost
 from vprbench.errors import NotThere
 from vprbench.metrics.accuracy import recall_at
@@ -109,7 +109,7 @@ def fill(
         watch.before_first(wanted[first[0][0]])
     heard = shown.heard if shown else None
     with shown.table if shown else nullcontext(), shown_by(shown.progress) if shown else nullcontext():
-        for number, result in run_all(executor, itertools.chain(first, cells), Listener(filling.begin, heard)):
+        for number, result in run_all(executor, itertools.chain(first, cells), Callbacks(filling.begin, heard)):
             filling.end(number, result)
             watch.after_each()
     return [filling.results[number] for number in range(len(wanted))]

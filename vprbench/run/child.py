@@ -9,7 +9,6 @@ import os
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -24,8 +23,7 @@ from vprbench.run import job
 from vprbench.run.gpus import free_gpu
 from vprbench.run.job import Job, JobResult
 from vprbench.run.store import Store
-from vprbench.storage import owner
-from vprbench.storage.atomic import PARTIAL, remove_leftovers
+from vprbench.storage.atomic import scratch
 from vprbench.storage.folders import checkout_folder
 from vprbench.text import printable
 
@@ -80,22 +78,29 @@ def _end_of(child: subprocess.Popen[bytes], limit_seconds: float, stopped: Calla
     """Return the exit code of a process; None if it was ended at its limit."""
     end = time.monotonic() + limit_seconds
     try:
-        while True:
+        while not stopped():
             with contextlib.suppress(subprocess.TimeoutExpired):
                 return child.wait(_LOOK_EVERY)
             if time.monotonic() > end:
-                child.kill()
                 return None
-            if stopped():
-                child.send_signal(signal.SIGINT)  # at each look: it may begin only now to listen
+        _interrupt(child)
     except KeyboardInterrupt:
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            child.send_signal(signal.SIGINT)
-            child.wait(_PATIENCE)
+        _interrupt(child)
         raise
     finally:
         child.kill()
         child.wait()
+    return child.returncode
+
+
+def _interrupt(child: subprocess.Popen[bytes]) -> None:
+    """Interrupt a process until it ends, for as long as it has time to; it may begin only now to listen."""
+    end = time.monotonic() + _PATIENCE
+    while time.monotonic() < end:
+        child.send_signal(signal.SIGINT)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            child.wait(_LOOK_EVERY)
+            return
 
 
 def _limit(options: Sequence[str]) -> str | None:
@@ -135,16 +140,6 @@ def _flags() -> list[str]:
     """Return the options of the interpreter that this program was started with."""
     own = [at for at, pair in enumerate(pairwise(sys.orig_argv)) if pair == ("-m", "vprbench")]
     return sys.orig_argv[1 : own[0]] if own else ["-P"]  # a program that does not look for modules in its folder
-
-
-@contextlib.contextmanager
-def scratch() -> Iterator[Path]:
-    """Yield a temporary folder, removed in the end, and remove the folders that killed processes left behind."""
-    ending = "-vprbench"
-    remove_leftovers(Path(tempfile.gettempdir()), ending)
-    begins = f"{PARTIAL}{owner.mark()}-"
-    with tempfile.TemporaryDirectory(ending, begins, ignore_cleanup_errors=True) as folder:
-        yield Path(folder)
 
 
 @contextlib.contextmanager

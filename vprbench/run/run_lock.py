@@ -24,7 +24,6 @@ FOLDER = ".locks"  # within a results folder: a file for each run that is being 
 _LOOK_EVERY = 0.5  # seconds between looks at a lock that is waited for
 _TELL_EVERY = 5.0  # seconds between two words on a stage that goes on
 _STAGE_LENGTH = 60  # letters
-_BYTES = 2048  # of a file: it is written over in one piece
 
 
 @dataclass(frozen=True)
@@ -101,7 +100,8 @@ class RunLock:
         self._told = stage, now
         text = json.dumps({**self._words, "stage": stage[:_STAGE_LENGTH], "done": round(done, 3)})
         with contextlib.suppress(OSError), self.path.open("r+b") as file:
-            file.write(text.encode().ljust(_BYTES))
+            file.write(text.encode())
+            file.truncate()
 
 
 def held_locks(root: Path) -> list[HeldLock]:

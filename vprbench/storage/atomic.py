@@ -6,9 +6,10 @@ import ctypes
 import errno
 import os
 import shutil
+import tempfile
 import uuid
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from vprbench.storage import owner
@@ -47,6 +48,16 @@ def leftovers(folder: Path, ending: str = "") -> Iterator[Path]:
             touched = max(part.stat().st_mtime for part in (path, *path.rglob("*")))
             if owner.is_dead(path.name.removeprefix(PARTIAL)) or now - touched > FORGOTTEN_SECONDS:
                 yield path
+
+
+@contextmanager
+def scratch() -> Iterator[Path]:
+    """Yield a temporary folder, removed in the end, and remove the folders that killed processes left behind."""
+    ending = "-vprbench"
+    remove_leftovers(Path(tempfile.gettempdir()), ending)
+    begins = f"{PARTIAL}{owner.mark()}-"
+    with tempfile.TemporaryDirectory(ending, begins, ignore_cleanup_errors=True) as folder:
+        yield Path(folder)
 
 
 def remove_leftovers(folder: Path, ending: str = "") -> None:

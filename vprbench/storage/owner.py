@@ -8,7 +8,6 @@ import getpass
 import hashlib
 import os
 import socket
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -62,21 +61,10 @@ def is_dead(name: str) -> bool:
     moment = rest.partition("-")[0]
     if host != _number_of_host() or not (process.isdigit() and moment.isdigit()):
         return False
-    words = {"machine": _host()["machine"], "process": int(process), "started": int(moment) or None}
-    return lives(words) is False
-
-
-def lives(words: Mapping[str, Any]) -> bool | None:
-    """Tell whether the process with these words lives; None if that cannot be told here, or if it is this one."""
-    process = words.get("process")
-    if os.name != "posix" or words.get("machine") != _host()["machine"]:
-        return None
-    if not isinstance(process, int) or process in (0, os.getpid()):
-        return None
     try:
-        os.kill(process, 0)
+        os.kill(int(process), 0)
     except ProcessLookupError:
-        return False
+        return True
     except OSError:  # another user's
-        return None
-    return bool(started(process) == words.get("started"))
+        return False
+    return int(process) != os.getpid() and started(int(process)) != (int(moment) or None)
