@@ -83,12 +83,13 @@ def test_an_interruption_of_the_one_who_asked_ends_the_process_too(ends, number,
     assert ended.value.args == (number,)
 
 
-@pytest.mark.parametrize(("script", "words"), [("exec sleep 20", "SIGINT"), ("trap '' INT; exec sleep 20", "SIGKILL")])
-def test_a_job_that_is_stopped_is_interrupted_and_ended_if_it_does_not_listen(ends, script, words, monkeypatch):
+@pytest.mark.parametrize(("script", "words"), [("", "SIGINT"), ("trap '' INT", "SIGKILL")])
+def test_a_job_that_is_stopped_is_interrupted_and_ended_if_it_does_not_listen(ends, script, words, monkeypatch, tmp_path):
     monkeypatch.setattr(child, "_PATIENCE", 0.5)
     before = signal.signal(signal.SIGINT, signal.default_int_handler)  # the script inherits no deafness
     try:
-        assert words in ends(script, stopped=lambda: True).error
+        script = f"{script}\ntouch {tmp_path}/ready; exec sleep 20"
+        assert words in ends(script, stopped=(tmp_path / "ready").exists).error
     finally:
         signal.signal(signal.SIGINT, before)
 
