@@ -12,34 +12,12 @@ from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:  # for type checkers alone, which know that name: `import vprbench` costs nothing
-    from typing import Any
-
-    from vprbench.interactive.choices import (
-        NamedDataset as NamedDataset,
-        NamedMethod as NamedMethod,
-        dataset as dataset,
-        method as method,
-    )
-    from vprbench.interactive.comparison import Comparison as Comparison, compare as compare
-    from vprbench.interactive.images import dataset_of as dataset_of
-    from vprbench.interactive.known import datasets as datasets, methods as methods, results as results
-    from vprbench.interactive.result import Result as Result
-    from vprbench.interactive.running import run as run
+import lazy_loader
 
 __version__ = "0.7.0"
 
-_HOMES = {
-    **dict.fromkeys(("NamedDataset", "NamedMethod", "dataset", "method"), "choices"),
-    **dict.fromkeys(("Comparison", "compare"), "comparison"),
-    "dataset_of": "images",
-    **dict.fromkeys(("datasets", "methods", "results"), "known"),
-    "Result": "result",
-    "run": "running",
-}
-_ROOMS = ("compare", "datasets", "methods", "run")  # packages that have the name of a function
-__all__ = [*_HOMES]
+_attribute, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+_ROOMS = ("datasets", "methods")  # packages that have the name of a function
 
 # In a bare checkout `methods/`, `datasets/` and `conf/` stand beside this package instead of inside it;
 # a wheel maps them to vprbench.methods, vprbench.datasets and vprbench.conf.
@@ -49,20 +27,12 @@ if (_checkout / "pyproject.toml").is_file() and (_checkout / "conf").is_dir():
 
 
 class _Room(ModuleType):
-    """A package that shares its name with a function: `vprbench.run` is both, and is called as the function."""
+    """A package that shares its name with a function: `vprbench.methods` is both, and is called as the function."""
 
-    def __call__(self, *given: Any, **named: Any) -> Any:
-        return _home(self.__name__)(*given, **named)
+    def __call__(self) -> object:
+        from vprbench.interactive import known
 
-    @property
-    def __doc__(self) -> str:  # type: ignore[override]  # of the function, for help()
-        return str(_home(self.__name__).__doc__)
-
-    @property
-    def __signature__(self) -> Any:  # for an editor or a notebook
-        from inspect import signature
-
-        return signature(_home(self.__name__))
+        return getattr(known, self.__name__.rpartition(".")[2])()
 
 
 class _Face(ModuleType):
@@ -77,21 +47,5 @@ class _Face(ModuleType):
 sys.modules[__name__].__class__ = _Face
 
 
-def _home(name: str) -> Any:
-    name = name.rpartition(".")[2]
-    return getattr(import_module(f"vprbench.interactive.{_HOMES[name]}"), name)
-
-
-def __getattr__(name: str) -> Any:
-    """Import the name that a program asks for; raises AttributeError, with the near names, for an unknown one."""
-    if name in _ROOMS:
-        return import_module(f"vprbench.{name}")
-    if name in _HOMES:
-        return _home(name)
-    from vprbench.text import near
-
-    raise AttributeError(f"vprbench has no {name}: {near(name, __all__)}")
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+def __getattr__(name: str) -> object:
+    return import_module(f"{__name__}.{name}") if name in _ROOMS else _attribute(name)

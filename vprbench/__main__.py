@@ -16,7 +16,7 @@ def main() -> int:
     """Run the command line; returns the exit code, 0 only if every run or command that was asked for is done."""
     _open_streams()
     faulthandler.enable(2)  # standard error: a crash names the line of the plug-in
-    from vprbench.run import job
+    from vprbench.jobs import job
 
     if folder := os.environ.pop(job.FOLDER, ""):
         return _make_job(Path(folder))
@@ -42,7 +42,8 @@ def main() -> int:
 
 def _make_job(folder: Path) -> int:
     """Make a job in this process, and leave its result in the folder that it was asked in."""
-    from vprbench.run import job, timing_lock
+    from vprbench.jobs import job
+    from vprbench.runs import timing_lock
 
     job.current = job.Job.read(folder)
     if sys.platform == "linux":

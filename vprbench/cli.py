@@ -23,23 +23,24 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from vprbench.cluster.search import spread_over
-from vprbench.cluster.sweep import as_json, divided, swept
 from vprbench.commands import working
 from vprbench.commands.at_once import COMMANDS, answered
 from vprbench.errors import BadInput, ClusterLostError, NotThere, TrainingDivergedError
+from vprbench.jobs import job
+from vprbench.jobs.child import run_job
+from vprbench.jobs.job import JobResult
+from vprbench.jobs.search import spread_over
+from vprbench.jobs.sweep import as_json, divided, swept
 from vprbench.plugins import registry
 from vprbench.progress import answers_alone, log_lines
-from vprbench.run import job
-from vprbench.run.child import run_job
-from vprbench.run.compose import check_names, explained, in_order, readable
-from vprbench.run.job import JobResult
-from vprbench.run.settings import KNOWN, RECORDED, checked_settings, n_threads
+from vprbench.runs.compose import check_names, explained, in_order, readable
+from vprbench.runs.settings import KNOWN, RECORDED, Settings, checked_settings, n_threads
 from vprbench.storage.atomic import scratch
 from vprbench.text import near, printable
 
 if TYPE_CHECKING:
-    from vprbench.run.record import Failure
+    from vprbench.runs.record import Failure
+    from vprbench.runs.store import Store
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -130,11 +131,11 @@ def _run(config: DictConfig) -> JobResult:
     registry.insist_on_one("dataset", choices["dataset"])
     asked = {name: plain[name] for name in RECORDED}
     asked["overrides"] = [registry.as_asked(option) for option in given]
-    from vprbench.run import machine
-    from vprbench.run.find_or_make import FailedElsewhereError, answer
-    from vprbench.run.record import Failure
-    from vprbench.run.run_lock import HeldElsewhereError
-    from vprbench.run.store import Store
+    from vprbench.runs import machine
+    from vprbench.runs.get_or_run import FailedElsewhereError
+    from vprbench.runs.record import Failure
+    from vprbench.runs.run_lock import HeldElsewhereError
+    from vprbench.runs.store import Store
 
     store, threads, process = Store(Path(settings.results).expanduser()), n_threads(settings), os.getpid()
 
@@ -151,8 +152,7 @@ def _run(config: DictConfig) -> JobResult:
     with answers_alone() as say:
         try:
             with spread_over(settings.search_scheduler):
-                key = answer(choices["method"], asked, settings, store, functools.partial(_say, process, say))
-                return JobResult(0, key=key)
+                return _answer(choices["method"], asked, settings, store, functools.partial(_say, process, say))
         except KeyboardInterrupt:
             raise
         except HeldElsewhereError as error:  # the process that asked asks again
@@ -175,6 +175,28 @@ def _run(config: DictConfig) -> JobResult:
             if not isinstance(error, TrainingDivergedError):
                 print(textwrap.indent(printable(traceback.format_exc(), but="\n"), "  "), file=sys.stderr)
             return _complain(f"{failure.method} failed: {failure.error}", 1, failure)
+
+
+def _answer(
+    method: str, asked: dict[str, Any], settings: Settings, store: Store, say: Callable[[str], None]
+) -> JobResult:
+    """Say the run of a configuration, from the store or made now; raises what `get_or_run` raises."""
+    from vprbench.runs.build_request import build_request
+    from vprbench.runs.get_or_run import UnstoredRunError, get_or_run
+
+    current = job.current
+    try:
+        request = build_request(method, asked, settings, store)
+        result = get_or_run(request, settings, store, current is None, None if current is None else current.since)
+    except UnstoredRunError as error:
+        from vprbench.runs.run_text import run_text  # what it imports does not count as the run's memory
+
+        say(run_text(error.run, None, False, settings))
+        raise
+    from vprbench.runs.run_text import run_text
+
+    say(run_text(result.run, result.folder, result.from_store, settings))
+    return JobResult(0, key=result.run.key)
 
 
 def _say(process: int, say: Callable[[str], None], line: str) -> None:

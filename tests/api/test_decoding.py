@@ -140,6 +140,7 @@ def test_a_png_with_one_wrong_byte_is_an_error_or_what_pillow_makes_of_it(path):
 BAD = {
     "no such filter": png_of(bytes([9]) + filtered(0, 3)[1:], 7, 9),
     "a row too few": png_of(filtered(0, 3)[:-22], 7, 9),
+    "a row too few of single bits": png_of(b"\0\x80" * 8, 7, 9, bits=1, colour=0),
     "a row too few of 16 bits, left to Pillow": png_of(filtered(0, 6)[:-43], 7, 9, bits=16),
     "a pass too few of those interlaced": png_of(b"\0\1" * 2, 2, 2, colour=0, interlaced=1),
     "400 million pixels that are not there": png_of(b"\0", 20_000, 20_000),

@@ -57,6 +57,13 @@ def test_a_pixel_is_compared_with_its_window_cut_at_the_border(levels, patch, dd
     assert patch_normalise(np.array([levels], np.float32), patch, ddof).tolist() == [expected]
 
 
+# The mean is 127.5: gamma changes nothing. Squares 34025. ddof 0: z = 27.5 / sqrt(34025 / 4) = 0.2982, ddof 1: 0.2582.
+@pytest.mark.parametrize(("variant", "low", "high"), [("A", 89, 165), ("B", 89, 165), ("C", 94, 160)])
+def test_a_window_s_variance_has_one_degree_of_freedom_less_in_variant_c_alone(variant, low, high):
+    levels = preprocess(variant, grey_frame([[0, 255], [100, 155]]), height=2, width=2, patch=3)
+    assert levels.tolist() == [[0, 255, low, high]]
+
+
 BRIGHT = np.zeros((20, 20), np.uint8)
 BRIGHT[0, :2] = 255  # the mean is 1.275, the exponent 20: beyond float32, so clipped
 

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from vprbench.run.store import Store
+from vprbench.runs.store import Store
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]

@@ -6,8 +6,8 @@ import os
 import sys
 from pathlib import Path
 
+from vprbench.jobs import job
 from vprbench.methods import flyhash, hyperdimensional, pca, random_projection
-from vprbench.run import job
 
 _locks = []  # held until the process ends, however it does
 

@@ -15,7 +15,7 @@ from vprbench import __version__, cli
 from vprbench.commands.at_once import COMMANDS, answered
 from vprbench.paper.gather import TableRequest
 from vprbench.plugins import registry
-from vprbench.run.settings import Settings
+from vprbench.runs.settings import Settings
 
 HEAVY = ("hydra", "omegaconf", "torch", "numpy", "vprbench.methods", "vprbench.datasets")
 

@@ -16,10 +16,11 @@ from served_files import serving
 from small_plan import RUN, Apart
 
 from vprbench.cli import main
-from vprbench.cluster import executors
+from vprbench.jobs import executors, job
+from vprbench.jobs.job import Job, JobResult
 from vprbench.plugins import registry
-from vprbench.run import job, runner
-from vprbench.run.job import Job, JobResult
+from vprbench.runs import runner
+from vprbench.storage import tensors
 
 QUICK = ["dataset.places=12", "dataset.first_query_place=0", *RUN]
 KEYS = {*(f"recall_at_{n}" for n in (1, 5, 10, 25)), "recall_at_1_low", "recall_at_1_high", "fit_seconds", "run_folder"}
@@ -54,7 +55,7 @@ def frames(folder, count, size=(16, 12), mode="RGB"):
     return folder
 
 
-@pytest.mark.parametrize(("one", "options"), [("cli._run", []), ("cluster.executors.run_job", ["-m"])])
+@pytest.mark.parametrize(("one", "options"), [("cli._run", []), ("jobs.executors.run_job", ["-m"])])
 def test_no_run_sees_a_temporary_folder_and_what_a_killed_sweep_left_is_removed_after_a_day(
     tmp_path, monkeypatch, one, options
 ):
@@ -241,7 +242,7 @@ def test_what_a_full_disk_refuses_is_shown_and_a_failure_is_recorded_without_the
     def full(*_, **__):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(np, "savez_compressed", full)
+    monkeypatch.setattr(tensors, "save_file", full)
     assert main(["method=sad", *QUICK, "output=json"]) == 2
     captured = capsys.readouterr()
     assert json.loads(captured.out)["run_folder"] is None

@@ -20,16 +20,15 @@ from small_plan import RUN, Apart
 
 from vprbench import cli
 from vprbench.api.neural import NeuralDescriptor
-from vprbench.cluster import executors
-from vprbench.compare.checks import checked
+from vprbench.comparison.checks import checked
 from vprbench.datasets.nordland import chosen_names
 from vprbench.datasets.synthetic_events import EventJourney, write_recording
+from vprbench.jobs import executors, job
+from vprbench.jobs.job import Job, JobResult
 from vprbench.paper import gather
 from vprbench.paper.plan import read_plan
 from vprbench.plugins import registry
-from vprbench.run import job
-from vprbench.run.job import Job, JobResult
-from vprbench.run.settings import checked_settings
+from vprbench.runs.settings import checked_settings
 
 DOCUMENTS = (
     "README.md",
@@ -161,7 +160,7 @@ def understood(clean, monkeypatch):
 
     instead("vprbench.cli._run", check_run)
     instead("vprbench.cli.swept", lambda runs, _: runs)
-    instead("vprbench.compare.make.make_comparison", lambda asked, compose: checked(asked, compose)[0])
+    instead("vprbench.comparison.make.make_comparison", lambda asked, compose: checked(asked, compose)[0])
     for name in ("table.make.make_table", "figures.make.make_figures", "page.make.make_report"):
         instead(f"vprbench.paper.{name}", lambda asked, _, compose: gather.choose(asked, compose))
     instead("vprbench.data.doctor.command", lambda _, build, *__: build())

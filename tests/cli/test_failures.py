@@ -8,9 +8,9 @@ import pytest
 from little import a_failure, a_run
 
 from vprbench.cli import main
-from vprbench.run import job
-from vprbench.run.job import Job
-from vprbench.run.store import Store
+from vprbench.jobs import job
+from vprbench.jobs.job import Job
+from vprbench.runs.store import Store
 
 QUICK = ["dataset.places=12", "dataset.first_query_place=0", "timing.minimum_seconds=0", "threads=1"]
 

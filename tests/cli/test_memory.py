@@ -6,7 +6,7 @@ import numpy as np
 
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
-from vprbench.run.answers import Answers
+from vprbench.runs.answers import Answers
 
 N_PLACES = 27_592  # Nordland, every frame
 BLOCK = 128

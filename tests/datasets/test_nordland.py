@@ -17,7 +17,7 @@ from vprbench.datasets.nordland import chosen_names, nordland, published_frames
 from vprbench.datasets.readers import frame_folders
 from vprbench.errors import NotThere
 from vprbench.plugins import registry
-from vprbench.run import compose
+from vprbench.runs import compose
 
 TINY = {"stride": 2, "places": 6, "query_places": 4, "first_query_place": 2}
 TINY_FRAMES = (202, 204, 206, 208, 210, 212)  # the list begins with 202, 203, 204 and so on

@@ -29,7 +29,7 @@ from vprbench.datasets.oxford_robotcar.lists import published_timestamps, vprsnn
 from vprbench.datasets.oxford_robotcar.repeats import ceiling, remarks, sharing, steps_back
 from vprbench.errors import BadInput, NotThere
 from vprbench.plugins import registry
-from vprbench.run.identity import fingerprint
+from vprbench.runs.identity import fingerprint
 
 # The camera
 

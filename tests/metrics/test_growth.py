@@ -11,7 +11,7 @@ from vprbench.errors import BadInput
 from vprbench.metrics.growth import LAWS, compare, exponent
 from vprbench.paper.growth import interval_of_median, samples
 from vprbench.paper.plan import Row
-from vprbench.run.note import Note
+from vprbench.runs.notes import Note
 
 SIZES = np.array([100.0, 300, 1000, 3000, 9000, 27000])
 TEMPO = Row("VPRTempo", "vprtempo", boundary="match")

@@ -9,8 +9,8 @@ from little import a_run, unanswerable_run
 from vprbench.errors import BadInput
 from vprbench.metrics.ranking import ranked_places
 from vprbench.metrics.tolerance import hits_within
-from vprbench.run import rows
-from vprbench.run.store import Store
+from vprbench.runs import rows
+from vprbench.runs.store import Store
 
 GAPS = np.array([0, 1, 2, 5, 6])  # 3 and 4 are not in the map
 LOST = -np.inf

@@ -11,13 +11,13 @@ import pytest
 from small_plan import RUN
 
 from vprbench.cli import main
-from vprbench.cluster import executors
+from vprbench.jobs import executors
+from vprbench.jobs.job import JobResult
 from vprbench.paper import missing_runs, shelf
 from vprbench.paper.missing_runs import MissingRun
 from vprbench.paper.plan import Row
-from vprbench.run.compose import composed
-from vprbench.run.job import JobResult
-from vprbench.run.store import Store
+from vprbench.runs.compose import composed
+from vprbench.runs.store import Store
 
 SAD = Row("SAD", "sad", training="none")
 ROUTE = ("dataset=synthetic", "dataset.places=20", "dataset.first_query_place=4")
@@ -143,7 +143,7 @@ def test_a_table_of_stored_runs_imports_no_torch(copied):
     code = """
 import sys
 from pathlib import Path
-from vprbench.cluster import executors
+from vprbench.jobs import executors
 from vprbench.paper import gather
 from vprbench.paper.plan import read_plan
 from vprbench.cli import main

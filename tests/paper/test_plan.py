@@ -9,7 +9,7 @@ from vprbench.errors import BadInput
 from vprbench.paper.gather import TableRequest, choose, wanted
 from vprbench.paper.plan import PlannedColumn, Row, published, read_plan, with_plug_ins
 from vprbench.plugins import registry
-from vprbench.run import compose
+from vprbench.runs import compose
 
 PLAN = ROOT / "conf" / "table.yaml"
 

@@ -13,7 +13,7 @@ from vprbench.errors import BadInput
 from vprbench.paper import robustness as text
 from vprbench.paper.figures.robustness import robustness as drawn
 from vprbench.paper.robustness import robustness
-from vprbench.run.corruption import Corruption
+from vprbench.runs.corruption import Corruption
 
 WEAK, STRONG, BLUR = Corruption("shift", 1), Corruption("shift", 3), Corruption("blur", 2)
 

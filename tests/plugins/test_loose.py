@@ -12,13 +12,12 @@ from PIL import Image
 from small_plan import Apart
 
 from vprbench.cli import main
-from vprbench.cluster import executors
 from vprbench.errors import BadInput
+from vprbench.jobs import executors, job
+from vprbench.jobs.job import Job
 from vprbench.plugins import entries, registry
-from vprbench.run import job
-from vprbench.run.compose import composed, readable
-from vprbench.run.job import Job
-from vprbench.run.store import Store
+from vprbench.runs.compose import composed, readable
+from vprbench.runs.store import Store
 
 METHOD = """
 from dataclasses import dataclass, field

@@ -24,12 +24,12 @@ from small_plan import Apart
 from trap import Trap
 
 from vprbench.cli import main
-from vprbench.cluster import executors
 from vprbench.errors import BadInput, NotFittedError
+from vprbench.jobs import executors, job
+from vprbench.jobs.job import Job
 from vprbench.plugins import networks
-from vprbench.run import job, rows
-from vprbench.run.job import Job
-from vprbench.run.store import Store
+from vprbench.runs import rows
+from vprbench.runs.store import Store
 
 WORLD = journey(8, 4)
 ORIGIN = networks.Origin("little", {}, "journey", 4, "f" * 64)

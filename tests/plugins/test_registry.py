@@ -23,7 +23,7 @@ from vprbench.plugins import registry
 from vprbench.plugins.checked import checked
 from vprbench.plugins.entries import Entry, entries
 from vprbench.plugins.options import chosen
-from vprbench.run.store import Store
+from vprbench.runs.store import Store
 
 
 @pytest.fixture

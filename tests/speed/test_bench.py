@@ -16,7 +16,7 @@ import pytest
 
 from vprbench.cli import main
 from vprbench.plugins.options import chosen
-from vprbench.run import machine
+from vprbench.runs import machine
 from vprbench.speed import bench, events, files, frames, training, vprsnn
 from vprbench.speed.settings import QUICK, Settings
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from vprbench.metrics.ranking import best_places, outcome
 from vprbench.paper.selection import Series
-from vprbench.run.stopwatch import Laps
+from vprbench.runs.stopwatch import Laps
 
 
 def seconds_around(median, spread, n_laps=101, seed=0):

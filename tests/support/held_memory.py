@@ -9,7 +9,7 @@ import psutil
 from little import Lookup, journey
 from little_runs import run_of, table
 
-from vprbench.run import machine
+from vprbench.runs import machine
 
 
 def in_a_new_process(measure):

@@ -18,10 +18,10 @@ from vprbench.api.method import Method
 from vprbench.errors import BadInput, NotFittedError
 from vprbench.metrics.ranking import Outcome
 from vprbench.plugins import networks
-from vprbench.run.note import Note
-from vprbench.run.record import Failure, Run
-from vprbench.run.stopwatch import Laps, Protocol, Timing
-from vprbench.run.store import Store
+from vprbench.runs.notes import Note
+from vprbench.runs.record import Failure, Run
+from vprbench.runs.stopwatch import Laps, Protocol, Timing
+from vprbench.runs.store import Store
 
 
 def picture(number):

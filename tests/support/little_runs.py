@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from vprbench.plugins.networks import Files
-from vprbench.run import descriptors, machine, runner, sources
-from vprbench.run.identity import Request
-from vprbench.run.stopwatch import Protocol
+from vprbench.runs import descriptors, machine, runner, sources
+from vprbench.runs.identity import Request
+from vprbench.runs.stopwatch import Protocol
 
 CONFIG: dict[str, Any] = {
     "method": {"_target_": "little.Lookup", "window": 5, "device": "cpu"},

@@ -8,7 +8,7 @@ from stored_runs import ABACUS, CITY, NETVLAD, NORDLAND, RAILWAY, SAD, STREET, V
 
 from vprbench.paper.plan import Row
 from vprbench.paper.selection import ResolvedColumn
-from vprbench.run.note import Note
+from vprbench.runs.notes import Note
 
 REMARK = "How hard it is was set by hand."
 STAND_IN = replace(CITY, published="Oxford RobotCar", stand_in_for="nordland", remark=REMARK)

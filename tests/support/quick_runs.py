@@ -1,6 +1,6 @@
 """Runs without what takes longest in them where nobody looks at how exactly they are timed."""
 
-from vprbench.run import machine
+from vprbench.runs import machine
 
 
 def quick_runs(monkeypatch):

@@ -9,8 +9,8 @@ from PIL import Image
 from vprbench.metrics.ranking import best_places, outcome
 from vprbench.paper.page.page import Picture, Section, page
 from vprbench.paper.selection import Series
-from vprbench.run.note import Note
-from vprbench.run.thumbnails import Thumbnails
+from vprbench.runs.notes import Note
+from vprbench.runs.thumbnails import Thumbnails
 
 N_PLACES, N_QUERIES = 60, 50
 RIGHT, OTHERS = 0.5, 0.125  # scores of the right place, and of places that are not mistaken for it

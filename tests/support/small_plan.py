@@ -6,11 +6,10 @@ import io
 from PIL import Image
 
 from vprbench import cli
-from vprbench.cluster import executors
+from vprbench.jobs import executors, job
+from vprbench.jobs.job import Job
 from vprbench.paper import gather
 from vprbench.paper.plan import read_plan
-from vprbench.run import job
-from vprbench.run.job import Job
 
 PLAN = """
 seeds: [0, 1]

@@ -4,7 +4,7 @@ import threading
 from functools import partial
 from types import SimpleNamespace
 
-from vprbench.run.stopwatch import Stopwatch
+from vprbench.runs.stopwatch import Stopwatch
 
 
 class Clock:

@@ -9,7 +9,7 @@ import numpy as np
 from vprbench.metrics.ranking import Outcome
 from vprbench.paper.plan import Growth, Plan, PlannedColumn, Row
 from vprbench.paper.selection import ResolvedColumn
-from vprbench.run.record import Failure
+from vprbench.runs.record import Failure
 
 RAILWAY = {"name": "railway", "places": 10, "seed": 0}
 STREET = {"name": "street", "root": "/here/street", "source": "a shelf"}

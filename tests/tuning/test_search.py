@@ -19,8 +19,8 @@ import vprbench
 from vprbench.errors import BadInput
 from vprbench.plugins import registry
 from vprbench.plugins.options import chosen
-from vprbench.run import machine
-from vprbench.run.store import Store
+from vprbench.runs import machine
+from vprbench.runs.store import Store
 from vprbench.tuning import objective, places, space
 from vprbench.tuning.objective import Task, Training
 from vprbench.tuning.search import QUICK, Settings, explore, search

@@ -13,7 +13,7 @@ from little import a_run
 from vprbench.metrics.intervals import McNemar, WiderInterval
 from vprbench.paper.plan import read_plan
 from vprbench.plugins import registry
-from vprbench.run import compose
+from vprbench.runs import compose
 from vprbench.tuning import text
 from vprbench.tuning.comparison import Comparison, Repeated
 from vprbench.tuning.search import Found, Settings

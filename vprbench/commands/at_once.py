@@ -11,14 +11,14 @@ from pathlib import Path
 from vprbench import __version__
 from vprbench.errors import BadInput
 from vprbench.plugins.entries import Group, broken_plugins, conf_folders, entries, read
-from vprbench.run.corruption import KINDS, STRENGTHS
+from vprbench.runs.corruption import KINDS, STRENGTHS
 from vprbench.terminal.completion import HIDDEN, SCRIPTS, candidates
 from vprbench.terminal.described import Option, of_class, of_yaml, together
 from vprbench.terminal.help import Command, show_commands, show_options
 from vprbench.text import near, printable
 
-_SPEED, _TIMING = "vprbench.speed", "vprbench.run.timing_protocol.Protocol"
-_CLUSTER = "vprbench.cluster.options:ClusterOptions"
+_SPEED, _TIMING = "vprbench.speed", "vprbench.runs.timing_protocol.Protocol"
+_CLUSTER = "vprbench.jobs.options:ClusterOptions"
 RUN = Command("vprbench.cli:run_or_sweep", _CLUSTER, groups=("method", "dataset", "timing"), run=None)
 
 #: What may stand in place of a run's options.
@@ -26,7 +26,7 @@ COMMANDS: dict[str, Command] = {
     "run": RUN,
     "compare": Command(
         "vprbench.commands.working:compare",
-        "vprbench.compare.request:Request",
+        "vprbench.comparison.request:Request",
         groups=("dataset", "timing"),
         run=None,
         usual={"timing": "quick"},
@@ -39,7 +39,7 @@ COMMANDS: dict[str, Command] = {
     ),
     "new": Command("vprbench.commands.working:new", "vprbench.plugins.new:Settings", words="method|dataset NAME"),
     "doctor": Command("vprbench.commands.working:doctor", groups=("dataset",), run=("output",)),
-    "status": Command("vprbench.commands.at_once:show_status", "vprbench.run.status:Asked"),
+    "status": Command("vprbench.commands.at_once:show_status", "vprbench.runs.status:Asked"),
     "fetch": Command("vprbench.commands.working:fetch", "vprbench.data.fetch.command:Settings", words="[NAME]"),
     "table": Command("vprbench.commands.working:table", "vprbench.paper.gather:TableRequest", ("timing",), None),
     "figures": Command("vprbench.commands.working:figures", "vprbench.paper.gather:TableRequest", ("timing",), None),
@@ -118,7 +118,7 @@ def show_list(words: Sequence[str]) -> None:
 def show_status(words: Sequence[str]) -> None:
     """Show which runs of a results folder are made now, by whom and how far, and how many are stored."""
     from vprbench.plugins.options import chosen
-    from vprbench.run.status import Asked, row, status
+    from vprbench.runs.status import Asked, row, status
     from vprbench.terminal.console import console, show_table
 
     asked = chosen(Asked, words, {})
@@ -148,7 +148,7 @@ def show_completion(words: Sequence[str]) -> None:
 def _options(command: Command, given: Sequence[str]) -> list[Option]:
     """Return the options that a command takes together with those given, those of the chosen method and dataset too."""
     conf = conf_folders()["vprbench"]
-    of_run = together(of_yaml(conf / "run.yaml"), of_class("vprbench.run.settings:Settings"))
+    of_run = together(of_yaml(conf / "run.yaml"), of_class("vprbench.runs.settings:Settings"))
     said = {option.name: option.meaning for option in of_run}
     own = of_class(command.takes) if command.takes else ()
     found = {each.name: replace(each, meaning=each.meaning or said.get(each.name, "")) for each in own}
@@ -196,7 +196,7 @@ def _of_entry(group: str, name: str, conf: Path) -> list[Option]:
 def _of_cluster(name: str, conf: Path) -> list[Option]:
     """Return the options of the jobs of a batch system; none if it is unknown."""
     path = conf / "cluster" / f"{name}.yaml"
-    found = together(of_yaml(path), of_class("vprbench.cluster.jobs:Job")) if path.is_file() else []
+    found = together(of_yaml(path), of_class("vprbench.jobs.batch_options:Job")) if path.is_file() else []
     return [replace(option, name=f"cluster.{option.name}") for option in found]
 
 

@@ -13,8 +13,8 @@ from vprbench.errors import BadInput
 from vprbench.plugins import registry
 from vprbench.plugins.options import chosen
 from vprbench.progress import answers_alone, progress_shown
-from vprbench.run.compose import check_names, composed, readable
-from vprbench.run.settings import checked_settings, n_threads
+from vprbench.runs.compose import check_names, composed, readable
+from vprbench.runs.settings import checked_settings, n_threads
 from vprbench.text import printable
 
 if TYPE_CHECKING:
@@ -47,8 +47,8 @@ def report(options: list[str]) -> int:
 
 def compare(options: list[str]) -> int:
     """Run methods on one dataset, rank them in a table, draw figures and write a page."""
-    from vprbench.compare.make import make_comparison
-    from vprbench.compare.request import asked
+    from vprbench.comparison.make import make_comparison
+    from vprbench.comparison.request import asked
 
     return make_comparison(asked(readable(options)), lambda more: composed(readable(list(more))))
 
@@ -74,7 +74,7 @@ def _asked(options: list[str]) -> tuple[TableRequest, list[str], Compose]:
 
 def search_parameters(options: list[str]) -> int:
     """Search the best settings of the method in conf/search.yaml, on places that no result uses."""
-    from vprbench.run.store import Store
+    from vprbench.runs.store import Store
     from vprbench.tuning import search, space, text
 
     settings = chosen(search.Settings, options, search.QUICK)
@@ -140,8 +140,8 @@ def compare_gpu(options: list[str]) -> int:
 @contextlib.contextmanager
 def _prepared(title: str, device: str, threads: int | None, results: str, seed: int) -> Iterator[Path]:
     """Check the options that all commands share, pin the threads, show the progress; yields the results folder."""
-    from vprbench.run import machine
-    from vprbench.run.store import Store
+    from vprbench.runs import machine
+    from vprbench.runs.store import Store
 
     run = {**composed([]), "method": {}, "device": device, "threads": threads, "results": results, "seed": seed}
     settings = checked_settings(run)
@@ -171,7 +171,7 @@ def check(options: list[str]) -> int:
     Raises BadInput if none is named.
     """
     from vprbench.plugins import conformance
-    from vprbench.run import machine
+    from vprbench.runs import machine
 
     groups = [group for group in ("method", "dataset") if any(option.startswith(f"{group}=") for option in options)]
     if len(groups) != 1:

@@ -20,8 +20,8 @@ from vprbench.errors import BadInput
 from vprbench.interactive import short
 from vprbench.plugins import registry
 from vprbench.plugins.entries import Group, entries, insist_on_one
-from vprbench.run.compose import composed_in_python
-from vprbench.run.sources import source_hash
+from vprbench.runs.compose import composed_in_python
+from vprbench.runs.sources import source_hash
 from vprbench.text import near
 
 

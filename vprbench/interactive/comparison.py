@@ -19,10 +19,10 @@ from vprbench.metrics.registry import METRICS
 from vprbench.paper.ranking import Ranked, Ranking, ranked
 from vprbench.paper.selection import Series
 from vprbench.paper.table.quantities import RATES
-from vprbench.run import rows
-from vprbench.run.record import Failure
-from vprbench.run.sequences import views
-from vprbench.run.settings import insist_on_metrics
+from vprbench.runs import rows
+from vprbench.runs.record import Failure
+from vprbench.runs.sequences import views
+from vprbench.runs.settings import insist_on_metrics
 from vprbench.text import plural
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from vprbench.errors import BadInput
 from vprbench.plugins.entries import Entry, Group, entries
 
 if TYPE_CHECKING:
-    from vprbench.run.record import Run
+    from vprbench.runs.record import Run
 
 
 def methods() -> pd.DataFrame:
@@ -35,7 +35,7 @@ def results(folder: str | Path = "results") -> pd.DataFrame:
     """
     from vprbench.interactive.result import Result
     from vprbench.metrics.registry import METRICS
-    from vprbench.run.store import Store
+    from vprbench.runs.store import Store
 
     root = Path(folder).expanduser()
     if not root.is_dir():

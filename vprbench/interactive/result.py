@@ -14,15 +14,15 @@ from vprbench.interactive import short
 from vprbench.metrics.accuracy import hits_at, recall_at
 from vprbench.metrics.intervals import WiderInterval
 from vprbench.metrics.registry import METRICS
-from vprbench.run import rows
-from vprbench.run.rates import streaming_rate
-from vprbench.run.recall_intervals import interval_between, recall_interval
-from vprbench.run.record import Run
-from vprbench.run.sequences import Seen, views
-from vprbench.run.stopwatch import Timing
-from vprbench.run.tuned import all_notes
-from vprbench.run.verdicts import RIGHT, UNANSWERABLE, judged
-from vprbench.run.views import queries_shown
+from vprbench.runs import rows
+from vprbench.runs.query_results import RIGHT, UNANSWERABLE, judged
+from vprbench.runs.rates import streaming_rate
+from vprbench.runs.recall_intervals import interval_between, recall_interval
+from vprbench.runs.record import Run
+from vprbench.runs.sequences import Seen, views
+from vprbench.runs.stopwatch import Timing
+from vprbench.runs.tuned import all_notes
+from vprbench.runs.views import queries_shown
 
 if TYPE_CHECKING:
     from vprbench.paper.figures.style import Figure

@@ -13,11 +13,12 @@ from vprbench.errors import BadInput
 from vprbench.interactive.choices import AnyDataset, AnyMethod, Place, Recipe, place, recipe
 from vprbench.interactive.result import Result
 from vprbench.plugins import registry
-from vprbench.run.compose import composed_in_python
-from vprbench.run.find_or_make import made, requested
-from vprbench.run.identity import Request
-from vprbench.run.settings import KNOWN, Settings, checked_settings
-from vprbench.run.store import Store
+from vprbench.runs.build_request import request_of
+from vprbench.runs.compose import composed_in_python
+from vprbench.runs.get_or_run import get_or_run
+from vprbench.runs.identity import Request
+from vprbench.runs.settings import KNOWN, Settings, checked_settings
+from vprbench.runs.store import Store
 from vprbench.text import near
 
 logger = logging.getLogger(__name__)
@@ -59,7 +60,6 @@ class Prepared:
     request: Request
     settings: Settings
     store: Store | None  # None: nothing is stored
-    tuned_on: Mapping[str, Any]
 
 
 def prepared(method: AnyMethod, where: Place, options: Options) -> Prepared:
@@ -82,18 +82,18 @@ def prepared(method: AnyMethod, where: Place, options: Options) -> Prepared:
     asked |= {"method": method_config, "changed": dict(chosen.changed)}
     corrupted = [f"corruption={settings.corruption}"] * (settings.corruption is not None)
     asked |= {"overrides": [*chosen.overrides, *where.overrides, *corrupted, f"seed={settings.seed}"]}
-    request = requested(chosen.name, chosen.build, where.dataset, asked, settings, store)
-    return Prepared(request, settings, store if stored else None, tuned_on)
+    request = request_of(chosen.name, chosen.build, where.dataset, asked, settings, store, tuned_on)
+    return Prepared(request, settings, store if stored else None)
 
 
 def finished(ready: Prepared) -> Result:
     """Return the result of a run, from the store or made now; raises what the method raises."""
     queries = ready.request.dataset.queries.names
     if ready.store is not None:
-        found = made(ready.request, ready.settings, ready.store, ready.tuned_on)
+        found = get_or_run(ready.request, ready.settings, ready.store)
         return Result(found.run, found.folder, queries, found.from_store)
     with TemporaryDirectory(prefix="vprbench-") as folder:
-        found = made(ready.request, ready.settings, Store(Path(folder)), ready.tuned_on)
+        found = get_or_run(ready.request, ready.settings, Store(Path(folder)))
     return Result(found.run, None, queries)
 
 

@@ -11,9 +11,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
-from vprbench.cluster.executors import Executor
-from vprbench.cluster.options import ClusterOptions
 from vprbench.errors import BadInput
+from vprbench.jobs.executors import Executor
+from vprbench.jobs.job import JobResult
+from vprbench.jobs.options import ClusterOptions
 from vprbench.metrics.registry import GROUPS
 from vprbench.paper.left_out import why_left_out
 from vprbench.paper.missing_runs import MissingRun, Watch, fill, results_folder
@@ -25,11 +26,10 @@ from vprbench.paper.table.cells import Table
 from vprbench.paper.table.quantities import QUANTITIES, Quantity, quantities
 from vprbench.paper.viewed import seen
 from vprbench.plugins import registry
-from vprbench.run.job import JobResult
-from vprbench.run.record import Failure, Run
-from vprbench.run.sequences import Seen, views
-from vprbench.run.settings import insist_on_metrics
-from vprbench.run.store import Store
+from vprbench.runs.record import Failure, Run
+from vprbench.runs.sequences import Seen, views
+from vprbench.runs.settings import insist_on_metrics
+from vprbench.runs.store import Store
 
 Part = TypeVar("Part")
 

@@ -13,7 +13,7 @@ from vprbench.errors import BadInput
 from vprbench.paper.plan import Row
 from vprbench.paper.selection import age, as_text, conditions
 from vprbench.paper.table import best
-from vprbench.run.record import Run
+from vprbench.runs.record import Run
 
 _PER_SIZE = frozenset(  # parts of the protocol in which runs of one growth differ
     {"places", "query_places", "first_query_place", "reference_places", "held_out_places"}

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 from vprbench.paper.plan import Row
 from vprbench.paper.selection import Group, ResolvedColumn
-from vprbench.run.record import Run
+from vprbench.runs.record import Run
 
 _HOUR, _MINUTE = 3600.0, 60.0
 

@@ -14,19 +14,20 @@ from statistics import mean
 from typing import Any
 
 from vprbench.api.weights import Weights, find_weights
-from vprbench.cluster.executors import Callbacks, Executor, Numbered, SerialExecutor, run_all
-from vprbench.cluster.sweep import lost
 from vprbench.errors import NotThere
+from vprbench.jobs.executors import Callbacks, Executor, Numbered, SerialExecutor, run_all
+from vprbench.jobs.job import JobResult
+from vprbench.jobs.sweep import lost
 from vprbench.metrics.accuracy import recall_at
 from vprbench.paper.plan import Row
 from vprbench.paper.shelf import Compose, Shelf
 from vprbench.plugins import registry
 from vprbench.progress import marked, shown_by
-from vprbench.run import machine
-from vprbench.run.job import JobResult
-from vprbench.run.rates import StageRates, best_batch
-from vprbench.run.record import Failure, Run, content_key
-from vprbench.run.store import Store
+from vprbench.runs import machine
+from vprbench.runs.rates import StageRates, best_batch
+from vprbench.runs.record import Failure, Run
+from vprbench.runs.run_files import content_key
+from vprbench.runs.store import Store
 from vprbench.terminal.live import LiveTable
 
 logger = logging.getLogger(__name__)

@@ -22,10 +22,10 @@ from vprbench.paper.table.best import (
 )
 from vprbench.paper.table.quantities import RATES
 from vprbench.paper.templates import sentences
-from vprbench.run.recall_intervals import along_the_journey, recall_interval
-from vprbench.run.record import Run
-from vprbench.run.tuned import others_of, tuned_here
-from vprbench.run.views import window_of
+from vprbench.runs.recall_intervals import along_the_journey, recall_interval
+from vprbench.runs.record import Run
+from vprbench.runs.tuned import others_of, tuned_here
+from vprbench.runs.views import window_of
 
 
 @dataclass(frozen=True)

@@ -16,11 +16,11 @@ from vprbench.paper.selection import Series
 from vprbench.paper.table.best import mean_recall
 from vprbench.paper.table.formats import shown_as_it_is
 from vprbench.paper.templates import document
-from vprbench.run import rows
-from vprbench.run.corruption import KINDS, STRENGTHS, Corruption
-from vprbench.run.recall_intervals import along_the_journey, recall_interval
-from vprbench.run.record import Run
-from vprbench.run.tuned import tuned_note
+from vprbench.runs import rows
+from vprbench.runs.corruption import KINDS, STRENGTHS, Corruption
+from vprbench.runs.recall_intervals import along_the_journey, recall_interval
+from vprbench.runs.record import Run
+from vprbench.runs.tuned import tuned_note
 
 _ABSENT = "-"
 

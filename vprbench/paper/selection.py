@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from vprbench.paper.plan import PlannedColumn, Row
-from vprbench.run.machine import Machine
-from vprbench.run.record import Failure, Run
+from vprbench.runs.machine import Machine
+from vprbench.runs.record import Failure, Run
 
 Device = Literal["cpu", "cuda"]
 DEVICES: tuple[Device, ...] = ("cpu", "cuda")

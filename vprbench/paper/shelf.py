@@ -6,20 +6,20 @@ import contextlib
 import io
 import logging
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import chdir
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from vprbench.api.dataset import Dataset
 from vprbench.plugins import registry
 from vprbench.progress import progress_shown
-from vprbench.run import thumbnails
-from vprbench.run.adaptation import adapted_as
-from vprbench.run.corrupted_frames import corrupted
-from vprbench.run.identity import Identity, code_hash_of, fingerprint
-from vprbench.run.record import Run, content_key
-from vprbench.run.settings import checked_settings, n_threads
-from vprbench.run.store import Store
+from vprbench.runs import thumbnails
+from vprbench.runs.adaptation import adapted_as
+from vprbench.runs.corrupted_frames import corrupted
+from vprbench.runs.identity import Identity, code_hash_of, fingerprint
+from vprbench.runs.record import Run
+from vprbench.runs.run_files import content_key
+from vprbench.runs.settings import checked_settings, n_threads
+from vprbench.runs.store import Store
 from vprbench.storage.hashes import content_hash
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ class Shelf:
         if not self._runs:
             return None
         try:
-            with contextlib.redirect_stdout(io.StringIO()), chdir("."):
+            with contextlib.redirect_stdout(io.StringIO()):
                 return self._found(wanted)
         except (Exception, SystemExit) as error:  # whatever a plug-in raises, or an option that does not fit
             logger.debug("whether %s is stored is left to a process: %s", wanted.row.name, error)

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from vprbench.paper.selection import Group
-from vprbench.run.record import Run
+from vprbench.runs.record import Run
 
 
 def title(group: Group, among: Sequence[Group]) -> str:

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 from vprbench.paper.plan import Row
 from vprbench.paper.selection import DEVICES, Group, of_row
-from vprbench.run.record import Failure, Run
-from vprbench.run.sequences import NoScoresError, Seen, suffix
+from vprbench.runs.record import Failure, Run
+from vprbench.runs.sequences import NoScoresError, Seen, suffix
 
 
 def seen(groups: Sequence[Group], rows: Sequence[Row], views: Sequence[Seen]) -> list[Group]:

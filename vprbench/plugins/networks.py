@@ -118,6 +118,7 @@ def prepare(files: Files, method: Method, arguments: Mapping[str, Any], dataset:
     except OSError as error:
         raise BadInput(f"save={path} cannot be written ({error.strerror}): choose another file") from error
     chosen = np.linspace(0, len(dataset.references) - 1, min(nir_files.EXAMPLES, len(dataset.references))).astype(int)
+    path = path.absolute()  # a method may change the working folder
     return Destination(path, files.replace, origin(method, arguments, dataset), dataset.references[chosen])
 
 

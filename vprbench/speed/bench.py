@@ -13,7 +13,7 @@ import psutil
 
 from vprbench.metrics.growth import exponent
 from vprbench.paper.plan import PAPER, PAPER_CPU, published
-from vprbench.run import machine
+from vprbench.runs import machine
 from vprbench.speed import events, files, frames, matching, training, vprsnn
 from vprbench.speed.measure import Make, median
 from vprbench.speed.report import Planned, Report, figures, measured, publish, ratio

@@ -15,7 +15,7 @@ import numpy as np
 from vprbench.api.method import Method
 from vprbench.errors import BadInput
 from vprbench.plugins import registry
-from vprbench.run import machine
+from vprbench.runs import machine
 from vprbench.speed.measure import Make, laps_of, median
 from vprbench.speed.report import Report, hertz, measured, publish, size
 from vprbench.speed.route import Route, unit_vectors

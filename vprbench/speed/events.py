@@ -17,7 +17,7 @@ import psutil
 
 from vprbench import progress
 from vprbench.plugins import registry
-from vprbench.run import machine
+from vprbench.runs import machine
 from vprbench.speed.frames import in_own_process
 from vprbench.speed.report import Planned, figures, megabytes
 from vprbench.speed.settings import Bench, Settings

@@ -18,8 +18,8 @@ from PIL import Image as PillowImage
 from vprbench import progress
 from vprbench.data.doctor import insist
 from vprbench.plugins import registry
-from vprbench.run import machine
-from vprbench.run.identity import data_record, fingerprint, hashed
+from vprbench.runs import machine
+from vprbench.runs.identity import data_record, fingerprint, hashed
 from vprbench.speed.frames import drawn, in_own_process
 from vprbench.speed.report import Planned, figures, megabytes
 from vprbench.speed.settings import Bench, Settings

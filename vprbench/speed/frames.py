@@ -25,7 +25,7 @@ from vprbench.api.decoding import read_image
 from vprbench.api.images import Images
 from vprbench.api.oriented import OrientedEdges
 from vprbench.api.preprocess import Engine, PatchNormalisation
-from vprbench.run import machine
+from vprbench.runs import machine
 from vprbench.speed.measure import in_turn, median, rounded
 from vprbench.speed.report import Planned, figures, megabytes, ratio, size
 from vprbench.speed.route import Route

@@ -19,8 +19,8 @@ import numpy.typing as npt
 from vprbench import progress
 from vprbench.api.arrays import Scores
 from vprbench.errors import BadInput
-from vprbench.run import machine
-from vprbench.run.stopwatch import Protocol
+from vprbench.runs import machine
+from vprbench.runs.stopwatch import Protocol
 from vprbench.speed.measure import Make, Rates, measured_rates, timed_fit
 from vprbench.speed.report import Planned, Report, measured, publish, rates_text
 from vprbench.speed.route import Route

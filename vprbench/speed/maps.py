@@ -15,8 +15,8 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from vprbench.run import machine
-from vprbench.run.document import document
+from vprbench.runs import machine
+from vprbench.runs.document import document
 from vprbench.speed.report import Failed, Planned, figures, hertz, measured, megabytes, publish
 from vprbench.speed.searching import BEST, Case, searched
 from vprbench.speed.settings import Options, option, quick

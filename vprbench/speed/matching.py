@@ -15,7 +15,7 @@ from vprbench.api.search import Search
 from vprbench.api.search_indexes import faiss_module
 from vprbench.errors import BadInput
 from vprbench.metrics.ranking import best_places
-from vprbench.run import machine
+from vprbench.runs import machine
 from vprbench.speed.measure import Rates, floor_laps, in_turn, measured_rates, median, weight_bytes
 from vprbench.speed.report import Planned, figures, megabytes, milliseconds, rates_text, ratio
 from vprbench.speed.route import unit_vectors

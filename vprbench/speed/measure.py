@@ -16,9 +16,9 @@ from vprbench.api.arrays import Places
 from vprbench.api.images import Images
 from vprbench.api.method import Method
 from vprbench.progress import Listener, listening, report
-from vprbench.run import machine, stopwatch
-from vprbench.run.rates import StageRates, best_batch, offline_rate, streaming_rate
-from vprbench.run.stopwatch import Stopwatch, synchroniser
+from vprbench.runs import machine, stopwatch
+from vprbench.runs.rates import StageRates, best_batch, offline_rate, streaming_rate
+from vprbench.runs.stopwatch import Stopwatch, synchroniser
 
 BEFORE, AFTER = "before training", "after training"
 

@@ -11,10 +11,10 @@ from typing import Any, Protocol
 
 from vprbench import progress
 from vprbench.errors import BadInput
-from vprbench.run.document import document
-from vprbench.run.machine import machine_lines
-from vprbench.run.rates import StageRates
-from vprbench.run.rows import markdown
+from vprbench.runs.document import document
+from vprbench.runs.machine import machine_lines
+from vprbench.runs.rates import StageRates
+from vprbench.runs.rows import markdown
 from vprbench.storage.atomic import replace_text
 
 

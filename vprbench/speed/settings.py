@@ -10,7 +10,7 @@ from typing import Any
 from vprbench.api.method import Method
 from vprbench.api.preprocess import Engine
 from vprbench.errors import BadInput
-from vprbench.run.stopwatch import Protocol
+from vprbench.runs.stopwatch import Protocol
 from vprbench.speed.measure import Make
 from vprbench.speed.route import Route
 

@@ -16,8 +16,8 @@ from vprbench.api.method import Method
 from vprbench.errors import BadInput
 from vprbench.plugins import registry
 from vprbench.progress import listening
-from vprbench.run import machine
-from vprbench.run.stopwatch import Protocol, Stopwatch
+from vprbench.runs import machine
+from vprbench.runs.stopwatch import Protocol, Stopwatch
 from vprbench.speed.measure import Fit, in_turn, median, rounded, timed_fit
 from vprbench.speed.report import Planned, figures, milliseconds, ratio
 from vprbench.speed.settings import TRAVERSES, VPRSNN, Bench, Settings

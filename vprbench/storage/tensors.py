@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,9 +12,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save_file
 
 Array = npt.NDArray[Any]
 Arrays = Mapping[str, Array]
+
+_KINDS = {"F32": "<f4", "F64": "<f8", "I32": "<i4", "I64": "<i8"}
 
 
 @dataclass(frozen=True)
@@ -65,3 +69,35 @@ def _digest(text: str, arrays: Arrays) -> str:
         digest.update(f"\0{name}\0{array.dtype.str}{array.shape}\0".encode())
         digest.update(array.reshape(-1).view(np.uint8).data)
     return digest.hexdigest()
+
+
+def write_arrays(path: Path, arrays: Arrays) -> None:
+    """Write arrays into a new file; raises OSError if the disk refuses, TypeError for anything but numbers."""
+    try:
+        save_file({name: plain(array, name) for name, array in arrays.items()}, path)
+    except SafetensorError as error:
+        raise OSError(str(error)) from error
+
+
+def mapped_arrays(path: Path) -> dict[str, Array]:
+    """Return the arrays of a file, which are read from the disk when they are used, and cannot be written to.
+
+    Raises OSError for a file that cannot be read and ValueError for one that holds no such arrays.
+    """
+    try:
+        with safe_open(path, framework="np") as file:  # it checks types, shapes and places against the file's length
+            names = list(file.keys())
+    except SafetensorError as error:
+        raise ValueError(str(error)) from error
+    content = np.memmap(path, np.uint8, "r")
+    start = 8 + int.from_bytes(content[:8].tobytes(), "little")
+    header = json.loads(content[8:start].tobytes())
+    return {name: _mapped(content[start:], header[name]) for name in names}
+
+
+def _mapped(content: Array, entry: Mapping[str, Any]) -> Array:
+    first, end = entry["data_offsets"]
+    kind = _KINDS.get(entry["dtype"])
+    if kind is None:
+        raise ValueError(f"an array is of {entry['dtype']}; wanted {', '.join(_KINDS)}")
+    return np.asarray(content[first:end]).view(kind).reshape(entry["shape"])

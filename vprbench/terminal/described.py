@@ -124,10 +124,12 @@ def _first(node: ast.Assign) -> str:
 
 
 def _typed(annotation: ast.expr | None, module: str) -> str:
-    """Return a type hint in words; a name that stands for a Literal is looked up."""
+    """Return a type hint in words, without the bounds of a value; a name that stands for a Literal is looked up."""
     text = "" if annotation is None else ast.unparse(annotation).removesuffix(" | None")
     if text.isidentifier() and text[0].isupper() and (defined := _defined(module, text)):
         text = ast.unparse(defined[2])
+    if bounded := re.fullmatch(r"(?:\w+ = )?Annotated\[(.+?), [A-Z].*\]", text):
+        return _typed(ast.parse(bounded[1]).body[0].value, module)  # type: ignore[attr-defined]
     if choice := re.search(r"Literal\[(.*?)\]", text):
         return " or ".join(word.strip().strip("'") for word in choice[1].split(","))
     if text.startswith("dict["):

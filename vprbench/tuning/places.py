@@ -13,7 +13,7 @@ import yaml
 from vprbench.api.dataset import Dataset
 from vprbench.errors import BadInput
 from vprbench.paper.plan import PlannedColumn
-from vprbench.run.record import Run
+from vprbench.runs.record import Run
 from vprbench.tuning.space import SCATTERING
 
 FEWEST = 10  # places of a stretch: below, a network whose training diverged is not seen

@@ -16,15 +16,15 @@ import optuna
 from vprbench import progress
 from vprbench.api.dataset import Dataset
 from vprbench.api.method import Method
-from vprbench.cluster.options import ClusterOptions
 from vprbench.errors import BadInput
+from vprbench.jobs.options import ClusterOptions
 from vprbench.paper.plan import read_plan
 from vprbench.plugins import registry
-from vprbench.run import machine
-from vprbench.run.identity import code_hash, fingerprint
-from vprbench.run.record import content_key
-from vprbench.run.sources import meaning
-from vprbench.run.store import Store
+from vprbench.runs import machine
+from vprbench.runs.identity import code_hash, fingerprint
+from vprbench.runs.run_files import content_key
+from vprbench.runs.sources import hash_of_files
+from vprbench.runs.store import Store
 from vprbench.tuning import objective, places, space
 from vprbench.tuning.comparison import Comparison, compared
 from vprbench.tuning.objective import StretchName, Task, Tried
@@ -139,7 +139,7 @@ def _origin(
     """Return what decides the trials of a search."""
     return {
         "method": {name: value for name, value in method.items() if name != "_target_"},
-        "code": [code_hash(type(encoder)), meaning([Path(objective.__file__)])],
+        "code": [code_hash(type(encoder)), hash_of_files([Path(objective.__file__)])],
         "stretches": {name: [dict(part.protocol), fingerprint(part)] for name, part in stretches.items()},
         "space": [asdict(parameter) for parameter in space.PARAMETERS],
         "seed": seed,
@@ -211,7 +211,7 @@ def _workers(attempt: objective.Training, settings: Settings, jobs: int) -> Work
     """Return who tries settings."""
     if not settings.elsewhere:
         return Workers(attempt, jobs)
-    from vprbench.cluster.dask_executor import DaskExecutor
+    from vprbench.jobs.dask_executor import DaskExecutor
 
     return Spread(attempt, DaskExecutor(settings))
 

@@ -15,10 +15,10 @@ from multiprocessing import get_context, parent_process
 from threading import Thread
 from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar
 
-from vprbench.run import machine
+from vprbench.runs import machine
 
 if TYPE_CHECKING:
-    from vprbench.cluster.dask_executor import DaskExecutor
+    from vprbench.jobs.dask_executor import DaskExecutor
 
 Asked = TypeVar("Asked")
 Given = TypeVar("Given")

@@ -13,8 +13,8 @@ from vprbench.methods.vprsnn.method import VPRSNN
 from vprbench.methods.vprsnn.model import Model
 from vprbench.methods.vprsnn.scoring import Responses
 from vprbench.plugins.conformance import check
-from vprbench.run.compose import composed_in_python
-from vprbench.run.settings import checked_settings
+from vprbench.runs.compose import composed_in_python
+from vprbench.runs.settings import checked_settings
 
 QUERIES = images(WORLD.queries)
 SHORT = {"presentation_ms": 120.0, "rest_ms": 30.0, "excitatory_start_mv": -80.0}

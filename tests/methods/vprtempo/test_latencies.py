@@ -16,7 +16,7 @@ from vprbench.methods.vprtempo.query import SpikingQuery
 from vprbench.methods.vprtempo.rules import PAPER
 from vprbench.paper.figures.raster import in_time, raster, recall_at_step
 from vprbench.paper.selection import Series
-from vprbench.run.store import Store
+from vprbench.runs.store import Store
 
 
 def simulated(asked, pixels, steps):

@@ -25,7 +25,7 @@ from vprbench.methods.vprtempo.rules import PAPER, RULES, V1, QueryRule, Rules, 
 from vprbench.plugins.conformance import check
 from vprbench.plugins.registry import make_method
 from vprbench.plugins.rules import Journey
-from vprbench.run import compose
+from vprbench.runs import compose
 
 
 @cache

@@ -10,7 +10,7 @@ from vprbench.metrics.intervals import share_interval
 from vprbench.metrics.ranking import outcome, ranked_places
 from vprbench.paper.figures.accuracy import precision_recall, recall_at_n, recall_at_tolerance
 from vprbench.paper.figures.sequences import recall_at_length
-from vprbench.run.sequences import views
+from vprbench.runs.sequences import views
 
 RECALLS = (recall_at_n, recall_at_tolerance)
 

@@ -19,7 +19,7 @@ from vprbench.paper.figures.speed import query_rate, training_time
 from vprbench.paper.figures.tradeoff import against_memory, against_rate, front
 from vprbench.paper.growth import samples
 from vprbench.paper.plan import Row, read_plan
-from vprbench.run.note import Note
+from vprbench.runs.notes import Note
 
 approx = pytest.approx
 METHODS = ("VPRTempo", "VPRTempo, public code", "SAD", "NetVLAD", "CosPlace", "MixVPR")

@@ -26,8 +26,8 @@ from vprbench.paper.figures.spikes import spike_statistics
 from vprbench.paper.figures.tradeoff import against_memory, against_rate
 from vprbench.paper.growth import samples
 from vprbench.paper.plan import Row, read_plan
-from vprbench.run.note import Note
-from vprbench.run.thumbnails import Example, Thumbnails
+from vprbench.runs.notes import Note
+from vprbench.runs.thumbnails import Example, Thumbnails
 
 STORED = Path(__file__).parent / "stored" / "captions.md"
 PLAN = read_plan(ROOT / "conf" / "table.yaml")

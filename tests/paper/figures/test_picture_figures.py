@@ -11,7 +11,7 @@ from vprbench.metrics.ranking import outcome
 from vprbench.paper.figures.pictures import frames, similarity
 from vprbench.paper.figures.spikes import spike_statistics
 from vprbench.paper.figures.style import pdf
-from vprbench.run.thumbnails import Example, Thumbnails
+from vprbench.runs.thumbnails import Example, Thumbnails
 
 
 def picture(seed, height=45, width=80):

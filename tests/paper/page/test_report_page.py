@@ -19,9 +19,9 @@ from vprbench.paper.page import words
 from vprbench.paper.page.page import Picture, Section
 from vprbench.paper.selection import Series
 from vprbench.progress import listening
-from vprbench.run.note import Note
-from vprbench.run.thumbnails import Thumbnails
-from vprbench.run.verdicts import judged
+from vprbench.runs.notes import Note
+from vprbench.runs.query_results import judged
+from vprbench.runs.thumbnails import Thumbnails
 
 
 def embedded(text):

@@ -8,7 +8,7 @@ from assembled import cell, table
 from stored_runs import ABACUS, run
 
 from vprbench.paper.plan import Row
-from vprbench.run.note import Note
+from vprbench.runs.notes import Note
 
 RECALL, TRAINING, RATE = "recall_at_1", "train_cpu", "query_cpu"
 NOISY = (Note("noisy", "two carts passed"),)

@@ -11,7 +11,7 @@ from vprbench.paper.plan import PlannedColumn, Row
 from vprbench.paper.selection import ResolvedColumn, groups
 from vprbench.paper.table.build import assemble
 from vprbench.paper.table.quantities import quantities
-from vprbench.run.note import Note
+from vprbench.runs.notes import Note
 
 approx = pytest.approx
 WILSON = (approx(15.00, abs=0.005), approx(85.00, abs=0.005))  # 95 % of 2 hits of 4

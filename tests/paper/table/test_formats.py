@@ -23,7 +23,7 @@ from vprbench.paper.selection import ResolvedColumn, groups
 from vprbench.paper.table import formats
 from vprbench.paper.table.build import assemble
 from vprbench.paper.table.quantities import quantities
-from vprbench.run.note import Note
+from vprbench.runs.notes import Note
 from vprbench.terminal import console
 
 STORED = Path(__file__).parent / "stored"

@@ -11,7 +11,7 @@ from small_plan import RUN, install
 
 from vprbench.cli import main
 from vprbench.metrics.accuracy import recall_at
-from vprbench.run.store import Store
+from vprbench.runs.store import Store
 
 STORED = "rows=[SAD,PCA,Nobody]"
 

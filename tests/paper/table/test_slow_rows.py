@@ -9,7 +9,7 @@ from quick_runs import quick_runs
 from small_plan import RUN, install
 
 from vprbench.cli import main
-from vprbench.cluster import executors
+from vprbench.jobs import executors
 
 MARKS = list[dict[tuple[str, str], str]]
 

@@ -19,9 +19,9 @@ from vprbench.metrics.tolerance import hits_within
 from vprbench.paper.figures.captions import caption, one_dataset
 from vprbench.paper.figures.style import SINGLE_MM, Drawn, legend_above, looks, new, styled
 from vprbench.paper.selection import Series
-from vprbench.run.recall_intervals import along_the_journey
-from vprbench.run.record import Run
-from vprbench.run.views import window_of
+from vprbench.runs.recall_intervals import along_the_journey
+from vprbench.runs.record import Run
+from vprbench.runs.views import window_of
 
 LARGEST_N = 25
 LARGEST_TOLERANCE = 10  # places to either side

@@ -13,8 +13,8 @@ from vprbench.paper.growth import GrowthSamples
 from vprbench.paper.selection import Series
 from vprbench.paper.table.best import disturbed, machine
 from vprbench.paper.templates import sentences
-from vprbench.run.record import Run
-from vprbench.run.tuned import tuned_note
+from vprbench.runs.record import Run
+from vprbench.runs.tuned import tuned_note
 from vprbench.text import plural
 
 

@@ -17,7 +17,7 @@ from vprbench.paper.figures.log_axis import plain_log
 from vprbench.paper.figures.style import DOUBLE_MM, GREY, Dash, Drawn, Look, legend_above, looks, new, styled, wrapped
 from vprbench.paper.growth import GrowthSamples, Sample
 from vprbench.paper.selection import Series
-from vprbench.run.stream import stream_numbers
+from vprbench.runs.stream import stream_numbers
 
 _CLAIMS: dict[str, tuple[Law, Law]] = {"VPRTempo": ("linear", "logarithmic")}  # by the paper: training, query
 _DASHES: dict[Law, Dash] = {"constant": (0, (1, 2)), "logarithmic": (0, (4, 2)), "linear": (0, ())}

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vprbench import progress
-from vprbench.cluster.executors import executor_for
 from vprbench.errors import BadInput
+from vprbench.jobs.executors import executor_for
 from vprbench.metrics.registry import METRICS
 from vprbench.paper.gather import Chosen, Material, TableRequest, choose, gather, made, stored, wanted
 from vprbench.paper.growth import GrowthSamples, samples
@@ -24,8 +24,8 @@ from vprbench.paper.table.best import mean_recall
 from vprbench.paper.table.formats import shown_as_it_is
 from vprbench.paper.table.make import exit_code
 from vprbench.paper.titles import title
-from vprbench.run.record import Run
-from vprbench.run.thumbnails import Thumbnails, find
+from vprbench.runs.record import Run
+from vprbench.runs.thumbnails import Thumbnails, find
 from vprbench.storage.atomic import remove_leftovers, replace_text
 
 if TYPE_CHECKING:

@@ -16,8 +16,8 @@ from vprbench.paper.figures.captions import caption
 from vprbench.paper.figures.style import DOUBLE_MM, Drawn, new, styled
 from vprbench.paper.selection import Series
 from vprbench.paper.templates import sentences
-from vprbench.run.record import Run
-from vprbench.run.thumbnails import Thumbnails
+from vprbench.runs.record import Run
+from vprbench.runs.thumbnails import Thumbnails
 
 _SIDE = 28  # pixels of a patch-normalised frame
 _PATCH = 7

@@ -7,7 +7,7 @@ from math import ceil
 from vprbench.paper.figures.captions import caption
 from vprbench.paper.figures.style import DOUBLE_MM, Drawn, legend_above, looks, new, styled
 from vprbench.paper.robustness import Robustness
-from vprbench.run.corruption import KINDS
+from vprbench.runs.corruption import KINDS
 
 _COLUMNS = 4
 _ROW_MM = 46.0

@@ -9,8 +9,8 @@ from vprbench.metrics.accuracy import hits_at
 from vprbench.paper.figures.captions import caption
 from vprbench.paper.figures.style import SINGLE_MM, Drawn, legend_above, looks, new, styled
 from vprbench.paper.selection import Series
-from vprbench.run.recall_intervals import recall_interval
-from vprbench.run.views import window_of
+from vprbench.runs.recall_intervals import recall_interval
+from vprbench.runs.views import window_of
 
 _HEIGHT_MM = 64.0  # without the legend
 _BAND = 0.15  # opacity

@@ -20,7 +20,7 @@ from vprbench.paper.figures.style import DOUBLE_MM, GREY, SINGLE_MM, Drawn, Look
 from vprbench.paper.plan import Boundary, PlannedColumn, Quantity, Row, published
 from vprbench.paper.selection import Series
 from vprbench.paper.table import best
-from vprbench.run.record import Run
+from vprbench.runs.record import Run
 
 _PUBLISHED, _QUOTED = "//////", "......"  # hatches
 _BAR = 0.38  # of the distance between rows

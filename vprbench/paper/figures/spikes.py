@@ -15,7 +15,7 @@ from vprbench.errors import BadInput
 from vprbench.paper.figures.captions import caption, one_dataset
 from vprbench.paper.figures.style import DOUBLE_MM, Drawn, Look, legend_above, looks, new, styled
 from vprbench.paper.selection import Series
-from vprbench.run.record import Run
+from vprbench.runs.record import Run
 from vprbench.text import plural
 
 _HEIGHT_MM = 56.0  # of a row of panels, without the legend

@@ -17,8 +17,8 @@ from vprbench.paper.figures.log_axis import plain_log
 from vprbench.paper.figures.style import DOUBLE_MM, GREY, SINGLE_MM, Drawn, legend_above, looks, new, styled
 from vprbench.paper.selection import Series
 from vprbench.paper.table import best as contests
-from vprbench.run.recall_intervals import recall_interval
-from vprbench.run.record import Run
+from vprbench.runs.recall_intervals import recall_interval
+from vprbench.runs.record import Run
 
 _HEIGHT_MM = 68.0
 _MB = 1e6

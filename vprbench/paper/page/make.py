@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from vprbench.cluster.executors import executor_for
+from vprbench.jobs.executors import executor_for
 from vprbench.paper.figures.make import draw_all, growth_columns, thumbnails_of
 from vprbench.paper.gather import Material, TableRequest, choose, gather
 from vprbench.paper.selection import Group, accuracy_series, series
@@ -16,10 +16,10 @@ from vprbench.paper.table import formats
 from vprbench.paper.table.make import exit_code, file_name
 from vprbench.paper.titles import title
 from vprbench.progress import progress_shown
-from vprbench.run.sequences import views
-from vprbench.run.store import Store
-from vprbench.run.thumbnails import Thumbnails
-from vprbench.run.views import queries_shown
+from vprbench.runs.sequences import views
+from vprbench.runs.store import Store
+from vprbench.runs.thumbnails import Thumbnails
+from vprbench.runs.views import queries_shown
 from vprbench.storage.atomic import replace_text
 
 if TYPE_CHECKING:

@@ -20,10 +20,10 @@ from vprbench.paper.page.small_png import small_png
 from vprbench.paper.selection import Series
 from vprbench.paper.table.quantities import TRAINING_TIME
 from vprbench.progress import report
-from vprbench.run.recall_intervals import METHOD
-from vprbench.run.record import Run
-from vprbench.run.thumbnails import Thumbnails
-from vprbench.run.verdicts import Answers, columns, judged, place_ranges, places_shown
+from vprbench.runs.query_results import Answers, columns, judged, place_ranges, places_shown
+from vprbench.runs.recall_intervals import METHOD
+from vprbench.runs.record import Run
+from vprbench.runs.thumbnails import Thumbnails
 
 TITLE = "Visual place recognition, measured"
 MOST_BYTES = 9_900_000  # of a page, unless its table and figures alone are larger

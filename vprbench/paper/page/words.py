@@ -8,10 +8,10 @@ from typing import Any
 from vprbench.paper.ranking import ranked
 from vprbench.paper.selection import Series
 from vprbench.paper.templates import ENVIRONMENT, sentences
-from vprbench.run.machine import Machine
-from vprbench.run.record import Run
-from vprbench.run.tuned import all_notes
-from vprbench.run.verdicts import RIGHT, UNANSWERABLE, Answers
+from vprbench.runs.machine import Machine
+from vprbench.runs.query_results import RIGHT, UNANSWERABLE, Answers
+from vprbench.runs.record import Run
+from vprbench.runs.tuned import all_notes
 
 _FINDINGS = 3  # sentences
 

@@ -12,12 +12,12 @@ import numpy as np
 from vprbench.metrics.accuracy import hits_at, recall_at
 from vprbench.metrics.intervals import mcnemar_exact
 from vprbench.paper.plan import Boundary
-from vprbench.run.machine import Machine
-from vprbench.run.note import DISTURBED, FAILED_AUDITS
-from vprbench.run.recall_intervals import along_the_journey, interval_between
-from vprbench.run.record import Run
-from vprbench.run.stopwatch import Seconds
-from vprbench.run.views import window_of
+from vprbench.runs.machine import Machine
+from vprbench.runs.notes import DISTURBED, FAILED_AUDITS
+from vprbench.runs.recall_intervals import along_the_journey, interval_between
+from vprbench.runs.record import Run
+from vprbench.runs.stopwatch import Seconds
+from vprbench.runs.views import window_of
 
 CHANCE = 0.05  # of any false difference in R@1 among all comparisons of a column
 RATE_CHANCE = 0.01
@@ -152,7 +152,7 @@ def laps(run: Run, boundary: Boundary | None = None) -> Seconds:
 
     Raises ValueError for a run that was not timed.
     """
-    encode, match, both = run.insist_on_timing().streaming.by_stage
+    encode, match, both = run.required_timing().streaming.by_stage
     return both if boundary is None else encode if boundary == "encode" else match
 
 

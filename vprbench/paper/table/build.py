@@ -16,8 +16,8 @@ from vprbench.paper.table.quantities import QUANTITIES, RECALL, Numbers, Quantit
 from vprbench.paper.table.reasons import MARKS, Reason, absent, reason
 from vprbench.paper.titles import protocol_words
 from vprbench.paper.titles import title as title_of
-from vprbench.run.record import Run
-from vprbench.run.tuned import others_of, tuned_here, tuned_note
+from vprbench.runs.record import Run
+from vprbench.runs.tuned import others_of, tuned_here, tuned_note
 
 
 def assemble(

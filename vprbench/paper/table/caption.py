@@ -11,7 +11,7 @@ from vprbench.paper.table.cells import Column, Entry, TableRow
 from vprbench.paper.table.quantities import RATES, RECALL, Quantity
 from vprbench.paper.table.reasons import one_sentence
 from vprbench.paper.templates import ENVIRONMENT, sentences
-from vprbench.run.record import Failure
+from vprbench.runs.record import Failure
 
 ENVIRONMENT.globals["best"] = best
 ENVIRONMENT.filters["one_sentence"] = one_sentence

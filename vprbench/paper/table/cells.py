@@ -11,7 +11,7 @@ from vprbench.paper.plan import Boundary, Row
 from vprbench.paper.selection import Device, Group, RowRuns, accuracy_device
 from vprbench.paper.table.quantities import QUANTITIES, Quantity
 from vprbench.paper.table.reasons import Mark, Reason
-from vprbench.run.record import Run
+from vprbench.runs.record import Run
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from vprbench.paper.table.cells import Column, Table, TableRow
 from vprbench.paper.table.latex import tex
 from vprbench.paper.table.quantities import TRAINING, Quantity
 from vprbench.paper.templates import ENVIRONMENT, document, one_line
-from vprbench.run import rows
+from vprbench.runs import rows
 from vprbench.terminal.console import table_text, told
 
 _SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")

@@ -6,16 +6,16 @@ from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from vprbench.cluster.executors import executor_for
 from vprbench.errors import BadInput
+from vprbench.jobs.executors import executor_for
+from vprbench.jobs.job import JobResult
 from vprbench.paper.gather import Chosen, Material, TableRequest, all_runs, choose, made, material, stored
 from vprbench.paper.missing_runs import MissingRun, Watch
 from vprbench.paper.shelf import Compose
 from vprbench.paper.table import formats
-from vprbench.run import rows
-from vprbench.run.job import JobResult
-from vprbench.run.sequences import suffix, views
-from vprbench.run.store import Store
+from vprbench.runs import rows
+from vprbench.runs.sequences import suffix, views
+from vprbench.runs.store import Store
 from vprbench.storage.atomic import replace_text
 from vprbench.terminal.console import console
 

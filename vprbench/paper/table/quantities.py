@@ -24,9 +24,9 @@ from vprbench.paper.table.best import (
     rate,
 )
 from vprbench.paper.table.reasons import Reason, of_accuracy, of_rates, of_times, other_timing, reason, short
-from vprbench.run.note import DISTURBED, FAILED_AUDITS, NoteKind
-from vprbench.run.recall_intervals import recall_interval
-from vprbench.run.record import Run
+from vprbench.runs.notes import DISTURBED, FAILED_AUDITS, NoteKind
+from vprbench.runs.recall_intervals import recall_interval
+from vprbench.runs.record import Run
 
 TRAINING_TIME = (  # of the table, the page and the README
     "Wall time from the first reference image to the finished map, without waiting for images to be read or rendered; "

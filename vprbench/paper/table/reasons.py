@@ -10,7 +10,7 @@ from typing import Any, Literal, NamedTuple
 from vprbench.paper.plan import PAPER_CPU, PAPER_GPU, PlannedColumn, Row
 from vprbench.paper.selection import Device, RowRuns, as_text
 from vprbench.paper.templates import sentences
-from vprbench.run.record import Run
+from vprbench.runs.record import Run
 
 LONGEST = 120  # letters of a reason, beside a command that it gives
 _WORDS = r"(?:\[[^\]]*\]|[^][,;()])"

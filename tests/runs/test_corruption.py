@@ -1,0 +1,158 @@
+"""Corruptions do to query frames what their words say, alike in any order and process, and the protocol tells."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from checkout import ROOT
+from little import journey
+from PIL import Image as PillowImage
+
+from vprbench.api.images import Images
+from vprbench.errors import BadInput
+from vprbench.runs.corrupted_frames import corrupted, corrupted_frame
+from vprbench.runs.corruption import KINDS, Corruption, corruption, corruptions
+from vprbench.runs.identity import fingerprint
+
+FRAMES = [f"frame {i}" for i in range(12)]
+RANDOM = np.random.default_rng(0).integers(0, 256, (40, 60, 3), np.uint8)
+
+
+def under(name, image, frame="frame"):
+    return corrupted_frame(image, corruption(name), frame).astype(float)
+
+
+def grey(level, height=120, width=200):
+    return np.full((height, width, 3), level, np.uint8)
+
+
+@pytest.mark.parametrize(("strength", "pixels", "degrees"), [(1, 1, 2), (2, 4, 5), (3, 8, 10)])
+def test_a_shift_moves_pixels_left_or_right_and_a_rotation_turns_about_the_middle(strength, pixels, degrees):
+    wide = np.pad(RANDOM, ((0, 0), (pixels, pixels), (0, 0)), "edge")  # the border is repeated
+    left, right = wide[:, 2 * pixels :], wide[:, : -2 * pixels]
+    shifted = [under(f"shift-{strength}", RANDOM, frame) for frame in FRAMES]
+    assert {((one == left).all(), (one == right).all()) for one in shifted} == {(True, False), (False, True)}
+    image = grey(0)
+    image[58:62, 178:182] = 200  # its middle lies 80 pixels to the right of the frame's
+    found = set()
+    for frame in FRAMES:
+        light = under(f"rotation-{strength}", image, frame)[:, :, 0]
+        rows, columns = np.indices(light.shape)
+        y, x = (float((axis * light).sum() / light.sum()) for axis in (rows - 59.5, columns - 99.5))
+        assert np.hypot(x, y) == pytest.approx(80, abs=0.1)
+        found.add(round(float(np.degrees(np.arctan2(y, x))), 0))
+    assert found == {-degrees, degrees}
+
+
+@pytest.mark.parametrize(("strength", "stops", "deviation", "noise"), [(1, 0.5, 2, 5), (2, 1, 4, 10), (3, 2, 8, 20)])
+def test_brightness_multiplies_levels_blur_spreads_a_line_and_noise_has_its_deviation_and_no_mean(
+    strength, stops, deviation, noise
+):
+    for level in (50, 180):  # ends at white
+        levels = {float(under(f"brightness-{strength}", grey(level), frame).mean()) for frame in FRAMES}
+        assert levels == {round(level / 2**stops), min(255, round(level * 2**stops))}
+    image = grey(0)
+    image[:, 92:108] = 255
+    profile = under(f"blur-{strength}", image)[60, :, 0]
+    variance = (profile * (np.arange(200) - 99.5) ** 2).sum() / profile.sum()
+    assert variance == pytest.approx((16**2 - 1) / 12 + deviation**2, rel=0.02)  # a share of the 200 pixels
+    one, other = (under(f"noise-{strength}", grey(128), frame) - 128 for frame in FRAMES[:2])
+    assert one.std() == pytest.approx(noise, rel=0.02)
+    assert abs(one.mean()) < 4 * noise / one.size**0.5 + 0.1
+    assert abs(np.corrcoef(one.ravel(), other.ravel())[0, 1]) < 0.02
+    assert abs(np.corrcoef(one[:, :, 0].ravel(), one[:, :, 1].ravel())[0, 1]) < 0.03
+
+
+@pytest.mark.parametrize(("strength", "share", "factor"), [(1, 0.10, 2), (2, 0.25, 4), (3, 0.50, 8)])
+def test_occlusion_hides_a_grey_rectangle_of_its_share_and_resolution_keeps_means_of_areas_and_nothing_finer(
+    strength, share, factor
+):
+    corners = set()
+    for frame in FRAMES:
+        hidden = under(f"occlusion-{strength}", grey(7), frame)[:, :, 0]
+        rows, columns = np.nonzero(hidden != 7)
+        assert len(rows) / hidden.size == pytest.approx(share, rel=0.02)
+        assert len(rows) == (np.ptp(rows) + 1) * (np.ptp(columns) + 1)
+        assert {*hidden[rows, columns]} == {128.0}
+        corners.add((int(rows.min()), int(columns.min())))
+    assert len(corners) > 6
+    blocks = RANDOM[:40, :56].reshape(40 // factor, factor, 56 // factor, factor, 3).mean((1, 3)).round()
+    coarse = under(f"resolution-{strength}", np.ascontiguousarray(RANDOM[:, :56]))
+    line = np.minimum(np.maximum((np.arange(56) + 0.5) / factor - 0.5, 0), 56 // factor - 1)
+    first = np.interp(line, np.arange(56 // factor), blocks[0, :, 0])  # above the middles of the first blocks
+    np.testing.assert_allclose(coarse[0, :, 0], first, atol=1.01)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_strengths_of_a_kind_go_one_way_and_further_and_alike_in_any_order_and_view(kind):
+    smooth = np.repeat(np.linspace(20, 120, 60)[None, :, None], 40, axis=0).repeat(3, axis=2).astype(np.uint8)
+    image = smooth if kind in ("shift", "rotation", "brightness", "noise") else RANDOM
+    for frame in FRAMES[:4]:
+        changes = [under(f"{kind}-{strength}", image, frame) - image for strength in (1, 2, 3)]
+        amounts = [float(np.abs(change).mean()) for change in changes]
+        assert 0 < amounts[0] < amounts[1] < amounts[2]
+        if kind in ("shift", "brightness"):
+            assert len({np.sign(change.sum()) for change in changes}) == 1
+    queries = corrupted(journey(6, 4), f"{kind}-2").queries
+    one_by_one = {i: queries[i] for i in (4, 1, 5, 0, 3, 2)}
+    views = [queries, queries.unnamed(), [*queries[:3], *queries[3:]], queries.in_memory()]
+    assert all(np.array_equal(image, one_by_one[i]) for view in views for i, image in enumerate(view))
+    some = queries.unnamed()[np.array([5, 2])]
+    assert all(np.array_equal(image, one_by_one[i]) for i, image in zip((5, 2), some, strict=True))
+
+
+def test_another_process_draws_the_same_and_another_seed_or_frame_does_not():
+    one = under("noise-2", RANDOM, "a")
+    assert not np.array_equal(one, under("noise-2-7", RANDOM, "a"))
+    assert not np.array_equal(one, under("noise-2", RANDOM, "b"))
+    code = (
+        "import sys; from vprbench.runs.corrupted_frames import *; from vprbench.runs.corruption import *; "
+        "import numpy as np; image = np.random.default_rng(0).integers(0, 256, (40, 60, 3), np.uint8);"
+        "sys.stdout.buffer.write(corrupted_frame(image, corruption('noise-2'), 'a').tobytes())"
+    )
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, cwd=ROOT)
+    assert told.stdout == one.astype(np.uint8).tobytes()
+
+
+def test_the_protocol_says_what_was_done_to_queries_and_nothing_else_is_touched():
+    clean = journey(6, 4)
+    spoilt = corrupted(clean, "shift-2")
+    assert corrupted(clean, None) is clean
+    assert spoilt.protocol.keys() - clean.protocol.keys() == {"corruption"}
+    assert all(word in spoilt.protocol["corruption"] for word in ("shift-2", "4 px", "left or right", "seed 0"))
+    assert spoilt.references is clean.references
+    assert (spoilt.positives, spoilt.queries.names) == (clean.positives, clean.queries.names)
+    marks = {fingerprint(each) for each in (clean, spoilt, corrupted(clean, "shift-1"), corrupted(clean, "shift-2-1"))}
+    assert len(marks) == 4
+    assert fingerprint(corrupted(journey(6, 4), "shift-2")) == fingerprint(spoilt)
+
+
+@pytest.mark.parametrize("kind", ["array", "file", "stamp"])
+def test_hashes_of_changed_images_see_the_images_and_the_change(kind, tmp_path):
+    def hashes(level, how=""):
+        frame, mark = grey(level, 4, 4), b"%d" % level
+        PillowImage.fromarray(frame).save(tmp_path / "a.png")
+        images = {
+            "array": Images.from_arrays([grey(0, 4, 4)] * 20 + [frame] + [grey(1, 4, 4)] * 20),
+            "file": Images.from_files([tmp_path / "a.png"]),
+            "stamp": Images(lambda i: frame, ["a"], stamp=lambda i: mark, content=lambda i: mark),
+        }[kind]
+        images = images.changed(lambda image, name: image, how) if how else images
+        return images.fingerprint(), images.content_hash()
+
+    found = [hashes(9, "a"), hashes(8, "a"), hashes(9, "b"), hashes(9)]
+    assert [len({*column}) for column in zip(*found, strict=True)] == [4, 4]
+    assert hashes(9, "a") == found[0]
+
+
+def test_names_ask_for_kinds_and_strengths_and_all_of_them():
+    assert len(corruptions(["all"])) == 21
+    assert corruptions(["blur-2", "shift"]) == (*(Corruption("shift", n) for n in (1, 2, 3)), Corruption("blur", 2))
+    assert corruptions([]) == ()
+    assert [corruption(name).name for name in ("noise-2", "noise-2-7")] == ["noise-2", "noise-2-7"]
+    for wrong, told in (("shfit-1", "shift"), ("shift-4", "1 to 3"), ("shift", "1 to 3"), ("noise-1-x", "1 to 3")):
+        with pytest.raises(BadInput, match=told):
+            corruption(wrong)
+    with pytest.raises(BadInput, match="one seed"):
+        corruptions(["noise-1", "noise-1-4"])

@@ -1,0 +1,358 @@
+"""A second run encodes the timed sample alone, and a run on a large map asks for the best places alone."""
+
+import gc
+import json
+import os
+import tracemalloc
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pytest
+from little import Angles, journey, number_in, pictures
+from little_runs import asked_for, kinds, run_of
+
+from vprbench.api import descriptor
+from vprbench.api.descriptor import DescriptorMethod
+from vprbench.api.images import Images
+from vprbench.api.weights import Weights
+from vprbench.errors import BadInput
+from vprbench.metrics.ranking import outcome, outcome_of_best, ranked_places
+from vprbench.runs import descriptors, fitting, runner, shortlist
+from vprbench.runs.descriptors import Described
+from vprbench.runs.identity import Request
+from vprbench.runs.stopwatch import Protocol, Stopwatch
+from vprbench.storage import shards
+
+pytestmark = pytest.mark.usefixtures("surroundings")
+
+N_QUERIES, N_PLACES = 70, 80
+ALL = N_QUERIES + N_PLACES
+PROTOCOL = Protocol(minimum_seconds=0, minimum_queries=2, sample=2, warmup_queries=1, batch_sizes=[1])
+
+
+@dataclass(kw_only=True)
+class Counting(DescriptorMethod):
+    """Describes an image by the angle that stands for its number, and counts the images that it was shown."""
+
+    turn: float = 0.03
+    keeps: bool = True
+    weights: Weights | None = None
+    encoded: int = field(default=0, init=False, compare=False)
+
+    def encode(self, images):
+        self.encoded += len(images)
+        angles = np.array([number_in(image) for image in images]) * self.turn
+        return np.stack([np.cos(angles), np.sin(angles)], axis=1).astype(np.float32)
+
+    def keeps_descriptors(self):
+        return self.keeps
+
+
+@pytest.fixture
+def dataset():
+    return journey(N_QUERIES, N_PLACES, [[i] for i in range(N_QUERIES)])
+
+
+def run(method, dataset, folder, arguments=(), **changes):
+    given = {"_target_": "Counting", "turn": 0.03, "index": "exact", "device": "cpu", **dict(arguments)}
+    config = {"method": given, "seed": 0, "device": "cpu", "depth": 5, "overrides": [], "files": [], **changes}
+    return runner.run(Request("counting", method, dataset, config, "fingerprint", PROTOCOL, 1, cache=folder), "key")
+
+
+def encoded_for_answers(method):
+    """The images that were encoded, without the first query and the timing: each lap, warm-up and audit show one."""
+    without = Counting()
+    without.fit_descriptors(np.eye(2, dtype=np.float32), np.arange(2))
+    Stopwatch(PROTOCOL).measure(without, journey(N_QUERIES, 2, [[0]] * N_QUERIES).queries)
+    return method.encoded - 1 - without.encoded
+
+
+def descriptions(run):
+    return [note.text for note in run.notes if note.kind == "described"]
+
+
+@pytest.mark.parametrize(("keeps", "cached", "files"), [(True, True, 2), (True, False, 0), (False, True, 0)])
+def test_the_first_run_encodes_each_image_once_and_keeps_what_is_worth_it_and_the_second_says_that_it_encodes_nothing(
+    dataset, tmp_path, keeps, cached, files
+):
+    first, second = Counting(keeps=keeps), Counting(keeps=keeps)
+    found, again = (run(method, dataset, tmp_path if cached else None) for method in (first, second))
+    assert (encoded_for_answers(first), encoded_for_answers(second)) == (ALL, 0 if files else ALL)
+    assert len(list(tmp_path.glob("*/*.npy"))) == files
+    assert (found.fit_seconds is None, descriptions(found)) == (False, [])
+    assert (again.fit_seconds is None, again.load_seconds is not None) == (bool(files),) * 2
+    assert np.array_equal(found.scores, again.scores)
+    assert (found.outcome.above == 0).all()
+    kept = "descriptors of 80 references and 70 queries were kept from an earlier run: nothing was encoded"
+    assert [note.startswith(kept) for note in descriptions(again)] == [True] * bool(files)
+
+
+def with_another_last_bit(dataset):
+    """Return the dataset with one image changed in its last pixel, which a glance at some of them leaves out."""
+    arrays = [image.copy() for image in dataset.references]
+    arrays[50][2, 3, 2] ^= 1
+    return replace(dataset, references=Images.from_arrays(arrays))
+
+
+def renamed(dataset):
+    names = [f"other {i}" for i in range(N_PLACES)]
+    return replace(dataset, references=Images.from_arrays(list(dataset.references), names))
+
+
+@pytest.mark.parametrize(
+    ("method", "of", "changes", "encoded"),
+    [
+        (Counting(index="binary"), None, {"arguments": {"index": "binary"}}, 0),
+        (Counting(), None, {"arguments": {"turn": 0.02}}, ALL),
+        (Counting(), None, {"files": [["weights.pth", "ab" * 32]]}, ALL),
+        (Counting(), with_another_last_bit, {}, N_PLACES),
+        (Counting(), renamed, {}, 0),
+        (Counting(), lambda _: journey(40, N_PLACES, [[i] for i in range(40)]), {}, 40),
+    ],
+    ids=["index", "argument", "weights", "changed image", "names", "other queries"],
+)
+def test_a_second_run_encodes_what_is_not_kept_under_its_arguments_weights_and_images(
+    dataset, tmp_path, method, of, changes, encoded
+):
+    run(Counting(), dataset, tmp_path)
+    notes = descriptions(run(method, of(dataset) if of else dataset, tmp_path, **changes))
+    assert encoded_for_answers(method) == encoded
+    assert len(notes) == (encoded < ALL)
+    if encoded == 40:
+        assert notes[0].startswith("descriptors of 80 references were kept from an earlier run: none of these")
+
+
+def test_other_code_and_another_device_encode_anew_and_where_a_file_of_weights_lies_does_not_count(
+    dataset, tmp_path, monkeypatch
+):
+    def encoded(path):
+        method = Counting(weights=Weights(file="w", licence="", trained_on="", path=path))
+        run(method, dataset, tmp_path, arguments={"weights": {"path": path}}, files=[[path, "ab" * 32]])
+        return encoded_for_answers(method)
+
+    assert [encoded("here"), encoded("there")] == [ALL, 0]
+    for module, name in ((descriptors, "source_hash"), (descriptors.machine, "device_class")):
+        with monkeypatch.context() as patch:
+            patch.setattr(module, name, lambda _: "another")
+            assert encoded("here") == ALL
+
+
+def test_an_index_that_cannot_be_made_is_refused_before_anything_is_encoded(dataset, tmp_path):
+    for cache in (None, tmp_path):
+        method = Counting(index="ivfpq")
+        with pytest.raises(BadInput, match=r"ivfpq .* 256 .* 80 came"):
+            run(method, dataset, cache)
+        assert method.encoded == 0
+
+
+N = 10
+MANY = pictures([i % 100 for i in range(2000)])
+
+
+def some(images):
+    return np.arange(len(images) * 4, dtype=np.float32).reshape(len(images), 4)
+
+
+def describe(folder, encode=some, images=pictures(range(N))):  # noqa: B008 - it does not change
+    """Return the descriptors of a traverse, how many were kept, and how many images were told to be done."""
+    done = []
+    made, kept = Described(folder, {"method": "m"}).descriptors(images, encode, done.append)
+    return made[:], kept, done
+
+
+def test_what_was_kept_is_found_memory_mapped_and_read_only_beside_what_it_came_from(tmp_path):
+    made, *told = describe(tmp_path)
+    found, *told_again = describe(tmp_path)
+    assert (told, told_again) == ([0, [N]], [N, []])
+    assert made.tolist() == found.tolist() == some(pictures(range(N))).tolist()
+    assert (isinstance(found, np.memmap), found.flags.writeable) == (True, False)
+    about = json.loads(next(tmp_path.glob("*/about.json")).read_text())
+    about.pop("images")
+    assert about == {"method": "m", "shape": [N, 4], "bytes": 160}
+    assert sorted(path.suffix for path in tmp_path.glob("*/*")) == [".json", ".npy"]
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda path: path.write_bytes(path.read_bytes()[:-20]),
+        lambda path: path.write_bytes(b"<html>"),
+        lambda path: np.save(path, np.zeros((9, 4), np.float32)),
+        lambda path: np.save(path, np.zeros((N, 4))),
+    ],
+    ids=["cut", "page", "other number", "other type"],
+)
+def test_a_damaged_file_is_named_and_made_anew_and_what_nobody_touched_for_a_day_is_removed(tmp_path, caplog, damage):
+    describe(tmp_path)
+    (path,) = tmp_path.glob("*/*.npy")
+    damage(path)
+    old, new = (path.parent / f".partial-{name}.npy" for name in ("old", "new"))
+    for partial in (old, new):
+        partial.write_bytes(b"half")
+    os.utime(old, (0, 0))
+    again, kept, _ = describe(tmp_path)
+    assert (kept, path.name in caplog.text) == (0, True)
+    assert np.array_equal(again, some(pictures(range(N))))
+    assert (old.exists(), new.exists()) == (False, True)
+
+
+def full(*_):
+    raise OSError(28, "No space left on device")
+
+
+@pytest.mark.parametrize("folder", ["file", "full"])
+def test_a_folder_that_takes_nothing_leaves_the_descriptors_in_memory(tmp_path, caplog, monkeypatch, folder):
+    (tmp_path / "file").write_text("")
+    if folder == "full":
+        monkeypatch.setattr(os, "posix_fallocate", full)  # before the first descriptor is written
+    made, kept, _ = describe(tmp_path / folder)
+    assert (made.tolist(), kept) == (some(pictures(range(N))).tolist(), 0)
+    assert "no descriptors are kept" in caplog.text
+    assert [path for path in tmp_path.rglob("*") if path.is_file()] == [tmp_path / "file"]
+
+
+def test_an_error_while_encoding_leaves_nothing_and_descriptors_go_through_memory_block_by_block(tmp_path):
+    taken = []
+
+    def wide(images):
+        taken.append(sum(512 * path.stat().st_blocks for path in tmp_path.glob("*/*")))
+        if len(taken) == 2:
+            raise ZeroDivisionError
+        return np.ones((len(images), 10_000), np.float32)
+
+    with pytest.raises(ZeroDivisionError):
+        describe(tmp_path, wide, MANY)
+    assert not list(tmp_path.glob("*/*"))
+    tracemalloc.start()
+    Described(tmp_path, {}).descriptors(MANY, wide, lambda done: None)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert taken[4] >= 1024 * 10_000 * 4  # the room of a shard is taken before it is filled
+    assert peak < 2000 * 10_000 * 4 / 3
+
+
+def test_more_than_fits_into_memory_is_refused_where_the_disk_is_full_and_what_is_done_stays(tmp_path, monkeypatch):
+    monkeypatch.setattr(shards, "LARGE_BYTES", 1000)
+    described = []
+
+    def until_it_is_full(images):
+        described.append(len(images))
+        if sum(described) > 1024:
+            monkeypatch.setattr(os, "posix_fallocate", full)
+        return some(images)
+
+    with pytest.raises(BadInput, match=r"No space left"):
+        describe(tmp_path, until_it_is_full, MANY)
+    monkeypatch.undo()
+    made, kept, done = describe(tmp_path, some, MANY)
+    assert (len(made), kept, done[-1]) == (2000, 1024, 976)
+
+
+DEPTH = 6
+
+
+@pytest.fixture
+def large(monkeypatch):
+    """Make maps of as many places as here large ones."""
+    monkeypatch.setattr(shortlist, "LARGE_MAP", N_PLACES - 1)
+
+
+def on(method):
+    dataset = journey(N_QUERIES, N_PLACES, [[i, (i + 40) % N_PLACES] if i % 5 else [] for i in range(N_QUERIES)])
+    return run_of(method, dataset, depth=DEPTH)
+
+
+def outcome_among(places, scores, positives, n_places):
+    """Return the outcome of scores under which no other places than these are candidates, by the name of its parts."""
+    found = np.full((len(scores), n_places), -np.inf, np.float32)
+    np.put_along_axis(found, places.astype(np.int64), scores, axis=1)
+    return parts(outcome(found, positives))
+
+
+def parts(found):
+    return {name: np.asarray(value).tolist() for name, value in vars(found).items()}
+
+
+def test_the_outcome_of_the_best_places_is_that_of_scores_whose_other_places_are_no_candidates():
+    generator = np.random.default_rng(0)
+    scores = generator.integers(0, 12, (200, 40)).astype(np.float32)
+    scores[generator.random(scores.shape) < 0.3] = -np.inf
+    scores[7] = -np.inf
+    positives = [generator.integers(0, 40, generator.integers(0, 5)) for _ in scores]
+    places, best = ranked_places(scores, 9)
+    found = outcome_of_best(best, places.astype(np.int64), positives, 40)
+    assert parts(found) == outcome_among(places, best, positives, 40)
+    assert (found.above == 40).any()
+
+
+@pytest.mark.usefixtures("large")
+def test_a_large_map_is_asked_for_its_best_places_alone_when_scored_and_when_timed():
+    class Shortlisted(Angles):
+        def match(self, codes):
+            raise AssertionError("all places were scored")
+
+        def nearest(self, codes, n, **how):
+            return super().nearest(codes, n, **how)
+
+    run = on(Shortlisted())
+    twenty = Angles().encode(pictures(range(20))).astype(np.float64)
+    scores = (twenty @ twenty.T).astype(np.float32)[np.arange(N_QUERIES)[:, None] % 20, np.arange(N_PLACES) % 20]
+    places, best = ranked_places(scores, DEPTH)
+    assert np.array_equal(run.top_places, places)
+    np.testing.assert_allclose(run.top_scores, best, atol=1e-6)
+    assert parts(run.outcome) == outcome_among(places, run.top_scores, run.positives, N_PLACES)
+    assert (run.scores, "audit" in kinds(run)) == (None, False)
+    (note,) = [note.text for note in run.notes if note.kind == "shortlist"]
+    assert ("80 places" in note, f"best {DEPTH} " in note) == (True, True)
+
+
+@pytest.mark.parametrize("neighbours", [3, DEPTH])
+def test_an_index_gives_what_it_gives_where_all_places_are_scored(neighbours, monkeypatch):
+    usual = on(Angles(index="hnsw", neighbours=neighbours))
+    monkeypatch.setattr(shortlist, "LARGE_MAP", N_PLACES - 1)
+    found = on(Angles(index="hnsw", neighbours=neighbours))
+    assert ("shortlist" in kinds(usual), "shortlist" in kinds(found)) == (False, True)
+    assert np.array_equal(found.top_places, usual.top_places)
+    assert np.array_equal(found.top_scores, usual.top_scores)
+    assert parts(found.outcome) == parts(usual.outcome)
+
+
+@pytest.mark.usefixtures("large")
+def test_all_places_are_scored_where_all_scores_are_wanted_and_where_a_method_matches_in_its_own_way():
+    class OwnWay(Angles):
+        def match(self, codes):
+            return -super().match(codes)
+
+    whole = runner.run(replace(asked_for(Angles(), journey(N_QUERIES, N_PLACES)), scores=True), "key")
+    for run in (whole, on(OwnWay())):
+        assert run.scores.shape == (N_QUERIES, N_PLACES)
+        assert "shortlist" not in kinds(run)
+
+
+def test_descriptors_of_a_large_map_are_kept_unless_a_method_may_learn_them(tmp_path, monkeypatch):
+    class Learning(Angles):
+        def fit(self, references, places):
+            return super().fit(references, places)
+
+    for large, method, kept in ((N_PLACES, Angles(), 0), (N_PLACES - 1, Learning(), 0), (N_PLACES - 1, Angles(), 2)):
+        monkeypatch.setattr(descriptors, "LARGE_MAP", large)
+        runner.run(asked_for(method, journey(N_QUERIES, N_PLACES), cache=tmp_path), "key")
+        assert len([*tmp_path.glob("*/*.npy")]) == kept
+
+
+@pytest.mark.parametrize("cached", [False, True])
+def test_descriptors_that_fill_the_memory_stay_in_shards(cached, tmp_path, monkeypatch):
+    monkeypatch.setenv("VPRBENCH_SCRATCH", str(tmp_path / "scratch"))
+    monkeypatch.setattr(shards, "_LEAST_ROWS", 64)
+    for module in (descriptor, fitting):
+        monkeypatch.setattr(module, "LARGE_BYTES", 1000)
+    monkeypatch.setattr(Angles, "keeps_descriptors", lambda _: cached)
+    method = Angles()
+    run = runner.run(asked_for(method, journey(N_QUERIES, N_PLACES), cache=tmp_path / "cache"), "key")
+    assert method.searched.references.array is None
+    folder = tmp_path / ("cache" if cached else "scratch")
+    assert len([*folder.glob("*/*.npy")]) == (4 if cached else 2)  # of 80 references, and of 70 queries
+    np.testing.assert_allclose(run.scores, on(Angles()).scores, atol=1e-6)
+    del method
+    gc.collect()
+    assert not [*(tmp_path / "scratch").glob("*/*.npy")]

@@ -1,0 +1,402 @@
+"""The store of runs: what is read is what was written, whatever dies, fills up or is changed in between."""
+
+import errno
+import hashlib
+import json
+import logging
+import multiprocessing
+import os
+import pickle
+import shutil
+import time
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import fields, is_dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from little import a_failure, a_run, laps, replace_and_die, save_keys, unanswerable_run
+from safetensors import SafetensorError
+from safetensors.numpy import load_file, save_file
+
+from vprbench.errors import BadInput
+from vprbench.runs import run_files
+from vprbench.runs.notes import Note
+from vprbench.runs.run_files import SCHEMA, OtherLayoutError, content_key, load
+from vprbench.runs.store import Store
+from vprbench.storage import tensors
+
+KEY = "0123456789abcdef"
+
+
+@pytest.fixture
+def three(store):
+    """Store runs under the keys a, b and c; returns the folder of b."""
+    for key in ("a", "b", "c"):
+        store.save(a_run(key=key))
+    return store.folder("journey", "little", "b")
+
+
+@pytest.fixture(scope="module")
+def processes():
+    """Processes that start in no time and have imported all."""
+    return multiprocessing.get_context("fork")
+
+
+def stored(store, key=KEY):
+    return store.find("journey", "little", key)
+
+
+def keys(store):
+    return [run.key for run in store.runs()]
+
+
+def parts(value):
+    """Return a record as plain parts that are equal only if all bits and types are."""
+    if isinstance(value, np.ndarray):
+        return str(value.dtype), value.shape, value.tobytes()
+    if is_dataclass(value):
+        return {field.name: parts(getattr(value, field.name)) for field in fields(value)}
+    return tuple(map(parts, value)) if isinstance(value, tuple) else (type(value), value)
+
+
+TIMING = a_run().timing
+ODD = np.array([0.1, 1 / 3, 1e-9])
+NOISE = np.random.default_rng(0).normal(size=(4, 10)).astype(np.float32)
+
+
+@pytest.mark.parametrize(
+    "run",
+    [
+        a_run(),
+        a_run(outcome=replace(a_run().outcome, best_score=np.array([-np.inf, 1e-45, -0.0, 0.1], np.float32))),
+        a_run(timing=replace(TIMING, streaming=replace(laps(ODD, ODD[::-1]), valid=False))),
+        a_run(timing=replace(TIMING, offline=(TIMING.offline[0], replace(TIMING.offline[1], valid=False)))),
+        a_run(scores=np.where(NOISE > 2, -np.inf, NOISE), place_numbers=np.arange(10) * 3),
+        a_run(timing=None, config={**a_run().config, "timing": None}),
+        a_run(positives=tuple(np.array(row, np.int64) for row in ([], [1], [], [9, 3]))),
+        replace(unanswerable_run(), scores=None),
+    ],
+)
+def test_a_run_comes_back_bit_by_bit_without_a_pickle_and_is_replaced_as_a_whole(store, run):
+    folder = store.save(run)
+    assert parts(stored(store)) == parts(run)
+    for path in folder.iterdir():
+        with pytest.raises(pickle.UnpicklingError):
+            pickle.loads(path.read_bytes())
+    assert store.save(replace(run, n_references=22)) == store.folder("journey", "little", KEY) == folder
+    assert store.find("journey", "little", "f" * 16) is None
+    assert [found.n_references for found in store.runs()] == [22]
+    assert [path.name for path in store.root.iterdir()] == ["journey"]
+
+
+def summary_of(folder):
+    return dict(json.loads((folder / "run.json").read_text()))
+
+
+def sign(folder, **changes):
+    """Change a summary, and its hash with it."""
+    content = {**summary_of(folder), **changes}
+    del content["content_key"]
+    (folder / "run.json").write_text(json.dumps({**content, "content_key": content_key(content)}))
+
+
+def tell(where, value, folder):
+    """Change a value of a summary, and its hash with it."""
+    summary = part = summary_of(folder)
+    *outer, last = where.split(".")
+    for name in outer:
+        part = part[int(name) if name.isdigit() else name]
+    part[last] = value
+    sign(folder, **summary)
+
+
+ARRAYS_FILE = "arrays.safetensors"
+
+
+def put(name, value, folder):
+    """Change an array, or remove it, and its hash with it."""
+    path = folder / ARRAYS_FILE
+    arrays = {**load_file(path), name: value}
+    save_file({name: array for name, array in arrays.items() if array is not None}, path)
+    sign(folder, sha256=hashlib.sha256(path.read_bytes()).hexdigest())
+
+
+def change(name, value, folder):
+    (folder / "run.json").write_text(json.dumps({**summary_of(folder), name: value}))
+
+
+def spoil_file(name, spoil, folder):
+    (folder / name).write_bytes(spoil(bytearray((folder / name).read_bytes())))
+
+
+def flip_a_bit(content):
+    content[len(content) // 2] ^= 1
+    return content
+
+
+def pipe(folder):
+    (folder / "run.json").unlink()
+    os.mkfifo(folder / "run.json")
+
+
+def enlarge(folder):
+    header = json.dumps({"scores": {"dtype": "F32", "shape": [4, 10**12], "data_offsets": [0, 16 * 10**12]}}).encode()
+    (folder / ARRAYS_FILE).write_bytes(len(header).to_bytes(8, "little") + header)
+    sign(folder, sha256=hashlib.sha256((folder / ARRAYS_FILE).read_bytes()).hexdigest())
+
+
+FILES = [
+    *(partial(spoil_file, name, lambda content: content[:-40]) for name in ("run.json", ARRAYS_FILE)),
+    *(partial(spoil_file, "run.json", lambda _, text=text: text) for text in (b"", b"[]", b"[" * 100_000)),
+    partial(spoil_file, ARRAYS_FILE, flip_a_bit),
+    lambda folder: (folder / ARRAYS_FILE).unlink(),
+    *(partial(change, *changed) for changed in (("timing", {}), ("fit_seconds", 10.34))),
+    *(pipe, enlarge),
+]
+VALUES = [  # of which each cannot be in any of the places beside it
+    (
+        None,
+        "outcome.n_places method fingerprint config protocol environment data notes config.method config.seed schema",
+    ),
+    ("5", "outcome.n_places fit_seconds peak_memory_bytes config.dataset config.seed schema notes"),
+    ("5", "protocol.tolerance_places config.timing.minimum_seconds timing.streaming.valid"),
+    ("5", "environment.time_utc environment.libraries"),
+    (0, "outcome.n_places schema timing.offline.0.images_per_call"),
+    (5, "method network protocol.also_tolerance_places"),
+    (21, "outcome.n_places"),
+    (10**12, "outcome.n_places n_references"),
+    (True, "outcome.n_places"),
+    (-1, "fit_seconds peak_memory_bytes"),
+    (10.5, "outcome.n_places config.seed environment.load_average search.recall_at_1"),
+    (float("inf"), "fit_seconds timing.repeated_seconds"),
+    *((name, "method") for name in ("", "../../little", ".little")),
+    ([], "timing.offline spikes.layers spikes.layers.0.spikes_per_query spikes.layers.0.neurons"),
+    ([0], "config.timing.batch_sizes notes"),
+    ([{"name": "codes", "neurons": 2, "hits": [1.0]}], "readouts"),
+    ({"torch": 2.6}, "environment.libraries"),
+    ({"dataset": "journey"}, "tuned_on sha256"),
+]
+ARRAYS = {
+    "outcome.best_score": [None, np.full(4, np.nan, np.float32), np.full(4, np.inf), np.zeros(3)],
+    "outcome.above": [np.full(4, -1), np.full(4, 11), np.zeros(4), np.zeros((4, 1), np.int64)],
+    "outcome.top_tied_correct": [np.array([1, 1, 0, 2])],
+    "outcome.tied": [np.zeros(4, np.int64)],
+    "positives": [np.array([0, 1, 5, 2, 10]), np.arange(4), np.array([0, -1, 5, 2, 3])],
+    "positives_per_query": [np.array([5, 5, -5, 0])],
+    "top_places": [np.full((4, 2), 10, np.int32), np.zeros((2, 4), np.int32)],
+    "top_scores": [np.zeros((4, 3), np.float32)],
+    "scores": [np.zeros((4, 9), np.float32), np.full((4, 10), np.nan, np.float32)],
+    "timing.sample": [np.array([0, 1, 2, 4]), np.arange(3)],
+    "timing.answers": [np.array([0, 1, 10, -1])],
+    "place_numbers": [np.arange(9)],
+    "timing.streaming.encode_seconds": [np.full(5, np.nan), np.full(5, -1.0), np.zeros(5)],
+    "timing.streaming.match_seconds": [np.zeros(4)],
+    "timing.offline.1.encode_seconds": [None],
+}
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        *FILES,
+        *(partial(tell, where, value) for value, places in VALUES for where in places.split()),
+        *(partial(put, name, value) for name, values in ARRAYS.items() for value in values),
+    ],
+)
+def test_a_run_that_is_damaged_or_cannot_be_is_named_set_aside_and_hides_no_other(store, three, caplog, spoil):
+    spoil(three)
+    assert keys(store) == ["a", "c"]
+    assert store.find("journey", "little", "b") is None
+    assert [(line.levelno, str(three) in line.getMessage()) for line in caplog.records] == [(logging.WARNING, True)]
+    aside, *others = sorted(path.name for path in three.parent.iterdir())
+    assert (aside.startswith(f".damaged-{three.name}"), others) == (True, ["little-a", "little-c"])
+    store.save(a_run(key="b", n_references=22))
+    assert stored(store, "b").n_references == 22
+
+
+def test_a_record_that_is_signed_anew_is_believed_and_a_run_that_would_not_be_is_not_stored(store, three):
+    tell("fit_seconds", 9.5, three)
+    put("top_scores", np.zeros((4, 2), np.float32), three)
+    found = stored(store, "b")
+    assert (found.fit_seconds, found.top_scores.tolist()) == (9.5, [[0, 0]] * 4)
+    odd = {"notes": (Note("unheard", "of"),), "method": "a/b", "protocol": {"tolerance_places": "0"}}
+    for part, value in odd.items():
+        with pytest.raises(BadInput, match=part):
+            store.save(a_run(**{"key": "b", part: value}))
+    with pytest.raises(ValueError, match=r"top_places is .*: Value error, is object"):
+        store.save(a_run(top_places=np.array([[None]])))
+    assert keys(store) == ["a", "b", "c"]
+    assert [path.name for path in store.root.iterdir()] == ["journey"]
+
+
+def test_a_failure_that_cannot_be_is_left_out_by_name(store, caplog):
+    whole = store.save_failure(a_failure())
+    path = store.save_failure(a_failure(config={"seed": 9})) / "failure.json"
+    good = json.loads(path.read_text())
+    for part, values in {
+        "error": (None, 5),
+        "config": (None, {}, {"seed": []}, {"seed": 1, "changed": "all"}),
+        "environment": ({"time_utc": 5},),
+        "method": ("../little",),
+        "missing": ("yes",),
+    }.items():
+        for value in values:
+            caplog.clear()
+            path.write_text(json.dumps({**good, part: value}))
+            assert [failure.config["seed"] for failure in store.failures()] == [3]
+            assert [str(path) in record.getMessage() for record in caplog.records] == [True]
+    assert whole.exists()
+
+
+@pytest.mark.parametrize(("refused", "number"), [("open", errno.EMFILE), ("iterdir", errno.EACCES)])
+def test_a_run_or_a_dataset_that_the_system_does_not_let_read_stays_where_it_is_and_hides_no_other(
+    store, monkeypatch, caplog, refused, number
+):
+    part = "key" if refused == "open" else "dataset"
+    _, folder, _ = (store.save(a_run(**{part: name})) for name in ("a", "b", "c"))
+    folder = folder if refused == "open" else folder.parent
+    there = sorted(store.root.rglob("*"))
+    system = getattr(Path, refused)
+
+    def refusing(path, *arguments, **options):
+        if folder in (path, *path.parents):
+            raise OSError(number, os.strerror(number), str(path))
+        return system(path, *arguments, **options)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, refused, refusing)
+        assert [getattr(run, part) for run in store.runs()] == ["a", "c"]
+        assert refused == "iterdir" or stored(store, "b") is None
+    assert sorted(store.root.rglob("*")) == there
+    assert {str(folder) in line.getMessage() for line in caplog.records} == {True}
+
+
+def test_a_run_of_another_layout_is_left_as_it_is_and_named(store, caplog):
+    folder = store.save(a_run())
+    for layout in (SCHEMA - 1, SCHEMA + 1):
+        change("schema", layout, folder)
+        with pytest.raises(OtherLayoutError, match=rf"{layout}.*{SCHEMA}"):
+            load(folder)
+        assert keys(store) == []
+        assert folder.is_dir()
+        assert stored(store) is None
+    named = [str(folder) in record.getMessage() for record in caplog.records]
+    assert named == [False, True] * 2  # all of a store in one line
+
+
+@pytest.mark.parametrize(("hours", "newest", "left"), [(25, 25, 0), (23, 23, 1), (25, 1, 1)])  # the newest file counts
+def test_what_nobody_touched_for_a_day_is_removed_and_never_a_run(store, hours, newest, left):
+    half, file = store.root / ".partial-elsewhere-1-0a1b2c3d", store.root / ".partial-0a1b2c3d"
+    shutil.copytree(store.save(a_run()), half)
+    file.write_bytes(b"half")
+    ages = {**dict.fromkeys([*half.iterdir(), half, file], hours), half / ARRAYS_FILE: newest}
+    for path, age in ages.items():
+        os.utime(path, (time.time() - age * 3600,) * 2)
+    store.prepare()
+    assert (half.exists(), file.exists()) == (left, hours == 23)
+    assert len(keys(store)) == 1
+
+
+def test_a_process_killed_at_any_step_of_replacing_a_run_leaves_the_old_or_the_new_one(store, processes):
+    for step in range(200):
+        writer = processes.Process(target=replace_and_die, args=(store.root, step), daemon=True)
+        writer.start()
+        writer.join()
+        store.prepare()
+        assert stored(store).n_references in (21, 22), f"step {step}"
+        if writer.exitcode == 0:
+            break
+    assert step > 5
+
+
+def test_several_processes_lose_no_run_and_leave_one_of_a_key(store, processes):
+    written = [[KEY, *(f"writer{writer}run{number}" for number in range(6)), KEY] for writer in range(4)]
+    with ProcessPoolExecutor(4, mp_context=processes) as pool:
+        assert list(pool.map(save_keys, [store.root] * 4, written)) == [8] * 4
+    assert sorted(keys(store)) == sorted({key for row in written for key in row})
+    assert [path.name for path in store.root.iterdir()] == ["journey"]
+
+
+def test_a_run_that_another_process_takes_away_or_replaces_in_the_middle_is_no_error(store, monkeypatch):
+    folder = store.save(a_run(n_references=21))
+    rename, digest = Path.rename, run_files._digest
+
+    def rename_while_another_replaces(path, target):
+        try:
+            return rename(path, target)
+        except OSError:
+            shutil.rmtree(folder)  # the other process has just moved the old run away
+            raise
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "rename", rename_while_another_replaces)
+        store.save(a_run(n_references=22, top_places=np.zeros((4, 2), np.int32)))
+    assert stored(store).n_references == 22
+
+    def digest_after_another_process_saved(path):
+        monkeypatch.setattr(run_files, "_digest", digest)
+        store.save(a_run(n_references=23))
+        return digest(path)
+
+    monkeypatch.setattr(run_files, "_digest", digest_after_another_process_saved)
+    store.find("journey", "little", KEY)
+    assert stored(store).n_references == 23
+
+
+def test_a_run_is_stored_in_a_folder_that_is_linked_to_another_disk(store, tmp_path, monkeypatch):
+    (tmp_path / "disk").mkdir()
+    (store.root / "journey").symlink_to(tmp_path / "disk")
+    rename = Path.rename
+
+    def on_one_disk(path, target):
+        if path.parent.resolve() != target.parent.resolve():
+            raise OSError(errno.EXDEV, os.strerror(errno.EXDEV))
+        return rename(path, target)
+
+    monkeypatch.setattr(Path, "rename", on_one_disk)
+    for seconds in (1.0, 2.0):
+        store.save(a_run(harness_seconds=seconds))
+    assert [run.harness_seconds for run in store.runs()] == [2.0]
+    assert [path.name for path in (tmp_path / "disk").iterdir()] == [f"little-{KEY}"]
+    assert [path.name for path in store.root.iterdir()] == ["journey"]
+
+
+@pytest.mark.parametrize(("of", "call"), [(tensors, "save_file"), (os, "fsync"), (Path, "mkdir")])
+def test_a_disk_that_refuses_is_named_and_leaves_the_earlier_run_and_no_part_of_another(store, monkeypatch, of, call):
+    error = SafetensorError("no space") if of is tensors else OSError(errno.ENOSPC, "No space left on device")
+
+    def refuse(*given, **_):
+        if of is tensors:
+            given[1].write_bytes(b"half")
+        raise error
+
+    store.save(a_run(n_references=21))
+    before = sorted(store.root.rglob("*"))
+    uses = [partial(store.save, a_run(n_references=22, key=key)) for key in (KEY, "other")]
+    uses += [] if of is tensors else [partial(store.save_failure, a_failure())]
+    uses += [store.prepare] if of is Path else []
+    monkeypatch.setattr(of, call, refuse)
+    for use in uses:
+        with pytest.raises(BadInput, match=r"(?i)no space"):
+            use()
+    assert sorted(store.root.rglob("*")) == before
+    assert stored(store).n_references == 21
+
+
+def test_a_results_folder_that_is_no_folder_is_the_users_to_mend(tmp_path):
+    (tmp_path / "file").write_text("no folder")
+    store = Store(tmp_path / "file")
+    for use in (store.prepare, lambda: store.save(a_run())):
+        with pytest.raises(BadInput, match="results="):
+            use()
+
+
+def test_a_key_depends_on_the_layout_of_the_store_and_not_on_the_order_of_its_ingredients(monkeypatch):
+    text = '{"code":"c0de","method":{"name":"sad","window":5},"schema":' + f"{SCHEMA}}}"
+    for content in ({"name": "sad", "window": 5}, {"window": 5, "name": "sad"}):
+        key = content_key({"method": content, "code": "c0de"})
+        assert key == hashlib.sha256(text.encode()).hexdigest()[:16]
+    monkeypatch.setattr(run_files, "SCHEMA", SCHEMA + 1)
+    assert content_key({"method": content, "code": "c0de"}) != key

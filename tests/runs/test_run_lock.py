@@ -1,0 +1,230 @@
+"""A run is locked while it is made: of many processes one makes it, the dead hold nothing, and `status` tells."""
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import pytest
+from checkout import ROOT
+from little import Lookup, a_failure, a_run, journey
+from little_runs import QUICK, asked_for, table
+
+from vprbench import cli
+from vprbench.plugins.networks import Files
+from vprbench.runs import run_lock
+from vprbench.runs.get_or_run import FailedElsewhereError, get_or_run
+from vprbench.runs.run_lock import HeldElsewhereError, RunLock, held_locks
+from vprbench.runs.settings import Settings
+from vprbench.runs.store import Store
+
+pytestmark = pytest.mark.usefixtures("surroundings")
+
+RUN = "journey/little-0123456789abcdef"
+ABOUT = {"method": "little", "dataset": "journey", "seed": 3, "device": "cpu", "corruption": "shift-1"}
+HOLDER = """
+import sys, time
+from pathlib import Path
+from vprbench.runs.run_lock import RunLock
+lock = RunLock(Path(sys.argv[1]), sys.argv[2], {})
+assert lock.acquire(wait=False)
+print(flush=True)
+time.sleep(60)
+"""
+
+
+@contextlib.contextmanager
+def held_elsewhere(root, run=RUN):
+    """Yield a process that holds the lock of a run."""
+    command = [sys.executable, "-c", HOLDER, str(root), run]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT) as process:
+        assert process.stdout.readline() == "\n"
+        yield process
+        process.kill()
+
+
+@pytest.mark.parametrize("run", [RUN, "a/b", "a-b", "ü/\udcff " + 300 * "x", "../../up"])
+def test_of_all_who_want_a_run_of_any_name_one_gets_it_and_after_it_the_next_and_nothing_is_left(run, tmp_path):
+    for _ in range(2):
+        lock = RunLock(tmp_path / "results", run, {})
+        assert lock.acquire()
+        with lock:
+            assert not RunLock(tmp_path / "results", run, {}).acquire(wait=False)
+            assert [*(tmp_path / "results" / ".locks").iterdir()] == [lock.path]
+            assert RunLock(tmp_path / "results", f"{run}0", {}).acquire(wait=False)
+        run_lock.remove_leftovers(tmp_path / "results")
+        assert [*(tmp_path / "results").iterdir()] == []
+
+
+def test_the_lock_of_a_stopped_process_is_held_and_of_a_killed_one_free_at_once(tmp_path):
+    with held_elsewhere(tmp_path) as process:
+        process.send_signal(signal.SIGSTOP)
+        assert not RunLock(tmp_path, RUN, {}).acquire(wait=False)
+        (held,) = held_locks(tmp_path)
+        assert (held.words["process"], run_lock.is_held(held.path)) == (process.pid, True)
+        run_lock.remove_leftovers(tmp_path)
+        process.kill()
+        process.wait()
+        assert (held_locks(tmp_path), run_lock.is_held(held.path), held.path.exists()) == ([], False, True)
+        run_lock.remove_leftovers(tmp_path)
+        assert [*tmp_path.iterdir()] == []
+        assert not run_lock.is_held(held.path)
+
+
+@dataclass
+class Busy(Lookup):
+    """Does something while it is fitted, and counts how often it was."""
+
+    during: Callable[[], object] = lambda: None
+    fits: list[int] = field(default_factory=list)
+
+    def fit(self, references, places):
+        self.fits.append(1)
+        self.during()
+        return super().fit(references, places)
+
+
+def busy(during=lambda: None):
+    return Busy(table(4, 4), during=during)
+
+
+def made(method, store, *waiting):
+    request = asked_for(method, journey(4, 4), replace(QUICK, rates=False), files=Files())
+    request = replace(request, config={**request.config, "files": []})
+    return get_or_run(request, Settings(frames=False, timing=request.protocol), store, *waiting)
+
+
+def lock_of_another(store):
+    """Lock the run of `made` as another process would: it is known by what it would be stored as."""
+    elsewhere = Store(store.root.with_name("elsewhere"))
+    made(busy(), elsewhere)
+    (folder,) = (elsewhere.root / "journey").iterdir()
+    return held_elsewhere(store.root, f"journey/{folder.name}")
+
+
+def failure_of(method):
+    config = {**asked_for(method, journey(4, 4)).config, "files": []}
+    return a_failure(method="little", dataset="journey", config=config, error="ValueError: no", missing=False)
+
+
+def test_a_run_is_locked_while_it_is_made_and_nothing_is_left_of_the_lock_nor_is_a_stored_run_locked(
+    store, monkeypatch
+):
+    seen = []
+    made(busy(lambda: seen.extend(held.words for held in held_locks(store.root))), store)
+    (words,) = seen
+    assert words["about"] == {"method": "little", "dataset": "journey", "seed": 0, "device": "cpu", "corruption": None}
+    assert words["stage"] == "fit"
+    assert [path.name for path in store.root.iterdir()] == ["journey"]
+    monkeypatch.setattr(RunLock, "acquire", None)
+    assert made(busy(), store).from_store
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, ValueError])
+def test_of_a_run_that_fails_or_is_interrupted_nothing_is_left(error, store):
+    def fail():
+        assert len(held_locks(store.root)) == 1
+        raise error
+
+    with pytest.raises(error):
+        made(busy(fail), store)
+    assert [*store.root.iterdir()] == []
+
+
+def test_in_a_sweep_a_run_that_another_process_makes_is_left_to_it(store):
+    method = busy()
+    with lock_of_another(store) as process:
+        with pytest.raises(HeldElsewhereError) as raised:
+            made(method, store, False)
+        assert (run_lock.is_held(raised.value.path), method.fits) == (True, [])
+        process.kill()
+        process.wait()
+    assert not made(method, store, False).from_store
+    assert method.fits == [1]
+
+
+def test_alone_a_run_waits_for_the_process_that_makes_it_and_is_answered_from_the_store(store, caplog):
+    begun = threading.Event()
+
+    def wait_for_the_other():
+        begun.set()
+        while "waiting for it" not in caplog.text:
+            pass
+
+    caplog.set_level("INFO")
+    other = threading.Thread(target=made, args=(busy(wait_for_the_other), store))
+    other.start()
+    begun.wait(20)
+    method = busy()
+    assert made(method, store).from_store
+    other.join()
+    assert method.fits == []
+    assert [path.name for path in store.root.iterdir()] == ["journey"]
+
+
+def test_alone_a_run_that_fails_elsewhere_meanwhile_is_not_tried_again(store, monkeypatch):
+    method = busy()
+    acquire = RunLock.acquire
+
+    def fail_meanwhile(lock, wait=True):
+        if wait:
+            store.save_failure(failure_of(method))
+        return wait and acquire(lock)
+
+    monkeypatch.setattr(RunLock, "acquire", fail_meanwhile)
+    with pytest.raises(FailedElsewhereError, match=r"little on journey failed .*: ValueError: no"):
+        made(method, store)
+    assert method.fits == []
+
+
+def test_a_sweep_tries_again_what_failed_before_it_began_and_nothing_that_failed_since(store):
+    method = busy()
+    before = store.now() - 1
+    store.save_failure(failure_of(method))
+    with pytest.raises(FailedElsewhereError):
+        made(method, store, False, before)
+    assert not made(method, store, False, before + 60).from_store
+    assert method.fits == [1]
+
+
+def printed(capsys, store, *options):
+    assert cli.main(["status", f"results={store.root}", *options]) == 0
+    return capsys.readouterr().out
+
+
+def test_stored_runs_and_failures_are_counted_and_a_run_that_is_being_made_stands_there_with_stage_and_owner(
+    store, capsys
+):
+    for seed in range(3):
+        store.save(a_run(key=f"{seed % 2}"))
+        store.save_failure(a_failure(config={"seed": seed}))
+    for path in (".partial-1/run.json", "journey/.damaged-1/run.json", "descriptors/1/2/run.json"):
+        (store.root / path).parent.mkdir(parents=True)
+        (store.root / path).write_text("{}")
+    assert len(printed(capsys, store).splitlines()) == 2
+    lock = RunLock(store.root, "journey/little-1", ABOUT)
+    assert lock.acquire()
+    with lock:
+        lock.tell("fit, reading images", 0.25)
+        (store.root / ".locks/of-a-killed-process").write_text('{"about": {"met')
+        head, row = printed(capsys, store, "wide=true").splitlines()[1:]
+        told = json.loads(printed(capsys, store, "output=json"))
+    assert head.split()[:3] == ["run", "stage", "%"]
+    assert row.startswith("little on journey, shift-1  fit")
+    assert (told["runs"], told["failures"]) == (2, 3)
+    (made,) = told["claims"]
+    assert {name: made[name] for name in ABOUT} == ABOUT
+    assert (made["stage"], made["done"], made["process"]) == ("fit, reading images", 0.25, os.getpid())
+    assert made["alive"]
+    assert made["silent_seconds"] < 30
+
+
+def test_of_a_folder_that_is_not_there_nothing_is_told_or_made(tmp_path, capsys):
+    assert cli.main(["status", f"results={tmp_path}/nowhere"]) == 2
+    assert "/nowhere" in capsys.readouterr().err
+    assert [*tmp_path.iterdir()] == []

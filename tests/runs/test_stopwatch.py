@@ -1,0 +1,287 @@
+"""The stopwatch against a fake clock, a fake device and methods whose times are known."""
+
+import contextlib
+import gc
+import itertools
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+from little import numbers_in, pictures
+from PIL import Image as PillowImage
+from stopped_clock import Clock
+
+from vprbench.api.images import Images
+from vprbench.api.method import Method
+from vprbench.errors import BadInput
+from vprbench.runs import stopwatch
+from vprbench.runs.compose import composed
+from vprbench.runs.rates import best_batch, offline_rate, percentile_bound, streaming_rate
+from vprbench.runs.settings import checked_settings
+from vprbench.runs.stopwatch import Protocol, Stopwatch
+
+MS = 1_000_000  # nanoseconds
+
+
+@dataclass
+class Timed(Method):
+    """Spends on each call what `encode_costs` and `match_costs` say; keeps what it was asked."""
+
+    spend: Callable[[int], object] = lambda _: None
+    encode_costs: Callable[[list[int]], int] = lambda _: 0  # from the numbers of the images to nanoseconds
+    match_costs: Callable[[list[int]], int] = lambda _: 0
+    asked: list[list[int]] = field(default_factory=list)
+
+    def fit(self, references, places):
+        return self
+
+    def encode(self, images):
+        numbers = numbers_in(images)
+        self.asked.append(numbers)
+        self.spend(self.encode_costs(numbers))
+        return np.array(numbers)
+
+    def match(self, codes):
+        self.spend(self.match_costs(codes.tolist()))
+        return (codes[:, None] == np.arange(12)).astype(np.float32)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _imports_are_no_garbage():
+    """Keep the collection before each measurement short."""
+    gc.freeze()
+    yield
+    gc.unfreeze()
+
+
+def short(**changes):
+    """Return a protocol without warm-up and with a single pass."""
+    small = {"minimum_seconds": 0, "minimum_queries": 1, "warmup_queries": 0, "batch_sizes": [1]}
+    return Protocol(**{**small, **changes})
+
+
+def timed_by(clock, encode_costs=lambda _: 3 * MS, match_costs=lambda _: 1 * MS):
+    """Return a method that moves a fake clock by its costs."""
+    return Timed(lambda nanoseconds: clock.spend(nanoseconds / 1e9), encode_costs, match_costs)
+
+
+def measured(protocol, *costs, images=5, seed=0):
+    """Measure a method whose costs are known; returns the times and what was asked."""
+    clock = Clock()
+    method = timed_by(clock, *costs)
+    return Stopwatch(protocol, clock, seed=seed).measure(method, pictures(range(images))), method.asked
+
+
+def streamed(timing, asked):
+    """Return the single images asked in the streaming laps of a measurement without warm-up."""
+    return [number for (number,) in asked[: len(timing.streaming.encode_seconds)]]
+
+
+def sizes(timing):
+    return [laps.images_per_call for laps in timing.offline]
+
+
+def test_a_streaming_rate_is_of_the_median_an_offline_rate_of_the_sum_and_the_best_batch_of_the_highest_rate():
+    assert streaming_rate(np.array([0.001, 0.002, 0.010])) == 500
+    assert offline_rate(np.array([0.1, 0.3]), 8) == pytest.approx(40)
+    costs = {1: 10, 2: 12, 4: 40}  # ms: 100, 167 and 100 images per second
+    timing, _ = measured(short(batch_sizes=[1, 2, 4]), lambda numbers: costs[len(numbers)] * MS, lambda _: 0, images=8)
+    assert best_batch(timing.offline).images_per_call == 2
+
+
+def test_batches_are_whole_and_hold_no_more_than_the_sample_nor_than_a_gibibyte():
+    large = type("Large", (Timed,), {"code_bytes": 300 << 20})
+    for method, asked, images, held in ((Timed(), [2, 32, 128], 5, [2, 5]), (large(), [1, 2, 4, 8], 8, [1, 2, 3])):
+        timing = Stopwatch(short(batch_sizes=asked, minimum_passes=3)).measure(method, pictures(range(images)))
+        assert sizes(timing) == held
+        assert {len(numbers) for numbers in method.asked} == {1, *held}
+
+
+def test_a_slow_method_is_asked_no_more_than_the_minima_take():
+    for milliseconds, gain, sample, batches, at_most in (
+        (66, 1, 64, [1, 8], 15),  # VPRSNN on a laptop
+        (66, 4, 64, [1, 8, 32], 15),  # once they gain no more
+        (2, 1, 256, [1, 8, 32, 128], 10),
+    ):
+        clock, each = Clock(), milliseconds * MS
+        method = timed_by(clock, lambda n, each=each, gain=gain: each * len(n) // (gain if len(n) > 1 else 1))
+        timing = Stopwatch(Protocol(), clock).measure(method, pictures(range(300)), 0.1)
+        assert (len(timing.sample), sizes(timing)) == (sample, batches)
+        assert all(laps.valid for laps in (timing.streaming, *timing.offline))
+        assert clock.seconds() < at_most
+
+
+def test_by_the_real_clock_calls_last_at_least_as_long_as_a_method_slept_and_all_no_longer_than_it_took():
+    began = time.perf_counter()
+    method = Timed(lambda nanoseconds: time.sleep(nanoseconds / 1e9), lambda _: 5 * MS, lambda _: 2 * MS)
+    streaming = Stopwatch(short()).measure(method, pictures(range(5))).streaming
+    assert (streaming.encode_seconds.min() >= 0.005, streaming.match_seconds.min() >= 0.002) == (True, True)
+    assert 5 * 0.007 <= streaming.total_seconds.sum() <= time.perf_counter() - began
+
+
+def test_work_that_calls_and_laps_leave_on_the_device_counts_and_work_queued_before_does_not():
+    clock = Clock()
+    queued = []
+
+    def synchronise():
+        clock.now += sum(queued)
+        queued.clear()
+
+    method = Timed(queued.append, lambda _: 3 * MS, lambda _: 1 * MS)
+    stopwatch = Stopwatch(short(warmup_queries=1), clock, synchronise)
+    queued.append(500 * MS)
+    timing = stopwatch.measure(method, pictures(range(5)))
+    assert timing.first_query_seconds == pytest.approx(0.004)
+    assert timing.streaming.encode_seconds.tolist() == [0.003] * 5
+    assert timing.streaming.match_seconds.tolist() == [0.001] * 5
+    queued.append(500 * MS)
+    with stopwatch.lap() as lap:
+        clock.now += 7 * MS
+        queued.append(2 * MS)
+    assert lap == [0.009]
+
+
+@pytest.mark.parametrize(("enabled", "broken"), [(True, True), (False, False)])
+def test_no_garbage_is_collected_in_timed_calls_and_the_collector_is_afterwards_as_it_was(enabled, broken):
+    quiet = []
+
+    def collections():
+        return [generation["collections"] for generation in gc.get_stats()]
+
+    def spend(_):
+        before = collections()
+        for _ in range(1000):  # more cycles than the collector waits for
+            cycle = []
+            cycle.append(cycle)
+        quiet.append(collections() == before)
+        if broken:
+            raise ZeroDivisionError
+
+    (gc.enable if enabled else gc.disable)()
+    try:
+        with contextlib.suppress(ZeroDivisionError):
+            Stopwatch(short()).measure(Timed(spend), pictures(range(5)))
+        assert (gc.isenabled(), {*quiet}) == (enabled, {True})
+    finally:
+        gc.enable()
+
+
+def test_warm_up_ends_after_ten_queries_within_ten_percent_or_at_the_maximum():
+    for first, costs, most, queries in (
+        ([], [3], 50, 10),
+        ([100], [3], 50, 11),  # a slow one is no longer among the last ten
+        ([], [90, 99], 50, 10),  # within ten percent
+        ([], [87, 99], 50, 50),  # twelve percent apart
+        ([], [1, 2], 25, 25),
+    ):
+        laps = itertools.chain(first, itertools.cycle(costs))
+        timing, _ = measured(short(warmup_queries=most), lambda _, laps=laps: next(laps) * MS)
+        assert timing.warmup_queries == queries
+        assert timing.first_query_seconds == pytest.approx(([*first, *costs][0] + 1) / 1000)
+        assert timing.streaming.encode_seconds.max() <= max(costs) / 1000  # of warm-up queries there is none
+
+
+def test_laps_go_on_for_each_minimum_and_offline_ones_count_images_and_end_at_the_maximum_in_the_middle_of_a_pass():
+    for minimum, streaming, batch, calls in (
+        ({"minimum_seconds": 0.1}, 25, 5, 25),  # 0.1 s / 4 ms
+        ({"minimum_queries": 12}, 15, 5, 3),  # whole passes
+        ({"minimum_passes": 3}, 15, 2, 8),  # 15 images
+    ):
+        timing, _ = measured(short(**minimum, batch_sizes=[batch]))
+        assert (len(timing.streaming.total_seconds), len(timing.offline[0].total_seconds)) == (streaming, calls)
+        assert (timing.streaming.valid, timing.offline[0].valid) == (True, True)
+    timing, _ = measured(short(maximum_seconds=0.002), images=1)  # the last call meets all minima, beyond the maximum
+    assert (timing.streaming.valid, timing.offline[0].valid) == (True, True)
+    timing, asked = measured(short(maximum_seconds=0.03), images=12)
+    assert len(timing.streaming.total_seconds) == 8  # the first end after 30 ms is at 32 ms
+    assert (timing.streaming.valid, timing.offline[0].valid) == (False, False)
+    assert np.flatnonzero(timing.answers >= 0).tolist() == sorted(streamed(timing, asked))
+
+
+def test_each_pass_asks_each_sampled_image_once_in_an_order_that_the_seed_shuffles_and_keeps_its_best_place():
+    first, again, other = (streamed(*measured(short(minimum_passes=3), images=12, seed=seed)) for seed in (4, 4, 5))
+    assert first == again != other
+    assert first[:12] != list(range(12))
+    assert [sorted(first[start : start + 12]) for start in (0, 12, 24)] == [list(range(12))] * 3
+    timing, _ = measured(short(minimum_queries=7), lambda numbers: [9, 2, 2, 2, 2][numbers[0]] * MS)
+    assert timing.repeated_seconds == pytest.approx(0.003)  # the median over images asked again
+    timing, _ = measured(short(sample=3), images=9)
+    assert (timing.sample.tolist(), timing.answers.tolist()) == ([0, 4, 8], [0, 4, 8])
+
+
+def test_images_are_decoded_before_the_clock_runs():
+    clock, reads = Clock(), []
+
+    def read(i):
+        reads.append(clock.now)
+        return np.full((3, 4, 3), i, np.uint8)
+
+    Stopwatch(short(), clock).measure(timed_by(clock), Images(read, ["a", "b", "c"]))
+    assert (len(reads) >= 3, {*reads}) == (True, {0})
+
+
+def test_a_sample_fills_no_more_than_its_bytes_however_small_its_first_image_is(tmp_path, monkeypatch):
+    monkeypatch.setattr(stopwatch, "_SAMPLE_BYTES", 4 * 3 * 40 * 50)
+    paths = [tmp_path / f"{i}.png" for i in range(20)]
+    for path in paths:
+        PillowImage.new("RGB", (50, 40) if path.name != "0.png" else (5, 4)).save(path)
+    assert Stopwatch(short(sample=16)).measure(Timed(), Images.from_files(paths)).sample.tolist() == [0, 6, 12, 19]
+
+
+def test_the_first_batch_of_each_size_is_not_timed():
+    first = dict.fromkeys((1, 2, 4), 100 * MS)
+    protocol = short(batch_sizes=[2, 4], minimum_queries=8)
+    timing, _ = measured(protocol, lambda images: first.pop(len(images), 3 * MS), images=8)
+    assert [laps.encode_seconds.tolist() for laps in timing.offline] == [[0.003] * 4, [0.003] * 2]
+
+
+def test_the_bound_of_a_percentile_is_the_lap_with_h_above_it():
+    for share, counts in {  # of spec timing.md 2.3
+        0.9: {0: None, 1: None, 63: None, 64: 1, 360: 22, 2700: 233},
+        0.99: {661: None, 662: 1, 2700: 15},
+        0.999: {6636: 1},
+    }.items():
+        for count, above in counts.items():
+            seconds = np.random.default_rng(0).permutation(count).astype(np.float64) + 1  # 1 to count
+            assert percentile_bound(seconds, share) == (None if above is None else count - above)
+
+
+def test_a_protocol_that_measures_nothing_is_refused_by_name():
+    for option, values in {
+        **{option: [0] for option in ("minimum_queries", "minimum_passes", "sample")},
+        "batch_sizes": [[], [8, 0]],
+        "minimum_seconds": [-1.0, 121.0, float("nan")],
+        "maximum_seconds": [0.0, 0.5, float("nan")],
+        "total_seconds": [0.0],
+    }.items():
+        for value in values:
+            config = composed([])
+            config["timing"] |= {option: value}
+            with pytest.raises(BadInput, match=rf"timing\.{option}\b"):
+                checked_settings(config)
+
+
+LIMITED = Protocol(0.25, 64, 1, 5.0, 64, 20, [1, 8, 32], total_seconds=5.0)
+
+
+@pytest.mark.parametrize(("image_ms", "call_ms"), [(1, 0), (1, 90), (400, 0), (4900, 90)])
+def test_all_rates_together_take_no_longer_than_their_limit(image_ms, call_ms):
+    clock = Clock()
+    method = timed_by(clock, lambda images: (call_ms + image_ms * len(images)) * MS, lambda _: 0)
+    timing = Stopwatch(LIMITED, clock).measure(method, pictures(range(64)), first_query_seconds=1e-3 * image_ms)
+    assert 0.1 < clock.seconds() <= 5
+    assert streaming_rate(timing.streaming.total_seconds) == pytest.approx(1e3 / (image_ms + call_ms))
+    assert timing.offline[0].images_per_call == 1
+    assert all(np.median(laps.total_seconds) > 0 for laps in timing.offline)
+
+
+def test_a_batch_whose_call_would_take_longer_than_is_left_is_left_out_and_a_faster_one_is_not():
+    for protocol, call, left in (
+        (LIMITED, lambda n_images: 30, [1, 8, 32]),  # all at once
+        (LIMITED, lambda n_images: 30 * n_images, [1, 8]),  # one after the other
+        (LIMITED, lambda n_images: 900 * n_images, [1]),
+        (short(batch_sizes=[1, 32]), lambda n_images: 900 * n_images, [1, 32]),
+    ):
+        assert sizes(measured(protocol, lambda images, call=call: MS * call(len(images)), images=64)[0]) == left

@@ -1,0 +1,199 @@
+"""Small pictures of a dataset: the right frame for the right place, small, written once and never half."""
+
+import errno
+import io
+import logging
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from little import Lookup, journey
+from little_runs import QUICK, asked_for, table
+from PIL import Image as PillowImage
+
+from vprbench import progress
+from vprbench.api.dataset import Dataset
+from vprbench.api.images import Images
+from vprbench.errors import BadInput
+from vprbench.runs import thumbnails
+from vprbench.runs.get_or_run import get_or_run
+from vprbench.runs.settings import Settings
+
+FINGERPRINT = "0123456789abcdef" * 4
+
+
+def plain(level, size=(20, 40)):
+    """Return an image of one grey level; size is height and width."""
+    return np.full((*size, 3), level, np.uint8)
+
+
+def world(references, places, queries, right):
+    def named(kind, arrays):
+        arrays = list(arrays)
+        return Images.from_arrays(arrays, [f"{kind}{i}.png" for i in range(len(arrays))])
+
+    right = tuple(np.array(row, np.int64) for row in right)
+    return Dataset("world", named("r", references), np.array(places), named("q", queries), right, {})
+
+
+def two_traverses():
+    """Return three places, each seen twice: at levels 10, 20, 30 and, in another order, at 110, 120, 130."""
+    return world(map(plain, (20, 10, 30, 130, 110, 120)), [1, 0, 2, 2, 0, 1], map(plain, (35, 15)), [[2], [0]])
+
+
+def kept(root, dataset):
+    root.mkdir(exist_ok=True)
+    thumbnails.keep(root, FINGERPRINT, dataset)
+    return thumbnails.find(root, FINGERPRINT)
+
+
+def decoded(webp):
+    with PillowImage.open(io.BytesIO(webp)) as picture:
+        assert picture.format == "WEBP"
+        return np.asarray(picture.convert("RGB"))
+
+
+def path(root):
+    return root / "frames" / "0123456789abcdef.npz"
+
+
+def test_a_place_is_shown_by_its_first_reference_image_and_queries_are_kept_in_their_order(tmp_path):
+    found = kept(tmp_path, two_traverses())
+    assert [decoded(frame).mean() for frame in found.references] == pytest.approx([10, 20, 30], abs=2)
+    assert [decoded(frame).mean() for frame in found.queries] == pytest.approx([35, 15], abs=2)
+    assert (found.reference_names, found.query_names) == (("r1.png", "r0.png", "r2.png"), ("q0.png", "q1.png"))
+
+
+@pytest.mark.parametrize(("size", "small"), [((360, 640), (54, 96)), ((640, 360), (96, 54)), ((20, 40), (20, 40))])
+def test_the_longest_side_has_at_most_96_pixels_and_none_is_enlarged(tmp_path, size, small):
+    red = plain(0, size)
+    red[..., 0] = 200
+    found = kept(tmp_path, world([red], [0], [red], [[0]]))
+    assert decoded(found.queries[0]).shape[:2] == decoded(found.references[0]).shape[:2] == small
+    assert decoded(found.queries[0]).mean((0, 1)) == pytest.approx([200, 0, 0], abs=8)
+
+
+@pytest.fixture
+def large(monkeypatch):
+    """Return a dataset of 30 places and 20 queries, of which 8 frames are kept for a run and 12 for all."""
+    for name, number in (("_ALL", 40), ("_OF_RUN", 8), ("_MOST", 12)):
+        monkeypatch.setattr(thumbnails, name, number)
+    return world(map(plain, range(30)), range(30), [plain(9)] * 20, [[i] for i in range(20)])
+
+
+def there(root):
+    found = thumbnails.find(root, FINGERPRINT)
+    assert (len(found.query_names), len(found.reference_names)) == (20, 30)
+    return tuple([i for i, frame in enumerate(frames) if frame] for frames in (found.queries, found.references))
+
+
+def test_of_a_large_dataset_a_run_keeps_what_it_shows_first_and_others_add_to_it_until_a_page_holds_no_more(
+    tmp_path, large
+):
+    one = tmp_path / "one"
+    one.mkdir()
+    thumbnails.keep(one, FINGERPRINT, large, [(7, {1, 2}), (3, {2, 5}), (4, {1}), (0, {8, 9}), (1, {1})])
+    assert there(one) == ([3, 4, 7], [1, 2, 5])
+    assert decoded(thumbnails.find(one, FINGERPRINT).references[5]).mean() == pytest.approx(5, abs=2)
+    for shown, frames in (
+        ([(7, {1, 2}), (3, {2, 5})], ([3, 7], [1, 2, 5])),
+        ([(7, {1, 20}), (8, {5, 21}), (9, {22, 23})], ([3, 7, 8], [1, 2, 5, 20, 21])),
+        ([(10, {11}), (11, {12}), (12, {13})], ([3, 7, 8, 10, 11], [1, 2, 5, 11, 12, 20, 21])),
+    ):
+        thumbnails.keep(tmp_path, FINGERPRINT, large, shown)
+        assert there(tmp_path) == frames
+
+
+def test_four_queries_that_have_a_right_place_are_examples_beside_it_exactly_and_no_larger_than_640_pixels(tmp_path):
+    random = np.random.default_rng(0)
+    one, other, unseen, query = random.integers(0, 256, (4, 30, 50, 3), dtype=np.uint8)
+    (example,) = kept(tmp_path, world([one, other], [1, 0], [unseen, query], [[], [0]])).examples
+    assert (example.query, example.place) == (1, 0)
+    assert np.array_equal(example.query_image, query)
+    assert np.array_equal(example.reference_image, other)
+    (large,) = kept(tmp_path / "large", world([plain(1, (400, 1280))], [0], [plain(2)], [[0]])).examples
+    assert large.reference_image.shape == (200, 640, 3)
+    for number, (right, examples) in enumerate(
+        [
+            ([[], *([i] for i in range(1, 8)), [], []], [(1, 1), (3, 3), (5, 5), (7, 7)]),
+            ([[1, 2, 3]], [(0, 2)]),  # the middle one
+            ([[]], []),
+        ]
+    ):
+        dataset = world([plain(1)] * 10, range(10), [plain(2)] * len(right), right)
+        assert [(e.query, e.place) for e in kept(tmp_path / f"{number}", dataset).examples] == examples
+
+
+def detailed(seed):
+    """Return a picture full of edges, 180 x 320 pixels."""
+    colours = np.random.default_rng(seed).integers(0, 256, (9, 16, 3)).astype(np.uint8)
+    return np.kron(colours, np.ones((20, 20, 1), np.uint8))
+
+
+def test_what_is_kept_already_is_not_read_again_and_progress_rises_over_queries_and_places(tmp_path):
+    told = []
+    with progress.listening(lambda *report: told.append(report)):
+        thumbnails.keep(tmp_path, FINGERPRINT, two_traverses(), iter([(1, {0})]))
+    assert told == [("keeping small frames", i / 5) for i in range(5)]
+    found = thumbnails.find(tmp_path, FINGERPRINT)
+    assert all([*found.queries, *found.references])  # a small dataset is kept whole
+    assert [*(tmp_path / "frames").iterdir()] == [path(tmp_path)]
+    unread = Images(lambda _: pytest.fail("an image was read"), ["a", "b"])
+    thumbnails.keep(tmp_path, FINGERPRINT, Dataset("world", unread, np.arange(2), unread, (np.array([0]),) * 2, {}))
+
+
+def refuse(*_):
+    raise OSError(errno.ENOSPC, "No space left on device")
+
+
+def test_a_full_disk_and_a_frame_that_cannot_be_read_leave_nothing_behind(tmp_path, monkeypatch):
+    missing = Images.from_files([tmp_path / "gone.png"])
+    with pytest.raises(BadInput, match=r"gone\.png"):
+        thumbnails.keep(tmp_path, "a" * 64, Dataset("world", missing, np.array([0]), missing, (np.array([0]),), {}))
+    assert list(tmp_path.iterdir()) == []
+    monkeypatch.setattr(Path, "write_bytes", lambda to, _: refuse(to.touch()))
+    with pytest.raises(OSError, match="No space left"):
+        thumbnails.keep(tmp_path, FINGERPRINT, two_traverses())
+    assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda whole: whole[: len(whole) // 2],
+        lambda whole: whole.replace(b"queries.npy", b"queries.npz"),
+        lambda whole: whole[: (n := whole.index(b"queries.npy") + 60)] + bytes([whole[n] ^ 4]) + whole[n + 1 :],
+    ],
+    ids=["cut", "array missing", "another bit"],
+)
+def test_a_damaged_file_is_none_and_named_and_made_anew(tmp_path, spoil, caplog):
+    assert (thumbnails.find(tmp_path, FINGERPRINT), caplog.records) == (None, [])
+    kept(tmp_path, two_traverses())
+    path(tmp_path).write_bytes(spoil(path(tmp_path).read_bytes()))
+    assert thumbnails.find(tmp_path, FINGERPRINT) is None
+    (record,) = caplog.records
+    assert (record.levelno, str(path(tmp_path)) in record.getMessage()) == (logging.WARNING, True)
+    assert kept(tmp_path, two_traverses()).query_names == ("q0.png", "q1.png")
+    assert thumbnails.find(tmp_path, FINGERPRINT[:16] + "f" * 48) is None  # of a hash that begins alike
+
+
+@pytest.mark.usefixtures("surroundings")
+def test_a_run_makes_the_frames_that_are_missing_and_asked_for_and_is_not_lost_where_the_disk_refuses_them(
+    store, monkeypatch, caplog
+):
+    def frames(seed=0, **settings):
+        request = asked_for(Lookup(table(6, 4)), journey(6, 4), replace(QUICK, rates=False), seed=seed)
+        get_or_run(request, Settings(timing=request.protocol, **settings), store)
+        return list((store.root / "frames").glob("*.npz"))
+
+    (first,) = frames()
+    with np.load(first, allow_pickle=False) as archive:
+        assert {archive[name].dtype.kind for name in archive.files} <= set("iuU")
+    first.unlink()
+    assert frames(frames=False) == []
+    assert frames() == [first]
+    monkeypatch.setattr(thumbnails, "keep", refuse)
+    frames(seed=1)
+    assert "(No space left on device)" in caplog.text
+    assert len([*store.runs()]) == 2

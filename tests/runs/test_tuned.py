@@ -1,0 +1,161 @@
+"""What a yaml says of the places its settings were chosen on stands with every run, wherever that is shown."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from figure_runs import run
+
+from vprbench.cli import main
+from vprbench.datasets.nordland import published_frames
+from vprbench.plugins import registry
+from vprbench.runs.store import Store
+from vprbench.runs.tuned import other_places, tuned_here, tuned_note
+from vprbench.runs.views import rescored
+
+
+@pytest.fixture
+def plug_in(tmp_path, monkeypatch):
+    """Return what registers a yaml of another package; runs are made in an empty folder."""
+    folder = tmp_path / "conf"
+    (folder / "method").mkdir(parents=True)
+    ours = registry.conf_folders()
+    monkeypatch.setattr("vprbench.plugins.entries.conf_folders", lambda: {**ours, "other": folder})
+    monkeypatch.chdir(tmp_path)
+
+    def registered(name, text):
+        (folder / "method" / f"{name}.yaml").write_text(text, encoding="utf-8")
+
+    registered("mine", NOT_TUNED)
+    registered("upper", "defaults: [mine, _self_]\nwidth: 14\n")
+    return registered
+
+
+def printed(capsys, *options):
+    capsys.readouterr()
+    assert main(["method=upper", *options, *QUICK]) == 0
+    return capsys.readouterr().out
+
+
+def only_run():
+    (run,) = Store(Path("results"), read_only=True).runs()
+    return run
+
+
+def hits(run, numbers, tuned):
+    """Return the chance of each query of no tuned place that its best place is right; `numbers` are the queries'."""
+    found = []
+    for number, scores, right in zip(numbers, run.scores, run.positives, strict=True):
+        best = np.flatnonzero(scores == scores.max())
+        found += [] if number in tuned else [np.isin(best, right).mean()]
+    return found
+
+
+NOT_TUNED = "_target_: vprbench.methods.sad.SAD\npatch: 5\n"
+NOTE = "tuned on places 5-11 of synthetic"
+QUICK = ["dataset.places=20", "dataset.first_query_place=2", "timing=none", "threads=1", "frames=false"]
+
+
+def told_elsewhere(text):
+    """Return R@1, the ends of its interval and how many queries a note names."""
+    found = re.search(r"([\d.]+) \[([\d.]+), ([\d.]+)\] on the (\d+) queries", text)
+    return [] if found is None else [*map(float, found.groups())]
+
+
+@pytest.mark.usefixtures("surroundings")
+def test_a_run_prints_and_keeps_on_what_its_method_was_tuned_even_if_its_yaml_says_so_only_now(plug_in, capsys):
+    told = json.loads(printed(capsys, "output=json"))
+    assert (told["tuned_on"], [note for note in told["notes"] if note["kind"] == "tuned"]) == (None, [])
+    assert {told[name] for name in told if "elsewhere" in name} == {None}
+    before = only_run()
+    plug_in("mine", f"{NOT_TUNED}tuned_on: {{dataset: synthetic, places: 5-11}}\n")
+    lines = printed(capsys, "wide=true").splitlines()
+    line = next(line for line in lines if line.startswith(f"note: {NOTE}"))
+    told = json.loads(printed(capsys, "output=json"))
+    assert (told["notes"][0], told["from_store"]) == ({"kind": "tuned", "text": line[6:]}, True)
+    now = only_run()
+    assert (before.tuned_on, before.environment) == ({}, now.environment)
+    assert told["tuned_on"] == now.tuned_on == {"dataset": "synthetic", "places": "5-11", "also_in": {}}
+    assert "tuned_on" not in now.config["method"]
+    there = hits(now, range(2, 20), range(5, 12))
+    numbers = [told[f"recall_at_1_elsewhere{end}"] for end in ("", "_low", "_high")]
+    assert (numbers[0], told["queries_elsewhere"]) == (pytest.approx(np.mean(there)), len(there))
+    assert told_elsewhere(line) == pytest.approx([*(100 * number for number in numbers), 11], abs=0.051)
+    row = "{:.1f} [{:.1f}, {:.1f}]".format(*(100 * number for number in numbers))
+    assert any(f" elsewhere {row} " in line for line in lines)
+
+
+@pytest.mark.parametrize(
+    ("options", "declared", "named"),
+    [
+        (["method=upper", "method.tuned_on=null"], "{dataset: a, places: b}", "method.tuned_on="),
+        (["method=upper", "~method.tuned_on"], "{dataset: a, places: b}", "method.tuned_on="),
+        (["method=upper", "method.tuned_on.dataset=street"], "{dataset: a, places: b}", "method.tuned_on="),
+        (["method=mine"], "nordland", "mine"),
+        (["method=mine"], "{dataset: a, places: b, colour: red}", "mine"),
+    ],
+)
+def test_the_command_line_cannot_change_it_and_what_is_no_declaration_is_refused_by_its_yaml(
+    plug_in, capsys, options, declared, named
+):
+    plug_in("mine", f"{NOT_TUNED}tuned_on: {declared}\n")
+    assert main([*options, *QUICK]) == 2
+    error = capsys.readouterr().err
+    assert (named in error, "tuned_on" in error, error.count("\n")) == (True, True, 1)
+    assert list(Store(Path("results"), read_only=True).runs()) == []
+
+
+@pytest.mark.parametrize(
+    ("changes", "tuned", "others"),
+    [
+        ({}, True, 32),
+        ({"tuned_on": {"dataset": "synthetic", "places": "0-3, 36-39"}}, True, 32),
+        ({"tuned_on": {"dataset": "street", "places": "0-99", "also_in": {"synthetic": "8-11"}}}, True, 36),
+        ({"positives": [[i, i + 1] for i in range(40)], "place_numbers": np.arange(41)}, True, 32),
+        ({"positives": [[i + 2] for i in range(40)], "place_numbers": np.arange(42)}, True, 34),
+        ({"place_numbers": 2 * np.arange(40)}, True, 36),
+        ({"dataset_arguments": {"references": ["winter"], "places": 99, "root": "/a"}}, True, 32),
+        ({"dataset_arguments": {"seed": 1}}, True, None),
+        ({"dataset": "synthetic_2"}, False, None),
+        ({"dataset": "railway", "tuned_on": {"dataset": "railway", "places": "0-7"}}, True, None),  # of nobody's yaml
+        ({"tuned_on": {"dataset": "synthetic", "places": "every second place"}}, True, None),
+        ({"tuned_on": {"dataset": "street", "places": "0-7", "also_in": ["synthetic"]}}, True, None),
+        ({"tuned_on": {"dataset": "synthetic", "places": "0-39"}}, True, None),
+        ({"tuned_on": {"dataset": "synthetic", "places": "40-99"}}, False, None),
+        ({"tuned_on": {}}, False, None),
+    ],
+)
+def test_queries_of_tuned_places_are_told_by_their_numbers_and_all_are_suspected_where_these_are_not_known(
+    changes, tuned, others
+):
+    given = {"dataset": "synthetic", "tuned_on": {"dataset": "synthetic", "places": "0-7"}, **changes}
+    right = given.pop("positives", [[i] for i in range(40)])
+    made = run("mine", 0.5, 40, 40, **given, positives=tuple(map(np.array, right)))
+    left = other_places(made)
+    assert (tuned_here(made), left and len(left.outcome)) == (tuned, others)
+    assert bool(tuned_note([made])) == tuned
+    assert (len(told_elsewhere(tuned_note([made]))) == 4) == (others is not None)
+
+
+def test_an_answer_that_rests_on_neighbours_is_of_a_tuned_place_if_one_of_them_is():
+    made = run("mine", 0.5, 40, 40, dataset="synthetic", tuned_on={"dataset": "synthetic", "places": "10-19"})
+    left = other_places(rescored(made, np.asarray(made.scores), {"sequence": 4}, window=4))
+    assert [int(right[0]) for right in left.positives] == [*range(7), *range(23, 40)]
+
+
+def test_tuned_settings_say_where_they_were_found():
+    listed = published_frames()
+    last = [frame for frame in listed if frame % 10 == 0][999]
+    also = {
+        f"nordland{dataset}": f"0-{sum(frame <= last for frame in listed[::stride]) - 1}"
+        for dataset, stride in (("", 8), ("_27k", 1), ("_patchnetvlad", 1), ("_vprbench", 1))
+    }
+    for name in (
+        *(f"vprtempo_{kind}{size}" for kind in ("tuned", "oriented") for size in ("", "_ensemble")),
+        *("hyperdimensional_oriented", "gabor", "gabor_binary", "oriented_binary"),
+    ):
+        declared = registry.entries("method")[name].tuned_on
+        assert declared == {"dataset": "nordland_64x32", "places": "0-999", "also_in": also}
+    assert registry.entries("method")["vprtempo"].tuned_on == {}

@@ -1,0 +1,106 @@
+"""What the report says of each query, from worked examples and a slow count."""
+
+import io
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from little import a_run
+from PIL import Image
+from report_page import SAD_WRONG, TEMPO_WRONG, UNANSWERABLE, answered, journey_run, right_place
+
+from vprbench.paper.page.fitting import fitting, text_bytes
+from vprbench.runs.query_results import by_interest, columns, judged, place_ranges, places_shown
+
+NO = -np.inf  # the score of a place that is no candidate
+
+
+def judged_alone(scores, right, depth=None):
+    """Judge one query; with a `depth` only so many best places are kept."""
+    if depth is None:
+        return judged(answered([scores], [right]))
+    return judged(replace(answered([scores], [right], depth=depth), scores=None))
+
+
+def test_a_query_is_judged():
+    for scores, right, depth, judgement in (
+        ([0.125, 0.875, 0.5, 0.25], [1], None, ("r", 0.375, "=", [1, 2, 3], 1, 1)),
+        ([0.875, 0.5, 0.25, 0.125, 0.0], [3], None, ("w", -0.75, "=", [0, 1, 2], 3, 4)),  # beyond those shown
+        ([0.75, 0.75, 0.5, 0.0], [0], None, ("t", 0.0, "=", [1, 0, 2], 0, 1)),  # the wrong one is listed first
+        ([0.875, 0.0, 0.125, 0.5, 0.25], [2, 3, 4], None, ("w", -0.375, "=", [0, 3, 4], 3, 2)),  # the best right one
+        ([0.875, 0.5, 0.5, 0.5, 0.0], [2], None, ("w", -0.375, "=", [0, 1, 3], 2, 2)),
+        ([0.875, 0.5, 0.25, 0.0], [], None, ("u", None, "?", [0, 1, 2], -1, 0)),
+        ([NO, NO, NO, NO], [2], None, ("w", None, "?", [-1, -1, -1], 2, 0)),
+        ([0.875, NO, 0.5, NO], [1], None, ("w", NO, "=", [0, 2, -1], 1, 0)),
+        ([0.875, NO, NO, NO], [0], None, ("r", np.inf, "=", [0, -1, -1], 0, 1)),
+        ([0.875, 0.75, 0.5, 0.25], [3], 2, ("w", -0.125, "<", [0, 1, -1], 3, 4)),  # known as a bound
+        ([0.875, 0.75, 0.5, 0.25], [0, 1], 2, ("r", 0.125, ">", [0, 1, -1], 0, 1)),
+        ([0.875, 0.75, 0.5, 0.25], [1], 2, ("w", -0.125, "=", [0, 1, -1], 1, 2)),
+        ([0.5, 0.5, 0.5, 0.0], [2], 2, ("t", 0.0, "=", [0, 1, -1], 2, 1)),  # the right place of the tie is not kept
+    ):
+        answers = judged_alone(scores, right, depth)
+        (margin,), places = answers.margins.tolist(), answers.places.tolist()
+        found = (answers.verdicts, None if np.isnan(margin) else margin, answers.bounds, *places)
+        assert (*found, *answers.right_places.tolist(), *answers.ranks.tolist()) == judgement
+
+
+def test_scores_stand_beside_their_places_and_wrong_places_of_equal_score_are_counted():
+    of_outcome = judged(replace(a_run(), scores=None))  # of a map of its own making
+    assert (of_outcome.verdicts, of_outcome.ranks.tolist()) == ("rrww", [1, 1, 3, 8])
+    assert judged_alone([0.125, 0.875, 0.5, 0.25], [1]).scores.tolist() == [[0.875, 0.5, 0.25]]
+    assert judged_alone([0.875, 0.5, 0.25, 0.125, 0.0], [3]).right_scores.tolist() == [0.125]
+    assert judged_alone([0.875, 0.75, 0.5, 0.25], [3], depth=2).right_scores.tolist() == [0.75]
+    tied = [judged_alone([0.75, 0.75, 0.5, 0.0], [0]), judged_alone([0.875, 0.5, 0.5, 0.5, 0.0], [2])]
+    assert [answers.equals.tolist() for answers in tied] == [[1], [2]]
+
+
+def test_what_the_page_reads_is_plain_and_holds_every_query():
+    scores = [[0.875, NO, 0.5], [0.875, NO, NO], [0.5, 0.25, 0.125], [1 / 3, 2 / 3, 0.0]]
+    told = columns(judged(answered(scores, [[1], [0], [], [0]])))
+    assert json.loads(json.dumps(told, allow_nan=False)) == {
+        "verdicts": "wruw",
+        "places": [0, 2, -1, 0, -1, -1, 0, 1, 2, 1, 0, 2],
+        "scores": [0.875, 0.5, None, 0.875, None, None, 0.5, 0.25, 0.125, 0.66667, 0.33333, 0.0],
+        "right": [1, 0, -1, 0],
+        "rightScores": [None, 0.875, None, 0.33333],
+        "ranks": [0, 1, 0, 2],
+        "equals": {},
+        "margins": ["-", "+", None, -0.33333],
+        "bounds": "==?=",
+    }
+
+
+def test_places_read_as_ranges_and_those_shown_are_the_best_three_and_the_right_ones():
+    for places, text in (([], ""), ([4], "4"), ([7, 3, 4, 5], "3-5, 7")):
+        assert place_ranges(np.array(places, np.int64)) == text
+    first = judged_alone([0.5, 0.375, 0.25, 0.125, 0.0, 0.0], [4])
+    second = judged_alone([0.0, 0.0, NO, NO, NO, 0.5], [])
+    assert places_shown([first, second]) == [0, 1, 2, 4, 5]
+
+
+def test_queries_that_are_not_answered_right_come_first_with_their_places_and_then_all_others_in_one_order():
+    run = journey_run(SAD_WRONG)
+    listed = dict(by_interest(run))
+    assert set([*listed][:6]) == {*SAD_WRONG, UNANSWERABLE}
+    assert sorted(listed) == list(range(len(run.outcome)))
+    assert all({right_place(query), *run.top_places[query, :3]} == listed[query] for query in (10, 40))
+    first, second = ([query for query, _ in by_interest(journey_run(wrong))] for wrong in (SAD_WRONG, TEMPO_WRONG))
+    common = {*first} - {*SAD_WRONG, *TEMPO_WRONG, UNANSWERABLE}
+    assert [query for query in first if query in common] == [query for query in second if query in common]
+    assert sorted(common) != [query for query in first if query in common]  # from all over the journey
+
+
+def test_frames_of_the_page_become_coarser_only_if_they_do_not_fit():
+    frames = [b""]
+    for pixels in np.random.default_rng(0).integers(0, 256, (3, 54, 96, 3), np.uint8):
+        Image.fromarray(pixels).save(written := io.BytesIO(), "WEBP", quality=95)
+        frames.append(written.getvalue())
+    size = text_bytes(frames)
+    assert fitting(frames, size) == frames
+    made = fitting(frames, size // 4)
+    assert (text_bytes(made) <= size // 4, made[0]) == (True, b"")
+    for frame in made[1:]:
+        with Image.open(io.BytesIO(frame)) as image:
+            assert image.width / image.height == pytest.approx(96 / 54, rel=0.1)
+    assert (fitting(frames, 50), fitting([], -1)) == (None, [])

@@ -1,0 +1,141 @@
+"""All cells of a comparison looked at before the first of them runs: what is wrong is known at once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any
+
+from vprbench.api.dataset import Dataset
+from vprbench.api.descriptor import DescriptorMethod
+from vprbench.comparison.request import Asked
+from vprbench.data.doctor import insist
+from vprbench.errors import BadInput, NotFittedError, NotThere
+from vprbench.paper.plan import PlannedColumn, Row
+from vprbench.paper.selection import ResolvedColumn
+from vprbench.paper.shelf import Compose
+from vprbench.plugins import registry
+from vprbench.progress import progress_shown, report
+from vprbench.runs.adaptation import adaptation
+from vprbench.runs.identity import fingerprint
+from vprbench.runs.settings import Settings, checked_settings
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One method of a comparison."""
+
+    row: Row
+    adapted: Mapping[str, Any]  # what the map needs in place of the method's own arguments
+    missing: str | None = None  # why it cannot run here, for its weights are not there
+
+
+@dataclass(frozen=True)
+class Checked:
+    """A comparison that was looked at."""
+
+    column: ResolvedColumn
+    cells: tuple[Cell, ...]
+    settings: Settings
+    dataset: Dataset | None  # None: it cannot be built, and only stored runs are asked for
+    images: str  # fingerprint of its frames
+
+
+def checked(asked: Asked, compose: Compose) -> tuple[Checked | None, list[str]]:
+    """Return what a comparison consists of, and what is wrong with it, a line each; None if anything is.
+
+    The dataset and every method are built, and weights are looked for. For stored=true nothing has to be there.
+    """
+    wrong: list[str] = []
+    stored = asked.request.stored
+    options = [*asked.of_dataset, *asked.of_runs, f"device={asked.request.devices[0]}"]
+    unknown = _unknown("dataset", _choice(asked.of_dataset, "dataset"), asked.of_dataset)
+    if unknown:
+        raise BadInput(unknown)
+    config = dict(compose([*options, f"results={asked.request.results}"]))
+    settings = checked_settings({**config, "method": {}})
+    dataset: Dataset | None = None
+    images = ""
+    with progress_shown("compare"):
+        try:
+            dataset = registry.make_dataset(config["dataset"])
+            insist(dataset)
+            images = fingerprint(dataset)
+        except BadInput as error:
+            wrong += [] if stored else [str(error)]
+        cells = []
+        for number, name in enumerate(asked.of_methods):
+            report(f"looking at {name}", number / len(asked.of_methods))
+            try:
+                cells.append(_cell(name, asked, options, dataset, compose))
+            except BadInput as error:
+                told = str(error).removeprefix(f"{name}: ").replace("method.", f"{name}.")
+                wrong.append(f"{name}: {told}")
+    if wrong:
+        return None, wrong
+    title = asked.request.name or str(config["dataset"]["name"])
+    column = ResolvedColumn(PlannedColumn(title, title, asked.of_dataset), config["dataset"])
+    return Checked(column, tuple(cells), settings, dataset, images), []
+
+
+def _cell(name: str, asked: Asked, options: Sequence[str], dataset: Dataset | None, compose: Compose) -> Cell:
+    """Look at one method; raises BadInput for what is wrong with it."""
+    known = registry.entries("method")
+    registry.insist_on_one("method", name)
+    given = asked.of_methods[name]
+    if unknown := _unknown("method", name, given):
+        raise BadInput(unknown)
+    config = {**compose([*options, f"method={name}", *given]), "overrides": list(given)}
+    config["method"], _ = registry.declared(name, config["method"])
+    entry = known.get(name)
+    seeded = "seed" in (config["method"] if entry is None else entry.options)
+    row = Row(
+        " ".join([name, *(option.removeprefix("method.") for option in given)]),
+        name,
+        training="own" if seeded else "map",
+        spiking=entry is not None and entry.spiking,
+        arguments=_arguments(name, given, config["method"]),
+        seeds=tuple(range(asked.request.seeds)) if seeded else (0,),
+    )
+    if asked.request.stored:
+        return Cell(row, {})
+    try:
+        method = registry.make_method(config["method"])
+        adapted = {} if dataset is None else adaptation(method, dataset.n_places, config)
+        if dataset is not None and isinstance(method, DescriptorMethod):
+            method.insist_on_index(len(dataset.references))
+        if not list(method.files()) and dataset is not None:
+            with suppress(NotFittedError):
+                registry.make_method({**config["method"], **adapted}).encode(dataset.references[:1].unnamed())
+    except NotThere as error:
+        return Cell(row, {}, str(error))
+    except (BadInput, OSError):
+        raise
+    except Exception as error:  # whatever a plug-in raises
+        raise BadInput(f"{type(error).__name__}: {error}") from error
+    return Cell(row, adapted)
+
+
+def _arguments(name: str, given: Sequence[str], config: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the arguments that options changed, as a run records them."""
+    entry = registry.entries("method").get(name)
+    if entry is not None:
+        return entry.changed(config)
+    return {key: config[key] for key in (option.partition("=")[0].split(".")[1] for option in given)}
+
+
+def _unknown(group: registry.Group, name: str, options: Sequence[str]) -> str | None:
+    """Return what is to be said of a name, or of an option, that is unknown."""
+    known = registry.entries(group)
+    if name not in known:
+        return None if ":" in name else f"{group}={name} is unknown: {registry.near(name, known)}"
+    for option in options:
+        above, _, argument = option.partition("=")[0].partition(".")
+        if above == group and argument and argument.split(".")[0] not in known[name].options:
+            return f"option {argument} is unknown to {name}: {registry.near(argument, known[name].options)}"
+    return None
+
+
+def _choice(options: Sequence[str], group: str) -> str:
+    return next((option.partition("=")[2] for option in options if option.startswith(f"{group}=")), "")

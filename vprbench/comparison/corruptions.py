@@ -1,0 +1,56 @@
+"""The runs of a comparison under corruptions of its query frames: made where they are missing, none of them timed."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import replace
+
+from vprbench.comparison.checks import Checked
+from vprbench.comparison.request import Asked
+from vprbench.errors import BadInput
+from vprbench.jobs.executors import Executor
+from vprbench.jobs.job import JobResult
+from vprbench.paper.gather import Chosen, made, wanted
+from vprbench.paper.plan import Row
+from vprbench.paper.shelf import Compose
+from vprbench.progress import progress_shown
+from vprbench.runs.corrupted_frames import corrupted
+from vprbench.runs.corruption import Corruption, corruptions
+from vprbench.runs.identity import fingerprint
+
+_UNTIMED = ("timing=none", "frames=false")
+
+
+def under(found: Checked, names: Sequence[str]) -> dict[Corruption, Checked]:
+    """Return a comparison under each of the named corruptions; raises BadInput if it has no accuracy to lower."""
+    if names and found.dataset is not None and not any(map(len, found.dataset.positives)):
+        raise BadInput(f"corruptions={','.join(names)}: no query of {found.dataset.name} has a right place to lose")
+    every = {}
+    for one in corruptions(names):
+        planned = replace(found.column.planned, title=f"{found.column.planned.title}, {one.name}")
+        column = replace(found.column, planned=planned, corruption=one.name)
+        dataset = None if found.dataset is None else corrupted(found.dataset, one.name)
+        with progress_shown(one.name):
+            images = "" if dataset is None else fingerprint(dataset)
+        every[one] = replace(found, column=column, dataset=dataset, images=images)
+    return every
+
+
+def make_missing(
+    chosen: Chosen,
+    rows: Sequence[Row],
+    spoilt: dict[Corruption, Checked],
+    asked: Asked,
+    compose: Compose,
+    executor: Executor | None = None,
+) -> list[JobResult]:
+    """Make the runs that are not stored, kind by kind, on the first device alone; returns how each ended."""
+    once = replace(chosen, devices=chosen.devices[:1])
+    options = [option for option in asked.of_runs if option.partition("=")[0].partition(".")[0] != "timing"]
+    endings: list[JobResult] = []
+    for _, of_kind in itertools.groupby(spoilt.items(), lambda each: each[0].kind):
+        columns = [there.column for _, there in of_kind]
+        runs = [run for row in rows for column in columns for run in wanted(once, column, [row])]
+        endings += made(once, runs, [*options, *_UNTIMED], compose, executor)
+    return endings

@@ -1,0 +1,223 @@
+"""`vprbench compare`: what is missing is made, and all of it ends in one ranked table, with figures and a page."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import pandas as pd
+
+from vprbench.comparison.checks import Cell, Checked, checked
+from vprbench.comparison.corruptions import make_missing, under
+from vprbench.comparison.quantities import quantities
+from vprbench.comparison.request import Asked
+from vprbench.jobs.executors import executor_for
+from vprbench.jobs.job import JobResult
+from vprbench.paper.figures.make import draw_all, write_figures
+from vprbench.paper.gather import Chosen, Material, assembled, made, stored, wanted
+from vprbench.paper.page.make import write_page
+from vprbench.paper.plan import Growth, Plan
+from vprbench.paper.ranking import Ranking, ranked
+from vprbench.paper.robustness import Robustness, csv, lines, markdown, robustness
+from vprbench.paper.selection import Group, accuracy_series, as_text, groups
+from vprbench.paper.shelf import Compose
+from vprbench.paper.table import words
+from vprbench.paper.table.cells import TableRow
+from vprbench.paper.table.make import exit_code, write
+from vprbench.paper.table.quantities import RECALL, Quantity
+from vprbench.paper.titles import protocol_words
+from vprbench.paper.viewed import seen
+from vprbench.progress import progress_shown
+from vprbench.runs import rows
+from vprbench.runs.record import Failure, Run
+from vprbench.runs.sequences import suffix, views
+from vprbench.runs.settings import n_threads
+from vprbench.storage.atomic import replace_text
+from vprbench.terminal.console import show_table, told
+from vprbench.text import printable
+
+_NO_PLAN = Plan({}, {}, {}, Growth((), (), (), 0, {}))
+_LEAST = ("peak MB", "AUC-PR (A)", "R@5 %")  # columns that a narrow terminal lacks first
+
+
+def make_comparison(asked: Asked, compose: Compose) -> int:
+    """Compare methods on one dataset; returns the exit code: 1 where a run failed, 2 for input to be mended."""
+    found, wrong = checked(asked, compose)
+    if found is None:
+        for line in wrong:
+            print(printable(f"vprbench: {line}"), file=sys.stderr)
+        return 2
+    chosen = chosen_of(found, asked)
+    there = [cell.row for cell in found.cells if cell.missing is None]
+    for cell in found.cells:
+        if cell.missing is not None:
+            print(printable(f"vprbench: {cell.row.name} is left out: {cell.missing}"), file=sys.stderr)
+    options = [*asked.of_runs, *["scores=true"] * bool(chosen.views)]
+    with executor_for(asked.request) as executor:
+        endings = made(chosen, list(wanted(chosen, found.column, there)), options, compose, executor)
+        spoilt = under(found, asked.request.corruptions)
+        endings += make_missing(chosen, there, spoilt, asked, compose, executor)
+    known, failures = stored(chosen)
+    compared, rankings = ranked_material(chosen, found, known, failures, endings)
+    show(compared, rankings, asked.request.wide)
+    robust = None
+    if spoilt:
+        of_each = {one: accuracy_series(newest(chosen, of, known), chosen.rows) for one, of in spoilt.items()}
+        robust = robustness(accuracy_series(newest(chosen, found, known), compared.chosen.rows), of_each)
+        table = lines(robust)
+        print()
+        show_table([*table[0]], [[*line.values()] for line in table], asked.request.wide)
+    print("\nwritten to", *written(compared, asked.request.name is None, robust), sep="\n  ")
+    return exit_code(endings)
+
+
+def chosen_of(found: Checked, asked: Asked) -> Chosen:
+    """Return the rows and the one column of a comparison, as a table has them."""
+    request = asked.request
+    return Chosen(
+        _NO_PLAN,
+        tuple(cell.row for cell in found.cells),
+        (found.column,),
+        tuple(request.devices),
+        metrics=tuple(request.metrics),
+        results=request.results,
+        stores=tuple(request.stores),
+        stored=request.stored,
+        title=found.column.planned.title,
+        quantities=quantities(request.metrics, request.devices),
+        views=views(request.sequence, request.filter),
+    )
+
+
+def ranked_material(
+    chosen: Chosen,
+    found: Checked,
+    known: Sequence[Run],
+    failures: Sequence[Failure],
+    endings: Sequence[JobResult] = (),
+) -> tuple[Material, list[Ranking]]:
+    """Put the runs of a comparison into one table, best first, rows without runs last; other stored runs stay out.
+
+    There is a ranking for each view that was asked for; the first orders the rows. Raises BadInput if there is no run.
+    """
+    there = newest(chosen, found, known)
+    left_out = [
+        run.failed(cell.missing, missing=True)
+        for cell in found.cells
+        if cell.missing is not None
+        for run in wanted(chosen, found.column, [cell.row])
+    ]
+    shown = groups(there.runs, [*failures, *left_out], [found.column], chosen.rows)
+    shown = seen(shown, chosen.rows, chosen.views)
+    rankings = [ranked(accuracy_series(group, chosen.rows)) for group in shown]
+    order = [row.name for row in rankings[0].rows]
+    ordered = sorted(chosen.rows, key=lambda row: order.index(row.name) if row.name in order else len(order))
+    return assembled(replace(chosen, rows=tuple(ordered)), shown, there.runs, tuple(endings)), rankings
+
+
+def newest(chosen: Chosen, found: Checked, known: Sequence[Run]) -> Group:
+    """Return the stored runs of a comparison, of several protocols those with the newest run."""
+    runs = [run for run in known if _is_of(run, found)]
+    runs = [_as_asked(run, cell, found) for run in runs for cell in found.cells if cell.row.method == run.method]
+    return groups(runs, (), [found.column], chosen.rows)[0]
+
+
+def _is_of(run: Run, found: Checked) -> bool:
+    """Tell whether a stored run was made of these very frames, places and threads; any is if the frames are unknown."""
+    if found.dataset is None:
+        return True
+    alike = run.fingerprint == found.images and as_text(run.protocol) == as_text(found.dataset.protocol)
+    return alike and run.environment.get("threads") == n_threads(found.settings)
+
+
+def _as_asked(run: Run, cell: Cell, found: Checked) -> Run:
+    """Return a run as if it had been asked for in the words of this comparison: paths and what adapts by itself."""
+    changed = {
+        name: value
+        for name, value in run.config.get("changed", {}).items()
+        if name in cell.row.arguments or as_text(cell.adapted.get(name)) != as_text(value)
+    }
+    if found.dataset is None:
+        return replace(run, config={**run.config, "changed": changed})
+    config = {**run.config, "dataset": found.column.dataset, "changed": changed}
+    gaps = found.dataset.query_breaks, found.dataset.place_breaks  # a run may have been stored before they were told
+    return replace(run, config=config, query_breaks=gaps[0], place_breaks=gaps[1])
+
+
+def show(found: Material, rankings: Sequence[Ranking], wide: bool = False) -> None:
+    """Print notes, the ranked table and what tests say of it; of several views R@1 alone, side by side."""
+    table = found.table
+    if len(table.columns) == 1:
+        print(told(f"{table.title}: {words.data(table.columns[0])}"))
+    else:
+        print(told(f"{table.title}: {table.columns[0].n_places or 0:,} places; {protocol_words(found.runs[0])}"))
+        for run in (group.runs[0] for group in found.groups if group.runs):
+            print(told(f"{rows.view_words(run, whole=True)}: {len(run.outcome):,} queries"))
+    for row in table.rows:
+        numbers = sorted({number for cell in row.cells.values() for number in cell.notes})
+        for number in numbers:
+            print(told(f"note: {row.name}: {table.notes[number - 1].text}", "yellow"))
+    print()
+    if len(table.columns) == 1:
+        heads = ["method", *(quantity.heading for quantity in table.quantities)]
+        show_table(heads, [[row.name, *_shown(found, row, table.quantities)] for row in table.rows], wide, _LEAST)
+    else:
+        heads = ["R@1 %", *map(_short, found.groups)]
+        show_table(heads, [[row.name, *_shown(found, row, [RECALL])] for row in table.rows], wide)
+    print()
+    for group, ranking in zip(found.groups, rankings, strict=True):
+        above = f"{_short(group)}: " if len(rankings) > 1 else ""
+        print(*(told(f"{above}{sentence}", "bold") for sentence in ranking.sentences), sep="\n")
+
+
+def _short(group: Group) -> str:
+    """Return what tells a group of a comparison from the others."""
+    return rows.view_words(group.runs[0]) if group.runs else "no run"
+
+
+def _shown(found: Material, row: TableRow, quantities: Sequence[Quantity]) -> Iterator[str]:
+    for column in found.table.columns:
+        cells = [words.of_cell(found.table, row, column, quantity) for quantity in quantities]
+        for number, cell in enumerate(cells):
+            told = cell.absence if number == 0 or cell.value or cell.absence != cells[0].absence else ""
+            yield " ".join(filter(None, [told, cell.value, cell.extent]))
+
+
+def written(found: Material, beside_others: bool, robust: Robustness | None = None) -> list[Path]:
+    """Write the table, its runs, figures and page of a comparison into the results folder; returns the files.
+
+    If `beside_others`, files of this name that are of other frames stay: the new ones get the frames' hash.
+    """
+    from vprbench.paper.figures.robustness import robustness as drawn_robustness
+
+    folder, name = Path(found.chosen.results).expanduser(), found.chosen.columns[0].planned.name
+    name += suffix(found.chosen.views)
+    if beside_others and _of_other_frames(folder / f"{name}-runs.csv", found.runs):
+        name = f"{name}-{found.runs[0].fingerprint[:6]}"
+    files = write(found, folder, name)
+    if robust is not None:
+        title = str(found.table.title)
+        for ending, text in (("md", markdown(robust, title)), ("csv", csv(robust))):
+            files.append(folder / f"{name}-robustness.{ending}")
+            replace_text(files[-1], text)
+    absent: list[str] = []
+    with progress_shown("compare, figures"):
+        drawings = list(draw_all(found, found.runs, report=absent.append))
+        if robust is not None:
+            drawings.append((f"robustness-{found.chosen.columns[0].planned.name}", drawn_robustness(robust)))
+        *_, captions = write_figures(drawings, folder / "figures" / name)
+        for path in captions.parent.glob("*.p[dn][fg]"):  # of an earlier comparison of this name
+            if path.stem not in dict(drawings):
+                path.unlink()
+    return [*files, captions, write_page(found, drawings, folder / f"{name}.html", absent)]
+
+
+def _of_other_frames(path: Path, runs: Sequence[Run]) -> bool:
+    """Tell whether the runs of an earlier comparison are of other frames."""
+    if not path.is_file():
+        return False
+    frames = ["names_sha256", "content_sha256"]
+    earlier = pd.read_csv(path, dtype=str).reindex(columns=frames).fillna("").drop_duplicates().to_numpy().tolist()
+    return earlier != [[str(runs[0].data.get(part) or "") for part in frames]]

@@ -1,0 +1,78 @@
+"""From options to a request: the method and the dataset built and checked, the files behind both hashed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
+
+from vprbench.api.dataset import Dataset
+from vprbench.api.frame_cache import frames_kept
+from vprbench.api.method import Method
+from vprbench.data.doctor import insist
+from vprbench.plugins import networks, registry
+from vprbench.progress import progress_shown
+from vprbench.runs import machine, stream
+from vprbench.runs.adaptation import adaptation
+from vprbench.runs.corrupted_frames import corrupted
+from vprbench.runs.identity import Request, data_record, fingerprint, hashed
+from vprbench.runs.settings import Settings, n_threads
+from vprbench.runs.store import Store
+from vprbench.storage.hashes import content_hash
+
+
+def build_request(name: str, config: dict[str, Any], settings: Settings, store: Store) -> Request:
+    """Return the request of method `name`, built from a configuration, which is told the method's final arguments.
+
+    Raises BadInput for data that the cheap checks find wrong, and what the method and the dataset raise.
+    """
+    config["method"], tuned_on = registry.declared(name, config["method"])
+    entry = registry.entries("method").get(name)
+    if entry is not None:
+        config["changed"] = entry.changed(config["method"])
+    with frames_kept(settings.cache):
+        dataset = registry.make_dataset(config["dataset"])
+    return request_of(name, registry.make_method, dataset, config, settings, store, tuned_on)
+
+
+def request_of(
+    name: str,
+    build: Callable[[Mapping[str, Any]], Method],
+    dataset: Dataset,
+    config: dict[str, Any],
+    settings: Settings,
+    store: Store,
+    tuned_on: Mapping[str, Any],
+) -> Request:
+    """Return the request of a method, which `build` makes of its arguments, on a dataset that is built.
+
+    Raises BadInput for data that the cheap checks find wrong, and what `build` raises.
+    """
+    threads = n_threads(settings)
+    machine.pin_threads(threads)
+    files = networks.chosen_files(settings.save, settings.load, settings.force)
+    method = build(config["method"])
+    # what the cheap checks warn of is among the dataset's notes
+    dataset = corrupted(replace(dataset, notes=(*dataset.notes, *insist(dataset))), settings.corruption)
+    if needed := adaptation(method, dataset.n_places, config):
+        config |= {"method": {**config["method"], **needed}, "adapted": needed}
+        method = build(config["method"])
+    with progress_shown(name):  # frames may have to be hashed, and a file be downloaded
+        frames = hashed(dataset)
+        images, data = fingerprint(dataset, frames), data_record(dataset, frames)
+        config["files"] = [[path.name, content_hash(path)] for path in method.files()]
+    return Request(
+        name,
+        method,
+        dataset,
+        config,
+        images,
+        settings.timing,
+        threads,
+        files,
+        cache=store.root.absolute() / "descriptors" if settings.cache else None,
+        stream=stream.step(settings.stream, method, dataset.n_places),
+        readouts=settings.readouts,
+        data=data,
+        tuned_on=tuned_on,
+    )

@@ -1,0 +1,67 @@
+"""The descriptors of a run's traverses: from the cache if they are kept there, else encoded and kept."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from vprbench.api.descriptor import DescriptorMethod, encoded
+from vprbench.api.images import Images
+from vprbench.api.method import Method
+from vprbench.api.weights import Weights
+from vprbench.runs import machine
+from vprbench.runs.run_files import content_key
+from vprbench.runs.shortlist import LARGE_MAP
+from vprbench.runs.sources import source_hash
+from vprbench.storage.shards import Shards, Writer
+
+
+class Described:
+    """Gives the descriptors of whole traverses; a method whose descriptors are not worth keeping has none."""
+
+    def __init__(self, folder: Path, origin: Mapping[str, Any]) -> None:
+        """Keep descriptors in a folder; `origin` is all but the images that a descriptor comes from."""
+        self._folder = folder
+        self._origin = origin
+
+    @classmethod
+    def of(cls, folder: Path | None, method: Method, config: Mapping[str, Any], n_places: int) -> Described | None:
+        """Return what gives the descriptors of a run's method; None if none are kept.
+
+        Those of a large map are kept however fast they are made, so that a killed run goes on, unless a method may
+        learn what they are. The path and the name of a file of weights do not count, for its content does.
+        """
+        if folder is None or not isinstance(method, DescriptorMethod):
+            return None
+        own = ("fit", "calibrate", "keeps_descriptors")
+        fixed = all(getattr(type(method), name) is getattr(DescriptorMethod, name) for name in own)
+        if not (method.keeps_descriptors() or (fixed and n_places > LARGE_MAP)):
+            return None
+        apart = {"_target_", "device", *method.query_arguments, *method.search_arguments}
+        apart |= {name for name in config["method"] if isinstance(getattr(method, name, None), Weights)}
+        origin = {
+            "arguments": {name: value for name, value in config["method"].items() if name not in apart},
+            "code": source_hash(type(method)),
+            "files": [sha256 for _, sha256 in config.get("files", [])],
+            "device": machine.device_class(config["device"]),
+            "libraries": machine.library_versions(),
+        }
+        return cls(folder, origin)
+
+    def descriptors(
+        self, images: Images, encode: Callable[[Images], npt.NDArray[np.float32]], done: Callable[[int], None]
+    ) -> tuple[Shards, int]:
+        """Return the descriptors of a traverse, (n_images, n_dimensions), and how many were kept already.
+
+        `encode` describes a block of images, `done` is told how many are described. What a killed run described stays,
+        but for up to 1024 images or a 256th of all. Descriptors that the disk refuses are returned all the same, in
+        memory.
+        """
+        origin = {**self._origin, "images": images.content_hash()}
+        writer = Writer(self._folder / content_key(origin), len(images), "descriptors")
+        new = encoded(images, encode, writer, done)
+        return writer.shards(origin if new else None), len(images) - new

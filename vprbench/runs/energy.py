@@ -1,0 +1,117 @@
+"""What a query of a fitted method costs in operations and joules, and a place of its map in bytes."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from vprbench.api.arithmetic import Arithmetic, tallied
+from vprbench.api.images import Images
+from vprbench.api.method import Method
+from vprbench.errors import BadInput
+from vprbench.metrics.energy import estimated_joules, synaptic_operations
+from vprbench.metrics.registry import METRICS
+from vprbench.runs import joules, timing_lock
+from vprbench.runs.identity import Request
+from vprbench.runs.record import Run
+from vprbench.runs.stopwatch import synchroniser
+from vprbench.terminal.console import table_text
+
+_QUERIES = 4  # over which arithmetic is averaged, at most
+
+Cost = tuple[float | None, str]  # the value, None: not known, and how it was found or why not
+
+
+def costs(request: Request, run: Run) -> dict[str, Any]:
+    """Return what a run keeps of costs: `values` by name, None where one is not known, and `how` it was found or why.
+
+    The estimate prices encode and match, in the place of match the synaptic operations of a network that spikes.
+    """
+    queries = request.dataset.queries.unnamed()
+    some = queries[np.linspace(0, len(queries) - 1, min(_QUERIES, len(queries))).astype(np.int64)].in_memory()
+    singles = [some[n : n + 1] for n in range(len(some))]
+    synops = synaptic_operations(run.spikes)
+    how = "no layer that spikes" if synops is None else "spikes x existing synapses"
+    found: dict[str, Cost] = {"synops_ac": (synops and synops[0], how), "synops_mac": (synops and synops[1], how)}
+    try:
+        found |= _operations(request.method, singles, synops)
+    except Exception as error:  # a plug-in may fail in any way, and its answers and times still stand
+        why = " ".join(f"not counted ({type(error).__name__}: {error})".split())
+        found |= dict.fromkeys(("operations", "joules_estimated"), (None, why))
+    found |= {"joules_measured": _measured(request, singles), "map_bytes": _map_bytes(request.method, run)}
+    return {part: {name: cost[at] for name, cost in found.items()} for at, part in enumerate(("values", "how"))}
+
+
+def text(run: Run, wide: bool = False) -> str:
+    """Return the costs of a run as a small table, `n/a` with its reason for what is not known."""
+    found = run.energy or {"values": {}, "how": {}}
+    shown = {name: "n/a" if cost is None else METRICS[name].text(cost) for name, cost in found["values"].items()}
+    rows = [[METRICS[name].head, shown[name], found["how"][name]] for name in shown]
+    return table_text(("cost", "", "how"), rows, wide)
+
+
+def _operations(method: Method, singles: Sequence[Images], synops: tuple[float, float] | None) -> dict[str, Cost]:
+    """Return the operations of a query and the joules that they would take; the queries are asked for it."""
+    encodes, matches = list[Arithmetic](), list[Arithmetic]()
+    for single in singles:
+        codes, told = _counted(partial(method.encode, single))
+        encodes += told
+        matches += _counted(partial(method.match, codes))[1]
+    each = [sum(one.operations for one in told) / len(singles) for told in (encodes, matches)]
+    if not all(each):
+        why = f"of {'match' if each[0] else 'encode'} no formula is told, and PyTorch multiplies nothing"
+        return dict.fromkeys(("operations", "joules_estimated"), (None, why))
+    kinds = "+".join(sorted({one.kind for one in encodes + matches}))
+    how = f"encode {each[0]:,.0f}, match {each[1]:,.0f} ({kinds}), by formulas or PyTorch's count"
+    priced = "an estimate by 45 nm, without memory: encode and match"
+    if synops is not None:
+        priced = priced.replace("match", "synaptic operations")
+        matches = [Arithmetic(synops[1] * len(singles), synops[0] * len(singles), matches[0].kind)]
+    joules_a_query = estimated_joules(encodes + matches) / len(singles)
+    return {"operations": (sum(each), how), "joules_estimated": (joules_a_query, priced)}
+
+
+def _counted(work: Callable[[], Any]) -> tuple[Any, Sequence[Arithmetic]]:
+    """Return what work gives and its arithmetic: by formulas that are told, or as PyTorch counts products if more."""
+    from torch.utils.flop_counter import FlopCounterMode
+
+    with tallied() as told, FlopCounterMode(display=False) as counter:
+        result = work()
+    by_torch = Arithmetic(counter.get_total_flops() / 2)
+    return result, told if sum(each.operations for each in told) >= by_torch.operations else [by_torch]
+
+
+def _map_bytes(method: Method, run: Run) -> Cost:
+    if (stated := method.map_bytes()) is not None:
+        return stated / run.outcome.n_places, "references or weights, a place"
+    if run.search is not None:
+        return run.search["bytes_per_place"], f"index {run.search['index']}, a place"
+    try:
+        arrays = method.state().values()
+    except BadInput:
+        return None, "the method does not tell what its map holds"
+    return sum(array.nbytes for array in arrays) / run.outcome.n_places, "the arrays that save= keeps, a place"
+
+
+def _measured(request: Request, singles: Sequence[Images]) -> Cost:
+    device = request.config["device"]
+    turns, finished = itertools.cycle(singles), synchroniser(device)
+
+    def ask() -> None:
+        request.method.query(next(turns))
+        finished()
+
+    try:
+        source, read = joules.nvml(device) if device.startswith("cuda") else joules.rapl(joules.POWERCAP)
+    except joules.UnreadableError as error:
+        return None, str(error)
+    with timing_lock.alone():
+        told = joules.measured(read, ask)
+    how = "{watts:.1f} W less {idle_watts:.1f} W of the idle machine, {queries} queries in {seconds:.1f} s".format(
+        **told
+    )
+    return (told["joules"] if told["joules"] > 0 else None), f"{source}: {how}"

@@ -1,0 +1,127 @@
+"""How a method comes to its map: fitted and calibrated, or loaded; and how long that took."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from vprbench import progress
+from vprbench.api.arrays import Places
+from vprbench.api.checkpoints import Resumed
+from vprbench.api.dataset import Dataset, HeldOut
+from vprbench.api.descriptor import DescriptorMethod
+from vprbench.api.images import Images
+from vprbench.api.method import Method, calibration
+from vprbench.errors import BadInput
+from vprbench.plugins import networks
+from vprbench.runs.descriptors import Described
+from vprbench.runs.identity import Request
+from vprbench.runs.notes import Note, noted
+from vprbench.runs.stopwatch import Stopwatch
+from vprbench.storage.shards import LARGE_BYTES
+
+
+@dataclass(frozen=True)
+class Learnt:
+    """How a method came to its map, and how long that took."""
+
+    fit_seconds: float | None = None
+    fit_compute_seconds: float | None = None
+    load_seconds: float | None = None
+    earlier_seconds: float = 0.0  # the part of a fit that an interrupted run had done
+    notes: tuple[Note, ...] = ()
+    from_cache: int = 0  # descriptors of references that were kept already
+
+    @property
+    def seconds(self) -> float:
+        """Return the wall time of this run."""
+        return (self.fit_seconds or 0.0) + (self.load_seconds or 0.0) - self.earlier_seconds
+
+    @property
+    def method_seconds(self) -> float:
+        """Return the time of this run that went into the method."""
+        return (self.fit_compute_seconds or 0.0) + (self.load_seconds or 0.0) - self.earlier_seconds
+
+
+def learn(request: Request, key: str, stopwatch: Stopwatch, described: Described | None, resumed: Resumed) -> Learnt:
+    """Load the method's network, or fit and calibrate the method and store its network if that was asked for.
+
+    What an interrupted run spent on parts of the fit that this run takes over counts as part of the fit.
+    """
+    method, dataset, files, arguments = request.method, request.dataset, request.files, request.config["method"]
+    if files.load is not None:
+        progress.report("load", 0.0)
+        wanted = networks.origin(method, arguments, dataset)
+        with stopwatch.lap() as load:
+            notes = tuple(noted("loaded", networks.load(files.load, method, wanted, files.sha256)))
+        return Learnt(load_seconds=load[0], notes=notes)
+    destination = networks.prepare(files, method, arguments, dataset)
+    given = calibration(method, dataset)
+    held_out = None if given is None else _hidden(given)
+    read = [dataset.references, *([held_out.references, held_out.queries] if held_out else [])]
+    before = _reading_seconds(read)
+    progress.report("fit", 0.0)
+    with stopwatch.lap() as fit:
+        from_cache = _fit(method, dataset, described)
+        if held_out is not None:
+            progress.report("calibrate", 0.0)
+            try:
+                method.calibrate(held_out)
+            except BadInput as error:
+                raise BadInput(f"choosing settings by held-out places: {error}") from error
+    seconds = fit[0] + resumed.seconds
+    computing = seconds - (_reading_seconds(read) - before)
+    if destination is not None:
+        networks.save(destination, method, key, seconds, computing)
+    told: list[Note] = []
+    if resumed.seconds:
+        text = f"fit was resumed: the {resumed.seconds:.1f} s that an interrupted run had spent on it are counted"
+        told.append(Note("resumed", text))
+    if held_out is not None:
+        text = f"calibrated on {len(held_out.queries)} held-out queries of {held_out.n_places} places"
+        told.append(Note("calibrated", text))
+    if from_cache:
+        return Learnt(load_seconds=fit[0], notes=tuple(told), from_cache=from_cache)
+    return Learnt(
+        fit_seconds=seconds, fit_compute_seconds=computing, earlier_seconds=resumed.seconds, notes=tuple(told)
+    )
+
+
+def _fit(method: Method, dataset: Dataset, described: Described | None) -> int:
+    """Fit a method; returns of how many references `described` had kept the descriptors already."""
+    total = len(dataset.references)
+
+    def report(done: int) -> None:
+        progress.report("fit, reading images", done / total)
+
+    places = _read_only(dataset.places)
+    if described is None:
+        method.fit(dataset.references.watched(report), places)
+        return 0
+    assert isinstance(method, DescriptorMethod)
+    method.insist_on_index(total)
+    descriptors, from_cache = described.descriptors(dataset.references, method.encode, report)
+    method.fit_descriptors(descriptors if descriptors.nbytes > LARGE_BYTES else descriptors[:], places)
+    return from_cache
+
+
+def _hidden(held_out: HeldOut) -> HeldOut:
+    """Return the same places as a method may see them: under names that say nothing, not to be written to."""
+    return HeldOut(
+        references=held_out.references.unnamed(),
+        places=_read_only(held_out.places),
+        queries=held_out.queries.unnamed(),
+        right=_read_only(held_out.right),
+        in_map=held_out.in_map,
+    )
+
+
+def _reading_seconds(read: Iterable[Images]) -> float:
+    """Return how long somebody waited for images; views of one sequence share their waiting, which counts once."""
+    return sum(waiting.seconds for waiting in {id(images.reading): images.reading for images in read}.values())
+
+
+def _read_only(places: Places) -> Places:
+    view = places.view()
+    view.flags.writeable = False
+    return view

@@ -1,0 +1,211 @@
+"""The run of a request: from the store, or made now and stored."""
+
+from __future__ import annotations
+
+import logging
+import os
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from vprbench.api.checkpoints import ledger
+from vprbench.api.dataset import Dataset
+from vprbench.errors import BadInput
+from vprbench.metrics.accuracy import recall_at
+from vprbench.metrics.registry import METRICS
+from vprbench.plugins import networks
+from vprbench.progress import overheard, progress_shown
+from vprbench.runs import energy, runner, stream, thumbnails
+from vprbench.runs.identity import Request
+from vprbench.runs.query_results import by_interest
+from vprbench.runs.record import Failure, Run
+from vprbench.runs.run_lock import HeldElsewhereError, RunLock
+from vprbench.runs.sequences import views
+from vprbench.runs.settings import Settings
+from vprbench.runs.store import Store, identity, require_writable
+
+_ON_REQUEST = ("readouts", "stream", "energy")  # which a run keeps if it is run again without them
+
+
+class UnstoredRunError(BadInput):
+    """A run was made and the store refused it; what was measured is not lost."""
+
+    def __init__(self, why: BadInput, run: Run) -> None:
+        """Say `why`, and hold the run."""
+        super().__init__(str(why))
+        self.run = run
+
+
+class FailedElsewhereError(Exception):
+    """Another process has tried the run meanwhile, and failed."""
+
+    def __init__(self, failure: Failure) -> None:
+        """Hold what became of it."""
+        super().__init__(f"{failure.method} on {failure.dataset} failed in another process: {failure.error}")
+        self.failure = failure
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """A run, the folder that holds it, and whether it was stored already."""
+
+    run: Run
+    folder: Path
+    from_store: bool
+
+
+def get_or_run(
+    request: Request, settings: Settings, store: Store, wait: bool = True, since: float | None = None
+) -> RunResult:
+    """Return the run of a request from the store, or make and store it.
+
+    While another process makes the run this one waits, or without `wait` raises HeldElsewhereError. A failure of the
+    run that was stored `since` then, by the clock of the disk, is raised as FailedElsewhereError. Raises BadInput if
+    the run cannot be stored, UnstoredRunError if it was made by then, and what the method raises.
+    """
+    refused = _why_not_writable(store)
+    key, dataset = request.key(), request.dataset
+    if request.files.save is not None and networks.made_by(request.files.save) == key:
+        # the network of this very run, left by a process that was killed before it stored the run
+        request = replace(request, files=replace(request.files, replace=True))
+    folder = store.folder(dataset.name, request.name, key)
+    store = Store(store.root.absolute())  # a method may change the working folder
+    before = identity(folder)
+    stored = store.find(dataset.name, request.name, key)
+    found = _complete(stored, request, settings)
+    if found is None and refused is not None:
+        raise refused
+
+    with ExitStack() as held, ledger():  # what was trained is kept until the run is stored
+        if found is None:
+            lock = _lock(request, folder, store)
+            if not lock.acquire(wait=False):
+                error = HeldElsewhereError(f"{request.name} on {dataset.name}", lock.path)
+                if not wait:
+                    raise error
+                logging.info("%s: waiting for it", error)
+                since = since or store.now()
+                lock.acquire()
+            held.enter_context(lock)
+            if identity(folder) != before:  # another process was done just before
+                stored = store.find(dataset.name, request.name, key)
+                found = _complete(stored, request, settings)
+        if found is None:
+            if since is not None and (failure := store.failure(request.name, dataset.name, request.config, since)):
+                raise FailedElsewhereError(failure)
+            run = _run(request, settings, store, stored, lock)
+            kept: dict[str, Any] = {
+                name: getattr(stored, name, None) for name in _ON_REQUEST if getattr(run, name) is None
+            }
+            run = replace(run, tuned_on=request.tuned_on, **kept)
+        else:
+            run = _as_requested(found, request)
+        # the method's yaml and the dataset may have changed what they declare since the run was stored
+        if found is None or (refused is None and _declarations(run) != _declarations(found)):
+            try:
+                store.save(run)
+            except BadInput as error:
+                raise UnstoredRunError(error, run) from error
+    if settings.frames:
+        _keep_frames(store, run, dataset)
+    return RunResult(run, folder, found is not None)
+
+
+def missing_parts(run: Run, request: Request, settings: Settings) -> list[str]:
+    """Return the names of what a request asks for and a stored run lacks; none if the run answers the request."""
+    too_little = run.timed_by.shortfalls(request.protocol)
+    first_stop = (run.stream or [{"places": 0}])[0]["places"]
+    lacks = {
+        "its network": request.files.save is not None and not request.files.replace,
+        f"enough timing ({', '.join(too_little)})": bool(too_little),
+        "its readouts": settings.readouts and run.readouts is None,
+        f"a map that grows by {request.stream} places": request.stream not in (0, first_stop),
+        "its costs": settings.energy and run.energy is None,
+        "its scores": settings.scores and run.scores is None,
+        "encoding, by descriptors of an earlier run": (
+            not settings.cache and run.fit_seconds is None and run.network is None
+        ),
+    }
+    return [part for part, missing in lacks.items() if missing]
+
+
+def _complete(stored: Run | None, request: Request, settings: Settings) -> Run | None:
+    """Return a stored run if it has all that is asked for."""
+    if stored is None or settings.force:
+        return None
+    if missing := missing_parts(stored, request, settings):
+        logging.info("%s on %s is stored without %s: running again", stored.method, stored.dataset, ", ".join(missing))
+        return None
+    return stored
+
+
+def _as_requested(found: Run, request: Request) -> Run:
+    """Return a stored run with the options of this request, and with what method and dataset declare now."""
+    return replace(
+        found,
+        config={**found.config, "overrides": request.config["overrides"]},
+        tuned_on=request.tuned_on,
+        query_breaks=request.dataset.query_breaks,
+        place_breaks=request.dataset.place_breaks,
+    )
+
+
+def _declarations(run: Run) -> list[Any]:
+    breaks = (run.query_breaks, run.place_breaks)
+    return [run.tuned_on, *(None if gaps is None else gaps.tolist() for gaps in breaks)]
+
+
+def _lock(request: Request, folder: Path, store: Store) -> RunLock:
+    """Return the lock of the run that lies, or would lie, in a folder."""
+    named = {name: request.config.get(name) for name in ("seed", "device", "corruption")}
+    about = {"method": request.name, "dataset": request.dataset.name, **named}
+    return RunLock(store.root, f"{request.dataset.name}/{folder.name}", about)
+
+
+def _run(request: Request, settings: Settings, store: Store, stored: Run | None, lock: RunLock) -> Run:
+    """Make a run."""
+    key, title = request.key(), f"{request.name} on {request.dataset.name}"
+    needed = settings.scores or bool(views(settings.sequence, settings.filter))
+    request = replace(request, scores=needed or (stored is not None and stored.scores is not None))  # which stay
+
+    def keep(scored: Run) -> None:  # whatever becomes of its timing; a stored run stays until it can be replaced
+        logging.info("%s on %s: %s; its times follow", scored.method, scored.dataset, _recall(scored))
+        if stored is None:
+            with suppress(BadInput):  # which is raised when it is stored with its times
+                store.save(replace(scored, tuned_on=request.tuned_on))
+
+    for place in (store.root / request.dataset.name, store.folder(request.dataset.name, request.name, key)):
+        require_writable(place)
+    with progress_shown(title), overheard(lock.tell):
+        run = runner.run(request, key, keep)
+        run = replace(run, stream=stream.grown(request)) if request.stream else run
+        if settings.energy:
+            run = replace(run, energy=energy.costs(request, run))
+    return run
+
+
+def _why_not_writable(store: Store) -> BadInput | None:
+    """Return why nothing can be written to a store, None if it can; raises it if nothing can be read either."""
+    try:
+        store.prepare()
+    except BadInput as error:
+        if not os.path.isdir(store.root):  # noqa: PTH112 - Path's own complains of names that are too long
+            raise
+        return error
+    return None
+
+
+def _recall(run: Run) -> str:
+    first = recall_at(run.outcome, 1)
+    return "R@1 is undefined" if first is None else f"R@1 {METRICS['recall_at_1'].text(first.expected)} %"
+
+
+def _keep_frames(store: Store, run: Run, dataset: Dataset) -> None:
+    """Keep small pictures of what the report shows of a run; if that fails, the run is stored all the same."""
+    try:
+        with progress_shown(dataset.name):
+            thumbnails.keep(store.root, run.fingerprint, dataset, by_interest(run))
+    except (OSError, BadInput) as error:
+        reason = getattr(error, "strerror", None) or error
+        logging.warning("note: no small pictures of %s were kept (%s)", dataset.name, reason)

@@ -1,0 +1,138 @@
+"""One finished run, or its failure: what each field may hold stands at the field."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Annotated, Any
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import ConfigDict, PlainValidator, ValidationInfo, with_config
+
+from vprbench.metrics.ranking import Outcome
+from vprbench.runs import record_parts as parts
+from vprbench.runs.notes import Note
+from vprbench.runs.stopwatch import Timing
+from vprbench.runs.timing_protocol import Protocol
+from vprbench.runs.views import View
+from vprbench.storage.bounds import (
+    HIGHEST_SCORE,
+    INTEGERS,
+    NUMBERS,
+    Array,
+    Count,
+    Fits,
+    Flag,
+    Name,
+    Number,
+    Places,
+    Seconds,
+    Text,
+)
+
+_Breaks = npt.NDArray[np.int64] | None
+
+
+def _no_view(view: Any) -> None:
+    if view is not None:
+        raise ValueError("a view of a run is never stored")
+
+
+def _right_places(positives: Any, info: ValidationInfo) -> tuple[npt.NDArray[np.int64], ...]:
+    """Return the right places of each query, of which each has to be a place."""
+    lengths: dict[str, int] = info.context or {}
+    if len(positives) != lengths["queries"]:
+        raise ValueError(f"has {len(positives)} rows; wanted {lengths['queries']}, one for each query")
+    places = np.concatenate([np.empty(0, np.int64), *positives])
+    if places.dtype.name not in INTEGERS or not (places >= 0).all() or not (places < lengths["places"]).all():
+        raise ValueError(f"are {places.dtype} among which are no places; wanted 0 to {lengths['last place']}")
+    return tuple(positives)
+
+
+@with_config(ConfigDict(extra="forbid"))
+@dataclass(frozen=True)
+class Run:
+    """What one method did on one dataset: raw answers and raw times, nothing judged."""
+
+    method: Name
+    dataset: Name
+    key: Name
+    config: Annotated[Mapping[str, Any], Fits(parts.RunConfig)]  # everything that was asked for, resolved
+    protocol: Annotated[Mapping[str, Any], Fits(parts.DatasetProtocol)]  # what the dataset selected and how
+    fingerprint: Text  # of the dataset's images
+    environment: Annotated[Mapping[str, Any], Fits(parts.Machine)]
+    notes: tuple[Note, ...]  # what a reader of the numbers has to know
+    n_references: Places
+    fit_seconds: Seconds | None  # wall time, reading the images included; None: a network or descriptors were loaded
+    fit_compute_seconds: Number | None  # without the time that the method waited for images
+    load_seconds: Seconds | None  # wall time of reading, checking and restoring a network or descriptors
+    network: Text | None  # SHA-256 of the file that was loaded
+    search: Annotated[Mapping[str, Any] | None, Fits(parts.Search | None)]  # of descriptors; None: no descriptors
+    peak_memory_bytes: Count
+    harness_seconds: Number  # spent neither in the method nor in reading images
+    method_seconds: Number  # spent in the method
+    timing: Timing | None  # None: it was not timed
+    outcome: Outcome
+    positives: Annotated[tuple[npt.NDArray[np.int64], ...], PlainValidator(_right_places)]  # per query
+    top_places: Annotated[npt.NDArray[np.int32], Array(INTEGERS, ("queries", "depth"), 0, "last place")]  # best first
+    top_scores: Annotated[  # -inf: no candidate
+        npt.NDArray[np.float32], Array(NUMBERS, ("queries", "depth"), -np.inf, HIGHEST_SCORE)
+    ]
+    scores: (  # None: too many to keep
+        Annotated[npt.NDArray[np.float32], Array(NUMBERS, ("queries", "places"), -np.inf, HIGHEST_SCORE)] | None
+    )
+    spikes: Annotated[Mapping[str, Any] | None, Fits(parts.Spikes | None)] = None
+    place_numbers: (  # along the journey; None: 0, 1, 2 ...
+        Annotated[npt.NDArray[np.int64], Array(INTEGERS, ("places",), -(1 << 53), 1 << 53)] | None
+    ) = None
+    data: Annotated[Mapping[str, Any], Fits(parts.Frames | parts.Nothing)] = field(default_factory=dict)
+    tuned_on: Annotated[Mapping[str, Any], Fits(parts.TunedOn | parts.Nothing)] = field(default_factory=dict)
+    query_breaks: Annotated[_Breaks, Array(INTEGERS, ("query breaks",), 1, "last query")] | None = None  # Dataset's
+    place_breaks: Annotated[_Breaks, Array(INTEGERS, ("place breaks",), 1, "last place")] | None = None
+    readouts: Annotated[Sequence[Mapping[str, Any]] | None, Fits(list[parts.Readout] | None)] = None
+    stream: Annotated[Sequence[Mapping[str, Any]] | None, Fits(list[parts.Stop] | None)] = None  # of a growing map
+    energy: Annotated[Mapping[str, Any] | None, Fits(parts.Energy | None)] = None  # None: not asked for
+    view: Annotated[View | None, PlainValidator(_no_view)] = None  # None: the run as it is stored
+
+    @property
+    def training_seconds(self) -> float | None:
+        """The wall time until queries take their usual time: the fit, and what the first query took beyond a usual one.
+
+        None if nothing was fitted; the fit alone if queries were not timed.
+        """
+        return None if self.fit_seconds is None else self.fit_seconds + self._first_query_excess_seconds
+
+    @property
+    def training_compute_seconds(self) -> float | None:
+        """The same without the time that the method waited for images."""
+        computing = self.fit_compute_seconds
+        return None if computing is None else computing + self._first_query_excess_seconds
+
+    @property
+    def _first_query_excess_seconds(self) -> float:
+        return 0.0 if self.timing is None else self.timing.first_query_excess_seconds
+
+    @property
+    def timed_by(self) -> Protocol:
+        """The protocol that it was timed by; one without rates if it was not timed."""
+        asked = self.config.get("timing")
+        return Protocol(rates=False) if self.timing is None or asked is None else Protocol(**asked)
+
+    def required_timing(self) -> Timing:
+        """Return what was timed; raises ValueError if nothing was, which `timing` tells beforehand."""
+        if self.timing is None:
+            raise ValueError(f"the run of {self.method} on {self.dataset} was not timed")
+        return self.timing
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A run that ended without a result."""
+
+    method: Name
+    dataset: Name
+    config: Annotated[Mapping[str, Any], Fits(parts.FailureConfig)]
+    error: Text
+    environment: Annotated[Mapping[str, Any], Fits(parts.FailureMachine)] = field(default_factory=dict)
+    missing: Flag = False  # weights, frames or the method itself are not there: nothing was tried

@@ -1,0 +1,63 @@
+"""What a person or a program is told of one run: its row, the notes on it, and where it lies."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from vprbench.runs import energy, readout_rows, rows, stream
+from vprbench.runs.record import Run
+from vprbench.runs.sequences import views
+from vprbench.runs.settings import Settings
+from vprbench.runs.tuned import all_notes
+from vprbench.terminal.console import table_text, told
+
+
+def run_text(run: Run, folder: Path | None, from_store: bool, settings: Settings) -> str:
+    """Return the row of a run or its JSON, its notes and its views; `folder` is where it lies, None if nowhere."""
+    seen = [view(run) for view in views(settings.sequence, settings.filter)]
+    if settings.output == "json":
+        return json.dumps(
+            {
+                "method": run.method,
+                "dataset": run.dataset,
+                "protocol": dict(run.protocol),
+                "data": dict(run.data),
+                **rows.numbers(run, settings.metrics),
+                "readouts": readout_rows.readout_numbers(run),
+                **({"stream": stream.stream_numbers(run)} if settings.stream else {}),
+                **({"energy": run.energy} if settings.energy else {}),
+                "network": run.network,
+                "tuned_on": run.tuned_on or None,
+                "notes": [note._asdict() for note in all_notes(run)],
+                **({"views": [_viewed(one, settings) for one in seen]} if seen else {}),
+                "from_store": from_store,
+                "run_folder": None if folder is None else str(folder),
+            },
+            allow_nan=False,
+        )
+    shown = seen or [run]
+    table = [rows.readable_row(one, settings.metrics) for one in shown]
+    if seen:
+        table = [{"answers": rows.view_words(one), **row} for one, row in zip(seen, table, strict=True)]
+    notes = [(f"note: {note.text}", "yellow") for note in all_notes(shown[0])]
+    said = [*notes, (rows.protocol_line(run), "")]
+    said += [(f"{rows.view_words(one, whole=True)}: {len(one.outcome)} queries", "") for one in seen]
+    below = list(filter(None, (line(one) for one in shown for line in (rows.interval_line, rows.tolerance_line))))
+    if from_store:
+        below.append(f"from the store: {folder} (force=true runs again)")
+    elif folder is not None:
+        below.append(f"stored in {folder}")
+    tables = [table_text([*table[0]], [[*row.values()] for row in table], settings.wide, rows.LEAST)]
+    if settings.readouts:
+        tables.append(readout_rows.readout_text(run))
+    if settings.stream:
+        tables.append(stream.stream_text(run))
+    if settings.energy:
+        tables.append(energy.text(run, settings.wide))
+    return "\n".join([*(told(*each) for each in said), *tables, *map(told, below)])
+
+
+def _viewed(view: Run, settings: Settings) -> dict[str, Any]:
+    return {"protocol": dict(view.protocol), **rows.numbers(view, settings.metrics)}

@@ -1,0 +1,73 @@
+"""What a run keeps of the spikes of a network: plain values for each layer."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from vprbench.api.images import Images
+from vprbench.api.method import LayerSpikes, Method, held_together
+from vprbench.errors import BadInput
+from vprbench.runs.answers import block_size
+from vprbench.runs.notes import Note
+
+_QUERIES = 256  # whose spikes are counted, at most
+
+
+def counted(method: Method, queries: Images) -> tuple[dict[str, Any] | None, tuple[Note, ...]]:
+    """Return what the layers of a spiking network did for queries spread over all, and what went wrong meanwhile."""
+    if type(method).spikes is Method.spikes:
+        return None, ()
+    wanted = held_together(method, min(_QUERIES, len(queries)))
+    chosen = queries[np.linspace(0, len(queries) - 1, wanted).astype(np.int64)]
+    try:
+        blocks = chosen.blocks(block_size(method, 1))
+        codes = np.concatenate([np.array(method.encode(block)) for block in blocks])
+        return summary(method.spikes(codes)), ()
+    except Exception as error:  # a plug-in may fail in any way, and its answers and times still stand
+        reason = " ".join(str(error).split())
+        return None, (Note("spikes", f"no spikes were counted ({type(error).__name__}: {reason})"),)
+
+
+def summary(layers: Sequence[LayerSpikes]) -> dict[str, Any] | None:
+    """Return the statistics of layers over their queries, as plain values; None without a layer.
+
+    Of each layer: `spikes_per_query`, the `active_share` of neurons that spiked for at least one query, and
+    `amplitude_mean`, of all spikes, None if only their number is known or there is none; of timed spikes the `times`
+    of all neurons for the query in the middle; where it leads on, the mean `synops` of a query, "AC" or "MAC" as
+    NeuroBench tells them apart: an amplitude is multiplied. Raises BadInput for layers of different queries and for
+    values that are not finite or below 0.
+    """
+    if not layers:
+        return None
+    counts = sorted({len(layer.values) for layer in layers})
+    if len(counts) > 1 or any(layer.values.ndim != 2 for layer in layers):
+        shapes = ", ".join(f"{layer.name} {layer.values.shape}" for layer in layers)
+        raise BadInput(f"spikes of shapes {shapes} came; wanted (n_queries, n_neurons), all of the same queries")
+    return {"queries": counts[0], "layers": [_of_layer(layer) for layer in layers]}
+
+
+def _of_layer(layer: LayerSpikes) -> dict[str, Any]:
+    values = np.asarray(layer.values)
+    if not np.isfinite(values).all() or (values < 0).any():
+        raise BadInput(f"the spikes of layer {layer.name} are not all finite and 0 or more")
+    spiked = values > 0
+    per_query = spiked if layer.kind == "amplitude" else values
+    leads = layer.fan_out is not None
+    synops = float((per_query @ np.asarray(layer.fan_out, np.float64)).mean()) if leads else 0.0
+    operation = "MAC" if layer.kind == "amplitude" else "AC"
+    return {
+        "name": layer.name,
+        "neurons": values.shape[1],
+        "spikes_per_query": per_query.sum(1, dtype=np.float64).tolist(),
+        "active_share": float(spiked.any(0).mean()) if values.size else 0.0,
+        "amplitude_mean": float(values[spiked].mean(dtype=np.float64)) if _has_amplitudes(layer) else None,
+        **({"times": layer.times[len(values) // 2].tolist()} if layer.times is not None else {}),
+        **({"synops": synops, "operation": operation} if leads else {}),
+    }
+
+
+def _has_amplitudes(layer: LayerSpikes) -> bool:
+    return layer.kind == "amplitude" and bool((layer.values > 0).any())

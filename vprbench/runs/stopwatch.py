@@ -1,0 +1,296 @@
+"""The timing protocol: streaming and offline laps of encode and match, measured from outside the method."""
+
+from __future__ import annotations
+
+import gc
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import Annotated
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import ConfigDict, Field, with_config
+
+from vprbench import progress
+from vprbench.api.images import Images
+from vprbench.api.method import held_together
+from vprbench.runs.shortlist import Answer, Asked, best_place
+from vprbench.runs.timing_protocol import Protocol as Protocol  # callers ask the stopwatch
+from vprbench.storage.bounds import INTEGERS, NUMBERS, Array, Count, Flag
+from vprbench.storage.bounds import Seconds as Duration
+
+Clock = Callable[[], int]  # nanoseconds, monotonic
+Seconds = npt.NDArray[np.float64]
+
+_SAMPLE_BYTES = 1 << 29  # of decoded images held at once
+_LATE = 10  # times the median, beyond which a first query is no usual one
+_BRIEF_SECONDS = 0.05  # libraries need as much for what they do once in a process
+_STEADY_QUERIES, _STEADY_SPREAD = 10, 0.1
+_LONG_PASS, _LONG_CALL, _FEWEST_REPEATED = 4.0, 1.0, 8  # seconds and images: no more is asked of a slow method
+_GAIN = 1.25  # times the rate: less is within what machines vary by
+_SHARES = (0.15, 0.5, 0.6)  # of `total_seconds`, by which warm-up, streaming and the look for caching have to end
+
+
+def _nothing() -> None:
+    """Synchronise a device that does nothing behind the caller's back."""
+
+
+_LAP = Array(NUMBERS, (None,), 0, 1e9, positive_median=True)
+
+
+@with_config(ConfigDict(extra="forbid"))
+@dataclass(frozen=True)
+class Laps:
+    """Raw times of one scenario, one element per call; `valid` says whether the protocol's minima were met."""
+
+    encode_seconds: Annotated[Seconds, _LAP]  # (n_calls,)
+    match_seconds: Annotated[Seconds, _LAP]  # (n_calls,)
+    images_per_call: Annotated[Count, Field(ge=1)]
+    valid: Flag
+
+    @property
+    def total_seconds(self) -> Seconds:
+        """Encode and match together, (n_calls,)."""
+        return self.encode_seconds + self.match_seconds
+
+    def per_image(self) -> float:
+        """Return the median seconds."""
+        return float(np.median(self.total_seconds)) / self.images_per_call
+
+    @property
+    def by_stage(self) -> tuple[Seconds, Seconds, Seconds]:
+        """Encode, match and both together, (n_calls,) each."""
+        return self.encode_seconds, self.match_seconds, self.total_seconds
+
+
+@with_config(ConfigDict(extra="forbid"))
+@dataclass(frozen=True)
+class Timing:
+    """All that was measured of one method's queries."""
+
+    first_query_seconds: Annotated[float, Field(strict=True)]  # of the first one after the fit; NaN if none warmed up
+    warmup_queries: Count
+    streaming: Laps
+    offline: Annotated[tuple[Laps, ...], Field(min_length=1)]  # one per batch size
+    sample: Annotated[npt.NDArray[np.int64], Array(INTEGERS, ("sample",), 0, "last query")]  # queries that were timed
+    answers: Annotated[  # the best place of each in the timed run; -1 if not reached
+        npt.NDArray[np.int64], Array(INTEGERS, ("sample",), -1, "last place")
+    ]
+    repeated_seconds: Duration  # median of images asked a second time in a row; 0: there was no time to
+    unseen_seconds: Duration = 0.0  # median of images never shown before: a method that caches is slower there
+
+    @property
+    def first_query_excess_seconds(self) -> float:
+        """What the first query took beyond a usual one; 0 up to ten times the median, and if that is too brief.
+
+        So much of the training can have been left to it, and a method gains nothing by that.
+        """
+        usual = float(np.median(self.streaming.total_seconds))
+        excess = self.first_query_seconds - usual
+        return excess if self.first_query_seconds > _LATE * usual and excess > _BRIEF_SECONDS else 0.0
+
+
+class Stopwatch:
+    """Owns the clock: no method measures itself."""
+
+    def __init__(
+        self,
+        protocol: Protocol,
+        clock: Clock = time.perf_counter_ns,
+        synchronise: Callable[[], None] = _nothing,
+        seed: int = 0,
+    ) -> None:
+        """Measure by `clock`, with `synchronise` at every boundary; `seed` draws the order of the queries."""
+        self._protocol = protocol
+        self._clock = clock
+        self._synchronise = synchronise
+        self._generator = np.random.default_rng(seed)
+        self._end = float("inf")  # by the clock, of what is measured now
+
+    @contextmanager
+    def lap(self) -> Iterator[list[float]]:
+        """Time the block, in seconds appended to the list it yields, the device idle at both ends."""
+        seconds: list[float] = []
+        self._synchronise()
+        start = self._clock()
+        yield seconds
+        self._synchronise()
+        seconds.append((self._clock() - start) / 1e9)
+
+    def first_query(self, method: Asked, images: Images) -> float:
+        """Return the seconds of the first of `images`, decoded beforehand."""
+        return sum(self._call(method, images[:1].in_memory())[:2])
+
+    def measure(self, method: Asked, images: Images, first_query_seconds: float | None = None) -> Timing:
+        """Measure a fitted method on a sample of `images`, decoded beforehand; batches of large codes are smaller.
+
+        A pass takes 4 s at most, unless the minimum of queries takes more: the sample of a slow method is smaller.
+        If the method was asked before, `first_query_seconds` is what its first query took.
+        """
+        chosen = _sample(images, self._protocol.sample)
+        sample, count = images[chosen].in_memory(), len(chosen)
+        singles = [sample[np.array([i])] for i in range(count)]
+        with _garbage_kept():
+            progress.report("timing", 0.0)
+            began = self._clock()
+            self._end_after(began, _SHARES[0])
+            warmup = self._warm_up(method, singles, first_query_seconds or 0.0)
+            usual = float(np.median(warmup[-_STEADY_QUERIES:])) if warmup else 0.0
+            if usual and (few := max(self._protocol.minimum_queries, int(_LONG_PASS / usual))) < count:
+                some = np.linspace(0, count - 1, few).astype(np.int64)
+                chosen, sample, singles = chosen[some], sample[some], [singles[i] for i in some]
+            self._end_after(began, _SHARES[1])
+            streaming, answers = self._stream(method, singles)
+            progress.report("timing", 0.2)
+            self._end_after(began, _SHARES[2])
+            repeated, unseen = self._caching(method, singles, float(np.median(streaming.total_seconds)))
+            offline = self._offline(method, sample, streaming, began)
+        first = [*warmup, float("nan")][0] if first_query_seconds is None else first_query_seconds
+        return Timing(first, len(warmup), streaming, offline, chosen, answers, repeated, unseen)
+
+    def _call(self, method: Asked, images: Images) -> tuple[float, float, Answer]:
+        """Return the seconds of encode and match, and the scores or the best places."""
+        self._synchronise()
+        start = self._clock()
+        codes = method.encode(images)
+        self._synchronise()
+        encoded = self._clock()
+        scores = method.match(codes)
+        self._synchronise()
+        matched = self._clock()
+        return (encoded - start) / 1e9, (matched - encoded) / 1e9, scores
+
+    def _warm_up(self, method: Asked, singles: Sequence[Images], usual: float) -> list[float]:
+        """Return the seconds of the calls; `usual` is what one may take."""
+        laps: list[float] = []
+        started = self._clock()
+        while len(laps) < self._protocol.warmup_queries and not self._late(started, usual):
+            encode, match, _ = self._call(method, singles[len(laps) % len(singles)])
+            laps.append(usual := encode + match)
+            last = laps[-_STEADY_QUERIES:]
+            if len(last) == _STEADY_QUERIES and max(last) - min(last) <= _STEADY_SPREAD * max(last):
+                break
+        return laps
+
+    def _stream(self, method: Asked, singles: Sequence[Images]) -> tuple[Laps, npt.NDArray[np.int64]]:
+        encodes: list[float] = []
+        matches: list[float] = []
+        answers = np.full(len(singles), -1)
+        late, started = False, self._clock()
+        while not (finished := self._finished(len(encodes), len(singles), started)) and not late:
+            order = self._generator.permutation(len(singles)).tolist()
+            for query in order:
+                encode, match, scores = self._call(method, singles[query])
+                encodes.append(encode)
+                matches.append(match)
+                answers[query] = best_place(scores)
+                if late := self._late(started, encode + match):
+                    break
+        return Laps(np.array(encodes), np.array(matches), 1, finished), answers
+
+    def _caching(self, method: Asked, singles: Sequence[Images], usual: float) -> tuple[float, float]:
+        """Return the median seconds of images asked twice in a row, and of new ones asked in between.
+
+        Of slow ones 8 suffice. Both are 0 if there is no time for one image; `usual` is what a call takes.
+        """
+        repeated, unseen = list[float](), list[float]()
+        started, least = self._clock(), self._protocol.minimum_seconds
+        while len(unseen) < self._protocol.minimum_queries and not self._late(started, 3 * usual):
+            if len(unseen) >= _FEWEST_REPEATED and (self._clock() - started) / 1e9 >= least:
+                break
+            single = singles[len(unseen) % len(singles)]
+            for laps, image in ((None, single), (repeated, single), (unseen, self._changed(single))):
+                encode, match, _ = self._call(method, image)
+                if laps is not None:
+                    laps.append(encode + match)
+        return (float(np.median(repeated)), float(np.median(unseen))) if unseen else (0.0, 0.0)
+
+    def _changed(self, single: Images) -> Images:
+        """Return the image with noise in the lowest bit of its levels: the same to see, but new."""
+        image = single[0]
+        return Images.from_arrays([image ^ self._generator.integers(0, 2, image.shape, np.uint8)])
+
+    def _offline(self, method: Asked, sample: Images, streaming: Laps, began: int) -> tuple[Laps, ...]:
+        """Return the laps of each batch size whose calls fit into the time left; at least the streaming ones, of one.
+
+        Batches whose call is long are left out once larger ones no longer gain.
+        """
+        sizes = sorted({held_together(method, min(size, len(sample))) for size in self._protocol.batch_sizes})
+        offline, last, gains = list[Laps](), streaming, True
+        for done, size in enumerate(sizes):
+            progress.report("timing", 0.3 + 0.7 * done / len(sizes))
+            self._end_after(began, _SHARES[2] + (1 - _SHARES[2]) * (done + 1) / len(sizes))
+            call = last.per_image() * size  # at most
+            if size == 1:
+                offline.append(streaming)
+            elif not self._over(2 * call) and (gains or call <= _LONG_CALL):  # one is not timed
+                before, last = last, self._batches(method, sample, size)
+                gains = before.per_image() >= _GAIN * last.per_image()
+                offline.append(last)
+        return tuple(offline) or (replace(streaming, valid=False),)
+
+    def _batches(self, method: Asked, sample: Images, size: int) -> Laps:
+        starts = range(0, len(sample) - size + 1, size)  # whole batches only
+        batches = [sample[start : start + size] for start in starts]
+        encodes: list[float] = []
+        matches: list[float] = []
+        self._call(method, batches[0])
+        late, started = False, self._clock()
+        while not (finished := self._finished(len(encodes) * size, len(sample), started)) and not late:
+            encode, match, _ = self._call(method, batches[len(encodes) % len(batches)])
+            encodes.append(encode)
+            matches.append(match)
+            late = self._late(started, encode + match)
+        return Laps(np.array(encodes), np.array(matches), size, finished)
+
+    def _finished(self, queries: int, per_pass: int, started: int) -> bool:
+        protocol = self._protocol
+        long_enough = (self._clock() - started) / 1e9 >= protocol.minimum_seconds
+        return long_enough and queries >= max(protocol.minimum_queries, protocol.minimum_passes * per_pass)
+
+    def _end_after(self, began: int, share: float) -> None:
+        """Let what is measured next end before a share of `total_seconds` is over, if a call is enough for that."""
+        total = self._protocol.total_seconds
+        self._end = float("inf") if total is None else began + share * total * 1e9
+
+    def _late(self, started: int, coming: float) -> bool:
+        """Tell whether no call that takes `coming` seconds may follow."""
+        return (self._clock() - started) / 1e9 > self._protocol.maximum_seconds or self._over(coming)
+
+    def _over(self, coming: float) -> bool:
+        return self._clock() + coming * 1e9 > self._end
+
+
+def _sample(images: Images, wanted: int) -> npt.NDArray[np.int64]:
+    """Return `wanted` images spread over all, fewer if these would fill more than the bytes that may be held."""
+    count = min(len(images), wanted)
+    while True:
+        chosen = np.linspace(0, len(images) - 1, count).astype(np.int64)
+        n_bytes = images[chosen].decoded_bytes()
+        if n_bytes <= _SAMPLE_BYTES or count == 1:
+            return chosen
+        count = max(1, min(count - 1, count * _SAMPLE_BYTES // n_bytes))
+
+
+def synchroniser(device: str) -> Callable[[], None]:
+    """Return what waits until `device` has nothing left to do."""
+    if not device.startswith("cuda"):
+        return _nothing
+    import torch
+
+    return lambda: torch.cuda.synchronize(device)
+
+
+@contextmanager
+def _garbage_kept() -> Iterator[None]:
+    """Keep the garbage collector out of the timed window."""
+    gc.collect()
+    was_enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_enabled:
+            gc.enable()

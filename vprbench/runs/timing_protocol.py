@@ -1,0 +1,60 @@
+"""How long and how often to measure, and which measurements are as good as another."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+from typing import Annotated, Any
+
+from pydantic import ConfigDict, Field, with_config
+
+from vprbench.errors import BadInput
+from vprbench.storage.bounds import Count, Flag, Seconds
+
+_Some = Annotated[Count, Field(ge=1)]
+
+
+@with_config(ConfigDict(extra="forbid", strict=False))
+@dataclass(frozen=True)
+class Protocol:
+    """How long and how often to measure; a part of every record.
+
+    A measurement ends when all three minima are met, or unfinished at `maximum_seconds`: it is then marked invalid.
+    Source: the rules of MLPerf LoadGen (warm-up, minimum duration and count).
+    """
+
+    minimum_seconds: Seconds = 1.0
+    minimum_queries: _Some = 64  # enough for a 90th percentile; 662 are for a 99th
+    minimum_passes: _Some = 1  # over the sample of images
+    maximum_seconds: Annotated[Seconds, Field(gt=0)] = 120.0
+    sample: _Some = 256  # query images held decoded in memory, at most
+    warmup_queries: Count = 50  # at most; fewer once the last ten differ by less than 10 %
+    batch_sizes: Annotated[list[int], Field(min_length=1)] = field(default_factory=lambda: [1, 8, 32, 128])
+    total_seconds: Annotated[Seconds, Field(gt=0)] | None = None  # of all measurements together; None: no limit
+    rates: Flag = True  # False: nothing is timed
+
+    def __post_init__(self) -> None:
+        """Check that a measurement can end, and batches hold images."""
+        if min(self.batch_sizes, default=1) < 1:
+            raise BadInput(f"timing.batch_sizes={self.batch_sizes}: batches hold at least one image")
+        if self.minimum_seconds > self.maximum_seconds:
+            raise BadInput(
+                f"timing.minimum_seconds={self.minimum_seconds}, timing.maximum_seconds={self.maximum_seconds}: the "
+                "minimum cannot exceed the maximum"
+            )
+
+    def shortfalls(self, asked: Protocol) -> list[str]:
+        """Return the options in which what it measured is less than what is asked for; none: it answers that.
+
+        Whatever was measured answers `rates: false`.
+        """
+        if not asked.rates:
+            return []
+        if not self.rates:
+            return ["rates"]
+        return [part.name for part in fields(self) if _less(getattr(self, part.name), getattr(asked, part.name))]
+
+
+def _less(kept: Any, asked: Any) -> bool:
+    if isinstance(asked, list):
+        return not set(asked) <= set(kept)
+    return kept is not None and (asked is None or bool(kept < asked))  # None: no limit
