@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import functools
 import io
 import logging
 import os
@@ -13,6 +12,7 @@ import sys
 import textwrap
 import traceback
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -137,7 +137,7 @@ def _run(config: DictConfig) -> JobResult:
     from vprbench.runs.run_lock import HeldElsewhereError
     from vprbench.runs.store import Store
 
-    store, threads, process = Store(Path(settings.results).expanduser()), n_threads(settings), os.getpid()
+    store, threads = Store(Path(settings.results).expanduser()), n_threads(settings)
 
     def failed(error: str, missing: bool = False) -> Failure:
         dataset = asked["dataset"].get("name", choices["dataset"])
@@ -148,18 +148,21 @@ def _run(config: DictConfig) -> JobResult:
         result = run_job(given)
         if result.code == 1 and not result.recorded:
             store.try_to_save_failure(failed(result.error))
+        print(result.printed, end="\n" * bool(result.printed))
         return result
+    printed: list[str] = []
     with answers_alone() as say:
+        say = printed.append if as_job else say  # the process that asked prints it
         try:
             with spread_over(settings.search_scheduler):
-                return _answer(choices["method"], asked, settings, store, functools.partial(_say, process, say))
+                key = _answer(choices["method"], asked, settings, store, say)
+                return JobResult(0, key=key, printed="\n".join(printed))
         except KeyboardInterrupt:
             raise
         except HeldElsewhereError as error:  # the process that asked asks again
             logging.info("%s: it is left to that", error)
             return JobResult(0, held=str(error.path))
         except BaseException as error:  # whatever a plug-in raises
-            _leave_if_forked(process)
             elsewhere = error.failure if isinstance(error, FailedElsewhereError) else None
             failure = elsewhere or failed(_public(_told(error).splitlines()[0]), isinstance(error, NotThere))
             if isinstance(error, BadInput) and not as_job:
@@ -168,19 +171,22 @@ def _run(config: DictConfig) -> JobResult:
                 store.try_to_save_failure(failure)
             if settings.output == "json" and as_job:
                 say(as_json(failure))
+            message = f"{failure.method} failed: {failure.error}"
             if isinstance(error, BadInput):
-                return _complain(str(error).strip() or failure.error, 2, failure)
-            if elsewhere is not None:
-                return _complain(str(error), 1, failure)
-            if not isinstance(error, TrainingDivergedError):
+                message = str(error).strip() or failure.error
+            elif elsewhere is not None:
+                message = str(error)
+            elif not isinstance(error, TrainingDivergedError):
                 print(textwrap.indent(printable(traceback.format_exc(), but="\n"), "  "), file=sys.stderr)
-            return _complain(f"{failure.method} failed: {failure.error}", 1, failure)
+            result = _complain(message, 2 if isinstance(error, BadInput) else 1, failure)
+            return replace(result, printed="\n".join(printed))
 
 
-def _answer(
-    method: str, asked: dict[str, Any], settings: Settings, store: Store, say: Callable[[str], None]
-) -> JobResult:
-    """Say the run of a configuration, from the store or made now; raises what `get_or_run` raises."""
+def _answer(method: str, asked: dict[str, Any], settings: Settings, store: Store, say: Callable[[str], None]) -> str:
+    """Say the run of a configuration, from the store or made now, and return its key.
+
+    Raises what `get_or_run` raises.
+    """
     from vprbench.runs.build_request import build_request
     from vprbench.runs.get_or_run import UnstoredRunError, get_or_run
 
@@ -196,18 +202,7 @@ def _answer(
     from vprbench.runs.run_text import run_text
 
     say(run_text(result.run, result.folder, result.from_store, settings))
-    return JobResult(0, key=result.run.key)
-
-
-def _say(process: int, say: Callable[[str], None], line: str) -> None:
-    _leave_if_forked(process)
-    say(line)
-
-
-def _leave_if_forked(process: int) -> None:
-    """End this process if a plug-in has forked it: its answer would be a second one."""
-    if os.getpid() != process:
-        os._exit(0)
+    return result.run.key
 
 
 def _told(error: BaseException) -> str:

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from little import a_failure, a_run
 
-from vprbench.cli import main
+from vprbench.cli import attempt
 from vprbench.jobs import job
 from vprbench.jobs.job import Job
 from vprbench.runs.store import Store
@@ -75,16 +75,17 @@ MISSING, WRONG = True, False
     ],
 )
 def test_a_failure_in_a_sweep_says_whether_something_was_missing_and_which_arguments_were_changed(
-    arguments, missing, capsys, tmp_path, monkeypatch
+    arguments, missing, tmp_path, monkeypatch
 ):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(job, "current", Job())  # where failures that are the user's are recorded too
-    assert main([*arguments, "output=json"]) == 2
+    result = attempt([*arguments, "output=json"])
+    assert result.code == 2
     if missing is None:  # there is no such method, and nothing is stored
         assert not Path("results").exists()
         return
     (failure,) = Store(Path("results")).failures()
-    told = json.loads(capsys.readouterr().out)
+    told = json.loads(result.printed)
     assert (failure.missing, told["missing"], told["method"]) == (missing, missing, failure.method)
     assert {"processor", "threads", "libraries", "time_utc", "memory_bytes"} <= set(failure.environment)
     assert ("patch" in failure.config["changed"]) == ("method.patch=0" in arguments)

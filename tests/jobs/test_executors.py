@@ -19,6 +19,7 @@ from vprbench.jobs.options import ClusterOptions
 from vprbench.jobs.worker import Order, make, put_in, taken_out
 from vprbench.plugins.options import chosen
 from vprbench.runs.store import Store
+from vprbench.tuning.workers import Answer, Workers
 
 RUN = ["method=sad", "dataset=synthetic", "dataset.places=12", "timing=none", "frames=false", "threads=1"]
 
@@ -103,19 +104,20 @@ def test_workers_of_this_machine_make_runs_bring_them_home_and_are_made_up_for_i
         run = [*RUN, f"results={results}"]
         ((number, result),) = run_all(executor, [(5, run)], Callbacks(lambda number, host: begun.append(number)))
         monkeypatch.undo()
-        (once,) = executor.answers(Kills(tmp_path), [False], print)
-        (always,) = executor.answers(Kills(tmp_path), [True], print)
+        with Workers(Kills(tmp_path), 1, executor.of_functions) as workers:
+            (once,) = workers.answers([False], print)
+            (always,) = workers.answers([True], print)
     assert (number, result.code, begun) == (5, 0, [5])
     (stored,) = Store(results).runs()
     assert (stored.method, stored.key, stored.environment["threads"]) == ("sad", result.key, 1)
     assert [path.name for path in results.iterdir()] == ["synthetic"]
-    assert once == (0, 2, "")
-    assert (always[1], always[2][:12]) == (None, "KilledWorker")
+    assert once == Answer(0, 2)
+    assert (always.given, always.error[:12]) == (None, "KilledWorker")
     assert len([*(tmp_path / "True").iterdir()]) == 4  # it was tried again three times
 
 
 def test_a_worker_of_another_version_makes_no_run():
-    order = Order("sweep", 0, (), "", shows=False, since=0.0, shared="", version="0.0.1")
+    order = Order("sweep", 0, (), "", since=0.0, shared="", version="0.0.1")
     with pytest.raises(BadInput, match=r"0\.0\.1"):
         make(order)
 

@@ -35,7 +35,6 @@ _LINES = 200  # of standard error, among which the reason of a death is looked f
 def run_job(
     options: Sequence[str],
     since: float | None = None,
-    stdout: int | None = None,
     heard: Callable[[str], None] | None = None,
     stopped: Callable[[], bool] = lambda: False,
     folder: str | None = None,
@@ -54,7 +53,7 @@ def run_job(
         command = [sys.executable, *_flags(), "-m", "vprbench"]
         lines: deque[str] = deque(maxlen=_LINES)
         with (
-            subprocess.Popen(command, env=given, stdout=stdout, stderr=subprocess.PIPE, cwd=folder) as child,
+            subprocess.Popen(command, env=given, stderr=subprocess.PIPE, cwd=folder) as child,
             _lines_passed_on(cast(IO[bytes], child.stderr), lines, heard or _echo),
         ):
             code = _end_of(child, _limit_seconds(options), stopped)

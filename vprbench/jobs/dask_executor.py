@@ -6,13 +6,12 @@ import contextlib
 import importlib.util
 import logging
 import signal
-import subprocess
 import sys
 import threading
 import uuid
-from collections import Counter, deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import CancelledError, Future
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from concurrent.futures import CancelledError, Executor, Future
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
@@ -29,9 +28,9 @@ from vprbench.jobs.child import results_of
 from vprbench.jobs.executors import Callbacks
 from vprbench.jobs.job import JobResult
 from vprbench.jobs.options import ClusterOptions
-from vprbench.jobs.worker import Done, Order, make, on_one_thread, put_in, stop
+from vprbench.jobs.worker import Done, Order, make, put_in, stop
 from vprbench.plugins.entries import as_asked
-from vprbench.progress import answer_stream, marked
+from vprbench.progress import marked
 from vprbench.runs.store import Store
 from vprbench.storage.atomic import unfinished
 from vprbench.text import printable
@@ -53,9 +52,9 @@ class DaskExecutor:
 
     elsewhere = True
 
-    def __init__(self, options: ClusterOptions, stdout: int | None = subprocess.DEVNULL) -> None:
+    def __init__(self, options: ClusterOptions) -> None:
         """Start nothing yet: everything may be stored."""
-        self._options, self._shows = options, stdout != subprocess.DEVNULL
+        self._options = options
         self._opened = contextlib.ExitStack()
         self._sweep = f"vprbench-{uuid.uuid4().hex}"
         self._running: dict[Asked[Done], tuple[Order, Future[JobResult]]] = {}
@@ -112,7 +111,6 @@ class DaskExecutor:
             number=number,
             options=tuple(map(as_asked, options)),  # a loose file has its name in this process alone
             folder=str(Path.cwd()),
-            shows=self._shows,
             since=since,
             shared=str(self._shared[root]),
         )
@@ -140,21 +138,10 @@ class DaskExecutor:
         self._put_back[number] += 1
         return self._put_back[number] < _ATTEMPTS
 
-    def answers(
-        self, attempt: Callable[[Any], Any], tasks: Sequence[Any], begins: Callable[[int], None]
-    ) -> Iterator[tuple[int, Any, str]]:
-        """Yield of each task, as they end, its number and what `attempt` returns, or None and why there is nothing."""
-        waiting, running = deque(enumerate(tasks)), dict[Asked[Any], int]()
-        while waiting or running:
-            while waiting and len(running) < self.room():
-                number, task = waiting.popleft()
-                begins(number)
-                running[self._client.submit(on_one_thread, attempt, task, pure=False)] = number
-            for future in self._done(running):
-                number, error = running.pop(future), future.exception()
-                given = (future.result(), "") if error is None else (None, f"{type(error).__name__}: {error}")
-                future.release()
-                yield number, *given
+    def of_functions(self) -> Executor:
+        """Return an executor of functions on the same workers."""
+        executor: Executor = self._client.get_executor(pure=False)
+        return executor
 
     def _done(self, running: Iterable[Asked[Any]]) -> set[Asked[Any]]:
         """Wait for a moment and return which have ended; raises ClusterLostError if none ever will."""
@@ -185,8 +172,6 @@ class DaskExecutor:
         future.release()  # or it would be made again when its worker dies
         if done.files:
             put_in(done.files, Store(results_of(order.options)))
-        if done.printed:
-            print(done.printed, end="", file=answer_stream(), flush=True)
         return done.result
 
     def _told(self, event: tuple[float, dict[str, Any]]) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import socket
-import subprocess
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future
@@ -57,10 +56,6 @@ class SerialExecutor:
 
     elsewhere = False
 
-    def __init__(self, stdout: int | None = subprocess.DEVNULL) -> None:
-        """Let what runs print go to `stdout`, as for a process."""
-        self._stdout = stdout
-
     def __enter__(self) -> Self:
         """Start nothing."""
         return self
@@ -77,7 +72,7 @@ class SerialExecutor:
         callbacks.begins(number, socket.gethostname())
         says = None if callbacks.says is None else functools.partial(callbacks.says, number)
         future: Future[JobResult] = Future()
-        future.set_result(run_job(options, since=since, stdout=self._stdout, heard=says))
+        future.set_result(run_job(options, since=since, heard=says))
         return future
 
     def wait(self) -> None:
@@ -127,10 +122,10 @@ def _freed(elsewhere: dict[int, tuple[Sequence[str], str]], wait: bool) -> Numbe
     return None
 
 
-def executor_for(options: ClusterOptions, stdout: int | None = subprocess.DEVNULL) -> Executor:
+def executor_for(options: ClusterOptions) -> Executor:
     """Return who makes runs under these options; nothing of dask is imported without one."""
     if not options.elsewhere:
-        return SerialExecutor(stdout)
+        return SerialExecutor()
     from vprbench.jobs.dask_executor import DaskExecutor
 
-    return DaskExecutor(options, stdout)
+    return DaskExecutor(options)

@@ -39,6 +39,7 @@ class JobResult:
     error: str = ""
     recorded: bool = False  # whether the store knows of the error
     key: str = ""  # of the run that is stored
+    printed: str = ""  # what the job has to say on standard output
     held: str = ""  # the lock of another process that makes the run now: ask again once it is free
 
     def write(self, folder: Path) -> None:

@@ -38,7 +38,7 @@ def divided(arguments: Sequence[str], sweep: bool) -> tuple[ClusterOptions, list
 
 def swept(runs: Sequence[Sequence[str]], options: ClusterOptions) -> int:
     """Make runs of the command line, whose answers go to standard output; returns the highest exit code."""
-    executor = executor_for(options, stdout=None)
+    executor = executor_for(options)
     live = LiveTable([], [], len(runs)) if executor.elsewhere and sys.stderr.isatty() else None
 
     def begins(number: int, host: str) -> None:
@@ -58,6 +58,8 @@ def swept(runs: Sequence[Sequence[str]], options: ClusterOptions) -> int:
     with executor, live or nullcontext():
         for number, result in run_all(executor, enumerate(runs), Callbacks(begins, heard if live else None)):
             codes.append(result.code)
+            if result.printed:
+                print(result.printed, flush=True)
             if live is not None:
                 live.step(number, bool(result.code))
             if result.code == 1 and not result.recorded:

@@ -5,13 +5,9 @@ from __future__ import annotations
 import shutil
 import signal
 import socket
-import subprocess
-import tempfile
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from threading import Event
-from typing import Any
 
 from distributed import Worker, get_worker
 
@@ -19,7 +15,6 @@ import vprbench
 from vprbench.errors import BadInput
 from vprbench.jobs.child import run_job
 from vprbench.jobs.job import JobResult
-from vprbench.runs import machine
 from vprbench.runs.run_files import load, read_failure
 from vprbench.runs.store import Store
 from vprbench.storage.atomic import replace_bytes, scratch
@@ -36,7 +31,6 @@ class Order:
     number: int
     options: tuple[str, ...]
     folder: str  # in which the client works
-    shows: bool  # whether what it prints is wanted
     since: float  # when the sweep began, by the clock of the disk that holds its results
     shared: str  # a file that the client keeps in its results folder: a worker that sees it stores there
     version: str = vprbench.__version__
@@ -47,7 +41,6 @@ class Done:
     """What came of a run."""
 
     result: JobResult
-    printed: str = ""  # on standard output
     files: dict[str, bytes] = field(default_factory=dict)  # that it stored, if the disks differ
 
 
@@ -67,18 +60,14 @@ def make(order: Order) -> Done:
     tell(None)
     shared = Path(order.shared).exists()
     own = Path(worker.local_directory) / "results"  # removed with the worker
-    with tempfile.TemporaryFile() as printed:
-        result = run_job(
-            order.options if shared else [*order.options, f"results={own}"],
-            since=order.since if shared else None,
-            stdout=printed.fileno() if order.shows else subprocess.DEVNULL,
-            heard=tell,
-            stopped=stopped.is_set,
-            folder=order.folder if Path(order.folder).is_dir() else None,
-        )
-        printed.seek(0)
-        text = printed.read().decode(errors="replace")
-    return Done(result, text, {} if shared else taken_out(own))
+    result = run_job(
+        order.options if shared else [*order.options, f"results={own}"],
+        since=order.since if shared else None,
+        heard=tell,
+        stopped=stopped.is_set,
+        folder=order.folder if Path(order.folder).is_dir() else None,
+    )
+    return Done(result, {} if shared else taken_out(own))
 
 
 def taken_out(results: Path) -> dict[str, bytes]:
@@ -115,12 +104,6 @@ def _folders(results: Path) -> list[Path]:
     """Return the folders of runs and failures."""
     found = (folder for folder in results.glob("[!.]*/[!.]*") if folder.is_dir())
     return [folder for folder in found if folder.parent.name not in (_FRAMES, "descriptors")]
-
-
-def on_one_thread(attempt: Callable[[Any], Any], task: Any) -> Any:
-    """Return what an attempt at a task in this process gives."""
-    machine.pin_threads(1)
-    return attempt(task)
 
 
 def stop(sweep: str) -> None:

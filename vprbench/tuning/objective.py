@@ -20,6 +20,7 @@ from vprbench.errors import TrainingDivergedError
 from vprbench.metrics.accuracy import hits_at
 from vprbench.metrics.ranking import outcome
 from vprbench.plugins import registry
+from vprbench.runs import machine
 from vprbench.tuning.space import PLACES_ARGUMENT
 
 StretchName = Literal["searched", "checked"]
@@ -58,7 +59,8 @@ class Training:
     method: Mapping[str, Any]  # its configuration; settings replace arguments
 
     def __call__(self, task: Task) -> Tried:
-        """Train the method under the settings of a task, and ask it all queries of the stretch."""
+        """Train the method under the settings of a task on one thread, and ask it all queries of the stretch."""
+        machine.pin_threads(1)
         stretch = _Stretch.read(self.folder / task.stretch)
         n_places = int(stretch.places.max()) + 1
         fitting = {PLACES_ARGUMENT: min(self.method[PLACES_ARGUMENT], n_places)}

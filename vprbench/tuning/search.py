@@ -6,10 +6,11 @@ import logging
 import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict, dataclass
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import optuna
 
@@ -30,7 +31,10 @@ from vprbench.tuning.comparison import Comparison, compared
 from vprbench.tuning.objective import StretchName, Task, Tried
 from vprbench.tuning.space import Values
 from vprbench.tuning.study import Stage, Study, Trial, best_of, opened
-from vprbench.tuning.workers import Spread, Workers
+from vprbench.tuning.workers import Workers
+
+if TYPE_CHECKING:
+    from vprbench.jobs.dask_executor import DaskExecutor
 
 logger = logging.getLogger(__name__)
 
@@ -105,7 +109,8 @@ def search(settings: Settings, method: Mapping[str, Any], dataset: Mapping[str, 
     with opened(folder) as study:
         for name, part in stretches.items():
             objective.keep(folder / name, part, encoder)
-        with _workers(objective.Training(folder.absolute(), method), settings, jobs) as workers:
+        attempt = objective.Training(folder.absolute(), method)
+        with _executor(settings) as dask, _workers(attempt, jobs, dask) as workers:
             tried_now = explore(study, workers, settings.trials, settings.seed)
             trials = study.trials()
             best = best_of(trials)
@@ -207,13 +212,17 @@ def _jobs(asked: int | None) -> int:
     return min(asked or cores, cores)
 
 
-def _workers(attempt: objective.Training, settings: Settings, jobs: int) -> Workers[Task, Tried]:
-    """Return who tries settings."""
+def _executor(settings: Settings) -> AbstractContextManager[DaskExecutor | None]:
+    """Return the cluster that settings are tried on, None for processes of this search."""
     if not settings.elsewhere:
-        return Workers(attempt, jobs)
+        return nullcontext()
     from vprbench.jobs.dask_executor import DaskExecutor
 
-    return Spread(attempt, DaskExecutor(settings))
+    return DaskExecutor(settings)
+
+
+def _workers(attempt: objective.Training, jobs: int, dask: DaskExecutor | None) -> Workers[Task, Tried]:
+    return Workers(attempt, jobs) if dask is None else Workers(attempt, dask.room(), dask.of_functions)
 
 
 def _named(allowed: places.Searchable) -> dict[StretchName, range]:
