@@ -15,7 +15,7 @@ import torch
 from vprbench.api import BadInput, Image, Images, Method, NotFittedError, Places, Scores, best_image_of_place, takes
 
 from .parts.best_cosine import TILE, Regions, Tiles, from_tiles, in_tiles, mean_best_cosine, mean_best_cosine_in_tiles
-from .parts.stored import State, insist_on_map
+from .parts.stored import State, require_map
 
 Grey = npt.NDArray[np.uint8]  # (height, width)
 
@@ -96,7 +96,7 @@ class CoHOG(Method):
         self._references = None
         n_references = np.size(state.get("places", ()))
         shape = (n_references, *self._region_shape())
-        insist_on_map(state, {"references": (np.float32, shape), "places": (np.int64, (n_references,))})
+        require_map(state, {"references": (np.float32, shape), "places": (np.int64, (n_references,))})
         self._keep(n_references, state["references"])
         self._places = state["places"].copy()
         return self

@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from vprbench.api import Interpolation
 
 from .parts.backbones.resnet import n_channels, resnet
-from .parts.published import PublishedNetwork, Tensors, insist_on_size, size
+from .parts.published import PublishedNetwork, Tensors, require_size, size
 
 _BACKBONE = "resnet50"
 _QUARTERS = (2, 2)  # down and across
@@ -31,7 +31,7 @@ class ConvAP(PublishedNetwork):
 
     def network(self, tensors: Tensors) -> nn.Module:
         """Return the network of these channels; raises BadInput if the file has others."""
-        insist_on_size("channels", self.channels, size(tensors, "aggregator.channel_pool.bias", 0, self.channels))
+        require_size("channels", self.channels, size(tensors, "aggregator.channel_pool.bias", 0, self.channels))
         return _ConvAP(self.channels)
 
 

@@ -16,7 +16,7 @@ from vprbench.api import BadInput, Resize
 from .parts.backbones.resnet import n_channels, resnet
 from .parts.backbones.vgg import N_CHANNELS, vgg16_features
 from .parts.pooling import GeM
-from .parts.published import PublishedNetwork, Tensors, insist_on_size, size
+from .parts.published import PublishedNetwork, Tensors, require_size, size
 
 Backbone = Literal["VGG16", "ResNet18", "ResNet50", "ResNet101", "ResNet152"]
 
@@ -63,7 +63,7 @@ class CosPlace(PublishedNetwork):
 
     def network(self, tensors: Tensors) -> nn.Module:
         """Return the network of this backbone and these dimensions; raises BadInput if the file has others."""
-        insist_on_size("n_dimensions", self.n_dimensions, size(tensors, "aggregation.3.weight", 0, self.n_dimensions))
+        require_size("n_dimensions", self.n_dimensions, size(tensors, "aggregation.3.weight", 0, self.n_dimensions))
         return _CosPlace(self.backbone, self.n_dimensions)
 
 

@@ -14,7 +14,7 @@ from torch.nn import functional
 from vprbench.api import BadInput
 
 from .parts.backbones.resnet import n_channels, resnet
-from .parts.published import PublishedNetwork, Tensors, insist_on_size, size
+from .parts.published import PublishedNetwork, Tensors, require_size, size
 
 _BACKBONE, _N_STAGES = "resnet50", 3
 _SIDE = 320  # pixels
@@ -47,7 +47,7 @@ class MixVPR(PublishedNetwork):
         channels = size(tensors, "aggregator.channel_proj.weight", 0, _CHANNELS.get(self.n_dimensions, 1))
         rows = size(tensors, "aggregator.row_proj.weight", 0, self.n_dimensions // channels)
         if "aggregator.channel_proj.weight" in tensors:
-            insist_on_size("n_dimensions", self.n_dimensions, channels * rows)
+            require_size("n_dimensions", self.n_dimensions, channels * rows)
         return _MixVPR(size(tensors, "aggregator.row_proj.weight", 1, (_SIDE // _PIXELS) ** 2), channels, rows)
 
 

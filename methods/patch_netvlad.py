@@ -20,7 +20,7 @@ from vprbench.api import BadInput, Descriptors, Images, NotFittedError, Places, 
 from .netvlad import STRIDE, sizes
 from .parts.patch_geometry import Geometry, mutual, score
 from .parts.patch_network import PatchNetwork
-from .parts.published import PublishedNetwork, Tensors, insist_on_size
+from .parts.published import PublishedNetwork, Tensors, require_size
 from .parts.vectors import unit
 
 Configuration = Literal["performance", "speed", "storage"]
@@ -95,7 +95,7 @@ class PatchNetVLAD(PublishedNetwork):
         """Encode the references, block by block."""
         self._map = None
         length, kind = self._code_length(), np.dtype(self.patches)
-        _insist_on_memory(
+        _require_memory(
             f"{len(references)} reference images",
             len(references) * length * kind.itemsize,
             "set method.configuration=storage or method.patches=float16, or take fewer images",
@@ -131,7 +131,7 @@ class PatchNetVLAD(PublishedNetwork):
 
     def encode(self, images: Images) -> npt.NDArray[np.float32]:
         """Return the descriptors of each image and of its patches, (n_images, (1 + n_patches) * n_components)."""
-        _insist_on_memory(
+        _require_memory(
             f"{len(images)} images at once",
             len(images) * self.code_bytes,
             "set method.configuration=storage, or encode fewer images together",
@@ -157,7 +157,7 @@ class PatchNetVLAD(PublishedNetwork):
         clusters, components = sizes(tensors, self.weights.file)
         wanted = self.components[self.configuration]
         if "WPCA.0.bias" in tensors:
-            insist_on_size(f"components.{self.configuration}", wanted, components)
+            require_size(f"components.{self.configuration}", wanted, components)
         sides = SETTINGS[self.configuration].sides
         return PatchNetwork(clusters, wanted, sides, integral=self.precision == "float32_as_published")
 
@@ -249,7 +249,7 @@ def above_cosines(agreement: npt.NDArray[np.float64], cosines: Scores) -> Scores
     return result
 
 
-def _insist_on_memory(images: str, needed_bytes: int, advice: str) -> None:
+def _require_memory(images: str, needed_bytes: int, advice: str) -> None:
     """Raise BadInput if the descriptors of images do not fit into memory."""
     free = psutil.virtual_memory().available
     if needed_bytes > free:

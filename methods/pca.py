@@ -21,7 +21,7 @@ from vprbench.api import (
 )
 
 from .parts.pixels import Preprocessing, pixels
-from .parts.stored import State, insist_on_map
+from .parts.stored import State, require_map
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ class PCA(Method):
         self._map = None
         n_pixels, n_references = self.height * self.width, np.size(state.get("places", ()))
         n_components = np.size(state.get("projection", ())) // n_pixels
-        insist_on_map(
+        require_map(
             state,
             {
                 "mean": (np.float64, (n_pixels,)),

@@ -23,7 +23,7 @@ from vprbench.api import (
     Scores,
     best_image_of_place,
     compiled,
-    insist_on_new_places,
+    require_new_places,
     takes,
 )
 
@@ -63,7 +63,7 @@ class SAD(Method):
     def extend(self, references: Images, places: Places) -> Self:
         """Append the preprocessed references of new places."""
         known = self._fitted()
-        insist_on_new_places(places, len(references), int(self._places.rows.max()) + 1)
+        require_new_places(places, len(references), int(self._places.rows.max()) + 1)
         levels = self.encode(references)
         if isinstance(known, Growing):
             known.append(levels)

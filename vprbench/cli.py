@@ -69,7 +69,7 @@ def attempt(given: Sequence[str]) -> JobResult:
             try:
                 return JobResult(int(getattr(working, COMMANDS[name].does.partition(":")[2])(arguments[1:])))
             except SystemExit as error:  # of a plug-in; Hydra's goes on
-                return _complain(_told(error), 1)
+                return _complain(_error_text(error), 1)
         return run_or_sweep(in_order(readable(arguments[arguments[0] == "run" :])))
     except BadInput as error:
         return _complain(str(error).strip() or "bad input, of which nothing is said")
@@ -127,10 +127,10 @@ def _run(config: DictConfig) -> JobResult:
     plain = cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
     settings = checked_settings(plain)
     choices, given = HydraConfig.get().runtime.choices, [*HydraConfig.get().overrides.task]
-    registry.insist_on_one("method", choices["method"])
-    registry.insist_on_one("dataset", choices["dataset"])
+    registry.require_one("method", choices["method"])
+    registry.require_one("dataset", choices["dataset"])
     asked = {name: plain[name] for name in RECORDED}
-    asked["overrides"] = [registry.as_asked(option) for option in given]
+    asked["overrides"] = [registry.with_plugin_paths(option) for option in given]
     from vprbench.runs import machine
     from vprbench.runs.get_or_run import FailedElsewhereError
     from vprbench.runs.record import Failure
@@ -164,7 +164,7 @@ def _run(config: DictConfig) -> JobResult:
             return JobResult(0, held=str(error.path))
         except BaseException as error:  # whatever a plug-in raises
             elsewhere = error.failure if isinstance(error, FailedElsewhereError) else None
-            failure = elsewhere or failed(_public(_told(error).splitlines()[0]), isinstance(error, NotThere))
+            failure = elsewhere or failed(_public(_error_text(error).splitlines()[0]), isinstance(error, NotThere))
             if isinstance(error, BadInput) and not as_job:
                 raise
             if elsewhere is None:
@@ -205,7 +205,7 @@ def _answer(method: str, asked: dict[str, Any], settings: Settings, store: Store
     return result.run.key
 
 
-def _told(error: BaseException) -> str:
+def _error_text(error: BaseException) -> str:
     """Return an error in words, whatever a plug-in has made of it."""
     if isinstance(error, SystemExit):
         return f"SystemExit: the method or dataset ended the program, with exit code {error.code or 0}"

@@ -97,14 +97,14 @@ def _find(root: Path, traverse: str, names: Sequence[str], outside: Path | None)
     for folder in places:
         made_with = recorded_calibration(folder)
         if made_with is not None and _has(folder, names):
-            _insist_on_one_table(folder, made_with, names, raw)
+            _require_one_table(folder, made_with, names, raw)
             return Recording(folder, remark=f"demosaiced and undistorted here before, {_with_table(made_with)}")
     if raw.is_dir():
         return Recording(raw)
     return Recording(beside if beside.is_dir() else root / traverse)
 
 
-def _insist_on_one_table(folder: Path, made_with: str, names: Sequence[str], raw: Path) -> None:
+def _require_one_table(folder: Path, made_with: str, names: Sequence[str], raw: Path) -> None:
     """Raise BadInput if some of our frames were made in another way than the last frames of their folder."""
     others = [name for name in names if not is_made_with(folder / name, made_with)]
     if others:

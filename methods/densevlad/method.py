@@ -14,7 +14,7 @@ from torch import Tensor
 
 from vprbench.api import BadInput, DescriptorMethod, Image, Images, NotFittedError, Places, progress
 
-from ..parts.stored import State, insist_on_map
+from ..parts.stored import State, require_map
 from ..parts.vectors import k_means, unit
 from .dense_sift import (
     DIMENSIONS,
@@ -122,7 +122,7 @@ class DenseVLAD(DescriptorMethod):
             "references": (np.float32, (places.size, n_components)),
             **({"projection": (np.float32, (n_dimensions, n_components))} if self.n_components else {}),
         }
-        insist_on_map(state, wanted)
+        require_map(state, wanted)
         self._words = torch.tensor(state["words"], device=self.device)
         self._projection = projection
         return self.fit_descriptors(state["references"], places)

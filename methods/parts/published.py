@@ -71,7 +71,7 @@ def under(tensors: Tensors, prefix: str) -> dict[str, Tensor]:
     return {name.removeprefix(prefix): tensor for name, tensor in tensors.items() if name.startswith(prefix)}
 
 
-def insist_on_size(argument: str, asked: int, held: int) -> None:
+def require_size(argument: str, asked: int, held: int) -> None:
     """Raise BadInput if a file holds another size than a method's argument asks for."""
     if held != asked:
         raise BadInput(

@@ -13,7 +13,7 @@ from vprbench.api import BadInput
 State = Mapping[str, npt.NDArray[Any]]
 
 
-def insist_on_map(state: State, wanted: Mapping[str, tuple[type[np.generic], tuple[int, ...]]]) -> None:
+def require_map(state: State, wanted: Mapping[str, tuple[type[np.generic], tuple[int, ...]]]) -> None:
     """Raise BadInput unless the arrays have these names, types and shapes, finite numbers, and places without a gap."""
     found = {name: f"{array.dtype} {array.shape}" for name, array in state.items()}
     right = {name: f"{np.dtype(kind)} {shape}" for name, (kind, shape) in wanted.items()}

@@ -139,7 +139,7 @@ class VPRSNN(Arguments, Method):
 
         Of several networks the sum. Raises NotFittedError before `fit`.
         """
-        self._insist_on_a_network()
+        self._require_a_network()
         scores = np.sum(
             [self._scores(member, ask(member, codes, Stage()).excitatory) for member in self._ready], axis=0
         )
@@ -167,7 +167,7 @@ class VPRSNN(Arguments, Method):
 
         Raises NotFittedError before `fit`.
         """
-        self._insist_on_a_network()
+        self._require_a_network()
         answer, trains = ask(self._ready[0], codes, Stage()), self._ready[0].model.query_spikes(codes)
         excitatory, inhibitory = (counts.reshape(len(codes), -1) for counts in answer)
         members, others = len(self._ready), self._ready[0].model.n_excitatory - 1
@@ -181,13 +181,13 @@ class VPRSNN(Arguments, Method):
 
     def layers(self, codes: Levels) -> dict[str, npt.NDArray[np.int32]]:
         """Return the spikes of the excitatory neurons, those of several networks side by side."""
-        self._insist_on_a_network()
+        self._require_a_network()
         answers = [ask(member, codes, Stage()).excitatory for member in self._ready]
         return {"excitatory": np.concatenate([answer.reshape(len(codes), -1) for answer in answers], axis=1)}
 
     def state(self) -> Mapping[str, npt.NDArray[Any]]:
         """Return the arrays of the trained network, those of several numbered."""
-        self._insist_on_a_network()
+        self._require_a_network()
         if len(self._ready) == 1:
             return self._ready[0].network.state()
         states = [member.network.state() for member in self._ready]
@@ -269,7 +269,7 @@ class VPRSNN(Arguments, Method):
         self._ready = [ReadyNetwork.of(*member) for member in zip(self._models(), networks, strict=True)]
         return self
 
-    def _insist_on_a_network(self) -> None:
+    def _require_a_network(self) -> None:
         if not self._ready:
             raise NotFittedError("VPRSNN has no network yet: call fit(references, places) first")
 

@@ -24,8 +24,8 @@ from vprbench.api import (
     NotFittedError,
     Places,
     Scores,
-    insist_on_new_places,
     progress,
+    require_new_places,
 )
 
 from . import fused, training
@@ -122,7 +122,7 @@ class VPRTempo(Arguments, Method, HasCircuit):
         n_known = sum(networks[0].n_places for networks in (self._members, *(known for known, _ in self._grown)))
         if self._latest is None or not self.extends:
             return super().extend(references, places)
-        insist_on_new_places(places, len(references), n_known)
+        require_new_places(places, len(references), n_known)
         n_new, shown = int(places.max()) + 1 - n_known, np.concatenate([self.encode(references), self._latest])
         numbers = np.append(places - n_known, np.full(len(self._latest), n_new))
         spikes = torch.from_numpy(shown).to(self.device)

@@ -15,7 +15,7 @@ from vprbench import api
 from vprbench.api.dataset import Dataset
 from vprbench.api.descriptor import DescriptorMethod, best_image_of_place
 from vprbench.api.images import Images
-from vprbench.api.method import held_together
+from vprbench.api.method import batch_size_for
 from vprbench.api.search import Audit
 from vprbench.errors import BadInput, NotFittedError
 
@@ -120,7 +120,7 @@ def test_large_references_are_encoded_in_smaller_blocks_and_large_codes_held_in_
     method.fit(Images.from_arrays([np.full((height, 1024, 3), 9, np.uint8)] * count), np.zeros(count, np.int64))
     assert max(method.encoded) == at_most
     for code_bytes, together in (0, 100), (1 << 24, 64), ((1 << 28) + 1, 3), (1 << 40, 1):
-        assert held_together(SimpleNamespace(code_bytes=code_bytes), 100) == together
+        assert batch_size_for(SimpleNamespace(code_bytes=code_bytes), 100) == together
 
 
 class Halved(Drawn):

@@ -12,7 +12,7 @@ from PIL import Image as PillowImage
 
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
-from vprbench.data.doctor import as_text, command, examine, insist, quick
+from vprbench.data.doctor import as_text, check_dataset, command, examine, quick
 from vprbench.errors import BadInput, NotThere
 from vprbench.progress import listening
 
@@ -204,12 +204,12 @@ def test_two_traverses_of_the_same_frames_are_an_error_and_the_cheap_checks_deco
 
 
 def test_a_run_is_refused_with_one_line_for_the_first_error_and_given_warnings_but_no_notes(tmp_path, spoilt):
-    lines = insist(spoilt(lambda *_: {"counts": (55,)}))
+    lines = check_dataset(spoilt(lambda *_: {"counts": (55,)}))
     assert lines == tuple(f"{tmp_path / one} holds 60 images; a whole copy has 55" for one in ("winter", "summer"))
     write(tmp_path / "winter", ["000.png"], lambda _: b"")
     write(tmp_path / "summer", ["000.png"], lambda _: PAGE)
     with pytest.raises(BadInput) as refused:
-        insist(dataset_of([tmp_path / "winter"], tmp_path / "summer"))
+        check_dataset(dataset_of([tmp_path / "winter"], tmp_path / "summer"))
     line = str(refused.value)
     assert line.startswith(f"dataset little: 1 file of {tmp_path / 'winter'} is empty (0 bytes): 000.png: ")
     assert line.endswith("(1 more, which the doctor names)")

@@ -16,7 +16,7 @@ from filelock import FileLock
 
 from vprbench.data.fetch import command
 from vprbench.data.fetch.command import Settings, fetch, fetch_command
-from vprbench.data.fetch.entries import Download, Held, Part, downloads, read
+from vprbench.data.fetch.entries import Download, FetchedFile, Part, downloads, read
 from vprbench.data.fetch.received import content_sha256, count_files
 from vprbench.errors import BadInput, NotThere
 from vprbench.plugins import registry
@@ -33,7 +33,7 @@ pytestmark = pytest.mark.usefixtures("on_the_net")
 
 
 def spring(*urls, **stated):
-    return Part("spring.zip", urls, Wanted(unpacked_bytes=4 * CHUNK), {"spring": Held(files=2)}, **stated)
+    return Part("spring.zip", urls, Wanted(unpacked_bytes=4 * CHUNK), {"spring": FetchedFile(files=2)}, **stated)
 
 
 def little(*urls, **changed):
@@ -92,9 +92,9 @@ def test_a_dataset_is_fetched_once(server, url, tmp_path, monkeypatch, capsys, k
 
 def test_named_or_usual_parts_are_fetched_and_what_is_no_archive_kept_as_it_is(server, url, root):
     wanted = Wanted(unpacked_bytes=100)
-    summer = Part("summer.tar.gz", (server.serve("/summer", SUMMER),), wanted, {"summer": Held(files=2)})
+    summer = Part("summer.tar.gz", (server.serve("/summer", SUMMER),), wanted, {"summer": FetchedFile(files=2)})
     wanted = Wanted(plain=True, into="drive", unpacked_bytes=100)
-    drive = Part("drive.h5", (server.serve("/drive", b"events"),), wanted, {"drive": Held(files=1)})
+    drive = Part("drive.h5", (server.serve("/drive", b"events"),), wanted, {"drive": FetchedFile(files=1)})
     both = little(parts={"spring": spring(url), "summer": summer, "drive": drive})
     refused(both, root, "parts: little has no sumer: did you mean summer", parts=["sumer"])
     get(little(parts=both.parts, default=("summer",)), root)
@@ -172,7 +172,7 @@ def test_a_damaged_archive_is_deleted_or_replaced_and_the_next_fetch_is_right(se
 
 def test_a_hostile_archive_or_one_of_other_folders_or_files_changes_nothing_and_is_kept(server, root, capsys):
     lines = f"{hashlib.sha256(b'one').hexdigest()}  1.png\n{hashlib.sha256(b'two').hexdigest()}  2.png\n"
-    stated = {"spring": Held(sha256=hashlib.sha256(lines.encode()).hexdigest(), files=3)}
+    stated = {"spring": FetchedFile(sha256=hashlib.sha256(lines.encode()).hexdigest(), files=3)}
     hostile = tarred({"spring/1.png": b"one"}, [special("spring/2.png", b"2", "/etc/passwd")])
     other = zipped({"spring/2.png": b"two", "spring/1.png": b"One"})
     for content, told in (
@@ -227,7 +227,9 @@ def test_folders_that_are_there_in_part_or_links_are_refused_before_anything_is_
     (root / "spring").symlink_to(tmp_path / "disk")
     refused(little(url), root, f"{root / 'spring'} is a link")
     (root / "spring").unlink()
-    part = Part("both.zip", (url,), Wanted(unpacked_bytes=4 * CHUNK), {"spring": Held(), "summer": Held()})
+    part = Part(
+        "both.zip", (url,), Wanted(unpacked_bytes=4 * CHUNK), {"spring": FetchedFile(), "summer": FetchedFile()}
+    )
     (root / "summer").mkdir()
     (root / "summer" / "1.png").write_bytes(b"mine")
     refused(little(parts={"both": part}), root, f"{root / 'summer'} is there, but not {root / 'spring'}: move it away")

@@ -14,7 +14,7 @@ from scipy.stats import zscore
 from torch import nn
 
 from vprbench.api.images import Images
-from vprbench.api.method import held_together
+from vprbench.api.method import batch_size_for
 from vprbench.api.weights import Weights
 from vprbench.errors import BadInput
 from vprbench.methods import netvlad, patch_netvlad
@@ -108,7 +108,7 @@ def test_a_configuration_of_one_size_has_those_patches_alone_and_the_bytes_of_a_
     assert [made(configuration=each).keeps_descriptors() for each in SIDES] == [False, False, True]
     published = made(n_components=4096, height=480, width=640)
     assert published.code_bytes == 4 * 4096 * (1 + 1131 + 936 + 759)
-    assert held_together(published, 128) == 23
+    assert batch_size_for(published, 128) == 23
 
 
 def test_cancellation_as_published_is_had_on_request(tmp_path):

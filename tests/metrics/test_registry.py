@@ -14,7 +14,7 @@ from small_plan import RUN, install
 from stored_runs import RAIL, ROWS, SAD, run
 
 from vprbench.api.arithmetic import Arithmetic
-from vprbench.cli import main
+from vprbench.cli import attempt, main
 from vprbench.metrics.accuracy import average_precision, pr_curve_multi
 from vprbench.metrics.energy import estimated_joules, synaptic_operations
 from vprbench.metrics.registry import METRICS, Metric
@@ -67,10 +67,9 @@ ONE = ["method=sad", "dataset=synthetic", "dataset.places=20", "dataset.first_qu
 
 def test_an_added_metric_is_in_row_json_csv_and_table(lost, tmp_path, monkeypatch, capfd):
     install(monkeypatch, tmp_path)
-    assert main([*ONE, "metrics=[lost,r100p]"]) == 0
-    assert {"Lost %", "R@100P %"} <= {*capfd.readouterr().out.replace("  ", "\n").split("\n")}
-    assert main([*ONE, "metrics=[lost]", "output=json"]) == 0
-    said = json.loads(capfd.readouterr().out)
+    row = attempt([*ONE, "metrics=[lost,r100p]"]).printed
+    assert {"Lost %", "R@100P %"} <= {*row.replace("  ", "\n").split("\n")}
+    said = json.loads(attempt([*ONE, "metrics=[lost]", "output=json"]).printed)
     assert (said["from_store"], said["lost"]) == (True, 0)
     assert main(["table", "rows=[SAD]", "metrics=[lost]", "stored=true"]) == 0
     assert "| Lost % " in capfd.readouterr().out

@@ -13,7 +13,7 @@ from small_plan import RUN
 from vprbench.cli import main
 from vprbench.jobs import executors
 from vprbench.jobs.job import JobResult
-from vprbench.paper import missing_runs, shelf
+from vprbench.paper import missing_runs, stored_runs
 from vprbench.paper.missing_runs import MissingRun
 from vprbench.paper.plan import Row
 from vprbench.runs.compose import composed
@@ -123,7 +123,7 @@ def test_a_process_is_started_only_for_what_is_not_stored_as_it_would_be_made_no
 ):
     asked = children(JobResult(0))
     for name, value in patched.items():
-        monkeypatch.setattr(shelf, name, lambda _, value=value: value)
+        monkeypatch.setattr(stored_runs, name, lambda _, value=value: value)
     assert fill([wish], Store(made[0] / "results"), [*RUN, *options]) == [JobResult(0)]
     assert len(asked) == n_processes
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import pytest
 from stored_runs import ABACUS, LOOM, PUBLIC, RAIL, RAILWAY, SAD, STREET, TOWN, VPRTEMPO, failure, run
 
-from vprbench.paper.selection import Aside, Group, ResolvedColumn, accuracy_series, groups, of_row, series
-from vprbench.paper.titles import protocol_words
+from vprbench.paper.selection import ExcludedRuns, Group, ResolvedColumn, accuracy_series, groups, of_row, series
+from vprbench.paper.titles import describe_protocol
 
 ROWS = (SAD, VPRTEMPO, PUBLIC)
 FOGGY = ResolvedColumn(RAIL.planned, {**RAILWAY, "fog": 0.5, "root": None})
@@ -122,17 +122,23 @@ LOADED = run(day="2025-03-01", network="5a" * 32, fit_seconds=None)
     [
         (VPRTEMPO, [OLD[2], OLD[0]], [OLD[0], OLD[2]], (1,), ()),
         (VPRTEMPO, [*OLD[:2], TIMED_OTHERWISE], [*OLD[:2], TIMED_OTHERWISE], (), ()),
-        (SAD, [TRAINED, run(seed=7)], [TRAINED], (), (Aside(1, "of seeds that were not asked for"),)),
+        (SAD, [TRAINED, run(seed=7)], [TRAINED], (), (ExcludedRuns(1, "of seeds that were not asked for"),)),
         (SAD, [TRAINED, run(device="cuda:1")], [TRAINED], (), ()),
         *(
-            (VPRTEMPO, [*OLD[:2], tempo(2, **changes)], OLD[:2], (2,), (Aside(1, "of other", (difference,)),))
+            (VPRTEMPO, [*OLD[:2], tempo(2, **changes)], OLD[:2], (2,), (ExcludedRuns(1, "of other", (difference,)),))
             for difference, changes in OTHERS.items()
         ),
         # of incomplete sets the one with the newest run, but first a complete one, and a network that was trained
-        (VPRTEMPO, [*OLD[:2], NEWER], [NEWER], (1, 2), (Aside(2, "of other", ("code",)),)),
-        (VPRTEMPO, [*OLD, NEWER], OLD, (), (Aside(1, "of other", ("code",)),)),
-        (SAD, [LOADED, TRAINED], [TRAINED], (), (Aside(1, "of other", ("network",)),)),
-        (SAD, [run(day="2025-01-02"), TRAINED], [run(day="2025-01-02")], (), (Aside(1, "measured again since"),)),
+        (VPRTEMPO, [*OLD[:2], NEWER], [NEWER], (1, 2), (ExcludedRuns(2, "of other", ("code",)),)),
+        (VPRTEMPO, [*OLD, NEWER], OLD, (), (ExcludedRuns(1, "of other", ("code",)),)),
+        (SAD, [LOADED, TRAINED], [TRAINED], (), (ExcludedRuns(1, "of other", ("network",)),)),
+        (
+            SAD,
+            [run(day="2025-01-02"), TRAINED],
+            [run(day="2025-01-02")],
+            (),
+            (ExcludedRuns(1, "measured again since"),),
+        ),
     ],
 )
 def test_runs_that_differ_in_more_than_their_seed_are_never_put_together(row, stored, runs, missing, aside):
@@ -178,7 +184,7 @@ def test_series_are_the_rows_with_runs_under_the_names_of_the_table_and_a_protoc
     assert [one.name for one in series(group, ROWS, "cuda")] == ["SAD"]
     protocol = {"references": ("sun", "rain"), "places": 450, "query_places": 360}
     made = run(protocol=protocol | {"repeated_images": {"sun": 5, "rain": 2}})
-    assert protocol_words(made) == "references sun+rain, repeated images 5 in sun+2 in rain"
+    assert describe_protocol(made) == "references sun+rain, repeated images 5 in sun+2 in rain"
 
 
 def test_accuracy_is_taken_from_the_device_with_more_seeds_and_of_equals_the_cpu():

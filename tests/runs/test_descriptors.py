@@ -18,7 +18,7 @@ from vprbench.api.weights import Weights
 from vprbench.errors import BadInput
 from vprbench.metrics.ranking import outcome, outcome_of_best, ranked_places
 from vprbench.runs import descriptors, fitting, runner, shortlist
-from vprbench.runs.descriptors import Described
+from vprbench.runs.descriptors import DescriptorCache
 from vprbench.runs.identity import Request
 from vprbench.runs.stopwatch import Protocol, Stopwatch
 from vprbench.storage import shards
@@ -156,7 +156,7 @@ def some(images):
 def describe(folder, encode=some, images=pictures(range(N))):  # noqa: B008 - it does not change
     """Return the descriptors of a traverse, how many were kept, and how many images were told to be done."""
     done = []
-    made, kept = Described(folder, {"method": "m"}).descriptors(images, encode, done.append)
+    made, kept = DescriptorCache(folder, {"method": "m"}).descriptors(images, encode, done.append)
     return made[:], kept, done
 
 
@@ -224,7 +224,7 @@ def test_an_error_while_encoding_leaves_nothing_and_descriptors_go_through_memor
         describe(tmp_path, wide, MANY)
     assert not list(tmp_path.glob("*/*"))
     tracemalloc.start()
-    Described(tmp_path, {}).descriptors(MANY, wide, lambda done: None)
+    DescriptorCache(tmp_path, {}).descriptors(MANY, wide, lambda done: None)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert taken[4] >= 1024 * 10_000 * 4  # the room of a shard is taken before it is filled

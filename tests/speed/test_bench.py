@@ -146,7 +146,7 @@ def test_what_cannot_be_measured_says_why_in_its_cell_and_no_other_section_is_to
     few = ["search_references=20", "search_queries=5", "search_dimensions=4"]
     options = ["threads=1", "quick=true", "sizes=[10]", "sections=[training,fits,queries,search,scaling]", *few]
     report = bench.measure(settings := chosen(Settings, options, QUICK), make)
-    told = bench.text_of(report)
+    told = bench.to_text(report)
     assert [len(report.sections[name]) for name in settings.sections] == [2, 2, 6, 4, 2]
     failures = report.failures
     assert len(failures) == 2 + 2 + 6 + 1 + 2

@@ -67,7 +67,7 @@ def a_search(**changes):
 
 def test_a_search_is_told_as_it_is_stored():
     # the sample deviation of 30, 40, 50, 60 and 70 is sqrt(1000 / 4) = 15.8
-    assert text.text_of(a_search()) == (ROOT / "tests/tuning/search.md").read_text(encoding="utf-8")
+    assert text.to_text(a_search()) == (ROOT / "tests/tuning/search.md").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(
@@ -87,8 +87,8 @@ def test_a_search_is_told_as_it_is_stored():
     ],
 )
 def test_what_is_peculiar_to_a_search_is_told(changes, told):
-    assert told in text.text_of(a_search(**changes))
-    assert told not in text.text_of(a_search())
+    assert told in text.to_text(a_search(**changes))
+    assert told not in text.to_text(a_search())
 
 
 @pytest.mark.parametrize(
@@ -100,7 +100,7 @@ def test_what_is_peculiar_to_a_search_is_told(changes, told):
     ],
 )
 def test_the_verdict_is_that_of_the_places_held_out_and_stands_above_the_command(checked, warning, winner):
-    told = text.text_of(a_search(compared={"searched": BETTER, "checked": checked}))
+    told = text.to_text(a_search(compared={"searched": BETTER, "checked": checked}))
     assert told.partition("## Run the best settings")[2].partition("```")[0].strip() == warning
     best = told.partition("## Best against paper")[2].partition("Seed by seed")[0]
     for name in ("best", "paper's"):
@@ -144,6 +144,6 @@ def test_files_are_written_by_dataset_and_size_and_into_the_study_and_the_text_n
     printed = text.write(found, tmp_path)
     for place, name in ((tmp_path, stem), (found.folder, "search")):
         written = {path.name: path.read_text(encoding="utf-8") for path in place.iterdir() if path.is_file()}
-        assert written == {f"{name}.csv": text.trials_csv(found), f"{name}.md": text.text_of(found)}
+        assert written == {f"{name}.csv": text.trials_csv(found), f"{name}.md": text.to_text(found)}
     assert printed.startswith("# Hyperparameter search")
     assert printed.endswith(f"written to {tmp_path / stem}.md and {tmp_path / stem}.csv, and into {found.folder}\n")

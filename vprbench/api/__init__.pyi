@@ -39,7 +39,7 @@ from .frame_cache import frames_kept as frames_kept
 from .frame_cache import kept_frames as kept_frames
 from .gabor import GaborBank as GaborBank
 from .growing import Growing as Growing
-from .growing import insist_on_new_places as insist_on_new_places
+from .growing import require_new_places as require_new_places
 from .hamming import packed as packed
 from .image_formats import IMAGE_SUFFIXES as IMAGE_SUFFIXES
 from .image_formats import is_beside as is_beside

@@ -28,7 +28,7 @@ def read_image(path: Path) -> Image:
         if (pixels := _decoded_png(path)) is not None:
             return pixels
         with open_image(path) as image:
-            _insist_on_size(image)
+            _require_size(image)
             if image.mode.startswith("I"):
                 return as_rgb((np.asarray(image) >> 8).astype(np.uint8))
             if image.mode == "RGB":
@@ -42,7 +42,7 @@ def read_image(path: Path) -> Image:
         raise BadInput(f"{path} cannot be read as an image ({reason}): replace the file; none is skipped") from error
 
 
-def _insist_on_size(image: PillowImage.Image) -> None:
+def _require_size(image: PillowImage.Image) -> None:
     most = PillowImage.MAX_IMAGE_PIXELS
     if most is not None and image.width * image.height > most:
         raise ValueError(f"{image.width} x {image.height} pixels; at most {most:,} may be decoded")

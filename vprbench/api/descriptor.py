@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from vprbench import progress
 from vprbench.api.arrays import Descriptors, Places, Scores
-from vprbench.api.growing import Growing, insist_on_new_places
+from vprbench.api.growing import Growing, require_new_places
 from vprbench.api.method import Method
 from vprbench.api.search import Audit, Mapped, Search, agreement, check_index
 from vprbench.api.search_indexes import Kind
@@ -58,7 +58,7 @@ class DescriptorMethod(Method):
         Such shards lie in the folder VPRBENCH_SCRATCH, or one in the user's cache, until nobody holds them.
         """
         self.searched = None
-        self.insist_on_index(len(references))
+        self.require_index(len(references))
         descriptors = np.empty((0, 0), np.float32)
         done = 0
         for block in encoded_blocks(references):
@@ -92,7 +92,7 @@ class DescriptorMethod(Method):
         known = self._indexed()
         if not self.extends:
             return super().extend(references, places)
-        insist_on_new_places(places, len(references), int(known.places.max()) + 1)
+        require_new_places(places, len(references), int(known.places.max()) + 1)
         vectors, numbers = self._grown = self._grown or (Growing(known.references[:]), Growing(known.places))
         vectors.append(np.concatenate([*map(self.encode, encoded_blocks(references))]))
         numbers.append(places)
@@ -114,7 +114,7 @@ class DescriptorMethod(Method):
         weakref.finalize(shards, shutil.rmtree, folder, ignore_errors=True)
         return shards
 
-    def insist_on_index(self, n_references: int) -> None:
+    def require_index(self, n_references: int) -> None:
         """Raise BadInput if `index` cannot be made of so many references, before they are encoded."""
         check_index(self.index, self.neighbours, n_references, self.rerank, self.probes)
 

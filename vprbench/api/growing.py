@@ -34,7 +34,7 @@ class Growing:
         self._n = n
 
 
-def insist_on_new_places(places: Places, n_images: int, n_known: int) -> None:
+def require_new_places(places: Places, n_images: int, n_known: int) -> None:
     """Raise BadInput unless `places` (n_images,) are the numbers from `n_known` on, each at least once."""
     numbers = np.unique(places)
     if len(places) != n_images or not n_images or not np.array_equal(numbers, n_known + np.arange(len(numbers))):

@@ -170,7 +170,7 @@ class _Coded(Protocol):
     def code_bytes(self) -> int: ...
 
 
-def held_together(method: _Coded, wanted: int) -> int:
+def batch_size_for(method: _Coded, wanted: int) -> int:
     """Return how many codes of a method are held together: `wanted`, fewer if they would fill more than 1 GiB."""
     code_bytes = method.code_bytes
     return min(wanted, max(1, _CODES_BYTES // code_bytes)) if code_bytes else wanted

@@ -36,7 +36,7 @@ def decoded(content: bytes) -> Image | None:
         image = cv2.imdecode(np.frombuffer(content, np.uint8), flags)
         if image is not None:
             return np.asarray(image, np.uint8)
-    _insist_on_pixels(content)
+    _require_pixels(content)
     return None
 
 
@@ -75,7 +75,7 @@ def _is_plain_header(kind: bytes, content: memoryview) -> bool:
     return small and bits == 8 and colour in _KINDS and not any(ways)
 
 
-def _insist_on_pixels(content: bytes) -> None:
+def _require_pixels(content: bytes) -> None:
     """Raise ValueError for a PNG whose compressed pixels come to a proper end, but before the last row.
 
     What is wrong in any other way is left to the decoder, which finds it. Nothing that is unpacked is kept.

@@ -119,7 +119,7 @@ def load_strictly(module: nn.Module, tensors: Mapping[str, Tensor], path: Path, 
                 there.copy_(values)
     _refuse({"not finite": wild}, path, module)
     module.load_state_dict(assigned, strict=False, assign=True)
-    _insist_on_real(module)
+    _require_real(module)
 
 
 def without_prefix(tensors: Mapping[str, Tensor], *prefixes: str) -> dict[str, Tensor]:
@@ -193,7 +193,7 @@ def _refuse(problems: Mapping[str, list[str]], path: Path, module: nn.Module) ->
         )
 
 
-def _insist_on_real(module: nn.Module) -> None:
+def _require_real(module: nn.Module) -> None:
     unreal = [name for name, value in [*module.named_parameters(), *module.named_buffers()] if value.is_meta]
     if unreal:
         raise RuntimeError(

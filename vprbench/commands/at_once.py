@@ -39,7 +39,7 @@ COMMANDS: dict[str, Command] = {
     ),
     "new": Command("vprbench.commands.working:new", "vprbench.plugins.new:Settings", words="method|dataset NAME"),
     "doctor": Command("vprbench.commands.working:doctor", groups=("dataset",), run=("output",)),
-    "status": Command("vprbench.commands.at_once:show_status", "vprbench.runs.status:Asked"),
+    "status": Command("vprbench.commands.at_once:show_status", "vprbench.runs.status:StatusOptions"),
     "fetch": Command("vprbench.commands.working:fetch", "vprbench.data.fetch.command:Settings", words="[NAME]"),
     "table": Command("vprbench.commands.working:table", "vprbench.paper.gather:TableRequest", ("timing",), None),
     "figures": Command("vprbench.commands.working:figures", "vprbench.paper.gather:TableRequest", ("timing",), None),
@@ -118,10 +118,10 @@ def show_list(words: Sequence[str]) -> None:
 def show_status(words: Sequence[str]) -> None:
     """Show which runs of a results folder are made now, by whom and how far, and how many are stored."""
     from vprbench.plugins.options import chosen
-    from vprbench.runs.status import Asked, row, status
+    from vprbench.runs.status import StatusOptions, row, status
     from vprbench.terminal.console import console, show_table
 
-    asked = chosen(Asked, words, {})
+    asked = chosen(StatusOptions, words, {})
     found = status(asked.results)
     if asked.output == "json":
         print(json.dumps(found))

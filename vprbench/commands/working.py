@@ -19,7 +19,7 @@ from vprbench.text import printable
 
 if TYPE_CHECKING:
     from vprbench.paper.gather import TableRequest
-    from vprbench.paper.shelf import Compose
+    from vprbench.paper.stored_runs import Compose
 
 _NOT_OF_TABLES = ("method", "dataset", "corruption", "seed", "device", "output", "save", "load")
 

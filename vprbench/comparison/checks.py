@@ -9,12 +9,12 @@ from typing import Any
 
 from vprbench.api.dataset import Dataset
 from vprbench.api.descriptor import DescriptorMethod
-from vprbench.comparison.request import Asked
-from vprbench.data.doctor import insist
+from vprbench.comparison.request import SortedOptions
+from vprbench.data.doctor import check_dataset
 from vprbench.errors import BadInput, NotFittedError, NotThere
 from vprbench.paper.plan import PlannedColumn, Row
 from vprbench.paper.selection import ResolvedColumn
-from vprbench.paper.shelf import Compose
+from vprbench.paper.stored_runs import Compose
 from vprbench.plugins import registry
 from vprbench.progress import progress_shown, report
 from vprbench.runs.adaptation import adaptation
@@ -42,7 +42,7 @@ class Checked:
     images: str  # fingerprint of its frames
 
 
-def checked(asked: Asked, compose: Compose) -> tuple[Checked | None, list[str]]:
+def checked(asked: SortedOptions, compose: Compose) -> tuple[Checked | None, list[str]]:
     """Return what a comparison consists of, and what is wrong with it, a line each; None if anything is.
 
     The dataset and every method are built, and weights are looked for. For stored=true nothing has to be there.
@@ -60,7 +60,7 @@ def checked(asked: Asked, compose: Compose) -> tuple[Checked | None, list[str]]:
     with progress_shown("compare"):
         try:
             dataset = registry.make_dataset(config["dataset"])
-            insist(dataset)
+            check_dataset(dataset)
             images = fingerprint(dataset)
         except BadInput as error:
             wrong += [] if stored else [str(error)]
@@ -79,10 +79,10 @@ def checked(asked: Asked, compose: Compose) -> tuple[Checked | None, list[str]]:
     return Checked(column, tuple(cells), settings, dataset, images), []
 
 
-def _cell(name: str, asked: Asked, options: Sequence[str], dataset: Dataset | None, compose: Compose) -> Cell:
+def _cell(name: str, asked: SortedOptions, options: Sequence[str], dataset: Dataset | None, compose: Compose) -> Cell:
     """Look at one method; raises BadInput for what is wrong with it."""
     known = registry.entries("method")
-    registry.insist_on_one("method", name)
+    registry.require_one("method", name)
     given = asked.of_methods[name]
     if unknown := _unknown("method", name, given):
         raise BadInput(unknown)
@@ -104,7 +104,7 @@ def _cell(name: str, asked: Asked, options: Sequence[str], dataset: Dataset | No
         method = registry.make_method(config["method"])
         adapted = {} if dataset is None else adaptation(method, dataset.n_places, config)
         if dataset is not None and isinstance(method, DescriptorMethod):
-            method.insist_on_index(len(dataset.references))
+            method.require_index(len(dataset.references))
         if not list(method.files()) and dataset is not None:
             with suppress(NotFittedError):
                 registry.make_method({**config["method"], **adapted}).encode(dataset.references[:1].unnamed())

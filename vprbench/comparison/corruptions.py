@@ -7,13 +7,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from vprbench.comparison.checks import Checked
-from vprbench.comparison.request import Asked
+from vprbench.comparison.request import SortedOptions
 from vprbench.errors import BadInput
 from vprbench.jobs.executors import Executor
 from vprbench.jobs.job import JobResult
-from vprbench.paper.gather import Chosen, made, wanted
+from vprbench.paper.gather import TablePlan, made, wanted
 from vprbench.paper.plan import Row
-from vprbench.paper.shelf import Compose
+from vprbench.paper.stored_runs import Compose
 from vprbench.progress import progress_shown
 from vprbench.runs.corrupted_frames import corrupted
 from vprbench.runs.corruption import Corruption, corruptions
@@ -38,10 +38,10 @@ def under(found: Checked, names: Sequence[str]) -> dict[Corruption, Checked]:
 
 
 def make_missing(
-    chosen: Chosen,
+    chosen: TablePlan,
     rows: Sequence[Row],
     spoilt: dict[Corruption, Checked],
-    asked: Asked,
+    asked: SortedOptions,
     compose: Compose,
     executor: Executor | None = None,
 ) -> list[JobResult]:

@@ -12,22 +12,22 @@ import pandas as pd
 from vprbench.comparison.checks import Cell, Checked, checked
 from vprbench.comparison.corruptions import make_missing, under
 from vprbench.comparison.quantities import quantities
-from vprbench.comparison.request import Asked
+from vprbench.comparison.request import SortedOptions
 from vprbench.jobs.executors import executor_for
 from vprbench.jobs.job import JobResult
 from vprbench.paper.figures.make import draw_all, write_figures
-from vprbench.paper.gather import Chosen, Material, assembled, made, stored, wanted
+from vprbench.paper.gather import ReportData, TablePlan, assembled, made, stored, wanted
 from vprbench.paper.page.make import write_page
 from vprbench.paper.plan import Growth, Plan
 from vprbench.paper.ranking import Ranking, ranked
 from vprbench.paper.robustness import Robustness, csv, lines, markdown, robustness
 from vprbench.paper.selection import Group, accuracy_series, as_text, groups
-from vprbench.paper.shelf import Compose
+from vprbench.paper.stored_runs import Compose
 from vprbench.paper.table import words
 from vprbench.paper.table.cells import TableRow
 from vprbench.paper.table.make import exit_code, write
 from vprbench.paper.table.quantities import RECALL, Quantity
-from vprbench.paper.titles import protocol_words
+from vprbench.paper.titles import describe_protocol
 from vprbench.paper.viewed import seen
 from vprbench.progress import progress_shown
 from vprbench.runs import rows
@@ -42,7 +42,7 @@ _NO_PLAN = Plan({}, {}, {}, Growth((), (), (), 0, {}))
 _LEAST = ("peak MB", "AUC-PR (A)", "R@5 %")  # columns that a narrow terminal lacks first
 
 
-def make_comparison(asked: Asked, compose: Compose) -> int:
+def make_comparison(asked: SortedOptions, compose: Compose) -> int:
     """Compare methods on one dataset; returns the exit code: 1 where a run failed, 2 for input to be mended."""
     found, wrong = checked(asked, compose)
     if found is None:
@@ -73,10 +73,10 @@ def make_comparison(asked: Asked, compose: Compose) -> int:
     return exit_code(endings)
 
 
-def chosen_of(found: Checked, asked: Asked) -> Chosen:
+def chosen_of(found: Checked, asked: SortedOptions) -> TablePlan:
     """Return the rows and the one column of a comparison, as a table has them."""
     request = asked.request
-    return Chosen(
+    return TablePlan(
         _NO_PLAN,
         tuple(cell.row for cell in found.cells),
         (found.column,),
@@ -92,12 +92,12 @@ def chosen_of(found: Checked, asked: Asked) -> Chosen:
 
 
 def ranked_material(
-    chosen: Chosen,
+    chosen: TablePlan,
     found: Checked,
     known: Sequence[Run],
     failures: Sequence[Failure],
     endings: Sequence[JobResult] = (),
-) -> tuple[Material, list[Ranking]]:
+) -> tuple[ReportData, list[Ranking]]:
     """Put the runs of a comparison into one table, best first, rows without runs last; other stored runs stay out.
 
     There is a ranking for each view that was asked for; the first orders the rows. Raises BadInput if there is no run.
@@ -117,7 +117,7 @@ def ranked_material(
     return assembled(replace(chosen, rows=tuple(ordered)), shown, there.runs, tuple(endings)), rankings
 
 
-def newest(chosen: Chosen, found: Checked, known: Sequence[Run]) -> Group:
+def newest(chosen: TablePlan, found: Checked, known: Sequence[Run]) -> Group:
     """Return the stored runs of a comparison, of several protocols those with the newest run."""
     runs = [run for run in known if _is_of(run, found)]
     runs = [_as_asked(run, cell, found) for run in runs for cell in found.cells if cell.row.method == run.method]
@@ -146,15 +146,15 @@ def _as_asked(run: Run, cell: Cell, found: Checked) -> Run:
     return replace(run, config=config, query_breaks=gaps[0], place_breaks=gaps[1])
 
 
-def show(found: Material, rankings: Sequence[Ranking], wide: bool = False) -> None:
+def show(found: ReportData, rankings: Sequence[Ranking], wide: bool = False) -> None:
     """Print notes, the ranked table and what tests say of it; of several views R@1 alone, side by side."""
     table = found.table
     if len(table.columns) == 1:
         print(told(f"{table.title}: {words.data(table.columns[0])}"))
     else:
-        print(told(f"{table.title}: {table.columns[0].n_places or 0:,} places; {protocol_words(found.runs[0])}"))
+        print(told(f"{table.title}: {table.columns[0].n_places or 0:,} places; {describe_protocol(found.runs[0])}"))
         for run in (group.runs[0] for group in found.groups if group.runs):
-            print(told(f"{rows.view_words(run, whole=True)}: {len(run.outcome):,} queries"))
+            print(told(f"{rows.describe_view(run, whole=True)}: {len(run.outcome):,} queries"))
     for row in table.rows:
         numbers = sorted({number for cell in row.cells.values() for number in cell.notes})
         for number in numbers:
@@ -174,10 +174,10 @@ def show(found: Material, rankings: Sequence[Ranking], wide: bool = False) -> No
 
 def _short(group: Group) -> str:
     """Return what tells a group of a comparison from the others."""
-    return rows.view_words(group.runs[0]) if group.runs else "no run"
+    return rows.describe_view(group.runs[0]) if group.runs else "no run"
 
 
-def _shown(found: Material, row: TableRow, quantities: Sequence[Quantity]) -> Iterator[str]:
+def _shown(found: ReportData, row: TableRow, quantities: Sequence[Quantity]) -> Iterator[str]:
     for column in found.table.columns:
         cells = [words.of_cell(found.table, row, column, quantity) for quantity in quantities]
         for number, cell in enumerate(cells):
@@ -185,7 +185,7 @@ def _shown(found: Material, row: TableRow, quantities: Sequence[Quantity]) -> It
             yield " ".join(filter(None, [told, cell.value, cell.extent]))
 
 
-def written(found: Material, beside_others: bool, robust: Robustness | None = None) -> list[Path]:
+def written(found: ReportData, beside_others: bool, robust: Robustness | None = None) -> list[Path]:
     """Write the table, its runs, figures and page of a comparison into the results folder; returns the files.
 
     If `beside_others`, files of this name that are of other frames stay: the new ones get the frames' hash.

@@ -51,7 +51,7 @@ class Request(ClusterOptions):
 
 
 @dataclass(frozen=True)
-class Asked:
+class SortedOptions:
     """The options of a comparison, by what they are of."""
 
     request: Request
@@ -60,7 +60,7 @@ class Asked:
     of_runs: tuple[str, ...]  # as the command line has them
 
 
-def asked(options: Sequence[str]) -> Asked:
+def asked(options: Sequence[str]) -> SortedOptions:
     """Sort the options of the command line; raises BadInput for those of no comparison."""
     own: list[str] = []
     of_dataset: list[str] = []
@@ -100,7 +100,7 @@ def asked(options: Sequence[str]) -> Asked:
     if not any(option.startswith("timing=") for option in of_runs):
         of_runs = ["timing=quick", *of_runs]
     of_runs += request.threads(of_runs)
-    return Asked(request, methods, tuple(of_dataset), tuple(of_runs))
+    return SortedOptions(request, methods, tuple(of_dataset), tuple(of_runs))
 
 
 def _is_of(option: str, name: str) -> bool:

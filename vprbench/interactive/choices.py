@@ -19,7 +19,7 @@ from vprbench.api.method import Method
 from vprbench.errors import BadInput
 from vprbench.interactive import short
 from vprbench.plugins import registry
-from vprbench.plugins.entries import Group, entries, insist_on_one
+from vprbench.plugins.entries import Group, entries, require_one
 from vprbench.runs.compose import composed_in_python
 from vprbench.runs.sources import source_hash
 from vprbench.text import near
@@ -214,7 +214,7 @@ def _alike(recorded: Any, default: Any) -> bool:
 def _insist(group: Group, asked: str, options: Mapping[str, Any]) -> str:
     """Return the name of an entry, which may be in a loose file; raises BadInput."""
     name = registry.named(group, asked)
-    insist_on_one(group, name)
+    require_one(group, name)
     known = entries(group)
     if name not in known:
         raise BadInput(f"{group} {name} is unknown: {near(name, known)}")

@@ -22,7 +22,7 @@ from vprbench.paper.table.quantities import RATES
 from vprbench.runs import rows
 from vprbench.runs.record import Failure
 from vprbench.runs.sequences import views
-from vprbench.runs.settings import insist_on_metrics
+from vprbench.runs.settings import require_metrics
 from vprbench.text import plural
 
 if TYPE_CHECKING:
@@ -157,7 +157,7 @@ def compare(
     and checked before the first runs; one whose weights are not there is left out, with a warning. Raises what `run`
     raises, and BadInput, a line for each thing that is wrong.
     """
-    metrics = insist_on_metrics(metrics)
+    metrics = require_metrics(metrics)
     asked = views(sequence)
     numbers = list(range(seeds)) if isinstance(seeds, int) else list(seeds)
     unusable = not numbers or min(numbers) < 0 or len({*numbers}) < len(numbers)

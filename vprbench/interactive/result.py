@@ -19,7 +19,7 @@ from vprbench.runs.query_results import RIGHT, UNANSWERABLE, judged
 from vprbench.runs.rates import streaming_rate
 from vprbench.runs.recall_intervals import interval_between, recall_interval
 from vprbench.runs.record import Run
-from vprbench.runs.sequences import Seen, views
+from vprbench.runs.sequences import Views, views
 from vprbench.runs.stopwatch import Timing
 from vprbench.runs.tuned import all_notes
 from vprbench.runs.views import queries_shown
@@ -125,7 +125,7 @@ class Result:
         """
         return self.seen(views(None, options)[0])
 
-    def seen(self, view: Seen) -> Result:
+    def seen(self, view: Views) -> Result:
         """Return the result of a view of its run."""
         run = view(self.run)
         kept = np.searchsorted(queries_shown(self.run), queries_shown(run)).tolist()
@@ -151,7 +151,7 @@ class Result:
 
     def __repr__(self) -> str:
         row = rows.readable_row(self.run)
-        of = ", ".join(filter(None, [self.run.dataset, rows.view_words(self.run)]))
+        of = ", ".join(filter(None, [self.run.dataset, rows.describe_view(self.run)]))
         return short(f"<{self.name} on {of}: R@1 {row['R@1 % [95 %]']} %, {len(self.queries):,} queries>")
 
     def _repr_html_(self) -> str:

@@ -20,7 +20,7 @@ from typing import IO, cast
 from vprbench.jobs import job
 from vprbench.jobs.gpus import free_gpu
 from vprbench.jobs.job import Job, JobResult
-from vprbench.plugins.entries import as_asked
+from vprbench.plugins.entries import with_plugin_paths
 from vprbench.progress import MARKED
 from vprbench.runs.store import Store
 from vprbench.storage.atomic import scratch
@@ -46,7 +46,7 @@ def run_job(
     `stopped`. A process that dies is a failure with its exit code or signal, which one line on standard error tells.
     Raises KeyboardInterrupt if this process is interrupted, after the other one has ended.
     """
-    options = [*map(as_asked, options)]
+    options = [*map(with_plugin_paths, options)]
     with scratch() as place, free_gpu(options, stopped) as gpu:
         Job(tuple(options), since, os.getpid()).write(place)
         given = _environment({job.FOLDER: str(place), **({MARKED: "1"} if heard else {}), **gpu})

@@ -19,7 +19,7 @@ from typing import Any, NoReturn, Self
 
 import dask
 from distributed import Client, KilledWorker, LocalCluster, TimeoutError, wait
-from distributed import Future as Asked
+from distributed import Future as RemoteFuture
 
 from vprbench import __version__
 from vprbench.errors import BadInput, ClusterLostError
@@ -28,8 +28,8 @@ from vprbench.jobs.child import results_of
 from vprbench.jobs.executors import Callbacks
 from vprbench.jobs.job import JobResult
 from vprbench.jobs.options import ClusterOptions
-from vprbench.jobs.worker import Done, Order, make, put_in, stop
-from vprbench.plugins.entries import as_asked
+from vprbench.jobs.worker import RemoteJob, RemoteResult, make, put_in, stop
+from vprbench.plugins.entries import with_plugin_paths
 from vprbench.progress import marked
 from vprbench.runs.store import Store
 from vprbench.storage.atomic import unfinished
@@ -57,7 +57,7 @@ class DaskExecutor:
         self._options = options
         self._opened = contextlib.ExitStack()
         self._sweep = f"vprbench-{uuid.uuid4().hex}"
-        self._running: dict[Asked[Done], tuple[Order, Future[JobResult]]] = {}
+        self._running: dict[RemoteFuture[RemoteResult], tuple[RemoteJob, Future[JobResult]]] = {}
         self._hosts: dict[int, list[str]] = {}  # on which a run was begun
         self._put_back: Counter[int] = Counter()  # how often, for workers that died while it waited
         self._shared: dict[Path, Path] = {}  # the file by which workers see that they share a results folder
@@ -86,7 +86,7 @@ class DaskExecutor:
             logging.getLogger(name).setLevel(logging.CRITICAL)  # what becomes of runs is told here
         self._opened.enter_context(dask.config.set(_SETTINGS))
         client = _connected(self._options, self._opened)
-        client.subscribe_topic(self._sweep, self._told)
+        client.subscribe_topic(self._sweep, self._on_event)
         bokeh = "" if importlib.util.find_spec("bokeh") else " (pip install bokeh, and it shows something)"
         logger.info("dask's dashboard: %s%s", client.dashboard_link, bokeh)
         return client
@@ -106,10 +106,10 @@ class DaskExecutor:
             Store(root).prepare()
             self._shared[root] = unfinished(root, "-shared")
             self._shared[root].touch()
-        order = Order(
+        order = RemoteJob(
             sweep=self._sweep,
             number=number,
-            options=tuple(map(as_asked, options)),  # a loose file has its name in this process alone
+            options=tuple(map(with_plugin_paths, options)),  # a loose file has its name in this process alone
             folder=str(Path.cwd()),
             since=since,
             shared=str(self._shared[root]),
@@ -118,7 +118,7 @@ class DaskExecutor:
         self._send(order, future)
         return future
 
-    def _send(self, order: Order, future: Future[JobResult]) -> None:
+    def _send(self, order: RemoteJob, future: Future[JobResult]) -> None:
         asked = self._client.submit(make, order, key=f"run-{uuid.uuid4().hex}", pure=False)
         self._running[asked] = order, future
 
@@ -131,7 +131,7 @@ class DaskExecutor:
             else:
                 future.set_result(self._result(order, asked))
 
-    def _only_waited(self, number: int, future: Asked[Done]) -> bool:
+    def _only_waited(self, number: int, future: RemoteFuture[RemoteResult]) -> bool:
         """Tell whether dask has given up a run for workers that died while it waited for them, and not of it."""
         if not isinstance(future.exception(), KilledWorker) or len(self._hosts.get(number, ())) >= _ATTEMPTS:
             return False
@@ -143,10 +143,10 @@ class DaskExecutor:
         executor: Executor = self._client.get_executor(pure=False)
         return executor
 
-    def _done(self, running: Iterable[Asked[Any]]) -> set[Asked[Any]]:
+    def _done(self, running: Iterable[RemoteFuture[Any]]) -> set[RemoteFuture[Any]]:
         """Wait for a moment and return which have ended; raises ClusterLostError if none ever will."""
         try:
-            done: set[Asked[Any]] = wait([*running], timeout=1, return_when="FIRST_COMPLETED").done
+            done: set[RemoteFuture[Any]] = wait([*running], timeout=1, return_when="FIRST_COMPLETED").done
         except TimeoutError:
             done = set()
         except CancelledError as error:
@@ -155,7 +155,7 @@ class DaskExecutor:
             raise self._lost()
         return done
 
-    def _result(self, order: Order, future: Asked[Done]) -> JobResult:
+    def _result(self, order: RemoteJob, future: RemoteFuture[RemoteResult]) -> JobResult:
         """Return what came of a run; raises BadInput for workers that can make none."""
         error = future.exception()
         begun = self._hosts.pop(order.number, ["a worker"])
@@ -174,7 +174,7 @@ class DaskExecutor:
             put_in(done.files, Store(results_of(order.options)))
         return done.result
 
-    def _told(self, event: tuple[float, dict[str, Any]]) -> None:
+    def _on_event(self, event: tuple[float, dict[str, Any]]) -> None:
         """Pass on what a worker tells of a run."""
         number, host, line = (event[1][name] for name in ("run", "host", "line"))
         if line is not None:

@@ -79,7 +79,7 @@ def lost(options: Sequence[str], result: JobResult) -> Failure:
     """Return the failure of a run whose process could not store it, under the key that the run itself has."""
     config = composed(options)
     name = next((option.partition("=")[2] for option in options if option.startswith("method=")), "sad")
-    asked = {each: config[each] for each in RECORDED} | {"overrides": list(map(registry.as_asked, options))}
+    asked = {each: config[each] for each in RECORDED} | {"overrides": list(map(registry.with_plugin_paths, options))}
     asked["method"] = registry.declared(name, asked["method"])[0]
     dataset = str(asked["dataset"].get("name", "dataset"))
     return Failure(name, dataset, asked, result.error, machine.capture("cpu", 1), result.missing)

@@ -24,7 +24,7 @@ _stopped: dict[str, Event] = {}  # by sweep
 
 
 @dataclass(frozen=True)
-class Order:
+class RemoteJob:
     """One run, as a client asks for it."""
 
     sweep: str  # the topic under which the client hears of it
@@ -37,14 +37,14 @@ class Order:
 
 
 @dataclass(frozen=True)
-class Done:
+class RemoteResult:
     """What came of a run."""
 
     result: JobResult
     files: dict[str, bytes] = field(default_factory=dict)  # that it stored, if the disks differ
 
 
-def make(order: Order) -> Done:
+def make(order: RemoteJob) -> RemoteResult:
     """Make a run; raises BadInput if this vprbench is not the client's."""
     host = socket.gethostname()
     if order.version != vprbench.__version__:
@@ -67,7 +67,7 @@ def make(order: Order) -> Done:
         stopped=stopped.is_set,
         folder=order.folder if Path(order.folder).is_dir() else None,
     )
-    return Done(result, {} if shared else taken_out(own))
+    return RemoteResult(result, {} if shared else taken_out(own))
 
 
 def taken_out(results: Path) -> dict[str, bytes]:

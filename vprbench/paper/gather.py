@@ -20,15 +20,15 @@ from vprbench.paper.left_out import why_left_out
 from vprbench.paper.missing_runs import MissingRun, Watch, fill, results_folder
 from vprbench.paper.plan import Plan, PlannedColumn, Row, read_plan, with_plug_ins
 from vprbench.paper.selection import Group, ResolvedColumn, groups
-from vprbench.paper.shelf import Compose
+from vprbench.paper.stored_runs import Compose
 from vprbench.paper.table.build import assemble
 from vprbench.paper.table.cells import Table
 from vprbench.paper.table.quantities import QUANTITIES, Quantity, quantities
 from vprbench.paper.viewed import seen
 from vprbench.plugins import registry
 from vprbench.runs.record import Failure, Run
-from vprbench.runs.sequences import Seen, views
-from vprbench.runs.settings import insist_on_metrics
+from vprbench.runs.sequences import Views, views
+from vprbench.runs.settings import require_metrics
 from vprbench.runs.store import Store
 
 Part = TypeVar("Part")
@@ -65,7 +65,7 @@ class TableRequest(ClusterOptions):
             raise BadInput(f"seeds={self.seeds}: give at least 1")
         if self.name is not None and re.fullmatch(r"\w[\w.-]*", self.name) is None:
             raise BadInput(f"name={self.name}: give letters, digits, '.', '_' and '-', for it names files")
-        object.__setattr__(self, "metrics", insist_on_metrics(self.metrics))
+        object.__setattr__(self, "metrics", require_metrics(self.metrics))
         for device in self.devices or ():
             if re.fullmatch(r"cpu|cuda(:\d+)?", device) is None:
                 raise BadInput(f"devices={device} is unknown: give cpu, cuda or cuda:1")
@@ -76,7 +76,7 @@ class TableRequest(ClusterOptions):
 
 
 @dataclass(frozen=True)
-class Chosen:
+class TablePlan:
     """The rows and columns that were asked for, resolved."""
 
     plan: Plan
@@ -90,7 +90,7 @@ class Chosen:
     stored: bool = False  # nothing is run
     title: str | None = None  # of a table that is not the paper's
     quantities: tuple[Quantity, ...] = QUANTITIES
-    views: tuple[Seen, ...] = ()  # what is shown of the stored runs; none: the runs themselves
+    views: tuple[Views, ...] = ()  # what is shown of the stored runs; none: the runs themselves
 
     def slow(self, column: ResolvedColumn, row: Row) -> bool:
         """Tell whether a row takes too long in a column for the time that a table has."""
@@ -100,17 +100,17 @@ class Chosen:
 
 
 @dataclass(frozen=True)
-class Material:
+class ReportData:
     """What a table, figures and a report are made from."""
 
-    chosen: Chosen
+    chosen: TablePlan
     groups: tuple[Group, ...]
     table: Table
     runs: tuple[Run, ...]  # all that are stored
     endings: tuple[JobResult, ...]  # of what was tried now
 
 
-def choose(asked: TableRequest, compose: Compose) -> Chosen:
+def choose(asked: TableRequest, compose: Compose) -> TablePlan:
     """Resolve what was asked for against conf/table.yaml; raises BadInput for rows or columns that are unknown."""
     folders = registry.conf_folders()
     plan = with_plug_ins(read_plan(folders["vprbench"] / "table.yaml"), folders)
@@ -124,7 +124,7 @@ def choose(asked: TableRequest, compose: Compose) -> Chosen:
         options = (*column.options, *_root(column, asked))
         return ResolvedColumn(replace(column, options=options), dict(compose(options)["dataset"]))
 
-    return Chosen(
+    return TablePlan(
         plan,
         tuple(_with_seeds(row, asked) for row in rows.values()),
         tuple(map(resolved, columns.values())),
@@ -139,7 +139,7 @@ def choose(asked: TableRequest, compose: Compose) -> Chosen:
     )
 
 
-def gather(chosen: Chosen, options: Sequence[str], compose: Compose, executor: Executor | None = None) -> Material:
+def gather(chosen: TablePlan, options: Sequence[str], compose: Compose, executor: Executor | None = None) -> ReportData:
     """Make the runs that are wanted and not stored, unless `stored` was asked for, and put the stored ones together.
 
     `options` of the command line are those of all runs. Raises BadInput if there is no run at all.
@@ -150,7 +150,7 @@ def gather(chosen: Chosen, options: Sequence[str], compose: Compose, executor: E
 
 
 def made(
-    chosen: Chosen,
+    chosen: TablePlan,
     runs: Sequence[MissingRun],
     options: Sequence[str],
     compose: Compose,
@@ -163,16 +163,16 @@ def made(
 
 
 def material(
-    chosen: Chosen, runs: Sequence[Run], failures: Sequence[Failure], endings: tuple[JobResult, ...] = ()
-) -> Material:
+    chosen: TablePlan, runs: Sequence[Run], failures: Sequence[Failure], endings: tuple[JobResult, ...] = ()
+) -> ReportData:
     """Put stored runs and failures into the rows and columns that were chosen; raises BadInput if no run is theirs."""
     found = seen(groups(runs, failures, chosen.columns, chosen.rows), chosen.rows, chosen.views)
     return assembled(chosen, found, runs, endings)
 
 
 def assembled(
-    chosen: Chosen, found: Sequence[Group], runs: Sequence[Run], endings: tuple[JobResult, ...] = ()
-) -> Material:
+    chosen: TablePlan, found: Sequence[Group], runs: Sequence[Run], endings: tuple[JobResult, ...] = ()
+) -> ReportData:
     """Put groups of runs, or of views of them, into the table; raises BadInput if they hold none."""
     left_out = {
         (column.planned.name, row.name): why_left_out(chosen.plan.in_full(row), column, found)
@@ -185,17 +185,17 @@ def assembled(
             + ("leave stored=true out, so that some are made" if chosen.stored else "see above why none could be made")
         )
     table = assemble(found, chosen.rows, chosen.plan, left_out, chosen.quantities, chosen.title)
-    return Material(chosen, tuple(found), table, tuple(runs), endings)
+    return ReportData(chosen, tuple(found), table, tuple(runs), endings)
 
 
-def stored(asked: TableRequest | Chosen) -> tuple[list[Run], list[Failure]]:
+def stored(asked: TableRequest | TablePlan) -> tuple[list[Run], list[Failure]]:
     """Return what the store holds, and those of other machines; what is in several is there once."""
     stores = [Store(results_folder(folder), read_only=True) for folder in (asked.results, *asked.stores)]
     runs = {(run.dataset, run.method, run.key): run for store in reversed(stores) for run in store.runs()}
     return [*runs.values()], [failure for store in stores for failure in store.failures()]
 
 
-def wanted(chosen: Chosen, column: ResolvedColumn, rows: Sequence[Row]) -> Iterator[MissingRun]:
+def wanted(chosen: TablePlan, column: ResolvedColumn, rows: Sequence[Row]) -> Iterator[MissingRun]:
     """Yield the runs of some rows in one column."""
     planned = column.planned
     for row in rows:
@@ -204,7 +204,7 @@ def wanted(chosen: Chosen, column: ResolvedColumn, rows: Sequence[Row]) -> Itera
             yield MissingRun(row, planned.title, planned.options, column.dataset, arguments, seed, device, of)
 
 
-def all_runs(chosen: Chosen) -> tuple[list[MissingRun], list[MissingRun]]:
+def all_runs(chosen: TablePlan) -> tuple[list[MissingRun], list[MissingRun]]:
     """Return the runs of rows that run at any size, and those of slow rows where they are not too slow.
 
     Both row by row, the smallest datasets first.

@@ -20,7 +20,7 @@ from vprbench.jobs.job import JobResult
 from vprbench.jobs.sweep import lost
 from vprbench.metrics.accuracy import recall_at
 from vprbench.paper.plan import Row
-from vprbench.paper.shelf import Compose, Shelf
+from vprbench.paper.stored_runs import Compose, StoredRuns
 from vprbench.plugins import registry
 from vprbench.progress import marked, shown_by
 from vprbench.runs import machine
@@ -163,7 +163,7 @@ class _Filling:
     ) -> None:
         """Compare with the store as it is when the first run is asked for."""
         self._wanted, self._options, self._store = wanted, options, store
-        self._shelf, self._weights = Shelf(store, options, compose), _Weights(options, compose)
+        self._shelf, self._weights = StoredRuns(store, options, compose), _Weights(options, compose)
         self._shown, self._elsewhere = shown, elsewhere
         self._missing: dict[tuple[str, str, str], JobResult] = {}
         self.results: dict[int, JobResult] = {}

@@ -108,7 +108,7 @@ def read_plan(path: Path) -> Plan:
         columns = {name: _column(name, given) for name, given in content["columns"].items()}
         growth = _growth(**content["growth"])
         first, *more_seeds = content["seeds"]
-    _insist_on_columns(columns, path)
+    _require_columns(columns, path)
     return Plan(rows, more, columns, growth, (first, *more_seeds))
 
 
@@ -129,7 +129,7 @@ def with_plug_ins(plan: Plan, folders: Mapping[str, Path]) -> Plan:
             owners[name] = provider
         rows |= more_rows
         columns |= {name: replace(column, on_request=True) for name, column in more_columns.items()}
-        _insist_on_columns(columns, path)
+        _require_columns(columns, path)
     return replace(plan, more_rows=rows, columns=columns)
 
 
@@ -160,7 +160,7 @@ def _plan_errors_told(path: Path) -> Iterator[None]:
         raise BadInput(f"{path} is no plan of a table ({error}): compare it with the one of this project") from error
 
 
-def _insist_on_columns(columns: Mapping[str, PlannedColumn], origin: object) -> None:
+def _require_columns(columns: Mapping[str, PlannedColumn], origin: object) -> None:
     for column in columns.values():
         if column.stand_in_for is not None and column.stand_in_for not in columns:
             named = column.stand_in_for

@@ -47,7 +47,7 @@ class Group:
 
 
 @dataclass(frozen=True)
-class Aside:
+class ExcludedRuns:
     """Runs of a row that are stored and not shown."""
 
     n_runs: int
@@ -60,7 +60,7 @@ class RowRuns:
     """The runs of one row in one column on one kind of device, alike in all but their seed."""
 
     runs: tuple[Run, ...]  # one a seed, ascending
-    aside: tuple[Aside, ...]
+    aside: tuple[ExcludedRuns, ...]
     missing_seeds: tuple[int, ...]
     failures: tuple[Failure, ...]  # one a seed, ascending: of missing seeds, and errors since the seed's run
 
@@ -117,9 +117,9 @@ def of_row(group: Group, row: Row, device: Device) -> RowRuns:
     chosen = {run.config["seed"]: run for run in sorted(ranked[0], key=age)} if ranked else {}
     aside = [_difference(members, ranked[0]) for members in ranked[1:]]
     if ranked and (repeated := [run for run in ranked[0] if run is not chosen[run.config["seed"]]]):
-        aside.append(Aside(len(repeated), "measured again since"))
+        aside.append(ExcludedRuns(len(repeated), "measured again since"))
     if unasked := [run for run in there if run.config["seed"] not in row.seeds]:
-        aside.append(Aside(len(unasked), "of seeds that were not asked for"))
+        aside.append(ExcludedRuns(len(unasked), "of seeds that were not asked for"))
     newest: dict[int, Failure] = {}
     for failure in group.failures:
         if not _in_row(failure, group.asked.planned, row) or _on(failure) != device:
@@ -241,11 +241,11 @@ def _rank(members: Sequence[Run], row: Row) -> tuple[bool, bool, tuple[str, str]
     return complete, members[0].network is None, max(map(age, members))
 
 
-def _difference(members: Sequence[Run], chosen: Sequence[Run]) -> Aside:
+def _difference(members: Sequence[Run], chosen: Sequence[Run]) -> ExcludedRuns:
     """Say in what runs differ from those that were chosen."""
     ours, theirs = _setup(members[0]), _setup(chosen[0])
     other = tuple(name for name, value in ours.items() if as_text(value) != as_text(theirs[name]))
-    return Aside(len(members), _OTHER, other)
+    return ExcludedRuns(len(members), _OTHER, other)
 
 
 def _machine(result: Run | Failure) -> tuple[Any, ...]:

@@ -24,7 +24,7 @@ def title(group: Group, among: Sequence[Group]) -> str:
     return ", ".join(filter(None, [planned.title, mine, images]))
 
 
-def protocol_words(run: Run) -> str:
+def describe_protocol(run: Run) -> str:
     """Return what a run's dataset selected and how, without the numbers of its places and queries."""
     return _words({name: value for name, value in _told(run).items() if name not in ("places", "query_places")})
 

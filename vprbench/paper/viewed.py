@@ -8,10 +8,10 @@ from dataclasses import replace
 from vprbench.paper.plan import Row
 from vprbench.paper.selection import DEVICES, Group, of_row
 from vprbench.runs.record import Failure, Run
-from vprbench.runs.sequences import NoScoresError, Seen, suffix
+from vprbench.runs.sequences import NoScoresError, Views, suffix
 
 
-def seen(groups: Sequence[Group], rows: Sequence[Row], views: Sequence[Seen]) -> list[Group]:
+def seen(groups: Sequence[Group], rows: Sequence[Row], views: Sequence[Views]) -> list[Group]:
     """Return a group for each view of each group, of the runs that its rows show; without views the groups themselves.
 
     A run that kept no scores is a failure there, which says what to do; where no run of any group did, NoScoresError is

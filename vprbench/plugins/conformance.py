@@ -8,7 +8,7 @@ from functools import partial
 from typing import Any, Literal
 
 from vprbench.plugins import faults, networks
-from vprbench.plugins.dataset_rules import DATASET_RULES, Made
+from vprbench.plugins.dataset_rules import DATASET_RULES, BuiltDataset
 from vprbench.plugins.registry import arguments, entries, make_dataset, make_method, near
 from vprbench.plugins.rules import EXTENDED_RULE, RULES, STORED_RULE, RuleBrokenError, RuleExceptedError, Subject
 from vprbench.plugins.tuned_places import UNKNOWN, declared_places, stretches
@@ -62,7 +62,7 @@ def check_dataset(config: Mapping[str, Any]) -> Iterator[Result]:
 
     Raises BadInput where it cannot be made, as for frames that are missing.
     """
-    made = Made(make_dataset(config), partial(make_dataset, config), config)
+    made = BuiltDataset(make_dataset(config), partial(make_dataset, config), config)
     for rule, test in DATASET_RULES.items():
         yield _result(rule, partial(test, made))
 

@@ -23,7 +23,7 @@ _SAMPLE = 8  # images of each traverse that are decoded
 
 
 @dataclass(frozen=True)
-class Made:
+class BuiltDataset:
     """A dataset, and what makes it again from its configuration."""
 
     dataset: Dataset
@@ -40,7 +40,7 @@ class Made:
             yield from ((f"{part}[{i}] ({images.names[i]})", images[i]) for i in _sample(images))
 
 
-def _alike(made: Made) -> None:
+def _alike(made: BuiltDataset) -> None:
     first, second = made.dataset, made.again()
     for what in ("name", "n_places", "protocol", "notes"):
         if getattr(first, what) != getattr(second, what):
@@ -55,19 +55,19 @@ def _alike(made: Made) -> None:
         _broken("places or ground truth are others when it is made again")
 
 
-def _named(made: Made) -> None:
+def _named(made: BuiltDataset) -> None:
     wanted = made.config.get("name", made.dataset.name)
     if made.dataset.name != wanted:
         _broken(f"name={wanted} was asked for, but it is {made.dataset.name}")
 
 
-def _places(made: Made) -> None:
+def _places(made: BuiltDataset) -> None:
     places = made.dataset.places
     if not _is_row(places):
         _broken(f"places are {_kind(places)}; wanted is an array of whole numbers, (n_references,)")
 
 
-def _right(made: Made) -> None:
+def _right(made: BuiltDataset) -> None:
     for query, right in enumerate(made.dataset.positives):
         if not _is_row(right) and len(right):
             _broken(f"the right places of query {query} are {_kind(right)}; wanted is an array of whole numbers")
@@ -75,33 +75,33 @@ def _right(made: Made) -> None:
             _broken(f"the right places of query {query} are {some(list(right))}: name each once, ascending")
 
 
-def _answerable(made: Made) -> None:
+def _answerable(made: BuiltDataset) -> None:
     right = made.dataset.positives
     without = sum(not len(places) for places in right)
     if 2 * without > len(right):
         _broken(f"{without} of {len(right)} queries have no right place: does the ground truth fit the map?")
 
 
-def _asks(made: Made) -> None:
+def _asks(made: BuiltDataset) -> None:
     everywhere = [q for q, right in enumerate(made.dataset.positives) if len(right) == made.dataset.n_places > 1]
     if everywhere:
         _broken(f"for {len(everywhere)} queries every place is right: is the tolerance too wide?")
 
 
-def _rgb(made: Made) -> None:
+def _rgb(made: BuiltDataset) -> None:
     for where, image in made.samples():
         wrong = not isinstance(image, np.ndarray) or image.dtype != np.uint8 or image.ndim != 3
         if wrong or image.shape[2] != 3 or not image.size:
             _broken(f"{where} is {_kind(image)}; wanted is uint8 (height, width, 3)")
 
 
-def _show(made: Made) -> None:
+def _show(made: BuiltDataset) -> None:
     plain = [bool((image == image.reshape(-1, image.shape[-1])[0]).all()) for _, image in made.samples()]
     if 2 * sum(plain) > len(plain):
         _broken(f"{sum(plain)} of {len(plain)} images that were looked at have one colour all over")
 
 
-def _one_size(made: Made) -> None:
+def _one_size(made: BuiltDataset) -> None:
     for part, images in made.parts():
         sizes = {f"{image.shape[1]}x{image.shape[0]}" for image in (images[i] for i in _sample(images))}
         told = any("size" in note for note in made.dataset.notes)
@@ -112,7 +112,7 @@ def _one_size(made: Made) -> None:
             _broken(f"{text}: give them one, or say so in the dataset's notes")
 
 
-def _same_image(made: Made) -> None:
+def _same_image(made: BuiltDataset) -> None:
     for part, images in made.parts():
         sample = _sample(images)
         view, unnamed = images[np.array(sample)], images.unnamed()
@@ -129,7 +129,7 @@ def _same_image(made: Made) -> None:
                     _broken(f"{part}[{i}] ({images.names[i]}) is another image {way}")
 
 
-def _names(made: Made) -> None:
+def _names(made: BuiltDataset) -> None:
     for part, images in made.parts():
         often = Counter(images.names)
         twice = sorted(name for name in often if not name or often[name] > 1)
@@ -140,7 +140,7 @@ def _names(made: Made) -> None:
             _broken(text)
 
 
-def _plain(made: Made) -> None:
+def _plain(made: BuiltDataset) -> None:
     protocol = made.dataset.protocol
     try:
         kept = json.loads(json.dumps(dict(protocol), allow_nan=False))
@@ -153,19 +153,19 @@ def _plain(made: Made) -> None:
         )
 
 
-def _told(made: Made) -> None:
+def _told(made: BuiltDataset) -> None:
     keys = " ".join(made.dataset.protocol)
     if "quer" not in keys or not any(word in keys for word in ("reference", "database")):
         _broken(f"the protocol says of {keys or 'nothing'}; wanted are references and query too")
 
 
-def _journey(made: Made) -> None:
+def _journey(made: BuiltDataset) -> None:
     numbers = made.dataset.place_numbers
     if numbers is not None and (np.diff(numbers) <= 0).any():
         _broken("place_numbers do not ascend: number the places along the journey")
 
 
-def _held_out(made: Made) -> None:
+def _held_out(made: BuiltDataset) -> None:
     held_out, queries = made.dataset.held_out, made.dataset.queries
     if held_out is None:
         return
@@ -175,7 +175,7 @@ def _held_out(made: Made) -> None:
             _broken(f"the held-out query {name} is one of the queries: results may ask none of these")
 
 
-def _leaves(made: Made) -> None:
+def _leaves(made: BuiltDataset) -> None:
     folder, numbers, numpy_numbers = Path.cwd(), random.getstate(), repr(np.random.get_state())  # noqa: NPY002
     again = made.again()
     for images in (again.references, again.queries):
@@ -186,13 +186,13 @@ def _leaves(made: Made) -> None:
         _broken("the random numbers of the whole program are others after reading: use numpy.random.default_rng(seed)")
 
 
-def _lines(made: Made) -> None:
+def _lines(made: BuiltDataset) -> None:
     notes: Any = made.dataset.notes
     if not isinstance(notes, tuple) or not all(isinstance(note, str) and note.isprintable() for note in notes):
         _broken(f"notes are {notes!r}; wanted is a tuple of lines")
 
 
-DATASET_RULES: dict[str, Callable[[Made], None]] = {
+DATASET_RULES: dict[str, Callable[[BuiltDataset], None]] = {
     "it is the same when it is made again": _alike,
     "it has the name that was asked for": _named,
     "place ids are whole numbers": _places,

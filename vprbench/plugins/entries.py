@@ -138,14 +138,14 @@ def add(entry: Entry) -> None:
     _LOOSE[entry.group][entry.name] = entry
 
 
-def as_asked(option: str) -> str:
+def with_plugin_paths(option: str) -> str:
     """Return an option method=NAME or dataset=NAME as another process understands it: with a loose file's path."""
     group, equals, names = option.partition("=")
     loose = {name: entry.asked for known in _LOOSE for name, entry in _LOOSE[known].items() if known == group}
     return f"{group}=" + ",".join(loose.get(name, name) for name in names.split(",")) if equals and loose else option
 
 
-def insist_on_one(group: Group, name: str) -> None:
+def require_one(group: Group, name: str) -> None:
     """Raise BadInput if several plug-ins bring a method or dataset of one name."""
     offers = _offered(group).get(name, ())
     if len(offers) > 1 and offers[0].provider != "vprbench":

@@ -103,9 +103,9 @@ def prepare(files: Files, method: Method, arguments: Mapping[str, Any], dataset:
     path = files.save
     if path is None:
         return None
-    _insist_on_a_network(method)
+    _require_a_network(method)
     if path.suffix == nir_files.SUFFIX:
-        nir_files.insist(path, method)
+        nir_files.require_nir(path, method)
     elif path.suffix != _OURS:
         raise BadInput(f"save={path}: give a file that ends in {_OURS} or {nir_files.SUFFIX}")
     try:
@@ -166,7 +166,7 @@ def load(path: Path, method: Method, wanted: Origin, sha256: str | None = None) 
 
     Raises BadInput for a file that is damaged, that changed since `sha256`, or that does not fit `wanted`.
     """
-    _insist_on_a_network(method)
+    _require_a_network(method)
     if sha256 not in (None, _file_digest(path)):
         raise BadInput(f"{path} changed while the run was prepared: run again")
     if path.suffix == _PUBLISHED:
@@ -283,7 +283,7 @@ def _file_digest(path: Path) -> str:
         raise BadInput(f"load={path} cannot be read ({error.strerror})") from error
 
 
-def _insist_on_a_network(method: Method) -> None:
+def _require_a_network(method: Method) -> None:
     if not keeps_a_network(method):
         Method.state(method)  # which says so
 

@@ -27,7 +27,7 @@ EXAMPLES = 32  # references, the one of which is kept that tells most about the 
 _ROUNDING = 1e-4  # of the largest answer
 
 
-def insist(path: Path, method: Method | None = None) -> None:
+def require_nir(path: Path, method: Method | None = None) -> None:
     """Raise BadInput if a file of NIR cannot be read here, or cannot hold the network of a method."""
     if find_spec("nir") is None:
         raise BadInput(f"{path} needs the package nir, which is not installed: pip install 'vprbench[nir]'")
@@ -62,7 +62,7 @@ def read(path: Path, seal: Seal) -> tuple[str | None, dict[str, Array], bool]:
 
     Raises OSError for a file that cannot be read, ValueError for another.
     """
-    insist(path)
+    require_nir(path)
     import h5py  # type: ignore[import-untyped, unused-ignore]
 
     try:

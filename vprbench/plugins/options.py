@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 from vprbench.errors import BadInput
-from vprbench.storage.folders import insist_on_homes
+from vprbench.storage.folders import require_homes
 from vprbench.text import near
 
 Given = TypeVar("Given")
@@ -34,7 +34,7 @@ def chosen(kind: Callable[..., Given], options: Sequence[str], quick: Mapping[st
             given.setdefault(above, {})[inner or "name"] = _value(text, Any)
         else:
             given[name] = checked(name, _value(text, hints[name]), hints[name])
-    insist_on_homes(given)
+    require_homes(given)
     return kind(**{**(quick if given.get("quick") else {}), **given})
 
 

@@ -19,16 +19,16 @@ from vprbench.api.dataset import Dataset
 from vprbench.api.method import Method
 from vprbench.errors import BadInput
 from vprbench.plugins import entries as yamls
-from vprbench.plugins import faults, loose
+from vprbench.plugins import faults, local_plugins
 from vprbench.plugins.checked import checked as checked
 from vprbench.plugins.entries import Entry as Entry
 from vprbench.plugins.entries import Group as Group
-from vprbench.plugins.entries import as_asked as as_asked
 from vprbench.plugins.entries import broken_plugins as broken_plugins
 from vprbench.plugins.entries import conf_folders as conf_folders
 from vprbench.plugins.entries import entries as entries
-from vprbench.plugins.entries import insist_on_one as insist_on_one
-from vprbench.plugins.returned_dataset import disk_errors_told, insist_on_dataset
+from vprbench.plugins.entries import require_one as require_one
+from vprbench.plugins.entries import with_plugin_paths as with_plugin_paths
+from vprbench.plugins.returned_dataset import disk_errors_told, require_dataset
 from vprbench.plugins.tuned_places import declared_places
 from vprbench.text import near as near  # for the commands too
 
@@ -62,7 +62,7 @@ def make_dataset(config: Mapping[str, Any]) -> Dataset:
     """Build a dataset from its configuration; raises BadInput for arguments or data that do not fit."""
     with disk_errors_told(str(config.get("name", ""))):
         dataset = _build("dataset", config)
-    return insist_on_dataset(dataset, config["_target_"])
+    return require_dataset(dataset, config["_target_"])
 
 
 def named(group: Group, text: str) -> str:
@@ -70,9 +70,9 @@ def named(group: Group, text: str) -> str:
 
     Raises BadInput if the file cannot be imported, or if the name is another's.
     """
-    if not loose.is_loose(text):
+    if not local_plugins.is_loose(text):
         return text
-    entry = loose.load(group, text)
+    entry = local_plugins.load(group, text)
     yamls.add(entry)
     ConfigStore.instance().store(group=group, name=entry.name, node=entry.values())
     return entry.name

@@ -24,7 +24,7 @@ def disk_errors_told(name: str) -> Iterator[None]:
         raise BadInput(f"dataset {_shortened(name)} cannot be read ({told}): correct the path") from error
 
 
-def insist_on_dataset(made: Any, target: str) -> Dataset:
+def require_dataset(made: Any, target: str) -> Dataset:
     """Return what `target` made; raises BadInput if it is no dataset of images, or its name is no folder's."""
     if not isinstance(made, Dataset):
         raise BadInput(f"{target} gave {type(made).__name__}; it has to return a Dataset")

@@ -32,7 +32,7 @@ def adapted_as(stored: Mapping[str, Any], config: Mapping[str, Any]) -> Mapping[
     return {**config, "method": {**config["method"], **needed}}
 
 
-def adaptation_words(config: Mapping[str, Any], n_places: int) -> Iterator[str]:
+def describe_adaptation(config: Mapping[str, Any], n_places: int) -> Iterator[str]:
     """Yield what a reader of a run has to know of each argument that was adapted."""
     for name, value in config.get("adapted", {}).items():
         yield f"adapted to a map of {n_places:,} places: method.{name}={json.dumps(value)} in place of its own"

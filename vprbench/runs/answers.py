@@ -15,7 +15,7 @@ from vprbench.api.binary import BinaryMethod
 from vprbench.api.dataset import Dataset
 from vprbench.api.descriptor import DescriptorMethod
 from vprbench.api.images import Images
-from vprbench.api.method import Method, held_together
+from vprbench.api.method import Method, batch_size_for
 from vprbench.api.nearest import Nearest
 from vprbench.api.search import Audit, Search
 from vprbench.errors import BadInput
@@ -27,7 +27,7 @@ from vprbench.metrics.ranking import (
     outcome_of_best,
     ranked_places,
 )
-from vprbench.runs.descriptors import Described
+from vprbench.runs.descriptors import DescriptorCache
 from vprbench.runs.notes import Note
 from vprbench.runs.shortlist import TOGETHER, Shortlisting, asked
 from vprbench.runs.stopwatch import Stopwatch
@@ -111,7 +111,7 @@ class Audited:
         """Keep none if a fitted method does not search by an approximate index."""
         self._method = method
         index = _index(method)
-        wanted = 0 if index is None or index.kind == "exact" else held_together(method, min(_AUDITED, n_queries))
+        wanted = 0 if index is None or index.kind == "exact" else batch_size_for(method, min(_AUDITED, n_queries))
         self._queries = np.linspace(0, n_queries - 1, wanted).astype(np.int64)
         self._codes: list[npt.NDArray[Any]] = []
 
@@ -148,7 +148,7 @@ class Scoring:
         self.answers = Answers(dataset, depth, whole)
         self.audited = Audited(method, len(dataset.queries))
 
-    def score(self, described: Described | None) -> int:
+    def score(self, described: DescriptorCache | None) -> int:
         """Score all queries; returns of how many `described` had kept the descriptors already."""
         size = block_size(self.asked, self._n_places)
         if described is not None:
@@ -181,7 +181,7 @@ class Scoring:
         self.answers.method_seconds += lap[0]
         return answer
 
-    def _score_descriptors(self, described: Described, size: int) -> int:
+    def _score_descriptors(self, described: DescriptorCache, size: int) -> int:
         total = len(self._queries)
         descriptors, from_cache = described.descriptors(
             self._queries,
@@ -198,8 +198,8 @@ class Scoring:
 def block_size(method: Method | Shortlisting, n_places: int) -> int:
     """Return how many queries are scored together at most, fewer if codes are large or scored places many."""
     if isinstance(method, Shortlisting):
-        return held_together(method, TOGETHER)
-    return held_together(method, max(1, min(_BLOCK, _BLOCK_CELLS // n_places)))
+        return batch_size_for(method, TOGETHER)
+    return batch_size_for(method, max(1, min(_BLOCK, _BLOCK_CELLS // n_places)))
 
 
 def _named(places: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:

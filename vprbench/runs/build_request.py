@@ -9,7 +9,7 @@ from typing import Any
 from vprbench.api.dataset import Dataset
 from vprbench.api.frame_cache import frames_kept
 from vprbench.api.method import Method
-from vprbench.data.doctor import insist
+from vprbench.data.doctor import check_dataset
 from vprbench.plugins import networks, registry
 from vprbench.progress import progress_shown
 from vprbench.runs import machine, stream
@@ -53,7 +53,7 @@ def request_of(
     files = networks.chosen_files(settings.save, settings.load, settings.force)
     method = build(config["method"])
     # what the cheap checks warn of is among the dataset's notes
-    dataset = corrupted(replace(dataset, notes=(*dataset.notes, *insist(dataset))), settings.corruption)
+    dataset = corrupted(replace(dataset, notes=(*dataset.notes, *check_dataset(dataset))), settings.corruption)
     if needed := adaptation(method, dataset.n_places, config):
         config |= {"method": {**config["method"], **needed}, "adapted": needed}
         method = build(config["method"])

@@ -29,7 +29,7 @@ def composed(options: Sequence[str], values: Mapping[str, Any] | None = None) ->
     for option in options:
         if option.startswith("-"):
             raise BadInput(f"{option} is no option here: see python -m vprbench --help")
-    _insist_on_options(options)
+    _require_options(options)
     with hydra.initialize_config_module("vprbench.conf", version_base="1.3"):
         config = hydra.compose("run", overrides=list(options))
     for name, value in (values or {}).items():
@@ -84,7 +84,7 @@ def _is_override(argument: str) -> bool:
     return True
 
 
-def _insist_on_options(arguments: Sequence[str]) -> None:
+def _require_options(arguments: Sequence[str]) -> None:
     """Raise BadInput for the first that is no option=value, with the near names."""
     for argument in arguments:
         name = argument.partition("=")[0]
@@ -111,7 +111,7 @@ def in_order(arguments: Sequence[str]) -> list[str]:
             raise BadInput(f"--{flag}: give --cfg job too")
     if parsed.multirun and not parsed.overrides:
         raise BadInput("-m: say what to run, as in method=sad,pca seed=0,1,2")
-    _insist_on_options(parsed.overrides)
+    _require_options(parsed.overrides)
     flags = list(arguments)
     for option in parsed.overrides:
         flags.remove(option)
@@ -147,7 +147,7 @@ def check_names(arguments: Sequence[str]) -> None:
                 names = _named(group, argument.split("=", 1)[1]).split(",")
                 known = registry.entries(group)
                 for name in names:
-                    registry.insist_on_one(group, name)
+                    registry.require_one(group, name)
                     if name not in known:
                         raise BadInput(f"{group}={name} is unknown: {near(name, known)}")
                     known[name].values()

@@ -20,7 +20,7 @@ from vprbench.runs.sources import source_hash
 from vprbench.storage.shards import Shards, Writer
 
 
-class Described:
+class DescriptorCache:
     """Gives the descriptors of whole traverses; a method whose descriptors are not worth keeping has none."""
 
     def __init__(self, folder: Path, origin: Mapping[str, Any]) -> None:
@@ -29,7 +29,9 @@ class Described:
         self._origin = origin
 
     @classmethod
-    def of(cls, folder: Path | None, method: Method, config: Mapping[str, Any], n_places: int) -> Described | None:
+    def of(
+        cls, folder: Path | None, method: Method, config: Mapping[str, Any], n_places: int
+    ) -> DescriptorCache | None:
         """Return what gives the descriptors of a run's method; None if none are kept.
 
         Those of a large map are kept however fast they are made, so that a killed run goes on, unless a method may

@@ -14,7 +14,7 @@ from vprbench.api.images import Images
 from vprbench.api.method import Method, calibration
 from vprbench.errors import BadInput
 from vprbench.plugins import networks
-from vprbench.runs.descriptors import Described
+from vprbench.runs.descriptors import DescriptorCache
 from vprbench.runs.identity import Request
 from vprbench.runs.notes import Note, noted
 from vprbench.runs.stopwatch import Stopwatch
@@ -22,7 +22,7 @@ from vprbench.storage.shards import LARGE_BYTES
 
 
 @dataclass(frozen=True)
-class Learnt:
+class FitResult:
     """How a method came to its map, and how long that took."""
 
     fit_seconds: float | None = None
@@ -43,7 +43,9 @@ class Learnt:
         return (self.fit_compute_seconds or 0.0) + (self.load_seconds or 0.0) - self.earlier_seconds
 
 
-def learn(request: Request, key: str, stopwatch: Stopwatch, described: Described | None, resumed: Resumed) -> Learnt:
+def fit_or_load(
+    request: Request, key: str, stopwatch: Stopwatch, described: DescriptorCache | None, resumed: Resumed
+) -> FitResult:
     """Load the method's network, or fit and calibrate the method and store its network if that was asked for.
 
     What an interrupted run spent on parts of the fit that this run takes over counts as part of the fit.
@@ -54,7 +56,7 @@ def learn(request: Request, key: str, stopwatch: Stopwatch, described: Described
         wanted = networks.origin(method, arguments, dataset)
         with stopwatch.lap() as load:
             notes = tuple(noted("loaded", networks.load(files.load, method, wanted, files.sha256)))
-        return Learnt(load_seconds=load[0], notes=notes)
+        return FitResult(load_seconds=load[0], notes=notes)
     destination = networks.prepare(files, method, arguments, dataset)
     given = calibration(method, dataset)
     held_out = None if given is None else _hidden(given)
@@ -81,13 +83,13 @@ def learn(request: Request, key: str, stopwatch: Stopwatch, described: Described
         text = f"calibrated on {len(held_out.queries)} held-out queries of {held_out.n_places} places"
         told.append(Note("calibrated", text))
     if from_cache:
-        return Learnt(load_seconds=fit[0], notes=tuple(told), from_cache=from_cache)
-    return Learnt(
+        return FitResult(load_seconds=fit[0], notes=tuple(told), from_cache=from_cache)
+    return FitResult(
         fit_seconds=seconds, fit_compute_seconds=computing, earlier_seconds=resumed.seconds, notes=tuple(told)
     )
 
 
-def _fit(method: Method, dataset: Dataset, described: Described | None) -> int:
+def _fit(method: Method, dataset: Dataset, described: DescriptorCache | None) -> int:
     """Fit a method; returns of how many references `described` had kept the descriptors already."""
     total = len(dataset.references)
 
@@ -99,7 +101,7 @@ def _fit(method: Method, dataset: Dataset, described: Described | None) -> int:
         method.fit(dataset.references.watched(report), places)
         return 0
     assert isinstance(method, DescriptorMethod)
-    method.insist_on_index(total)
+    method.require_index(total)
     descriptors, from_cache = described.descriptors(dataset.references, method.encode, report)
     method.fit_descriptors(descriptors if descriptors.nbytes > LARGE_BYTES else descriptors[:], places)
     return from_cache

@@ -12,7 +12,7 @@ from vprbench.runs.rates import StageRates, best_batch, percentile_bound
 from vprbench.runs.recall_intervals import recall_interval
 from vprbench.runs.record import Failure, Run
 from vprbench.runs.stopwatch import Timing
-from vprbench.runs.tuned import other_places, recall_words, tuned_note
+from vprbench.runs.tuned import describe_recalls, other_places, tuned_note
 
 NOTHING, UNTIMED = "-", "not timed"
 VIEWS = ("sequence", "filter")  # what a protocol calls them
@@ -131,7 +131,7 @@ def protocol_line(run: Run) -> str:
     return f"{run.dataset}: {len(run.outcome)} queries, {run.outcome.n_places} places ({chosen}){frames}"
 
 
-def view_words(run: Run, whole: bool = False) -> str:
+def describe_view(run: Run, whole: bool = False) -> str:
     """Return in a few words, or in all, what a view of a run shows; empty for the run itself."""
     names = [name for name in run.protocol if name.startswith(VIEWS) and (whole or name in VIEWS)]
     return ", ".join(f"{name.replace('_', ' ')} {run.protocol[name]}" for name in names)
@@ -192,7 +192,7 @@ def _recall_with_interval(run: Run) -> str:
     if first is None or interval is None:
         return "undefined (no query has a right place)"
     ends = f"[{100 * interval.low:.1f}, {100 * interval.high:.1f}]"
-    others = f" elsewhere {recall_words([other])}" if (other := other_places(run)) else ""
+    others = f" elsewhere {describe_recalls([other])}" if (other := other_places(run)) else ""
     return f"{METRICS['recall_at_1'].text(first.expected)} {ends}{' ties!' if first.hangs_on_ties else ''}{others}"
 
 

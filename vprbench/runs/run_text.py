@@ -40,10 +40,10 @@ def run_text(run: Run, folder: Path | None, from_store: bool, settings: Settings
     shown = seen or [run]
     table = [rows.readable_row(one, settings.metrics) for one in shown]
     if seen:
-        table = [{"answers": rows.view_words(one), **row} for one, row in zip(seen, table, strict=True)]
+        table = [{"answers": rows.describe_view(one), **row} for one, row in zip(seen, table, strict=True)]
     notes = [(f"note: {note.text}", "yellow") for note in all_notes(shown[0])]
     said = [*notes, (rows.protocol_line(run), "")]
-    said += [(f"{rows.view_words(one, whole=True)}: {len(one.outcome)} queries", "") for one in seen]
+    said += [(f"{rows.describe_view(one, whole=True)}: {len(one.outcome)} queries", "") for one in seen]
     below = list(filter(None, (line(one) for one in shown for line in (rows.interval_line, rows.tolerance_line))))
     if from_store:
         below.append(f"from the store: {folder} (force=true runs again)")

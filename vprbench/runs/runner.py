@@ -14,10 +14,10 @@ from vprbench import progress
 from vprbench.api.checkpoints import ledger
 from vprbench.api.dataset import Dataset
 from vprbench.runs import machine, readouts, spikes, timing_lock
-from vprbench.runs.adaptation import adaptation_words
+from vprbench.runs.adaptation import describe_adaptation
 from vprbench.runs.answers import Answers, Scoring
-from vprbench.runs.descriptors import Described
-from vprbench.runs.fitting import Learnt, learn
+from vprbench.runs.descriptors import DescriptorCache
+from vprbench.runs.fitting import FitResult, fit_or_load
 from vprbench.runs.identity import Request, code_hash, data_record
 from vprbench.runs.notes import Note, noted
 from vprbench.runs.record import Run
@@ -45,9 +45,9 @@ def run(request: Request, key: str, keep: Callable[[Run], None] = lambda run: No
     stopwatch = Stopwatch(request.protocol, synchronise=synchroniser(device), seed=request.config["seed"])
 
     cache = request.cache if request.files.load is None else None
-    described = Described.of(cache, method, request.config, dataset.n_places)
+    described = DescriptorCache.of(cache, method, request.config, dataset.n_places)
     with ledger() as resumed:
-        learnt = learn(request, key, stopwatch, described, resumed)
+        fitted = fit_or_load(request, key, stopwatch, described, resumed)
         read = queries.reading.seconds
         scoring = Scoring(stopwatch, method, dataset, request.config["depth"], request.scores)
         answers = scoring.answers
@@ -55,7 +55,7 @@ def run(request: Request, key: str, keep: Callable[[Run], None] = lambda run: No
         watch.fitted()
         answers.method_seconds += first_query
         from_cache = scoring.score(described)
-        elsewhere = learnt.seconds + answers.method_seconds + queries.reading.seconds - read
+        elsewhere = fitted.seconds + answers.method_seconds + queries.reading.seconds - read
 
     measured = {"data": data, **watch.seen()}
     with stopwatch.lap() as auditing:
@@ -63,14 +63,14 @@ def run(request: Request, key: str, keep: Callable[[Run], None] = lambda run: No
         measured |= {"search": scoring.audited.search(), **inside}
     told = (
         *noted("dataset", dataset.notes),
-        *noted("adapted", adaptation_words(request.config, dataset.n_places)),
-        *learnt.notes,
+        *noted("adapted", describe_adaptation(request.config, dataset.n_places)),
+        *fitted.notes,
         *noted("method", method.notes()),
-        *_cache_notes(dataset, learnt.from_cache, from_cache),
+        *_cache_notes(dataset, fitted.from_cache, from_cache),
         *scoring.notes(),
     )
     scored = replace(
-        _scored(request, key, learnt, answers, measured),
+        _scored(request, key, fitted, answers, measured),
         harness_seconds=time.perf_counter() - started - elsewhere - auditing[0],
     )
     scored = replace(scored, notes=(*told, *_notes_on(scored), *inside_notes))
@@ -139,7 +139,7 @@ class _Watch:
         return {"environment": {**self._before, **after}, "peak_memory_bytes": max(host)}
 
 
-def _scored(request: Request, key: str, learnt: Learnt, answers: Answers, measured: Mapping[str, Any]) -> Run:
+def _scored(request: Request, key: str, fitted: FitResult, answers: Answers, measured: Mapping[str, Any]) -> Run:
     """Return the record of a run that is not timed, but for its notes and `harness_seconds`."""
     dataset = request.dataset
     return Run(
@@ -151,12 +151,12 @@ def _scored(request: Request, key: str, learnt: Learnt, answers: Answers, measur
         fingerprint=request.fingerprint,
         notes=(),
         n_references=len(dataset.references),
-        fit_seconds=learnt.fit_seconds,
-        fit_compute_seconds=learnt.fit_compute_seconds,
-        load_seconds=learnt.load_seconds,
+        fit_seconds=fitted.fit_seconds,
+        fit_compute_seconds=fitted.fit_compute_seconds,
+        load_seconds=fitted.load_seconds,
         network=request.files.sha256,
         harness_seconds=0.0,
-        method_seconds=learnt.method_seconds + answers.method_seconds,
+        method_seconds=fitted.method_seconds + answers.method_seconds,
         timing=None,
         outcome=answers.outcome,
         positives=dataset.positives,

@@ -27,7 +27,7 @@ from vprbench.runs.record import Run
 from vprbench.runs.views import queries_shown, rescored, restricted
 from vprbench.text import near
 
-Seen = Callable[[Run], Run]  # a view; raises NoScoresError for a run that kept no scores, BadInput for what cannot be
+Views = Callable[[Run], Run]  # a view; raises NoScoresError for a run that kept no scores, BadInput for what cannot be
 Asked = TypeVar("Asked", Sequences, Filter)
 
 
@@ -100,7 +100,7 @@ def filtered(run: Run, asked: Filter) -> Run:
 _MEMORY = 10  # queries that a belief is taken to rest on: blocks of an interval are no shorter
 
 
-def views(sequence: Any, filter: Any = None) -> tuple[Seen, ...]:
+def views(sequence: Any, filter: Any = None) -> tuple[Views, ...]:
     """Return the views that options ask for, one for each length of sequences; none for null and null.
 
     A sequence is a length, a list of lengths, or a mapping of the options of `Sequences`; a filter is true or a mapping
@@ -112,14 +112,14 @@ def views(sequence: Any, filter: Any = None) -> tuple[Seen, ...]:
     asked = [_made("sequence", Sequences, {**(given or {}), "length": length}) for length in _several(lengths)]
     if given is not None and (not asked or len({one.length for one in asked}) < len(asked)):
         raise BadInput(f"sequence={sequence}: give a length, or several different ones, as in sequence=[2,4]")
-    found: list[Seen] = [partial(in_sequences, asked=one) for one in asked]
+    found: list[Views] = [partial(in_sequences, asked=one) for one in asked]
     options = _mapping("filter", {} if filter is True else None if filter is False else filter, "")
     if options is not None:
         found.append(partial(filtered, asked=_made("filter", Filter, options)))
     return tuple(found)
 
 
-def suffix(seen: Iterable[Seen]) -> str:
+def suffix(seen: Iterable[Views]) -> str:
     """Return what the names of files of some views end in: -sequence-2-4, -sequence-4-centred, -filter-ahead3."""
     asked = [one.keywords["asked"] for one in seen if isinstance(one, partial)]
     lengths = [str(one.length) for one in asked if isinstance(one, Sequences)]

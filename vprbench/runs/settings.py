@@ -14,7 +14,7 @@ from vprbench.runs.corruption import corruption
 from vprbench.runs.sequences import views
 from vprbench.runs.timing_protocol import Protocol
 from vprbench.storage.cores import core_count
-from vprbench.storage.folders import insist_on_homes
+from vprbench.storage.folders import require_homes
 
 
 @dataclass(frozen=True)
@@ -59,11 +59,11 @@ def checked_settings(config: Mapping[str, Any]) -> Settings:
             raise BadInput(f"option {name} is unknown: {registry.near(name, KNOWN)}")
         if name not in config:
             raise BadInput(f"option {name} is missing: leave its default in place")
-    insist_on_homes(config)
+    require_homes(config)
     timing = _checked_timing(config["timing"])
     hints = get_type_hints(Settings)
     plain = {name: registry.checked(name, config[name], hints[name]) for name in hints if name != "timing"}
-    plain["metrics"] = insist_on_metrics(plain["metrics"])
+    plain["metrics"] = require_metrics(plain["metrics"])
     plain["energy"] |= bool({*plain["metrics"]} & {*GROUPS["energy"]})
     settings = Settings(**plain, timing=timing)
     views(settings.sequence, settings.filter)
@@ -86,7 +86,7 @@ def checked_settings(config: Mapping[str, Any]) -> Settings:
     return settings
 
 
-def insist_on_metrics(names: Iterable[str]) -> list[str]:
+def require_metrics(names: Iterable[str]) -> list[str]:
     """Return names of metrics, those of a group in its place; raises BadInput for the first that is neither."""
     spelt_out = [one for name in names for one in GROUPS.get(name, (name,))]
     for name in spelt_out:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from vprbench.api.images import Images
-from vprbench.api.method import LayerSpikes, Method, held_together
+from vprbench.api.method import LayerSpikes, Method, batch_size_for
 from vprbench.errors import BadInput
 from vprbench.runs.answers import block_size
 from vprbench.runs.notes import Note
@@ -20,7 +20,7 @@ def counted(method: Method, queries: Images) -> tuple[dict[str, Any] | None, tup
     """Return what the layers of a spiking network did for queries spread over all, and what went wrong meanwhile."""
     if type(method).spikes is Method.spikes:
         return None, ()
-    wanted = held_together(method, min(_QUERIES, len(queries)))
+    wanted = batch_size_for(method, min(_QUERIES, len(queries)))
     chosen = queries[np.linspace(0, len(queries) - 1, wanted).astype(np.int64)]
     try:
         blocks = chosen.blocks(block_size(method, 1))

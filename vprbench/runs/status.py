@@ -16,7 +16,7 @@ _STORED = {"runs": "*/[!.]*/run.json", "failures": "*/[!.]*/failure.json"}
 
 
 @dataclass(frozen=True)
-class Asked:
+class StatusOptions:
     """Where to look."""
 
     results: str = "results"  # folder of the stored runs

@@ -83,13 +83,14 @@ def tuned_note(runs: Sequence[Run]) -> str:
     words = f"tuned on {'places ' * bool(stretches(declared['places']))}{declared['places']} of {declared['dataset']}"
     words += f" ({here} here)" if run.dataset != declared["dataset"] and stretches(here) else ""
     if others:
-        return f"{words}, in no contest; {recall_words(others)} on the {len(others[0].outcome)} queries of other places"
+        elsewhere = f"{describe_recalls(others)} on the {len(others[0].outcome)} queries of other places"
+        return f"{words}, in no contest; {elsewhere}"
     if tuned_queries(run) is None:
         return f"{words}, in no contest; which queries show these is not known: all are under suspicion"
     return f"{words}, which all queries show, in no contest; to be judged on others"
 
 
-def recall_words(runs: Sequence[Run]) -> str:
+def describe_recalls(runs: Sequence[Run]) -> str:
     """Return R@1 in percent over the seeds, with its interval."""
     metric = METRICS["recall_at_1"]
     interval, recalls = recall_interval(runs), [recall_at(run.outcome, 1) for run in runs]

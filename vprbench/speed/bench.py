@@ -63,10 +63,10 @@ def measure(settings: Settings, make: Make) -> Report:
 
 def write(report: Report, results: Path) -> None:
     """Print the report as Markdown, and leave it with all laps in bench.md and bench.json of the folder `results`."""
-    publish(results, {"bench.md": text_of(report), "bench.json": json.dumps(report.plain(), allow_nan=False)})
+    publish(results, {"bench.md": to_text(report), "bench.json": json.dumps(report.plain(), allow_nan=False)})
 
 
-def text_of(report: Report) -> str:
+def to_text(report: Report) -> str:
     """Return a report as Markdown."""
     here, about = report.environment, report.about
     canary = about["canary_seconds"]

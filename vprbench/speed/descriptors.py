@@ -183,9 +183,9 @@ def randomised(network: Any, seed: int) -> Any:
 
 def write(report: Report, results: Path) -> None:
     """Print the report as Markdown, and leave it in descriptors.md of the folder `results`."""
-    publish(results, {"descriptors.md": text_of(report)})
+    publish(results, {"descriptors.md": to_text(report)})
 
 
-def text_of(report: Report) -> str:
+def to_text(report: Report) -> str:
     """Return a report as Markdown."""
     return report.told("descriptors.md.j2", FEWEST=_FEWEST)

@@ -16,7 +16,7 @@ import psutil
 from PIL import Image as PillowImage
 
 from vprbench import progress
-from vprbench.data.doctor import insist
+from vprbench.data.doctor import check_dataset
 from vprbench.plugins import registry
 from vprbench.runs import machine
 from vprbench.runs.identity import data_record, fingerprint, hashed
@@ -104,7 +104,7 @@ def files_cell(top: Path, n_files: int, which: str) -> FilesCell:
     made: list[Any] = []
     steps: dict[str, Callable[[], object]] = {
         "names and positions": lambda: registry.make_dataset(dataset),
-        "checks": lambda: insist(made[0]),
+        "checks": lambda: check_dataset(made[0]),
         "hashes": lambda: hashed(made[0]),
         "fingerprint": lambda: (fingerprint(made[0], made[2]), data_record(made[0], made[2])),
     }

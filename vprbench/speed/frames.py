@@ -26,7 +26,7 @@ from vprbench.api.images import Images
 from vprbench.api.oriented import OrientedEdges
 from vprbench.api.preprocess import Engine, PatchNormalisation
 from vprbench.runs import machine
-from vprbench.speed.measure import in_turn, median, rounded
+from vprbench.speed.measure import interleaved, median, rounded
 from vprbench.speed.report import Planned, figures, megabytes, ratio, size
 from vprbench.speed.route import Route
 from vprbench.speed.settings import ENGINES, FRAME, PATCH, Bench, Settings
@@ -129,7 +129,7 @@ def _preprocessing_cell(
     def by(engine: Engine) -> Callable[[int], object]:
         return lambda turn: engines[engine](parts[turn % len(parts)])
 
-    laps = in_turn({engine: by(engine) for engine in ENGINES}, settings.rounds, settings.minimum_seconds)
+    laps = interleaved({engine: by(engine) for engine in ENGINES}, settings.rounds, settings.minimum_seconds)
     return PreprocessingCell(into, height, width, images_per_call, laps)
 
 
@@ -176,7 +176,7 @@ def reading_cell(settings: Settings, paths: Sequence[Path]) -> ReadingCell:
         "loops_at_once": lambda _: bare_at_once(some, cores),
         "ahead": lambda turn: deque(parts[turn - 1], maxlen=0),
     }
-    laps = in_turn(ways, _TURNS, 0.0)
+    laps = interleaved(ways, _TURNS, 0.0)
     n_read = {"one_loop": [len(some)] * _TURNS, "loops_at_once": [cores * len(some)] * _TURNS}
     n_read["ahead"] = [len(part) for part in parts]
     hz = {way: rounded(n / seconds for n, seconds in zip(n_read[way], each, strict=True)) for way, each in laps.items()}

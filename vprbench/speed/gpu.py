@@ -144,10 +144,10 @@ def measure(settings: Settings, make: Make) -> Check:
 
 def write(report: Check, results: Path) -> None:
     """Print the report as Markdown, and leave it in gpu.md of the folder `results`."""
-    publish(results, {"gpu.md": text_of(report)})
+    publish(results, {"gpu.md": to_text(report)})
 
 
-def text_of(report: Check) -> str:
+def to_text(report: Check) -> str:
     """Return a report as Markdown."""
     timed = report.sections["timing"]
     rows = [row for each in timed for row in (each.query_rows() if isinstance(each, Timed) else [each.row()])]

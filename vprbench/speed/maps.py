@@ -159,11 +159,11 @@ def write(settings: Settings) -> None:
         drawn = figure.maps([figure.MapCost(_name(row), *(row[name] for name in _DRAWN)) for row in rows])
         style.write(drawn, settings.file("csv").parent / "figures", settings.file("csv").stem)
     publish(
-        settings.file("md").parent, {settings.file("md").name: text_of(stored(settings.file("csv")), settings.quick)}
+        settings.file("md").parent, {settings.file("md").name: to_text(stored(settings.file("csv")), settings.quick)}
     )
 
 
-def text_of(rows: Sequence[Row], quick: bool = False) -> str:
+def to_text(rows: Sequence[Row], quick: bool = False) -> str:
     """Return rows as Markdown, with what they let expect of larger maps."""
     there = [row for row in rows if not row.get("failed")]
     exact = {_where(row): row for row in there if row["index"] == EXACT}

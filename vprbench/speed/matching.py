@@ -16,7 +16,7 @@ from vprbench.api.search_indexes import faiss_module
 from vprbench.errors import BadInput
 from vprbench.metrics.ranking import best_places
 from vprbench.runs import machine
-from vprbench.speed.measure import Rates, floor_laps, in_turn, measured_rates, median, weight_bytes
+from vprbench.speed.measure import Rates, floor_laps, interleaved, measured_rates, median, weight_bytes
 from vprbench.speed.report import Planned, figures, megabytes, milliseconds, rates_text, ratio
 from vprbench.speed.route import unit_vectors
 from vprbench.speed.settings import TRAVERSES, Bench, Settings
@@ -193,5 +193,5 @@ def _beside(
     peak = machine.peak_memory_bytes()
     library()
     calls = {"ours": lambda _: ours(), "library": lambda _: library()}
-    laps = in_turn(calls, settings.rounds, settings.minimum_seconds, burst=_BURST)
+    laps = interleaved(calls, settings.rounds, settings.minimum_seconds, burst=_BURST)
     return SearchCell(*what, laps["ours"], laps["library"], max(0, peak - before), peak)

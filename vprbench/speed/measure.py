@@ -145,11 +145,11 @@ def floor_laps(touch: Literal["read", "pass"], n_bytes: int, device: str, minimu
 
 
 def laps_of(call: Callable[[], object], fewest: int, minimum_seconds: float, **options: Any) -> list[float]:
-    """Return the seconds of one call again and again, with the options of `in_turn`."""
-    return in_turn({"call": lambda _: call()}, fewest, minimum_seconds, **options)["call"]
+    """Return the seconds of one call again and again, with the options of `interleaved`."""
+    return interleaved({"call": lambda _: call()}, fewest, minimum_seconds, **options)["call"]
 
 
-def in_turn(
+def interleaved(
     calls: Mapping[str, Callable[[int], object]],
     fewest: int,
     minimum_seconds: float,

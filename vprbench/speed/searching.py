@@ -18,7 +18,7 @@ import psutil
 
 from vprbench.api.search import Search
 from vprbench.errors import BadInput
-from vprbench.speed.measure import in_turn, median
+from vprbench.speed.measure import interleaved, median
 from vprbench.speed.simulated import Vectors
 from vprbench.storage.shards import Shards
 
@@ -102,7 +102,7 @@ def _told(case: Case) -> Iterator[dict[str, Any]]:
     _, found = search.nearest(case.queries, BEST)
 
     def median_seconds(call: Callable[[int], object], fewest: int) -> float:
-        return median(in_turn({"": call}, fewest, case.minimum_seconds)[""])
+        return median(interleaved({"": call}, fewest, case.minimum_seconds)[""])
 
     n = len(case.queries)
     one = median_seconds(lambda turn: search.nearest(case.queries[turn % n :][:1], BEST), _FEWEST)

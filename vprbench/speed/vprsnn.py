@@ -18,7 +18,7 @@ from vprbench.plugins import registry
 from vprbench.progress import listening
 from vprbench.runs import machine
 from vprbench.runs.stopwatch import Protocol, Stopwatch
-from vprbench.speed.measure import Fit, in_turn, median, rounded, timed_fit
+from vprbench.speed.measure import Fit, interleaved, median, rounded, timed_fit
 from vprbench.speed.report import Planned, figures, milliseconds, ratio
 from vprbench.speed.settings import TRAVERSES, VPRSNN, Bench, Settings
 from vprbench.speed.training import fit_seconds
@@ -153,7 +153,7 @@ def asking_cell(bench: Bench, wanted: int, threads: int) -> AskingCell:
     with _on_cores(threads, settings):
         for query in asked.values():
             query(0)
-        seconds = in_turn(asked, settings.rounds, settings.minimum_seconds)
+        seconds = interleaved(asked, settings.rounds, settings.minimum_seconds)
     return AskingCell(n_modules, wanted, n_modules * settings.vprsnn_places, threads, seconds)
 
 

@@ -23,11 +23,11 @@ def expanded(option: str, path: str) -> Path:
         ) from error
 
 
-def insist_on_homes(options: Mapping[str, Any], above: str = "") -> None:
+def require_homes(options: Mapping[str, Any], above: str = "") -> None:
     """Raise BadInput for a path in a home that is not known, as in ~nobody/frames."""
     for name, value in options.items():
         if isinstance(value, Mapping):
-            insist_on_homes(value, f"{above}{name}.")
+            require_homes(value, f"{above}{name}.")
         for text in value if isinstance(value, list) else [value]:
             if isinstance(text, str) and text.startswith("~"):
                 expanded(f"{above}{name}", text)

@@ -31,7 +31,7 @@ def write(found: Found, folder: Path) -> str:
     In the folder the names tell an unusual dataset and a quick search: search.md and
     search.csv, search-street.md, search-quick.md.
     """
-    text, trials = text_of(found), trials_csv(found)
+    text, trials = to_text(found), trials_csv(found)
     stem = _stem(found.settings)
     for place, name in ((found.folder, "search"), (folder, stem)):
         replace_text(place / f"{name}.csv", trials)
@@ -39,7 +39,7 @@ def write(found: Found, folder: Path) -> str:
     return f"{text}\nwritten to {folder / stem}.md and {folder / stem}.csv, and into {found.folder}\n"
 
 
-def text_of(found: Found) -> str:
+def to_text(found: Found) -> str:
     """Return what was found as Markdown."""
     done = [trial for trial in found.trials if trial.recall_at_1 is not None]
     return document(

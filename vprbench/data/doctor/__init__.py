@@ -1,6 +1,6 @@
 """The doctor: looks through a dataset and says what is wrong with it and what to do."""
 
-from .examination import command, examine, insist, quick
+from .examination import check_dataset, command, examine, quick
 from .finding import Finding, as_text
 
-__all__ = ["Finding", "as_text", "command", "examine", "insist", "quick"]
+__all__ = ["Finding", "as_text", "check_dataset", "command", "examine", "quick"]

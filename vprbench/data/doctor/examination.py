@@ -58,7 +58,7 @@ def examine(dataset: Dataset) -> tuple[Finding, ...]:
     ])  # fmt: skip
 
 
-def insist(dataset: Dataset) -> tuple[str, ...]:
+def check_dataset(dataset: Dataset) -> tuple[str, ...]:
     """Return the warnings of the cheap checks as lines; raises BadInput for their first error."""
     found = quick(dataset)
     errors = [finding for finding in found if finding.level == "error"]

@@ -12,7 +12,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from vprbench.data.fetch.entries import Download, Part, downloads
-from vprbench.data.fetch.received import RECORD, approve, count_files, insist_on_stated, record, remember
+from vprbench.data.fetch.received import RECORD, approve, count_files, record, remember, require_stated
 from vprbench.errors import BadInput, NotThere
 from vprbench.plugins import registry
 from vprbench.plugins.options import chosen
@@ -129,7 +129,7 @@ def _bring_missing(entry: Download, place: _Place, names: list[str] | None) -> b
     missing = {name: part for name, part in parts.items() if not _is_there(name, part, place.root)}
     if not missing:
         return False
-    _insist_on_space(missing, place)
+    _require_space(missing, place)
     with _alone(place.root):
         for name, part in missing.items():
             _bring(entry, name, part, place)
@@ -184,7 +184,7 @@ def _sizes(parts: Mapping[str, Part]) -> str:
     return ", ".join(f"{name} ({_size(n_bytes)})" for name, n_bytes in known.items())
 
 
-def _insist_on_space(missing: Mapping[str, Part], place: _Place) -> None:
+def _require_space(missing: Mapping[str, Part], place: _Place) -> None:
     """Raise BadInput if the disk cannot hold the downloads and unpacked files, whose sizes the entry states."""
     downloads_bytes = [
         max((part.size_bytes or part.about_bytes or 0) - download.kept_bytes(place.archive(part)), 0)
@@ -229,7 +229,7 @@ def _bring(entry: Download, name: str, part: Part, place: _Place) -> None:
         try:
             with progress_shown(f"fetch {name}"):
                 _download(part, archive, url, place)
-                came = insist_on_stated(part, archive)
+                came = require_stated(part, archive)
                 unpack(archive, place.root, part.unpack, lambda folder: approve(part, archive, folder))
         except (NotThere, DamagedArchive) as error:
             deleted = ""

@@ -17,7 +17,7 @@ _FORBID: Any = {"extra": "forbid"}
 
 
 @dataclass(frozen=True)
-class Held:
+class FetchedFile:
     """What a folder holds once it is fetched."""
 
     __pydantic_config__: ClassVar[Any] = _FORBID
@@ -35,7 +35,7 @@ class Part:
     file: str  # its name among the archives
     urls: tuple[str, ...]  # tried in turn
     unpack: Wanted
-    holds: Mapping[str, Held]  # by folder below the dataset's
+    holds: Mapping[str, FetchedFile]  # by folder below the dataset's
     about_bytes: int | None = None  # if the source states its size roughly
     size_bytes: int | None = None  # if it states its size exactly
     sha256: str | None = None

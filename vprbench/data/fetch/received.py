@@ -22,7 +22,7 @@ def count_files(folder: Path) -> int:
     return sum(path.is_file() and not path.name.startswith(".") for path in folder.rglob("*"))
 
 
-def insist_on_stated(part: Part, archive: Path) -> dict[str, Any]:
+def require_stated(part: Part, archive: Path) -> dict[str, Any]:
     """Return the size and SHA-256 of an archive; raises BadInput if the entry states others."""
     size_bytes, digest = archive.stat().st_size, hashlib.sha256()
     with archive.open("rb") as file:

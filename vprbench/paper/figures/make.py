@@ -14,12 +14,12 @@ from vprbench import progress
 from vprbench.errors import BadInput
 from vprbench.jobs.executors import executor_for
 from vprbench.metrics.registry import METRICS
-from vprbench.paper.gather import Chosen, Material, TableRequest, choose, gather, made, stored, wanted
+from vprbench.paper.gather import ReportData, TablePlan, TableRequest, choose, gather, made, stored, wanted
 from vprbench.paper.growth import GrowthSamples, samples
 from vprbench.paper.missing_runs import results_folder
 from vprbench.paper.plan import Quantity, Row
 from vprbench.paper.selection import Group, ResolvedColumn, accuracy_series, groups, of_row, series
-from vprbench.paper.shelf import Compose
+from vprbench.paper.stored_runs import Compose
 from vprbench.paper.table.best import mean_recall
 from vprbench.paper.table.formats import shown_as_it_is
 from vprbench.paper.table.make import exit_code
@@ -70,7 +70,7 @@ def listed(captions: Iterable[tuple[str, str]]) -> str:
 
 
 def draw_all(
-    found: Material,
+    found: ReportData,
     runs: Sequence[Run],
     growth: Sequence[ResolvedColumn] = (),
     report: Callable[[str], None] = logger.info,
@@ -89,7 +89,7 @@ def draw_all(
             report(f"{name} is not drawn: {error}")
 
 
-def thumbnails_of(group: Group, chosen: Chosen) -> Thumbnails | None:
+def thumbnails_of(group: Group, chosen: TablePlan) -> Thumbnails | None:
     """Return the frames that were kept of a group's dataset, from the first store that has them."""
     for folder in (chosen.results, *chosen.stores):
         kept = find(results_folder(folder), group.runs[0].fingerprint) if group.runs else None
@@ -98,7 +98,7 @@ def thumbnails_of(group: Group, chosen: Chosen) -> Thumbnails | None:
     return None
 
 
-def growth_columns(found: Material, compose: Compose) -> list[ResolvedColumn]:
+def growth_columns(found: ReportData, compose: Compose) -> list[ResolvedColumn]:
     """Return a column for each size of the growth."""
     planned = map(found.chosen.plan.growth.column, found.chosen.plan.growth.sizes)
     return [ResolvedColumn(column, dict(compose(column.options)["dataset"])) for column in planned]
@@ -107,7 +107,7 @@ def growth_columns(found: Material, compose: Compose) -> list[ResolvedColumn]:
 Draw = Callable[[], "Drawn"]
 
 
-def _speed(found: Material, runs: Sequence[Run], growth: Sequence[ResolvedColumn]) -> Iterator[tuple[str, Draw]]:
+def _speed(found: ReportData, runs: Sequence[Run], growth: Sequence[ResolvedColumn]) -> Iterator[tuple[str, Draw]]:
     """Yield Figure 2: training time, query rate, and both against the number of places."""
     from vprbench.paper.figures import growth as growing
     from vprbench.paper.figures import speed
@@ -122,7 +122,7 @@ def _speed(found: Material, runs: Sequence[Run], growth: Sequence[ResolvedColumn
         yield "fig2c-growth", lambda: growing.growth(_growth(found, runs, growth))
 
 
-def _growth(found: Material, runs: Sequence[Run], growth: Sequence[ResolvedColumn]) -> list[GrowthSamples]:
+def _growth(found: ReportData, runs: Sequence[Run], growth: Sequence[ResolvedColumn]) -> list[GrowthSamples]:
     """Return the samples of each row of the growth that has runs; raises BadInput if none has."""
     chosen = []
     for row in _growing(found):
@@ -134,7 +134,7 @@ def _growth(found: Material, runs: Sequence[Run], growth: Sequence[ResolvedColum
     return chosen
 
 
-def _marks(found: Material, group: Group) -> dict[tuple[str, Quantity], str]:
+def _marks(found: ReportData, group: Group) -> dict[tuple[str, Quantity], str]:
     """Return the table's word for each cell of a group, by row and quantity."""
     name = group.name
     return {
@@ -145,13 +145,13 @@ def _marks(found: Material, group: Group) -> dict[tuple[str, Quantity], str]:
     }
 
 
-def _growing(found: Material) -> list[Row]:
+def _growing(found: ReportData) -> list[Row]:
     """Return the rows whose growth is drawn, with their first seed."""
     plan = found.chosen.plan
     return [replace(plan.rows[name], seeds=plan.rows[name].seeds[:1]) for name in plan.growth.rows]
 
 
-def _of_columns(found: Material) -> Iterator[tuple[str, Draw]]:
+def _of_columns(found: ReportData) -> Iterator[tuple[str, Draw]]:
     """Yield the figures that each dataset has: Figure 3, and those beyond the paper."""
     from vprbench.paper.figures import accuracy, growth, metrics, pictures, raster, sequences, spikes, tradeoff
 

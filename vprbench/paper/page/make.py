@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 from vprbench.jobs.executors import executor_for
 from vprbench.paper.figures.make import draw_all, growth_columns, thumbnails_of
-from vprbench.paper.gather import Material, TableRequest, choose, gather
+from vprbench.paper.gather import ReportData, TableRequest, choose, gather
 from vprbench.paper.selection import Group, accuracy_series, series
-from vprbench.paper.shelf import Compose
+from vprbench.paper.stored_runs import Compose
 from vprbench.paper.table import formats
 from vprbench.paper.table.make import exit_code, file_name
 from vprbench.paper.titles import title
@@ -42,7 +42,7 @@ def make_report(asked: TableRequest, options: Sequence[str], compose: Compose) -
     return exit_code(found.endings)
 
 
-def _frames_of(group: Group, found: Material) -> Thumbnails | None:
+def _frames_of(group: Group, found: ReportData) -> Thumbnails | None:
     """Return the frames that were kept of the queries that a group's runs show."""
     kept = thumbnails_of(group, found.chosen)
     if kept is None or group.runs[0].view is None:
@@ -51,7 +51,9 @@ def _frames_of(group: Group, found: Material) -> Thumbnails | None:
     return replace(kept, **{name: tuple(getattr(kept, name)[i] for i in shown) for name in ("query_names", "queries")})
 
 
-def write_page(found: Material, drawings: Iterable[tuple[str, Drawn]], path: Path, absent: Sequence[str] = ()) -> Path:
+def write_page(
+    found: ReportData, drawings: Iterable[tuple[str, Drawn]], path: Path, absent: Sequence[str] = ()
+) -> Path:
     """Write the page of a table, titled as the table if that is not the paper's, with these figures; returns `path`.
 
     `absent` says of each figure that is not drawn why.

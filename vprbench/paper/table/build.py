@@ -14,7 +14,7 @@ from vprbench.paper.table.caption import caption
 from vprbench.paper.table.cells import Cell, Column, Entry, Measured, Table, TableRow
 from vprbench.paper.table.quantities import QUANTITIES, RECALL, Numbers, Quantity
 from vprbench.paper.table.reasons import MARKS, Reason, absent, reason
-from vprbench.paper.titles import protocol_words
+from vprbench.paper.titles import describe_protocol
 from vprbench.paper.titles import title as title_of
 from vprbench.runs.record import Run
 from vprbench.runs.tuned import others_of, tuned_here, tuned_note
@@ -67,7 +67,13 @@ def _column(group: Group, groups: Sequence[Group], plan: Plan) -> Column:
     run = group.runs[0]
     n_queries = len(run.outcome)
     return Column(
-        group.name, title_of(group, groups), run.outcome.n_places, n_queries, protocol_words(run), real, planned.remark
+        group.name,
+        title_of(group, groups),
+        run.outcome.n_places,
+        n_queries,
+        describe_protocol(run),
+        real,
+        planned.remark,
     )
 
 

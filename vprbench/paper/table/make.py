@@ -9,9 +9,9 @@ from pathlib import Path
 from vprbench.errors import BadInput
 from vprbench.jobs.executors import executor_for
 from vprbench.jobs.job import JobResult
-from vprbench.paper.gather import Chosen, Material, TableRequest, all_runs, choose, made, material, stored
+from vprbench.paper.gather import ReportData, TablePlan, TableRequest, all_runs, choose, made, material, stored
 from vprbench.paper.missing_runs import MissingRun, Watch
-from vprbench.paper.shelf import Compose
+from vprbench.paper.stored_runs import Compose
 from vprbench.paper.table import formats
 from vprbench.runs import rows
 from vprbench.runs.sequences import suffix, views
@@ -46,12 +46,12 @@ def make_table(asked: TableRequest, options: Sequence[str], compose: Compose) ->
     return exit_code(found.endings)
 
 
-def _put_together(chosen: Chosen, endings: Sequence[JobResult]) -> Material:
+def _put_together(chosen: TablePlan, endings: Sequence[JobResult]) -> ReportData:
     """Return what is stored now as the table."""
     return material(chosen, *stored(chosen), tuple(endings))
 
 
-def _show(found: Material, asked: TableRequest) -> None:
+def _show(found: ReportData, asked: TableRequest) -> None:
     """Print the table, then write its files."""
     narrow = console().is_terminal
     printed = formats.for_terminal(found.table, asked.wide) if narrow else formats.markdown(found.table)
@@ -64,7 +64,7 @@ def _folder(asked: TableRequest) -> Path:
     return Path(asked.results).expanduser()
 
 
-def write(found: Material, folder: Path, name: str) -> list[Path]:
+def write(found: ReportData, folder: Path, name: str) -> list[Path]:
     """Write the table in its three formats, and all numbers of the runs behind it; returns the files.
 
     The LaTeX of a table with a title of its own is a fragment.

@@ -30,7 +30,7 @@ logger = logging.getLogger(__name__)
 Compose = Callable[[Sequence[str]], Mapping[str, Any]]  # options of the command line -> the configuration they make
 
 
-class Shelf:
+class StoredRuns:
     """The runs of a store as they are when it is first asked."""
 
     def __init__(self, store: Store, options: Sequence[str], compose: Compose) -> None:
