@@ -50,7 +50,7 @@ _SETTINGS = {
 class DaskExecutor:
     """Makes runs side by side, each in a process of its own that a worker waits for."""
 
-    elsewhere = True
+    is_distributed = True
 
     def __init__(self, options: ClusterOptions) -> None:
         """Start nothing yet: everything may be stored."""

@@ -33,7 +33,7 @@ class Callbacks:
 class Executor(Protocol):
     """Makes runs; a context, which ends what was started."""
 
-    elsewhere: bool  # whether other processes wait for the runs, several at a time
+    is_distributed: bool  # whether other processes wait for the runs, several at a time
 
     def __enter__(self) -> Self:
         """Begin."""
@@ -54,7 +54,7 @@ class Executor(Protocol):
 class SerialExecutor:
     """Makes runs here, one after the other."""
 
-    elsewhere = False
+    is_distributed = False
 
     def __enter__(self) -> Self:
         """Start nothing."""
@@ -89,11 +89,11 @@ def run_all(
     """
     coming, callbacks = iter(runs), callbacks or Callbacks()
     since = 0.0  # when the first run began, by the clock of the disk
-    elsewhere: dict[int, tuple[Sequence[str], str]] = {}  # options, and the lock
+    held_by_others: dict[int, tuple[Sequence[str], str]] = {}  # options, and the lock
     running: dict[Future[JobResult], Numbered] = {}
     while True:
-        while len(running) < (executor.room() if running or elsewhere else 1):
-            found = next(coming, None) or _freed(elsewhere, wait=not running)
+        while len(running) < (executor.room() if running or held_by_others else 1):
+            found = next(coming, None) or _freed(held_by_others, wait=not running)
             if found is None:
                 break
             since = since or Store(results_of(found[1])).now()
@@ -104,17 +104,17 @@ def run_all(
         for future in [each for each in running if each.done()]:
             (number, options), result = running.pop(future), future.result()
             if result.held:
-                elsewhere[number] = options, result.held
+                held_by_others[number] = options, result.held
             else:
                 yield number, result
 
 
-def _freed(elsewhere: dict[int, tuple[Sequence[str], str]], wait: bool) -> Numbered | None:
+def _freed(held_by_others: dict[int, tuple[Sequence[str], str]], wait: bool) -> Numbered | None:
     """Return a run that nobody else makes any more; if there is none, wait for one or return None."""
-    while elsewhere:
-        for number, (options, lock) in elsewhere.items():
+    while held_by_others:
+        for number, (options, lock) in held_by_others.items():
             if not run_lock.is_held(lock):
-                del elsewhere[number]
+                del held_by_others[number]
                 return number, options
         if not wait:
             return None
@@ -124,7 +124,7 @@ def _freed(elsewhere: dict[int, tuple[Sequence[str], str]], wait: bool) -> Numbe
 
 def executor_for(options: ClusterOptions) -> Executor:
     """Return who makes runs under these options; nothing of dask is imported without one."""
-    if not options.elsewhere:
+    if not options.is_distributed:
         return SerialExecutor()
     from vprbench.jobs.dask_executor import DaskExecutor
 

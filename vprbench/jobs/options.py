@@ -30,7 +30,7 @@ class ClusterOptions:
         if self.scheduler is not None and (self.cluster or self.workers is not None):
             raise BadInput(f"scheduler={self.scheduler} has workers of its own: leave workers= and cluster= out")
         for library in ("distributed", *(["dask_jobqueue"] if self.cluster else [])):
-            if self.elsewhere and importlib.util.find_spec(library) is None:
+            if self.is_distributed and importlib.util.find_spec(library) is None:
                 raise BadInput(
                     f"{library} is not installed, which makes runs side by side: pip install vprbench[cluster]"
                 )
@@ -44,7 +44,7 @@ class ClusterOptions:
         return name in cls.__dataclass_fields__ or name.startswith("cluster.")
 
     @property
-    def elsewhere(self) -> bool:
+    def is_distributed(self) -> bool:
         """Whether cells are made in other processes, side by side."""
         return self.workers is not None or self.scheduler is not None or bool(self.cluster)
 
@@ -57,7 +57,7 @@ class ClusterOptions:
 
         None if the options of the runs say how many threads there are.
         """
-        if not self.elsewhere or any(option.startswith("threads=") for option in options):
+        if not self.is_distributed or any(option.startswith("threads=") for option in options):
             return []
         share = self.job().cores if self.cluster else max(1, core_count() // self.workers) if self.workers else 1
         logger.info("threads=%d: the threads of each cell, as none were asked for", share)

@@ -39,10 +39,10 @@ def divided(arguments: Sequence[str], sweep: bool) -> tuple[ClusterOptions, list
 def swept(runs: Sequence[Sequence[str]], options: ClusterOptions) -> int:
     """Make runs of the command line, whose answers go to standard output; returns the highest exit code."""
     executor = executor_for(options)
-    live = LiveTable([], [], len(runs)) if executor.elsewhere and sys.stderr.isatty() else None
+    live = LiveTable([], [], len(runs)) if executor.is_distributed and sys.stderr.isatty() else None
 
     def begins(number: int, host: str) -> None:
-        where = f" on {host}" if executor.elsewhere else ""
+        where = f" on {host}" if executor.is_distributed else ""
         logger.info("run %d of the sweep%s: %s", number + 1, where, " ".join(runs[number]))
         if live is not None:
             live.begin(number, " ".join(runs[number]), host)

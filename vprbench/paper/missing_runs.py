@@ -103,7 +103,7 @@ def fill(
     """
     executor, watch = executor or SerialExecutor(), watch or Watch()
     shown = _Shown(wanted) if sys.stderr.isatty() and len(wanted) > 1 else None
-    filling = _Filling(wanted, options, store, compose, shown, executor.elsewhere)
+    filling = _Filling(wanted, options, store, compose, shown, executor.is_distributed)
     cells = filling.cells()
     first = list(itertools.islice(cells, 1))
     if first:

@@ -58,7 +58,7 @@ class Settings(ClusterOptions):
     def __post_init__(self) -> None:
         """Check that something will be tried."""
         super().__post_init__()
-        if self.jobs is not None and self.elsewhere:
+        if self.jobs is not None and self.is_distributed:
             raise BadInput("jobs= are processes of this machine: leave jobs= out")
         for name, least in (("places", places.FEWEST), ("trials", 1), ("jobs", 1), ("seed", 0)):
             given = getattr(self, name)
@@ -214,7 +214,7 @@ def _jobs(asked: int | None) -> int:
 
 def _executor(settings: Settings) -> AbstractContextManager[DaskExecutor | None]:
     """Return the cluster that settings are tried on, None for processes of this search."""
-    if not settings.elsewhere:
+    if not settings.is_distributed:
         return nullcontext()
     from vprbench.jobs.dask_executor import DaskExecutor
 
