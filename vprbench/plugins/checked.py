@@ -27,4 +27,6 @@ def _wanted(problem: Mapping[str, Any]) -> str:
     text = str(problem["msg"]).replace("Input should be", "wanted")
     if problem["type"] in ("list_type", "sequence_str", "tuple_type"):
         return "wanted a list, as in [first,second]"
+    if problem["type"] == "too_short":
+        return f"wanted at least {problem['ctx']['min_length']}"
     return text.replace("a valid integer", "an integer").replace("a valid ", "a ")

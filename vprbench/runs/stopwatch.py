@@ -18,7 +18,7 @@ from vprbench.api.images import Images
 from vprbench.api.method import batch_size_for
 from vprbench.runs.shortlist import Answer, Scorer, best_place
 from vprbench.runs.timing_protocol import Protocol as Protocol  # callers ask the stopwatch
-from vprbench.storage.bounds import INTEGERS, NUMBERS, Array, Count, Flag
+from vprbench.storage.bounds import INTEGERS, NUMBERS, Array, Count, Flag, Positive
 from vprbench.storage.bounds import Seconds as Duration
 
 Clock = Callable[[], int]  # nanoseconds, monotonic
@@ -47,7 +47,7 @@ class Laps:
 
     encode_seconds: Annotated[Seconds, _LAP]  # (n_calls,)
     match_seconds: Annotated[Seconds, _LAP]  # (n_calls,)
-    images_per_call: Annotated[Count, Field(ge=1)]
+    images_per_call: Positive
     valid: Flag
 
     @property

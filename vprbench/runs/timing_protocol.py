@@ -8,9 +8,7 @@ from typing import Annotated, Any
 from pydantic import ConfigDict, Field, with_config
 
 from vprbench.errors import BadInput
-from vprbench.storage.bounds import Count, Flag, Seconds
-
-_Some = Annotated[Count, Field(ge=1)]
+from vprbench.storage.bounds import Count, Flag, Positive, Seconds
 
 
 @with_config(ConfigDict(extra="forbid", strict=False))
@@ -23,10 +21,10 @@ class Protocol:
     """
 
     minimum_seconds: Seconds = 1.0
-    minimum_queries: _Some = 64  # enough for a 90th percentile; 662 are for a 99th
-    minimum_passes: _Some = 1  # over the sample of images
+    minimum_queries: Positive = 64  # enough for a 90th percentile; 662 are for a 99th
+    minimum_passes: Positive = 1  # over the sample of images
     maximum_seconds: Annotated[Seconds, Field(gt=0)] = 120.0
-    sample: _Some = 256  # query images held decoded in memory, at most
+    sample: Positive = 256  # query images held decoded in memory, at most
     warmup_queries: Count = 50  # at most; fewer once the last ten differ by less than 10 %
     batch_sizes: Annotated[list[int], Field(min_length=1)] = field(default_factory=lambda: [1, 8, 32, 128])
     total_seconds: Annotated[Seconds, Field(gt=0)] | None = None  # of all measurements together; None: no limit

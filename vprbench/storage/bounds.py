@@ -21,6 +21,7 @@ Text = Annotated[str, Field(strict=True)]
 Name = Annotated[str, Field(strict=True, pattern=r"^[^./\\\x00-\x1f][^/\\\x00-\x1f]*$")]  # of a file too
 Flag = Annotated[bool, Field(strict=True)]
 Count = Annotated[int, Field(strict=True, ge=0, le=1 << 53)]
+Positive = Annotated[int, Field(strict=True, ge=1, le=1 << 53)]
 Places = Annotated[int, Field(strict=True, ge=1, le=MOST_PLACES)]
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Amount = Annotated[float, Field(strict=True, ge=0, allow_inf_nan=False)]
