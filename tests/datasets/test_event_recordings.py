@@ -330,6 +330,7 @@ def test_refractory_times_renderings_thresholds_noise_and_hot_pixels_are_as_the_
     assert not np.array_equal(seen(noise_hz=3, seed=1).t, seen(noise_hz=3).t)
 
 
+@pytest.mark.extended
 def test_frames_count_the_events_of_the_recording_and_places_are_recognised_under_another_light():
     dataset = event_journey(places=12, references=["spring"], query="winter", hot_pixels=3, first_query_place=2)
     assert [recording.name for recording in dataset.recordings] == ["spring", "winter"]

@@ -195,6 +195,7 @@ PUBLISHED = {
 }
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("name", PUBLISHED)
 def test_each_way_asks_the_frames_and_seasons_that_are_published(tmp_path, monkeypatch, name):
     for season in SEASON_LEVEL:

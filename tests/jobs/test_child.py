@@ -63,10 +63,6 @@ def test_what_a_process_left_counts_and_a_process_that_left_nothing_has_failed(e
     assert capfd.readouterr().err.count("vprbench: method=sad ") == (code == 1)
 
 
-def test_a_process_that_is_not_done_at_its_limit_is_ended(ends):
-    assert "limit_minutes=0.01" in ends("exec sleep 60", "limit_minutes=0.01").error
-
-
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_an_interruption_of_the_one_who_asked_ends_the_process_too(ends, number, monkeypatch):
     def interrupt(*_):

@@ -71,6 +71,7 @@ def test_it_is_the_published_network(check, folder):
     check(folder)
 
 
+@pytest.mark.extended
 def test_with_the_references_vocabulary_it_keeps_the_contract(folder):
     assert NETWORK.check_contract(folder, vocabulary="references", height=42, width=42, batch_size=16) == set()
 

@@ -22,6 +22,7 @@ RESNETS = {
 }
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("name", RESNETS)
 def test_resnet_has_the_published_number_of_values_blocks_and_channels(name):
     with torch.device("meta"):

@@ -74,6 +74,7 @@ def test_whitening_keeps_the_directions_of_largest_moment_and_takes_no_mean():
     assert vlad.whitening(np.ones((3, 4), np.float32), 3).shape == (4, 1)  # the rest is rounding
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize(
     ("n", "n_components", "shape"), [(16, 1024, (3, 4)), (16, 2, (3, 2)), (12, 0, (3, 6 * 128)), (3, 1024, (3, 1))]
 )
@@ -83,6 +84,7 @@ def test_there_is_at_most_a_component_for_four_references_and_for_those_asked(n,
     np.testing.assert_allclose(np.linalg.norm(codes, axis=1), 1, atol=1e-5)
 
 
+@pytest.mark.extended
 def test_references_beyond_the_sample_that_the_seed_draws_are_in_the_map(monkeypatch):
     monkeypatch.setattr(method, "_WHITENED_IMAGES", 8)
     monkeypatch.setattr(method, "_SAMPLED_IMAGES", 5)

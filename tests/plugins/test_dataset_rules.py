@@ -151,6 +151,7 @@ def test_a_right_dataset_keeps_every_rule_and_each_rule_has_a_wrong_one():
     assert list(WRONG) == list(DATASET_RULES)
 
 
+@pytest.mark.extended
 def test_rendered_datasets_keep_every_rule():
     for kind, arguments in (
         ("synthetic.synthetic", {"places": 12}),

@@ -108,6 +108,7 @@ def test_what_pytorch_does_is_counted_a_step_without_a_formula_is_not_available_
     assert found["values"]["map_bytes"] == 10
 
 
+@pytest.mark.extended
 def test_costs_are_asked_for_stored_and_shown(tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(joules, "POWERCAP", tmp_path / "none")

@@ -286,6 +286,7 @@ def test_readouts_are_a_table_below_the_row_and_a_list_in_json_and_stay_with_the
     assert asked(capsys, "method=pca", "force=true")["readouts"] == made["readouts"]
 
 
+@pytest.mark.extended
 def test_a_growing_map_is_stored_with_its_run_and_printed(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert "stream" not in asked(capsys)

@@ -249,6 +249,7 @@ def test_the_bound_of_a_percentile_is_the_lap_with_h_above_it():
 
 
 def test_a_protocol_that_measures_nothing_is_refused_by_name():
+    config = composed([])
     for option, values in {
         **{option: [0] for option in ("minimum_queries", "minimum_passes", "sample")},
         "batch_sizes": [[], [8, 0]],
@@ -257,10 +258,8 @@ def test_a_protocol_that_measures_nothing_is_refused_by_name():
         "total_seconds": [0.0],
     }.items():
         for value in values:
-            config = composed([])
-            config["timing"] |= {option: value}
             with pytest.raises(BadInput, match=rf"timing\.{option}\b"):
-                checked_settings(config)
+                checked_settings({**config, "timing": {**config["timing"], option: value}})
 
 
 LIMITED = Protocol(0.25, 64, 1, 5.0, 64, 20, [1, 8, 32], total_seconds=5.0)

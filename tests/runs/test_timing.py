@@ -95,6 +95,7 @@ def test_the_machine_is_described_in_values_that_json_can_hold_and_its_canary_no
     assert machine.canary_seconds(lambda: next(moments)) == 0.008
 
 
+@pytest.mark.extended
 def test_a_run_knows_the_peak_of_memory_that_its_method_took_and_a_new_window_forgets_it():
     try:
         Path("/proc/self/clear_refs").write_text("5", encoding="ascii")

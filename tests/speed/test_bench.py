@@ -5,9 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import json
-import math
 import re
-from operator import attrgetter
 from types import SimpleNamespace
 
 import numpy as np
@@ -126,15 +124,6 @@ def test_a_floor_counts_the_bytes_of_the_weights(done):
         "vprtempo_ensemble reference": matrix * 4,
     }
     assert {cell["floor_bytes"] for cell in done.raw["training"]} == {2 * each_module * 4}
-
-
-def test_an_exponent_has_students_interval_if_there_are_three_sizes():
-    # log n = 0, 1, 2 and log t = 0, 0, 1: slope 1/2, residuals 1/6, -1/3, 1/6; Student 12.7062
-    cells = [SimpleNamespace(places=size, seconds=seconds) for size, seconds in ((1, 1.0), (10, 1.0), (100, 10.0))]
-    time, half = attrgetter("seconds"), 12.7062 * math.sqrt(1 / 12)
-    assert bench.grown(cells, time) == f"0.50 [{0.5 - half:.2f}, {0.5 + half:.2f}] (3 sizes)"
-    assert bench.grown(cells[1:], time) == "1.00 (2 sizes, no interval)"
-    assert bench.grown(cells[1:2], time) == "1 sizes: needs two"
 
 
 def test_what_cannot_be_measured_says_why_in_its_cell_and_no_other_section_is_told(monkeypatch):

@@ -75,6 +75,7 @@ def test_a_network_is_timed_without_its_weights_at_the_nearest_size_that_it_take
     assert all(len(laps) >= 3 and min(laps) > 0 for laps in cell.seconds.values())
 
 
+@pytest.mark.extended
 def test_the_command_prints_and_writes_the_table_and_names_an_unknown_method(tmp_path, capsys):
     assert main(["bench-descriptors", "quick=true", f"results={tmp_path}"]) == 0
     printed = capsys.readouterr().out

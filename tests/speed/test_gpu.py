@@ -101,6 +101,7 @@ def test_each_comparison_sees_its_difference(wrong, holds):
 QUICK = ["gpu-check", "quick=true", "threads=1", "device=cpu", "results=here"]
 
 
+@pytest.mark.extended
 def test_what_was_found_is_written_and_a_difference_or_an_engine_that_cannot_run_ends_with_code_1(capsys, monkeypatch):
     monkeypatch.setattr(gpu, "require_gpu", lambda _: None)
     monkeypatch.setattr("gc.collect", int)

@@ -5,8 +5,6 @@ import pytest
 
 from vprbench.cli import main
 from vprbench.errors import BadInput
-from vprbench.paper.figures.maps import MapCost
-from vprbench.paper.figures.maps import maps as drawn
 from vprbench.speed import maps
 from vprbench.speed.maps import share_found, stored
 from vprbench.speed.searching import Case, searched
@@ -24,15 +22,6 @@ def test_found_is_the_share_of_the_exactly_best_places_and_a_process_that_takes_
         searched(case, 60)
     with pytest.raises(BadInput, match=r"libraries was not done after limit_minutes=0"):
         searched(case, 0)
-
-
-def test_the_figure_draws_each_index_by_the_length_of_its_descriptors():
-    costs = [MapCost(name, 64, 10 * n, 1.0 * n, 0.001, 1e6) for name in ("exact", "binary") for n in (1, 2)]
-    figure = drawn([*costs, MapCost("exact", 512, 10, 3.0, 0.002, 2e6)]).figure
-    building, longer, query = figure.axes[:3]
-    assert [line.get_ydata().tolist() for line in building.lines] == [[1, 2], [1, 2]]
-    assert [len(line.get_ydata()) for line in longer.lines] == [1, 0]
-    assert query.lines[0].get_ydata().tolist() == [1, 1]  # milliseconds
 
 
 def test_the_command_measures_indexes_beside_exact_search_and_one_that_cannot_be_built_is_the_exit_code(

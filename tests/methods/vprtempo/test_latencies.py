@@ -97,6 +97,7 @@ def test_a_network_of_vprtempo_answers_in_time_with_larger_amplitudes_earlier_in
     assert (outputs.times[answered, outputs.values.argmax(1)[answered]] == 21).all()  # the first step of its cycle
 
 
+@pytest.mark.extended
 def test_a_run_keeps_answers_in_time_and_spike_times_which_figures_draw(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     options = ["method.max_module=12", "method.steps=8", "dataset.places=12", "dataset.first_query_place=0", *RUN]

@@ -105,6 +105,7 @@ def test_memory_is_the_mean_of_the_seeds_and_the_map_has_a_panel_for_the_rows_th
     assert points(right) == [approx((784, 50)), approx((8192, 30))]
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("apart", [0, 1], ids=["alike", "crowded"])
 def test_names_of_six_methods_cover_neither_one_another_nor_points_and_stay_inside(apart):
     rates = [1000 - 20 * i * apart for i in range(6)]

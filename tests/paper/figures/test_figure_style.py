@@ -44,6 +44,7 @@ def test_any_two_methods_of_a_figure_look_different_and_those_of_the_paper_the_s
     assert looks([*PAPER, "cosplace", "mixvpr"])["mixvpr"] == looks(["cosplace", "mixvpr"])["mixvpr"]
 
 
+@pytest.mark.extended
 def test_a_figure_has_its_width_and_the_same_bytes_whatever_a_reader_set_and_a_file_in_the_way_is_named(tmp_path):
     paths = write(drawing(), tmp_path / "new" / "folder", "three")
     assert sorted((tmp_path / "new" / "folder").iterdir()) == list(paths)

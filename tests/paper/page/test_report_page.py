@@ -160,6 +160,7 @@ def noisy(n_places, n_queries):
     return Section("Railway", series, Thumbnails(names[:n_queries], names, (), queries, places))
 
 
+@pytest.mark.extended
 def test_where_the_frames_are_too_large_all_of_them_become_coarser(monkeypatch):
     """If none fits, names stand in their places; the page says how far it is meanwhile."""
     given = noisy(60, 40)

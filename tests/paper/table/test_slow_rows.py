@@ -11,8 +11,6 @@ from small_plan import RUN, install
 from vprbench.cli import main
 from vprbench.jobs import executors
 
-MARKS = list[dict[tuple[str, str], str]]
-
 
 def marks():
     """Return the mark of each cell of R@1 in the files as they are now."""
