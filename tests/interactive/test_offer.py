@@ -13,7 +13,6 @@ from checkout import ROOT
 from nbclient import NotebookClient
 
 import vprbench
-import vprbench.runs.rates as by_its_name
 
 
 def test_importing_the_package_imports_nothing_else():
@@ -36,7 +35,6 @@ def test_type_checkers_see_the_names_that_programs_find():
 
 
 def test_a_room_that_has_the_name_of_a_function_is_both_and_registered_methods_and_datasets_are_tables():
-    assert vprbench.runs.rates is by_its_name
     assert list(inspect.signature(vprbench.run).parameters) == ["method", "dataset", "options"]
     assert "NotThere" in pydoc.render_doc(vprbench.run)
     with pytest.raises(AttributeError, match="compre"):

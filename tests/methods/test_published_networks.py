@@ -76,7 +76,13 @@ def made(words):
     return registry.make_method(configuration(words))
 
 
-@pytest.mark.parametrize("name", sorted(CONTRACT - {"patch_netvlad"}))
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=[pytest.mark.extended] * (name not in ("netvlad", "gcl")))
+        for name in sorted(CONTRACT - {"patch_netvlad"})
+    ],
+)
 def test_a_method_keeps_the_contract_with_a_small_network_in_place_of_its_own(name, tmp_path):
     config = configuration(name) | {"height": 56, "width": 56}
     for file in {"weights", "centres"} & set(config):

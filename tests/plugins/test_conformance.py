@@ -25,7 +25,7 @@ METHODS = [name for name in ENTRIES if name not in NETWORKS]
 
 # Slow ones, and other settings of networks that stand here already.
 EXTENDED = {
-    *("densevlad", "cohog", "hyperdimensional_oriented"),
+    *("densevlad", "cohog", "hyperdimensional", "hyperdimensional_oriented"),
     *("vprtempo_tuned", "vprtempo_tuned_ensemble", "vprtempo_oriented_ensemble", "vprtempo_ensemble", "vprtempo_int8"),
     *("vprtempo_latencies", "vprtempo_oriented_latencies", "vprtempo_oriented_int8", "vprsnn_fast", "vprsnn_ensemble"),
 }

@@ -402,6 +402,7 @@ def test_a_run_is_answered_from_the_store_where_its_network_was_kept_and_else_ma
     assert "save=net.safetensors is there already" in run("save=net.safetensors", "seed=1", code=2)[1]
 
 
+@pytest.mark.extended
 def test_a_network_outlives_a_failure_at_the_queries_and_a_failed_training_leaves_none(run, ask, monkeypatch):
     for step, there in (("match", ["net.safetensors"]), ("fit", [])):
         with monkeypatch.context() as patch:
