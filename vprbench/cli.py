@@ -138,6 +138,7 @@ def _run(config: DictConfig) -> JobResult:
     from vprbench.runs.store import Store
 
     store, threads = Store(Path(settings.results).expanduser()), n_threads(settings)
+    failures = Store(store.root.absolute())  # a method may change the working folder
 
     def failed(error: str, missing: bool = False) -> Failure:
         dataset = asked["dataset"].get("name", choices["dataset"])
@@ -147,7 +148,7 @@ def _run(config: DictConfig) -> JobResult:
     if settings.limit_minutes is not None and not as_job:
         result = run_job(given)
         if result.code == 1 and not result.recorded:
-            store.try_to_save_failure(failed(result.error))
+            failures.try_to_save_failure(failed(result.error))
         print(result.printed, end="\n" * bool(result.printed))
         return result
     printed: list[str] = []
@@ -168,7 +169,7 @@ def _run(config: DictConfig) -> JobResult:
             if isinstance(error, BadInput) and not as_job:
                 raise
             if elsewhere is None:
-                store.try_to_save_failure(failure)
+                failures.try_to_save_failure(failure)
             if settings.output == "json" and as_job:
                 say(as_json(failure))
             message = f"{failure.method} failed: {failure.error}"

@@ -63,15 +63,14 @@ def test_a_run_that_nobody_watches_is_stored(tmp_path):
     assert len(list(Store(tmp_path / "results").runs())) == 1
 
 
-@pytest.mark.usefixtures("here")
 @pytest.mark.parametrize(("method", "code"), [("leaving", 1), ("silent", 2), ("colourful", 1), ("rootless", 1)])
-def test_whatever_a_method_raises_ends_in_one_line_that_no_terminal_obeys(method, code, capsys):
+def test_whatever_a_method_raises_ends_in_one_line_that_no_terminal_obeys(method, code, capsys, here):
     assert main([f"method={method}", *QUICK]) == code
     printed = capsys.readouterr().err
     assert [line[:10] for line in printed.splitlines() if line.startswith("vprbench")] == ["vprbench: "]
     assert len(printed.splitlines()[-1]) > len("vprbench: ")
     assert "\x1b" not in printed
-    assert len(list(Store(Path("results")).failures())) == (code == 1)
+    assert len(list(Store(here / "results").failures())) == (code == 1)
 
 
 def test_a_method_that_changes_the_folder_moves_nothing_that_is_stored(here):

@@ -38,6 +38,7 @@ class Silent(SAD):
 
 class Colourful(SAD):
     def fit(self, *given):
+        os.chdir("/")
         raise RuntimeError("a name\x1b[31m\nvprbench: all is well")
 
 

@@ -4,33 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 from vprbench.errors import BadInput
-from vprbench.jobs.options import ClusterOptions
-from vprbench.paper.gather import TableRequest
+from vprbench.paper.run_options import RunOptions
 from vprbench.plugins.options import chosen
 from vprbench.runs.corruption import corruptions
 from vprbench.runs.settings import KNOWN
 from vprbench.text import near
 
 
-@dataclass(frozen=True)
-class Request(ClusterOptions):
+@dataclass(frozen=True, kw_only=True)
+class Request(RunOptions):
     """Which methods are compared, and how; raises BadInput for what cannot be."""
 
     methods: list[str]  # names; NAME.option=value sets an option of one of them
     seeds: int = 1  # of each method that learns from a seed
-    metrics: list[str] = field(default_factory=list)  # more columns, by their names in METRICS
     corruptions: list[str] = field(default_factory=list)  # of query frames: all, kinds, or as in shift-1
     devices: list[str] = field(default_factory=lambda: ["cpu"])  # or device=cuda, for one
-    stored: bool = False  # from the store alone: nothing is run
-    stores: list[str] = field(default_factory=list)  # results folders of other machines, read too
     name: str | None = None  # of the files that are written, and the title; None: the dataset's
-    sequence: Any = None  # 4, [1,4,10] or {length:4,window:centred}: answers of so many neighbouring queries
-    filter: Any = None  # true or {back:0,ahead:2,ratio:5}: answers of a Bayes filter over the places
-    wide: bool = False  # all columns, however wide the terminal is
-    results: str = "results"
 
     def __post_init__(self) -> None:
         """Check what can be checked before a method or the dataset is built."""
@@ -38,16 +29,6 @@ class Request(ClusterOptions):
         if not self.methods:
             raise BadInput("methods= is empty: name what is compared, as in methods=sad,hog")
         corruptions(self.corruptions)
-        table = TableRequest(
-            seeds=self.seeds,
-            metrics=self.metrics,
-            devices=self.devices,
-            stores=self.stores,
-            name=self.name,
-            sequence=self.sequence,
-            filter=self.filter,
-        )  # which checks the same options
-        object.__setattr__(self, "metrics", table.metrics)
 
 
 @dataclass(frozen=True)

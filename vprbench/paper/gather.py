@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import itertools
 import os
-import re
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from vprbench.errors import BadInput
 from vprbench.jobs.executors import Executor
 from vprbench.jobs.job import JobResult
-from vprbench.jobs.options import ClusterOptions
 from vprbench.metrics.registry import GROUPS
 from vprbench.paper.left_out import why_left_out
 from vprbench.paper.missing_runs import MissingRun, Watch, fill, results_folder
 from vprbench.paper.plan import Plan, PlannedColumn, Row, read_plan, with_plug_ins
+from vprbench.paper.run_options import RunOptions
 from vprbench.paper.selection import Group, ResolvedColumn, groups
 from vprbench.paper.stored_runs import Compose
 from vprbench.paper.table.build import assemble
@@ -28,7 +27,6 @@ from vprbench.paper.viewed import seen
 from vprbench.plugins import registry
 from vprbench.runs.record import Failure, Run
 from vprbench.runs.sequences import Views, views
-from vprbench.runs.settings import require_metrics
 from vprbench.runs.store import Store
 
 Part = TypeVar("Part")
@@ -37,42 +35,21 @@ _ACCELERATORS = ("/dev/nvidiactl", "/dev/kfd", "/dev/dxg")  # of NVIDIA, of AMD,
 
 
 @dataclass(frozen=True)
-class TableRequest(ClusterOptions):
+class TableRequest(RunOptions):
     """Which rows and columns, from which stores; raises BadInput for what cannot be."""
 
     rows: list[str] | None = None  # of conf/table.yaml; None: those of the paper
     methods: list[str] = field(default_factory=list)  # more rows: names of methods, or of more_rows
-    metrics: list[str] = field(default_factory=list)  # more quantities, by their names in METRICS
     columns: list[str] | None = None  # None: the paper's datasets, or what stands in for them
-    seeds: int | None = None  # at most so many a row
-    devices: list[str] | None = None  # None: cpu, and cuda where there is a GPU
     full: bool = False  # slow rows at full size too
-    stored: bool = False  # from the store alone: nothing is run
-    stores: list[str] = field(default_factory=list)  # results folders of other machines, read too
     nordland: str | None = None  # folder of the real frames
     robotcar: str | None = None
-    name: str | None = None  # of the files that are written
-    sequence: Any = None  # 4, [1,4,10] or {length:4,window:centred}: answers of so many neighbouring queries
-    filter: Any = None  # true or {back:0,ahead:2,ratio:5}: answers of a Bayes filter over the places
-    wide: bool = False  # all columns, however wide the terminal is
-    results: str = "results"
 
     def __post_init__(self) -> None:
         """Check what can be checked before a plan is read."""
         super().__post_init__()
-        views(self.sequence, self.filter)
-        if self.seeds is not None and self.seeds < 1:
-            raise BadInput(f"seeds={self.seeds}: give at least 1")
-        if self.name is not None and re.fullmatch(r"\w[\w.-]*", self.name) is None:
-            raise BadInput(f"name={self.name}: give letters, digits, '.', '_' and '-', for it names files")
-        object.__setattr__(self, "metrics", require_metrics(self.metrics))
-        for device in self.devices or ():
-            if re.fullmatch(r"cpu|cuda(:\d+)?", device) is None:
-                raise BadInput(f"devices={device} is unknown: give cpu, cuda or cuda:1")
-        for option, folders in (("stores", self.stores), ("nordland", [self.nordland]), ("robotcar", [self.robotcar])):
-            for folder in folders:
-                if folder is not None and not Path(folder).expanduser().is_dir():
-                    raise BadInput(f"{option}={folder} is no folder: give the one that holds the frames or the runs")
+        self._require_folders("nordland", self.nordland)
+        self._require_folders("robotcar", self.robotcar)
 
 
 @dataclass(frozen=True)

@@ -129,7 +129,7 @@ def _typed(annotation: ast.expr | None, module: str) -> str:
     if text.isidentifier() and text[0].isupper() and (defined := _defined(module, text)):
         text = ast.unparse(defined[2])
     if bounded := re.fullmatch(r"(?:\w+ = )?Annotated\[(.+?), [A-Z].*\]", text):
-        return _typed(ast.parse(bounded[1]).body[0].value, module)  # type: ignore[attr-defined]
+        return _typed(ast.parse(bounded[1], mode="eval").body, module)
     if choice := re.search(r"Literal\[(.*?)\]", text):
         return " or ".join(word.strip().strip("'") for word in choice[1].split(","))
     if text.startswith("dict["):

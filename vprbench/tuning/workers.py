@@ -61,7 +61,7 @@ class Workers(Generic[TaskT, Result]):
 
     def __exit__(self, *_: object) -> None:
         """End the processes: they hold nothing that could be lost."""
-        for executor in self._executors:
+        for executor in self._executors:  # which cannot end a process that is at work before Python 3.14
             for process in [*(getattr(executor, "_processes", None) or {}).values()]:
                 process.terminate()
             executor.shutdown(wait=False)
@@ -95,7 +95,7 @@ class Workers(Generic[TaskT, Result]):
                     yield Answer(task, None, "the process that tried it ended")
                 except CancelledError as error:
                     raise ClusterLostError("the cluster is gone; what was finished is kept: search again") from error
-                except Exception as error:
+                except Exception as error:  # whatever a method raises costs its own trial
                     traceback.print_exception(error)
                     yield Answer(task, None, f"{type(error).__name__}: {error}")
 
