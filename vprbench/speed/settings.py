@@ -114,7 +114,7 @@ class Settings(NetworkOptions):
     files: list[int] = option([10_000, 100_000], [40])  # of datasets whose names, positions and hashes are read
     events: list[int] = option([100_000_000], [20_000])  # of an hour of a DAVIS346; 1000000000 need 13 GB of disk
     batch: int = option(128, 4)  # images preprocessed together
-    sample: int = option(128, 4, least=None)  # different queries
+    sample: int = option(128, 4)  # different queries
     search_references: int = option(3300, 300)  # descriptors that are searched; for 27592, all of Nordland, 2 GB
     search_queries: int = option(3300, 300)  # of a whole traverse
     search_dimensions: int = option(4096, 16)
@@ -125,7 +125,7 @@ class Settings(NetworkOptions):
     vprsnn_modules: list[int] = option([18, 111], [1, 3])  # that are asked together
     sections: list[str] = option(list(SECTIONS), among=SECTIONS)
     rounds: int = option(3, 2)
-    minimum_queries: int = option(64, 4, least=None)
+    minimum_queries: int = option(64, 4)
 
     def __post_init__(self) -> None:
         """Check that something will be measured."""
