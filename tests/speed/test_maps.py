@@ -38,7 +38,7 @@ def test_the_command_measures_indexes_beside_exact_search_and_one_that_cannot_be
     rows = {each["index"]: each for each in stored(tmp_path / "maps-quick.csv")}
     exact = rows.pop("exact")
     assert (exact["found_at_1"], exact["found_at_10"], exact["rerank"], rows["ivfpq"]["rerank"]) == (1, 1, 0, 20)
-    assert 1e6 < exact["libraries_bytes"] < exact["answering_bytes"] < 1e9
+    assert all(1e6 < exact[name] < 1e9 for name in ("libraries_bytes", "answering_bytes"))
     assert min(exact["building_seconds"], exact["query_seconds"], exact["batch_seconds"]) > 0
 
     def too_slow(*_):
