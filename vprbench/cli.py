@@ -184,26 +184,33 @@ def _run(config: DictConfig) -> JobResult:
 
 
 def _answer(method: str, asked: dict[str, Any], settings: Settings, store: Store, say: Callable[[str], None]) -> str:
-    """Say the run of a configuration, from the store or made now, and return its key.
+    """Say the run of a configuration, or one for each of its corruptions, and return the key of the last.
 
-    Raises what `get_or_run` raises.
+    A run is from the store or made now. `asked` holds what was asked of the run that is made. Raises what `get_or_run`
+    raises.
     """
-    from vprbench.runs.build_request import build_request
+    from vprbench.runs.build_request import build_request, under
     from vprbench.runs.get_or_run import UnstoredRunError, get_or_run
 
-    current = job.current
-    try:
-        request = build_request(method, asked, settings, store)
-        result = get_or_run(request, settings, store, current is None, None if current is None else current.since)
-    except UnstoredRunError as error:
-        from vprbench.runs.run_text import run_text  # what it imports does not count as the run's memory
+    current, key = job.current, ""
+    request = build_request(method, asked, settings, store)
+    for name in settings.corruption if isinstance(settings.corruption, list) else [None]:
+        if name is not None:
+            clean = [option for option in asked["overrides"] if not option.startswith("corruption=")]
+            asked |= {"corruption": name, "overrides": [*clean, f"corruption={name}"]}
+        wanted = request if name is None else under(request, name, asked)
+        try:
+            result = get_or_run(wanted, settings, store, current is None, None if current is None else current.since)
+        except UnstoredRunError as error:
+            from vprbench.runs.run_text import run_text  # what it imports does not count as the run's memory
 
-        say(run_text(error.run, None, False, settings))
-        raise
-    from vprbench.runs.run_text import run_text
+            say(run_text(error.run, None, False, settings))
+            raise
+        from vprbench.runs.run_text import run_text
 
-    say(run_text(result.run, result.folder, result.from_store, settings))
-    return result.run.key
+        say(run_text(result.run, result.folder, result.from_store, settings))
+        key = result.run.key
+    return key
 
 
 def _error_text(error: BaseException) -> str:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from vprbench import __version__
 from vprbench.errors import BadInput
-from vprbench.plugins.entries import Group, broken_plugins, conf_folders, entries, read
+from vprbench.plugins.entries import Entry, Group, broken_plugins, conf_folders, entries, read
 from vprbench.runs.corruption import KINDS, STRENGTHS
 from vprbench.terminal.completion import HIDDEN, SCRIPTS, candidates
 from vprbench.terminal.described import Option, of_class, of_yaml, together
@@ -183,14 +183,17 @@ def _usual(conf: Path) -> dict[str, str]:
 def _of_entry(group: str, name: str, conf: Path) -> list[Option]:
     """Return the options of a method, a dataset or a timing, and of those that its yaml builds on; none if unknown."""
     known = entries(group) if group in ("method", "dataset") else {}  # type: ignore[arg-type]
-    path = known[name].path if name in known else conf / group / f"{name}.yaml"
-    if not path.is_file():
+    entry = known.get(name) or Entry("method", name, conf / group / f"{name}.yaml", "vprbench")
+    if not entry.path.is_file():
         return []
-    values = known[name].values() if name in known else read(path.read_text(encoding="utf-8"))
-    below = [_of_entry(group, base, conf) for base in values.get("defaults") or () if base not in ("_self_", name)]
-    merged = {option.name: option for base in below for option in base}
-    merged |= {option.name: option for option in together(of_yaml(path), merged.values())}
-    return together(merged.values(), of_class(":".join(str(values.get("_target_", _TIMING)).rsplit(".", 1))))
+    return together(_of_yamls(entry), of_class(":".join(str(entry.values().get("_target_", _TIMING)).rsplit(".", 1))))
+
+
+def _of_yamls(entry: Entry) -> list[Option]:
+    """Return the options of a yaml, its own first, then those of the yamls that it builds on."""
+    below = {option.name: option for base in entry.bases() for option in _of_yamls(base)}
+    own = {option.name: option for option in together(of_yaml(entry.path), below.values())}
+    return [*own.values(), *(option for name, option in below.items() if name not in own)]
 
 
 def _of_cluster(name: str, conf: Path) -> list[Option]:

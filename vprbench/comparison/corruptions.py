@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -45,12 +44,24 @@ def make_missing(
     compose: Compose,
     executor: Executor | None = None,
 ) -> list[JobResult]:
-    """Make the runs that are not stored, kind by kind, on the first device alone; returns how each ended."""
+    """Make the runs that are not stored, on the first device alone; returns how each ended.
+
+    A process fits a row's method once for all corruptions. If it dies, or a run may take `limit_minutes` alone, each
+    of the runs has a process.
+    """
     once = replace(chosen, devices=chosen.devices[:1])
     options = [option for option in asked.of_runs if option.partition("=")[0].partition(".")[0] != "timing"]
-    endings: list[JobResult] = []
-    for _, of_kind in itertools.groupby(spoilt.items(), lambda each: each[0].kind):
-        columns = [there.column for _, there in of_kind]
-        runs = [run for row in rows for column in columns for run in wanted(once, column, [row])]
-        endings += made(once, runs, [*options, *_UNTIMED], compose, executor)
-    return endings
+    if not spoilt:
+        return []
+    options += _UNTIMED
+    names = tuple(each.name for each in spoilt)
+    first = next(iter(spoilt.values())).column
+    title = f"{first.dataset['name']}, {len(names)} corruptions"
+    column = replace(first, planned=replace(first.planned, title=title))
+    together = [replace(run, corruption=names) for row in rows for run in wanted(once, column, [row])]
+    if any(option.startswith("limit_minutes=") for option in options):
+        return made(once, [one for run in together for one in run.each()], options, compose, executor)
+    endings = made(once, together, options, compose, executor)
+    died = [run for run, ending in zip(together, endings, strict=True) if ending.code == 1]
+    alone = made(once, [one for run in died for one in run.each()], options, compose, executor)
+    return [*(ending for ending in endings if ending.code != 1), *alone]

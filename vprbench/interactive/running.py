@@ -37,6 +37,7 @@ class Options(TypedDict, total=False):
     depth: int  # best places kept for each query, 100
     scores: bool  # keep all scores, however many; those of small runs are kept anyway
     energy: bool  # count what a query and a place cost
+    readouts: bool  # R@1 of the codes and of each learnt layer too, by cosine: Result.readouts
     corruption: str | None  # of the query frames, as in "shift-1"; None: they are clean
     save: str | Path | None  # file for the trained network
     load: str | Path | None  # file of a trained network: nothing is trained then
@@ -69,6 +70,8 @@ def prepared(method: AnyMethod, where: Place, options: Options) -> Prepared:
             raise BadInput(f"option {name} is the command line's, where each run has a process: leave it out")
         if name not in Options.__annotations__:
             raise BadInput(f"option {name} is unknown: {near(name, Options.__annotations__)}")
+    if not isinstance(options.get("corruption"), str | None):
+        raise BadInput(f"corruption={options['corruption']}: give one name, as in corruption='shift-1'")
     chosen = recipe(method, options.get("seed"), options.get("device"))
     stored = options.get("results", "results") is not None
     if stored and chosen.untold is not None:

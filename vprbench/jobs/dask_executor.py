@@ -87,8 +87,8 @@ class DaskExecutor:
         self._opened.enter_context(dask.config.set(_SETTINGS))
         client = _connected(self._options, self._opened)
         client.subscribe_topic(self._sweep, self._on_event)
-        bokeh = "" if importlib.util.find_spec("bokeh") else " (pip install bokeh, and it shows something)"
-        logger.info("dask's dashboard: %s%s", client.dashboard_link, bokeh)
+        if importlib.util.find_spec("bokeh"):  # without it the dashboard shows nothing
+            logger.info("dask's dashboard: %s", client.dashboard_link)
         return client
 
     def room(self) -> int:

@@ -8,7 +8,7 @@ import logging
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import mean
 from typing import Any
@@ -44,7 +44,7 @@ class MissingRun:
     arguments: Mapping[str, Any]  # of the row's method
     seed: int
     device: str
-    corruption: str | None = None  # of the query frames
+    corruption: str | tuple[str, ...] | None = None  # of the query frames; several: a run each, in one process
 
     def options(self) -> list[str]:
         """Return the options of the command line that make it."""
@@ -54,8 +54,13 @@ class MissingRun:
             *(f"method.{name}={json.dumps(value)}" for name, value in _flat(self.arguments)),
             f"seed={self.seed}",
             f"device={self.device}",
-            *([] if self.corruption is None else [f"corruption={self.corruption}"]),
+            *([] if self.corruption is None else [f"corruption={_listed(self.corruption)}"]),
         ]
+
+    def each(self) -> list[MissingRun]:
+        """Return it as runs of one corruption each."""
+        several = self.corruption if isinstance(self.corruption, tuple) else [self.corruption]
+        return [replace(self, corruption=one) for one in several]
 
     def failed(self, error: str, missing: bool) -> Failure:
         """Return the record of its failure."""
@@ -76,6 +81,10 @@ class MissingRun:
             machine.capture("cpu", 1),
             missing,
         )
+
+
+def _listed(names: str | tuple[str, ...]) -> str:
+    return names if isinstance(names, str) else f"[{','.join(names)}]"
 
 
 def _flat(arguments: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
@@ -194,7 +203,7 @@ class _Filling:
     def end(self, number: int, result: JobResult) -> None:
         """Take how a process ended; a failure that it has not stored is stored."""
         run, found = self._wanted[number], None
-        if result.code and not result.recorded:
+        if result.code and not result.recorded and not isinstance(run.corruption, tuple):
             options = [*run.options(), *self._options]
             failure = lost(options, result) if result.code == 1 else run.failed(result.error, result.missing)
             result = _stored(failure, self._store, result.code)

@@ -43,14 +43,16 @@ class StoredRuns:
     def held(self, wanted: MissingRun) -> Run | None:
         """Return the stored run that a process would find and have nothing to add to; None if there is none.
 
-        It has the key of a stored run; the frames behind the key are looked at only if the arguments are those of one.
-        None for whatever raises an error here, so that a process tells it.
+        Of several corruptions it is that of the last, if all are there. It has the key of a stored run; the frames
+        behind the key are looked at only if the arguments are those of one. None for whatever raises an error here, so
+        that a process tells it.
         """
         if not self._runs:
             return None
         try:
             with contextlib.redirect_stdout(io.StringIO()):
-                return self._found(wanted)
+                found = [self._found(one) for one in wanted.each()]
+                return found[-1] if None not in found else None
         except (Exception, SystemExit) as error:  # whatever a plug-in raises, or an option that does not fit
             logger.debug("whether %s is stored is left to a process: %s", wanted.row.name, error)
             return None
@@ -73,7 +75,7 @@ class StoredRuns:
         if settings.force or not alike or code is None:
             return None
         config["files"] = _files(config["method"], alike)
-        dataset, images = self._dataset(config["dataset"], settings.corruption)
+        dataset, images = self._dataset(config["dataset"], config["corruption"])
         held_out = [None, *([dataset.held_out.fingerprint()] if dataset.held_out else [])]
         of_class = config["method"]["_target_"].rpartition(".")[2]
         threads = n_threads(settings)

@@ -97,6 +97,18 @@ class Entry:
 
         Raises BadInput that names a yaml that cannot be read.
         """
+        merged: dict[str, Any] = {}
+        for base in self.bases():
+            merged = _merged(merged, base.values())
+        return _merged(merged, self._content())
+
+    def bases(self) -> list[Entry]:
+        """Return the yamls that this one builds on, in their order; raises BadInput if it cannot be read."""
+        names = [base for base in self._content().get("defaults") or () if isinstance(base, str)]
+        found = [self._below(name) for name in names if name not in ("_self_", self.name)]
+        return [base for base in found if base is not None]
+
+    def _content(self) -> dict[str, Any]:
         try:
             content = read(self.path.read_text(encoding="utf-8"))
         except (yaml.YAMLError, OSError, UnicodeDecodeError) as error:
@@ -106,19 +118,21 @@ class Entry:
             raise BadInput(
                 f"{self.path}{where} is no {self.group} ({reason}): a yaml with _target_ is wanted"
             ) from error
-        if not isinstance(content, dict):
-            return {}
-        merged: dict[str, Any] = {}
-        for base in content.get("defaults") or ():
-            if isinstance(base, str) and base not in ("_self_", self.name) and (below := self._below(base)):
-                merged = _merged(merged, below.values())
-        return _merged(merged, content)
+        return content if isinstance(content, dict) else {}
 
     def _below(self, name: str) -> Entry | None:
+        if name.startswith("/"):  # shared lines, as in /shared/index@_here_; they may name others of their folder
+            return self._beside(name[1:].partition("@")[0])
+        if self.path.parent.name == "shared":
+            return self._beside(f"shared/{name}")
         own = Entry(self.group, name, self.path.with_name(f"{name}.yaml"), self.provider)
         if self.provider == "vprbench" and own.path.is_file():  # nobody else has to be asked
             return own
         return entries(self.group).get(name)
+
+    def _beside(self, name: str) -> Entry | None:
+        paths = (folder / f"{name}.yaml" for folder in conf_folders().values())
+        return next((Entry(self.group, name, path, self.provider) for path in paths if path.is_file()), None)
 
 
 def entries(group: Group) -> dict[str, Entry]:

@@ -35,6 +35,18 @@ def build_request(name: str, config: dict[str, Any], settings: Settings, store: 
     return request_of(name, registry.make_method, dataset, config, settings, store, tuned_on)
 
 
+def under(request: Request, corruption: str, config: Mapping[str, Any]) -> Request:
+    """Return the request of a run on corrupted query frames, of which `config` records what was asked for.
+
+    It has the same method, which is fitted once if the request has a `shared_fit`.
+    """
+    dataset = corrupted(request.dataset, corruption)
+    frames = hashed(dataset)
+    images, data = fingerprint(dataset, frames), data_record(dataset, frames)
+    recorded = {**request.config, "corruption": corruption, "overrides": config["overrides"]}
+    return replace(request, dataset=dataset, config=recorded, fingerprint=images, data=data)
+
+
 def request_of(
     name: str,
     build: Callable[[Mapping[str, Any]], Method],
@@ -53,7 +65,9 @@ def request_of(
     files = networks.chosen_files(settings.save, settings.load, settings.force)
     method = build(config["method"])
     # what the cheap checks warn of is among the dataset's notes
-    dataset = corrupted(replace(dataset, notes=(*dataset.notes, *check_dataset(dataset))), settings.corruption)
+    dataset = replace(dataset, notes=(*dataset.notes, *check_dataset(dataset)))
+    if isinstance(settings.corruption, str):
+        dataset = corrupted(dataset, settings.corruption)
     if needed := adaptation(method, dataset.n_places, config):
         config |= {"method": {**config["method"], **needed}, "adapted": needed}
         method = build(config["method"])
@@ -75,4 +89,5 @@ def request_of(
         readouts=settings.readouts,
         data=data,
         tuned_on=tuned_on,
+        shared_fit=[] if isinstance(settings.corruption, list) else None,
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from vprbench import progress
 from vprbench.api.arrays import Places
@@ -32,6 +32,10 @@ class FitResult:
     notes: tuple[Note, ...] = ()
     from_cache: int = 0  # descriptors of references that were kept already
 
+    def of_earlier_run(self) -> FitResult:
+        """Return it as a run has it that took over the fitted method: none of the time was its own."""
+        return replace(self, earlier_seconds=(self.fit_seconds or 0.0) + (self.load_seconds or 0.0))
+
     @property
     def seconds(self) -> float:
         """Return the wall time of this run."""
@@ -40,7 +44,7 @@ class FitResult:
     @property
     def method_seconds(self) -> float:
         """Return the time of this run that went into the method."""
-        return (self.fit_compute_seconds or 0.0) + (self.load_seconds or 0.0) - self.earlier_seconds
+        return max(0.0, (self.fit_compute_seconds or 0.0) + (self.load_seconds or 0.0) - self.earlier_seconds)
 
 
 def fit_or_load(
@@ -48,8 +52,20 @@ def fit_or_load(
 ) -> FitResult:
     """Load the method's network, or fit and calibrate the method and store its network if that was asked for.
 
-    What an interrupted run spent on parts of the fit that this run takes over counts as part of the fit.
+    What an interrupted run spent on parts of the fit that this run takes over counts as part of the fit. A method that
+    an earlier run of the request's `shared_fit` has fitted stays as it is.
     """
+    if request.shared_fit:
+        return request.shared_fit[0].of_earlier_run()
+    fitted = _fit_or_load(request, key, stopwatch, described, resumed)
+    if request.shared_fit is not None:
+        request.shared_fit.append(fitted)
+    return fitted
+
+
+def _fit_or_load(
+    request: Request, key: str, stopwatch: Stopwatch, described: DescriptorCache | None, resumed: Resumed
+) -> FitResult:
     method, dataset, files, arguments = request.method, request.dataset, request.files, request.config["method"]
     if files.load is not None:
         progress.report("load", 0.0)

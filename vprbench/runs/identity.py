@@ -7,7 +7,7 @@ import uuid
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import TYPE_CHECKING, Any, TypedDict
 
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import names_hash
@@ -17,6 +17,9 @@ from vprbench.runs import machine, sources, version
 from vprbench.runs.run_files import content_key
 from vprbench.runs.timing_protocol import Protocol
 from vprbench.storage.hashes import HashedFiles
+
+if TYPE_CHECKING:
+    from vprbench.runs.fitting import FitResult
 
 _NO_FILES = networks.Files()
 Hashed = tuple[HashedFiles | None, HashedFiles | None]  # references and queries; None: images that are no files
@@ -84,6 +87,7 @@ class Request:
     readouts: bool = False  # whether the layers are read too, which changes no answer
     tuned_on: Mapping[str, Any] = field(default_factory=dict)  # places that chose the method's settings
     data: DataRecord | None = None  # of the dataset; None: its files are looked at when it runs
+    shared_fit: list[FitResult] | None = None  # of runs that share the method: what its fit gave, once it was fitted
 
     def key(self) -> str:
         """Return the hash of its identity."""

@@ -10,7 +10,7 @@ from typing import Any, Literal, get_type_hints
 from vprbench.errors import BadInput
 from vprbench.metrics.registry import GROUPS, METRICS
 from vprbench.plugins import registry
-from vprbench.runs.corruption import corruption
+from vprbench.runs.corruption import corruptions
 from vprbench.runs.sequences import views
 from vprbench.runs.timing_protocol import Protocol
 from vprbench.storage.cores import core_count
@@ -37,7 +37,7 @@ class Settings:
     frames: bool = True  # keep small pictures of the dataset, for figures and report
     limit_minutes: float | None = None  # after which a run has failed; None: none
     search_scheduler: str | None = None  # address of a dask cluster that searches large maps; None: this process does
-    corruption: str | None = None  # of the query frames, as in shift-1; None: they are clean
+    corruption: str | list[str] | None = None  # of the query frames, as in shift-1; several: a run each, fitted once
     save: str | None = None  # file for the trained network
     load: str | None = None  # file of a trained network; nothing is trained then
     stream: bool | int = False  # grow the map place by place, and ask at each so many places; true: ten times
@@ -68,7 +68,9 @@ def checked_settings(config: Mapping[str, Any]) -> Settings:
     settings = Settings(**plain, timing=timing)
     views(settings.sequence, settings.filter)
     if settings.corruption is not None:
-        corruption(settings.corruption)
+        corruptions([settings.corruption] if isinstance(settings.corruption, str) else settings.corruption)
+    if isinstance(settings.corruption, list) and (settings.save, settings.load) != (None, None):
+        raise BadInput(f"corruption={','.join(settings.corruption)}: save= and load= take a run of one corruption")
     if settings.depth < 1:
         raise BadInput(f"depth={settings.depth}: keep at least the best place of each query")
     if settings.seed < 0:
