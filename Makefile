@@ -34,14 +34,21 @@ search: $(READY) ## Search VPRTempo's hyperparameters on places that no result u
 	$(RUN) -m vprbench search $(if $(PLACES),places=$(PLACES)) $(if $(TRIALS),trials=$(TRIALS)) \
 		$(if $(JOBS),jobs=$(JOBS)) $(ARGS)
 
-bench: $(READY) ## Measure how fast this machine trains and answers, write results/bench.md and .json (ARGS passes options).
-	$(RUN) -m vprbench bench $(ARGS)
+# Speed at full size, on pytest-benchmark; ARGS are options of pytest, such as -k queries or --benchmark-compare.
+BENCH = BENCH=full $(RUN) -m pytest --benchmark-enable --benchmark-only --timeout 0 -q -s
+OTHER_BENCHMARKS = $(addprefix --ignore tests/benchmarks/,test_descriptors.py test_maps.py)
 
-bench-descriptors: $(READY) ## Measure how fast descriptors are, no weights needed, write results/descriptors.md (ARGS passes options).
-	$(RUN) -m vprbench bench-descriptors $(ARGS)
+bench: $(READY) ## Measure how fast this machine trains and answers, write results/bench.md and .json: ARGS="-k queries"
+	$(BENCH) tests/benchmarks $(OTHER_BENCHMARKS) --benchmark-json results/bench.json $(ARGS)
+	$(RUN) tests/benchmarks/report.py results/bench.json results/bench.md
 
-bench-maps: $(READY) ## Measure what large maps cost by each index, write results/maps.md and .csv (ARGS passes options).
-	$(RUN) -m vprbench bench-maps $(ARGS)
+bench-descriptors: $(READY) ## Measure how fast methods describe frames, no weights needed, write results/descriptors.md: ARGS="-k sad"
+	$(BENCH) tests/benchmarks/test_descriptors.py --benchmark-json results/descriptors.json $(ARGS)
+	$(RUN) tests/benchmarks/report.py results/descriptors.json results/descriptors.md
+
+bench-maps: $(READY) ## Measure what large maps cost by each index, write results/maps.md: MAPS=1000000x512,100000x64 ARGS="-k binary"
+	$(if $(MAPS),MAPS=$(MAPS)) $(BENCH) tests/benchmarks/test_maps.py --benchmark-json results/maps.json $(ARGS)
+	$(RUN) tests/benchmarks/report.py results/maps.json results/maps.md
 
 gpu-check: $(READY) ## On a machine with a GPU: compare it with the CPU, time it, write results/gpu.md (ARGS passes options).
 	$(RUN) -m vprbench gpu-check $(ARGS)

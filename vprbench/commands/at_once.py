@@ -17,7 +17,7 @@ from vprbench.terminal.described import Option, of_class, of_yaml, together
 from vprbench.terminal.help import Command, show_commands, show_options
 from vprbench.text import near, printable
 
-_SPEED, _TIMING = "vprbench.speed", "vprbench.runs.timing_protocol.Protocol"
+_TIMING = "vprbench.runs.timing_protocol.Protocol"
 _CLUSTER = "vprbench.jobs.options:ClusterOptions"
 RUN = Command("vprbench.cli:run_or_sweep", _CLUSTER, groups=("method", "dataset", "timing"), run=None)
 
@@ -45,10 +45,7 @@ COMMANDS: dict[str, Command] = {
     "figures": Command("vprbench.commands.working:figures", "vprbench.paper.gather:TableRequest", ("timing",), None),
     "report": Command("vprbench.commands.working:report", "vprbench.paper.gather:TableRequest", ("timing",), None),
     "search": Command("vprbench.commands.working:search_parameters", "vprbench.tuning.search:Settings"),
-    "bench": Command("vprbench.commands.working:measure_speed", f"{_SPEED}.settings:Settings"),
-    "bench-descriptors": Command("vprbench.commands.working:measure_descriptors", f"{_SPEED}.descriptors:Settings"),
-    "bench-maps": Command("vprbench.commands.working:measure_maps", f"{_SPEED}.maps:Settings"),
-    "gpu-check": Command("vprbench.commands.working:compare_gpu", f"{_SPEED}.gpu:Settings"),
+    "gpu-check": Command("vprbench.commands.working:compare_gpu", "vprbench.gpu.check:Settings"),
     "completion": Command("vprbench.commands.at_once:show_completion", words="bash|zsh|fish"),
 }
 _NOT_THE_TABLES = (

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import functools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, cast
 
@@ -15,6 +14,7 @@ from vprbench.plugins.options import chosen
 from vprbench.progress import answers_alone, progress_shown
 from vprbench.runs.compose import check_names, composed, readable
 from vprbench.runs.settings import checked_settings, n_threads
+from vprbench.storage.atomic import replace_text
 from vprbench.text import printable
 
 if TYPE_CHECKING:
@@ -89,67 +89,25 @@ def search_parameters(options: list[str]) -> int:
     return 0
 
 
-def measure_speed(options: list[str]) -> int:
-    """Measure how fast training, preprocessing and queries are, and write the numbers."""
-    from vprbench.speed import bench
-    from vprbench.speed.settings import QUICK, Settings
-
-    settings = chosen(Settings, options, QUICK)
-    with _prepared("bench", settings.device, settings.threads, settings.results, settings.seed) as results:
-        report = bench.measure(settings, _maker(settings.seed))
-    bench.write(report, results)
-    return 1 if report.failures else 0
-
-
-def measure_descriptors(options: list[str]) -> int:
-    """Measure how fast each method describes frames and searches, and write the numbers."""
-    from vprbench.speed import descriptors
-
-    settings = chosen(descriptors.Settings, options, descriptors.QUICK)
-    check_names([f"method={','.join(settings.methods)}"])
-    title = "bench-descriptors"
-    with _prepared(title, settings.devices[-1], settings.threads, settings.results, settings.seed) as results:
-        report = descriptors.measure(settings, _maker(settings.seed))
-    descriptors.write(report, results)
-    return 1 if report.failures else 0
-
-
-def measure_maps(options: list[str]) -> int:
-    """Measure what indexes of large simulated maps cost and find, and write the numbers."""
-    from vprbench.speed import maps
-
-    settings = chosen(maps.Settings, options, maps.QUICK)
-    with _prepared("bench-maps", "cpu", settings.threads, settings.results, settings.seed):
-        complete = maps.measure(settings)
-    maps.write(settings)
-    return int(not complete)
-
-
 def compare_gpu(options: list[str]) -> int:
     """Compare the GPU with the CPU, time it, and write both."""
-    from vprbench.speed import gpu
-
-    settings = chosen(gpu.Settings, options, gpu.QUICK)
-    gpu.require_gpu(settings.device)
-    with _prepared("gpu-check", settings.device, settings.threads, settings.results, settings.seed) as results:
-        report = gpu.measure(settings, _maker(settings.seed))
-    gpu.write(report, results)
-    return 0 if report.correct else 1
-
-
-@contextlib.contextmanager
-def _prepared(title: str, device: str, threads: int | None, results: str, seed: int) -> Iterator[Path]:
-    """Check the options that all commands share, pin the threads, show the progress; yields the results folder."""
+    from vprbench.gpu import check
     from vprbench.runs import machine
     from vprbench.runs.store import Store
 
-    run = {**composed([]), "method": {}, "device": device, "threads": threads, "results": results, "seed": seed}
-    settings = checked_settings(run)
+    asked = chosen(check.Settings, options, check.QUICK)
+    check.require_gpu(asked.device)
+    given = {name: getattr(asked, name) for name in ("device", "threads", "results", "seed")}
+    settings = checked_settings({**composed([]), "method": {}, **given})
     folder = Path(settings.results).expanduser()
     Store(folder).prepare()
     machine.pin_threads(n_threads(settings))
-    with progress_shown(title):
-        yield folder
+    with progress_shown("gpu-check"):
+        report = check.measure(asked, _maker(settings.seed))
+    text = check.to_text(report)
+    replace_text(folder / "gpu.md", text)
+    print(f"{text}\nwritten to {folder / 'gpu.md'}")
+    return 0 if report.correct else 1
 
 
 def _maker(seed: int) -> Callable[..., Method]:

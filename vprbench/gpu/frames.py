@@ -1,4 +1,4 @@
-"""What the benchmark of speed shows to methods: smooth random frames of a route, and noisy copies of them."""
+"""Frames in memory that cost what real ones cost: for checks and benchmarks, which say nothing about accuracy."""
 
 from __future__ import annotations
 
@@ -12,30 +12,20 @@ import numpy.typing as npt
 from vprbench.api.arrays import Places
 from vprbench.api.images import Images
 
-_PIXELS_PER_CELL = 4  # of the coarse noise that a frame is blown up from
-_NOISE = 10  # grey levels to either side that a copy of a frame differs by
+_PIXELS_PER_CELL = 4  # of the coarse grid that a frame is blown up from
+_NOISE = 12  # grey levels to either side that a copy of a frame differs by
 _QUERIES = 1_000_000  # a traverse number that no reference has
-
-
-def unit_vectors(n: int, n_dimensions: int, generator: np.random.Generator) -> npt.NDArray[np.float32]:
-    """Draw n descriptors of length 1, (n, n_dimensions)."""
-    vectors = generator.standard_normal((n, n_dimensions), np.float32)
-    vectors /= np.linalg.norm(vectors, axis=1, keepdims=True)
-    return vectors
 
 
 @dataclass(frozen=True)
 class Route:
-    """Frames in memory, one a place; a further traverse shows each of them with noise of its own.
-
-    They cost what real frames of their size cost, but say nothing about accuracy.
-    """
+    """Frames, one a place; a further traverse shows each of them with noise of its own."""
 
     frames: npt.NDArray[np.uint8]  # (n_places, height, width)
     seed: int
 
     @classmethod
-    def drawn(cls, n_places: int, height: int, width: int, seed: int) -> Self:
+    def drawn(cls, n_places: int, height: int = 32, width: int = 64, seed: int = 0) -> Self:
         """Draw the frames of a route."""
         generator = np.random.default_rng(seed)
         frames = np.empty((n_places, height, width), np.uint8)
@@ -45,15 +35,14 @@ class Route:
             np.clip(blown_up, 0, 255, out=frame, casting="unsafe")
         return cls(frames, seed)
 
-    def references(self, n_places: int, traverses: int) -> tuple[Images, Places]:
-        """Return `traverses` traverses of the first places."""
+    def references(self, n_places: int, traverses: int = 1) -> tuple[Images, Places]:
+        """Return `traverses` traverses of the first places, and the place that each image shows."""
         shown = [self.frames[:n_places], *(self._noisy(np.arange(n_places), n) for n in range(1, traverses))]
         return Images.from_arrays([*np.concatenate(shown)]), np.tile(np.arange(n_places), traverses)
 
-    def queries(self, n_places: int, count: int) -> tuple[Images, Places]:
-        """Return `count` noisy frames, evenly spread over the first places, and the place that each shows."""
-        places = np.linspace(0, n_places - 1, count).astype(np.int64)
-        return Images.from_arrays([*self._noisy(places, _QUERIES)]), places
+    def queries(self, n_places: int, count: int) -> Images:
+        """Return `count` noisy frames, evenly spread over the first places."""
+        return Images.from_arrays([*self._noisy(np.linspace(0, n_places - 1, count).astype(np.int64), _QUERIES)])
 
     def _noisy(self, places: Places, traverse: int) -> npt.NDArray[np.uint8]:
         generator = np.random.default_rng([self.seed, traverse])

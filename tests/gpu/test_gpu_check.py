@@ -8,12 +8,12 @@ import pytest
 import torch
 
 from vprbench.cli import main
+from vprbench.gpu import check as gpu
+from vprbench.gpu.check import Settings, compared
+from vprbench.gpu.frames import Route
 from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.plugins import registry
 from vprbench.plugins.options import chosen
-from vprbench.speed import gpu
-from vprbench.speed.gpu import Settings, compared
-from vprbench.speed.route import Route
 
 
 @pytest.fixture(autouse=True)
@@ -38,7 +38,7 @@ def make(name, device, **arguments):
 
 def comparisons(make):
     settings = chosen(Settings, ["quick=true", "device=cpu", "max_module=12"], gpu.QUICK)
-    return compared(settings, make, Route.drawn(settings.check_places, 32, 64, 0), "paper")
+    return compared(settings, make, Route.drawn(settings.check_places), "paper")
 
 
 def bent(engine, name, bend, number=None):
@@ -104,7 +104,6 @@ QUICK = ["gpu-check", "quick=true", "threads=1", "device=cpu", "results=here"]
 @pytest.mark.extended
 def test_what_was_found_is_written_and_a_difference_or_an_engine_that_cannot_run_ends_with_code_1(capsys, monkeypatch):
     monkeypatch.setattr(gpu, "require_gpu", lambda _: None)
-    monkeypatch.setattr("gc.collect", int)
     assert main(QUICK) == 0
     text = Path("here/gpu.md").read_text()
     assert capsys.readouterr().out.startswith(text)

@@ -1,1 +1,0 @@
-"""How fast this machine trains, answers and describes."""
