@@ -30,7 +30,7 @@ def test_descriptors(full, measure, size):
 
     ours, says = (named, f"best {BEST} named") if full > 128 else (lambda: exact.scores(codes), "all scores")
     beside = {f"faiss.IndexFlatIP, best {BEST}": lambda: library.search(codes, BEST)}
-    measure(f"{queries} codes against {n:,} x {dimensions:,} floats, {says}", ours, queries, beside)
+    measure(f"{queries} against {n:,} x {dimensions:,} floats, {says}", ours, queries, beside)
 
 
 @pytest.mark.parametrize("queries", [1, 128])
@@ -41,7 +41,7 @@ def test_bits(queries, measure, size):
     library.add(codes[:n].view(np.uint8))
     blocks, asked = in_blocks(codes[:n]), codes[n:]
     beside = {f"faiss.IndexBinaryFlat, best {BEST}": lambda: library.search(asked.view(np.uint8), BEST)}
-    measure(f"{queries} codes against {n:,} x {bits:,} bits", lambda: similarity(asked, blocks), queries, beside)
+    measure(f"{queries} against {n:,} x {bits:,} bits", lambda: similarity(asked, blocks), queries, beside)
 
 
 def test_images_by_absolute_differences(measure, size, route, build):
@@ -51,4 +51,4 @@ def test_images_by_absolute_differences(measure, size, route, build):
         sad.encode(images) for images in (route(places).queries(places, 1), route(places).references(places)[0])
     )
     beside = {"scipy cityblock": lambda: cdist(code.reshape(1, -1), references.reshape(places, -1), "cityblock")}
-    measure(f"sad: 1 code against {places:,} x 784 levels", lambda: sad.match(code), beside=beside)
+    measure(f"sad: 1 against {places:,} x 784 levels", lambda: sad.match(code), beside=beside)

@@ -9,7 +9,7 @@ from little import a_run, unanswerable_run
 from vprbench.errors import BadInput
 from vprbench.metrics.ranking import ranked_places
 from vprbench.metrics.tolerance import hits_within
-from vprbench.runs import rows
+from vprbench.runs import frame, rows
 from vprbench.runs.store import Store
 
 GAPS = np.array([0, 1, 2, 5, 6])  # 3 and 4 are not in the map
@@ -76,14 +76,14 @@ def sweep(*also, own=0, **changes):
 
 
 def test_a_summary_holds_recall_at_1_within_the_tolerances_that_were_asked_for():
-    assert rows.recall_at_1_within(sweep(1, 4, 7)) == {1: 0.5, 4: 0.75, 7: 1.0}
+    assert frame.recall_at_1_within(sweep(1, 4, 7)) == {1: 0.5, 4: 0.75, 7: 1.0}
     assert rows.tolerance_line(sweep(1, 4, 7)) == "R@1 within 1, 4, 7 places: 50.0 / 75.0 / 100.0 %"
-    assert rows.numbers(sweep(1, 4))["recall_at_1_within_4_places"] == 0.75
-    assert set(rows.recall_at_1_within(sweep(1, 2, 3, own=2))) == {3}
-    assert (rows.recall_at_1_within(a_run()), rows.tolerance_line(a_run())) == ({}, None)
-    assert not [name for name in rows.numbers(a_run()) if "within" in name]
+    assert frame.numbers(sweep(1, 4))["recall_at_1_within_4_places"] == 0.75
+    assert set(frame.recall_at_1_within(sweep(1, 2, 3, own=2))) == {3}
+    assert (frame.recall_at_1_within(a_run()), rows.tolerance_line(a_run())) == ({}, None)
+    assert not [name for name in frame.numbers(a_run()) if "within" in name]
     lost = replace(unanswerable_run(), protocol=sweep(1, 2).protocol)  # undefined and not zero
-    assert rows.recall_at_1_within(lost) == {1: None, 2: None}
+    assert frame.recall_at_1_within(lost) == {1: None, 2: None}
     assert rows.tolerance_line(lost) == "R@1 within 1, 2 places: - / - %"
 
 
@@ -91,7 +91,7 @@ def test_tolerances_count_from_the_right_place_and_not_from_the_end_of_the_datas
     # Under a tolerance of 1 the right places of the last two queries are 1 to 3 and 2 to 4, so the best of the last one
     # lies 3 places beyond those and 4 from the middle.
     positives = (np.array([0, 1]), np.array([0, 1, 2]), np.array([1, 2, 3]), np.array([2, 3, 4]))
-    assert rows.recall_at_1_within(sweep(3, 4, own=1, positives=positives)) == {3: 0.5, 4: 0.75}
+    assert frame.recall_at_1_within(sweep(3, 4, own=1, positives=positives)) == {3: 0.5, 4: 0.75}
 
 
 def test_the_numbers_of_places_are_stored_and_count_and_a_wider_ground_truth_with_gaps_has_no_wider_ones(tmp_path):
@@ -100,6 +100,6 @@ def test_the_numbers_of_places_are_stored_and_count_and_a_wider_ground_truth_wit
     store.save(replace(sweep(4), place_numbers=np.arange(10) * 3))
     (read,) = store.runs()
     assert read.place_numbers.tolist() == [0, 3, 6, 9, 12, 15, 18, 21, 24, 27]
-    assert rows.recall_at_1_within(read) == {4: 0.5}  # along the map the third query is within 4
-    assert [*rows.recall_at_1_within(sweep(2, own=1))] == [2]
-    assert rows.recall_at_1_within(sweep(2, own=1, place_numbers=np.arange(10))) == {}
+    assert frame.recall_at_1_within(read) == {4: 0.5}  # along the map the third query is within 4
+    assert [*frame.recall_at_1_within(sweep(2, own=1))] == [2]
+    assert frame.recall_at_1_within(sweep(2, own=1, place_numbers=np.arange(10))) == {}

@@ -28,7 +28,7 @@ from vprbench.errors import BadInput, NotFittedError
 from vprbench.jobs import executors, job
 from vprbench.jobs.job import Job
 from vprbench.plugins import networks
-from vprbench.runs import rows
+from vprbench.runs import frame
 from vprbench.runs.store import Store
 
 WORLD = journey(8, 4)
@@ -374,7 +374,7 @@ def test_a_run_that_loads_trains_nothing_gives_the_same_scores_and_names_its_net
     lines = run("load=net.safetensors")[0].splitlines()
     at = next(number for number, line in enumerate(lines) if line.startswith("method "))
     assert lines[at + 1][lines[at].index("fit s") :].startswith("loaded ")
-    (line,) = [line for line in csv.DictReader(io.StringIO(rows.csv(runs))) if line["network"]]
+    (line,) = [line for line in csv.DictReader(io.StringIO(frame.csv(runs))) if line["network"]]
     assert (line["fit_seconds"], line["fit_compute_seconds"]) == ("", "")
     assert ask()["run_folder"] == stored["run_folder"] != loaded["run_folder"]
     assert "method.seed is 0 there and 1 here;" in run("load=net.safetensors", "seed=1", code=2)[1]

@@ -16,7 +16,7 @@ from PIL import Image as PillowImage
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
 from vprbench.cli import main
-from vprbench.runs import rows
+from vprbench.runs import frame, rows
 from vprbench.runs.identity import data_record
 
 RECORD = {"names_sha256": "5f74d2dc7bb3" + "0" * 52, "content_sha256": None, "images": 14, "bytes": None}
@@ -96,7 +96,7 @@ def test_what_images_are_made_from_beside_their_files_changes_their_hash(frames,
 def test_the_protocol_line_and_csv_tell_protocol_and_data_of_each_run_that_knows_them():
     protocol = {"protocol": "vprtempo", **a_run().protocol}
     assert rows.protocol_line(a_run(data=RECORD)).endswith("tolerance_places 0), data 5f74d2dc7bb3")
-    text = rows.csv([a_failure(), a_run(), a_run(data=RECORD, protocol=protocol)])
+    text = frame.csv([a_failure(), a_run(), a_run(data=RECORD, protocol=protocol)])
     names = ("protocol", "names_sha256", "content_sha256")
     assert [[line[name] for name in names] for line in csv.DictReader(io.StringIO(text))] == [
         *[["", "", ""]] * 2,

@@ -8,19 +8,22 @@ Streaming takes 10 + 2.5 ms: 100, 400 and 80 Hz. A batch of eight takes 40 + 10 
 import csv
 import io
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import stored_runs
+from checkout import ROOT
 from little import a_run, laps, unanswerable_run
 
 from vprbench.metrics.block_length import block_length
 from vprbench.metrics.intervals import share_interval
-from vprbench.runs import rows
+from vprbench.runs import frame, rows
+from vprbench.runs.frame import numbers
 from vprbench.runs.recall_intervals import along_the_journey, recall_interval
 from vprbench.runs.record import Failure
-from vprbench.runs.rows import numbers, readable_row
+from vprbench.runs.rows import readable_row
 
 ONE, TWO = np.array([1, 1, 1, 0]), np.array([2, 1, 1, 1])
 TIED = a_run(outcome=replace(a_run().outcome, top_tied=TWO, tied=TWO, tied_correct=np.ones(4, np.int64)))
@@ -33,7 +36,7 @@ HITS = np.repeat([1, 0, 1, 1, 0, 0, 1, 0, 1, 1], 20)
 
 
 def csv_rows(*results):
-    return list(csv.DictReader(io.StringIO(rows.csv(results))))
+    return list(csv.DictReader(io.StringIO(frame.csv(results))))
 
 
 def streamed(seconds, matched):
@@ -99,6 +102,10 @@ def test_csv_tells_a_failed_run_from_one_with_numbers():
     assert {failed[name] for name in numbers(a_run())} == {""}
     counts = ("queries", "offline_batch", "peak_memory_bytes")
     assert [ran[name] for name in counts] == ["4", "8", "512000000"]  # whole beside nothing
+    assert {*frame.frame([a_run()])} == {*frame.COLUMNS}
+    table = (ROOT / "docs/numbers.md").read_text(encoding="utf-8").partition("## The frame")[2]
+    told = [name for row in re.findall(r"^\| (`.*?) \|", table, re.MULTILINE) for name in re.findall(r"`(\w+)`", row)]
+    assert sorted(told) == sorted([*frame.COLUMNS, "recall_at_1_within_K_places"])
 
 
 RATES = ("streaming Hz enc/match/total", "offline Hz enc/match/total")
@@ -134,7 +141,7 @@ def test_a_row_shows(run, cells):
 
 def test_labels_rows_and_protocols_become_text():
     overrides = ["method=little", "method.window=5", "method.grey=true", "seed=3", "timing.sample=9"]
-    assert rows.label(a_run(config={**a_run().config, "overrides": overrides})) == "little window=5 grey=true"
+    assert frame.label(a_run(config={**a_run().config, "overrides": overrides})) == "little window=5 grey=true"
     written = rows.markdown([{"x": "1.50", "error": "int | None"}, {"x": "10,000"}]).splitlines()
     assert [line.replace(" ", "") for line in written[2:]] == [r"|1.50|int\|None|", "|10,000|-|"]
     line = "journey: 4 queries, 10 places (reference spring+fall, query summer, tolerance_places 0)"

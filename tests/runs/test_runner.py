@@ -21,7 +21,7 @@ from vprbench.api.method import LayerSpikes
 from vprbench.errors import BadInput
 from vprbench.metrics import ranking
 from vprbench.metrics.ranking import outcome
-from vprbench.runs import answers, rows, runner, timing_lock
+from vprbench.runs import answers, frame, rows, runner, timing_lock
 
 pytestmark = pytest.mark.usefixtures("surroundings")
 
@@ -162,7 +162,7 @@ def test_candidates_stand_before_places_that_are_none_and_their_best_answer_is_a
     assert "audit" in kinds(run_of(Turned(scores), journey(12, 40), depth=6))
     run = run_of(Lookup(np.full((12, 40), -np.inf, np.float32)), journey(12, 40))
     assert "audit" not in kinds(run)
-    json.dumps(rows.numbers(run), allow_nan=False)
+    json.dumps(frame.numbers(run), allow_nan=False)
     assert rows.readable_row(run)["R@1 % [95 %]"]
     store.save(run)
     (found,) = store.runs()
@@ -292,7 +292,7 @@ def test_times_of_fit_computing_method_and_harness_are_told_apart_and_work_left_
     numbers_in(references)  # what is read before a run does not count
     dataset = replace(journey(8, 8), references=references, queries=queries)
     run = run_of(Learning(table(8, 8), clock=clock, late=excess), dataset)
-    shown = rows.numbers(run)
+    shown = frame.numbers(run)
     assert (shown["fit_seconds"], shown["fit_compute_seconds"]) == pytest.approx((8 * 0.02 + 0.06, 0.06))
     assert run.timing.first_query_seconds == pytest.approx(0.006 + excess)
     trained = (shown["training_seconds"], shown["training_compute_seconds"])
@@ -397,6 +397,6 @@ def test_a_run_beside_others_says_so_of_its_fit_and_of_its_rates(tmp_path, monke
         for alone in (True, False):
             fcntl.flock(of_another_run, fcntl.LOCK_UN if alone else fcntl.LOCK_SH)
             run = run_of(Lookup(table(12, 4)), journey(12, 4))
-            told = rows.numbers(run)
+            told = frame.numbers(run)
             assert (told["fitted_alone"], told["timed_alone"]) == (alone, alone)
             assert ({"fitted", "noisy"} <= {*kinds(run)}) is not alone

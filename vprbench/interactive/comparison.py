@@ -19,7 +19,7 @@ from vprbench.metrics.registry import METRICS
 from vprbench.paper.ranking import Ranked, Ranking, ranked
 from vprbench.paper.selection import Series
 from vprbench.paper.table.quantities import RATES
-from vprbench.runs import rows
+from vprbench.runs import frame, rows
 from vprbench.runs.record import Failure
 from vprbench.runs.sequences import views
 from vprbench.runs.settings import require_metrics
@@ -47,7 +47,7 @@ class Comparison:
         `elsewhere` is R@1 on places that a method was not tuned on, of one that was tuned on others of these. Those
         that were left out stand last, with the reason.
         """
-        last = [{"method": rows.label(one), "seeds": 0, "left_out": one.error} for one in self.left_out]
+        last = [{"method": frame.label(one), "seeds": 0, "left_out": one.error} for one in self.left_out]
         names = ("recall_at_1", "low", "high", "elsewhere", "elsewhere_low", "elsewhere_high", "hz", "fit_seconds")
         numbers = dict.fromkeys(names, float)  # NaN, where one is None
         return pd.DataFrame([*map(self._row, self.ranking.rows), *last]).astype(numbers)
@@ -191,12 +191,12 @@ def _checked(
         try:
             there.append((method, prepared(method, where, options)))
             request = there[-1][1].request
-            names.append(rows.label(Failure(request.name, request.dataset.name, request.config, "")))
+            names.append(frame.label(Failure(request.name, request.dataset.name, request.config, "")))
         except NotThere as error:
             chosen = recipe(method, None, None)
             asked = {"overrides": chosen.overrides}
             left_out.append(Failure(chosen.name, where.dataset.name, asked, str(error), missing=True))
-            names.append(rows.label(left_out[-1]))
+            names.append(frame.label(left_out[-1]))
         except Exception as error:  # whatever a plug-in raises
             told = str(error) if isinstance(error, BadInput) else f"{type(error).__name__}: {error}"
             wrong.setdefault(told, []).append(short(method if isinstance(method, str) else repr(method)))
@@ -205,7 +205,7 @@ def _checked(
     if wrong:
         raise BadInput("\n".join(f"{', '.join(of)}: {error}" for error, of in wrong.items()))
     if not there:
-        raise NotThere("\n".join(f"{rows.label(one)}: {one.error}" for one in left_out))
+        raise NotThere("\n".join(f"{frame.label(one)}: {one.error}" for one in left_out))
     for one in left_out:
-        logger.warning("%s is left out: %s", rows.label(one), one.error)
+        logger.warning("%s is left out: %s", frame.label(one), one.error)
     return there, left_out

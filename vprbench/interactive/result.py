@@ -14,7 +14,7 @@ from vprbench.interactive import short
 from vprbench.metrics.accuracy import hits_at, recall_at
 from vprbench.metrics.intervals import WiderInterval
 from vprbench.metrics.registry import METRICS
-from vprbench.runs import rows
+from vprbench.runs import frame, rows
 from vprbench.runs.query_results import RIGHT, UNANSWERABLE, judged
 from vprbench.runs.rates import streaming_rate
 from vprbench.runs.readout_rows import readout_numbers
@@ -44,7 +44,7 @@ class Result:
     @property
     def name(self) -> str:
         """The name of the method, with the arguments that were asked for."""
-        return rows.label(self.run)
+        return frame.label(self.run)
 
     @property
     def metrics(self) -> dict[str, float]:

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from vprbench.runs import energy, readout_rows, rows, stream
+from vprbench.runs import energy, frame, readout_rows, rows, stream
 from vprbench.runs.record import Run
 from vprbench.runs.sequences import views
 from vprbench.runs.settings import Settings
@@ -24,7 +24,7 @@ def run_text(run: Run, folder: Path | None, from_store: bool, settings: Settings
                 "dataset": run.dataset,
                 "protocol": dict(run.protocol),
                 "data": dict(run.data),
-                **rows.numbers(run, settings.metrics),
+                **frame.numbers(run, settings.metrics),
                 "readouts": readout_rows.readout_numbers(run),
                 **({"stream": stream.stream_numbers(run)} if settings.stream else {}),
                 **({"energy": run.energy} if settings.energy else {}),
@@ -60,4 +60,4 @@ def run_text(run: Run, folder: Path | None, from_store: bool, settings: Settings
 
 
 def _viewed(view: Run, settings: Settings) -> dict[str, Any]:
-    return {"protocol": dict(view.protocol), **rows.numbers(view, settings.metrics)}
+    return {"protocol": dict(view.protocol), **frame.numbers(view, settings.metrics)}

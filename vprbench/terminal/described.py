@@ -30,10 +30,6 @@ class Option:
         """Return all values that it may have, if they are few words."""
         return {"bool": ["true", "false"]}.get(self.kind, self.kind.split(" or ") if " or " in self.kind else [])
 
-    def is_list(self) -> bool:
-        """Tell whether it takes several values."""
-        return self.kind.startswith("list")
-
 
 def of_yaml(path: Path) -> list[Option]:
     """Return the options that a yaml holds, those of a mapping as `mapping.option`."""

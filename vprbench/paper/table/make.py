@@ -13,7 +13,7 @@ from vprbench.paper.gather import ReportData, TablePlan, TableRequest, all_runs,
 from vprbench.paper.missing_runs import MissingRun, Watch
 from vprbench.paper.stored_runs import Compose
 from vprbench.paper.table import formats
-from vprbench.runs import rows
+from vprbench.runs import frame
 from vprbench.runs.sequences import suffix, views
 from vprbench.runs.store import Store
 from vprbench.storage.atomic import replace_text
@@ -75,7 +75,7 @@ def write(found: ReportData, folder: Path, name: str) -> list[Path]:
         f"{name}.md": formats.markdown(found.table),
         f"{name}.csv": formats.csv(found.table),
         f"{name}.tex": formats.latex(found.table, fragment=found.table.title is not None),
-        f"{name}-runs.csv": rows.csv(runs, found.chosen.metrics),
+        f"{name}-runs.csv": frame.csv(runs, found.chosen.metrics),
     }
     for file, text in texts.items():
         replace_text(folder / file, text)

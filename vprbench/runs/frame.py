@@ -1,0 +1,194 @@
+"""Stored runs as one table of numbers: a row a run, a column a fact; docs/numbers.md says what each column is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, fields
+from typing import TYPE_CHECKING, Any
+
+from vprbench.metrics.accuracy import recall_at
+from vprbench.metrics.registry import METRICS, RECALLS
+from vprbench.metrics.tolerance import hits_within
+from vprbench.plugins.entries import Entry, entries
+from vprbench.runs.rates import StageRates, best_batch, percentile_bound
+from vprbench.runs.recall_intervals import recall_interval
+from vprbench.runs.record import Failure, Run
+from vprbench.runs.stopwatch import Timing
+from vprbench.runs.tuned import other_places, tuned_note
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Facts = dict[str, Any]
+
+#: The columns of every frame, in their order; `recall_at_1_within_K_places` and more metrics come where asked for.
+COLUMNS = (
+    *("method", "arguments", "label", "dataset", "dataset_arguments", "protocol", "protocol_name"),
+    *("names_sha256", "content_sha256", "fingerprint", "seed", "device", "error"),
+    *(f"recall_at_{n}" for n in RECALLS),
+    *("recall_at_1_low", "recall_at_1_high", "recall_at_1_interval", "recall_at_1_block", "recall_at_1_answerable"),
+    *("recall_at_1_pessimistic", "recall_at_1_optimistic", "recall_at_1_elsewhere", "recall_at_1_elsewhere_low"),
+    *("recall_at_1_elsewhere_high", "queries_elsewhere", "auc_pr_a", "average_precision_a"),
+    *("fit_seconds", "fit_compute_seconds", "first_query_seconds", "training_seconds", "training_compute_seconds"),
+    *("load_seconds", "fitted_alone", "timed_alone", "streaming_encode_hz", "streaming_match_hz", "streaming_total_hz"),
+    *("streaming_p90_seconds", "streaming_p99_seconds", "offline_encode_hz", "offline_match_hz", "offline_total_hz"),
+    *("offline_batch", "index_recall_at_1", "index_recall_at_10", "index_bytes_per_place", "index_build_seconds"),
+    *("peak_memory_bytes", "harness_seconds", "method_seconds", "queries", "places", "network", "tuned_on", "key"),
+)
+
+#: Columns of the frame under other names in CSV files, where `method` is the name with its arguments.
+_IN_CSV = {"label": "method", "protocol_name": "protocol"}
+_NOT_IN_CSV = ("method", "arguments", "protocol")
+_DIGITS = 12  # of a fingerprint that people compare by eye
+
+
+def frame(results: Iterable[Run | Failure], metrics: Sequence[str] = ()) -> pd.DataFrame:
+    """Return runs and failures as rows, with more `metrics` by their names; what is not known is None.
+
+    A failure has its `error` and no numbers.
+    """
+    import pandas as pd  # takes long to import, and a run needs none
+
+    known = entries("dataset")
+    rows = [_row(each, metrics, known) for each in results]
+    more = [name for row in rows for name in row if name not in COLUMNS]
+    return pd.DataFrame(rows, columns=[*dict.fromkeys([*COLUMNS, *more, *metrics])], dtype=object)
+
+
+def csv(results: Sequence[Run | Failure], metrics: Sequence[str] = ()) -> str:
+    """Return the frame of runs as CSV, a line each, unrounded."""
+    return str(frame(results, metrics).drop(columns=[*_NOT_IN_CSV]).rename(columns=_IN_CSV).to_csv(index=False))
+
+
+def label(run: Run | Failure) -> str:
+    """Return a method's name with the arguments that were asked for."""
+    return " ".join([run.method, *_arguments(run)])
+
+
+def _row(result: Run | Failure, metrics: Sequence[str], known: Mapping[str, Entry]) -> Facts:
+    about: Facts = {"method": result.method, "arguments": " ".join(_arguments(result)), "label": label(result)}
+    about |= {"dataset": result.dataset, "seed": result.config.get("seed"), "device": result.config.get("device")}
+    if isinstance(result, Failure):
+        return {**about, "error": result.error}
+    return {
+        **about,
+        "error": "",
+        "dataset_arguments": _as_text(_changed(result, known)),
+        "protocol": _as_text(result.protocol),
+        "protocol_name": result.protocol.get("protocol"),
+        **{name: result.data.get(name) for name in ("names_sha256", "content_sha256")},
+        "fingerprint": result.fingerprint[:_DIGITS],
+        **numbers(result, metrics),
+        "network": result.network,
+        "tuned_on": tuned_note([result]),
+        "key": result.key,
+    }
+
+
+def numbers(run: Run, metrics: Sequence[str] = ()) -> dict[str, float | int | str | None]:
+    """Return one run as unrounded numbers, under names that hold their unit, with more `metrics` by their names."""
+    first, answerable = recall_at(run.outcome, 1), recall_at(run.outcome, 1, "answerable")
+    interval = recall_interval([run])
+    search = run.search or {}
+    return {
+        **_accuracies(run, [f"recall_at_{n}" for n in RECALLS]),
+        "recall_at_1_low": interval.low if interval else None,
+        "recall_at_1_high": interval.high if interval else None,
+        "recall_at_1_interval": interval.kind if interval else None,
+        "recall_at_1_block": interval.block if interval else None,
+        "recall_at_1_answerable": answerable.expected if answerable else None,
+        "recall_at_1_pessimistic": first.pessimistic if first else None,
+        "recall_at_1_optimistic": first.optimistic if first else None,
+        **{f"recall_at_1_within_{k}_places": share for k, share in recall_at_1_within(run).items()},
+        **_elsewhere(run),
+        **_accuracies(run, ["auc_pr_a", "average_precision_a"]),
+        "fit_seconds": run.fit_seconds,
+        "fit_compute_seconds": run.fit_compute_seconds,
+        "first_query_seconds": None if run.timing is None else run.timing.first_query_seconds,
+        "training_seconds": run.training_seconds,
+        "training_compute_seconds": run.training_compute_seconds,
+        "load_seconds": run.load_seconds,
+        "fitted_alone": run.environment.get("fitted_alone"),
+        "timed_alone": run.environment.get("timed_alone"),
+        **_rate_numbers(run.timing),
+        "index_recall_at_1": search.get("recall_at_1"),
+        "index_recall_at_10": search.get("recall_at_10"),
+        "index_bytes_per_place": search.get("bytes_per_place"),
+        "index_build_seconds": search.get("build_seconds"),
+        "peak_memory_bytes": run.peak_memory_bytes,
+        "harness_seconds": run.harness_seconds,
+        "method_seconds": run.method_seconds,
+        "queries": len(run.outcome),
+        "places": run.outcome.n_places,
+        **_accuracies(run, metrics),
+    }
+
+
+def recall_at_1_within(run: Run) -> dict[int, float | None]:
+    """Return R@1 within the places that a protocol names in `also_tolerance_places`, if it is not that wide itself.
+
+    They count from the right place along the whole journey, as `tolerance_places` does. Empty if the dataset has a
+    tolerance of its own and its map has gaps: the centre of each match is not stored.
+    """
+    own = int(run.protocol.get("tolerance_places", 0))
+    wider = [int(k) for k in run.protocol.get("also_tolerance_places", ()) if k > own]
+    if not wider or (own and run.place_numbers is not None):
+        return {}
+    if not run.outcome.answerable.any():
+        return dict.fromkeys(wider)
+    more = [k - own for k in wider]
+    hits = hits_within(run.top_places, run.top_scores, run.positives, more, run.place_numbers)
+    return {k: float(share) for k, share in zip(wider, hits.mean(axis=1), strict=True)}
+
+
+def _arguments(run: Run | Failure) -> list[str]:
+    """Return the arguments of a method that were asked for, as name=value."""
+    return [text.removeprefix("method.") for text in run.config.get("overrides", ()) if text.startswith("method.")]
+
+
+def _changed(run: Run, known: Mapping[str, Entry]) -> Mapping[str, Any]:
+    """Return the arguments of a run's dataset that differ from its yaml; all of one that is not registered here."""
+    asked = (text.lstrip("+") for text in run.config.get("overrides", ()))
+    name = next((text.partition("=")[2] for text in asked if text.startswith("dataset=")), run.dataset)
+    arguments = {key: value for key, value in run.config["dataset"].items() if key not in ("_target_", "name")}
+    entry = known.get(name)
+    return arguments if entry is None else entry.changed(arguments)
+
+
+def _as_text(values: Mapping[str, Any]) -> str:
+    return " ".join(f"{name}={value}" for name, value in values.items())
+
+
+def _elsewhere(run: Run) -> dict[str, float | int | None]:
+    """Return R@1 of the queries that show no place the method was tuned on; None each if that is not known or all."""
+    other = other_places(run)
+    first, interval = (None, None) if other is None else (recall_at(other.outcome, 1), recall_interval([other]))
+    return {
+        "recall_at_1_elsewhere": first.expected if first else None,
+        "recall_at_1_elsewhere_low": interval.low if interval else None,
+        "recall_at_1_elsewhere_high": interval.high if interval else None,
+        "queries_elsewhere": None if other is None else len(other.outcome),
+    }
+
+
+def _accuracies(run: Run, metrics: Sequence[str]) -> dict[str, float | None]:
+    return {name: METRICS[name].of(run) for name in metrics}
+
+
+def _rate_numbers(timing: Timing | None) -> dict[str, float | int | None]:
+    """Return rates and percentiles by their names; without a timing each is None."""
+    if timing is None:
+        rates = (f"{scenario}_{stage.name}_hz" for scenario in ("streaming", "offline") for stage in fields(StageRates))
+        return dict.fromkeys([*rates, "streaming_p90_seconds", "streaming_p99_seconds", "offline_batch"])
+    streaming, batch = timing.streaming, best_batch(timing.offline)
+    return {
+        **_named_rates("streaming", StageRates.streaming(streaming)),
+        "streaming_p90_seconds": percentile_bound(streaming.total_seconds, 0.9),
+        "streaming_p99_seconds": percentile_bound(streaming.total_seconds, 0.99),
+        **_named_rates("offline", StageRates.offline(batch)),
+        "offline_batch": batch.images_per_call,
+    }
+
+
+def _named_rates(scenario: str, rates: StageRates) -> dict[str, float]:
+    return {f"{scenario}_{stage}_hz": rate for stage, rate in asdict(rates).items()}
