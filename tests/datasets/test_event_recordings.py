@@ -370,7 +370,6 @@ def test_a_written_recording_holds_the_events(tmp_path):
         ({"threshold": 0}, "dataset.threshold=0: "),
         ({"noise_hz": float("nan")}, "dataset.noise_hz=nan: "),
         ({"hot_pixels": 20_000}, "dataset.hot_pixels=20000: give 0 to 14400"),
-        ({"journey": "street"}, "the city street has sun, rain, dusk"),
     ],
 )
 def test_what_cannot_be_simulated_is_refused_by_its_option(asked, told):

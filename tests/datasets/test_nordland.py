@@ -123,14 +123,11 @@ def test_without_a_root_the_shared_download_is_taken_before_the_default_root(tin
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"references": []}, "dataset.references=[]"),
         ({"references": ["spring", "spring"]}, "dataset.references=['spring', 'spring']"),
         ({"query": "tea"}, "dataset.query=tea: Nordland has spring, summer, fall, winter"),
         ({"places": 3450}, "dataset.places=3450: the list of 27592 names at stride 8 has 3449 places"),
         ({"places": 0}, "dataset.places=0"),
-        ({"stride": 0}, "dataset.stride=0"),
         ({"frame_multiple": 0}, "dataset.frame_multiple=0"),
-        ({"first_query_place": 601}, "dataset.first_query_place=601 and dataset.query_places=2700"),
         ({"protocol": "sift"}, "dataset.protocol=sift: choose vprtempo, vprsnn, patchnetvlad, 27k or vprbench"),
         ({"protocol": "27k"}, "dataset.protocol=27k with dataset.stride=8"),
         ({"protocol": "vprbench", "stride": 1, "frame_multiple": 10}, "choose dataset=nordland_vprbench"),

@@ -1,12 +1,10 @@
 """RobotCar: published lists, raw frames processed when looked at, kept, and made anew where they are something else."""
 
 import hashlib
-import json
 import logging
 import os
 import re
 import shutil
-from hashlib import sha256
 
 import numpy as np
 import pytest
@@ -26,7 +24,7 @@ from vprbench.datasets.oxford_robotcar.calibration import (
     read_calibration,
 )
 from vprbench.datasets.oxford_robotcar.lists import published_timestamps, vprsnn_timestamps
-from vprbench.datasets.oxford_robotcar.repeats import ceiling, remarks, sharing, steps_back
+from vprbench.datasets.oxford_robotcar.repeats import ceiling
 from vprbench.errors import BadInput, NotThere
 from vprbench.plugins import registry
 from vprbench.runs.identity import fingerprint
@@ -42,7 +40,7 @@ def noise(camera):
     return np.random.default_rng(0).integers(0, 256, (camera.height, camera.width), dtype=np.uint8)
 
 
-def test_noise_is_demosaiced_to_the_mean_of_the_nearest_pixels_and_half_a_pixel_is_the_mean_of_two(tmp_path):
+def test_noise_is_demosaiced_to_the_mean_of_the_nearest_pixels(tmp_path):
     # Every channel inside the frame: the pixel itself, or else its two or four nearest neighbours that record it.
     raw = noise(frames.SMALL)
     seen = processed(raw, calibration(tmp_path, *frames.grid()))
@@ -53,13 +51,6 @@ def test_noise_is_demosaiced_to_the_mean_of_the_nearest_pixels_and_half_a_pixel_
                 by_distance.setdefault((dy - 1) ** 2 + (dx - 1) ** 2, []).append(int(raw[y + dy, x + dx]))
         nearest = by_distance[min(by_distance)]
         assert seen[y + 1, x + 1, channel] == sum(nearest) // len(nearest)
-    x, y = frames.grid()
-    image = np.zeros((12, 16, 3), np.uint8)
-    image[:, :, 1] = 8 * x  # green, a ramp that demosaicing leaves as it is but at the ends
-    seen = processed(frames.mosaic(image), calibration(tmp_path, x + 0.5, y))
-    np.testing.assert_array_equal(seen[1:-1, 1:14, 1], np.tile(8 * np.arange(1, 14) + 4, (10, 1)))
-    flat = processed(frames.mosaic(frames.uniform((90, 80, 70))), calibration(tmp_path, np.minimum(x + 0.75, 15), y))
-    np.testing.assert_array_equal(flat, frames.uniform((90, 80, 70)))
 
 
 @pytest.mark.parametrize("camera", [Camera(40, 30, (1, 1), (1, 1)), STEREO_LEFT], ids=["small", "full size"])
@@ -161,10 +152,6 @@ def test_a_frame_is_processed_once_when_it_is_looked_at_and_then_taken_from_wher
         assert (stored.format, stored.mode) == ("PNG", "RGB")
         np.testing.assert_array_equal(np.asarray(stored), found.queries[0])
     assert {entry.name for entry in path.parent.iterdir()} >= {path.name, "vprbench.json"}
-    record = json.loads((path.parent / "vprbench.json").read_text())
-    assert record["calibration_sha256"] == sha256((root / "models" / frames.TABLE).read_bytes()).hexdigest()
-    assert (record["width"], record["height"], record["focal_lengths"]) == (16, 12, [9.0, 9.0])
-    assert record["code_version"] == kept.VERSION
 
 
 def test_other_pixels_and_flipped_bits_are_noticed(root):
@@ -289,7 +276,6 @@ def test_raw_frames_among_processed_ones_are_refused_and_without_a_root_the_down
 
 
 PUBLISHED = {traverse: published_timestamps(traverse)[:3150:7] for traverse in frames.RECORDINGS}
-DIAGONAL = tuple(np.array([place]) for place in range(450))
 
 
 @pytest.fixture(autouse=True)
@@ -307,7 +293,7 @@ def one_frame_under(root, stamps):
     return root
 
 
-def test_the_lists_are_those_that_were_published_with_their_repeats_and_steps_back():
+def test_the_lists_are_those_that_were_published():
     # sha256 of the whole original files, header and row numbers included; QVPR/VPRTempo 64154e5, orc-*.csv.
     digests = {
         "sun": "3ac989cf3ccb4065b5ad71e8410a25db50791160473e30ec75b0cc7f7d5a86ee",
@@ -318,17 +304,9 @@ def test_the_lists_are_those_that_were_published_with_their_repeats_and_steps_ba
         rows = [f"{stamp}.png,{row}" for row, stamp in enumerate(published_timestamps(traverse))]
         original = "".join(f"{line}\n" for line in ["Image name,index", *rows])
         assert hashlib.sha256(original.encode()).hexdigest() == digest
-    assert [steps_back(PUBLISHED[traverse]) for traverse in ("sun", "rain", "dusk")] == [55, 59, 5]
-    assert steps_back([3, 3, 2, 5]) == 1
-    # 445, 448 and 449 distinct images of 450, and none stands at more than two places.
-    assert [sharing(PUBLISHED[traverse]) for traverse in ("sun", "rain", "dusk")] == [10, 4, 2]
-    maps = {traverse: PUBLISHED[traverse] for traverse in ("sun", "rain")}
-    images, steps = remarks(maps, PUBLISHED["dusk"][90:], DIAGONAL[90:], 0)
-    assert re.findall(r"[\d.]+", images) == ["10", "450", "4", "450", "0", "360", "1", "0", "99.72"]  # 359 of 360
-    assert re.findall(r"[\d.]+", steps) == ["55", "449", "59", "449", "4", "359"]
 
 
-def test_the_queries_of_the_paper_are_places_90_to_449_and_the_protocol_says_what_is_odd_about_the_list(tmp_path):
+def test_the_queries_of_the_paper_are_places_90_to_449_and_it_is_told_what_is_odd_about_the_list(tmp_path):
     # 445 and 448 of the 450 reference images are distinct, and all 360 queries; steps back of 450 places: 55 and 59.
     paper = oxford_robotcar(root=str(one_frame_under(tmp_path, PUBLISHED)))
     assert (paper.queries.names[0], paper.queries.names[-1]) == ("1416586236868041.png", "1416587169054477.png")
@@ -341,6 +319,10 @@ def test_the_queries_of_the_paper_are_places_90_to_449_and_the_protocol_says_wha
         "repeated_images": {"sun": 5, "rain": 2, "queries": 0},
         "steps_back_in_time": {"sun": 55, "rain": 59, "queries": 4},
     }
+    # none of the repeated images stands at more than two places
+    images, steps = (re.findall(r"[\d.]+", note) for note in paper.notes if "lead back" in note or "can reach" in note)
+    assert images == ["10", "450", "4", "450", "0", "360", "1", "0", "99.72"]  # 359 of 360
+    assert steps == ["55", "449", "59", "449", "4", "359"]
 
 
 @pytest.mark.parametrize(
@@ -348,9 +330,7 @@ def test_the_queries_of_the_paper_are_places_90_to_449_and_the_protocol_says_wha
     [
         ({}, "https://mrgdatashare.robots.ox.ac.uk/register/"),
         ({"query": "night"}, "dataset.query=night: Oxford RobotCar has sun, rain, dusk"),
-        ({"references": []}, "dataset.references=[]: name at least one traverse"),
         ({"places": 483}, "dataset.places=483: the list of 3369 names at stride 7 has 482 places"),
-        ({"first_query_place": 91}, "dataset.first_query_place=91 and dataset.query_places=360"),
     ],
 )
 def test_a_bad_option_is_named_in_one_line(arguments, message):

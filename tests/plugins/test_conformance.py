@@ -15,7 +15,7 @@ from vprbench.api.method import LayerSpikes
 from vprbench.api.neural import NeuralDescriptor
 from vprbench.plugins import registry
 from vprbench.plugins.conformance import check
-from vprbench.plugins.rules import EXTENDED_RULE, RULES, Journey
+from vprbench.plugins.rules import EXTENDED_RULE, RULES
 
 ENTRIES = registry.entries("method")
 # Published networks need files that no test can have: their tests write one of random values and ask the rules.
@@ -260,14 +260,12 @@ WRONG: dict[str, list[type[Pixels]]] = {
     SPIKES: [
         spiking("SpikesBelowZero", lambda codes: codes - 255),
         spiking("SpikesWithoutANumber", lambda codes: codes * np.float32(np.nan)),
-        spiking("SpikesOfAllQueriesTogether", lambda codes: codes.sum(0)),
         spiking("SpikesOfTooFewQueries", lambda codes: codes[1:]),
         wrong("LayersOfOneName", spikes=lambda _, codes: [LayerSpikes("grid", codes), LayerSpikes("grid", codes)]),
         spiking("CountsOnTheCodes", count_on),
         wrong("CountsOnItsMap", spikes=count_on_the_map),
         wrong("LayersOfTooFewQueries", layers=lambda _, codes: {"grid": codes[1:]}),
         wrong("LayersWithoutANumber", layers=lambda _, codes: {"grid": codes * np.float32(np.nan)}),
-        wrong("LayersThatWriteOnTheCodes", layers=lambda _, codes: {"grid": count_on(codes)}),
     ],
 }
 
@@ -302,9 +300,7 @@ def test_an_approximate_index_breaks_no_rule_and_exceptions_are_counted_with_the
     assert broken(ExcusedForNothing) == ["no such rule"]  # an exception from a rule that does not exist
 
 
-def test_a_method_that_replaces_query_is_refused_and_the_small_world_is_the_same_for_one_seed_only():
-    first, again, other = (Journey.draw(seed).references for seed in (0, 0, 1))
-    assert (np.array_equal(first, again), np.array_equal(first, other)) == (True, False)
+def test_a_method_that_replaces_query_is_refused():
     with pytest.raises(TypeError, match="replaces query: write"):
         wrong("OneStep", query=lambda self, images: np.zeros((len(images), 20), np.float32))
 

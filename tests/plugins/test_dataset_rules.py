@@ -14,7 +14,6 @@ from PIL import Image as Pictures
 
 from vprbench.api.dataset import Dataset, HeldOut
 from vprbench.api.images import Images
-from vprbench.errors import BadInput
 from vprbench.plugins.conformance import check_dataset
 from vprbench.plugins.dataset_rules import DATASET_RULES
 
@@ -100,7 +99,6 @@ WRONG: dict[str, list[Callable[..., Dataset]]] = {
     "images are uint8 (height, width, 3)": [
         lambda: right(queries=frames(lambda i: picture(i).astype(np.float32))),
         lambda: right(queries=frames(lambda i: picture(i)[:, :, :2])),
-        lambda: right(queries=frames(lambda i: picture(i)[:, :, 0])),
     ],
     "images show something": [
         lambda: right(queries=frames(lambda i: 0 * picture(i)), references=frames(lambda i: 0 * picture(i)))
@@ -172,8 +170,3 @@ def test_written_folders_keep_every_rule(tmp_path, sizes):
     results = [*check_dataset({"_target_": "vprbench.datasets.folders.folders", **folders})]
     assert [result.rule for result in results if result.state == "broken"] == []
     assert sum(result.state == "excepted" for result in results) == 1 + (sizes[0] != sizes[1])  # two of a name; sizes
-
-
-def test_a_dataset_that_lacks_its_files_says_what_it_needs():
-    with pytest.raises(BadInput, match=r"dataset\.references and dataset\.queries are not set"):
-        list(check_dataset({"_target_": "vprbench.datasets.folders.folders"}))

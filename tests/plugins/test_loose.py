@@ -145,11 +145,8 @@ def test_a_name_that_is_taken_is_refused_and_a_file_may_have_the_name_of_a_libra
 
 def test_a_path_among_names_is_read_as_a_name():
     for asked, read in (
-        ("method=./means.py:Means", "method=Means"),
-        ("method=sad,./means.py:Means", "method=sad,Means"),
         ("methods=[means.py,sad]", "methods=[Means,sad]"),
         ("methods=sad,pca", "methods=sad,pca"),
-        ("dataset=./walk.py", "dataset=walk"),
         ("method=", "method="),
     ):
         assert readable([asked]) == [read]
@@ -243,7 +240,6 @@ TARGET = "# Broken\n_target_: broken_code.Made\n"
     ("group", "yaml", "code", "named"),
     [
         ("method", "# Broken\ncells: 3\n", "", "_target_"),
-        ("dataset", "# Broken\ncells: 3\n", "", "_target_"),
         ("method", "# Broken\n_target_: [\n", "", "broken.yaml"),
         ("method", TARGET, "import no_such_module\n", "no_such_module"),
         ("method", TARGET, "\n\nclass Made(\n", "(broken_code.py, line 3)"),

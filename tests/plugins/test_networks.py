@@ -1,8 +1,6 @@
 """Stored networks: what is loaded answers as what was trained, and nothing else is ever loaded."""
 
-import csv
 import errno
-import io
 import json
 import multiprocessing
 import os
@@ -28,7 +26,6 @@ from vprbench.errors import BadInput, NotFittedError
 from vprbench.jobs import executors, job
 from vprbench.jobs.job import Job
 from vprbench.plugins import networks
-from vprbench.runs import frame
 from vprbench.runs.store import Store
 
 WORLD = journey(8, 4)
@@ -300,9 +297,7 @@ def test_the_tensors_of_a_published_network_come_as_float32_under_dotted_names(t
     }
 
 
-def test_a_published_file_of_anything_but_the_wanted_tensors_is_refused_and_its_code_does_not_run(
-    tmp_path,
-):
+def test_a_published_file_of_anything_but_the_wanted_tensors_is_refused_and_its_code_does_not_run(tmp_path):
     for name, said in (("x.safetensors", "cannot be read as a stored network"), ("x.pth", "would have to run code")):
         (tmp_path / name).write_bytes(pickle.dumps({"model_0": {"thr": Trap(tmp_path / "sprung")}}))
         assert said in refusal(tmp_path / name)
@@ -371,11 +366,6 @@ def test_a_run_that_loads_trains_nothing_gives_the_same_scores_and_names_its_net
     record = json.loads(Path(loaded["run_folder"], "run.json").read_text())
     assert record["config"]["load"] == "net.safetensors"
     assert (loaded["from_store"], again["from_store"]) == (False, True)
-    lines = run("load=net.safetensors")[0].splitlines()
-    at = next(number for number, line in enumerate(lines) if line.startswith("method "))
-    assert lines[at + 1][lines[at].index("fit s") :].startswith("loaded ")
-    (line,) = [line for line in csv.DictReader(io.StringIO(frame.csv(runs))) if line["network"]]
-    assert (line["fit_seconds"], line["fit_compute_seconds"]) == ("", "")
     assert ask()["run_folder"] == stored["run_folder"] != loaded["run_folder"]
     assert "method.seed is 0 there and 1 here;" in run("load=net.safetensors", "seed=1", code=2)[1]
 
@@ -410,7 +400,6 @@ def test_a_network_outlives_a_failure_at_the_queries_and_a_failed_training_leave
             run(f"save={step}/net.safetensors", code=1)
         assert [path.name for path in Path(step).iterdir()] == there
     assert ask("load=match/net.safetensors")["queries"] > 0
-    assert "ends in .safetensors" in run("save=net.pth", code=2)[1]
 
 
 @pytest.mark.extended

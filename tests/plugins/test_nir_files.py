@@ -55,14 +55,6 @@ def loaded(path, method, kind=None):
     return new
 
 
-def test_the_layers_of_a_circuit_answer_as_the_network(trained):
-    x, circuit = trained.encode(SEEN).astype(np.float64), trained.circuit()
-    for weights, bias in circuit.layers:
-        x = x @ weights.T + bias
-        x = x if circuit.clip is None else x.clip(0, circuit.clip)
-    assert np.allclose(x, trained.query(SEEN), atol=1e-5)
-
-
 def test_a_network_comes_back_from_nir_to_the_bit_and_is_loaded_with_8_bits(trained, plain, tmp_path):
     back = loaded(stored(trained, tmp_path), trained)
     assert np.array_equal(back.query(SEEN), trained.query(SEEN))

@@ -127,15 +127,6 @@ def test_a_method_of_which_nothing_was_asked_for_is_not_changed_and_is_built_wit
     assert isinstance(registry.make_method({**config, "device": "cpu"} if "device" in config else config), Method)
 
 
-def test_what_was_asked_for_on_the_command_line_is_changed():
-    for name, asked, wanted in (
-        ("vprtempo", ["method.rules=reference", "method.max_module=1100"], {"rules": "reference"}),
-        ("vprtempo_ensemble", ["method.members=3", "method.epochs=4"], {"members": 3}),
-        ("cosplace", ["method.backbone=ResNet18"], {"backbone": "ResNet18"}),
-    ):
-        assert registry.entries("method")[name].changed(composed(f"method={name}", *asked)) == wanted
-
-
 def test_a_stored_run_names_the_arguments_that_were_changed_if_a_yaml_registers_its_method(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "own" / "method").mkdir(parents=True)

@@ -15,7 +15,7 @@ from vprbench.storage import shards
 from vprbench.storage.atomic import replace_bytes
 from vprbench.storage.paths import Paths, natural_keys
 from vprbench.storage.shards import Shards, Writer
-from vprbench.storage.tensors import Seal, plain
+from vprbench.storage.tensors import Seal
 
 
 def test_a_reader_keeps_the_old_file_and_a_full_disk_leaves_it_alone(tmp_path):
@@ -41,10 +41,9 @@ ARRAYS = {"weights": np.arange(6, dtype=np.int32).reshape(2, 3), "bias": np.zero
         ("told", {"weights": ARRAYS["weights"], "bjas": ARRAYS["bias"]}, False),
         ("told", {**ARRAYS, "weights": ARRAYS["weights"].reshape(3, 2)}, False),
         ("told", {**ARRAYS, "weights": ARRAYS["weights"].view(np.uint32)}, False),
-        ("told", {**ARRAYS, "bias": np.array([0, 1], np.float32)}, False),
         ("told", {"weights": ARRAYS["weights"]}, False),
     ],
-    ids=["nothing", "text", "name", "shape", "type", "number", "array missing"],
+    ids=["nothing", "text", "name", "shape", "type", "array missing"],
 )
 def test_a_change_is_seen(tmp_path, text, arrays, whole):
     digest = SEAL.metadata("told", ARRAYS)["digest"]
@@ -54,7 +53,7 @@ def test_a_change_is_seen(tmp_path, text, arrays, whole):
     assert {name: array.tolist() for name, array in read.items()} == {name: a.tolist() for name, a in arrays.items()}
 
 
-def test_what_is_no_sealed_file_is_not_whole_and_arrays_are_written_little_endian_row_by_row(tmp_path):
+def test_what_is_no_sealed_file_is_not_whole(tmp_path):
     save_file(ARRAYS, tmp_path / "file")
     text, _, whole = SEAL.read(tmp_path / "file")
     assert (text, whole, SEAL.read_text(tmp_path / "file")) == (None, False, None)
@@ -64,11 +63,6 @@ def test_what_is_no_sealed_file_is_not_whole_and_arrays_are_written_little_endia
             read(tmp_path / "file")
         with pytest.raises(FileNotFoundError):
             read(tmp_path / "nowhere")
-    given = np.asfortranarray(np.arange(6, dtype=">i4").reshape(2, 3))
-    assert plain(given, "x").tobytes() == np.arange(6, dtype="<i4").tobytes()
-    for wrong in ([1.0], np.array(["1"])):
-        with pytest.raises(TypeError, match=r"^weights is (list|<U1)"):
-            plain(wrong, "weights")
 
 
 N, D = 300, 5

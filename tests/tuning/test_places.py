@@ -69,6 +69,18 @@ def test_what_has_no_free_places_is_refused_with_the_reason(name, places, compla
         searchable(name, config(name), places, [])
 
 
+def test_nothing_is_searched_under_a_protocol_or_beside_a_column_that_scatters_its_held_out_places():
+    with pytest.raises(BadInput, match=r"dataset\.protocol=vprsnn: a search needs places in a row"):
+        searchable("nordland", {**NORDLAND, "protocol": "vprsnn"}, 20, [])
+    nordland, rendered = (column(f"dataset={name}", "dataset.protocol=vprsnn") for name in ("nordland", "synthetic"))
+    with pytest.raises(BadInput, match="reported results query all of its 3300 places"):
+        searchable("nordland", NORDLAND, 100, [nordland])
+    assert searchable("synthetic", config("synthetic"), 20, [rendered]).searched == range(20)
+    whole = registry.make_dataset({**config("synthetic"), "places": 12})
+    assert whole.held_out is not None
+    assert cut(whole, range(2, 8)).held_out is None
+
+
 def stored(dataset, *queried):
     """A run whose queries show these places."""
     positives = tuple(np.array([place]) for place in queried)
@@ -81,6 +93,7 @@ def test_a_stored_run_that_queries_a_searched_or_checked_place_of_this_journey_i
         ({}, (3, 40), True),
         ({"root": "/elsewhere"}, (599,), True),
         ({}, (600, 601), False),
+        ({"protocol": "vprsnn"}, (600, 601), True),  # its queries are scattered
         ({"name": "other"}, (3,), False),
     ):
         run = stored({**NORDLAND, **changed}, *queried)

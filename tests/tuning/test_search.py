@@ -58,14 +58,6 @@ def test_two_thirds_of_the_trials_are_random_and_the_rest_a_grid_around_the_best
     assert not {values[3:] for values in again} & {values[3:] for values in other}
 
 
-def test_a_search_goes_on_from_the_trials_that_are_stored_up_to_as_many_as_are_asked_for(tmp_path):
-    before = explored(tmp_path, 6)
-    assert explored(tmp_path, 6) == explored(tmp_path, 3) == before
-    after = explored(tmp_path, 9)
-    assert after[:6] == before
-    assert len({tuple(trial.values.values()) for trial in after}) == len(after) == 9
-
-
 @pytest.mark.extended
 def test_a_process_that_dies_costs_its_task_and_no_more_start_than_there_are_tasks(tmp_path):
     begun = []
@@ -95,7 +87,7 @@ def test_settings_that_fail_three_times_are_left_out_and_made_up_for(tmp_path):
     assert [(trial.recall_at_1, trial.diverged) for trial in trials] == [(0.0, "one output neuron wins for all")] * 3
 
 
-def test_a_killed_search_goes_on_where_it_stopped(tmp_path):
+def test_a_killed_search_goes_on_where_it_stopped_up_to_as_many_trials_as_are_asked_for(tmp_path):
     workers = Here(Stub(), killed_at=3)
     with contextlib.suppress(KeyboardInterrupt), opened(tmp_path / "killed") as study:
         explore(study, workers, 9, seed=0)
@@ -104,7 +96,8 @@ def test_a_killed_search_goes_on_where_it_stopped(tmp_path):
     assert [(trial.recall_at_1 is not None, trial.failed) for trial in before] == [(True, None)] * 3 + [(False, "")]
     after = explored(tmp_path / "killed", 9)
     assert after[:4] == before
-    assert len(finished(after)) == 9
+    assert len({tuple(trial.values.values()) for trial in finished(after)}) == len(finished(after)) == 9
+    assert explored(tmp_path / "killed", 6) == after
     assert tried(after) == tried(explored(tmp_path / "whole", 9))
 
 

@@ -40,7 +40,7 @@ def comparison(gain, low, high):
 
 
 BETTER, OPEN = comparison(0.25, 0.125, 0.375), comparison(0.125, -0.0625, 0.25)
-WORSE, EQUAL = comparison(-0.25, -0.375, -0.125), comparison(0.0, -0.1, 0.1)
+WORSE = comparison(-0.25, -0.375, -0.125)
 FEW = replace(OPEN, n_queries=12, interval=None)
 DIVERGED = replace(BETTER, paper=Repeated((0.0,) * 5, (None, "more than half are alike", None, None, None)))
 
@@ -74,37 +74,18 @@ def test_a_search_is_told_as_it_is_stored():
     ("changes", "told"),
     [
         ({"importance": {}}, "nothing says which parameters mattered"),
-        ({"compared": {"searched": EQUAL, "checked": OPEN}}, "do not beat the paper's"),
-        ({"compared": {"searched": FEW, "checked": FEW}}, "12 queries are too few"),
+        ({"compared": {"searched": OPEN, "checked": BETTER}}, "held out the best settings are better."),
+        ({"compared": {"searched": BETTER, "checked": WORSE}}, "held out the paper's settings are better."),
+        ({"compared": {"searched": BETTER, "checked": WORSE}}, "these settings were worse than the paper's."),
         ({"compared": {"searched": FEW, "checked": FEW}}, "+12.5 [-]"),
-        ({"compared": {"searched": OPEN, "checked": DIVERGED}}, "held out the training under the paper's settings"),
         ({"compared": {"searched": OPEN, "checked": DIVERGED}}, "with seed 7: more than half are alike."),
-        ({"queried_by": ("synthetic/sad-1", "synthetic/sad-2")}, "synthetic/sad-1, synthetic/sad-2 do:"),
         ({"queried_by": tuple("abcde")}, "a, b, c and 2 more do:"),
-        ({"protocols": {name: {"stretch": [0, 9]} for name in ("searched", "checked")}}, "As references they stay"),
-        ({"jobs": 1}, "Abacus 9, 1 process of one thread"),
         ({"minutes": 0.5}, "in 30 seconds"),
     ],
 )
 def test_what_is_peculiar_to_a_search_is_told(changes, told):
     assert told in text.to_text(a_search(**changes))
     assert told not in text.to_text(a_search())
-
-
-@pytest.mark.parametrize(
-    ("checked", "warning", "winner"),
-    [
-        (OPEN, "On the places held out these settings were not shown to be better than the paper's.", None),
-        (BETTER, "", "best"),
-        (WORSE, "On the places held out these settings were worse than the paper's.", "paper's"),
-    ],
-)
-def test_the_verdict_is_that_of_the_places_held_out_and_stands_above_the_command(checked, warning, winner):
-    told = text.to_text(a_search(compared={"searched": BETTER, "checked": checked}))
-    assert told.partition("## Run the best settings")[2].partition("```")[0].strip() == warning
-    best = told.partition("## Best against paper")[2].partition("Seed by seed")[0]
-    for name in ("best", "paper's"):
-        assert (f"the {name} settings are better." in best) == (name == winner)
 
 
 @pytest.mark.parametrize("name", ["synthetic", "nordland", "oxford_robotcar"])
