@@ -129,7 +129,7 @@ def _table(file: Path, root: str | None) -> _Table:
     plain = [column.strip().lower() for column in table.header]
     columns = [_ALIASES.get(column, column) for column in plain]
     if "image" not in columns or any(columns.count(name) > 1 for name in _KNOWN):
-        raise BadInput(f"{file} has the columns {table.told}; wanted are {_WANTED}, each once")
+        raise BadInput(f"{file} has the columns {table.described_columns}; wanted are {_WANTED}, each once")
     if not table.lines:
         raise BadInput(f"{file} lists no image: give it a row for each")
     cells = dict(zip(columns, table.columns, strict=True))

@@ -136,7 +136,7 @@ def _rows_of_csv(path: Path) -> list[tuple[int, list[int]]]:
     wanted = "query and matching_refs"
     table = read_csv(path, wanted)
     if not {"query", "matching_refs"} <= {*table.header}:
-        raise BadInput(f"{path} has the columns {table.told}; wanted are {wanted}")
+        raise BadInput(f"{path} has the columns {table.described_columns}; wanted are {wanted}")
     rows = []
     for line, query, right in zip(table.lines, table.column("query"), table.column("matching_refs"), strict=True):
         try:

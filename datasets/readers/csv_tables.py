@@ -27,7 +27,7 @@ class CsvTable:
         return self.columns[self.header.index(name)]
 
     @property
-    def told(self) -> str:
+    def described_columns(self) -> str:
         """The columns, for a message."""
         more = f" and {len(self.header) - _SHOWN} more" if len(self.header) > _SHOWN else ""
         return (", ".join(self.header[:_SHOWN]) or "none") + more

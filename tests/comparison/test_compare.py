@@ -128,7 +128,7 @@ def test_a_sequence_says_of_runs_without_scores_what_to_do(apart, capsys, tmp_pa
     other.prepare()
     for run in Store(Path("results"), read_only=True).runs():
         other.save(replace(run, scores=None if run.method == "sad" else run.scores))
-    monkeypatch.setattr(make, "made", lambda *_: [])
+    monkeypatch.setattr(make, "run_missing", lambda *_: [])
     asked = [*dataset(Path()), "sequence=3", f"results={tmp_path}"]
     assert main([*ASKED, *METHODS, *asked]) == 0
     shown = capsys.readouterr().out

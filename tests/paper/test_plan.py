@@ -6,7 +6,7 @@ from assembled import NAMES
 from checkout import ROOT
 
 from vprbench.errors import BadInput
-from vprbench.paper.gather import TableRequest, choose, wanted
+from vprbench.paper.gather import TableRequest, choose, runs_of
 from vprbench.paper.plan import PlannedColumn, Row, published, read_plan, with_plug_ins
 from vprbench.plugins import registry
 from vprbench.runs import compose
@@ -24,7 +24,7 @@ def chosen(**asked):
 
 
 def of_last_row(here):
-    return [*wanted(here, here.columns[0], here.rows[-1:])]
+    return [*runs_of(here, here.columns[0], here.rows[-1:])]
 
 
 def test_rows_and_published_numbers_are_those_of_table_two_in_its_order(plan):

@@ -221,7 +221,7 @@ class Images(Sequence[Image]):
         """
         digest = names_hash(self.names)
         files = hashed or self.file_hashes()
-        for part in files.told() if files else ():
+        for part in files.digest_parts() if files else ():
             digest.update(part)
         if self._stamp is not None:
             for i in range(len(self)):

@@ -48,9 +48,9 @@ def report(options: list[str]) -> int:
 def compare(options: list[str]) -> int:
     """Run methods on one dataset, rank them in a table, draw figures and write a page."""
     from vprbench.comparison.make import make_comparison
-    from vprbench.comparison.request import asked
+    from vprbench.comparison.request import sort_options
 
-    return make_comparison(asked(readable(options)), lambda more: composed(readable(list(more))))
+    return make_comparison(sort_options(readable(options)), lambda more: composed(readable(list(more))))
 
 
 def _asked(options: list[str]) -> tuple[TableRequest, list[str], Compose]:

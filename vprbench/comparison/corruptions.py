@@ -10,7 +10,7 @@ from vprbench.comparison.request import SortedOptions
 from vprbench.errors import BadInput
 from vprbench.jobs.executors import Executor
 from vprbench.jobs.job import JobResult
-from vprbench.paper.gather import TablePlan, made, wanted
+from vprbench.paper.gather import TablePlan, run_missing, runs_of
 from vprbench.paper.plan import Row
 from vprbench.paper.stored_runs import Compose
 from vprbench.progress import progress_shown
@@ -58,10 +58,10 @@ def make_missing(
     first = next(iter(spoilt.values())).column
     title = f"{first.dataset['name']}, {len(names)} corruptions"
     column = replace(first, planned=replace(first.planned, title=title))
-    together = [replace(run, corruption=names) for row in rows for run in wanted(once, column, [row])]
+    together = [replace(run, corruption=names) for row in rows for run in runs_of(once, column, [row])]
     if any(option.startswith("limit_minutes=") for option in options):
-        return made(once, [one for run in together for one in run.each()], options, compose, executor)
-    endings = made(once, together, options, compose, executor)
+        return run_missing(once, [one for run in together for one in run.each()], options, compose, executor)
+    endings = run_missing(once, together, options, compose, executor)
     died = [run for run, ending in zip(together, endings, strict=True) if ending.code == 1]
-    alone = made(once, [one for run in died for one in run.each()], options, compose, executor)
+    alone = run_missing(once, [one for run in died for one in run.each()], options, compose, executor)
     return [*(ending for ending in endings if ending.code != 1), *alone]

@@ -16,7 +16,7 @@ from vprbench.comparison.request import SortedOptions
 from vprbench.jobs.executors import executor_for
 from vprbench.jobs.job import JobResult
 from vprbench.paper.figures.make import draw_all, write_figures
-from vprbench.paper.gather import ReportData, TablePlan, assembled, made, stored, wanted
+from vprbench.paper.gather import ReportData, TablePlan, assembled, run_missing, runs_of, stored
 from vprbench.paper.page.make import write_page
 from vprbench.paper.plan import Growth, Plan
 from vprbench.paper.ranking import Ranking, ranked
@@ -35,7 +35,7 @@ from vprbench.runs.record import Failure, Run
 from vprbench.runs.sequences import suffix, views
 from vprbench.runs.settings import n_threads
 from vprbench.storage.atomic import replace_text
-from vprbench.terminal.console import show_table, told
+from vprbench.terminal.console import line_text, show_table
 from vprbench.text import printable
 
 _NO_PLAN = Plan({}, {}, {}, Growth((), (), (), 0, {}))
@@ -56,7 +56,7 @@ def make_comparison(asked: SortedOptions, compose: Compose) -> int:
             print(printable(f"vprbench: {cell.row.name} is left out: {cell.missing}"), file=sys.stderr)
     options = [*asked.of_runs, *["scores=true"] * bool(chosen.views)]
     with executor_for(asked.request) as executor:
-        endings = made(chosen, list(wanted(chosen, found.column, there)), options, compose, executor)
+        endings = run_missing(chosen, list(runs_of(chosen, found.column, there)), options, compose, executor)
         spoilt = under(found, asked.request.corruptions)
         endings += make_missing(chosen, there, spoilt, asked, compose, executor)
     known, failures = stored(chosen)
@@ -107,7 +107,7 @@ def ranked_material(
         run.failed(cell.missing, missing=True)
         for cell in found.cells
         if cell.missing is not None
-        for run in wanted(chosen, found.column, [cell.row])
+        for run in runs_of(chosen, found.column, [cell.row])
     ]
     shown = groups(there.runs, [*failures, *left_out], [found.column], chosen.rows)
     shown = seen(shown, chosen.rows, chosen.views)
@@ -150,15 +150,17 @@ def show(found: ReportData, rankings: Sequence[Ranking], wide: bool = False) -> 
     """Print notes, the ranked table and what tests say of it; of several views R@1 alone, side by side."""
     table = found.table
     if len(table.columns) == 1:
-        print(told(f"{table.title}: {words.data(table.columns[0])}"))
+        print(line_text(f"{table.title}: {words.data(table.columns[0])}"))
     else:
-        print(told(f"{table.title}: {table.columns[0].n_places or 0:,} places; {describe_protocol(found.runs[0])}"))
+        print(
+            line_text(f"{table.title}: {table.columns[0].n_places or 0:,} places; {describe_protocol(found.runs[0])}")
+        )
         for run in (group.runs[0] for group in found.groups if group.runs):
-            print(told(f"{rows.describe_view(run, whole=True)}: {len(run.outcome):,} queries"))
+            print(line_text(f"{rows.describe_view(run, whole=True)}: {len(run.outcome):,} queries"))
     for row in table.rows:
         numbers = sorted({number for cell in row.cells.values() for number in cell.notes})
         for number in numbers:
-            print(told(f"note: {row.name}: {table.notes[number - 1].text}", "yellow"))
+            print(line_text(f"note: {row.name}: {table.notes[number - 1].text}", "yellow"))
     print()
     if len(table.columns) == 1:
         heads = ["method", *(quantity.heading for quantity in table.quantities)]
@@ -169,7 +171,7 @@ def show(found: ReportData, rankings: Sequence[Ranking], wide: bool = False) -> 
     print()
     for group, ranking in zip(found.groups, rankings, strict=True):
         above = f"{_short(group)}: " if len(rankings) > 1 else ""
-        print(*(told(f"{above}{sentence}", "bold") for sentence in ranking.sentences), sep="\n")
+        print(*(line_text(f"{above}{sentence}", "bold") for sentence in ranking.sentences), sep="\n")
 
 
 def _short(group: Group) -> str:
@@ -181,8 +183,8 @@ def _shown(found: ReportData, row: TableRow, quantities: Sequence[Quantity]) -> 
     for column in found.table.columns:
         cells = [words.of_cell(found.table, row, column, quantity) for quantity in quantities]
         for number, cell in enumerate(cells):
-            told = cell.absence if number == 0 or cell.value or cell.absence != cells[0].absence else ""
-            yield " ".join(filter(None, [told, cell.value, cell.extent]))
+            absence = cell.absence if number == 0 or cell.value or cell.absence != cells[0].absence else ""
+            yield " ".join(filter(None, [absence, cell.value, cell.extent]))
 
 
 def written(found: ReportData, beside_others: bool, robust: Robustness | None = None) -> list[Path]:

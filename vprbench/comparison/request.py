@@ -41,7 +41,7 @@ class SortedOptions:
     of_runs: tuple[str, ...]  # as the command line has them
 
 
-def asked(options: Sequence[str]) -> SortedOptions:
+def sort_options(options: Sequence[str]) -> SortedOptions:
     """Sort the options of the command line; raises BadInput for those of no comparison."""
     own: list[str] = []
     of_dataset: list[str] = []

@@ -116,26 +116,26 @@ class Comparison:
         """Return the table as text for people: percent, and a dash for what there is not."""
         table = self.table
 
-        def told(name: str, text: Callable[[float], str], absent: str = rows.NOTHING) -> list[str]:
+        def column(name: str, text: Callable[[float], str], absent: str = rows.NOTHING) -> list[str]:
             return [absent if np.isnan(value) else text(value) for value in table[name]]
 
         recall = METRICS["recall_at_1"]
 
         def interval(low: str, high: str) -> list[str]:
-            ends = zip(told(low, recall.text), told(high, recall.text), strict=True)
+            ends = zip(column(low, recall.text), column(high, recall.text), strict=True)
             return [rows.NOTHING if low == rows.NOTHING else f"[{low}, {high}]" for low, high in ends]
 
         others = map(
-            " ".join, zip(told("elsewhere", recall.text), interval("elsewhere_low", "elsewhere_high"), strict=True)
+            " ".join, zip(column("elsewhere", recall.text), interval("elsewhere_low", "elsewhere_high"), strict=True)
         )
         shown = {
             "Method": table["method"],
-            recall.head: told("recall_at_1", recall.text),
+            recall.head: column("recall_at_1", recall.text),
             "95 %": interval("low", "high"),
             **({"Elsewhere": [*others]} if table["elsewhere"].notna().any() else {}),
-            **{METRICS[name].head: told(name, METRICS[name].text) for name in self.metrics},
-            "Queries/s": told("hz", RATES[0].text, rows.UNTIMED),
-            "Fit s": told("fit_seconds", lambda seconds: f"{float(f'{seconds:.2g}'):,g}"),
+            **{METRICS[name].head: column(name, METRICS[name].text) for name in self.metrics},
+            "Queries/s": column("hz", RATES[0].text, rows.UNTIMED),
+            "Fit s": column("fit_seconds", lambda seconds: f"{float(f'{seconds:.2g}'):,g}"),
             **({"Left out": table["left_out"].map(short)} if self.left_out else {}),
         }
         return pd.DataFrame(shown)

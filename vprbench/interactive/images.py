@@ -95,7 +95,7 @@ def _traverses(references: Any) -> list[Any]:
 def _listed(traverse: Any, option: str) -> Sequence[Path] | list[Image]:
     """Return the files or the arrays of one traverse; raises what `dataset_of` raises, naming the `option`."""
     if isinstance(traverse, str | Path):
-        reader = registry.beside(registry.entries("dataset")["folders"], "readers.image_files")
+        reader = registry.module_beside(registry.entries("dataset")["folders"], "readers.image_files")
         found: Sequence[Path] = reader.images_in(traverse, option, "give a folder of images")
         return found
     if isinstance(traverse, np.ndarray) and traverse.ndim == 3 and traverse.shape[2] in (3, 4):

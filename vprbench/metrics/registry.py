@@ -95,9 +95,9 @@ class Metric:
 
     def text(self, value: float | None) -> str:
         """Return a value for people, without its unit."""
-        return "-" if value is None else self.told(self.shown(value))
+        return "-" if value is None else self.rounded_text(self.shown(value))
 
-    def told(self, shown: float) -> str:
+    def rounded_text(self, shown: float) -> str:
         """Return a value that `shown` gave, rounded: of a cost to three digits, or to all before the point."""
         if self.cost is not None:
             return f"{shown:,.0f}" if abs(shown) >= 100 else f"{shown:.3g}"

@@ -121,12 +121,12 @@ def gather(chosen: TablePlan, options: Sequence[str], compose: Compose, executor
 
     `options` of the command line are those of all runs. Raises BadInput if there is no run at all.
     """
-    endings = made(chosen, [run for runs in all_runs(chosen) for run in runs], options, compose, executor)
+    endings = run_missing(chosen, [run for runs in all_runs(chosen) for run in runs], options, compose, executor)
     runs, failures = stored(chosen)
     return material(chosen, runs, failures, tuple(endings))
 
 
-def made(
+def run_missing(
     chosen: TablePlan,
     runs: Sequence[MissingRun],
     options: Sequence[str],
@@ -172,7 +172,7 @@ def stored(asked: TableRequest | TablePlan) -> tuple[list[Run], list[Failure]]:
     return [*runs.values()], [failure for store in stores for failure in store.failures()]
 
 
-def wanted(chosen: TablePlan, column: ResolvedColumn, rows: Sequence[Row]) -> Iterator[MissingRun]:
+def runs_of(chosen: TablePlan, column: ResolvedColumn, rows: Sequence[Row]) -> Iterator[MissingRun]:
     """Yield the runs of some rows in one column."""
     planned = column.planned
     for row in rows:
@@ -191,7 +191,7 @@ def all_runs(chosen: TablePlan) -> tuple[list[MissingRun], list[MissingRun]]:
     for row in chosen.rows:
         for column in columns:
             if not chosen.slow(column, row):
-                runs[row.most_places is not None].extend(wanted(chosen, column, [row]))
+                runs[row.most_places is not None].extend(runs_of(chosen, column, [row]))
     return runs
 
 

@@ -184,7 +184,7 @@ class _Filling:
                 self._shown.at(number)
             result, found = self._missing.get(_known(run)), None
             if result is None:
-                found = self._shelf.held(run)
+                found = self._shelf.find(run)
                 result = JobResult(0) if found else None
             if result is None:
                 result = self._unmade(run)

@@ -60,7 +60,7 @@ class Robustness:
     @property
     def words(self) -> dict[str, str]:
         """What each of these kinds does to query frames."""
-        return {kind: KINDS[kind].told(strengths) for kind, strengths in self.kinds.items()}
+        return {kind: KINDS[kind].describe(strengths) for kind, strengths in self.kinds.items()}
 
     def of(self, method: str, kind: str) -> list[Point]:
         """Return the points of a row from clean to strong; those without a run are missing."""

@@ -40,7 +40,7 @@ class StoredRuns:
         self._compose = compose
         self._datasets: dict[str, tuple[Dataset, str]] = {}
 
-    def held(self, wanted: MissingRun) -> Run | None:
+    def find(self, wanted: MissingRun) -> Run | None:
         """Return the stored run that a process would find and have nothing to add to; None if there is none.
 
         Of several corruptions it is that of the last, if all are there. It has the key of a stored run; the frames

@@ -87,5 +87,5 @@ def _result(rule: str, test: Callable[[], None]) -> Result:
     except RuleBrokenError as error:
         return Result(rule, "broken", str(error))
     except Exception as error:
-        return Result(rule, "broken", faults.told(error))
+        return Result(rule, "broken", faults.describe_error(error))
     return Result(rule, "kept")

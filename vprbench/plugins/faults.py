@@ -9,7 +9,7 @@ _OURS = str(Path(__file__).parents[1])
 _BETWEEN = ("importlib", "hydra", "<frozen")  # between us and the plug-in
 
 
-def told(error: BaseException, file: str | None = None) -> str:
+def describe_error(error: BaseException, file: str | None = None) -> str:
     """Return an error in one line, with the place that raised it: the innermost in `file`, else in any plug-in."""
     if isinstance(error, SyntaxError):
         return f"SyntaxError: {error.msg}{_place(error.filename, error.lineno)}"

@@ -82,7 +82,7 @@ def _imported(file: Path) -> ModuleType:
         spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:
         del sys.modules[name]
-        raise BadInput(f"{file} cannot be imported: {faults.told(error, str(path))}") from error
+        raise BadInput(f"{file} cannot be imported: {faults.describe_error(error, str(path))}") from error
     return module
 
 

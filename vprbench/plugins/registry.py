@@ -97,7 +97,7 @@ def located(group: Group, config: Mapping[str, Any], where: object) -> Callable[
     return _locate(config["_target_"])
 
 
-def beside(entry: Entry, module: str) -> ModuleType:
+def module_beside(entry: Entry, module: str) -> ModuleType:
     """Import and return a module of the package of a method or dataset, such as what a benchmark asks for."""
     return importlib.import_module(f"{entry.target().__module__.rpartition('.')[0]}.{module}")
 
@@ -107,7 +107,7 @@ def _locate(target: str) -> Callable[..., Any]:
     try:
         found = get_object(target)
     except (Exception, SystemExit) as error:  # a plug-in may fail in any way, and must hurt only itself
-        raise BadInput(f"{target} cannot be imported: {faults.told(error.__cause__ or error)}") from error
+        raise BadInput(f"{target} cannot be imported: {faults.describe_error(error.__cause__ or error)}") from error
     if not callable(found):
         raise BadInput(f"{target} is a {type(found).__name__}, not a class or function")
     return found  # type: ignore[no-any-return]
@@ -129,7 +129,7 @@ def _build(group: Group, config: Mapping[str, Any]) -> Any:
     except (BadInput, OSError):
         raise
     except Exception as error:
-        raise BadInput(f"{config['_target_']} fails when it is made: {faults.told(error)}") from error
+        raise BadInput(f"{config['_target_']} fails when it is made: {faults.describe_error(error)}") from error
 
 
 def _parameters(target: Callable[..., Any], name: str) -> tuple[Mapping[str, inspect.Parameter], dict[str, Any]]:

@@ -76,7 +76,7 @@ class Subject:
         return self.make().fit(Images.from_arrays(world.references), world.places)
 
     @cached_property
-    def asked(self) -> Method:
+    def fitted_once(self) -> Method:
         """A method that has learnt the first world, shared by the rules that only ask it."""
         return self.fitted(Journey.draw(0))
 
@@ -132,7 +132,7 @@ def _inputs(subject: Subject) -> None:
 
 def _kept_apart(subject: Subject) -> None:
     world = Journey.draw(0)
-    method = subject.asked
+    method = subject.fitted_once
     given = {"encode": method.encode(Images.from_arrays(world.queries[:3]))}
     before = {"encode": np.array(given["encode"], copy=True)}
     later = method.encode(Images.from_arrays(world.queries[3:]))
@@ -146,27 +146,27 @@ def _kept_apart(subject: Subject) -> None:
 
 def _repeatable(subject: Subject) -> None:
     world = Journey.draw(0)
-    if not np.array_equal(_scores(subject.asked, world), _scores(subject.fitted(world), world)):
+    if not np.array_equal(_scores(subject.fitted_once, world), _scores(subject.fitted(world), world)):
         _broken("two fits with the same arguments give different scores")
 
 
 def _batches(subject: Subject) -> None:
     world = Journey.draw(0)
-    method = subject.asked
+    method = subject.fitted_once
     singles = np.concatenate([method.query(Images.from_arrays([image])) for image in world.queries])
     _same(_scores(method, world), singles, "a batch gives other scores than its images one by one")
 
 
 def _order(subject: Subject) -> None:
     world = Journey.draw(0)
-    method = subject.asked
+    method = subject.fitted_once
     turned = method.query(Images.from_arrays(world.queries[::-1]))
     _same(_scores(method, world), turned[::-1], "the order of the queries changes the scores")
 
 
 def _shape(subject: Subject) -> None:
     world = Journey.draw(0)
-    scores = _scores(subject.asked, world)
+    scores = _scores(subject.fitted_once, world)
     wanted = (len(world.queries), N_PLACES)
     if not isinstance(scores, np.ndarray) or scores.shape != wanted or scores.dtype != np.float32:
         _broken(f"{getattr(scores, 'shape', type(scores))} {getattr(scores, 'dtype', '')}; wanted {wanted} float32")
@@ -175,7 +175,7 @@ def _shape(subject: Subject) -> None:
 
 def _higher_is_alike(subject: Subject) -> None:
     world = Journey.draw(0)
-    method = subject.asked
+    method = subject.fitted_once
     known = method.query(Images.from_arrays(world.references[:N_PLACES]))
     right = np.count_nonzero(known.argmax(1) == np.arange(N_PLACES))
     if right <= N_PLACES // 2:

@@ -29,7 +29,7 @@ from vprbench.metrics.ranking import (
 )
 from vprbench.runs.descriptors import DescriptorCache
 from vprbench.runs.notes import Note
-from vprbench.runs.shortlist import TOGETHER, Shortlisting, asked
+from vprbench.runs.shortlist import TOGETHER, Shortlisting, scorer_for
 from vprbench.runs.stopwatch import Stopwatch
 
 _BLOCK = 128  # queries scored together
@@ -142,7 +142,7 @@ class Scoring:
     def __init__(self, stopwatch: Stopwatch, method: Method, dataset: Dataset, depth: int, whole: bool = False) -> None:
         """Keep of the answers what `Answers` keeps; nothing is asked yet."""
         self._stopwatch = stopwatch
-        self.asked = asked(method, dataset.n_places, depth, whole)
+        self.asked = scorer_for(method, dataset.n_places, depth, whole)
         self._queries = dataset.queries.unnamed()
         self._n_places = dataset.n_places
         self.answers = Answers(dataset, depth, whole)

@@ -24,7 +24,7 @@ class Kind:
         """Return the amounts of these strengths with their unit."""
         return self.unit.format("/".join(f"{self.amounts[each - 1]:g}" for each in strengths))
 
-    def told(self, strengths: Sequence[int]) -> str:
+    def describe(self, strengths: Sequence[int]) -> str:
         """Return what these strengths do to query frames."""
         return self.words.format(self.short(strengths).replace("/", ", "))
 
@@ -65,7 +65,7 @@ class Corruption:
 
     def protocol(self) -> str:
         """Return what stands of it in the protocol of a run."""
-        return f"{self.name} (queries {KINDS[self.kind].told([self.strength])}; seed {self.seed})"
+        return f"{self.name} (queries {KINDS[self.kind].describe([self.strength])}; seed {self.seed})"
 
 
 def corruption(name: str) -> Corruption:

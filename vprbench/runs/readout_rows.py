@@ -13,7 +13,7 @@ from vprbench.metrics.intervals import share_interval
 from vprbench.metrics.registry import METRICS
 from vprbench.runs.recall_intervals import along_the_journey
 from vprbench.runs.record import Run
-from vprbench.terminal.console import table_text, told
+from vprbench.terminal.console import line_text, table_text
 
 _ANSWER = "answer"
 
@@ -37,7 +37,7 @@ def readout_text(run: Run) -> str:
         columns = ("readout", "neurons", "R@1 % [95 %]", *["time steps"] * any("steps" in each for each in found))
         return table_text(columns, [_row(readout)[: len(columns)] for readout in found])
     missing = f"{run.method} learns no layer that it shows" if run.readouts == [] else "see the notes"
-    return told(f"readouts: none, {missing}")
+    return line_text(f"readouts: none, {missing}")
 
 
 def _recall(readout: Mapping[str, Any], order: npt.NDArray[np.int64]) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from vprbench.runs.record import Run
 from vprbench.runs.sequences import views
 from vprbench.runs.settings import Settings
 from vprbench.runs.tuned import all_notes
-from vprbench.terminal.console import table_text, told
+from vprbench.terminal.console import line_text, table_text
 
 
 def run_text(run: Run, folder: Path | None, from_store: bool, settings: Settings) -> str:
@@ -56,7 +56,7 @@ def run_text(run: Run, folder: Path | None, from_store: bool, settings: Settings
         tables.append(stream.stream_text(run))
     if settings.energy:
         tables.append(energy.text(run, settings.wide))
-    return "\n".join([*(told(*each) for each in said), *tables, *map(told, below)])
+    return "\n".join([*(line_text(*each) for each in said), *tables, *map(line_text, below)])
 
 
 def _viewed(view: Run, settings: Settings) -> dict[str, Any]:

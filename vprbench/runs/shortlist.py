@@ -66,7 +66,7 @@ def best_place(answer: Answer) -> int:
     return int(answer.places[0, 0] if isinstance(answer, Nearest) else answer[0].argmax())
 
 
-def asked(method: Method, n_places: int, depth: int, whole: bool = False) -> Scorer:
+def scorer_for(method: Method, n_places: int, depth: int, whole: bool = False) -> Scorer:
     """Return how a run asks a fitted method: for the best places alone if the map is large and the method names them.
 
     A method that matches in its own way, and says nothing of `nearest`, is asked for all scores, and so is any if all

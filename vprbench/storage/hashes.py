@@ -67,7 +67,7 @@ class HashedFiles:
         at = range(len(self))[index] * _SHA256_BYTES
         return FileHash(int(self.sizes[index]), self.sha256[at : at + _SHA256_BYTES])
 
-    def told(self) -> Iterator[bytes]:
+    def digest_parts(self) -> Iterator[bytes]:
         """Yield what changes with the size or the content of any of the files, in parts."""
         for first in range(0, len(self), _ASKED):
             sizes = self.sizes[first : first + _ASKED].tolist()

@@ -68,11 +68,11 @@ def table_text(
     lines = drawn(table, room, width() + _GAP)
     if len(kept) < len(columns):
         names = ", ".join(name for at, name in enumerate(columns) if at not in kept)
-        lines += "\n" + told(f"left out: {names} (wide=true shows them)", "dim")
+        lines += "\n" + line_text(f"left out: {names} (wide=true shows them)", "dim")
     return lines
 
 
-def told(line: str, style: str = "") -> str:
+def line_text(line: str, style: str = "") -> str:
     """Return a sentence as a line, or broken between words and in colour for a terminal."""
     room = console()
     if not room.is_terminal:

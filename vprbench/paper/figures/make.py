@@ -14,7 +14,7 @@ from vprbench import progress
 from vprbench.errors import BadInput
 from vprbench.jobs.executors import executor_for
 from vprbench.metrics.registry import METRICS
-from vprbench.paper.gather import ReportData, TablePlan, TableRequest, choose, gather, made, stored, wanted
+from vprbench.paper.gather import ReportData, TablePlan, TableRequest, choose, gather, run_missing, runs_of, stored
 from vprbench.paper.growth import GrowthSamples, samples
 from vprbench.paper.missing_runs import results_folder
 from vprbench.paper.plan import Quantity, Row
@@ -40,8 +40,10 @@ def make_figures(asked: TableRequest, options: Sequence[str], compose: Compose) 
         found = gather(choose(asked, compose), options, compose, executor)
         growth = growth_columns(found, compose)
         once = replace(found.chosen, devices=("cpu",))
-        sizes = [run for column in growth for run in wanted(once, column, _growing(found))]
-        endings = made(found.chosen, sizes, [*options, "frames=false"], compose, executor)  # nobody looks at theirs
+        sizes = [run for column in growth for run in runs_of(once, column, _growing(found))]
+        endings = run_missing(
+            found.chosen, sizes, [*options, "frames=false"], compose, executor
+        )  # nobody looks at theirs
     runs = stored(found.chosen)[0] if sizes else found.runs
     folder = Path(asked.results).expanduser() / "figures"
     for path in write_figures(draw_all(found, runs, growth), folder):

@@ -103,7 +103,7 @@ class _Sheet:
         for entry in entries[:1]:
             place = entry.column.name, quantity.name
             self.best[place] = quantity.best(contest)
-            self.apart[place] = quantity.apart({name: runs for name, (_, runs) in there.items()})
+            self.apart[place] = quantity.set_apart({name: runs for name, (_, runs) in there.items()})
 
     def cell(self, entry: Entry, quantity: Quantity) -> Cell:
         """Return one cell."""

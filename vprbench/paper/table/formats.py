@@ -13,7 +13,7 @@ from vprbench.paper.table.latex import tex
 from vprbench.paper.table.quantities import TRAINING, Quantity
 from vprbench.paper.templates import ENVIRONMENT, document, one_line
 from vprbench.runs import rows
-from vprbench.terminal.console import table_text, told
+from vprbench.terminal.console import line_text, table_text
 
 _SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 
@@ -27,12 +27,12 @@ def for_terminal(table: Table, wide: bool = False) -> str:
     """Return a table as text that fits the terminal, unless `wide`, with its notes; the legend is in the files."""
     of_gpu = [quantity.heading for quantity in table.quantities if quantity.device == "cuda"]
     least = [*dict.fromkeys([*of_gpu, *(quantity.heading for quantity in TRAINING)])]
-    parts = [told(table.heading, "bold")]
+    parts = [line_text(table.heading, "bold")]
     for column in table.columns:
         heads, lines = _lines(table, column)
-        parts += ["", told(column.title, "bold"), told(words.data(column), "dim")]
+        parts += ["", line_text(column.title, "bold"), line_text(words.data(column), "dim")]
         parts += [table_text(heads, [[text.replace("*", "") for text in line] for line in lines], wide, least)]
-    notes = [told(f"{number} {note.text}", "dim") for number, note in enumerate(table.notes, 1)]
+    notes = [line_text(f"{number} {note.text}", "dim") for number, note in enumerate(table.notes, 1)]
     return "\n".join([*parts, "", *notes, *(f"{mark}: {machine}" for mark, machine in words.machines(table)), ""])
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from vprbench.errors import BadInput
 from vprbench.jobs.executors import executor_for
 from vprbench.jobs.job import JobResult
-from vprbench.paper.gather import ReportData, TablePlan, TableRequest, all_runs, choose, made, material, stored
+from vprbench.paper.gather import ReportData, TablePlan, TableRequest, all_runs, choose, material, run_missing, stored
 from vprbench.paper.missing_runs import MissingRun, Watch
 from vprbench.paper.stored_runs import Compose
 from vprbench.paper.table import formats
@@ -29,7 +29,7 @@ def make_table(asked: TableRequest, options: Sequence[str], compose: Compose) ->
     chosen = choose(asked, compose)
     quick, slow = all_runs(chosen)
     with executor_for(asked) as executor:
-        endings = made(chosen, quick, options, compose, executor)
+        endings = run_missing(chosen, quick, options, compose, executor)
 
         def before_slow(run: MissingRun) -> None:
             with suppress(BadInput):  # no run is there yet
@@ -40,7 +40,7 @@ def make_table(asked: TableRequest, options: Sequence[str], compose: Compose) ->
             with suppress(BadInput):  # no run is there yet
                 write(_put_together(chosen, endings), _folder(asked), file_name(asked))
 
-        endings += made(chosen, slow, options, compose, executor, Watch(before_slow, after_slow))
+        endings += run_missing(chosen, slow, options, compose, executor, Watch(before_slow, after_slow))
     found = _put_together(chosen, endings)
     _show(found, asked)
     return exit_code(found.endings)

@@ -104,7 +104,7 @@ class Quantity(ABC):
         """Return why runs of a row give no number."""
         return Reason("undefined", "no query has a right place")
 
-    def apart(self, runs: Mapping[str, Sequence[Run]]) -> Mapping[str, Reason]:
+    def set_apart(self, runs: Mapping[str, Sequence[Run]]) -> Mapping[str, Reason]:
         """Return by row what sets it apart from the others of a column."""
         return {}
 
@@ -186,7 +186,7 @@ class OfMetric(Recall):
 
     def text(self, value: float) -> str:
         """Return a number with the digits of the metric."""
-        return self.metric.told(value)
+        return self.metric.rounded_text(value)
 
 
 @dataclass(frozen=True)
@@ -257,7 +257,7 @@ class Rate(Quantity):
         """Return that the runs were not timed."""
         return reason("untimed")
 
-    def apart(self, runs: Mapping[str, Sequence[Run]]) -> Mapping[str, Reason]:
+    def set_apart(self, runs: Mapping[str, Sequence[Run]]) -> Mapping[str, Reason]:
         """Return the rows that were timed otherwise than most."""
         return other_timing(runs)
 
