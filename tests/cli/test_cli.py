@@ -171,7 +171,7 @@ PLACES = "dataset.places=12 dataset.first_query_place=0"
         *("seed=-1", "depth=0", "limit_minutes=0", "timing.sample=0", "timing.minimum_second=5", "dataset.places=5"),
         *("method=vprtempo method.max_modul=5", "+timing.foo=3", "+seeds=3", "+method=hog", "~seed", "~seeds"),
         *("method", "method=sad force", "check method=sad seed", "-p x method=sad --package", "--resolve", "--colour"),
-        *("-m", "bench --cfg", "table -m", "gpu-chek", "list no_such_thing", "search trails=3", "table rows=[SAAD]"),
+        *("-m", "search --cfg", "table -m", "gpu-chek", "list no_such_thing", "search trails=3", "table rows=[SAAD]"),
         *("table method=sad", "table nordland=/nowhere", "table seeds=0", "table stored=true", "check", "doctor"),
         *("search dataset=nordland_64x32", "doctor dataset=nowhere", "doctor dataset=synthetic seed=3"),
         *("fetch nowhere", "fetch synthetic", "fetch nordland colour=red", "check method=sad threads=x"),

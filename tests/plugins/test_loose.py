@@ -253,9 +253,7 @@ TARGET = "# Broken\n_target_: broken_code.Made\n"
         ("method", TARGET, "Made = 5\n", "is a int"),
     ],
 )
-def test_a_broken_plug_in_is_told_in_one_line_and_the_others_are_listed(
-    here, install, group, yaml, code, named, capsys
-):
+def test_a_broken_plug_in_is_told_in_a_line_and_the_others_are_listed(here, install, group, yaml, code, named, capsys):
     install(here, here / "conf")
     (here / "conf" / group).mkdir(parents=True)
     (here / "conf" / group / "broken.yaml").write_text(yaml)

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from vprbench.api.arrays import Image
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
-from vprbench.plugins.rules import RuleBrokenError, RuleExceptedError
+from vprbench.plugins.rules import RuleBrokenError, RuleExceptedError, sentence
 from vprbench.text import plural, some, some_of
 
 _SAMPLE = 8  # images of each traverse that are decoded
@@ -40,7 +40,18 @@ class BuiltDataset:
             yield from ((f"{part}[{i}] ({images.names[i]})", images[i]) for i in _sample(images))
 
 
+DATASET_RULES: dict[str, Callable[[BuiltDataset], None]] = {}  # by what they say
+
+
+def dataset_rule(test: Callable[[BuiltDataset], None]) -> Callable[[BuiltDataset], None]:
+    """Put a function among the rules for datasets, in the order of the file."""
+    DATASET_RULES[sentence(test)] = test
+    return test
+
+
+@dataset_rule
 def _alike(made: BuiltDataset) -> None:
+    """It is the same when it is made again."""
     first, second = made.dataset, made.again()
     for what in ("name", "n_places", "protocol", "notes"):
         if getattr(first, what) != getattr(second, what):
@@ -55,19 +66,25 @@ def _alike(made: BuiltDataset) -> None:
         _broken("places or ground truth are others when it is made again")
 
 
+@dataset_rule
 def _named(made: BuiltDataset) -> None:
+    """It has the name that was asked for."""
     wanted = made.config.get("name", made.dataset.name)
     if made.dataset.name != wanted:
         _broken(f"name={wanted} was asked for, but it is {made.dataset.name}")
 
 
+@dataset_rule
 def _places(made: BuiltDataset) -> None:
+    """Place ids are whole numbers."""
     places = made.dataset.places
     if not _is_row(places):
         _broken(f"places are {_kind(places)}; wanted is an array of whole numbers, (n_references,)")
 
 
+@dataset_rule
 def _right(made: BuiltDataset) -> None:
+    """Right places are whole numbers, ascending, each once."""
     for query, right in enumerate(made.dataset.positives):
         if not _is_row(right) and len(right):
             _broken(f"the right places of query {query} are {_kind(right)}; wanted is an array of whole numbers")
@@ -75,33 +92,43 @@ def _right(made: BuiltDataset) -> None:
             _broken(f"the right places of query {query} are {some(list(right))}: name each once, ascending")
 
 
+@dataset_rule
 def _answerable(made: BuiltDataset) -> None:
+    """Most queries have a right place."""
     right = made.dataset.positives
     without = sum(not len(places) for places in right)
     if 2 * without > len(right):
         _broken(f"{without} of {len(right)} queries have no right place: does the ground truth fit the map?")
 
 
+@dataset_rule
 def _asks(made: BuiltDataset) -> None:
+    """No query is right everywhere."""
     everywhere = [q for q, right in enumerate(made.dataset.positives) if len(right) == made.dataset.n_places > 1]
     if everywhere:
         _broken(f"for {len(everywhere)} queries every place is right: is the tolerance too wide?")
 
 
+@dataset_rule
 def _rgb(made: BuiltDataset) -> None:
+    """Images are uint8 (height, width, 3)."""
     for where, image in made.samples():
         wrong = not isinstance(image, np.ndarray) or image.dtype != np.uint8 or image.ndim != 3
         if wrong or image.shape[2] != 3 or not image.size:
             _broken(f"{where} is {_kind(image)}; wanted is uint8 (height, width, 3)")
 
 
+@dataset_rule
 def _show(made: BuiltDataset) -> None:
+    """Images show something."""
     plain = [bool((image == image.reshape(-1, image.shape[-1])[0]).all()) for _, image in made.samples()]
     if 2 * sum(plain) > len(plain):
         _broken(f"{sum(plain)} of {len(plain)} images that were looked at have one colour all over")
 
 
+@dataset_rule
 def _one_size(made: BuiltDataset) -> None:
+    """Images of a traverse have one size, or notes say so."""
     for part, images in made.parts():
         sizes = {f"{image.shape[1]}x{image.shape[0]}" for image in (images[i] for i in _sample(images))}
         told = any("size" in note for note in made.dataset.notes)
@@ -112,7 +139,9 @@ def _one_size(made: BuiltDataset) -> None:
             _broken(f"{text}: give them one, or say so in the dataset's notes")
 
 
+@dataset_rule
 def _same_image(made: BuiltDataset) -> None:
+    """An image is the same however it is read."""
     for part, images in made.parts():
         sample = _sample(images)
         view, unnamed = images[np.array(sample)], images.unnamed()
@@ -129,7 +158,9 @@ def _same_image(made: BuiltDataset) -> None:
                     _broken(f"{part}[{i}] ({images.names[i]}) is another image {way}")
 
 
+@dataset_rule
 def _names(made: BuiltDataset) -> None:
+    """Every image of a traverse has a name of its own."""
     for part, images in made.parts():
         often = Counter(images.names)
         twice = sorted(name for name in often if not name or often[name] > 1)
@@ -140,7 +171,9 @@ def _names(made: BuiltDataset) -> None:
             _broken(text)
 
 
+@dataset_rule
 def _plain(made: BuiltDataset) -> None:
+    """The protocol holds plain values."""
     protocol = made.dataset.protocol
     try:
         kept = json.loads(json.dumps(dict(protocol), allow_nan=False))
@@ -153,19 +186,25 @@ def _plain(made: BuiltDataset) -> None:
         )
 
 
+@dataset_rule
 def _told(made: BuiltDataset) -> None:
+    """The protocol says what references and queries are."""
     keys = " ".join(made.dataset.protocol)
     if "quer" not in keys or not any(word in keys for word in ("reference", "database")):
         _broken(f"the protocol says of {keys or 'nothing'}; wanted are references and query too")
 
 
+@dataset_rule
 def _journey(made: BuiltDataset) -> None:
+    """Place numbers ascend along the journey."""
     numbers = made.dataset.place_numbers
     if numbers is not None and (np.diff(numbers) <= 0).any():
         _broken("place_numbers do not ascend: number the places along the journey")
 
 
+@dataset_rule
 def _held_out(made: BuiltDataset) -> None:
+    """Held-out queries are none of the queries."""
     held_out, queries = made.dataset.held_out, made.dataset.queries
     if held_out is None:
         return
@@ -175,7 +214,9 @@ def _held_out(made: BuiltDataset) -> None:
             _broken(f"the held-out query {name} is one of the queries: results may ask none of these")
 
 
+@dataset_rule
 def _leaves(made: BuiltDataset) -> None:
+    """Reading leaves the working folder and random numbers alone."""
     folder, numbers, numpy_numbers = Path.cwd(), random.getstate(), repr(np.random.get_state())  # noqa: NPY002
     again = made.again()
     for images in (again.references, again.queries):
@@ -186,31 +227,12 @@ def _leaves(made: BuiltDataset) -> None:
         _broken("the random numbers of the whole program are others after reading: use numpy.random.default_rng(seed)")
 
 
+@dataset_rule
 def _lines(made: BuiltDataset) -> None:
+    """Notes are lines."""
     notes: Any = made.dataset.notes
     if not isinstance(notes, tuple) or not all(isinstance(note, str) and note.isprintable() for note in notes):
         _broken(f"notes are {notes!r}; wanted is a tuple of lines")
-
-
-DATASET_RULES: dict[str, Callable[[BuiltDataset], None]] = {
-    "it is the same when it is made again": _alike,
-    "it has the name that was asked for": _named,
-    "place ids are whole numbers": _places,
-    "right places are whole numbers, ascending, each once": _right,
-    "most queries have a right place": _answerable,
-    "no query is right everywhere": _asks,
-    "images are uint8 (height, width, 3)": _rgb,
-    "images show something": _show,
-    "images of a traverse have one size, or notes say so": _one_size,
-    "an image is the same however it is read": _same_image,
-    "every image of a traverse has a name of its own": _names,
-    "the protocol holds plain values": _plain,
-    "the protocol says what references and queries are": _told,
-    "place numbers ascend along the journey": _journey,
-    "held-out queries are none of the queries": _held_out,
-    "reading leaves the working folder and random numbers alone": _leaves,
-    "notes are lines": _lines,
-}
 
 
 def _sample(images: Images) -> list[int]:

@@ -23,7 +23,7 @@ ENTRY_POINTS = "vprbench.conf"
 
 #: What the yaml of a method says of it beside its arguments.
 DECLARED = ("tuned_on", "tags")
-_NO_ARGUMENTS = ("_target_", "defaults", *DECLARED)
+_NO_ARGUMENTS = ("_target_", *DECLARED)
 _NO_CHOICE = (*_NO_ARGUMENTS, "seed", "device")  # what every run sets for itself
 
 
@@ -100,7 +100,7 @@ class Entry:
         merged: dict[str, Any] = {}
         for base in self.bases():
             merged = _merged(merged, base.values())
-        return _merged(merged, self._content())
+        return _merged(merged, {name: value for name, value in self._content().items() if name != "defaults"})
 
     def bases(self) -> list[Entry]:
         """Return the yamls that this one builds on, in their order; raises BadInput if it cannot be read."""

@@ -81,7 +81,24 @@ class Subject:
         return self.fitted(Journey.draw(0))
 
 
+RULES: dict[str, Callable[[Subject], None]] = {}  # by what they say
+
+
+def sentence(test: Callable[..., None]) -> str:
+    """Return what a rule says: its docstring without capital and full stop."""
+    said = str(test.__doc__)
+    return said[0].lower() + said[1:-1]
+
+
+def rule(test: Callable[[Subject], None]) -> Callable[[Subject], None]:
+    """Put a function among the rules for methods, in the order of the file."""
+    RULES[sentence(test)] = test
+    return test
+
+
+@rule
 def _constructor(subject: Subject) -> None:
+    """The constructor only stores its arguments."""
     method = subject.make()
     for name, value in subject.config.items():
         stored = getattr(method, name, None)
@@ -90,13 +107,17 @@ def _constructor(subject: Subject) -> None:
             _broken(f"argument {name}={value} is {getattr(method, name, 'not stored')} after construction")
 
 
+@rule
 def _returns_itself(subject: Subject) -> None:
+    """Fit returns the method."""
     method, world = subject.make(), Journey.draw(0)
     if method.fit(Images.from_arrays(world.references), world.places) is not method:
         _broken("fit returned something else")
 
 
+@rule
 def _forgets(subject: Subject) -> None:
+    """Fit forgets an earlier fit."""
     first, second = Journey.draw(1), Journey.draw(2)
     method = subject.fitted(first)
     method.fit(Images.from_arrays(second.references), second.places)
@@ -107,7 +128,9 @@ def _forgets(subject: Subject) -> None:
     )
 
 
+@rule
 def _needs_fit(subject: Subject) -> None:
+    """Query before fit raises NotFittedError."""
     try:
         _scores(subject.make(), Journey.draw(0))
     except NotFittedError:
@@ -115,7 +138,9 @@ def _needs_fit(subject: Subject) -> None:
     _broken("no NotFittedError was raised")
 
 
+@rule
 def _inputs(subject: Subject) -> None:
+    """Inputs are never modified."""
     world, untouched = Journey.draw(0), Journey.draw(0)
     method = subject.fitted(world)
     codes = method.encode(Images.from_arrays(world.queries))
@@ -130,7 +155,9 @@ def _inputs(subject: Subject) -> None:
             _broken("an image was changed")
 
 
+@rule
 def _kept_apart(subject: Subject) -> None:
+    """What was returned is never modified."""
     world = Journey.draw(0)
     method = subject.fitted_once
     given = {"encode": method.encode(Images.from_arrays(world.queries[:3]))}
@@ -144,27 +171,35 @@ def _kept_apart(subject: Subject) -> None:
             _broken(f"a later call changes what {name} returned: return an array of its own")
 
 
+@rule
 def _repeatable(subject: Subject) -> None:
+    """The same seed gives the same scores."""
     world = Journey.draw(0)
     if not np.array_equal(_scores(subject.fitted_once, world), _scores(subject.fitted(world), world)):
         _broken("two fits with the same arguments give different scores")
 
 
+@rule
 def _batches(subject: Subject) -> None:
+    """A batch gives what its single images give."""
     world = Journey.draw(0)
     method = subject.fitted_once
     singles = np.concatenate([method.query(Images.from_arrays([image])) for image in world.queries])
     _same(_scores(method, world), singles, "a batch gives other scores than its images one by one")
 
 
+@rule
 def _order(subject: Subject) -> None:
+    """The order of queries does not matter."""
     world = Journey.draw(0)
     method = subject.fitted_once
     turned = method.query(Images.from_arrays(world.queries[::-1]))
     _same(_scores(method, world), turned[::-1], "the order of the queries changes the scores")
 
 
+@rule
 def _shape(subject: Subject) -> None:
+    """Scores are finite float32 of shape (n_queries, n_places)."""
     world = Journey.draw(0)
     scores = _scores(subject.fitted_once, world)
     wanted = (len(world.queries), N_PLACES)
@@ -173,7 +208,9 @@ def _shape(subject: Subject) -> None:
     _only_numbers_or_no_candidates(scores, "scores are not finite")
 
 
+@rule
 def _higher_is_alike(subject: Subject) -> None:
+    """Higher scores mean more alike."""
     world = Journey.draw(0)
     method = subject.fitted_once
     known = method.query(Images.from_arrays(world.references[:N_PLACES]))
@@ -182,7 +219,9 @@ def _higher_is_alike(subject: Subject) -> None:
         _broken(f"only {right} of {N_PLACES} reference images score highest at their own place")
 
 
+@rule
 def _names(subject: Subject) -> None:
+    """The names of images do not matter."""
     world = Journey.draw(0)
     scores = []
     for word in ("place", "x"):
@@ -194,7 +233,9 @@ def _names(subject: Subject) -> None:
     _same(scores[0], scores[1], "the names of the images change the scores")
 
 
+@rule
 def _any_image(subject: Subject) -> None:
+    """Black images and images of other sizes are accepted."""
     world = Journey.draw(0)
     black = [np.zeros_like(world.references[0]), *world.references[1:]]
     larger = [np.asarray(cv2.resize(world.queries[0], (96, 80)), np.uint8), np.zeros_like(world.queries[1])]
@@ -202,7 +243,9 @@ def _any_image(subject: Subject) -> None:
     _only_numbers_or_no_candidates(scores, "scores of a black image and one of another size are not finite")
 
 
+@rule
 def _stored(subject: Subject) -> None:
+    """A stored network answers as the trained one."""
     try:
         subject.make().state()
     except NotFittedError:
@@ -228,7 +271,29 @@ def _stored(subject: Subject) -> None:
                 _broken(f"restored into a method {state} it gives other scores")
 
 
+@rule
+def _extended(subject: Subject) -> None:
+    """Places learnt after fit are scored and change no score of known ones."""
+    world, first = Journey.draw(0), N_PLACES * 3 // 4
+    images, new = Images.from_arrays(world.references), np.flatnonzero(world.places >= first)
+    old = np.flatnonzero(world.places < first)
+    method = subject.make().fit(images[old], world.places[old])
+    before = _scores(method, world)
+    kept = before.copy()
+    for place in range(first, N_PLACES):
+        own = np.flatnonzero(world.places == place)
+        method.extend(images[own], world.places[own])
+    _same(kept, _scores(method, world)[:, :first], "learning more places changes the scores of known ones")
+    if not np.array_equal(before, kept):
+        _broken("extend changes what match returned")
+    right = np.count_nonzero(method.query(images[new])[:, first:].argmax(1) == world.places[new] - first)
+    if right <= len(new) // 2:
+        _broken(f"only {right} of {len(new)} images of new places score highest at their own among these")
+
+
+@rule
 def _spikes(subject: Subject) -> None:
+    """Spikes are counts or amplitudes by layer and query."""
     world = Journey.draw(0)
     method = subject.fitted(world)
     answers = _scores(method, world)
@@ -252,45 +317,7 @@ def _spikes(subject: Subject) -> None:
         _broken("counting spikes or reading layers changes codes or later scores")
 
 
-def _extended(subject: Subject) -> None:
-    world, first = Journey.draw(0), N_PLACES * 3 // 4
-    images, new = Images.from_arrays(world.references), np.flatnonzero(world.places >= first)
-    old = np.flatnonzero(world.places < first)
-    method = subject.make().fit(images[old], world.places[old])
-    before = _scores(method, world)
-    kept = before.copy()
-    for place in range(first, N_PLACES):
-        own = np.flatnonzero(world.places == place)
-        method.extend(images[own], world.places[own])
-    _same(kept, _scores(method, world)[:, :first], "learning more places changes the scores of known ones")
-    if not np.array_equal(before, kept):
-        _broken("extend changes what match returned")
-    right = np.count_nonzero(method.query(images[new])[:, first:].argmax(1) == world.places[new] - first)
-    if right <= len(new) // 2:
-        _broken(f"only {right} of {len(new)} images of new places score highest at their own among these")
-
-
-STORED_RULE = "a stored network answers as the trained one"
-EXTENDED_RULE = "places learnt after fit are scored and change no score of known ones"
-
-RULES: dict[str, Callable[[Subject], None]] = {
-    "the constructor only stores its arguments": _constructor,
-    "fit returns the method": _returns_itself,
-    "fit forgets an earlier fit": _forgets,
-    "query before fit raises NotFittedError": _needs_fit,
-    "inputs are never modified": _inputs,
-    "what was returned is never modified": _kept_apart,
-    "the same seed gives the same scores": _repeatable,
-    "a batch gives what its single images give": _batches,
-    "the order of queries does not matter": _order,
-    "scores are finite float32 of shape (n_queries, n_places)": _shape,
-    "higher scores mean more alike": _higher_is_alike,
-    "the names of images do not matter": _names,
-    "black images and images of other sizes are accepted": _any_image,
-    STORED_RULE: _stored,
-    EXTENDED_RULE: _extended,
-    "spikes are counts or amplitudes by layer and query": _spikes,
-}
+STORED_RULE, EXTENDED_RULE = sentence(_stored), sentence(_extended)
 
 
 def _scores(method: Method, world: Journey) -> npt.NDArray[np.float32]:

@@ -2,15 +2,13 @@
 
 import numpy as np
 import pytest
-import yaml
-from checkout import ROOT
 from little_vprsnn import WORLD, fitted, images
 
 from vprbench.errors import BadInput
 from vprbench.methods.vprsnn.ensemble import VPRSNNEnsemble
 from vprbench.methods.vprsnn.method import VPRSNN
+from vprbench.plugins.entries import entries
 
-CONFIGURATIONS = ROOT / "conf" / "method"
 QUERIES = images(WORLD.queries)
 
 # The numbers of QVPR/VPRSNN, whose neurons spike above theta - 20 mV - 52 mV, and others that change what is learnt.
@@ -86,7 +84,7 @@ def test_the_defaults_are_the_published_numbers():
     [("vprsnn", VPRSNN, {}), ("vprsnn_fast", VPRSNN, {"fast": True}), ("vprsnn_ensemble", VPRSNNEnsemble, {})],
 )
 def test_a_configuration_has_the_defaults_of_its_class(name, kind, differs):
-    configured = yaml.safe_load((CONFIGURATIONS / f"{name}.yaml").read_text())
+    configured = entries("method")[name].values()
     assert configured.pop("_target_") == f"{kind.__module__}.{kind.__name__}"
     assert configured.pop("tags") == ["spiking"]
     assert configured == {**kind().given(), **differs, "seed": "${seed}"}
