@@ -7,7 +7,7 @@ from array import array
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -63,14 +63,6 @@ def earth_centred(latitude: npt.NDArray[np.float64], longitude: npt.NDArray[np.f
     )
 
 
-class Position(NamedTuple):
-    """What a file name says of where its image was taken."""
-
-    east: float  # metres
-    north: float  # metres
-    grid: str  # zone and hemisphere, as in "33 north"; empty if the name has none
-
-
 def by_names(
     references: Sequence[Path], queries: Sequence[Path], radius_metres: float, zones: Zones = "error"
 ) -> GroundTruth:
@@ -102,13 +94,13 @@ def by_names(
 def _positions(files: Paths, grids: dict[str, str]) -> tuple[Metres, npt.NDArray[np.int32]]:
     """Return what the names of files say, (n, 2) and (n,): east and north, and the number of the grid in `grids`.
 
-    New grids are added, and each learns the last name that holds it. Raises what `position_in` raises.
+    New grids are added, and each learns the last name that holds it. Raises BadInput with a name that holds none.
     """
     metres, of_each = array("d"), array("i")
     numbers = {grid: number for number, grid in enumerate(grids)}
     for number, name in enumerate(files.names):
         try:
-            east, north, grid = _said_by(name)
+            east, north, grid = _position(name)
         except ValueError as error:
             raise BadInput(f"{files[number]} names {error}") from error
         metres.append(east)
@@ -118,16 +110,12 @@ def _positions(files: Paths, grids: dict[str, str]) -> tuple[Metres, npt.NDArray
     return np.array(metres).reshape(-1, 2), np.array(of_each)
 
 
-def position_in(path: Path) -> Position:
-    """Return the position that the base name of a file holds; raises BadInput with the name if it holds none."""
-    try:
-        return Position(*_said_by(path.name))
-    except ValueError as error:
-        raise BadInput(f"{path} names {error}") from error
+def _position(name: str) -> tuple[float, float, str]:
+    """Return what a file name says of where its image was taken: east and north in metres, and its grid.
 
-
-def _said_by(name: str) -> tuple[float, float, str]:
-    """Return the fields of a Position; raises ValueError with what the name says instead."""
+    The grid is zone and hemisphere, as in "33 north", empty if the name has none. Raises ValueError with what the name
+    says instead.
+    """
     parts = name.split("@", 5)
     try:
         east, north = float(parts[1]), float(parts[2])

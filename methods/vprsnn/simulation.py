@@ -189,7 +189,8 @@ def present(synapses, state, train, scratch, physics, traces, now, learning, res
     n_passed = 0
     scratch.until[:] = 0
     next_stretch = arriving
-    n_changing = n_waiting = n_inhibiting = 0
+    none = np.int64(0)  # of a plain 0 the compiler would make a second copy of each function that takes it
+    n_changing = n_waiting = n_inhibiting = none
     for j in range(n):
         limits[j] = state.theta[j]
         if now - fired[j] < physics.e_interval:
@@ -198,7 +199,7 @@ def present(synapses, state, train, scratch, physics, traces, now, learning, res
             n_waiting += 1
         if learning and (now - fired[j] < len(traces.post) or scratch.largest[j] > physics.weight_max):
             scratch.running[j] = synapses.weights[j // SIDE, :, j % SIDE]
-            _sum_stretch(synapses, train, scratch, traces.post, now - fired[j], physics, j, 0, arriving)
+            _sum_stretch(synapses, train, scratch, traces.post, now - fired[j], physics, j, none, arriving)
             scratch.changing[n_changing] = j
             n_changing += 1
         if state.ge_i[j] > 0:
@@ -207,7 +208,7 @@ def present(synapses, state, train, scratch, physics, traces, now, learning, res
     inhibited = gi.max() > 0
     decayed = 1.0  # of theta since the presentation began
 
-    t = 0
+    t = none
     while t < end:
         if t == next_stretch and t < arriving:
             next_stretch = arriving

@@ -354,7 +354,6 @@ parts:
         (HEAD + PART + "default: [some]\n", "default names some, which is none of its parts"),
         (HEAD.replace("licence", "license") + PART, "little.yaml=.*"),
         ("- a list\n", "little.yaml holds no entry"),
-        ("a: [\n", "little.yaml is no yaml"),
     ],
 )
 def test_an_entry_is_named_and_described_by_its_file_and_a_broken_one_named_in_one_line(tmp_path, text, message):

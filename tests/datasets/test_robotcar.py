@@ -1,6 +1,7 @@
 """RobotCar: published lists, raw frames processed when looked at, kept, and made anew where they are something else."""
 
 import hashlib
+import json
 import logging
 import os
 import re
@@ -151,7 +152,10 @@ def test_a_frame_is_processed_once_when_it_is_looked_at_and_then_taken_from_wher
     with PillowImage.open(path) as stored:
         assert (stored.format, stored.mode) == ("PNG", "RGB")
         np.testing.assert_array_equal(np.asarray(stored), found.queries[0])
-    assert {entry.name for entry in path.parent.iterdir()} >= {path.name, "vprbench.json"}
+    record = json.loads((path.parent / "vprbench.json").read_text())
+    table = (root / "models" / frames.TABLE).read_bytes()
+    assert record["calibration_sha256"] == hashlib.sha256(table).hexdigest()
+    assert (record["width"], record["height"], record["code_version"]) == (16, 12, kept.VERSION)
 
 
 def test_other_pixels_and_flipped_bits_are_noticed(root):

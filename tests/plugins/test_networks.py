@@ -88,6 +88,7 @@ def test_arrays_come_back_bit_by_bit(path):
         "float32": np.array([[-np.inf, 1e-45], [-0.0, 0.1]], np.float32),
         "nothing": np.empty((0, 3)),
         "turned": np.arange(6, dtype=np.uint8).reshape(2, 3).T,
+        "big-endian": np.arange(6, dtype=">i4"),
     }
     method = Holding(arrays=arrays)
     path.parent.mkdir()
@@ -95,7 +96,8 @@ def test_arrays_come_back_bit_by_bit(path):
     networks.load(path, method, ORIGIN)
     for name, given in arrays.items():
         back = method.arrays[name]
-        assert (back.dtype, back.shape, back.tobytes()) == (given.dtype, given.shape, given.tobytes())
+        wanted = given.astype(given.dtype.newbyteorder("<"))
+        assert (back.dtype, back.shape, back.tobytes()) == (wanted.dtype, wanted.shape, wanted.tobytes())
 
 
 @pytest.mark.parametrize(

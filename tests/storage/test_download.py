@@ -19,7 +19,6 @@ OTHER = np.random.default_rng(1).bytes(len(CONTENT))
 SHA256 = hashlib.sha256(CONTENT).hexdigest()
 PATIENCE = 120  # seconds for what takes hardly any unless something is broken
 pytestmark = pytest.mark.usefixtures("on_the_net")
-PAGE = b"\n<!DOCTYPE html><html><body>Sign in</body></html>"
 
 
 @pytest.fixture
@@ -189,7 +188,7 @@ def test_a_part_of_no_known_version_too_long_or_corrupted_is_not_kept_unless_a_h
     [
         (CONTENT, {"sha256": "0" * 64}, rf"gave a file with SHA-256 {SHA256}, expected {'0' * 64}: it was deleted"),
         (CONTENT, {"size_bytes": 7}, f"gave {len(CONTENT)} bytes, expected 7: it was deleted"),
-        (PAGE, {}, "answers with a"),
+        (b"\n<!DOCTYPE html><html><body>Sign in</body></html>", {}, "answers with a"),
         (b"", {}, "gave 0 bytes, expected more"),
     ],
 )

@@ -219,22 +219,14 @@ def test_more_files_than_a_batch_are_told_of_once_and_known_ones_found_again(tmp
 FOLDERS = {"VPRBENCH_WEIGHTS": weights_folder, "VPRBENCH_PARTIAL": partial_folder, "VPRBENCH_HASHES": hashes_folder}
 
 
-@pytest.fixture
-def nameless(monkeypatch, tmp_path):
-    """Be a user without a name and a home, as in many a container."""
-
+@pytest.mark.parametrize("variable", FOLDERS)
+def test_a_cache_of_a_user_without_name_and_home_asks_for_its_variable(variable, monkeypatch):
     def unknown(_):
         raise KeyError("uid not found")
 
-    monkeypatch.setattr(pwd, "getpwuid", unknown)
+    monkeypatch.setattr(pwd, "getpwuid", unknown)  # as in many a container
     for name in ("HOME", "XDG_CACHE_HOME", *FOLDERS):
         monkeypatch.delenv(name, raising=False)
-    monkeypatch.chdir(tmp_path)
-
-
-@pytest.mark.usefixtures("nameless")
-@pytest.mark.parametrize("variable", FOLDERS)
-def test_a_cache_without_a_home_asks_for_its_variable(variable, monkeypatch):
     with pytest.raises(BadInput, match=f"HOME, or {variable}"):
         FOLDERS[variable]()
     monkeypatch.setenv(variable, "~/kept")

@@ -202,9 +202,7 @@ def test_a_training_that_diverges_answers_nothing_and_says_why(tmp_path):
 
 
 @pytest.mark.extended
-def test_a_real_search_compares_its_best_with_the_paper_on_both_stretches_and_the_same_again_only_compares(
-    tmp_path, monkeypatch, caplog
-):
+def test_a_real_search_compares_its_best_with_the_paper_and_the_same_again_only_compares(tmp_path, monkeypatch, caplog):
     monkeypatch.setattr("vprbench.tuning.search.Workers", Here)
     monkeypatch.setattr(machine, "cores", lambda: [0, 1])
     mine = {"places": 12, "results": str(tmp_path)}
