@@ -65,7 +65,8 @@ def image_list(
     if kind == "place":
         truth = _by_place([label for table in mapped for label in table.labels()], asked.labels(), tolerance)
     else:
-        truth = by_radius(np.concatenate([table.metres(kind) for table in mapped]), asked.metres(kind), radius_metres)
+        known = np.concatenate([table.positions(kind) for table in mapped])
+        truth = by_radius(known, asked.positions(kind), radius_metres)
     return dataset_of_files(
         name,
         Paths.joined(table.images for table in mapped),
@@ -95,7 +96,7 @@ class _Table:
         words = self._words("place")
         return [int(word) if len(word) < 20 and word.removeprefix("-").isdecimal() else word for word in words]
 
-    def metres(self, kind: Kind) -> npt.NDArray[np.float64]:
+    def positions(self, kind: Kind) -> npt.NDArray[np.float64]:
         """Return the position of every row, (n, 2) or (n, 3)."""
         first, second = (self._numbers(column) for column in _COLUMNS[kind])
         return earth_centred(first, second) if kind == "lat_lon" else np.stack([first, second], axis=1)

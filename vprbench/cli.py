@@ -32,7 +32,7 @@ from vprbench.jobs.job import JobResult
 from vprbench.jobs.search import spread_over
 from vprbench.jobs.sweep import as_json, divided, swept
 from vprbench.plugins import registry
-from vprbench.progress import answers_alone, log_lines
+from vprbench.progress import answers_alone, log_to_stderr
 from vprbench.runs.compose import check_names, explained, in_order, readable
 from vprbench.runs.settings import KNOWN, RECORDED, Settings, checked_settings, n_threads
 from vprbench.storage.atomic import scratch
@@ -50,7 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def attempt(given: Sequence[str]) -> JobResult:
     """Run the command line; returns the exit code and why it is not 0, which standard error says too."""
-    log_lines()
+    log_to_stderr()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a terminal that knows no arrows shows something else
             stream.reconfigure(errors="replace")

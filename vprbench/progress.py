@@ -81,7 +81,7 @@ class _Lines(logging.StreamHandler[TextIO]):
             super().emit(record)
 
 
-def log_lines() -> None:
+def log_to_stderr() -> None:
     """Let each logged message be a line on standard error."""
     lines = _Lines()
     lines.setFormatter(_OneLine("%(message)s"))

@@ -17,7 +17,7 @@ from vprbench.api import BadInput, Image, NotThere, open_image
 
 from .undistortion import undistort
 
-VERSION = 1  # of what `processed` does: a change to its pixels raises it
+VERSION = 1  # of what `undistorted` does: a change to its pixels raises it
 
 _TABLE = "stereo_wide_left_distortion_lut.bin"
 _WHENCE = f"copy models/{_TABLE} of https://github.com/ori-mrg/robotcar-dataset-sdk"
@@ -131,7 +131,7 @@ def read_raw(path: Path, camera: Camera) -> npt.NDArray[np.uint8]:
         return np.asarray(image)
 
 
-def processed(raw: npt.NDArray[np.uint8], calibration: Calibration) -> Image:
+def undistorted(raw: npt.NDArray[np.uint8], calibration: Calibration) -> Image:
     """Return a raw frame (height, width) demosaiced and undistorted, (height, width, 3).
 
     Both are bilinear, decimals are cut off at the end alone and pixels from outside the frame are 0, as in

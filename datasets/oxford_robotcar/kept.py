@@ -18,7 +18,7 @@ from PIL.PngImagePlugin import PngInfo
 
 from vprbench.api import Image, Images, open_image, replace_bytes
 
-from .calibration import VERSION, Calibration, processed, read_raw
+from .calibration import VERSION, Calibration, read_raw, undistorted
 
 logger = logging.getLogger(__name__)
 
@@ -59,7 +59,7 @@ class KeptFrames:
             path = folder / paths[i].name
             image = _read(path, mark)
             if image is None:
-                image = processed(read_raw(paths[i], self._calibration.camera), self._calibration)
+                image = undistorted(read_raw(paths[i], self._calibration.camera), self._calibration)
                 self._keep(path, image, mark)
             return image
 

@@ -33,7 +33,7 @@ from .arguments import Arguments
 from .circuit import check_circuit, circuit_of
 from .layer import Layer, draw_layer, feature_rates
 from .network import Network, last_features, members_from_state, members_state
-from .query import LinearQuery, Query, SpikingQuery, asking, calibrated, feature_layers, linear_layer
+from .query import LinearQuery, Query, SpikingQuery, asking, feature_layers, linear_layer, with_score_statistics
 from .rules import Rules
 from .training import (
     Schedule,
@@ -176,7 +176,9 @@ class VPRTempo(Arguments, Method, HasCircuit):
         check_weights(outputs, "output")
         members = [slice(first, first + len(sizes)) for first in range(0, n_modules, len(sizes))]
         networks = [Network.of(features[own], outputs[own], sizes) for own in members]
-        return [calibrated(network, spikes, rules) for network in networks] if rules.calibrated_scores else networks
+        if rules.calibrated_scores:
+            return [with_score_statistics(network, spikes, rules) for network in networks]
+        return networks
 
     def _draw(
         self, sizes: list[int], n_pixels: int, places: Places, rules: Rules, n_known: int

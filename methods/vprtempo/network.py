@@ -114,7 +114,7 @@ class Network:
         known = (torch.cat([mean for mean, _ in parts]), torch.cat([spread for _, spread in parts])) if parts else None
         return replace(self, **joined, outputs=outputs, output_thresholds=thresholds, calibration=known)
 
-    def calibrated(self, total: Tensor, total_of_squares: Tensor, count: int) -> Self:
+    def with_score_statistics(self, total: Tensor, total_of_squares: Tensor, count: int) -> Self:
         """Return the network with its mean score and spread a place, from sums (n_places,) over `count` references."""
         mean = total / count
         spread = (total_of_squares / count - mean.square()).clamp(min=0).sqrt()

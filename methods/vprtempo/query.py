@@ -175,7 +175,7 @@ def feature_layers(
     return np.asarray(torch.cat(sums, dim=1).cpu().numpy(), np.float32)
 
 
-def calibrated(network: Network, spikes: Tensor, rules: Rules) -> Network:
+def with_score_statistics(network: Network, spikes: Tensor, rules: Rules) -> Network:
     """Return the network with the mean and the spread of the scores that the references give each place."""
     query = asking([network], rules)
     total = total_of_squares = torch.zeros(network.n_places, dtype=torch.float64)
@@ -183,7 +183,7 @@ def calibrated(network: Network, spikes: Tensor, rules: Rules) -> Network:
         scores = torch.from_numpy(query.scores(block.cpu().numpy())).double()
         total = total + scores.sum(0)
         total_of_squares = total_of_squares + scores.square().sum(0)
-    return network.calibrated(total, total_of_squares, len(spikes))
+    return network.with_score_statistics(total, total_of_squares, len(spikes))
 
 
 def _layer(weights: Tensor, bias: Tensor) -> Callable[[Tensor], Tensor]:

@@ -21,8 +21,8 @@ from vprbench.datasets.oxford_robotcar.calibration import (
     STEREO_LEFT,
     Camera,
     find_calibration,
-    processed,
     read_calibration,
+    undistorted,
 )
 from vprbench.datasets.oxford_robotcar.lists import published_timestamps, vprsnn_timestamps
 from vprbench.datasets.oxford_robotcar.repeats import ceiling
@@ -44,7 +44,7 @@ def noise(camera):
 def test_noise_is_demosaiced_to_the_mean_of_the_nearest_pixels(tmp_path):
     # Every channel inside the frame: the pixel itself, or else its two or four nearest neighbours that record it.
     raw = noise(frames.SMALL)
-    seen = processed(raw, calibration(tmp_path, *frames.grid()))
+    seen = undistorted(raw, calibration(tmp_path, *frames.grid()))
     for y, x, channel in np.ndindex(frames.SMALL.height - 2, frames.SMALL.width - 2, 3):
         by_distance = {}
         for dy, dx in np.ndindex(3, 3):
@@ -58,8 +58,8 @@ def test_noise_is_demosaiced_to_the_mean_of_the_nearest_pixels(tmp_path):
 def test_a_bent_table_is_followed_as_scipy_interpolates_in_float64(tmp_path, camera):
     raw = noise(camera)
     x, y = frames.bent(camera)
-    straight = processed(raw, calibration(tmp_path / "straight", *frames.grid(camera), camera)).astype(float)
-    bent_one = processed(raw, calibration(tmp_path / "bent", x, y, camera))
+    straight = undistorted(raw, calibration(tmp_path / "straight", *frames.grid(camera), camera)).astype(float)
+    bent_one = undistorted(raw, calibration(tmp_path / "bent", x, y, camera))
     exact = np.stack([map_coordinates(straight[:, :, channel], [y, x], order=1) for channel in range(3)], axis=2)
     outside = (x < 0) | (y < 0) | (x > camera.width - 1) | (y > camera.height - 1)
     assert 0.01 < outside.mean() < 0.4
@@ -112,8 +112,8 @@ def root(tmp_path, monkeypatch):
 def processings(monkeypatch):
     """Grows by one whenever a raw frame is processed."""
     seen = []
-    process = kept.processed
-    monkeypatch.setattr(kept, "processed", lambda *given: seen.append(None) or process(*given))
+    process = kept.undistorted
+    monkeypatch.setattr(kept, "undistorted", lambda *given: seen.append(None) or process(*given))
     return seen
 
 

@@ -48,7 +48,7 @@ def test_seeds_that_agree_are_no_verdict_where_few_or_neighbouring_queries_made_
 def test_means_deviations_and_differences_are_those_over_the_seeds():
     compared = of([at(*range(n)) for n in (8, 12, 16, 20, 24)], [at(*range(12))] * 5)
     assert compared.best.recall_at_1 == pytest.approx(0.4)
-    assert compared.best.spread == pytest.approx((0.1 * 0.1 * 10 / 4) ** 0.5)  # of 0.2, 0.3, 0.4, 0.5 and 0.6
+    assert compared.best.recall_at_1_std == pytest.approx((0.1 * 0.1 * 10 / 4) ** 0.5)  # of 0.2, 0.3, 0.4, 0.5 and 0.6
     assert compared.differences == pytest.approx((-0.1, 0.0, 0.1, 0.2, 0.3))
     assert [(test.b, test.c) for test in compared.tests] == [(0, 4), (0, 0), (4, 0), (8, 0), (12, 0)]
 

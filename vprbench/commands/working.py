@@ -103,7 +103,7 @@ def compare_gpu(options: list[str]) -> int:
     Store(folder).prepare()
     machine.pin_threads(n_threads(settings))
     with progress_shown("gpu-check"):
-        report = check.measure(asked, _maker(settings.seed))
+        report = check.check_gpu(asked, _maker(settings.seed))
     text = check.to_text(report)
     replace_text(folder / "gpu.md", text)
     print(f"{text}\nwritten to {folder / 'gpu.md'}")

@@ -128,7 +128,7 @@ def require_gpu(device: str) -> None:
         raise BadInput(f"device={device}: gpu-check compares a GPU with the CPU, give cuda or cuda:1")
 
 
-def measure(settings: Settings, make: Make) -> Report:
+def check_gpu(settings: Settings, make: Make) -> Report:
     """Time the GPU, then compare it with the CPU; an error ends its own part alone."""
     surroundings = machine.capture(settings.device, settings.threads or len(machine.cores()))
     route = Route.drawn(max(settings.check_places, settings.places), seed=settings.seed)

@@ -39,7 +39,7 @@ class LooseEntry(Entry):
         return dict(self.config)
 
 
-def is_loose(text: str) -> bool:
+def names_a_file(text: str) -> bool:
     """Tell whether the name of a method or dataset is a file and what it defines: ./mine.py:MyMethod."""
     return _NAMED.fullmatch(text) is not None
 

@@ -70,7 +70,7 @@ def named(group: Group, text: str) -> str:
 
     Raises BadInput if the file cannot be imported, or if the name is another's.
     """
-    if not local_plugins.is_loose(text):
+    if not local_plugins.names_a_file(text):
         return text
     entry = local_plugins.load(group, text)
     yamls.add(entry)

@@ -34,7 +34,7 @@ class Repeated:
         return mean(self.recalls_at_1)
 
     @property
-    def spread(self) -> float:
+    def recall_at_1_std(self) -> float:
         """The standard deviation over the seeds, of a sample."""
         return stdev(self.recalls_at_1)
 

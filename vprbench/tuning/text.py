@@ -153,7 +153,7 @@ def _stem(settings: Settings) -> str:
 
 
 def _repeated(repeated: Repeated) -> str:
-    return f"{_percent(repeated.recall_at_1)} ± {_percent(repeated.spread)}"
+    return f"{_percent(repeated.recall_at_1)} ± {_percent(repeated.recall_at_1_std)}"
 
 
 def _signed(share: float) -> str:

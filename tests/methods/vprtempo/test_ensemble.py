@@ -123,7 +123,7 @@ def test_a_place_that_hardly_answers_is_divided_by_a_hundredth_of_the_mean_sprea
     network = Network(torch.ones(1, 1, 1), nothing, nothing, (torch.tensor([[0.5, 0.5]]),), (torch.zeros(2),))
     for loud, least in ((0.0, 1.0), (4.0, 0.005)):
         sums = torch.tensor([0.0, loud], dtype=torch.float64)
-        calibrated = network.calibrated(sums, 2 * sums, 4)  # of scores 0, 0, 2 and 2 the spread is 1
+        calibrated = network.with_score_statistics(sums, 2 * sums, 4)  # of scores 0, 0, 2 and 2 the spread is 1
         found = asking([calibrated], PAPER).scores(np.array([[0.5]], np.float32))
         assert np.isfinite(found).all()
         assert found[0, 0] == pytest.approx(0.25 / least)
