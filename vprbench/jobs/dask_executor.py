@@ -8,6 +8,7 @@ import logging
 import signal
 import sys
 import threading
+import time
 import uuid
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -20,6 +21,7 @@ from typing import Any, NoReturn, Self
 import dask
 from distributed import Client, KilledWorker, LocalCluster, TimeoutError, wait
 from distributed import Future as RemoteFuture
+from distributed.deploy.cluster import Cluster
 
 from vprbench import __version__
 from vprbench.errors import BadInput, ClusterLostError
@@ -39,6 +41,7 @@ logger = logging.getLogger(__name__)
 
 _ATTEMPTS = 4  # at a run whose worker dies: it is tried again three times
 _PATIENCE = 20.0  # seconds that interrupted runs have to end
+_LET_START = 1.0  # seconds until a worker that dask starts again is there
 _SETTINGS = {
     "distributed.scheduler.allowed-failures": _ATTEMPTS - 1,
     "distributed.scheduler.default-task-durations": {"run": "1h"},  # a job for each run, if there may be so many
@@ -201,7 +204,8 @@ def _connected(options: ClusterOptions, opened: contextlib.ExitStack) -> Client:
     """
     if options.scheduler is None:
         cluster = started(options.job()) if options.cluster else _local(options.workers or 1)
-        client = Client(opened.enter_context(cluster))
+        opened.callback(_close, cluster)
+        client = Client(cluster)
         opened.push(client)
         return client
     try:
@@ -224,6 +228,16 @@ def _local(workers: int) -> LocalCluster:
         silence_logs=logging.CRITICAL,
         preload="vprbench.jobs.worker",
     )
+
+
+def _close(cluster: Cluster) -> None:
+    """End a cluster, once more if dask was just about to start a worker again that had died."""
+    for _ in range(_ATTEMPTS):
+        try:
+            cluster.close()
+            return
+        except AssertionError:  # of distributed: it joins a process that has not started yet
+            time.sleep(_LET_START)
 
 
 def _say(_: int, line: str) -> None:
