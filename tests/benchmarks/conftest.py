@@ -76,10 +76,10 @@ def measure(benchmark, request):
 
     def measured(what, call, images=1, beside=None, **columns):
         calls = {"": call, **(beside or {})}
-        for each in calls.values():  # which compiles and fills caches
-            each()
-        once = {name: seconds_of(each, 1) if FULL else 0.0 for name, each in calls.items()}
-        times = {name: ceil(BURST / seconds) if seconds else 1 for name, seconds in once.items()}
+        once = {name: seconds_of(each, 1) for name, each in calls.items()}  # which compiles and fills caches
+        if FULL:
+            once |= {name: seconds_of(calls[name], 1) for name, seconds in once.items() if seconds < LONG}
+        times = {name: ceil(BURST / seconds) if FULL else 1 for name, seconds in once.items()}
         laps = {name: [] for name in calls if name}
 
         def others():
@@ -88,7 +88,7 @@ def measure(benchmark, request):
                 seconds.append(seconds_of(calls[name], times[name]))
             time.sleep(PAUSE)
 
-        rounds = (3 if max(once.values()) > LONG else 10) if FULL else 1
+        rounds = (2 if max(once.values()) > LONG else 10) if FULL else 1
         benchmark.group = request.module.__doc__
         benchmark.pedantic(seconds_of, (call, times[""]), setup=others, rounds=rounds)
         benchmark.extra_info |= {"what": what, "images": images, "calls": times[""], **columns}

@@ -39,15 +39,16 @@ def test_frames(measure, size, tmp_path):
 @pytest.mark.parametrize("full", [10_000, 100_000])
 def test_names_positions_and_hashes(full, measure, size, tmp_path, monkeypatch):
     n = size(full, full // 1000)
-    shot = tmp_path / "shot.png"
-    cv2.imwrite(str(shot), photograph(0, 16, 16))
+    shots = [tmp_path / f"{number}.png" for number in range(4)]  # a file may have 65,000 names
+    for number, shot in enumerate(shots):
+        cv2.imwrite(str(shot), photograph(number, 16, 16))
     east, north = np.random.default_rng(0).uniform(0, 12_000, (2, n))
     for part, count in (("database", n), ("queries", min(n, 1000))):
         for number in range(count):
             folder = tmp_path / part / f"{number // 1000:05}"
             folder.mkdir(parents=True, exist_ok=True)
             place = f"@{543_000 + east[number]:010.2f}@{4_173_000 + north[number]:010.2f}@10@S"
-            os.link(shot, folder / f"{place}@@@{number:08}@@0@@@@@@.png")
+            os.link(shots[number % len(shots)], folder / f"{place}@@@{number:08}@@0@@@@@@.png")
     monkeypatch.setenv("VPRBENCH_HASHES", str(tmp_path / "hashes"))
     dataset = vprbench.dataset("utm_folders", root=str(tmp_path))
     measure(f"{n:,} files with positions in their names, hashes known", lambda: fingerprint(dataset.build()), n)
