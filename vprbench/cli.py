@@ -189,7 +189,7 @@ def _answer(method: str, asked: dict[str, Any], settings: Settings, store: Store
     A run is from the store or made now. `asked` holds what was asked of the run that is made. Raises what `get_or_run`
     raises.
     """
-    from vprbench.runs.build_request import build_request, under
+    from vprbench.runs.build_request import build_request, corrupted_request
     from vprbench.runs.get_or_run import UnstoredRunError, get_or_run
 
     current, key = job.current, ""
@@ -198,7 +198,7 @@ def _answer(method: str, asked: dict[str, Any], settings: Settings, store: Store
         if name is not None:
             clean = [option for option in asked["overrides"] if not option.startswith("corruption=")]
             asked |= {"corruption": name, "overrides": [*clean, f"corruption={name}"]}
-        wanted = request if name is None else under(request, name, asked)
+        wanted = request if name is None else corrupted_request(request, name, asked)
         try:
             result = get_or_run(wanted, settings, store, current is None, None if current is None else current.since)
         except UnstoredRunError as error:

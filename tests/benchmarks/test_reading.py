@@ -4,6 +4,7 @@ import os
 from collections import deque
 
 import cv2
+import h5py
 import numpy as np
 import pytest
 
@@ -55,7 +56,6 @@ def test_names_positions_and_hashes(full, measure, size, tmp_path, monkeypatch):
 
 
 def test_events(measure, size, tmp_path, monkeypatch):
-    h5py = pytest.importorskip("h5py")
     n, hour = size(20_000_000, 20_000), 3600 * 1_000_000
     drawn = np.random.default_rng(0)
     columns = {"t": np.sort(drawn.integers(hour, size=n)), "p": drawn.integers(2, size=n, dtype=np.uint8)}

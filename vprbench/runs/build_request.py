@@ -35,7 +35,7 @@ def build_request(name: str, config: dict[str, Any], settings: Settings, store: 
     return request_of(name, registry.make_method, dataset, config, settings, store, tuned_on)
 
 
-def under(request: Request, corruption: str, config: Mapping[str, Any]) -> Request:
+def corrupted_request(request: Request, corruption: str, config: Mapping[str, Any]) -> Request:
     """Return the request of a run on corrupted query frames, of which `config` records what was asked for.
 
     It has the same method, which is fitted once if the request has a `shared_fit`.
