@@ -6,7 +6,6 @@ import shutil
 import subprocess
 import sys
 import sysconfig
-import tomllib
 import zipfile
 from pathlib import Path
 
@@ -80,19 +79,6 @@ def test_the_wheel_runs_from_another_folder_with_a_plug_in_and_holds_no_top_leve
 def test_a_bare_checkout_runs(tmp_path):
     there = run(sys.executable, "-c", "import vprbench.methods.sad as s; print(s.__file__)", cwd=copied(tmp_path))
     assert there.strip() == str(tmp_path / "methods" / "sad.py")
-
-
-def test_every_folder_with_code_or_yaml_is_a_listed_package():
-    listed = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"]
-    mapped = {"methods": "vprbench.methods", "datasets": "vprbench.datasets", "conf": "vprbench.conf"}
-    found = {"vprbench"}
-    for top, package in mapped.items():
-        for file in (ROOT / top).rglob("*"):
-            if file.suffix in (".py", ".yaml"):
-                found.add(".".join([package, *file.parent.relative_to(ROOT / top).parts]))
-    found |= {".".join(file.parent.relative_to(ROOT).parts) for file in (ROOT / "vprbench").rglob("*.py")}
-    assert found == set(listed)
-    assert [name for name in ("methods", "datasets") if (ROOT / name / "__init__.py").exists()] == []
 
 
 def test_importing_the_package_needs_neither_torch_nor_matplotlib():
