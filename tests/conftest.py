@@ -9,12 +9,16 @@ from checkout import SHARED
 from served_files import serving
 
 os.environ["VPRBENCH_OFFLINE"] = "1"
-os.environ["VPRBENCH_WEIGHTS"] = tempfile.mkdtemp(prefix="vprbench-no-weights-")
-os.environ["VPRBENCH_DATA"] = tempfile.mkdtemp(prefix="vprbench-no-data-")
-os.environ["VPRBENCH_SLOT"] = tempfile.mkdtemp(prefix="vprbench-no-slot-")
-os.environ["HYPOTHESIS_STORAGE_DIRECTORY"] = tempfile.mkdtemp(prefix="vprbench-hypothesis-")
+EMPTY = tempfile.TemporaryDirectory(prefix="vprbench-tests-")
+for name in ("VPRBENCH_WEIGHTS", "VPRBENCH_DATA", "VPRBENCH_SLOT", "HYPOTHESIS_STORAGE_DIRECTORY"):
+    os.environ[name] = tempfile.mkdtemp(dir=EMPTY.name)
 PARTIAL = "VPRBENCH_PARTIAL"
 NUMBERS = count()
+
+
+def pytest_unconfigure():
+    """Leave nothing of the tests behind."""
+    EMPTY.cleanup()
 
 
 @pytest.hookimpl(tryfirst=True)
