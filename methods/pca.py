@@ -9,16 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from sklearn import decomposition
 
-from vprbench.api import (
-    BadInput,
-    Images,
-    Method,
-    NotFittedError,
-    Places,
-    Scores,
-    best_image_of_place,
-    takes,
-)
+from vprbench.api import BadInput, Images, Method, NotFittedError, Places, Scores, best_image_of_place, takes
 
 from .parts.pixels import Preprocessing, pixels
 from .parts.stored import State, require_map

@@ -10,7 +10,7 @@ import torch
 from PIL import EpsImagePlugin, PngImagePlugin
 from PIL import Image as PillowImage
 
-from vprbench.api import decoding, png
+from vprbench.api import decoding
 from vprbench.api.decoding import read_image
 from vprbench.api.resize import resize_batch, resize_image
 from vprbench.errors import BadInput
@@ -30,7 +30,7 @@ def chunk(kind, content):
 def png_of(rows, width, height, *, bits=8, colour=2, interlaced=0, extra=b""):
     """A PNG of rows as they stand in the file, each after the byte that names its filter."""
     header = chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, bits, colour, 0, 0, interlaced))
-    return png.SIGNATURE + header + extra + chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b"")
+    return decoding.SIGNATURE + header + extra + chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b"")
 
 
 def saved(pixels, mode=None, kind="PNG", **options):
@@ -97,7 +97,7 @@ def test_a_file_has_the_pixels_that_pillow_gives_and_a_plain_png_is_decoded_with
     content = {**PLAIN, **OTHERS}[kind]
     wanted = by_pillow(content)
     path.write_bytes(content)
-    assert (png.decoded(content) is None) == (kind in OTHERS)
+    assert (decoding.decoded_png(content) is None) == (kind in OTHERS)
     if kind in PLAIN:
         monkeypatch.setattr(decoding.PillowImage, "open", None)
     image = read_image(path)
@@ -111,7 +111,7 @@ def test_an_image_of_more_pixels_than_pillow_allows_is_refused_by_name(path, mon
     path.write_bytes(saved(COLOUR, kind=kind))
     monkeypatch.setattr(PillowImage, "MAX_IMAGE_PIXELS", HEIGHT * WIDTH)
     assert read_image(path).shape == (HEIGHT, WIDTH, 3)
-    assert kind == "JPEG" or png.decoded(path.read_bytes()) is not None
+    assert kind == "JPEG" or decoding.decoded_png(path.read_bytes()) is not None
     monkeypatch.setattr(PillowImage, "MAX_IMAGE_PIXELS", HEIGHT * WIDTH - 1)
     with pytest.raises(BadInput, match=r"frame\.png .*50 x 37 pixels; at most 1,849 "):
         read_image(path)
@@ -134,7 +134,7 @@ def test_a_png_with_one_wrong_byte_is_an_error_or_what_pillow_makes_of_it(path):
             np.testing.assert_array_equal(read_image(path), expected)
     assert refused > 30
     for n_bytes in range(0, len(whole), 97):
-        assert png.decoded(whole[:n_bytes]) is None
+        assert decoding.decoded_png(whole[:n_bytes]) is None
 
 
 BAD = {

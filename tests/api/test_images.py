@@ -11,7 +11,7 @@ import pytest
 from PIL import Image as PillowImage
 from stopped_clock import Clock, ReadersThatWait
 
-from vprbench.api import images, read_ahead
+from vprbench.api import images
 from vprbench.api.images import Images
 from vprbench.errors import BadInput
 
@@ -239,14 +239,14 @@ def test_large_frames_are_bounded_by_bytes_and_small_ones_by_number(seen, tmp_pa
     list(Images.from_files(frame_files(tmp_path, (3, 4)) * 400))
     assert 2 * 8 <= max(map(len, seen)) <= 128
     seen.clear()
-    monkeypatch.setattr(read_ahead, "_BYTES", int(room * FRAME) + 1)
+    monkeypatch.setattr(images, "_BYTES", int(room * FRAME) + 1)
     assert len(list(Images.from_files(frame_files(tmp_path, (300, 400)) * 50))) == 50
     assert max(map(len, seen)) == together
 
 
 def test_frames_are_held_by_the_size_of_each_whatever_the_first_was(seen, tmp_path, monkeypatch):
-    monkeypatch.setattr(read_ahead, "_BYTES", 5 * FRAME)
-    monkeypatch.setattr(read_ahead, "_MOST_BYTES", 8 * FRAME)
+    monkeypatch.setattr(images, "_BYTES", 5 * FRAME)
+    monkeypatch.setattr(images, "_MOST_BYTES", 8 * FRAME)
     sizes = [(3, 4), (300, 400), (900, 800), (1500, 1600)]
     kinds, n_bytes = frame_files(tmp_path, *sizes), [36, FRAME, 6 * FRAME, 20 * FRAME]
     order = [0, *np.random.default_rng(3).choice(4, 80, p=[0.5, 0.3, 0.15, 0.05]).tolist(), 1, 1, 1, 1, 1, 1, 1]

@@ -6,7 +6,7 @@ import pytest
 from vprbench.datasets.street import street
 from vprbench.datasets.synthetic import synthetic
 from vprbench.methods.sad import SAD
-from vprbench.metrics.tolerance import hits_within
+from vprbench.metrics.accuracy import hits_within
 
 
 @pytest.mark.parametrize("shift", [0, 3, -2])

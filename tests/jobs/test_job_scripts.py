@@ -10,8 +10,7 @@ import sys
 import pytest
 
 from vprbench.errors import BadInput
-from vprbench.jobs.batch import started
-from vprbench.jobs.batch_options import job
+from vprbench.jobs.batch import job, started
 
 ASKED = {
     **{"queue": "long", "account": "robots", "cores": 6, "memory": "32GB", "walltime": "12:30:00", "gpus": 2},

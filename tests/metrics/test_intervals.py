@@ -10,12 +10,12 @@ import pytest
 from scipy.signal import lfilter
 from scipy.stats import binomtest
 
-from vprbench.metrics.block_length import block_length
 from vprbench.metrics.intervals import (
     Interval,
     McNemar,
     WiderInterval,
     block_bootstrap,
+    block_length,
     difference_interval,
     mcnemar_exact,
     share_interval,

@@ -7,8 +7,8 @@ import pytest
 from little import a_run, unanswerable_run
 
 from vprbench.errors import BadInput
+from vprbench.metrics.accuracy import hits_within
 from vprbench.metrics.ranking import ranked_places
-from vprbench.metrics.tolerance import hits_within
 from vprbench.runs import frame, rows
 from vprbench.runs.store import Store
 

@@ -9,8 +9,8 @@ from figure_runs import series
 from little import unanswerable_run
 from stored_runs import run
 
-from vprbench.paper.left_out import full_seconds
 from vprbench.paper.ranking import ranked
+from vprbench.paper.table.reasons import full_seconds
 
 MANY = range(0, 60, 2)
 

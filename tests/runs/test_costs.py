@@ -22,7 +22,7 @@ from vprbench.methods.vprtempo.ensemble import VPRTempoEnsemble
 from vprbench.methods.vprtempo.int8 import VPRTempoInt8
 from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.plugins.rules import Journey
-from vprbench.runs import energy, joules
+from vprbench.runs import energy
 
 pytestmark = pytest.mark.usefixtures("surroundings")
 
@@ -111,7 +111,7 @@ def test_what_pytorch_does_is_counted_a_step_without_a_formula_is_not_available_
 @pytest.mark.extended
 def test_costs_are_asked_for_stored_and_shown(tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(joules, "POWERCAP", tmp_path / "none")
+    monkeypatch.setattr(energy, "POWERCAP", tmp_path / "none")
     small = ["dataset.places=10", "dataset.first_query_place=4", "threads=1", "timing=none", "frames=false"]
 
     def said(*options):
@@ -139,7 +139,7 @@ def powercap(root, **microjoules):
 
 
 def test_package_and_memory_are_added_over_a_wrap_and_what_lies_within_a_package_is_not(tmp_path):
-    source, read = joules.rapl(powercap(tmp_path, package=900_000, dram=10, core=5))
+    source, read = energy.rapl(powercap(tmp_path, package=900_000, dram=10, core=5))
     powercap(tmp_path, package=100_000, dram=50_010, core=400_000)
     assert "package-0" in source
     assert read() == pytest.approx(0.25)
@@ -160,12 +160,12 @@ def test_idle_power_is_subtracted_from_what_queries_take(query, watts, known):
     def passes(seconds, watts=10):
         state[:] += seconds, seconds * watts
 
-    found = joules.measured(lambda: state[1], lambda: passes(query, watts), lambda: state[0], passes)
+    found = energy.measured(lambda: state[1], lambda: passes(query, watts), lambda: state[0], passes)
     assert found == pytest.approx(known)
 
 
 @pytest.mark.parametrize("counters", [{}, {"core": 5}, {"package": "denied"}, None])
 def test_what_cannot_be_read_is_told(tmp_path, counters, monkeypatch):
-    monkeypatch.setattr(joules.ctypes, "CDLL", lambda name: Path(name).read_text())  # which is not there
-    with pytest.raises(joules.UnreadableError, match="NVML" if counters is None else str(tmp_path)):
-        joules.nvml("cuda") if counters is None else joules.rapl(powercap(tmp_path, **counters))
+    monkeypatch.setattr(energy.ctypes, "CDLL", lambda name: Path(name).read_text())  # which is not there
+    with pytest.raises(energy.UnreadableError, match="NVML" if counters is None else str(tmp_path)):
+        energy.nvml("cuda") if counters is None else energy.rapl(powercap(tmp_path, **counters))

@@ -23,7 +23,7 @@ from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.plugins.rules import Journey
 from vprbench.runs import runner
 from vprbench.runs.notes import Note
-from vprbench.runs.readout_rows import readout_numbers, readout_text
+from vprbench.runs.readouts import readout_numbers, readout_text
 from vprbench.runs.run_files import content_key
 from vprbench.runs.spikes import summary
 from vprbench.runs.stream import grown, step

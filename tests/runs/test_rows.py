@@ -17,8 +17,7 @@ import stored_runs
 from checkout import ROOT
 from little import a_run, laps, unanswerable_run
 
-from vprbench.metrics.block_length import block_length
-from vprbench.metrics.intervals import share_interval
+from vprbench.metrics.intervals import block_length, share_interval
 from vprbench.runs import frame, rows
 from vprbench.runs.frame import numbers
 from vprbench.runs.recall_intervals import along_the_journey, recall_interval

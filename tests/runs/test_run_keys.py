@@ -20,7 +20,7 @@ from vprbench.methods.hog import HOG
 from vprbench.methods.vprtempo.ensemble import VPRTempoEnsemble
 from vprbench.plugins import registry
 from vprbench.plugins.networks import Files
-from vprbench.runs import machine, runner, sources, version
+from vprbench.runs import identity, machine, runner, sources
 from vprbench.runs.corrupted_frames import corrupted
 from vprbench.runs.identity import code_hash, fingerprint
 
@@ -91,15 +91,15 @@ def test_a_run_holds_the_hash_of_its_code_and_the_timing_protocol(monkeypatch):
 
 def test_another_harness_changes_the_hash_of_every_method_and_nobody_changes_it_without_a_decision(monkeypatch):
     decided = json.loads(DECIDED.read_text())
-    files = [Path(inspect.getfile(importlib.import_module(name))) for name in version.MODULES]
+    files = [Path(inspect.getfile(importlib.import_module(name))) for name in identity.MODULES]
     files += (ROOT / "vprbench/api").rglob("*.py")
-    now = {"version": version.VERSION, "code": sources.hash_of_files(files)}
+    now = {"version": identity.VERSION, "code": sources.hash_of_files(files)}
     assert now == decided, (
-        "the harness changed: if a run may now have other answers or times, raise version.VERSION; in any case write "
+        "the harness changed: if a run may now have other answers or times, raise identity.VERSION; in any case write "
         f"{json.dumps(now)} to {DECIDED}"
     )
     before = code_hash(HOG)
-    monkeypatch.setattr(version, "VERSION", version.VERSION + 1)
+    monkeypatch.setattr(identity, "VERSION", identity.VERSION + 1)
     assert code_hash(HOG) != before
 
 

@@ -18,9 +18,8 @@ from vprbench.api.method import Method
 from vprbench.errors import BadInput
 from vprbench.runs import stopwatch
 from vprbench.runs.compose import composed
-from vprbench.runs.rates import best_batch, offline_rate, percentile_bound, streaming_rate
 from vprbench.runs.settings import checked_settings
-from vprbench.runs.stopwatch import Protocol, Stopwatch
+from vprbench.runs.stopwatch import Protocol, Stopwatch, best_batch, offline_rate, percentile_bound, streaming_rate
 
 MS = 1_000_000  # nanoseconds
 

@@ -18,8 +18,7 @@ from file_limit import no_file_may_exceed
 
 from vprbench.errors import BadInput
 from vprbench.progress import listening
-from vprbench.storage.archives import DamagedArchive
-from vprbench.storage.unpack import Wanted, unpack
+from vprbench.storage.unpack import DamagedArchive, Wanted, unpack
 
 NOISE = np.random.default_rng(0).bytes(30_000)  # that no compression makes smaller
 FILES = {"set/spring/1.png": b"one", "set/spring/2.png": b"two", "set/read.me": NOISE}

@@ -1,16 +1,163 @@
-"""One image file decoded: whole and as RGB, or an error that names the file."""
+"""One image file decoded, whole and as RGB, or an error that names the file; and which files are images at all."""
 
 from __future__ import annotations
 
+import struct
+import zlib
+from collections.abc import Iterator
 from pathlib import Path
 
+import cv2
 import numpy as np
 from PIL import Image as PillowImage
 
-from vprbench.api import png
 from vprbench.api.arrays import Image
-from vprbench.api.image_formats import open_image
 from vprbench.errors import BadInput
+
+SIGNATURE = b"\x89PNG\r\n\x1a\n"
+
+_HEADER = struct.Struct(">IIBBBBB")  # width, height, bits, kind of colour, compression, filter, interlacing
+_KINDS = {0, 2, 6}  # grey, colour, colour with alpha
+_CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}  # by kind of colour
+# Chunks that change no pixel, and of which libpng has nothing to say on the terminal.
+_PLAIN = {b"IDAT", b"IEND", b"pHYs", b"gAMA", b"cHRM", b"sRGB", b"cICP", b"tEXt", b"tIME"}
+_AT_ONCE = 1 << 16  # bytes
+# Adam7: first column, first row, columns apart, rows apart (PNG specification, 8.2).
+_PASSES = ((0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), (1, 0, 2, 2), (0, 1, 1, 2))
+
+
+def decoded_png(content: bytes) -> Image | None:
+    """Return the pixels of a PNG of 8 bits, RGB uint8 (height, width, 3); None for any file that is not plain or whole.
+
+    Alpha is dropped and grey repeated. All checksums are compared before OpenCV, which says what it finds wrong on the
+    terminal, sees the file. Raises ValueError for a PNG of any kind whose pixels end early though its checksums fit:
+    Pillow would leave the rest black.
+    """
+    if _is_plain_and_whole(content):
+        flags = cv2.IMREAD_COLOR_RGB | cv2.IMREAD_IGNORE_ORIENTATION
+        image = cv2.imdecode(np.frombuffer(content, np.uint8), flags)
+        if image is not None:
+            return np.asarray(image, np.uint8)
+    _require_pixels(content)
+    return None
+
+
+def _chunks(content: bytes) -> Iterator[tuple[bytes, memoryview, bool]]:
+    """Yield kind and content of each chunk that is there whole, and whether its checksum fits."""
+    view, place = memoryview(content), len(SIGNATURE)
+    while place + 12 <= len(content):
+        length, kind = struct.unpack_from(">I4s", content, place)
+        end = place + 8 + length
+        if end + 4 > len(content):
+            return
+        yield kind, view[place + 8 : end], zlib.crc32(view[place + 4 : end]) == int.from_bytes(view[end : end + 4])
+        place = end + 4
+
+
+def _is_plain_and_whole(content: bytes) -> bool:
+    """Tell whether every chunk up to the last is there, has its checksum and is known to be harmless."""
+    chunks = _chunks(content)
+    kind, header, right = next(chunks, (b"", memoryview(b""), False))
+    if not (content.startswith(SIGNATURE) and right and _is_plain_header(kind, header)):
+        return False
+    for kind, _, right in chunks:
+        if not right or kind not in _PLAIN:
+            return False
+        if kind == b"IEND":
+            return True
+    return False
+
+
+def _is_plain_header(kind: bytes, content: memoryview) -> bool:
+    if kind != b"IHDR" or len(content) != _HEADER.size:
+        return False
+    width, height, bits, colour, *ways = _HEADER.unpack(content)
+    largest = PillowImage.MAX_IMAGE_PIXELS
+    small = largest is None or width * height <= largest  # Pillow has a say in what is larger
+    return small and bits == 8 and colour in _KINDS and not any(ways)
+
+
+def _require_pixels(content: bytes) -> None:
+    """Raise ValueError for a PNG whose compressed pixels come to a proper end, but before the last row.
+
+    What is wrong in any other way is left to the decoder, which finds it. Nothing that is unpacked is kept.
+    """
+    chunks = _chunks(content)
+    kind, header, _ = next(chunks, (b"", memoryview(b""), False))
+    if kind != b"IHDR" or len(header) != _HEADER.size:
+        return
+    width, height, bits, colour, _, _, interlaced = _HEADER.unpack(header)
+    if colour not in _CHANNELS:
+        return
+    wanted = _row_bytes(width, height, bits * _CHANNELS[colour], bool(interlaced))
+    came, stream = 0, zlib.decompressobj()
+    try:
+        for kind, packed, _ in chunks:
+            for start in range(0, len(packed) if kind == b"IDAT" else 0, _AT_ONCE):
+                rest: bytes | memoryview = packed[start : start + _AT_ONCE]
+                while rest and not stream.eof and came < wanted:
+                    came += len(stream.decompress(rest, _AT_ONCE))
+                    rest = stream.unconsumed_tail
+    except zlib.error:
+        return
+    if stream.eof and came < wanted:
+        raise ValueError(f"its pixels end after {came} of {wanted} bytes")
+
+
+def _row_bytes(width: int, height: int, bits: int, interlaced: bool) -> int:
+    """Return the bytes of all rows, each with the byte that names its filter, of pixels of so many bits."""
+    total = 0
+    for column, row, across, down in _PASSES if interlaced else ((0, 0, 1, 1),):
+        columns, rows = len(range(column, width, across)), len(range(row, height, down))
+        total += rows * (1 + (columns * bits + 7) // 8) if columns else 0
+    return total
+
+
+#: Pillow knows many more, some of which start other programs (EPS) or have no use here.
+FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "WEBP", "PPM")
+IMAGE_SUFFIXES = (
+    *(".png", ".jpg", ".jpeg", ".jpe", ".jfif", ".bmp", ".tif", ".tiff", ".webp"),
+    *(".ppm", ".pgm", ".pbm", ".pnm"),
+)
+
+# In small letters.
+_FOLDERS_BESIDE = {"@eadir", "__macosx", "$recycle.bin", "system volume information"}
+_FILES_BESIDE = {
+    *("icon\r", "readme", "license", "licence", "copying", "citation", "changelog"),
+    *("sha256sums", "md5sums", "checksums"),
+}
+_SUFFIXES_BESIDE = {
+    *(".txt", ".md", ".rst", ".html", ".pdf", ".bib", ".log"),
+    *(".csv", ".tsv", ".json", ".jsonl", ".geojson", ".yaml", ".yml", ".xml", ".toml", ".ini", ".cfg", ".gpx", ".kml"),
+    *(".npy", ".npz", ".mat", ".pkl", ".pickle", ".h5", ".hdf5", ".parquet", ".db", ".sqlite"),
+    *(".py", ".m", ".sh", ".ipynb", ".md5", ".sha256"),
+    *(".mp4", ".avi", ".mov", ".mkv", ".webm"),
+}
+
+
+def open_image(path: Path) -> PillowImage.Image:
+    """Open an image of one of the formats, of which nothing is decoded yet; to be closed by the caller.
+
+    Raises what Pillow does: UnidentifiedImageError, an OSError, for any other content, whatever its name.
+    """
+    return PillowImage.open(path, formats=FORMATS)
+
+
+def is_image_name(name: str) -> bool:
+    """Tell whether a file of this name is an image by its suffix."""
+    return name.lower().endswith(IMAGE_SUFFIXES)
+
+
+def is_beside(name: str) -> bool:
+    """Tell whether a file of this name lies beside frames and is none: hidden, a system's own, a document, a list."""
+    lower = name.lower()
+    return name.startswith(".") or lower in _FILES_BESIDE or Path(lower).suffix in _SUFFIXES_BESIDE
+
+
+def is_folder_beside(name: str) -> bool:
+    """Tell whether a folder of this name holds no frames: hidden, or a system's own."""
+    return name.startswith(".") or name.lower() in _FOLDERS_BESIDE
+
 
 _UNREADABLE = (  # how Pillow and the reader of PNG say what a file is not
     *(OSError, SyntaxError, ValueError),
@@ -51,8 +198,8 @@ def _require_size(image: PillowImage.Image) -> None:
 def _decoded_png(path: Path) -> Image | None:
     """Return the pixels of a plain, whole PNG, which is read fastest; None for any other file."""
     with path.open("rb") as file:
-        start = file.read(len(png.SIGNATURE))
-        return png.decoded(start + file.read()) if start == png.SIGNATURE else None
+        start = file.read(len(SIGNATURE))
+        return decoded_png(start + file.read()) if start == SIGNATURE else None
 
 
 def decoded_bytes(path: Path) -> int:

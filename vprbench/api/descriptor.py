@@ -6,24 +6,55 @@ import shutil
 import weakref
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from vprbench import progress
 from vprbench.api.arrays import Descriptors, Places, Scores
-from vprbench.api.growing import Growing, require_new_places
 from vprbench.api.method import Method
 from vprbench.api.search import Audit, Mapped, Search, agreement, check_index
 from vprbench.api.search_indexes import Kind
-from vprbench.errors import NotFittedError
+from vprbench.errors import BadInput, NotFittedError
 from vprbench.storage.atomic import remove_leftovers, unfinished
 from vprbench.storage.folders import cache_folder
 from vprbench.storage.shards import LARGE_BYTES, Shards, Writer
 
 if TYPE_CHECKING:
     from vprbench.api.images import Images
+
+
+class Growing:
+    """Rows (n, ...) with room behind them that doubles when it is full; what was taken of them stays as it is."""
+
+    def __init__(self, rows: npt.NDArray[Any]) -> None:
+        """Begin with rows that are never written to."""
+        self._room, self._n = rows, len(rows)
+
+    @property
+    def rows(self) -> npt.NDArray[Any]:
+        """All rows, as one view."""
+        return self._room[: self._n]
+
+    def append(self, more: npt.NDArray[Any]) -> None:
+        """Add rows of the same type and shape at the end."""
+        n = self._n + len(more)
+        if n > len(self._room):
+            room = np.empty((max(n, 2 * self._n), *self._room.shape[1:]), self._room.dtype)
+            room[: self._n] = self.rows
+            self._room = room
+        self._room[self._n : n] = more
+        self._n = n
+
+
+def require_new_places(places: Places, n_images: int, n_known: int) -> None:
+    """Raise BadInput unless `places` (n_images,) are the numbers from `n_known` on, each at least once."""
+    numbers = np.unique(places)
+    if len(places) != n_images or not n_images or not np.array_equal(numbers, n_known + np.arange(len(numbers))):
+        came = f"places {numbers[:3].tolist()} and so on, {len(places)} in all, came of {n_images} new images"
+        raise BadInput(f"{came}: give the place of each, from {n_known} on without a gap")
+
 
 _BLOCK = 64  # references encoded together
 _BLOCK_BYTES = 1 << 26  # of decoded images in such a block

@@ -13,8 +13,7 @@ from vprbench.errors import BadInput
 from vprbench.plugins.entries import Entry, Group, broken_plugins, conf_folders, entries, read
 from vprbench.runs.corruption import KINDS, STRENGTHS
 from vprbench.terminal.completion import HIDDEN, SCRIPTS, candidates
-from vprbench.terminal.described import Option, of_class, of_yaml, together
-from vprbench.terminal.help import Command, show_commands, show_options
+from vprbench.terminal.help import Command, Option, of_class, of_yaml, show_commands, show_options, together
 from vprbench.text import near, printable
 
 _TIMING = "vprbench.runs.timing_protocol.Protocol"
@@ -39,7 +38,7 @@ COMMANDS: dict[str, Command] = {
     ),
     "new": Command("vprbench.commands.working:new", "vprbench.plugins.new:Settings", words="method|dataset NAME"),
     "doctor": Command("vprbench.commands.working:doctor", groups=("dataset",), run=("output",)),
-    "status": Command("vprbench.commands.at_once:show_status", "vprbench.runs.status:StatusOptions"),
+    "status": Command("vprbench.commands.at_once:show_status", "vprbench.runs.run_lock:StatusOptions"),
     "fetch": Command("vprbench.commands.working:fetch", "vprbench.data.fetch.command:Settings", words="[NAME]"),
     "table": Command("vprbench.commands.working:table", "vprbench.paper.gather:TableRequest", ("timing",), None),
     "figures": Command("vprbench.commands.working:figures", "vprbench.paper.gather:TableRequest", ("timing",), None),
@@ -115,7 +114,7 @@ def show_list(words: Sequence[str]) -> None:
 def show_status(words: Sequence[str]) -> None:
     """Show which runs of a results folder are made now, by whom and how far, and how many are stored."""
     from vprbench.plugins.options import chosen
-    from vprbench.runs.status import StatusOptions, row, status
+    from vprbench.runs.run_lock import StatusOptions, row, status
     from vprbench.terminal.console import console, show_table
 
     asked = chosen(StatusOptions, words, {})
@@ -196,7 +195,7 @@ def _of_yamls(entry: Entry) -> list[Option]:
 def _of_cluster(name: str, conf: Path) -> list[Option]:
     """Return the options of the jobs of a batch system; none if it is unknown."""
     path = conf / "cluster" / f"{name}.yaml"
-    found = together(of_yaml(path), of_class("vprbench.jobs.batch_options:Job")) if path.is_file() else []
+    found = together(of_yaml(path), of_class("vprbench.jobs.batch:Job")) if path.is_file() else []
     return [replace(option, name=f"cluster.{option.name}") for option in found]
 
 

@@ -21,9 +21,8 @@ from vprbench.api.method import Method
 from vprbench.errors import BadInput
 from vprbench.gpu.frames import Route
 from vprbench.runs import machine
-from vprbench.runs.document import document
-from vprbench.runs.rates import StageRates
-from vprbench.runs.stopwatch import Protocol, Stopwatch, synchroniser
+from vprbench.runs.rows import document
+from vprbench.runs.stopwatch import Protocol, StageRates, Stopwatch, synchroniser
 
 TOLERANCE = 1e-4  # of the largest weight or score
 TARGET_FIT_SECONDS = 2.0  # on an H200

@@ -16,12 +16,11 @@ from vprbench.metrics.intervals import WiderInterval
 from vprbench.metrics.registry import METRICS
 from vprbench.runs import frame, rows
 from vprbench.runs.query_results import RIGHT, UNANSWERABLE, judged
-from vprbench.runs.rates import streaming_rate
-from vprbench.runs.readout_rows import readout_numbers
+from vprbench.runs.readouts import readout_numbers
 from vprbench.runs.recall_intervals import interval_between, recall_interval
 from vprbench.runs.record import Run
 from vprbench.runs.sequences import Views, views
-from vprbench.runs.stopwatch import Timing
+from vprbench.runs.stopwatch import Timing, streaming_rate
 from vprbench.runs.tuned import all_notes
 from vprbench.runs.views import queries_shown
 

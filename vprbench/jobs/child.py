@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
+import functools
 import io
 import math
 import os
@@ -18,14 +20,53 @@ from threading import Thread
 from typing import IO, cast
 
 from vprbench.jobs import job
-from vprbench.jobs.gpus import free_gpu
 from vprbench.jobs.job import Job, JobResult
 from vprbench.plugins.entries import with_plugin_paths
 from vprbench.progress import MARKED
 from vprbench.runs.store import Store
+from vprbench.runs.timing_lock import LOOK_EVERY, folder
 from vprbench.storage.atomic import scratch
 from vprbench.storage.folders import checkout_folder
 from vprbench.text import printable
+
+
+@contextlib.contextmanager
+def free_gpu(options: Sequence[str], given_up: Callable[[], bool]) -> Iterator[dict[str, str]]:
+    """Yield the environment variables that name a free GPU; none for options of a run without `device=cuda`.
+
+    Waits until a GPU is free, or `given_up`. A GPU that the options name by its number needs no variable.
+    """
+    device = next((option for option in reversed(options) if option.startswith("device=")), "")
+    kind, _, number = device.removeprefix("device=").partition(":")
+    names = _gpus() if kind == "cuda" else []
+    if number.isdigit():
+        names = names[int(number) :][:1]
+    while names and not given_up():
+        for name in names:
+            with (folder() / f"gpu-{name}").open("ab") as file:
+                try:
+                    fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                except BlockingIOError:
+                    continue
+                yield {} if number else {"CUDA_VISIBLE_DEVICES": name}
+                return
+        time.sleep(LOOK_EVERY)
+    yield {}
+
+
+@functools.cache
+def _gpus() -> list[str]:
+    """Return the GPUs that a process started here sees, by names that hold in every process of this host."""
+    found = []
+    with contextlib.suppress(OSError, subprocess.TimeoutExpired):
+        asked = ["nvidia-smi", "--query-gpu=uuid", "--format=csv,noheader"]
+        found = subprocess.run(asked, capture_output=True, text=True, timeout=30, check=False).stdout.split()
+    visible = os.environ.get("CUDA_VISIBLE_DEVICES")
+    if visible is None:
+        return found
+    names = filter(None, map(str.strip, visible.split(",")))
+    return [found[int(name)] if name.isdigit() and int(name) < len(found) else name for name in names]
+
 
 _LOOK_EVERY = 0.1  # seconds
 _PATIENCE = 20.0  # seconds that an interrupted process has to end

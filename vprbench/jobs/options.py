@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from vprbench.errors import BadInput
-from vprbench.jobs.batch_options import Job, job
-from vprbench.storage.cores import core_count
+from vprbench.jobs.batch import Job, job
+from vprbench.storage.owner import core_count
 
 logger = logging.getLogger(__name__)
 

@@ -14,16 +14,15 @@ from vprbench.errors import BadInput
 from vprbench.jobs.executors import Executor
 from vprbench.jobs.job import JobResult
 from vprbench.metrics.registry import GROUPS
-from vprbench.paper.left_out import why_left_out
 from vprbench.paper.missing_runs import MissingRun, Watch, fill, results_folder
 from vprbench.paper.plan import Plan, PlannedColumn, Row, read_plan, with_plug_ins
 from vprbench.paper.run_options import RunOptions
-from vprbench.paper.selection import Group, ResolvedColumn, groups
+from vprbench.paper.selection import Group, ResolvedColumn, groups, seen
 from vprbench.paper.stored_runs import Compose
 from vprbench.paper.table.build import assemble
 from vprbench.paper.table.cells import Table
 from vprbench.paper.table.quantities import QUANTITIES, Quantity, quantities
-from vprbench.paper.viewed import seen
+from vprbench.paper.table.reasons import why_left_out
 from vprbench.plugins import registry
 from vprbench.runs.record import Failure, Run
 from vprbench.runs.sequences import Views, views

@@ -24,9 +24,9 @@ from vprbench.paper.stored_runs import Compose, StoredRuns
 from vprbench.plugins import registry
 from vprbench.progress import marked, shown_by
 from vprbench.runs import machine
-from vprbench.runs.rates import StageRates, best_batch
 from vprbench.runs.record import Failure, Run
 from vprbench.runs.run_files import content_key
+from vprbench.runs.stopwatch import StageRates, best_batch
 from vprbench.runs.store import Store
 from vprbench.terminal.live import LiveTable
 

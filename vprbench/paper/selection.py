@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from vprbench.paper.plan import PlannedColumn, Row
 from vprbench.runs.machine import Machine
 from vprbench.runs.record import Failure, Run
+from vprbench.runs.sequences import NoScoresError, Views, suffix
 
 Device = Literal["cpu", "cuda"]
 DEVICES: tuple[Device, ...] = ("cpu", "cuda")
@@ -268,3 +269,33 @@ def _plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_plain(inner) for inner in value]
     return int(value) if isinstance(value, float) and value.is_integer() else value
+
+
+def seen(groups: Sequence[Group], rows: Sequence[Row], views: Sequence[Views]) -> list[Group]:
+    """Return a group for each view of each group, of the runs that its rows show; without views the groups themselves.
+
+    A run that kept no scores is a failure there, which says what to do; where no run of any group did, NoScoresError is
+    raised. Of several views none keeps its scores, which may fill the memory.
+    """
+    if not views:
+        return list(groups)
+    found: list[Group] = []
+    lacking: list[NoScoresError] = []
+    for group in groups:
+        chosen = {run.key: run for row in rows for device in DEVICES for run in of_row(group, row, device).runs}
+        of_views: list[Group] = []
+        for view in views:
+            shown: list[Run] = []
+            failures = list(group.failures)
+            for run in chosen.values():
+                try:
+                    one = view(run)
+                    shown.append(one if len(views) == 1 else replace(one, scores=None))
+                except NoScoresError as error:
+                    failures.append(Failure(run.method, run.dataset, run.config, str(error), run.environment, True))
+                    lacking.append(error)
+            of_views.append(replace(group, runs=tuple(shown), failures=tuple(failures), view=suffix([view])[1:]))
+        found += [one for one in of_views if one.runs] or [replace(of_views[0], view="")]
+    if lacking and not any(group.runs for group in found):
+        raise lacking[0]
+    return found

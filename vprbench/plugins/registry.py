@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import importlib
 import inspect
-from collections.abc import Callable, Mapping
+import os
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import is_dataclass
 from types import ModuleType
 from typing import Any, get_type_hints
@@ -28,9 +30,45 @@ from vprbench.plugins.entries import conf_folders as conf_folders
 from vprbench.plugins.entries import entries as entries
 from vprbench.plugins.entries import require_one as require_one
 from vprbench.plugins.entries import with_plugin_paths as with_plugin_paths
-from vprbench.plugins.returned_dataset import disk_errors_told, require_dataset
 from vprbench.plugins.tuned_places import declared_places
 from vprbench.text import near as near  # for the commands too
+
+_MOST_NAME_BYTES = 200  # file systems take 255, and other names are made of this one
+_SHOWN = 150  # characters of a name in a message
+
+
+@contextmanager
+def disk_errors_told(name: str) -> Iterator[None]:
+    """Turn an OSError, as for a path that no disk takes, into BadInput that names the path."""
+    try:
+        yield
+    except OSError as error:
+        told = f"{_shortened(str(error.filename))}: {error.strerror}" if error.filename and error.strerror else error
+        raise BadInput(f"dataset {_shortened(name)} cannot be read ({told}): correct the path") from error
+
+
+def require_dataset(made: Any, target: str) -> Dataset:
+    """Return what `target` made; raises BadInput if it is no dataset of images, or its name is no folder's."""
+    if not isinstance(made, Dataset):
+        raise BadInput(f"{target} gave {type(made).__name__}; it has to return a Dataset")
+    if len(os.fsencode(made.name)) > _MOST_NAME_BYTES:
+        raise BadInput(
+            f"dataset.name={_shortened(made.name)} has more than {_MOST_NAME_BYTES} bytes: give a shorter one, for its "
+            "runs are stored in a folder of that name"
+        )
+    from vprbench.api.images import Images  # a list of names needs none
+
+    for part, images in (("references", made.references), ("queries", made.queries)):
+        if not isinstance(images, Images):
+            raise BadInput(
+                f"{target} gave {part} of type {type(images).__name__}; wanted is vprbench.api.images.Images, "
+                "by Images.from_files(paths) or Images.from_arrays(arrays)"
+            )
+    return made
+
+
+def _shortened(text: str) -> str:
+    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
 
 
 def declared(name: str, config: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import ctypes
 import itertools
+import time
 from collections.abc import Callable, Sequence
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,11 +18,95 @@ from vprbench.api.method import Method
 from vprbench.errors import BadInput
 from vprbench.metrics.energy import estimated_joules, synaptic_operations
 from vprbench.metrics.registry import METRICS
-from vprbench.runs import joules, timing_lock
+from vprbench.runs import timing_lock
 from vprbench.runs.identity import Request
 from vprbench.runs.record import Run
 from vprbench.runs.stopwatch import synchroniser
 from vprbench.terminal.console import table_text
+
+POWERCAP = Path("/sys/class/powercap")
+_SECONDS = 2.0  # of rest, and at least of queries; counters move every 1 to 100 ms
+
+Joules = Callable[[], float]  # since an arbitrary moment
+
+
+class UnreadableError(Exception):
+    """No counter of energy can be read; the message says why."""
+
+
+def rapl(root: Path) -> tuple[str, Joules]:
+    """Return the sum of the counters of Linux's powercap, right if asked before one wraps around a second time.
+
+    They count whatever runs there. Raises UnreadableError where there is none, or where they may not be read.
+    """
+    try:  # domains that do not lie within one another
+        names = {zone: (zone / "name").read_text().strip() for zone in sorted(root.glob("*-rapl*:*"))}
+        zones = [zone for zone, name in names.items() if name.startswith(("package", "dram"))]
+        ranges = [int((zone / "max_energy_range_uj").read_text()) for zone in zones]
+        last = [int((zone / "energy_uj").read_text()) for zone in zones]
+    except (OSError, ValueError) as error:
+        raise UnreadableError(f"RAPL cannot be read in {root} ({getattr(error, 'strerror', error)})") from None
+    if not zones:
+        raise UnreadableError(f"{root} has no RAPL counter")
+    microjoules = 0
+
+    def joules() -> float:
+        nonlocal last, microjoules
+        now = [int((zone / "energy_uj").read_text()) for zone in zones]
+        microjoules += sum((new - old) % most for new, old, most in zip(now, last, ranges, strict=True))
+        last = now
+        return microjoules / 1e6
+
+    return f"RAPL {', '.join(names[zone] for zone in zones)}", joules
+
+
+def nvml(device: str) -> tuple[str, Joules]:
+    """Return the energy counter of an NVIDIA GPU (Volta and later); raises UnreadableError where it has none."""
+    import torch
+
+    gpu, millijoules = ctypes.c_void_p(), ctypes.c_ulonglong()
+
+    def call(name: str, *arguments: object) -> None:
+        if code := getattr(library, f"nvml{name}")(*arguments):
+            raise OSError(f"nvml{name} gave {code}")
+
+    def joules() -> float:
+        call("DeviceGetTotalEnergyConsumption", gpu, ctypes.byref(millijoules))
+        return millijoules.value / 1e3
+
+    try:
+        library = ctypes.CDLL("libnvidia-ml.so.1")
+        call("Init_v2")
+        uuid = torch.cuda.get_device_properties(device).uuid  # numbers of devices may differ from the driver's
+        call("DeviceGetHandleByUUID", f"GPU-{uuid}".encode(), ctypes.byref(gpu))
+        joules()
+    except (OSError, AttributeError) as error:
+        raise UnreadableError(f"NVML cannot be read ({error})") from None
+    return "NVML", joules
+
+
+def measured(
+    joules: Joules,
+    ask: Callable[[], Any],
+    clock: Joules = time.perf_counter,
+    sleep: Callable[[float], None] = time.sleep,
+) -> dict[str, float]:
+    """Return what a query takes beyond the idle machine; `ask` asks one, and waits for the device.
+
+    After a rest of 2 s queries follow one another for as long, or for as long as one takes.
+    """
+    ask()
+    before, began = joules(), clock()
+    sleep(_SECONDS)
+    rested, woke = joules(), clock()
+    idle, asked = (rested - before) / (woke - began), 0
+    while clock() - woke < _SECONDS or not asked:
+        ask()
+        asked += 1
+    spent, seconds = joules() - rested, clock() - woke
+    each = (spent - idle * seconds) / asked
+    return {"joules": each, "watts": spent / seconds, "idle_watts": idle, "queries": asked, "seconds": seconds}
+
 
 _QUERIES = 4  # over which arithmetic is averaged, at most
 
@@ -106,11 +193,11 @@ def _measured(request: Request, singles: Sequence[Images]) -> Cost:
         finished()
 
     try:
-        source, read = joules.nvml(device) if device.startswith("cuda") else joules.rapl(joules.POWERCAP)
-    except joules.UnreadableError as error:
+        source, read = nvml(device) if device.startswith("cuda") else rapl(POWERCAP)
+    except UnreadableError as error:
         return None, str(error)
     with timing_lock.alone():
-        told = joules.measured(read, ask)
+        told = measured(read, ask)
     how = "{watts:.1f} W less {idle_watts:.1f} W of the idle machine, {queries} queries in {seconds:.1f} s".format(
         **told
     )

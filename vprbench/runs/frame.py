@@ -6,14 +6,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, fields
 from typing import TYPE_CHECKING, Any
 
-from vprbench.metrics.accuracy import recall_at
+from vprbench.metrics.accuracy import hits_within, recall_at
 from vprbench.metrics.registry import METRICS, RECALLS
-from vprbench.metrics.tolerance import hits_within
 from vprbench.plugins.entries import Entry, entries
-from vprbench.runs.rates import StageRates, best_batch, percentile_bound
 from vprbench.runs.recall_intervals import recall_interval
 from vprbench.runs.record import Failure, Run
-from vprbench.runs.stopwatch import Timing
+from vprbench.runs.stopwatch import StageRates, Timing, best_batch, percentile_bound
 from vprbench.runs.tuned import other_places, tuned_note
 
 if TYPE_CHECKING:

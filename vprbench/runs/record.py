@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import ConfigDict, PlainValidator, ValidationInfo, with_config
+from pydantic import BaseModel, ConfigDict, Field, PlainValidator, ValidationInfo, with_config
 
 from vprbench.metrics.ranking import Outcome
-from vprbench.runs import record_parts as parts
 from vprbench.runs.notes import Note
 from vprbench.runs.stopwatch import Timing
 from vprbench.runs.timing_protocol import Protocol
@@ -20,6 +19,7 @@ from vprbench.storage.bounds import (
     HIGHEST_SCORE,
     INTEGERS,
     NUMBERS,
+    Amount,
     Array,
     Count,
     Fits,
@@ -28,8 +28,144 @@ from vprbench.storage.bounds import (
     Number,
     Places,
     Seconds,
+    Share,
     Text,
 )
+
+
+class _Part(BaseModel):
+    """Values as JSON gives them, none converted; values that are not named are free."""
+
+    model_config = ConfigDict(strict=True)
+
+
+class FailureConfig(_Part):
+    """What was asked of a run that failed."""
+
+    method: dict[str, Any] = {}
+    dataset: dict[str, Any] = {}
+    seed: int
+    device: str = "cpu"
+    overrides: list[str] = []
+    changed: dict[str, Any] = {}
+
+
+class RunConfig(FailureConfig):
+    """What was asked of a run."""
+
+    method: dict[str, Any]
+    dataset: dict[str, Any]
+    timing: Protocol | None = None  # of a run that was timed
+
+
+class DatasetProtocol(_Part):
+    """What a dataset selected, and which places it takes as right."""
+
+    tolerance_places: Count = 0
+    tolerance_frames: Count = 0
+    also_tolerance_places: list[Count] = []
+    tolerance_metres: Number = 0.0
+    radius_metres: Number = 0.0
+
+
+class _Commit(_Part):
+    commit: str | None = None
+
+
+class FailureMachine(_Part):
+    """The machine, as far as a failed run knows it."""
+
+    processor: str | None = None
+    time_utc: str | None = None
+    cores: Count | None = None
+    threads: Count | None = None
+    memory_bytes: Count | None = None
+    platform: str | None = None
+    accelerator: str | None = None
+    accelerator_memory_bytes: Count | None = None
+    driver: str | None = None
+    cuda: str | None = None
+    governor: str | None = None
+    python: str | None = None
+    libraries: dict[str, str | None] = {}
+    git: _Commit | None = None
+    load_average: list[Number] | None = None
+    cpu_pressure_avg10: Number | None = None
+
+
+class Machine(FailureMachine):
+    """The machine of a run, and when it ran."""
+
+    processor: str
+    time_utc: Annotated[str, Field(pattern=r"^\d{4}-\d\d-\d\d")]
+
+
+class Search(_Part):
+    """The index of descriptors, and how often it finds what an exact search finds."""
+
+    index: str
+    bytes_per_place: Number
+    recall_at_1: Share | None = None
+    recall_at_10: Share | None = None
+    rerank: Count = 0
+    build_seconds: Amount | None = None
+
+
+class _Layer(_Part):
+    name: str
+    neurons: Count
+    spikes_per_query: Annotated[list[Amount], Field(min_length=1)]
+    active_share: Share
+    amplitude_mean: Number | None
+    times: list[Count] | None = None
+
+
+class Spikes(_Part):
+    """What the layers of a spiking network fire, over a sample of the queries."""
+
+    queries: Count
+    layers: Annotated[list[_Layer], Field(min_length=1)]
+
+
+class Readout(_Part):
+    """What a layer finds on its own: a hit or none for each query."""
+
+    name: str
+    neurons: Count
+    hits: Annotated[list[Share], Field(min_length=1)]
+    steps: list[Count] | None = None
+
+
+#: A stop of a growing map.
+Stop = dict[Literal["places", "hits", "seconds"], Places | list[Seconds]]
+
+
+class Energy(_Part):
+    """What a query costs, and how each figure was found."""
+
+    values: dict[str, Amount | None]
+    how: dict[str, str]
+
+
+class Frames(_Part):
+    """The frames of a dataset, as `identity.DataRecord` has them."""
+
+    names_sha256: str
+    content_sha256: str | None
+    images: Count
+    bytes: Count | None
+
+
+class TunedOn(_Part):
+    """The places on which the method's settings were chosen."""
+
+    dataset: str
+    places: str
+    also_in: dict[str, str] = {}
+
+
+Nothing = Annotated[dict[str, Any], Field(max_length=0)]
+
 
 _Breaks = npt.NDArray[np.int64] | None
 
@@ -58,17 +194,17 @@ class Run:
     method: Name
     dataset: Name
     key: Name
-    config: Annotated[Mapping[str, Any], Fits(parts.RunConfig)]  # everything that was asked for, resolved
-    protocol: Annotated[Mapping[str, Any], Fits(parts.DatasetProtocol)]  # what the dataset selected and how
+    config: Annotated[Mapping[str, Any], Fits(RunConfig)]  # everything that was asked for, resolved
+    protocol: Annotated[Mapping[str, Any], Fits(DatasetProtocol)]  # what the dataset selected and how
     fingerprint: Text  # of the dataset's images
-    environment: Annotated[Mapping[str, Any], Fits(parts.Machine)]
+    environment: Annotated[Mapping[str, Any], Fits(Machine)]
     notes: tuple[Note, ...]  # what a reader of the numbers has to know
     n_references: Places
     fit_seconds: Seconds | None  # wall time, reading the images included; None: a network or descriptors were loaded
     fit_compute_seconds: Number | None  # without the time that the method waited for images
     load_seconds: Seconds | None  # wall time of reading, checking and restoring a network or descriptors
     network: Text | None  # SHA-256 of the file that was loaded
-    search: Annotated[Mapping[str, Any] | None, Fits(parts.Search | None)]  # of descriptors; None: no descriptors
+    search: Annotated[Mapping[str, Any] | None, Fits(Search | None)]  # of descriptors; None: no descriptors
     peak_memory_bytes: Count
     harness_seconds: Number  # spent neither in the method nor in reading images
     method_seconds: Number  # spent in the method
@@ -82,17 +218,17 @@ class Run:
     scores: (  # None: too many to keep
         Annotated[npt.NDArray[np.float32], Array(NUMBERS, ("queries", "places"), -np.inf, HIGHEST_SCORE)] | None
     )
-    spikes: Annotated[Mapping[str, Any] | None, Fits(parts.Spikes | None)] = None
+    spikes: Annotated[Mapping[str, Any] | None, Fits(Spikes | None)] = None
     place_numbers: (  # along the journey; None: 0, 1, 2 ...
         Annotated[npt.NDArray[np.int64], Array(INTEGERS, ("places",), -(1 << 53), 1 << 53)] | None
     ) = None
-    data: Annotated[Mapping[str, Any], Fits(parts.Frames | parts.Nothing)] = field(default_factory=dict)
-    tuned_on: Annotated[Mapping[str, Any], Fits(parts.TunedOn | parts.Nothing)] = field(default_factory=dict)
+    data: Annotated[Mapping[str, Any], Fits(Frames | Nothing)] = field(default_factory=dict)
+    tuned_on: Annotated[Mapping[str, Any], Fits(TunedOn | Nothing)] = field(default_factory=dict)
     query_breaks: Annotated[_Breaks, Array(INTEGERS, ("query breaks",), 1, "last query")] | None = None  # Dataset's
     place_breaks: Annotated[_Breaks, Array(INTEGERS, ("place breaks",), 1, "last place")] | None = None
-    readouts: Annotated[Sequence[Mapping[str, Any]] | None, Fits(list[parts.Readout] | None)] = None
-    stream: Annotated[Sequence[Mapping[str, Any]] | None, Fits(list[parts.Stop] | None)] = None  # of a growing map
-    energy: Annotated[Mapping[str, Any] | None, Fits(parts.Energy | None)] = None  # None: not asked for
+    readouts: Annotated[Sequence[Mapping[str, Any]] | None, Fits(list[Readout] | None)] = None
+    stream: Annotated[Sequence[Mapping[str, Any]] | None, Fits(list[Stop] | None)] = None  # of a growing map
+    energy: Annotated[Mapping[str, Any] | None, Fits(Energy | None)] = None  # None: not asked for
     view: Annotated[View | None, PlainValidator(_no_view)] = None  # None: the run as it is stored
 
     @property
@@ -132,7 +268,7 @@ class Failure:
 
     method: Name
     dataset: Name
-    config: Annotated[Mapping[str, Any], Fits(parts.FailureConfig)]
+    config: Annotated[Mapping[str, Any], Fits(FailureConfig)]
     error: Text
-    environment: Annotated[Mapping[str, Any], Fits(parts.FailureMachine)] = field(default_factory=dict)
+    environment: Annotated[Mapping[str, Any], Fits(FailureMachine)] = field(default_factory=dict)
     missing: Flag = False  # weights, frames or the method itself are not there: nothing was tried

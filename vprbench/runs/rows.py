@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
 from vprbench.metrics.accuracy import recall_at
 from vprbench.metrics.registry import METRICS, RECALLS
 from vprbench.runs.frame import label, recall_at_1_within
-from vprbench.runs.rates import StageRates, best_batch
 from vprbench.runs.recall_intervals import recall_interval
 from vprbench.runs.record import Run
-from vprbench.runs.stopwatch import Timing
+from vprbench.runs.stopwatch import StageRates, Timing, best_batch
 from vprbench.runs.tuned import describe_recalls, other_places
 
 NOTHING, UNTIMED = "-", "not timed"
@@ -107,3 +109,16 @@ def _plain(value: object) -> str:
     if isinstance(value, Mapping):
         return "+".join(f"{inner} in {name}" for name, inner in value.items())
     return "+".join(map(str, value)) if isinstance(value, list) else str(value)
+
+
+def document(template: Path, **values: Any) -> str:
+    """Return a Jinja template with its values; `rows | table` makes a table, and absent parts leave no gap.
+
+    Raises jinja2.UndefinedError for a name without a value.
+    """
+    from jinja2 import Environment, StrictUndefined
+
+    environment = Environment(undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    environment.filters["table"] = markdown
+    text = environment.from_string(template.read_text(encoding="utf-8")).render(**values)
+    return re.sub(r"\n{3,}", "\n\n", text).strip() + "\n"

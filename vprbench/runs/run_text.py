@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from vprbench.runs import energy, frame, readout_rows, rows, stream
+from vprbench.runs import energy, frame, readouts, rows, stream
 from vprbench.runs.record import Run
 from vprbench.runs.sequences import views
 from vprbench.runs.settings import Settings
@@ -25,7 +25,7 @@ def run_text(run: Run, folder: Path | None, from_store: bool, settings: Settings
                 "protocol": dict(run.protocol),
                 "data": dict(run.data),
                 **frame.numbers(run, settings.metrics),
-                "readouts": readout_rows.readout_numbers(run),
+                "readouts": readouts.readout_numbers(run),
                 **({"stream": stream.stream_numbers(run)} if settings.stream else {}),
                 **({"energy": run.energy} if settings.energy else {}),
                 "network": run.network,
@@ -51,7 +51,7 @@ def run_text(run: Run, folder: Path | None, from_store: bool, settings: Settings
         below.append(f"stored in {folder}")
     tables = [table_text([*table[0]], [[*row.values()] for row in table], settings.wide, rows.LEAST)]
     if settings.readouts:
-        tables.append(readout_rows.readout_text(run))
+        tables.append(readouts.readout_text(run))
     if settings.stream:
         tables.append(stream.stream_text(run))
     if settings.energy:

@@ -13,8 +13,8 @@ from vprbench.plugins import registry
 from vprbench.runs.corruption import corruptions
 from vprbench.runs.sequences import views
 from vprbench.runs.timing_protocol import Protocol
-from vprbench.storage.cores import core_count
 from vprbench.storage.folders import require_homes
+from vprbench.storage.owner import core_count
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Which process on which host this is, and whether another one of the same host still lives."""
+"""This process: which it is among those of all hosts, whether another one still lives, and the cores it may use."""
 
 from __future__ import annotations
 
@@ -68,3 +68,13 @@ def is_dead(name: str) -> bool:
     except OSError:  # another user's
         return False
     return int(process) != os.getpid() and started(int(process)) != (int(moment) or None)
+
+
+def cores() -> list[int]:
+    """Return the numbers of the cores that this process may use; all cores if the system does not bind processes."""
+    return sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else list(range(os.cpu_count() or 1))
+
+
+def core_count() -> int:
+    """Return how many cores this process may use, at least 1."""
+    return len(cores())

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
-from vprbench.terminal.described import Option
-from vprbench.terminal.help import Command
+from vprbench.terminal.help import Command, Option
 
 HIDDEN = "__complete"  # the command that a script asks: the line so far -> what its last word may become
 

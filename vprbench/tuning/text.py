@@ -8,8 +8,8 @@ import shlex
 from collections.abc import Iterator
 from pathlib import Path
 
-from vprbench.runs.document import document
 from vprbench.runs.machine import machine_lines
+from vprbench.runs.rows import document
 from vprbench.storage.atomic import replace_text
 from vprbench.tuning.comparison import AGREE, SEEDS, Comparison, Repeated
 from vprbench.tuning.objective import StretchName

@@ -9,8 +9,7 @@ from matplotlib.colors import to_rgb
 from PIL import Image
 
 from vprbench.errors import BadInput
-from vprbench.paper.figures.log_axis import plain, plain_log
-from vprbench.paper.figures.style import SINGLE_MM, Drawn, looks, new, styled, write
+from vprbench.paper.figures.style import SINGLE_MM, Drawn, looks, new, plain, plain_log, styled, write
 from vprbench.paper.templates import listed
 
 PAPER = ["SAD", "NetVLAD", "GCL", "VPRSNN", "VPRTempo"]

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from vprbench.api.dataset import FrameFolder
-from vprbench.api.image_formats import is_beside, is_image_name
+from vprbench.api.decoding import is_beside, is_image_name
 from vprbench.text import be, plural, some
 
 from .finding import Finding, Level

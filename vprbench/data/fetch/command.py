@@ -18,9 +18,8 @@ from vprbench.plugins import registry
 from vprbench.plugins.options import chosen
 from vprbench.progress import progress_shown
 from vprbench.storage import download
-from vprbench.storage.archives import DamagedArchive
 from vprbench.storage.folders import data_folder
-from vprbench.storage.unpack import UNFINISHED, unpack
+from vprbench.storage.unpack import UNFINISHED, DamagedArchive, unpack
 
 logger = logging.getLogger(__name__)
 

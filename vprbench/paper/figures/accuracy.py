@@ -11,11 +11,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from vprbench.errors import BadInput
-from vprbench.metrics.accuracy import PRCurve, Values, average_precision, hits_at, pr_curve
-from vprbench.metrics.block_length import block_length
-from vprbench.metrics.intervals import share_interval
+from vprbench.metrics.accuracy import PRCurve, Values, average_precision, hits_at, hits_within, pr_curve
+from vprbench.metrics.intervals import block_length, share_interval
 from vprbench.metrics.ranking import Outcome
-from vprbench.metrics.tolerance import hits_within
 from vprbench.paper.figures.captions import caption, one_dataset
 from vprbench.paper.figures.style import SINGLE_MM, Drawn, legend_above, looks, new, styled
 from vprbench.paper.selection import Series

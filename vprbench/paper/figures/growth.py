@@ -13,8 +13,19 @@ from matplotlib.lines import Line2D
 from vprbench.errors import BadInput
 from vprbench.metrics.growth import LAWS, Comparison, Law, compare
 from vprbench.paper.figures.captions import caption
-from vprbench.paper.figures.log_axis import plain_log
-from vprbench.paper.figures.style import DOUBLE_MM, GREY, Dash, Drawn, Look, legend_above, looks, new, styled, wrapped
+from vprbench.paper.figures.style import (
+    DOUBLE_MM,
+    GREY,
+    Dash,
+    Drawn,
+    Look,
+    legend_above,
+    looks,
+    new,
+    plain_log,
+    styled,
+    wrapped,
+)
 from vprbench.paper.growth import GrowthSamples, Sample
 from vprbench.paper.selection import Series
 from vprbench.runs.stream import stream_numbers

@@ -15,8 +15,19 @@ from matplotlib.patches import Patch
 
 from vprbench.errors import BadInput
 from vprbench.paper.figures.captions import caption, timed
-from vprbench.paper.figures.log_axis import plain, plain_log
-from vprbench.paper.figures.style import DOUBLE_MM, GREY, SINGLE_MM, Drawn, Look, looks, new, styled, wrapped
+from vprbench.paper.figures.style import (
+    DOUBLE_MM,
+    GREY,
+    SINGLE_MM,
+    Drawn,
+    Look,
+    looks,
+    new,
+    plain,
+    plain_log,
+    styled,
+    wrapped,
+)
 from vprbench.paper.plan import Boundary, PlannedColumn, Quantity, Row, published
 from vprbench.paper.selection import Series
 from vprbench.paper.table import best

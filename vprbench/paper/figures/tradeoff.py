@@ -13,8 +13,7 @@ from vprbench.errors import BadInput
 from vprbench.metrics.intervals import Interval
 from vprbench.paper.figures.captions import caption, one_dataset, timed
 from vprbench.paper.figures.label_places import Label, place_labels
-from vprbench.paper.figures.log_axis import plain_log
-from vprbench.paper.figures.style import DOUBLE_MM, GREY, SINGLE_MM, Drawn, legend_above, looks, new, styled
+from vprbench.paper.figures.style import DOUBLE_MM, GREY, SINGLE_MM, Drawn, legend_above, looks, new, plain_log, styled
 from vprbench.paper.selection import Series
 from vprbench.paper.table import best as contests
 from vprbench.runs.recall_intervals import recall_interval

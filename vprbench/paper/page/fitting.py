@@ -53,3 +53,19 @@ def _coarser(frame: bytes, side: int, quality: int) -> bytes:
     written = io.BytesIO()
     small.save(written, "WEBP", quality=quality, method=4)
     return min(frame, written.getvalue(), key=len)
+
+
+_LARGE = 200_000  # bytes
+_COLOURS = 256
+
+
+def small_png(png: bytes) -> bytes:
+    """Return a PNG as it is, or, if it is large, on white with at most 256 colours if that takes fewer bytes."""
+    if len(png) <= _LARGE:
+        return png
+    with Image.open(io.BytesIO(png), formats=["PNG"]) as image:
+        drawn = image.convert("RGBA")
+    paper = Image.new("RGBA", drawn.size, "white")
+    written = io.BytesIO()
+    Image.alpha_composite(paper, drawn).convert("RGB").quantize(_COLOURS).save(written, "PNG", optimize=True)
+    return min(png, written.getvalue(), key=len)

@@ -15,8 +15,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from vprbench.paper.page import words
-from vprbench.paper.page.fitting import fitting
-from vprbench.paper.page.small_png import small_png
+from vprbench.paper.page.fitting import fitting, small_png
 from vprbench.paper.selection import Series
 from vprbench.paper.table.quantities import TRAINING_TIME
 from vprbench.progress import report
@@ -29,7 +28,6 @@ TITLE = "Visual place recognition, measured"
 MOST_BYTES = 9_900_000  # of a page, unless its table and figures alone are larger
 
 _FOLDER = Path(__file__).parent
-_SCRIPTS = ("queries.js", "strip.js", "tabs.js", "report.js", "table.js")  # each uses only those before it
 _FRAMES_MISSING = "The frames of this dataset are not stored, so names stand in their places."
 _SOME_MISSING = "Of this large dataset some frames are stored; names stand in the places of the others."
 _FRAMES_TOO_LARGE = "This page would be too large with frames, so names stand in their places."
@@ -197,8 +195,7 @@ def _rendered(facts: Mapping[str, Any], told: Sequence[Mapping[str, Any]], frame
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    style, *scripts = ((_FOLDER / name).read_text(encoding="utf-8") for name in ("style.css", *_SCRIPTS))
-    script = "".join(scripts)
+    style, script = ((_FOLDER / name).read_text(encoding="utf-8") for name in ("style.css", "report.js"))
     text = templates.get_template("template.html").render(
         **facts,
         style=Markup(style),

@@ -1,3 +1,227 @@
+"use strict";
+// How one query is told and drawn: its verdict, its frames and its best places, by one method or by two.
+// A `view` holds what is looked at: `section`, its runs `a` and `b` (null: none), `open` queries, `picture(kind, i)`.
+const Queries = (() => {
+  const KINDS = { r: "right", w: "wrong", t: "tied", u: "unanswerable" };
+  const VERDICTS = { r: "right", w: "wrong", t: "tied", u: "no right place" };
+
+  // Words
+
+  const number = (value) => String(value).replace("-", "−");
+  const counted = (value) => value.toLocaleString("en");
+  const queryName = ({ section }, query) => (section.queryNames ? section.queryNames[query] : `query ${query}`);
+  const placeName = ({ section }, place) => (section.placeNames ? section.placeNames[place] : `place ${place}`);
+
+  function marginWords(run, query) {
+    const margin = run.margins[query];
+    const bound = run.bounds[query];
+    if (bound === "?") return "no margin";
+    if (margin === "-") return "the right place is no candidate";
+    if (margin === "+") return "no wrong place is a candidate";
+    return `margin ${{ "=": "", "<": "at most ", ">": "at least " }[bound]}${number(margin)}`;
+  }
+
+  function rankWords({ section }, run, query) {
+    const rank = run.ranks[query];
+    const equals = run.equals[query] ?? 0;
+    if (run.verdicts[query] === "u") return "";
+    if (!rank) return "the right place is not ranked";
+    const ranks = equals ? `shares ranks ${counted(rank)} to ${counted(rank + equals)}` : `ranks ${counted(rank)}`;
+    return `the right place ${ranks} of ${counted(section.nPlaces)}`;
+  }
+
+  function distance({ section }, query, place) {
+    const gaps = section.rightPlaces[query].split(", ").map((range) => {
+      const [first, last = first] = range.split("-").map(Number);
+      return Math.max(first - place, place - last, 0);
+    });
+    return Math.min(...gaps);
+  }
+
+  function distanceWords(view, run, query) {
+    const place = run.places[3 * query];
+    if (place < 0) return "no place was retrieved";
+    if (run.verdicts[query] === "u") return "";
+    const apart = distance(view, query, place);
+    return apart ? `${counted(apart)} ${apart === 1 ? "place" : "places"} off` : "";
+  }
+
+  function facts(view, query) {
+    const told = [["A", view.a], ["B", view.b]]
+      .filter(([, run]) => run)
+      .map(([letter, run]) => {
+        const parts = [marginWords(run, query), rankWords(view, run, query), distanceWords(view, run, query)];
+        return [`${letter} ${VERDICTS[run.verdicts[query]]}: `, parts.filter(Boolean)];
+      });
+    return view.b ? told.map(([verdict, parts]) => verdict + parts.join(", ")) : told[0][1];
+  }
+
+  function rightScore(run, query) {
+    const score = run.rightScores[query];
+    return score === null ? "" : `${run.bounds[query] === "<" ? "at most " : ""}${number(score)}`;
+  }
+
+  function rightScores({ a, b }, query) {
+    const byA = rightScore(a, query);
+    if (!b) return byA && `score ${byA}`;
+    const byB = rightScore(b, query);
+    if (!byA && !byB) return "";
+    const other = byB && b.right[query] !== a.right[query] ? ` for place ${b.right[query]}` : "";
+    return `score by A ${byA || "none"}, by B ${byB || "none"}${other}`;
+  }
+
+  // Elements; text is never read as markup
+
+  function make(tag, className, ...children) {
+    const made = document.createElement(tag);
+    if (className) made.className = className;
+    made.append(...children);
+    return made;
+  }
+
+  function frame(view, role, kind, index, lines) {
+    const name = index < 0 ? "" : kind === "queries" ? queryName(view, index) : placeName(view, index);
+    const webp = index < 0 ? null : view.picture(kind, index);
+    const image = webp && make("img");
+    if (image) {
+      image.alt = `${role}: ${name}`;
+      image.src = `data:image/webp;base64,${webp}`;
+    }
+    const made = make("figure", "frame", image || make("div", "no-frame", name || lines.shift()));
+    const caption = make("figcaption", "", make("span", "role", role));
+    if (image) lines.unshift(name);
+    lines.filter(Boolean).forEach((line) => caption.append(make("div", "", line)));
+    made.append(caption);
+    return made;
+  }
+
+  function retrieved(view, role, run, query) {
+    const place = run.places[3 * query];
+    if (place < 0) return frame(view, role, "places", -1, ["nothing retrieved"]);
+    return frame(view, role, "places", place, [`place ${place}`, `score ${number(run.scores[3 * query])}`]);
+  }
+
+  function truth(view, query) {
+    const place = view.a.right[query];
+    if (place < 0) return frame(view, "True", "places", -1, ["no right place"]);
+    const right = view.section.rightPlaces[query];
+    const several = /[-,]/.test(right) ? `right: ${right}` : "";
+    return frame(view, "True", "places", place, [`place ${place}`, rightScores(view, query), several]);
+  }
+
+  function bestPlaces(view, letter, run, query) {
+    const best = make("div", "frames");
+    for (let i = 3 * query; i < 3 * query + 3 && run.places[i] >= 0; i += 1) {
+      const place = run.places[i];
+      const right = view.section.rightPlaces[query] && distance(view, query, place) === 0;
+      const role = `${i - 3 * query + 1}. ${right ? "right" : "wrong"}`;
+      best.append(frame(view, role, "places", place, [`place ${place}`, `score ${number(run.scores[i])}`]));
+    }
+    return [make("h4", "", `Best places of ${letter}, ${run.name}`), best];
+  }
+
+  function row(view, query) {
+    const { a, b } = view;
+    const verdict = make("span", `verdict ${KINDS[a.verdicts[query]]}`, VERDICTS[a.verdicts[query]]);
+    const button = make("button", "", verdict, ` Query ${query} `, make("span", "toggle"));
+    button.type = "button";
+    button.id = `query-${query}`;
+    const listed = make("ul", "facts", ...facts(view, query).map((fact) => make("li", "", fact)));
+    const shownFrames = [
+      frame(view, "Query", "queries", query, []),
+      retrieved(view, b ? "Retrieved by A" : "Retrieved", a, query),
+      ...(b ? [retrieved(view, "Retrieved by B", b, query)] : []),
+      truth(view, query),
+    ];
+    const side = make("div", `frames${b ? " four" : ""}`, ...shownFrames);
+    const made = make("li", "query", make("div", "", button, listed), side);
+    made.dataset.query = query;
+    unfold(view, made, query);
+    return made;
+  }
+
+  function unfold(view, made, query) {
+    made.querySelector(".more")?.remove();
+    const unfolded = view.open.has(query);
+    const button = made.querySelector("button");
+    button.setAttribute("aria-expanded", String(unfolded));
+    button.querySelector(".toggle").textContent = unfolded ? "hide best places" : "show best places";
+    if (!unfolded) return;
+    const best = [...bestPlaces(view, "A", view.a, query), ...(view.b ? bestPlaces(view, "B", view.b, query) : [])];
+    made.append(make("div", "more", ...best));
+  }
+
+  return { KINDS, VERDICTS, counted, make, row, unfold };
+})();
+
+// The strip along the route: a lane for each method, with a bar for each query.
+const Strip = (() => {
+  const { make } = Queries;
+
+  function drawn(tag, attributes) {
+    const made = document.createElementNS("http://www.w3.org/2000/svg", tag);
+    for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
+    return made;
+  }
+
+  function bars(nQueries, className, wanted, height) {
+    let path = "";
+    for (let query = 0; query < nQueries; query += 1) {
+      if (!wanted(query)) continue;
+      const first = query;
+      while (query + 1 < nQueries && wanted(query + 1)) query += 1;
+      path += `M${first} 100h${query - first + 1}v-${height}H${first}z`;
+    }
+    return drawn("path", { class: `bars ${className}`, d: path });
+  }
+
+  function lane(nQueries, className, name, paths, go) {
+    const svg = drawn("svg", { viewBox: `0 0 ${nQueries} 100`, preserveAspectRatio: "none", "aria-hidden": "true" });
+    svg.append(...paths, drawn("path", { class: "here", d: "" }));
+    svg.addEventListener("click", (event) => {
+      const box = svg.getBoundingClientRect();
+      go(Math.floor(((event.clientX - box.left) / box.width) * nQueries));
+    });
+    return make("div", `lane ${className}`, make("div", "lane-name", name), svg);
+  }
+
+  return { bars, lane };
+})();
+
+// Tabs that share a panel: `turn(i)` is called for the one that is chosen, by click or by key. `list` may be null.
+function Tabs(list, panel, turn) {
+  const tabs = [...(list?.children ?? [])];
+  const steps = {
+    ArrowRight: (i) => (i + 1) % tabs.length,
+    ArrowLeft: (i) => (i + tabs.length - 1) % tabs.length,
+    Home: () => 0,
+    End: () => tabs.length - 1,
+  };
+  if (list) {
+    list.hidden = false;
+    panel.setAttribute("role", "tabpanel");
+  }
+  tabs.forEach((tab, i) => {
+    tab.addEventListener("click", () => turn(i));
+    tab.addEventListener("keydown", (event) => {
+      if (event.altKey || event.ctrlKey || event.metaKey || !(event.key in steps)) return;
+      event.preventDefault();
+      turn(steps[event.key](i));
+      tabs[steps[event.key](i)].focus();
+    });
+  });
+
+  function mark(chosen) {
+    tabs.forEach((tab, i) => {
+      tab.setAttribute("aria-selected", String(i === chosen));
+      tab.tabIndex = i === chosen ? 0 : -1;
+    });
+    if (tabs.length) panel.setAttribute("aria-labelledby", tabs[chosen].id);
+  }
+
+  return { mark };
+}
+
 // The browser of single queries: reads the answers of the stored runs from this page and shows ten at a time.
 (() => {
   const PAGE = 10;
@@ -278,4 +502,93 @@
   show(new URLSearchParams());
   clearTimeout(telling);
   follow();
+})();
+
+// The table: sorted by a column, filtered by a word, with its footnotes where the pointer or the focus is.
+(() => {
+  const { make } = Queries;
+  const table = document.querySelector("#table table");
+  if (!table) return;
+  const NEXT = { name: ["ascending", "descending", "none"], number: ["descending", "ascending", "none"] };
+  const heads = [...table.querySelectorAll("thead th[scope=col]")];
+  const rows = [...table.tBodies].flatMap((body) => [...body.rows].map((row) => ({ row, body })));
+
+  // A cell begins with its number; a row without one stays last.
+  const number = (row, i) => parseFloat(row.cells[i]?.firstChild?.textContent.replace(/[~,]/g, ""));
+  const name = (row) => row.cells[0].textContent;
+
+  function compared(p, q, i, sign) {
+    if (i === 0) return sign * name(p.row).localeCompare(name(q.row), "en", { numeric: true });
+    const [x, y] = [number(p.row, i), number(q.row, i)];
+    return Number.isNaN(x) - Number.isNaN(y) || sign * (x - y) || 0;
+  }
+
+  function sort(i) {
+    const steps = i === 0 ? NEXT.name : NEXT.number;
+    const next = steps[(steps.indexOf(heads[i].getAttribute("aria-sort")) + 1) % steps.length];
+    heads.forEach((head, j) => head.setAttribute("aria-sort", i === j ? next : "none"));
+    const sign = next === "ascending" ? 1 : -1;
+    const sorted = next === "none" ? rows : [...rows].sort((p, q) => compared(p, q, i, sign));
+    for (const { row, body } of sorted) (next === "none" ? body : table.tBodies[0]).append(row);
+  }
+
+  heads.forEach((head, i) => {
+    const button = make("button", "sort", ...head.childNodes);
+    button.type = "button";
+    button.addEventListener("click", () => sort(i));
+    head.append(button);
+    head.setAttribute("aria-sort", "none");
+  });
+
+  const word = document.getElementById("word");
+  word.addEventListener("input", () => {
+    const wanted = word.value.trim().toLowerCase();
+    for (const { row, body } of rows) row.hidden = !`${row.textContent} ${body.className}`.toLowerCase().includes(wanted);
+    const left = rows.filter(({ row }) => !row.hidden).length;
+    document.getElementById("rows").textContent = wanted ? `${left} of ${rows.length} rows` : "";
+  });
+  document.getElementById("table-controls").hidden = false;
+
+  // Footnotes
+
+  const EDGE = 8; // pixels to the border of the window
+  const note = document.getElementById("footnote");
+
+  let told = null; // the link whose footnote is shown
+
+  function place() {
+    if (!told) return;
+    const mark = told.getBoundingClientRect();
+    const below = mark.bottom + note.offsetHeight + EDGE < innerHeight;
+    note.style.left = `${Math.max(EDGE, Math.min(mark.left, innerWidth - note.offsetWidth - EDGE))}px`;
+    note.style.top = `${below ? mark.bottom : mark.top - note.offsetHeight}px`;
+  }
+
+  function tell(link) {
+    told = link;
+    note.textContent = document.getElementById(link.hash.slice(1)).textContent;
+    note.showPopover();
+    place();
+  }
+
+  function hide() {
+    told = null;
+    note.hidePopover();
+  }
+
+  for (const link of table.querySelectorAll("sup a")) {
+    link.setAttribute("aria-describedby", link.hash.slice(1));
+    link.addEventListener("mouseenter", () => tell(link));
+    link.addEventListener("focus", () => tell(link));
+    link.addEventListener("mouseleave", (event) => event.relatedTarget === note || hide());
+    link.addEventListener("blur", hide);
+    link.addEventListener("click", (event) => {
+      if (event.pointerType !== "touch") return; // a mouse has read it already, and follows the link
+      event.preventDefault();
+      tell(link);
+    });
+  }
+  note.addEventListener("mouseleave", hide);
+  document.addEventListener("keydown", (event) => event.key === "Escape" && hide());
+  document.addEventListener("scroll", place, { capture: true, passive: true });
 })();

@@ -34,7 +34,7 @@ def caption(
     seeds = [(row.name, _seeds(row, columns)) for row in rows]
     blocks = [(column.title, _blocks(column, rows)) for column in columns]
     return sentences(
-        "table/caption.j2",
+        "table/sentences.j2",
         "caption",
         list(zip(columns, apart, strict=True)),
         [(name, places) for name, places in seeds if any(len(seeds) > 1 for seeds in places)],

@@ -100,7 +100,7 @@ def legend(table: Table) -> list[str]:
         [cell.measured for name, cell in cells if cell.measured is not None and name in {q.name for q in quantities}]
         for quantities in (TRAINING, RATES)
     )
-    return sentences("table/legend.j2", "legend", table, [cell for _, cell in cells], training, rates)
+    return sentences("table/sentences.j2", "legend", table, [cell for _, cell in cells], training, rates)
 
 
 def _extent(measured: Measured, quantity: Quantity) -> str:
