@@ -7,7 +7,8 @@ from checkout import ROOT
 
 from vprbench.errors import BadInput
 from vprbench.paper.gather import TableRequest, choose, runs_of
-from vprbench.paper.plan import PlannedColumn, Row, published, read_plan, with_plug_ins
+from vprbench.paper.plan import PlannedColumn, Row, read_plan, with_plug_ins
+from vprbench.paper.published import published
 from vprbench.plugins import registry
 from vprbench.runs import compose
 

@@ -1,4 +1,4 @@
-"""How much arithmetic a query takes: what computes tells it by a formula, and whoever wants to know adds it up."""
+"""How much arithmetic a query takes: each computation tells its own by a formula, and `tallied` adds them up."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _told: ContextVar[list[Arithmetic] | None] = ContextVar("arithmetic", default=No
 
 
 def takes(multiply_adds: float = 0.0, single: float = 0.0, kind: Kind = "float32") -> None:
-    """Tell what the work of this call takes, work that PyTorch does included; costs nothing if nobody listens."""
+    """Tell the arithmetic of this call, PyTorch's included; costs nothing outside of `tallied`."""
     told = _told.get()
     if told is not None:
         told.append(Arithmetic(multiply_adds, single, kind))

@@ -72,7 +72,7 @@ AnyDataset = str | NamedDataset | Dataset
 def method(name: str, /, **options: Any) -> NamedMethod:
     """Return a registered method, or one in a file, with options of its own: `method("vprtempo", max_module=50)`.
 
-    Raises BadInput, with the near names, for a method or an option that there is not.
+    Raises BadInput, with the near names, for an unknown method or option.
     """
     return NamedMethod(_insist("method", name, options), options)
 
@@ -80,7 +80,7 @@ def method(name: str, /, **options: Any) -> NamedMethod:
 def dataset(name: str, /, **options: Any) -> NamedDataset:
     """Return a registered dataset, or one in a file, with options of its own: `dataset("synthetic", places=100)`.
 
-    Raises BadInput, with the near names, for a dataset or an option that there is not.
+    Raises BadInput, with the near names, for an unknown dataset or option.
     """
     return NamedDataset(_insist("dataset", name, options), options)
 
@@ -95,7 +95,7 @@ class Place:
 
 
 def place(chosen: AnyDataset) -> Place:
-    """Build a dataset; raises what its builder raises, BadInput for what is none."""
+    """Build a dataset; raises what its builder raises, BadInput for any other object."""
     chosen = dataset(chosen) if isinstance(chosen, str) else chosen
     if isinstance(chosen, NamedDataset):
         config = chosen.config()
@@ -123,7 +123,7 @@ class Recipe:
 def recipe(chosen: AnyMethod, seed: int | None, device: str | None) -> Recipe:
     """Return how a method is made under a seed and on a device; None: those of an object, else 0 and the CPU.
 
-    Raises BadInput for what is no method.
+    Raises BadInput for any other object.
     """
     chosen = method(chosen) if isinstance(chosen, str) else chosen
     if isinstance(chosen, NamedMethod):

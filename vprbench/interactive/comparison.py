@@ -68,7 +68,7 @@ class Comparison:
 
     @property
     def sentence(self) -> str:
-        """What a test says of the best method."""
+        """The result of the test of the best method, as a sentence."""
         return self.ranking.sentences[0]
 
     def plot_pr(self) -> Figure:

@@ -1,4 +1,4 @@
-"""What there is, as tables: registered methods and datasets, and stored runs."""
+"""Registered methods, registered datasets and stored runs as tables."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a table, the figures and the report are made of: what was asked for, which runs that takes, and those stored."""
+"""The data of a table, of figures and of a report: the rows and columns of the request, and their stored runs."""
 
 from __future__ import annotations
 
@@ -165,7 +165,7 @@ def assembled(
 
 
 def stored(asked: TableRequest | TablePlan) -> tuple[list[Run], list[Failure]]:
-    """Return what the store holds, and those of other machines; what is in several is there once."""
+    """Return the runs and failures of the store and of the stores of other machines, each once."""
     stores = [Store(results_folder(folder), read_only=True) for folder in (asked.results, *asked.stores)]
     runs = {(run.dataset, run.method, run.key): run for store in reversed(stores) for run in store.runs()}
     return [*runs.values()], [failure for store in stores for failure in store.failures()]

@@ -47,7 +47,7 @@ class MissingRun:
     corruption: str | tuple[str, ...] | None = None  # of the query frames; several: a run each, in one process
 
     def options(self) -> list[str]:
-        """Return the options of the command line that make it."""
+        """Return the options of the command line that make the run."""
         return [
             *self.dataset_options,
             f"method={self.row.method}",
@@ -58,7 +58,7 @@ class MissingRun:
         ]
 
     def each(self) -> list[MissingRun]:
-        """Return it as runs of one corruption each."""
+        """Return a run for each of the corruptions."""
         several = self.corruption if isinstance(self.corruption, tuple) else [self.corruption]
         return [replace(self, corruption=one) for one in several]
 

@@ -1,8 +1,7 @@
-"""What Table II and the figures are made of: rows, columns, sizes of the growth, and what the paper printed."""
+"""What Table II and the figures are made of: rows, columns and sizes of the growth."""
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -13,10 +12,6 @@ import yaml
 
 from vprbench.errors import BadInput
 
-PAPER = "VPRTempo (ICRA 2024), Table II"
-PAPER_CPU, PAPER_GPU = "Intel i7-9700K", "Nvidia RTX 2080"
-
-Quantity = str  # the name of a quantity of the table
 Boundary = Literal["encode", "match"]  # what the paper's query rate of a row covers
 Training = Literal["own", "none", "pretrained", "map"]  # map: it learns which place looks like what, and nothing else
 
@@ -165,19 +160,6 @@ def _require_columns(columns: Mapping[str, PlannedColumn], origin: object) -> No
         if column.stand_in_for is not None and column.stand_in_for not in columns:
             named = column.stand_in_for
             raise BadInput(f"{origin}: column {column.name} names {named}, which is none: there are {[*columns]}")
-
-
-def published() -> dict[tuple[str, str], dict[Quantity, float | None]]:
-    """Return what the paper printed in Table II, by row and dataset: R@1 in %, training in minutes, queries in Hz.
-
-    None is its "-". Source: VPRTempo (ICRA 2024), Table II.
-    """
-    printed: dict[tuple[str, str], dict[Quantity, float | None]] = {}
-    with Path(__file__).with_name("published_table2.csv").open(encoding="utf-8", newline="") as file:
-        for line in csv.DictReader(file):
-            cells = printed.setdefault((line["method"], line["dataset"]), {})
-            cells[line["metric"]] = float(line["value"]) if line["value"] else None
-    return printed
 
 
 def _row(name: str, given: Mapping[str, Any]) -> Row:

@@ -1,4 +1,4 @@
-"""Which stored runs belong to which column and row: what is alike stands together, the rest is set aside by name."""
+"""Which stored runs belong to which column and row: equal runs stand together, the others are set aside by name."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Group:
 
     @property
     def name(self) -> str:
-        """What it is called in the names of columns and files."""
+        """The name of the group in columns and files."""
         return "-".join(filter(None, [self.asked.planned.name, self.view, str(self.number) * (self.number > 1)]))
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined, select_autoescape
 
-from vprbench.paper.plan import PAPER, PAPER_CPU, PAPER_GPU
+from vprbench.paper.published import PAPER, PAPER_CPU, PAPER_GPU
 from vprbench.runs.recall_intervals import METHOD
 from vprbench.text import plural
 

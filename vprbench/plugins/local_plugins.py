@@ -40,7 +40,7 @@ class LooseEntry(Entry):
 
 
 def names_a_file(text: str) -> bool:
-    """Tell whether the name of a method or dataset is a file and what it defines: ./mine.py:MyMethod."""
+    """Tell whether a method or dataset is named by its file and class, as in ./mine.py:MyMethod."""
     return _NAMED.fullmatch(text) is not None
 
 

@@ -1,4 +1,4 @@
-"""Options of a command, as name=value, become its settings: a dataclass that says which there are."""
+"""Options of a command, as name=value, become its settings: the fields of a dataclass."""
 
 from __future__ import annotations
 

@@ -160,7 +160,7 @@ class Scoring:
         return 0
 
     def notes(self) -> Iterator[Note]:
-        """Yield that the best places alone were asked for, if they were."""
+        """Yield a note if the method was asked for its best places alone."""
         if isinstance(self.asked, Shortlisting):
             best = f"of {self._n_places:,} places the best {self.asked.depth} of each query are kept"
             others = "" if self.asked.mapped is map else "; the workers of a cluster searched"

@@ -69,7 +69,7 @@ class Corruption:
 
 
 def corruption(name: str) -> Corruption:
-    """Return the corruption of a name; raises BadInput for one that there is not."""
+    """Return the corruption of a name; raises BadInput for an unknown name."""
     parts = re.fullmatch(r"([a-z_]+)-([1-3])(?:-(\d{1,9}))?", name)
     if parts is None or parts[1] not in KINDS:
         kind = name.partition("-")[0]

@@ -33,7 +33,7 @@ class FitResult:
     from_cache: int = 0  # descriptors of references that were kept already
 
     def of_earlier_run(self) -> FitResult:
-        """Return it as a run has it that took over the fitted method: none of the time was its own."""
+        """Return the result for a run that takes over a method fitted by an earlier run: no time was its own."""
         return replace(self, earlier_seconds=(self.fit_seconds or 0.0) + (self.load_seconds or 0.0))
 
     @property

@@ -73,7 +73,7 @@ class Machine:
 
     @property
     def hardware(self) -> tuple[str | None, int | None, str | None]:
-        """Processor, cores and accelerator: the same under any number of threads and any libraries."""
+        """Processor, cores and accelerator, whatever the threads and the libraries."""
         return self.processor, self.cores, self.accelerator
 
     @property

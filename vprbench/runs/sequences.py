@@ -32,7 +32,7 @@ Asked = TypeVar("Asked", Sequences, Filter)
 
 
 class NoScoresError(BadInput):
-    """A run kept too little for a view of it; the message says what to do."""
+    """A run keeps no scores, which a view of it needs; the message says what to do."""
 
 
 def in_sequences(run: Run, asked: Sequences) -> Run:

@@ -126,7 +126,7 @@ class Store:
         return folder
 
     def try_to_save_failure(self, failure: Failure) -> None:
-        """Store a failure, where that is possible: the error itself is told in any case."""
+        """Store a failure if the disk takes it; the error itself is told in any case."""
         with contextlib.suppress(OSError, BadInput):
             self.root.mkdir(parents=True, exist_ok=True)
             self.save_failure(failure)

@@ -41,7 +41,7 @@ class Protocol:
             )
 
     def shortfalls(self, asked: Protocol) -> list[str]:
-        """Return the options in which what it measured is less than what is asked for; none: it answers that.
+        """Return the options in which less was measured than is asked for; none: the measurement is enough.
 
         Whatever was measured answers `rates: false`.
         """

@@ -1,4 +1,4 @@
-"""One look at every frame of a traverse: what the checks need of it is kept, the frame is not."""
+"""One pass over the frames of a traverse: the facts that checks need are kept, the frames are not."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _NOTHING: _Look = (b"", (0, 0), False, 0.0, 0.0, np.zeros((HEIGHT, WIDTH), np.ui
 
 @dataclass(frozen=True)
 class Looks:
-    """What is kept of the frames of a traverse, in order; of an unreadable frame nothing but the complaint."""
+    """The facts kept of a traverse's frames, in order; of an unreadable frame its error alone."""
 
     traverse: str
     names: tuple[str, ...]

@@ -17,7 +17,7 @@ from vprbench.metrics.registry import METRICS
 from vprbench.paper.gather import ReportData, TablePlan, TableRequest, choose, gather, run_missing, runs_of, stored
 from vprbench.paper.growth import GrowthSamples, samples
 from vprbench.paper.missing_runs import results_folder
-from vprbench.paper.plan import Quantity, Row
+from vprbench.paper.plan import Row
 from vprbench.paper.selection import Group, ResolvedColumn, accuracy_series, groups, of_row, series
 from vprbench.paper.stored_runs import Compose
 from vprbench.paper.table.best import mean_recall
@@ -136,7 +136,7 @@ def _growth(found: ReportData, runs: Sequence[Run], growth: Sequence[ResolvedCol
     return chosen
 
 
-def _marks(found: ReportData, group: Group) -> dict[tuple[str, Quantity], str]:
+def _marks(found: ReportData, group: Group) -> dict[tuple[str, str], str]:
     """Return the table's word for each cell of a group, by row and quantity."""
     name = group.name
     return {

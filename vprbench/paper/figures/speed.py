@@ -28,7 +28,8 @@ from vprbench.paper.figures.style import (
     styled,
     wrapped,
 )
-from vprbench.paper.plan import Boundary, PlannedColumn, Quantity, Row, published
+from vprbench.paper.plan import Boundary, PlannedColumn, Row
+from vprbench.paper.published import published
 from vprbench.paper.selection import Series
 from vprbench.paper.table import best
 from vprbench.runs.record import Run
@@ -65,14 +66,14 @@ def training_time(
     gpu: Sequence[Series],
     rows: Sequence[Row],
     column: PlannedColumn,
-    marks: Mapping[tuple[str, Quantity], str],
+    marks: Mapping[tuple[str, str], str],
 ) -> Drawn:
     """Draw the minutes of training of each row, measured above published, a panel for each kind of device with runs.
 
     A bar is the time without waiting for images, a tick the wall time. `marks` are the words of the table's cells, by
     row and quantity, which stand in the place of a missing bar. Raises BadInput if nothing is stored.
     """
-    quantities: tuple[Quantity, Quantity] = ("train_cpu", "train_gpu")
+    quantities: tuple[str, str] = ("train_cpu", "train_gpu")
     panels = _panels(cpu, gpu, rows, column, quantities, marks, _minutes)
     quoted = [row.name for row in rows if row.training == "pretrained"]
     figure = _draw(panels, rows, "Training time (min)", _keys(panels, quoted), quoted)
@@ -86,14 +87,14 @@ def query_rate(
     gpu: Sequence[Series],
     rows: Sequence[Row],
     column: PlannedColumn,
-    marks: Mapping[tuple[str, Quantity], str],
+    marks: Mapping[tuple[str, str], str],
 ) -> Drawn:
     """Draw the queries per second of each row, measured above published, a panel for each kind of device with runs.
 
     A measured bar is of encode and match together. `marks` and what is raised are those of `training_time`; a run that
     was not timed counts as none.
     """
-    quantities: tuple[Quantity, Quantity] = ("query_cpu", "query_gpu")
+    quantities: tuple[str, str] = ("query_cpu", "query_gpu")
     (cpu, _), (gpu, _) = timed(cpu), timed(gpu)
     panels = _panels(cpu, gpu, rows, column, quantities, marks, _hertz)
     figure = _draw(panels, rows, "Queries per second, encode and match", _keys(panels, (), ", of one step alone"), ())
@@ -128,8 +129,8 @@ def _panels(
     gpu: Sequence[Series],
     rows: Sequence[Row],
     column: PlannedColumn,
-    quantities: tuple[Quantity, Quantity],
-    marks: Mapping[tuple[str, Quantity], str],
+    quantities: tuple[str, str],
+    marks: Mapping[tuple[str, str], str],
     measure: Callable[[Row, Sequence[Run], str], _Bar],
 ) -> list[_Panel]:
     if not cpu and not gpu:

@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from statistics import stdev
 
-from vprbench.paper.plan import Plan, Row, published
+from vprbench.paper.plan import Plan, Row
+from vprbench.paper.published import published
 from vprbench.paper.selection import DEVICES, Group, of_row
 from vprbench.paper.table.best import Contestant, machine
 from vprbench.paper.table.caption import caption

@@ -73,11 +73,11 @@ class Quantity(ABC):
         return f"{self.head} {self.unit}".rstrip()
 
     def source(self, row: Row) -> Literal["measured", "quoted", "none"]:
-        """Return where a row has it from; none: the row has no such step."""
+        """Return where a row's number comes from; none: the row has no such step."""
         return "measured"
 
     def shown(self, row: Row, runs: tuple[Run, ...]) -> tuple[Run, ...]:
-        """Return the runs of a row that say something of it."""
+        """Return the runs of a row that measured the quantity."""
         return runs
 
     @abstractmethod
@@ -93,11 +93,11 @@ class Quantity(ABC):
         return True
 
     def disturbed(self, runs: Sequence[Run]) -> bool:
-        """Tell whether a busy machine or too few laps make it doubtful."""
+        """Tell whether a busy machine or too few laps make the number doubtful."""
         return any(map(disturbed, runs))
 
     def lacking(self, runs: Sequence[Run]) -> Reason:
-        """Return why runs of a row, of which there are some, say nothing of it."""
+        """Return why none of a row's runs measured the quantity."""
         return self.undefined(runs)
 
     def undefined(self, runs: Sequence[Run]) -> Reason:
@@ -105,11 +105,11 @@ class Quantity(ABC):
         return Reason("undefined", "no query has a right place")
 
     def set_apart(self, runs: Mapping[str, Sequence[Run]]) -> Mapping[str, Reason]:
-        """Return by row what sets it apart from the others of a column."""
+        """Return by row how it was measured otherwise than the others of a column."""
         return {}
 
     def differences(self, row: Row, planned: PlannedColumn, real: str | None, run: Run) -> Iterator[Reason]:
-        """Yield why it and what the paper printed cannot be compared; `real` is what the column stands in for."""
+        """Yield why the number and the paper's cannot be compared; `real` is the dataset behind a rendered column."""
         yield from of_accuracy(planned, real, run)
 
     def remarks(self, row: Row, runs: Sequence[Run]) -> Iterator[Reason]:
@@ -145,7 +145,7 @@ class Recall(Quantity):
         return False
 
     def remarks(self, row: Row, runs: Sequence[Run]) -> Iterator[Reason]:
-        """Yield between what R@1 lies if it hangs on ties, and the notes."""
+        """Yield the lowest and highest R@1 if it hangs on ties, then the notes."""
         recalls = [recall for run in runs if (recall := recall_at(run.outcome, 1)) is not None]
         if any(recall.hangs_on_ties for recall in recalls):
             low, high = (100 * mean(getattr(r, way) for r in recalls) for way in ("pessimistic", "optimistic"))

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
-from vprbench.paper.plan import PAPER_CPU, PAPER_GPU, PlannedColumn, Row
+from vprbench.paper.plan import PlannedColumn, Row
+from vprbench.paper.published import PAPER_CPU, PAPER_GPU, PROTOCOLS, PaperProtocol
 from vprbench.paper.selection import Device, Group, ResolvedColumn, RowRuns, as_text
 from vprbench.paper.templates import sentences
 from vprbench.runs.record import Run
@@ -43,22 +43,6 @@ class Reason(NamedTuple):
 
     code: str  # "failed", "missing", "left out", "paper's way", "tuned", "note", or a macro of reasons.j2
     text: str
-
-
-@dataclass(frozen=True)
-class _Protocol:
-    """What the paper says of one of its datasets; no tolerance in either."""
-
-    places: int
-    queries: int
-    references: frozenset[str]
-    query: str
-
-
-_PAPER = {
-    "Nordland": _Protocol(3300, 2700, frozenset({"spring", "fall"}), "summer"),
-    "Oxford RobotCar": _Protocol(450, 360, frozenset({"sun", "rain"}), "dusk"),
-}
 
 
 def reason(code: str, *values: Any) -> Reason:
@@ -119,7 +103,7 @@ def of_accuracy(planned: PlannedColumn, real_title: str | None, run: Run) -> Ite
     `real_title` names the dataset that a rendered one stands in for. `run` is one of the cell's; all of them share what
     is looked at here.
     """
-    paper = _PAPER.get(planned.published or "")
+    paper = PROTOCOLS.get(planned.published or "")
     if paper is None:
         return
     found = [*_data(real_title, run, paper), *_protocol(run, paper)]
@@ -133,7 +117,7 @@ def of_accuracy(planned: PlannedColumn, real_title: str | None, run: Run) -> Ite
 
 def of_times(planned: PlannedColumn, real_title: str | None, run: Run, device: Device) -> Iterator[Reason]:
     """Yield why a time on a kind of device and the published one cannot be compared, as `of_accuracy` does."""
-    paper = _PAPER.get(planned.published or "")
+    paper = PROTOCOLS.get(planned.published or "")
     if paper is None:
         return
     yield from _data(real_title, run, paper)
@@ -147,7 +131,7 @@ def of_times(planned: PlannedColumn, real_title: str | None, run: Run, device: D
 
 def of_rates(row: Row, planned: PlannedColumn) -> Iterator[Reason]:
     """Yield what is known of how the paper timed the row."""
-    if planned.published in _PAPER and row.rate_remark is not None:
+    if planned.published in PROTOCOLS and row.rate_remark is not None:
         yield short("paper's way", row.rate_remark)
 
 
@@ -175,7 +159,7 @@ def _timed(run: Run, usual: Run, rows: Sequence[str]) -> Reason:
     return reason("timing", asked, [name for name, value in (asked or {}).items() if value != theirs.get(name)], rows)
 
 
-def _data(real_title: str | None, run: Run, paper: _Protocol) -> Iterator[Reason]:
+def _data(real_title: str | None, run: Run, paper: PaperProtocol) -> Iterator[Reason]:
     if real_title is not None:
         yield reason("rendered", real_title)
         return
@@ -184,7 +168,7 @@ def _data(real_title: str | None, run: Run, paper: _Protocol) -> Iterator[Reason
         yield reason("traverses", references, query, paper)
 
 
-def _protocol(run: Run, paper: _Protocol) -> Iterator[Reason]:
+def _protocol(run: Run, paper: PaperProtocol) -> Iterator[Reason]:
     places, queries = run.outcome.n_places, len(run.outcome)
     if (places, queries) != (paper.places, paper.queries) and not _leaves_out(run, paper):
         yield reason("counts", queries, places, paper)
@@ -193,7 +177,7 @@ def _protocol(run: Run, paper: _Protocol) -> Iterator[Reason]:
             yield reason("tolerance", within, unit)
 
 
-def _leaves_out(run: Run, paper: _Protocol) -> bool:
+def _leaves_out(run: Run, paper: PaperProtocol) -> bool:
     """Tell whether a run asked the paper's queries of their own places alone."""
     return run.outcome.n_places == len(run.outcome) == paper.queries
 

@@ -1,4 +1,4 @@
-"""The words of Table II: every cell, head and explanation as text, before the markup of any format."""
+"""The text of Table II: every cell, head and explanation, before the markup of any format."""
 
 from __future__ import annotations
 
