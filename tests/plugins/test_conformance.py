@@ -283,6 +283,7 @@ def test_a_method_that_replaces_query_is_refused():
         ({"places": "0-9", "also_in": {"nordland_vprsnn": "0-9"}}, "broken", "nordland_vprsnn"),
         ({"places": "the first ten"}, "broken", "the first ten"),
         ({"places": "9-0"}, "broken", "9-0"),
+        ({"places": "unknown"}, "broken", "unknown"),
         ({}, "broken", "tuned_on"),
     ],
 )
