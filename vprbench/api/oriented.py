@@ -9,18 +9,14 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import torch
 
 from vprbench.api import oriented_compiled
 from vprbench.api.arithmetic import takes
 from vprbench.api.arrays import Image
 from vprbench.api.images import Images
 from vprbench.api.preprocess import Engine
-from vprbench.api.threads import in_shares
+from vprbench.api.threads import encode_blocks
 from vprbench.errors import BadInput
-
-_BLOCK = 128  # images a thread
-_BLOCKS_BYTES = 1 << 25  # of all images that are held at once, about
 
 
 @dataclass(frozen=True)
@@ -67,19 +63,8 @@ class OrientedEdges:
     def __call__(self, images: Images) -> npt.NDArray[np.float32]:
         """Return (n_images, rows * columns * orientations): the orientations of a cell side by side."""
         codes = np.empty((len(images), self.n_inputs), np.float32)
-        threads = torch.get_num_threads() if self.engine == "fused" and len(images) > 1 else 1
-        if threads == 1:
-            for image, code in zip(images, codes, strict=True):
-                self._write([image], code[None])
-            return codes
-        done = 0
-        for block in images.blocks(_BLOCK * threads, _BLOCKS_BYTES):
-            self._share(list(block), codes[done : done + len(block)], threads)
-            done += len(block)
+        encode_blocks(images, codes, self._write, self.engine == "fused")
         return codes
-
-    def _share(self, images: Sequence[Image], codes: npt.NDArray[np.float32], threads: int) -> None:
-        in_shares(lambda own: self._write(images[own], codes[own]), len(images), threads)
 
     def _write(self, images: Sequence[Image], codes: npt.NDArray[np.float32]) -> None:
         cells = codes.reshape(-1, self.rows, self.columns, self.orientations)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -18,6 +16,7 @@ from vprbench.api import preprocess_compiled
 from vprbench.api.arithmetic import takes
 from vprbench.api.arrays import Image
 from vprbench.api.images import Images
+from vprbench.api.threads import encode_blocks
 from vprbench.errors import BadInput
 
 Variant = Literal["A", "B", "C"]
@@ -25,8 +24,6 @@ Engine = Literal["fused", "readable"]
 
 _LEVELS = np.arange(256, dtype=np.float32)
 
-_BLOCK = 64  # images that are normalised together, at most
-_BLOCKS_BYTES = 1 << 25  # of all images that are held at once, about
 _SMALL_BYTES = 1 << 16
 
 
@@ -59,38 +56,9 @@ class PatchNormalisation:
         levels, window = np.empty((len(images), self.height * self.width), np.uint8), self.patch**2
         # A pixel blends four, each made grey, gamma-corrected and clipped; then comes its window's mean and deviation.
         takes(levels.size * (4 * 3 + 4 + window), levels.size * (4 * 3 + 2 * window + 7))
-        self._fill(images, levels)
-        return levels
-
-    def _fill(self, images: Images, levels: npt.NDArray[np.uint8]) -> None:
-        """Write the levels of all images, (n_images, height * width)."""
         normalise = self._fused if self.engine == "fused" else self._readable
-        threads = torch.get_num_threads() if self.engine == "fused" else 1
-        n_bytes = _BLOCKS_BYTES // (threads + 1)  # as many blocks there are: one being gathered
-        if len(images) == 1 or threads == 1:
-            for start, block in _blocks(images, _BLOCK, n_bytes):
-                normalise(block, levels[start : start + len(block)])
-            return
-        worked: list[float] = []  # seconds of all threads
-
-        def work(block: Sequence[Image], own: npt.NDArray[np.uint8]) -> None:
-            started = time.thread_time()
-            normalise(block, own)
-            worked.append(time.thread_time() - started)
-
-        started, read = time.perf_counter(), images.reading.seconds
-        with ThreadPoolExecutor(threads - 1) as pool:
-            others: list[Future[None]] = []
-            for start, block in _blocks(images, min(_BLOCK, -(-len(images) // threads)), n_bytes):
-                own = levels[start : start + len(block)]
-                if sum(not other.done() for other in others) < threads - 1:
-                    others.append(pool.submit(work, block, own))
-                else:  # this thread would only wait, with ever more images in memory
-                    work(block, own)
-            for other in others:
-                other.result()
-        # Where others worked while this thread waited for images, their work is no reading: it takes as long without.
-        images.reading.limit(read, time.perf_counter() - started - sum(worked) / threads)
+        encode_blocks(images, levels, normalise, self.engine == "fused")
+        return levels
 
     def shrink(self, image: Image) -> npt.NDArray[np.float32]:
         """Return the grey, gamma-corrected image as (height, width), levels 0..255."""
@@ -144,18 +112,6 @@ class PatchNormalisation:
     def _ddof(self) -> int:
         """Return the number that is subtracted from the count of a window's pixels in its variance."""
         return 1 if self.variant == "C" else 0
-
-
-def _blocks(images: Images, size: int, n_bytes: int) -> Iterator[tuple[int, list[Image]]]:
-    """Yield the images, read in order, in lists with the number of the first; `size` or `n_bytes` end a list."""
-    block: list[Image] = []
-    held = 0
-    for number, image in enumerate(images):
-        block.append(image)
-        held += image.nbytes
-        if len(block) == size or held >= n_bytes or number == len(images) - 1:
-            yield number + 1 - len(block), block
-            block, held = [], 0
 
 
 def _power(grey: npt.NDArray[np.float32], mean: npt.NDArray[np.float64] | np.float64) -> npt.NDArray[np.float32]:

@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
+import torch
+
+from vprbench.api.arrays import Image
+from vprbench.api.images import Images
+
+_BLOCK = 64  # images that are encoded together, at most
+_BLOCKS_BYTES = 1 << 25  # of all images that are held at once, about
 
 
 def in_shares(work: Callable[[slice], None], n: int, threads: int, shares: int = 1) -> None:
@@ -22,3 +32,53 @@ def in_shares(work: Callable[[slice], None], n: int, threads: int, shares: int =
         return
     with ThreadPoolExecutor(min(threads, count)) as pool:
         list(pool.map(work, parts))
+
+
+def encode_blocks(
+    images: Images,
+    codes: npt.NDArray[Any],
+    encode: Callable[[Sequence[Image], npt.NDArray[Any]], None],
+    threaded: bool,
+) -> None:
+    """Fill `codes` (n_images, ...) by `encode(images, codes)`, a block of images after the other, read in order.
+
+    If `threaded`, all threads that PyTorch may use encode: the one that reads does so if the others are busy.
+    """
+    threads = torch.get_num_threads() if threaded and len(images) > 1 else 1
+    size, n_bytes = min(_BLOCK, -(-len(images) // threads)), _BLOCKS_BYTES // (threads + 1)  # one is being gathered
+    if threads == 1:
+        for start, block in _blocks(images, size, n_bytes):
+            encode(block, codes[start : start + len(block)])
+        return
+    worked: list[float] = []  # seconds of all threads
+
+    def work(block: Sequence[Image], own: npt.NDArray[Any]) -> None:
+        started = time.thread_time()
+        encode(block, own)
+        worked.append(time.thread_time() - started)
+
+    started, read = time.perf_counter(), images.reading.seconds
+    with ThreadPoolExecutor(threads - 1) as pool:
+        others: list[Future[None]] = []
+        for start, block in _blocks(images, size, n_bytes):
+            own = codes[start : start + len(block)]
+            if sum(not other.done() for other in others) < threads - 1:
+                others.append(pool.submit(work, block, own))
+            else:  # this thread would only wait, with ever more images in memory
+                work(block, own)
+        for other in others:
+            other.result()
+    # While others worked, waiting for images was no loss: without waiting the work would have taken as long.
+    images.reading.limit(read, time.perf_counter() - started - sum(worked) / threads)
+
+
+def _blocks(images: Images, size: int, n_bytes: int) -> Iterator[tuple[int, list[Image]]]:
+    """Yield the images, read in order, in lists with the number of the first; `size` or `n_bytes` end a list."""
+    block: list[Image] = []
+    held = 0
+    for number, image in enumerate(images):
+        block.append(image)
+        held += image.nbytes
+        if len(block) == size or held >= n_bytes or number == len(images) - 1:
+            yield number + 1 - len(block), block
+            block, held = [], 0
