@@ -29,7 +29,7 @@ class Arguments:
     columns: int = 16
     orientations: int = 8
     contrast_power: float = 1.0  # that oriented edges are raised to
-    max_module: int = 1100  # places
+    max_module: int = 1100  # places, at most
     features_per_pixel: float = 2.0  # of an input
     epochs: int = 4
     stdp_rate: float = 0.005
@@ -86,7 +86,7 @@ class Arguments:
             )
         return rules
 
-    def check(self, n_places: int) -> None:
+    def check(self) -> None:
         """Raise BadInput for arguments under which there is no network."""
         rules = self.chosen_rules()
         wanted = {
@@ -114,9 +114,4 @@ class Arguments:
             raise BadInput(
                 "method.equal_output_weights=true leaves nothing where excitation and inhibition are one weight: "
                 "set method.one_sign_per_synapse=false"
-            )
-        if n_places < self.max_module:
-            raise BadInput(
-                f"{n_places} places are fewer than one module of method.max_module={self.max_module}: "
-                f"pass method.max_module={n_places} for one module, or less for several"
             )

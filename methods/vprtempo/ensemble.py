@@ -24,11 +24,11 @@ class VPRTempoEnsemble(VPRTempo):
     conformance_arguments: ClassVar[Mapping[str, Any]] = {**VPRTempo.conformance_arguments, "members": 2}
     stored_as: ClassVar[str] = "vprtempo_ensemble"
 
-    def check(self, n_places: int) -> None:
+    def check(self) -> None:
         """Raise BadInput for arguments under which there is no network."""
         if self.members < 1:
             raise BadInput(f"method.members={self.members}: give at least 1 network")
-        super().check(n_places)
+        super().check()
 
     def _seeds(self) -> list[int]:
         return list(range(self.seed, self.seed + self.members))

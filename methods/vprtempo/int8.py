@@ -22,7 +22,7 @@ class VPRTempoInt8(VPRTempo):
     _linear_query: ClassVar[type[Int8LinearQuery]] = Int8LinearQuery
     _spiking_query: ClassVar[type[Int8SpikingQuery]] = Int8SpikingQuery
 
-    def check(self, n_places: int) -> None:
+    def check(self) -> None:
         """Raise BadInput for arguments under which there is no network."""
         n_inputs = self.encoder().n_inputs
         n_features = round(self.features_per_pixel * n_inputs)
@@ -31,7 +31,7 @@ class VPRTempoInt8(VPRTempo):
                 f"method.features_per_pixel={self.features_per_pixel} makes {n_features} features, more than 32 bits "
                 f"can sum: give at most {MOST_INPUTS}"
             )
-        super().check(n_places)
+        super().check()
 
     def map_bytes(self) -> int:
         """Return the bytes of the weights, one each, and of a scale and a bias for each neuron."""

@@ -84,14 +84,10 @@ class VPRTempo(Arguments, Method, HasCircuit):
         at_query = () if self.chosen_rules().calibrated_scores else ("query_rule", "silent_winner")
         return frozenset({"engine", *at_query})
 
-    def adapted(self, n_places: int) -> Mapping[str, Any]:
-        """Return one module of all places where a module would be larger than the map."""
-        return {"max_module": n_places} if n_places < self.max_module else {}
-
     def fit(self, references: Images, places: Places) -> Self:
         """Train the feature layer, then the output layer; every module learns from random draws of its own."""
         n_places = int(places.max()) + 1
-        self.check(n_places)
+        self.check()
         self._query = None
         rules = self.chosen_rules()
         codes = self.encode(references)

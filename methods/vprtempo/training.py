@@ -56,9 +56,10 @@ class Training:
 
 
 def module_sizes(n_places: int, max_module: int) -> list[int]:
-    """Split consecutive places into modules; only the last may be smaller."""
-    whole, rest = divmod(n_places, max_module)
-    return [max_module] * whole + [rest] * (rest > 0)
+    """Split consecutive places into as few modules as `max_module` places allow; sizes differ by at most one."""
+    n_modules = -(-n_places // max_module)
+    least, larger = divmod(n_places, n_modules)
+    return [least + 1] * larger + [least] * (n_modules - larger)
 
 
 def draw_schedule(

@@ -41,7 +41,7 @@ PART = (f"dataset.places={PLACES}", "dataset.query_places=8", "dataset.first_que
 SMALLER = {
     **dict.fromkeys(("synthetic", "street", "nordland"), PART),
     "nordland_64x32": (*PART, "dataset.first_place=0"),
-    "vprtempo": (f"method.max_module={PLACES}", "method.epochs=1", "method.stdp_rate=0.0001"),
+    "vprtempo": ("method.epochs=1", "method.stdp_rate=0.0001"),
     "vprsnn": (
         "method.places_per_module=4",
         "method.n_excitatory=4",
@@ -224,11 +224,12 @@ def smaller_plan(path):
         for method, options in SMALLER.items()
         if method in ("vprtempo", "vprsnn")
     }
-    columns = {
-        name: replace(column, options=(*column.options, *PART), fits=quick) for name, column in plan.columns.items()
-    }
-    growth = replace(plan.growth, sizes=(10, 12), at_most={"vprtempo": {"max_module": PLACES}})
-    return replace(plan, columns=columns, growth=growth)
+    columns = {name: replace(column, options=(*column.options, *PART)) for name, column in plan.columns.items()}
+    rows, more = (
+        {name: replace(row, arguments={**quick.get(row.method, {}), **row.arguments}) for name, row in of.items()}
+        for of in (plan.rows, plan.more_rows)
+    )
+    return replace(plan, rows=rows, more_rows=more, columns=columns, growth=replace(plan.growth, sizes=(10, 12)))
 
 
 @pytest.mark.extended

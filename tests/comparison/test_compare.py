@@ -83,7 +83,7 @@ def test_what_is_stored_is_shown_without_a_process_however_its_folder_is_called(
 
 
 def test_all_that_is_wrong_is_told_at_once_and_nothing_runs(apart, capsys):
-    wrong = ["methods=sda,pca,vprtempo,hog", "pca.components=many", "vprtempo.max_module=25", "hog.epochs=3"]
+    wrong = ["methods=sda,pca,vprtempo,hog", "pca.components=many", "vprtempo.patch=6", "hog.epochs=3"]
     stored = len(list(Store(Path("results"), read_only=True).runs()))
     assert main([*ASKED, *wrong, *dataset(Path())]) == 2
     told = [line.split(": ")[1] for line in capsys.readouterr().err.splitlines() if line.startswith("vprbench: ")]

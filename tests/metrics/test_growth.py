@@ -104,25 +104,25 @@ def test_samples_stand_in_the_order_of_places_and_seeds_and_the_newest_run_of_ea
         for seed in (1, 0)
     ]
     runs.append(figure_runs.sized(100, 9.0, 0.009, seed=0, time_utc="2020-01-01T00:00:00Z"))
-    found = samples(TEMPO, runs, ())
+    found = samples(TEMPO, runs)
     wanted = [(100, 0), (100, 1), (300, 0), (300, 1)]
     assert [(run.outcome.n_places, run.config["seed"]) for run in found.runs] == wanted
     assert [(sample.n_places, sample.seconds) for sample in found.training] == [(100, 1), (100, 1), (300, 3), (300, 3)]
     assert found.query[-1].seconds == pytest.approx(0.301)  # 1 ms to encode
     assert {sample.disturbed for sample in found.training} == {False}
     carts = figure_runs.sized(500, 1.0, 0.001, notes=(Note("noisy", "noisy: a cart"),))
-    found = samples(TEMPO, [*runs, carts, figure_runs.sized(900, None, 0.001)], ())  # the last one loaded its network
+    found = samples(TEMPO, [*runs, carts, figure_runs.sized(900, None, 0.001)])  # the last one loaded its network
     assert [(sample.n_places, sample.disturbed) for sample in found.training[3:]] == [(300, False), (500, True)]
     assert [(sample.n_places, sample.disturbed) for sample in found.query[4:]] == [(500, True), (900, False)]
     with pytest.raises(BadInput, match="no run of VPRTempo"):
-        samples(TEMPO, [], ())
+        samples(TEMPO, [])
 
 
 def test_runs_under_other_conditions_than_the_newest_are_set_aside_by_name():
     old = [figure_runs.sized(n, 9.0, 0.009, code="older", **OLD) for n in (100, 300, 1000)]
     slow = [figure_runs.sized(300, 9.0, 0.009, processor="Slide rule", time_utc="2024-06-01T00:00:00Z")]
     new = [figure_runs.sized(n, 1.0, 0.001) for n in (100, 300)]
-    found = samples(TEMPO, [*old, *new, *slow], ())
+    found = samples(TEMPO, [*old, *new, *slow])
     assert [sample.seconds for sample in found.training] == [1.0, 1.0]
     assert found.aside == (
         "Set aside: runs of VPRTempo at 300 places (other machine).",
@@ -140,11 +140,10 @@ def test_runs_with_other_arguments_weights_or_protocol_are_another_growth():
     }
     runs = {part: figure_runs.sized(300, 9.0, 0.001, **changed, **OLD) for part, changed in others.items()}
     runs["weights"] = replace(heavier, config={**heavier.config, "files": [{"name": "weights", "sha256": "ab"}]})
-    lowered = {"arguments": {**given, "max_module": 300}, "protocol": {**protocol, "query_places": 9}}
-    smaller = figure_runs.sized(300, 9.0, 0.001, **lowered, **OLD)
-    assert samples(TEMPO, [new, smaller], ["max_module"]).runs == (smaller, new)
-    assert samples(TEMPO, [new, smaller], ()).runs == (new,)
+    fewer = {"arguments": given, "protocol": {**protocol, "query_places": 9}}
+    smaller = figure_runs.sized(300, 9.0, 0.001, **fewer, **OLD)
+    assert samples(TEMPO, [new, smaller]).runs == (smaller, new)
     for part, other in runs.items():
-        found = samples(TEMPO, [new, other], ["max_module"])
+        found = samples(TEMPO, [new, other])
         assert found.runs == (new,)
         assert found.aside == (f"Set aside: runs of VPRTempo at 300 places (other {part}).",)

@@ -7,7 +7,7 @@ from checkout import ROOT
 
 from vprbench.errors import BadInput
 from vprbench.paper.gather import TableRequest, choose, runs_of
-from vprbench.paper.plan import PlannedColumn, Row, read_plan, with_plug_ins
+from vprbench.paper.plan import read_plan, with_plug_ins
 from vprbench.paper.published import published
 from vprbench.plugins import registry
 from vprbench.runs import compose
@@ -58,8 +58,7 @@ def test_every_row_that_learns_from_a_seed_has_three_and_says_whether_its_scores
     for row in rows:
         options = methods[row.method].options
         assert len({*row.seeds}) == (3 if "seed" in options else 1), row.name
-        arguments = {*row.arguments, *(name for column in plan.columns.values() for name in column.arguments(row))}
-        assert arguments <= {*options}, row.name
+        assert {*row.arguments} <= {*options}, row.name
         if "calibrated_scores" in options:
             asked = [f"method.{name}={value}" for name, value in row.arguments.items()]
             config = compose.composed([f"method={row.method}", *asked])["method"]
@@ -80,20 +79,13 @@ def test_columns_name_published_datasets_and_what_stands_in_and_the_growth_asks_
             assert "set by hand" in (column.remark or ""), column.name
     stand_in, real = columns["railway_vprsnn"], columns["nordland_vprsnn"]
     assert (stand_in.stand_in_for, stand_in.published) == ("nordland_vprsnn", real.published)
-    assert (stand_in.fits, stand_in.options[1:]) == (real.fits, real.options[1:])  # the frames alone differ
-    for name, places in (("nordland_vprsnn", 2700), ("railway_vprsnn", 2700), ("street", 450)):
-        for method in ("vprtempo", "vprtempo_ensemble"):
-            assert places % columns[name].fits[method]["max_module"] == 0
-    column = PlannedColumn("x", "X", (), fits={"little": {"module": 5, "window": 1}})
-    assert column.arguments(Row("A", "little", arguments={"window": 9})) == {"module": 5, "window": 9}
-    assert column.arguments(Row("B", "other")) == {}
+    assert stand_in.options[1:] == real.options[1:]  # the frames alone differ
     for size in plan.growth.sizes:
         column = plan.growth.column(size)
         asked = {name: int(value) for name, _, value in (text.partition("=") for text in column.options[-2:])}
         assert asked["dataset.places"] == size
         assert 0 < asked["dataset.query_places"] <= size * 9 / 11 + 1
     assert [plan.growth.column(n).options[-1][-3:] for n in (100, 27_000)] == ["=82", "300"]
-    assert [plan.growth.column(n).arguments(plan.rows["VPRTempo"]) for n in (100, 3000)] == [{"max_module": 100}, {}]
 
 
 @pytest.mark.parametrize(

@@ -28,18 +28,15 @@ columns:
     published: Nordland
     stand_in_for: nordland
     options: [dataset=synthetic, dataset.places=20, dataset.first_query_place=4]
-    fits: {vprtempo: {max_module: 10}}
   route_12:
     title: Route, 12 places
     stand_in_for: nordland
     options: [dataset=synthetic, dataset.places=12, dataset.first_query_place=2]
-    fits: {vprtempo: {max_module: 12}}
 growth:
   rows: [SAD]
   options: [dataset=synthetic]
   sizes: [10, 12, 14, 16]
   queries: 6
-  at_most: {}
 """
 RUN = [
     "timing.minimum_seconds=0",

@@ -23,13 +23,13 @@ PUBLIC = Row("VPRTempo (public code)", "vprtempo", boundary="match", spiking=Tru
 
 NORDLAND = PlannedColumn("nordland", "Nordland", ("dataset=nordland",), "Nordland")
 PLANNED = PlannedColumn("railway", "Railway (rendered)", ("dataset=railway",), "Nordland", stand_in_for="nordland")
-CITY = PlannedColumn("street", "City street", ("dataset=street",), None, fits={"vprtempo": {"max_module": 450}})
+CITY = PlannedColumn("street", "City street", ("dataset=street",))
 
 PLAN = Plan(
     {row.name: row for row in (SAD, NETVLAD, VPRSNN, VPRTEMPO)},
     {"vprtempo_public": PUBLIC},
     {column.name: column for column in (NORDLAND, PLANNED, CITY)},
-    Growth(("VPRTempo",), ("dataset=railway",), (10,), 8, {}),
+    Growth(("VPRTempo",), ("dataset=railway",), (10,), 8),
 )
 ROWS = (SAD, NETVLAD, VPRSNN, VPRTEMPO)
 

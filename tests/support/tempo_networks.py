@@ -15,7 +15,7 @@ from vprbench.plugins.rules import Journey
 
 WORLD = Journey.draw(0)
 REFERENCES, QUERIES = Images.from_arrays(WORLD.references), Images.from_arrays(WORLD.queries)
-SMALL: dict[str, Any] = {"max_module": 8, "height": 12, "width": 12}  # modules of 8, 8 and 4 places
+SMALL: dict[str, Any] = {"max_module": 8, "height": 12, "width": 12}  # modules of 7, 7 and 6 places
 RULE_SETS = pytest.mark.parametrize("rules", get_args(RuleSet))
 
 N_PIXELS = 20

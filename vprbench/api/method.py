@@ -59,10 +59,6 @@ class Method(ABC):
         """Bytes of one image's code; bounds how many codes are held together; 0 bounds nothing."""
         return 0
 
-    def adapted(self, n_places: int) -> Mapping[str, Any]:
-        """Return the arguments that a map of so many places needs in place of the method's own; most need none."""
-        return {}
-
     @abstractmethod
     def fit(self, references: Images, places: Places) -> Self:
         """Learn the map and forget any earlier one.

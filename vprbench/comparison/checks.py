@@ -17,7 +17,6 @@ from vprbench.paper.selection import ResolvedColumn
 from vprbench.paper.stored_runs import Compose
 from vprbench.plugins import registry
 from vprbench.progress import progress_shown, report
-from vprbench.runs.adaptation import adaptation
 from vprbench.runs.identity import fingerprint
 from vprbench.runs.settings import Settings, checked_settings
 
@@ -27,7 +26,6 @@ class Cell:
     """One method of a comparison."""
 
     row: Row
-    adapted: Mapping[str, Any]  # what the map needs in place of the method's own arguments
     missing: str | None = None  # why it cannot run here, for its weights are not there
 
 
@@ -99,22 +97,21 @@ def _cell(name: str, asked: SortedOptions, options: Sequence[str], dataset: Data
         seeds=tuple(range(asked.request.seeds)) if seeded else (0,),
     )
     if asked.request.stored:
-        return Cell(row, {})
+        return Cell(row)
     try:
         method = registry.make_method(config["method"])
-        adapted = {} if dataset is None else adaptation(method, dataset.n_places, config)
         if dataset is not None and isinstance(method, DescriptorMethod):
             method.require_index(len(dataset.references))
         if not list(method.files()) and dataset is not None:
             with suppress(NotFittedError):
-                registry.make_method({**config["method"], **adapted}).encode(dataset.references[:1].unnamed())
+                registry.make_method(config["method"]).encode(dataset.references[:1].unnamed())
     except NotThere as error:
-        return Cell(row, {}, str(error))
+        return Cell(row, str(error))
     except (BadInput, OSError):
         raise
     except Exception as error:  # whatever a plug-in raises
         raise BadInput(f"{type(error).__name__}: {error}") from error
-    return Cell(row, adapted)
+    return Cell(row)
 
 
 def _arguments(name: str, given: Sequence[str], config: Mapping[str, Any]) -> Mapping[str, Any]:

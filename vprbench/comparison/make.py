@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from vprbench.comparison.checks import Cell, Checked, checked
+from vprbench.comparison.checks import Checked, checked
 from vprbench.comparison.quantities import quantities
 from vprbench.comparison.request import SortedOptions
 from vprbench.errors import BadInput
@@ -89,7 +89,7 @@ def make_missing(
     return [*(ending for ending in endings if ending.code != 1), *alone]
 
 
-_NO_PLAN = Plan({}, {}, {}, Growth((), (), (), 0, {}))
+_NO_PLAN = Plan({}, {}, {}, Growth((), (), (), 0))
 _LEAST = ("peak MB", "AUC-PR (A)", "R@5 %")  # columns that a narrow terminal lacks first
 
 
@@ -171,8 +171,7 @@ def ranked_material(
 def newest(chosen: TablePlan, found: Checked, known: Sequence[Run]) -> Group:
     """Return the stored runs of a comparison, of several protocols those with the newest run."""
     runs = [run for run in known if _is_of(run, found)]
-    runs = [_as_asked(run, cell, found) for run in runs for cell in found.cells if cell.row.method == run.method]
-    return groups(runs, (), [found.column], chosen.rows)[0]
+    return groups([_as_asked(run, found) for run in runs], (), [found.column], chosen.rows)[0]
 
 
 def _is_of(run: Run, found: Checked) -> bool:
@@ -183,16 +182,11 @@ def _is_of(run: Run, found: Checked) -> bool:
     return alike and run.environment.get("threads") == n_threads(found.settings)
 
 
-def _as_asked(run: Run, cell: Cell, found: Checked) -> Run:
-    """Return a run as if it had been asked for in the words of this comparison: paths and what adapts by itself."""
-    changed = {
-        name: value
-        for name, value in run.config.get("changed", {}).items()
-        if name in cell.row.arguments or as_text(cell.adapted.get(name)) != as_text(value)
-    }
+def _as_asked(run: Run, found: Checked) -> Run:
+    """Return a run as if it had been asked for in the words of this comparison, paths among them."""
     if found.dataset is None:
-        return replace(run, config={**run.config, "changed": changed})
-    config = {**run.config, "dataset": found.column.dataset, "changed": changed}
+        return run
+    config = {**run.config, "dataset": found.column.dataset}
     gaps = found.dataset.query_breaks, found.dataset.place_breaks  # a run may have been stored before they were told
     return replace(run, config=config, query_breaks=gaps[0], place_breaks=gaps[1])
 

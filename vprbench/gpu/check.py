@@ -185,7 +185,7 @@ def compared(settings: Settings, make: Make, route: Route, rules: str) -> list[C
     ):
         progress.report(f"comparison, {rules}: {title}", 0.0)
         arguments = settings.vprtempo(rules, settings.check_places)
-        arguments["max_module"] = max(1, 2 * settings.check_places // 5)  # two whole modules and a smaller one
+        arguments["max_module"] = max(1, 2 * settings.check_places // 5)  # three modules
         networks[title] = make("vprtempo", device, engine=engine, **arguments).fit(references, places)
     gpu = networks["GPU, fused"]
     together, found = gpu.query(queries), []

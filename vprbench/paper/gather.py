@@ -176,8 +176,8 @@ def runs_of(chosen: TablePlan, column: ResolvedColumn, rows: Sequence[Row]) -> I
     planned = column.planned
     for row in rows:
         for device, seed in itertools.product(chosen.devices, row.seeds):
-            arguments, of = planned.arguments(row), column.corruption
-            yield MissingRun(row, planned.title, planned.options, column.dataset, arguments, seed, device, of)
+            frames = planned.title, planned.options, column.dataset
+            yield MissingRun(row, *frames, row.arguments, seed, device, column.corruption)
 
 
 def all_runs(chosen: TablePlan) -> tuple[list[MissingRun], list[MissingRun]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -42,18 +42,18 @@ class GrowthSamples:
     aside: tuple[str, ...]  # sentences: which runs are not among them, and why
 
 
-def samples(row: Row, runs: Sequence[Run], at_most: Collection[str]) -> GrowthSamples:
+def samples(row: Row, runs: Sequence[Run]) -> GrowthSamples:
     """Collect the times of one row on one dataset, whose runs differ in their places and seeds.
 
-    `at_most` names the arguments of the method that small maps lower. Times compare by one code under the same other
-    arguments, on one machine and under one protocol alone: the set of runs with the newest one is taken, of each size
-    and seed its newest run, and the others are named in `aside`. Raises BadInput for no runs.
+    Times compare by one code under the same arguments, on one machine and under one protocol alone: the set of runs
+    with the newest one is taken, of each size and seed its newest run, and the others are named in `aside`. Raises
+    BadInput for no runs.
     """
     if not runs:
         raise BadInput(f"no run of {row.name} is stored at different numbers of places: nothing shows its growth")
     sets: dict[str, list[Run]] = {}
     for run in sorted(runs, key=age, reverse=True):
-        sets.setdefault(as_text(_conditions(run, at_most)), []).append(run)
+        sets.setdefault(as_text(_conditions(run)), []).append(run)
     newest, *others = sets.values()
     chosen: dict[tuple[int, int], Run] = {}
     for run in newest:
@@ -67,7 +67,7 @@ def samples(row: Row, runs: Sequence[Run], at_most: Collection[str]) -> GrowthSa
             Sample(run.outcome.n_places, seconds, disturbed=best.disturbed(run)) for run, seconds in trained
         ),
         query=tuple(_median(run) for run in kept if run.timing is not None),
-        aside=tuple(_set_aside(row.name, members, newest[0], at_most) for members in others),
+        aside=tuple(_set_aside(row.name, members, newest[0]) for members in others),
     )
 
 
@@ -90,14 +90,14 @@ def _median(run: Run) -> Sample:
     return Sample(run.outcome.n_places, float(np.median(seconds)), low, high, best.disturbed(run))
 
 
-def _conditions(run: Run, at_most: Collection[str]) -> dict[str, Any]:
+def _conditions(run: Run) -> dict[str, Any]:
     """Return the conditions that must be equal for times to compare, keyed by the word for a difference."""
     protocol = {name: value for name, value in run.protocol.items() if name not in _PER_SIZE}
-    return {**conditions(run, at_most), "dataset": [run.dataset, protocol], "device": run.config["device"]}
+    return {**conditions(run), "dataset": [run.dataset, protocol], "device": run.config["device"]}
 
 
-def _set_aside(name: str, members: Sequence[Run], chosen: Run, at_most: Collection[str]) -> str:
-    ours, wanted = _conditions(members[0], at_most), _conditions(chosen, at_most)
+def _set_aside(name: str, members: Sequence[Run], chosen: Run) -> str:
+    ours, wanted = _conditions(members[0]), _conditions(chosen)
     different = ", ".join(part for part in wanted if ours[part] != wanted[part])
     sizes = ", ".join(f"{size:,}" for size in sorted({run.outcome.n_places for run in members}))
     return f"Set aside: runs of {name} at {sizes} places (other {different})."

@@ -50,11 +50,6 @@ class PlannedColumn:
     on_request: bool = False  # shown where it is asked for by name alone
     frames: str | None = None  # the option of a table that gives the root of its dataset
     remark: str | None = None  # what a reader of the table has to know of the data
-    fits: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # by method, arguments that this size needs
-
-    def arguments(self, row: Row) -> dict[str, Any]:
-        """Return the arguments of a row's method here."""
-        return {**self.fits.get(row.method, {}), **row.arguments}
 
 
 @dataclass(frozen=True)
@@ -65,17 +60,12 @@ class Growth:
     options: tuple[str, ...]  # of the dataset
     sizes: tuple[int, ...]  # places
     queries: int  # at most
-    at_most: Mapping[str, Mapping[str, int]]  # by method, arguments that fewer places lower to their number
 
     def column(self, places: int) -> PlannedColumn:
         """Return the column of one size; of the synthetic route the first 2/11 of the places are not queried."""
         queries = min(self.queries, places - round(places * 2 / 11))
         options = (*self.options, f"dataset.places={places}", f"dataset.query_places={queries}")
-        fits = {
-            method: {name: places for name, most in arguments.items() if places < most}
-            for method, arguments in self.at_most.items()
-        }
-        return PlannedColumn(f"growth_{places}", f"{places:,} places", options, fits=fits)
+        return PlannedColumn(f"growth_{places}", f"{places:,} places", options)
 
 
 @dataclass(frozen=True)

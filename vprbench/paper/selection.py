@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import defaultdict
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -90,10 +90,10 @@ def groups(
     for column in asked:
         alike: dict[str, list[Run]] = defaultdict(list)
         for run in ordered:
-            if _in_column(run, column) and any(_in_row(run, column.planned, row) for row in rows):
+            if _in_column(run, column) and any(_in_row(run, row) for row in rows):
                 alike[f"{as_text(run.protocol)} {run.fingerprint}"].append(run)
         newest_first = sorted(alike.items(), key=lambda item: (max(map(_when, item[1])), item[0]), reverse=True)
-        there = tuple(f for f in failed if _in_column(f, column) and any(_in_row(f, column.planned, r) for r in rows))
+        there = tuple(f for f in failed if _in_column(f, column) and any(_in_row(f, r) for r in rows))
         found += [
             Group(column, number, tuple(members), there if number == 1 else ())
             for number, (_, members) in enumerate(newest_first or [("", [])], 1)
@@ -109,7 +109,7 @@ def of_row(group: Group, row: Row, device: Device) -> RowRuns:
     run; the others are counted in `aside`, and so are seeds that the row does not ask for. If the row
     has runs, failures from other machines are ignored, and "missing" failures of seeds that have a run.
     """
-    there = [run for run in group.runs if _in_row(run, group.asked.planned, row) and _on(run) == device]
+    there = [run for run in group.runs if _in_row(run, row) and _on(run) == device]
     asked = [run for run in there if run.config["seed"] in row.seeds]
     sets: dict[str, list[Run]] = defaultdict(list)
     for run in asked:
@@ -123,7 +123,7 @@ def of_row(group: Group, row: Row, device: Device) -> RowRuns:
         aside.append(ExcludedRuns(len(unasked), "of seeds that were not asked for"))
     newest: dict[int, Failure] = {}
     for failure in group.failures:
-        if not _in_row(failure, group.asked.planned, row) or _on(failure) != device:
+        if not _in_row(failure, row) or _on(failure) != device:
             continue
         seed = failure.config.get("seed")
         elsewhere = bool(chosen) and not _same_machine(failure, ranked[0][0])
@@ -183,11 +183,11 @@ def _in_column(result: Run | Failure, column: ResolvedColumn) -> bool:
     return "name" in both and all(as_text(wanted[name]) == as_text(given[name]) for name in both)
 
 
-def _in_row(result: Run | Failure, planned: PlannedColumn, row: Row) -> bool:
+def _in_row(result: Run | Failure, row: Row) -> bool:
     """Tell whether a run's method has a row's arguments and otherwise its defaults."""
     if result.method != row.method:
         return False
-    wanted = planned.arguments(row)
+    wanted = row.arguments
     given = {**result.config.get("method", {}), **result.config.get("changed", {})}
     return _changed(result) <= wanted.keys() and all(
         name in given and as_text(given[name]) == as_text(value) for name, value in wanted.items()
@@ -215,15 +215,12 @@ def age(run: Run) -> tuple[str, str]:
     return _when(run), run.key
 
 
-def conditions(run: Run, apart: Collection[str] = ()) -> dict[str, Any]:
-    """Return the conditions that must be equal for times to be put together, keyed by the word for a difference.
-
-    `apart` names further arguments of the method in which the runs may differ.
-    """
+def conditions(run: Run) -> dict[str, Any]:
+    """Return the conditions that must be equal for times to be put together, keyed by the word for a difference."""
     surroundings, arguments = run.environment, run.config["method"]
     return {
         "code": run.config.get("code"),
-        "arguments of the method": {k: v for k, v in arguments.items() if k not in _PER_RUN and k not in apart},
+        "arguments of the method": {k: v for k, v in arguments.items() if k not in _PER_RUN},
         "weights": run.config.get("files", []),
         "timing": run.config.get("timing"),
         "libraries": surroundings.get("libraries"),

@@ -13,7 +13,6 @@ from vprbench.api.dataset import Dataset
 from vprbench.plugins import registry
 from vprbench.progress import progress_shown
 from vprbench.runs import thumbnails
-from vprbench.runs.adaptation import adapted_as
 from vprbench.runs.corrupted_frames import corrupted
 from vprbench.runs.identity import Identity, code_hash_of, fingerprint
 from vprbench.runs.record import Run
@@ -66,11 +65,7 @@ class StoredRuns:
         settings = checked_settings(config)
         config["method"], tuned_on = registry.declared(wanted.row.method, config["method"])
         config["overrides"] = [*wanted.options(), *self._options]
-        alike = [
-            run
-            for run in self._runs
-            if run.method == wanted.row.method and _told(run.config) == _told(adapted_as(run.config, config))
-        ]
+        alike = [run for run in self._runs if run.method == wanted.row.method and _told(run.config) == _told(config)]
         code = code_hash_of(config["method"]["_target_"])
         if settings.force or not alike or code is None:
             return None
@@ -79,11 +74,7 @@ class StoredRuns:
         held_out = [None, *([dataset.held_out.fingerprint()] if dataset.held_out else [])]
         of_class = config["method"]["_target_"].rpartition(".")[2]
         threads = n_threads(settings)
-        keys = {
-            Identity(of_class, code, asked, dataset, images, h, threads).key()
-            for asked in (adapted_as(run.config, config) for run in alike)
-            for h in held_out
-        }
+        keys = {Identity(of_class, code, config, dataset, images, h, threads).key() for h in held_out}
         found = [run for run in alike if run.dataset == dataset.name and run.key in keys and run.tuned_on == tuned_on]
         found = [run for run in found if not run.timed_by.shortfalls(settings.timing)]
         found = [run for run in found if run.scores is not None or not settings.scores]

@@ -13,7 +13,6 @@ from vprbench.data.doctor import check_dataset
 from vprbench.plugins import networks, registry
 from vprbench.progress import progress_shown
 from vprbench.runs import machine, stream
-from vprbench.runs.adaptation import adaptation
 from vprbench.runs.corrupted_frames import corrupted
 from vprbench.runs.identity import Request, data_record, fingerprint, hashed
 from vprbench.runs.settings import Settings, n_threads
@@ -68,9 +67,6 @@ def request_of(
     dataset = replace(dataset, notes=(*dataset.notes, *check_dataset(dataset)))
     if isinstance(settings.corruption, str):
         dataset = corrupted(dataset, settings.corruption)
-    if needed := adaptation(method, dataset.n_places, config):
-        config |= {"method": {**config["method"], **needed}, "adapted": needed}
-        method = build(config["method"])
     with progress_shown(name):  # frames may have to be hashed, and a file be downloaded
         frames = hashed(dataset)
         images, data = fingerprint(dataset, frames), data_record(dataset, frames)

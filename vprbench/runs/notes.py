@@ -8,7 +8,6 @@ from typing import Literal, NamedTuple
 NoteKind = Literal[
     "dataset",  # a sentence of the dataset
     "method",  # a sentence of the method
-    "adapted",  # an argument that the map's size changed
     "tuned",  # the places on which its settings were chosen
     "loaded",  # the network that it did not train
     "resumed",  # an interrupted fit that went on

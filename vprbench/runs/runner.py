@@ -14,7 +14,6 @@ from vprbench import progress
 from vprbench.api.checkpoints import ledger
 from vprbench.api.dataset import Dataset
 from vprbench.runs import machine, readouts, spikes, timing_lock
-from vprbench.runs.adaptation import describe_adaptation
 from vprbench.runs.answers import Answers, Scoring
 from vprbench.runs.descriptors import DescriptorCache
 from vprbench.runs.fitting import FitResult, fit_or_load
@@ -63,7 +62,6 @@ def run(request: Request, key: str, keep: Callable[[Run], None] = lambda run: No
         measured |= {"search": scoring.audited.search(), **inside}
     told = (
         *noted("dataset", dataset.notes),
-        *noted("adapted", describe_adaptation(request.config, dataset.n_places)),
         *fitted.notes,
         *noted("method", method.notes()),
         *_cache_notes(dataset, fitted.from_cache, from_cache),

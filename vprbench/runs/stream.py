@@ -44,8 +44,6 @@ def grown(request: Request) -> list[dict[str, Any]]:
     `hits` that the best is right, and the `seconds` of each place since the stop before, its images read beforehand.
     """
     method, dataset, first = copy(request.method), request.dataset, request.stream
-    for name, value in method.adapted(first).items():
-        setattr(method, name, value)
     references, size = dataset.references.unnamed(), block_size(method, dataset.n_places)
     old = np.flatnonzero(dataset.places < first)
     method.fit(references[old], dataset.places[old])

@@ -21,7 +21,6 @@ from vprbench.metrics.accuracy import hits_at
 from vprbench.metrics.ranking import outcome
 from vprbench.plugins import registry
 from vprbench.runs import machine
-from vprbench.tuning.space import PLACES_ARGUMENT
 
 StretchName = Literal["searched", "checked"]
 
@@ -62,10 +61,8 @@ class Training:
         """Train the method under the settings of a task on one thread, and ask it all queries of the stretch."""
         machine.pin_threads(1)
         stretch = _Stretch.read(self.folder / task.stretch)
-        n_places = int(stretch.places.max()) + 1
-        fitting = {PLACES_ARGUMENT: min(self.method[PLACES_ARGUMENT], n_places)}
         seed = {} if task.seed is None else {"seed": task.seed}
-        method = registry.make_method({**self.method, **fitting, **task.values, **seed})
+        method = registry.make_method({**self.method, **task.values, **seed})
         # How an image becomes spikes is not searched: they were made once, for all trials, and stand in for images.
         vars(method)["encode"] = lambda images: stretch.references
         try:

@@ -37,7 +37,6 @@ _DECLARED = yaml.safe_load((registry.conf_folders()["vprbench"] / "search.yaml")
 
 METHOD: str = _DECLARED["method"]
 TITLE: str = _DECLARED["title"]  # of the method
-PLACES_ARGUMENT: str = _DECLARED["places_argument"]  # of the method: at most as many places as there are
 SCATTERING: tuple[str, ...] = tuple(_DECLARED["scattering_protocols"])
 PARAMETERS = tuple(Parameter(name, **values) for name, values in _DECLARED["parameters"].items())
 PAPER: Values = {parameter.name: parameter.paper for parameter in PARAMETERS}

@@ -14,7 +14,7 @@ from vprbench.storage.atomic import replace_text
 from vprbench.tuning.comparison import AGREE, SEEDS, Comparison, Repeated
 from vprbench.tuning.objective import StretchName
 from vprbench.tuning.search import Found, Settings
-from vprbench.tuning.space import METHOD, PARAMETERS, PLACES_ARGUMENT, TITLE
+from vprbench.tuning.space import METHOD, PARAMETERS, TITLE
 
 _FEW = 50  # random trials below which importance is hardly more than chance
 _NAMED = 3  # stored runs, at most
@@ -70,8 +70,6 @@ def command(found: Found) -> str:
     options = [f"method={METHOD}", f"dataset={found.settings.dataset}"]
     if found.settings.root is not None:
         options.append(f"dataset.root={found.settings.root}")
-    if (places := found.dataset.get("places")) is not None and places < found.method[PLACES_ARGUMENT]:
-        options.append(f"method.{PLACES_ARGUMENT}={places}")
     options += [f"method.{name}={value:g}" for name, value in found.best.values.items()]
     return " ".join(["python -m vprbench", *map(shlex.quote, options)])
 

@@ -30,8 +30,9 @@ def images_shown(rules, module, epoch):
 
 
 def test_places_are_split_so_that_only_the_last_module_is_smaller():
-    assert module_sizes(2761, 921) == [921, 921, 919]
-    assert module_sizes(450, 450) == [450]
+    assert module_sizes(2761, 1100) == [921, 920, 920]
+    assert module_sizes(3300, 1100) == [1100] * 3
+    assert module_sizes(450, 1100) == [450]
 
 
 @ALL_RULES

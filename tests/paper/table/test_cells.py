@@ -251,7 +251,7 @@ def why(quantity, changes, row=FIRST, planned=NORDLAND):
     """Return code and text of what sets a number apart from the paper's; `changes` are of a run as the paper's."""
     paper = {"hits": [1] * 2700, "n_places": 3300, "machine": PAPERS_MACHINE}
     device = "cuda" if quantity.endswith("gpu") else "cpu"
-    changed = dict(planned.arguments(row))
+    changed = dict(row.arguments)
     stored = run(row.method, device=device, changed=changed, **{**paper, **changes})
     made = table([stored], rows=[row], asked=[ResolvedColumn(planned, RAILWAY)])
     notes = cell(made, row.name, quantity, planned.name).notes

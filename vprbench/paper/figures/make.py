@@ -130,7 +130,7 @@ def _growth(found: ReportData, runs: Sequence[Run], growth: Sequence[ResolvedCol
     for row in _growing(found):
         there = [run for group in groups(runs, (), growth, [row]) for run in of_row(group, row, "cpu").runs]
         if there:
-            chosen.append(samples(row, there, found.chosen.plan.growth.at_most.get(row.method, ())))
+            chosen.append(samples(row, there))
     if not chosen:
         raise BadInput("no run at other numbers of places is stored: make figures makes them")
     return chosen

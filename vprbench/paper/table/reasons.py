@@ -216,7 +216,5 @@ def full_seconds(measured: Run, places: int, queries: int, asks_its_map: bool) -
 def _runs(shown: Sequence[Group], row: Row | None = None) -> Iterator[Run]:
     for group in shown:
         for run in group.runs:
-            if row is None or (
-                run.method == row.method and run.config.get("changed") == group.asked.planned.arguments(row)
-            ):
+            if row is None or (run.method == row.method and run.config.get("changed") == row.arguments):
                 yield run
