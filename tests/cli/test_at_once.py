@@ -73,7 +73,8 @@ def test_help_has_each_option_with_type_default_and_meaning(capsys):
     assert lines["results"][1:] == ["str", "results", "folder of the stored runs"]  # as a run has it
     lines = helped(capsys, "method=vprtempo_tuned", "dataset=folders", "timing=quick")
     assert {field.name for field in fields(Settings)} <= lines.keys()
-    assert lines["method.max_module"] == ["method.max_module", "int", "1000", "places a module"]  # of what it builds on
+    of_base = ["method.max_module", "int", "1000", "places a module, at most"]  # meant by the yaml that it builds on
+    assert lines["method.max_module"] == of_base
     assert lines["timing.sample"][2] == "64"
     assert lines["dataset.radius_metres"] == ["dataset.radius_metres", "float", "25.0", "for utm"]
     asked = {"method": "vprtempo_tuned", "dataset": "folders"}

@@ -41,8 +41,8 @@ def test_the_arrays_are_the_layers_of_each_module_without_padding_contiguous_and
     n_pixels, n_features, state = SIDE * SIDE, 2 * SIDE * SIDE, fitted().state()
     features = {"features": (3, n_features, n_pixels)}
     per_feature = dict.fromkeys(("constant", "feature_thresholds"), (3, n_features))
-    outputs = {f"outputs_{module}": (size, n_features) for module, size in enumerate([8, 8, 4])}
-    thresholds = {f"output_thresholds_{module}": (size,) for module, size in enumerate([8, 8, 4])}
+    outputs = {f"outputs_{module}": (size, n_features) for module, size in enumerate([7, 7, 6])}
+    thresholds = {f"output_thresholds_{module}": (size,) for module, size in enumerate([7, 7, 6])}
     assert {name: array.shape for name, array in state.items()} == features | per_feature | outputs | thresholds
     assert all(array.dtype == np.float32 and array.flags.c_contiguous for array in state.values())
 

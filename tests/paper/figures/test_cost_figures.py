@@ -221,7 +221,7 @@ def grown(runs=None, name="VPRTempo"):
     """Return samples of a training of 0.4 s + 4 ms a place and a match of 1 ms a unit of ln places, nearly exact."""
     wobble = dict(zip(SIZES, (1.01, 0.99) * 3, strict=True))
     made = sizes(lambda n: (0.4 + 0.004 * n) * wobble[n], lambda n: 0.001 * np.log(n) * wobble[n], encode_seconds=0.002)
-    return samples(Row(name, "vprtempo", boundary="match"), made if runs is None else runs, ())
+    return samples(Row(name, "vprtempo", boundary="match"), made if runs is None else runs)
 
 
 def sizes(fit, match=lambda n: 0.001, **changes):

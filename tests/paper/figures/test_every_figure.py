@@ -61,7 +61,7 @@ def grown(name, training, query, *more):
     for n, wobble in zip(SIZES, (1.01, 0.99) * 3, strict=True):
         fit = training(n)
         made.append(sized(n, None if fit is None else fit * wobble, query(n) * wobble, encode_seconds=0.002))
-    return samples(Row(name, name.lower(), None if name == "CosPlace" else "match"), [*made, *more], ())
+    return samples(Row(name, name.lower(), None if name == "CosPlace" else "match"), [*made, *more])
 
 
 def of_growth():
@@ -74,8 +74,8 @@ def of_growth():
     wobbling = [
         sized(n, 1.0, 0.001 * (1 + 0.001 * n) * (1.02, 0.98)[i % 2]) for i, n in enumerate(range(1000, 1500, 50))
     ]
-    yield "undecided", [samples(Row("VPRTempo", "vprtempo", "match"), wobbling, ())]
-    yield "too few", [samples(Row("VPRTempo", "vprtempo", "match"), claimed.runs[:3], ())]
+    yield "undecided", [samples(Row("VPRTempo", "vprtempo", "match"), wobbling)]
+    yield "too few", [samples(Row("VPRTempo", "vprtempo", "match"), claimed.runs[:3])]
 
 
 def spiking(name, n_queries, *layers):

@@ -60,7 +60,7 @@ def test_every_figure_is_there_with_its_caption_and_what_was_missing_was_run_wit
     captions = (figures / "captions.md").read_text().splitlines()
     assert {line.split("**")[1].rstrip(".") for line in captions if line.startswith("**")} == NAMES
     tempo, *growth = drawn[1].asked
-    of_tempo = ["method.max_module=12", "method.height=12", "method.width=12", "method.epochs=1"]
+    of_tempo = ["method.height=12", "method.width=12", "method.epochs=1"]
     assert [option for option in tempo if option.startswith("method")] == ["method=vprtempo", *of_tempo]
     sizes = [[option for option in options if option.startswith("dataset.")] for options in growth]
     assert sizes == [[f"dataset.places={n}", "dataset.query_places=6"] for n in (10, 14)]
