@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from vprbench.api import BadInput
 
+from .ensemble import VPRTempoEnsemble
 from .method import VPRTempo
 from .quantised import MOST_INPUTS, Int8LinearQuery, Int8SpikingQuery
 
@@ -41,3 +43,11 @@ class VPRTempoInt8(VPRTempo):
             return members[0].n_places * (members[0].features.shape[2] + 8)
         weights = sum(part.numel() for member in members for part in (member.features, *member.outputs))
         return weights + 8 * sum(member.feature_thresholds.numel() + member.n_places for member in members)
+
+
+@dataclass
+class VPRTempoEnsembleInt8(VPRTempoInt8, VPRTempoEnsemble):
+    """The mean score of `members` networks, of the seeds `seed`, `seed` + 1 and so on, each asked in 8 bits."""
+
+    conformance_arguments: ClassVar[Mapping[str, Any]] = VPRTempoEnsemble.conformance_arguments
+    stored_as: ClassVar[str] = VPRTempoEnsemble.stored_as

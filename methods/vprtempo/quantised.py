@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
 
 import numpy as np
@@ -13,14 +13,13 @@ from vprbench.api import Scores, takes
 
 from .compiled import compiled
 from .network import Network
-from .query import Amplitudes, linear_layer
+from .query import Amplitudes, linear_layer, sparse
 from .rules import Rules
 
 _LEVELS = np.float32(255)  # of an activation
 _STEPS = np.float32(127)  # of a weight to either side of 0
 MOST_INPUTS = 2**31 // (255 * 127)  # of a neuron, whose sums 32 bits hold
-_FEWEST_INPUTS = 16  # below which PyTorch's 8-bit product is not to be trusted
-_MANY = 8  # queries that are answered as a matrix product
+_FEW = 0.02  # of the synapses, up to which those that exist are read alone
 
 
 class _Layer:
@@ -29,30 +28,79 @@ class _Layer:
     def __init__(self, weights: npt.NDArray[np.float32], bias: npt.NDArray[np.float32], most: np.float32) -> None:
         """Quantise `weights` (n_out, n_in), a row at a time, for inputs from 0 to `most`; `bias` is (n_out,)."""
         step = np.maximum(np.abs(weights).max(1), np.finfo(np.float32).tiny) / _STEPS
-        self._steps = np.ascontiguousarray(np.rint(weights / step[:, None]), np.int8)
-        self._factor = step * (most / _LEVELS)  # of a sum of steps times levels
-        self._bias = bias
-        self._right = torch.from_numpy(self._steps).T
-        # Many inputs are shifted to int8; this is what the shift takes from the sums.
-        self._shift = 128 * self._steps.sum(1, dtype=np.int32)
+        steps = np.ascontiguousarray(np.rint(weights / step[:, None]), np.int8)
+        self._size = steps.size
+        factor = np.asarray(step * (most / _LEVELS), np.float32)  # of a sum of steps times levels
+        self._map = _by_synapses(steps, factor, bias) or _affine_map(steps, factor, bias)
 
     def __call__(self, levels: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
         """Return (n_queries, n_out) of the input's levels (n_queries, n_in)."""
-        takes(len(levels) * self._steps.size, kind="int8")
-        if len(levels) < _MANY or self._steps.shape[1] < _FEWEST_INPUTS or not _sums_are_exact():
-            sums = np.empty((len(levels), len(self._bias)), np.int32)
-            _multiply(self._steps, levels, sums)
-        else:
-            shifted = torch.from_numpy((levels ^ np.uint8(128)).view(np.int8))
-            sums = torch._int_mm(shifted, self._right).numpy() + self._shift
-        return np.asarray(sums * self._factor + self._bias, np.float32)
+        takes(len(levels) * self._size, kind="int8")
+        return self._map(levels)
+
+
+Vector = npt.NDArray[np.float32]
+Map = Callable[[npt.NDArray[np.uint8]], Vector]  # of levels (n_queries, n_in) to (n_queries, n_out)
+
+
+def _by_synapses(steps: npt.NDArray[np.int8], factor: Vector, bias: Vector) -> Map | None:
+    """Return the map that reads the synapses that exist; None if they are many."""
+    synapses = sparse(steps, _FEW)
+    if synapses is None:
+        return None
+
+    def by_synapses(levels: npt.NDArray[np.uint8]) -> Vector:
+        net = np.empty((len(levels), len(bias)), np.float32)
+        _add_synapses(*synapses, factor, bias, levels, net)
+        return net
+
+    return by_synapses
+
+
+def _affine_map(steps: npt.NDArray[np.int8], factor: Vector, bias: Vector) -> Map:
+    """Return the map by `steps` (n_out, n_in), times `factor`, plus `bias`, in the fastest way that is exact here.
+
+    oneDNN's 8-bit product is exact with VNNI. Without, x86 adds pairs of products in 16 bits, which hold those of half
+    steps: each step is then two halves, which read the same level.
+    """
+    parts = 1 if _is_exact(1) else 2 if _is_exact(2) else 0
+    if parts:
+        return _by_onednn(steps, factor, bias, parts)
+
+    def by_loops(levels: npt.NDArray[np.uint8]) -> Vector:
+        sums = np.empty((len(levels), len(steps)), np.int32)
+        _multiply(steps, levels, sums)
+        return np.asarray(sums * factor + bias, np.float32)
+
+    return by_loops
+
+
+def _by_onednn(steps: npt.NDArray[np.int8], factor: Vector, bias: Vector, parts: int) -> Map:
+    """Return oneDNN's map by steps, each in so many parts; raises RuntimeError where PyTorch has none."""
+    halves = [steps] if parts == 1 else [steps // 2, steps - steps // 2]
+    n_out, n_in = steps.shape
+    packed = torch.ops.onednn.qlinear_prepack(torch.from_numpy(np.concatenate(halves, axis=1)), [1, parts * n_in])
+    scales = torch.tensor(factor), torch.zeros(n_out, dtype=torch.int32), torch.tensor(bias)
+    rest = (packed, *scales, 1.0, 0, torch.float32, "none", [], "")
+
+    def by_onednn(levels: npt.NDArray[np.uint8]) -> Vector:
+        given = torch.from_numpy(levels if parts == 1 else np.concatenate([levels] * parts, axis=1))
+        net: Vector = torch.ops.onednn.qlinear_pointwise(given, 1.0, 0, *rest).numpy()
+        return net
+
+    return by_onednn
 
 
 @cache
-def _sums_are_exact() -> bool:
-    """Tell whether PyTorch's 8-bit product is exact here: on x86 without VNNI it saturates in 16 bits on the way."""
-    left, right = (torch.tensor([[-128], [127]], dtype=torch.int8).repeat(8, 64) for _ in range(2))
-    return torch.equal(torch._int_mm(left, right.T), (left.int() @ right.T.int()))
+def _is_exact(parts: int) -> bool:
+    """Tell whether oneDNN's product by steps in so many parts is exact here, for the largest values there are."""
+    steps, levels = np.full((16, 64), 127, np.int8), np.full((8, 64), 255, np.uint8)
+    steps[::2] = -127
+    try:
+        product = _by_onednn(steps, np.ones(16, np.float32), np.zeros(16, np.float32), parts)
+    except (AttributeError, RuntimeError):  # a PyTorch without oneDNN
+        return False
+    return all(np.array_equal(product(some), some.astype(int) @ steps.T.astype(int)) for some in (levels[:1], levels))
 
 
 class Int8LinearQuery:
@@ -102,7 +150,7 @@ class Int8SpikingQuery:
         features = levels.reshape(len(levels), len(self._outputs), self._n_features)
         parts = [layer(np.ascontiguousarray(features[:, module])) for module, layer in enumerate(self._outputs)]
         above = np.concatenate(parts, axis=1)
-        scores = np.clip(above, 0, self._clip)
+        scores = np.minimum(np.maximum(above, 0), self._clip)
         if self._silent_winner:
             silent = np.flatnonzero((scores == 0).all(1))
             scores[silent, above[silent, : self._first_module].argmax(1)] = 0.5
@@ -135,9 +183,23 @@ def _multiply(steps, levels, sums):  # type: ignore[no-untyped-def]
             sums[query, row] = total
 
 
+@compiled
+def _add_synapses(steps, columns, ends, factor, bias, levels, net):  # type: ignore[no-untyped-def]
+    """Write the net input and the bias of neurons, (n_queries, n_out), by the synapses that exist."""
+    for query in range(len(levels)):
+        own = levels[query]
+        for neuron in range(len(bias)):
+            total = np.int32(0)
+            for k in range(ends[neuron], ends[neuron + 1]):
+                total = np.int32(total + np.int32(np.int32(steps[k]) * np.int32(own[columns[k]])))
+            net[query, neuron] = np.float32(total) * factor[neuron] + bias[neuron]
+
+
 def _compile() -> None:
-    """Compile both loops, or read them from the cache, so that no query waits for it."""
+    """Compile the loops, or read them from the cache, so that no query waits for it."""
     _write_levels(np.zeros(1, np.float32), _LEVELS, np.zeros(1, np.uint8))
+    row, steps, levels = np.zeros(1, np.float32), np.zeros(1, np.int8), np.zeros((1, 1), np.uint8)
+    _add_synapses(steps, np.zeros(1, np.int32), np.zeros(2, np.int64), row, row, levels, row[None].copy())
     _multiply(np.zeros((1, 1), np.int8), np.zeros((1, 1), np.uint8), np.zeros((1, 1), np.int32))
 
 

@@ -20,7 +20,8 @@ from .rules import Rules
 Amplitudes = npt.NDArray[np.float32]  # (n_queries, n_neurons), 0: silent
 
 _BLOCK, _BLOCK_ON_GPU = 256, 4096  # queries whose feature spikes are held together
-_SPARSE = 0.2  # of the synapses, up to which those that exist are read alone
+_SPARSE = 0.2  # of the synapses, up to which a single query reads those alone that exist,
+_VERY_SPARSE = 0.02  # and many queries do
 _SIDE_BY_SIDE = 8  # features whose output weights are added in one pass over the scores
 
 
@@ -87,7 +88,9 @@ class SpikingQuery:
         bias = (network.constant - network.feature_thresholds).flatten()
         self._device = features.device
         self._weights = features.numel() + sum(weights.numel() for weights in network.outputs)  # existing or not
-        self._feature_layer = _layer(features, bias)
+        self._sparse = sparse(features.numpy(), _SPARSE) if self._device.type == "cpu" else None
+        few = self._sparse is not None and len(self._sparse[0]) <= _VERY_SPARSE * features.numel()
+        self._feature_layer = self._from_synapses if few else _layer(features, bias)
         self._output_layers = [
             _layer(weights.T, -thresholds)
             for weights, thresholds in zip(network.outputs, network.output_thresholds, strict=True)
@@ -95,7 +98,6 @@ class SpikingQuery:
         self._ends = np.cumsum([0, *(len(thresholds) for thresholds in network.output_thresholds)])
         if self._device.type == "cpu":
             self._rows = features.numpy(), bias.numpy()
-            self._sparse = _sparse(self._rows[0])
             self._columns = [weights.numpy() for weights in network.outputs]
             self._thresholds = torch.cat(network.output_thresholds).numpy()
 
@@ -119,7 +121,8 @@ class SpikingQuery:
         if self._sparse is None:
             _feature_spikes(weights, bias, x, np.float32(self._rules.clip), spikes)
         else:
-            _sparse_feature_spikes(*self._sparse, bias, x, np.float32(self._rules.clip), spikes)
+            _add_synapses(*self._sparse, bias, x[None], spikes[None])
+            np.clip(spikes, 0, np.float32(self._rules.clip), out=spikes)
         n_features = len(spikes) // len(self._columns)
         for module, columns in enumerate(self._columns):
             active = spikes[module * n_features : (module + 1) * n_features]
@@ -132,6 +135,13 @@ class SpikingQuery:
         features = self._features(torch.tensor(spikes, device=self._device))
         outputs = self._fired(self._above(features))
         return features.cpu().numpy(), outputs.cpu().numpy()
+
+    def _from_synapses(self, x: Tensor) -> Tensor:
+        """Return the net input above threshold of all features, (n, n_neurons), reading the synapses that exist."""
+        assert self._sparse is not None
+        net = np.empty((len(x), len(self._rows[1])), np.float32)
+        _add_synapses(*self._sparse, self._rows[1], x.numpy(), net)
+        return torch.from_numpy(net)
 
     def _features(self, x: Tensor) -> Tensor:
         """Return the feature spikes of all modules, (n, modules * n_features), for inputs (n, n_pixels)."""
@@ -211,9 +221,9 @@ def linear_layer(members: Sequence[Network]) -> tuple[Tensor, Tensor]:
     return sum(weights[1:], weights[0]) / len(members), sum(biases[1:], biases[0]) / len(members)
 
 
-def _sparse(weights: npt.NDArray[np.float32]) -> tuple[npt.NDArray[Any], ...] | None:
-    """Return the values, columns and row ends of weights (n, n_pixels) of which few exist; None for others."""
-    if np.count_nonzero(weights) > _SPARSE * weights.size:
+def sparse(weights: npt.NDArray[Any], most: float) -> tuple[npt.NDArray[Any], ...] | None:
+    """Return the values, columns and row ends of weights (n, n_inputs); None if more than a share `most` exist."""
+    if np.count_nonzero(weights) > most * weights.size:
         return None
     rows, columns = np.nonzero(weights)
     ends = np.searchsorted(rows, np.arange(len(weights) + 1))
@@ -221,13 +231,15 @@ def _sparse(weights: npt.NDArray[np.float32]) -> tuple[npt.NDArray[Any], ...] | 
 
 
 @compiled
-def _sparse_feature_spikes(values, columns, ends, bias, x, clip, spikes):  # type: ignore[no-untyped-def]
-    """Write the spikes of feature neurons (n,) for one input (n_pixels,), from the synapses that exist."""
-    for neuron in range(len(spikes)):
-        net = np.float32(0)
-        for k in range(ends[neuron], ends[neuron + 1]):
-            net += values[k] * x[columns[k]]
-        spikes[neuron] = min(max(net + bias[neuron], np.float32(0)), clip)
+def _add_synapses(values, columns, ends, bias, x, net):  # type: ignore[no-untyped-def]
+    """Write the net input and the bias of neurons, (n, n_neurons), for inputs (n, n_inputs), by the synapses there."""
+    for query in range(len(x)):
+        own = x[query]
+        for neuron in range(len(bias)):
+            total = np.float32(0)
+            for k in range(ends[neuron], ends[neuron + 1]):
+                total += values[k] * own[columns[k]]
+            net[query, neuron] = total + bias[neuron]
 
 
 @compiled
@@ -269,7 +281,7 @@ def _compile() -> None:
     """Compile the loops of a single query, or read it from the cache, so that no query waits for it."""
     weights, row = np.zeros((1, 1), np.float32), np.zeros(1, np.float32)
     _feature_spikes(weights, row, row, np.float32(1), row.copy())
-    _sparse_feature_spikes(row, np.zeros(1, np.int32), np.zeros(2, np.int64), row, row, np.float32(1), row.copy())
+    _add_synapses(row, np.zeros(1, np.int32), np.zeros(2, np.int64), row, weights, weights.copy())
     add_active(weights, row, row.copy())
 
 

@@ -20,6 +20,12 @@ NETWORKS = {
     "vprtempo_ensemble, reference rules": ("vprtempo_ensemble", {"rules": "reference", "epochs": 1}, 4, PIXELS, 0),
     "vprtempo_oriented": ("vprtempo_oriented", {}, 4, ORIENTED, ORIENTED),
     "vprtempo_oriented_int8": ("vprtempo_oriented_int8", {}, 1, ORIENTED, ORIENTED),
+    "vprtempo_oriented_int8, linear": (
+        *("vprtempo_oriented_int8", {"query_rule": "linear", "calibrated_scores": True}),
+        *(1, ORIENTED, 0),
+    ),
+    "vprtempo_oriented_ensemble": ("vprtempo_oriented_ensemble", {}, 4, 5 * ORIENTED, 5 * ORIENTED),
+    "vprtempo_oriented_ensemble_int8": ("vprtempo_oriented_ensemble_int8", {}, 1, 5 * ORIENTED, 5 * ORIENTED),
     "oriented_binary": ("oriented_binary", {}, 1, 16 * 16 * 6 * 3 // 8, 0),
 }
 

@@ -25,7 +25,7 @@ from tempo_networks import (
 
 from vprbench.errors import BadInput
 from vprbench.methods.vprtempo import quantised
-from vprbench.methods.vprtempo.int8 import VPRTempoInt8
+from vprbench.methods.vprtempo.int8 import VPRTempoEnsembleInt8, VPRTempoInt8
 from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.methods.vprtempo.network import Network
 from vprbench.methods.vprtempo.quantised import Int8LinearQuery, Int8SpikingQuery
@@ -137,17 +137,32 @@ def test_the_largest_sums_do_not_overflow(n_pixels, sign, ask):
     assert found == pytest.approx(np.full((9, 3), sign * n_pixels), rel=1e-6)
 
 
-def test_a_product_that_saturates_in_16_bits_as_on_a_processor_with_avx2_alone_is_not_used(monkeypatch):
-    def in_16_bits(left, right):
-        # oneDNN multiplies unsigned by signed, adds pairs in 16 bits, and takes the shift away in the end.
-        pairs = ((left.int() + 128)[:, :, None] * right.int()).unflatten(1, (-1, 2)).sum(2)
-        return pairs.clamp(-(2**15), 2**15 - 1).sum(1, dtype=torch.int32) - 128 * right.sum(0, dtype=torch.int32)
+@WAYS
+@pytest.mark.parametrize("parts", [1, 2, None])
+def test_each_way_to_multiply_gives_the_same_scores(parts, ask, monkeypatch):
+    if parts == 1 and not quantised._is_exact(1):
+        pytest.skip("no VNNI: oneDNN's product of whole steps is not exact on this processor")
+    monkeypatch.setattr(quantised, "_is_exact", lambda given: given == parts)
+    rows, spikes = np.random.default_rng(0).standard_normal((5, 301)).astype(np.float32), shown(9, 301)
+    expected = affine(rows.astype(np.float64), 0.0, in_255_levels(spikes.astype(np.float64), 1), 1)
+    assert ask(linear(rows), spikes) == pytest.approx(expected, abs=1e-4)
 
-    query, spikes = linear(np.ones((3, 64))), np.ones((9, 64), np.float32)
-    monkeypatch.setattr(torch, "_int_mm", in_16_bits)
-    quantised._sums_are_exact.cache_clear()
-    assert query.scores(spikes) == pytest.approx(np.full((9, 3), 64.0), rel=1e-6)
-    quantised._sums_are_exact.cache_clear()
+
+def test_a_product_that_saturates_in_16_bits_as_on_a_processor_without_vnni_is_used_with_half_steps_alone(monkeypatch):
+    def in_16_bits(steps, factor, bias, parts):
+        halves = np.concatenate([steps] if parts == 1 else [steps // 2, steps - steps // 2], axis=1).astype(int)
+
+        def product(levels):
+            read = np.tile(levels.astype(int), parts).reshape(len(levels), 1, -1, 2)
+            pairs = (halves.reshape(1, len(steps), -1, 2) * read).sum(3)
+            return np.clip(pairs, -(2**15), 2**15 - 1).sum(2)
+
+        return product
+
+    monkeypatch.setattr(quantised, "_by_onednn", in_16_bits)
+    quantised._is_exact.cache_clear()
+    assert [quantised._is_exact(parts) for parts in (1, 2)] == [False, True]
+    quantised._is_exact.cache_clear()
 
 
 @WAYS
@@ -176,6 +191,12 @@ def test_a_map_weighs_a_byte_a_weight_and_8_bytes_a_neuron():
     paper = 3 * 288 * 144 + 20 * 288 + 8 * (3 * 288 + 20)
     assert fitted(VPRTempoInt8).map_bytes() == paper
     assert fitted(VPRTempoInt8, rules="reference").map_bytes() == 20 * (144 + 8)
+
+
+def test_several_networks_in_8_bits_score_the_mean_of_each():
+    seeds = [fitted(VPRTempoInt8, seed=seed).query(QUERIES) for seed in (3, 4)]
+    together = fitted(VPRTempoEnsembleInt8, seed=3, members=2).query(QUERIES)
+    assert together == pytest.approx(np.mean(seeds, axis=0), abs=1e-6)
 
 
 def test_more_inputs_than_32_bits_can_sum_are_refused_before_the_training():
