@@ -81,7 +81,7 @@ def _by_onednn(steps: npt.NDArray[np.int8], factor: Vector, bias: Vector, parts:
     n_out, n_in = steps.shape
     packed = torch.ops.onednn.qlinear_prepack(torch.from_numpy(np.concatenate(halves, axis=1)), [1, parts * n_in])
     scales = torch.tensor(factor), torch.zeros(n_out, dtype=torch.int32), torch.tensor(bias)
-    rest = (packed, *scales, 1.0, 0, torch.float32, "none", [], "")
+    rest: tuple[object, ...] = (packed, *scales, 1.0, 0, torch.float32, "none", [], "")
 
     def by_onednn(levels: npt.NDArray[np.uint8]) -> Vector:
         given = torch.from_numpy(levels if parts == 1 else np.concatenate([levels] * parts, axis=1))
