@@ -66,7 +66,7 @@ class VPRTempo(Arguments, Method, HasCircuit):
     """
 
     conformance_arguments: ClassVar[Mapping[str, Any]] = {
-        **{"max_module": 8, "height": 12, "width": 12},
+        **{"max_module": 10, "height": 12, "width": 12},
         **{"rows": 4, "columns": 5},  # of oriented edges
     }
     stored_as: ClassVar[str] = "vprtempo"
