@@ -19,6 +19,7 @@ from vprbench.plugins import registry
 from vprbench.progress import progress_shown, report
 from vprbench.runs.identity import fingerprint
 from vprbench.runs.settings import Settings, checked_settings
+from vprbench.runs.viewpoints import seen_from, viewpoints
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,7 @@ def checked(asked: SortedOptions, compose: Compose) -> tuple[Checked | None, lis
     images = ""
     with progress_shown("compare"):
         try:
-            dataset = registry.make_dataset(config["dataset"])
+            dataset = seen_from(registry.make_dataset(config["dataset"]), viewpoints(asked.request.views))
             check_dataset(dataset)
             images = fingerprint(dataset)
         except BadInput as error:
@@ -73,7 +74,8 @@ def checked(asked: SortedOptions, compose: Compose) -> tuple[Checked | None, lis
     if wrong:
         return None, wrong
     title = asked.request.name or str(config["dataset"]["name"])
-    column = ResolvedColumn(PlannedColumn(title, title, asked.of_dataset), config["dataset"])
+    planned = PlannedColumn(title, title, asked.of_dataset)
+    column = ResolvedColumn(planned, config["dataset"], views=asked.request.views)
     return Checked(column, tuple(cells), settings, dataset, images), []
 
 

@@ -240,7 +240,7 @@ def written(found: ReportData, beside_others: bool, robust: Robustness | None = 
     from vprbench.paper.figures.robustness import robustness as drawn_robustness
 
     folder, name = Path(found.chosen.results).expanduser(), found.chosen.columns[0].planned.name
-    name += suffix(found.chosen.views)
+    name += "-views" * (found.chosen.columns[0].views is not None) + suffix(found.chosen.views)
     if beside_others and _of_other_frames(folder / f"{name}-runs.csv", found.runs):
         name = f"{name}-{found.runs[0].fingerprint[:6]}"
     files = write(found, folder, name)

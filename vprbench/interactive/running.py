@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -39,6 +39,7 @@ class Options(TypedDict, total=False):
     energy: bool  # count what a query and a place cost
     readouts: bool  # R@1 of the codes and of each learnt layer too, by cosine: Result.readouts
     corruption: str | None  # of the query frames, as in "shift-1"; None: they are clean
+    views: str | Sequence[float] | Mapping[str, Any] | None  # "auto", or shifts in widths: viewpoints of each query
     save: str | Path | None  # file for the trained network
     load: str | Path | None  # file of a trained network: nothing is trained then
 
@@ -80,7 +81,7 @@ def prepared(method: AnyMethod, where: Place, options: Options) -> Prepared:
     settings, config = _settings(chosen, where, options, stored)
     store = Store(Path(settings.results).expanduser())
     method_config, tuned_on = registry.declared(chosen.name, config["method"])
-    named = ("dataset", "corruption", "seed", "device", "depth", "load", "limit_minutes")
+    named = ("dataset", "corruption", "views", "seed", "device", "depth", "load", "limit_minutes")
     asked = {name: config[name] for name in named}
     asked |= {"method": method_config, "changed": dict(chosen.changed)}
     corrupted = [f"corruption={settings.corruption}"] * (settings.corruption is not None)

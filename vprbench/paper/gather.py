@@ -98,7 +98,7 @@ def choose(asked: TableRequest, compose: Compose) -> TablePlan:
 
     def resolved(column: PlannedColumn) -> ResolvedColumn:
         options = (*column.options, *_root(column, asked))
-        return ResolvedColumn(replace(column, options=options), dict(compose(options)["dataset"]))
+        return ResolvedColumn(replace(column, options=options), dict(compose(options)["dataset"]), views=asked.views)
 
     return TablePlan(
         plan,
@@ -177,7 +177,7 @@ def runs_of(chosen: TablePlan, column: ResolvedColumn, rows: Sequence[Row]) -> I
     for row in rows:
         for device, seed in itertools.product(chosen.devices, row.seeds):
             frames = planned.title, planned.options, column.dataset
-            yield MissingRun(row, *frames, row.arguments, seed, device, column.corruption)
+            yield MissingRun(row, *frames, row.arguments, seed, device, column.corruption, column.views)
 
 
 def all_runs(chosen: TablePlan) -> tuple[list[MissingRun], list[MissingRun]]:

@@ -45,6 +45,7 @@ class MissingRun:
     seed: int
     device: str
     corruption: str | tuple[str, ...] | None = None  # of the query frames; several: a run each, in one process
+    views: Any = None  # viewpoints that its queries are asked from, as the option says
 
     def options(self) -> list[str]:
         """Return the options of the command line that make the run."""
@@ -55,6 +56,7 @@ class MissingRun:
             f"seed={self.seed}",
             f"device={self.device}",
             *([] if self.corruption is None else [f"corruption={_listed(self.corruption)}"]),
+            *([] if self.views is None else [f"views={_written(self.views)}"]),
         ]
 
     def each(self) -> list[MissingRun]:
@@ -71,6 +73,7 @@ class MissingRun:
                 "method": dict(self.arguments),
                 "dataset": dict(self.dataset),
                 "corruption": self.corruption,
+                "views": self.views,
                 "seed": self.seed,
                 "device": self.device,
                 "load": None,
@@ -85,6 +88,11 @@ class MissingRun:
 
 def _listed(names: str | tuple[str, ...]) -> str:
     return names if isinstance(names, str) else f"[{','.join(names)}]"
+
+
+def _written(value: Any) -> str:
+    """Return an option's value in the words of the command line."""
+    return value if isinstance(value, str) else json.dumps(value, separators=(",", ":")).replace('"', "")
 
 
 def _flat(arguments: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:

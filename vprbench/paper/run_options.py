@@ -11,6 +11,7 @@ from vprbench.errors import BadInput
 from vprbench.jobs.options import ClusterOptions
 from vprbench.runs.sequences import views
 from vprbench.runs.settings import require_metrics
+from vprbench.runs.viewpoints import viewpoints
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,6 +26,7 @@ class RunOptions(ClusterOptions):
     name: str | None = None  # of the files that are written
     sequence: Any = None  # 4, [1,4,10] or {length:4,window:centred}: answers of so many neighbouring queries
     filter: Any = None  # true or {back:0,ahead:2,ratio:5}: answers of a Bayes filter over the places
+    views: Any = None  # auto, or shifts in widths of the frame: each query is asked from so many viewpoints
     wide: bool = False  # all columns, however wide the terminal is
     results: str = "results"
 
@@ -32,6 +34,7 @@ class RunOptions(ClusterOptions):
         """Check what can be checked before a plan is read, or a method or dataset built."""
         super().__post_init__()
         views(self.sequence, self.filter)
+        viewpoints(self.views)
         if self.seeds is not None and self.seeds < 1:
             raise BadInput(f"seeds={self.seeds}: give at least 1")
         if self.name is not None and re.fullmatch(r"\w[\w.-]*", self.name) is None:

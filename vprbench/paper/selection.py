@@ -12,6 +12,7 @@ from vprbench.paper.plan import PlannedColumn, Row
 from vprbench.runs.machine import Machine
 from vprbench.runs.record import Failure, Run
 from vprbench.runs.sequences import NoScoresError, Views, suffix
+from vprbench.runs.viewpoints import viewpoints
 
 Device = Literal["cpu", "cuda"]
 DEVICES: tuple[Device, ...] = ("cpu", "cuda")
@@ -29,6 +30,7 @@ class ResolvedColumn:
     planned: PlannedColumn
     dataset: Mapping[str, Any]  # the resolved arguments of the dataset, as a run's configuration holds them
     corruption: str | None = None  # of the query frames; None: they are clean
+    views: Any = None  # the option that says from which viewpoints queries are asked
 
 
 @dataclass(frozen=True)
@@ -174,9 +176,11 @@ def options_apart(group: Group) -> tuple[str, ...]:
 def _in_column(result: Run | Failure, column: ResolvedColumn) -> bool:
     """Tell whether a run was asked for the same dataset, by the options that both have, wherever its frames lay.
 
-    Frames that were corrupted in the same way, or not at all, are the same.
+    Frames that were corrupted in the same way, or not at all, are the same; so are viewpoints.
     """
     if result.config.get("corruption") != column.corruption:
+        return False
+    if viewpoints(result.config.get("views")) != viewpoints(column.views):
         return False
     wanted, given = column.dataset, result.config.get("dataset", {})
     both = wanted.keys() & given.keys() - _WHERE

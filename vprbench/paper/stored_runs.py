@@ -19,6 +19,7 @@ from vprbench.runs.record import Run
 from vprbench.runs.run_files import content_key
 from vprbench.runs.settings import checked_settings, n_threads
 from vprbench.runs.store import Store
+from vprbench.runs.viewpoints import seen_from, viewpoints
 from vprbench.storage.hashes import content_hash
 
 if TYPE_CHECKING:
@@ -71,6 +72,7 @@ class StoredRuns:
             return None
         config["files"] = _files(config["method"], alike)
         dataset, images = self._dataset(config["dataset"], config["corruption"])
+        dataset = seen_from(dataset, viewpoints(config["views"]))
         held_out = [None, *([dataset.held_out.fingerprint()] if dataset.held_out else [])]
         of_class = config["method"]["_target_"].rpartition(".")[2]
         threads = n_threads(settings)

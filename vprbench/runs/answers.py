@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -29,8 +29,9 @@ from vprbench.metrics.ranking import (
 )
 from vprbench.runs.descriptors import DescriptorCache
 from vprbench.runs.notes import Note
-from vprbench.runs.shortlist import TOGETHER, Shortlisting, scorer_for
+from vprbench.runs.shortlist import TOGETHER, Scorer, Shortlisting, scorer_for
 from vprbench.runs.stopwatch import Stopwatch
+from vprbench.runs.viewpoints import Viewed, Viewpoint
 
 _BLOCK = 128  # queries scored together
 _BLOCK_CELLS = 1 << 25  # scores of such a block
@@ -142,7 +143,7 @@ class Scoring:
     def __init__(self, stopwatch: Stopwatch, method: Method, dataset: Dataset, depth: int, whole: bool = False) -> None:
         """Keep of the answers what `Answers` keeps; nothing is asked yet."""
         self._stopwatch = stopwatch
-        self.asked = scorer_for(method, dataset.n_places, depth, whole)
+        self.asked: Scorer = scorer_for(method, dataset.n_places, depth, whole)
         self._queries = dataset.queries.unnamed()
         self._n_places = dataset.n_places
         self.answers = Answers(dataset, depth, whole)
@@ -158,6 +159,10 @@ class Scoring:
             progress.report("query", self.answers.done / len(self._queries))
             del block  # or it would be held while the next one is decoded
         return 0
+
+    def look_from(self, views: Sequence[Viewpoint], method: Method) -> None:
+        """Ask a method for all scores of each query from these viewpoints."""
+        self.asked = Viewed(method, views)
 
     def notes(self) -> Iterator[Note]:
         """Yield a note if the method was asked for its best places alone."""
@@ -175,7 +180,7 @@ class Scoring:
         return codes
 
     def _match(self, codes: npt.NDArray[Any]) -> Scores | Nearest:
-        self.audited.take(self.answers.done, codes)
+        self.audited.take(self.answers.done, codes[:, 0] if isinstance(self.asked, Viewed) else codes)
         with self._stopwatch.lap() as lap:
             answer = self.asked.match(codes)
         self.answers.method_seconds += lap[0]
@@ -195,7 +200,7 @@ class Scoring:
         return from_cache
 
 
-def block_size(method: Method | Shortlisting, n_places: int) -> int:
+def block_size(method: Scorer, n_places: int) -> int:
     """Return how many queries are scored together at most, fewer if codes are large or scored places many."""
     if isinstance(method, Shortlisting):
         return batch_size_for(method, TOGETHER)

@@ -17,6 +17,7 @@ from vprbench.runs.corrupted_frames import corrupted
 from vprbench.runs.identity import Request, data_record, fingerprint, hashed
 from vprbench.runs.settings import Settings, n_threads
 from vprbench.runs.store import Store
+from vprbench.runs.viewpoints import seen_from, viewpoints
 from vprbench.storage.hashes import content_hash
 
 
@@ -67,6 +68,7 @@ def request_of(
     dataset = replace(dataset, notes=(*dataset.notes, *check_dataset(dataset)))
     if isinstance(settings.corruption, str):
         dataset = corrupted(dataset, settings.corruption)
+    dataset = seen_from(dataset, views := viewpoints(settings.views))
     with progress_shown(name):  # frames may have to be hashed, and a file be downloaded
         frames = hashed(dataset)
         images, data = fingerprint(dataset, frames), data_record(dataset, frames)
@@ -82,6 +84,7 @@ def request_of(
         files,
         cache=store.root.absolute() / "descriptors" if settings.cache else None,
         stream=stream.step(settings.stream, method, dataset.n_places),
+        views=views,
         readouts=settings.readouts,
         data=data,
         tuned_on=tuned_on,

@@ -16,6 +16,7 @@ from vprbench.plugins import networks
 from vprbench.runs import machine, sources
 from vprbench.runs.run_files import content_key
 from vprbench.runs.timing_protocol import Protocol
+from vprbench.runs.viewpoints import Viewpoints
 from vprbench.storage.hashes import HashedFiles
 
 if TYPE_CHECKING:
@@ -28,7 +29,7 @@ VERSION = 2
 MODULES = (
     *("vprbench.metrics.ranking", "vprbench.plugins.networks", "vprbench.runs.stopwatch", "vprbench.runs.fitting"),
     *("vprbench.runs.runner", "vprbench.runs.answers", "vprbench.runs.descriptors", "vprbench.runs.machine"),
-    *("vprbench.runs.corruption", "vprbench.runs.corrupted_frames"),
+    *("vprbench.runs.corruption", "vprbench.runs.corrupted_frames", "vprbench.runs.viewpoints"),
 )
 
 
@@ -95,6 +96,7 @@ class Request:
     cache: Path | None = None  # a folder for descriptors worth keeping
     scores: bool = False  # keep them all, however many
     stream: int = 0  # places from one stop of a growing map to the next, which changes no answer; 0: none is asked for
+    views: Viewpoints | None = None  # from which the queries are asked; None: the frames as they are
     readouts: bool = False  # whether the layers are read too, which changes no answer
     tuned_on: Mapping[str, Any] = field(default_factory=dict)  # places that chose the method's settings
     data: DataRecord | None = None  # of the dataset; None: its files are looked at when it runs

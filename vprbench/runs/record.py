@@ -147,6 +147,14 @@ class Energy(_Part):
     how: dict[str, str]
 
 
+class SeenFrom(_Part):
+    """From which viewpoints each query was asked, and what they were chosen by."""
+
+    views: Annotated[list[list[Number]], Field(min_length=1)]  # shifts in widths, and in heights
+    evidence: dict[str, Any] | None = None  # of the first queries; None: the views were given
+    seconds: Amount = 0.0
+
+
 class Frames(_Part):
     """The frames of a dataset, as `identity.DataRecord` has them."""
 
@@ -229,6 +237,7 @@ class Run:
     readouts: Annotated[Sequence[Mapping[str, Any]] | None, Fits(list[Readout] | None)] = None
     stream: Annotated[Sequence[Mapping[str, Any]] | None, Fits(list[Stop] | None)] = None  # of a growing map
     energy: Annotated[Mapping[str, Any] | None, Fits(Energy | None)] = None  # None: not asked for
+    viewpoints: Annotated[Mapping[str, Any] | None, Fits(SeenFrom | None)] = None  # None: frames as they are
     view: Annotated[View | None, PlainValidator(_no_view)] = None  # None: the run as it is stored
 
     @property

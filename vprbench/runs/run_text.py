@@ -28,6 +28,7 @@ def run_text(run: Run, folder: Path | None, from_store: bool, settings: Settings
                 "readouts": readouts.readout_numbers(run),
                 **({"stream": stream.stream_numbers(run)} if settings.stream else {}),
                 **({"energy": run.energy} if settings.energy else {}),
+                **({} if run.viewpoints is None else {"viewpoints": run.viewpoints}),
                 "network": run.network,
                 "tuned_on": run.tuned_on or None,
                 "notes": [note._asdict() for note in all_notes(run)],

@@ -21,6 +21,7 @@ from vprbench.runs.identity import Request, code_hash, data_record
 from vprbench.runs.notes import Note, noted
 from vprbench.runs.record import Run
 from vprbench.runs.stopwatch import Stopwatch, Timing, synchroniser
+from vprbench.runs.viewpoints import Viewpoint, told_from
 
 _NOISE = 0.05  # drift of a fixed computation that marks a run as noisy
 _BUSY = 15.0  # percent of CPU pressure that marks a run as noisy
@@ -50,13 +51,14 @@ def run(request: Request, key: str, keep: Callable[[Run], None] = lambda run: No
         read = queries.reading.seconds
         scoring = Scoring(stopwatch, method, dataset, request.config["depth"], request.scores)
         answers = scoring.answers
+        seen = _look(request, scoring, stopwatch)
         first_query = stopwatch.first_query(scoring.asked, queries)
         watch.fitted()
         answers.method_seconds += first_query
-        from_cache = scoring.score(described)
+        from_cache = scoring.score(described if seen is None else None)
         elsewhere = fitted.seconds + answers.method_seconds + queries.reading.seconds - read
 
-    measured = {"data": data, **watch.seen()}
+    measured = {"data": data, "viewpoints": seen, **watch.seen()}
     with stopwatch.lap() as auditing:
         inside, inside_notes = _inside(request)
         measured |= {"search": scoring.audited.search(), **inside}
@@ -66,6 +68,7 @@ def run(request: Request, key: str, keep: Callable[[Run], None] = lambda run: No
         *noted("method", method.notes()),
         *_cache_notes(dataset, fitted.from_cache, from_cache),
         *scoring.notes(),
+        *noted("views", [] if seen is None else [_describe_views(seen)]),
     )
     scored = replace(
         _scored(request, key, fitted, answers, measured),
@@ -81,6 +84,33 @@ def run(request: Request, key: str, keep: Callable[[Run], None] = lambda run: No
     progress.report("timing", 1.0)
     timed = replace(timed, config={**scored.config, "timing": asdict(request.protocol)})
     return replace(timed, notes=(*told, *_notes_on(timed), *inside_notes))
+
+
+def _look(request: Request, scoring: Scoring, stopwatch: Stopwatch) -> dict[str, Any] | None:
+    """Let the queries be asked from the viewpoints of a request; return these and what they were chosen by."""
+    if request.views is None:
+        return None
+    views, evidence, seconds = request.views.all, None, 0.0
+    if request.views.auto:
+        with stopwatch.lap() as lap:
+            offset = told_from(request.method, request.dataset.queries.unnamed(), request.views)
+        views, evidence, seconds = [*offset.views], dict(offset.evidence), lap[0]
+        scoring.answers.method_seconds += seconds
+    scoring.look_from(views, request.method)
+    shown = [[view.horizontal, view.vertical] for view in views]
+    return {"views": shown, "evidence": evidence, "seconds": seconds}
+
+
+def _describe_views(seen: Mapping[str, Any]) -> str:
+    """Return in words from which viewpoints queries were asked, and why."""
+    shifts = ", ".join(str(Viewpoint(*view)) for view in seen["views"])
+    if (evidence := seen["evidence"]) is None:
+        return f"asked from {len(seen['views'])} viewpoints, shifts in widths of the frame: {shifts}"
+    how = f"by the first {evidence['queries']} queries, in {seen['seconds']:.1f} s"
+    if seen["views"] == [[0.0, 0.0]]:
+        return f"no offset of the camera is told {how}: frames are asked as they are"
+    better = f"a shift of {evidence['best_shift']:g} is better for {100 * evidence['better_than_the_frame']:.0f} %"
+    return f"asked at shifts of {shifts} widths of the frame, told {how}: {better}"
 
 
 def _inside(request: Request) -> tuple[dict[str, Any], tuple[Note, ...]]:

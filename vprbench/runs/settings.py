@@ -13,6 +13,7 @@ from vprbench.plugins import registry
 from vprbench.runs.corruption import corruptions
 from vprbench.runs.sequences import views
 from vprbench.runs.timing_protocol import Protocol
+from vprbench.runs.viewpoints import viewpoints
 from vprbench.storage.folders import require_homes
 from vprbench.storage.owner import core_count
 
@@ -34,6 +35,7 @@ class Settings:
     scores: bool = False  # keep all scores, however many
     sequence: Any = None
     filter: Any = None
+    views: Any = None  # viewpoints from which each query is asked
     frames: bool = True  # keep small pictures of the dataset, for figures and report
     limit_minutes: float | None = None  # after which a run has failed; None: none
     search_scheduler: str | None = None  # address of a dask cluster that searches large maps; None: this process does
@@ -49,7 +51,7 @@ class Settings:
 KNOWN = (*Settings.__dataclass_fields__, "method", "dataset")
 
 #: What a record tells of how a run was asked for.
-RECORDED = ("method", "dataset", "corruption", "seed", "device", "depth", "load", "limit_minutes")
+RECORDED = ("method", "dataset", "corruption", "views", "seed", "device", "depth", "load", "limit_minutes")
 
 
 def checked_settings(config: Mapping[str, Any]) -> Settings:
@@ -67,6 +69,8 @@ def checked_settings(config: Mapping[str, Any]) -> Settings:
     plain["energy"] |= bool({*plain["metrics"]} & {*GROUPS["energy"]})
     settings = Settings(**plain, timing=timing)
     views(settings.sequence, settings.filter)
+    if viewpoints(settings.views) is not None and (settings.stream or settings.energy):
+        raise BadInput(f"views={settings.views}: stream= and energy= are of one view a query, leave them out")
     if settings.corruption is not None:
         corruptions([settings.corruption] if isinstance(settings.corruption, str) else settings.corruption)
     if isinstance(settings.corruption, list) and (settings.save, settings.load) != (None, None):

@@ -17,6 +17,7 @@ from vprbench.api.images import Images
 from vprbench.api.method import Method
 from vprbench.api.nearest import Nearest
 from vprbench.api.search import Mapped
+from vprbench.runs.viewpoints import Viewed
 
 LARGE_MAP = 1 << 18  # places: of more, a run keeps the best ones of each query alone
 TOGETHER = 1024  # queries compared with such a map at once
@@ -57,7 +58,7 @@ class Shortlisting:
         return Nearest(*self.method.nearest(codes, self.depth, mapped=self.mapped))
 
 
-Scorer = Method | Shortlisting
+Scorer = Method | Shortlisting | Viewed
 Answer = Scores | Nearest  # of several queries
 
 

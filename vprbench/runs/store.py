@@ -180,6 +180,8 @@ class Store:
         asked = {name: config.get(name) for name in ("method", "dataset", "seed", "device", "load")}
         if config.get("corruption"):
             asked["corruption"] = config["corruption"]
+        if config.get("views"):
+            asked["views"] = config["views"]
         return self.root / dataset / f"{method}-failed-{content_key({'schema': _FAILURE_KEYS, **asked})}"
 
     def _place(self, folder: Path, fill: Callable[[Path], None]) -> None:

@@ -36,6 +36,7 @@ def make_report(asked: TableRequest, options: Sequence[str], compose: Compose) -
     absent: list[str] = []
     drawings = draw_all(found, found.runs, growth_columns(found, compose), absent.append)
     default = asked.name is None and not asked.columns and not views(asked.sequence, asked.filter)
+    default &= asked.views is None
     name = "report.html" if default else f"report-{file_name(asked)}.html"
     path = write_page(found, drawings, Path(asked.results).expanduser() / name, absent)
     print(f"{path}: {path.stat().st_size / 1e6:.1f} MB, opens from disk")

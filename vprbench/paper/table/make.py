@@ -85,7 +85,8 @@ def write(found: ReportData, folder: Path, name: str) -> list[Path]:
 def file_name(asked: TableRequest) -> str:
     """Return what the files are called: the columns, where some were asked for."""
     default = "-".join(asked.columns) if asked.columns else "table"
-    return asked.name or default + suffix(views(asked.sequence, asked.filter))
+    seen = "-views" * (asked.views is not None) + suffix(views(asked.sequence, asked.filter))
+    return asked.name or default + seen
 
 
 def exit_code(endings: Sequence[JobResult]) -> int:

@@ -1,0 +1,158 @@
+"""Queries from several viewpoints: frames move as they say, the best view counts, an offset is earned by a test."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from little import journey
+from little_runs import asked_for
+
+from vprbench.api.images import Images
+from vprbench.errors import BadInput
+from vprbench.methods.sad import SAD
+from vprbench.paper.plan import PlannedColumn, Row
+from vprbench.paper.selection import ResolvedColumn, groups
+from vprbench.runs import runner
+from vprbench.runs.compose import composed
+from vprbench.runs.settings import checked_settings
+from vprbench.runs.viewpoints import AS_IT_IS, Viewed, Viewpoint, Viewpoints, offset_of, seen_from, shifted, viewpoints
+
+pytestmark = pytest.mark.usefixtures("surroundings")
+
+RANDOM = np.random.default_rng(0)
+STEPS = np.arange(-19, 20)
+
+
+def frames(count):
+    """Return random frames of 16 x 64 pixels, in blocks of 4 x 4."""
+    return [RANDOM.integers(0, 256, (4, 16, 3), np.uint8).repeat(4, axis=0).repeat(4, axis=1) for _ in range(count)]
+
+
+@pytest.mark.parametrize(
+    ("horizontal", "vertical"), [(0.25, 0.0), (-0.125, 0.0), (0.0, 0.25), (-0.25, -0.5), (0.0, 0.0)]
+)
+def test_a_view_looks_to_the_right_and_down_by_shares_of_the_frame_and_borders_are_reflected(horizontal, vertical):
+    image = frames(1)[0]
+    right, down = round(64 * horizontal), round(16 * vertical)
+    wide = np.pad(image, ((15, 15), (63, 63), (0, 0)), "reflect")[15 + down :, 63 + right :][:16, :64]
+    assert np.array_equal(shifted(image, Viewpoint(horizontal, vertical)), wide)
+
+
+@pytest.mark.parametrize(
+    ("option", "views", "told"),
+    [
+        ([-0.1, 0, 0.1], [(-0.1, 0.0), (0.0, 0.0), (0.1, 0.0)], "-0.1+0+0.1"),
+        ("[-0.1,0]", [(-0.1, 0.0), (0.0, 0.0)], "-0.1+0"),
+        ({"horizontal": [0, 0.2], "vertical": [0.1]}, [(0.0, 0.1), (0.2, 0.1)], "0/0.1+0.2/0.1"),
+        ("{horizontal:[0],vertical:[0.25]}", [(0.0, 0.25)], "0/0.25"),
+        ("auto", [(0.0, 0.0)], "auto, by the first 1000 queries"),
+        ({"auto": True, "queries": None}, [(0.0, 0.0)], "auto, by all queries"),
+    ],
+    ids=str,
+)
+def test_an_option_is_a_list_of_shifts_a_mapping_or_auto(option, views, told):
+    found = viewpoints(option)
+    assert ([(view.horizontal, view.vertical) for view in found.all], found.protocol()) == (views, told)
+    assert seen_from(journey(4, 2), found).protocol["views"] == told
+    assert viewpoints(None) is None
+
+
+@pytest.mark.parametrize(
+    "option",
+    [
+        *([0.7], [float("nan")], [], [0.1, 0.1], ["a"], "sideways", 3),
+        *({"zoom": [1]}, {"auto": True, "horizontal": [0.1]}, {"auto": True, "queries": 0}),
+    ],
+    ids=str,
+)
+def test_what_is_no_viewpoint_is_refused_by_the_name_of_the_option(option):
+    with pytest.raises(BadInput, match="views"):
+        viewpoints(option)
+
+
+@pytest.mark.parametrize("other", ["stream=true", "energy=true"])
+def test_what_is_of_one_view_a_query_is_refused_beside_several(other):
+    with pytest.raises(BadInput, match="views"):
+        checked_settings(composed(["views=auto", other]))
+
+
+def test_a_place_has_the_score_of_the_view_that_shows_it_best_whatever_the_batch():
+    seen = Images.from_arrays(frames(6))
+    method = SAD(height=16, width=64).fit(seen, np.arange(6))
+    views = [Viewpoint(-0.25), AS_IT_IS, Viewpoint(0.25)]
+    asked = Images.from_arrays([shifted(seen[i], view) for i, view in enumerate([*views, *views])])
+    viewed = Viewed(method, views)
+    scores = viewed.match(viewed.encode(asked))
+    alone = [method.query(Images.from_arrays([shifted(image, view) for image in asked])) for view in views]
+    assert np.array_equal(scores, np.max(alone, axis=0))
+    assert np.array_equal(scores, np.concatenate([viewed.match(viewed.encode(asked[i : i + 1])) for i in range(6)]))
+
+
+def evidence(offset, n=400, far=3.0, peak=5.0, noise=0.5, width=1.5):
+    """Return z-scores (39, n) of shifts for frames whose camera looks `offset` (n,) steps elsewhere."""
+    peaks = (peak - far) * np.exp(-(((STEPS[:, None] - offset) / width) ** 2))
+    return far + peaks + noise * np.random.default_rng(1).standard_normal((39, n))
+
+
+EITHER = np.where(np.random.default_rng(2).random(400) < 0.5, 8, -8)
+
+
+@pytest.mark.parametrize(
+    ("z", "steps"),
+    [
+        (evidence(np.zeros(400)), [0]),
+        (evidence(np.full(400, -6)), [-8, -6, -4]),
+        (evidence(np.full(400, 13)), [11, 13, 15]),
+        (evidence(EITHER), [-8, 0, 8]),
+        (evidence(np.full(400, 6), peak=3.0), [0]),  # nothing but noise
+        (evidence(np.zeros(400), noise=1.0, peak=3.2), [0]),
+        (evidence(np.full(400, 6))[:, :12], [0]),  # too few queries
+        (evidence(np.full(400, 25)) + 0.05 * np.abs(STEPS)[:, None], [0]),  # beyond the furthest shift
+        (np.full((39, 50), 3.0), [0]),
+    ],
+    ids=["none", "left", "right", "either way", "noise", "loud noise", "few", "out of range", "all alike"],
+)
+def test_an_offset_is_taken_if_a_test_says_so_with_its_neighbours_or_both_ways(z, steps):
+    found = offset_of(z)
+    assert [view.horizontal * 64 for view in found.views] == steps
+    assert (found.evidence["queries"], len(found.evidence["mean_evidence"])) == (z.shape[1], 39)
+    assert (found.evidence["both_sides"] is None) == (steps == [0])
+
+
+@pytest.fixture(scope="module")
+def moved():
+    """A journey of 60 places whose queries look an eighth of the frame to the right."""
+    dataset = journey(60, 60)
+    seen = frames(60)
+    queries = [shifted(image, Viewpoint(0.125)) for image in seen]
+    return replace(dataset, references=Images.from_arrays(seen), queries=Images.from_arrays(queries))
+
+
+def run_with(dataset, views):
+    asked = Viewpoints(**views)
+    request = asked_for(SAD(height=16, width=64), seen_from(dataset, asked), scores=True)
+    return runner.run(replace(request, views=asked, config={**request.config, "views": views}), "key")
+
+
+def test_a_run_tells_its_offset_without_ground_truth_is_stored_with_it_and_finds_its_places(moved, store):
+    run = run_with(moved, {"auto": True})
+    assert run.viewpoints["views"] == [[-10 / 64, 0.0], [-8 / 64, 0.0], [-6 / 64, 0.0]]
+    assert np.mean(run.top_places[:, 0] == np.arange(60)) > 0.95
+    assert run.protocol["views"] == "auto, by the first 1000 queries"
+    assert "views" in {note.kind for note in run.notes}
+    store.save(run)
+    assert next(iter(store.runs())).viewpoints == run.viewpoints
+    order = np.random.default_rng(0).permutation(60)
+    other = run_with(replace(moved, positives=tuple(moved.positives[i] for i in order)), {"auto": True})
+    told = {name: value for name, value in run.viewpoints.items() if name != "seconds"}
+    assert {name: other.viewpoints[name] for name in told} == told
+    assert np.array_equal(other.top_places, run.top_places)
+
+
+def test_runs_from_other_viewpoints_stand_in_no_column_of_plain_ones(moved):
+    plain = runner.run(asked_for(SAD(height=16, width=64), moved), "plain")
+    seen = run_with(moved, {"horizontal": (0.0, 0.125)})
+    row = Row(plain.method, plain.method)
+    for views, wanted in ((None, plain), ([0.0, 0.125], seen)):
+        column = ResolvedColumn(PlannedColumn("c", "C", ()), plain.config["dataset"], views=views)
+        assert [run.key for group in groups([plain, seen], [], [column], [row]) for run in group.runs] == [wanted.key]
