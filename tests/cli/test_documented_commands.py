@@ -13,22 +13,19 @@ import torch
 import yaml
 from checkout import ROOT
 from mat_cells import cells
-from omegaconf import OmegaConf
 from PIL import Image as PillowImage
 from scipy.io import savemat
 from small_plan import RUN, Apart
 
 from vprbench import cli
 from vprbench.api.neural import NeuralDescriptor
-from vprbench.comparison.checks import checked
 from vprbench.datasets.nordland import chosen_names
 from vprbench.datasets.synthetic_events import EventJourney, write_recording
 from vprbench.jobs import executors, job
-from vprbench.jobs.job import Job, JobResult
+from vprbench.jobs.job import Job
 from vprbench.paper import gather
 from vprbench.paper.plan import read_plan
 from vprbench.plugins import registry
-from vprbench.runs.settings import checked_settings
 
 DOCUMENTS = (
     "README.md",
@@ -43,9 +40,7 @@ SMALLER = {
     "nordland_64x32": (*PART, "dataset.first_place=0"),
     "vprtempo": ("method.epochs=1", "method.stdp_rate=0.0001"),
     "vprsnn": (
-        "method.places_per_module=4",
-        "method.n_excitatory=4",
-        "method.epochs=1",
+        *("method.places_per_module=4", "method.n_excitatory=4", "method.epochs=1"),
         "method.recorded_presentations=8",
     ),
 }
@@ -67,9 +62,6 @@ def commands(document):
     left_out = r"[= ]NAME|COMMAND|darkness|lamps|mine|^make (test|docs|install|check|bench|gpu|chaos)|vprbench bench"
     told = (" ".join(shlex.split(command, comments=True)) for command in shown(document))
     return [command for command in dict.fromkeys(told) if not re.search(left_out, command)]
-
-
-COMMANDS = sorted({command for document in DOCUMENTS for command in commands(document)})
 
 
 @pytest.fixture(scope="module")
@@ -136,49 +128,6 @@ def clean(data, tmp_path, monkeypatch):
     """A folder of its own, in which nothing was run."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("VPRBENCH_DATA", str(data))
-
-
-@pytest.fixture
-def understood(clean, monkeypatch):
-    """What stands in for the work of each command checks its options; the names of those that came so far."""
-    done = []
-
-    def instead(target, check):
-        name = target.rpartition(".")[2]
-
-        def stand_in(*given, **_):
-            assert check(*given) is not None
-            done.append(name)
-            return JobResult(0) if name == "_run" else 0
-
-        monkeypatch.setattr(target, stand_in)
-
-    def check_run(config):
-        plain = OmegaConf.to_container(config, resolve=True)
-        checked_settings(plain)
-        return registry.make_method(plain["method"])
-
-    instead("vprbench.cli._run", check_run)
-    instead("vprbench.cli.swept", lambda runs, _: runs)
-    instead("vprbench.comparison.make.make_comparison", lambda asked, compose: checked(asked, compose)[0])
-    for name in ("table.make.make_table", "figures.make.make_figures", "page.make.make_report"):
-        instead(f"vprbench.paper.{name}", lambda asked, _, compose: gather.choose(asked, compose))
-    instead("vprbench.data.doctor.command", lambda _, build, *__: build())
-    monkeypatch.setattr("vprbench.tuning.search.search", lambda settings, *_: done.append("search"))
-    monkeypatch.setattr("vprbench.tuning.text.write", lambda *_: "")
-    return done
-
-
-@pytest.mark.parametrize("command", COMMANDS)
-@pytest.mark.extended
-def test_a_documented_command_is_understood(command, data, understood, tmp_path):
-    options = options_of(command, data)
-    store_what_others_trained(options)
-    (tmp_path / "results").mkdir()
-    if answered_at_once(options) is None:
-        foreign = "stores=[/mnt/gpu-box/results]" in options  # a folder that is not here
-        assert cli.main(with_few_frames(options)) == (2 if foreign else 0)
-        assert len(understood) == (not foreign)
 
 
 def with_few_frames(options):
