@@ -16,6 +16,7 @@ from vprbench.api.arrays import Image
 from vprbench.api.images import Images
 
 _BLOCK = 64  # images that are encoded together, at most
+_FEWEST = 8  # images that threads share: fewer are done before a thread has started
 _BLOCKS_BYTES = 1 << 25  # of all images that are held at once, about
 
 
@@ -44,7 +45,7 @@ def encode_blocks(
 
     If `threaded`, all threads that PyTorch may use encode: the one that reads does so if the others are busy.
     """
-    threads = torch.get_num_threads() if threaded and len(images) > 1 else 1
+    threads = torch.get_num_threads() if threaded and len(images) >= _FEWEST else 1
     size, n_bytes = min(_BLOCK, -(-len(images) // threads)), _BLOCKS_BYTES // (threads + 1)  # one is being gathered
     if threads == 1:
         for start, block in _blocks(images, size, n_bytes):
