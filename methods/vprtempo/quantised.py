@@ -39,17 +39,17 @@ class _Layer:
         return self._map(levels)
 
 
-Vector = npt.NDArray[np.float32]
-Map = Callable[[npt.NDArray[np.uint8]], Vector]  # of levels (n_queries, n_in) to (n_queries, n_out)
+Floats = npt.NDArray[np.float32]  # (n_out,), or (n_queries, n_out)
+Map = Callable[[npt.NDArray[np.uint8]], Floats]  # of levels (n_queries, n_in) to (n_queries, n_out)
 
 
-def _by_synapses(steps: npt.NDArray[np.int8], factor: Vector, bias: Vector) -> Map | None:
+def _by_synapses(steps: npt.NDArray[np.int8], factor: Floats, bias: Floats) -> Map | None:
     """Return the map that reads the synapses that exist; None if they are many."""
     synapses = sparse(steps, _FEW)
     if synapses is None:
         return None
 
-    def by_synapses(levels: npt.NDArray[np.uint8]) -> Vector:
+    def by_synapses(levels: npt.NDArray[np.uint8]) -> Floats:
         net = np.empty((len(levels), len(bias)), np.float32)
         _add_synapses(*synapses, factor, bias, levels, net)
         return net
@@ -57,7 +57,7 @@ def _by_synapses(steps: npt.NDArray[np.int8], factor: Vector, bias: Vector) -> M
     return by_synapses
 
 
-def _affine_map(steps: npt.NDArray[np.int8], factor: Vector, bias: Vector) -> Map:
+def _affine_map(steps: npt.NDArray[np.int8], factor: Floats, bias: Floats) -> Map:
     """Return the map by `steps` (n_out, n_in), times `factor`, plus `bias`, in the fastest way that is exact here.
 
     oneDNN's 8-bit product is exact with VNNI. Without, x86 adds pairs of products in 16 bits, which hold those of half
@@ -67,7 +67,7 @@ def _affine_map(steps: npt.NDArray[np.int8], factor: Vector, bias: Vector) -> Ma
     if parts:
         return _by_onednn(steps, factor, bias, parts)
 
-    def by_loops(levels: npt.NDArray[np.uint8]) -> Vector:
+    def by_loops(levels: npt.NDArray[np.uint8]) -> Floats:
         sums = np.empty((len(levels), len(steps)), np.int32)
         _multiply(steps, levels, sums)
         return np.asarray(sums * factor + bias, np.float32)
@@ -75,7 +75,7 @@ def _affine_map(steps: npt.NDArray[np.int8], factor: Vector, bias: Vector) -> Ma
     return by_loops
 
 
-def _by_onednn(steps: npt.NDArray[np.int8], factor: Vector, bias: Vector, parts: int) -> Map:
+def _by_onednn(steps: npt.NDArray[np.int8], factor: Floats, bias: Floats, parts: int) -> Map:
     """Return oneDNN's map by steps, each in so many parts; raises RuntimeError where PyTorch has none."""
     halves = [steps] if parts == 1 else [steps // 2, steps - steps // 2]
     n_out, n_in = steps.shape
@@ -83,9 +83,9 @@ def _by_onednn(steps: npt.NDArray[np.int8], factor: Vector, bias: Vector, parts:
     scales = torch.tensor(factor), torch.zeros(n_out, dtype=torch.int32), torch.tensor(bias)
     rest: tuple[object, ...] = (packed, *scales, 1.0, 0, torch.float32, "none", [], "")
 
-    def by_onednn(levels: npt.NDArray[np.uint8]) -> Vector:
+    def by_onednn(levels: npt.NDArray[np.uint8]) -> Floats:
         given = torch.from_numpy(levels if parts == 1 else np.concatenate([levels] * parts, axis=1))
-        net: Vector = torch.ops.onednn.qlinear_pointwise(given, 1.0, 0, *rest).numpy()
+        net: Floats = torch.ops.onednn.qlinear_pointwise(given, 1.0, 0, *rest).numpy()
         return net
 
     return by_onednn

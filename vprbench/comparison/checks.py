@@ -106,7 +106,7 @@ def _cell(name: str, asked: SortedOptions, options: Sequence[str], dataset: Data
             method.require_index(len(dataset.references))
         if not list(method.files()) and dataset is not None:
             with suppress(NotFittedError):
-                registry.make_method(config["method"]).encode(dataset.references[:1].unnamed())
+                method.encode(dataset.references[:1].unnamed())
     except NotThere as error:
         return Cell(row, str(error))
     except (BadInput, OSError):
