@@ -77,8 +77,9 @@ def test_what_is_stored_is_found_by_all_commands_and_clean_frames_are_compared_a
 ):
     shown = []
     monkeypatch.setattr(make, "written", lambda one, *_: shown.append(one) or [])
-    assert main([*ASKED, UNDER]) == 0
-    assert "noise ±5" in capsys.readouterr().out
+    for more in [], ["stored=true"]:
+        assert main([*ASKED, UNDER, *more]) == 0
+        assert "noise ±5" in capsys.readouterr().out
     assert main(ASKED) == 0
     assert [run.key for group in shown[-1].groups for run in group.runs] == [runs()[None].key]
     assert main(["table", "rows=[SAD]", "columns=[route]", "name=table", "timing=none", "threads=1"]) == 0

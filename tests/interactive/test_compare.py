@@ -38,9 +38,8 @@ def test_methods_are_ranked_with_their_metrics_and_a_sentence():
     assert (given.to_markdown().count("\n"), "80.0" in given._repr_html_()) == (4, True)
     assert len(given.plot_pr().axes) == 1
     assert (repr(given).count("\n"), len(repr(given)) <= 100) == (0, True)
-    row = replace(given.ranking.rows[0], low=None, high=None, fit_seconds=0.0312)
-    slow = replace(row, fit_seconds=312.0)
-    shown = replace(given, ranking=replace(given.ranking, rows=(row, slow))).to_markdown()
+    timed = given.ranking.table[:2].assign(low=None, high=None, fit_seconds=[0.0312, 312.0])
+    shown = replace(given, ranking=replace(given.ranking, table=timed)).to_markdown()
     assert [line.split("|")[-2].strip() for line in shown.splitlines()[2:]] == ["0.031", "310"]
 
 
@@ -48,7 +47,7 @@ def test_a_method_that_was_tuned_on_places_asked_for_has_its_recall_on_the_other
     given = vprbench.compare([answering(3), answering(24)], journey(30, 30), timing="none")
     assert given.table["elsewhere"].isna().all()
     assert "Elsewhere" not in given.to_markdown()
-    best, other = (replace(row.runs[0], dataset="synthetic") for row in given.ranking.rows)
+    best, other = (replace(runs[0], dataset="synthetic") for runs in given.ranking.table["runs"])
     tuned = replace(best, tuned_on={"dataset": "synthetic", "places": "0-9"})  # 14 of 24 hits are on 20 other places
     shown = replace(given, ranking=ranked([Series(run.method, False, (run,)) for run in (tuned, other)]))
     assert shown.table["elsewhere"].tolist() == [pytest.approx(0.7), pytest.approx(np.nan, nan_ok=True)]

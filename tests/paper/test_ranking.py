@@ -11,6 +11,7 @@ from stored_runs import run
 
 from vprbench.paper.ranking import ranked
 from vprbench.paper.table.reasons import full_seconds
+from vprbench.runs.frame import named_tuples
 
 MANY = range(0, 60, 2)
 
@@ -24,10 +25,10 @@ def row(name, *wrong, seconds=None, **changes):
 def test_rows_come_best_first_with_the_numbers_of_all_their_seeds():
     (one,), (other,) = (row("sad", *wrong, **more).runs for wrong, more in (((0, 1, 2), {}), ((0,), {"seed": 1})))
     seeds = [one, replace(other, fit_seconds=20.0)]
-    first, second = ranked([row("hog", *MANY), series("sad", *seeds)]).rows
-    assert (first.name, len(first.runs), second.name) == ("sad", 2, "hog")
-    assert first.recall == pytest.approx((57 + 59) / 120)
-    assert first.low < first.recall < first.high
+    first, second = named_tuples(ranked([row("hog", *MANY), series("sad", *seeds)]).table)
+    assert (first.method, first.seeds, second.method) == ("sad", 2, "hog")
+    assert first.recall_at_1 == pytest.approx((57 + 59) / 120)
+    assert first.low < first.recall_at_1 < first.high
     assert (first.hz, first.fit_seconds) == (pytest.approx(80), pytest.approx((12.34 + 20) / 2))
 
 
@@ -50,11 +51,11 @@ def test_the_fastest_row_is_named_and_one_tuned_on_these_places_or_without_right
     assert ("sad" in told[1], "200" in told[1]) == (True, True)
     tuned = row("tuned", tuned_on={"dataset": "railway", "places": "0-9"})
     ranking = ranked([row("hog", 7), row("sad", *MANY), tuned])
-    assert ranking.rows[0].name == "tuned"
+    assert ranking.table["method"][0] == "tuned"
     assert ranking.sentences[0].startswith("hog is best")
     assert "tuned" in ranking.sentences[-1]
     ranking = ranked([series("a", unanswerable_run()), series("b", unanswerable_run())])
-    assert [one.recall for one in ranking.rows] == [None, None]
+    assert [*ranking.table["recall_at_1"]] == [None, None]
     assert len(ranking.sentences) == 1
 
 

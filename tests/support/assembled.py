@@ -3,7 +3,7 @@
 from stored_runs import PLAN, RAIL, ROWS, run
 
 from vprbench.paper.selection import groups
-from vprbench.paper.table.build import assemble
+from vprbench.paper.table.cells import assemble
 from vprbench.paper.table.quantities import QUANTITIES
 
 NAMES = ("recall_at_1", "train_cpu", "query_cpu", "train_gpu", "query_gpu")
@@ -14,12 +14,13 @@ def table(runs=(), failures=(), rows=ROWS, asked=(RAIL,), left_out=None, quantit
 
 
 def cell(made, row, quantity, column="railway"):
-    return next(each for each in made.rows if each.name == row).cells[column, quantity]
+    named = {(each.row, each.column, each.quantity): each for each in made.cells.itertuples()}
+    return named[row, column, quantity]
 
 
 def measured(made, row, quantity, column="railway"):
-    found = cell(made, row, quantity, column).measured
-    assert found is not None
+    found = cell(made, row, quantity, column)
+    assert found.seeds is not None
     return found
 
 

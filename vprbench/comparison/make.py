@@ -10,7 +10,6 @@ from pathlib import Path
 import pandas as pd
 
 from vprbench.comparison.checks import Checked, checked
-from vprbench.comparison.quantities import quantities
 from vprbench.comparison.request import SortedOptions
 from vprbench.errors import BadInput
 from vprbench.jobs.executors import Executor, executor_for
@@ -24,14 +23,14 @@ from vprbench.paper.robustness import Robustness, csv, lines, markdown, robustne
 from vprbench.paper.selection import Group, accuracy_series, as_text, groups, seen
 from vprbench.paper.stored_runs import Compose
 from vprbench.paper.table import words
-from vprbench.paper.table.cells import TableRow
 from vprbench.paper.table.make import exit_code, write
-from vprbench.paper.table.quantities import RECALL, Quantity
+from vprbench.paper.table.quantities import RECALL, comparison_quantities
 from vprbench.paper.titles import describe_protocol
 from vprbench.progress import progress_shown
 from vprbench.runs import rows
 from vprbench.runs.corrupted_frames import corrupted
 from vprbench.runs.corruption import Corruption, corruptions
+from vprbench.runs.frame import named_tuples
 from vprbench.runs.identity import fingerprint
 from vprbench.runs.record import Failure, Run
 from vprbench.runs.sequences import suffix, views
@@ -73,7 +72,7 @@ def make_missing(
     """
     once = replace(chosen, devices=chosen.devices[:1])
     options = [option for option in asked.of_runs if option.partition("=")[0].partition(".")[0] != "timing"]
-    if not spoilt:
+    if not spoilt or chosen.stored:
         return []
     options += _UNTIMED
     names = tuple(each.name for each in spoilt)
@@ -137,7 +136,7 @@ def chosen_of(found: Checked, asked: SortedOptions) -> TablePlan:
         stores=tuple(request.stores),
         stored=request.stored,
         title=found.column.planned.title,
-        quantities=quantities(request.metrics, request.devices),
+        quantities=comparison_quantities(request.metrics, request.devices),
         views=views(request.sequence, request.filter),
     )
 
@@ -163,7 +162,7 @@ def ranked_material(
     shown = groups(there.runs, [*failures, *left_out], [found.column], chosen.rows)
     shown = seen(shown, chosen.rows, chosen.views)
     rankings = [ranked(accuracy_series(group, chosen.rows)) for group in shown]
-    order = [row.name for row in rankings[0].rows]
+    order = [*rankings[0].table["method"]]
     ordered = sorted(chosen.rows, key=lambda row: order.index(row.name) if row.name in order else len(order))
     return assembled(replace(chosen, rows=tuple(ordered)), shown, there.runs, tuple(endings)), rankings
 
@@ -202,17 +201,17 @@ def show(found: ReportData, rankings: Sequence[Ranking], wide: bool = False) -> 
         )
         for run in (group.runs[0] for group in found.groups if group.runs):
             print(line_text(f"{rows.describe_view(run, whole=True)}: {len(run.outcome):,} queries"))
-    for row in table.rows:
-        numbers = sorted({number for cell in row.cells.values() for number in cell.notes})
-        for number in numbers:
-            print(line_text(f"note: {row.name}: {table.notes[number - 1].text}", "yellow"))
+    for row, cells in table.cells.groupby("row", sort=False):
+        for number in sorted({number for notes in cells["notes"] for number in notes}):
+            print(line_text(f"note: {row}: {table.notes[number - 1].text}", "yellow"))
     print()
-    if len(table.columns) == 1:
-        heads = ["method", *(quantity.heading for quantity in table.quantities)]
-        show_table(heads, [[row.name, *_shown(found, row, table.quantities)] for row in table.rows], wide, _LEAST)
-    else:
+    cells = words.in_words(table)
+    heads = ["method", *(quantity.heading for quantity in table.quantities)]
+    if len(table.columns) > 1:
         heads = ["R@1 %", *map(_short, found.groups)]
-        show_table(heads, [[row.name, *_shown(found, row, [RECALL])] for row in table.rows], wide)
+        cells = cells[(table.cells["quantity"] == RECALL.name).to_numpy()]
+    of_rows = cells.groupby("row", sort=False)
+    show_table(heads, [[str(name), *_shown(of_row)] for name, of_row in of_rows], wide, _LEAST)
     print()
     for group, ranking in zip(found.groups, rankings, strict=True):
         above = f"{_short(group)}: " if len(rankings) > 1 else ""
@@ -224,11 +223,12 @@ def _short(group: Group) -> str:
     return rows.describe_view(group.runs[0]) if group.runs else "no run"
 
 
-def _shown(found: ReportData, row: TableRow, quantities: Sequence[Quantity]) -> Iterator[str]:
-    for column in found.table.columns:
-        cells = [words.of_cell(found.table, row, column, quantity) for quantity in quantities]
-        for number, cell in enumerate(cells):
-            absence = cell.absence if number == 0 or cell.value or cell.absence != cells[0].absence else ""
+def _shown(cells: pd.DataFrame) -> Iterator[str]:
+    """Yield the text of a row's cells, the word for what is absent once in a column."""
+    for _, of_column in cells.groupby("column", sort=False):
+        first = of_column["absence"].iloc[0]
+        for number, cell in enumerate(named_tuples(of_column)):
+            absence = cell.absence if number == 0 or cell.value or cell.absence != first else ""
             yield " ".join(filter(None, [absence, cell.value, cell.extent]))
 
 

@@ -16,10 +16,11 @@ from vprbench.interactive.choices import AnyDataset, AnyMethod, Place, place, re
 from vprbench.interactive.result import Result
 from vprbench.interactive.running import Options, Prepared, finished, prepared
 from vprbench.metrics.registry import METRICS
-from vprbench.paper.ranking import Ranked, Ranking, ranked
+from vprbench.paper.ranking import NUMBERS, Ranking, ranked
 from vprbench.paper.selection import Series
 from vprbench.paper.table.quantities import RATES
 from vprbench.runs import frame, rows
+from vprbench.runs.frame import named_tuples
 from vprbench.runs.record import Failure
 from vprbench.runs.sequences import views
 from vprbench.runs.settings import require_metrics
@@ -47,10 +48,13 @@ class Comparison:
         `elsewhere` is R@1 on places that a method was not tuned on, of one that was tuned on others of these. Those
         that were left out stand last, with the reason.
         """
+        found = self.ranking.table.drop(columns="runs").assign(left_out="")
+        for name in self.metrics:
+            of_seeds = ([METRICS[name].of(run) for run in runs] for runs in self.ranking.table["runs"])
+            found.insert([*found].index("hz"), name, [pd.Series(each, dtype=float).mean() for each in of_seeds])
         last = [{"method": frame.label(one), "seeds": 0, "left_out": one.error} for one in self.left_out]
-        names = ("recall_at_1", "low", "high", "elsewhere", "elsewhere_low", "elsewhere_high", "hz", "fit_seconds")
-        numbers = dict.fromkeys(names, float)  # NaN, where one is None
-        return pd.DataFrame([*map(self._row, self.ranking.rows), *last]).astype(numbers)
+        every = pd.concat([found, pd.DataFrame(last)], ignore_index=True) if last else found
+        return every.astype({**dict.fromkeys(NUMBERS, float), "method": str, "seeds": int, "left_out": str})
 
     def seen_as(self, sequence: int | Mapping[str, Any] | None, filter: bool | Mapping[str, Any] = False) -> Comparison:
         """Return the comparison of the same runs by sequences, as 4 or {"length": 4, "gaps": "bridge"}, or by a filter.
@@ -62,7 +66,7 @@ class Comparison:
             raise BadInput(f"sequence={sequence}, filter={filter}: give one view, and ask again for each other one")
         results = tuple(result.seen(asked[0]) for result in self.results)
         new = {id(old.run): one for old, one in zip(self.results, results, strict=True)}
-        of_rows = [(row.name, [new[id(run)].run for run in row.runs]) for row in self.ranking.rows]
+        of_rows = [(one.name, [new[id(run)].run for run in one.runs]) for one in self._series()]
         series = [Series(name, runs[0].spikes is not None, tuple(runs)) for name, runs in of_rows]
         return replace(self, results=results, ranking=ranked(series))
 
@@ -75,8 +79,7 @@ class Comparison:
         """Return the figure of precision and recall of all methods; raises BadInput if no query has a right place."""
         from vprbench.paper.figures.accuracy import precision_recall
 
-        spiking = {result.name for result in self.results if result.run.spikes is not None}
-        return precision_recall([Series(row.name, row.name in spiking, row.runs) for row in self.ranking.rows]).figure
+        return precision_recall(self._series()).figure
 
     def to_markdown(self) -> str:
         """Return the table in Markdown."""
@@ -87,30 +90,17 @@ class Comparison:
         return str(self._text().to_latex(index=False, escape=True))
 
     def __repr__(self) -> str:
-        methods = plural(len(self.ranking.rows), "method")
+        methods = plural(len(self.ranking.table), "method")
         return short(f"<{methods} on {self.results[0].run.dataset}: {self.sentence}>")
 
     def _repr_html_(self) -> str:
         sentences = pd.DataFrame({self.results[0].run.dataset: self.ranking.sentences})
         return "".join(table.to_html(index=False, border=0) for table in (self._text(), sentences))
 
-    def _row(self, row: Ranked) -> dict[str, str | float | None]:
-        other = row.elsewhere
-        of_seeds = {name: pd.Series([METRICS[name].of(run) for run in row.runs], dtype=float) for name in self.metrics}
-        return {
-            "method": row.name,
-            "recall_at_1": row.recall,
-            "low": row.low,
-            "high": row.high,
-            "elsewhere": None if other is None else other.recall,
-            "elsewhere_low": None if other is None else other.low,
-            "elsewhere_high": None if other is None else other.high,
-            **{name: values.mean() for name, values in of_seeds.items()},
-            "hz": row.hz,
-            "fit_seconds": row.fit_seconds,
-            "seeds": len(row.runs),
-            "left_out": "",
-        }
+    def _series(self) -> list[Series]:
+        return [
+            Series(row.method, row.runs[0].spikes is not None, row.runs) for row in named_tuples(self.ranking.table)
+        ]
 
     def _text(self) -> pd.DataFrame:
         """Return the table as text for people: percent, and a dash for what there is not."""

@@ -19,8 +19,7 @@ from vprbench.paper.plan import Plan, PlannedColumn, Row, read_plan, with_plug_i
 from vprbench.paper.run_options import RunOptions
 from vprbench.paper.selection import Group, ResolvedColumn, groups, seen
 from vprbench.paper.stored_runs import Compose
-from vprbench.paper.table.build import assemble
-from vprbench.paper.table.cells import Table
+from vprbench.paper.table.cells import Table, assemble
 from vprbench.paper.table.quantities import QUANTITIES, Quantity, quantities
 from vprbench.paper.table.reasons import why_left_out
 from vprbench.plugins import registry

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -18,6 +19,7 @@ from vprbench.paper.table.formats import shown_as_it_is
 from vprbench.paper.templates import document
 from vprbench.runs import rows
 from vprbench.runs.corruption import KINDS, STRENGTHS, Corruption
+from vprbench.runs.frame import named_tuples
 from vprbench.runs.recall_intervals import along_the_journey, recall_interval
 from vprbench.runs.record import Run
 from vprbench.runs.tuned import tuned_note
@@ -25,22 +27,14 @@ from vprbench.runs.tuned import tuned_note
 _ABSENT = "-"
 
 
-@dataclass(frozen=True)
-class Point:
-    """R@1 of one row under one corruption, or on clean frames; shares from 0 to 1, means over the seeds."""
-
-    method: str  # the row's name
-    kind: str  # "clean" for strength 0
-    strength: int
-    amount: str  # with its unit; empty on clean frames
-    seeds: int
-    recall_at_1: float
-    low: float  # of the 95 % interval
-    high: float
-    drop: float  # from R@1 on clean frames
-    drop_low: float | None  # of the 95 % interval of the paired difference; None: too few queries for one
-    drop_high: float | None
-    tuned_on: str  # what there is to say of places that the method was tuned on; empty: nothing
+#: The columns of the points; shares are 0 to 1 and means over the seeds.
+COLUMNS = (
+    *("method", "kind", "strength"),  # the row's name; "clean" of strength 0
+    "amount",  # with its unit; empty on clean frames
+    *("seeds", "recall_at_1", "low", "high"),  # with its 95 % interval
+    *("drop", "drop_low", "drop_high"),  # from clean frames, with the 95 % interval of the paired difference
+    "tuned_on",  # what there is to say of places that the method was tuned on; empty: nothing
+)
 
 
 @dataclass(frozen=True)
@@ -48,12 +42,12 @@ class Robustness:
     """The points of all rows of a comparison, the clean one of each row first."""
 
     clean: tuple[Series, ...]
-    points: tuple[Point, ...]
+    points: pd.DataFrame  # a line for each row on clean frames, then for each corruption and row: `COLUMNS`
 
     @property
     def kinds(self) -> dict[str, list[int]]:
         """The kinds of corruption that were run, and their strengths, ascending."""
-        known = {(point.kind, point.strength) for point in self.points}
+        known = {*zip(self.points["kind"], self.points["strength"], strict=True)}
         found = {kind: [each for each in STRENGTHS if (kind, each) in known] for kind in KINDS}
         return {kind: strengths for kind, strengths in found.items() if strengths}
 
@@ -62,9 +56,9 @@ class Robustness:
         """What each of these kinds does to query frames."""
         return {kind: KINDS[kind].describe(strengths) for kind, strengths in self.kinds.items()}
 
-    def of(self, method: str, kind: str) -> list[Point]:
+    def of(self, method: str, kind: str) -> pd.DataFrame:
         """Return the points of a row from clean to strong; those without a run are missing."""
-        return [point for point in self.points if point.method == method and point.kind in (kind, "clean")]
+        return self.points[(self.points["method"] == method) & self.points["kind"].isin([kind, "clean"])]
 
 
 def robustness(clean: Sequence[Series], corrupted: Mapping[Corruption, Sequence[Series]]) -> Robustness:
@@ -78,30 +72,21 @@ def robustness(clean: Sequence[Series], corrupted: Mapping[Corruption, Sequence[
     of_name = {row.name: row for row in clean}
     for one, spoilt in corrupted.items():
         points += [_point(row, of_name[row.name], one) for row in spoilt if row.name in of_name]
-    return Robustness(tuple(clean), tuple(points))
+    return Robustness(tuple(clean), pd.DataFrame(points, columns=[*COLUMNS], dtype=object))
 
 
-def _point(row: Series, clean: Series, one: Corruption | None) -> Point:
+def _point(row: Series, clean: Series, one: Corruption | None) -> dict[str, Any]:
     recall, before, interval = mean_recall(row.runs), mean_recall(clean.runs), recall_interval(row.runs)
     assert recall is not None
     assert before is not None
     assert interval is not None
     order = along_the_journey(clean.runs[0])
-    difference = None if one is None else difference_interval(_hits(clean.runs)[order], _hits(row.runs)[order])
-    return Point(
-        method=row.name,
-        kind="clean" if one is None else one.kind,
-        strength=0 if one is None else one.strength,
-        amount="" if one is None else one.short,
-        seeds=len(row.runs),
-        recall_at_1=recall,
-        low=interval.low,
-        high=interval.high,
-        drop=before - recall,
-        drop_low=None if difference is None else difference.low,
-        drop_high=None if difference is None else difference.high,
-        tuned_on=tuned_note(row.runs),
-    )
+    drop = None if one is None else difference_interval(_hits(clean.runs)[order], _hits(row.runs)[order])
+    of_corruption = ("clean", 0, "") if one is None else (one.kind, one.strength, one.short)
+    accuracy = (len(row.runs), recall, interval.low, interval.high)
+    ends = (None, None) if drop is None else (drop.low, drop.high)
+    values = (row.name, *of_corruption, *accuracy, before - recall, *ends, tuned_note(row.runs))
+    return dict(zip(COLUMNS, values, strict=True))
 
 
 def _hits(runs: Sequence[Run]) -> Values:
@@ -114,16 +99,18 @@ def lines(found: Robustness) -> list[dict[str, str]]:
     A drop whose interval holds 0 stands in brackets.
     """
     head = "R@1 %, less by"
-    told = [{head: "clean", **{row.name: _percent(found.of(row.name, "")[0].recall_at_1) for row in found.clean}}]
+    told = [{head: "clean"}]
+    for point in named_tuples(found.points[found.points["strength"] == 0]):
+        told[0][point.method] = _percent(point.recall_at_1)
     for kind, strengths in found.kinds.items():
         told.append({head: f"{kind} {KINDS[kind].short(strengths)}"})
         for row in found.clean:
-            there = {point.strength: point for point in found.of(row.name, kind)}
+            there = {point.strength: point for point in named_tuples(found.of(row.name, kind))}
             told[-1][row.name] = "/".join(_drop(there.get(each)) for each in strengths)
     return told
 
 
-def _drop(point: Point | None) -> str:
+def _drop(point: Any | None) -> str:
     if point is None:
         return _ABSENT
     sure = point.drop_low is not None and point.drop_high is not None and not point.drop_low <= 0 <= point.drop_high
@@ -143,4 +130,4 @@ def markdown(found: Robustness, title: str) -> str:
 
 def csv(found: Robustness) -> str:
     """Return a line for each row and corruption, unrounded."""
-    return str(pd.DataFrame(map(asdict, found.points)).to_csv(index=False, lineterminator="\n"))
+    return str(found.points.to_csv(index=False, lineterminator="\n"))

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, fields
 from typing import TYPE_CHECKING, Any
 
 from vprbench.metrics.accuracy import hits_within, recall_at
 from vprbench.metrics.registry import METRICS, RECALLS
 from vprbench.plugins.entries import Entry, entries
+from vprbench.runs.machine import Machine
+from vprbench.runs.notes import DISTURBED
 from vprbench.runs.recall_intervals import recall_interval
 from vprbench.runs.record import Failure, Run
 from vprbench.runs.stopwatch import StageRates, Timing, best_batch, percentile_bound
@@ -31,7 +33,8 @@ COLUMNS = (
     *("load_seconds", "fitted_alone", "timed_alone", "streaming_encode_hz", "streaming_match_hz", "streaming_total_hz"),
     *("streaming_p90_seconds", "streaming_p99_seconds", "offline_encode_hz", "offline_match_hz", "offline_total_hz"),
     *("offline_batch", "index_recall_at_1", "index_recall_at_10", "index_bytes_per_place", "index_build_seconds"),
-    *("peak_memory_bytes", "harness_seconds", "method_seconds", "queries", "places", "network", "tuned_on", "key"),
+    *("peak_memory_bytes", "harness_seconds", "method_seconds", "queries", "places", "network", "tuned_on"),
+    *("machine", "time_utc", "disturbed", "notes", "key"),
 )
 
 #: Columns of the frame under other names in CSV files, where `method` is the name with its arguments.
@@ -53,9 +56,21 @@ def frame(results: Iterable[Run | Failure], metrics: Sequence[str] = ()) -> pd.D
     return pd.DataFrame(rows, columns=[*dict.fromkeys([*COLUMNS, *more, *metrics])], dtype=object)
 
 
+def with_records(runs: Sequence[Run], metrics: Sequence[str] = ()) -> pd.DataFrame:
+    """Return the frame of runs with the runs themselves in one more column, `record`."""
+    import pandas as pd
+
+    return frame(runs, metrics).assign(record=pd.Series(list(runs), dtype=object))
+
+
 def csv(results: Sequence[Run | Failure], metrics: Sequence[str] = ()) -> str:
     """Return the frame of runs as CSV, a line each, unrounded."""
     return str(frame(results, metrics).drop(columns=[*_NOT_IN_CSV]).rename(columns=_IN_CSV).to_csv(index=False))
+
+
+def named_tuples(table: pd.DataFrame) -> Iterator[Any]:
+    """Yield the lines of a frame as named tuples."""
+    return iter(table.itertuples(index=False))
 
 
 def label(run: Run | Failure) -> str:
@@ -79,6 +94,10 @@ def _row(result: Run | Failure, metrics: Sequence[str], known: Mapping[str, Entr
         **numbers(result, metrics),
         "network": result.network,
         "tuned_on": tuned_note([result]),
+        "machine": Machine.of(result.environment).line,
+        "time_utc": str(result.environment.get("time_utc") or ""),
+        "disturbed": any(note.kind in DISTURBED for note in result.notes),
+        "notes": "; ".join(note.text for note in result.notes),
         "key": result.key,
     }
 

@@ -21,7 +21,7 @@ from stored_runs import ABACUS, NORDLAND, PLAN, RAILWAY, SAD, STREET, failure, r
 from vprbench.paper.plan import PlannedColumn, Row
 from vprbench.paper.selection import ResolvedColumn, groups
 from vprbench.paper.table import formats
-from vprbench.paper.table.build import assemble
+from vprbench.paper.table.cells import assemble
 from vprbench.paper.table.quantities import quantities
 from vprbench.runs.notes import Note
 from vprbench.terminal import console

@@ -24,6 +24,7 @@ from vprbench.paper.table.best import mean_recall
 from vprbench.paper.table.formats import shown_as_it_is
 from vprbench.paper.table.make import exit_code
 from vprbench.paper.titles import title
+from vprbench.runs.frame import named_tuples
 from vprbench.runs.record import Run
 from vprbench.runs.thumbnails import Thumbnails, find
 from vprbench.storage.atomic import remove_leftovers, replace_text
@@ -138,13 +139,8 @@ def _growth(found: ReportData, runs: Sequence[Run], growth: Sequence[ResolvedCol
 
 def _marks(found: ReportData, group: Group) -> dict[tuple[str, str], str]:
     """Return the table's word for each cell of a group, by row and quantity."""
-    name = group.name
-    return {
-        (row.name, quantity): cell.mark
-        for row in found.table.rows
-        for (column, quantity), cell in row.cells.items()
-        if column == name
-    }
+    cells = found.table.cells[found.table.cells["column"] == group.name]
+    return {(cell.row, cell.quantity): cell.mark for cell in named_tuples(cells)}
 
 
 def _growing(found: ReportData) -> list[Row]:

@@ -24,12 +24,12 @@ def robustness(found: Robustness) -> Drawn:
     figure, panels = new(DOUBLE_MM * columns / _COLUMNS, _ROW_MM * n_rows, n_rows, columns)
     styles = looks([row.name for row in found.clean])
     bands = len(found.clean) <= _MOST_BANDS
-    highest = 10 * ceil(10 * max(point.high for point in found.points))
+    highest = 10 * ceil(10 * max(found.points["high"]))
     for number, (axes, (kind, strengths)) in enumerate(zip(panels, kinds.items(), strict=False)):
         for row in found.clean:
             look, points = styles[row.name], found.of(row.name, kind)
-            at = [point.strength for point in points]
-            low, mean, high = ([100 * getattr(p, end) for p in points] for end in ("low", "recall_at_1", "high"))
+            at = [*points["strength"]]
+            low, mean, high = ([100 * share for share in points[end]] for end in ("low", "recall_at_1", "high"))
             if bands:
                 axes.fill_between(at, low, high, color=look.colour, alpha=_BAND, linewidth=0)
             axes.plot(at, mean, color=look.colour, linestyle=look.dash, marker=look.marker, label=row.name)

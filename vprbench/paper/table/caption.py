@@ -4,14 +4,20 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import pandas as pd
 
 from vprbench.paper.selection import DEVICES, Device, Group, options_apart
 from vprbench.paper.table import best
-from vprbench.paper.table.cells import Column, Entry, TableRow
 from vprbench.paper.table.quantities import RATES, RECALL, Quantity
 from vprbench.paper.table.reasons import one_sentence
 from vprbench.paper.templates import ENVIRONMENT, sentences
+from vprbench.runs.frame import named_tuples
 from vprbench.runs.record import Failure
+
+if TYPE_CHECKING:
+    from vprbench.paper.table.cells import Column, Entry
 
 ENVIRONMENT.globals["best"] = best
 ENVIRONMENT.filters["one_sentence"] = one_sentence
@@ -23,16 +29,16 @@ def caption(
     groups: Sequence[Group],
     columns: Sequence[Column],
     entries: Mapping[str, Sequence[Entry]],
-    rows: Sequence[TableRow],
+    cells: pd.DataFrame,
     quantities: Sequence[Quantity],
 ) -> list[str]:
     """Return the caption of a table; `columns` are those of the groups, `entries` those of each row by its name."""
-    cells = [cell for row in rows for cell in row.cells.values()]
-    measured = [cell.measured for cell in cells if cell.measured is not None]
     versions = Counter(group.asked.planned.name for group in groups)
     apart = [options_apart(group) if versions[group.asked.planned.name] > 1 else () for group in groups]
-    seeds = [(row.name, _seeds(row, columns)) for row in rows]
-    blocks = [(column.title, _blocks(column, rows)) for column in columns]
+    measured = cells[cells["seeds"].notna()]
+    seeds = [(name, _seeds(measured[measured["row"] == name], columns)) for name in entries]
+    recalls = measured[(measured["quantity"] == RECALL.name) & measured["block"].notna()]
+    blocks = [(column.title, [*named_tuples(recalls[recalls["column"] == column.name])]) for column in columns]
     return sentences(
         "table/sentences.j2",
         "caption",
@@ -40,32 +46,27 @@ def caption(
         [(name, places) for name, places in seeds if any(len(seeds) > 1 for seeds in places)],
         [(title, of_rows) for title, of_rows in blocks if of_rows],
         [(name, _failed(there), *_aside(there)) for name, there in entries.items()],
-        any(each.best for each in measured),
-        any(each.disturbed for each in measured),
-        any(cell.published_mark != "none" for cell in cells),
+        any(cells["best"]),
+        any(cells["disturbed"]),
+        any(cells["published_mark"] != "none"),
         [f"{quantity.head} in {quantity.unit}" for quantity in quantities if quantity.unit],
     )
 
 
-def _seeds(row: TableRow, columns: Sequence[Column]) -> dict[tuple[int, ...], list[str]]:
-    """Return which columns, and devices if these differ, show which seeds of a row."""
+def _seeds(measured: pd.DataFrame, columns: Sequence[Column]) -> dict[tuple[int, ...], list[str]]:
+    """Return which columns, and devices if these differ, show which seeds of the row whose measured cells these are."""
     places: dict[tuple[int, ...], list[str]] = {}
     for column in columns:
-        cells = {rate.device: cell.measured for rate in RATES if (cell := row.cells.get((column.name, rate.name)))}
-        shown = {device: measured.seeds for device, measured in cells.items() if measured is not None}
-        recall = row.cells[column.name, RECALL.name].measured
-        if recall is not None and not shown:  # nothing was timed
-            shown = {"cpu": recall.seeds}
+        cells: Mapping[str, Any] = {
+            cell.quantity: cell.seeds for cell in named_tuples(measured[measured["column"] == column.name])
+        }
+        shown = {rate.device: cells[rate.name] for rate in RATES if rate.name in cells}
+        if RECALL.name in cells and not shown:  # nothing was timed
+            shown = {"cpu": cells[RECALL.name]}
         for device, seeds in shown.items():
-            where = column.title if len({*shown.values()}) == 1 else f"{column.title}, {_NAMES[device]}"
+            where = column.title if len({*shown.values()}) == 1 else f"{column.title}, {_NAMES[device or 'cpu']}"
             places[seeds] = [*dict.fromkeys([*places.get(seeds, []), where])]
     return places
-
-
-def _blocks(column: Column, rows: Sequence[TableRow]) -> list[tuple[str, object]]:
-    """Return the rows whose interval of R@1 is of blocks of queries, each with what was measured."""
-    cells = [(row.name, row.cells[column.name, RECALL.name].measured) for row in rows]
-    return [(name, measured) for name, measured in cells if measured is not None and measured.block is not None]
 
 
 def _failed(entries: Sequence[Entry]) -> list[tuple[str, str, Failure]]:

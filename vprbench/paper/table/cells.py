@@ -1,49 +1,62 @@
-"""The cells of Table II, before any format: what was measured, what the paper printed, and why they differ."""
+"""The cells of Table II, before any format: what was measured, what the paper printed, and why they differ.
+
+They are one frame: the frame of the runs that rows show (`vprbench.runs.frame`), grouped by row, column and device, and
+put beside the numbers that the paper printed.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import itertools
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from statistics import stdev
+from typing import Any
 
-from vprbench.metrics.intervals import IntervalKind
-from vprbench.paper.plan import Boundary, Row
-from vprbench.paper.selection import Device, Group, RowRuns, accuracy_device
-from vprbench.paper.table.quantities import QUANTITIES, Quantity
-from vprbench.paper.table.reasons import Mark, Reason
+import pandas as pd
+
+from vprbench.metrics.intervals import WiderInterval
+from vprbench.paper.plan import Plan, Row
+from vprbench.paper.published import published
+from vprbench.paper.selection import DEVICES, Device, Group, RowRuns, accuracy_device, of_row
+from vprbench.paper.table.best import Contestant
+from vprbench.paper.table.caption import caption
+from vprbench.paper.table.quantities import QUANTITIES, RECALL, Quantity
+from vprbench.paper.table.reasons import (
+    MARKS,
+    Reason,
+    absent,
+    differences,
+    lacking,
+    other_timing,
+    reason,
+    remarks,
+    undefined,
+)
+from vprbench.paper.titles import describe_protocol
+from vprbench.paper.titles import title as title_of
+from vprbench.runs.frame import with_records
+from vprbench.runs.recall_intervals import recall_interval
 from vprbench.runs.record import Run
+from vprbench.runs.tuned import others_of, tuned_here, tuned_note
 
-
-@dataclass(frozen=True)
-class Measured:
-    """What the runs of one row on one dataset and device gave, in the unit of its column: %, minutes or Hz."""
-
-    value: float  # the mean over the seeds; of minutes, without waiting for images, the median
-    low: float | None  # of R@1, 95 % interval over the queries; of several seeds, of the hits' mean over them
-    high: float | None
-    spread: float | None  # standard deviation over the seeds; None for one
-    seeds: tuple[int, ...]
-    total: float | None  # of training: minutes with the images read too
-    best: bool  # a paired test separates it from every other row
-    disturbed: bool  # the machine did other things meanwhile, or the laps were too few; never of R@1
-    machine: int  # which of the table's machines, from 0
-    interval: IntervalKind | None = None  # of R@1: what low and high are of
-    block: int | None = None  # of R@1: consecutive queries that were taken to be alike
-    at_boundary: float | None = None  # of rates: Hz of the step that the paper timed
-    elsewhere: Measured | None = None  # of an accuracy: on the other queries, where some show what it was tuned on
-
-
-@dataclass(frozen=True)
-class Cell:
-    """One cell: what was measured, or why nothing was, beside what the paper printed."""
-
-    mark: Mark
-    measured: Measured | None  # where mark is "measured", and what there is where it is "unfinished"
-    quoted: float | None  # where mark is "quoted"
-    published: float | None  # None: the paper printed "-", or has no such cell
-    published_mark: Literal["measured", "quoted", "not applicable", "none"]  # none: the paper has no such cell
-    difference: float | None  # measured, of the same step, less published; None without both or on other data
-    notes: tuple[int, ...]  # numbers, from 1, into the table's notes: reasons
+#: The columns of the frame of cells. Numbers are in the unit of the quantity; what there is not is None.
+FACTS = (
+    *("row", "column", "quantity"),  # their names
+    "mark",  # "measured", or the word for a cell without a number (`reasons.Mark`)
+    "value",  # over the seeds: the mean, of minutes and seconds of a fit the median; where mark is "quoted" the paper's
+    *("low", "high", "interval", "block"),  # of R@1: 95 % over the queries, of which kind, and queries a block
+    *("elsewhere", "elsewhere_low", "elsewhere_high", "elsewhere_spread"),  # of an accuracy, on places not tuned on
+    "spread",  # standard deviation over the seeds; None for one
+    "seeds",  # those that were measured
+    "total",  # of training: with waiting for the images
+    "at_boundary",  # of rates: of the step alone that the paper timed
+    "best",  # a paired test separates it from every other row
+    "disturbed",  # the machine did other things meanwhile, or the laps were too few
+    "machine",  # which of the table's machines, from 0
+    *("published", "published_mark"),  # mark "none": the paper has no such cell
+    "difference",  # measured, of the same step, less published; None on other data
+    "notes",  # numbers, from 1, into the table's notes
+)
 
 
 @dataclass(frozen=True)
@@ -60,21 +73,12 @@ class Column:
 
 
 @dataclass(frozen=True)
-class TableRow:
-    """One method."""
-
-    name: str
-    spiking: bool
-    cells: Mapping[tuple[str, str], Cell]  # by the names of column and quantity
-    boundary: Boundary | None = None  # what the paper's query rate covers
-
-
-@dataclass(frozen=True)
 class Table:
     """Everything that a format of the table prints."""
 
+    cells: pd.DataFrame  # a line for each row, column and quantity: `FACTS`
     columns: tuple[Column, ...]
-    rows: tuple[TableRow, ...]
+    rows: tuple[Row, ...]
     caption: tuple[str, ...]  # sentences
     notes: tuple[Reason, ...]  # note n is notes[n - 1]
     machines: tuple[str, ...]  # one line each
@@ -95,13 +99,223 @@ class Entry:
     group: Group
     column: Column
     found: Mapping[Device, RowRuns]
+    facts: Mapping[Device, pd.DataFrame]  # the frame of the runs that are shown, and the runs themselves as `record`
 
     def device(self, quantity: Quantity) -> Device:
         """Return the device whose runs a cell shows."""
         return quantity.device or accuracy_device(self.found)
 
-    def runs(self, quantity: Quantity) -> tuple[Run, ...]:
-        """Return the runs that a cell shows."""
+    def shown(self, quantity: Quantity) -> pd.DataFrame:
+        """Return the frame of the runs that measured a quantity."""
+        facts = self.facts[self.device(quantity)]
         if quantity.source(self.row) != "measured":
-            return ()
-        return quantity.shown(self.row, self.found[self.device(quantity)].runs)
+            return facts[:0]
+        return facts if quantity.required is None else facts[facts[quantity.required].notna()]
+
+
+def assemble(
+    groups: Sequence[Group],
+    rows: Sequence[Row],
+    plan: Plan,
+    left_out: Mapping[tuple[str, str], str],
+    quantities: tuple[Quantity, ...] = QUANTITIES,
+    title: str | None = None,
+) -> Table:
+    """Return the table of some rows, a group of columns for each group of runs, one for each of the quantities.
+
+    `left_out` says by the names of column and row where rows stand that take too long. Under a `title` other than the
+    paper's the rows stay in their order. Looks at runs, failures and plan alone.
+    """
+    columns = tuple(_column(group, groups, plan) for group in groups)
+    ordered = sorted(rows, key=lambda row: title is None and row.spiking)
+    entries = _entries(ordered, groups, columns, [quantity.name for quantity in quantities if quantity.metric])
+    contests = {
+        (column.name, quantity.name): _contest([each for each in entries if each.column is column], quantity)
+        for column, quantity in itertools.product(columns, quantities)
+    }
+    printed = published()
+    made = [
+        _cell(entry, quantity, printed, *contests[entry.column.name, quantity.name], left_out)
+        for entry, quantity in itertools.product(entries, quantities)
+    ]
+    notes, machines = _numbered(made)
+    cells = pd.DataFrame(made, columns=[*FACTS], dtype=object)
+    named = {row.name: [entry for entry in entries if entry.row is row] for row in ordered}
+    sentences = tuple(caption(groups, columns, named, cells, quantities))
+    return Table(cells, columns, tuple(ordered), sentences, notes, machines, quantities, title)
+
+
+def _column(group: Group, groups: Sequence[Group], plan: Plan) -> Column:
+    planned = group.asked.planned
+    real = plan.columns[planned.stand_in_for].title if planned.stand_in_for else None
+    if not group.runs:
+        return Column(planned.name, planned.title, None, None, "no run is stored", real, planned.remark)
+    run = group.runs[0]
+    counts = run.outcome.n_places, len(run.outcome)
+    return Column(group.name, title_of(group, groups), *counts, describe_protocol(run), real, planned.remark)
+
+
+def _entries(
+    rows: Sequence[Row], groups: Sequence[Group], columns: Sequence[Column], metrics: Sequence[str]
+) -> list[Entry]:
+    """Return what is stored of each row in each column, row by row."""
+    found = [
+        (row, group, column, {device: of_row(group, row, device) for device in DEVICES})
+        for row in rows
+        for group, column in zip(groups, columns, strict=True)
+    ]
+    runs = [run for *_, devices in found for device in DEVICES for run in devices[device].runs]
+    every, parts, at = with_records(runs, metrics), [], 0
+    for *_, devices in found:
+        ends = [*itertools.accumulate((len(devices[device].runs) for device in DEVICES), initial=at)]
+        parts.append({d: every[start:end] for d, (start, end) in zip(DEVICES, itertools.pairwise(ends), strict=True)})
+        at = ends[-1]
+    return [Entry(*each, facts) for each, facts in zip(found, parts, strict=True)]
+
+
+def _contest(entries: Sequence[Entry], quantity: Quantity) -> tuple[str | None, Mapping[str, Reason]]:
+    """Return which row of a column is best by a test, and by row how it was timed otherwise than the others.
+
+    What was tuned on the places of the column is in no contest.
+    """
+    there = {entry.row.name: (entry, runs) for entry in entries if (runs := _records(entry.shown(quantity)))}
+    contest = [
+        Contestant(name, runs, not entry.found[entry.device(quantity)].missing_seeds)
+        for name, (entry, runs) in there.items()
+        if quantity.contends(entry.row) and not any(map(tuned_here, runs))
+    ]
+    timed = {name: runs for name, (_, runs) in there.items()} if quantity.kind == "rate" else {}
+    return quantity.best(contest), other_timing(timed)
+
+
+def _records(facts: pd.DataFrame) -> tuple[Run, ...]:
+    return tuple(facts["record"])
+
+
+def _cell(
+    entry: Entry,
+    quantity: Quantity,
+    printed: Mapping[tuple[str, str], Mapping[str, float | None]],
+    best: str | None,
+    apart: Mapping[str, Reason],
+    left_out: Mapping[tuple[str, str], str],
+) -> dict[str, Any]:
+    """Return one cell, its notes as reasons and its machine by name."""
+    row, column = entry.row, entry.column
+    dataset = "" if entry.group.view else entry.group.asked.planned.published or ""  # the paper has no views
+    paper = printed.get((row.name, dataset), {})
+    value = paper.get(quantity.name)
+    mark = "none" if quantity.name not in paper else "not applicable" if value is None else "measured"
+    cell: dict[str, Any] = {**dict.fromkeys(FACTS), "row": row.name, "column": column.name, "quantity": quantity.name}
+    cell |= {"mark": "not applicable", "published": value, "published_mark": mark, "best": False, "disturbed": False}
+    cell["notes"] = []
+    source = quantity.source(row)
+    if source != "measured":
+        return cell if source == "none" else cell | _quoted(row, quantity, value, printed)
+    facts = entry.shown(quantity)
+    runs = _records(facts)
+    if not runs:
+        absence = _absence(entry, quantity, left_out)
+        return cell | {"mark": MARKS[absence.code], "notes": [absence]}
+    numbers = _numbers(facts, quantity)
+    if numbers is None:
+        return cell | {"notes": [undefined(quantity, runs)]}
+    found = entry.found[entry.device(quantity)]
+    told = [reason("seeds", row, found)] if found.missing_seeds else []
+    told += [reason("fewer", len(runs), len(found.runs))] if len(runs) < len(found.runs) else []
+    told += [Reason("tuned", note) for note in filter(None, [tuned_note(_records(entry.shown(RECALL)))])]
+    told += remarks(quantity, row, runs)
+    told += filter(None, [apart.get(row.name)])
+    if quantity.kind == "rate" and row.boundary is not None:
+        numbers["at_boundary"] = quantity.over_seeds([*facts[f"streaming_{row.boundary}_hz"]])
+    if value is not None:
+        told += differences(quantity, row, entry.group.asked.planned, column.stand_in_for, runs[0])
+        ours = numbers.get("at_boundary", numbers["value"])
+        numbers["difference"] = None if column.stand_in_for else ours - value
+    if others := others_of(runs) if quantity.kind == "accuracy" else ():
+        names = [quantity.name] if quantity.metric else []
+        elsewhere = _numbers(with_records(others, names), quantity) or {}
+        numbers |= {"elsewhere": elsewhere.pop("value", None)}
+        numbers |= {f"elsewhere_{name}": elsewhere.get(name) for name in ("low", "high", "spread")}
+    return cell | {
+        **numbers,
+        "mark": "unfinished" if found.missing_seeds else "measured",
+        "best": best == row.name,
+        "seeds": tuple(facts["seed"]),
+        "disturbed": quantity.kind in ("training", "fit", "rate") and any(facts["disturbed"]),
+        "machine": (facts["machine"].iloc[0], max(facts["time_utc"])[:10]),
+        "notes": told,
+    }
+
+
+def _numbers(facts: pd.DataFrame, quantity: Quantity) -> dict[str, Any] | None:
+    """Return what runs gave over their seeds, with its interval and spread; None if it is undefined."""
+    values = [quantity.in_unit(value) for value in facts[quantity.fact].dropna()]
+    if not values:
+        return None
+    found: dict[str, Any] = {"value": quantity.over_seeds(values)}
+    found["spread"] = stdev(values) if len(values) > 1 else None
+    if quantity.total is not None:
+        totals = [quantity.in_unit(value) for value in facts[quantity.total].dropna()]
+        found["total"] = quantity.over_seeds(totals)
+    if quantity.fact == RECALL.fact:
+        found |= _interval(recall_interval(_records(facts)))
+    return found
+
+
+def _interval(interval: WiderInterval | None) -> dict[str, Any]:
+    if interval is None:
+        return {}
+    ends = {"low": 100 * interval.low, "high": 100 * interval.high}
+    return {**ends, "interval": interval.kind, "block": interval.block}
+
+
+def _quoted(
+    row: Row,
+    quantity: Quantity,
+    value: float | None,
+    printed: Mapping[tuple[str, str], Mapping[str, float | None]],
+) -> dict[str, Any]:
+    """Return what the paper says of the pre-training, which is the same whatever is recognised afterwards."""
+    said = [cells.get(quantity.name) for (name, _), cells in printed.items() if name == row.name]
+    known = next((each for each in [value, *said] if each is not None), None)
+    if known is None:
+        return {"notes": [reason("unpublished")]}
+    mark = "none" if value is None else "quoted"
+    return {"mark": "quoted", "value": known, "published_mark": mark, "notes": [reason("quoted")]}
+
+
+def _absence(entry: Entry, quantity: Quantity, left_out: Mapping[tuple[str, str], str]) -> Reason:
+    device = entry.device(quantity)
+    found = entry.found[device]
+    if found.runs and not found.failures:  # which are of these runs, while they were timed
+        return lacking(quantity, found.runs)
+    if entry.group.number > 1:
+        return reason("protocol without runs")
+    elsewhere = any(entry.found[other].runs for other in DEVICES if other != device)
+    place = (entry.group.asked.planned.name, entry.row.name)
+    return absent(entry.row, device, found, elsewhere, left_out.get(place))
+
+
+def _numbered(cells: Sequence[dict[str, Any]]) -> tuple[tuple[Reason, ...], tuple[str, ...]]:
+    """Put numbers in the place of the cells' reasons and machines, in the order in which they come; returns both.
+
+    A machine is told with the newest day of its runs.
+    """
+    notes: dict[str, Reason] = {}
+    days: dict[str, str] = {}
+    for cell in cells:
+        for told in cell["notes"]:
+            notes.setdefault(told.text, told)
+        if cell["machine"] is not None:
+            name, day = cell["machine"]
+            days[name] = max(days.get(name, ""), day)
+    numbers, machines = (dict(_counted(names)) for names in (notes, days))
+    for cell in cells:
+        cell["notes"] = tuple(sorted({1 + numbers[told.text] for told in cell["notes"]}))
+        cell["machine"] = None if cell["machine"] is None else machines[cell["machine"][0]]
+    return tuple(notes.values()), tuple(f"{name}, {day}" for name, day in days.items())
+
+
+def _counted(names: Mapping[str, object]) -> Iterator[tuple[Hashable, int]]:
+    return ((name, number) for number, name in enumerate(names))

@@ -5,12 +5,13 @@ from __future__ import annotations
 import re
 import unicodedata
 from html import escape
+from typing import Any
 
 import pandas as pd
 
 from vprbench.paper.table import words
-from vprbench.paper.table.cells import Column, Table, TableRow
-from vprbench.paper.table.quantities import TRAINING, Quantity
+from vprbench.paper.table.cells import FACTS, Column, Table
+from vprbench.paper.table.quantities import TRAINING
 from vprbench.paper.templates import ENVIRONMENT, document, one_line
 from vprbench.runs import rows
 from vprbench.terminal.console import line_text, table_text
@@ -97,13 +98,18 @@ def csv(table: Table) -> str:
     of training, takes in the reading of the images, `at_boundary`, of rates, is of the step alone that the paper timed.
     Seeds are separated by spaces, notes by "; ".
     """
-    lines = [
-        _csv_line(table, row, column, quantity)
-        for row in table.rows
-        for column in table.columns
-        for quantity in table.quantities
-    ]
-    return str(pd.DataFrame(lines, columns=_CSV_COLUMNS, dtype=object).to_csv(index=False, lineterminator="\n"))
+    titles = {column.name: one_line(column.title) for column in table.columns}
+    units = {quantity.name: quantity.unit for quantity in table.quantities}
+    texts: dict[str, list[str | None]] = {
+        "row": [one_line(name) for name in table.cells["row"]],
+        "title": [titles[name] for name in table.cells["column"]],
+        "unit": [units[name] for name in table.cells["quantity"]],
+        "seeds": [None if seeds is None else " ".join(map(str, seeds)) for seeds in table.cells["seeds"]],
+        "machine": [None if at is None else one_line(table.machines[at]) for at in table.cells["machine"]],
+        "notes": ["; ".join(one_line(table.notes[n - 1].text) for n in notes) for notes in table.cells["notes"]],
+    }
+    cells = table.cells.assign(**{name: pd.Series(values, dtype=object) for name, values in texts.items()})
+    return str(cells[[*_CSV_COLUMNS]].to_csv(index=False, lineterminator="\n"))
 
 
 def shown_as_it_is(text: str) -> str:
@@ -138,14 +144,14 @@ def _lines(table: Table, column: Column) -> tuple[list[str], list[list[str]]]:
     return heads, lines
 
 
-def _markdown_cell(cell: words.Words) -> str:
+def _markdown_cell(cell: Any) -> str:
     value = f"**{cell.value}**" if cell.best else f"*{cell.value}*" if cell.kind == "quoted" else cell.value
     machine = words.machine_mark(cell.machine) if cell.machine else ""
     notes = ",".join(map(str, cell.notes)).translate(_SUPERSCRIPTS)
     return " ".join(part for part in (cell.absence, value, cell.extent, machine, notes) if part)
 
 
-def _markdown_published(cell: words.Words) -> str:
+def _markdown_published(cell: Any) -> str:
     value = f"*{cell.published}*" if cell.published_quoted else cell.published
     return f"{value} ({cell.beside})" if cell.beside else value
 
@@ -157,35 +163,6 @@ def _without_gaps(text: str) -> str:
 ENVIRONMENT.filters |= {"shown_as_it_is": shown_as_it_is, "tex": tex, "table_of": _markdown_table}
 
 _CSV_COLUMNS = (
-    *("row", "column", "title", "quantity", "unit", "mark", "value", "low", "high", "interval", "block"),
-    *("elsewhere", "elsewhere_low", "elsewhere_high"),
-    *("spread", "seeds", "total", "at_boundary", "best", "disturbed", "machine"),
-    *("published", "published_mark", "difference", "notes"),
+    *("row", "column", "title", "quantity", "unit"),
+    *(name for name in FACTS if name not in ("row", "column", "quantity", "elsewhere_spread")),
 )
-
-
-def _csv_line(table: Table, row: TableRow, column: Column, quantity: Quantity) -> dict[str, object]:
-    cell = row.cells[column.name, quantity.name]
-    line: dict[str, object] = {
-        "row": one_line(row.name),
-        "column": column.name,
-        "title": one_line(column.title),
-        "quantity": quantity.name,
-        "unit": quantity.unit,
-        "mark": cell.mark,
-        "value": cell.quoted,
-        "best": False,
-        "disturbed": False,
-        "published": cell.published,
-        "published_mark": cell.published_mark,
-        "difference": cell.difference,
-        "notes": "; ".join(one_line(table.notes[number - 1].text) for number in cell.notes),
-    }
-    if cell.measured is not None:
-        copied = ("value", "low", "high", "interval", "block", "spread", "total", "at_boundary", "best", "disturbed")
-        line |= {name: getattr(cell.measured, name) for name in copied}
-        if (other := cell.measured.elsewhere) is not None:
-            line |= {"elsewhere": other.value, "elsewhere_low": other.low, "elsewhere_high": other.high}
-        line["seeds"] = " ".join(map(str, cell.measured.seeds))
-        line["machine"] = one_line(table.machines[cell.measured.machine])
-    return line

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from statistics import mean
 from typing import Any, Literal, NamedTuple
 
+from vprbench.metrics.accuracy import recall_at
 from vprbench.paper.plan import PlannedColumn, Row
 from vprbench.paper.published import PAPER_CPU, PAPER_GPU, PROTOCOLS, PaperProtocol
 from vprbench.paper.selection import Device, Group, ResolvedColumn, RowRuns, as_text
+from vprbench.paper.table.quantities import Quantity
 from vprbench.paper.templates import sentences
+from vprbench.runs.notes import DISTURBED, FAILED_AUDITS, NoteKind
 from vprbench.runs.record import Run
 
 LONGEST = 120  # letters of a reason, beside a command that it gives
@@ -94,11 +98,60 @@ def absent(row: Row, device: Device, found: RowRuns, elsewhere: bool, left_out: 
     return reason("device", device) if device == "cuda" or elsewhere else reason("seeds", row, found)
 
 
+def lacking(quantity: Quantity, runs: Sequence[Run]) -> Reason:
+    """Return why none of a row's runs measured a quantity."""
+    if quantity.kind == "rate":
+        return reason("untimed")
+    return reason("loaded" if any(run.network is not None for run in runs) else "kept")
+
+
+def undefined(quantity: Quantity, runs: Sequence[Run]) -> Reason:
+    """Return why runs of a row give no number: why a cost is not known, or that answers leave an accuracy undefined."""
+    if quantity.metric is None:
+        return Reason("undefined", "no query has a right place")
+    told = (run.energy["how"].get(quantity.name) for run in runs if run.energy is not None)
+    why = next(filter(None, told), None) if quantity.metric.cost is not None else None
+    if why is None:
+        return Reason("undefined", "undefined for the answers of this row")
+    return short("undefined", f"{quantity.metric.words} n/a: {why}")
+
+
+# What a reader of a number has to know
+
+_APART: frozenset[NoteKind] = DISTURBED | {"offline", "described", "resumed", "fitted"}  # told by a mark, or elsewhere
+_OF_FITS: frozenset[NoteKind] = frozenset({"resumed", "fitted"})
+
+
+def remarks(quantity: Quantity, row: Row, runs: Sequence[Run]) -> Iterator[Reason]:
+    """Yield what a reader of a number has to know, from the notes of its runs among others."""
+    notes = [note for run in runs for note in run.notes]
+    if quantity.kind == "training" and row.training == "map":
+        yield reason("map")
+    if quantity.kind in ("training", "fit"):
+        yield from (short("note", note.text) for note in notes if note.kind in _OF_FITS)
+    elif quantity.kind != "memory":  # whose notes stand with the accuracy
+        if quantity.fact == "recall_at_1":
+            yield from _ties(runs)
+        audited = quantity.kind == "rate"
+        kept = [note for note in notes if note.kind not in _APART and (note.kind in FAILED_AUDITS) == audited]
+        yield from (short("note", note.text) for note in kept)
+
+
+def _ties(runs: Sequence[Run]) -> Iterator[Reason]:
+    """Yield the lowest and highest R@1 if it hangs on ties."""
+    recalls = [recall for run in runs if (recall := recall_at(run.outcome, 1)) is not None]
+    if any(recall.hangs_on_ties for recall in recalls):
+        low, high = (100 * mean(getattr(r, way) for r in recalls) for way in ("pessimistic", "optimistic"))
+        yield reason("ties", low, high)
+
+
 # Another number than the paper's, the weightiest reason first
 
 
-def of_accuracy(planned: PlannedColumn, real_title: str | None, run: Run) -> Iterator[Reason]:
-    """Yield why an accuracy and the published one cannot be compared; nothing for a column that the paper lacks.
+def differences(
+    quantity: Quantity, row: Row, planned: PlannedColumn, real_title: str | None, run: Run
+) -> Iterator[Reason]:
+    """Yield why a number and the paper's cannot be compared; nothing for a column that the paper lacks.
 
     `real_title` names the dataset that a rendered one stands in for. `run` is one of the cell's; all of them share what
     is looked at here.
@@ -106,6 +159,15 @@ def of_accuracy(planned: PlannedColumn, real_title: str | None, run: Run) -> Ite
     paper = PROTOCOLS.get(planned.published or "")
     if paper is None:
         return
+    if quantity.device is None:
+        yield from _of_accuracy(paper, real_title, run)
+        return
+    yield from _of_times(paper, real_title, run, quantity.device)
+    if quantity.kind == "rate" and row.rate_remark is not None:
+        yield short("paper's way", row.rate_remark)
+
+
+def _of_accuracy(paper: PaperProtocol, real_title: str | None, run: Run) -> Iterator[Reason]:
     found = [*_data(real_title, run, paper), *_protocol(run, paper)]
     n_places, n_queries = run.outcome.n_places, len(run.outcome)
     yield from found
@@ -115,11 +177,7 @@ def of_accuracy(planned: PlannedColumn, real_title: str | None, run: Run) -> Ite
         yield reason("no distractors", paper.places - n_places)
 
 
-def of_times(planned: PlannedColumn, real_title: str | None, run: Run, device: Device) -> Iterator[Reason]:
-    """Yield why a time on a kind of device and the published one cannot be compared, as `of_accuracy` does."""
-    paper = PROTOCOLS.get(planned.published or "")
-    if paper is None:
-        return
+def _of_times(paper: PaperProtocol, real_title: str | None, run: Run, device: Device) -> Iterator[Reason]:
     yield from _data(real_title, run, paper)
     if run.outcome.n_places != paper.places:
         yield reason("size", run.outcome.n_places, paper)
@@ -127,12 +185,6 @@ def of_times(planned: PlannedColumn, real_title: str | None, run: Run, device: D
     ours = str(run.environment.get(name, "an unknown GPU"))
     if theirs.split()[-1] not in ours:
         yield reason("hardware", ours, theirs)
-
-
-def of_rates(row: Row, planned: PlannedColumn) -> Iterator[Reason]:
-    """Yield what is known of how the paper timed the row."""
-    if planned.published in PROTOCOLS and row.rate_remark is not None:
-        yield short("paper's way", row.rate_remark)
 
 
 def other_timing(runs: Mapping[str, Sequence[Run]]) -> dict[str, Reason]:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal
+from typing import Any
 
-from vprbench.paper.table.cells import Cell, Column, Measured, Table, TableRow
+import pandas as pd
+
+from vprbench.paper.plan import Row
+from vprbench.paper.table.cells import Column, Table
 from vprbench.paper.table.quantities import RATES, TRAINING, TRAINING_TIME, Quantity, exponent
 from vprbench.paper.templates import ENVIRONMENT, sentences
+from vprbench.runs.frame import named_tuples
 
 PAPER = "paper"  # the line below a row
 INAPPLICABLE = "-"
@@ -22,50 +25,54 @@ ENVIRONMENT.globals |= {
 }
 
 
-@dataclass(frozen=True)
-class Words:
-    """One cell: what stands in the line of the row, and what in the line of the paper below it."""
+def in_words(table: Table) -> pd.DataFrame:
+    """Return what is printed of each cell, a line each, in the line of the row and in that of the paper below it.
 
-    kind: Literal["measured", "quoted", "absent"]
-    absence: str  # "failed", "-" ...; nothing where all is there
-    value: str  # nothing where there is none
-    extent: str  # spread, interval, and in brackets what takes in waiting for images
-    best: bool
-    machine: int | None  # number from 1, where the table has several
-    notes: tuple[int, ...]
-    in_paper: bool  # the paper has any cell of the row in the column
-    published: str  # never nothing
-    published_quoted: bool
-    beside: str  # behind the published number: the step that it is of here, and the difference
+    - `kind`: "measured", "quoted" or "absent"; `absence`: "failed", "-" ..., empty where all is there
+    - `value`: empty where there is none; `extent`: spread, interval, and in brackets what takes in waiting for images
+    - `best`; `machine`: its number from 1, 0 if the table has one machine; `notes`: their numbers
+    - `in_paper`: the paper has any cell of the row in the column; `published`: never empty; `published_quoted`
+    - `beside`: behind the published number: the step that it is of here, and the difference
+    """
+    by_name = {quantity.name: quantity for quantity in table.quantities}
+    boundaries = {row.name: row.boundary for row in table.rows}
+    printed = table.cells[table.cells["published_mark"] != "none"]
+    in_paper = {*zip(printed["row"], printed["column"], strict=True)}
+    several = len(table.machines) > 1
+    lines = []
+    for cell in named_tuples(table.cells):
+        quantity = by_name[cell.quantity]
+        absence = {"measured": "", "quoted": "", "not applicable": INAPPLICABLE}.get(cell.mark, cell.mark)
+        value = _printed(cell.value) if cell.mark == "quoted" else ""
+        if cell.seeds is not None:
+            value = ("~" if cell.disturbed else "") + quantity.text(cell.value)
+        nothing = "none" if cell.published_mark == "none" else INAPPLICABLE
+        lines.append(
+            {
+                "row": cell.row,
+                "column": cell.column,
+                "kind": "quoted" if cell.mark == "quoted" else "absent" if absence else "measured",
+                "absence": f"{absence}:" if absence and value else absence,
+                "value": value,
+                "extent": "" if cell.seeds is None else _extent(cell, quantity),
+                "best": cell.best,
+                "machine": cell.machine + 1 if several and cell.machine is not None else 0,
+                "notes": cell.notes,
+                "in_paper": (cell.row, cell.column) in in_paper,
+                "published": nothing if cell.published is None else _printed(cell.published),
+                "published_quoted": cell.published_mark == "quoted",
+                "beside": "" if cell.published is None else _beside(cell, boundaries[cell.row], quantity),
+            }
+        )
+    return pd.DataFrame(lines, dtype=object)
 
 
-def of_cell(table: Table, row: TableRow, column: Column, quantity: Quantity) -> Words:
-    """Return a cell of a table as words."""
-    cell = row.cells[column.name, quantity.name]
-    measured = cell.measured
-    absence = {"measured": "", "quoted": "", "not applicable": INAPPLICABLE}.get(cell.mark, cell.mark)
-    value = "" if cell.quoted is None else _printed(cell.quoted)
-    if measured is not None:
-        value = ("~" if measured.disturbed else "") + quantity.text(measured.value)
-    published = "none" if cell.published_mark == "none" else INAPPLICABLE
-    return Words(
-        kind="quoted" if cell.mark == "quoted" else "absent" if absence else "measured",
-        absence=f"{absence}:" if absence and value else absence,
-        value=value,
-        extent="" if measured is None else _extent(measured, quantity),
-        best=measured is not None and measured.best,
-        machine=None if measured is None or len(table.machines) < 2 else measured.machine + 1,
-        notes=cell.notes,
-        in_paper=any(c.published_mark != "none" for (name, _), c in row.cells.items() if name == column.name),
-        published=published if cell.published is None else _printed(cell.published),
-        published_quoted=cell.published_mark == "quoted",
-        beside="" if cell.published is None else _beside(cell, row, quantity),
-    )
-
-
-def sections(table: Table, columns: Sequence[Column]) -> list[list[tuple[TableRow, list[Words]]]]:
-    """Return the rows with their cells in some columns; of Table II the conventional and the spiking ones apart."""
-    lines = [(row, [of_cell(table, row, c, q) for c in columns for q in table.quantities]) for row in table.rows]
+def sections(table: Table, columns: Sequence[Column]) -> list[list[tuple[Row, list[Any]]]]:
+    """Return the rows with the words of their cells in some columns; of Table II the spiking ones stand apart."""
+    cells: dict[tuple[str, str], list[Any]] = {}
+    for cell in named_tuples(in_words(table)):
+        cells.setdefault((cell.row, cell.column), []).append(cell)
+    lines = [(row, [cell for column in columns for cell in cells[row.name, column.name]]) for row in table.rows]
     parts = [[line for line in lines if line[0].spiking is spiking] for spiking in (False, True)]
     return [part for part in (parts if table.title is None else [lines]) if part]
 
@@ -95,30 +102,35 @@ def legend(table: Table) -> list[str]:
 
     The table's caption tells of tests and of disturbed times.
     """
-    cells = [(name, cell) for row in table.rows for (_, name), cell in row.cells.items()]
+    cells = [*named_tuples(table.cells)]
     training, rates = (
-        [cell.measured for name, cell in cells if cell.measured is not None and name in {q.name for q in quantities}]
+        [cell for cell in cells if cell.seeds is not None and cell.quantity in {q.name for q in quantities}]
         for quantities in (TRAINING, RATES)
     )
-    return sentences("table/sentences.j2", "legend", table, [cell for _, cell in cells], training, rates)
+    return sentences("table/sentences.j2", "legend", table, cells, training, rates)
 
 
-def _extent(measured: Measured, quantity: Quantity) -> str:
-    parts = []
-    if measured.spread is not None:
-        parts.append(f"± {_spread(measured.spread, quantity.text(measured.value))}")
-    if measured.low is not None and measured.high is not None:
-        parts.append(f"[{quantity.text(measured.low)}, {quantity.text(measured.high)}]")
-    if measured.total is not None:
-        parts.append(f"({quantity.text(measured.total)})")
-    if (other := measured.elsewhere) is not None:
-        parts.append(f"{ELSEWHERE} {quantity.text(other.value)} {_extent(other, quantity)}".rstrip())
+def _extent(cell: Any, quantity: Quantity) -> str:
+    parts = [_range(cell.value, cell.spread, cell.low, cell.high, quantity)]
+    if cell.total is not None:
+        parts.append(f"({quantity.text(cell.total)})")
+    if (other := cell.elsewhere) is not None:
+        parts.append(f"{ELSEWHERE} {quantity.text(other)}")
+        parts.append(_range(other, cell.elsewhere_spread, cell.elsewhere_low, cell.elsewhere_high, quantity))
+    return " ".join(filter(None, parts))
+
+
+def _range(value: float, spread: float | None, low: float | None, high: float | None, quantity: Quantity) -> str:
+    """Return the spread over the seeds and the interval, of those that there are."""
+    parts = [] if spread is None else [f"± {_spread(spread, quantity.text(value))}"]
+    if low is not None and high is not None:
+        parts.append(f"[{quantity.text(low)}, {quantity.text(high)}]")
     return " ".join(parts)
 
 
-def _beside(cell: Cell, row: TableRow, quantity: Quantity) -> str:
-    alone = None if cell.measured is None else cell.measured.at_boundary
-    parts = [] if alone is None else [f"{row.boundary} alone here: {quantity.text(alone)}"]
+def _beside(cell: Any, boundary: str | None, quantity: Quantity) -> str:
+    alone = cell.at_boundary
+    parts = [] if alone is None else [f"{boundary} alone here: {quantity.text(alone)}"]
     return "; ".join(parts if cell.difference is None else [*parts, _signed(cell.difference, quantity)])
 
 
