@@ -12,7 +12,7 @@ from PIL import Image as PillowImage
 
 from vprbench.api import decoding
 from vprbench.api.decoding import read_image
-from vprbench.api.resize import resize_batch, resize_image
+from vprbench.api.neural import resize_batch, resize_image
 from vprbench.errors import BadInput
 
 HEIGHT, WIDTH = 37, 50

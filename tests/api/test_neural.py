@@ -14,8 +14,7 @@ from torch import Tensor, nn
 
 from vprbench.api import neural
 from vprbench.api.images import Images
-from vprbench.api.neural import NeuralDescriptor
-from vprbench.api.resize import resize_batch, resize_image
+from vprbench.api.neural import NeuralDescriptor, resize_batch, resize_image
 from vprbench.api.weights import Weights
 from vprbench.errors import BadInput
 

@@ -13,7 +13,7 @@ import torch
 from full_size import FULL
 
 import vprbench
-from vprbench.gpu.frames import Route
+from vprbench.gpu.check import Route
 from vprbench.runs import machine
 
 BURST = 0.1  # seconds of calls one after the other

@@ -16,8 +16,7 @@ from filelock import FileLock
 
 from vprbench.data.fetch import command
 from vprbench.data.fetch.command import Settings, fetch, fetch_command
-from vprbench.data.fetch.entries import Download, FetchedFile, Part, downloads, read
-from vprbench.data.fetch.received import content_sha256, count_files
+from vprbench.data.fetch.entries import Download, FetchedFile, Part, content_sha256, count_files, downloads, read
 from vprbench.errors import BadInput, NotThere
 from vprbench.plugins import registry
 from vprbench.progress import listening

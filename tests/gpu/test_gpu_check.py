@@ -9,8 +9,7 @@ import torch
 
 from vprbench.cli import main
 from vprbench.gpu import check as gpu
-from vprbench.gpu.check import Settings, compared
-from vprbench.gpu.frames import Route
+from vprbench.gpu.check import Route, Settings, compared
 from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.plugins import registry
 from vprbench.plugins.options import chosen

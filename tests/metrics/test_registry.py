@@ -16,12 +16,12 @@ from stored_runs import RAIL, ROWS, SAD, run
 from vprbench.api.arithmetic import Arithmetic
 from vprbench.cli import attempt, main
 from vprbench.metrics.accuracy import average_precision, pr_curve_multi
-from vprbench.metrics.energy import estimated_joules, synaptic_operations
 from vprbench.metrics.registry import METRICS, Metric
-from vprbench.paper.figures.metrics import of_rows
+from vprbench.paper.figures.accuracy import of_rows
 from vprbench.paper.selection import groups, series
 from vprbench.paper.table import formats
 from vprbench.paper.table.quantities import QUANTITIES, quantities
+from vprbench.runs.energy import estimated_joules, synaptic_operations
 
 
 def unanswerable(outcome):

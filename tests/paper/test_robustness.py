@@ -11,7 +11,7 @@ from little import unanswerable_run
 
 from vprbench.errors import BadInput
 from vprbench.paper import robustness as text
-from vprbench.paper.figures.robustness import robustness as drawn
+from vprbench.paper.figures.accuracy import robustness as drawn
 from vprbench.paper.robustness import robustness
 from vprbench.runs.corruption import Corruption
 from vprbench.runs.frame import named_tuples

@@ -5,8 +5,16 @@ from dataclasses import replace
 import pytest
 from stored_runs import ABACUS, LOOM, PUBLIC, RAIL, RAILWAY, SAD, STREET, TOWN, VPRTEMPO, failure, run
 
-from vprbench.paper.selection import ExcludedRuns, Group, ResolvedColumn, accuracy_series, groups, of_row, series
-from vprbench.paper.titles import describe_protocol
+from vprbench.paper.selection import (
+    ExcludedRuns,
+    Group,
+    ResolvedColumn,
+    accuracy_series,
+    describe_protocol,
+    groups,
+    of_row,
+    series,
+)
 
 ROWS = (SAD, VPRTEMPO, PUBLIC)
 FOGGY = ResolvedColumn(RAIL.planned, {**RAILWAY, "fog": 0.5, "root": None})

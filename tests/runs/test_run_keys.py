@@ -122,7 +122,7 @@ def forget():
 def test_all_files_that_a_method_imports_in_any_way_or_inherits_from_count_and_no_other(package):
     files = {
         "__init__": "",
-        "method": "import numpy\nfrom vprbench.api.resize import Resize\n"
+        "method": "import numpy\nfrom vprbench.api.neural import Resize\n"
         "from .near import thing\nfrom . import beside\nimport meadow.dotted\n"
         "class Method:\n    def fit(self):\n        from meadow.inner.late import x\n",
         "near": "from .behind_near import thing\nif not thing:\n    from .method import Method\n",  # a circle

@@ -8,8 +8,6 @@ from .arrays import Places as Places
 from .arrays import Scores as Scores
 from .binary import BinaryMap as BinaryMap
 from .binary import BinaryMethod as BinaryMethod
-from .circuit import Circuit as Circuit
-from .circuit import HasCircuit as HasCircuit
 from .compiling import compiled as compiled
 from .dataset import Dataset as Dataset
 from .dataset import FrameFolder as FrameFolder
@@ -35,9 +33,13 @@ from .frame_cache import kept_frames as kept_frames
 from .gabor import GaborBank as GaborBank
 from .hamming import packed as packed
 from .images import Images as Images
+from .method import Circuit as Circuit
+from .method import HasCircuit as HasCircuit
 from .method import LayerSpikes as LayerSpikes
 from .method import Method as Method
+from .neural import Interpolation as Interpolation
 from .neural import NeuralDescriptor as NeuralDescriptor
+from .neural import Resize as Resize
 from .oriented import OrientedEdges as OrientedEdges
 from .other_rooms import BadInput as BadInput
 from .other_rooms import MatFileError as MatFileError
@@ -53,8 +55,6 @@ from .other_rooms import read_mat as read_mat
 from .other_rooms import replace_bytes as replace_bytes
 from .preprocess import PatchNormalisation as PatchNormalisation
 from .preprocess import Variant as Variant
-from .resize import Interpolation as Interpolation
-from .resize import Resize as Resize
 from .search import Audit as Audit
 from .search import Search as Search
 from .search_indexes import faiss_module as faiss_module

@@ -175,3 +175,26 @@ def batch_size_for(method: _Coded, wanted: int) -> int:
 def calibration(method: Method, dataset: Dataset) -> HeldOut | None:
     """Return the places that a method chooses its settings by; None if it chooses none or the dataset has none."""
     return dataset.held_out if method.calibrates else None
+
+
+@dataclass(frozen=True)
+class Circuit:
+    """Fully connected layers, the first of which reads a code; the last answers with the score of every place.
+
+    The neurons of every layer hold `weights @ x + bias`, from 0 to `clip`; unlimited on both sides if it is None.
+    """
+
+    layers: tuple[tuple[npt.NDArray[Any], npt.NDArray[Any]], ...]  # float32 weights (n_out, n_in), bias (n_out,)
+    clip: float | None = None
+
+
+class HasCircuit(ABC):
+    """A method whose trained network is a `Circuit`."""
+
+    @abstractmethod
+    def check_circuit(self) -> None:
+        """Raise BadInput, before any training, if a network of these arguments is no circuit."""
+
+    @abstractmethod
+    def circuit(self) -> Circuit:
+        """Return the trained network; raises NotFittedError before `fit`."""

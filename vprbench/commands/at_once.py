@@ -12,8 +12,18 @@ from vprbench import __version__
 from vprbench.errors import BadInput
 from vprbench.plugins.entries import Entry, Group, broken_plugins, conf_folders, entries, read
 from vprbench.runs.corruption import KINDS, STRENGTHS
-from vprbench.terminal.completion import HIDDEN, SCRIPTS, candidates
-from vprbench.terminal.help import Command, Option, of_class, of_yaml, show_commands, show_options, together
+from vprbench.terminal.help import (
+    HIDDEN,
+    SCRIPTS,
+    Command,
+    Option,
+    candidates,
+    of_class,
+    of_yaml,
+    show_commands,
+    show_options,
+    together,
+)
 from vprbench.text import near, printable
 
 _TIMING = "vprbench.runs.timing_protocol.Protocol"

@@ -47,8 +47,8 @@ def report(options: list[str]) -> int:
 
 def compare(options: list[str]) -> int:
     """Run methods on one dataset, rank them in a table, draw figures and write a page."""
+    from vprbench.comparison.checks import sort_options
     from vprbench.comparison.make import make_comparison
-    from vprbench.comparison.request import sort_options
 
     return make_comparison(sort_options(readable(options)), lambda more: composed(readable(list(more))))
 

@@ -9,8 +9,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from vprbench.comparison.checks import Checked, checked
-from vprbench.comparison.request import SortedOptions
+from vprbench.comparison.checks import Checked, SortedOptions, checked
 from vprbench.errors import BadInput
 from vprbench.jobs.executors import Executor, executor_for
 from vprbench.jobs.job import JobResult
@@ -20,12 +19,11 @@ from vprbench.paper.page.make import write_page
 from vprbench.paper.plan import Growth, Plan, Row
 from vprbench.paper.ranking import Ranking, ranked
 from vprbench.paper.robustness import Robustness, csv, lines, markdown, robustness
-from vprbench.paper.selection import Group, accuracy_series, as_text, groups, seen
+from vprbench.paper.selection import Group, accuracy_series, as_text, describe_protocol, groups, seen
 from vprbench.paper.stored_runs import Compose
 from vprbench.paper.table import words
 from vprbench.paper.table.make import exit_code, write
 from vprbench.paper.table.quantities import RECALL, comparison_quantities
-from vprbench.paper.titles import describe_protocol
 from vprbench.progress import progress_shown
 from vprbench.runs import rows
 from vprbench.runs.corrupted_frames import corrupted
@@ -237,7 +235,7 @@ def written(found: ReportData, beside_others: bool, robust: Robustness | None = 
 
     If `beside_others`, files of this name that are of other frames stay: the new ones get the frames' hash.
     """
-    from vprbench.paper.figures.robustness import robustness as drawn_robustness
+    from vprbench.paper.figures.accuracy import robustness as drawn_robustness
 
     folder, name = Path(found.chosen.results).expanduser(), found.chosen.columns[0].planned.name
     name += "-views" * (found.chosen.columns[0].views is not None) + suffix(found.chosen.views)

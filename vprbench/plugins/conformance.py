@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, Literal
 
-from vprbench.plugins import faults, networks
+from vprbench.plugins import networks
 from vprbench.plugins.dataset_rules import DATASET_RULES, BuiltDataset
+from vprbench.plugins.local_plugins import describe_error
 from vprbench.plugins.registry import arguments, entries, make_dataset, make_method, near
 from vprbench.plugins.rules import EXTENDED_RULE, RULES, STORED_RULE, RuleBrokenError, RuleExceptedError, Subject
 from vprbench.plugins.tuned_places import UNKNOWN, declared_places, stretches
@@ -87,5 +88,5 @@ def _result(rule: str, test: Callable[[], None]) -> Result:
     except RuleBrokenError as error:
         return Result(rule, "broken", str(error))
     except Exception as error:
-        return Result(rule, "broken", faults.describe_error(error))
+        return Result(rule, "broken", describe_error(error))
     return Result(rule, "kept")

@@ -8,6 +8,7 @@ import importlib.util
 import inspect
 import re
 import sys
+import traceback
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,9 +16,35 @@ from types import ModuleType
 from typing import Any
 
 from vprbench.errors import BadInput
-from vprbench.plugins import faults
 from vprbench.plugins.entries import Entry, Group
 from vprbench.text import near
+
+_OURS = str(Path(__file__).parents[1])
+_BETWEEN = ("importlib", "hydra", "<frozen")  # between us and the plug-in
+
+
+def describe_error(error: BaseException, file: str | None = None) -> str:
+    """Return an error in one line, with the place that raised it: the innermost in `file`, else in any plug-in."""
+    if isinstance(error, SyntaxError):
+        return f"SyntaxError: {error.msg}{_place(error.filename, error.lineno)}"
+    text = (str(error).splitlines() or [""])[0]
+    if not isinstance(error, ImportError) or not text:
+        text = ": ".join(filter(None, [type(error).__name__, text]))
+    frames = traceback.extract_tb(error.__traceback__)
+    there = [frame for frame in frames if (frame.filename == file if file else _of_a_plug_in(frame.filename))]
+    return text + (_place(there[-1].filename, there[-1].lineno) if there else "")
+
+
+def _of_a_plug_in(file: str) -> bool:
+    return not file.startswith(_OURS) and not any(part in file for part in _BETWEEN)
+
+
+def _place(file: str | None, line: int | None) -> str:
+    if file is None:
+        return ""
+    path = Path(file)
+    return f" ({path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path}, line {line})"
+
 
 _NAMED = re.compile(r"(?P<file>[^][,()'\"]+\.py)(?::(?P<name>\w+))?")
 _OF_THE_RUN = ("seed", "device")  # parameters of a method that take the values of the run
@@ -82,7 +109,7 @@ def _imported(file: Path) -> ModuleType:
         spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:
         del sys.modules[name]
-        raise BadInput(f"{file} cannot be imported: {faults.describe_error(error, str(path))}") from error
+        raise BadInput(f"{file} cannot be imported: {describe_error(error, str(path))}") from error
     return module
 
 

@@ -14,9 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from vprbench.api.circuit import Circuit, HasCircuit
 from vprbench.api.images import Images
-from vprbench.api.method import Method
+from vprbench.api.method import Circuit, HasCircuit, Method
 from vprbench.errors import BadInput
 from vprbench.storage.tensors import Array, Arrays, Seal
 

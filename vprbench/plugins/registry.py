@@ -21,7 +21,7 @@ from vprbench.api.dataset import Dataset
 from vprbench.api.method import Method
 from vprbench.errors import BadInput
 from vprbench.plugins import entries as yamls
-from vprbench.plugins import faults, local_plugins
+from vprbench.plugins import local_plugins
 from vprbench.plugins.checked import checked as checked
 from vprbench.plugins.entries import Entry as Entry
 from vprbench.plugins.entries import Group as Group
@@ -30,6 +30,7 @@ from vprbench.plugins.entries import conf_folders as conf_folders
 from vprbench.plugins.entries import entries as entries
 from vprbench.plugins.entries import require_one as require_one
 from vprbench.plugins.entries import with_plugin_paths as with_plugin_paths
+from vprbench.plugins.local_plugins import describe_error
 from vprbench.plugins.tuned_places import declared_places
 from vprbench.text import near as near  # for the commands too
 
@@ -145,7 +146,7 @@ def _locate(target: str) -> Callable[..., Any]:
     try:
         found = get_object(target)
     except (Exception, SystemExit) as error:  # a plug-in may fail in any way, and must hurt only itself
-        raise BadInput(f"{target} cannot be imported: {faults.describe_error(error.__cause__ or error)}") from error
+        raise BadInput(f"{target} cannot be imported: {describe_error(error.__cause__ or error)}") from error
     if not callable(found):
         raise BadInput(f"{target} is a {type(found).__name__}, not a class or function")
     return found  # type: ignore[no-any-return]
@@ -167,7 +168,7 @@ def _build(group: Group, config: Mapping[str, Any]) -> Any:
     except (BadInput, OSError):
         raise
     except Exception as error:
-        raise BadInput(f"{config['_target_']} fails when it is made: {faults.describe_error(error)}") from error
+        raise BadInput(f"{config['_target_']} fails when it is made: {describe_error(error)}") from error
 
 
 def _parameters(target: Callable[..., Any], name: str) -> tuple[Mapping[str, inspect.Parameter], dict[str, Any]]:

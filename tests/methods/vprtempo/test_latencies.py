@@ -14,7 +14,7 @@ from vprbench.errors import BadInput
 from vprbench.methods.vprtempo.latencies import LatencyQuery, VPRTempoLatencies
 from vprbench.methods.vprtempo.query import SpikingQuery
 from vprbench.methods.vprtempo.rules import PAPER
-from vprbench.paper.figures.raster import in_time, raster, recall_at_step
+from vprbench.paper.figures.spikes import in_time, raster, recall_at_step
 from vprbench.paper.selection import Series
 from vprbench.runs.store import Store
 

@@ -8,8 +8,7 @@ from figure_runs import run, series
 from vprbench.errors import BadInput
 from vprbench.metrics.intervals import share_interval
 from vprbench.metrics.ranking import outcome, ranked_places
-from vprbench.paper.figures.accuracy import precision_recall, recall_at_n, recall_at_tolerance
-from vprbench.paper.figures.sequences import recall_at_length
+from vprbench.paper.figures.accuracy import precision_recall, recall_at_length, recall_at_n, recall_at_tolerance
 from vprbench.runs.sequences import views
 
 RECALLS = (recall_at_n, recall_at_tolerance)

@@ -17,9 +17,8 @@ from figure_runs import five_rows, run, series, sized
 from vprbench.errors import BadInput
 from vprbench.metrics.ranking import outcome
 from vprbench.metrics.registry import METRICS
-from vprbench.paper.figures.accuracy import precision_recall, recall_at_n, recall_at_tolerance
+from vprbench.paper.figures.accuracy import of_rows, precision_recall, recall_at_n, recall_at_tolerance
 from vprbench.paper.figures.growth import growth
-from vprbench.paper.figures.metrics import of_rows
 from vprbench.paper.figures.pictures import frames, similarity
 from vprbench.paper.figures.speed import query_rate, training_time
 from vprbench.paper.figures.spikes import spike_statistics

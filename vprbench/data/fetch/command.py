@@ -11,8 +11,17 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from vprbench.data.fetch.entries import Download, Part, downloads
-from vprbench.data.fetch.received import RECORD, approve, count_files, record, remember, require_stated
+from vprbench.data.fetch.entries import (
+    RECORD,
+    Download,
+    Part,
+    approve,
+    count_files,
+    downloads,
+    record,
+    remember,
+    require_stated,
+)
 from vprbench.errors import BadInput, NotThere
 from vprbench.plugins import registry
 from vprbench.plugins.options import chosen

@@ -1,9 +1,11 @@
-"""Accuracy: precision-recall curves, recall at N, and recall at 1 under a wider ground truth."""
+"""Accuracy: precision-recall curves, recall at N, under a wider ground truth, of sequences and corruptions."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
+from math import ceil
+from statistics import mean
 
 import numpy as np
 import numpy.typing as npt
@@ -14,10 +16,13 @@ from vprbench.errors import BadInput
 from vprbench.metrics.accuracy import PRCurve, Values, average_precision, hits_at, hits_within, pr_curve
 from vprbench.metrics.intervals import block_length, share_interval
 from vprbench.metrics.ranking import Outcome
+from vprbench.metrics.registry import Metric
 from vprbench.paper.figures.captions import caption, one_dataset
-from vprbench.paper.figures.style import SINGLE_MM, Drawn, legend_above, looks, new, styled
+from vprbench.paper.figures.style import DOUBLE_MM, SINGLE_MM, Drawn, legend_above, looks, new, styled, wrapped
+from vprbench.paper.robustness import Robustness
 from vprbench.paper.selection import Series
-from vprbench.runs.recall_intervals import along_the_journey
+from vprbench.runs.corruption import KINDS
+from vprbench.runs.recall_intervals import along_the_journey, recall_interval
 from vprbench.runs.record import Run
 from vprbench.runs.views import window_of
 
@@ -187,3 +192,97 @@ def _draw_recalls(axes: Axes, series: Sequence[Series], xs: Sequence[int], hits:
 def _marked(xs: Sequence[int]) -> list[int]:
     """Return which points have a marker: 1 and each fifth of many, all of few."""
     return [i for i, x in enumerate(xs) if len(xs) <= LARGEST_TOLERANCE + 1 or x == 1 or x % 5 == 0]
+
+
+_LETTERS = 26  # of a line of a row's name
+
+
+@styled
+def of_rows(series: Sequence[Series], metric: Metric) -> Drawn:
+    """Draw a metric of each row, the mean of its seeds and from the lowest to the highest; raises BadInput for none."""
+    found = [(one, [metric.shown(v) for run in one.runs if (v := metric.of(run)) is not None]) for one in series]
+    known = [(one, values) for one, values in found if values]
+    if not known:
+        raise BadInput(f"{metric.words} is undefined for all rows")
+    kept = [one for one, _ in known]
+    styles = looks([one.name for one in series])
+    figure, (axes,) = new(SINGLE_MM, 15 + 8 * len(known))
+    for place, (one, values) in enumerate(known):
+        look = styles[one.name]
+        axes.plot([min(values), max(values)], [place, place], color=look.colour)
+        axes.plot([mean(values)], [place], color=look.colour, marker=look.marker)
+    axes.set(yticks=range(len(known)), yticklabels=[wrapped(one.name, _LETTERS) for one in kept], xlabel=metric.head)
+    axes.invert_yaxis()
+    return Drawn(figure, caption("of_rows", kept, metric=metric))
+
+
+_COLUMNS = 4
+_PANEL_ROW_MM = 46.0
+_FAINT_BAND = 0.12  # opacity
+_MOST_BANDS = 3  # more would hide one another
+
+
+@styled
+def robustness(found: Robustness) -> Drawn:
+    """Draw R@1 of each row from clean frames to the strongest corruption, of few rows with its 95 % interval."""
+    kinds = found.kinds
+    columns = min(_COLUMNS, len(kinds))
+    n_rows = ceil(len(kinds) / columns)
+    figure, panels = new(DOUBLE_MM * columns / _COLUMNS, _PANEL_ROW_MM * n_rows, n_rows, columns)
+    styles = looks([row.name for row in found.clean])
+    bands = len(found.clean) <= _MOST_BANDS
+    highest = 10 * ceil(10 * max(found.points["high"]))
+    for number, (axes, (kind, strengths)) in enumerate(zip(panels, kinds.items(), strict=False)):
+        for row in found.clean:
+            look, points = styles[row.name], found.of(row.name, kind)
+            at = [*points["strength"]]
+            low, mean, high = ([100 * share for share in points[end]] for end in ("low", "recall_at_1", "high"))
+            if bands:
+                axes.fill_between(at, low, high, color=look.colour, alpha=_FAINT_BAND, linewidth=0)
+            axes.plot(at, mean, color=look.colour, linestyle=look.dash, marker=look.marker, label=row.name)
+        ticks = {0: "clean", **{each: KINDS[kind].short([each]) for each in strengths}}
+        axes.set(title=kind.capitalize(), ylim=(0, highest), xlim=(-0.2, max(ticks) + 0.2))
+        axes.set_xticks([*ticks], [*ticks.values()])
+        if number % columns == 0:
+            axes.set_ylabel("Recall at 1 (%)")
+        axes.grid(True)
+    for axes in panels[len(kinds) :]:
+        axes.set_visible(False)
+    legend_above(figure, panels[0].get_legend_handles_labels()[0])
+    return Drawn(figure, caption("robustness", found.clean, kinds=found.words, bands=bands))
+
+
+@styled
+def recall_at_length(shown: Sequence[Sequence[Series]]) -> Drawn:
+    """Draw recall at 1 over the length of sequences, of the rows of several views, with its 95 % interval.
+
+    A row has a point at each length that its runs were seen in. Raises BadInput for fewer than two lengths and if no
+    query has a right place.
+    """
+    views = sorted((rows for rows in shown if rows), key=_length)
+    if len(views) < 2 or not any(row.runs[0].outcome.answerable.any() for rows in views for row in rows):
+        raise BadInput("sequences of two lengths or more are wanted, of queries that have a right place")
+    figure, (axes,) = new(SINGLE_MM, _HEIGHT_MM)
+    names = list(dict.fromkeys(row.name for rows in views for row in rows))
+    styles = looks(names)
+    for name in names:
+        look = styles[name]
+        found = [(_length(rows), row.runs) for rows in views for row in rows if row.name == name]
+        xs = [length for length, _ in found]
+        ys = [100 * sum(float(hits_at(run.outcome, 1).mean()) for run in runs) / len(runs) for _, runs in found]
+        ends = [recall_interval(runs) for _, runs in found]
+        if all(ends):
+            low, high = zip(*((100 * end.low, 100 * end.high) for end in ends if end), strict=True)
+            axes.fill_between(xs, low, high, color=look.colour, alpha=_BAND, linewidth=0)
+        axes.plot(xs, ys, color=look.colour, linestyle=look.dash, marker=look.marker, label=name)
+    axes.set(xlabel="Queries in a sequence", ylabel="Recall at 1 (%)", xticks=[*map(_length, views)], ylim=(0, 102))
+    axes.grid(True)
+    legend_above(figure, axes.get_legend_handles_labels()[0])
+    first = views[0]
+    protocol = max((rows[0].runs[0].protocol for rows in views), key=len)
+    asked = [(_length(rows), len(rows[0].runs[0].outcome)) for rows in views]
+    return Drawn(figure, caption("recall_at_length", first, protocol=protocol, asked=asked))
+
+
+def _length(rows: Sequence[Series]) -> int:
+    return window_of(rows[0].runs[0])

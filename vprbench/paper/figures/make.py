@@ -18,12 +18,11 @@ from vprbench.paper.gather import ReportData, TablePlan, TableRequest, choose, g
 from vprbench.paper.growth import GrowthSamples, samples
 from vprbench.paper.missing_runs import results_folder
 from vprbench.paper.plan import Row
-from vprbench.paper.selection import Group, ResolvedColumn, accuracy_series, groups, of_row, series
+from vprbench.paper.selection import Group, ResolvedColumn, accuracy_series, groups, of_row, series, title
 from vprbench.paper.stored_runs import Compose
 from vprbench.paper.table.best import mean_recall
 from vprbench.paper.table.formats import shown_as_it_is
 from vprbench.paper.table.make import exit_code
-from vprbench.paper.titles import title
 from vprbench.runs.frame import named_tuples
 from vprbench.runs.record import Run
 from vprbench.runs.thumbnails import Thumbnails, find
@@ -151,7 +150,7 @@ def _growing(found: ReportData) -> list[Row]:
 
 def _of_columns(found: ReportData) -> Iterator[tuple[str, Draw]]:
     """Yield the figures that each dataset has: Figure 3, and those beyond the paper."""
-    from vprbench.paper.figures import accuracy, growth, metrics, pictures, raster, sequences, spikes, tradeoff
+    from vprbench.paper.figures import accuracy, growth, pictures, spikes, tradeoff
 
     for group in found.groups:
         shown = accuracy_series(group, found.chosen.rows)
@@ -171,17 +170,17 @@ def _of_columns(found: ReportData) -> Iterator[tuple[str, Draw]]:
         yield f"fig3d-recall-at-n-{name}", partial(accuracy.recall_at_n, shown)
         yield f"tolerance-{name}", partial(accuracy.recall_at_tolerance, shown)
         for metric in found.chosen.metrics:
-            yield f"{metric.replace('_', '-')}-{name}", partial(metrics.of_rows, shown, METRICS[metric])
+            yield f"{metric.replace('_', '-')}-{name}", partial(accuracy.of_rows, shown, METRICS[metric])
         yield f"rate-{name}", partial(tradeoff.against_rate, timed)
         yield f"memory-{name}", partial(tradeoff.against_memory, timed)
         if any(run.stream for one in shown for run in one.runs):
             yield f"growing-map-{name}", partial(growth.growing_map, shown)
         yield f"spikes-{name}", partial(spikes.spike_statistics, shown)
-        if in_time := raster.in_time(shown):
-            yield f"raster-{name}", partial(raster.raster, in_time)
-            yield f"steps-{name}", partial(raster.recall_at_step, in_time)
+        if in_time := spikes.in_time(shown):
+            yield f"raster-{name}", partial(spikes.raster, in_time)
+            yield f"steps-{name}", partial(spikes.recall_at_step, in_time)
     for column in found.chosen.columns:
         groups_of = [group for group in found.groups if group.asked is column and group.runs]
         lengths = [accuracy_series(g, found.chosen.rows) for g in groups_of if "sequence" in g.runs[0].protocol]
         if len(lengths) > 1:
-            yield f"sequences-{column.planned.name}", partial(sequences.recall_at_length, lengths)
+            yield f"sequences-{column.planned.name}", partial(accuracy.recall_at_length, lengths)

@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING
 from vprbench.jobs.executors import executor_for
 from vprbench.paper.figures.make import draw_all, growth_columns, thumbnails_of
 from vprbench.paper.gather import ReportData, TableRequest, choose, gather
-from vprbench.paper.selection import Group, accuracy_series, series
+from vprbench.paper.selection import Group, accuracy_series, series, title
 from vprbench.paper.stored_runs import Compose
 from vprbench.paper.table import formats
 from vprbench.paper.table.make import exit_code, file_name
-from vprbench.paper.titles import title
 from vprbench.progress import progress_shown
 from vprbench.runs.sequences import views
 from vprbench.runs.store import Store

@@ -17,7 +17,8 @@ import pandas as pd
 from vprbench.metrics.intervals import WiderInterval
 from vprbench.paper.plan import Plan, Row
 from vprbench.paper.published import published
-from vprbench.paper.selection import DEVICES, Device, Group, RowRuns, accuracy_device, of_row
+from vprbench.paper.selection import DEVICES, Device, Group, RowRuns, accuracy_device, describe_protocol, of_row
+from vprbench.paper.selection import title as title_of
 from vprbench.paper.table.best import Contestant
 from vprbench.paper.table.caption import caption
 from vprbench.paper.table.quantities import QUANTITIES, RECALL, Quantity
@@ -32,8 +33,6 @@ from vprbench.paper.table.reasons import (
     remarks,
     undefined,
 )
-from vprbench.paper.titles import describe_protocol
-from vprbench.paper.titles import title as title_of
 from vprbench.runs.frame import with_records
 from vprbench.runs.recall_intervals import recall_interval
 from vprbench.runs.record import Run
