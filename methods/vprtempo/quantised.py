@@ -149,11 +149,14 @@ class Int8SpikingQuery:
         """Return the activation of Eq. 1 of all output neurons, (n_queries, n_places), for the feature spikes."""
         features = levels.reshape(len(levels), len(self._outputs), self._n_features)
         parts = [layer(np.ascontiguousarray(features[:, module])) for module, layer in enumerate(self._outputs)]
-        above = np.concatenate(parts, axis=1)
-        scores = np.minimum(np.maximum(above, 0), self._clip)
-        if self._silent_winner:
-            silent = np.flatnonzero((scores == 0).all(1))
-            scores[silent, above[silent, : self._first_module].argmax(1)] = 0.5
+        scores = np.empty((len(levels), sum(part.shape[1] for part in parts)), np.float32)
+        fires, start = np.zeros(len(levels), np.bool_), 0
+        for part in parts:
+            _fire(part, self._clip, scores[:, start : start + part.shape[1]], fires)
+            start += part.shape[1]
+        if self._silent_winner and not fires.all():
+            silent = np.flatnonzero(~fires)
+            scores[silent, parts[0][silent, : self._first_module].argmax(1)] = 0.5
         return scores
 
 
@@ -168,6 +171,18 @@ def _levels(activation: npt.NDArray[np.float32], most: np.float32) -> npt.NDArra
 def _write_levels(activation, factor, levels):  # type: ignore[no-untyped-def]
     for i in range(len(levels)):
         levels[i] = np.uint8(min(max(np.rint(activation[i] * factor), np.float32(0)), np.float32(255)))
+
+
+@compiled
+def _fire(above, clip, scores, fires):  # type: ignore[no-untyped-def]
+    """Write the net input above threshold, (n_queries, n), cut to 0 and the clip; tell which queries any neuron has."""
+    for query in range(len(above)):
+        own, written = above[query], scores[query]
+        most = np.float32(0)
+        for i in range(len(own)):
+            written[i] = min(max(own[i], np.float32(0)), clip)
+            most = max(most, written[i])
+        fires[query] |= most > 0
 
 
 @compiled
@@ -200,6 +215,9 @@ def _compile() -> None:
     _write_levels(np.zeros(1, np.float32), _LEVELS, np.zeros(1, np.uint8))
     row, steps, levels = np.zeros(1, np.float32), np.zeros(1, np.int8), np.zeros((1, 1), np.uint8)
     _add_synapses(steps, np.zeros(1, np.int32), np.zeros(2, np.int64), row, row, levels, row[None].copy())
+    net = row[None].copy()
+    for scores in net, np.zeros((2, 2), np.float32)[:, :1]:
+        _fire(net, np.float32(1), scores, np.zeros(1, np.bool_))
     _multiply(np.zeros((1, 1), np.int8), np.zeros((1, 1), np.uint8), np.zeros((1, 1), np.int32))
 
 
