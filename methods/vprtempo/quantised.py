@@ -78,7 +78,7 @@ def _affine_map(steps: npt.NDArray[np.int8], factor: Floats, bias: Floats) -> Ma
 def _by_onednn(steps: npt.NDArray[np.int8], factor: Floats, bias: Floats, parts: int) -> Map:
     """Return oneDNN's map by steps, each in so many parts; raises RuntimeError where PyTorch has none."""
     halves = [steps] if parts == 1 else [steps // 2, steps - steps // 2]
-    n_out, n_in = steps.shape
+    n_out = len(steps)
     packed = torch.ops.onednn.qlinear_prepack(torch.from_numpy(np.concatenate(halves, axis=1)), None)
     scales = torch.tensor(factor), torch.zeros(n_out, dtype=torch.int32), torch.tensor(bias)
     rest: tuple[object, ...] = (packed, *scales, 1.0, 0, torch.float32, "none", [], "")

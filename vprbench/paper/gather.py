@@ -150,7 +150,7 @@ def assembled(
 ) -> ReportData:
     """Put groups of runs, or of views of them, into the table; raises BadInput if they hold none."""
     left_out = {
-        (column.planned.name, row.name): why_left_out(chosen.plan.in_full(row), column, found)
+        (column.planned.name, row.name): why_left_out(chosen.plan.with_all_seeds(row), column, found)
         for column, row in itertools.product(chosen.columns, chosen.rows)
         if chosen.slow(column, row)
     }

@@ -78,7 +78,7 @@ class Plan:
     growth: Growth
     seeds: tuple[int, ...] = (0,)  # of rows that are asked for by their method's name and learn from a seed
 
-    def in_full(self, row: Row) -> Row:
+    def with_all_seeds(self, row: Row) -> Row:
         """Return a row with all of its seeds."""
         return next((own for own in (*self.rows.values(), *self.more_rows.values()) if own.name == row.name), row)
 

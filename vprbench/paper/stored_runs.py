@@ -70,7 +70,7 @@ class StoredRuns:
         code = code_hash_of(config["method"]["_target_"])
         if settings.force or not alike or code is None:
             return None
-        config["files"] = _files(config["method"], alike)
+        config["files"] = _hashed_weights(config["method"], alike)
         dataset, images = self._dataset(config["dataset"], config["corruption"])
         dataset = seen_from(dataset, viewpoints(config["views"]))
         held_out = [None, *([dataset.held_out.fingerprint()] if dataset.held_out else [])]
@@ -104,7 +104,7 @@ def _told(config: Mapping[str, Any]) -> str:
     return content_key({"arguments": arguments, "seed": config["seed"], "depth": config["depth"]})
 
 
-def _files(arguments: Mapping[str, Any], stored: Sequence[Run]) -> list[list[str]]:
+def _hashed_weights(arguments: Mapping[str, Any], stored: Sequence[Run]) -> list[list[str]]:
     """Return the weights of a method; one whose stored runs used none is not imported for it."""
     if not any(run.config["files"] for run in stored):
         return []

@@ -144,6 +144,7 @@ _DIRECTIONS = ((1, 0), (-1, 0), (1, 1), (-1, 1), (1, -1), (-1, -1), (0, 1), (0, 
 _DISTANCES = (5.0, 10.0, 18.0, 28.0, 40.0, 55.0)  # from the point, in points
 _BESIDE = 10.0  # up to here no line leads to the point
 _NOTHING = 1e-6  # square pixels
+_GAP = 3.0  # between two names side by side, in points
 
 
 @dataclass(frozen=True)
@@ -166,7 +167,7 @@ def place_labels(axes: Axes, labels: Sequence[Label], steps: Sequence[tuple[floa
     assert figure is not None  # axes are made by style.new, on a figure
     figure.draw_without_rendering()  # settles where the axes stand
     pixels = figure.dpi / 72  # of a point
-    taken = [box for label in labels for box in _drawn(axes, label, pixels)]
+    taken = [box for label in labels for box in _boxes_of_point(axes, label, pixels)]
     taken += _parts(axes, steps, pixels)
     places: list[tuple[Label, float, tuple[float, float]]] = []
     for label in labels:
@@ -180,7 +181,7 @@ def place_labels(axes: Axes, labels: Sequence[Label], steps: Sequence[tuple[floa
         if found is None:
             return False
         distance, corner, box = found
-        taken.append(box)
+        taken.append(box.padded(_GAP * pixels, 0))
         places.append((label, distance, ((corner[0] - x) / pixels, (corner[1] - y) / pixels)))
     for label, distance, offset in places:
         axes.annotate(
@@ -195,7 +196,7 @@ def place_labels(axes: Axes, labels: Sequence[Label], steps: Sequence[tuple[floa
     return True
 
 
-def _drawn(axes: Axes, label: Label, pixels: float) -> Iterator[Bbox]:
+def _boxes_of_point(axes: Axes, label: Label, pixels: float) -> Iterator[Bbox]:
     """Yield the boxes of a point and of its bar."""
     (x, y), (_, low), (_, high) = axes.transData.transform(
         [(label.x, label.y), (label.x, label.bar.low), (label.x, label.bar.high)]
