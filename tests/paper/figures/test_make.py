@@ -103,7 +103,6 @@ def test_a_report_of_columns_without_runs_is_one_line(elsewhere, capsys):
     assert not list(Path("results").glob("report*.html"))
 
 
-@pytest.mark.extended
 def test_from_the_store_alone_figures_and_page_are_the_same_to_the_byte(drawn, tmp_path, monkeypatch):
     shutil.copytree(drawn[0] / "results", tmp_path / "results")
     apart = grown(tmp_path, monkeypatch, quick=False)
