@@ -1,4 +1,4 @@
-"""Which stored runs belong to which column and row: equal runs stand together, the others are set aside by name."""
+"""Which stored runs belong to which column and row, what the columns are called, and which runs are set aside."""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@ put beside the numbers that the paper printed.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Hashable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from statistics import stdev
 from typing import Any
@@ -137,7 +137,7 @@ def assemble(
         _cell(entry, quantity, printed, *contests[entry.column.name, quantity.name], left_out)
         for entry, quantity in itertools.product(entries, quantities)
     ]
-    notes, machines = _numbered(made)
+    notes, machines = _number_notes_and_machines(made)
     cells = pd.DataFrame(made, columns=[*FACTS], dtype=object)
     named = {row.name: [entry for entry in entries if entry.row is row] for row in ordered}
     sentences = tuple(caption(groups, columns, named, cells, quantities))
@@ -296,7 +296,7 @@ def _absence(entry: Entry, quantity: Quantity, left_out: Mapping[tuple[str, str]
     return absent(entry.row, device, found, elsewhere, left_out.get(place))
 
 
-def _numbered(cells: Sequence[dict[str, Any]]) -> tuple[tuple[Reason, ...], tuple[str, ...]]:
+def _number_notes_and_machines(cells: Sequence[dict[str, Any]]) -> tuple[tuple[Reason, ...], tuple[str, ...]]:
     """Put numbers in the place of the cells' reasons and machines, in the order in which they come; returns both.
 
     A machine is told with the newest day of its runs.
@@ -309,12 +309,9 @@ def _numbered(cells: Sequence[dict[str, Any]]) -> tuple[tuple[Reason, ...], tupl
         if cell["machine"] is not None:
             name, day = cell["machine"]
             days[name] = max(days.get(name, ""), day)
-    numbers, machines = (dict(_counted(names)) for names in (notes, days))
+    numbers = {text: number for number, text in enumerate(notes, 1)}
+    machines = {name: number for number, name in enumerate(days)}
     for cell in cells:
-        cell["notes"] = tuple(sorted({1 + numbers[told.text] for told in cell["notes"]}))
+        cell["notes"] = tuple(sorted({numbers[told.text] for told in cell["notes"]}))
         cell["machine"] = None if cell["machine"] is None else machines[cell["machine"][0]]
     return tuple(notes.values()), tuple(f"{name}, {day}" for name, day in days.items())
-
-
-def _counted(names: Mapping[str, object]) -> Iterator[tuple[Hashable, int]]:
-    return ((name, number) for number, name in enumerate(names))
