@@ -104,16 +104,14 @@ def test_samples_stand_in_the_order_of_places_and_seeds_and_the_newest_run_of_ea
         for seed in (1, 0)
     ]
     runs.append(figure_runs.sized(100, 9.0, 0.009, seed=0, time_utc="2020-01-01T00:00:00Z"))
-    found = samples(TEMPO, runs)
-    wanted = [(100, 0), (100, 1), (300, 0), (300, 1)]
-    assert [(run.outcome.n_places, run.config["seed"]) for run in found.runs] == wanted
-    assert [(sample.n_places, sample.seconds) for sample in found.training] == [(100, 1), (100, 1), (300, 3), (300, 3)]
-    assert found.query[-1].seconds == pytest.approx(0.301)  # 1 ms to encode
-    assert {sample.disturbed for sample in found.training} == {False}
+    found = samples(TEMPO, runs).table
+    assert [*zip(found.places, found.seed, strict=True)] == [(100, 0), (100, 1), (300, 0), (300, 1)]
+    assert found.training_compute_seconds.tolist() == [1, 1, 3, 3]
+    assert found.query_seconds.iloc[-1] == pytest.approx(0.301)  # 1 ms to encode
     carts = figure_runs.sized(500, 1.0, 0.001, notes=(Note("noisy", "noisy: a cart"),))
-    found = samples(TEMPO, [*runs, carts, figure_runs.sized(900, None, 0.001)])  # the last one loaded its network
-    assert [(sample.n_places, sample.disturbed) for sample in found.training[3:]] == [(300, False), (500, True)]
-    assert [(sample.n_places, sample.disturbed) for sample in found.query[4:]] == [(500, True), (900, False)]
+    found = samples(TEMPO, [*runs, carts, figure_runs.sized(900, None, 0.001)]).table  # the last one loaded its network
+    assert [*zip(found.places, found.disturbed, strict=True)][3:] == [(300, False), (500, True), (900, False)]
+    assert found.training_compute_seconds.isna().tolist() == [False] * 5 + [True]
     with pytest.raises(BadInput, match="no run of VPRTempo"):
         samples(TEMPO, [])
 
@@ -123,7 +121,7 @@ def test_runs_under_other_conditions_than_the_newest_are_set_aside_by_name():
     slow = [figure_runs.sized(300, 9.0, 0.009, processor="Slide rule", time_utc="2024-06-01T00:00:00Z")]
     new = [figure_runs.sized(n, 1.0, 0.001) for n in (100, 300)]
     found = samples(TEMPO, [*old, *new, *slow])
-    assert [sample.seconds for sample in found.training] == [1.0, 1.0]
+    assert found.table.training_compute_seconds.tolist() == [1.0, 1.0]
     assert found.aside == (
         "Set aside: runs of VPRTempo at 300 places (other machine).",
         "Set aside: runs of VPRTempo at 100, 300, 1,000 places (other code).",

@@ -8,38 +8,34 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import pandas as pd
 
 from vprbench.errors import BadInput
 from vprbench.paper.plan import Row
 from vprbench.paper.selection import age, as_text, conditions
 from vprbench.paper.table import best
+from vprbench.runs.frame import with_records
 from vprbench.runs.record import Run
 
 _PER_SIZE = frozenset(  # parts of the protocol in which runs of one growth differ
     {"places", "query_places", "first_query_place", "reference_places", "held_out_places"}
 )
-
-
-@dataclass(frozen=True)
-class Sample:
-    """One time at one number of places."""
-
-    n_places: int
-    seconds: float
-    low: float | None = None  # 95 % interval of a median; None for a single measurement and for under six laps
-    high: float | None = None
-    disturbed: bool = False  # the machine did other things meanwhile, or the laps were too few
+_TIMES = ("query_seconds", "query_low", "query_high")
 
 
 @dataclass(frozen=True)
 class GrowthSamples:
-    """Times of one row by number of places, ascending, all measured under the same conditions."""
+    """Times of one row by number of places, all measured under the same conditions."""
 
     name: str  # the row's
-    runs: tuple[Run, ...]  # those behind the samples: one a size and seed
-    training: tuple[Sample, ...]  # one a run that trained, without the time that it waited for images
-    query: tuple[Sample, ...]  # one image at a time, encode and match together: median
+    table: pd.DataFrame  # the frame of its runs, ascending by places and seed, with `record` and the times of a query:
+    # seconds of encode and match together, their median and its 95 % interval; None: not timed, under six laps
     aside: tuple[str, ...]  # sentences: which runs are not among them, and why
+
+    @property
+    def runs(self) -> tuple[Run, ...]:
+        """The runs behind the samples."""
+        return tuple(self.table["record"])
 
 
 def samples(row: Row, runs: Sequence[Run]) -> GrowthSamples:
@@ -58,17 +54,10 @@ def samples(row: Row, runs: Sequence[Run]) -> GrowthSamples:
     chosen: dict[tuple[int, int], Run] = {}
     for run in newest:
         chosen.setdefault((run.outcome.n_places, run.config["seed"]), run)
-    kept = tuple(run for _, run in sorted(chosen.items(), key=lambda item: item[0]))
-    trained = [(run, run.training_compute_seconds) for run in kept if run.training_compute_seconds is not None]
-    return GrowthSamples(
-        name=row.name,
-        runs=kept,
-        training=tuple(
-            Sample(run.outcome.n_places, seconds, disturbed=best.disturbed(run)) for run, seconds in trained
-        ),
-        query=tuple(_median(run) for run in kept if run.timing is not None),
-        aside=tuple(_set_aside(row.name, members, newest[0]) for members in others),
-    )
+    kept = [run for _, run in sorted(chosen.items(), key=lambda item: item[0])]
+    times = pd.DataFrame(list(map(_query_times, kept)), columns=[*_TIMES], dtype=object)
+    aside = tuple(_set_aside(row.name, members, newest[0]) for members in others)
+    return GrowthSamples(row.name, with_records(kept).join(times), aside)
 
 
 def interval_of_median(values: npt.NDArray[np.float64]) -> tuple[float, float] | None:
@@ -84,10 +73,11 @@ def interval_of_median(values: npt.NDArray[np.float64]) -> tuple[float, float] |
     return (float(ordered[k - 1]), float(ordered[-k])) if k else None
 
 
-def _median(run: Run) -> Sample:
+def _query_times(run: Run) -> tuple[float | None, ...]:
+    if run.timing is None:
+        return (None, None, None)
     seconds = best.laps(run)
-    low, high = interval_of_median(seconds) or (None, None)
-    return Sample(run.outcome.n_places, float(np.median(seconds)), low, high, best.disturbed(run))
+    return (float(np.median(seconds)), *(interval_of_median(seconds) or (None, None)))
 
 
 def _conditions(run: Run) -> dict[str, Any]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
@@ -26,13 +27,14 @@ from vprbench.paper.figures.style import (
     styled,
     wrapped,
 )
-from vprbench.paper.growth import GrowthSamples, Sample
+from vprbench.paper.growth import GrowthSamples
 from vprbench.paper.selection import Series
 from vprbench.runs.stream import stream_numbers
 
 _CLAIMS: dict[str, tuple[Law, Law]] = {"VPRTempo": ("linear", "logarithmic")}  # by the paper: training, query
 _DASHES: dict[Law, Dash] = {"constant": (0, (1, 2)), "logarithmic": (0, (4, 2)), "linear": (0, ())}
 _ORDER: dict[Law, str] = {"constant": "O(1)", "logarithmic": "O(log n)", "linear": "O(n)"}
+_SECONDS = ("seconds", "low", "high")
 _MS = 1e3  # milliseconds of a second
 _HEIGHT_MM = 74.0  # without the legend
 _LINE_MM = 4.2  # of the legend
@@ -40,13 +42,21 @@ _LETTERS = 52  # of a line of it
 
 
 @dataclass(frozen=True)
+class _Step:
+    """The times of one step of a row, and the laws fitted to them."""
+
+    times: pd.DataFrame  # `places`, `seconds`, `low`, `high` and `disturbed`, a line a run
+    comparison: Comparison | None  # None: too few sizes to tell laws apart
+    claimed: Law | None  # by the paper
+
+
+@dataclass(frozen=True)
 class _Fitted:
-    """The samples of a row with the laws fitted to them; None if they are too few to tell laws apart."""
+    """One row with the laws fitted to its times."""
 
     samples: GrowthSamples
-    claims: tuple[Law | None, Law | None]  # of the paper: training, query
-    training: Comparison | None
-    query: Comparison | None
+    training: _Step
+    query: _Step
 
 
 @styled
@@ -61,24 +71,21 @@ def growth(rows: Sequence[GrowthSamples]) -> Drawn:
     looked = looks([row.name for row in rows])
     fitted = list(map(_fitted, rows))
     for row in fitted:
-        samples, look = row.samples, looked[row.samples.name]
-        name = "" if len(rows) == 1 else samples.name
-        _draw_points(left, samples.training, 1, look, _label(name, "training", row.training))
-        _draw_laws(left, samples.training, row.training, 1, look, name)
-        _draw_points(right, samples.query, _MS, look, _label(name, "encode and match", row.query))
-        _draw_laws(right, samples.query, row.query, _MS, look, name)
+        name, look = row.samples.name, looked[row.samples.name]
+        for axes, step, of, unit in ((left, row.training, "training", 1), (right, row.query, "encode and match", _MS)):
+            _draw_points(axes, step.times, unit, look, _label("" if len(rows) == 1 else name, of, step.comparison))
+            _draw_laws(axes, step, unit, look, named=len(rows) > 1)
     left.set(xlabel="Places", ylabel="Training time (s)", title="Training")
     right.set(xlabel="Places", ylabel="Time of a query (ms)", title="Query")
-    lines = _finish(left, [sample for row in rows for sample in row.training], 1, "nothing was trained")
-    queries = [sample for row in rows for sample in row.query]
-    lines = max(lines, _finish(right, queries, _MS, "nothing was timed"))
+    lines = _finish(left, pd.concat([row.training.times for row in fitted]), 1, "nothing was trained")
+    lines = max(lines, _finish(right, pd.concat([row.query.times for row in fitted]), _MS, "nothing was timed"))
     figure.set_figheight((_HEIGHT_MM + lines * _LINE_MM) / 25.4)
-    runs = [run for row in rows for run in row.runs]
+    table = pd.concat([row.table for row in rows])
     told = {
-        "datasets": [run.dataset for run in runs],
-        "sizes": sorted({run.outcome.n_places for run in runs}),
-        "disturbed": [(row.name, sizes) for row in rows if (sizes := _disturbed(row))],
-        "several_seeds": any(len({run.config["seed"] for run in row.runs}) > 1 for row in rows),
+        "datasets": [*table["dataset"]],
+        "sizes": sorted({*table["places"]}),
+        "disturbed": [(row.samples.name, sizes) for row in fitted if (sizes := _disturbed(row))],
+        "several_seeds": any(row.table["seed"].nunique() > 1 for row in rows),
     }
     return Drawn(figure, caption("growth", rows, rows=fitted, orders=_ORDER, **told))
 
@@ -108,16 +115,23 @@ def growing_map(series: Sequence[Series]) -> Drawn:
 
 
 def _fitted(row: GrowthSamples) -> _Fitted:
-    claims = _CLAIMS.get(row.name, (None, None))
-    return _Fitted(row, claims, _compared(row.training), _compared(row.query))
+    training, query = _CLAIMS.get(row.name, (None, None))
+    columns = ["query_seconds", "query_low", "query_high"]
+    return _Fitted(
+        row, _step(row.table, ["training_compute_seconds", None, None], training), _step(row.table, columns, query)
+    )
 
 
-def _compared(samples: Sequence[Sample]) -> Comparison | None:
-    """Compare the laws; None if the samples are too few to tell them apart."""
+def _step(table: pd.DataFrame, columns: Sequence[str | None], claimed: Law | None) -> _Step:
+    """Return the times of one step from the columns of their seconds and interval, which a single time has none of."""
+    named = zip(_SECONDS, columns, strict=True)
+    times = table[["places", "disturbed"]].assign(**{to: table[of] if of else None for to, of in named})
+    times = times.dropna(subset="seconds")
     try:
-        return compare([sample.n_places for sample in samples], [sample.seconds for sample in samples])
-    except BadInput:
-        return None
+        comparison = compare(times["places"].tolist(), times["seconds"].tolist())
+    except BadInput:  # too few sizes
+        comparison = None
+    return _Step(times, comparison, claimed)
 
 
 def _label(name: str, step: str, comparison: Comparison | None) -> str:
@@ -129,17 +143,14 @@ def _label(name: str, step: str, comparison: Comparison | None) -> str:
     return f"{name}: {comparison.best}, {told}" if name else f"{step}, {told}"
 
 
-def _draw_points(axes: Axes, samples: Sequence[Sample], unit: float, look: Look, label: str) -> None:
+def _draw_points(axes: Axes, times: pd.DataFrame, unit: float, look: Look, label: str) -> None:
     """Draw times with their intervals; the disturbed ones are hollow."""
-    for disturbed in (False, True):
-        drawn = [sample for sample in samples if sample.disturbed is disturbed]
-        if not drawn:
-            continue
-        ends = [[s.seconds - (s.low or s.seconds), (s.high or s.seconds) - s.seconds] for s in drawn]
+    for disturbed, drawn in times.groupby("disturbed"):
+        seconds, low, high = (unit * drawn[name].fillna(drawn["seconds"]).astype(float) for name in _SECONDS)
         axes.errorbar(
-            [sample.n_places for sample in drawn],
-            [unit * sample.seconds for sample in drawn],
-            unit * np.array(ends).T,
+            drawn["places"],
+            seconds,
+            [seconds - low, high - seconds],
             color=look.colour,
             marker=look.marker,
             markerfacecolor="white" if disturbed else look.colour,
@@ -150,37 +161,35 @@ def _draw_points(axes: Axes, samples: Sequence[Sample], unit: float, look: Look,
         label = ""  # once in the legend
 
 
-def _draw_laws(
-    axes: Axes, samples: Sequence[Sample], comparison: Comparison | None, unit: float, look: Look, name: str
-) -> None:
-    """Draw the best law, and thinly the others with a key for each where the row is alone and so has no name."""
-    if comparison is None:
+def _draw_laws(axes: Axes, step: _Step, unit: float, look: Look, named: bool) -> None:
+    """Draw the best law, and thinly the others with a key for each where the row is alone and its points unnamed."""
+    if step.comparison is None:
         return
-    fewest, *_, most = sorted(sample.n_places for sample in samples)
-    places = np.geomspace(fewest, most, 200)
-    for law in sorted(LAWS, key=lambda law: comparison.fits[law].aicc):
+    fits, comparison = step.comparison.fits, step.comparison
+    places = np.geomspace(step.times["places"].min(), step.times["places"].max(), 200)
+    for law in sorted(LAWS, key=lambda law: fits[law].aicc):
         best = law == comparison.best
-        if best or not name:
+        if best or not named:
             verdict = "lowest AICc" if best else f"AICc higher by {comparison.differences[law]:.1f}"
             axes.plot(
                 places,
-                unit * comparison.fits[law].at(places),
+                unit * fits[law].at(places),
                 color=look.colour if best else GREY,
                 linestyle=_DASHES[law],
                 linewidth=1.8 if best else 0.9,
-                label="" if name else f"{law}, {verdict}",
+                label="" if named else f"{law}, {verdict}",
                 zorder=2 if best else 1,
             )
 
 
-def _finish(axes: Axes, samples: Sequence[Sample], unit: float, nothing: str) -> int:
+def _finish(axes: Axes, times: pd.DataFrame, unit: float, nothing: str) -> int:
     """Scale the axes and write the legend below them; returns how many lines it has."""
-    if not samples:
+    if times.empty:
         axes.text(0.5, 0.5, nothing, transform=axes.transAxes, ha="center", color=GREY, style="italic")
         axes.set(xticks=[], yticks=[])
         return 0
-    plain_log(axes, "x", [sample.n_places for sample in samples])
-    plain_log(axes, "y", [unit * sample.seconds for sample in samples])
+    plain_log(axes, "x", times["places"].tolist())
+    plain_log(axes, "y", (unit * times["seconds"]).tolist())
     axes.grid(True)
     handles, labels = axes.get_legend_handles_labels()
     points_first = sorted(range(len(handles)), key=lambda i: isinstance(handles[i], Line2D))
@@ -195,6 +204,7 @@ def _finish(axes: Axes, samples: Sequence[Sample], unit: float, nothing: str) ->
     return sum(1 + text.count("\n") for text in texts)
 
 
-def _disturbed(row: GrowthSamples) -> list[str]:
+def _disturbed(row: _Fitted) -> list[str]:
     """Return the sizes whose times were disturbed."""
-    return [f"{n:,}" for n in sorted({s.n_places for s in (*row.training, *row.query) if s.disturbed})]
+    times = pd.concat([row.training.times, row.query.times])
+    return [f"{n:,}" for n in sorted({*times["places"][times["disturbed"].astype(bool)]})]
