@@ -51,8 +51,11 @@ class StoredRuns:
             return None
         try:
             with contextlib.redirect_stdout(io.StringIO()):
-                found = [self._found(one) for one in wanted.each()]
-                return found[-1] if None not in found else None
+                found = None
+                for one in wanted.each():
+                    if (found := self._found(one)) is None:
+                        break
+                return found
         except (Exception, SystemExit) as error:  # whatever a plug-in raises, or an option that does not fit
             logger.debug("whether %s is stored is left to a process: %s", wanted.row.name, error)
             return None
