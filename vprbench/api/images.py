@@ -183,7 +183,7 @@ class Images(Sequence[Image]):
             return
         # Frames that are computed keep the interpreter busy: several threads would only wait for one another.
         n_readers = 1 if self._files is None else _READERS
-        window = Window(len(self), self._file_bytes if self._files else None, n_readers)
+        window = Window(len(self), self._decoded_bytes if self._files else None, n_readers)
         with ThreadPoolExecutor(n_readers) as readers:
             ahead: deque[tuple[range, Future[list[Image]]]] = deque()
             try:
@@ -204,7 +204,7 @@ class Images(Sequence[Image]):
         """Return the bytes of all images once they are decoded: of files by their heads, of others by the first."""
         if self._files is None and not self._in_memory:
             return len(self) * self[0].nbytes if len(self) else 0
-        return sum(self._file_bytes(i) if self._files else self._read(i).nbytes for i in range(len(self)))
+        return sum(self._decoded_bytes(i) if self._files else self._read(i).nbytes for i in range(len(self)))
 
     def blocks(self, size: int, n_bytes: int = _BLOCK_BYTES) -> Iterator[Images]:
         """Yield consecutive views of decoded images, up to `size` of up to `n_bytes` together, or a single one."""
@@ -293,7 +293,7 @@ class Images(Sequence[Image]):
                 digest.update(hashlib.sha256(_pixels(self._read(i))).digest())
         return digest.hexdigest()
 
-    def _file_bytes(self, number: int) -> int:
+    def _decoded_bytes(self, number: int) -> int:
         """Return the bytes of a file's image once it is decoded; looking takes part of the reading."""
         assert self._files is not None
         with self.reading.waiting():
