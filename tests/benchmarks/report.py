@@ -31,7 +31,7 @@ def row(measured):
         "ms a call": figures(1000 * seconds),
         "Hz": figures(about["images"] / seconds),
         "spread": f"{100 * stats['iqr'] / stats['median']:.0f} %",
-        **{name: value for name, value in about.items() if name not in _OWN},
+        **{name: each if isinstance(each, str) else f"{each:,}" for name, each in about.items() if name not in _OWN},
         "beside": ", ".join(
             f"{name} {figures(1000 * other)} ms ({figures(seconds / other)}x)" for name, other in others
         ),

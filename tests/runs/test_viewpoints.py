@@ -14,8 +14,9 @@ from vprbench.paper.plan import PlannedColumn, Row
 from vprbench.paper.selection import ResolvedColumn, groups
 from vprbench.runs import runner
 from vprbench.runs.compose import composed
+from vprbench.runs.offset import offset_of
 from vprbench.runs.settings import checked_settings
-from vprbench.runs.viewpoints import AS_IT_IS, Viewed, Viewpoint, Viewpoints, offset_of, seen_from, shifted, viewpoints
+from vprbench.runs.viewpoints import AS_IT_IS, Viewed, Viewpoint, Viewpoints, seen_from, shifted, viewpoints
 
 pytestmark = pytest.mark.usefixtures("surroundings")
 

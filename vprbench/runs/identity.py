@@ -29,7 +29,7 @@ VERSION = 3
 MODULES = (
     *("vprbench.metrics.ranking", "vprbench.plugins.networks", "vprbench.runs.stopwatch", "vprbench.runs.fitting"),
     *("vprbench.runs.runner", "vprbench.runs.answers", "vprbench.runs.descriptors", "vprbench.runs.machine"),
-    *("vprbench.runs.corruption", "vprbench.runs.corrupted_frames", "vprbench.runs.viewpoints"),
+    *("vprbench.runs.corruption", "vprbench.runs.corrupted_frames", "vprbench.runs.viewpoints", "vprbench.runs.offset"),
 )
 
 

@@ -19,9 +19,10 @@ from vprbench.runs.descriptors import DescriptorCache
 from vprbench.runs.fitting import FitResult, fit_or_load
 from vprbench.runs.identity import Request, code_hash, data_record
 from vprbench.runs.notes import Note, noted
+from vprbench.runs.offset import find_offset
 from vprbench.runs.record import Run
 from vprbench.runs.stopwatch import Stopwatch, Timing, synchroniser
-from vprbench.runs.viewpoints import Viewpoint, told_from
+from vprbench.runs.viewpoints import Viewpoint
 
 _NOISE = 0.05  # drift of a fixed computation that marks a run as noisy
 _BUSY = 15.0  # percent of CPU pressure that marks a run as noisy
@@ -93,7 +94,7 @@ def _look(request: Request, scoring: Scoring, stopwatch: Stopwatch) -> dict[str,
     views, evidence, seconds = request.views.all, None, 0.0
     if request.views.auto:
         with stopwatch.lap() as lap:
-            offset = told_from(request.method, request.dataset.queries.unnamed(), request.views)
+            offset = find_offset(request.method, request.dataset.queries.unnamed(), request.views)
         views, evidence, seconds = [*offset.views], dict(offset.evidence), lap[0]
         scoring.answers.method_seconds += seconds
     scoring.look_from(views, request.method)
