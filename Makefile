@@ -84,7 +84,7 @@ clean: ## Remove everything that can be made again; stored runs under results/ s
 
 $(READY): pyproject.toml constraints.txt
 	@echo "installing the pinned packages into $(VENV): some minutes, mostly downloads"
-	$(PYTHON) -m venv $(VENV)
+	@$(RUN) -c "import ssl" 2>/dev/null || $(PYTHON) -m venv --clear $(VENV)
 	$(PIP) -e ".[dev]" | $(LARGE_DOWNLOADS)
 	@$(RUN) -m pip show --quiet vprbench
 	@touch $@
