@@ -23,7 +23,7 @@ LONG = 1.0  # seconds of a call that is repeated less often
 
 def pytest_collection_modifyitems(items):
     for item in items:
-        if item.path.parent.name == "benchmarks" and item.path.name != "test_report.py":
+        if item.path.parent.name == "benchmarks":
             item.add_marker(pytest.mark.extended)
 
 
