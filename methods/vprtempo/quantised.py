@@ -199,26 +199,31 @@ def _multiply(steps, levels, sums):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _add_synapses(steps, columns, ends, factor, bias, levels, net):  # type: ignore[no-untyped-def]
-    """Write the net input and the bias of neurons, (n_queries, n_out), by the synapses that exist."""
+def _add_synapses(steps, columns, factor, bias, levels, net):  # type: ignore[no-untyped-def]
+    """Write the net input and the bias of neurons, (n_queries, n_out), by their synapses, (most of a neuron, n_out)."""
+    total, read = np.empty(len(bias), np.int32), np.empty(len(bias), np.uint8)
     for query in range(len(levels)):
-        own = levels[query]
+        own, written = levels[query], net[query]
+        total[:] = 0
+        for k in range(len(steps)):
+            step, column = steps[k], columns[k]
+            for neuron in range(len(bias)):
+                read[neuron] = own[column[neuron]]
+            for neuron in range(len(bias)):
+                total[neuron] += np.int32(step[neuron]) * np.int32(read[neuron])
         for neuron in range(len(bias)):
-            total = np.int32(0)
-            for k in range(ends[neuron], ends[neuron + 1]):
-                total = np.int32(total + np.int32(np.int32(steps[k]) * np.int32(own[columns[k]])))
-            net[query, neuron] = np.float32(total) * factor[neuron] + bias[neuron]
+            written[neuron] = np.float32(total[neuron]) * factor[neuron] + bias[neuron]
 
 
 def _compile() -> None:
     """Compile the loops, or read them from the cache, so that no query waits for it."""
     _write_levels(np.zeros(1, np.float32), _LEVELS, np.zeros(1, np.uint8))
-    row, steps, levels = np.zeros(1, np.float32), np.zeros(1, np.int8), np.zeros((1, 1), np.uint8)
-    _add_synapses(steps, np.zeros(1, np.int32), np.zeros(2, np.int64), row, row, levels, row[None].copy())
+    row, steps, levels = np.zeros(1, np.float32), np.zeros((1, 1), np.int8), np.zeros((1, 1), np.uint8)
+    _add_synapses(steps, np.zeros((1, 1), np.int32), row, row, levels, row[None].copy())
     net = row[None].copy()
     for scores in net, np.zeros((2, 2), np.float32)[:, :1]:
         _fire(net, np.float32(1), scores, np.zeros(1, np.bool_))
-    _multiply(np.zeros((1, 1), np.int8), np.zeros((1, 1), np.uint8), np.zeros((1, 1), np.int32))
+    _multiply(steps, levels, np.zeros((1, 1), np.int32))
 
 
 _compile()

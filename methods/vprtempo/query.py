@@ -89,7 +89,7 @@ class SpikingQuery:
         self._device = features.device
         self._weights = features.numel() + sum(weights.numel() for weights in network.outputs)  # existing or not
         self._sparse = sparse(features.numpy(), _SPARSE) if self._device.type == "cpu" else None
-        few = self._sparse is not None and len(self._sparse[0]) <= _VERY_SPARSE * features.numel()
+        few = self._sparse is not None and self._sparse[0].size <= _VERY_SPARSE * features.numel()
         self._feature_layer = self._from_synapses if few else _layer(features, bias)
         self._output_layers = [
             _layer(weights.T, -thresholds)
@@ -221,25 +221,33 @@ def linear_layer(members: Sequence[Network]) -> tuple[Tensor, Tensor]:
     return sum(weights[1:], weights[0]) / len(members), sum(biases[1:], biases[0]) / len(members)
 
 
-def sparse(weights: npt.NDArray[Any], most: float) -> tuple[npt.NDArray[Any], ...] | None:
-    """Return the values, columns and row ends of weights (n, n_inputs); None if more than a share `most` exist."""
+def sparse(weights: npt.NDArray[Any], most: float) -> tuple[npt.NDArray[Any], npt.NDArray[np.int32]] | None:
+    """Return the values and the inputs of synapses of weights (n, n_inputs), each (most of a neuron, n).
+
+    Neurons with fewer synapses have more of value 0. None if more than a share `most` of all synapses exist.
+    """
     if np.count_nonzero(weights) > most * weights.size:
         return None
-    rows, columns = np.nonzero(weights)
-    ends = np.searchsorted(rows, np.arange(len(weights) + 1))
-    return weights[rows, columns], columns.astype(np.int32), ends
+    neurons, inputs = np.nonzero(weights)
+    number = np.arange(len(neurons)) - np.searchsorted(neurons, neurons)  # among those of its neuron
+    shape = (number.max(initial=0) + 1, len(weights))
+    values, columns = np.zeros(shape, weights.dtype), np.zeros(shape, np.int32)
+    values[number, neurons], columns[number, neurons] = weights[neurons, inputs], inputs
+    return values, columns
 
 
 @compiled
-def _add_synapses(values, columns, ends, bias, x, net):  # type: ignore[no-untyped-def]
-    """Write the net input and the bias of neurons, (n, n_neurons), for inputs (n, n_inputs), by the synapses there."""
+def _add_synapses(values, columns, bias, x, net):  # type: ignore[no-untyped-def]
+    """Write the net input and the bias of neurons, (n, n_neurons), for inputs (n, n_inputs), by their synapses."""
     for query in range(len(x)):
-        own = x[query]
+        own, total = x[query], net[query]
+        total[:] = 0
+        for k in range(len(values)):
+            value, column = values[k], columns[k]
+            for neuron in range(len(bias)):
+                total[neuron] += value[neuron] * own[column[neuron]]
         for neuron in range(len(bias)):
-            total = np.float32(0)
-            for k in range(ends[neuron], ends[neuron + 1]):
-                total += values[k] * own[columns[k]]
-            net[query, neuron] = total + bias[neuron]
+            total[neuron] += bias[neuron]
 
 
 @compiled
@@ -281,7 +289,7 @@ def _compile() -> None:
     """Compile the loops of a single query, or read it from the cache, so that no query waits for it."""
     weights, row = np.zeros((1, 1), np.float32), np.zeros(1, np.float32)
     _feature_spikes(weights, row, row, np.float32(1), row.copy())
-    _add_synapses(row, np.zeros(1, np.int32), np.zeros(2, np.int64), row, weights, weights.copy())
+    _add_synapses(weights, np.zeros((1, 1), np.int32), row, weights, weights.copy())
     add_active(weights, row, row.copy())
 
 
