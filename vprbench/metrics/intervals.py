@@ -109,7 +109,8 @@ def difference_interval(
     The wider one of Agresti and Min's (2005), which takes queries as independent, and that of the block bootstrap as
     in `share_interval`. Most differences are 0, which hides from the rule that the others come together: the block
     length is the largest of those of both hits, of the differences and of the `window`. None for fewer than 20 queries,
-    too few to see whether neighbours are alike. Raises ValueError for hits on different queries.
+    too few to see whether neighbours are alike. Of values beyond 0 and 1 the lower end alone says anything: it is at
+    least -1, the upper end at most 1. Raises ValueError for hits on different queries.
     """
     first, second = finite_row(ours), finite_row(theirs)
     if first.shape != second.shape:
