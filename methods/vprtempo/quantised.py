@@ -11,6 +11,7 @@ import torch
 
 from vprbench.api import Scores, takes
 
+from . import vnni
 from .compiled import compiled
 from .network import Network
 from .query import Amplitudes, linear_layer, sparse
@@ -64,8 +65,15 @@ def _affine_map(steps: npt.NDArray[np.int8], factor: Floats, bias: Floats) -> Ma
     steps: each step is then two halves, which read the same level.
     """
     parts = 1 if _is_exact(1) else 2 if _is_exact(2) else 0
-    if parts:
-        return _by_onednn(steps, factor, bias, parts)
+    many = _by_onednn(steps, factor, bias, parts) if parts else _by_loops(steps, factor, bias)
+    if not vnni.AVAILABLE:
+        return many
+    one = vnni.single_input_map(steps, factor, bias)
+    return lambda levels: one(levels[0])[None] if len(levels) == 1 else many(levels)
+
+
+def _by_loops(steps: npt.NDArray[np.int8], factor: Floats, bias: Floats) -> Map:
+    """Return the map by sums of our own."""
 
     def by_loops(levels: npt.NDArray[np.uint8]) -> Floats:
         sums = np.empty((len(levels), len(steps)), np.int32)

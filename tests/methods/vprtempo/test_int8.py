@@ -24,7 +24,7 @@ from tempo_networks import (
 )
 
 from vprbench.errors import BadInput
-from vprbench.methods.vprtempo import quantised
+from vprbench.methods.vprtempo import quantised, vnni
 from vprbench.methods.vprtempo.int8 import VPRTempoEnsembleInt8, VPRTempoInt8
 from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.methods.vprtempo.network import Network
@@ -138,12 +138,16 @@ def test_the_largest_sums_do_not_overflow(n_pixels, sign, ask):
 
 
 @WAYS
-@pytest.mark.parametrize(("parts", "few"), [(1, 0.0), (2, 0.0), (None, 0.0), (None, 1.0)])
-def test_each_way_to_multiply_gives_the_same_scores(parts, few, ask, monkeypatch):
+@pytest.mark.parametrize("by", ["whole steps", "half steps", "loops", "synapses", "vnni"])
+def test_each_way_to_multiply_gives_the_same_scores(by, ask, monkeypatch):
+    if by == "vnni" and not vnni.AVAILABLE:
+        pytest.skip("no AVX-512 VNNI, or numba compiles for another processor")
+    parts = {"whole steps": 1, "half steps": 2, "vnni": 1}.get(by, 0)
     if parts == 1 and not quantised._is_exact(1):
         pytest.skip("no VNNI: oneDNN's product of whole steps is not exact on this processor")
+    monkeypatch.setattr(vnni, "AVAILABLE", by == "vnni")
     monkeypatch.setattr(quantised, "_is_exact", lambda given: given == parts)
-    monkeypatch.setattr(quantised, "_FEW", few)  # of the synapses, up to which those that exist are read alone
+    monkeypatch.setattr(quantised, "_FEW", float(by == "synapses"))  # up to which share the synapses are read alone
     drawn, spikes = np.random.default_rng(0), shown(9, 301)
     rows = (drawn.standard_normal((5, 301)) * (drawn.random((5, 301)) < 0.7)).astype(np.float32)
     expected = affine(rows.astype(np.float64), 0.0, in_255_levels(spikes.astype(np.float64), 1), 1)
