@@ -208,12 +208,12 @@ class _Attention(nn.Module):
         self.in_proj_bias = nn.Parameter(torch.zeros(3 * dim))
         self.out_proj = nn.Linear(dim, dim)
 
-    def forward(self, asking: Tensor, asked: Tensor) -> Tensor:
+    def forward(self, queries: Tensor, memory: Tensor) -> Tensor:
         """Return for each of (n, n_asking, dim) what it takes from (n, n_asked, dim)."""
-        dim = asking.shape[-1]
+        dim = queries.shape[-1]
         weight, bias = self.in_proj_weight, self.in_proj_bias
-        query = functional.linear(asking, weight[:dim], bias[:dim])
-        key, value = functional.linear(asked, weight[dim:], bias[dim:]).chunk(2, -1)
+        query = functional.linear(queries, weight[:dim], bias[:dim])
+        key, value = functional.linear(memory, weight[dim:], bias[dim:]).chunk(2, -1)
         seen = functional.scaled_dot_product_attention(_heads(query), _heads(key), _heads(value))
         out: Tensor = self.out_proj(seen.transpose(1, 2).flatten(2))
         return out

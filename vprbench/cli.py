@@ -129,8 +129,8 @@ def _run(config: DictConfig) -> JobResult:
     choices, given = HydraConfig.get().runtime.choices, [*HydraConfig.get().overrides.task]
     registry.require_one("method", choices["method"])
     registry.require_one("dataset", choices["dataset"])
-    asked = {name: plain[name] for name in RECORDED}
-    asked["overrides"] = [registry.with_plugin_paths(option) for option in given]
+    recorded = {name: plain[name] for name in RECORDED}
+    recorded["overrides"] = [registry.with_plugin_paths(option) for option in given]
     from vprbench.runs import machine
     from vprbench.runs.get_or_run import FailedElsewhereError
     from vprbench.runs.record import Failure
@@ -141,8 +141,8 @@ def _run(config: DictConfig) -> JobResult:
     failures = Store(store.root.absolute())  # a method may change the working folder
 
     def failed(error: str, missing: bool = False) -> Failure:
-        dataset = asked["dataset"].get("name", choices["dataset"])
-        return Failure(choices["method"], dataset, asked, error, machine.capture(settings.device, threads), missing)
+        dataset = recorded["dataset"].get("name", choices["dataset"])
+        return Failure(choices["method"], dataset, recorded, error, machine.capture(settings.device, threads), missing)
 
     as_job = job.current is not None
     if settings.limit_minutes is not None and not as_job:
@@ -156,7 +156,7 @@ def _run(config: DictConfig) -> JobResult:
         say = printed.append if as_job else say  # the process that asked prints it
         try:
             with spread_over(settings.search_scheduler):
-                key = _answer(choices["method"], asked, settings, store, say)
+                key = _answer(choices["method"], recorded, settings, store, say)
                 return JobResult(0, key=key, printed="\n".join(printed))
         except KeyboardInterrupt:
             raise
@@ -183,22 +183,22 @@ def _run(config: DictConfig) -> JobResult:
             return replace(result, printed="\n".join(printed))
 
 
-def _answer(method: str, asked: dict[str, Any], settings: Settings, store: Store, say: Callable[[str], None]) -> str:
+def _answer(method: str, recorded: dict[str, Any], settings: Settings, store: Store, say: Callable[[str], None]) -> str:
     """Say the run of a configuration, or one for each of its corruptions, and return the key of the last.
 
-    A run is from the store or made now. `asked` holds what was asked of the run that is made. Raises what `get_or_run`
+    A run is from the store or made now. `recorded` is its configuration. Raises what `get_or_run`
     raises.
     """
     from vprbench.runs.build_request import build_request, corrupted_request
     from vprbench.runs.get_or_run import UnstoredRunError, get_or_run
 
     current, key = job.current, ""
-    request = build_request(method, asked, settings, store)
+    request = build_request(method, recorded, settings, store)
     for name in settings.corruption if isinstance(settings.corruption, list) else [None]:
         if name is not None:
-            clean = [option for option in asked["overrides"] if not option.startswith("corruption=")]
-            asked |= {"corruption": name, "overrides": [*clean, f"corruption={name}"]}
-        wanted = request if name is None else corrupted_request(request, name, asked)
+            clean = [option for option in recorded["overrides"] if not option.startswith("corruption=")]
+            recorded |= {"corruption": name, "overrides": [*clean, f"corruption={name}"]}
+        wanted = request if name is None else corrupted_request(request, name, recorded)
         try:
             result = get_or_run(wanted, settings, store, current is None, None if current is None else current.since)
         except UnstoredRunError as error:

@@ -114,7 +114,7 @@ class _Made:
         return np.frombuffer(encoded, order + code).reshape(shape, order="F" if columns_first else "C")
 
 
-def _told(shape: Any, kind: Any, columns_first: bool, stored: Any) -> _Made:
+def _array_of(shape: Any, kind: Any, columns_first: bool, stored: Any) -> _Made:
     array = _Made()
     array.state = shape, kind, columns_first, stored
     return array
@@ -131,8 +131,8 @@ _STAND_INS: dict[str, Any] = {
     "numpy.ndarray": _Made,
     "numpy.dtype": _Made,
     "numpy.core.multiarray._reconstruct": _Made,
-    "numpy.core.multiarray.scalar": lambda kind, stored: _told((), kind, False, stored),
-    "numpy.core.numeric._frombuffer": lambda stored, kind, shape, order: _told(shape, kind, order == "F", stored),
+    "numpy.core.multiarray.scalar": lambda kind, stored: _array_of((), kind, False, stored),
+    "numpy.core.numeric._frombuffer": lambda stored, kind, shape, order: _array_of(shape, kind, order == "F", stored),
     "_codecs.encode": _text,
     "builtins.bytes": lambda: b"",
     "__builtin__.bytes": lambda: b"",
@@ -142,10 +142,10 @@ _STAND_INS: dict[str, Any] = {
 class _Unpickler(pickle.Unpickler):
     def find_class(self, module: str, name: str) -> Any:
         """Return a stand-in for whatever the pickle names; raises _RefusedError for a name that has none."""
-        asked = f"{module}.{name}"
-        known = _STAND_INS.get(asked.replace("numpy._core.", "numpy.core.", 1))
+        named = f"{module}.{name}"
+        known = _STAND_INS.get(named.replace("numpy._core.", "numpy.core.", 1))
         if known is None:
-            raise _RefusedError(f"asks for {ascii(asked)[1:-1][:100]}, which no list of numbers needs")
+            raise _RefusedError(f"asks for {ascii(named)[1:-1][:100]}, which no list of numbers needs")
         return known
 
 

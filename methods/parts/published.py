@@ -71,10 +71,10 @@ def under(tensors: Tensors, prefix: str) -> dict[str, Tensor]:
     return {name.removeprefix(prefix): tensor for name, tensor in tensors.items() if name.startswith(prefix)}
 
 
-def require_size(argument: str, asked: int, held: int) -> None:
+def require_size(argument: str, given: int, stored: int) -> None:
     """Raise BadInput if a file holds another size than a method's argument asks for."""
-    if held != asked:
+    if stored != given:
         raise BadInput(
-            f"a network of {held} {argument.removeprefix('n_')}: set method.{argument}={held}, "
-            f"or give weights of {asked}"
+            f"a network of {stored} {argument.removeprefix('n_')}: set method.{argument}={stored}, "
+            f"or give weights of {given}"
         )

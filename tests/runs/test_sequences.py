@@ -148,7 +148,7 @@ BRIDGED = {"velocities": (0.8, 1), "gaps": "bridge"}
     ],
 )
 def test_options_in_words_and_the_names_of_their_files(options, wanted, name):
-    assert [view.keywords["asked"] for view in views(*options)] == wanted
+    assert [view.keywords["options"] for view in views(*options)] == wanted
     assert suffix(views(*options)) == name
 
 

@@ -23,22 +23,22 @@ class Arithmetic(NamedTuple):
         return 2 * self.multiply_adds + self.single
 
 
-_told: ContextVar[list[Arithmetic] | None] = ContextVar("arithmetic", default=None)
+_tally: ContextVar[list[Arithmetic] | None] = ContextVar("arithmetic", default=None)
 
 
 def takes(multiply_adds: float = 0.0, single: float = 0.0, kind: Kind = "float32") -> None:
     """Tell the arithmetic of this call, PyTorch's included; costs nothing outside of `tallied`."""
-    told = _told.get()
-    if told is not None:
-        told.append(Arithmetic(multiply_adds, single, kind))
+    tally = _tally.get()
+    if tally is not None:
+        tally.append(Arithmetic(multiply_adds, single, kind))
 
 
 @contextmanager
 def tallied() -> Iterator[list[Arithmetic]]:
     """Yield a list of what is told inside the block, by this thread."""
-    told = list[Arithmetic]()
-    token = _told.set(told)
+    tally = list[Arithmetic]()
+    token = _tally.set(tally)
     try:
-        yield told
+        yield tally
     finally:
-        _told.reset(token)
+        _tally.reset(token)

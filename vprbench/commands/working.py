@@ -28,21 +28,21 @@ def table(options: list[str]) -> int:
     """Make what Table II lacks, and write it."""
     from vprbench.paper.table.make import make_table
 
-    return make_table(*_asked(options))
+    return make_table(*_table_request(options))
 
 
 def figures(options: list[str]) -> int:
     """Make what the figures lack, and draw them."""
     from vprbench.paper.figures.make import make_figures
 
-    return make_figures(*_asked(options))
+    return make_figures(*_table_request(options))
 
 
 def report(options: list[str]) -> int:
     """Make what the table lacks, and write the page."""
     from vprbench.paper.page.make import make_report
 
-    return make_report(*_asked(options))
+    return make_report(*_table_request(options))
 
 
 def compare(options: list[str]) -> int:
@@ -53,7 +53,7 @@ def compare(options: list[str]) -> int:
     return make_comparison(sort_options(readable(options)), lambda more: composed(readable(list(more))))
 
 
-def _asked(options: list[str]) -> tuple[TableRequest, list[str], Compose]:
+def _table_request(options: list[str]) -> tuple[TableRequest, list[str], Compose]:
     """Return the rows and columns asked for, the options of their runs, and what resolves a dataset's options."""
     from vprbench.paper.gather import TableRequest
 
@@ -66,10 +66,10 @@ def _asked(options: list[str]) -> tuple[TableRequest, list[str], Compose]:
                 f"{option}: rows, methods, columns, seeds and devices say what the table holds; "
                 "conf/table.yaml has what they are, and all of it is of clean frames"
             )
-    asked = chosen(TableRequest, own, {})
-    rest += asked.threads(rest)
-    checked_settings(composed(readable([*rest, f"results={asked.results}"])))
-    return asked, rest, lambda more: composed(readable(list(more)))
+    request = chosen(TableRequest, own, {})
+    rest += request.threads(rest)
+    checked_settings(composed(readable([*rest, f"results={request.results}"])))
+    return request, rest, lambda more: composed(readable(list(more)))
 
 
 def search_parameters(options: list[str]) -> int:
@@ -95,15 +95,15 @@ def compare_gpu(options: list[str]) -> int:
     from vprbench.runs import machine
     from vprbench.runs.store import Store
 
-    asked = chosen(check.Settings, options, check.QUICK)
-    check.require_gpu(asked.device)
-    given = {name: getattr(asked, name) for name in ("device", "threads", "results", "seed")}
+    request = chosen(check.Settings, options, check.QUICK)
+    check.require_gpu(request.device)
+    given = {name: getattr(request, name) for name in ("device", "threads", "results", "seed")}
     settings = checked_settings({**composed([]), "method": {}, **given})
     folder = Path(settings.results).expanduser()
     Store(folder).prepare()
     machine.pin_threads(n_threads(settings))
     with progress_shown("gpu-check"):
-        report = check.check_gpu(asked, _maker(settings.seed))
+        report = check.check_gpu(request, _maker(settings.seed))
     text = check.to_text(report)
     replace_text(folder / "gpu.md", text)
     print(f"{text}\nwritten to {folder / 'gpu.md'}")
@@ -138,10 +138,10 @@ def check(options: list[str]) -> int:
     options = readable(options)
     config = composed(options)
     machine.pin_threads(n_threads(checked_settings(config)))
-    asked = {option.split("=")[0].removeprefix("method.") for option in options}
+    given = {option.split("=")[0].removeprefix("method.") for option in options}
     with progress_shown(str(config[groups[0]].get("_target_", "")).rpartition(".")[2]):  # a file may be downloaded
         if groups == ["method"]:
-            results = list(conformance.check(config["method"], asked))
+            results = list(conformance.check(config["method"], given))
         else:
             results = list(conformance.check_dataset(config["dataset"]))
     for result in results:

@@ -119,49 +119,49 @@ class Checked:
     images: str  # fingerprint of its frames
 
 
-def checked(asked: SortedOptions, compose: Compose) -> tuple[Checked | None, list[str]]:
+def checked(command: SortedOptions, compose: Compose) -> tuple[Checked | None, list[str]]:
     """Return what a comparison consists of, and what is wrong with it, a line each; None if anything is.
 
     The dataset and every method are built, and weights are looked for. For stored=true nothing has to be there.
     """
     wrong: list[str] = []
-    stored = asked.request.stored
-    options = [*asked.of_dataset, *asked.of_runs, f"device={asked.request.devices[0]}"]
-    unknown = _unknown("dataset", _choice(asked.of_dataset, "dataset"), asked.of_dataset)
+    stored = command.request.stored
+    options = [*command.of_dataset, *command.of_runs, f"device={command.request.devices[0]}"]
+    unknown = _unknown("dataset", _choice(command.of_dataset, "dataset"), command.of_dataset)
     if unknown:
         raise BadInput(unknown)
-    config = dict(compose([*options, f"results={asked.request.results}"]))
+    config = dict(compose([*options, f"results={command.request.results}"]))
     settings = checked_settings({**config, "method": {}})
     dataset: Dataset | None = None
     images = ""
     with progress_shown("compare"):
         try:
-            dataset = seen_from(registry.make_dataset(config["dataset"]), viewpoints(asked.request.views))
+            dataset = seen_from(registry.make_dataset(config["dataset"]), viewpoints(command.request.views))
             check_dataset(dataset)
             images = fingerprint(dataset)
         except BadInput as error:
             wrong += [] if stored else [str(error)]
         cells = []
-        for number, name in enumerate(asked.of_methods):
-            report(f"looking at {name}", number / len(asked.of_methods))
+        for number, name in enumerate(command.of_methods):
+            report(f"looking at {name}", number / len(command.of_methods))
             try:
-                cells.append(_cell(name, asked, options, dataset, compose))
+                cells.append(_cell(name, command, options, dataset, compose))
             except BadInput as error:
                 told = str(error).removeprefix(f"{name}: ").replace("method.", f"{name}.")
                 wrong.append(f"{name}: {told}")
     if wrong:
         return None, wrong
-    title = asked.request.name or str(config["dataset"]["name"])
-    planned = PlannedColumn(title, title, asked.of_dataset)
-    column = ResolvedColumn(planned, config["dataset"], views=asked.request.views)
+    title = command.request.name or str(config["dataset"]["name"])
+    planned = PlannedColumn(title, title, command.of_dataset)
+    column = ResolvedColumn(planned, config["dataset"], views=command.request.views)
     return Checked(column, tuple(cells), settings, dataset, images), []
 
 
-def _cell(name: str, asked: SortedOptions, options: Sequence[str], dataset: Dataset | None, compose: Compose) -> Cell:
+def _cell(name: str, command: SortedOptions, options: Sequence[str], dataset: Dataset | None, compose: Compose) -> Cell:
     """Look at one method; raises BadInput for what is wrong with it."""
     known = registry.entries("method")
     registry.require_one("method", name)
-    given = asked.of_methods[name]
+    given = command.of_methods[name]
     if unknown := _unknown("method", name, given):
         raise BadInput(unknown)
     config = {**compose([*options, f"method={name}", *given]), "overrides": list(given)}
@@ -174,9 +174,9 @@ def _cell(name: str, asked: SortedOptions, options: Sequence[str], dataset: Data
         training="own" if seeded else "map",
         spiking=entry is not None and entry.spiking,
         arguments=_arguments(name, given, config["method"]),
-        seeds=tuple(range(asked.request.seeds)) if seeded else (0,),
+        seeds=tuple(range(command.request.seeds)) if seeded else (0,),
     )
-    if asked.request.stored:
+    if command.request.stored:
         return Cell(row)
     try:
         method = registry.make_method(config["method"])

@@ -59,7 +59,7 @@ def make_missing(
     chosen: TablePlan,
     rows: Sequence[Row],
     spoilt: dict[Corruption, Checked],
-    asked: SortedOptions,
+    command: SortedOptions,
     compose: Compose,
     executor: Executor | None = None,
 ) -> list[JobResult]:
@@ -69,7 +69,7 @@ def make_missing(
     of the runs has a process.
     """
     once = replace(chosen, devices=chosen.devices[:1])
-    options = [option for option in asked.of_runs if option.partition("=")[0].partition(".")[0] != "timing"]
+    options = [option for option in command.of_runs if option.partition("=")[0].partition(".")[0] != "timing"]
     if not spoilt or chosen.stored:
         return []
     options += _UNTIMED
@@ -80,50 +80,50 @@ def make_missing(
     together = [replace(run, corruption=names) for row in rows for run in runs_of(once, column, [row])]
     if any(option.startswith("limit_minutes=") for option in options):
         return run_missing(once, [one for run in together for one in run.each()], options, compose, executor)
-    endings = run_missing(once, together, options, compose, executor)
-    died = [run for run, ending in zip(together, endings, strict=True) if ending.code == 1]
+    results = run_missing(once, together, options, compose, executor)
+    died = [run for run, result in zip(together, results, strict=True) if result.code == 1]
     alone = run_missing(once, [one for run in died for one in run.each()], options, compose, executor)
-    return [*(ending for ending in endings if ending.code != 1), *alone]
+    return [*(result for result in results if result.code != 1), *alone]
 
 
 _NO_PLAN = Plan({}, {}, {}, Growth((), (), (), 0))
 _LEAST = ("peak MB", "AUC-PR (A)", "R@5 %")  # columns that a narrow terminal lacks first
 
 
-def make_comparison(asked: SortedOptions, compose: Compose) -> int:
+def make_comparison(command: SortedOptions, compose: Compose) -> int:
     """Compare methods on one dataset; returns the exit code: 1 where a run failed, 2 for input to be mended."""
-    found, wrong = checked(asked, compose)
+    found, wrong = checked(command, compose)
     if found is None:
         for line in wrong:
             print(printable(f"vprbench: {line}"), file=sys.stderr)
         return 2
-    chosen = chosen_of(found, asked)
+    chosen = chosen_of(found, command)
     there = [cell.row for cell in found.cells if cell.missing is None]
     for cell in found.cells:
         if cell.missing is not None:
             print(printable(f"vprbench: {cell.row.name} is left out: {cell.missing}"), file=sys.stderr)
-    options = [*asked.of_runs, *["scores=true"] * bool(chosen.views)]
-    with executor_for(asked.request) as executor:
-        endings = run_missing(chosen, list(runs_of(chosen, found.column, there)), options, compose, executor)
-        spoilt = under(found, asked.request.corruptions)
-        endings += make_missing(chosen, there, spoilt, asked, compose, executor)
+    options = [*command.of_runs, *["scores=true"] * bool(chosen.views)]
+    with executor_for(command.request) as executor:
+        results = run_missing(chosen, list(runs_of(chosen, found.column, there)), options, compose, executor)
+        spoilt = under(found, command.request.corruptions)
+        results += make_missing(chosen, there, spoilt, command, compose, executor)
     known, failures = stored(chosen)
-    compared, rankings = ranked_material(chosen, found, known, failures, endings)
-    show(compared, rankings, asked.request.wide)
+    compared, rankings = ranked_material(chosen, found, known, failures, results)
+    show(compared, rankings, command.request.wide)
     robust = None
     if spoilt:
         of_each = {one: accuracy_series(newest(chosen, of, known), chosen.rows) for one, of in spoilt.items()}
         robust = robustness(accuracy_series(newest(chosen, found, known), compared.chosen.rows), of_each)
         table = lines(robust)
         print()
-        show_table([*table[0]], [[*line.values()] for line in table], asked.request.wide)
-    print("\nwritten to", *written(compared, asked.request.name is None, robust), sep="\n  ")
-    return exit_code(endings)
+        show_table([*table[0]], [[*line.values()] for line in table], command.request.wide)
+    print("\nwritten to", *written(compared, command.request.name is None, robust), sep="\n  ")
+    return exit_code(results)
 
 
-def chosen_of(found: Checked, asked: SortedOptions) -> TablePlan:
+def chosen_of(found: Checked, command: SortedOptions) -> TablePlan:
     """Return the rows and the one column of a comparison, as a table has them."""
-    request = asked.request
+    request = command.request
     return TablePlan(
         _NO_PLAN,
         tuple(cell.row for cell in found.cells),
@@ -144,7 +144,7 @@ def ranked_material(
     found: Checked,
     known: Sequence[Run],
     failures: Sequence[Failure],
-    endings: Sequence[JobResult] = (),
+    results: Sequence[JobResult] = (),
 ) -> tuple[ReportData, list[Ranking]]:
     """Put the runs of a comparison into one table, best first, rows without runs last; other stored runs stay out.
 
@@ -162,13 +162,13 @@ def ranked_material(
     rankings = [ranked(accuracy_series(group, chosen.rows)) for group in shown]
     order = [*rankings[0].table["method"]]
     ordered = sorted(chosen.rows, key=lambda row: order.index(row.name) if row.name in order else len(order))
-    return assembled(replace(chosen, rows=tuple(ordered)), shown, there.runs, tuple(endings)), rankings
+    return assembled(replace(chosen, rows=tuple(ordered)), shown, there.runs, tuple(results)), rankings
 
 
 def newest(chosen: TablePlan, found: Checked, known: Sequence[Run]) -> Group:
     """Return the stored runs of a comparison, of several protocols those with the newest run."""
     runs = [run for run in known if _is_of(run, found)]
-    return groups([_as_asked(run, found) for run in runs], (), [found.column], chosen.rows)[0]
+    return groups([_with_options_of(run, found) for run in runs], (), [found.column], chosen.rows)[0]
 
 
 def _is_of(run: Run, found: Checked) -> bool:
@@ -179,7 +179,7 @@ def _is_of(run: Run, found: Checked) -> bool:
     return alike and run.environment.get("threads") == n_threads(found.settings)
 
 
-def _as_asked(run: Run, found: Checked) -> Run:
+def _with_options_of(run: Run, found: Checked) -> Run:
     """Return a run as if it had been asked for in the words of this comparison, paths among them."""
     if found.dataset is None:
         return run

@@ -231,13 +231,13 @@ def compared(settings: Settings, make: Make, route: Route, rules: str) -> list[C
     together, found = gpu.query(queries), []
     for other in ("CPU, fused", "GPU, readable"):
         here, there = gpu.state(), networks[other].state()
-        difference = max(_apart(here[name], there[name]) for name in there)
-        _, other_places = _scores_apart(together, networks[other].query(queries))
+        difference = max(_largest_difference(here[name], there[name]) for name in there)
+        _, other_places = _score_difference(together, networks[other].query(queries))
         title = f"GPU, fused against {other}"
         found.append(Comparison(rules, title, "weight", difference, other_places, len(queries)))
     one_by_one = np.concatenate([gpu.query(queries[i : i + 1]) for i in range(len(queries))])
     title = "GPU, fused: a batch against single queries"
-    return [*found, Comparison(rules, title, "score", *_scores_apart(together, one_by_one), len(queries))]
+    return [*found, Comparison(rules, title, "score", *_score_difference(together, one_by_one), len(queries))]
 
 
 def timed(settings: Settings, make: Make, route: Route, rules: str) -> tuple[Row, list[Row]]:
@@ -291,13 +291,13 @@ def _failed(rules: str, error: Exception) -> Row:
     return {"rules": rules, "failed": f"{type(error).__name__}: {error}".splitlines()[0]}
 
 
-def _apart(here: npt.NDArray[Any], there: npt.NDArray[Any]) -> float:
+def _largest_difference(here: npt.NDArray[Any], there: npt.NDArray[Any]) -> float:
     """Return the largest difference as a share of the largest number, infinite if the share is no number."""
     share = float(np.abs(here - there).max()) / (float(np.abs(there).max()) or 1.0)
     return share if math.isfinite(share) else math.inf
 
 
-def _scores_apart(here: Scores, there: Scores) -> tuple[float, int]:
+def _score_difference(here: Scores, there: Scores) -> tuple[float, int]:
     """Return the largest difference as a share of a query's largest score, and how many queries name other places."""
     largest = np.abs(there).max(1, keepdims=True)
     share = float((np.abs(here - there) / np.where(largest == 0, 1, largest)).max())

@@ -74,7 +74,7 @@ def method(name: str, /, **options: Any) -> NamedMethod:
 
     Raises BadInput, with the near names, for an unknown method or option.
     """
-    return NamedMethod(_insist("method", name, options), options)
+    return NamedMethod(_require_entry("method", name, options), options)
 
 
 def dataset(name: str, /, **options: Any) -> NamedDataset:
@@ -82,7 +82,7 @@ def dataset(name: str, /, **options: Any) -> NamedDataset:
 
     Raises BadInput, with the near names, for an unknown dataset or option.
     """
-    return NamedDataset(_insist("dataset", name, options), options)
+    return NamedDataset(_require_entry("dataset", name, options), options)
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ def place(chosen: AnyDataset) -> Place:
     chosen = dataset(chosen) if isinstance(chosen, str) else chosen
     if isinstance(chosen, NamedDataset):
         config = chosen.config()
-        return Place(registry.make_dataset(config), config, _asked("dataset", chosen))
+        return Place(registry.make_dataset(config), config, _overrides("dataset", chosen))
     if not isinstance(chosen, Dataset):
         raise BadInput(
             f"a dataset of type {type(chosen).__name__} came; wanted a name, vprbench.dataset(...) or a Dataset, as "
@@ -129,7 +129,7 @@ def recipe(chosen: AnyMethod, seed: int | None, device: str | None) -> Recipe:
     if isinstance(chosen, NamedMethod):
         config = chosen.config(seed or 0, device or "cpu")
         changed = entries("method")[chosen.name].changed(config)
-        return Recipe(chosen.name, config, changed, _asked("method", chosen), registry.make_method)
+        return Recipe(chosen.name, config, changed, _overrides("method", chosen), registry.make_method)
     if not isinstance(chosen, Method) and not (isinstance(chosen, type) and issubclass(chosen, Method)):
         raise BadInput(
             f"a method of type {type(chosen).__name__} came; wanted a name, vprbench.method(...) or an object whose "
@@ -163,11 +163,13 @@ def _of_object(given: Method, per_run: Mapping[str, Any]) -> Recipe:
 
     own = {name: one.default for name, one in inspect.signature(kind).parameters.items()}
     changed = {
-        name: value for name, value in recorded.items() if name not in per_run and not _alike(value, own.get(name))
+        name: value
+        for name, value in recorded.items()
+        if name not in per_run and not _equals_default(value, own.get(name))
     }
-    asked = (f"method={kind.__name__}", *(f"method.{name}={_text(value)}" for name, value in changed.items()))
+    overrides = (f"method={kind.__name__}", *(f"method.{name}={_text(value)}" for name, value in changed.items()))
     config = {"_target_": f"{kind.__module__}.{kind.__qualname__}", **recorded}
-    return Recipe(kind.__name__, config, changed, asked, build, untold)
+    return Recipe(kind.__name__, config, changed, overrides, build, untold)
 
 
 def _arguments(given: Method) -> tuple[dict[str, Any], str | None]:
@@ -204,16 +206,16 @@ def _of_array(value: Any) -> Any:
     raise ValueError(f"{type(value).__name__} has no plain content")
 
 
-def _alike(recorded: Any, default: Any) -> bool:
+def _equals_default(recorded: Any, default: Any) -> bool:
     try:
         return bool(recorded == plain(default))
     except ValueError:
         return False
 
 
-def _insist(group: Group, asked: str, options: Mapping[str, Any]) -> str:
+def _require_entry(group: Group, text: str, options: Mapping[str, Any]) -> str:
     """Return the name of an entry, which may be in a loose file; raises BadInput."""
-    name = registry.named(group, asked)
+    name = registry.named(group, text)
     require_one(group, name)
     known = entries(group)
     if name not in known:
@@ -237,7 +239,7 @@ def _flat(options: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, An
             yield f"{above}{name}", value
 
 
-def _asked(group: Group, chosen: NamedMethod | NamedDataset) -> tuple[str, ...]:
+def _overrides(group: Group, chosen: NamedMethod | NamedDataset) -> tuple[str, ...]:
     named = _values(group, chosen.options)
     return (f"{group}={chosen.name}", *(f"{name}={_text(value)}" for name, value in named.items()))
 

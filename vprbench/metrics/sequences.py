@@ -86,7 +86,7 @@ def stretches(n: int, breaks: npt.ArrayLike | None) -> Stretches:
 
 
 def sequence_scores(
-    scores: Scores, asked: Sequences, queries: Stretches, places: Stretches, step: float = 1.0
+    scores: Scores, options: Sequences, queries: Stretches, places: Stretches, step: float = 1.0
 ) -> tuple[Scores, npt.NDArray[np.int64]]:
     """Return the mean score over the window of each query and place, and how many queries each window has.
 
@@ -99,13 +99,15 @@ def sequence_scores(
     n_queries, n_places = scores.shape
     found = np.empty((n_queries, n_places), np.float32)
     counts = np.zeros(n_queries, np.int64)
-    for k in asked.steps:
+    for k in options.steps:
         counts += _reached(queries, np.arange(n_queries), k)
-    moves = {tuple(math.floor(k * velocity * step + 0.5) for k in asked.steps) for velocity in asked.velocities}
+    moves = {tuple(math.floor(k * velocity * step + 0.5) for k in options.steps) for velocity in options.velocities}
     rows = max(1, _BLOCK_CELLS // n_places)
     for first in range(0, n_queries, rows):
         block = np.arange(first, min(first + rows, n_queries))
-        sums = [_sums(scores, dict(zip(asked.steps, of_one, strict=True)), queries, places, block) for of_one in moves]
+        sums = [
+            _sums(scores, dict(zip(options.steps, of_one, strict=True)), queries, places, block) for of_one in moves
+        ]
         found[block] = np.maximum.reduce(sums) / counts[block, None]
     return found, counts
 
@@ -132,14 +134,14 @@ def _sums(
     around = scores[start : int(block[-1]) + max(moves) + 1].astype(np.float64)
     sums = np.zeros((len(block), n_places))
     for step, move in moves.items():
-        asked = _reached(queries, block, step)
-        rows = np.flatnonzero(asked)
+        reached = _reached(queries, block, step)
+        rows = np.flatnonzero(reached)
         left, right = max(0, -move), min(n_places, n_places - move)
         if len(rows) and left < right:
             within = slice(rows[0], rows[-1] + 1)
             theirs = slice(block[0] + rows[0] + step - start, block[0] + rows[-1] + 1 + step - start)
             part, more = sums[within, left:right], around[theirs, left + move : right + move]
-            np.add(part, more, out=part, where=True if len(rows) == len(part) else asked[within, None])
+            np.add(part, more, out=part, where=True if len(rows) == len(part) else reached[within, None])
         lacking = np.flatnonzero(~_reached(places, np.arange(n_places), move))
         sums[np.ix_(rows, lacking)] = -np.inf
     return sums
@@ -180,7 +182,7 @@ def _running(values: Doubles, low: npt.NDArray[np.int64], high: npt.NDArray[np.i
     return np.asarray(sums[:, high] - sums[:, low])
 
 
-def filtered_scores(scores: Scores, asked: Filter, queries: Stretches) -> Scores:
+def filtered_scores(scores: Scores, options: Filter, queries: Stretches) -> Scores:
     """Return the logarithm of the belief in each place after each query, (n_queries, n_places).
 
     Nothing of later queries is used. The belief starts anew, equal for all places, with each part of the journey, of
@@ -188,24 +190,24 @@ def filtered_scores(scores: Scores, asked: Filter, queries: Stretches) -> Scores
     -inf, or that cannot be reached, is no candidate (-inf).
     """
     found = np.empty(scores.shape, np.float32)
-    for query, belief in enumerate(_beliefs(scores, asked, queries)):
+    for query, belief in enumerate(_beliefs(scores, options, queries)):
         with np.errstate(divide="ignore"):
             found[query] = np.log(belief)
     return found
 
 
-def _beliefs(scores: Scores, asked: Filter, queries: Stretches) -> Iterator[Doubles]:
+def _beliefs(scores: Scores, options: Filter, queries: Stretches) -> Iterator[Doubles]:
     scale, belief = 0.0, np.empty(0)
     for query, row in enumerate(scores):
         known = row > -np.inf
         values = row[known].astype(np.float64)
         if scale == 0 and len(values):
             low, high = np.quantile(values, [0.025, 0.975])
-            scale = math.log(asked.ratio) / float(high - low) if high > low else 0.0
+            scale = math.log(options.ratio) / float(high - low) if high > low else 0.0
         likelihood = np.zeros(len(row))
         likelihood[known] = np.exp(scale * (values - values.max(initial=-np.inf)))
         joined = query > 0 and queries[query] == queries[query - 1]
-        moved = _moved(belief, asked.back, asked.ahead) * likelihood if joined else likelihood
+        moved = _moved(belief, options.back, options.ahead) * likelihood if joined else likelihood
         belief = moved if moved.any() else likelihood
         belief = belief / max(float(belief.sum()), np.finfo(np.float64).tiny)
         yield belief

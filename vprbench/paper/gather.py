@@ -82,35 +82,37 @@ class ReportData:
     groups: tuple[Group, ...]
     table: Table
     runs: tuple[Run, ...]  # all that are stored
-    endings: tuple[JobResult, ...]  # of what was tried now
+    job_results: tuple[JobResult, ...]  # of what was tried now
 
 
-def choose(asked: TableRequest, compose: Compose) -> TablePlan:
+def choose(request: TableRequest, compose: Compose) -> TablePlan:
     """Resolve what was asked for against conf/table.yaml; raises BadInput for rows or columns that are unknown."""
     folders = registry.conf_folders()
     plan = with_plug_ins(read_plan(folders["vprbench"] / "table.yaml"), folders)
-    rows = {name: _known("rows", name, plan.rows) for name in asked.rows or plan.rows}
-    for name in asked.methods:
-        row = _on_request(plan, name, asked)
+    rows = {name: _known("rows", name, plan.rows) for name in request.rows or plan.rows}
+    for name in request.methods:
+        row = _on_request(plan, name, request)
         rows.setdefault(row.name, row)
-    columns = {name: _known("columns", name, plan.columns) for name in asked.columns or _default_columns(plan, asked)}
+    columns = {
+        name: _known("columns", name, plan.columns) for name in request.columns or _default_columns(plan, request)
+    }
 
     def resolved(column: PlannedColumn) -> ResolvedColumn:
-        options = (*column.options, *_root(column, asked))
-        return ResolvedColumn(replace(column, options=options), dict(compose(options)["dataset"]), views=asked.views)
+        options = (*column.options, *_root(column, request))
+        return ResolvedColumn(replace(column, options=options), dict(compose(options)["dataset"]), views=request.views)
 
     return TablePlan(
         plan,
-        tuple(_with_seeds(row, asked) for row in rows.values()),
+        tuple(_with_seeds(row, request) for row in rows.values()),
         tuple(map(resolved, columns.values())),
-        tuple(asked.devices or (["cpu"] if asked.stored else _devices())),
-        asked.full,
-        tuple(asked.metrics),
-        asked.results,
-        tuple(asked.stores),
-        asked.stored,
-        quantities=quantities(asked.metrics),
-        views=views(asked.sequence, asked.filter),
+        tuple(request.devices or (["cpu"] if request.stored else _devices())),
+        request.full,
+        tuple(request.metrics),
+        request.results,
+        tuple(request.stores),
+        request.stored,
+        quantities=quantities(request.metrics),
+        views=views(request.sequence, request.filter),
     )
 
 
@@ -119,9 +121,9 @@ def gather(chosen: TablePlan, options: Sequence[str], compose: Compose, executor
 
     `options` of the command line are those of all runs. Raises BadInput if there is no run at all.
     """
-    endings = run_missing(chosen, [run for runs in all_runs(chosen) for run in runs], options, compose, executor)
+    results = run_missing(chosen, [run for runs in all_runs(chosen) for run in runs], options, compose, executor)
     runs, failures = stored(chosen)
-    return material(chosen, runs, failures, tuple(endings))
+    return material(chosen, runs, failures, tuple(results))
 
 
 def run_missing(
@@ -138,15 +140,15 @@ def run_missing(
 
 
 def material(
-    chosen: TablePlan, runs: Sequence[Run], failures: Sequence[Failure], endings: tuple[JobResult, ...] = ()
+    chosen: TablePlan, runs: Sequence[Run], failures: Sequence[Failure], results: tuple[JobResult, ...] = ()
 ) -> ReportData:
     """Put stored runs and failures into the rows and columns that were chosen; raises BadInput if no run is theirs."""
     found = seen(groups(runs, failures, chosen.columns, chosen.rows), chosen.rows, chosen.views)
-    return assembled(chosen, found, runs, endings)
+    return assembled(chosen, found, runs, results)
 
 
 def assembled(
-    chosen: TablePlan, found: Sequence[Group], runs: Sequence[Run], endings: tuple[JobResult, ...] = ()
+    chosen: TablePlan, found: Sequence[Group], runs: Sequence[Run], results: tuple[JobResult, ...] = ()
 ) -> ReportData:
     """Put groups of runs, or of views of them, into the table; raises BadInput if they hold none."""
     left_out = {
@@ -160,12 +162,12 @@ def assembled(
             + ("leave stored=true out, so that some are made" if chosen.stored else "see above why none could be made")
         )
     table = assemble(found, chosen.rows, chosen.plan, left_out, chosen.quantities, chosen.title)
-    return ReportData(chosen, tuple(found), table, tuple(runs), endings)
+    return ReportData(chosen, tuple(found), table, tuple(runs), results)
 
 
-def stored(asked: TableRequest | TablePlan) -> tuple[list[Run], list[Failure]]:
+def stored(request: TableRequest | TablePlan) -> tuple[list[Run], list[Failure]]:
     """Return the runs and failures of the store and of the stores of other machines, each once."""
-    stores = [Store(results_folder(folder), read_only=True) for folder in (asked.results, *asked.stores)]
+    stores = [Store(results_folder(folder), read_only=True) for folder in (request.results, *request.stores)]
     runs = {(run.dataset, run.method, run.key): run for store in reversed(stores) for run in store.runs()}
     return [*runs.values()], [failure for store in stores for failure in store.failures()]
 
@@ -193,13 +195,13 @@ def all_runs(chosen: TablePlan) -> tuple[list[MissingRun], list[MissingRun]]:
     return runs
 
 
-def _with_seeds(row: Row, asked: TableRequest) -> Row:
+def _with_seeds(row: Row, request: TableRequest) -> Row:
     """Return a row with the seeds that were asked for, or with as many as there is time for."""
-    most = asked.seeds if asked.full or asked.seeds is not None else row.seeds_unless_full
+    most = request.seeds if request.full or request.seeds is not None else row.seeds_unless_full
     return replace(row, seeds=row.seeds[:most])
 
 
-def _on_request(plan: Plan, name: str, asked: TableRequest) -> Row:
+def _on_request(plan: Plan, name: str, request: TableRequest) -> Row:
     """Return a row of the plan, or one for a method; raises BadInput for what is neither known here nor stored.
 
     A method that the plan has under its own name, and no arguments, is that row. Another one that takes a seed learns
@@ -211,7 +213,7 @@ def _on_request(plan: Plan, name: str, asked: TableRequest) -> Row:
     for row in planned.values():
         if row.method == name and not row.arguments:
             return row
-    entries, runs = registry.entries("method"), stored(asked)[0]
+    entries, runs = registry.entries("method"), stored(request)[0]
     known = {*entries, *(run.method for run in runs)}
     if name not in known:
         raise BadInput(f"methods={name} is unknown: {registry.near(name, [*plan.more_rows, *sorted(known)])}")
@@ -222,19 +224,19 @@ def _on_request(plan: Plan, name: str, asked: TableRequest) -> Row:
     return Row(name, name, training="own", seeds=plan.seeds) if seeded else Row(name, name, training="map")
 
 
-def _default_columns(plan: Plan, asked: TableRequest) -> list[str]:
+def _default_columns(plan: Plan, request: TableRequest) -> list[str]:
     """Return each dataset of the paper if its frames are given, else the rendered column that stands in for it."""
     chosen = []
     for column in plan.columns.values():
         if column.stand_in_for is not None and not column.on_request:
             real = plan.columns[column.stand_in_for]
-            chosen.append(real.name if _root(real, asked) else column.name)
+            chosen.append(real.name if _root(real, request) else column.name)
     return chosen
 
 
-def _root(column: PlannedColumn, asked: TableRequest) -> tuple[str, ...]:
+def _root(column: PlannedColumn, request: TableRequest) -> tuple[str, ...]:
     """Return the option that says where the frames of a column lie, where that was asked for."""
-    folder = None if column.frames is None else getattr(asked, column.frames, None)
+    folder = None if column.frames is None else getattr(request, column.frames, None)
     return () if folder is None else (f"dataset.root={Path(folder).expanduser().absolute()}",)
 
 

@@ -85,7 +85,7 @@ class Plan:
 
 def read_plan(path: Path) -> Plan:
     """Read the plan; raises BadInput, naming the file, where a part is missing or unknown."""
-    with _plan_errors_told(path):
+    with _explaining_plan_errors(path):
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
         rows, more = (
             {name: _row(name, given) for name, given in content[group].items()} for group in ("rows", "more_rows")
@@ -129,7 +129,7 @@ def _of_plug_ins(folders: Mapping[str, Path]) -> list[tuple[str, Path]]:
 
 def _brought(path: Path) -> tuple[dict[str, Row], dict[str, PlannedColumn]]:
     """Read the rows and columns of a plug-in's file."""
-    with _plan_errors_told(path):
+    with _explaining_plan_errors(path):
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
         if unknown := content.keys() - {"rows", "columns"}:
             raise KeyError(*unknown)
@@ -138,7 +138,7 @@ def _brought(path: Path) -> tuple[dict[str, Row], dict[str, PlannedColumn]]:
 
 
 @contextmanager
-def _plan_errors_told(path: Path) -> Iterator[None]:
+def _explaining_plan_errors(path: Path) -> Iterator[None]:
     try:
         yield
     except (OSError, yaml.YAMLError, KeyError, TypeError, ValueError, AttributeError) as error:

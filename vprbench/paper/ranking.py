@@ -57,7 +57,7 @@ def ranked(series: Sequence[Series]) -> Ranking:
     table = pd.DataFrame(lines, columns=["method", *NUMBERS, "seeds", "runs"], dtype=object)
     rows = [*named_tuples(table)]
     tuned = [row.method for row in rows if any(map(tuned_here, row.runs))]
-    return Ranking(table, tuple(_told([row for row in rows if row.method not in tuned], tuned)))
+    return Ranking(table, tuple(_ranking_sentences([row for row in rows if row.method not in tuned], tuned)))
 
 
 def _numbers(runs: Sequence[Run]) -> dict[str, Any]:
@@ -74,7 +74,7 @@ def _accuracy(runs: Sequence[Run]) -> tuple[float | None, float | None, float | 
     return (mean_recall(runs), *((None, None) if interval is None else (interval.low, interval.high)))
 
 
-def _told(rows: Sequence[Any], tuned: Sequence[str]) -> list[str]:
+def _ranking_sentences(rows: Sequence[Any], tuned: Sequence[str]) -> list[str]:
     contest = [Contestant(row.method, row.runs, True) for row in rows]
     timed = [one for one, row in zip(contest, rows, strict=True) if row.hz is not None]
     of_first = best_rate(timed[:2]) if timed[:2] == contest[:2] else None

@@ -37,7 +37,7 @@ class ResolvedColumn:
 class Group:
     """The runs of one column that answer the same question: one protocol, the same images and ground truth."""
 
-    asked: ResolvedColumn
+    column: ResolvedColumn
     number: int  # 1 holds the newest run of the column; older protocols and images are numbered on
     runs: tuple[Run, ...]  # of all rows, devices and seeds
     failures: tuple[Failure, ...]  # all in number 1: what failed has no images
@@ -46,7 +46,7 @@ class Group:
     @property
     def name(self) -> str:
         """The name of the group in columns and files."""
-        return "-".join(filter(None, [self.asked.planned.name, self.view, str(self.number) * (self.number > 1)]))
+        return "-".join(filter(None, [self.column.planned.name, self.view, str(self.number) * (self.number > 1)]))
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class Series:
 
 
 def groups(
-    runs: Iterable[Run], failures: Iterable[Failure], asked: Sequence[ResolvedColumn], rows: Sequence[Row]
+    runs: Iterable[Run], failures: Iterable[Failure], columns: Sequence[ResolvedColumn], rows: Sequence[Row]
 ) -> list[Group]:
     """Put runs and failures of the rows into the columns, in the columns' order.
 
@@ -89,7 +89,7 @@ def groups(
     ordered = sorted(runs, key=lambda run: (run.dataset, run.method, _when(run), run.key))
     failed = sorted(failures, key=lambda failure: (failure.method, _when(failure), failure.error))
     found: list[Group] = []
-    for column in asked:
+    for column in columns:
         alike: dict[str, list[Run]] = defaultdict(list)
         for run in ordered:
             if _in_column(run, column) and any(_in_row(run, row) for row in rows):
@@ -112,9 +112,9 @@ def of_row(group: Group, row: Row, device: Device) -> RowRuns:
     has runs, failures from other machines are ignored, and "missing" failures of seeds that have a run.
     """
     there = [run for run in group.runs if _in_row(run, row) and _on(run) == device]
-    asked = [run for run in there if run.config["seed"] in row.seeds]
+    of_seeds = [run for run in there if run.config["seed"] in row.seeds]
     sets: dict[str, list[Run]] = defaultdict(list)
-    for run in asked:
+    for run in of_seeds:
         sets[as_text(_setup(run))].append(run)
     ranked = sorted(sets.values(), key=lambda members: _rank(members, row), reverse=True)
     chosen = {run.config["seed"]: run for run in sorted(ranked[0], key=age)} if ranked else {}
@@ -168,7 +168,7 @@ def accuracy_series(group: Group, rows: Sequence[Row]) -> list[Series]:
 
 def options_apart(group: Group) -> tuple[str, ...]:
     """Return the options of the dataset that none of a group's runs share with it: it gained or lost them since."""
-    today = group.asked.dataset.keys() - _WHERE
+    today = group.column.dataset.keys() - _WHERE
     apart = [today ^ (run.config["dataset"].keys() - _WHERE) for run in group.runs]
     return tuple(sorted(set.union(*apart))) if apart and all(apart) else ()
 
@@ -304,11 +304,11 @@ def seen(groups: Sequence[Group], rows: Sequence[Row], views: Sequence[Views]) -
 
 def title(group: Group, among: Sequence[Group]) -> str:
     """Return the title of a group's column; of several, with its protocol if that differs, or else its images."""
-    planned = group.asked.planned
-    versions = [other for other in among if other.asked.planned.name == planned.name and other.runs]
+    planned = group.column.planned
+    versions = [other for other in among if other.column.planned.name == planned.name and other.runs]
     if len(versions) < 2:
         return planned.title
-    protocols = [_told(other.runs[0]) for other in versions]
+    protocols = [_stated_protocol(other.runs[0]) for other in versions]
     names = dict.fromkeys(n for p in protocols for n in p if not n.startswith(("sequence_", "filter_")))  # as of views
     differing = [name for name in names if any(p.get(name) != protocols[0].get(name) for p in protocols)]
     parts = [_words({name: p[name] for name in differing if name in p}) for p in protocols]
@@ -319,10 +319,12 @@ def title(group: Group, among: Sequence[Group]) -> str:
 
 def describe_protocol(run: Run) -> str:
     """Return what a run's dataset selected and how, without the numbers of its places and queries."""
-    return _words({name: value for name, value in _told(run).items() if name not in ("places", "query_places")})
+    return _words(
+        {name: value for name, value in _stated_protocol(run).items() if name not in ("places", "query_places")}
+    )
 
 
-def _told(run: Run) -> dict[str, Any]:
+def _stated_protocol(run: Run) -> dict[str, Any]:
     """Return the protocol of a run without counts that follow from the rest of it."""
     follows = {"reference_places"} | ({"held_out_places"} if "first_query_place" in run.protocol else set())
     return {name: value for name, value in run.protocol.items() if name not in follows}

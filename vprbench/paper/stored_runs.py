@@ -40,7 +40,7 @@ class StoredRuns:
         self._compose = compose
         self._datasets: dict[str, tuple[Dataset, str]] = {}
 
-    def find(self, wanted: MissingRun) -> Run | None:
+    def find(self, missing: MissingRun) -> Run | None:
         """Return the stored run that a process would find and have nothing to add to; None if there is none.
 
         Of several corruptions it is that of the last, if all are there. It has the key of a stored run; the frames
@@ -52,24 +52,28 @@ class StoredRuns:
         try:
             with contextlib.redirect_stdout(io.StringIO()):
                 found = None
-                for one in wanted.each():
+                for one in missing.each():
                     if (found := self._found(one)) is None:
                         break
                 return found
         except (Exception, SystemExit) as error:  # whatever a plug-in raises, or an option that does not fit
-            logger.debug("whether %s is stored is left to a process: %s", wanted.row.name, error)
+            logger.debug("whether %s is stored is left to a process: %s", missing.row.name, error)
             return None
 
     @cached_property
     def _runs(self) -> list[Run]:
         return list(self._store.runs())
 
-    def _found(self, wanted: MissingRun) -> Run | None:
-        config = dict(self._compose([*wanted.options(), *self._options]))
+    def _found(self, missing: MissingRun) -> Run | None:
+        config = dict(self._compose([*missing.options(), *self._options]))
         settings = checked_settings(config)
-        config["method"], tuned_on = registry.declared(wanted.row.method, config["method"])
-        config["overrides"] = [*wanted.options(), *self._options]
-        alike = [run for run in self._runs if run.method == wanted.row.method and _told(run.config) == _told(config)]
+        config["method"], tuned_on = registry.declared(missing.row.method, config["method"])
+        config["overrides"] = [*missing.options(), *self._options]
+        alike = [
+            run
+            for run in self._runs
+            if run.method == missing.row.method and _config_hash(run.config) == _config_hash(config)
+        ]
         code = code_hash_of(config["method"]["_target_"])
         if settings.force or not alike or code is None:
             return None
@@ -101,7 +105,7 @@ class StoredRuns:
         return self._datasets[key]
 
 
-def _told(config: Mapping[str, Any]) -> str:
+def _config_hash(config: Mapping[str, Any]) -> str:
     """Return what is cheap to compare of a configuration, as a hash."""
     arguments = {name: value for name, value in config["method"].items() if name not in ("_target_", "device")}
     return content_key({"arguments": arguments, "seed": config["seed"], "depth": config["depth"]})

@@ -31,10 +31,10 @@ class Result:
 TUNED_RULE = "tuned_on names datasets and numbers of their places"
 
 
-def check(config: Mapping[str, Any], asked: Set[str] = frozenset()) -> Iterator[Result]:
+def check(config: Mapping[str, Any], given: Set[str] = frozenset()) -> Iterator[Result]:
     """Put the method of a configuration to every rule.
 
-    What the method names in `conformance_arguments` replaces its configured arguments, but for those in `asked`.
+    What the method names in `conformance_arguments` replaces its configured arguments, but for those in `given`.
     A rule that it names in `conformance_exceptions` is not put to it, and its reason is given; neither is the rule on
     stored networks to a method that keeps none, nor that on growing maps to a method that does not extend. A declared
     `tuned_on` is looked at too. Raises BadInput if a file is missing that the method needs.
@@ -43,7 +43,7 @@ def check(config: Mapping[str, Any], asked: Set[str] = frozenset()) -> Iterator[
         yield _result(TUNED_RULE, partial(_declared, config["tuned_on"]))
     method = make_method(config)
     method.files()
-    own = {name: value for name, value in method.conformance_arguments.items() if name not in asked}
+    own = {name: value for name, value in method.conformance_arguments.items() if name not in given}
     config = {**arguments(config), **own}
     exceptions = dict(method.conformance_exceptions)
     if not networks.keeps_a_network(method):

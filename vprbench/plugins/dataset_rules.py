@@ -50,7 +50,7 @@ def dataset_rule(test: Callable[[BuiltDataset], None]) -> Callable[[BuiltDataset
 
 
 @dataset_rule
-def _alike(made: BuiltDataset) -> None:
+def _same_when_made_again(made: BuiltDataset) -> None:
     """It is the same when it is made again."""
     first, second = made.dataset, made.again()
     for what in ("name", "n_places", "protocol", "notes"):
@@ -187,7 +187,7 @@ def _plain(made: BuiltDataset) -> None:
 
 
 @dataset_rule
-def _told(made: BuiltDataset) -> None:
+def _protocol_names_both(made: BuiltDataset) -> None:
     """The protocol says what references and queries are."""
     keys = " ".join(made.dataset.protocol)
     if "quer" not in keys or not any(word in keys for word in ("reference", "database")):

@@ -38,7 +38,7 @@ class Entry:
     name: str
     path: Path
     provider: str
-    asked: str = ""  # of one in a loose file: what another process knows it by
+    plugin_path: str = ""  # of one in a loose file: what another process knows it by
 
     @property
     def description(self) -> str:
@@ -155,7 +155,7 @@ def add(entry: Entry) -> None:
 def with_plugin_paths(option: str) -> str:
     """Return an option method=NAME or dataset=NAME as another process understands it: with a loose file's path."""
     group, equals, names = option.partition("=")
-    loose = {name: entry.asked for known in _LOOSE for name, entry in _LOOSE[known].items() if known == group}
+    loose = {name: entry.plugin_path for known in _LOOSE for name, entry in _LOOSE[known].items() if known == group}
     return f"{group}=" + ",".join(loose.get(name, name) for name in names.split(",")) if equals and loose else option
 
 

@@ -41,7 +41,9 @@ def listed(words: Sequence[str], weights: str = "any") -> list[Listed]:
     """
     groups: dict[str, Group] = {"methods": "method", "datasets": "dataset"}
     asked = [groups[word] for word in words if word in groups] or list(groups.values())
-    found = [each for group in asked if weights == "any" or group == "method" for each in map(_told, _entries(group))]
+    found = [
+        each for group in asked if weights == "any" or group == "method" for each in map(_listed_entry, _entries(group))
+    ]
     for word in (word.lower() for word in words if word not in groups):
         found = [each for each in found if word in each.tags or word in f"{each.name} {each.description}".lower()]
     if weights != "any":
@@ -55,7 +57,7 @@ def _entries(group: Group) -> Iterator[Entry]:
     yield from entries(group).values()
 
 
-def _told(entry: Entry) -> Listed:
+def _listed_entry(entry: Entry) -> Listed:
     given: dict[str, Any] = {"kind": entry.group, "name": entry.name, "provider": entry.provider}
     try:
         given |= {"description": entry.description, "tags": entry.tags, "needs_weights": entry.needs_weights}

@@ -48,7 +48,7 @@ def write(path: Path, method: Method, examples: Images, text: str, state: Arrays
     assert isinstance(method, HasCircuit)
     circuit = method.circuit()
     graph = _graph(circuit)
-    graph.metadata = _told(graph, circuit, np.asarray(method.encode(examples), np.float32))
+    graph.metadata = _metadata(graph, circuit, np.asarray(method.encode(examples), np.float32))
     nir.write(path, graph)
     with h5py.File(path, "r+") as file:
         for name, array in state.items():
@@ -107,13 +107,13 @@ def _graph(circuit: Circuit) -> Any:
     return nir.NIRGraph.from_list(*nodes, nir.Affine(weights * worth, bias))
 
 
-def _told(graph: Any, circuit: Circuit, inputs: Array) -> dict[str, Any]:
+def _metadata(graph: Any, circuit: Circuit, inputs: Array) -> dict[str, Any]:
     """Return what a reader of a graph has to know, and the one of the inputs (n, n_in) to test itself by."""
     steps = 1 if circuit.clip is None else STEPS
     answers, others = (_simulated(graph, inputs, steps, subtracted) for subtracted in (True, False))
     apart = np.abs(answers - others).max(1)
     best = int(apart.argmax())
-    told = {
+    metadata = {
         "steps": steps,
         "input": "the same in every step",
         "output": "the mean of the steps",
@@ -122,8 +122,8 @@ def _told(graph: Any, circuit: Circuit, inputs: Array) -> dict[str, Any]:
         "check_tolerance": float(max(apart[best] / 64, _ROUNDING * np.abs(answers[best]).max())),
     }
     if circuit.clip is not None:
-        told |= {"reset": "the threshold is subtracted", "output_min": 0.0, "output_max": circuit.clip}
-    return told
+        metadata |= {"reset": "the threshold is subtracted", "output_min": 0.0, "output_max": circuit.clip}
+    return metadata
 
 
 def _simulated(graph: Any, inputs: Array, steps: int, subtracted: bool) -> Array:

@@ -39,7 +39,7 @@ _SHOWN = 150  # characters of a name in a message
 
 
 @contextmanager
-def disk_errors_told(name: str) -> Iterator[None]:
+def _explaining_disk_errors(name: str) -> Iterator[None]:
     """Turn an OSError, as for a path that no disk takes, into BadInput that names the path."""
     try:
         yield
@@ -99,7 +99,7 @@ def make_method(config: Mapping[str, Any]) -> Method:
 
 def make_dataset(config: Mapping[str, Any]) -> Dataset:
     """Build a dataset from its configuration; raises BadInput for arguments or data that do not fit."""
-    with disk_errors_told(str(config.get("name", ""))):
+    with _explaining_disk_errors(str(config.get("name", ""))):
         dataset = _build("dataset", config)
     return require_dataset(dataset, config["_target_"])
 

@@ -91,17 +91,17 @@ def _fit_or_load(
     computing = seconds - (_reading_seconds(read) - before)
     if destination is not None:
         networks.save(destination, method, key, seconds, computing)
-    told: list[Note] = []
+    more_notes: list[Note] = []
     if resumed.seconds:
         text = f"fit was resumed: the {resumed.seconds:.1f} s that an interrupted run had spent on it are counted"
-        told.append(Note("resumed", text))
+        more_notes.append(Note("resumed", text))
     if held_out is not None:
         text = f"calibrated on {len(held_out.queries)} held-out queries of {held_out.n_places} places"
-        told.append(Note("calibrated", text))
+        more_notes.append(Note("calibrated", text))
     if from_cache:
-        return FitResult(load_seconds=fit[0], notes=tuple(told), from_cache=from_cache)
+        return FitResult(load_seconds=fit[0], notes=tuple(more_notes), from_cache=from_cache)
     return FitResult(
-        fit_seconds=seconds, fit_compute_seconds=computing, earlier_seconds=resumed.seconds, notes=tuple(told)
+        fit_seconds=seconds, fit_compute_seconds=computing, earlier_seconds=resumed.seconds, notes=tuple(more_notes)
     )
 
 

@@ -117,7 +117,7 @@ def numbers(run: Run, metrics: Sequence[str] = ()) -> dict[str, float | int | st
         "recall_at_1_pessimistic": first.pessimistic if first else None,
         "recall_at_1_optimistic": first.optimistic if first else None,
         **{f"recall_at_1_within_{k}_places": share for k, share in recall_at_1_within(run).items()},
-        **_elsewhere(run),
+        **_recall_off_tuned_places(run),
         **_accuracies(run, ["auc_pr_a", "average_precision_a"]),
         "fit_seconds": run.fit_seconds,
         "fit_compute_seconds": run.fit_compute_seconds,
@@ -176,7 +176,7 @@ def _as_text(values: Mapping[str, Any]) -> str:
     return " ".join(f"{name}={value}" for name, value in values.items())
 
 
-def _elsewhere(run: Run) -> dict[str, float | int | None]:
+def _recall_off_tuned_places(run: Run) -> dict[str, float | int | None]:
     """Return R@1 of the queries that show no place the method was tuned on; None each if that is not known or all."""
     other = other_places(run)
     first, interval = (None, None) if other is None else (recall_at(other.outcome, 1), recall_interval([other]))

@@ -39,7 +39,7 @@ class Offset:
     evidence: Mapping[str, Any]
 
 
-def find_offset(method: Method, queries: Images, asked: Viewpoints) -> Offset:
+def find_offset(method: Method, queries: Images, options: Viewpoints) -> Offset:
     """Tell the offset of a drive from its first queries, without ground truth; the frames as they are if none is told.
 
     A query's evidence for a shift is how far its best place stands above the others, in standard deviations. Tried are
@@ -50,7 +50,7 @@ def find_offset(method: Method, queries: Images, asked: Viewpoints) -> Offset:
     intervals that allow for neighbouring queries. An offset to one side is shown with views beside it if they add more
     than chance does, by such an interval too.
     """
-    count = len(queries) if asked.queries is None else min(asked.queries, len(queries))
+    count = len(queries) if options.queries is None else min(options.queries, len(queries))
     z = np.concatenate([*_z_scores(method, queries[:count])], axis=1)
     return offset_of(z)
 

@@ -35,66 +35,66 @@ class NoScoresError(BadInput):
     """A run keeps no scores, which a view of it needs; the message says what to do."""
 
 
-def in_sequences(run: Run, asked: Sequences) -> Run:
+def in_sequences(run: Run, options: Sequences) -> Run:
     """Return a run whose queries are answered by the sequences of queries that they are in.
 
     The right places are those of the query itself, which ends a causal window and is in the middle of a centred one.
     """
-    if asked.window == "lens":
-        return _as_lens(run, asked)
-    queries, places, told_gaps = _parts(run, asked.gaps)
-    told = {"sequence": f"{asked.length} {asked.window}"}
-    if asked.velocities != (1.0,):
-        told["sequence_velocities"] = "+".join(f"{velocity:g}" for velocity in asked.velocities)
-    told |= {"sequence_contrast": str(asked.contrast)} if asked.contrast else {}
+    if options.window == "lens":
+        return _as_lens(run, options)
+    queries, places, told_gaps = _parts(run, options.gaps)
+    protocol = {"sequence": f"{options.length} {options.window}"}
+    if options.velocities != (1.0,):
+        protocol["sequence_velocities"] = "+".join(f"{velocity:g}" for velocity in options.velocities)
+    protocol |= {"sequence_contrast": str(options.contrast)} if options.contrast else {}
     scores = _scores(run)
-    if asked.contrast:
-        scores = local_contrast(scores, asked.contrast, places)
-    found, counts = sequence_scores(scores, asked, queries, places, float(run.protocol.get("query_stride", 1)))
-    short = int(np.count_nonzero(counts < asked.length))
-    told |= {"sequence_gaps": told_gaps} if told_gaps and asked.length > 1 else {}
-    told |= (
-        {"sequence_incomplete": f"{short} of {len(counts)} queries {asked.incomplete.replace('_', ' ')}"}
+    if options.contrast:
+        scores = local_contrast(scores, options.contrast, places)
+    found, counts = sequence_scores(scores, options, queries, places, float(run.protocol.get("query_stride", 1)))
+    short = int(np.count_nonzero(counts < options.length))
+    protocol |= {"sequence_gaps": told_gaps} if told_gaps and options.length > 1 else {}
+    protocol |= (
+        {"sequence_incomplete": f"{short} of {len(counts)} queries {options.incomplete.replace('_', ' ')}"}
         if short
         else {}
     )
-    view = rescored(run, found, told, asked.length)
-    if not short or asked.incomplete == "shortened":
+    view = rescored(run, found, protocol, options.length)
+    if not short or options.incomplete == "shortened":
         return view
     if short == len(counts):
         raise BadInput(
-            f"sequence={asked.length}: no query of {run.dataset} has a full window (gaps: {told_gaps or 'none'}); give "
-            "fewer queries, or gaps:bridge or incomplete:shortened, as in sequence={length:4,gaps:bridge}"
+            f"sequence={options.length}: no query of {run.dataset} has a full window (gaps: {told_gaps or 'none'}); "
+            "give fewer queries, or gaps:bridge or incomplete:shortened, as in sequence={length:4,gaps:bridge}"
         )
-    return restricted(view, np.flatnonzero(counts == asked.length), {})
+    return restricted(view, np.flatnonzero(counts == options.length), {})
 
 
-def _as_lens(run: Run, asked: Sequences) -> Run:
+def _as_lens(run: Run, options: Sequences) -> Run:
     """Return a run under the protocol of LENS (run_model.py and create_GTtol.py of its public code).
 
     Right is what lies within 3 places of a right place. A query whose window is not full is a miss, a place whose
     window is not is never the best, gaps of the journey count as none, and only queries with a right place are asked.
     """
     n_queries, n_places = len(run.outcome), run.outcome.n_places
-    found, counts = sequence_scores(_scores(run), asked, np.zeros(n_queries, np.int64), np.zeros(n_places, np.int64))
-    found[counts < asked.length] = -np.inf
+    found, counts = sequence_scores(_scores(run), options, np.zeros(n_queries, np.int64), np.zeros(n_places, np.int64))
+    found[counts < options.length] = -np.inf
     right = tuple(np.unique(np.clip(own[:, None] + np.arange(-3, 4), 0, n_places - 1)) for own in run.positives)
-    told = {"sequence": f"{asked.length} lens, within 3 places"}
-    view = rescored(replace(run, positives=right), found, told, window=asked.length)
+    protocol = {"sequence": f"{options.length} lens, within 3 places"}
+    view = rescored(replace(run, positives=right), found, protocol, window=options.length)
     return restricted(view, np.flatnonzero(view.outcome.answerable), {})
 
 
-def filtered(run: Run, asked: Filter) -> Run:
+def filtered(run: Run, options: Filter) -> Run:
     """Return a run whose queries are answered by a Bayes filter over the places, from the first query on.
 
     Moves are multiples of the usual step, the places from one query to the next.
     """
-    queries, _, told_gaps = _parts(run, asked.gaps)
+    queries, _, told_gaps = _parts(run, options.gaps)
     step = int(run.protocol.get("query_stride", 1))
-    asked = replace(asked, back=asked.back * step, ahead=asked.ahead * step)
-    told = {"filter": f"topological, moves {asked.back} to {asked.ahead}, ratio {asked.ratio:g}"}
-    told |= {"filter_gaps": told_gaps} if told_gaps else {}
-    return rescored(run, filtered_scores(_scores(run), asked, queries), told, window=_MEMORY)
+    options = replace(options, back=options.back * step, ahead=options.ahead * step)
+    protocol = {"filter": f"topological, moves {options.back} to {options.ahead}, ratio {options.ratio:g}"}
+    protocol |= {"filter_gaps": told_gaps} if told_gaps else {}
+    return rescored(run, filtered_scores(_scores(run), options, queries), protocol, window=_MEMORY)
 
 
 _MEMORY = 10  # queries that a belief is taken to rest on: blocks of an interval are no shorter
@@ -109,29 +109,29 @@ def views(sequence: Any, filter: Any = None) -> tuple[Views, ...]:
     """
     given = _mapping("sequence", sequence, "length")
     lengths = given.pop("length", []) if given is not None else []
-    asked = [_made("sequence", Sequences, {**(given or {}), "length": length}) for length in _several(lengths)]
-    if given is not None and (not asked or len({one.length for one in asked}) < len(asked)):
+    sequences = [_made("sequence", Sequences, {**(given or {}), "length": length}) for length in _several(lengths)]
+    if given is not None and (not sequences or len({one.length for one in sequences}) < len(sequences)):
         raise BadInput(f"sequence={sequence}: give a length, or several different ones, as in sequence=[2,4]")
-    found: list[Views] = [partial(in_sequences, asked=one) for one in asked]
+    found: list[Views] = [partial(in_sequences, options=one) for one in sequences]
     options = _mapping("filter", {} if filter is True else None if filter is False else filter, "")
     if options is not None:
-        found.append(partial(filtered, asked=_made("filter", Filter, options)))
+        found.append(partial(filtered, options=_made("filter", Filter, options)))
     return tuple(found)
 
 
 def suffix(seen: Iterable[Views]) -> str:
     """Return what the names of files of some views end in: -sequence-2-4, -sequence-4-centred, -filter-ahead3."""
-    asked = [one.keywords["asked"] for one in seen if isinstance(one, partial)]
-    lengths = [str(one.length) for one in asked if isinstance(one, Sequences)]
-    chosen = dict.fromkeys(word for one in asked for word in _chosen(one))
-    kinds = ["", *(["sequence", *lengths] if lengths else []), *["filter"] * (len(lengths) < len(asked))]
+    options = [one.keywords["options"] for one in seen if isinstance(one, partial)]
+    lengths = [str(one.length) for one in options if isinstance(one, Sequences)]
+    chosen = dict.fromkeys(word for one in options for word in _chosen(one))
+    kinds = ["", *(["sequence", *lengths] if lengths else []), *["filter"] * (len(lengths) < len(options))]
     return "-".join([*kinds, *chosen])
 
 
-def _chosen(asked: Sequences | Filter) -> Iterable[str]:
+def _chosen(options: Sequences | Filter) -> Iterable[str]:
     """Yield a word for each option beside the length that is not its default."""
-    for option in fields(asked):
-        value = getattr(asked, option.name)
+    for option in fields(options):
+        value = getattr(options, option.name)
         if option.default not in (MISSING, value):
             said = "" if isinstance(value, tuple) else str(value)
             yield said if isinstance(value, str) else option.name + said
@@ -150,12 +150,12 @@ def _parts(run: Run, gaps: str) -> tuple[Stretches, Stretches, str]:
     shown, n_places = queries_shown(run), run.outcome.n_places
     place_breaks = _breaks(run.place_breaks, run.place_numbers)
     known = max(len(one) for one in (run.query_breaks, place_breaks, ()) if one is not None)
-    told = f"{known} {'bridged' if gaps == 'bridge' else 'break it'}" if known else ""
+    protocol = f"{known} {'bridged' if gaps == 'bridge' else 'break it'}" if known else ""
     if gaps == "bridge":
-        return np.zeros(len(shown), np.int64), np.zeros(n_places, np.int64), told
+        return np.zeros(len(shown), np.int64), np.zeros(n_places, np.int64), protocol
     stored = stretches(int(shown[-1]) + 1, None if run.query_breaks is None else run.query_breaks)[shown]
     left_out = shown - np.arange(len(shown))  # grows where a view left queries out
-    return stored + left_out, stretches(n_places, place_breaks), told
+    return stored + left_out, stretches(n_places, place_breaks), protocol
 
 
 def _breaks(

@@ -59,7 +59,7 @@ def grown(request: Request) -> list[dict[str, Any]]:
             seconds.append(lap[0])
         progress.report("growing map", n / dataset.n_places)
         if n % first == 0 or n == dataset.n_places:
-            blocks = np.split(asked := _asked(dataset.positives, n), range(size, len(asked), size))
+            blocks = np.split(asked := _answerable_queries(dataset.positives, n), range(size, len(asked), size))
             right = [[dataset.positives[query][dataset.positives[query] < n] for query in block] for block in blocks]
             found = concatenate([outcome(method.match(codes[b]), r) for b, r in zip(blocks, right, strict=True)])
             stops.append({"places": n, "hits": hits_at(found, 1).tolist(), "seconds": seconds})
@@ -67,7 +67,7 @@ def grown(request: Request) -> list[dict[str, Any]]:
     return stops
 
 
-def _asked(positives: PlacesPerQuery, n: int) -> npt.NDArray[np.int64]:
+def _answerable_queries(positives: PlacesPerQuery, n: int) -> npt.NDArray[np.int64]:
     """Return the queries that have a right place among the first `n`."""
     return np.flatnonzero([bool((right < n).any()) for right in positives])
 
@@ -80,7 +80,12 @@ def stream_numbers(run: Run) -> list[dict[str, Any]]:
     lines, stops = [], run.stream or ()
     for stop in stops:
         hits, seconds = np.array(stop["hits"]), stop["seconds"]
-        first = hits[np.isin(_asked(run.positives, stop["places"]), _asked(run.positives, stops[0]["places"]))]
+        first = hits[
+            np.isin(
+                _answerable_queries(run.positives, stop["places"]),
+                _answerable_queries(run.positives, stops[0]["places"]),
+            )
+        ]
         interval = share_interval(hits) if len(hits) else None
         line = {
             "places": stop["places"],

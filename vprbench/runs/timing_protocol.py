@@ -40,19 +40,19 @@ class Protocol:
                 "minimum cannot exceed the maximum"
             )
 
-    def shortfalls(self, asked: Protocol) -> list[str]:
+    def shortfalls(self, request: Protocol) -> list[str]:
         """Return the options in which less was measured than is asked for; none: the measurement is enough.
 
         Whatever was measured answers `rates: false`.
         """
-        if not asked.rates:
+        if not request.rates:
             return []
         if not self.rates:
             return ["rates"]
-        return [part.name for part in fields(self) if _less(getattr(self, part.name), getattr(asked, part.name))]
+        return [part.name for part in fields(self) if _less(getattr(self, part.name), getattr(request, part.name))]
 
 
-def _less(kept: Any, asked: Any) -> bool:
-    if isinstance(asked, list):
-        return not set(asked) <= set(kept)
-    return kept is not None and (asked is None or bool(kept < asked))  # None: no limit
+def _less(kept: Any, request: Any) -> bool:
+    if isinstance(request, list):
+        return not set(request) <= set(kept)
+    return kept is not None and (request is None or bool(kept < request))  # None: no limit

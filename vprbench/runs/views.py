@@ -36,15 +36,15 @@ def window_of(run: Run) -> int:
     return 1 if run.view is None else run.view.window
 
 
-def rescored(run: Run, scores: Scores, told: Mapping[str, Any], window: int = 1) -> Run:
+def rescored(run: Run, scores: Scores, protocol: Mapping[str, Any], window: int = 1) -> Run:
     """Return a run whose queries are answered by other `scores` (n_queries, n_places).
 
-    `told` joins the protocol, which tells the view from the run. Raises what `ranking.outcome` raises.
+    `protocol` joins that of the run, which tells the view from the run. Raises what `ranking.outcome` raises.
     """
     places, values = ranked_places(scores, run.top_places.shape[1])
     return replace(
         run,
-        protocol={**run.protocol, **told},
+        protocol={**run.protocol, **protocol},
         outcome=outcome(scores, run.positives),
         top_places=places,
         top_scores=values,
@@ -53,13 +53,13 @@ def rescored(run: Run, scores: Scores, told: Mapping[str, Any], window: int = 1)
     )
 
 
-def restricted(run: Run, queries: Queries, told: Mapping[str, Any]) -> Run:
-    """Return a run of some of its queries (n_shown,), numbered as it has them; `told` joins the protocol."""
+def restricted(run: Run, queries: Queries, protocol: Mapping[str, Any]) -> Run:
+    """Return a run of some of its queries (n_shown,), numbered as it has them; `protocol` joins its own."""
     rows = np.asarray(queries, np.int64)
     columns = [field.name for field in fields(Outcome) if field.name != "n_places"]
     return replace(
         run,
-        protocol={**run.protocol, **told},
+        protocol={**run.protocol, **protocol},
         outcome=replace(run.outcome, **{name: getattr(run.outcome, name)[rows] for name in columns}),
         positives=tuple(run.positives[row] for row in rows.tolist()),
         top_places=run.top_places[rows],

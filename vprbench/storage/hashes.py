@@ -103,7 +103,7 @@ class FileHashes:
         for start in range(0, len(order), _ASKED):
             asked = files.encoded(order[start : start + _ASKED])
             states = _states(asked)
-            known = self._known({path: _told(state) for path, state in zip(asked, states, strict=True)})
+            known = self._known({path: _file_state(state) for path, state in zip(asked, states, strict=True)})
             unknown += (number for number, path in enumerate(asked, start) if path not in known)
             sizes[start : start + _ASKED] = [state.st_size for state in states]
             found[start : start + _ASKED] = _rows([known.get(path, _UNKNOWN) for path in asked])
@@ -137,7 +137,7 @@ class FileHashes:
             readers.shutdown(cancel_futures=True)
 
     def _keep(self, hashes: Mapping[bytes, _Read]) -> None:
-        rows = [(path, _told(state), sha256) for path, (state, sha256) in hashes.items()]
+        rows = [(path, _file_state(state), sha256) for path, (state, sha256) in hashes.items()]
         if self._ask(lambda database: database.executemany(_KEEP, rows)) is None:
             self._remembered |= {path: (state, sha256) for path, state, sha256 in rows}
 
@@ -219,7 +219,7 @@ def _states(paths: Iterable[bytes]) -> list[os.stat_result]:
         raise _unreadable(error.filename, error) from error
 
 
-def _told(state: os.stat_result) -> str:
+def _file_state(state: os.stat_result) -> str:
     """Return what must stay the same of a file for its hash to hold.
 
     That are its size, the time of its last change, that of its metadata too, which nobody can set back (on Windows,
@@ -240,7 +240,7 @@ def _read_file(path: bytes) -> _Read:
             with Path(os.fsdecode(path)).open("rb", buffering=0) as file:
                 before = os.fstat(file.fileno())
                 sha256 = file_digest(file, "sha256").digest()
-                if _told(os.fstat(file.fileno())) == _told(before):
+                if _file_state(os.fstat(file.fileno())) == _file_state(before):
                     return before, sha256
     except OSError as error:
         raise _unreadable(path, error) from error

@@ -52,7 +52,7 @@ class Member:
 
 
 @contextmanager
-def damage_told(archive: Path) -> Iterator[None]:
+def _explaining_damage(archive: Path) -> Iterator[None]:
     """Turn what the libraries raise about a damaged archive into DamagedArchive; errors of the disk stay."""
     try:
         yield
@@ -68,7 +68,7 @@ def damage_told(archive: Path) -> Iterator[None]:
 def members(archive: Path) -> Iterator[Member]:
     """Yield the members of a zip, tar, tar.gz, tar.bz2 or tar.xz in order, whatever its name is.
 
-    For a file that is none of these, or ends early, it raises what `damage_told` turns into one error.
+    For a file that is none of these, or ends early, it raises what `_explaining_damage` turns into one error.
     """
     with archive.open("rb") as raw:
         start = raw.read(8)
@@ -207,7 +207,7 @@ def unpack(
         folder = destination / f"{UNFINISHED}{uuid.uuid4().hex[:8]}"
         folder.mkdir()
         try:
-            with damage_told(archive):
+            with _explaining_damage(archive):
                 n_files = _fill(folder, archive, wanted)
             approve(folder)
             _move(folder, destination)

@@ -203,13 +203,13 @@ def _untried(trials: Sequence[Trial], points: Sequence[Values], failures: Mappin
     return left[: max(0, most - len(done))]
 
 
-def _jobs(asked: int | None) -> int:
+def _jobs(requested: int | None) -> int:
     """Return how many processes there may be: at most one for each core."""
     cores = len(machine.cores())
-    if asked is not None and asked > cores:
+    if requested is not None and requested > cores:
         used = "1 process is used" if cores == 1 else f"{cores} processes are used"
-        logger.info("jobs=%d: %s, one for each core that is there for this process", asked, used)
-    return min(asked or cores, cores)
+        logger.info("jobs=%d: %s, one for each core that is there for this process", requested, used)
+    return min(requested or cores, cores)
 
 
 def _executor(settings: Settings) -> AbstractContextManager[DaskExecutor | None]:

@@ -41,7 +41,7 @@ class _Part:
 class _Comparison:
     """The queries that have a right place, against one reference traverse."""
 
-    asked: Shifts  # (n,), the numbers of the queries
+    query_numbers: Shifts  # (n,), the numbers of the queries
     middles: Shifts  # (n,), the place each should show
     queries: Descriptors  # (n, 512)
     places: Descriptors  # (n_places, 512)
@@ -78,20 +78,20 @@ def alignment(dataset: Dataset, references: Sequence[Looks], query: Looks) -> li
     middles = middles_of(dataset)
     if not advances(middles):
         return [_note("not checked: the right place does not advance from query to query")]
-    asked = np.flatnonzero((middles >= 0) & query.readable)
-    fewest = min(len(asked), *(int(looks.readable.sum()) for looks in references))
+    query_numbers = np.flatnonzero((middles >= 0) & query.readable)
+    fewest = min(len(query_numbers), *(int(looks.readable.sum()) for looks in references))
     if fewest < _LEAST:
         told = f"a traverse has {plural(fewest, 'frame')} to compare, and {_LEAST} are needed"
         return [_note(f"not checked: {told}")]
     traverses, queries = traverses_of(dataset)
-    right = [dataset.positives[query] for query in asked]
-    described = offsets.described(query.small[asked])
+    right = [dataset.positives[query] for query in query_numbers]
+    described = offsets.described(query.small[query_numbers])
     compared = []
     for traverse, looks in zip(traverses, references, strict=True):
         there = looks.readable
         shown = offsets.described(looks.small[there])
         places = offsets.of_places(shown, traverse.places[there], dataset.n_places)
-        compared.append(_Comparison(asked, middles[asked], described, places, right))
+        compared.append(_Comparison(query_numbers, middles[query_numbers], described, places, right))
     verdicts = [_verdict(comparison) for comparison in compared]
     moves = {(verdict.backwards, *(part.shift for part in verdict.parts)) for verdict in verdicts}
     if len(verdicts) > 1 and len(moves) == 1 and moves != {(False,)}:  # then the queries are what differs
@@ -149,7 +149,7 @@ def _finding(queries: Traverse, shown: Traverse, compared: _Comparison, verdict:
         text = f"{queries.name} runs the other way than {other} ({evidence})"
         return Finding("error", "alignment", text, f"{compare}; then reverse the order of one of them")
     spoilt = sum(compared.wrong(part) for part in verdict.parts)
-    level: Level = "error" if spoilt > _SPOILT * len(compared.asked) else "warning" if spoilt else "note"
+    level: Level = "error" if spoilt > _SPOILT * len(compared.query_numbers) else "warning" if spoilt else "note"
     told = "; ".join(_part(queries, compared, part, other) for part in verdict.parts[:_PARTS_NAMED])
     more = len(verdict.parts) - _PARTS_NAMED
     told += f"; and {plural(more, 'part')} more" * (more > 0)
@@ -163,9 +163,13 @@ def _finding(queries: Traverse, shown: Traverse, compared: _Comparison, verdict:
 def _part(queries: Traverse, compared: _Comparison, part: _Part, other: str) -> str:
     size = part.last - part.first + 1
     names = queries.images.names
-    first, last = names[compared.asked[part.first]], names[compared.asked[part.last]]
-    whole = size == len(compared.asked)
-    who = "all of it shows" if whole else f"about {first} to {last} ({size:,} of {len(compared.asked):,} queries) show"
+    first, last = names[compared.query_numbers[part.first]], names[compared.query_numbers[part.last]]
+    whole = size == len(compared.query_numbers)
+    who = (
+        "all of it shows"
+        if whole
+        else f"about {first} to {last} ({size:,} of {len(compared.query_numbers):,} queries) show"
+    )
     return f"{who} what {other} shows {plural(abs(part.shift), 'place')} {'later' if part.shift > 0 else 'earlier'}"
 
 
@@ -177,7 +181,7 @@ def _pair(queries: Traverse, shown: Traverse, compared: _Comparison, verdict: _V
     there = np.flatnonzero((places >= 0) & (places <= last_place))
     amid = there[len(there) // 2]
     place = last_place - places[amid] if verdict.backwards else places[amid]
-    query = queries.images.names[compared.asked[part.first + amid]]
+    query = queries.images.names[compared.query_numbers[part.first + amid]]
     image = shown.images.names[int(np.abs(shown.places - place).argmin())]
     return f"{query} of {queries.name} with {image} of {shown.name}"
 

@@ -60,11 +60,11 @@ def names_of_places(references: Sequence[Traverse], query: Traverse) -> Iterator
     yield from _differing(query, query.places.tolist(), first)
 
 
-def _differing(asked: Traverse, places: Sequence[int], shown: Traverse) -> Iterator[Finding]:
+def _differing(traverse: Traverse, places: Sequence[int], shown: Traverse) -> Iterator[Finding]:
     known = set(shown.images.names)
     pairs = [
         (name, shown.images.names[place])
-        for name, place in zip(asked.images.names, places, strict=True)
+        for name, place in zip(traverse.images.names, places, strict=True)
         if place < len(shown.images) and name in known
     ]
     differing = [(name, other) for name, other in pairs if name != other]
@@ -74,7 +74,7 @@ def _differing(asked: Traverse, places: Sequence[int], shown: Traverse) -> Itera
     yield Finding(
         "warning",
         "names",
-        f"{len(differing):,} of {plural(len(places), 'image')} of {asked.name} are matched with one of another "
+        f"{len(differing):,} of {plural(len(places), 'image')} of {traverse.name} are matched with one of another "
         f"name in {shown.name}, though {shown.name} holds one of the same name; the first is {name}, matched with "
         f"{other}",
         "where equal names mean equal places, a file is missing or too many before that one: compare both folders",

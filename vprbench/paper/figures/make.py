@@ -34,21 +34,21 @@ if TYPE_CHECKING:
 logger = logging.getLogger(__name__)
 
 
-def make_figures(asked: TableRequest, options: Sequence[str], compose: Compose) -> int:
+def make_figures(request: TableRequest, options: Sequence[str], compose: Compose) -> int:
     """Draw all figures as PDF and PNG under results/figures; returns the exit code, 1 where a run failed."""
-    with executor_for(asked) as executor:
-        found = gather(choose(asked, compose), options, compose, executor)
+    with executor_for(request) as executor:
+        found = gather(choose(request, compose), options, compose, executor)
         growth = growth_columns(found, compose)
         once = replace(found.chosen, devices=("cpu",))
         sizes = [run for column in growth for run in runs_of(once, column, _growing(found))]
-        endings = run_missing(
+        results = run_missing(
             found.chosen, sizes, [*options, "frames=false"], compose, executor
         )  # nobody looks at theirs
     runs = stored(found.chosen)[0] if sizes else found.runs
-    folder = Path(asked.results).expanduser() / "figures"
+    folder = Path(request.results).expanduser() / "figures"
     for path in write_figures(draw_all(found, runs, growth), folder):
         print(f"{path} and .png" if path.suffix == ".pdf" else f"what each shows: {path}")
-    return exit_code([*found.endings, *endings])
+    return exit_code([*found.job_results, *results])
 
 
 def write_figures(drawings: Iterable[tuple[str, Drawn]], folder: Path) -> Iterator[Path]:
@@ -117,7 +117,7 @@ def _speed(found: ReportData, runs: Sequence[Run], growth: Sequence[ResolvedColu
     group = next((group for group in found.groups if group.runs), None)
     if group is not None:
         rows = found.chosen.rows
-        parts = series(group, rows), series(group, rows, "cuda"), rows, group.asked.planned, _marks(found, group)
+        parts = series(group, rows), series(group, rows, "cuda"), rows, group.column.planned, _marks(found, group)
         yield "fig2a-training-time", partial(speed.training_time, *parts)
         yield "fig2b-query-rate", partial(speed.query_rate, *parts)
     if growth:
@@ -180,7 +180,7 @@ def _of_columns(found: ReportData) -> Iterator[tuple[str, Draw]]:
             yield f"raster-{name}", partial(spikes.raster, in_time)
             yield f"steps-{name}", partial(spikes.recall_at_step, in_time)
     for column in found.chosen.columns:
-        groups_of = [group for group in found.groups if group.asked is column and group.runs]
+        groups_of = [group for group in found.groups if group.column is column and group.runs]
         lengths = [accuracy_series(g, found.chosen.rows) for g in groups_of if "sequence" in g.runs[0].protocol]
         if len(lengths) > 1:
             yield f"sequences-{column.planned.name}", partial(accuracy.recall_at_length, lengths)

@@ -25,21 +25,21 @@ if TYPE_CHECKING:
     from vprbench.paper.figures.style import Drawn
 
 
-def make_report(asked: TableRequest, options: Sequence[str], compose: Compose) -> int:
+def make_report(request: TableRequest, options: Sequence[str], compose: Compose) -> int:
     """Write results/report.html; returns the exit code, 1 where a run failed.
 
     Runs of the table that are missing are made; those of the growth are drawn where they are stored.
     """
-    with executor_for(asked) as executor:
-        found = gather(choose(asked, compose), options, compose, executor)
+    with executor_for(request) as executor:
+        found = gather(choose(request, compose), options, compose, executor)
     absent: list[str] = []
     drawings = draw_all(found, found.runs, growth_columns(found, compose), absent.append)
-    default = asked.name is None and not asked.columns and not views(asked.sequence, asked.filter)
-    default &= asked.views is None
-    name = "report.html" if default else f"report-{file_name(asked)}.html"
-    path = write_page(found, drawings, Path(asked.results).expanduser() / name, absent)
+    default = request.name is None and not request.columns and not views(request.sequence, request.filter)
+    default &= request.views is None
+    name = "report.html" if default else f"report-{file_name(request)}.html"
+    path = write_page(found, drawings, Path(request.results).expanduser() / name, absent)
     print(f"{path}: {path.stat().st_size / 1e6:.1f} MB, opens from disk")
-    return exit_code(found.endings)
+    return exit_code(found.job_results)
 
 
 def _frames_of(group: Group, found: ReportData) -> Thumbnails | None:

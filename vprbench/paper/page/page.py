@@ -79,7 +79,7 @@ def page(
     measured = measured or [(section.title, series) for section in sections for series in section.series]
     sections = [section for section in sections if section.series]
     answers = [_judged(section) for section in sections]
-    told = [_told(section, judged_runs) for section, judged_runs in zip(sections, answers, strict=True)]
+    script_data = [_script_data(section, judged_runs) for section, judged_runs in zip(sections, answers, strict=True)]
     facts = {
         "title": title,
         "made_from": made_from,
@@ -95,7 +95,7 @@ def page(
         "notes": words.notes(measured),
     }
     nothing = [_Frames()] * len(sections)
-    without_frames = _rendered(facts, told, nothing)
+    without_frames = _rendered(facts, script_data, nothing)
     frames = [_frames(section, judged_runs.values()) for section, judged_runs in zip(sections, answers, strict=True)]
     fitted = _fitted(frames, MOST_BYTES - len(without_frames.encode()))
     if fitted is None:
@@ -103,11 +103,11 @@ def page(
             facts,
             [
                 {**one, "framesMissing": one["framesMissing"] or _FRAMES_TOO_LARGE, "firstReferences": ""}
-                for one in told
+                for one in script_data
             ],
             nothing,
         )
-    return _rendered(facts, told, fitted)
+    return _rendered(facts, script_data, fitted)
 
 
 def _facts(section: Section, answers: Mapping[str, Answers]) -> dict[str, Any]:
@@ -135,7 +135,7 @@ def _judged(section: Section) -> dict[str, Answers]:
     return answers
 
 
-def _told(section: Section, answers: Mapping[str, Answers]) -> dict[str, Any]:
+def _script_data(section: Section, answers: Mapping[str, Answers]) -> dict[str, Any]:
     """Return what the page's script reads of a section."""
     runs, kept = [run for _, run in _named(section)], section.thumbnails
     run = runs[0]
@@ -187,7 +187,7 @@ def _fitted(frames: Sequence[_Frames], most_bytes: int) -> list[_Frames] | None:
     ]
 
 
-def _rendered(facts: Mapping[str, Any], told: Sequence[Mapping[str, Any]], frames: Sequence[_Frames]) -> str:
+def _rendered(facts: Mapping[str, Any], script_data: Sequence[Mapping[str, Any]], frames: Sequence[_Frames]) -> str:
     templates = Environment(
         loader=FileSystemLoader(_FOLDER),
         autoescape=True,
@@ -202,7 +202,7 @@ def _rendered(facts: Mapping[str, Any], told: Sequence[Mapping[str, Any]], frame
         script=Markup(script),
         style_hash=_hash(style),
         script_hash=_hash(script),
-        answers=_json(told),
+        answers=_json(script_data),
         frames=[
             _json(
                 {

@@ -58,7 +58,7 @@ def notes(measured: Iterable[tuple[str, Series]]) -> tuple[tuple[str, str], ...]
     The device is named of runs that were not made on the CPU.
     """
     return tuple(
-        (f"{title}: {run_name(one, run)}{_elsewhere(run)}", note.text)
+        (f"{title}: {run_name(one, run)}{_recall_off_tuned_places(run)}", note.text)
         for title, one in measured
         for run in one.runs
         for note in all_notes(run)
@@ -80,7 +80,7 @@ def run_name(series: Series, run: Run) -> str:
     return f"{series.name}, seed {run.config['seed']}" if len(series.runs) > 1 else series.name
 
 
-def _elsewhere(run: Run) -> str:
+def _recall_off_tuned_places(run: Run) -> str:
     return "" if run.config.get("device") in (None, "cpu") else f", on {run.config['device']}"
 
 

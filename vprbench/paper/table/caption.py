@@ -33,8 +33,8 @@ def caption(
     quantities: Sequence[Quantity],
 ) -> list[str]:
     """Return the caption of a table; `columns` are those of the groups, `entries` those of each row by its name."""
-    versions = Counter(group.asked.planned.name for group in groups)
-    apart = [options_apart(group) if versions[group.asked.planned.name] > 1 else () for group in groups]
+    versions = Counter(group.column.planned.name for group in groups)
+    apart = [options_apart(group) if versions[group.column.planned.name] > 1 else () for group in groups]
     measured = cells[cells["seeds"].notna()]
     seeds = [(name, _seeds(measured[measured["row"] == name], columns)) for name in entries]
     recalls = measured[(measured["quantity"] == RECALL.name) & measured["block"].notna()]

@@ -145,7 +145,7 @@ def assemble(
 
 
 def _column(group: Group, groups: Sequence[Group], plan: Plan) -> Column:
-    planned = group.asked.planned
+    planned = group.column.planned
     real = plan.columns[planned.stand_in_for].title if planned.stand_in_for else None
     if not group.runs:
         return Column(planned.name, planned.title, None, None, "no run is stored", real, planned.remark)
@@ -201,7 +201,7 @@ def _cell(
 ) -> dict[str, Any]:
     """Return one cell, its notes as reasons and its machine by name."""
     row, column = entry.row, entry.column
-    dataset = "" if entry.group.view else entry.group.asked.planned.published or ""  # the paper has no views
+    dataset = "" if entry.group.view else entry.group.column.planned.published or ""  # the paper has no views
     paper = printed.get((row.name, dataset), {})
     value = paper.get(quantity.name)
     mark = "none" if quantity.name not in paper else "not applicable" if value is None else "measured"
@@ -228,7 +228,7 @@ def _cell(
     if quantity.kind == "rate" and row.boundary is not None:
         numbers["at_boundary"] = quantity.over_seeds([*facts[f"streaming_{row.boundary}_hz"]])
     if value is not None:
-        told += differences(quantity, row, entry.group.asked.planned, column.stand_in_for, runs[0])
+        told += differences(quantity, row, entry.group.column.planned, column.stand_in_for, runs[0])
         ours = numbers.get("at_boundary", numbers["value"])
         numbers["difference"] = None if column.stand_in_for else ours - value
     if others := others_of(runs) if quantity.kind == "accuracy" else ():
@@ -292,7 +292,7 @@ def _absence(entry: Entry, quantity: Quantity, left_out: Mapping[tuple[str, str]
     if entry.group.number > 1:
         return reason("protocol without runs")
     elsewhere = any(entry.found[other].runs for other in DEVICES if other != device)
-    place = (entry.group.asked.planned.name, entry.row.name)
+    place = (entry.group.column.planned.name, entry.row.name)
     return absent(entry.row, device, found, elsewhere, left_out.get(place))
 
 

@@ -20,48 +20,48 @@ from vprbench.storage.atomic import replace_text
 from vprbench.terminal.console import console
 
 
-def make_table(asked: TableRequest, options: Sequence[str], compose: Compose) -> int:
+def make_table(request: TableRequest, options: Sequence[str], compose: Compose) -> int:
     """Print the table and write it as Markdown, CSV and LaTeX; returns the exit code, 1 where a cell failed.
 
     Where slow rows have to run, the table is printed and written without them first, and written again after each of
     their runs.
     """
-    chosen = choose(asked, compose)
+    chosen = choose(request, compose)
     quick, slow = all_runs(chosen)
-    with executor_for(asked) as executor:
-        endings = run_missing(chosen, quick, options, compose, executor)
+    with executor_for(request) as executor:
+        results = run_missing(chosen, quick, options, compose, executor)
 
         def before_slow(run: MissingRun) -> None:
             with suppress(BadInput):  # no run is there yet
-                _show(_put_together(chosen, endings), asked)
+                _show(_put_together(chosen, results), request)
                 print(f"{run.row.name} follows and takes longest: interrupt it, and what is done is kept", flush=True)
 
         def after_slow() -> None:
             with suppress(BadInput):  # no run is there yet
-                write(_put_together(chosen, endings), _folder(asked), file_name(asked))
+                write(_put_together(chosen, results), _folder(request), file_name(request))
 
-        endings += run_missing(chosen, slow, options, compose, executor, Watch(before_slow, after_slow))
-    found = _put_together(chosen, endings)
-    _show(found, asked)
-    return exit_code(found.endings)
+        results += run_missing(chosen, slow, options, compose, executor, Watch(before_slow, after_slow))
+    found = _put_together(chosen, results)
+    _show(found, request)
+    return exit_code(found.job_results)
 
 
-def _put_together(chosen: TablePlan, endings: Sequence[JobResult]) -> ReportData:
+def _put_together(chosen: TablePlan, results: Sequence[JobResult]) -> ReportData:
     """Return what is stored now as the table."""
-    return material(chosen, *stored(chosen), tuple(endings))
+    return material(chosen, *stored(chosen), tuple(results))
 
 
-def _show(found: ReportData, asked: TableRequest) -> None:
+def _show(found: ReportData, request: TableRequest) -> None:
     """Print the table, then write its files."""
     narrow = console().is_terminal
-    printed = formats.for_terminal(found.table, asked.wide) if narrow else formats.markdown(found.table)
+    printed = formats.for_terminal(found.table, request.wide) if narrow else formats.markdown(found.table)
     print(printed, end="", flush=True)  # first: it is there to be read even where nothing is written
-    written = write(found, _folder(asked), file_name(asked))
+    written = write(found, _folder(request), file_name(request))
     print(f"\nwritten to {', '.join(str(path) for path in written)}", flush=True)
 
 
-def _folder(asked: TableRequest) -> Path:
-    return Path(asked.results).expanduser()
+def _folder(request: TableRequest) -> Path:
+    return Path(request.results).expanduser()
 
 
 def write(found: ReportData, folder: Path, name: str) -> list[Path]:
@@ -82,13 +82,13 @@ def write(found: ReportData, folder: Path, name: str) -> list[Path]:
     return [folder / file for file in texts]
 
 
-def file_name(asked: TableRequest) -> str:
+def file_name(request: TableRequest) -> str:
     """Return what the files are called: the columns, where some were asked for."""
-    default = "-".join(asked.columns) if asked.columns else "table"
-    seen = "-views" * (asked.views is not None) + suffix(views(asked.sequence, asked.filter))
-    return asked.name or default + seen
+    default = "-".join(request.columns) if request.columns else "table"
+    seen = "-views" * (request.views is not None) + suffix(views(request.sequence, request.filter))
+    return request.name or default + seen
 
 
-def exit_code(endings: Sequence[JobResult]) -> int:
+def exit_code(results: Sequence[JobResult]) -> int:
     """Return 1 where a run failed that could have been made."""
-    return int(any(ending.code and not ending.missing for ending in endings))
+    return int(any(result.code and not result.missing for result in results))

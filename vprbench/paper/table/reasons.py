@@ -207,8 +207,8 @@ def other_timing(runs: Mapping[str, Sequence[Run]]) -> dict[str, Reason]:
 
 
 def _timed(run: Run, usual: Run, rows: Sequence[str]) -> Reason:
-    asked, theirs = run.config.get("timing"), usual.config.get("timing") or {}
-    return reason("timing", asked, [name for name, value in (asked or {}).items() if value != theirs.get(name)], rows)
+    ours, theirs = run.config.get("timing"), usual.config.get("timing") or {}
+    return reason("timing", ours, [name for name, value in (ours or {}).items() if value != theirs.get(name)], rows)
 
 
 def _data(real_title: str | None, run: Run, paper: PaperProtocol) -> Iterator[Reason]:
@@ -239,7 +239,7 @@ _HOUR, _MINUTE = 3600.0, 60.0
 
 def why_left_out(row: Row, column: ResolvedColumn, shown: Sequence[Group]) -> str:
     """Return why a row is left out of a column, and how long its seeds would take there by a run in those `shown`."""
-    asking = [group for group in shown if group.asked.planned.name == column.planned.name]
+    asking = [group for group in shown if group.column.planned.name == column.planned.name]
     queries = next((len(run.outcome) for run in _runs(asking)), None)
     measured = next((run for run in _runs(shown, row) if run.config["device"] == "cpu" and run.fit_seconds), None)
     places = column.dataset.get("places")
@@ -259,10 +259,10 @@ def full_seconds(measured: Run, places: int, queries: int, asks_its_map: bool) -
     """
     n_places, n_queries = measured.outcome.n_places, len(measured.outcome)
     fit = measured.fit_seconds or 0.0
-    asked = max(0.0, measured.method_seconds - (measured.fit_compute_seconds or fit)) / (n_queries * n_places)
-    own = places * places * asked if asks_its_map else 0.0
-    training = fit - n_places * n_places * asked if asks_its_map else fit
-    return max(0.0, training) * places / n_places + own + places * queries * asked
+    seconds_a_query = max(0.0, measured.method_seconds - (measured.fit_compute_seconds or fit)) / (n_queries * n_places)
+    own = places * places * seconds_a_query if asks_its_map else 0.0
+    training = fit - n_places * n_places * seconds_a_query if asks_its_map else fit
+    return max(0.0, training) * places / n_places + own + places * queries * seconds_a_query
 
 
 def _runs(shown: Sequence[Group], row: Row | None = None) -> Iterator[Run]:
