@@ -50,7 +50,14 @@ NETWORK = PublishedNetwork(
     arguments={"layer": LAYER, "words": WORDS},
     beside={"centres": lambda path: written(CENTRES, path.with_suffix(".centres"))},
     alike_in_half=0.9,  # a value between two centres may go to the other
-    refused=[("AnyLoc needs 14 pixels a side", {}, (13, 40))],
+    refused=[
+        ("AnyLoc needs 14 pixels a side", {}, (13, 40)),
+        ("method.centres", {"centres": None}, (42, 42)),
+        *(
+            (f"method.{name}={value}", {name: value}, (42, 42))
+            for name, value in (("layer", -1), ("layer", 40), ("words", 0), ("longest_side", 13))
+        ),
+    ],
     wrong={
         f"blocks.{LAYER}.attn.qkv.weight": None,
         "norm.weight": None,
@@ -85,7 +92,7 @@ def test_a_centre_without_values_has_zeros(folder):
 
 
 def test_blocks_after_the_layer_need_not_be_there_nor_fit_nor_are_kept(folder):
-    odd = {**tensors, "blocks.2.norm1.weight": torch.zeros(3), "blocks.2.more": torch.zeros(1)}
+    odd = {**tensors, "blocks.2.norm1.weight": torch.zeros(3), "blocks.10.more": torch.zeros(1)}
     path = saved(folder / "changed.pth", odd)
     assert np.array_equal(encoded(NETWORK.method(path), *NETWORK.images), NETWORK.codes(folder))
     network = NETWORK.method(path).load(path)
@@ -159,9 +166,3 @@ def test_centres_are_published_for_one_network_layer_and_number_alone(folder):
     own = {"layer": 31, "words": 32, "centres": Weights("centres.pt", "none", "nothing", url="https://example.org/c")}
     for other in ({"backbone": "vitl14", "layer": 20}, {"layer": 30}, {"words": 64}):
         assert "method.vocabulary=references" in refusal(folder, **own | other)
-
-
-@pytest.mark.parametrize(("name", "value"), [("layer", -1), ("layer", 40), ("words", 0), ("longest_side", 13)])
-def test_arguments_that_make_no_descriptor_are_refused(folder, name, value):
-    assert f"method.{name}={value}" in refusal(folder, **{name: value})
-    assert "method.centres" in refusal(folder, centres=None)

@@ -1,4 +1,4 @@
-"""The published sizes of the backbones, of which the networks that use them test what they compute."""
+"""The published sizes of DINOv2, of which the networks that use it test what they compute."""
 
 from pathlib import Path
 
@@ -9,34 +9,7 @@ from backbones_oracle import Draw
 
 from vprbench.api.weights import load_strictly
 from vprbench.errors import BadInput
-from vprbench.methods.parts.backbones.resnet import n_channels, resnet
-from vprbench.methods.parts.backbones.vit import SIZES, VisionTransformer, first_blocks
-
-RESNETS = {
-    "resnet18": 11_176_512,
-    "resnet34": 21_284_672,
-    "resnet50": 23_508_032,
-    "resnet101": 42_500_160,
-    "resnet152": 58_143_808,
-    "resnext101_32x8d": 86_742_336,
-}
-
-
-@pytest.mark.extended
-@pytest.mark.parametrize("name", RESNETS)
-def test_resnet_has_the_published_number_of_values_blocks_and_channels(name):
-    with torch.device("meta"):
-        model = resnet(name)
-        found = [resnet(name, n_stages)(torch.empty(1, 3, 64, 64)).shape[1] for n_stages in (1, 2, 3, 4)]
-    assert sum(weight.numel() for weight in model.parameters()) == RESNETS[name]
-    assert tuple(len(stage) for stage in list(model)[4:]) == oracle.RESNETS[name][0]
-    assert [n_channels(name, n_stages) for n_stages in (1, 2, 3, 4)] == found
-    assert found == ([64, 128, 256, 512] if name in ("resnet18", "resnet34") else [256, 512, 1024, 2048])
-
-
-def test_the_first_blocks_are_taken_by_their_whole_numbers():
-    many = dict.fromkeys(("blocks.1.a", "blocks.2.a", "blocks.10.a", "norm.a"), torch.zeros(1))
-    assert set(first_blocks(many, 2)) == {"blocks.1.a", "norm.a"}  # not the tenth
+from vprbench.methods.parts.backbones.vit import SIZES, VisionTransformer
 
 
 @pytest.mark.parametrize("grid", [1, 23, 60])

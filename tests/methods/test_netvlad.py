@@ -12,7 +12,7 @@ import torch
 from backbones_oracle import Draw, prefixed, under
 from described_images import drawn_images
 from mat_cells import cells
-from published_networks import PublishedNetwork, saved, with_checks
+from published_networks import PublishedNetwork, saved_training, with_checks
 
 pytestmark = pytest.mark.extended  # published networks at full size
 
@@ -53,12 +53,6 @@ def write_struct(path, tensors):
     meta = {"normalization": {"averageImage": np.broadcast_to(AVERAGE, (5, 4, 3)), "imageSize": [224, 224, 3]}}
     scipy.io.savemat(path, {"net": {"layers": cells(layers).T, "meta": meta}})
     return path
-
-
-def write_checkpoint(path, tensors):
-    """Write what training with PyTorch writes: the tensors, and what else there is."""
-    optimizer = {"state": {}, "param_groups": [{"lr": 0.1, "params": [0, 1]}]}
-    return saved(path, {"epoch": 30, "state_dict": dict(tensors), "optimizer": optimizer, "parallel": False})
 
 
 def parallel(tensors):
@@ -110,7 +104,7 @@ PYTORCH = network(
     "pytorch",
     5 * 512,
     draw=lambda: drawn(5),
-    write=write_checkpoint,
+    write=partial(saved_training, key="state_dict"),
     wrong={"WPCA.0.bias": (3, 3)},
     forms={"parallel": parallel},
     refused=[("method.whiten=true", {"whiten": True}, (32, 32)), ("=2561", {"n_dimensions": 2561}, (32, 32))],
@@ -120,7 +114,7 @@ MSLS = network(
     "patch-netvlad",
     6,
     draw=lambda: drawn(4, 6),
-    write=write_checkpoint,
+    write=partial(saved_training, key="state_dict"),
     wrong={"pool.centroids": None, "WPCA.0.weight": None, "pool.conv.bias": (3, 3), "encoder.5.bias": (63,)},
     options=OPTIONS,
     refused=[("method.n_dimensions=7", {"n_dimensions": 7}, (49, 70))],

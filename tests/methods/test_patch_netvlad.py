@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import backbones_oracle as oracle
@@ -9,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 from described_images import drawn_images, encoded, image, pillow
-from published_networks import PublishedNetwork, saved, unit, with_checks
+from published_networks import PublishedNetwork, saved_training, unit, with_checks
 from scipy.stats import zscore
 from torch import nn
 
@@ -39,10 +40,6 @@ def drawn(clusters=3, components=10, encoder=None):
     }
 
 
-def written(path, tensors):
-    return saved(path, {"epoch": 9, "num_pcs": 10, "state_dict": dict(tensors)})
-
-
 def made(path="none", n_components=10, **arguments):
     arguments = {"components": dict.fromkeys(SIDES, n_components), "height": 144, "width": 160, **arguments}
     return PatchNetVLAD(weights=Weights("x", "", "", path=str(path)), **arguments)
@@ -66,7 +63,7 @@ NETWORK = PublishedNetwork(
     drawn_images((150, 170), (90, 90)),
     10 * (1 + 8 * 9 + 5 * 6 + 2 * 3),
     lambda tensors, image: described(tensors, pillow(image, 144, 160)).ravel(),
-    written,
+    partial(saved_training, key="state_dict"),
     arguments={"components": dict.fromkeys(SIDES, 10), "height": 144, "width": 160},
     wrong={"WPCA.0.weight": None, "pool.conv.bias": (3, 3)},
     alike_in_half=0.95,
@@ -118,7 +115,7 @@ def test_cancellation_as_published_is_had_on_request(tmp_path):
     def cosines(precision, decided):
         tensors = drawn()
         tensors["pool.conv.weight"] *= decided
-        path = written(tmp_path / "x.pth.tar", tensors)
+        path = NETWORK.write(tmp_path / "x.pth.tar", tensors)
         code = encoded(made(path, configuration="speed", precision=precision), seen).reshape(-1, 10)
         return (unit(code)[1:] * described(tensors, seen, (5,))[1:]).sum(1)
 

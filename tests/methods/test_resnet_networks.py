@@ -12,7 +12,7 @@ import torch
 from backbones_oracle import Draw, gem, imagenet, linear, prefixed, under
 from described_images import distance, drawn_images, encoded, pillow
 from PIL import Image as PillowImage
-from published_networks import PublishedNetwork, saved, with_checks
+from published_networks import PublishedNetwork, saved, saved_training, with_checks
 from sklearn.decomposition import PCA
 from torch.nn import functional
 
@@ -121,12 +121,6 @@ def draw_gcl(kind, pooling="GeM"):
     return backbone_checkpoint(Draw(len(kind)), kind) | ({"pool.p": torch.tensor([2.4])} if pooling == "GeM" else {})
 
 
-def written_by_gcl(path, tensors):
-    """Write what the authors' training writes."""
-    optimizer = {"state": {}, "param_groups": [{"lr": 0.1, "momentum": 0, "params": [0, 1]}]}
-    return saved(path, {"model_state_dict": dict(tensors), "step": 1300, "optimizer": optimizer})
-
-
 def described_by_gcl(tensors, seen, kind="vgg16", pooling="GeM", size=(64, 96)):
     x = backbone(tensors, kind, imagenet(pillow(seen, *size)), 30)
     return (gem(x, tensors["pool.p"]) if pooling == "GeM" else x.mean((2, 3)) if pooling == "avg" else x.amax((2, 3)))[
@@ -141,7 +135,7 @@ GCL = PublishedNetwork(
     drawn_images((131, 187), (64, 96), (131, 187), (70, 51)),
     512,
     described_by_gcl,
-    written_by_gcl,
+    saved_training,
     arguments={"height": 64, "width": 96, "backbone": "vgg16"},
     tolerance=1e-4,
     wrong={"pool.p": None, "backbone.30.weight": (3, 3), "backbone.0.weight": (64, 3, 5, 5)},
@@ -174,7 +168,7 @@ GCL = PublishedNetwork(
 )
 def test_other_backbones_and_poolings_of_gcl_are_those_of_the_published_layout(backbone, kind, pooling, folder):
     tensors, seen = draw_gcl(kind, pooling), GCL.images[0]
-    method = GCL.method(written_by_gcl(folder / "other.pth", tensors), backbone=backbone, pooling=pooling)
+    method = GCL.method(saved_training(folder / "other.pth", tensors), backbone=backbone, pooling=pooling)
     wanted = GCL.slowly(seen, tensors=tensors, kind=kind, pooling=pooling)
     assert distance(encoded(method, seen), wanted) < 1e-4
     if backbone == "resnet50":  # takes the smallest image

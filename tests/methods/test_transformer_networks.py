@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 import torch
 from backbones_oracle import Draw, imagenet, prefixed, under, vit_checkpoint, vit_tokens
-from cross_image_oracle import encoded_together, encoder_checkpoint
 from described_images import distance, encoded, image, pillow
 from published_networks import PublishedNetwork, saved, saved_training, unit, with_checks, without
 from safetensors.torch import save_file
@@ -132,6 +131,31 @@ MEGALOC = PublishedNetwork(
 
 CLUSTERS = 4
 SMALL, LARGE = ([image(*size, seed) for seed in range(5)] for size in ((56, 98), (224, 224)))
+
+
+def encoded_together(tensors, parts):
+    """What becomes of the parts (n_images, n_parts, dim) of images of which each sees all, by 16 heads.
+
+    Norms come after additions; tensors have the names of `torch.nn.TransformerEncoder`.
+    """
+    for number in range(2):
+        t = under(tensors, f"encoder.layers.{number}.")
+        together = parts.unbind(1)  # a part sees the same part of all images
+        seen = torch.stack([oracle.attention(t, "self_attn", part, part, 16) for part in together], 1)
+        parts = norm(t, "norm1", parts + seen)
+        inner = oracle.linear(t, "linear2", functional.gelu(oracle.linear(t, "linear1", parts)))
+        parts = norm(t, "norm2", parts + inner)
+    return parts
+
+
+def encoder_checkpoint(draw, dim, hidden):
+    """Random values, so large that images change one another."""
+    tensors = {}
+    for number in range(2):
+        layer = draw.attention("self_attn", dim) | draw.norm("norm1", dim) | draw.norm("norm2", dim)
+        layer |= draw.linear("linear1", dim, hidden) | draw.linear("linear2", hidden, dim)
+        tensors |= prefixed(f"encoder.layers.{number}.", layer)
+    return tensors
 
 
 def draw_supervlad():

@@ -219,7 +219,6 @@ def vgg16_checkpoint(draw, prefix=""):
 
 RESNETS = {  # blocks of each stage, groups, channels of a group in the first stage
     "resnet18": ((2, 2, 2, 2), 1, 64),
-    "resnet34": ((3, 4, 6, 3), 1, 64),
     "resnet50": ((3, 4, 6, 3), 1, 64),
     "resnet101": ((3, 4, 23, 3), 1, 64),
     "resnet152": ((3, 8, 36, 3), 1, 64),
@@ -242,7 +241,7 @@ def resnet(tensors, prefix, x):
 def resnet_checkpoint(draw, kind, prefix="", n_stages=4, numbered=True):
     """Random values under a ResNet's names, batch norms that do something, activations near 1."""
     blocks, groups, width = RESNETS[kind]
-    basic = kind in ("resnet18", "resnet34")
+    basic = kind == "resnet18"
     stem, norm, *stages = _resnet_names(numbered)
     tensors = _convolution(draw, stem, norm, 3, 64, 7)
     n_in = 64

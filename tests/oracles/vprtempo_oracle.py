@@ -65,15 +65,18 @@ def train_reference_output(w, positive, negative, pre_rates, inputs, labels, ord
 
 
 def train_separate_feature(
-    plus, minus, has_plus, has_minus, constant, theta, rates, inputs, order, stdp_rates, itp_rates, heaviside
+    plus, minus, has_plus, has_minus, constant, theta, rates, inputs, order, stdp_rates, itp_rates, heaviside, divided
 ):
-    """Return excitation, inhibition and thresholds; Eq. 5 counts spikes (`heaviside`) or adds amplitudes (v1.0.0)."""
+    """Return excitation, inhibition and thresholds; Eq. 5 counts spikes (`heaviside`) or adds amplitudes (v1.0.0).
+
+    Eq. 2 has its factor 1/f_j where it is `divided`.
+    """
     for image, eta, itp_eta in zip(order, stdp_rates, itp_rates, strict=True):
         x = np.asarray(inputs[image], dtype=np.float64)
         a = plus @ x - minus @ x + constant
         y = np.clip(a - theta, 0.0, TRAINING_CLIP)
         both_spike = np.outer(y > 0, x > 0)
-        change = (eta * (0.5 - y))[:, None]
+        change = (eta * (0.5 - y) / (rates if divided else 1))[:, None]
         plus = _limit_magnitude(np.where(has_plus & both_spike, plus + change, plus))
         minus = _limit_magnitude(np.where(has_minus & both_spike, minus + change, minus))
         activity = (y > 0).astype(np.float64) if heaviside else y

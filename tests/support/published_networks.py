@@ -27,9 +27,11 @@ def saved(path, tensors):
     return path
 
 
-def saved_training(path, tensors):
-    """Write a checkpoint of a training, which keeps recalls as numpy has them."""
-    return saved(path, {"model_state_dict": dict(tensors), "recalls": np.ones(4), "best_r5": np.float64(97.5)})
+def saved_training(path, tensors, key="model_state_dict"):
+    """Write a checkpoint of a training, which keeps its optimizer, and recalls as numpy has them."""
+    optimizer = {"state": {}, "param_groups": [{"lr": 0.1, "params": [0, 1]}]}
+    recalls = {"recalls": np.ones(4), "best_r5": np.float64(97.5)}
+    return saved(path, {key: dict(tensors), "epoch": 30, "optimizer": optimizer, "parallel": False, **recalls})
 
 
 def without(part):

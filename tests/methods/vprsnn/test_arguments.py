@@ -2,14 +2,12 @@
 
 import numpy as np
 import pytest
-from little_vprsnn import WORLD, fitted, images
+from little_vprsnn import fitted
 
 from vprbench.errors import BadInput
 from vprbench.methods.vprsnn.ensemble import VPRSNNEnsemble
 from vprbench.methods.vprsnn.method import VPRSNN
 from vprbench.plugins.entries import entries
-
-QUERIES = images(WORLD.queries)
 
 # The numbers of QVPR/VPRSNN, whose neurons spike above theta - 20 mV - 52 mV, and others that change what is learnt.
 NUMBERS = {

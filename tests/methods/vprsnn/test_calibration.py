@@ -110,7 +110,7 @@ def chosen(calibrated):
     [
         pytest.param(CANDIDATES, [0, 1], 3, id="the best recall"),
         pytest.param([6, 5, 3], [0, 1], 5, id="of equals the first"),
-        pytest.param([0, 1, 6], [0, 1], 0, id="none helps"),
+        pytest.param([1, 0, 6], [0, 1], 0, id="silence is wrong"),
         # Silencing neuron 2 makes place 1 the answer to the second query
         *((CANDIDATES, right, best) for right, best in (([1, 0], 0), ([0, 0], 0), ([1, 1], 3))),
     ],

@@ -48,25 +48,13 @@ def test_spikes_come_in_the_order_of_their_steps_and_of_each_input():
         np.testing.assert_array_equal(train.step[train.source == source], own)
 
 
-def same(one, other):
-    return all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
-
-
-def of_image(levels, seed=0):
-    return spike_train(levels, generator_of_image(seed, levels), 4.0, SHOWN, STEP_MS)
-
-
-def test_the_same_image_has_the_same_spikes_whatever_is_asked_before_it():
+def test_seeds_images_and_purposes_give_spikes_of_their_own_and_the_same_ones_again():
     image, other = np.random.default_rng(11).integers(0, 256, (2, 784), np.uint8)
-    before = of_image(image)
-    of_image(other)
-    assert same(of_image(image.copy()), before)
-    assert not same(of_image(other), before)
 
+    def firsts():
+        of_images = [generator_of_image(*key) for key in ((0, image), (1, image), (0, other))]
+        generators = of_images + [generator_for(*key) for key in ((0, 1), (0, 2), (1, 1), (0, 1, 0), (0,))]
+        return [tuple(generator.random(4)) for generator in generators]
 
-def test_seeds_and_purposes_give_spikes_of_their_own():
-    image = np.full(784, 127, np.uint8)
-    assert not same(of_image(image, 0), of_image(image, 1))
-    draws = [generator_for(*key).random(4).tolist() for key in ((0, 1), (0, 2), (1, 1), (0, 1, 0), (0,))]
-    assert len({tuple(draw) for draw in draws}) == 5
-    assert draws[0] == generator_for(0, 1).random(4).tolist()
+    assert len(set(firsts())) == 8
+    assert firsts() == firsts()

@@ -1,18 +1,14 @@
 """VPRSNN's published weights: every synapse finds its place, volts become millivolts, and nothing else is read."""
 
 import errno
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from little_vprsnn import SMALL, fitted, references
 
 from vprbench.errors import BadInput, NotThere
 from vprbench.methods.vprsnn.method import VPRSNN
 from vprbench.methods.vprsnn.published import files_of, read_modules
-
-Array = npt.NDArray[Any]
 
 INPUTS, NEURONS = 6, 4
 THETA_VOLTS = np.array([0.02, 0.035, 0.0, 0.0615])

@@ -228,17 +228,26 @@ def interrupt(trained, after, work):
     trained.numbers, trained.fatal = [], None
 
 
-def test_an_interrupted_training_trains_only_what_is_missing_also_in_other_threads(trainings, trained):
-    expected = fitted(20, epochs=2)
-    assert trained.numbers == [0, 1, 2, 3]
+@pytest.mark.parametrize(
+    ("work", "n_trained", "n_missing"),
+    [
+        pytest.param(lambda: fitted(20, epochs=2), 2, 2, id="training"),
+        pytest.param(lambda: VPRSNNEnsemble(**SMALL, seeds=[0, 10]).fit(*references(10)), 3, 1, id="ensemble"),
+        pytest.param(lambda: fitted().calibrate(held_out()), 2, 2, id="calibration"),  # after a map of one module
+    ],
+)
+def test_what_was_interrupted_trains_only_what_is_missing_also_in_other_threads(
+    trainings, trained, work, n_trained, n_missing
+):
+    expected = work().state()
     assert not list(trainings.iterdir())
     trained.numbers = []
-    interrupt(trained, 2, lambda: fitted(20, epochs=2))
+    interrupt(trained, n_trained, work)
     assert list(trainings.iterdir())
     torch.set_num_threads(2)
-    found = fitted(20, epochs=2)
-    assert sorted(trained.numbers) == [2, 3]
-    assert same(found.state(), expected.state())
+    found = work()
+    assert len(trained.numbers) == n_missing
+    assert same(found.state(), expected)
     assert not list(trainings.iterdir())
 
 
@@ -265,28 +274,6 @@ def test_a_training_that_is_interrupted_when_all_modules_are_trained_trains_none
     trained.numbers = []
     assert same(fitted(10, hyperactive_threshold=9).state(), expected)
     assert trained.numbers == []
-
-
-def test_an_ensemble_goes_on_with_the_members_that_it_had_trained(trainings, trained):
-    def fit():
-        return VPRSNNEnsemble(**SMALL, seeds=[0, 10]).fit(*references(10))
-
-    expected = fit().state()
-    trained.numbers = []
-    interrupt(trained, 3, fit)
-    assert same(fit().state(), expected)
-    assert trained.numbers == [1]
-
-
-def test_an_interrupted_calibration_trains_only_what_is_missing(trainings, trained):
-    expected = fitted().calibrate(held_out()).state()
-    found = fitted()
-    trained.numbers = []
-    interrupt(trained, 1, lambda: found.calibrate(held_out()))
-    found.calibrate(held_out())
-    assert len(trained.numbers) == 1
-    assert same(found.state(), expected)
-    assert not list(trainings.iterdir())
 
 
 def test_an_interrupted_calibration_belongs_to_its_map(monkeypatch):

@@ -9,7 +9,6 @@ import importlib.util
 import os
 import subprocess
 import sys
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -63,10 +62,6 @@ ALL = {
     MANY: Case(sizes=(40, 40, 20), n_pixels=100, n_features=300),
     **{name: Case(rules, stdp=1e38) for name, rules in zip(OVERFLOWING, RULES, strict=True)},
 }
-
-Trained = dict[str, torch.Tensor]
-Found = Callable[[str], tuple[Trained, list[float]]]  # of a case, with the progress reported
-Report = Callable[[float], None]
 
 
 def spikes(case):

@@ -1,6 +1,5 @@
 """VPRTempo in 8 bits: its numbers against the scheme written down once more, and how near the float network is."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -29,7 +28,6 @@ from vprbench.methods.vprtempo.int8 import VPRTempoEnsembleInt8, VPRTempoInt8
 from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.methods.vprtempo.network import Network
 from vprbench.methods.vprtempo.quantised import Int8LinearQuery, Int8SpikingQuery
-from vprbench.methods.vprtempo.query import Query
 from vprbench.methods.vprtempo.rules import PAPER, V1
 
 
@@ -115,7 +113,6 @@ KINDS = pytest.mark.parametrize(
     [lambda n: Int8SpikingQuery(n, PAPER), lambda n: Int8SpikingQuery(n, V1), lambda n: Int8LinearQuery([n])],
     ids=["paper", "v1", "linear"],
 )
-Make = Callable[[Network], Query]
 
 
 @KINDS

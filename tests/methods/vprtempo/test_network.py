@@ -3,15 +3,12 @@
 from functools import cache
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 import torch
 from tempo_networks import QUERIES, REFERENCES, RULE_SETS, SMALL, WORLD, fitted
 
 from vprbench.errors import BadInput, NotFittedError
 from vprbench.methods.vprtempo.method import VPRTempo
-
-Arrays = dict[str, npt.NDArray[np.float32]]
 
 SIDE = SMALL["height"]
 
@@ -20,24 +17,7 @@ def method(**arguments):
     return VPRTempo(**{**SMALL, **arguments})
 
 
-@pytest.mark.parametrize(("rules", "max_module"), [("paper", 8), ("reference", 8), ("v1", 8), ("reference", 1)])
-def test_a_restored_network_scores_to_the_bit_as_the_trained_one(rules, max_module):
-    trained = fitted(rules=rules, max_module=max_module)
-    state = {name: array.copy() for name, array in trained.state().items()}
-    assert len(state) == 3 + 2 * -(-20 // max_module)
-    for array in state.values():
-        array.flags.writeable = False
-    restored = method(rules=rules, max_module=max_module).restore(state)
-    assert {name: array.tobytes() for name, array in restored.state().items()} == {
-        name: array.tobytes() for name, array in state.items()
-    }
-    for array in state.values():
-        array.flags.writeable = True
-        array[:] = 7  # which the network does not follow
-    assert np.array_equal(restored.query(QUERIES), trained.query(QUERIES))
-
-
-def test_the_arrays_are_the_layers_of_each_module_without_padding_contiguous_and_float32():
+def test_the_arrays_are_the_layers_of_each_module_without_padding_and_a_restored_network_follows_none_of_them():
     n_pixels, n_features, state = SIDE * SIDE, 2 * SIDE * SIDE, fitted().state()
     features = {"features": (3, n_features, n_pixels)}
     per_feature = dict.fromkeys(("constant", "feature_thresholds"), (3, n_features))
@@ -45,15 +25,15 @@ def test_the_arrays_are_the_layers_of_each_module_without_padding_contiguous_and
     thresholds = {f"output_thresholds_{module}": (size,) for module, size in enumerate([7, 7, 6])}
     assert {name: array.shape for name, array in state.items()} == features | per_feature | outputs | thresholds
     assert all(array.dtype == np.float32 and array.flags.c_contiguous for array in state.values())
-
-
-def test_restoring_and_training_forget_the_network_before():
-    wanted, restored = fitted(seed=1), method(seed=1)
-    for other in (fitted(), wanted):
-        restored.restore(other.state())
-    assert np.array_equal(restored.query(QUERIES), wanted.query(QUERIES))
-    restored.restore(fitted().state()).fit(REFERENCES, WORLD.places)
-    assert np.array_equal(restored.query(QUERIES), wanted.query(QUERIES))
+    copies = {name: array.copy() for name, array in state.items()}
+    for array in copies.values():
+        array.flags.writeable = False
+    restored = method().restore(copies)
+    for array in copies.values():
+        array.flags.writeable = True
+        array[:] = 7
+    assert all(np.array_equal(array, state[name]) for name, array in restored.state().items())
+    assert np.array_equal(restored.query(QUERIES), fitted().query(QUERIES))
 
 
 def little():
@@ -107,13 +87,6 @@ def test_an_array_of_another_shape_or_without_finite_values_is_refused(name):
 def test_a_network_of_no_places_or_no_features_is_refused():
     refusal({name: array[:0] if name.startswith("output") else array for name, array in little().items()})
     refusal({name: array if "output_" in name else array[:, :0] for name, array in little().items()})
-
-
-@pytest.mark.parametrize("published", [False, True])
-def test_another_number_of_pixels_is_refused_with_both(published):
-    line = refusal(flat(checkpoint()) if published else little(), height=28, width=27)
-    assert "144 inputs, not the 756" in line
-    assert "method.height=28 x method.width=27" in line
 
 
 N_FEATURES = 10
@@ -180,15 +153,6 @@ def test_keys_that_a_published_network_lacks_or_should_not_have_are_named():
 
 
 def test_published_layers_that_do_not_fit_each_other_are_refused():
-    for name, shape in (
-        ("feature_layer.w.weight", (N_FEATURES,)),
-        ("feature_layer.thr", (1, N_FEATURES + 1)),
-        ("output_layer.w.weight", (4, N_FEATURES - 1)),
-        ("output_layer.w.weight", (4,)),
-        ("output_layer.thr", (1, 5)),
-    ):
-        line = refusal({**flat(checkpoint((4,))), f"model_0.{name}": np.zeros(shape, np.float32)})
-        assert str(shape[-1]) in line
     content = {**checkpoint((8,)), "model_1": checkpoint((8, 4), N_FEATURES + 1)["model_1"]}
     assert "feature layers" in refusal(flat(content))
     content = checkpoint()
