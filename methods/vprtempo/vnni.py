@@ -39,11 +39,12 @@ def single_input_map(
     """
     n_out, n_in = steps.shape
     padded = np.pad(steps, ((0, -n_out % _ROWS), (0, -n_in % _WIDTH)))
+    in_reading_order = padded.reshape(-1, _ROWS, padded.shape[1] // _WIDTH, _WIDTH).swapaxes(1, 2).copy()
 
     def net_input(levels: npt.NDArray[np.uint8]) -> Floats:
         own, net = np.zeros(padded.shape[1], np.uint8), np.empty(n_out, np.float32)
         own[:n_in] = levels
-        _write_net_input(own, padded, factor, bias, net)
+        _write_net_input(own, in_reading_order, factor, bias, net)
         return net
 
     return net_input
@@ -51,7 +52,7 @@ def single_input_map(
 
 @intrinsic
 def _sum_products(typing_context, levels, steps, sums):  # type: ignore[no-untyped-def]
-    """Write the products of levels (n,) and steps (_ROWS, n), summed over every fourth four, to `sums` (_ROWS, _LANES).
+    """Write products of levels (n,) and steps (n / _WIDTH, _ROWS, _WIDTH), summed in lanes, to `sums` (_ROWS, _LANES).
 
     Spelt out in vectors: from a loop over numbers LLVM makes code that takes three times as long.
     """
@@ -67,8 +68,8 @@ def _sum_products(typing_context, levels, steps, sums):  # type: ignore[no-untyp
         with cgutils.for_range(builder, length) as place:
             own = builder.load(builder.gep(level, [place.index]), align=1)
             for row, so_far in enumerate(added):
-                start = builder.add(builder.mul(_INT64(row), length), place.index)
-                weights = builder.load(builder.gep(step, [start]), align=1)
+                at = builder.add(builder.mul(place.index, _INT64(_ROWS)), _INT64(row))
+                weights = builder.load(builder.gep(step, [at]), align=1)
                 builder.store(builder.call(_ADD_PRODUCTS, [builder.load(so_far), own, weights]), so_far)
         for row, so_far in enumerate(added):
             builder.store(builder.load(so_far), builder.gep(total, [_INT64(row)]), align=4)
@@ -81,10 +82,10 @@ def _sum_products(typing_context, levels, steps, sums):  # type: ignore[no-untyp
 def _write_net_input(levels, steps, factor, bias, net):  # type: ignore[no-untyped-def]
     """Write the net input and the bias of neurons, (n_out,); levels and steps are padded by zeros."""
     sums = np.empty((_ROWS, _LANES), np.int32)
-    for first in range(0, len(steps), _ROWS):
-        _sum_products(levels, steps[first : first + _ROWS], sums)  # type: ignore[call-arg]
-        for row in range(min(_ROWS, len(net) - first)):
-            neuron = first + row
+    for block in range(len(steps)):
+        _sum_products(levels, steps[block], sums)  # type: ignore[call-arg]
+        for row in range(min(_ROWS, len(net) - block * _ROWS)):
+            neuron = block * _ROWS + row
             net[neuron] = np.float32(sums[row].sum()) * factor[neuron] + bias[neuron]
 
 
