@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 
 import numpy as np
@@ -20,6 +21,7 @@ from .rules import Rules
 _LEVELS = np.float32(255)  # of an activation
 _STEPS = np.float32(127)  # of a weight to either side of 0
 MOST_INPUTS = 2**31 // (255 * 127)  # of a neuron, whose sums 32 bits hold
+_WORTH_THREADS = 16  # queries: fewer are answered before a thread has started
 _FEW = 0.02  # of the synapses, up to which those that exist are read alone
 
 
@@ -30,13 +32,12 @@ class _Layer:
         """Quantise `weights` (n_out, n_in), a row at a time, for inputs from 0 to `most`; `bias` is (n_out,)."""
         step = np.maximum(np.abs(weights).max(1), np.finfo(np.float32).tiny) / _STEPS
         steps = np.ascontiguousarray(np.rint(weights / step[:, None]), np.int8)
-        self._size = steps.size
+        self.n_weights = steps.size  # of synapses that exist or not
         factor = np.asarray(step * (most / _LEVELS), np.float32)  # of a sum of steps times levels
         self._map = _by_synapses(steps, factor, bias) or _affine_map(steps, factor, bias)
 
     def __call__(self, levels: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
         """Return (n_queries, n_out) of the input's levels (n_queries, n_in)."""
-        takes(len(levels) * self._size, kind="int8")
         return self._map(levels)
 
 
@@ -61,15 +62,13 @@ def _by_synapses(steps: npt.NDArray[np.int8], factor: Floats, bias: Floats) -> M
 def _affine_map(steps: npt.NDArray[np.int8], factor: Floats, bias: Floats) -> Map:
     """Return the map by `steps` (n_out, n_in), times `factor`, plus `bias`, in the fastest way that is exact here.
 
-    oneDNN's 8-bit product is exact with VNNI. Without, x86 adds pairs of products in 16 bits, which hold those of half
-    steps: each step is then two halves, which read the same level.
+    Without AVX-512 VNNI it is oneDNN's 8-bit product, exact with another VNNI. Without any, x86 adds pairs of products
+    in 16 bits, which hold those of half steps: each step is then two halves, which read the same level.
     """
+    if vnni.AVAILABLE:
+        return vnni.affine_map(steps, factor, bias)
     parts = 1 if _is_exact(1) else 2 if _is_exact(2) else 0
-    many = _by_onednn(steps, factor, bias, parts) if parts else _by_loops(steps, factor, bias)
-    if not vnni.AVAILABLE:
-        return many
-    one = vnni.single_input_map(steps, factor, bias)
-    return lambda levels: one(levels[0])[None] if len(levels) == 1 else many(levels)
+    return _by_onednn(steps, factor, bias, parts) if parts else _by_loops(steps, factor, bias)
 
 
 def _by_loops(steps: npt.NDArray[np.int8], factor: Floats, bias: Floats) -> Map:
@@ -121,7 +120,8 @@ class Int8LinearQuery:
 
     def scores(self, spikes: npt.NDArray[np.float32]) -> Scores:
         """Return the state of every place's output neuron."""
-        return self._layer(_levels(spikes, np.float32(1)))
+        takes(len(spikes) * self._layer.n_weights, kind="int8")
+        return _in_threads(lambda own: self._layer(_levels(own, np.float32(1))), spikes)
 
 
 class Int8SpikingQuery:
@@ -142,7 +142,9 @@ class Int8SpikingQuery:
 
     def scores(self, spikes: npt.NDArray[np.float32]) -> Scores:
         """Return the state of every place's output neuron."""
-        return self._fired(self._feature_levels(spikes))
+        weights = sum(layer.n_weights for layer in (self._features, *self._outputs))
+        takes(len(spikes) * weights, kind="int8")
+        return _in_threads(lambda own: self._fired(self._feature_levels(own)), spikes)
 
     def layers(self, spikes: npt.NDArray[np.float32]) -> tuple[Amplitudes, Amplitudes]:
         """Return the spikes of the feature neurons, all modules side by side, and of the output neurons."""
@@ -166,6 +168,15 @@ class Int8SpikingQuery:
             silent = np.flatnonzero(~fires)
             scores[silent, parts[0][silent, : self._first_module].argmax(1)] = 0.5
         return scores
+
+
+def _in_threads(ask: Callable[[Amplitudes], Scores], spikes: Amplitudes) -> Scores:
+    """Return what `ask` answers to input spikes, (n_queries, n_places), in all threads if it computes in its own."""
+    threads = torch.get_num_threads() if vnni.AVAILABLE and len(spikes) >= _WORTH_THREADS else 1
+    if threads == 1:
+        return ask(spikes)
+    with ThreadPoolExecutor(threads) as pool:
+        return np.concatenate(list(pool.map(ask, np.array_split(spikes, threads))))
 
 
 def _levels(activation: npt.NDArray[np.float32], most: np.float32) -> npt.NDArray[np.uint8]:

@@ -119,7 +119,11 @@ KINDS = pytest.mark.parametrize(
 @pytest.mark.parametrize(
     ("sizes", "n_features", "n_pixels"), [([5, 5, 3], 37, 20), ([6, 3], 2, 2), ([2, 1], 9, 64), ([6, 3], 130, 65)]
 )
-def test_a_query_scores_in_a_batch_of_any_size_to_the_bit_as_alone(sizes, n_features, n_pixels, make):
+@pytest.mark.parametrize("threads", [1, 3])
+def test_a_query_scores_in_a_batch_of_any_size_to_the_bit_as_alone(
+    sizes, n_features, n_pixels, make, threads, monkeypatch
+):
+    monkeypatch.setattr(torch, "get_num_threads", lambda: threads)
     query = make(network(sizes, n_features, n_pixels))
     for count in (1, 7, 8, 9, 100):
         spikes = shown(count, n_pixels)
