@@ -13,7 +13,7 @@ from checkout import ROOT
 
 from vprbench import api
 from vprbench.api.dataset import Dataset
-from vprbench.api.descriptor import DescriptorMethod, best_image_of_place
+from vprbench.api.descriptor import DescriptorMethod
 from vprbench.api.images import Images
 from vprbench.api.method import batch_size_for
 from vprbench.api.search import Audit
@@ -148,19 +148,6 @@ def test_an_audit_counts_what_an_index_finds_of_the_best_through_a_methods_own_m
     assert method.searched is index
     exact = Drawn(32).fit(drawn(30), np.arange(30))
     assert exact.audit(exact.encode(drawn(3))) == Audit(1, 1)
-
-
-@pytest.mark.parametrize("places", [[0, 1, 2], [2, 0, 1], [0, 1, 0, 1], [1, 1, 1, 0, 2, 0], [0] * 5])
-def test_a_place_is_worth_its_most_similar_image(places):
-    similarity = np.random.default_rng(0).normal(-9, 1, (6, len(places))).astype(np.float32)
-    similarity[0] = -np.inf  # no candidate
-    expected = [
-        [max(row[i] for i in range(len(places)) if places[i] == place) for place in range(max(places) + 1)]
-        for row in similarity
-    ]
-    for n in (6, 0):
-        found = best_image_of_place(similarity[:n], np.array(places))
-        assert (found.tolist(), found.shape[1]) == (np.array(expected)[:n].tolist(), max(places) + 1)
 
 
 @pytest.mark.parametrize(

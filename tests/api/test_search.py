@@ -334,12 +334,17 @@ def test_scores_are_minus_the_bits_that_differ(n_words):
     assert BinaryMap(packed(bits), np.arange(2)).scores(packed(bits)).tolist() == [[0, -19200], [-19200, 0]]
 
 
-def test_a_place_costs_all_of_its_images_in_whole_words_and_codes_of_another_kind_are_refused():
-    references, queries = drawn(30, 3, 1)[:, :130], drawn(4, 3, 2)[:, :130]
-    known = BinaryMap(packed(references), np.arange(30) % 10)
-    wanted = counted(queries, references).reshape(4, 3, 10).max(1)
-    assert np.array_equal(known.scores(packed(queries)), wanted)
-    assert known.bytes_per_place == 3 * 3 * 8
+@pytest.mark.parametrize("layout", layouts(8))
+def test_a_place_is_worth_its_most_similar_image_and_costs_all_of_them_in_whole_words(layout):
+    references, queries, places = drawn(30, 3, 1)[:, :130], drawn(4, 3, 2)[:, :130], layouts(30)[layout]
+    known, products = BinaryMap(packed(references), places), counted(queries, references)
+    wanted = np.stack([products[:, places == place].max(1) for place in range(places.max() + 1)], axis=1)
+    for n_queries in (0, 4):
+        assert np.array_equal(known.scores(packed(queries[:n_queries])), wanted[:n_queries])
+    assert known.bytes_per_place == 30 * 3 * 8 // (places.max() + 1)
+
+
+def test_bits_of_another_kind_are_refused():
     known = BinaryMap(packed(drawn(3, 2, 1)), np.arange(3))
     with pytest.raises(ValueError, match=re.escape("uint64 (5, 1) came; this map compares uint64 (n_queries, 2)")):
         known.scores(packed(drawn(5, 1, 2)))

@@ -13,6 +13,7 @@ import pytest
 from archive_files import special, tarred, zipped
 from checkout import SHARED
 from filelock import FileLock
+from image_folders import answer
 
 from vprbench.data.fetch import command
 from vprbench.data.fetch.command import Settings, fetch, fetch_command
@@ -361,6 +362,4 @@ def test_an_entry_is_named_and_described_by_its_file_and_a_broken_one_named_in_o
     assert (entry.name, entry.folder, entry.description) == ("little", "little", "A little journey")
     assert entry.parts["all"].unpack.strip == 0
     (tmp_path / "little.yaml").write_text(text)
-    with pytest.raises(BadInput, match=message) as caught:
-        read(tmp_path / "little.yaml")
-    assert "\n" not in str(caught.value)
+    assert re.search(message, answer(read, tmp_path / "little.yaml"))

@@ -31,37 +31,30 @@ def small_chunks(monkeypatch):
     monkeypatch.setattr(event_files, "_CHUNK", 64)
 
 
-def dsec(file):
-    group = file.create_group("events")
-    for name, column in {"t": EVENTS.t - 5_000_000, "x": EVENTS.x, "y": EVENTS.y, "p": EVENTS.p.astype("u1")}.items():
-        group.create_dataset(name, data=column, chunks=(100,), compression="gzip")
-    file["t_offset"] = 5_000_000
+ROWS = np.zeros(500, [("x", "<u2"), ("y", "<u2"), ("p", "<i2"), ("t", "<i8")])
+ROWS["x"], ROWS["y"], ROWS["p"], ROWS["t"] = EVENTS.x, EVENTS.y, EVENTS.p, EVENTS.t
+X_Y, SINCE_1970 = {"x": EVENTS.x, "y": EVENTS.y}, 1_600_000_000_000_000
+LAYOUTS = {
+    "dsec": {
+        **{f"events/{name}": column for name, column in X_Y.items()},
+        **{"events/t": EVENTS.t - 5_000_000, "events/p": EVENTS.p.astype("u1"), "t_offset": 5_000_000},
+    },
+    "seconds": {
+        **{"davis/left/xs": EVENTS.x, "davis/left/ys": EVENTS.y, "davis/left/ts": EVENTS.t / 1e6},
+        **{"davis/left/ps": EVENTS.p * 2 - 1, "davis/left/image": np.zeros((3, 4))},
+    },
+    "table": {"CD/events": ROWS, "EXT_TRIGGER/events": ROWS[:3]},
+    "nanoseconds": {**X_Y, "t": (EVENTS.t + SINCE_1970) * 1000, "polarity": EVENTS.p},
+}
 
 
-def seconds(file):
-    for name, column in {"xs": EVENTS.x, "ys": EVENTS.y, "ts": EVENTS.t / 1e6, "ps": EVENTS.p * 2 - 1}.items():
-        file[f"davis/left/{name}"] = column
-    file["davis/left/image"] = np.zeros((3, 4))
-
-
-def table(file):
-    rows = np.zeros(500, [("x", "<u2"), ("y", "<u2"), ("p", "<i2"), ("t", "<i8")])
-    rows["x"], rows["y"], rows["p"], rows["t"] = EVENTS.x, EVENTS.y, EVENTS.p, EVENTS.t
-    file["CD/events"] = rows
-    file["EXT_TRIGGER/events"] = rows[:3]
-
-
-def nanoseconds(file):
-    file["t"] = EVENTS.t * 1000 + 1_600_000_000_000_000_000
-    file["x"], file["y"], file["polarity"] = EVENTS.x, EVENTS.y, EVENTS.p
-
-
-@pytest.mark.parametrize("layout", [dsec, seconds, table, nanoseconds])
+@pytest.mark.parametrize("layout", LAYOUTS)
 def test_layouts_of_hdf5_are_found_by_name(layout, tmp_path):
     h5py = pytest.importorskip("h5py")
     with h5py.File(tmp_path / "drive.h5", "w") as file:
-        layout(file)
-    since = 1_600_000_000_000_000 if layout is nanoseconds else 0
+        for name, column in LAYOUTS[layout].items():
+            file[name] = column
+    since = SINCE_1970 if layout == "nanoseconds" else 0
     assert same(joined(events_in(tmp_path / "drive.h5")), replace(EVENTS, t=EVENTS.t + since))
 
 

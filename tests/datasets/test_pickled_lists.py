@@ -15,16 +15,10 @@ ADVICE = "get it again"
 WANTED = [[0, [0, 1]], [1, []], [2, [1, 2, 700]]]
 
 
-@pytest.fixture
-def write(tmp_path):
-    """A function that writes a file and returns its path."""
-
-    def write(content):
-        path = tmp_path / "ground_truth_new.npy"
-        path.write_bytes(content)
-        return path
-
-    return write
+def write(folder, content):
+    path = folder / "ground_truth_new.npy"
+    path.write_bytes(content)
+    return path
 
 
 def refusal(path):
@@ -53,28 +47,28 @@ def held(kind):
 
 
 @pytest.mark.parametrize("kind", ["lists", "numpy numbers", "arrays", "rows of lists", "columns first", "a list"])
-def test_a_bare_pickle_of_every_protocol_and_a_file_that_numpy_wrote_are_read(write, kind):
+def test_a_bare_pickle_of_every_protocol_and_a_file_that_numpy_wrote_are_read(tmp_path, kind):
     for protocol in range(6):
         content = pickle.dumps(held(kind), protocol=protocol)
-        assert read_lists(write(content), ADVICE) == WANTED
+        assert read_lists(write(tmp_path, content), ADVICE) == WANTED
         older = content.replace(b"numpy._core.", b"numpy.core.")
         if protocol in (1, 2):  # which state no length of these names
-            assert read_lists(write(older), ADVICE) == WANTED
+            assert read_lists(write(tmp_path, older), ADVICE) == WANTED
     for version in [(1, 0), (2, 0)] if kind != "a list" else []:
-        with write(b"").open("wb") as file:
+        with write(tmp_path, b"").open("wb") as file:
             np.lib.format.write_array(file, held(kind), version=version, allow_pickle=True)
         assert read_lists(Path(file.name), ADVICE) == WANTED
 
 
-def test_bytes_that_python_2_wrote_as_text_are_numbers(write):
+def test_bytes_that_python_2_wrote_as_text_are_numbers(tmp_path):
     # array([5, 200]) as int16, protocol 2, the bytes as SHORT_BINSTRING: 05 00 c8 00
     content = (
         b"\x80\x02]q\x00cnumpy.core.multiarray\n_reconstruct\nq\x01cnumpy\nndarray\nq\x02K\x00\x85q\x03U\x01bq\x04"
         b"\x87Rq\x05(K\x01K\x02\x85q\x06cnumpy\ndtype\nq\x07U\x02i2K\x00K\x01\x87Rq\x08(K\x03U\x01<NNN"
         b"J\xff\xff\xff\xffJ\xff\xff\xff\xffK\x00tb\x89U\x04\x05\x00\xc8\x00tba."
     )
-    assert read_lists(write(content), ADVICE) == [[5, 200]]
-    path = write(b"")
+    assert read_lists(write(tmp_path, content), ADVICE) == [[5, 200]]
+    path = write(tmp_path, b"")
     np.save(path, np.zeros((3, 2)))
     assert "plain numbers" in refusal(path)
 
@@ -144,6 +138,6 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("kind", REFUSED)
-def test_a_file_that_asks_for_more_than_numbers_would_fill_the_memory_or_is_no_list_is_refused(write, kind):
+def test_a_file_that_asks_for_more_than_numbers_would_fill_the_memory_or_is_no_list_is_refused(tmp_path, kind):
     content, told = REFUSED[kind]
-    assert told in refusal(write(content))
+    assert told in refusal(write(tmp_path, content))

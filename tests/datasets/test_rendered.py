@@ -86,19 +86,6 @@ def shown(images):
     return [int(frame[0, 0, 1]) for frame in images]
 
 
-@pytest.mark.parametrize(
-    ("asked", "expected"),
-    [
-        ({}, [2, 3, 4, 5, 6, 7]),
-        ({"places": 3}, [1, 2]),  # a quarter, rounded
-        ({"first_query_place": 7}, [7]),
-        ({"query_places": 3}, [2, 3, 4]),
-    ],
-)
-def test_first_query_place_and_number_of_queries_are_kept_when_given(asked, expected):
-    assert shown(little_journey(**asked).queries) == expected
-
-
 def test_frames_are_painted_by_the_seed_places_set_aside_left_out_and_damage_on_purpose_shifts_the_queries():
     # numpy's RandomState(42) draws of eight places first 1, then 5, then 0.
     dataset = little_journey(references=["midday", "dawn"], first_query_place=3, protocol="vprsnn")
@@ -115,6 +102,7 @@ def test_frames_are_painted_by_the_seed_places_set_aside_left_out_and_damage_on_
     assert painted.queries[1][0, 0].tolist() == [9, 3, len("dawn")]
     assert (painted.protocol["renderer"], painted.held_out.in_map, painted.place_numbers) == (7, True, None)
     assert little_journey(first_query_place=0).held_out is None
+    assert shown(little_journey(places=3).queries) == [1, 2]  # a quarter is not queried, rounded
     dataset = little_journey(query_shift=-2, unanswerable=2)
     assert shown(dataset.queries) == [0, 1, 2, 3, 4, 5, 110, 111]
     assert [right.tolist() for right in dataset.positives] == [[2], [3], [4], [5], [6], [7], [], []]

@@ -104,7 +104,6 @@ def test_the_table_is_found_in_the_root_or_where_the_option_says(tmp_path, folde
 @pytest.fixture
 def root(tmp_path, monkeypatch):
     monkeypatch.setattr(robotcar, "STEREO_LEFT", frames.SMALL)
-    monkeypatch.setenv("VPRBENCH_DATA", str(tmp_path / "no-downloads"))
     return frames.write_download(tmp_path / "robotcar")
 
 

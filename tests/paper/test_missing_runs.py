@@ -4,7 +4,6 @@ import io
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -31,9 +30,6 @@ def a_wish(row=SAD, seed=0, **changes):
 
 def fill(wishes, store, options=()):
     return missing_runs.fill(wishes, options, store, lambda options: composed(list(options)))
-
-
-Children = Callable[..., list[list[str]]]
 
 
 @pytest.fixture

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import pytest
+from assembled import tempo
 from stored_runs import ABACUS, LOOM, PUBLIC, RAIL, RAILWAY, SAD, STREET, TOWN, VPRTEMPO, failure, run
 
 from vprbench.paper.selection import (
@@ -18,10 +19,6 @@ from vprbench.paper.selection import (
 
 ROWS = (SAD, VPRTEMPO, PUBLIC)
 FOGGY = ResolvedColumn(RAIL.planned, {**RAILWAY, "fog": 0.5, "root": None})
-
-
-def tempo(seed=0, **changes):
-    return run("vprtempo", seed, **changes)
 
 
 def lost(seed=0, *more, **changes):

@@ -4,11 +4,13 @@ import errno
 import subprocess
 import sys
 from dataclasses import dataclass, field, fields, replace
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
 import pytest
 from described_images import composed
+from image_folders import answer
 from little import journey
 from little_runs import quiet_surroundings
 from omegaconf import OmegaConf
@@ -174,13 +176,7 @@ def test_an_option_that_does_not_fit_is_refused_by_its_name_and_what_json_cannot
 # What a dataset plug-in returns
 
 WHOLE = journey(4, 3)
-
-
-def refusal(config):
-    with pytest.raises(BadInput) as error:
-        registry.make_dataset(config)
-    assert "\n" not in str(error.value)
-    return str(error.value)
+refusal = partial(answer, registry.make_dataset)
 
 
 def test_what_is_no_dataset_is_refused(monkeypatch):
