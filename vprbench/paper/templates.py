@@ -49,5 +49,6 @@ def document(template: str, **values: Any) -> str:
 
 def sentences(template: str, macro: str, *values: Any, **named: Any) -> list[str]:
     """Return the sentences that a macro of a template makes of its values: its lines that are not empty."""
-    made = str(getattr(ENVIRONMENT.get_template(template).module, macro)(*values, **named))
+    module = ENVIRONMENT.get_template(template).make_module()  # `module` keeps the globals that its first use found
+    made = str(getattr(module, macro)(*values, **named))
     return [line.strip() for line in made.split("\n") if line.strip()]
