@@ -32,17 +32,21 @@ class _Layer:
         """Quantise `weights` (n_out, n_in), a row at a time, for inputs from 0 to `most`; `bias` is (n_out,)."""
         step = np.maximum(np.abs(weights).max(1), np.finfo(np.float32).tiny) / _STEPS
         steps = np.ascontiguousarray(np.rint(weights / step[:, None]), np.int8)
+        self.n_out = len(steps)
         self.n_weights = steps.size  # of synapses that exist or not
         factor = np.asarray(step * (most / _LEVELS), np.float32)  # of a sum of steps times levels
         self._map = _by_synapses(steps, factor, bias) or _affine_map(steps, factor, bias)
 
-    def __call__(self, levels: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
-        """Return (n_queries, n_out) of the input's levels (n_queries, n_in)."""
-        return self._map(levels)
+    def __call__(self, levels: Levels, net: Floats | None = None) -> Floats:
+        """Return (n_queries, n_out) of the input's levels (n_queries, n_in), written to `net` if it is given."""
+        written = np.empty((len(levels), self.n_out), np.float32) if net is None else net
+        self._map(levels, written)
+        return written
 
 
+Levels = npt.NDArray[np.uint8]  # (n_queries, n)
 Floats = npt.NDArray[np.float32]  # (n_out,), or (n_queries, n_out)
-Map = Callable[[npt.NDArray[np.uint8]], Floats]  # of levels (n_queries, n_in) to (n_queries, n_out)
+Map = Callable[[Levels, Floats], None]  # writes what levels (n_queries, n_in) give to (n_queries, n_out)
 
 
 def _by_synapses(steps: npt.NDArray[np.int8], factor: Floats, bias: Floats) -> Map | None:
@@ -51,12 +55,7 @@ def _by_synapses(steps: npt.NDArray[np.int8], factor: Floats, bias: Floats) -> M
     if synapses is None:
         return None
 
-    def by_synapses(levels: npt.NDArray[np.uint8]) -> Floats:
-        net = np.empty((len(levels), len(bias)), np.float32)
-        _add_synapses(*synapses, factor, bias, levels, net)
-        return net
-
-    return by_synapses
+    return lambda levels, net: _add_synapses(*synapses, factor, bias, levels, net)
 
 
 def _affine_map(steps: npt.NDArray[np.int8], factor: Floats, bias: Floats) -> Map:
@@ -74,10 +73,10 @@ def _affine_map(steps: npt.NDArray[np.int8], factor: Floats, bias: Floats) -> Ma
 def _by_loops(steps: npt.NDArray[np.int8], factor: Floats, bias: Floats) -> Map:
     """Return the map by sums of our own."""
 
-    def by_loops(levels: npt.NDArray[np.uint8]) -> Floats:
+    def by_loops(levels: Levels, net: Floats) -> None:
         sums = np.empty((len(levels), len(steps)), np.int32)
         _multiply(steps, levels, sums)
-        return np.asarray(sums * factor + bias, np.float32)
+        net[:] = sums * factor + bias
 
     return by_loops
 
@@ -90,10 +89,9 @@ def _by_onednn(steps: npt.NDArray[np.int8], factor: Floats, bias: Floats, parts:
     scales = torch.tensor(factor), torch.zeros(n_out, dtype=torch.int32), torch.tensor(bias)
     rest: tuple[object, ...] = (packed, *scales, 1.0, 0, torch.float32, "none", [], "")
 
-    def by_onednn(levels: npt.NDArray[np.uint8]) -> Floats:
+    def by_onednn(levels: Levels, net: Floats) -> None:
         given = torch.from_numpy(levels if parts == 1 else np.concatenate([levels] * parts, axis=1))
-        net: Floats = torch.ops.onednn.qlinear_pointwise(given, 1.0, 0, *rest).numpy()
-        return net
+        net[:] = torch.ops.onednn.qlinear_pointwise(given, 1.0, 0, *rest).numpy()
 
     return by_onednn
 
@@ -107,7 +105,12 @@ def _is_exact(parts: int) -> bool:
         product = _by_onednn(steps, np.ones(16, np.float32), np.zeros(16, np.float32), parts)
     except (AttributeError, RuntimeError):  # a PyTorch without oneDNN
         return False
-    return all(np.array_equal(product(some), some.astype(int) @ steps.T.astype(int)) for some in (levels[:1], levels))
+    for some in (levels[:1], levels):
+        found = np.empty((len(some), 16), np.float32)
+        product(some, found)
+        if not np.array_equal(found, some.astype(int) @ steps.T.astype(int)):
+            return False
+    return True
 
 
 class Int8LinearQuery:
@@ -121,7 +124,9 @@ class Int8LinearQuery:
     def scores(self, spikes: npt.NDArray[np.float32]) -> Scores:
         """Return the state of every place's output neuron."""
         takes(len(spikes) * self._layer.n_weights, kind="int8")
-        return _in_threads(lambda own: self._layer(_levels(own, np.float32(1))), spikes)
+        scores = np.empty((len(spikes), self._layer.n_out), np.float32)
+        _in_threads(lambda own, written: self._layer(_levels(own, np.float32(1)), written), spikes, scores)
+        return scores
 
 
 class Int8SpikingQuery:
@@ -137,49 +142,46 @@ class Int8SpikingQuery:
             _Layer(weights.T.cpu().numpy(), -thresholds.cpu().numpy(), self._clip)
             for weights, thresholds in zip(network.outputs, network.output_thresholds, strict=True)
         ]
-        self._n_features = network.features.shape[1]
-        self._first_module = len(network.output_thresholds[0])
+        self._n_features, self._n_places = network.features.shape[1], network.n_places
 
     def scores(self, spikes: npt.NDArray[np.float32]) -> Scores:
         """Return the state of every place's output neuron."""
         weights = sum(layer.n_weights for layer in (self._features, *self._outputs))
         takes(len(spikes) * weights, kind="int8")
-        return _in_threads(lambda own: self._fired(self._feature_levels(own)), spikes)
+        scores = np.empty((len(spikes), self._n_places), np.float32)
+        _in_threads(lambda own, written: self._fire(self._feature_levels(own), written), spikes, scores)
+        return scores
 
     def layers(self, spikes: npt.NDArray[np.float32]) -> tuple[Amplitudes, Amplitudes]:
         """Return the spikes of the feature neurons, all modules side by side, and of the output neurons."""
-        levels = self._feature_levels(spikes)
-        return levels * (self._clip / _LEVELS), self._fired(levels)
+        levels, scores = self._feature_levels(spikes), np.empty((len(spikes), self._n_places), np.float32)
+        self._fire(levels, scores)
+        return levels * (self._clip / _LEVELS), scores
 
-    def _feature_levels(self, spikes: npt.NDArray[np.float32]) -> npt.NDArray[np.uint8]:
+    def _feature_levels(self, spikes: npt.NDArray[np.float32]) -> Levels:
         """Return the feature spikes of all modules, (n_queries, modules * n_features), in steps up to the clip."""
         return _levels(self._features(_levels(spikes, np.float32(1))), self._clip)
 
-    def _fired(self, levels: npt.NDArray[np.uint8]) -> Scores:
-        """Return the activation of Eq. 1 of all output neurons, (n_queries, n_places), for the feature spikes."""
-        features = levels.reshape(len(levels), len(self._outputs), self._n_features)
-        parts = [layer(np.ascontiguousarray(features[:, module])) for module, layer in enumerate(self._outputs)]
-        scores = np.empty((len(levels), sum(part.shape[1] for part in parts)), np.float32)
-        fires, start = np.zeros(len(levels), np.bool_), 0
-        for part in parts:
-            _fire(part, self._clip, scores[:, start : start + part.shape[1]], fires)
-            start += part.shape[1]
-        if self._silent_winner and not fires.all():
-            silent = np.flatnonzero(~fires)
-            scores[silent, parts[0][silent, : self._first_module].argmax(1)] = 0.5
-        return scores
+    def _fire(self, levels: Levels, scores: Scores) -> None:
+        """Write the activation of Eq. 1 of all output neurons, (n_queries, n_places), for the feature spikes."""
+        features, start = levels.reshape(len(levels), len(self._outputs), self._n_features), 0
+        for module, layer in enumerate(self._outputs):
+            layer(np.ascontiguousarray(features[:, module]), scores[:, start : start + layer.n_out])
+            start += layer.n_out
+        _activate(scores, self._clip, self._outputs[0].n_out if self._silent_winner else 0)
 
 
-def _in_threads(ask: Callable[[Amplitudes], Scores], spikes: Amplitudes) -> Scores:
-    """Return what `ask` answers to input spikes, (n_queries, n_places), in all threads if it computes in its own."""
+def _in_threads(write: Callable[[Amplitudes, Scores], object], spikes: Amplitudes, scores: Scores) -> None:
+    """Let `write` answer input spikes with scores (n_queries, n_places), in all threads if it computes in its own."""
     threads = torch.get_num_threads() if vnni.AVAILABLE and len(spikes) >= _WORTH_THREADS else 1
     if threads == 1:
-        return ask(spikes)
+        write(spikes, scores)
+        return
     with ThreadPoolExecutor(threads) as pool:
-        return np.concatenate(list(pool.map(ask, np.array_split(spikes, threads))))
+        list(pool.map(write, np.array_split(spikes, threads), np.array_split(scores, threads)))
 
 
-def _levels(activation: npt.NDArray[np.float32], most: np.float32) -> npt.NDArray[np.uint8]:
+def _levels(activation: npt.NDArray[np.float32], most: np.float32) -> Levels:
     """Return activations as the nearest of 256 levels from 0 to `most`; values outside are clipped."""
     levels = np.empty(activation.shape, np.uint8)
     _write_levels(activation.ravel(), _LEVELS / most, levels.ravel())
@@ -193,15 +195,23 @@ def _write_levels(activation, factor, levels):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _fire(above, clip, scores, fires):  # type: ignore[no-untyped-def]
-    """Write the net input above threshold, (n_queries, n), cut to 0 and the clip; tell which queries any neuron has."""
-    for query in range(len(above)):
-        own, written = above[query], scores[query]
-        most = np.float32(0)
+def _activate(scores, clip, n_first):  # type: ignore[no-untyped-def]
+    """Cut the net input above threshold, (n_queries, n), to 0 and the clip.
+
+    Where no neuron fires, the best of the `n_first` first ones does.
+    """
+    for query in range(len(scores)):
+        own = scores[query]
+        fires = False
         for i in range(len(own)):
-            written[i] = min(max(own[i], np.float32(0)), clip)
-            most = max(most, written[i])
-        fires[query] |= most > 0
+            fires |= own[i] > 0
+        winner = 0
+        for i in range(0 if fires else n_first):
+            winner = i if own[i] > own[winner] else winner
+        for i in range(len(own)):
+            own[i] = min(max(own[i], np.float32(0)), clip)
+        if n_first and not fires:
+            own[winner] = 0.5
 
 
 @compiled
@@ -240,8 +250,7 @@ def _compile() -> None:
     row, steps, levels = np.zeros(1, np.float32), np.zeros((1, 1), np.int8), np.zeros((1, 1), np.uint8)
     _add_synapses(steps, np.zeros((1, 1), np.int32), row, row, levels, row[None].copy())
     net = row[None].copy()
-    for scores in net, np.zeros((2, 2), np.float32)[:, :1]:
-        _fire(net, np.float32(1), scores, np.zeros(1, np.bool_))
+    _activate(net, np.float32(1), 0)
     _multiply(steps, levels, np.zeros((1, 1), np.int32))
 
 

@@ -34,22 +34,20 @@ Floats = npt.NDArray[np.float32]
 Levels = npt.NDArray[np.uint8]  # (n_queries, n_in)
 
 
-def affine_map(steps: npt.NDArray[np.int8], factor: Floats, bias: Floats) -> Callable[[Levels], Floats]:
-    """Return the map of levels (n, n_in) to levels @ `steps`.T (n_out, n_in), times `factor`, plus `bias` (n_out,).
+def affine_map(steps: npt.NDArray[np.int8], factor: Floats, bias: Floats) -> Callable[[Levels, Floats], None]:
+    """Return what writes levels (n, n_in) @ `steps`.T, times `factor`, plus `bias` (n_out,), to an array (n, n_out).
 
-    The sums are exact. Only where `AVAILABLE`.
+    `steps` are (n_out, n_in), and the sums are exact. Only where `AVAILABLE`.
     """
     n_out, n_in = steps.shape
     padded = np.pad(steps, ((0, -n_out % _NEURONS), (0, -n_in % 4)))
     in_reading_order = padded.reshape(-1, _NEURONS, padded.shape[1] // 4, 4).swapaxes(1, 2).copy()
 
-    def net_input(levels: Levels) -> Floats:
+    def write(levels: Levels, net: Floats) -> None:
         own = np.ascontiguousarray(np.pad(levels, ((0, 0), (0, -n_in % 4))) if n_in % 4 else levels)
-        net = np.empty((len(levels), n_out), np.float32)
         _write_net_input(own, in_reading_order, factor, bias, net)
-        return net
 
-    return net_input
+    return write
 
 
 def _summing(n_queries: int) -> Any:
@@ -126,4 +124,5 @@ def _write_net_input(levels, steps, factor, bias, net):  # type: ignore[no-untyp
 if AVAILABLE:  # compiled now, or read from the cache: no query waits for it
     binding.initialize_native_asmparser()
     _one = np.ones(1, np.float32)
-    affine_map(np.zeros((1, 4), np.int8), _one, _one)(np.zeros((1, 4), np.uint8))
+    for _net in np.zeros((1, 1), np.float32), np.zeros((1, 2), np.float32)[:, :1]:
+        affine_map(np.zeros((1, 4), np.int8), _one, _one)(np.zeros((1, 4), np.uint8), _net)
