@@ -108,6 +108,12 @@ def test_activations_halfway_between_two_levels_go_to_the_even_one_and_end_at_th
     assert found == pytest.approx(np.array([[0, 2, 2, 3, 254, 255, 0]] * 9), abs=1e-4)
 
 
+@WAYS
+def test_where_no_place_is_above_its_threshold_the_first_of_the_best_answers(ask):
+    silent = Network(torch.zeros(1, 7, 2), *[torch.zeros(1, 7)] * 2, (torch.zeros(7, 3),), (torch.zeros(3),))
+    assert ask(Int8SpikingQuery(silent, V1), np.ones((9, 2), np.float32)).tolist() == [[0.5, 0, 0]] * 9
+
+
 KINDS = pytest.mark.parametrize(
     "make",
     [lambda n: Int8SpikingQuery(n, PAPER), lambda n: Int8SpikingQuery(n, V1), lambda n: Int8LinearQuery([n])],
