@@ -186,8 +186,7 @@ def _run(config: DictConfig) -> JobResult:
 def _answer(method: str, recorded: dict[str, Any], settings: Settings, store: Store, say: Callable[[str], None]) -> str:
     """Say the run of a configuration, or one for each of its corruptions, and return the key of the last.
 
-    A run is from the store or made now. `recorded` is its configuration. Raises what `get_or_run`
-    raises.
+    A run is from the store or made now. `recorded` is its configuration. Raises what `get_or_run` raises.
     """
     from vprbench.runs.build_request import build_request, corrupted_request
     from vprbench.runs.get_or_run import UnstoredRunError, get_or_run
