@@ -18,6 +18,7 @@ from checkout import ROOT
 from little import a_run, laps, unanswerable_run
 
 from vprbench.metrics.intervals import block_length, share_interval
+from vprbench.metrics.registry import METRICS
 from vprbench.runs import frame, rows
 from vprbench.runs.frame import numbers
 from vprbench.runs.recall_intervals import along_the_journey, recall_interval
@@ -102,7 +103,8 @@ def test_csv_tells_a_failed_run_from_one_with_numbers():
     counts = ("queries", "offline_batch", "peak_memory_bytes")
     assert [ran[name] for name in counts] == ["4", "8", "512000000"]  # whole beside nothing
     assert {*frame.frame([a_run()])} == {*frame.COLUMNS}
-    table = (ROOT / "docs/numbers.md").read_text(encoding="utf-8").partition("## The frame")[2]
+    metrics, _, table = (ROOT / "docs/numbers.md").read_text(encoding="utf-8").partition("## The frame")
+    assert {name for name in METRICS if not name.startswith("recall_at")} <= {*re.findall(r"`(\w+)`", metrics)}
     told = [name for row in re.findall(r"^\| (`.*?) \|", table, re.MULTILINE) for name in re.findall(r"`(\w+)`", row)]
     assert sorted(told) == sorted([*frame.COLUMNS, "recall_at_1_within_K_places"])
 
