@@ -1,6 +1,6 @@
 """Queries from several viewpoints: frames move as they say, the best view counts, an offset is earned by a test."""
 
-from dataclasses import replace
+from dataclasses import astuple, replace
 
 import numpy as np
 import pytest
@@ -14,9 +14,9 @@ from vprbench.paper.plan import PlannedColumn, Row
 from vprbench.paper.selection import ResolvedColumn, groups
 from vprbench.runs import runner
 from vprbench.runs.compose import composed
-from vprbench.runs.offset import offset_of
+from vprbench.runs.offset import find_offset, told_along
 from vprbench.runs.settings import checked_settings
-from vprbench.runs.viewpoints import AS_IT_IS, Viewed, Viewpoint, Viewpoints, seen_from, shifted, viewpoints
+from vprbench.runs.viewpoints import AS_IT_IS, Viewed, Viewpoint, Viewpoints, seen_from, view_of, viewpoints
 
 pytestmark = pytest.mark.usefixtures("surroundings")
 
@@ -36,24 +36,34 @@ def test_a_view_looks_to_the_right_and_down_by_shares_of_the_frame_and_borders_a
     image = frames(1)[0]
     right, down = round(64 * horizontal), round(16 * vertical)
     wide = np.pad(image, ((15, 15), (63, 63), (0, 0)), "reflect")[15 + down :, 63 + right :][:16, :64]
-    assert np.array_equal(shifted(image, Viewpoint(horizontal, vertical)), wide)
+    assert np.array_equal(view_of(image, Viewpoint(horizontal, vertical)), wide)
+
+
+@pytest.mark.parametrize("zoom", [1.5, 2.0, 0.8])
+def test_a_zoom_shows_the_middle_of_the_frame_enlarged(zoom):
+    right, down = np.arange(64) - 31.5, np.arange(16) - 7.5
+    planes = [100 + 2 * x + 0 * y for x, y in ((right, down[:, None]), (right / zoom, down[:, None]))]
+    ramp, wanted = (np.repeat(plane[:, :, None], 3, axis=2) for plane in planes)
+    found = view_of(ramp.astype(np.uint8), Viewpoint(zoom=zoom))
+    inside = np.abs(right / zoom) < 31
+    assert np.abs(found[:, inside] - wanted[:, inside]).max() <= 1
 
 
 @pytest.mark.parametrize(
     ("option", "views", "told"),
     [
-        ([-0.1, 0, 0.1], [(-0.1, 0.0), (0.0, 0.0), (0.1, 0.0)], "-0.1+0+0.1"),
-        ("[-0.1,0]", [(-0.1, 0.0), (0.0, 0.0)], "-0.1+0"),
-        ({"horizontal": [0, 0.2], "vertical": [0.1]}, [(0.0, 0.1), (0.2, 0.1)], "0/0.1+0.2/0.1"),
-        ("{horizontal:[0],vertical:[0.25]}", [(0.0, 0.25)], "0/0.25"),
-        ("auto", [(0.0, 0.0)], "auto, by the first 1000 queries"),
-        ({"auto": True, "queries": None}, [(0.0, 0.0)], "auto, by all queries"),
+        ([-0.1, 0, 0.1], [(-0.1, 0, 1), (0, 0, 1), (0.1, 0, 1)], "-0.1+0+0.1"),
+        ("[-0.1,0]", [(-0.1, 0, 1), (0, 0, 1)], "-0.1+0"),
+        ({"horizontal": [0, 0.2], "vertical": [0.1]}, [(0, 0.1, 1), (0.2, 0.1, 1)], "0/0.1+0.2/0.1"),
+        ("{vertical:[0.25],zoom:[1,1.1]}", [(0, 0.25, 1), (0, 0.25, 1.1)], "0/0.25+0/0.25 zoom 1.1"),
+        ("auto", [(0, 0, 1)], "auto, by the first 1000 queries"),
+        ({"auto": True, "queries": None}, [(0, 0, 1)], "auto, by all queries"),
     ],
     ids=str,
 )
 def test_an_option_is_a_list_of_shifts_a_mapping_or_auto(option, views, told):
     found = viewpoints(option)
-    assert ([(view.horizontal, view.vertical) for view in found.all], found.protocol()) == (views, told)
+    assert ([astuple(view) for view in found.all], found.protocol()) == (views, told)
     assert seen_from(journey(4, 2), found).protocol["views"] == told
     assert viewpoints(None) is None
 
@@ -62,7 +72,7 @@ def test_an_option_is_a_list_of_shifts_a_mapping_or_auto(option, views, told):
     "option",
     [
         *([0.7], [float("nan")], [], [0.1, 0.1], ["a"], "sideways", 3),
-        *({"zoom": [1]}, {"auto": True, "horizontal": [0.1]}, {"auto": True, "queries": 0}),
+        *({"zoom": [3]}, {"zoom": []}, {"tilt": [1]}, {"auto": True, "zoom": [1.1]}, {"auto": True, "queries": 0}),
     ],
     ids=str,
 )
@@ -81,10 +91,10 @@ def test_a_place_has_the_score_of_the_view_that_shows_it_best_whatever_the_batch
     seen = Images.from_arrays(frames(6))
     method = SAD(height=16, width=64).fit(seen, np.arange(6))
     views = [Viewpoint(-0.25), AS_IT_IS, Viewpoint(0.25)]
-    asked = Images.from_arrays([shifted(seen[i], view) for i, view in enumerate([*views, *views])])
+    asked = Images.from_arrays([view_of(seen[i], view) for i, view in enumerate([*views, *views])])
     viewed = Viewed(method, views)
     scores = viewed.match(viewed.encode(asked))
-    alone = [method.query(Images.from_arrays([shifted(image, view) for image in asked])) for view in views]
+    alone = [method.query(Images.from_arrays([view_of(image, view) for image in asked])) for view in views]
     assert np.array_equal(scores, np.max(alone, axis=0))
     assert np.array_equal(scores, np.concatenate([viewed.match(viewed.encode(asked[i : i + 1])) for i in range(6)]))
 
@@ -122,10 +132,30 @@ ODD = 0.8 * np.exp(-(((STEPS[:, None] + 5) / 8) ** 2))  # frames that look odd t
     ),
 )
 def test_an_offset_is_taken_if_a_test_says_so_to_one_side_to_both_or_swinging(z, steps):
-    found = offset_of(z)
-    assert [view.horizontal * 64 for view in found.views] == steps
-    assert (found.evidence["queries"], len(found.evidence["mean_evidence"])) == (z.shape[1], 49)
-    assert (found.evidence["both_sides"] is None) == (steps == [0])
+    told = told_along(z)
+    assert ([*told.steps], len(told.evidence["mean_evidence"])) == (steps, 49)
+    assert (told.evidence["both_sides"] is None) == (told.gain == 0) == (steps == [0])
+    assert len(told_along(z, most=1).steps) == 1
+
+
+@pytest.mark.parametrize(
+    ("camera", "wanted"),
+    [
+        (Viewpoint(), [(0, 0, 1)]),
+        (Viewpoint(vertical=0.25), [(0, -0.25, 1)]),
+        (Viewpoint(zoom=1.2), [(0, 0, 1.03**-6)]),
+        (Viewpoint(-0.125, 0.25), [(0.125, -0.25, 1)]),  # where neither shift alone shows anything
+    ],
+    ids=str,
+)
+def test_an_offset_of_width_height_or_zoom_is_told_and_of_both_shifts_together(camera, wanted):
+    seen = [RANDOM.integers(0, 256, (4, 16, 3), np.uint8).repeat(8, axis=0).repeat(4, axis=1) for _ in range(80)]
+    method = SAD(height=32, width=64).fit(Images.from_arrays(seen), np.arange(80))
+    queries = Images.from_arrays([view_of(image, camera) for image in seen])
+    found = find_offset(method, queries, Viewpoints(auto=True))
+    shown = [(view.horizontal, round(32 * view.vertical) / 32, view.zoom) for view in found.views]  # of 32 rows
+    assert shown == wanted
+    assert set(found.evidence) == {"queries", "horizontal", "vertical", "zoom"}
 
 
 @pytest.fixture(scope="module")
@@ -133,7 +163,7 @@ def moved():
     """A journey of 60 places whose queries look an eighth of the frame to the right."""
     dataset = journey(60, 60)
     seen = frames(60)
-    queries = [shifted(image, Viewpoint(0.125)) for image in seen]
+    queries = [view_of(image, Viewpoint(0.125)) for image in seen]
     return replace(dataset, references=Images.from_arrays(seen), queries=Images.from_arrays(queries))
 
 
@@ -145,7 +175,7 @@ def run_with(dataset, views):
 
 def test_a_run_tells_its_offset_without_ground_truth_is_stored_with_it_and_finds_its_places(moved, store):
     run = run_with(moved, {"auto": True})
-    assert run.viewpoints["views"] == [[-8 / 64, 0.0]]
+    assert run.viewpoints["views"] == [[-8 / 64, 0.0, 1.0]]
     assert np.mean(run.top_places[:, 0] == np.arange(60)) > 0.95
     assert run.protocol["views"] == "auto, by the first 1000 queries"
     assert "views" in {note.kind for note in run.notes}

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,19 +16,24 @@ from vprbench.api.arrays import Scores
 from vprbench.api.images import Images
 from vprbench.api.method import Method
 from vprbench.metrics.intervals import FEWEST, difference_interval
-from vprbench.runs.viewpoints import Viewed, Viewpoint, Viewpoints
+from vprbench.runs.viewpoints import AS_IT_IS, Viewed, Viewpoint, Viewpoints
 
-_STEP = 1 / 64  # of the width: the least shift that `auto` tries
+_AXES = ("horizontal", "vertical", "zoom")
+_STEP = 1 / 64  # of the width or height: the least shift that `auto` tries
+_ZOOM_STEP = 1.03  # times: the least zoom
 _STEPS = 19  # the furthest offset, to either side
-_REACH = 24  # the furthest shift that is looked at, beside the furthest offset
-_CLEAR = 4  # steps from which another shift shows nothing of the same offset
-_MOVES = 4  # shifts to either side of an offset that it is compared with
+_REACH = 24  # the furthest step that is looked at, beside the furthest offset
+_CLEAR = 4  # steps from which another view shows nothing of the same offset
+_MOVES = 4  # steps to either side of an offset that it is compared with
 _FOLDS = 5  # parts of the queries, each of which judges the offset that the others choose
 _GAINS = ("gain_over_frame_at_least", "gain_over_others_at_least", "gain_over_chance_at_least")
 _SPREADS = (1, 2, 3, 4)  # steps from an offset to the views beside it, for drives that swing
+_MOST = 3  # views of a query
 _BLOCK = 64  # queries scored together while an offset is looked for
+_COARSE_QUERIES = 200  # the first ones, by which another start is chosen
+_COARSE = range(-18, 19, 3), range(-16, 17, 4)  # starts: steps to the right and down
 
-ZScores = npt.NDArray[np.float64]  # (n_shifts, n_queries)
+ZScores = npt.NDArray[np.float64]  # (n_views, n_queries)
 Steps = tuple[int, ...]  # of the views of one query
 
 
@@ -39,41 +45,111 @@ class Offset:
     evidence: Mapping[str, Any]
 
 
+@dataclass(frozen=True)
+class Told:
+    """What the evidence along one axis tells."""
+
+    steps: Steps  # of the views that it chooses: (0,) if no offset is told
+    gain: float  # over no offset, at least; 0 if none is told
+    stands_out: float  # by how much they show more than the steps beside them
+    evidence: Mapping[str, Any]
+
+
 def find_offset(method: Method, queries: Images, options: Viewpoints) -> Offset:
     """Tell the offset of a drive from its first queries, without ground truth; the frames as they are if none is told.
 
-    A query's evidence for a shift is how far its best place stands above the others, in standard deviations. Tried are
-    all shifts to one side, and all to both sides, of which the better view counts. Evidence is what a shift has beyond
-    the shifts beside it, which must be most of it: frames that look odd to a method raise all shifts around, an offset
-    itself alone. Each fifth of the queries judges the offset that the other fifths choose: it must show more than the
-    frame itself, than the best offset elsewhere, and, if it is less than 4 steps, than as many views show by chance, in
+    Looked at are shifts of the width, shifts of the height, and zooms, each axis as in `told_along`. The axis that
+    gains most is moved along first, and the others are looked at again from there, until none tells an offset. Two
+    shifts may hide each other: if the best one of a coarse grid is elsewhere, it is another start, which counts if all
+    its shifts are told from there and its views stand out more. No more than 3 views are chosen.
+    """
+    seen = queries if options.queries is None else queries[: options.queries]
+    found = _moved_along(method, seen, AS_IT_IS)
+    start = _coarse_start(method, seen[:_COARSE_QUERIES])
+    if not any(_near(view, start) for view in found.views):
+        other = _moved_along(method, seen, start)
+        moved = [axis for axis in _AXES if getattr(start, axis) != getattr(AS_IT_IS, axis)]
+        if all(other.told[axis].gain for axis in moved):
+            found = max(found, other, key=lambda way: way.stands_out)
+    return Offset(found.views, {"queries": len(seen), **{axis: found.told[axis].evidence for axis in _AXES}})
+
+
+@dataclass(frozen=True)
+class _Found:
+    views: tuple[Viewpoint, ...]
+    told: Mapping[str, Told]  # by axis
+
+    @property
+    def stands_out(self) -> float:
+        """By how much the views show more than what is beside them, over all axes."""
+        return sum(axis.stands_out for axis in self.told.values())
+
+
+def _moved_along(method: Method, queries: Images, start: Viewpoint) -> _Found:
+    """Return the views after all axes that tell an offset from a start, and what each axis told last."""
+    views: tuple[Viewpoint, ...] = (start,)
+    told: dict[str, Told] = {}
+    left = list(_AXES)
+    while left:
+        for axis in left:
+            ways = [[_at(view, axis, step) for view in views] for step in range(-_REACH, _REACH + 1)]
+            told[axis] = told_along(_z_scores(method, queries, ways), _MOST // len(views))
+        axis = max(left, key=lambda axis: told[axis].gain)
+        if not told[axis].gain:
+            break
+        views = tuple(_at(view, axis, step) for view in views for step in told[axis].steps)
+        left.remove(axis)
+    return _Found(views, told)
+
+
+def _coarse_start(method: Method, queries: Images) -> Viewpoint:
+    """Return the view of a coarse grid of shifts whose best places stand out most from those of its row and column."""
+    grid = [Viewpoint(right * _STEP, down * _STEP) for right, down in itertools.product(*_COARSE)]
+    means = _z_scores(method, queries, [[view] for view in grid]).mean(1).reshape([*map(len, _COARSE)])
+    alone = means - means.mean(0) - means.mean(1, keepdims=True)
+    return grid[int(alone.argmax())]
+
+
+def _near(view: Viewpoint, other: Viewpoint) -> bool:
+    """Tell whether two views show some of the same shift."""
+    shifts = (view.horizontal - other.horizontal, view.vertical - other.vertical)
+    return all(abs(shift) < _CLEAR * _STEP for shift in shifts)
+
+
+def _at(view: Viewpoint, axis: str, step: int) -> Viewpoint:
+    """Return a view moved to a step of an axis."""
+    return replace(view, **{axis: _ZOOM_STEP**step if axis == "zoom" else step * _STEP})
+
+
+def told_along(z: ZScores, most: int = _MOST) -> Told:
+    """Return the offset by the evidence of the steps -24 to 24 of an axis, (49, n_queries), in at most so many views.
+
+    A query's evidence for a view is how far its best place stands above the others, in standard deviations. Tried are
+    all steps to one side, and all to both sides, of which the better view counts. Evidence is what a step has beyond
+    the steps beside it, which must be most of it: frames that look odd to a method raise all steps around, an offset
+    itself alone. Each fifth of the queries judges the offset that the other fifths choose: it must show more than no
+    offset, than the best offset elsewhere, and, if it is less than 4 steps, than as many views show by chance, in
     intervals that allow for neighbouring queries. An offset to one side is shown with views beside it if they add more
     than chance does, by such an interval too.
     """
-    count = len(queries) if options.queries is None else min(options.queries, len(queries))
-    z = np.concatenate([*_z_scores(method, queries[:count])], axis=1)
-    return offset_of(z)
-
-
-def offset_of(z: ZScores) -> Offset:
-    """Return the offset by the evidence of shifts of -24 to 24 steps, (49, n_queries)."""
     offsets: list[Steps] = [(0,), *(one for k in range(1, _STEPS + 1) for one in ((k,), (-k,), (-k, k)))]
+    offsets = [steps for steps in offsets if len(steps) <= most]
     contrasts = np.array([_contrast(z, views) for views in offsets])
     best = offsets[int(contrasts.mean(1).argmax())]
     gains = _gains_by_folds(z, offsets, contrasts) if z.shape[1] >= FEWEST else dict.fromkeys(_GAINS)
     sharp = 2 * contrasts.mean(1).max() > _beyond_chance(z, best, best).mean()
     told = bool(best != (0,) and sharp and all(low is not None and low > 0 for low in gains.values()))
     evidence = {
-        "queries": z.shape[1],
-        "shifts": [step * _STEP for step in range(-_REACH, _REACH + 1)],
         "mean_evidence": [float(each) for each in z.mean(1)],
-        "best_shift": best[-1] * _STEP,
+        "best_step": best[-1],
         "better_than_the_frame": float((_best(z, best) > z[_REACH]).mean()),
         **gains,
         "both_sides": len(best) == 2 if told else None,
     }
-    steps = (0,) if not told else best if len(best) == 2 else _with_neighbours(z, best[0])
-    return Offset(tuple(Viewpoint(step * _STEP) for step in steps), evidence)
+    if not told:
+        return Told((0,), 0.0, float(contrasts[0].mean()), evidence)
+    steps = _with_neighbours(z, best[0]) if len(best) == 1 and most >= _MOST else best
+    return Told(steps, float(gains[_GAINS[0]] or 0), float(contrasts.mean(1).max()), evidence)
 
 
 def _with_neighbours(z: ZScores, step: int) -> Steps:
@@ -130,17 +206,14 @@ def _clear(views: Steps, others: Steps) -> bool:
     return all(abs(view - other) >= _CLEAR for view in views for other in others)
 
 
-def _z_scores(method: Method, queries: Images) -> Iterator[ZScores]:
-    """Yield for blocks of queries how far the best place stands above the others, at each shift."""
-    done = 0
+def _z_scores(method: Method, queries: Images, ways: Sequence[Sequence[Viewpoint]]) -> ZScores:
+    """Return how far the best place stands above the others if queries are asked in each way, from its views."""
+    blocks = []
+    asked = [Viewed(method, views) for views in ways]
     for block in queries.blocks(_BLOCK):
-        found = []
-        for step in range(-_REACH, _REACH + 1):
-            one = Viewed(method, [Viewpoint(step * _STEP)])
-            found.append(_above_others(one.match(one.encode(block))))
-        done += len(block)
-        progress.report("looking for an offset", done / len(queries))
-        yield np.array(found)
+        blocks.append([_above_others(viewed.match(viewed.encode(block))) for viewed in asked])
+        progress.report("looking for an offset", sum(len(found[0]) for found in blocks) / len(queries))
+    return np.concatenate(blocks, axis=1)
 
 
 def _above_others(scores: Scores) -> npt.NDArray[np.float64]:

@@ -150,7 +150,7 @@ class Energy(_Part):
 class SeenFrom(_Part):
     """From which viewpoints each query was asked, and what they were chosen by."""
 
-    views: Annotated[list[list[Number]], Field(min_length=1)]  # shifts in widths, and in heights
+    views: Annotated[list[list[Number]], Field(min_length=1)]  # shifts in widths and in heights, zoom
     evidence: dict[str, Any] | None = None  # of the first queries; None: the views were given
     seconds: Amount = 0.0
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, replace
+from dataclasses import asdict, astuple, replace
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,7 @@ from vprbench.runs.notes import Note, noted
 from vprbench.runs.offset import find_offset
 from vprbench.runs.record import Run
 from vprbench.runs.stopwatch import Stopwatch, Timing, synchroniser
-from vprbench.runs.viewpoints import Viewpoint
+from vprbench.runs.viewpoints import AS_IT_IS, Viewpoint
 
 _NOISE = 0.05  # drift of a fixed computation that marks a run as noisy
 _BUSY = 15.0  # percent of CPU pressure that marks a run as noisy
@@ -98,20 +98,19 @@ def _look(request: Request, scoring: Scoring, stopwatch: Stopwatch) -> dict[str,
         views, evidence, seconds = [*offset.views], dict(offset.evidence), lap[0]
         scoring.answers.method_seconds += seconds
     scoring.look_from(views, request.method)
-    shown = [[view.horizontal, view.vertical] for view in views]
-    return {"views": shown, "evidence": evidence, "seconds": seconds}
+    return {"views": [[*astuple(view)] for view in views], "evidence": evidence, "seconds": seconds}
 
 
 def _describe_views(seen: Mapping[str, Any]) -> str:
     """Return in words from which viewpoints queries were asked, and why."""
-    shifts = ", ".join(str(Viewpoint(*view)) for view in seen["views"])
+    views = [Viewpoint(*view) for view in seen["views"]]
+    shown = ", ".join(map(str, views))
     if (evidence := seen["evidence"]) is None:
-        return f"asked from {len(seen['views'])} viewpoints, shifts in widths of the frame: {shifts}"
+        return f"asked from {len(views)} viewpoints, shifts in widths of the frame (/heights): {shown}"
     how = f"by the first {evidence['queries']} queries, in {seen['seconds']:.1f} s"
-    if seen["views"] == [[0.0, 0.0]]:
+    if views == [AS_IT_IS]:
         return f"no offset of the camera is told {how}: frames are asked as they are"
-    better = f"a shift of {evidence['best_shift']:g} is better for {100 * evidence['better_than_the_frame']:.0f} %"
-    return f"asked at shifts of {shifts} widths of the frame, told {how}: {better}"
+    return f"asked at shifts in widths of the frame (/heights) of {shown}, told {how}"
 
 
 def _inside(request: Request) -> tuple[dict[str, Any], tuple[Note, ...]]:

@@ -1,4 +1,4 @@
-"""Queries seen from several viewpoints: shifted copies of each frame, of which the best one counts for a place."""
+"""Queries seen from several viewpoints: shifted and enlarged copies of each frame; the best one counts for a place."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -19,49 +20,55 @@ from vprbench.plugins.checked import checked
 from vprbench.plugins.entries import read
 from vprbench.text import near
 
-_EXAMPLE = "as in views=[-0.1,0,0.1], views=auto or views={horizontal:[0],vertical:[-0.1,0,0.1]}"
+_EXAMPLE = "as in views=[-0.1,0,0.1], views=auto or views={vertical:[-0.1,0,0.1],zoom:[1,1.1]}"
 
 
 @dataclass(frozen=True)
 class Viewpoint:
-    """Where a view looks, beside the frame itself: shifts in widths to the right, and in heights downwards."""
+    """Where a view looks, beside the frame itself: shifts in widths to the right, in heights downwards, and a zoom."""
 
-    horizontal: float
+    horizontal: float = 0.0
     vertical: float = 0.0
+    zoom: float = 1.0  # above 1: the middle of the frame, enlarged so many times
 
     def __str__(self) -> str:
-        """Return its shifts, that of the width alone if there is no other."""
-        return f"{self.horizontal:g}" if self.vertical == 0 else f"{self.horizontal:g}/{self.vertical:g}"
+        """Return its shifts and zoom, that of the width alone if there is no other."""
+        vertical = "" if self.vertical == 0 else f"/{self.vertical:g}"
+        return f"{self.horizontal:g}{vertical}" + ("" if self.zoom == 1 else f" zoom {self.zoom:.3g}")
 
 
-AS_IT_IS = Viewpoint(0.0)
+AS_IT_IS = Viewpoint()
 
 
 @dataclass(frozen=True)
 class Viewpoints:
-    """The views of each query, or that they are chosen by the first queries; raises BadInput for shifts beyond 0.5."""
+    """The views of each query, or that they are chosen by the first queries; raises BadInput for impossible ones."""
 
     horizontal: tuple[float, ...] = (0.0,)  # in widths
     vertical: tuple[float, ...] = (0.0,)  # in heights
-    auto: bool = False  # shifts of the width, told from the queries
+    zoom: tuple[float, ...] = (1.0,)  # enlargements, 0.5 to 2
+    auto: bool = False  # shifts and zoom are told from the queries
     queries: int | None = 1000  # the first ones, by which `auto` chooses; None: all
 
     def __post_init__(self) -> None:
-        """Check the shifts."""
+        """Check the shifts and zooms."""
+        shown = self.protocol() if self.all else "[]"
         shifts = (*self.horizontal, *self.vertical)
-        if not self.horizontal or not self.vertical or not all(abs(each) <= 0.5 for each in shifts):  # NaN too
-            raise BadInput(f"views={shifts}: give shifts from -0.5 to 0.5 of the frame, {_EXAMPLE}")
+        if not self.all or not all(abs(each) <= 0.5 for each in shifts):  # NaN too
+            raise BadInput(f"views={shown}: give shifts from -0.5 to 0.5 of the frame, {_EXAMPLE}")
+        if not all(0.5 <= each <= 2 for each in self.zoom):
+            raise BadInput(f"views.zoom={self.zoom}: give enlargements from 0.5 to 2, {_EXAMPLE}")
         if len({*self.all}) < len(self.all):
-            raise BadInput(f"views={shifts}: give each shift once, {_EXAMPLE}")
-        if self.auto and set(shifts) != {0.0}:
-            raise BadInput(f"views={shifts}: auto chooses the shifts itself, give none beside it")
+            raise BadInput(f"views={shown}: give each view once, {_EXAMPLE}")
+        if self.auto and self.all != [AS_IT_IS]:
+            raise BadInput(f"views={self.all}: auto chooses shifts and zoom itself, give none beside it")
         if self.queries is not None and self.queries < 1:
             raise BadInput(f"views.queries={self.queries}: give at least 1 query, or null for all")
 
     @property
     def all(self) -> list[Viewpoint]:
-        """Every horizontal shift with every vertical one."""
-        return [Viewpoint(*shifts) for shifts in itertools.product(self.horizontal, self.vertical)]
+        """Every horizontal shift with every vertical one and every zoom."""
+        return [Viewpoint(*each) for each in itertools.product(self.horizontal, self.vertical, self.zoom)]
 
     def protocol(self) -> str:
         """Return what stands of them in the protocol of a run."""
@@ -78,7 +85,7 @@ def viewpoints(value: Any) -> Viewpoints | None:
         return None
     given = {"auto": True} if value == "auto" else value if isinstance(value, Mapping) else {"horizontal": value}
     hints: dict[str, Any] = {
-        **{"horizontal": tuple[float, ...], "vertical": tuple[float, ...]},
+        **{"horizontal": tuple[float, ...], "vertical": tuple[float, ...], "zoom": tuple[float, ...]},
         **{"auto": bool, "queries": int | None},
     }
     for name in given:
@@ -92,20 +99,17 @@ def seen_from(dataset: Dataset, views: Viewpoints | None) -> Dataset:
     return dataset if views is None else replace(dataset, protocol={**dataset.protocol, "views": views.protocol()})
 
 
-def shifted(image: Image, viewpoint: Viewpoint) -> Image:
-    """Return an image (height, width, 3) as a camera that looks elsewhere would show it, its borders reflected."""
-    rows, columns = (
-        _reflected(length, round(shift * length))
-        for length, shift in zip(image.shape[:2], (viewpoint.vertical, viewpoint.horizontal), strict=True)
-    )
-    across = image if viewpoint.horizontal == 0 else image[:, columns]
-    return np.ascontiguousarray(across if viewpoint.vertical == 0 else across[rows])
+def view_of(image: Image, viewpoint: Viewpoint) -> Image:
+    """Return an image (height, width, 3) as a camera that looks elsewhere would show it, its borders reflected.
 
-
-def _reflected(length: int, shift: int) -> npt.NDArray[np.int64]:
-    """Return which row or column is seen at each place after a shift; the border itself is not repeated."""
-    last = length - 1
-    return np.asarray(last - np.abs(last - np.abs(np.arange(length) + shift)))
+    Shifts are by whole pixels; an enlargement about the middle interpolates between pixels.
+    """
+    if viewpoint == AS_IT_IS:
+        return image
+    (height, width), zoom = image.shape[:2], viewpoint.zoom
+    left, up = -round(viewpoint.horizontal * width), -round(viewpoint.vertical * height)
+    matrix = np.array([[zoom, 0, (1 - zoom) * (width - 1) / 2 + left], [0, zoom, (1 - zoom) * (height - 1) / 2 + up]])
+    return np.asarray(cv2.warpAffine(image, matrix, (width, height), borderMode=cv2.BORDER_REFLECT_101), np.uint8)
 
 
 class Viewed:
@@ -122,7 +126,7 @@ class Viewed:
 
     def encode(self, images: Images) -> npt.NDArray[Any]:
         """Turn queries into the codes of their views, (n_queries, n_views, ...)."""
-        frames = [shifted(image, view) for image in images for view in self.views]
+        frames = [view_of(image, view) for image in images for view in self.views]
         codes = self.method.encode(Images.from_arrays(frames))
         return codes.reshape(len(images), len(self.views), *codes.shape[1:])
 
