@@ -26,11 +26,13 @@ _REACH = 24  # the furthest step that is looked at, beside the furthest offset
 _CLEAR = 4  # steps from which another view shows nothing of the same offset
 _MOVES = 4  # steps to either side of an offset that it is compared with
 _FOLDS = 5  # parts of the queries, each of which judges the offset that the others choose
+_CONFIDENCE = 1 - 0.05 / len(_AXES)  # of each gain, as all axes are looked at
 _GAINS = ("gain_over_frame_at_least", "gain_over_others_at_least", "gain_over_chance_at_least")
 _SPREADS = (1, 2, 3, 4)  # steps from an offset to the views beside it, for drives that swing
 _MOST = 3  # views of a query
 _BLOCK = 64  # queries scored together while an offset is looked for
 _COARSE_QUERIES = 200  # the first ones, by which another start is chosen
+_COARSE_GAIN = 1.0  # standard deviations that each shift of another start must gain
 _COARSE = range(-18, 19, 3), range(-16, 17, 4)  # starts: steps to the right and down
 
 ZScores = npt.NDArray[np.float64]  # (n_views, n_queries)
@@ -51,7 +53,6 @@ class Told:
 
     steps: Steps  # of the views that it chooses: (0,) if no offset is told
     gain: float  # over no offset, at least; 0 if none is told
-    stands_out: float  # by how much they show more than the steps beside them
     evidence: Mapping[str, Any]
 
 
@@ -60,17 +61,16 @@ def find_offset(method: Method, queries: Images, options: Viewpoints) -> Offset:
 
     Looked at are shifts of the width, shifts of the height, and zooms, each axis as in `told_along`. The axis that
     gains most is moved along first, and the others are looked at again from there, until none tells an offset. Two
-    shifts may hide each other: if the best one of a coarse grid is elsewhere, it is another start, which counts if all
-    its shifts are told from there and its views stand out more. No more than 3 views are chosen.
+    shifts may hide each other: if the best one of a coarse grid is elsewhere, it is another start, which counts if
+    each of its shifts gains more than a standard deviation from there. No more than 3 views are chosen.
     """
     seen = queries if options.queries is None else queries[: options.queries]
     found = _moved_along(method, seen, AS_IT_IS)
     start = _coarse_start(method, seen[:_COARSE_QUERIES])
-    if not any(_near(view, start) for view in found.views):
-        other = _moved_along(method, seen, start)
-        moved = [axis for axis in _AXES if getattr(start, axis) != getattr(AS_IT_IS, axis)]
-        if all(other.told[axis].gain for axis in moved):
-            found = max(found, other, key=lambda way: way.stands_out)
+    if not any(_near(view, start) for view in (AS_IT_IS, *found.views)):
+        other = _moved_along(method, seen, start, _COARSE_GAIN)
+        gains = [other.told[axis].gain for axis in _AXES if getattr(start, axis) != getattr(AS_IT_IS, axis)]
+        found = other if min(gains) > _COARSE_GAIN else found
     return Offset(found.views, {"queries": len(seen), **{axis: found.told[axis].evidence for axis in _AXES}})
 
 
@@ -79,14 +79,9 @@ class _Found:
     views: tuple[Viewpoint, ...]
     told: Mapping[str, Told]  # by axis
 
-    @property
-    def stands_out(self) -> float:
-        """By how much the views show more than what is beside them, over all axes."""
-        return sum(axis.stands_out for axis in self.told.values())
 
-
-def _moved_along(method: Method, queries: Images, start: Viewpoint) -> _Found:
-    """Return the views after all axes that tell an offset from a start, and what each axis told last."""
+def _moved_along(method: Method, queries: Images, start: Viewpoint, least: float = 0.0) -> _Found:
+    """Return the views after all axes that gain more than `least` from a start, and what each axis told last."""
     views: tuple[Viewpoint, ...] = (start,)
     told: dict[str, Told] = {}
     left = list(_AXES)
@@ -95,7 +90,7 @@ def _moved_along(method: Method, queries: Images, start: Viewpoint) -> _Found:
             ways = [[_at(view, axis, step) for view in views] for step in range(-_REACH, _REACH + 1)]
             told[axis] = told_along(_z_scores(method, queries, ways), _MOST // len(views))
         axis = max(left, key=lambda axis: told[axis].gain)
-        if not told[axis].gain:
+        if told[axis].gain <= least:
             break
         views = tuple(_at(view, axis, step) for view in views for step in told[axis].steps)
         left.remove(axis)
@@ -129,8 +124,8 @@ def told_along(z: ZScores, most: int = _MOST) -> Told:
     the steps beside it, which must be most of it: frames that look odd to a method raise all steps around, an offset
     itself alone. Each fifth of the queries judges the offset that the other fifths choose: it must show more than no
     offset, than the best offset elsewhere, and, if it is less than 4 steps, than as many views show by chance, in
-    intervals that allow for neighbouring queries. An offset to one side is shown with views beside it if they add more
-    than chance does, by such an interval too.
+    intervals that allow for neighbouring queries and for three axes. An offset to one side is shown with views beside
+    it if they add more than chance does, by such an interval too.
     """
     offsets: list[Steps] = [(0,), *(one for k in range(1, _STEPS + 1) for one in ((k,), (-k,), (-k, k)))]
     offsets = [steps for steps in offsets if len(steps) <= most]
@@ -147,9 +142,9 @@ def told_along(z: ZScores, most: int = _MOST) -> Told:
         "both_sides": len(best) == 2 if told else None,
     }
     if not told:
-        return Told((0,), 0.0, float(contrasts[0].mean()), evidence)
+        return Told((0,), 0.0, evidence)
     steps = _with_neighbours(z, best[0]) if len(best) == 1 and most >= _MOST else best
-    return Told(steps, float(gains[_GAINS[0]] or 0), float(contrasts.mean(1).max()), evidence)
+    return Told(steps, float(gains[_GAINS[0]] or 0), evidence)
 
 
 def _with_neighbours(z: ZScores, step: int) -> Steps:
@@ -174,7 +169,7 @@ def _gains_by_folds(z: ZScores, offsets: Sequence[Steps], contrasts: ZScores) ->
         if not _clear(views, (0,)):  # it shows what the frame itself shows too, and of two such views one shows more
             for sums, one in ((chosen, views), (others, (0,))):
                 sums[2, part] = _beyond_chance(z[:, part], one, (*views, 0))
-    lows = (difference_interval(*pair) for pair in zip(chosen, others, strict=True))
+    lows = (difference_interval(*pair, _CONFIDENCE) for pair in zip(chosen, others, strict=True))
     return {name: None if low is None else low.low for name, low in zip(_GAINS, lows, strict=True)}
 
 
