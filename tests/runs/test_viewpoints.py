@@ -8,6 +8,7 @@ from little import journey
 from little_runs import asked_for
 
 from vprbench.api.images import Images
+from vprbench.api.method import Method
 from vprbench.errors import BadInput
 from vprbench.methods.sad import SAD
 from vprbench.paper.plan import PlannedColumn, Row
@@ -149,13 +150,36 @@ def test_an_offset_is_taken_if_a_test_says_so_to_one_side_to_both_or_swinging(z,
     ids=str,
 )
 def test_an_offset_of_width_height_or_zoom_is_told_and_of_both_shifts_together(camera, wanted):
-    seen = [RANDOM.integers(0, 256, (4, 16, 3), np.uint8).repeat(8, axis=0).repeat(4, axis=1) for _ in range(80)]
-    method = SAD(height=32, width=64).fit(Images.from_arrays(seen), np.arange(80))
+    blocks = np.random.default_rng(9).integers(0, 256, (60, 4, 16, 3), np.uint8)
+    seen = [*blocks.repeat(8, axis=1).repeat(4, axis=2)]
+    method = SAD(height=32, width=64).fit(Images.from_arrays(seen), np.arange(60))
     queries = Images.from_arrays([view_of(image, camera) for image in seen])
     found = find_offset(method, queries, Viewpoints(auto=True))
     shown = [(view.horizontal, round(32 * view.vertical) / 32, view.zoom) for view in found.views]  # of 32 rows
     assert shown == wanted
     assert set(found.evidence) == {"queries", "horizontal", "vertical", "zoom"}
+
+
+class Hub(Method):
+    """Scores places at random, but for one that is like every query which looks 10 pixels to the right."""
+
+    def fit(self, references, places):
+        return self
+
+    def encode(self, images):
+        return np.array([image[0, 32, :2] for image in images], np.int64)  # the column that is shown there, the query
+
+    def match(self, codes):
+        scores = np.random.default_rng(4).normal(size=(60, 40))[codes[:, 1]]
+        scores[codes[:, 0] == 42, 7] += 9
+        return scores.astype(np.float32)
+
+
+def test_a_place_that_is_like_all_queries_from_somewhere_tells_no_offset():
+    queries = np.zeros((60, 8, 64, 3), np.uint8)
+    queries[..., 0], queries[..., 1] = np.arange(64), np.arange(60)[:, None, None]
+    found = find_offset(Hub(), Images.from_arrays([*queries]), Viewpoints(auto=True))
+    assert found.views == (AS_IT_IS,)
 
 
 @pytest.fixture(scope="module")

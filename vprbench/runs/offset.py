@@ -30,9 +30,9 @@ _CONFIDENCE = 1 - 0.05 / len(_AXES)  # of each gain, as all axes are looked at
 _GAINS = ("gain_over_frame_at_least", "gain_over_others_at_least", "gain_over_chance_at_least")
 _SPREADS = (1, 2, 3, 4)  # steps from an offset to the views beside it, for drives that swing
 _MOST = 3  # views of a query
-_BLOCK = 64  # queries scored together while an offset is looked for
+_GROUP = 64  # queries scored together while an offset is looked for, at most
 _COARSE_QUERIES = 200  # the first ones, by which another start is chosen
-_COARSE_GAIN = 1.0  # standard deviations that each shift of another start must gain
+_COARSE_GAIN = 0.5  # standard deviations that each shift of another start must gain
 _COARSE = range(-18, 19, 3), range(-16, 17, 4)  # starts: steps to the right and down
 
 ZScores = npt.NDArray[np.float64]  # (n_views, n_queries)
@@ -62,7 +62,7 @@ def find_offset(method: Method, queries: Images, options: Viewpoints) -> Offset:
     Looked at are shifts of the width, shifts of the height, and zooms, each axis as in `told_along`. The axis that
     gains most is moved along first, and the others are looked at again from there, until none tells an offset. Two
     shifts may hide each other: if the best one of a coarse grid is elsewhere, it is another start, which counts if
-    each of its shifts gains more than a standard deviation from there. No more than 3 views are chosen.
+    each of its shifts gains more than half a standard deviation from there. No more than 3 views are chosen.
     """
     seen = queries if options.queries is None else queries[: options.queries]
     found = _moved_along(method, seen, AS_IT_IS)
@@ -119,7 +119,8 @@ def _at(view: Viewpoint, axis: str, step: int) -> Viewpoint:
 def told_along(z: ZScores, most: int = _MOST) -> Told:
     """Return the offset by the evidence of the steps -24 to 24 of an axis, (49, n_queries), in at most so many views.
 
-    A query's evidence for a view is how far its best place stands above the others, in standard deviations. Tried are
+    A query's evidence for a view is how far its best place stands above the others, in standard deviations, where each
+    place is compared with itself under other queries. Tried are
     all steps to one side, and all to both sides, of which the better view counts. Evidence is what a step has beyond
     the steps beside it, which must be most of it: frames that look odd to a method raise all steps around, an offset
     itself alone. Each fifth of the queries judges the offset that the other fifths choose: it must show more than no
@@ -202,21 +203,32 @@ def _clear(views: Steps, others: Steps) -> bool:
 
 
 def _z_scores(method: Method, queries: Images, ways: Sequence[Sequence[Viewpoint]]) -> ZScores:
-    """Return how far the best place stands above the others if queries are asked in each way, from its views."""
-    blocks = []
+    """Return how far the best place stands above the others if queries are asked in each way, from its views.
+
+    Queries are scored in groups, each from the first to the last, so that the queries of a group are of many places.
+    """
+    z = np.empty((len(ways), len(queries)))
     asked = [Viewed(method, views) for views in ways]
-    for block in queries.blocks(_BLOCK):
-        blocks.append([_above_others(viewed.match(viewed.encode(block))) for viewed in asked])
-        progress.report("looking for an offset", sum(len(found[0]) for found in blocks) / len(queries))
-    return np.concatenate(blocks, axis=1)
+    n_groups = -(-len(queries) // _GROUP)
+    for first in range(n_groups):
+        group = np.arange(first, len(queries), n_groups)
+        images = queries[group].in_memory()
+        for row, viewed in zip(z, asked, strict=True):
+            row[group] = _above_others(viewed.match(viewed.encode(images)))
+        progress.report("looking for an offset", (first + 1) / n_groups)
+    return z
 
 
 def _above_others(scores: Scores) -> npt.NDArray[np.float64]:
-    """Return by how many standard deviations the best place is above the mean of a query's candidates, (n_queries,)."""
+    """Return by how many standard deviations the best place is above the mean of a query's candidates, (n_queries,).
+
+    Of each score the mean of its place is taken off: a place that is like all queries says nothing of one of them.
+    """
     there = scores > -math.inf
     known = np.where(there, scores, 0.0).astype(np.float64)
+    known = np.where(there, known - known.sum(0) / np.maximum(there.sum(0), 1), 0.0)
     counts = np.maximum(there.sum(1), 1)
     means = known.sum(1) / counts
     spread = np.sqrt(np.where(there, (known - means[:, None]) ** 2, 0.0).sum(1) / counts)
-    best = np.where(there.any(1), np.where(there, scores, -math.inf).max(1), means)
+    best = np.where(there.any(1), np.where(there, known, -math.inf).max(1), means)
     return np.asarray((best - means) / np.where(spread > 0, spread, 1.0))
