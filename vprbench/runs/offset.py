@@ -31,6 +31,7 @@ _GAINS = ("gain_over_frame_at_least", "gain_over_others_at_least", "gain_over_ch
 _SPREADS = (1, 2, 3, 4)  # steps from an offset to the views beside it, for drives that swing
 _MOST = 3  # views of a query
 _GROUP = 64  # queries scored together while an offset is looked for, at most
+_FEWEST_QUERIES = 200  # fewer tell no offset
 _COARSE_QUERIES = 200  # the first ones, by which another start is chosen
 _COARSE_GAIN = 0.5  # standard deviations that each shift of another start must gain
 _COARSE = range(-18, 19, 3), range(-16, 17, 4)  # starts: steps to the right and down
@@ -63,8 +64,11 @@ def find_offset(method: Method, queries: Images, options: Viewpoints) -> Offset:
     gains most is moved along first, and the others are looked at again from there, until none tells an offset. Two
     shifts may hide each other: if the best one of a coarse grid is elsewhere, it is another start, which counts if
     each of its shifts gains more than half a standard deviation from there. No more than 3 views are chosen.
+    Fewer than 200 queries tell nothing.
     """
     seen = queries if options.queries is None else queries[: options.queries]
+    if len(seen) < _FEWEST_QUERIES:
+        return Offset((AS_IT_IS,), {"queries": len(seen)})
     found = _moved_along(method, seen, AS_IT_IS)
     start = _coarse_start(method, seen[:_COARSE_QUERIES])
     if not any(_near(view, start) for view in (AS_IT_IS, *found.views)):
