@@ -124,13 +124,13 @@ def told_along(z: ZScores, most: int = _MOST) -> Told:
     """Return the offset by the evidence of the steps -24 to 24 of an axis, (49, n_queries), in at most so many views.
 
     A query's evidence for a view is how far its best place stands above the others, in standard deviations, where each
-    place is compared with itself under other queries. Tried are
-    all steps to one side, and all to both sides, of which the better view counts. Evidence is what a step has beyond
-    the steps beside it, which must be most of it: frames that look odd to a method raise all steps around, an offset
-    itself alone. Each fifth of the queries judges the offset that the other fifths choose: it must show more than no
-    offset, than the best offset elsewhere, and, if it is less than 4 steps, than as many views show by chance, in
-    intervals that allow for neighbouring queries and for three axes. An offset to one side is shown with views beside
-    it if they add more than chance does, by such an interval too.
+    place is compared with itself under other queries. Tried are all steps to one side, and all to both sides, of which
+    the better view counts. Evidence is what a step has beyond the steps beside it, which must be most of it: frames
+    that look odd to a method raise all steps around, an offset itself alone. Each fifth of the queries judges the
+    offset that the other fifths choose: it must show more than no offset, than the best offset elsewhere, and, if it is
+    less than 4 steps, than as many views show by chance, in intervals that allow for neighbouring queries and for three
+    axes. An offset to one side is shown with views beside it if they add more than chance does, by such an interval
+    too.
     """
     offsets: list[Steps] = [(0,), *(one for k in range(1, _STEPS + 1) for one in ((k,), (-k,), (-k, k)))]
     offsets = [steps for steps in offsets if len(steps) <= most]
