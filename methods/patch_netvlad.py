@@ -85,6 +85,7 @@ class PatchNetVLAD(PublishedNetwork):
     precision: PatchPrecision = "float32"  # type: ignore[assignment]  # one more than other networks have
 
     fixed_size: ClassVar[bool] = True
+    adapts: ClassVar[bool] = False  # its patches have no mean in common
     nested: ClassVar[tuple[str, ...]] = ("state_dict",)
     prefix: ClassVar[str] = "module"
     search_arguments: ClassVar[frozenset[str]] = PublishedNetwork.search_arguments | {"candidates", "patches"}

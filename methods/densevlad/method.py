@@ -85,9 +85,9 @@ class DenseVLAD(DescriptorMethod):
         self._projection = whitening(vlads, max(1, n_components)) if self.n_components else None
         self._words = words
         if len(chosen) == len(references):
-            return self.fit_descriptors(_projected(vlads, self._projection), places)
+            return self.fit_encoded(_projected(vlads, self._projection), places)
         del vlads
-        return self.fit_descriptors(self.encode(references.watched(_reporting("encoding", len(references)))), places)
+        return self.fit_encoded(self.encode(references.watched(_reporting("encoding", len(references)))), places)
 
     def encode(self, images: Images) -> npt.NDArray[np.float32]:
         """Return the whitened VLAD of each image, (n_images, n_components), unit vectors."""
@@ -107,7 +107,8 @@ class DenseVLAD(DescriptorMethod):
             raise NotFittedError("DenseVLAD has no map yet: call fit(references, places) first")
         known = self.searched
         learnt = {"words": self._words.cpu().numpy(), "references": known.references[:], "places": known.places}
-        return learnt if self._projection is None else {**learnt, "projection": self._projection}
+        rest = {"projection": self._projection, "reference_mean": self.reference_mean}
+        return learnt | {name: array for name, array in rest.items() if array is not None}
 
     def restore(self, state: State) -> Self:
         """Take over what `state` gave."""
@@ -121,10 +122,11 @@ class DenseVLAD(DescriptorMethod):
             "places": (np.int64, (places.size,)),
             "references": (np.float32, (places.size, n_components)),
             **({"projection": (np.float32, (n_dimensions, n_components))} if self.n_components else {}),
+            **({} if self.adapt == "none" else {"reference_mean": (np.float32, (n_components,))}),
         }
         require_map(state, wanted)
         self._words = torch.tensor(state["words"], device=self.device)
-        self._projection = projection
+        self._projection, self.reference_mean = projection, state.get("reference_mean")
         return self.fit_descriptors(state["references"], places)
 
     def files(self) -> Sequence[Path]:

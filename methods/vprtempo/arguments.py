@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, fields, replace
 from typing import Literal
 
-from vprbench.api import BadInput, GaborBank, OrientedEdges, PatchNormalisation, Variant
+from vprbench.api import Adapt, BadInput, GaborBank, OrientedEdges, PatchNormalisation, Variant
 
 from .encoding import Encoder, Patches
 from .rules import RULES, FeatureRule, OutputRule, QueryRule, Rules, RuleSet, ThresholdRule
@@ -29,6 +29,7 @@ class Arguments:
     columns: int = 16
     orientations: int = 8
     contrast_power: float = 1.0  # that oriented edges are raised to
+    adapt: Adapt = "none"  # which mean is taken off the input spikes
     max_module: int = 1100  # places, at most
     features_per_pixel: float = 2.0  # of an input
     epochs: int = 4

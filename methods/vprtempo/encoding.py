@@ -12,6 +12,8 @@ from vprbench.api import Images, PatchNormalisation
 
 from .compiled import compiled
 
+_SPREADS = 6.0  # of an image's values between the amplitudes 0 and 1
+
 
 class Encoder(Protocol):
     """Makes input spikes of frames, float32 (n_images, n_inputs), amplitudes 0 to 1."""
@@ -38,6 +40,16 @@ class Patches:
     def __call__(self, images: Images) -> npt.NDArray[np.float32]:
         """Return the spikes of each frame."""
         return spikes_of(self.levels(images), fake_quantised=self.levels.variant == "C")
+
+
+def scale_values(values: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    """Return values (n_images, n) as amplitudes 0 to 1: 0.5 is an image's mean, the ends are 3 spreads away.
+
+    An image without spread gives 0.5 everywhere.
+    """
+    mean, spread = values.mean(1, keepdims=True), values.std(1, keepdims=True)
+    deviations = (values - mean) / np.where(spread > 0, _SPREADS * spread, 1)
+    return np.asarray(np.clip(0.5 + deviations, 0, 1), np.float32)
 
 
 def spikes_of(levels: npt.NDArray[np.uint8], fake_quantised: bool) -> npt.NDArray[np.float32]:

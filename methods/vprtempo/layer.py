@@ -146,7 +146,9 @@ def draw_layer(
     # Padding counts as synapses that exist, so that a layer with all synapses needs no largest magnitudes.
     padding = (0.0, 0.0, LARGEST, LARGEST, 0.0, 0.0)
     excitation, inhibition, largest_excitation, largest_inhibition, thresholds, constant = (
-        pad_sequence([module[part] for module in modules], batch_first=True, padding_value=value)
+        modules[0][part][None]
+        if len(modules) == 1
+        else pad_sequence([module[part] for module in modules], batch_first=True, padding_value=value)
         for part, value in enumerate(padding)
     )
     return Layer(
@@ -167,20 +169,28 @@ def _draw_module(
     Thresholds and constant input are drawn from 0 to 1.
     """
     thresholds, constant = (torch.rand(n_post, generator=generator) for _ in range(2))
-    drawn = []
-    for probability in probabilities:
-        magnitude = (0.5 + torch.randn(n_post, n_pre, generator=generator) / 6).clamp_(min=0)
-        exists = _connections(generator, n_post, n_pre, probability, rules)
-        magnitude *= exists
-        norm = magnitude.sum(1, keepdim=True)
-        divisor = norm[-1:] if rules.normalise_by_last_neuron else norm
-        drawn.append((magnitude / torch.where(divisor == 0, 1.0, divisor), exists))
+    drawn = [_draw_synapses(generator, n_post, n_pre, probability, rules) for probability in probabilities]
     (excitation, excitatory), (inhibition, inhibitory) = drawn
     if rules.one_sign_per_synapse:
         signed = excitation - inhibition
         excitation, inhibition = signed.clamp(min=0), (-signed).clamp_(min=0)
         excitatory, inhibitory = signed > 0, signed < 0
-    return excitation, inhibition, LARGEST * excitatory, LARGEST * inhibitory, thresholds, constant
+    limits = (torch.where(exists, LARGEST, 0.0) for exists in (excitatory, inhibitory))
+    return excitation, inhibition, *limits, thresholds, constant
+
+
+def _draw_synapses(
+    generator: torch.Generator, n_post: int, n_pre: int, probability: float, rules: Rules
+) -> tuple[Tensor, Tensor]:
+    """Return the magnitudes of the synapses of one sign, (n_post, n_pre), and which of them exist."""
+    magnitude = torch.randn(n_post, n_pre, generator=generator)
+    exists = _connections(generator, n_post, n_pre, probability, rules)
+    if not exists.any():
+        return magnitude.zero_(), exists
+    magnitude.div_(6).add_(0.5).clamp_(min=0).mul_(exists)
+    norm = magnitude.sum(1, keepdim=True)
+    divisor = norm[-1:] if rules.normalise_by_last_neuron else norm
+    return magnitude.div_(torch.where(divisor == 0, 1.0, divisor)), exists
 
 
 def _connections(generator: torch.Generator, n_post: int, n_pre: int, probability: float, rules: Rules) -> Tensor:

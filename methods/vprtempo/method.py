@@ -31,6 +31,7 @@ from vprbench.api import (
 from . import fused, training
 from .arguments import Arguments
 from .circuit import check_circuit, circuit_of
+from .encoding import scale_values
 from .layer import Layer, draw_layer, feature_rates
 from .network import Network, last_features, members_from_state, members_state
 from .query import LinearQuery, Query, SpikingQuery, asking, feature_layers, linear_layer, with_score_statistics
@@ -49,6 +50,7 @@ from .training import (
 
 logger = logging.getLogger(__name__)
 
+_MEAN = "reference_mean"  # under which a stored network holds it
 _PROBES = 200  # reference images shown to a trained network to see whether it diverged
 
 
@@ -70,9 +72,11 @@ class VPRTempo(Arguments, Method, HasCircuit):
         **{"rows": 4, "columns": 5},  # of oriented edges
     }
     stored_as: ClassVar[str] = "vprtempo"
+    adapts: ClassVar[bool] = True
     _linear_query: ClassVar[Any] = LinearQuery
     _spiking_query: ClassVar[Any] = SpikingQuery
 
+    reference_mean: npt.NDArray[np.float32] | None = field(default=None, init=False, repr=False, compare=False)
     _members: list[Network] = field(default_factory=list, init=False, repr=False, compare=False)
     _grown: list[tuple[list[Network], Query]] = field(default_factory=list, init=False, repr=False, compare=False)
     _latest: npt.NDArray[np.float32] | None = field(default=None, init=False, repr=False, compare=False)
@@ -91,6 +95,10 @@ class VPRTempo(Arguments, Method, HasCircuit):
         self._query = None
         rules = self.chosen_rules()
         codes = self.encode(references)
+        self.reference_mean = None
+        if self.adapt != "none":
+            self.reference_mean = codes.mean(0, dtype=np.float64).astype(np.float32)
+            codes = self.centre(codes, self.reference_mean)
         _, first_image = np.unique(places, return_index=True)
         probes = first_image[np.linspace(0, n_places - 1, min(_PROBES, n_places)).astype(int)]
         check_inputs(codes[probes])
@@ -119,7 +127,9 @@ class VPRTempo(Arguments, Method, HasCircuit):
         if self._latest is None or not self.extends:
             return super().extend(references, places)
         require_new_places(places, len(references), n_known)
-        n_new, shown = int(places.max()) + 1 - n_known, np.concatenate([self.encode(references), self._latest])
+        codes = self.encode(references)
+        new = codes if self.reference_mean is None else self.centre(codes, self.reference_mean)
+        n_new, shown = int(places.max()) + 1 - n_known, np.concatenate([new, self._latest])
         numbers = np.append(places - n_known, np.full(len(self._latest), n_new))
         spikes = torch.from_numpy(shown).to(self.device)
         grown = self._train([n_new], spikes, numbers, self.chosen_rules(), n_known)
@@ -164,7 +174,8 @@ class VPRTempo(Arguments, Method, HasCircuit):
                 set_thresholds(features[group], order[group], training)
             else:
                 engine.train_features(features[group], order[group], training, report)
-        check_weights(features, "feature")
+        if rules.feature_rule != "rates":  # under which features keep the weights that were drawn
+            check_weights(features, "feature")
         for number, group in enumerate(groups):
             report = _reporting("training places", number, len(groups))
             train = associate_places if rules.output_rule == "covariance" else engine.train_places
@@ -208,6 +219,11 @@ class VPRTempo(Arguments, Method, HasCircuit):
         """Return the input spikes, (n_images, n_inputs of the encoder), amplitudes 0 to 1."""
         return self.encoder()(images)
 
+    def centre(self, codes: npt.NDArray[np.float32], mean: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        """Return spikes (..., n_inputs) without a mean as amplitudes 0 to 1 again, scaled by `scale_values`."""
+        deviations = (codes - mean).reshape(-1, codes.shape[-1])
+        return scale_values(deviations).reshape(codes.shape)
+
     def match(self, codes: npt.NDArray[np.float32]) -> Scores:
         """Return the output neurons' states, (n_queries, n_places)."""
         scores = [query.scores(codes) for query in (self._trained(), *(query for _, query in self._grown))]
@@ -246,14 +262,18 @@ class VPRTempo(Arguments, Method, HasCircuit):
     def state(self) -> Mapping[str, npt.NDArray[np.float32]]:
         """Return the arrays of the trained network; the arrays of several networks are numbered."""
         self._trained()
-        return members_state(self._networks())
+        mean = {} if self.reference_mean is None else {_MEAN: self.reference_mean}
+        return members_state(self._networks()) | mean
 
     def check_circuit(self) -> None:
         """Raise BadInput for a spiking query that does more than its two layers."""
+        if self.adapt != "none":
+            raise BadInput(f"method.adapt={self.adapt} is no layer of neurons: set method.adapt=none")
         check_circuit(len(self._seeds()), self.chosen_rules())
 
     def circuit(self) -> Circuit:
         """Return the layers of the trained networks as the query rule asks them, in full precision."""
+        self.check_circuit()
         self._trained()
         return circuit_of(self._networks(), self.chosen_rules())
 
@@ -265,6 +285,7 @@ class VPRTempo(Arguments, Method, HasCircuit):
     def restore(self, state: Mapping[str, npt.NDArray[Any]]) -> Self:
         """Take over a stored network, or the arrays of a published checkpoint (QVPR/VPRTempo 64154e5)."""
         self._query = None
+        mean, state = state.get(_MEAN), {name: array for name, array in state.items() if name != _MEAN}
         self._members = members_from_state(state, len(self._seeds()), self.device)
         n_inputs = self.encoder().n_inputs
         for member in self._members:
@@ -280,6 +301,12 @@ class VPRTempo(Arguments, Method, HasCircuit):
                     f"the stored network is {'' if is_calibrated else 'not '}calibrated: "
                     f"set method.calibrated_scores={str(is_calibrated).lower()}"
                 )
+        if (mean is None) != (self.adapt == "none") or (mean is not None and mean.shape != (n_inputs,)):
+            kept = "no mean" if mean is None else f"a mean of shape {mean.shape}"
+            raise BadInput(f"the stored network has {kept} of its references: set method.adapt as it was trained")
+        if mean is not None and not np.isfinite(mean).all():
+            raise BadInput(f"the stored network's {_MEAN} holds values that are not finite: get the file anew")
+        self.reference_mean = None if mean is None else np.asarray(mean, np.float32)
         self._query, self._grown, self._latest = self._asking(self._members), [], None
         return self
 

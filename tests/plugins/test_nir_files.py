@@ -1,5 +1,6 @@
 """VPRTempo networks as files of NIR: other simulators answer as we do, a wrong neuron is noticed, ours come back."""
 
+from dataclasses import fields
 from functools import partial
 from typing import Any
 
@@ -49,7 +50,7 @@ def stored(method, folder):
 
 def loaded(path, method, kind=None):
     """Load a file into a new method with the arguments of another one."""
-    arguments = {name: value for name, value in vars(method).items() if not name.startswith("_")}
+    arguments = {field.name: getattr(method, field.name) for field in fields(method) if field.init}
     new = (kind or type(method))(**arguments)
     networks.load(path, new, networks.origin(new, arguments, RIDE))
     return new

@@ -246,7 +246,7 @@ def replace_and_die(root, step):
 
 def destination(path, method, dataset, replace=False):
     """Return where a network goes that `method` learns on `dataset` under the arguments it has."""
-    arguments = {name: value for name, value in vars(method).items() if not name.startswith("_")}
+    arguments = {n: v for n, v in vars(method).items() if not n.startswith("_") and n != "reference_mean"}
     found = networks.prepare(networks.Files(save=path, replace=replace), method, arguments, dataset)
     assert found is not None
     return found

@@ -1,6 +1,8 @@
 """The names of `vprbench.api`, each imported when a program asks for it."""
 
 from . import checkpoints as checkpoints
+from .adaptation import Adapt as Adapt
+from .adaptation import adapt_traverse as adapt_traverse
 from .arithmetic import takes as takes
 from .arrays import Descriptors as Descriptors
 from .arrays import Image as Image

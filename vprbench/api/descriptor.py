@@ -6,12 +6,14 @@ import shutil
 import weakref
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from vprbench import progress
+from vprbench.api.adaptation import Adapt
 from vprbench.api.arrays import Descriptors, Places, Scores
 from vprbench.api.method import Method
 from vprbench.api.search import Audit, Mapped, Search, agreement, check_index
@@ -58,6 +60,7 @@ def require_new_places(places: Places, n_images: int, n_known: int) -> None:
 
 _BLOCK = 64  # references encoded together
 _BLOCK_BYTES = 1 << 26  # of decoded images in such a block
+_MEAN_ROWS = 4096  # descriptors whose mean is taken at once
 _FOLDER = "VPRBENCH_SCRATCH"  # environment variable
 
 
@@ -72,8 +75,10 @@ class DescriptorMethod(Method):
 
     query_arguments: ClassVar[frozenset[str]] = frozenset({"index", "neighbours", "rerank", "probes"})
     #: Arguments that do not change descriptors: cached descriptors stay valid whatever the values of these arguments.
-    search_arguments: ClassVar[frozenset[str]] = frozenset({"index", "neighbours", "rerank", "probes"})
+    search_arguments: ClassVar[frozenset[str]] = frozenset({"index", "neighbours", "rerank", "probes", "adapt"})
 
+    adapts: ClassVar[bool] = True
+    adapt: Adapt = "none"
     index: Kind = "exact"
     neighbours: int = 100
     rerank: int = 0
@@ -81,6 +86,7 @@ class DescriptorMethod(Method):
 
     #: The indexed references; None before `fit`, and None in a subclass that matches in its own way.
     searched: Search | None = field(default=None, init=False, repr=False, compare=False)
+    reference_mean: npt.NDArray[np.float32] | None = field(default=None, init=False, repr=False, compare=False)
     _grown: tuple[Growing, Growing] | None = field(default=None, init=False, repr=False, compare=False)
 
     def fit(self, references: Images, places: Places) -> Self:
@@ -96,12 +102,37 @@ class DescriptorMethod(Method):
             codes = self.encode(block)
             if not done:
                 if 4 * len(references) * codes.shape[1] > LARGE_BYTES:
-                    return self.fit_descriptors(self._in_scratch(references), places)
+                    return self.fit_encoded(_in_scratch(len(references), self._writing(references)), places)
                 descriptors = np.empty((len(references), codes.shape[1]), np.float32)
             descriptors[done : done + len(block)] = codes
             done += len(block)
             del block, codes  # or they would be held while the next ones are made
-        return self.fit_descriptors(descriptors, places)
+        return self.fit_encoded(descriptors, places)
+
+    def fit_encoded(self, descriptors: Descriptors, places: Places) -> Self:
+        """Learn the map from what `encode` gave of the references, (n_references, n_dimensions), centred under `adapt`.
+
+        Raises BadInput as `fit_descriptors` does.
+        """
+        self.reference_mean = None
+        if self.adapt == "none":
+            return self.fit_descriptors(descriptors, places)
+        blocks = [slice(first, first + _MEAN_ROWS) for first in range(0, len(descriptors), _MEAN_ROWS)]
+        total = sum(descriptors[rows].sum(0, dtype=np.float64) for rows in blocks)
+        self.reference_mean = mean = np.asarray(total / len(descriptors), np.float32)
+        if descriptors.nbytes <= LARGE_BYTES:
+            return self.fit_descriptors(self.centre(descriptors[:], mean), places)
+
+        def write_centred(writer: Writer) -> None:
+            for rows in writer.missing():
+                writer.write(rows, [self.centre(descriptors[rows], mean)])
+
+        return self.fit_descriptors(_in_scratch(len(descriptors), write_centred), places)
+
+    def centre(self, codes: npt.NDArray[np.float32], mean: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        """Return descriptors (..., n_dimensions) without a mean, of unit length; zero where they are the mean."""
+        centred = codes - mean
+        return np.asarray(centred / np.maximum(np.linalg.norm(centred, axis=-1, keepdims=True), 1e-12), np.float32)
 
     def fit_descriptors(self, descriptors: Descriptors, places: Places) -> Self:
         """Learn the map from the codes of the references, (n_references, n_dimensions), and forget any earlier map.
@@ -125,25 +156,17 @@ class DescriptorMethod(Method):
             return super().extend(references, places)
         require_new_places(places, len(references), int(known.places.max()) + 1)
         vectors, numbers = self._grown = self._grown or (Growing(known.references[:]), Growing(known.places))
-        vectors.append(np.concatenate([*map(self.encode, encoded_blocks(references))]))
+        codes = np.concatenate([*map(self.encode, encoded_blocks(references))])
+        vectors.append(codes if self.reference_mean is None else self.centre(codes, self.reference_mean))
         numbers.append(places)
         self.searched = Search(vectors.rows, numbers.rows)
         return self
 
-    def _in_scratch(self, references: Images) -> Shards:
-        """Return the codes of the references in files that go when nobody holds the codes any more."""
-        scratch = cache_folder(_FOLDER, "scratch")
-        remove_leftovers(scratch)
-        folder, total = unfinished(scratch), len(references)
-        writer = Writer(folder, total, "descriptors")
-        try:
-            encoded(references, self.encode, writer, lambda done: progress.report("fit, reading images", done / total))
-        except BaseException:
-            shutil.rmtree(folder, ignore_errors=True)
-            raise
-        shards = writer.shards()
-        weakref.finalize(shards, shutil.rmtree, folder, ignore_errors=True)
-        return shards
+    def _writing(self, references: Images) -> Callable[[Writer], object]:
+        """Return what encodes the references into a writer."""
+        total = len(references)
+        report = partial(progress.report, "fit, reading images")
+        return lambda writer: encoded(references, self.encode, writer, lambda done: report(done / total))
 
     def require_index(self, n_references: int) -> None:
         """Raise BadInput if `index` cannot be made of so many references, before they are encoded."""
@@ -191,6 +214,22 @@ class DescriptorMethod(Method):
         if self.searched is None:
             raise NotFittedError(f"{type(self).__name__} has no map yet: call fit(references, places) first")
         return self.searched
+
+
+def _in_scratch(n_rows: int, write: Callable[[Writer], object]) -> Shards:
+    """Return rows that `write` puts into files, which go when nobody holds the rows any more."""
+    scratch = cache_folder(_FOLDER, "scratch")
+    remove_leftovers(scratch)
+    folder = unfinished(scratch)
+    writer = Writer(folder, n_rows, "descriptors")
+    try:
+        write(writer)
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
+    shards = writer.shards()
+    weakref.finalize(shards, shutil.rmtree, folder, ignore_errors=True)
+    return shards
 
 
 def encoded(

@@ -8,8 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol, Self, final
 
+import numpy as np
 import numpy.typing as npt
 
+from vprbench.api.adaptation import adapt_traverse
 from vprbench.api.arrays import Places, Scores
 from vprbench.api.dataset import Dataset, HeldOut
 from vprbench.errors import BadInput
@@ -53,6 +55,12 @@ class Method(ABC):
     stored_as: ClassVar[str] = ""
     #: Arguments that `fit` does not depend on: a stored network fits any value of these arguments.
     query_arguments: ClassVar[frozenset[str]] = frozenset()
+    #: Whether `centre` is written, and `fit` learns `reference_mean`, so that `adapt` may be other than none.
+    adapts: ClassVar[bool] = False
+    #: Which mean is taken off codes between `encode` and `match`, an `Adapt`; an argument of methods with `centre`.
+    adapt: Any = "none"
+    #: The mean code of the references, (n_dimensions,), under any other `adapt` than none; None before `fit`.
+    reference_mean: npt.NDArray[np.float32] | None = None
 
     @property
     def code_bytes(self) -> int:
@@ -98,6 +106,13 @@ class Method(ABC):
     @abstractmethod
     def match(self, codes: npt.NDArray[Any]) -> Scores:
         """Score every place for every code, (n_queries, n_places); raises NotFittedError before `fit`."""
+
+    def centre(self, codes: npt.NDArray[np.float32], mean: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        """Return codes (..., n_dimensions) without a mean that fits their shape, in the form that `match` takes.
+
+        Override it beside an argument `adapt` where codes are vectors whose mean says something of their condition.
+        """
+        raise BadInput(f"{type(self).__name__} has no codes that a mean can be taken off: leave method.adapt out")
 
     def state(self) -> Mapping[str, npt.NDArray[Any]]:
         """Return what `fit` has learnt, as named arrays of numbers; raises NotFittedError before `fit`.
@@ -157,8 +172,9 @@ class Method(ABC):
 
     @final
     def query(self, images: Images) -> Scores:
-        """Score every place for every image, (n_images, n_places)."""
-        return self.match(self.encode(images))
+        """Score every place for every image, (n_images, n_places); `adapt` takes the images as one traverse."""
+        codes = self.encode(images)
+        return self.match(codes if self.adapt == "none" else adapt_traverse(self, codes))
 
 
 class _Coded(Protocol):

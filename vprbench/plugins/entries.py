@@ -63,8 +63,9 @@ class Entry:
 
     @property
     def needs_weights(self) -> bool:
-        """Whether it needs published weights: its yaml has the mapping `weights`."""
-        return isinstance(self.values().get("weights"), Mapping)
+        """Whether it needs weights that have to be fetched: its yaml has a mapping `weights` that names no package."""
+        weights = self.values().get("weights")
+        return isinstance(weights, Mapping) and not weights.get("package")
 
     @property
     def tuned_on(self) -> dict[str, Any]:

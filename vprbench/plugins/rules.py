@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from vprbench.api.adaptation import Adaptation, adapt_traverse
 from vprbench.api.arrays import Image, Places
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
@@ -103,8 +104,12 @@ def _constructor(subject: Subject) -> None:
     for name, value in subject.config.items():
         stored = getattr(method, name, None)
         wanted = checked(f"method.{name}", value, type(stored)) if is_dataclass(stored) else value
-        if name != "_target_" and stored != wanted:
+        if name != "_target_" and _as_lists(stored) != _as_lists(wanted):
             _broken(f"argument {name}={value} is {getattr(method, name, 'not stored')} after construction")
+
+
+def _as_lists(value: Any) -> Any:
+    return [*map(_as_lists, value)] if isinstance(value, list | tuple) else value
 
 
 @rule
@@ -184,13 +189,19 @@ def _batches(subject: Subject) -> None:
     """A batch gives what its single images give."""
     world = Journey.draw(0)
     method = subject.fitted_once
-    singles = np.concatenate([method.query(Images.from_arrays([image])) for image in world.queries])
+    adaptation = Adaptation(method)
+    if not adaptation.is_causal:
+        adaptation.survey(method.encode(Images.from_arrays(world.queries)))
+    codes = (method.encode(Images.from_arrays([image])) for image in world.queries)
+    singles = np.concatenate([method.match(adaptation.apply(code)) for code in codes])
     _same(_scores(method, world), singles, "a batch gives other scores than its images one by one")
 
 
 @rule
 def _order(subject: Subject) -> None:
     """The order of queries does not matter."""
+    if subject.make().adapt == "running":  # the queries so far are what it adapts to
+        return
     world = Journey.draw(0)
     method = subject.fitted_once
     turned = method.query(Images.from_arrays(world.queries[::-1]))
@@ -297,7 +308,7 @@ def _spikes(subject: Subject) -> None:
     world = Journey.draw(0)
     method = subject.fitted(world)
     answers = _scores(method, world)
-    codes = method.encode(Images.from_arrays(world.queries))
+    codes = adapt_traverse(method, method.encode(Images.from_arrays(world.queries)))
     before = np.array(codes, copy=True)
     layers = list(method.spikes(codes))
     names = [layer.name for layer in layers]

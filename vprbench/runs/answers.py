@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vprbench import progress
+from vprbench.api.adaptation import Adaptation
 from vprbench.api.arrays import Scores
 from vprbench.api.binary import BinaryMethod
 from vprbench.api.dataset import Dataset
@@ -27,6 +28,7 @@ from vprbench.metrics.ranking import (
     outcome_of_best,
     ranked_places,
 )
+from vprbench.runs.adapted import Adapted, Asked
 from vprbench.runs.descriptors import DescriptorCache
 from vprbench.runs.notes import Note
 from vprbench.runs.shortlist import TOGETHER, Scorer, Shortlisting, scorer_for
@@ -144,6 +146,8 @@ class Scoring:
         """Keep of the answers what `Answers` keeps; nothing is asked yet."""
         self._stopwatch = stopwatch
         self.asked: Scorer = scorer_for(method, dataset.n_places, depth, whole)
+        self._method = method
+        self._adaptation = Adaptation(method)
         self._queries = dataset.queries.unnamed()
         self._n_places = dataset.n_places
         self.answers = Answers(dataset, depth, whole)
@@ -152,13 +156,21 @@ class Scoring:
     def score(self, described: DescriptorCache | None) -> int:
         """Score all queries; returns of how many `described` had kept the descriptors already."""
         size = block_size(self.asked, self._n_places)
+        from_cache = None if self._adaptation.is_causal else self._survey(described, size)
         if described is not None:
-            return self._score_descriptors(described, size)
+            kept = self._score_descriptors(described, size)
+            return kept if from_cache is None else from_cache  # the survey kept what it encoded
         for block in self._queries.blocks(size):
             self.answers.add(len(block), self._match(self._encode(block)))  # the codes, which may be large, are gone
             progress.report("query", self.answers.done / len(self._queries))
             del block  # or it would be held while the next one is decoded
         return 0
+
+    def begin_traverse(self) -> Asked:
+        """Return what answers the queries of a traverse from its first one on."""
+        if self._method.adapt == "none":
+            return self.asked
+        return Adapted(self.asked, Adaptation(self._method) if self._adaptation.is_causal else self._adaptation)
 
     def look_from(self, views: Sequence[Viewpoint], method: Method) -> None:
         """Ask a method for all scores of each query from these viewpoints."""
@@ -179,10 +191,27 @@ class Scoring:
         self.answers.method_seconds += lap[0]
         return codes
 
+    def _survey(self, described: DescriptorCache | None, size: int) -> int:
+        """See the codes of all queries before the first is answered; returns how many descriptors were kept already."""
+        total = len(self._queries)
+        if described is not None:
+            descriptors, from_cache = described.descriptors(self._queries, self._encode, lambda done: None)
+            for start in range(0, total, size):
+                self._adaptation.survey(descriptors[start : start + size])
+            return from_cache
+        done = 0
+        for block in self._queries.blocks(size):
+            self._adaptation.survey(self._encode(block))
+            done += len(block)
+            progress.report("looking at all queries", done / total)
+            del block  # or it would be held while the next one is decoded
+        return 0
+
     def _match(self, codes: npt.NDArray[Any]) -> Scores | Nearest:
-        self.audited.take(self.answers.done, codes[:, 0] if isinstance(self.asked, Viewed) else codes)
         with self._stopwatch.lap() as lap:
+            codes = self._adaptation.apply(codes)
             answer = self.asked.match(codes)
+        self.audited.take(self.answers.done, codes[:, 0] if isinstance(self.asked, Viewed) else codes)
         self.answers.method_seconds += lap[0]
         return answer
 

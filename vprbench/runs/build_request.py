@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, get_args
 
+from vprbench.api.adaptation import Adapt
 from vprbench.api.dataset import Dataset
 from vprbench.api.frame_cache import frames_kept
 from vprbench.api.method import Method
 from vprbench.data.doctor import check_dataset
+from vprbench.errors import BadInput
 from vprbench.plugins import networks, registry
 from vprbench.progress import progress_shown
 from vprbench.runs import machine, stream
@@ -33,6 +35,22 @@ def build_request(name: str, config: dict[str, Any], settings: Settings, store: 
     with frames_kept(settings.cache):
         dataset = registry.make_dataset(config["dataset"])
     return request_of(name, registry.make_method, dataset, config, settings, store, tuned_on)
+
+
+def _require_adaptable(method: Method, settings: Settings) -> None:
+    """Raise BadInput for an argument `adapt` of a method without centred codes, or beside options that know none."""
+    if method.adapt == "none":
+        return
+    if method.adapt not in get_args(Adapt):
+        raise BadInput(f"method.adapt={method.adapt}: give {', '.join(get_args(Adapt))}")
+    if not method.adapts:
+        raise BadInput(
+            f"method.adapt={method.adapt}: {type(method).__name__} has no codes that a mean can be taken off"
+        )
+    views = viewpoints(settings.views)
+    if settings.readouts or (views is not None and views.auto):
+        other = "readouts=true" if settings.readouts else "views=auto"
+        raise BadInput(f"method.adapt={method.adapt}: {other} reads codes that are not adapted, leave one of both out")
 
 
 def corrupted_request(request: Request, corruption: str, config: Mapping[str, Any]) -> Request:
@@ -64,6 +82,7 @@ def request_of(
     machine.pin_threads(threads)
     files = networks.chosen_files(settings.save, settings.load, settings.force)
     method = build(config["method"])
+    _require_adaptable(method, settings)
     # what the cheap checks warn of is among the dataset's notes
     dataset = replace(dataset, notes=(*dataset.notes, *check_dataset(dataset)))
     if isinstance(settings.corruption, str):

@@ -171,6 +171,8 @@ def _operations(method: Method, singles: Sequence[Images], synops: tuple[float, 
     for single in singles:
         codes, told = _counted(partial(method.encode, single))
         encodes += told
+        if method.reference_mean is not None:
+            codes = method.centre(codes, method.reference_mean)
         matches += _counted(partial(method.match, codes))[1]
     each = [sum(one.operations for one in told) / len(singles) for told in (encodes, matches)]
     if not all(each):

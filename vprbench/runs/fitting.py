@@ -119,7 +119,7 @@ def _fit(method: Method, dataset: Dataset, described: DescriptorCache | None) ->
     assert isinstance(method, DescriptorMethod)
     method.require_index(total)
     descriptors, from_cache = described.descriptors(dataset.references, method.encode, report)
-    method.fit_descriptors(descriptors if descriptors.nbytes > LARGE_BYTES else descriptors[:], places)
+    method.fit_encoded(descriptors if descriptors.nbytes > LARGE_BYTES else descriptors[:], places)
     return from_cache
 
 

@@ -22,6 +22,7 @@ NoteKind = Literal[
     "audit",  # other answers when it was timed
     "index",  # an approximate search
     "shortlist",  # a large map, of which the best places of a query alone are kept
+    "adapted",  # the mean that is taken off descriptors
     "views",  # from which viewpoints queries were asked
     "spikes",  # why no spikes were counted
     "readouts",  # why no layer was read

@@ -60,7 +60,9 @@ def markdown(rows: Sequence[dict[str, str]]) -> str:
 
 def protocol_line(run: Run) -> str:
     """Return in one line what was asked of which places, and by the first digits of a hash of which frames."""
-    chosen = ", ".join(f"{name} {_plain(value)}" for name, value in run.protocol.items())
+    adapt = run.config["method"].get("adapt", "none")
+    asked = {**run.protocol, **({} if adapt == "none" else {"adapt": adapt})}
+    chosen = ", ".join(f"{name} {_plain(value)}" for name, value in asked.items())
     frames = f", data {run.data['names_sha256'][:_DIGITS]}" if run.data else ""
     return f"{run.dataset}: {len(run.outcome)} queries, {run.outcome.n_places} places ({chosen}){frames}"
 

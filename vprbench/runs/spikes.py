@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from vprbench.api.adaptation import adapt_traverse
 from vprbench.api.images import Images
 from vprbench.api.method import LayerSpikes, Method, batch_size_for
 from vprbench.errors import BadInput
@@ -25,7 +26,7 @@ def counted(method: Method, queries: Images) -> tuple[dict[str, Any] | None, tup
     try:
         blocks = chosen.blocks(block_size(method, 1))
         codes = np.concatenate([np.array(method.encode(block)) for block in blocks])
-        return summary(method.spikes(codes)), ()
+        return summary(method.spikes(adapt_traverse(method, codes))), ()
     except Exception as error:  # a plug-in may fail in any way, and its answers and times still stand
         reason = " ".join(str(error).split())
         return None, (Note("spikes", f"no spikes were counted ({type(error).__name__}: {reason})"),)

@@ -16,7 +16,8 @@ from pydantic import ConfigDict, Field, with_config
 from vprbench import progress
 from vprbench.api.images import Images
 from vprbench.api.method import batch_size_for
-from vprbench.runs.shortlist import Answer, Scorer, best_place
+from vprbench.runs.adapted import Asked
+from vprbench.runs.shortlist import Answer, best_place
 from vprbench.runs.timing_protocol import Protocol as Protocol  # callers ask the stopwatch
 from vprbench.storage.bounds import INTEGERS, NUMBERS, Array, Count, Flag, Positive
 from vprbench.storage.bounds import Seconds as Duration
@@ -119,11 +120,11 @@ class Stopwatch:
         self._synchronise()
         seconds.append((self._clock() - start) / 1e9)
 
-    def first_query(self, method: Scorer, images: Images) -> float:
+    def first_query(self, method: Asked, images: Images) -> float:
         """Return the seconds of the first of `images`, decoded beforehand."""
         return sum(self._call(method, images[:1].in_memory())[:2])
 
-    def measure(self, method: Scorer, images: Images, first_query_seconds: float | None = None) -> Timing:
+    def measure(self, method: Asked, images: Images, first_query_seconds: float | None = None) -> Timing:
         """Measure a fitted method on a sample of `images`, decoded beforehand; batches of large codes are smaller.
 
         A pass takes 4 s at most, unless the minimum of queries takes more: the sample of a slow method is smaller.
@@ -150,7 +151,7 @@ class Stopwatch:
         first = [*warmup, float("nan")][0] if first_query_seconds is None else first_query_seconds
         return Timing(first, len(warmup), streaming, offline, chosen, answers, repeated, unseen)
 
-    def _call(self, method: Scorer, images: Images) -> tuple[float, float, Answer]:
+    def _call(self, method: Asked, images: Images) -> tuple[float, float, Answer]:
         """Return the seconds of encode and match, and the scores or the best places."""
         self._synchronise()
         start = self._clock()
@@ -162,7 +163,7 @@ class Stopwatch:
         matched = self._clock()
         return (encoded - start) / 1e9, (matched - encoded) / 1e9, scores
 
-    def _warm_up(self, method: Scorer, singles: Sequence[Images], usual: float) -> list[float]:
+    def _warm_up(self, method: Asked, singles: Sequence[Images], usual: float) -> list[float]:
         """Return the seconds of the calls; `usual` is what one may take."""
         laps: list[float] = []
         started = self._clock()
@@ -174,7 +175,7 @@ class Stopwatch:
                 break
         return laps
 
-    def _stream(self, method: Scorer, singles: Sequence[Images]) -> tuple[Laps, npt.NDArray[np.int64]]:
+    def _stream(self, method: Asked, singles: Sequence[Images]) -> tuple[Laps, npt.NDArray[np.int64]]:
         encodes: list[float] = []
         matches: list[float] = []
         answers = np.full(len(singles), -1)
@@ -190,7 +191,7 @@ class Stopwatch:
                     break
         return Laps(np.array(encodes), np.array(matches), 1, finished), answers
 
-    def _caching(self, method: Scorer, singles: Sequence[Images], usual: float) -> tuple[float, float]:
+    def _caching(self, method: Asked, singles: Sequence[Images], usual: float) -> tuple[float, float]:
         """Return the median seconds of images asked twice in a row, and of new ones asked in between.
 
         Of slow ones 8 suffice. Both are 0 if there is no time for one image; `usual` is what a call takes.
@@ -212,7 +213,7 @@ class Stopwatch:
         image = single[0]
         return Images.from_arrays([image ^ self._generator.integers(0, 2, image.shape, np.uint8)])
 
-    def _offline(self, method: Scorer, sample: Images, streaming: Laps, began: int) -> tuple[Laps, ...]:
+    def _offline(self, method: Asked, sample: Images, streaming: Laps, began: int) -> tuple[Laps, ...]:
         """Return the laps of each batch size whose calls fit into the time left; at least the streaming ones, of one.
 
         Batches whose call is long are left out once larger ones no longer gain.
@@ -231,7 +232,7 @@ class Stopwatch:
                 offline.append(last)
         return tuple(offline) or (replace(streaming, valid=False),)
 
-    def _batches(self, method: Scorer, sample: Images, size: int) -> Laps:
+    def _batches(self, method: Asked, sample: Images, size: int) -> Laps:
         starts = range(0, len(sample) - size + 1, size)  # whole batches only
         batches = [sample[start : start + size] for start in starts]
         encodes: list[float] = []

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vprbench import progress
+from vprbench.api.adaptation import adapt_traverse
 from vprbench.api.images import Images
 from vprbench.api.method import Method
 from vprbench.errors import BadInput
@@ -48,6 +49,7 @@ def grown(request: Request) -> list[dict[str, Any]]:
     old = np.flatnonzero(dataset.places < first)
     method.fit(references[old], dataset.places[old])
     codes = np.concatenate([method.encode(block) for block in dataset.queries.unnamed().blocks(size)])
+    codes = adapt_traverse(method, codes)
     stopwatch = Stopwatch(request.protocol, synchronise=synchroniser(request.config["device"]))
     stops: list[dict[str, Any]] = []
     seconds: list[float] = []

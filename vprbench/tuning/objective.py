@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vprbench import progress
+from vprbench.api.adaptation import adapt_traverse
 from vprbench.api.arrays import Places
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
@@ -70,7 +71,7 @@ class Training:
         except TrainingDivergedError as error:
             nothing = np.zeros(len(stretch.queries))
             return Tried(nothing, nothing, str(error))
-        ranked = outcome(method.match(stretch.queries), stretch.positives)
+        ranked = outcome(method.match(adapt_traverse(method, stretch.queries)), stretch.positives)
         return Tried(hits_at(ranked, 1), hits_at(ranked, 1, "pessimistic"))
 
 

@@ -86,7 +86,7 @@ def test_every_argument_changes_the_scores(name):
 
 def test_the_configuration_has_every_argument_and_its_default_of_table_1():
     configured = yaml.safe_load((ROOT / "conf" / "method" / "vprtempo.yaml").read_text())
-    own = {field.name: field.default for field in fields(VPRTempo) if not field.name.startswith("_")}
+    own = {field.name: field.default for field in fields(VPRTempo) if field.init}
     for name in set(own) - {"seed", "device"}:
         assert configured[name] == own[name], name
     table = ("threshold_max", "stdp_rate", "itp_rate", "rate_min", "rate_max", "p_excitatory", "p_inhibitory")

@@ -1,0 +1,155 @@
+"""EfficientNet-Lite, trained on ImageNet: feature maps of several depths side by side, as a descriptor."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+import numpy.typing as npt
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from vprbench.api import BadInput, NeuralDescriptor, Resize, load_strictly, state_dict, takes
+
+from .parts.backbones.efficientnet_lite import (
+    EfficientNetLite,
+    Variant,
+    count_blocks,
+    count_channels,
+    count_multiply_adds,
+    fold_batch_norms,
+    map_size,
+)
+from .parts.backbones.fused_blocks import BlockOutputs, fuse_blocks
+
+Grid = tuple[int, int] | None  # rows and columns of cells; None: every position of the map
+
+
+@dataclass(kw_only=True)
+class EfficientNet(NeuralDescriptor):
+    """Describes an image by the outputs of some blocks of EfficientNet-Lite, which was not trained for places.
+
+    Of each block in `blocks`, counted from 0, the means over the cells of its `grid` are brought to unit length; these
+    vectors side by side are the descriptor. Early blocks tell places apart that are seen from the same pose, late ones
+    bear other viewpoints. `variant` is that of the file. An image is seen as (level - 127) / 128, as the published
+    weights want it; the size of 128x224 pixels is this project's choice.
+    Source: Tan and Le 2019, and the Lite variants of their public code.
+    """
+
+    variant: Variant = "lite0"
+    blocks: tuple[int, ...] = (4, 10, 12)
+    grid: tuple[Grid, ...] = (None, None, (2, 4))
+    height: int | None = 128
+    width: int | None = 224
+    resize: Resize = "tensor"
+
+    def load(self, path: Path) -> nn.Module:
+        """Return the network up to the last block that is read; raises BadInput for a file of another variant."""
+        network = cast(_Network, self.blank())
+        folded = fold_batch_norms(state_dict(path))
+        n_blocks, of_variant = 1 + max(map(_block_of, folded), default=-1), count_blocks(self.variant)
+        if n_blocks != of_variant:
+            wanted = f"{n_blocks} blocks, wanted {of_variant}; set method.variant"
+            raise BadInput(f"{path} does not fit {self.variant}: {wanted}")
+        known = {name: tensor for name, tensor in folded.items() if _block_of(name) <= self.blocks[-1]}
+        load_strictly(network.model, known, path)
+        return network
+
+    def blank(self) -> nn.Module:
+        """Return the network up to the last block that is read, on the device "meta"."""
+        self._check_arguments()
+        with torch.device("meta"):
+            return _Network(EfficientNetLite(self.variant, self.blocks[-1]), self.blocks, self.grid)
+
+    def use(self, network: nn.Module) -> None:
+        """Describe images with this network from now on."""
+        super().use(network)
+        own = cast(_Network, self._network)
+        own.fused = fuse_blocks(own.model) if self.device == "cpu" else None
+
+    def pixels(self, levels: Tensor) -> Tensor:
+        """Return what the network sees of RGB levels 0..255, (n, 3, height, width)."""
+        return (levels - 127) / 128
+
+    def block_lengths(self) -> list[int]:
+        """Return the numbers that each block gives; raises BadInput where they depend on an image's size."""
+        self._check_arguments()
+        return [
+            count_channels(self.variant, block) * rows * columns
+            for block, (rows, columns) in zip(self.blocks, self._cells(), strict=True)
+        ]
+
+    def _cells(self) -> list[tuple[int, int]]:
+        """Return the rows and columns that are kept of each block; raises BadInput for cells that no map has."""
+        found = []
+        for block, grid in zip(self.blocks, self.grid, strict=True):
+            if self.height is None or self.width is None:
+                if grid is None:
+                    raise BadInput(
+                        f"method.grid={_written(self.grid)} keeps every position of block {block}, as many as an "
+                        "image has: set method.height and method.width, or give rows and columns"
+                    )
+                found.append(grid)
+                continue
+            most = map_size(self.variant, block, self.height, self.width)
+            cells = most if grid is None else grid
+            if not all(1 <= n <= of for n, of in zip(cells, most, strict=True)):
+                raise BadInput(
+                    f"method.grid={_written(self.grid)}: give block {block} 1 to {most[0]} rows and 1 to {most[1]} "
+                    "columns, or null for all"
+                )
+            found.append(cells)
+        return found
+
+    def _described(self, batch: npt.NDArray[Any]) -> Tensor:
+        size = self.target(*batch.shape[1:3])
+        takes(len(batch) * count_multiply_adds(self.variant, self.blocks[-1], *size))
+        return super()._described(batch)
+
+    def _at_most(self, image: npt.NDArray[Any]) -> int:
+        # On a CPU the maps of one image stay in its caches; several together are slower.
+        return 1 if self.device == "cpu" else super()._at_most(image)
+
+    def _check_arguments(self) -> None:
+        """Raise BadInput for arguments that do not fit."""
+        super()._check_arguments()
+        last = count_blocks(self.variant) - 1
+        ascending = all(one < next_one for one, next_one in zip(self.blocks, self.blocks[1:], strict=False))
+        if not self.blocks or not ascending or not 0 <= self.blocks[0] <= self.blocks[-1] <= last:
+            raise BadInput(f"method.blocks={[*self.blocks]}: give blocks of {self.variant}, 0 to {last}, ascending")
+        if len(self.grid) != len(self.blocks):
+            raise BadInput(
+                f"method.grid={_written(self.grid)} has {len(self.grid)} entries for {len(self.blocks)} blocks: give "
+                "rows and columns for each, as in [[8,14],[4,7],[2,4]], null for every position"
+            )
+        self._cells()
+
+
+class _Network(nn.Module):
+    """Images (n, 3, height, width) to the cells of each block, each of unit length, side by side (n, n_dimensions)."""
+
+    def __init__(self, model: EfficientNetLite, blocks: Sequence[int], grid: Sequence[Grid]) -> None:
+        super().__init__()
+        self.model = model
+        self.fused: BlockOutputs | None = None  # the same outputs, faster
+        self._blocks, self._grid = blocks, grid
+
+    def forward(self, images: Tensor) -> Tensor:
+        maps = (self.fused or self.model)(images, self._blocks)
+        pairs = zip(maps, self._grid, strict=True)
+        cells = [each if grid is None else functional.adaptive_avg_pool2d(each, grid) for each, grid in pairs]
+        return torch.cat([functional.normalize(each.flatten(1).float(), dim=1) for each in cells], dim=1)
+
+
+def _block_of(name: str) -> int:
+    """Return the number of the block that a tensor belongs to; -1 for the stem's."""
+    return int(name.split(".")[1]) if name.startswith("blocks.") else -1
+
+
+def _written(grid: Sequence[Grid]) -> str:
+    """Return a grid as it is given on the command line."""
+    cells = ["null" if each is None else f"[{each[0]},{each[1]}]" for each in grid]
+    return f"[{','.join(cells)}]"

