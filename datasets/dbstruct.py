@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from vprbench.api import BadInput, Dataset, MatFileError, NotThere, read_mat
 
+from .readers.drives import Breaks
 from .readers.file_dataset import Unmatched, dataset_of_files
 from .readers.frame_folders import root_folder
 from .readers.image_files import check_listed
@@ -32,8 +33,9 @@ class DbStruct:
 
     Database names start from `<root>/<database_folder>`, query names from `<root>/<query_folder>` (queries_real for
     Pittsburgh). `database_suffix` replaces that of the database names, for Tokyo 24/7 says .jpg and holds .png. Every
-    database image is a place; right is what lies within `radius_metres` of a query, the radius included. Raises
-    NotThere for missing files, BadInput for a file without such a structure.
+    database image is a place; right is what lies within `radius_metres` of a query, the radius included. Under the
+    `breaks` auto another folder, or a position that jumps, begins another drive. Raises NotThere for missing files,
+    BadInput for a file without such a structure.
     """
 
     name: str = "dbstruct"
@@ -44,6 +46,7 @@ class DbStruct:
     database_suffix: str | None = None
     radius_metres: float = 25.0
     unmatched: Unmatched = "keep"
+    breaks: Breaks = "none"
 
     def build(self) -> Dataset:
         """Return the dataset of these options, after a check that every image is there."""
@@ -75,6 +78,7 @@ class DbStruct:
                 "database_suffix": self.database_suffix,
                 "radius_metres": self.radius_metres,
             },
+            breaks=self.breaks,
         )
 
 

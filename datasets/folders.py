@@ -3,20 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Sequence, Sized
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from vprbench.api import BadInput, Dataset, NotThere, Paths
 
+from .readers.drives import Breaks, check_by_order, drive_starts, right_in_drive
 from .readers.file_dataset import GroundTruth, Unmatched, dataset_of_files, each_a_place
 from .readers.image_files import images_in
 from .readers.matrix_files import matrix_in
+from .readers.name_order import Numbers, by_numbers
 from .readers.positions import by_names
 from .readers.traverses import right_places
 
 _ADVICE = "give a folder of images"
 _MATRIX = "positives"
+_WAYS_OUT = (
+    "give as many in each, or say what is right by dataset.ground_truth=utm (positions in names), by "
+    f"dataset.ground_truth=FILE.npz (a matrix {_MATRIX}) or by dataset=image_list (a column place)"
+)
 
 
 def folders(
@@ -27,8 +34,14 @@ def folders(
     tolerance: int = 0,
     radius_metres: float = 25.0,
     unmatched: Unmatched = "error",
+    numbers: Numbers = "auto",
+    breaks: Breaks = "auto",
 ) -> Dataset:
     """Return the images of your own folders in natural order (2.jpg before 10.jpg), sub-folders included.
+
+    `numbers` says whether numbers in names are decimal (0.25 before 0.5) or whole; by default the names tell. Another
+    sub-folder, or a position that jumps, begins another drive unless `breaks` is none: sequences and tolerance end
+    there.
 
     With `index` the i-th image of every reference folder (a traverse each) shows place i, and right for the i-th
     query are the places i - tolerance to i + tolerance. With `utm` every reference image is a place, names are
@@ -42,12 +55,17 @@ def folders(
             "dataset.references and dataset.queries are not set: "
             "pass dataset.references=[/path/to/first,/path/to/second] dataset.queries=/path/to/queries"
         )
-    traverses = [images_in(folder, "dataset.references", _ADVICE) for folder in references]
+    found = [images_in(folder, "dataset.references", _ADVICE) for folder in references]
+    found.append(images_in(queries, "dataset.queries", _ADVICE))
+    (*traverses, asked), read, notes = by_numbers(found, numbers)
     mapped = Paths.joined(traverses)
-    asked = images_in(queries, "dataset.queries", _ADVICE)
     chosen: dict[str, float] = {}
     if ground_truth == "index":
-        truth, chosen = by_index(traverses, references, len(asked), tolerance), {"tolerance_places": tolerance}
+        check_by_order(found, [*references, queries], breaks, "dataset.", _WAYS_OUT)
+        truth = by_index(traverses, references, len(asked), tolerance)
+        starts = drive_starts((), asked, breaks)
+        truth = replace(truth, positives=right_in_drive(truth.positives, starts.queries))
+        chosen = {"tolerance_places": tolerance}
     elif ground_truth == "utm":
         truth, chosen = by_names(mapped, asked, radius_metres), {"radius_metres": radius_metres}
     else:
@@ -64,7 +82,10 @@ def folders(
             "queries": Path(queries).resolve().name,
             "ground_truth": Path(ground_truth).name,
             **chosen,
+            **read,
         },
+        notes,
+        breaks,
     )
 
 
@@ -82,7 +103,8 @@ def by_index(traverses: Sequence[Sized], names: list[str], n_queries: int, toler
         )
     places = np.arange(counts.pop())
     positives = right_places(np.arange(n_queries), places, tolerance)
-    return GroundTruth(np.tile(places, len(traverses)), positives, f"no reference within {tolerance} places")
+    lacking = f"no reference within {tolerance} places"
+    return GroundTruth(np.tile(places, len(traverses)), positives, lacking, by_order=True)
 
 
 def _by_file(file: Path, n_queries: int, n_references: int) -> GroundTruth:

@@ -14,6 +14,7 @@ import numpy.typing as npt
 from vprbench.api import BadInput, Dataset, NotThere, Paths
 
 from .readers.csv_tables import read_csv
+from .readers.drives import Breaks
 from .readers.file_dataset import GroundTruth, Unmatched, dataset_of_files
 from .readers.image_files import check_listed
 from .readers.positions import MOST_METRES, by_radius, earth_centred
@@ -39,6 +40,7 @@ def image_list(
     tolerance: int = 0,
     radius_metres: float = 25.0,
     unmatched: Unmatched = "error",
+    breaks: Breaks = "auto",
 ) -> Dataset:
     """Return the images that CSV files list, in the order of their rows.
 
@@ -49,7 +51,8 @@ def image_list(
     Places are any numbers or words. They are numbered in the order in which the references first name them, several
     references may show one, and right are places at most `tolerance` away in that numbering. By position every
     reference is a place, and right is what lies within `radius_metres`, the radius included; the distance between
-    latitudes and longitudes is the straight line through the ellipsoid.
+    latitudes and longitudes is the straight line through the ellipsoid. Another folder, or a position that jumps,
+    begins another drive unless `breaks` is none.
 
     Raises NotThere for missing files, BadInput for tables that do not fit.
     """
@@ -80,6 +83,7 @@ def image_list(
             "ground_truth": kind,
             **({"tolerance_places": tolerance} if kind == "place" else {"radius_metres": radius_metres}),
         },
+        breaks=breaks,
     )
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from vprbench.api import BadInput, Dataset, NotThere, Paths
 
+from .readers.drives import Breaks
 from .readers.file_dataset import Unmatched, dataset_of_files
 from .readers.frame_folders import root_folder
 from .readers.image_files import check_listed, images_in
@@ -28,8 +29,8 @@ class UtmFolders:
     reference is a place; right is what lies within `radius_metres`, the radius included. Queries without a right place
     count as misses (`keep`, as in gmberton/VPR-methods-evaluation), are left out (`drop`, as in VPRTempo and
     VPR_Tutorial) or are an error. So are names of several UTM zones, unless images of different zones never show one
-    place (`zones` apart). Raises NotThere for what is missing, BadInput for names without a position and for a
-    list that is no text.
+    place (`zones` apart). Another sub-folder, or a position that jumps, begins another drive unless `breaks` is none.
+    Raises NotThere for what is missing, BadInput for names without a position and for a list that is no text.
     """
 
     name: str = "utm_folders"
@@ -40,6 +41,7 @@ class UtmFolders:
     radius_metres: float = 25.0
     unmatched: Unmatched = "keep"
     zones: Zones = "error"
+    breaks: Breaks = "auto"
 
     def build(self) -> Dataset:
         """Return the dataset of these options."""
@@ -64,6 +66,7 @@ class UtmFolders:
                 "radius_metres": self.radius_metres,
                 "zones": self.zones,
             },
+            breaks=self.breaks,
         )
 
 

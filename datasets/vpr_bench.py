@@ -11,6 +11,7 @@ from .readers.csv_tables import read_csv
 from .readers.file_dataset import Unmatched, dataset_of_files, each_a_place
 from .readers.frame_folders import root_folder
 from .readers.image_files import images_in
+from .readers.name_order import Numbers, by_numbers
 from .readers.pickled_lists import read_lists
 
 OutOfRange = Literal["error", "clip"]
@@ -31,8 +32,11 @@ def vpr_bench(
     out_of_range: OutOfRange = "error",
     unmatched: Unmatched = "keep",
     default_root: str | None = None,
+    numbers: Numbers = "whole",
 ) -> Dataset:
     """Return the images of `<root>/query` and `<root>/ref`, in natural order (2.jpg before 10.jpg), numbered from 0.
+
+    `numbers` in names are whole ones (0.5 before 0.25), or decimal; under auto the names tell.
 
     Every reference is a place. `ground_truth` is a file in `root`, the first of `GROUND_TRUTHS` that is there if None:
     rows of a query and its right references, by number (an array of objects, pickled), or a CSV with the columns query
@@ -41,7 +45,8 @@ def vpr_bench(
     None if it exists. Raises NotThere for what is missing, BadInput for a ground truth that does not fit.
     """
     top = root_folder(name, root, "query/ and ref/", _LAYOUT, default_root=default_root)
-    asked, references = (images_in(top / part, "dataset.root", _LAYOUT, deep=False) for part in ("query", "ref"))
+    found = [images_in(top / part, "dataset.root", _LAYOUT, deep=False) for part in ("query", "ref")]
+    (asked, references), read, told = by_numbers(found, numbers)
     stored = _ground_truth_file(top, ground_truth)
     rows = _rows_of_csv(stored) if stored.suffix.lower() == ".csv" else _rows_of_pickle(stored)
     by_query, corrected = in_range(stored.name, rows, len(asked), len(references), out_of_range)
@@ -63,8 +68,9 @@ def vpr_bench(
             "ground_truth": stored.name,
             "out_of_range": out_of_range,
             "out_of_range_queries": len(corrected),
+            **read,
         },
-        notes,
+        [*told, *notes],
     )
 
 

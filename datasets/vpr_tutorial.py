@@ -53,7 +53,7 @@ def gardens_point(
         name,
         mapped,
         _first(top / query, images, layout),
-        GroundTruth(np.tile(places, len(traverses)), right, "no reference"),
+        GroundTruth(np.tile(places, len(traverses)), right, "no reference", by_order=True),
         "error",
         {
             "protocol": "vpr_tutorial",

@@ -12,6 +12,8 @@ import numpy.typing as npt
 
 from vprbench.api import BadInput, Dataset, FrameFolder, Images, Paths, Places
 
+from .drives import NO_STARTS, Breaks, Starts, drive_starts
+
 Unmatched = Literal["error", "keep", "drop"]  # of queries without a right place: keep counts them as misses
 
 
@@ -22,6 +24,8 @@ class GroundTruth:
     places: Places  # (n_references,)
     positives: Sequence[npt.NDArray[np.int64]]  # per query, ascending
     lacking: str  # what a query without any lacks, as in "no reference within 25 m"
+    by_order: bool = False  # whether the order of the images says what is right
+    jumps: tuple[Starts, Starts] = (NO_STARTS, NO_STARTS)  # references and queries at which the position jumps
 
 
 def each_a_place(n_references: int, right: Iterable[npt.ArrayLike], lacking: str) -> GroundTruth:
@@ -37,9 +41,11 @@ def dataset_of_files(
     unmatched: Unmatched,
     protocol: Mapping[str, Any],
     notes: Sequence[str] = (),
+    breaks: Breaks = "none",
 ) -> Dataset:
     """Return the dataset of these files or images; how queries without a right place are treated is noted.
 
+    Under the `breaks` auto the journey breaks off where another drive begins, which the protocol says.
     Raises BadInput if `unmatched` is error and such queries exist, or drop and no other queries exist.
     """
     mapped, asked = (part if isinstance(part, Images) else Images.from_files(part) for part in (references, queries))
@@ -57,6 +63,11 @@ def dataset_of_files(
         )
     if not len(kept):
         raise BadInput(f"{told}, and dataset.unmatched=drop leaves none: check that both folders show the same places")
+    starts = drive_starts(references, queries, breaks, truth.jumps)
+    place_breaks = starts.of_places(truth.places)
+    gaps = np.flatnonzero(np.diff(kept) > 1) + 1
+    query_breaks = np.union1d(gaps, _first_from(starts.queries, kept))
+    met = {"breaks": starts.seen_by} if len(place_breaks) or len(starts.queries) else {}
     outcome = "are left out" if unmatched == "drop" else "count as misses"
     return Dataset(
         name=name,
@@ -64,11 +75,19 @@ def dataset_of_files(
         places=truth.places,
         queries=asked[kept],
         positives=tuple(truth.positives[query] for query in kept.tolist()),
-        protocol={**protocol, "unmatched": unmatched},
-        query_breaks=np.flatnonzero(np.diff(matched) > 1) + 1 if unmatched == "drop" else None,
+        protocol={**protocol, "unmatched": unmatched, **met},
+        query_breaks=query_breaks if unmatched == "drop" or met else None,
+        place_breaks=place_breaks if met else None,
+        by_order=truth.by_order,
         folders=folders_of(Paths.joined(files)),
         notes=(*notes, *([f"{told}; they {outcome} (dataset.unmatched={unmatched})"] if without else ())),
     )
+
+
+def _first_from(starts: Starts, kept: npt.NDArray[np.int64]) -> Starts:
+    """Return the numbers, among the queries that are kept, of the first query of each drive after the first drive."""
+    found = np.unique(np.searchsorted(kept, starts))
+    return found[(found > 0) & (found < len(kept))]
 
 
 def folders_of(files: Sequence[Path]) -> tuple[FrameFolder, ...]:

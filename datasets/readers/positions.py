@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from array import array
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Literal
@@ -15,6 +16,7 @@ from scipy.spatial import KDTree
 
 from vprbench.api import BadInput, Paths
 
+from .drives import position_jumps
 from .file_dataset import GroundTruth, each_a_place
 
 Metres = npt.NDArray[np.float64]  # (n, 2) east and north, or (n, 3)
@@ -36,7 +38,9 @@ def by_radius(references: Metres, queries: Metres, radius_metres: float) -> Grou
     if not 0 < radius_metres <= MOST_METRES:
         raise BadInput(f"dataset.radius_metres={radius_metres:g}: give more than 0 metres, at most {MOST_METRES:g}")
     near = KDTree(references).query_ball_point(queries, radius_metres + _ROUNDING_METRES, return_sorted=True)
-    return each_a_place(len(references), near, f"no reference within {radius_metres:g} m")
+    truth = each_a_place(len(references), near, f"no reference within {radius_metres:g} m")
+    jumps = position_jumps(references, radius_metres), position_jumps(queries, radius_metres)
+    return replace(truth, jumps=jumps)
 
 
 def are_metres(numbers: npt.ArrayLike) -> bool:

@@ -51,6 +51,7 @@ from .other_rooms import Paths as Paths
 from .other_rooms import TrainingDivergedError as TrainingDivergedError
 from .other_rooms import checkout_folder as checkout_folder
 from .other_rooms import data_folder as data_folder
+from .other_rooms import decimals_in as decimals_in
 from .other_rooms import natural_keys as natural_keys
 from .other_rooms import progress as progress
 from .other_rooms import read_mat as read_mat

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -16,11 +16,18 @@ from vprbench.api.images import Images
 from vprbench.errors import BadInput
 from vprbench.interactive import short
 from vprbench.plugins import registry
+from vprbench.storage.paths import Paths
 from vprbench.text import plural
 
 #: One traverse: a folder, a list of image files, a list of arrays (height, width) or (height, width, 3), or one array
 #: of images (n, height, width) or (n, height, width, 3); uint8.
 Traverse = str | Path | Sequence[str | Path] | Sequence[npt.NDArray[Any]] | npt.NDArray[Any]
+
+
+_WAYS_OUT = (
+    "give as many in each, or say what is right by positives= (the right places of each query) or by "
+    'vprbench.dataset("image_list") (places or positions)'
+)
 
 
 class OwnImages(Dataset):
@@ -37,38 +44,51 @@ def dataset_of(
     name: str = "images",
     tolerance: int = 0,
     positives: Sequence[int] | Sequence[Sequence[int]] | npt.NDArray[Any] | None = None,
+    numbers: Literal["auto", "decimal", "whole"] = "auto",
+    breaks: Literal["auto", "none"] = "auto",
 ) -> Dataset:
     """Return the dataset of your own images; the i-th image of every reference traverse shows place i.
 
     `references` is a traverse or a list of traverses. Right for the i-th query are the places i - tolerance to
     i + tolerance, or what `positives` says: a place or a list of places for each query, or a matrix of booleans
-    (n_queries, n_places). A query without a right place counts as a miss. Raises NotThere for a folder without images,
-    BadInput for what is no image and for parts that do not fit one another.
+    (n_queries, n_places). A query without a right place counts as a miss. A folder is read in the order of the numbers
+    in its names, which are decimal (0.25 before 0.5) or whole; by default the names tell. Where files lie in another
+    folder than those before, another drive begins unless `breaks` is none: tolerance and sequences end there. Raises
+    NotThere for a folder without images, BadInput for what is no image and for parts that do not fit one another.
     """
-    several = [_listed(each, "references") for each in _traverses(references)]
-    asked = _listed(queries, "queries")
-    counts = sorted({len(images) for images in several})
-    if len(counts) > 1:
-        raise BadInput(
-            f"references: the traverses have {' and '.join(map(str, counts))} images; wanted as many in each"
-        )
-    n_places, n_queries = counts[0], len(asked)
+    for option, value, known in (
+        ("numbers", numbers, ("auto", "decimal", "whole")),
+        ("breaks", breaks, ("auto", "none")),
+    ):
+        if value not in known:
+            raise BadInput(f"{option}={value}: choose {', '.join(known)}")
     given = positives is not None
+    parts, read, notes = _in_order([*_traverses(references), queries], numbers)
+    *several, asked = parts
+    if not len(several[0]):
+        raise BadInput("references hold no reference image: give a folder, or at least one image")
+    names = [*(f"references[{number}]" for number in range(len(several))), "queries"]
+    drives = _reader("drives")
+    drives.check_by_order(several if given else parts, names[:-1] if given else names, breaks, "", _WAYS_OUT)
+    n_places, n_queries = len(several[0]), len(asked)
     if tolerance < 0 or (given and tolerance):
         raise BadInput(f"tolerance={tolerance}: give 0 or more places, and 0 with positives, which say all")
-    right = _right_places(positives, n_queries, n_places) if given else _by_number(n_queries, n_places, tolerance)
-    without = sum(not len(places) for places in right)
-    if without and not given:
-        raise BadInput(
-            f"{without} of {plural(n_queries, 'query')} have no reference within {plural(tolerance, 'place')}: give as "
-            "many queries as places, or positives=, the right places of each query"
-        )
-    notes = (f"{without} of {plural(n_queries, 'query')} have no right place: they count as misses",) * bool(without)
+    mapped, places = [image for images in several for image in images], np.tile(np.arange(n_places), len(several))
+    starts = drives.drive_starts(_files(mapped), _files(asked), breaks)
+    place_breaks, query_breaks = starts.of_places(places), starts.queries
+    broken = len(place_breaks) + len(query_breaks) > 0
+    if given:
+        right = _right_places(positives, n_queries, n_places)
+    else:
+        by_number = _by_number(n_queries, n_places, tolerance)
+        right = tuple(drives.right_in_drive(by_number, np.union1d(place_breaks, query_breaks)))
+    if without := sum(not len(places) for places in right):
+        notes.append(f"{without} of {plural(n_queries, 'query')} have no right place: they count as misses")
     truth = {"ground_truth": "given"} if given else {"ground_truth": "index", "tolerance_places": tolerance}
     return OwnImages(
         name=name,
-        references=_images([image for images in several for image in images]),
-        places=np.tile(np.arange(n_places), len(several)),
+        references=_images(mapped),
+        places=places,
         queries=_images(asked),
         positives=right,
         protocol={
@@ -76,8 +96,13 @@ def dataset_of(
             "references": [_called(each) for each in _traverses(references)],
             "queries": _called(queries),
             **truth,
+            **read,
+            **({"breaks": starts.seen_by} if broken else {}),
         },
-        notes=notes,
+        query_breaks=query_breaks if broken else None,
+        place_breaks=place_breaks if broken else None,
+        by_order=not given,
+        notes=tuple(notes),
     )
 
 
@@ -92,11 +117,26 @@ def _traverses(references: Any) -> list[Any]:
     return [references] if images or not isinstance(first, Sequence | np.ndarray) else list(references)
 
 
+def _in_order(traverses: Sequence[Any], numbers: str) -> tuple[list[Any], dict[str, Any], list[str]]:
+    """Return traverses, folders in the order of the numbers in their names, and what protocol and notes say of it."""
+    options = [*["references"] * (len(traverses) - 1), "queries"]
+    found = [_listed(each, option) for each, option in zip(traverses, options, strict=True)]
+    folders = [number for number, images in enumerate(found) if isinstance(images, Paths)]
+    ordered, read, notes = _reader("name_order").by_numbers([found[number] for number in folders], numbers, "numbers")
+    for number, files in zip(folders, ordered, strict=True):
+        found[number] = files
+    return found, read, notes
+
+
+def _reader(name: str) -> Any:
+    """Return one of the modules by which datasets of files are read."""
+    return registry.module_beside(registry.entries("dataset")["folders"], f"readers.{name}")
+
+
 def _listed(traverse: Any, option: str) -> Sequence[Path] | list[Image]:
     """Return the files or the arrays of one traverse; raises what `dataset_of` raises, naming the `option`."""
     if isinstance(traverse, str | Path):
-        reader = registry.module_beside(registry.entries("dataset")["folders"], "readers.image_files")
-        found: Sequence[Path] = reader.images_in(traverse, option, "give a folder of images")
+        found: Paths = _reader("image_files").images_in(traverse, option, "give a folder of images")
         return found
     if isinstance(traverse, np.ndarray) and traverse.ndim == 3 and traverse.shape[2] in (3, 4):
         raise BadInput(f"{option} is one image of shape {traverse.shape}; wanted several: a list of images")
@@ -111,6 +151,12 @@ def _listed(traverse: Any, option: str) -> Sequence[Path] | list[Image]:
         except BadInput as error:
             raise BadInput(f"{option}, image {number}: {error}") from error
     return images
+
+
+def _files(listed: Sequence[Path | Image]) -> Sequence[Path]:
+    """Return images as files; nothing if some are arrays, which lie in no folder."""
+    files = [image for image in listed if isinstance(image, Path)]
+    return Paths.of(files) if len(files) == len(listed) else ()
 
 
 def _images(listed: Sequence[Path | Image]) -> Images:

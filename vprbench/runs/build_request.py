@@ -14,7 +14,7 @@ from vprbench.data.doctor import check_dataset
 from vprbench.errors import BadInput
 from vprbench.plugins import networks, registry
 from vprbench.progress import progress_shown
-from vprbench.runs import machine, stream
+from vprbench.runs import machine, sequences, stream
 from vprbench.runs.corrupted_frames import corrupted
 from vprbench.runs.identity import Request, data_record, fingerprint, hashed
 from vprbench.runs.settings import Settings, n_threads
@@ -84,7 +84,8 @@ def request_of(
     method = build(config["method"])
     _require_adaptable(method, settings)
     # what the cheap checks warn of is among the dataset's notes
-    dataset = replace(dataset, notes=(*dataset.notes, *check_dataset(dataset)))
+    in_sequences = bool(sequences.views(settings.sequence, settings.filter))
+    dataset = replace(dataset, notes=(*dataset.notes, *check_dataset(dataset, in_sequences)))
     if isinstance(settings.corruption, str):
         dataset = corrupted(dataset, settings.corruption)
     dataset = seen_from(dataset, views := viewpoints(settings.views))

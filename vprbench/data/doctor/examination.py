@@ -24,8 +24,11 @@ from .traverse import traverses_of
 _UNUSED_LOOKED_AT = 1000  # images of a folder
 
 
-def quick(dataset: Dataset) -> tuple[Finding, ...]:
-    """Run the checks that decode nothing: names, files and ground truth; the worst findings come first."""
+def quick(dataset: Dataset, sequences: bool = False) -> tuple[Finding, ...]:
+    """Run the checks that decode nothing: names, files and ground truth; the worst findings come first.
+
+    `sequences` tells whether answers of neighbouring queries are put together, for which their order matters.
+    """
     unused: list[Finding] = []
 
     def one_by_one() -> Iterator[Contents | None]:  # all together they would be larger than the dataset
@@ -34,7 +37,7 @@ def quick(dataset: Dataset) -> tuple[Finding, ...]:
             unused.extend(files.unused_images(found) if found else ())
             yield found
 
-    return _sorted([*_cheap(dataset, one_by_one()), *unused])
+    return _sorted([*_cheap(dataset, one_by_one(), sequences), *unused])
 
 
 def examine(dataset: Dataset) -> tuple[Finding, ...]:
@@ -58,9 +61,9 @@ def examine(dataset: Dataset) -> tuple[Finding, ...]:
     ])  # fmt: skip
 
 
-def check_dataset(dataset: Dataset) -> tuple[str, ...]:
-    """Return the warnings of the cheap checks as lines; raises BadInput for their first error."""
-    found = quick(dataset)
+def check_dataset(dataset: Dataset, sequences: bool = False) -> tuple[str, ...]:
+    """Return the warnings of the checks that `quick` runs, as lines; raises BadInput for their first error."""
+    found = quick(dataset, sequences)
     errors = [finding for finding in found if finding.level == "error"]
     if errors:
         more = f" ({len(errors) - 1} more, which the doctor names)" if len(errors) > 1 else ""
@@ -90,12 +93,12 @@ def command(
     return int(is_wrong(found))
 
 
-def _cheap(dataset: Dataset, known: Iterable[Contents | None]) -> Iterator[Finding]:
+def _cheap(dataset: Dataset, known: Iterable[Contents | None], sequences: bool = False) -> Iterator[Finding]:
     """Check the lists of the dataset, and its folders by the names and sizes of their files."""
     references, query = traverses_of(dataset)
     yield from (Finding("note", "dataset", note) for note in dataset.notes)
     yield from names.repeated_names([*references, query])
-    yield from names.order([*references, query])
+    yield from names.order([*references, query], dataset.by_order or sequences, dataset.protocol.get("numbers"))
     yield from names.names_of_places(references, query)
     yield from ground_truth.right_places(dataset)
     yield from ground_truth.course(dataset)

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
 
+from vprbench.storage.decimal_names import decimals_in
 from vprbench.storage.paths import natural_keys
 from vprbench.text import be, plural, some
 
@@ -32,18 +33,23 @@ def repeated_names(traverses: Sequence[Traverse]) -> Iterator[Finding]:
             )
 
 
-def order(traverses: Sequence[Traverse]) -> Iterator[Finding]:
-    """Find traverses in dictionary order (1, 10, 2), where neighbours in the list are no neighbours on the road."""
-    steps = {traverse.name: _step_in_dictionary_order(traverse.images.names) for traverse in traverses}
+def order(traverses: Sequence[Traverse], matters: bool, numbers: str | None = None) -> Iterator[Finding]:
+    """Find traverses in dictionary order (1, 10, 2), where neighbours in the list are no neighbours on the road.
+
+    `matters` says whether any answer or number rests on the order; else it is but noted. `numbers` is what the protocol
+    says of numbers in names.
+    """
+    steps = {traverse.name: _step_in_dictionary_order(traverse.images.names, numbers) for traverse in traverses}
     wrong = [name for name, step in steps.items() if step]
     if wrong:
         every = len(wrong) == len(traverses)
         yield Finding(
-            "warning" if every else "error",
+            ("warning" if every else "error") if matters else "note",
             "order",
             f"{' and '.join(wrong)} {be(wrong)} in dictionary order, not in the order of the numbers: "
             f"... {steps[wrong[0]]} ..." + ("" if every else "; the other traverses are in the order of the numbers"),
-            "list the files in natural order (2 before 10), or give the numbers leading zeros",
+            "list the files in natural order (2 before 10), or give the numbers leading zeros"
+            + ("" if matters else ", if you ask for sequences; all else is the same in any order"),
         )
 
 
@@ -81,11 +87,17 @@ def _differing(traverse: Traverse, places: Sequence[int], shown: Traverse) -> It
     )
 
 
-def _step_in_dictionary_order(names: Sequence[str]) -> str:
-    """Return where names sorted by their characters first differ from the order of their numbers; empty if nowhere."""
+def _step_in_dictionary_order(names: Sequence[str], numbers: str | None) -> str:
+    """Return where names sorted by their characters first differ from the order of their numbers; empty if nowhere.
+
+    Names in the order of their decimal numbers (0.25, 0.5) are in order, where they hold such or `numbers` says so.
+    """
     as_wide = (name.translate(_ANY_DIGIT) for name in names)  # leading zeros make both orders one
     first = next(as_wide, "")
     if all(name == first for name in as_wide) or any(one > two for one, two in pairwise(names)):
+        return ""
+    decimals = decimals_in(names)
+    if decimals and "decimal" in (decimals.reading, numbers) and decimals.order == sorted(decimals.order):
         return ""
     for start in range(0, len(names), _AT_ONCE):
         keys = natural_keys(names[start : start + _AT_ONCE + 1])
