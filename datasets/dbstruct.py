@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.api import BadInput, Dataset, MatFileError, NotThere, read_mat
+from vprbench.api import BadInput, Dataset, Exif, MatFileError, NotThere, read_mat
 
 from .readers.drives import Breaks
 from .readers.file_dataset import Unmatched, dataset_of_files
@@ -34,8 +34,8 @@ class DbStruct:
     Database names start from `<root>/<database_folder>`, query names from `<root>/<query_folder>` (queries_real for
     Pittsburgh). `database_suffix` replaces that of the database names, for Tokyo 24/7 says .jpg and holds .png. Every
     database image is a place; right is what lies within `radius_metres` of a query, the radius included. Under the
-    `breaks` auto another folder, or a position that jumps, begins another drive. Raises NotThere for missing files,
-    BadInput for a file without such a structure.
+    `breaks` auto another folder, or a position that jumps, begins another drive. `exif` and `levels` say how files are
+    decoded (`decoding_of`). Raises NotThere for missing files, BadInput for a file without such a structure.
     """
 
     name: str = "dbstruct"
@@ -47,6 +47,8 @@ class DbStruct:
     radius_metres: float = 25.0
     unmatched: Unmatched = "keep"
     breaks: Breaks = "none"
+    exif: Exif = "ignore"
+    levels: str | None = None
 
     def build(self) -> Dataset:
         """Return the dataset of these options, after a check that every image is there."""
@@ -79,6 +81,8 @@ class DbStruct:
                 "radius_metres": self.radius_metres,
             },
             breaks=self.breaks,
+            exif=self.exif,
+            levels=self.levels,
         )
 
 

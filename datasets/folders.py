@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vprbench.api import BadInput, Dataset, NotThere, Paths
+from vprbench.api import BadInput, Dataset, Exif, NotThere, Paths
 
 from .readers.drives import Breaks, check_by_order, drive_starts, right_in_drive
 from .readers.file_dataset import GroundTruth, Unmatched, dataset_of_files, each_a_place
@@ -36,12 +36,14 @@ def folders(
     unmatched: Unmatched = "error",
     numbers: Numbers = "auto",
     breaks: Breaks = "auto",
+    exif: Exif = "obey",
+    levels: str | None = None,
 ) -> Dataset:
     """Return the images of your own folders in natural order (2.jpg before 10.jpg), sub-folders included.
 
     `numbers` says whether numbers in names are decimal (0.25 before 0.5) or whole; by default the names tell. Another
     sub-folder, or a position that jumps, begins another drive unless `breaks` is none: sequences and tolerance end
-    there.
+    there. `exif` and `levels` say how files are decoded (`decoding_of`).
 
     With `index` the i-th image of every reference folder (a traverse each) shows place i, and right for the i-th
     query are the places i - tolerance to i + tolerance. With `utm` every reference image is a place, names are
@@ -86,6 +88,8 @@ def folders(
         },
         notes,
         breaks,
+        exif=exif,
+        levels=levels,
     )
 
 

@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.api import BadInput, Dataset, NotThere, Paths
+from vprbench.api import BadInput, Dataset, Exif, NotThere, Paths
 
 from .readers.csv_tables import read_csv
 from .readers.drives import Breaks
@@ -41,6 +41,8 @@ def image_list(
     radius_metres: float = 25.0,
     unmatched: Unmatched = "error",
     breaks: Breaks = "auto",
+    exif: Exif = "obey",
+    levels: str | None = None,
 ) -> Dataset:
     """Return the images that CSV files list, in the order of their rows.
 
@@ -53,6 +55,8 @@ def image_list(
     reference is a place, and right is what lies within `radius_metres`, the radius included; the distance between
     latitudes and longitudes is the straight line through the ellipsoid. Another folder, or a position that jumps,
     begins another drive unless `breaks` is none.
+
+    `exif` and `levels` say how files are decoded (`decoding_of`).
 
     Raises NotThere for missing files, BadInput for tables that do not fit.
     """
@@ -84,6 +88,8 @@ def image_list(
             **({"tolerance_places": tolerance} if kind == "place" else {"radius_metres": radius_metres}),
         },
         breaks=breaks,
+        exif=exif,
+        levels=levels,
     )
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, get_args
 
-from vprbench.api import BadInput, Dataset, FrameFolder, Images
+from vprbench.api import BadInput, Dataset, Exif, FrameFolder, Images, Paths, decoding_of
 
 from .readers.frame_folders import check_folders, root_folder
 from .readers.recipes import function_of
@@ -37,10 +37,11 @@ class Nordland:
     `references` are the seasons of the map (spring and fall if None), each a traverse of the same places. The
     `query_places` queries begin at place `first_query_place`, `query_stride` places apart; right is a place at most
     `tolerance` places away. With the protocol of VPRSNN `first_query_place` places, chosen as its authors do, are in
-    neither map nor queries instead. `frame_multiple` keeps only names whose number it divides. The first
-    `first_place` places are left out of everything, and the others counted from 0. A `root` of None is
-    `default_root` (relative to the checkout) if it exists, else the folder of the `download`; `source` says in
-    messages where frames are to be had. Raises NotThere for a missing root or frames, BadInput for other arguments.
+    neither map nor queries instead. `frame_multiple` keeps only names whose number it divides. The first `first_place`
+    places are left out of everything, and the others counted from 0. A `root` of None is `default_root` (relative to
+    the checkout) if it exists, else the folder of the `download`; `source` says in messages where frames are to be had;
+    `exif` and `levels` say how files are decoded (`decoding_of`). Raises NotThere for a missing root or frames,
+    BadInput for other arguments.
     """
 
     name: str = "nordland"
@@ -60,6 +61,8 @@ class Nordland:
     suffix: Suffix = ".png"
     download: str = "nordland"
     first_place: int = 0
+    exif: Exif = "ignore"
+    levels: str | None = None
 
     def build(self) -> Dataset:
         """Return the dataset of these options, after a look at what is in the folders of the seasons."""
@@ -72,13 +75,17 @@ class Nordland:
         parts = split(evaluation, self.places, *asked)
         used = {self.query: [names[place] for place in parts.needed_of_query()]} | dict.fromkeys(seasons, names)
         folders = self._folders(used, seasons[0])
+        files = Paths.joined(Paths.below(folder.path, folder.used) for folder in folders.values())
+        decoding, decoded = decoding_of(files, self.exif, self.levels, "dataset.")
         dataset = dataset_of(
             self.name,
             parts,
             Traverses(
                 seasons,
                 self.query,
-                lambda shown: Images.from_files([folders[season].path / names[place] for season, place in shown]),
+                lambda shown: Images.from_files(
+                    [folders[season].path / names[place] for season, place in shown], decoding
+                ),
                 [*folders.values()],
                 [int(name.removeprefix("images-").removesuffix(self.suffix)) for name in names],
             ),
@@ -90,6 +97,7 @@ class Nordland:
                 **parts.record(),
                 "frame_multiple": self.frame_multiple,
                 **({"first_place": self.first_place} if self.first_place else {}),
+                **decoded,
             },
             [_PATCH_NETVLAD.format(self.tolerance)] if self.protocol == "patchnetvlad" else [],
         )

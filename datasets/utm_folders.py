@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from vprbench.api import BadInput, Dataset, NotThere, Paths
+from vprbench.api import BadInput, Dataset, Exif, NotThere, Paths
 
 from .readers.drives import Breaks
 from .readers.file_dataset import Unmatched, dataset_of_files
@@ -30,7 +30,8 @@ class UtmFolders:
     count as misses (`keep`, as in gmberton/VPR-methods-evaluation), are left out (`drop`, as in VPRTempo and
     VPR_Tutorial) or are an error. So are names of several UTM zones, unless images of different zones never show one
     place (`zones` apart). Another sub-folder, or a position that jumps, begins another drive unless `breaks` is none.
-    Raises NotThere for what is missing, BadInput for names without a position and for a list that is no text.
+    `exif` and `levels` say how files are decoded (`decoding_of`). Raises NotThere for what is missing, BadInput for
+    names without a position and for a list that is no text.
     """
 
     name: str = "utm_folders"
@@ -42,6 +43,8 @@ class UtmFolders:
     unmatched: Unmatched = "keep"
     zones: Zones = "error"
     breaks: Breaks = "auto"
+    exif: Exif = "obey"
+    levels: str | None = None
 
     def build(self) -> Dataset:
         """Return the dataset of these options."""
@@ -67,6 +70,8 @@ class UtmFolders:
                 "zones": self.zones,
             },
             breaks=self.breaks,
+            exif=self.exif,
+            levels=self.levels,
         )
 
 

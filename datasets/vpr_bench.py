@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Literal
 
-from vprbench.api import BadInput, Dataset, NotThere
+from vprbench.api import BadInput, Dataset, Exif, NotThere
 
 from .readers.csv_tables import read_csv
 from .readers.file_dataset import Unmatched, dataset_of_files, each_a_place
@@ -33,6 +33,8 @@ def vpr_bench(
     unmatched: Unmatched = "keep",
     default_root: str | None = None,
     numbers: Numbers = "whole",
+    exif: Exif = "ignore",
+    levels: str | None = None,
 ) -> Dataset:
     """Return the images of `<root>/query` and `<root>/ref`, in natural order (2.jpg before 10.jpg), numbered from 0.
 
@@ -42,7 +44,8 @@ def vpr_bench(
     rows of a query and its right references, by number (an array of objects, pickled), or a CSV with the columns query
     and matching_refs, numbers with spaces between them. Numbers without an image are an error, or are left out with
     `clip`; how many queries that concerns is noted. `default_root` (relative to the checkout) stands in for a `root` of
-    None if it exists. Raises NotThere for what is missing, BadInput for a ground truth that does not fit.
+    None if it exists. `exif` and `levels` say how files are decoded (`decoding_of`). Raises NotThere for what is
+    missing, BadInput for a ground truth that does not fit.
     """
     top = root_folder(name, root, "query/ and ref/", _LAYOUT, default_root=default_root)
     found = [images_in(top / part, "dataset.root", _LAYOUT, deep=False) for part in ("query", "ref")]
@@ -71,6 +74,8 @@ def vpr_bench(
             **read,
         },
         [*told, *notes],
+        exif=exif,
+        levels=levels,
     )
 
 

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from vprbench.api import BadInput, Dataset, NotThere, Paths
+from vprbench.api import BadInput, Dataset, Exif, NotThere, Paths
 
 from .readers.file_dataset import GroundTruth, Unmatched, dataset_of_files, each_a_place
 from .readers.frame_folders import root_folder
@@ -29,11 +29,14 @@ def gardens_point(
     images: int = 200,
     ground_truth: Strictness = "hard",
     tolerance: int | None = None,
+    exif: Exif = "ignore",
+    levels: str | None = None,
 ) -> Dataset:
     """Return the first `images` images of every traverse, in natural order; the i-th of each shows place i.
 
     `references` are the folders of the map (day_right if None). Right is the place of the same number; with `soft` also
-    the 8 to either side. A `tolerance` in places stands in for both. Raises NotThere for missing folders or images.
+    the 8 to either side. A `tolerance` in places stands in for both. `exif` and `levels` say how files are decoded
+    (`decoding_of`). Raises NotThere for missing folders or images.
     """
     traverses = ["day_right"] if references is None else references
     check_references(traverses, "folder")
@@ -63,6 +66,8 @@ def gardens_point(
             "ground_truth": ground_truth if tolerance is None else "tolerance",
             "tolerance_places": reach,
         },
+        exif=exif,
+        levels=levels,
     )
 
 
@@ -74,12 +79,15 @@ def with_matrix(
     ground_truth: Strictness = "hard",
     unmatched: Unmatched = "drop",
     source: str = "",
+    exif: Exif = "ignore",
+    levels: str | None = None,
 ) -> Dataset:
     """Return two folders of images, in the order of their paths, with the matrix GThard or GTsoft of GT.npz.
 
     Every reference is a place. The matrix is (n_references, n_queries), true if both show the same place. Queries
     without any are left out (`drop`, as VPR_Tutorial's recall does), count as misses or are an error. `source` says in
-    messages where the data are to be had. Raises NotThere for what is missing, BadInput for a matrix that does not fit.
+    messages where the data are to be had, `exif` and `levels` how files are decoded (`decoding_of`). Raises NotThere
+    for what is missing, BadInput for a matrix that does not fit.
     """
     layout = f"{source} and set dataset.root to the folder that holds {reference}, {query} and GT.npz"
     top = root_folder(name, root, f"{reference}, {query} and GT.npz", layout)
@@ -95,6 +103,8 @@ def with_matrix(
         each_a_place(len(mapped), map(np.flatnonzero, right.T), f"no right reference in {_MATRICES[ground_truth]}"),
         unmatched,
         {"protocol": "vpr_tutorial", "reference": reference, "query": query, "ground_truth": ground_truth},
+        exif=exif,
+        levels=levels,
     )
 
 

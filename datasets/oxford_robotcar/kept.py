@@ -16,7 +16,7 @@ import numpy as np
 from PIL import Image as PillowImage
 from PIL.PngImagePlugin import PngInfo
 
-from vprbench.api import Image, Images, open_image, replace_bytes
+from vprbench.api import Decoding, Image, Images, open_image, replace_bytes
 
 from .calibration import VERSION, Calibration, read_raw, undistorted
 
@@ -25,6 +25,9 @@ logger = logging.getLogger(__name__)
 RECORD = "vprbench.json"  # stands beside frames that we processed
 _MARK = "vprbench"  # the text of a frame's PNG that says what it was made of
 _COMPRESSION = 1  # the fastest
+
+#: How the frames of the published lists are decoded.
+PUBLISHED = Decoding(exif="ignore")
 
 
 class KeptFrames:
@@ -48,7 +51,7 @@ class KeptFrames:
 
         Reading raises BadInput for a file that is no raw frame.
         """
-        files = Images.from_files(paths)
+        files = Images.from_files(paths, PUBLISHED)
         made_with = f"{self._calibration.sha256} {VERSION}".encode()
 
         def read(i: int) -> Image:

@@ -10,7 +10,7 @@ from vprbench.api import BadInput, FrameFolder, Images
 
 from ..readers.frame_folders import check_folders, files_in
 from .calibration import Camera, find_calibration, opened, read_calibration, read_raw
-from .kept import KeptFrames, is_made_with, recorded_calibration
+from .kept import PUBLISHED, KeptFrames, is_made_with, recorded_calibration
 from .lists import RECORDINGS
 
 _PROCESSED = "demosaiced"  # where VPRTempo's process_orc.py writes, below a recording's folder
@@ -64,7 +64,7 @@ class Recordings:
     def images(self, shown: Sequence[tuple[str, str]]) -> Images:
         """Return the images of (traverse, file name), processed when they are looked at."""
         paths = [self._found[traverse].folder / name for traverse, name in shown]
-        return Images.from_files(paths) if self._kept is None else self._kept.images(paths)
+        return Images.from_files(paths, PUBLISHED) if self._kept is None else self._kept.images(paths)
 
     def folders(self) -> tuple[FrameFolder, ...]:
         """Return where the frames are read from, with the names that are wanted."""

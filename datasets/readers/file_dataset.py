@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.api import BadInput, Dataset, FrameFolder, Images, Paths, Places
+from vprbench.api import BadInput, Dataset, Exif, FrameFolder, Images, Paths, Places, decoding_of
 
 from .drives import NO_STARTS, Breaks, Starts, drive_starts
 
@@ -42,15 +42,16 @@ def dataset_of_files(
     protocol: Mapping[str, Any],
     notes: Sequence[str] = (),
     breaks: Breaks = "none",
+    exif: Exif = "obey",
+    levels: str | None = None,
 ) -> Dataset:
     """Return the dataset of these files or images; how queries without a right place are treated is noted.
 
-    Under the `breaks` auto the journey breaks off where another drive begins, which the protocol says.
-    Raises BadInput if `unmatched` is error and such queries exist, or drop and no other queries exist.
+    Under the `breaks` auto the journey breaks off where another drive begins. `exif` and `levels` say how all files are
+    decoded (`decoding_of`). The protocol says either where it matters. Raises BadInput if `unmatched` is error and such
+    queries exist, or drop and no other queries exist, and for levels that cannot be told.
     """
-    mapped, asked = (part if isinstance(part, Images) else Images.from_files(part) for part in (references, queries))
-    files = [Paths.of(part) for part in (references, queries) if not isinstance(part, Images)]
-    shown = asked.names if isinstance(queries, Images) else files[-1]
+    shown = queries.names if isinstance(queries, Images) else Paths.of(queries)
     matched = [query for query, right in enumerate(truth.positives) if len(right)]
     kept = np.array(matched if unmatched == "drop" else range(len(queries)), dtype=np.int64)
     without = len(truth.positives) - len(matched)
@@ -68,6 +69,11 @@ def dataset_of_files(
     gaps = np.flatnonzero(np.diff(kept) > 1) + 1
     query_breaks = np.union1d(gaps, _first_from(starts.queries, kept))
     met = {"breaks": starts.seen_by} if len(place_breaks) or len(starts.queries) else {}
+    files = [Paths.of(part) for part in (references, queries) if not isinstance(part, Images)]
+    decoding, decoded = decoding_of(Paths.joined(files), exif, levels, "dataset.")
+    mapped, asked = (
+        part if isinstance(part, Images) else Images.from_files(part, decoding) for part in (references, queries)
+    )
     outcome = "are left out" if unmatched == "drop" else "count as misses"
     return Dataset(
         name=name,
@@ -75,7 +81,7 @@ def dataset_of_files(
         places=truth.places,
         queries=asked[kept],
         positives=tuple(truth.positives[query] for query in kept.tolist()),
-        protocol={**protocol, "unmatched": unmatched, **met},
+        protocol={**protocol, "unmatched": unmatched, **met, **decoded},
         query_breaks=query_breaks if unmatched == "drop" or met else None,
         place_breaks=place_breaks if met else None,
         by_order=truth.by_order,

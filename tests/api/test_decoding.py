@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 from image_folders import answer
-from PIL import EpsImagePlugin, PngImagePlugin
+from PIL import EpsImagePlugin, ImageOps, PngImagePlugin
 from PIL import Image as PillowImage
 
 from vprbench.api import decoding
@@ -86,8 +86,9 @@ OTHERS = {
 
 
 def by_pillow(content):
-    """The pixels by Pillow alone: a palette through its transparency, 16 bits of grey by the upper 8."""
+    """The pixels by Pillow alone, turned: a palette through its transparency, 16 bits of grey by the upper 8."""
     with PillowImage.open(io.BytesIO(content)) as image:
+        image = ImageOps.exif_transpose(image)
         if image.mode.startswith("I"):
             return np.repeat((np.asarray(image) >> 8).astype(np.uint8)[:, :, None], 3, 2)
         return np.asarray((image.convert("RGBA") if image.mode == "P" else image).convert("RGB"))

@@ -15,6 +15,8 @@ from .dataset import Dataset as Dataset
 from .dataset import FrameFolder as FrameFolder
 from .dataset import HeldOut as HeldOut
 from .decoding import IMAGE_SUFFIXES as IMAGE_SUFFIXES
+from .decoding import Decoding as Decoding
+from .decoding import Exif as Exif
 from .decoding import is_beside as is_beside
 from .decoding import is_folder_beside as is_folder_beside
 from .decoding import is_image_name as is_image_name
@@ -35,6 +37,7 @@ from .frame_cache import kept_frames as kept_frames
 from .gabor import GaborBank as GaborBank
 from .hamming import packed as packed
 from .images import Images as Images
+from .levels import decoding_of as decoding_of
 from .method import Circuit as Circuit
 from .method import HasCircuit as HasCircuit
 from .method import LayerSpikes as LayerSpikes

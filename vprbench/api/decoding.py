@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import io
 import struct
 import zlib
 from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Literal
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 from PIL import Image as PillowImage
 
 from vprbench.api.arrays import Image
+from vprbench.api.heads import UPRIGHT, Head, head_of
 from vprbench.errors import BadInput
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
@@ -22,6 +28,7 @@ _CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}  # by kind of colour
 # Chunks that change no pixel, and of which libpng has nothing to say on the terminal.
 _PLAIN = {b"IDAT", b"IEND", b"pHYs", b"gAMA", b"cHRM", b"sRGB", b"cICP", b"tEXt", b"tIME"}
 _AT_ONCE = 1 << 16  # bytes
+_SAMPLE_FORMAT = 339  # tag of a TIFF; 1: unsigned integers
 # Adam7: first column, first row, columns apart, rows apart (PNG specification, 8.2).
 _PASSES = ((0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), (1, 0, 2, 2), (0, 1, 1, 2))
 
@@ -165,28 +172,128 @@ _UNREADABLE = (  # how Pillow and the reader of PNG say what a file is not
 )
 
 
-def read_image(path: Path) -> Image:
-    """Decode one image file to RGB uint8 (height, width, 3); grey is repeated, alpha dropped, 16 bit reduced to 8.
+Exif = Literal["obey", "ignore"]  # the tag by which a camera says how it was held
+Levels = tuple[float, float]  # those that become 0 and 255
+Counts = npt.NDArray[Any]  # (height, width) or (height, width, 3), integers of 16 or 32 bits, or floats
 
-    Raises BadInput with the path if the file is missing, truncated or no image, and, undecoded, if it has more pixels
-    than `PIL.Image.MAX_IMAGE_PIXELS` (89,478,485 unless a program sets another number).
+_FULL = {np.dtype(np.uint16): (0.0, 65_535.0)}
+_TURNED_BACK = {6: 8, 8: 6}  # all other orientations are their own inverse
+_N_LEVELS = 256
+
+
+@dataclass(frozen=True)
+class Decoding:
+    """How image files become frames of 8 bits, the same for all frames of a dataset.
+
+    `levels` are the lowest and the highest level of frames deeper than 8 bits. Without them 16 bits are taken in full,
+    and integers of 32 bits and floats are refused.
     """
-    try:
-        if (pixels := _decoded_png(path)) is not None:
+
+    exif: Exif = "obey"  # as phones and browsers do; ignore: frames as they are stored
+    levels: Levels | None = None
+
+    def scaled(self, counts: Counts, path: Path) -> npt.NDArray[np.uint8]:
+        """Return the deep levels of a file as 0 to 255; a level outside the range becomes the range's nearer end.
+
+        Integers of 256 levels and more fall into 256 bins of equal width: of 0..65535 the upper 8 bits are kept. Fewer
+        levels and floats are stretched and rounded. Raises BadInput with the path if no range is known.
+        """
+        levels = self.levels or _FULL.get(counts.dtype)
+        if levels is None:
+            raise BadInput(
+                f"{path} has levels of type {counts.dtype}: give Images.from_files a Decoding with levels, the lowest "
+                "and the highest of all frames"
+            )
+        low, high = levels
+        above = np.nan_to_num(counts.astype(np.float64)) - low
+        if counts.dtype.kind in "iu" and high - low >= _N_LEVELS - 1:
+            scaled = np.floor(above * (_N_LEVELS / (high - low + 1)))
+        else:
+            scaled = np.rint(above * ((_N_LEVELS - 1) / (high - low)))
+        return np.clip(scaled, 0, _N_LEVELS - 1).astype(np.uint8)
+
+
+_USUAL = Decoding()
+
+
+def read_image(path: Path, decoding: Decoding = _USUAL) -> Image:
+    """Decode one image file to RGB uint8 (height, width, 3); grey is repeated, alpha dropped.
+
+    `decoding` says whether the EXIF tag turns the frame, and which levels become 0 and 255 if there are more than 256.
+    Raises BadInput with the path if the file is missing, truncated or no image, if nothing says how to scale its
+    levels, and, undecoded, if it has more pixels than `PIL.Image.MAX_IMAGE_PIXELS` (89,478,485 unless a program sets
+    another number).
+    """
+    with _named_in_errors(path):
+        if (pixels := _decoded_png(path)) is not None:  # which has no tag
             return pixels
+        head = head_of(path)
+        with _opened(path, head) as image:
+            _require_size(image)
+            has_turned = image.format == "TIFF"  # its decoders obey the tag
+            pixels = _deep_pixels(image, path) if head.deep else _shallow_pixels(image)
+    if head.deep:
+        pixels = as_rgb(decoding.scaled(pixels, path))
+    if head.orientation == UPRIGHT or has_turned == (decoding.exif == "obey"):
+        return pixels
+    orientation = _TURNED_BACK.get(head.orientation, head.orientation) if has_turned else head.orientation
+    return np.ascontiguousarray(_turn(pixels, orientation))
+
+
+def read_counts(path: Path) -> Counts:
+    """Decode the levels of a file deeper than 8 bits as they stand there; raises what `read_image` raises."""
+    with _named_in_errors(path):
+        _decoded_png(path)  # whose pixels may end early
         with open_image(path) as image:
             _require_size(image)
-            if image.mode.startswith("I"):
-                return as_rgb((np.asarray(image) >> 8).astype(np.uint8))
-            if image.mode == "RGB":
-                return np.asarray(image)
-            # A palette with transparency has to become RGBA first.
-            return np.asarray((image.convert("RGBA") if image.mode == "P" else image).convert("RGB"))
+            return _deep_pixels(image, path)
+
+
+@contextmanager
+def _named_in_errors(path: Path) -> Iterator[None]:
+    """Turn what decoders raise into BadInput that names the file."""
+    try:
+        yield
     except FileNotFoundError as error:
         raise BadInput(f"{path} does not exist: restore the file or choose other places") from error
     except _UNREADABLE as error:
         reason = str(error).replace(f" {str(path)!r}", "").replace(str(path), "it").splitlines()[0]
         raise BadInput(f"{path} cannot be read as an image ({reason}): replace the file; none is skipped") from error
+
+
+def _opened(path: Path, head: Head) -> PillowImage.Image:
+    """Open an image; Pillow 13 maps a file by its name into memory as if its pixels were stored upright."""
+    if head.orientation == UPRIGHT:
+        return open_image(path)
+    return PillowImage.open(io.BytesIO(path.read_bytes()), formats=FORMATS)
+
+
+def _shallow_pixels(image: PillowImage.Image) -> Image:
+    if image.mode == "RGB":
+        return np.asarray(image)
+    # A palette with transparency has to become RGBA first.
+    return np.asarray((image.convert("RGBA") if image.mode == "P" else image).convert("RGB"))
+
+
+def _deep_pixels(image: PillowImage.Image, path: Path) -> Counts:
+    """Return all bits of a file; Pillow, which keeps 8 bits of colours and scales PNM, only sees that it is whole."""
+    image.load()
+    if image.mode == "F" or (image.format != "PPM" and image.mode.startswith("I")):
+        counts: Counts = np.asarray(image)
+        unsigned = image.mode == "I" and getattr(image, "tag_v2", {}).get(_SAMPLE_FORMAT, (1,))[0] == 1
+        return counts.view(np.uint32) if unsigned else counts
+    colours = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_UNCHANGED)
+    if colours is None:
+        raise ValueError(f"its levels of more than 8 bits in mode {image.mode} are not read")
+    return colours if colours.ndim == 2 else colours[:, :, 2::-1]  # from BGR
+
+
+def _turn(pixels: Image, orientation: int) -> Image:
+    """Return the frame that a tag of 2 to 8 tells of stored pixels: 6 turns it clockwise, 8 the other way."""
+    upright = pixels.swapaxes(0, 1) if orientation >= 5 else pixels
+    down = -1 if orientation in (3, 4, 7, 8) else 1
+    across = -1 if orientation in (2, 3, 6, 7) else 1
+    return upright[::down, ::across]
 
 
 def _require_size(image: PillowImage.Image) -> None:

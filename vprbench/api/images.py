@@ -16,7 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from vprbench.api.arrays import Image
-from vprbench.api.decoding import as_rgb, decoded_bytes, read_image
+from vprbench.api.decoding import Decoding, as_rgb, decoded_bytes, read_image
+from vprbench.api.heads import UPRIGHT, head_of
 from vprbench.errors import BadInput
 from vprbench.storage.hashes import HashedFiles, file_hashes
 from vprbench.storage.owner import core_count
@@ -129,10 +130,14 @@ class Images(Sequence[Image]):
         self.reading = ReadingTime()
 
     @classmethod
-    def from_files(cls, paths: Sequence[Path]) -> Images:
-        """Decode image files; an unreadable or truncated one raises BadInput with its path when it is read."""
-        paths = Paths.of(paths)
-        return cls(lambda i: read_image(paths[i]), paths.names, files=paths)
+    def from_files(cls, paths: Sequence[Path], decoding: Decoding | None = None) -> Images:
+        """Decode image files; an unreadable or truncated one raises BadInput with its path when it is read.
+
+        Of `decoding`, how EXIF tags and deep levels are read, None is the usual one; `decoding_of` tells that of a
+        dataset, and what of it belongs to the protocol.
+        """
+        paths, decoding = Paths.of(paths), decoding or Decoding()
+        return cls(lambda i: read_image(paths[i], decoding), paths.names, files=paths)
 
     @classmethod
     def from_arrays(cls, arrays: Sequence[Image], names: Sequence[str] | None = None) -> Images:
@@ -254,6 +259,14 @@ class Images(Sequence[Image]):
     def in_memory(self) -> Images:
         """Return the same images, all decoded now."""
         return self if self._in_memory else Images.from_arrays(list(self), self.names)
+
+    def turned(self) -> npt.NDArray[np.int64]:
+        """Return which images come from files with an EXIF tag that turns or mirrors them, whether it is obeyed or not.
+
+        Looks at the head of every file.
+        """
+        files: Sequence[Path] = () if self._files is None else self._files
+        return np.flatnonzero([head_of(path).orientation != UPRIGHT for path in files])
 
     def file_hashes(self) -> HashedFiles | None:
         """Return the hash of the file behind each image; None if there are no files."""

@@ -11,8 +11,9 @@ import numpy.typing as npt
 
 from vprbench.api.arrays import Image
 from vprbench.api.dataset import Dataset
-from vprbench.api.decoding import as_rgb, read_image
+from vprbench.api.decoding import Decoding, Exif, as_rgb, read_image
 from vprbench.api.images import Images
+from vprbench.api.levels import decoding_of
 from vprbench.errors import BadInput
 from vprbench.interactive import short
 from vprbench.plugins import registry
@@ -46,6 +47,8 @@ def dataset_of(
     positives: Sequence[int] | Sequence[Sequence[int]] | npt.NDArray[Any] | None = None,
     numbers: Literal["auto", "decimal", "whole"] = "auto",
     breaks: Literal["auto", "none"] = "auto",
+    exif: Exif = "obey",
+    levels: str | None = None,
 ) -> Dataset:
     """Return the dataset of your own images; the i-th image of every reference traverse shows place i.
 
@@ -53,8 +56,9 @@ def dataset_of(
     i + tolerance, or what `positives` says: a place or a list of places for each query, or a matrix of booleans
     (n_queries, n_places). A query without a right place counts as a miss. A folder is read in the order of the numbers
     in its names, which are decimal (0.25 before 0.5) or whole; by default the names tell. Where files lie in another
-    folder than those before, another drive begins unless `breaks` is none: tolerance and sequences end there. Raises
-    NotThere for a folder without images, BadInput for what is no image and for parts that do not fit one another.
+    folder than those before, another drive begins unless `breaks` is none: tolerance and sequences end there. `exif`
+    and `levels` say how files are decoded (`decoding_of`). Raises NotThere for a folder without images, BadInput for
+    what is no image and for parts that do not fit one another.
     """
     for option, value, known in (
         ("numbers", numbers, ("auto", "decimal", "whole")),
@@ -85,11 +89,12 @@ def dataset_of(
     if without := sum(not len(places) for places in right):
         notes.append(f"{without} of {plural(n_queries, 'query')} have no right place: they count as misses")
     truth = {"ground_truth": "given"} if given else {"ground_truth": "index", "tolerance_places": tolerance}
+    decoding, decoded = decoding_of([image for image in [*mapped, *asked] if isinstance(image, Path)], exif, levels)
     return OwnImages(
         name=name,
-        references=_images(mapped),
+        references=_images(mapped, decoding),
         places=places,
-        queries=_images(asked),
+        queries=_images(asked, decoding),
         positives=right,
         protocol={
             "protocol": "images",
@@ -98,6 +103,7 @@ def dataset_of(
             **truth,
             **read,
             **({"breaks": starts.seen_by} if broken else {}),
+            **decoded,
         },
         query_breaks=query_breaks if broken else None,
         place_breaks=place_breaks if broken else None,
@@ -159,11 +165,11 @@ def _files(listed: Sequence[Path | Image]) -> Sequence[Path]:
     return Paths.of(files) if len(files) == len(listed) else ()
 
 
-def _images(listed: Sequence[Path | Image]) -> Images:
+def _images(listed: Sequence[Path | Image], decoding: Decoding) -> Images:
     files = [image for image in listed if isinstance(image, Path)]
     if len(files) == len(listed):
-        return Images.from_files(files)
-    return Images.from_arrays([read_image(image) if isinstance(image, Path) else image for image in listed])
+        return Images.from_files(files, decoding)
+    return Images.from_arrays([read_image(image, decoding) if isinstance(image, Path) else image for image in listed])
 
 
 def _by_number(n_queries: int, n_places: int, tolerance: int) -> tuple[npt.NDArray[np.int64], ...]:

@@ -1,0 +1,238 @@
+"""Frames as people have them: held on their side by a camera, or of more levels than 8 bits, by every reader."""
+
+import csv
+
+import cv2
+import numpy as np
+import pytest
+from image_folders import answer, lists
+from mat_cells import cells
+from PIL import Image as PillowImage
+from scipy.io import savemat
+
+import vprbench
+from vprbench.cli import main
+from vprbench.datasets.dbstruct import dbstruct
+from vprbench.datasets.folders import folders
+from vprbench.datasets.image_list import image_list
+from vprbench.datasets.nordland import chosen_names, nordland
+from vprbench.datasets.utm_folders import utm_folders
+from vprbench.datasets.vpr_bench import vpr_bench
+from vprbench.datasets.vpr_tutorial import gardens_point, with_matrix
+from vprbench.methods.sad import SAD
+
+PLACES = 40
+ON_ITS_SIDE = PillowImage.Exif()
+ON_ITS_SIDE[0x0112] = 6  # to be turned clockwise
+LEFT, MIRRORED = PillowImage.Exif(), PillowImage.Exif()
+LEFT[0x0112], MIRRORED[0x0112] = 8, 4
+
+
+def traverse(noise):
+    """Grey levels of 0 to 255 of every place, (n, 48, 64): a texture of its own, and the noise of a camera."""
+    drawn, seen = np.random.default_rng(0), np.random.default_rng(1)
+    cells_of = drawn.uniform(0, 255, (PLACES, 6, 8)).astype(np.float32)
+    land = np.stack([cv2.resize(cells, (64, 48), interpolation=cv2.INTER_CUBIC) for cells in cells_of])
+    return np.clip(land + noise * seen.normal(0, 1, land.shape), 0, 255)
+
+
+MAP, ASKED = traverse(0), traverse(20)
+
+
+def write(folder, frames, suffix=".png", **options):
+    folder.mkdir(parents=True, exist_ok=True)
+    for number, frame in enumerate(frames):
+        PillowImage.fromarray(frame).save(folder / f"{number:03}{suffix}", **options)
+    return folder
+
+
+def bytes_of(levels):
+    return np.rint(levels).astype(np.uint8)
+
+
+def recall(dataset):
+    """Share of the queries whose most similar place is the right one, by SAD."""
+    scores = SAD().fit(dataset.references, dataset.places).query(dataset.queries)
+    hits = [best in right for best, right in zip(scores.argmax(1), dataset.positives, strict=True)]
+    return float(np.mean(hits))
+
+
+def thermal(levels):
+    return (7600 + levels * 4).astype(np.uint16)
+
+
+TURNED = np.rot90(bytes_of(ASKED), 1, axes=(1, 2))  # anticlockwise
+# How the map and the queries are written, the right entries of the protocol, and whether frames are as they are stored.
+CASES = {
+    "all upright": ((bytes_of(MAP), ".jpg", {}), (bytes_of(ASKED), ".png", {}), {}),
+    **{
+        f"queries on their side, {suffix}": (
+            (bytes_of(MAP), ".png", {}),
+            (TURNED, suffix, {"exif": ON_ITS_SIDE}),
+            {"exif": "obey"},
+        )
+        for suffix in (".jpg", ".png", ".tif", ".webp")
+    },
+    "map on its other side": (
+        (np.rot90(bytes_of(MAP), -1, axes=(1, 2)), ".jpg", {"exif": LEFT}),
+        (bytes_of(ASKED), ".jpg", {}),
+        {"exif": "obey"},
+    ),
+    "queries upside down in a mirror": (
+        (bytes_of(MAP), ".png", {}),
+        (bytes_of(ASKED)[:, ::-1], ".webp", {"exif": MIRRORED}),
+        {"exif": "obey"},
+    ),
+    "floats of 0 to 1": (
+        ((MAP / 255).astype(np.float32), ".tif", {}),
+        ((ASKED / 255).astype(np.float32), ".tif", {}),
+        {"levels": "0..1"},
+    ),
+    "floats of 0 to 1 beside 8 bits": (
+        (bytes_of(MAP), ".png", {}),
+        ((ASKED / 255).astype(np.float32), ".tif", {}),
+        {"levels": "0..1"},
+    ),
+    "floats of 0 to 255": (
+        (MAP.astype(np.float32), ".tif", {}),
+        (ASKED.astype(np.float32), ".tif", {}),
+        {"levels": "0..255"},
+    ),
+    "8 bits in 32": ((bytes_of(MAP), ".png", {}), (ASKED.astype(np.int32), ".tif", {}), {"levels": "0..255"}),
+    "beyond 16 bits": (
+        ((MAP * 1000).astype(np.int32), ".tif", {}),
+        ((ASKED * 1000).astype(np.int32), ".tif", {}),
+        {"levels": "0..255000"},
+    ),
+    "12 bits in 16": (
+        (bytes_of(MAP).astype(np.uint16) * 16 + 15, ".png", {}),
+        (bytes_of(ASKED).astype(np.uint16) * 16, ".png", {}),
+        {"levels": "0..4095"},
+    ),
+    "thermal counts": ((thermal(MAP), ".png", {}), (thermal(ASKED), ".tif", {}), {"levels": "7600..8620"}),
+    "thermal counts on their side": (
+        (thermal(MAP), ".png", {}),
+        (np.rot90(thermal(ASKED), 1, axes=(1, 2)), ".tif", {"exif": ON_ITS_SIDE}),
+        {"exif": "obey", "levels": "7600..8620"},
+    ),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_sad_finds_every_place_however_frames_are_stored_and_the_protocol_says_how_they_are_read(tmp_path, case):
+    mapped, asked, said = CASES[case]
+    paths = [write(tmp_path / name, *part[:2], **part[2]) for name, part in (("map", mapped), ("asked", asked))]
+    made = [folders(references=[str(paths[0])], queries=str(paths[1])), vprbench.dataset_of(*paths)]
+    for dataset in made:
+        assert {name: dataset.protocol.get(name) for name in ("exif", "levels") if name in dataset.protocol} == said
+        assert recall(dataset) == 1.0
+        levels = {level for image in dataset.queries for level in np.unique(image)}
+        assert len(levels) > 128
+    assert len({dataset.references.fingerprint() for dataset in made}) == 1
+
+
+def test_frames_keep_the_brightness_that_tells_them_apart_under_one_range(tmp_path):
+    bright = np.zeros((4, 48, 64), np.uint16)
+    bright[:] = (1000 * np.arange(1, 5))[:, None, None]
+    folder = write(tmp_path / "map", bright)
+    dataset = folders(references=[str(folder)], queries=str(write(tmp_path / "asked", bright[::-1])))
+    # a quarter of the way from 1000 to 4000 is 85 of 255
+    assert [int(image[0, 0, 0]) for image in dataset.references] == [0, 85, 170, 255]
+    assert [int(image[0, 0, 0]) for image in dataset.queries] == [255, 170, 85, 0]
+
+
+def test_levels_that_are_given_bring_back_the_upper_8_bits(tmp_path):
+    folder = write(tmp_path / "map", thermal(MAP))
+    asked = {"references": [str(folder)], "queries": str(write(tmp_path / "asked", thermal(ASKED)))}
+    dataset = folders(**asked, levels="0..65535")
+    assert dataset.protocol["levels"] == "0..65535"
+    np.testing.assert_array_equal(dataset.references[0][:, :, 0], thermal(MAP)[0] >> 8)
+    asked["queries"] = str(write(tmp_path / "kelvin", (ASKED + 300).astype(np.float32), ".tif"))
+    assert "dataset.levels=LOW..HIGH" in answer(folders, **asked)
+
+
+def in_folders(top, **options):
+    return folders(references=[str(top / "0")], queries=str(top / "1"), **options)
+
+
+def in_hand(top, **options):
+    return vprbench.dataset_of(top / "0", top / "1", **options)
+
+
+def in_utm_folders(top, **options):
+    for part, name in (("0", "database"), ("1", "queries")):
+        for number, path in enumerate(sorted((top / part).iterdir())):
+            (top / name).mkdir(exist_ok=True)
+            path.rename(top / name / f"@{100 * number}@0@{path.suffix}")
+    return utm_folders(root=str(top), **options)
+
+
+def in_a_list(top, **options):
+    for part in "01":
+        with (top / f"{part}.csv").open("w", newline="") as file:
+            rows = [(f"{part}/{path.name}", n) for n, path in enumerate(sorted((top / part).iterdir()))]
+            csv.writer(file).writerows([("image", "place"), *rows])
+    return image_list(references=[str(top / "0.csv")], queries=str(top / "1.csv"), **options)
+
+
+def in_dbstruct(top, **options):
+    names = [cells([f"{part}/{path.name}" for path in sorted((top / part).iterdir())]) for part in "01"]
+    places = np.stack([100.0 * np.arange(PLACES), np.zeros(PLACES)])
+    fields = {"whichSet": "test", "dbImageFns": names[0], "utmDb": places, "qImageFns": names[1], "utmQ": places}
+    savemat(top / "little.mat", {"dbStruct": fields})
+    return dbstruct(root=str(top), mat="little.mat", **options)
+
+
+def in_vpr_bench(top, **options):
+    (top / "0").rename(top / "ref")
+    (top / "1").rename(top / "query")
+    np.save(top / "ground_truth_new.npy", lists(*([place] for place in range(PLACES))), allow_pickle=True)
+    return vpr_bench(root=str(top), **options)
+
+
+def in_gardens_point(top, **options):
+    (top / "0").rename(top / "day_right")
+    (top / "1").rename(top / "night_right")
+    return gardens_point(root=str(top), images=PLACES, **options)
+
+
+def in_st_lucia(top, **options):
+    np.savez(top / "GT.npz", GThard=np.eye(PLACES, dtype=bool))
+    return with_matrix("st_lucia", str(top), "0", "1", **options)
+
+
+def in_nordland(top, **options):
+    names = chosen_names(8, PLACES, 1, ".jpg")
+    for part, season in (("0", "spring"), ("1", "summer")):
+        for name, path in zip(names, sorted((top / part).iterdir()), strict=True):
+            (top / season).mkdir(exist_ok=True)
+            path.rename(top / season / name)
+    asked = {"references": ["spring"], "places": PLACES, "query_places": PLACES, "first_query_place": 0}
+    return nordland(root=str(top), suffix=".jpg", **asked, **options)
+
+
+OWN = [in_folders, in_hand, in_utm_folders, in_a_list]
+PUBLISHED = [in_dbstruct, in_vpr_bench, in_gardens_point, in_st_lucia, in_nordland]
+
+
+@pytest.mark.parametrize("exif", [None, "obey", "ignore"])
+@pytest.mark.parametrize("reader", [*OWN, *PUBLISHED])
+def test_every_reader_obeys_tags_of_own_frames_and_ignores_those_of_published_ones(tmp_path, reader, exif):
+    write(tmp_path / "0", bytes_of(MAP), ".jpg")
+    write(tmp_path / "1", TURNED, ".jpg", exif=ON_ITS_SIDE)
+    dataset = reader(tmp_path, **({} if exif is None else {"exif": exif}))
+    meant = exif or ("obey" if reader in OWN else "ignore")
+    assert dataset.protocol["exif"] == meant
+    assert {image.shape for image in dataset.queries} == {(48, 64, 3) if meant == "obey" else (64, 48, 3)}
+    assert (recall(dataset) == 1.0) == (meant == "obey")
+    assert dataset.queries.turned().tolist() == [*range(PLACES)]
+    assert not len(dataset.references.turned())
+
+
+def test_the_command_line_takes_both_options_and_refuses_others(tmp_path, capsys):
+    folder = write(tmp_path / "map", bytes_of(MAP)[:2])
+    data = ["method=sad", "dataset=folders", f"dataset.references=[{folder}]", f"dataset.queries={folder}"]
+    assert main([*data, "dataset.exif=never"]) == 2
+    assert "dataset.exif" in capsys.readouterr().err
+    assert main([*data, "dataset.levels=-20"]) == 2
+    assert "dataset.levels" in capsys.readouterr().err
