@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 from little import number_in, picture
+from pandas import DataFrame
 from PIL import Image as PillowImage
+from scipy.sparse import bsr_array, coo_matrix, csr_array
 
 import vprbench
 from vprbench.api import BadInput, NotThere
@@ -53,6 +55,16 @@ def test_a_traverse_is_a_folder_a_list_of_files_or_arrays_grey_ones_too_and_any_
         ((0, 1, 2), {"positives": [2, 1, 0]}, [[2], [1], [0]]),
         ((0, 1), {"positives": [[2, 0], []]}, [[0, 2], []]),
         ((0,), {"positives": np.array([[True, False, True]])}, [[0, 2]]),
+        *(
+            ((0, 1, 2), {"positives": kind(np.eye(3)[::-1])}, [[2], [1], [0]])
+            for kind in (np.array, np.uint8, np.int64, bsr_array, coo_matrix, DataFrame, np.matrix)
+        ),
+        ((0, 1), {"positives": [[1, 0, 1], [0, 0, 0]]}, [[0, 2], []]),
+        ((0, 1), {"positives": np.array([[0, 1, 1], [1, 0, 0]])}, [[1, 2], [0]]),
+        ((0, 1), {"positives": csr_array(([1, 1, 0], [2, 0, 1], [0, 2, 3]), (2, 3))}, [[0, 2], []]),
+        ((0, 1), {"positives": np.array([[0, 1], [1, 0]])}, [[0, 1], [0, 1]]),  # narrower than the three places
+        ((0, 1), {"positives": DataFrame([[0], [1]])}, [[0], [1]]),
+        ((0, 1, 2), {"positives": [1, 0, 1]}, [[1], [0], [1]]),
     ],
 )
 def test_right_places_are_those_within_the_tolerance_or_those_that_are_given(queries, given, right):
@@ -74,6 +86,21 @@ def test_right_places_are_those_within_the_tolerance_or_those_that_are_given(que
         ({"positives": [0, 1, 5]}, "place 5"),
         ({"positives": [0, 1, "two"]}, "query 2"),
         ({"positives": np.ones((3, 2), bool)}, "booleans"),
+        *(
+            ({"queries": stack(0, 1), "positives": kind(np.eye(3, 2))}, r"\(3, 2\).*positives\.T.*\(2, 3\)")
+            for kind in (np.array, np.int64, np.bool, csr_array)
+        ),
+        ({"positives": np.ones((3, 4), int)}, r"\(3, 4\)"),
+        ({"positives": csr_array(2 * np.eye(3))}, "other than 0 and 1"),
+        ({"positives": np.eye(3) / 2}, "query 0"),
+        ({"positives": {0: [0], 1: [1], 2: [2]}}, "list"),
+        *(
+            (
+                {"references": stack(*range(n)), "queries": stack(0, 1), "positives": either},
+                r"bool\).*ones\(\(2, .\), bool",
+            )
+            for n, either in ((2, [[0, 1], [1, 0]]), (2, np.eye(2, dtype=int)), (1, [[0], [0]]))
+        ),
         ({"tolerance": -1}, "tolerance=-1"),
         ({"numbers": "binary"}, "numbers=binary"),
         ({"breaks": "some"}, "breaks=some"),

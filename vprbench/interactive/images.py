@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse import csr_array, issparse, sparray, spmatrix
 
 from vprbench.api.arrays import Image
 from vprbench.api.dataset import Dataset
@@ -44,7 +45,7 @@ def dataset_of(
     queries: Traverse,
     name: str = "images",
     tolerance: int = 0,
-    positives: Sequence[int] | Sequence[Sequence[int]] | npt.NDArray[Any] | None = None,
+    positives: Sequence[int] | Sequence[Sequence[int]] | npt.NDArray[Any] | spmatrix | sparray | None = None,
     numbers: Literal["auto", "decimal", "whole"] = "auto",
     breaks: Literal["auto", "none"] = "auto",
     exif: Exif = "obey",
@@ -53,12 +54,13 @@ def dataset_of(
     """Return the dataset of your own images; the i-th image of every reference traverse shows place i.
 
     `references` is a traverse or a list of traverses. Right for the i-th query are the places i - tolerance to
-    i + tolerance, or what `positives` says: a place or a list of places for each query, or a matrix of booleans
-    (n_queries, n_places). A query without a right place counts as a miss. A folder is read in the order of the numbers
-    in its names, which are decimal (0.25 before 0.5) or whole; by default the names tell. Where files lie in another
-    folder than those before, another drive begins unless `breaks` is none: tolerance and sequences end there. `exif`
-    and `levels` say how files are decoded (`decoding_of`). Raises NotThere for a folder without images, BadInput for
-    what is no image and for parts that do not fit one another.
+    i + tolerance, or what `positives` says: a place or a list of places for each query, or a matrix (n_queries,
+    n_places) of booleans or of 0 and 1, dense or a sparse one of scipy. Of as many queries as places, nothing tells a
+    matrix from its transpose: rows have to be queries. A query without a right place counts as a miss. A folder is read
+    in the order of the numbers in its names, which are decimal (0.25 before 0.5) or whole; by default the names tell.
+    Where files lie in another folder than those before, another drive begins unless `breaks` is none: tolerance and
+    sequences end there. `exif` and `levels` say how files are decoded (`decoding_of`). Raises NotThere for a folder
+    without images, BadInput for what is no image and for parts that do not fit one another.
     """
     for option, value, known in (
         ("numbers", numbers, ("auto", "decimal", "whole")),
@@ -179,10 +181,20 @@ def _by_number(n_queries: int, n_places: int, tolerance: int) -> tuple[npt.NDArr
 
 def _right_places(positives: Any, n_queries: int, n_places: int) -> tuple[npt.NDArray[np.int64], ...]:
     """Return the right places of each query, ascending; raises BadInput for what names none."""
-    if len(positives) != n_queries:
-        raise BadInput(f"positives: right places of {len(positives)} queries came, and there are {n_queries}")
+    if issparse(positives):
+        return _of_sparse_matrix(positives, n_queries, n_places)
+    try:
+        given = np.asarray(positives)
+    except ValueError:  # lists of unequal length
+        given = np.empty(0, object)
+    if _is_matrix(given, n_queries, n_places):
+        _check_matrix(given.shape, n_queries, n_places)
+        return tuple(np.flatnonzero(row) for row in given)
+    rows = given if given.ndim == 2 else positives
+    if isinstance(positives, Mapping) or len(rows) != n_queries:
+        raise BadInput(f"positives: right places of {len(rows)} queries came, and there are {n_queries}: give a list")
     found = []
-    for query, right in enumerate(positives):
+    for query, right in enumerate(rows):
         row = np.asarray(right)
         if row.dtype == bool:
             if row.shape != (n_places,):
@@ -194,6 +206,45 @@ def _right_places(positives: Any, n_queries: int, n_places: int) -> tuple[npt.ND
             raise BadInput(f"positives of query {query}: {right!r} came; wanted numbers of places, or booleans")
         found.append(np.unique(row.reshape(-1).astype(np.int64)))
     return tuple(found)
+
+
+def _of_sparse_matrix(positives: Any, n_queries: int, n_places: int) -> tuple[npt.NDArray[np.int64], ...]:
+    """Return the right places of each query, ascending, that a sparse matrix of scipy says."""
+    _check_matrix(positives.shape, n_queries, n_places)
+    matrix = csr_array(positives)
+    matrix.sum_duplicates()
+    if not np.isin(matrix.data, (0, 1)).all():
+        raise BadInput(f"positives holds {matrix.dtype} values other than 0 and 1: yes and no are wanted")
+    matrix.eliminate_zeros()
+    return tuple(np.split(matrix.indices.astype(np.int64), matrix.indptr[1:-1]))
+
+
+def _is_matrix(given: npt.NDArray[Any], n_queries: int, n_places: int) -> bool:
+    """Tell whether a table says yes and no for every place, rather than which places are right.
+
+    It does if it holds booleans, or 0 and 1 alone, as fractions or so that a list of places would name one twice or
+    one that there is not. Raises BadInput for what may be both.
+    """
+    if given.ndim != 2 or given.dtype.kind not in "buif" or not np.isin(given, (0, 1)).all():
+        return False
+    each_once = given.shape[1] < 3 and bool((np.diff(given.astype(int), axis=1) != 0).all())
+    if given.dtype.kind in "bf" or not each_once or given.max(initial=0) >= n_places:
+        return True
+    if given.shape != (n_queries, n_places):
+        return False
+    raise BadInput(
+        f"positives={given.tolist()[:2]} and so on may be a matrix of yes and no, or lists of places: give "
+        f"np.array(positives, bool) if it is a matrix, np.ones({given.shape}, bool) if it lists places"
+    )
+
+
+def _check_matrix(shape: tuple[int, ...], n_queries: int, n_places: int) -> None:
+    if shape != (n_queries, n_places):
+        turned = ", places by queries: pass positives.T" if shape == (n_places, n_queries) else ""
+        raise BadInput(
+            f"positives: a matrix of shape {shape} came{turned}; wanted are booleans, or 0 and 1, of shape "
+            f"{(n_queries, n_places)}, queries by places"
+        )
 
 
 def _called(traverse: Any) -> str:
