@@ -32,7 +32,7 @@ def ride(references, queries, right, names=None, query_names=None, **protocol):
 def checked(names=NAMES, query_names=NAMES, right=None, more=(), **protocol):
     """Return what the cheap checks find where places, queries and further reference traverses have these names."""
     listed = [*names, *(name for others in more for name in others)]
-    references, queries = [[picture(0)] * len(names)] * (1 + len(more)), [picture(0)] * len(query_names)
+    references, queries = [[picture(0)] * len(names)] * (1 + len(more)), [picture(1)] * len(query_names)
     return quick(ride(references, queries, right or places(len(query_names)), listed, query_names, **protocol))
 
 
@@ -98,8 +98,9 @@ def test_other_orders_are_not_taken_for_dictionary_order(names):
 
 
 def test_the_notes_of_a_dataset_are_shown():
-    frames, own = Images.from_arrays([picture(0)] * 2), (np.array([0]), np.array([1]))
-    dataset = Dataset("noted", frames, np.arange(2), frames, own, {}, notes=("41 rows step back in time",))
+    frames, others = Images.from_arrays([picture(0)] * 2), Images.from_arrays([picture(1)] * 2)
+    own = (np.array([0]), np.array([1]))
+    dataset = Dataset("noted", frames, np.arange(2), others, own, {}, notes=("41 rows step back in time",))
     assert notes(quick(dataset), "dataset") == ["41 rows step back in time"]
 
 

@@ -170,7 +170,7 @@ EXAMINED = {
     ),
     "frames that are the same": (
         copied,
-        ["warning repeated frames: 2 011 012 030 031", "warning shared frames: 1 60 044 044"],
+        ["error shared frames: 1 60 044 044", "warning repeated frames: 2 011 012 030 031"],
     ),
     "a name that the list repeats": (
         lambda *_: {"query_names": [*NAMES[:59], "010.png"], "right": [[n] for n in [*range(PLACES - 1), 10]]},

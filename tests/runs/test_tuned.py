@@ -1,13 +1,17 @@
 """What a yaml says of the places its settings were chosen on stands with every run, wherever that is shown."""
 
+import hashlib
 import json
 import re
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 from figure_runs import run
+from PIL import Image as PillowImage
 
+import vprbench
 from vprbench.cli import main
 from vprbench.datasets.nordland import published_frames
 from vprbench.plugins import registry
@@ -143,6 +147,85 @@ def test_an_answer_that_rests_on_neighbours_is_of_a_tuned_place_if_one_of_them_i
     made = run("mine", 0.5, 40, 40, dataset="synthetic", tuned_on={"dataset": "synthetic", "places": "10-19"})
     left = other_places(rescored(made, np.asarray(made.scores), {"sequence": 4}, window=4))
     assert [int(right[0]) for right in left.positives] == [*range(7), *range(23, 40)]
+
+
+RIDE = {
+    season: [
+        np.random.default_rng([number, place]).integers(0, 256, (24, 32, 3)).astype(np.uint8) for place in range(8)
+    ]
+    for number, season in enumerate(("winter", "summer"))
+}
+
+
+@pytest.fixture
+def ride(tmp_path, plug_in):
+    """Return the folder of two traverses of eight places, of which the first three tuned the method `mine`."""
+    lines = ["# file and pixels of winter and summer"]
+    for place in range(8):
+        codes = []
+        for season, frames in RIDE.items():
+            path = tmp_path / season / f"{place}.png"
+            path.parent.mkdir(exist_ok=True)
+            PillowImage.fromarray(frames[place]).save(path)
+            codes += [path.read_bytes(), b"(24, 32, 3)" + frames[place].tobytes()]
+        lines += [" ".join(hashlib.sha256(code).hexdigest()[:12] for code in codes)] * (place < 3)
+    (tmp_path / "conf" / "shared" / "tuned_frames").mkdir(parents=True)
+    (tmp_path / "conf" / "shared" / "tuned_frames" / "ride.txt").write_text("\n".join(lines), encoding="utf-8")
+    plug_in("mine", f"{NOT_TUNED}tuned_on: {{dataset: ride, places: 0-2}}\n")
+    return tmp_path
+
+
+def copies(folder, season, places):
+    """Copy frames under other names, in another order of places, into a folder."""
+    folder.mkdir()
+    for number, place in enumerate(places):
+        shutil.copy(folder.parent / season / f"{place}.png", folder / f"frame{number}.png")
+    return folder
+
+
+@pytest.mark.usefixtures("surroundings")
+@pytest.mark.parametrize(
+    ("made", "others"),
+    [
+        (lambda at: (at / "winter", at / "summer"), 5),
+        (lambda at: (copies(at / "a", "winter", range(7, -1, -1)), copies(at / "b", "summer", range(7, -1, -1))), 5),
+        (lambda at: (sorted((at / "winter").iterdir())[2:], sorted((at / "summer").iterdir())[2:]), 5),
+        (lambda at: (at / "summer", [255 - frame for frame in RIDE["winter"]]), 5),  # the map alone shows them
+        (lambda at: (RIDE["winter"], RIDE["summer"]), 5),
+        (lambda at: ([255 - frame for frame in RIDE["winter"]], at / "summer"), 5),
+        (lambda at: ([255 - frame for frame in RIDE["winter"]], [255 - frame for frame in RIDE["summer"]]), None),
+        (lambda at: (RIDE["winter"][3:], RIDE["summer"][3:]), None),
+    ],
+)
+def test_frames_of_the_tuning_are_known_by_their_content_in_folders_lists_and_arrays(ride, made, others):
+    options = {"timing": "none", "results": None, "threads": 1}
+    (row,) = vprbench.compare(["mine"], vprbench.dataset_of(*made(ride)), **options).results
+    left = other_places(row.run)
+    assert (left and len(left.outcome), bool(tuned_note([row.run]))) == (others, others is not None)
+
+
+@pytest.mark.usefixtures("surroundings")
+def test_a_stored_run_learns_of_the_tuning_and_is_told_beside_its_win_where_no_frame_is_known(ride, plug_in):
+    options, dataset = {"timing": "none", "threads": 1}, vprbench.dataset_of(ride / "winter", ride / "summer")
+    plug_in("mine", NOT_TUNED)
+    assert vprbench.run("mine", dataset, **options).run.tuned_queries == []
+    plug_in("mine", f"{NOT_TUNED}tuned_on: {{dataset: ride, places: 0-2}}\n")
+    again = vprbench.run("mine", dataset, **options)
+    assert (again.from_store, again.run.tuned_queries, only_run().tuned_queries) == (True, [0, 1, 2], [0, 1, 2])
+    new = vprbench.dataset_of(*([255 - frame for frame in RIDE[season]] for season in RIDE))
+    won = vprbench.compare(["mine"], new, **options, results=None).sentence
+    assert "mine (tuned on ride) finds" in won
+
+
+def test_the_thousand_places_of_nordland_are_kept_as_hashes_of_their_frames():
+    kept = registry.conf_folders()["vprbench"] / "shared" / "tuned_frames" / "nordland_64x32.txt"
+    lines = [line.split() for line in kept.read_text(encoding="utf-8").splitlines() if line[0] != "#"]
+    assert (len(lines), {len(line) for line in lines}, {len(code) for line in lines for code in line}) == (
+        1000,
+        {4},
+        {12},
+    )
+    assert lines[0][0] == "fbeac16ffea1"  # sha256sum winter/images-00210.png
 
 
 def test_tuned_settings_say_where_they_were_found():

@@ -5,9 +5,9 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +18,9 @@ from vprbench.errors import BadInput
 if TYPE_CHECKING:
     from vprbench.api.events import Recording
     from vprbench.api.images import Images
+
+
+SharedFrames = Literal["error", "allow"]  # what becomes of queries that are among the references
 
 
 @dataclass(frozen=True)
@@ -116,6 +119,10 @@ class Dataset:
                     f"dataset {self.name}: the ground truth of query {query} ({self.queries.names[query]}) names "
                     f"place {wrong}, but places run from 0 to {self.n_places - 1}"
                 )
+
+    def with_shared_frames(self, given: SharedFrames) -> Self:
+        """Return a dataset whose protocol says that its queries may be among its references, if that is `allow`."""
+        return self if given == "error" else replace(self, protocol={**self.protocol, "shared_frames": given})
 
 
 def _number_of_places(whose: str, references: Images, places: Places) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import cache
@@ -22,6 +22,8 @@ from vprbench.errors import BadInput
 from vprbench.storage.hashes import HashedFiles, file_hashes
 from vprbench.storage.owner import core_count
 from vprbench.storage.paths import Paths, chosen_names
+
+Codes = npt.NDArray[np.uint64]  # (n,), of images: alike for images of the same content
 
 CHUNK = 4  # images a reading thread takes at a time, at most
 _AHEAD = 128  # images under way, at most
@@ -272,6 +274,19 @@ class Images(Sequence[Image]):
         """Return the hash of the file behind each image; None if there are no files."""
         return None if self._files is None else file_hashes(self._files)
 
+    def content_codes(self, pixels: bool = False) -> Codes | None:
+        """Return a number for each image, (n,), which images of the same content share; None if they are computed.
+
+        Images of files go by the content of these, or by their `pixels` once they are decoded; images in memory by
+        their pixels. Raises BadInput for a file that cannot be read.
+        """
+        if self._in_memory or (pixels and self._files is not None):
+            return _codes(hashlib.sha256(_pixels(image)).digest() for image in self)
+        files, content = self.file_hashes(), self._content
+        if files is None or content is None:
+            return None if files is None else _codes([files.sha256])
+        return _codes(hashlib.sha256(files[i].sha256 + content(i)).digest() for i in range(len(self)))
+
     def fingerprint(self, hashed: HashedFiles | None = None) -> str:
         """Return a hash that changes when images are added, removed, renamed, reordered or replaced.
 
@@ -324,6 +339,21 @@ def names_hash(*lists: Sequence[str]) -> hashlib._Hash:
             digest.update((between + "\n".join(names[at : at + _NAMES_AT_ONCE])).encode(errors="surrogateescape"))
             between = "\n"
     return digest
+
+
+def codes_to_compare(one: Images, other: Images) -> tuple[Codes, Codes] | None:
+    """Return the codes of the content of two sequences, by pixels if one of them is in memory; None if one is computed.
+
+    Raises BadInput for a file that cannot be read.
+    """
+    pixels = one._in_memory or other._in_memory
+    codes = one.content_codes(pixels), other.content_codes(pixels)
+    return None if codes[0] is None or codes[1] is None else (codes[0], codes[1])
+
+
+def _codes(hashes: Iterable[bytes]) -> Codes:
+    """Return the first eight bytes of each SHA-256 as a number."""
+    return np.frombuffer(b"".join(hashes), ">u8")[::4].astype(np.uint64)
 
 
 def _pixels(image: Image) -> bytes:

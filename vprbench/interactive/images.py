@@ -11,13 +11,14 @@ import numpy.typing as npt
 from scipy.sparse import csr_array, issparse, sparray, spmatrix
 
 from vprbench.api.arrays import Image
-from vprbench.api.dataset import Dataset
+from vprbench.api.dataset import Dataset, SharedFrames
 from vprbench.api.decoding import Decoding, Exif, as_rgb, read_image
 from vprbench.api.images import Images
 from vprbench.api.levels import decoding_of
 from vprbench.errors import BadInput
 from vprbench.interactive import short
 from vprbench.plugins import registry
+from vprbench.plugins.checked import checked
 from vprbench.storage.paths import Paths
 from vprbench.text import plural
 
@@ -50,6 +51,7 @@ def dataset_of(
     breaks: Literal["auto", "none"] = "auto",
     exif: Exif = "obey",
     levels: str | None = None,
+    shared_frames: SharedFrames = "error",
 ) -> Dataset:
     """Return the dataset of your own images; the i-th image of every reference traverse shows place i.
 
@@ -59,8 +61,9 @@ def dataset_of(
     matrix from its transpose: rows have to be queries. A query without a right place counts as a miss. A folder is read
     in the order of the numbers in its names, which are decimal (0.25 before 0.5) or whole; by default the names tell.
     Where files lie in another folder than those before, another drive begins unless `breaks` is none: tolerance and
-    sequences end there. `exif` and `levels` say how files are decoded (`decoding_of`). Raises NotThere for a folder
-    without images, BadInput for what is no image and for parts that do not fit one another.
+    sequences end there. `exif` and `levels` say how files are decoded (`decoding_of`). A run whose queries are among
+    its references raises BadInput, with `shared_frames` "allow" it has a note. Raises NotThere for a folder without
+    images, BadInput for what is no image and for parts that do not fit one another.
     """
     for option, value, known in (
         ("numbers", numbers, ("auto", "decimal", "whole")),
@@ -111,7 +114,7 @@ def dataset_of(
         place_breaks=place_breaks if broken else None,
         by_order=not given,
         notes=tuple(notes),
-    )
+    ).with_shared_frames(checked("shared_frames", shared_frames, SharedFrames))
 
 
 def _traverses(references: Any) -> list[Any]:

@@ -60,6 +60,11 @@ def ranked(series: Sequence[Series]) -> Ranking:
     return Ranking(table, tuple(_ranking_sentences([row for row in rows if row.method not in tuned], tuned)))
 
 
+def _tuned_elsewhere(rows: Sequence[Any]) -> str:
+    """Return the dataset whose places the first row was tuned on, as far as is known none of these; empty if none."""
+    return str(rows[0].runs[0].tuned_on.get("dataset", "")) if rows else ""
+
+
 def _numbers(runs: Sequence[Run]) -> dict[str, Any]:
     others = others_of(runs)
     elsewhere = _accuracy(others) if others else (None, None, None)
@@ -79,7 +84,8 @@ def _ranking_sentences(rows: Sequence[Any], tuned: Sequence[str]) -> list[str]:
     timed = [one for one, row in zip(contest, rows, strict=True) if row.hz is not None]
     of_first = best_rate(timed[:2]) if timed[:2] == contest[:2] else None
     found = best_recall(contest), _difference(rows), of_first or _about_faster(rows[:2]), best_rate(timed)
-    return sentences("ranking.j2", "told", rows, *found, tuned, times=RATES[0].text, about=of_first is None)
+    elsewhere = _tuned_elsewhere(rows)
+    return sentences("ranking.j2", "told", rows, *found, tuned, elsewhere, times=RATES[0].text, about=of_first is None)
 
 
 def _about_faster(rows: Sequence[Any]) -> str | None:

@@ -85,6 +85,7 @@ class StoredRuns:
         threads = n_threads(settings)
         keys = {Identity(of_class, code, config, dataset, images, h, threads).key() for h in held_out}
         found = [run for run in alike if run.dataset == dataset.name and run.key in keys and run.tuned_on == tuned_on]
+        found = [run for run in found if run.tuned_queries is not None or not tuned_on]
         found = [run for run in found if not run.timed_by.shortfalls(settings.timing)]
         found = [run for run in found if run.scores is not None or not settings.scores]
         found = [run for run in found if run.energy is not None or not settings.energy]

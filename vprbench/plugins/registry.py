@@ -17,7 +17,7 @@ from hydra.core.plugins import Plugins
 from hydra.plugins.search_path_plugin import SearchPathPlugin
 from hydra.utils import get_object
 
-from vprbench.api.dataset import Dataset
+from vprbench.api.dataset import Dataset, SharedFrames
 from vprbench.api.method import Method
 from vprbench.errors import BadInput
 from vprbench.plugins import entries as yamls
@@ -98,10 +98,15 @@ def make_method(config: Mapping[str, Any]) -> Method:
 
 
 def make_dataset(config: Mapping[str, Any]) -> Dataset:
-    """Build a dataset from its configuration; raises BadInput for arguments or data that do not fit."""
+    """Build a dataset from its configuration; raises BadInput for arguments or data that do not fit.
+
+    `shared_frames` is an option of every dataset, and no argument of the function that makes it.
+    """
+    own = {name: value for name, value in config.items() if name != "shared_frames"}
+    shared = checked("dataset.shared_frames", config.get("shared_frames", "error"), SharedFrames)
     with _explaining_disk_errors(str(config.get("name", ""))):
-        dataset = _build("dataset", config)
-    return require_dataset(dataset, config["_target_"])
+        dataset = _build("dataset", own)
+    return require_dataset(dataset, config["_target_"]).with_shared_frames(shared)
 
 
 def named(group: Group, text: str) -> str:

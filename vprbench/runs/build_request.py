@@ -13,6 +13,7 @@ from vprbench.api.method import Method
 from vprbench.data.doctor import check_dataset
 from vprbench.errors import BadInput
 from vprbench.plugins import networks, registry
+from vprbench.plugins.tuned_frames import queries_of_tuned_frames
 from vprbench.progress import progress_shown
 from vprbench.runs import machine, sequences, stream
 from vprbench.runs.corrupted_frames import corrupted
@@ -86,6 +87,7 @@ def request_of(
     # what the cheap checks warn of is among the dataset's notes
     in_sequences = bool(sequences.views(settings.sequence, settings.filter))
     dataset = replace(dataset, notes=(*dataset.notes, *check_dataset(dataset, in_sequences)))
+    tuned_queries = queries_of_tuned_frames(dataset, tuned_on)
     if isinstance(settings.corruption, str):
         dataset = corrupted(dataset, settings.corruption)
     dataset = seen_from(dataset, views := viewpoints(settings.views))
@@ -108,5 +110,6 @@ def request_of(
         readouts=settings.readouts,
         data=data,
         tuned_on=tuned_on,
+        tuned_queries=tuned_queries,
         shared_fit=[] if isinstance(settings.corruption, list) else None,
     )

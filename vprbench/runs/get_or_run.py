@@ -98,7 +98,7 @@ def get_or_run(
             kept: dict[str, Any] = {
                 name: getattr(stored, name, None) for name in _ON_REQUEST if getattr(run, name) is None
             }
-            run = replace(run, tuned_on=request.tuned_on, **kept)
+            run = replace(run, **_tuning(request), **kept)
         else:
             run = _as_requested(found, request)
         # the method's yaml and the dataset may have changed what they declare since the run was stored
@@ -145,15 +145,20 @@ def _as_requested(found: Run, request: Request) -> Run:
     return replace(
         found,
         config={**found.config, "overrides": request.config["overrides"]},
-        tuned_on=request.tuned_on,
+        **_tuning(request),
         query_breaks=request.dataset.query_breaks,
         place_breaks=request.dataset.place_breaks,
     )
 
 
+def _tuning(request: Request) -> dict[str, Any]:
+    """Return what a run records of the places that its method was tuned on."""
+    return {"tuned_on": request.tuned_on, "tuned_queries": list(request.tuned_queries)}
+
+
 def _declarations(run: Run) -> list[Any]:
     breaks = (run.query_breaks, run.place_breaks)
-    return [run.tuned_on, *(None if gaps is None else gaps.tolist() for gaps in breaks)]
+    return [run.tuned_on, run.tuned_queries, *(None if gaps is None else gaps.tolist() for gaps in breaks)]
 
 
 def _lock(request: Request, folder: Path, store: Store) -> RunLock:
@@ -173,7 +178,7 @@ def _run(request: Request, settings: Settings, store: Store, stored: Run | None,
         logging.info("%s on %s: %s; its times follow", scored.method, scored.dataset, _recall(scored))
         if stored is None:
             with suppress(BadInput):  # which is raised when it is stored with its times
-                store.save(replace(scored, tuned_on=request.tuned_on))
+                store.save(replace(scored, **_tuning(request)))
 
     for place in (store.root / request.dataset.name, store.folder(request.dataset.name, request.name, key)):
         require_writable(place)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import uuid
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict
@@ -99,6 +99,7 @@ class Request:
     views: Viewpoints | None = None  # from which the queries are asked; None: the frames as they are
     readouts: bool = False  # whether the layers are read too, which changes no answer
     tuned_on: Mapping[str, Any] = field(default_factory=dict)  # places that chose the method's settings
+    tuned_queries: Sequence[int] = ()  # which show frames of these places, by their content
     data: DataRecord | None = None  # of the dataset; None: its files are looked at when it runs
     shared_fit: list[FitResult] | None = None  # of runs that share the method: what its fit gave, once it was fitted
 

@@ -232,6 +232,7 @@ class Run:
     ) = None
     data: Annotated[Mapping[str, Any], Fits(Frames | Nothing)] = field(default_factory=dict)
     tuned_on: Annotated[Mapping[str, Any], Fits(TunedOn | Nothing)] = field(default_factory=dict)
+    tuned_queries: Sequence[Count] | None = None  # which show frames of these places; None: not looked for yet
     query_breaks: Annotated[_Breaks, Array(INTEGERS, ("query breaks",), 1, "last query")] | None = None  # Dataset's
     place_breaks: Annotated[_Breaks, Array(INTEGERS, ("place breaks",), 1, "last place")] | None = None
     readouts: Annotated[Sequence[Mapping[str, Any]] | None, Fits(list[Readout] | None)] = None

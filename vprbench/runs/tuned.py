@@ -21,7 +21,7 @@ from vprbench.runs.views import queries_shown, restricted, window_of
 #: Arguments of a dataset that choose among its places, or say where its frames lie: the places keep their numbers.
 _CHOOSING = {
     *("_target_", "name", "root", "default_root", "source", "download", "suffix", "calibration", "processed", "lists"),
-    *("references", "query", "protocol", "places", "query_places", "query_stride", "tolerance"),
+    *("references", "query", "protocol", "shared_frames", "places", "query_places", "query_stride", "tolerance"),
     *("first_place", "first_query_place"),
 }
 
@@ -31,11 +31,22 @@ def tuned_queries(run: Run) -> npt.NDArray[np.bool_] | None:
 
     In a view of sequences those near such a query are among them: their answers may rest on its scores.
     """
-    declared = _here(run)
-    if declared == "":
-        return np.zeros(len(run.outcome), np.bool_)
+    of_stored = _by_content(run) if run.tuned_queries or _here(run) == "" else _by_number(run)
+    if of_stored is None:
+        return None
+    reach = window_of(run) - 1  # to either side: whose scores the answer may rest on
+    return np.convolve(of_stored, np.ones(2 * reach + 1))[reach:][: len(of_stored)][queries_shown(run)] > 0
+
+
+def _by_content(run: Run) -> npt.NDArray[np.bool_]:
+    """Return which of the stored queries show frames of the tuning, (n_stored,)."""
+    return np.isin(np.arange(_n_stored(run)), np.array(run.tuned_queries or (), np.int64))
+
+
+def _by_number(run: Run) -> npt.NDArray[np.bool_] | None:
+    """Return which of the stored queries have a right place of the declared numbers, (n_stored,); None: not known."""
     numbers = np.arange(run.outcome.n_places) if run.place_numbers is None else run.place_numbers
-    known = stretches(declared)
+    known = stretches(_here(run))
     if known is None or not _numbered_as_listed(run):
         return None
     tuned = np.zeros(len(numbers), np.bool_)
@@ -43,9 +54,11 @@ def tuned_queries(run: Run) -> npt.NDArray[np.bool_] | None:
         tuned |= (numbers >= first) & (numbers <= last)
     queries = np.repeat(queries_shown(run), [len(right) for right in run.positives])
     shown = tuned[np.concatenate([np.empty(0, np.int64), *run.positives])]
-    of_stored = np.bincount(queries[shown], minlength=int(queries_shown(run).max(initial=0)) + 1) > 0
-    reach = window_of(run) - 1  # to either side: whose scores the answer may rest on
-    return np.convolve(of_stored, np.ones(2 * reach + 1))[reach:][: len(of_stored)][queries_shown(run)] > 0
+    return np.bincount(queries[shown], minlength=_n_stored(run)) > 0
+
+
+def _n_stored(run: Run) -> int:
+    return int(queries_shown(run).max(initial=0)) + 1
 
 
 def tuned_here(run: Run) -> bool:
@@ -81,6 +94,7 @@ def tuned_note(runs: Sequence[Run]) -> str:
     run, others = runs[0], others_of(runs)
     declared, here = run.tuned_on, _here(run)
     words = f"tuned on {'places ' * bool(stretches(declared['places']))}{declared['places']} of {declared['dataset']}"
+    words += ", whose frames are among these" if not here else ""
     words += f" ({here} here)" if run.dataset != declared["dataset"] and stretches(here) else ""
     if others:
         elsewhere = f"{describe_recalls(others)} on the {len(others[0].outcome)} queries of other places"

@@ -19,15 +19,17 @@ from .files import Contents
 from .finding import LEVELS, Finding, as_text, is_wrong
 from .looking import look_at
 from .recordings import of_recordings
+from .shared_frames import allowed, shared_frames
 from .traverse import traverses_of
 
 _UNUSED_LOOKED_AT = 1000  # images of a folder
 
 
 def quick(dataset: Dataset, sequences: bool = False) -> tuple[Finding, ...]:
-    """Run the checks that decode nothing: names, files and ground truth; the worst findings come first.
+    """Run the checks of names, files and ground truth; the worst findings come first.
 
-    `sequences` tells whether answers of neighbouring queries are put together, for which their order matters.
+    They decode nothing but queries that are among the references. `sequences` tells whether answers of neighbouring
+    queries are put together, for which their order matters.
     """
     unused: list[Finding] = []
 
@@ -37,7 +39,9 @@ def quick(dataset: Dataset, sequences: bool = False) -> tuple[Finding, ...]:
             unused.extend(files.unused_images(found) if found else ())
             yield found
 
-    return _sorted([*_cheap(dataset, one_by_one(), sequences), *unused])
+    found = [*_cheap(dataset, one_by_one(), sequences), *unused]
+    shared = () if any(finding.level == "error" for finding in found) else shared_frames(dataset)
+    return _sorted([*found, *shared])
 
 
 def examine(dataset: Dataset) -> tuple[Finding, ...]:
@@ -55,7 +59,7 @@ def examine(dataset: Dataset) -> tuple[Finding, ...]:
         *(finding for seen in looks for finding in pictures.unreadable(seen, broken)),
         *(finding for seen in looks for finding in pictures.of_traverse(seen) if not _of_counts(dataset, finding)),
         *pictures.between(looks),
-        *pictures.shared(looks),
+        *pictures.shared(looks, allowed(dataset)),
         *alignment(dataset, looks[:-1], looks[-1]),
         *of_recordings(dataset),
     ])  # fmt: skip

@@ -11,9 +11,14 @@ import numpy as np
 
 from vprbench.text import be, plural, some
 
-from .finding import Finding
+from .finding import Finding, Level
 from .looking import BLACK_MEAN, UNIFORM_STD, Looks
 
+#: What to do about queries that are among the references.
+IN_MAP = (
+    "give queries of another traverse, for a query that is also a reference is no test; dataset.shared_frames=allow, "
+    "in Python shared_frames='allow', goes on with a note"
+)
 _USUAL = 0.9  # share of the frames whose size counts as that of the traverse
 _WRONG_FOLDER = 0.5  # share of frames that are those of another traverse
 
@@ -109,21 +114,24 @@ def between(looks: Sequence[Looks]) -> Iterator[Finding]:
         yield Finding("note", "colour", text, "methods that use colour suffer")
 
 
-def shared(looks: Sequence[Looks]) -> Iterator[Finding]:
-    """Find traverses that hold the same frames, as if a folder was named twice; the queries are the last."""
+def shared(looks: Sequence[Looks], queries_allowed: bool) -> Iterator[Finding]:
+    """Find traverses that hold the same frames, as if a folder was named twice; the queries are the last.
+
+    Queries that are among the references are an error, unless they are allowed.
+    """
     for seen, other in combinations([looks[-1], *looks[:-1]], 2):
         known = {content: name for name, content in _telling(other)}
         asked = _telling(seen)
         pairs = [f"{name} = {known[content]}" for name, content in asked if content in known]
         most = len(pairs) > _WRONG_FOLDER * len(asked)
         if pairs:
+            asks = seen is looks[-1]
+            level: Level = "warning" if queries_allowed or not (asks or most) else "error"
             yield Finding(
-                "error" if most else "warning",
+                level,
                 "shared frames",
                 f"{_share(pairs, seen)} {be(pairs)} also in {other.traverse}, pixel by pixel: {some(pairs)}",
-                "one of the two folders holds the wrong traverse: compare a frame of each by eye"
-                if most
-                else "copy the right frames there: a query that is also a reference is no test",
+                "one of the two folders holds the wrong traverse: compare a frame of each by eye" if most else IN_MAP,
             )
 
 
