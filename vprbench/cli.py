@@ -39,6 +39,8 @@ from vprbench.storage.atomic import scratch
 from vprbench.text import near, printable
 
 if TYPE_CHECKING:
+    from vprbench.api.dataset import Dataset
+    from vprbench.runs.get_or_run import RunResult
     from vprbench.runs.record import Failure
     from vprbench.runs.store import Store
 
@@ -207,9 +209,28 @@ def _answer(method: str, recorded: dict[str, Any], settings: Settings, store: St
             raise
         from vprbench.runs.run_text import run_text
 
-        say(run_text(result.run, result.folder, result.from_store, settings))
+        files = _write_predictions(result, wanted.dataset, settings)
+        say(run_text(result.run, result.folder, result.from_store, settings, files))
         key = result.run.key
     return key
+
+
+def _write_predictions(result: RunResult, dataset: Dataset, settings: Settings) -> list[Path]:
+    """Write the best places of each query, if asked for, of a run or of each of its views; returns the files."""
+    from vprbench.runs.predictions import predictions, write_csv
+    from vprbench.runs.sequences import suffix, views
+
+    if settings.predictions is None:
+        return []
+    name = f"{dataset.name}-{result.folder.name}"
+    shown = {suffix([view]): view(result.run) for view in views(settings.sequence, settings.filter)}
+    return [
+        write_csv(
+            predictions(run, settings.predictions, dataset),
+            Path(settings.results).expanduser() / f"{name}{ending}-predictions.csv",
+        )
+        for ending, run in (shown or {"": result.run}).items()
+    ]
 
 
 def _error_text(error: BaseException) -> str:

@@ -82,6 +82,23 @@ def test_what_is_stored_is_shown_without_a_process_however_its_folder_is_called(
     assert " level with " in shown
 
 
+def test_the_best_ten_places_of_each_query_are_written_for_every_run_or_as_many_as_asked_for(apart, monkeypatch):
+    best = lines("mine-predictions.csv")
+    assert len(best) == 3 * 24 * 10
+    assert {(line["method"], line["seed"]) for line in best} == {("sad patch=5", "0"), ("pca", "0"), ("pca", "1")}
+    of_sad = [line for line in best if line["method"] == "sad patch=5" and line["rank"] == "1"]
+    names = [(Path(line["query_image"]).name, Path(line["reference_image"]).name) for line in of_sad]
+    assert names[1::2] == [(f"{place}.png", f"{place}.png") for place in range(1, 24, 2)]  # the others are noise
+    assert {line["right"] for line in of_sad[1::2]} == {"True"}
+    given = []
+    monkeypatch.setattr(make, "written", lambda *each: given.append(each[-1]) or [])
+    for number in ("0", "2"):
+        assert main([*ASKED, *METHODS, *dataset(Path()), "stored=true", f"predictions={number}"]) == 0
+    assert (given[0], len(given[1])) == (None, 3 * 24 * 2)
+    assert main([*ASKED, *METHODS, *dataset(Path()), "predictions=1", "sequence=[1,3]"]) == 0
+    assert given[2].groupby("answers").size().to_dict() == {"sequence 1 causal": 72, "sequence 3 causal": 66}
+
+
 def test_all_that_is_wrong_is_told_at_once_and_nothing_runs(apart, capsys):
     wrong = ["methods=sda,pca,vprtempo,hog", "pca.components=many", "vprtempo.patch=6", "hog.epochs=3"]
     stored = len(list(Store(Path("results"), read_only=True).runs()))

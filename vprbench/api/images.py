@@ -149,6 +149,11 @@ class Images(Sequence[Image]):
             raise BadInput(f"{len(arrays)} images came with {len(names)} names: give one for each")
         return cls(arrays.__getitem__, names or [f"image {i}" for i in range(len(arrays))], in_memory=True)
 
+    @property
+    def files(self) -> Paths | None:
+        """The files that the images are decoded from, one each; None where they are made otherwise."""
+        return self._files
+
     def __len__(self) -> int:
         """Return the number of images."""
         return len(self.names)

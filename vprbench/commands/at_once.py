@@ -66,6 +66,7 @@ _NOT_THE_TABLES = (
     "readouts",
     "stream",
     "corruption",
+    "predictions",
 )  # options of a run; rows and devices say what it holds
 
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from vprbench.paper.gather import TableRequest
     from vprbench.paper.stored_runs import Compose
 
-_NOT_OF_TABLES = ("method", "dataset", "corruption", "seed", "device", "output", "save", "load")
+_NOT_OF_TABLES = ("method", "dataset", "corruption", "seed", "device", "output", "save", "load", "predictions")
 
 
 def table(options: list[str]) -> int:

@@ -20,6 +20,7 @@ from vprbench.plugins.options import chosen
 from vprbench.progress import progress_shown, report
 from vprbench.runs.corruption import corruptions
 from vprbench.runs.identity import fingerprint
+from vprbench.runs.predictions import require_depth
 from vprbench.runs.sequences import views
 from vprbench.runs.settings import KNOWN, Settings, checked_settings
 from vprbench.runs.viewpoints import seen_from, viewpoints
@@ -34,6 +35,7 @@ class Request(RunOptions):
     seeds: int = 1  # of each method that learns from a seed
     corruptions: list[str] = field(default_factory=list)  # of query frames: all, kinds, or as in shift-1
     devices: list[str] = field(default_factory=lambda: ["cpu"])  # or device=cuda, for one
+    predictions: int | None = None  # best places of each query in NAME-predictions.csv; null: 10, 0: no file
     name: str | None = None  # of the files that are written, and the title; None: the dataset's
 
     def __post_init__(self) -> None:
@@ -133,6 +135,8 @@ def checked(command: SortedOptions, compose: Compose) -> tuple[Checked | None, l
         raise BadInput(unknown)
     config = dict(compose([*options, f"results={command.request.results}"]))
     settings = checked_settings({**config, "method": {}})
+    if wanted := command.request.predictions:
+        require_depth(wanted, settings.depth, wanted)
     dataset: Dataset | None = None
     images = ""
     with progress_shown("compare"):

@@ -30,6 +30,7 @@ from vprbench.runs.corrupted_frames import corrupted
 from vprbench.runs.corruption import Corruption, corruptions
 from vprbench.runs.frame import named_tuples
 from vprbench.runs.identity import fingerprint
+from vprbench.runs.predictions import predictions, write_csv
 from vprbench.runs.record import Failure, Run
 from vprbench.runs.sequences import suffix, views
 from vprbench.runs.settings import n_threads
@@ -117,7 +118,8 @@ def make_comparison(command: SortedOptions, compose: Compose) -> int:
         table = lines(robust)
         print()
         show_table([*table[0]], [[*line.values()] for line in table], command.request.wide)
-    print("\nwritten to", *written(compared, command.request.name is None, robust), sep="\n  ")
+    best = predicted(compared, found, command.request.predictions)
+    print("\nwritten to", *written(compared, command.request.name is None, robust, best), sep="\n  ")
     return exit_code(results)
 
 
@@ -230,9 +232,29 @@ def _shown(cells: pd.DataFrame) -> Iterator[str]:
             yield " ".join(filter(None, [absence, cell.value, cell.extent]))
 
 
-def written(found: ReportData, beside_others: bool, robust: Robustness | None = None) -> list[Path]:
+def predicted(compared: ReportData, found: Checked, n: int | None) -> pd.DataFrame | None:
+    """Return the best `n` places of each query by every run that is shown, 10 if None; None if `n` is 0.
+
+    `method`, `seed` and `answers` (the view that is shown, or empty) stand before the columns of `predictions`.
+    """
+    if n == 0:
+        return None
+    tables = []
+    for group in compared.groups:
+        for one in accuracy_series(group, compared.chosen.rows):
+            for run in one.runs:
+                table = predictions(run, min(n or 10, run.top_places.shape[1]), found.dataset)
+                told = {"method": one.name, "seed": run.config["seed"], "answers": rows.describe_view(run)}
+                tables.append(pd.concat([pd.DataFrame(told, index=table.index), table], axis=1))
+    return pd.concat(tables, ignore_index=True)
+
+
+def written(
+    found: ReportData, beside_others: bool, robust: Robustness | None = None, best: pd.DataFrame | None = None
+) -> list[Path]:
     """Write the table, its runs, figures and page of a comparison into the results folder; returns the files.
 
+    `best` holds the best places of each query.
     If `beside_others`, files of this name that are of other frames stay: the new ones get the frames' hash.
     """
     from vprbench.paper.figures.accuracy import robustness as drawn_robustness
@@ -242,6 +264,8 @@ def written(found: ReportData, beside_others: bool, robust: Robustness | None = 
     if beside_others and _of_other_frames(folder / f"{name}-runs.csv", found.runs):
         name = f"{name}-{found.runs[0].fingerprint[:6]}"
     files = write(found, folder, name)
+    if best is not None:
+        files.append(write_csv(best, folder / f"{name}-predictions.csv"))
     if robust is not None:
         title = str(found.table.title)
         for ending, text in (("md", markdown(robust, title)), ("csv", csv(robust))):

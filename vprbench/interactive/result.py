@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
+from vprbench.api.dataset import Dataset
 from vprbench.errors import BadInput
 from vprbench.interactive import short
 from vprbench.metrics.accuracy import hits_at, recall_at
 from vprbench.metrics.intervals import WiderInterval
 from vprbench.metrics.registry import METRICS
 from vprbench.runs import frame, rows
+from vprbench.runs.predictions import predictions
 from vprbench.runs.query_results import RIGHT, UNANSWERABLE, judged
 from vprbench.runs.readouts import readout_numbers
 from vprbench.runs.recall_intervals import interval_between, recall_interval
@@ -39,6 +41,7 @@ class Result:
     folder: Path | None  # that holds the run; None: it is not stored
     queries: tuple[str, ...]  # names of the query images
     from_store: bool = False  # it was run before
+    dataset: Dataset | None = None  # whose images `predictions` names
 
     @property
     def name(self) -> str:
@@ -117,6 +120,16 @@ class Result:
         verdicts = np.array([*judged(self.run).verdicts])
         wrong = self.to_frame()[~np.isin(verdicts, (RIGHT, UNANSWERABLE))]
         return wrong.sort_values("margin", kind="stable")
+
+    def predictions(self, n: int = 10) -> pd.DataFrame:
+        """Return the best `n` places of each query, a row each, best first; nothing runs again.
+
+        `query` is the query's number and `query_image` its file, or its name if it is no file. `rank` begins at 1.
+        `place` is the place's number and `reference_image` its first reference image. `score` is the method's, higher
+        means more alike. `right` says whether it is a right place. Raises BadInput below 1, and for more places than
+        the run keeps (`depth`, 100 unless another was given).
+        """
+        return predictions(self.run, n, self.dataset)
 
     def in_sequences(self, length: int, **options: Any) -> Result:
         """Return the answers of `length` neighbouring queries together, a result like any other.

@@ -92,13 +92,14 @@ def prepared(method: AnyMethod, where: Place, options: Options) -> Prepared:
 
 def finished(ready: Prepared) -> Result:
     """Return the result of a run, from the store or made now; raises what the method raises."""
-    queries = ready.request.dataset.queries.names
+    dataset = ready.request.dataset
+    queries = dataset.queries.names
     if ready.store is not None:
         found = get_or_run(ready.request, ready.settings, ready.store)
-        return Result(found.run, found.folder, queries, found.from_store)
+        return Result(found.run, found.folder, queries, found.from_store, dataset)
     with TemporaryDirectory(prefix="vprbench-") as folder:
         found = get_or_run(ready.request, ready.settings, Store(Path(folder)))
-    return Result(found.run, None, queries)
+    return Result(found.run, None, queries, dataset=dataset)
 
 
 def _settings(chosen: Recipe, where: Place, options: Options, stored: bool) -> tuple[Settings, dict[str, Any]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +15,13 @@ from vprbench.runs.tuned import all_notes
 from vprbench.terminal.console import line_text, table_text
 
 
-def run_text(run: Run, folder: Path | None, from_store: bool, settings: Settings) -> str:
-    """Return the row of a run or its JSON, its notes and its views; `folder` is where it lies, None if nowhere."""
+def run_text(
+    run: Run, folder: Path | None, from_store: bool, settings: Settings, predictions: Sequence[Path] = ()
+) -> str:
+    """Return the row of a run or its JSON, its notes and its views; `folder` is where it lies, None if nowhere.
+
+    `predictions` are the files that hold the best places of each query.
+    """
     seen = [view(run) for view in views(settings.sequence, settings.filter)]
     if settings.output == "json":
         return json.dumps(
@@ -33,6 +39,7 @@ def run_text(run: Run, folder: Path | None, from_store: bool, settings: Settings
                 "tuned_on": run.tuned_on or None,
                 "notes": [note._asdict() for note in all_notes(run)],
                 **({"views": [_viewed(one, settings) for one in seen]} if seen else {}),
+                **({"predictions": [*map(str, predictions)]} if predictions else {}),
                 "from_store": from_store,
                 "run_folder": None if folder is None else str(folder),
             },
@@ -50,6 +57,7 @@ def run_text(run: Run, folder: Path | None, from_store: bool, settings: Settings
         below.append(f"from the store: {folder} (force=true runs again)")
     elif folder is not None:
         below.append(f"stored in {folder}")
+    below += [f"best {settings.predictions} places of each query: {file}" for file in predictions]
     tables = [table_text([*table[0]], [[*row.values()] for row in table], settings.wide, rows.LEAST)]
     if settings.readouts:
         tables.append(readouts.readout_text(run))

@@ -11,6 +11,7 @@ from vprbench.errors import BadInput
 from vprbench.metrics.registry import GROUPS, METRICS
 from vprbench.plugins import registry
 from vprbench.runs.corruption import corruptions
+from vprbench.runs.predictions import require_depth
 from vprbench.runs.sequences import views
 from vprbench.runs.timing_protocol import Protocol
 from vprbench.runs.viewpoints import viewpoints
@@ -44,6 +45,7 @@ class Settings:
     load: str | None = None  # file of a trained network; nothing is trained then
     stream: bool | int = False  # grow the map place by place, and ask at each so many places; true: ten times
     readouts: bool = False  # what the codes and the layers of a learnt method find on their own
+    predictions: int | None = None  # best places of each query that are written as CSV; None: no file
     energy: bool = False  # what a query costs in operations and joules, and a place in bytes
     timing: Protocol = field(default_factory=Protocol)
 
@@ -77,6 +79,8 @@ def checked_settings(config: Mapping[str, Any]) -> Settings:
         raise BadInput(f"corruption={','.join(settings.corruption)}: save= and load= take a run of one corruption")
     if settings.depth < 1:
         raise BadInput(f"depth={settings.depth}: keep at least the best place of each query")
+    if settings.predictions is not None:
+        require_depth(settings.predictions, settings.depth, settings.predictions)
     if settings.seed < 0:
         raise BadInput(f"seed={settings.seed}: give 0 or a larger number")
     if settings.limit_minutes is not None and not settings.limit_minutes > 0:
