@@ -14,7 +14,7 @@ from vprbench.api import BadInput, Dataset, Images, NotThere, Recording, event_f
 
 from .folders import by_index
 from .readers.event_files import events_in
-from .readers.file_dataset import GroundTruth, Unmatched, dataset_of_files
+from .readers.file_dataset import GroundTruth, Unmatched, dataset_of_files, unknown
 from .readers.positions import Metres, by_radius
 from .readers.recipes import function_of
 from .readers.tracks import Track, track_of
@@ -27,6 +27,7 @@ class EventFolders:
     With `index` the i-th frame of every recording shows place i, and right are places at most `tolerance` away. With
     `gps` a table beside each recording, of its name and .csv, or a GPS log, .nmea, says where the camera was; every
     reference frame is a place, right is what lies within `radius_metres`, and frames of other times are left out.
+    With `none` every reference frame is a place, and no answer is judged.
     Pixels with more than `hot_factor` times the events of those around them count nothing. Raises NotThere, BadInput.
     """
 
@@ -38,7 +39,7 @@ class EventFolders:
     hot_factor: float | None = 10.0
     height: int = 260
     width: int = 346
-    ground_truth: Literal["index", "gps"] = "index"
+    ground_truth: Literal["index", "gps", "none"] = "index"
     tolerance: int = 0
     radius_metres: float = 25.0
     unmatched: Unmatched = "error"
@@ -55,6 +56,8 @@ class EventFolders:
         recordings, shown, at = zip(*map(self._drive, names, files), strict=True)
         if self.ground_truth == "gps":
             truth, chosen = self._truth_by_position(np.concatenate(at[:-1]), at[-1])
+        elif self.ground_truth == "none":
+            truth, chosen = unknown(sum(map(len, shown[:-1])), len(shown[-1])), {}
         else:
             truth = by_index(shown[:-1], self.references, len(shown[-1]), self.tolerance)
             chosen = {"tolerance_places": self.tolerance}

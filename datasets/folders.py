@@ -11,7 +11,7 @@ import numpy as np
 from vprbench.api import BadInput, Dataset, Exif, NotThere, Paths
 
 from .readers.drives import Breaks, check_by_order, drive_starts, right_in_drive
-from .readers.file_dataset import GroundTruth, Unmatched, dataset_of_files, each_a_place
+from .readers.file_dataset import GroundTruth, Unmatched, dataset_of_files, each_a_place, unknown
 from .readers.image_files import images_in
 from .readers.matrix_files import matrix_in
 from .readers.name_order import Numbers, by_numbers
@@ -49,7 +49,8 @@ def folders(
     query are the places i - tolerance to i + tolerance. With `utm` every reference image is a place, names are
     `@UTM_east@UTM_north@...` in metres of one zone, and right is what lies within `radius_metres`, the radius
     included. With an .npz file every reference image is a place, and right is what its matrix `positives`,
-    (n_queries, n_references), says. A query without a right place is an error, kept as a miss, or dropped. Raises
+    (n_queries, n_references), says. With `none` every reference image is a place, nobody knows which are right, and no
+    answer is judged. A query without a right place is an error, kept as a miss, or dropped. Raises
     NotThere for folders that are missing or hold no images, BadInput for bad names, arguments and matrices.
     """
     if not references or queries is None:
@@ -70,6 +71,8 @@ def folders(
         chosen = {"tolerance_places": tolerance}
     elif ground_truth == "utm":
         truth, chosen = by_names(mapped, asked, radius_metres), {"radius_metres": radius_metres}
+    elif ground_truth == "none":
+        truth = unknown(len(mapped), len(asked))
     else:
         truth = _by_file(Path(ground_truth).expanduser(), len(asked), len(mapped))
     return dataset_of_files(
@@ -114,7 +117,7 @@ def by_index(traverses: Sequence[Sized], names: list[str], n_queries: int, toler
 def _by_file(file: Path, n_queries: int, n_references: int) -> GroundTruth:
     """Return the ground truth of a matrix of all images; raises BadInput for what is neither that nor a known word."""
     if file.suffix != ".npz":
-        raise BadInput(f"dataset.ground_truth={file}: give index, utm or an .npz file with the matrix {_MATRIX}")
+        raise BadInput(f"dataset.ground_truth={file}: give index, utm, none or an .npz file with {_MATRIX}")
     shape, axes = (n_queries, n_references), ("queries", "references")
     right = matrix_in(file, _MATRIX, shape, axes, "give the file that dataset.ground_truth names")
     return each_a_place(n_references, map(np.flatnonzero, right), f"no right reference in {file.name}")

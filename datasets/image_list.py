@@ -15,7 +15,7 @@ from vprbench.api import BadInput, Dataset, Exif, NotThere, Paths
 
 from .readers.csv_tables import read_csv
 from .readers.drives import Breaks
-from .readers.file_dataset import GroundTruth, Unmatched, dataset_of_files
+from .readers.file_dataset import GroundTruth, Unmatched, dataset_of_files, unknown
 from .readers.image_files import check_listed
 from .readers.positions import MOST_METRES, by_radius, earth_centred
 from .readers.traverses import right_places
@@ -43,6 +43,7 @@ def image_list(
     breaks: Breaks = "auto",
     exif: Exif = "obey",
     levels: str | None = None,
+    ground_truth: Literal["columns", "none"] = "columns",
 ) -> Dataset:
     """Return the images that CSV files list, in the order of their rows.
 
@@ -58,6 +59,8 @@ def image_list(
 
     `exif` and `levels` say how files are decoded (`decoding_of`).
 
+    With `ground_truth` none the column `image` is enough: every reference is a place, and no answer is judged.
+
     Raises NotThere for missing files, BadInput for tables that do not fit.
     """
     if not references or queries is None:
@@ -67,9 +70,12 @@ def image_list(
         )
     files = [*(Path(file).expanduser() for file in references), Path(queries).expanduser()]
     tables = [_table(file, root) for file in files]
-    kind = _kind_of_all(tables)
     mapped, asked = tables[:-1], tables[-1]
-    if kind == "place":
+    kind = "none" if ground_truth == "none" else _kind_of_all(tables)
+    chosen = {"tolerance_places": tolerance} if kind == "place" else {"radius_metres": radius_metres}
+    if kind == "none":
+        truth, chosen = unknown(sum(len(table.images) for table in mapped), len(asked.images)), {}
+    elif kind == "place":
         truth = _by_place([label for table in mapped for label in table.labels()], asked.labels(), tolerance)
     else:
         known = np.concatenate([table.positions(kind) for table in mapped])
@@ -85,7 +91,7 @@ def image_list(
             "references": [file.name for file in files[:-1]],
             "queries": files[-1].name,
             "ground_truth": kind,
-            **({"tolerance_places": tolerance} if kind == "place" else {"radius_metres": radius_metres}),
+            **chosen,
         },
         breaks=breaks,
         exif=exif,

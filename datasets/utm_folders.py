@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 from vprbench.api import BadInput, Dataset, Exif, NotThere, Paths
 
 from .readers.drives import Breaks
-from .readers.file_dataset import Unmatched, dataset_of_files
+from .readers.file_dataset import Unmatched, dataset_of_files, unknown
 from .readers.frame_folders import root_folder
 from .readers.image_files import check_listed, images_in
 from .readers.positions import Zones, by_names
@@ -29,9 +30,10 @@ class UtmFolders:
     reference is a place; right is what lies within `radius_metres`, the radius included. Queries without a right place
     count as misses (`keep`, as in gmberton/VPR-methods-evaluation), are left out (`drop`, as in VPRTempo and
     VPR_Tutorial) or are an error. So are names of several UTM zones, unless images of different zones never show one
-    place (`zones` apart). Another sub-folder, or a position that jumps, begins another drive unless `breaks` is none.
-    `exif` and `levels` say how files are decoded (`decoding_of`). Raises NotThere for what is missing, BadInput for
-    names without a position and for a list that is no text.
+    place (`zones` apart). With `ground_truth` none any name is taken, and no answer is judged. Another sub-folder, or a
+    position that jumps, begins another drive unless `breaks` is none. `exif` and `levels` say how files are decoded
+    (`decoding_of`). Raises NotThere for what is missing, BadInput for names without a position and for a list that is
+    no text.
     """
 
     name: str = "utm_folders"
@@ -45,6 +47,7 @@ class UtmFolders:
     breaks: Breaks = "auto"
     exif: Exif = "obey"
     levels: str | None = None
+    ground_truth: Literal["utm", "none"] = "utm"
 
     def build(self) -> Dataset:
         """Return the dataset of these options."""
@@ -54,11 +57,17 @@ class UtmFolders:
         found, holding = _holding(top, self.split, folders, layout)
         lists = [beside.name for folder in folders if (beside := _list_beside(holding / folder)).is_file()]
         references, asked = (_images(holding / folder, layout) for folder in folders)
+        known = self.ground_truth == "utm"
+        truth = (
+            by_names(references, asked, self.radius_metres, self.zones)
+            if known
+            else unknown(len(references), len(asked))
+        )
         return dataset_of_files(
             self.name,
             references,
             asked,
-            by_names(references, asked, self.radius_metres, self.zones),
+            truth,
             self.unmatched,
             {
                 "protocol": "utm_folders",
@@ -66,8 +75,7 @@ class UtmFolders:
                 "database": self.database,
                 "queries": self.queries,
                 **({"lists": lists} if lists else {}),
-                "radius_metres": self.radius_metres,
-                "zones": self.zones,
+                **({"radius_metres": self.radius_metres, "zones": self.zones} if known else {}),
             },
             breaks=self.breaks,
             exif=self.exif,

@@ -8,7 +8,7 @@ from typing import Any, Literal
 from vprbench.api import BadInput, Dataset, Exif, NotThere
 
 from .readers.csv_tables import read_csv
-from .readers.file_dataset import Unmatched, dataset_of_files, each_a_place
+from .readers.file_dataset import Unmatched, dataset_of_files, each_a_place, unknown
 from .readers.frame_folders import root_folder
 from .readers.image_files import images_in
 from .readers.name_order import Numbers, by_numbers
@@ -43,13 +43,18 @@ def vpr_bench(
     Every reference is a place. `ground_truth` is a file in `root`, the first of `GROUND_TRUTHS` that is there if None:
     rows of a query and its right references, by number (an array of objects, pickled), or a CSV with the columns query
     and matching_refs, numbers with spaces between them. Numbers without an image are an error, or are left out with
-    `clip`; how many queries that concerns is noted. `default_root` (relative to the checkout) stands in for a `root` of
-    None if it exists. `exif` and `levels` say how files are decoded (`decoding_of`). Raises NotThere for what is
-    missing, BadInput for a ground truth that does not fit.
+    `clip`; how many queries that concerns is noted. With `ground_truth` none no file is read, and no answer is judged.
+    `default_root` (relative to the checkout) stands in for a `root` of None if it exists. `exif` and `levels` say how
+    files are decoded (`decoding_of`). Raises NotThere for what is missing, BadInput for a ground truth that does not
+    fit.
     """
     top = root_folder(name, root, "query/ and ref/", _LAYOUT, default_root=default_root)
     found = [images_in(top / part, "dataset.root", _LAYOUT, deep=False) for part in ("query", "ref")]
     (asked, references), read, told = by_numbers(found, numbers)
+    protocol = {"protocol": "vpr_bench", "references": "ref", "queries": "query", **read}
+    if ground_truth == "none":
+        none = unknown(len(references), len(asked))
+        return dataset_of_files(name, references, asked, none, unmatched, protocol, told, exif=exif, levels=levels)
     stored = _ground_truth_file(top, ground_truth)
     rows = _rows_of_csv(stored) if stored.suffix.lower() == ".csv" else _rows_of_pickle(stored)
     by_query, corrected = in_range(stored.name, rows, len(asked), len(references), out_of_range)
@@ -65,13 +70,10 @@ def vpr_bench(
         each_a_place(len(references), by_query, f"no right reference in {stored.name}"),
         unmatched,
         {
-            "protocol": "vpr_bench",
-            "references": "ref",
-            "queries": "query",
+            **protocol,
             "ground_truth": stored.name,
             "out_of_range": out_of_range,
             "out_of_range_queries": len(corrected),
-            **read,
         },
         [*told, *notes],
         exif=exif,

@@ -14,6 +14,8 @@ from vprbench.api import BadInput, Dataset, Exif, FrameFolder, Images, Paths, Pl
 
 from .drives import NO_STARTS, Breaks, Starts, drive_starts
 
+NOT_JUDGED = "there is no ground truth, so no answer is judged (ground_truth=none)"
+
 Unmatched = Literal["error", "keep", "drop"]  # of queries without a right place: keep counts them as misses
 
 
@@ -26,11 +28,20 @@ class GroundTruth:
     lacking: str  # what a query without any lacks, as in "no reference within 25 m"
     by_order: bool = False  # whether the order of the images says what is right
     jumps: tuple[Starts, Starts] = (NO_STARTS, NO_STARTS)  # references and queries at which the position jumps
+    known: bool = True  # False: nobody knows which places are right
 
 
 def each_a_place(n_references: int, right: Iterable[npt.ArrayLike], lacking: str) -> GroundTruth:
     """Return the ground truth of references that are a place each, with the right ones of every query, ascending."""
     return GroundTruth(np.arange(n_references), [np.array(found, dtype=np.int64) for found in right], lacking)
+
+
+def unknown(n_references: int, n_queries: int) -> GroundTruth:
+    """Return what stands in for a ground truth that there is none of (`dataset.ground_truth=none`).
+
+    Every reference is a place, and no answer is judged.
+    """
+    return GroundTruth(np.arange(n_references), [np.empty(0, np.int64)] * n_queries, "no ground truth", known=False)
 
 
 def dataset_of_files(
@@ -48,9 +59,12 @@ def dataset_of_files(
     """Return the dataset of these files or images; how queries without a right place are treated is noted.
 
     Under the `breaks` auto the journey breaks off where another drive begins. `exif` and `levels` say how all files are
-    decoded (`decoding_of`). The protocol says either where it matters. Raises BadInput if `unmatched` is error and such
-    queries exist, or drop and no other queries exist, and for levels that cannot be told.
+    decoded (`decoding_of`). The protocol says either where it matters. Of an unknown ground truth all queries stay.
+    Raises BadInput if `unmatched` is error and such queries exist, or drop and no other queries exist, and for levels
+    that cannot be told.
     """
+    if not truth.known:
+        unmatched = "keep"
     shown = queries.names if isinstance(queries, Images) else Paths.of(queries)
     matched = [query for query, right in enumerate(truth.positives) if len(right)]
     kept = np.array(matched if unmatched == "drop" else range(len(queries)), dtype=np.int64)
@@ -75,18 +89,24 @@ def dataset_of_files(
         part if isinstance(part, Images) else Images.from_files(part, decoding) for part in (references, queries)
     )
     outcome = "are left out" if unmatched == "drop" else "count as misses"
+    said = f"{told}; they {outcome} (dataset.unmatched={unmatched})"
     return Dataset(
         name=name,
         references=mapped,
         places=truth.places,
         queries=asked[kept],
         positives=tuple(truth.positives[query] for query in kept.tolist()),
-        protocol={**protocol, "unmatched": unmatched, **met, **decoded},
+        protocol={
+            **protocol,
+            **({"unmatched": unmatched} if truth.known else {"ground_truth": "none"}),
+            **met,
+            **decoded,
+        },
         query_breaks=query_breaks if unmatched == "drop" or met else None,
         place_breaks=place_breaks if met else None,
         by_order=truth.by_order,
         folders=folders_of(Paths.joined(files)),
-        notes=(*notes, *([f"{told}; they {outcome} (dataset.unmatched={unmatched})"] if without else ())),
+        notes=(*notes, *([said if truth.known else NOT_JUDGED] if without else ())),
     )
 
 

@@ -23,6 +23,11 @@ if TYPE_CHECKING:
 SharedFrames = Literal["error", "allow"]  # what becomes of queries that are among the references
 
 
+def has_ground_truth(protocol: Mapping[str, Any]) -> bool:
+    """Tell whether a dataset of this protocol knows right places; under `ground_truth: none` no answer is judged."""
+    return protocol.get("ground_truth") != "none"
+
+
 @dataclass(frozen=True)
 class HeldOut:
     """Places whose queries no result asks: a method may choose its settings by these places.

@@ -23,7 +23,7 @@ from vprbench.paper.selection import Group, accuracy_series, as_text, describe_p
 from vprbench.paper.stored_runs import Compose
 from vprbench.paper.table import words
 from vprbench.paper.table.make import exit_code, write
-from vprbench.paper.table.quantities import RECALL, comparison_quantities
+from vprbench.paper.table.quantities import RECALL, comparison_quantities, without_accuracies
 from vprbench.progress import progress_shown
 from vprbench.runs import rows
 from vprbench.runs.corrupted_frames import corrupted
@@ -153,6 +153,8 @@ def ranked_material(
     There is a ranking for each view that was asked for; the first orders the rows. Raises BadInput if there is no run.
     """
     there = newest(chosen, found, known)
+    if there.runs and not there.runs[0].is_judged:
+        chosen = replace(chosen, quantities=without_accuracies(chosen.quantities))
     left_out = [
         run.failed(cell.missing, missing=True)
         for cell in found.cells

@@ -118,12 +118,14 @@ class Comparison:
         others = map(
             " ".join, zip(column("elsewhere", recall.text), interval("elsewhere_low", "elsewhere_high"), strict=True)
         )
+        judged = self.results[0].run.is_judged
+        accuracy = {recall.head: column("recall_at_1", recall.text), "95 %": interval("low", "high")}
+        metrics = [METRICS[name] for name in self.metrics if judged or METRICS[name].cost is not None]
         shown = {
             "Method": table["method"],
-            recall.head: column("recall_at_1", recall.text),
-            "95 %": interval("low", "high"),
+            **(accuracy if judged else {}),
             **({"Elsewhere": [*others]} if table["elsewhere"].notna().any() else {}),
-            **{METRICS[name].head: column(name, METRICS[name].text) for name in self.metrics},
+            **{metric.head: column(metric.name, metric.text) for metric in metrics},
             "Queries/s": column("hz", RATES[0].text, rows.UNTIMED),
             "Fit s": column("fit_seconds", lambda seconds: f"{float(f'{seconds:.2g}'):,g}"),
             **({"Left out": table["left_out"].map(short)} if self.left_out else {}),

@@ -52,18 +52,20 @@ def dataset_of(
     exif: Exif = "obey",
     levels: str | None = None,
     shared_frames: SharedFrames = "error",
+    ground_truth: Literal["index", "none"] = "index",
 ) -> Dataset:
     """Return the dataset of your own images; the i-th image of every reference traverse shows place i.
 
     `references` is a traverse or a list of traverses. Right for the i-th query are the places i - tolerance to
     i + tolerance, or what `positives` says: a place or a list of places for each query, or a matrix (n_queries,
     n_places) of booleans or of 0 and 1, dense or a sparse one of scipy. Of as many queries as places, nothing tells a
-    matrix from its transpose: rows have to be queries. A query without a right place counts as a miss. A folder is read
-    in the order of the numbers in its names, which are decimal (0.25 before 0.5) or whole; by default the names tell.
-    Where files lie in another folder than those before, another drive begins unless `breaks` is none: tolerance and
-    sequences end there. `exif` and `levels` say how files are decoded (`decoding_of`). A run whose queries are among
-    its references raises BadInput, with `shared_frames` "allow" it has a note. Raises NotThere for a folder without
-    images, BadInput for what is no image and for parts that do not fit one another.
+    matrix from its transpose: rows have to be queries. With `ground_truth="none"` every reference image is a place,
+    traverses may differ in length, and no answer is judged. A query without a right place counts as a miss. A folder is
+    read in the order of the numbers in its names, which are decimal (0.25 before 0.5) or whole; by default the names
+    tell. Where files lie in another folder than those before, another drive begins unless `breaks` is none: tolerance
+    and sequences end there. `exif` and `levels` say how files are decoded (`decoding_of`). A run whose queries are
+    among its references raises BadInput, with `shared_frames` "allow" it has a note. Raises NotThere for a folder
+    without images, BadInput for what is no image and for parts that do not fit one another.
     """
     for option, value, known in (
         ("numbers", numbers, ("auto", "decimal", "whole")),
@@ -71,6 +73,9 @@ def dataset_of(
     ):
         if value not in known:
             raise BadInput(f"{option}={value}: choose {', '.join(known)}")
+    judged = ground_truth == "index"
+    if ground_truth not in ("index", "none") or (not judged and (positives is not None or tolerance)):
+        raise BadInput(f"ground_truth={ground_truth}: give index, or none without positives and tolerance")
     given = positives is not None
     parts, read, notes = _in_order([*_traverses(references), queries], numbers)
     *several, asked = parts
@@ -78,22 +83,29 @@ def dataset_of(
         raise BadInput("references hold no reference image: give a folder, or at least one image")
     names = [*(f"references[{number}]" for number in range(len(several))), "queries"]
     drives = _reader("drives")
-    drives.check_by_order(several if given else parts, names[:-1] if given else names, breaks, "", _WAYS_OUT)
-    n_places, n_queries = len(several[0]), len(asked)
+    if judged:
+        drives.check_by_order(several if given else parts, names[:-1] if given else names, breaks, "", _WAYS_OUT)
+    n_places, n_queries = len(several[0]) if judged else sum(map(len, several)), len(asked)
     if tolerance < 0 or (given and tolerance):
         raise BadInput(f"tolerance={tolerance}: give 0 or more places, and 0 with positives, which say all")
-    mapped, places = [image for images in several for image in images], np.tile(np.arange(n_places), len(several))
+    mapped = [image for images in several for image in images]
+    places = np.tile(np.arange(n_places), len(several)) if judged else np.arange(n_places)
     starts = drives.drive_starts(_files(mapped), _files(asked), breaks)
     place_breaks, query_breaks = starts.of_places(places), starts.queries
     broken = len(place_breaks) + len(query_breaks) > 0
+    right: tuple[npt.NDArray[np.int64], ...] = (np.empty(0, np.int64),) * n_queries
     if given:
         right = _right_places(positives, n_queries, n_places)
-    else:
+    elif judged:
         by_number = _by_number(n_queries, n_places, tolerance)
         right = tuple(drives.right_in_drive(by_number, np.union1d(place_breaks, query_breaks)))
-    if without := sum(not len(places) for places in right):
+    if not judged:
+        notes.append("there is no ground truth, so no answer is judged (ground_truth=none)")
+    elif without := sum(not len(places) for places in right):
         notes.append(f"{without} of {plural(n_queries, 'query')} have no right place: they count as misses")
-    truth = {"ground_truth": "given"} if given else {"ground_truth": "index", "tolerance_places": tolerance}
+    truth: dict[str, Any] = {"ground_truth": "given" if given else ground_truth}
+    if judged and not given:
+        truth["tolerance_places"] = tolerance
     decoding, decoded = decoding_of([image for image in [*mapped, *asked] if isinstance(image, Path)], exif, levels)
     return OwnImages(
         name=name,
@@ -112,7 +124,7 @@ def dataset_of(
         },
         query_breaks=query_breaks if broken else None,
         place_breaks=place_breaks if broken else None,
-        by_order=not given,
+        by_order=judged and not given,
         notes=tuple(notes),
     ).with_shared_frames(checked("shared_frames", shared_frames, SharedFrames))
 

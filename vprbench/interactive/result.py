@@ -97,7 +97,8 @@ class Result:
 
         `score` is that of the best place, of equals a wrong one. `rank` is that of the best right place, from 1, 0 if
         none was found; `hit` the chance that the best place is right, ties broken at random; `margin` the score of the
-        best right place less that of the best wrong one, NaN where that is undefined.
+        best right place less that of the best wrong one, NaN where that is undefined. Without a ground truth `hit` is
+        NaN, `rank` 0, and `margin` the score of the best place less that of the second.
         """
         answers = judged(self.run)
         return pd.DataFrame(
@@ -107,7 +108,7 @@ class Result:
                 "score": answers.scores[:, 0],
                 "right_places": [right.tolist() for right in self.run.positives],
                 "rank": answers.ranks,
-                "hit": hits_at(self.run.outcome, 1),
+                "hit": hits_at(self.run.outcome, 1) if self.run.is_judged else NAN,
                 "margin": answers.margins,
             }
         )
@@ -126,8 +127,8 @@ class Result:
 
         `query` is the query's number and `query_image` its file, or its name if it is no file. `rank` begins at 1.
         `place` is the place's number and `reference_image` its first reference image. `score` is the method's, higher
-        means more alike. `right` says whether it is a right place. Raises BadInput below 1, and for more places than
-        the run keeps (`depth`, 100 unless another was given).
+        means more alike. `right` says whether it is a right place; None without a ground truth. Raises BadInput below
+        1, and for more places than the run keeps (`depth`, 100 unless another was given).
         """
         return predictions(self.run, n, self.dataset)
 
@@ -171,9 +172,10 @@ class Result:
         return Series(self.name, self.run.spikes is not None, (self.run,))
 
     def __repr__(self) -> str:
-        row = rows.readable_row(self.run)
+        recall = rows.readable_row(self.run).get(rows.RECALL)
+        found = "no ground truth" if recall is None else f"R@1 {recall} %"
         of = ", ".join(filter(None, [self.run.dataset, rows.describe_view(self.run)]))
-        return short(f"<{self.name} on {of}: R@1 {row['R@1 % [95 %]']} %, {len(self.queries):,} queries>")
+        return short(f"<{self.name} on {of}: {found}, {len(self.queries):,} queries>")
 
     def _repr_html_(self) -> str:
         row = {"dataset": self.run.dataset, **rows.readable_row(self.run)}

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vprbench.api.arrays import Image
-from vprbench.api.dataset import Dataset
+from vprbench.api.dataset import Dataset, has_ground_truth
 from vprbench.api.images import Images
 from vprbench.plugins.rules import RuleBrokenError, RuleExceptedError, sentence
 from vprbench.text import plural, some, some_of
@@ -96,6 +96,8 @@ def _right(made: BuiltDataset) -> None:
 def _answerable(made: BuiltDataset) -> None:
     """Most queries have a right place."""
     right = made.dataset.positives
+    if not has_ground_truth(made.dataset.protocol):
+        raise RuleExceptedError("there is no ground truth, and no answer is judged")
     without = sum(not len(places) for places in right)
     if 2 * without > len(right):
         _broken(f"{without} of {len(right)} queries have no right place: does the ground truth fit the map?")

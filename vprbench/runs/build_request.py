@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Any, get_args
 
 from vprbench.api.adaptation import Adapt
-from vprbench.api.dataset import Dataset
+from vprbench.api.dataset import Dataset, has_ground_truth
 from vprbench.api.frame_cache import frames_kept
 from vprbench.api.method import Method
 from vprbench.data.doctor import check_dataset
@@ -87,6 +87,8 @@ def request_of(
     # what the cheap checks warn of is among the dataset's notes
     in_sequences = bool(sequences.views(settings.sequence, settings.filter))
     dataset = replace(dataset, notes=(*dataset.notes, *check_dataset(dataset, in_sequences)))
+    if settings.readouts and not has_ground_truth(dataset.protocol):
+        raise BadInput(f"readouts=true: it tells R@1, and {dataset.name} has no ground truth; leave it out")
     tuned_queries = queries_of_tuned_frames(dataset, tuned_on)
     if isinstance(settings.corruption, str):
         dataset = corrupted(dataset, settings.corruption)

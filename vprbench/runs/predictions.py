@@ -24,8 +24,8 @@ def predictions(run: Run, n: int, dataset: Dataset | None) -> pd.DataFrame:
 
     `query` is the query's number and `query_image` its file, or its name where it is no file. `rank` begins at 1.
     `place` is the number of the place in the map and `reference_image` the first of its reference images. `right` is
-    True or False. Without a `dataset` the images are None. Places that are no candidates have no row. Raises BadInput
-    below 1, and for more places than the run keeps of a query.
+    True or False, None without a ground truth. Without a `dataset` the images are None. Places that are no candidates
+    have no row. Raises BadInput below 1, and for more places than the run keeps of a query.
     """
     import pandas as pd  # takes long to import, and a run needs none
 
@@ -46,7 +46,7 @@ def predictions(run: Run, n: int, dataset: Dataset | None) -> pd.DataFrame:
             "place": places,
             "reference_image": shown[1],
             "score": scores[rows, ranks],
-            "right": right[rows, ranks],
+            "right": right[rows, ranks] if run.is_judged else None,
         }
     )
 

@@ -14,8 +14,9 @@ from vprbench.metrics.ranking import Counts
 from vprbench.runs.record import Run
 
 SHOWN = 3  # best places of a query
+SHOWN_UNJUDGED = 5  # the same without a ground truth
 NOWHERE = -1  # in the place of a place
-RIGHT, WRONG, TIED, UNANSWERABLE = "rwtu"
+RIGHT, WRONG, TIED, UNANSWERABLE, UNJUDGED = "rwtun"
 EXACT, AT_MOST, AT_LEAST, UNDEFINED = "=<>?"
 
 _DIGITS = 5  # significant ones of a score on the page
@@ -28,11 +29,14 @@ class Answers:
     A margin is the score of the best right place less that of the best wrong place; infinite if the one or the
     other is no candidate, NaN if it is undefined: without a right place, or without any candidate. If a run
     keeps too few of its scores it is only known to be at most or at least so much.
+
+    Without a ground truth every verdict is UNJUDGED, there are no right places, and a margin is the score of the best
+    place less that of the second one.
     """
 
     verdicts: str  # a letter a query; RIGHT: the best place is right and tied with no wrong one
-    places: npt.NDArray[np.int64]  # (n_queries, SHOWN), best first, of equals the wrong ones first; NOWHERE: no more
-    scores: npt.NDArray[np.float64]  # (n_queries, SHOWN); NaN if the place is NOWHERE
+    places: npt.NDArray[np.int64]  # (n_queries, n_shown), best first, of equals the wrong ones first; NOWHERE: no more
+    scores: npt.NDArray[np.float64]  # (n_queries, n_shown); NaN if the place is NOWHERE
     right_places: npt.NDArray[np.int64]  # (n_queries,), the best right place, the middle one if none is ranked
     right_scores: npt.NDArray[np.float64]  # (n_queries,); a bound if `bounds` is AT_MOST, NaN if there is none
     ranks: Counts  # (n_queries,), of the best right place, from 1; 0 if none is a candidate
@@ -43,12 +47,14 @@ class Answers:
 
 def judged(run: Run) -> Answers:
     """Judge the answers of a run."""
+    if not run.is_judged:
+        return _unjudged(run)
     outcome = run.outcome
     kinds = np.where(hits_at(outcome, 1, "optimistic") > 0, TIED, WRONG)
     kinds[hits_at(outcome, 1, "pessimistic") > 0] = RIGHT
     kinds[~outcome.answerable] = UNANSWERABLE
     bests = [_best_of_both_kinds(run, query) for query in range(len(outcome))]
-    places, scores = _shown(run)
+    places, scores = _shown(run, SHOWN)
     return Answers(
         verdicts="".join(kinds),
         places=places,
@@ -59,6 +65,23 @@ def judged(run: Run) -> Answers:
         equals=outcome.tied - outcome.tied_correct,
         margins=np.array([best.margin for best in bests]),
         bounds="".join(best.bound for best in bests),
+    )
+
+
+def _unjudged(run: Run) -> Answers:
+    """Return the answers of a run without a ground truth."""
+    places, scores = _shown(run, SHOWN_UNJUDGED)
+    nothing, margins = np.full(len(places), np.nan), scores[:, 0] - scores[:, 1]
+    return Answers(
+        verdicts=UNJUDGED * len(places),
+        places=places,
+        scores=scores,
+        right_places=np.full(len(places), NOWHERE),
+        right_scores=nothing,
+        ranks=np.zeros(len(places), np.int64),
+        equals=np.zeros(len(places), np.int64),
+        margins=margins,
+        bounds="".join(np.where(np.isnan(margins), UNDEFINED, EXACT)),
     )
 
 
@@ -103,15 +126,15 @@ def _best_of_both_kinds(run: Run, query: int) -> _Best:
     return _Best(place, right, wrong, EXACT)
 
 
-def _shown(run: Run) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
-    """Return the best places and their scores, (n_queries, SHOWN) each, of equals the wrong ones first."""
+def _shown(run: Run, n: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
+    """Return the `n` best places and their scores, (n_queries, n) each, of equals the wrong ones first."""
     right = np.array([np.isin(*row) for row in zip(run.top_places, run.positives, strict=True)])
-    order = np.lexsort((right, -run.top_scores), axis=1)[:, :SHOWN]
+    order = np.lexsort((right, -run.top_scores), axis=1)[:, :n]
     places = np.take_along_axis(run.top_places, order, axis=1).astype(np.int64)
     scores = np.take_along_axis(run.top_scores, order, axis=1).astype(np.float64)
     places[scores == -np.inf] = NOWHERE
     scores[scores == -np.inf] = np.nan
-    missing = ((0, 0), (0, SHOWN - places.shape[1]))
+    missing = ((0, 0), (0, n - places.shape[1]))
     return np.pad(places, missing, constant_values=NOWHERE), np.pad(scores, missing, constant_values=np.nan)
 
 

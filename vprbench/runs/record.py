@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field, PlainValidator, ValidationInfo, with_config
 
+from vprbench.api.dataset import has_ground_truth
 from vprbench.metrics.ranking import Outcome
 from vprbench.runs.notes import Note
 from vprbench.runs.stopwatch import Timing
@@ -258,6 +259,11 @@ class Run:
     @property
     def _first_query_excess_seconds(self) -> float:
         return 0.0 if self.timing is None else self.timing.first_query_excess_seconds
+
+    @property
+    def is_judged(self) -> bool:
+        """Whether its dataset knows right places; without them no accuracy is defined."""
+        return has_ground_truth(self.protocol)
 
     @property
     def timed_by(self) -> Protocol:

@@ -15,6 +15,7 @@ from vprbench.runs.record import Run
 from vprbench.runs.stopwatch import StageRates, Timing, best_batch
 from vprbench.runs.tuned import describe_recalls, other_places
 
+RECALL = "R@1 % [95 %]"
 NOTHING, UNTIMED = "-", "not timed"
 VIEWS = ("sequence", "filter")  # what a protocol calls them
 LEAST = ("R@25 %", "R@10 %", "peak MB", "streaming Hz enc/match/total")  # left out first where a row is too wide
@@ -22,11 +23,13 @@ _DIGITS = 12  # of a hash that people compare by eye
 
 
 def readable_row(run: Run, metrics: Sequence[str] = ()) -> dict[str, str]:
-    """Return one run as a row of text, with more `metrics` by their names."""
+    """Return one run as a row of text, with more `metrics` by their names; without a ground truth no accuracy."""
     shown = [METRICS[name] for name in (*(f"recall_at_{n}" for n in RECALLS[1:]), "auc_pr_a", *metrics)]
+    if not run.is_judged:
+        shown = [metric for metric in shown if metric.cost is not None]
     return {
         "method": label(run),
-        "R@1 % [95 %]": _recall_with_interval(run),
+        **({RECALL: _recall_with_interval(run)} if run.is_judged else {}),
         **{metric.head: metric.text(metric.of(run)) for metric in shown},
         "fit s": _fit(run),
         **_readable_rates(run.timing),

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from vprbench.api.dataset import Dataset
+from vprbench.api.dataset import Dataset, has_ground_truth
 from vprbench.text import plural, some
 
 from .finding import Finding
@@ -19,6 +19,9 @@ _JUMP = 20  # times the usual step
 
 def right_places(dataset: Dataset) -> Iterator[Finding]:
     """Find queries without a right place or with too many, and places that are right for no query."""
+    if not has_ground_truth(dataset.protocol):
+        yield Finding("note", "ground truth", "there is none (ground_truth=none): no answer is judged")
+        return
     counts = np.array([len(right) for right in dataset.positives])
     total, n_places, tolerance = len(counts), dataset.n_places, dataset.protocol.get("tolerance_places")
     if names := _names(dataset, counts == 0):

@@ -18,7 +18,7 @@ from vprbench.paper.gather import ReportData, TablePlan, TableRequest, choose, g
 from vprbench.paper.growth import GrowthSamples, samples
 from vprbench.paper.missing_runs import results_folder
 from vprbench.paper.plan import Row
-from vprbench.paper.selection import Group, ResolvedColumn, accuracy_series, groups, of_row, series, title
+from vprbench.paper.selection import Group, ResolvedColumn, Series, accuracy_series, groups, of_row, series, title
 from vprbench.paper.stored_runs import Compose
 from vprbench.paper.table.best import mean_recall
 from vprbench.paper.table.formats import shown_as_it_is
@@ -149,38 +149,48 @@ def _growing(found: ReportData) -> list[Row]:
 
 
 def _of_columns(found: ReportData) -> Iterator[tuple[str, Draw]]:
-    """Yield the figures that each dataset has: Figure 3, and those beyond the paper."""
-    from vprbench.paper.figures import accuracy, growth, pictures, spikes, tradeoff
+    """Yield the figures that each dataset has: Figure 3, and those beyond the paper; without ground truth few."""
+    from vprbench.paper.figures import accuracy, spikes
 
     for group in found.groups:
         shown = accuracy_series(group, found.chosen.rows)
         if not shown:
             continue
-        timed = series(group, found.chosen.rows)
-        name = group.name
-        thumbnails = thumbnails_of(group, found.chosen)
-        if thumbnails is not None:
-            yield f"fig3a-frames-{name}", partial(pictures.frames, thumbnails, title(group, found.groups))
-        papers = [one for one in shown if one.name in found.chosen.plan.rows]
-        best = max(shown, key=lambda one: mean_recall(one.runs) or 0.0)
-        one = papers[-1] if papers else best  # VPRTempo, as in the paper, where it has runs
-        if one.runs[0].view is None or one.runs[0].scores is not None:  # of several views none keeps its scores
-            yield f"fig3b-similarity-{name}", partial(pictures.similarity, one.runs[0], one.name)
-        yield f"fig3c-precision-recall-{name}", partial(accuracy.precision_recall, shown)
-        yield f"fig3d-recall-at-n-{name}", partial(accuracy.recall_at_n, shown)
-        yield f"tolerance-{name}", partial(accuracy.recall_at_tolerance, shown)
-        for metric in found.chosen.metrics:
-            yield f"{metric.replace('_', '-')}-{name}", partial(accuracy.of_rows, shown, METRICS[metric])
-        yield f"rate-{name}", partial(tradeoff.against_rate, timed)
-        yield f"memory-{name}", partial(tradeoff.against_memory, timed)
-        if any(run.stream for one in shown for run in one.runs):
-            yield f"growing-map-{name}", partial(growth.growing_map, shown)
+        name, judged = group.name, shown[0].runs[0].is_judged
+        if judged:
+            yield from _of_accuracy(found, group, shown)
         yield f"spikes-{name}", partial(spikes.spike_statistics, shown)
         if in_time := spikes.in_time(shown):
             yield f"raster-{name}", partial(spikes.raster, in_time)
-            yield f"steps-{name}", partial(spikes.recall_at_step, in_time)
+            if judged:
+                yield f"steps-{name}", partial(spikes.recall_at_step, in_time)
     for column in found.chosen.columns:
-        groups_of = [group for group in found.groups if group.column is column and group.runs]
+        groups_of = [g for g in found.groups if g.column is column and g.runs and g.runs[0].is_judged]
         lengths = [accuracy_series(g, found.chosen.rows) for g in groups_of if "sequence" in g.runs[0].protocol]
         if len(lengths) > 1:
             yield f"sequences-{column.planned.name}", partial(accuracy.recall_at_length, lengths)
+
+
+def _of_accuracy(found: ReportData, group: Group, shown: Sequence[Series]) -> Iterator[tuple[str, Draw]]:
+    """Yield the figures of a group that need to know which places are right."""
+    from vprbench.paper.figures import accuracy, growth, pictures, tradeoff
+
+    timed = series(group, found.chosen.rows)
+    name = group.name
+    thumbnails = thumbnails_of(group, found.chosen)
+    if thumbnails is not None:
+        yield f"fig3a-frames-{name}", partial(pictures.frames, thumbnails, title(group, found.groups))
+    papers = [one for one in shown if one.name in found.chosen.plan.rows]
+    best = max(shown, key=lambda one: mean_recall(one.runs) or 0.0)
+    one = papers[-1] if papers else best  # VPRTempo, as in the paper, where it has runs
+    if one.runs[0].view is None or one.runs[0].scores is not None:  # of several views none keeps its scores
+        yield f"fig3b-similarity-{name}", partial(pictures.similarity, one.runs[0], one.name)
+    yield f"fig3c-precision-recall-{name}", partial(accuracy.precision_recall, shown)
+    yield f"fig3d-recall-at-n-{name}", partial(accuracy.recall_at_n, shown)
+    yield f"tolerance-{name}", partial(accuracy.recall_at_tolerance, shown)
+    for metric in found.chosen.metrics:
+        yield f"{metric.replace('_', '-')}-{name}", partial(accuracy.of_rows, shown, METRICS[metric])
+    yield f"rate-{name}", partial(tradeoff.against_rate, timed)
+    yield f"memory-{name}", partial(tradeoff.against_memory, timed)
+    if any(run.stream for one in shown for run in one.runs):
+        yield f"growing-map-{name}", partial(growth.growing_map, shown)

@@ -93,6 +93,7 @@ def page(
         "training_time": TRAINING_TIME,
         "machines": words.machines(series for _, series in measured),
         "notes": words.notes(measured),
+        "judged": any(run.is_judged for section in sections for _, run in _named(section)),
     }
     nothing = [_Frames()] * len(sections)
     without_frames = _rendered(facts, script_data, nothing)
@@ -143,6 +144,7 @@ def _script_data(section: Section, answers: Mapping[str, Answers]) -> dict[str, 
     place_names = None if kept is None else {place: kept.reference_names[place] for place in shown}
     return {
         "title": section.title,
+        "judged": run.is_judged,
         "nPlaces": run.outcome.n_places,
         "nQueries": len(run.outcome),
         "queryNames": kept and kept.query_names,

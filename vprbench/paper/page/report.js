@@ -2,7 +2,7 @@
 // How one query is told and drawn: its verdict, its frames and its best places, by one method or by two.
 // A `view` holds what is looked at: `section`, its runs `a` and `b` (null: none), `open` queries, `picture(kind, i)`.
 const Queries = (() => {
-  const KINDS = { r: "right", w: "wrong", t: "tied", u: "unanswerable" };
+  const KINDS = { r: "right", w: "wrong", t: "tied", u: "unanswerable" }; // without a ground truth all are "n"
   const VERDICTS = { r: "right", w: "wrong", t: "tied", u: "no right place" };
 
   // Words
@@ -10,6 +10,7 @@ const Queries = (() => {
   const number = (value) => String(value).replace("-", "−");
   const counted = (value) => value.toLocaleString("en");
   const queryName = ({ section }, query) => (section.queryNames ? section.queryNames[query] : `query ${query}`);
+  const depth = ({ section }, run) => run.places.length / section.nQueries; // best places of a query
   const placeName = ({ section }, place) => (section.placeNames ? section.placeNames[place] : `place ${place}`);
 
   function marginWords(run, query) {
@@ -39,14 +40,28 @@ const Queries = (() => {
   }
 
   function distanceWords(view, run, query) {
-    const place = run.places[3 * query];
+    const place = run.places[depth(view, run) * query];
     if (place < 0) return "no place was retrieved";
     if (run.verdicts[query] === "u") return "";
     const apart = distance(view, query, place);
     return apart ? `${counted(apart)} ${apart === 1 ? "place" : "places"} off` : "";
   }
 
+  function unjudgedFacts(view, run, query) {
+    const first = depth(view, run) * query;
+    if (run.places[first] < 0) return ["no place was retrieved"];
+    const margin = run.margins[query];
+    const apart = margin === null ? "no second place" : `margin ${number(margin)} to the second`;
+    return [`best score ${number(run.scores[first])}`, apart];
+  }
+
   function facts(view, query) {
+    if (!view.section.judged) {
+      if (!view.b) return unjudgedFacts(view, view.a, query);
+      return [["A", view.a], ["B", view.b]].map(
+        ([letter, run]) => `${letter}: ${unjudgedFacts(view, run, query).join(", ")}`,
+      );
+    }
     const told = [["A", view.a], ["B", view.b]]
       .filter(([, run]) => run)
       .map(([letter, run]) => {
@@ -96,9 +111,10 @@ const Queries = (() => {
   }
 
   function retrieved(view, role, run, query) {
-    const place = run.places[3 * query];
+    const first = depth(view, run) * query;
+    const place = run.places[first];
     if (place < 0) return frame(view, role, "places", -1, ["nothing retrieved"]);
-    return frame(view, role, "places", place, [`place ${place}`, `score ${number(run.scores[3 * query])}`]);
+    return frame(view, role, "places", place, [`place ${place}`, `score ${number(run.scores[first])}`]);
   }
 
   function truth(view, query) {
@@ -109,18 +125,38 @@ const Queries = (() => {
     return frame(view, "True", "places", place, [`place ${place}`, rightScores(view, query), several]);
   }
 
-  function bestPlaces(view, letter, run, query) {
-    const best = make("div", "frames");
-    for (let i = 3 * query; i < 3 * query + 3 && run.places[i] >= 0; i += 1) {
+  function places(view, run, query) {
+    const shown = [];
+    const first = depth(view, run) * query;
+    for (let i = first; i < first + depth(view, run) && run.places[i] >= 0; i += 1) {
       const place = run.places[i];
       const right = view.section.rightPlaces[query] && distance(view, query, place) === 0;
-      const role = `${i - 3 * query + 1}. ${right ? "right" : "wrong"}`;
-      best.append(frame(view, role, "places", place, [`place ${place}`, `score ${number(run.scores[i])}`]));
+      const role = `${i - first + 1}.${view.section.judged ? (right ? " right" : " wrong") : ""}`;
+      shown.push(frame(view, role, "places", place, [`place ${place}`, `score ${number(run.scores[i])}`]));
     }
+    return shown;
+  }
+
+  function bestPlaces(view, letter, run, query) {
+    const best = make("div", "frames", ...places(view, run, query));
     return [make("h4", "", `Best places of ${letter}, ${run.name}`), best];
   }
 
+  function unjudgedRow(view, query) {
+    const { a, b } = view;
+    const button = make("button", "", `Query ${query}`);
+    button.type = "button";
+    button.id = `query-${query}`;
+    const listed = make("ul", "facts", ...facts(view, query).map((fact) => make("li", "", fact)));
+    const shown = make("div", "frames", frame(view, "Query", "queries", query, []), ...places(view, a, query));
+    const made = make("li", "query wide", make("div", "", button, listed), shown);
+    if (b) made.append(make("div", "more", ...bestPlaces(view, "B", b, query)));
+    made.dataset.query = query;
+    return made;
+  }
+
   function row(view, query) {
+    if (!view.section.judged) return unjudgedRow(view, query);
     const { a, b } = view;
     const verdict = make("span", `verdict ${KINDS[a.verdicts[query]]}`, VERDICTS[a.verdicts[query]]);
     const button = make("button", "", verdict, ` Query ${query} `, make("span", "toggle"));
@@ -151,7 +187,7 @@ const Queries = (() => {
     made.append(make("div", "more", ...best));
   }
 
-  return { KINDS, VERDICTS, counted, make, row, unfold };
+  return { KINDS, VERDICTS, counted, depth, make, row, unfold };
 })();
 
 // The strip along the route: a lane for each method, with a bar for each query.
@@ -226,7 +262,7 @@ function Tabs(list, panel, turn) {
 (() => {
   const PAGE = 10;
   const PAUSE = 250; // milliseconds after a choice before the address tells it: browsers refuse many changes at once
-  const { KINDS, VERDICTS, counted, make, row, unfold } = Queries;
+  const { KINDS, VERDICTS, counted, depth, make, row, unfold } = Queries;
   const { bars, lane } = Strip;
   const HEIGHTS = { r: 45, w: 100, t: 75, u: 15 }; // of the bars, so that they differ in grey too
   const FILTERS = [
@@ -240,7 +276,8 @@ function Tabs(list, panel, turn) {
     { id: "neither", pair: true, name: "A and B wrong", keeps: (a, b) => "wt".includes(a) && "wt".includes(b) },
   ];
 
-  const FIRST = FILTERS[1];
+  const filters = () => (section.judged ? FILTERS : FILTERS.slice(0, 1)); // without a ground truth all are alike
+  const filterNamed = (id) => filters().find((filter) => filter.id === id) ?? filters().at(section.judged ? 1 : 0);
 
   const sections = JSON.parse(document.getElementById("answers").textContent);
   if (!sections.length) return;
@@ -277,7 +314,7 @@ function Tabs(list, panel, turn) {
   // What is shown
 
   function chosenFilter() {
-    return FILTERS.find(({ id }) => id === choices.kind.value) ?? FIRST;
+    return filterNamed(choices.kind.value);
   }
 
   function passing(filter) {
@@ -290,6 +327,7 @@ function Tabs(list, panel, turn) {
   }
 
   function sortable(query) {
+    if (choices.order.value.endsWith("score")) return a.scores[depth(view(), a) * query] ?? NaN;
     const margin = a.margins[query];
     if (a.bounds[query] === "?") return NaN;
     return margin === "-" ? -Infinity : margin === "+" ? Infinity : margin;
@@ -297,7 +335,7 @@ function Tabs(list, panel, turn) {
 
   function sorted(queries) {
     if (choices.order.value === "route") return queries;
-    const sign = choices.order.value === "lowest" ? 1 : -1;
+    const sign = choices.order.value.startsWith("lowest") ? 1 : -1;
     const known = queries.filter((query) => !Number.isNaN(sortable(query)));
     const keys = new Map(known.map((query) => [query, sign * sortable(query)]));
     known.sort((p, q) => (keys.get(p) < keys.get(q) ? -1 : keys.get(p) > keys.get(q) ? 1 : p - q));
@@ -360,9 +398,9 @@ function Tabs(list, panel, turn) {
     const named = (name) => section.runs.find((run) => run.name === name) ?? null;
     a = named(choices["method-a"].value);
     b = named(choices["method-b"].value);
-    const before = FILTERS.find(({ id }) => id === kind) ?? FIRST;
-    const kept = before.pair && !b ? FIRST : before;
-    const options = FILTERS.map((filter) => ({
+    const before = filterNamed(kind);
+    const kept = before.pair && !b ? filterNamed() : before;
+    const options = filters().map((filter) => ({
       value: filter.id,
       text: filter.pair && !b ? `${filter.name} (choose B)` : `${filter.name} (${counted(passing(filter).length)})`,
       disabled: filter.pair && !b,
@@ -412,7 +450,8 @@ function Tabs(list, panel, turn) {
     along.disabled = !shown.length;
     if (shown.length) {
       along.value = shown[at];
-      along.setAttribute("aria-valuetext", `query ${shown[at]}: ${VERDICTS[a.verdicts[shown[at]]]}`);
+      const verdict = section.judged ? `: ${VERDICTS[a.verdicts[shown[at]]]}` : "";
+      along.setAttribute("aria-valuetext", `query ${shown[at]}${verdict}`);
     }
   }
 
@@ -437,7 +476,8 @@ function Tabs(list, panel, turn) {
   const drawnLane = (...told) => lane(section.nQueries, ...told, (query) => go(nearest(query)));
 
   function drawLanes() {
-    const lanes = [["A", a], ...(b ? [["B", b]] : [])].map(([letter, run]) => {
+    const judged = section.judged ? [["A", a], ...(b ? [["B", b]] : [])] : [];
+    const lanes = judged.map(([letter, run]) => {
       const counts = Object.keys(KINDS).map((kind) => [run.verdicts.split(kind).length - 1, VERDICTS[kind]]);
       const told = counts.filter(([count]) => count).map(([count, verdict]) => `${counted(count)} ${verdict}`);
       const paths = Object.keys(KINDS).map((kind) =>
@@ -448,6 +488,7 @@ function Tabs(list, panel, turn) {
     const kept = new Set(shown);
     lanes.push(drawnLane("shown", "Shown below", [bars(section.nQueries, "shown", (query) => kept.has(query), 100)]));
     element("lanes").replaceChildren(...lanes);
+    element("legend").hidden = !section.judged;
     along.max = section.nQueries - 1;
   }
 
@@ -481,7 +522,7 @@ function Tabs(list, panel, turn) {
     const made = event.target.closest("li.query");
     if (!made) return;
     const query = Number(made.dataset.query);
-    if (event.target.closest("button")) {
+    if (section.judged && event.target.closest("button")) {
       if (!open.delete(query)) open.add(query);
       unfold(view(), made, query);
     }

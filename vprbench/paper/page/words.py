@@ -9,7 +9,7 @@ from vprbench.paper.ranking import ranked
 from vprbench.paper.selection import Series
 from vprbench.paper.templates import ENVIRONMENT, sentences
 from vprbench.runs.machine import Machine
-from vprbench.runs.query_results import RIGHT, UNANSWERABLE, Answers
+from vprbench.runs.query_results import RIGHT, UNANSWERABLE, UNJUDGED, Answers
 from vprbench.runs.record import Run
 from vprbench.runs.tuned import all_notes
 
@@ -25,7 +25,7 @@ def findings(series: Sequence[Series], answers: Iterable[Answers]) -> list[str]:
     """
     found = list(ranked(series).sentences)
     kinds = [set(verdicts) for verdicts in zip(*(one.verdicts for one in answers), strict=True)]
-    wrong = [RIGHT not in kind for kind in kinds if kind != {UNANSWERABLE}]
+    wrong = [RIGHT not in kind for kind in kinds if kind not in ({UNANSWERABLE}, {UNJUDGED})]
     n_runs = sum(len(one.runs) for one in series)
     if n_runs > 1 and wrong:
         by_some = sum(RIGHT in kind and len(kind) > 1 for kind in kinds)

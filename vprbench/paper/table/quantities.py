@@ -127,6 +127,12 @@ def comparison_quantities(metrics: Sequence[str], devices: Sequence[str]) -> tup
     return (RECALL, *usual, *fits, *rates, memory, *more)
 
 
+def without_accuracies(quantities: Sequence[Quantity]) -> tuple[Quantity, ...]:
+    """Return the columns of a table of data without a ground truth: times, memory and costs."""
+    costs = [one for one in quantities if one.metric is not None and one.metric.cost is not None]
+    return tuple(one for one in quantities if one.kind != "accuracy" or one in costs)
+
+
 def _of_metrics(names: Sequence[str]) -> list[Quantity]:
     more = [METRICS[name] for name in dict.fromkeys(names) if name != RECALL.name]
     return [
