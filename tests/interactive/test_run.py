@@ -9,7 +9,7 @@ import pytest
 from little import Lookup, Prototypes, journey
 
 import vprbench
-from vprbench.api import BadInput, Method, NotThere
+from vprbench.api import BadInput, BinaryMethod, DescriptorMethod, Method, NotThere
 from vprbench.cli import main
 
 SMALL = {"places": 12, "first_query_place": 0}
@@ -77,6 +77,31 @@ def test_a_class_is_known_by_its_attributes_and_nothing_is_stored_without_them_o
         result = untimed(Lookup(np.eye(4, dtype=np.float32)), journey(4, 4), results=None)
         assert (result.folder, result.from_store, result.run.scores.shape) == (None, False, (4, 4))
     assert list(tmp_path.rglob("*")) == there
+
+
+class Vectors(DescriptorMethod):
+    encode = Plain.encode
+
+
+class Bits(BinaryMethod):
+    encode = Plain.encode
+
+
+@pytest.mark.parametrize("kind", [Plain, Vectors, Bits])
+@pytest.mark.parametrize("given", [None, [[1.0]] * 4, np.ones(7, np.float32)])
+def test_codes_that_are_no_array_with_a_row_for_each_image_are_one_line_and_fit_need_not_return(kind, given):
+    class Odd(kind):
+        def encode(self, images):
+            return given
+
+    class Forgetful(Plain):
+        def fit(self, references, places):
+            super().fit(references, places)
+
+    with pytest.raises(BadInput, match="encode") as error:
+        untimed(Odd(), journey(4, 4), results=None)
+    assert "\n" not in str(error.value)
+    assert untimed(Forgetful(), journey(4, 4), results=None).recall(1) == 0.25
 
 
 @pytest.mark.extended

@@ -178,6 +178,8 @@ class OtherCandidatesInABatch(FewCandidates):
 
 
 BATCH = "a batch gives what its single images give"
+ENCODES = "encode returns one array whose first axis is the image"
+RETURNS = "fit returns the method"
 STORED = "a stored network answers as the trained one"
 SPIKES = "spikes are counts or amplitudes by layer and query"
 Spikes = wrong("Spikes", spikes=spike)
@@ -193,7 +195,13 @@ ExcusedForNothing = wrong("ExcusedForNothing", conformance_exceptions={"no such 
 
 WRONG: dict[str, list[type[Pixels]]] = {
     "the constructor only stores its arguments": [ChangesArguments],
-    "fit returns the method": [wrong("ReturnsNothing", fit=lambda *given: Pixels.fit(*given) and None)],
+    ENCODES: [
+        encoding("EncodesNothing", lambda codes, _: None),
+        encoding("EncodesAList", lambda codes, _: list(codes)),
+        encoding("EncodesABatchAsOne", lambda codes, _: codes.mean(0)),
+        wrong("FailsToFit", fit=lambda *given: Pixels.missing),
+    ],
+    RETURNS: [wrong("ReturnsNothing", fit=lambda *given: Pixels.fit(*given) and None)],
     FORGETS: [wrong("FitsOnce", fit=lambda self, *given: Pixels.fit(self, *given) if self._means is None else self)],
     "query before fit raises NotFittedError": [wrong("AnswersUnfitted", match=answer_unfitted)],
     "inputs are never modified": [
@@ -256,7 +264,7 @@ def test_a_method_that_differs_in_nothing_that_matters_keeps_every_rule_and_each
 def test_the_rule_catches_what_breaks_it(rule, method):
     found = broken(method, **({"bins": 4} if method is ChangesArguments else {}))
     assert rule in found
-    if rule in (STORED, SPIKES) or method is OtherCandidatesInABatch:
+    if rule in (ENCODES, RETURNS, STORED, SPIKES) or method is OtherCandidatesInABatch:
         assert found == [rule]
 
 

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from vprbench.api.arithmetic import takes
 from vprbench.api.arrays import Places, Scores
 from vprbench.api.descriptor import best_image_of_place, encoded_blocks
-from vprbench.api.method import Method
+from vprbench.api.method import Method, require_codes
 from vprbench.errors import BadInput, NotFittedError
 
 if TYPE_CHECKING:
@@ -73,7 +73,8 @@ class BinaryMethod(Method):
     def fit(self, references: Images, places: Places) -> Self:
         """Encode the references block by block and keep their bits."""
         self.known = None
-        codes = np.concatenate([self.encode(block) for block in encoded_blocks(references)])
+        blocks = encoded_blocks(references)
+        codes = np.concatenate([require_codes(self.encode(block), len(block)) for block in blocks])
         self.known = BinaryMap(codes, places.copy())
         return self
 

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from vprbench import progress
 from vprbench.api.adaptation import Adapt
 from vprbench.api.arrays import Descriptors, Places, Scores
-from vprbench.api.method import Method
+from vprbench.api.method import Method, require_codes
 from vprbench.api.search import Audit, Mapped, Search, agreement, check_index
 from vprbench.api.search_indexes import Kind
 from vprbench.errors import BadInput, NotFittedError
@@ -99,7 +99,7 @@ class DescriptorMethod(Method):
         descriptors = np.empty((0, 0), np.float32)
         done = 0
         for block in encoded_blocks(references):
-            codes = self.encode(block)
+            codes = require_codes(self.encode(block), len(block))
             if not done:
                 if 4 * len(references) * codes.shape[1] > LARGE_BYTES:
                     return self.fit_encoded(_in_scratch(len(references), self._writing(references)), places)
@@ -156,7 +156,8 @@ class DescriptorMethod(Method):
             return super().extend(references, places)
         require_new_places(places, len(references), int(known.places.max()) + 1)
         vectors, numbers = self._grown = self._grown or (Growing(known.references[:]), Growing(known.places))
-        codes = np.concatenate([*map(self.encode, encoded_blocks(references))])
+        blocks = encoded_blocks(references)
+        codes = np.concatenate([require_codes(self.encode(block), len(block)) for block in blocks])
         vectors.append(codes if self.reference_mean is None else self.centre(codes, self.reference_mean))
         numbers.append(places)
         self.searched = Search(vectors.rows, numbers.rows)
@@ -244,7 +245,7 @@ def encoded(
     def codes(rows: slice) -> Iterator[npt.NDArray[np.float32]]:
         nonlocal new
         for block in encoded_blocks(images[rows]):
-            yield encode(block)
+            yield require_codes(encode(block), len(block))
             new += len(block)
             done(new)
 

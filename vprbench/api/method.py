@@ -15,6 +15,7 @@ from vprbench.api.adaptation import adapt_traverse
 from vprbench.api.arrays import Places, Scores
 from vprbench.api.dataset import Dataset, HeldOut
 from vprbench.errors import BadInput
+from vprbench.text import plural
 
 if TYPE_CHECKING:
     from vprbench.api.images import Images
@@ -173,8 +174,21 @@ class Method(ABC):
     @final
     def query(self, images: Images) -> Scores:
         """Score every place for every image, (n_images, n_places); `adapt` takes the images as one traverse."""
-        codes = self.encode(images)
+        codes = require_codes(self.encode(images), len(images))
         return self.match(codes if self.adapt == "none" else adapt_traverse(self, codes))
+
+
+def require_codes(codes: npt.NDArray[Any], n_images: int) -> npt.NDArray[Any]:
+    """Return what `encode` gave of images; raises BadInput unless that is an array (n_images, ...)."""
+    shape = getattr(codes, "shape", None)
+    if shape is None or tuple(shape[:1]) != (n_images,):
+        came = f"a {type(codes).__name__}" if shape is None else f"an array of shape {tuple(shape)}"
+        came = "nothing" if shape is None and codes is None else came
+        raise BadInput(
+            f"encode returned {came} for {plural(n_images, 'image')}: return one array whose first axis is the image, "
+            "as np.stack makes of a list of vectors"
+        )
+    return codes
 
 
 class _Coded(Protocol):

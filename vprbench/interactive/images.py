@@ -161,6 +161,8 @@ def _listed(traverse: Any, option: str) -> Sequence[Path] | list[Image]:
     if isinstance(traverse, str | Path):
         found: Paths = _reader("image_files").images_in(traverse, option, "give a folder of images")
         return found
+    if isinstance(traverse, Sequence | np.ndarray) and not len(traverse):
+        raise BadInput(f"{option} holds no image; wanted at least one (did a pattern find no file?)")
     if isinstance(traverse, np.ndarray) and traverse.ndim == 3 and traverse.shape[2] in (3, 4):
         raise BadInput(f"{option} is one image of shape {traverse.shape}; wanted several: a list of images")
     if not isinstance(traverse, Sequence | np.ndarray):

@@ -7,11 +7,20 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, Literal
 
+from vprbench.errors import BadInput
 from vprbench.plugins import networks
 from vprbench.plugins.dataset_rules import DATASET_RULES, BuiltDataset
 from vprbench.plugins.local_plugins import describe_error
 from vprbench.plugins.registry import arguments, entries, make_dataset, make_method, near
-from vprbench.plugins.rules import EXTENDED_RULE, RULES, STORED_RULE, RuleBrokenError, RuleExceptedError, Subject
+from vprbench.plugins.rules import (
+    ENCODE_RULE,
+    EXTENDED_RULE,
+    RULES,
+    STORED_RULE,
+    RuleBrokenError,
+    RuleExceptedError,
+    Subject,
+)
 from vprbench.plugins.tuned_places import UNKNOWN, declared_places, stretches
 
 
@@ -36,7 +45,8 @@ def check(config: Mapping[str, Any], given: Set[str] = frozenset()) -> Iterator[
 
     What the method names in `conformance_arguments` replaces its configured arguments, but for those in `given`.
     A rule that it names in `conformance_exceptions` is not put to it, and its reason is given; neither is the rule on
-    stored networks to a method that keeps none, nor that on growing maps to a method that does not extend. A declared
+    stored networks to a method that keeps none, nor that on growing maps to a method that does not extend. Where `fit`
+    or `encode` fails there are no codes, and the other rules are not put to it: each would say the same. A declared
     `tuned_on` is looked at too. Raises BadInput if a file is missing that the method needs.
     """
     if config.get("tuned_on") is not None:
@@ -53,7 +63,10 @@ def check(config: Mapping[str, Any], given: Set[str] = frozenset()) -> Iterator[
         if rule in exceptions:
             yield Result(rule, "excepted", exceptions.pop(rule))
         elif rule != EXTENDED_RULE or method.extends:
-            yield _result(rule, partial(test, subject))
+            result = _result(rule, partial(test, subject))
+            yield result
+            if rule == ENCODE_RULE and result.state == "broken":
+                return
     for rule in exceptions:
         yield Result(rule, "broken", "conformance_exceptions names a rule that does not exist")
 
@@ -85,7 +98,7 @@ def _result(rule: str, test: Callable[[], None]) -> Result:
         test()
     except RuleExceptedError as error:
         return Result(rule, "excepted", str(error))
-    except RuleBrokenError as error:
+    except (RuleBrokenError, BadInput) as error:
         return Result(rule, "broken", str(error))
     except Exception as error:
         return Result(rule, "broken", describe_error(error))

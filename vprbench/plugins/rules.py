@@ -17,7 +17,7 @@ from vprbench.api.adaptation import Adaptation, adapt_traverse
 from vprbench.api.arrays import Image, Places
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
-from vprbench.api.method import Method
+from vprbench.api.method import Method, require_codes
 from vprbench.errors import NotFittedError
 from vprbench.plugins import networks
 from vprbench.plugins.registry import checked
@@ -73,8 +73,10 @@ class Subject:
     config: Mapping[str, Any]
 
     def fitted(self, world: Journey) -> Method:
-        """Return a new method that has learnt a world."""
-        return self.make().fit(Images.from_arrays(world.references), world.places)
+        """Return a new method that has learnt a world, whatever `fit` returns."""
+        method = self.make()
+        method.fit(Images.from_arrays(world.references), world.places)
+        return method
 
     @cached_property
     def fitted_once(self) -> Method:
@@ -113,11 +115,21 @@ def _as_lists(value: Any) -> Any:
 
 
 @rule
+def _encodes(subject: Subject) -> None:
+    """Encode returns one array whose first axis is the image."""
+    world = Journey.draw(0)
+    for images in world.queries, world.queries[:1]:
+        require_codes(subject.fitted_once.encode(Images.from_arrays(images)), len(images))
+
+
+@rule
 def _returns_itself(subject: Subject) -> None:
     """Fit returns the method."""
     method, world = subject.make(), Journey.draw(0)
-    if method.fit(Images.from_arrays(world.references), world.places) is not method:
-        _broken("fit returned something else")
+    returned: object = method.fit(Images.from_arrays(world.references), world.places)
+    if returned is not method:
+        came = "nothing" if returned is None else f"a {type(returned).__name__}"
+        _broken(f"fit returned {came}: end it with return self")
 
 
 @rule
@@ -240,7 +252,9 @@ def _names(subject: Subject) -> None:
         queries = Images.from_arrays(
             world.queries, [f"{word}-{p}" for p in world.right.tolist()][:: 1 if word == "x" else -1]
         )
-        scores.append(subject.make().fit(references, world.places).query(queries))
+        method = subject.make()
+        method.fit(references, world.places)
+        scores.append(method.query(queries))
     _same(scores[0], scores[1], "the names of the images change the scores")
 
 
@@ -250,7 +264,9 @@ def _any_image(subject: Subject) -> None:
     world = Journey.draw(0)
     black = [np.zeros_like(world.references[0]), *world.references[1:]]
     larger = [np.asarray(cv2.resize(world.queries[0], (96, 80)), np.uint8), np.zeros_like(world.queries[1])]
-    scores = subject.make().fit(Images.from_arrays(black), world.places).query(Images.from_arrays(larger))
+    method = subject.make()
+    method.fit(Images.from_arrays(black), world.places)
+    scores = method.query(Images.from_arrays(larger))
     _only_numbers_or_no_candidates(scores, "scores of a black image and one of another size are not finite")
 
 
@@ -288,7 +304,8 @@ def _extended(subject: Subject) -> None:
     world, first = Journey.draw(0), N_PLACES * 3 // 4
     images, new = Images.from_arrays(world.references), np.flatnonzero(world.places >= first)
     old = np.flatnonzero(world.places < first)
-    method = subject.make().fit(images[old], world.places[old])
+    method = subject.make()
+    method.fit(images[old], world.places[old])
     before = _scores(method, world)
     kept = before.copy()
     for place in range(first, N_PLACES):
@@ -328,7 +345,7 @@ def _spikes(subject: Subject) -> None:
         _broken("counting spikes or reading layers changes codes or later scores")
 
 
-STORED_RULE, EXTENDED_RULE = sentence(_stored), sentence(_extended)
+ENCODE_RULE, STORED_RULE, EXTENDED_RULE = map(sentence, (_encodes, _stored, _extended))
 
 
 def _scores(method: Method, world: Journey) -> npt.NDArray[np.float32]:

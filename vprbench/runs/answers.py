@@ -16,7 +16,7 @@ from vprbench.api.binary import BinaryMethod
 from vprbench.api.dataset import Dataset
 from vprbench.api.descriptor import DescriptorMethod
 from vprbench.api.images import Images
-from vprbench.api.method import Method, batch_size_for
+from vprbench.api.method import Method, batch_size_for, require_codes
 from vprbench.api.nearest import Nearest
 from vprbench.api.search import Audit, Search
 from vprbench.errors import BadInput
@@ -187,7 +187,7 @@ class Scoring:
 
     def _encode(self, block: Images) -> npt.NDArray[Any]:
         with self._stopwatch.lap() as lap:
-            codes = self.asked.encode(block)
+            codes = require_codes(self.asked.encode(block), len(block))
         self.answers.method_seconds += lap[0]
         return codes
 

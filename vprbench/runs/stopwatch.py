@@ -15,7 +15,7 @@ from pydantic import ConfigDict, Field, with_config
 
 from vprbench import progress
 from vprbench.api.images import Images
-from vprbench.api.method import batch_size_for
+from vprbench.api.method import batch_size_for, require_codes
 from vprbench.runs.adapted import Asked
 from vprbench.runs.shortlist import Answer, best_place
 from vprbench.runs.timing_protocol import Protocol as Protocol  # callers ask the stopwatch
@@ -121,8 +121,13 @@ class Stopwatch:
         seconds.append((self._clock() - start) / 1e9)
 
     def first_query(self, method: Asked, images: Images) -> float:
-        """Return the seconds of the first of `images`, decoded beforehand."""
-        return sum(self._call(method, images[:1].in_memory())[:2])
+        """Return the seconds of the first of `images`, decoded beforehand; raises BadInput if it is given no codes."""
+        first = images[:1].in_memory()
+        try:
+            return sum(self._call(method, first)[:2])
+        except Exception:
+            require_codes(method.encode(first), 1)  # asked where it costs no time of a query
+            raise
 
     def measure(self, method: Asked, images: Images, first_query_seconds: float | None = None) -> Timing:
         """Measure a fitted method on a sample of `images`, decoded beforehand; batches of large codes are smaller.
