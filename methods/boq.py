@@ -72,7 +72,6 @@ class BoQ(PublishedNetwork):
     interpolation: Interpolation = "bicubic"
 
     multiple: ClassVar[int] = 14
-    nested: ClassVar[tuple[str, ...]] = ("state_dict",)
 
     def network(self, tensors: Tensors) -> nn.Module:
         """Return the network of 12288 dimensions, or in the sizes of a file."""

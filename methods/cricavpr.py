@@ -40,7 +40,6 @@ class CricaVPR(CrossImageDescriptor):
 
     multiple: ClassVar[int] = 14
     fixed_size: ClassVar[bool] = True
-    nested: ClassVar[tuple[str, ...]] = ("model_state_dict",)
     prefix: ClassVar[str] = "module."
 
     def network(self, tensors: Tensors) -> nn.Module:

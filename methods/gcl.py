@@ -100,7 +100,6 @@ class GCL(PublishedNetwork):
 
     search_arguments: ClassVar[frozenset[str]] = PublishedNetwork.search_arguments | {"loss", "n_components"}
 
-    nested: ClassVar[tuple[str, ...]] = ("model_state_dict", "state_dict")
     prefix: ClassVar[str] = "module."
 
     _whitening: Whitening | None = field(default=None, init=False, repr=False, compare=False)

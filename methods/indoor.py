@@ -1,4 +1,4 @@
-"""EigenPlaces and SALAD trained further indoors: the same networks, one module deeper in their files, as methods."""
+"""EigenPlaces and SALAD trained further indoors: the same networks, under names that begin with `model.`."""
 
 from __future__ import annotations
 
@@ -18,7 +18,6 @@ class EigenPlacesIndoor(EigenPlaces):
     """EigenPlaces' ResNet50 of 2048 dimensions, trained further indoors: Enrico-Chiavassa/Indoor-VPR f7bbc18."""
 
     published: ClassVar[Mapping[Backbone, Sequence[int]]] = MappingProxyType({"ResNet50": (2048,)})
-    within: ClassVar[str] = "model"
 
 
 @dataclass(kw_only=True)
@@ -31,5 +30,3 @@ class SALADIndoor(SALAD):
     height: int | None = None
     width: int | None = None
     resize: Resize = "tensor"
-
-    within: ClassVar[str] = "model"

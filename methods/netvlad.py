@@ -48,7 +48,6 @@ class NetVLAD(PublishedNetwork):
     longest_side: int | None = None  # pixels
 
     smallest_side: ClassVar[int] = STRIDE
-    nested: ClassVar[tuple[str, ...]] = ("state_dict",)
     prefix: ClassVar[str] = "module"
 
     def target(self, height: int, width: int) -> tuple[int, int]:

@@ -86,7 +86,6 @@ class PatchNetVLAD(PublishedNetwork):
 
     fixed_size: ClassVar[bool] = True
     adapts: ClassVar[bool] = False  # its patches have no mean in common
-    nested: ClassVar[tuple[str, ...]] = ("state_dict",)
     prefix: ClassVar[str] = "module"
     search_arguments: ClassVar[frozenset[str]] = PublishedNetwork.search_arguments | {"candidates", "patches"}
 

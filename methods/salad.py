@@ -30,7 +30,6 @@ class SALAD(PublishedNetwork):
     width: int | None = 322
 
     multiple: ClassVar[int] = 14
-    nested: ClassVar[tuple[str, ...]] = ("state_dict",)
 
     def network(self, tensors: Tensors) -> nn.Module:
         """Return the network of 8448 dimensions, or in the sizes of a file."""

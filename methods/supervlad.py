@@ -30,7 +30,6 @@ class SuperVLAD(PublishedNetwork):
     resize: Resize = "tensor"
 
     multiple: ClassVar[int] = 14
-    nested: ClassVar[tuple[str, ...]] = ("model_state_dict",)
     prefix: ClassVar[str] = "module."
 
     def network(self, tensors: Tensors) -> nn.Module:

@@ -20,12 +20,8 @@ Tensors = Mapping[str, Tensor]
 class PublishedNetwork(NeuralDescriptor):
     """A descriptor whose network has the sizes that its file's tensors have; `network` is left to write."""
 
-    #: Names that the file may keep its tensors under.
-    nested: ClassVar[tuple[str, ...]] = ()
-    #: What a training on several devices puts before the names of tensors.
+    #: What a training on several devices puts before the names of some tensors, or of parts of the network.
     prefix: ClassVar[str] = ""
-    #: The part as which the file holds this network, of a larger one.
-    within: ClassVar[str] = ""
 
     @abstractmethod
     def network(self, tensors: Tensors) -> nn.Module:
@@ -40,18 +36,17 @@ class PublishedNetwork(NeuralDescriptor):
 
     def load(self, path: Path) -> nn.Module:
         """Return the network with the values of a published file; raises BadInput for any other file."""
-        tensors = state_dict(path, *self.nested)
+        tensors = state_dict(path)
         return self.loaded(without_prefix(tensors, self.prefix) if self.prefix else tensors, path)
 
     def loaded(self, tensors: Tensors, path: Path) -> nn.Module:
         """Return the network with tensors that came from `path`; raises BadInput if they are another network's."""
         try:
             with torch.device("meta"):
-                network = self.network(under(tensors, f"{self.within}.") if self.within else tensors)
+                network = self.network(tensors)
         except BadInput as error:
             raise BadInput(f"{path}: {error}") from error
-        named = self.named(network)
-        load_strictly(nn.ModuleDict({self.within: named}) if self.within else named, tensors, path)
+        load_strictly(self.named(network), tensors, path)
         return network
 
     def blank(self) -> nn.Module:

@@ -241,13 +241,22 @@ def test_a_file_of_one_tensor_gives_it_and_of_several_the_first_key_that_is_ther
         assert [(name, value.requires_grad) for name, value in found.items()] == [("weight", False), ("bias", False)]
 
 
+@pytest.mark.parametrize("around", [None, "state_dict", "model_state_dict", "model"])
+@pytest.mark.parametrize("before", ["", "module.", "model.", "_orig_mod.", "model.module.", "module._orig_mod."])
+def test_the_usual_wrappings_of_a_checkpoint_are_taken_off_and_no_part_of_a_name(path, around, before):
+    names = {"conv.weight": TENSORS["weight"], "model.bias": TENSORS["bias"]}
+    wrapped = {before + name: tensor for name, tensor in names.items()}
+    content = wrapped if around is None else {around: wrapped, "epoch": 3, "optimizer": {"lr": 0.1}}
+    assert list(state_dict(write_torch(content, path))) == list(names)
+
+
 @pytest.mark.parametrize(
     "content",
     [{"epoch": 3, "net": TENSORS}, {"state_dict": 3}, {"state_dict": {"nested": TENSORS}}, {"state_dict": {}}],
 )
 def test_anything_but_tensors_is_refused_with_what_is_there(path, content):
     held = re.escape(", ".join(content))
-    with pytest.raises(BadInput, match=rf"tensors alone under state_dict or its top \(it holds {held}\)"):
+    with pytest.raises(BadInput, match=rf"tensors alone under state_dict or .*its top \(it holds {held}\)"):
         state_dict(write_torch(content, path), "state_dict")
 
 

@@ -83,6 +83,14 @@ def test_help_has_each_option_with_type_default_and_meaning(capsys):
     assert wanted - {"method.seed", "method.device"} <= lines.keys()
 
 
+@pytest.mark.parametrize("name", [name for name, command in COMMANDS.items() if command.takes])
+def test_help_and_completion_name_every_option_that_a_command_takes(name, capsys):
+    room, _, kind = COMMANDS[name].takes.partition(":")
+    taken = {field.name for field in fields(getattr(importlib.import_module(room), kind))}
+    assert taken - helped(capsys, name).keys() == set()
+    assert {f"{option}=" for option in taken} - {*printed(capsys, "__complete", f"vprbench {name} ").split()} == set()
+
+
 @pytest.mark.parametrize(
     ("words", "there", "not_there"),
     [

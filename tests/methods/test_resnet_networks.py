@@ -260,13 +260,18 @@ CONV_AP = PublishedNetwork(
     described_by_conv_ap,
     arguments={"channels": CHANNELS, "height": 96, "width": 160},
     tolerance=1e-4,
+    forms={
+        "of Lightning": lambda tensors: {"epoch": 3, "state_dict": prefixed("model.", tensors)},
+        "of several devices": lambda tensors: {"model_state_dict": prefixed("module.", tensors)},
+        "compiled": partial(prefixed, "_orig_mod."),
+    },
 )
 
 
-def test_a_file_of_other_channels_or_without_its_wrapper_is_refused_with_what_is_wanted(folder):
+def test_a_file_of_other_channels_or_of_another_network_is_refused_with_what_is_wanted(folder):
     path = saved(folder / "changed", {**CONV_AP.tensors, "aggregator.channel_pool.bias": torch.zeros(7)})
     assert "method.channels=7" in CONV_AP.refusal(path)
-    assert "model." in INDOOR.refusal(saved(folder / "bare.pth", draw_cosplace("resnet18")))
+    assert "missing (backbone." in INDOOR.refusal(saved(folder / "other.pth", draw_cosplace("resnet18")))
 
 
 # AP-GeM, whose PCA is a pickled object of a module of 2019, which is there while a file is written alone

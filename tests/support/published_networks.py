@@ -157,7 +157,7 @@ class PublishedNetwork:
 
     def _names_wrong_tensors(self, folder):
         method, path = self.method(folder / "none"), folder / "x.pth"
-        tensors = {name.removeprefix("module."): tensor for name, tensor in self.tensors.items()}
+        tensors = {re.sub(r"^mod(ule|el)\.", "", name): tensor for name, tensor in self.tensors.items()}
         for name, shape in {next(iter(tensors)): None, "other.weight": (3, 3), **self.wrong}.items():
             changed = {key: tensor for key, tensor in tensors.items() if key != name}
             changed |= {} if shape is None else {name: torch.zeros(shape)}

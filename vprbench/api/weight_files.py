@@ -19,6 +19,8 @@ from vprbench.text import some_of
 if TYPE_CHECKING:
     from torch import Tensor
 
+_AROUND = ("model_state_dict", "state_dict", "model")  # the usual names of the tensors in a checkpoint
+_BEFORE = ("module.", "model.", "_orig_mod.")  # the usual beginnings of all names
 _NUMBERS = re.compile(r"[biufc]\d{1,2}|[SU]\d{1,4}")
 
 
@@ -96,18 +98,29 @@ def read_weights(path: Path) -> dict[str, Any]:
 
 
 def state_dict(path: Path, *keys: str) -> dict[str, Tensor]:
-    """Return the tensors of a file by name: the tensors under the first of `keys` that is there, or all at its top.
+    """Return the tensors of a file by name, without the wrappings of a training.
 
+    They are those under the first of `keys` that is there, or under a usual one, or all at its top. What stands before
+    every name is left out: `module.` of several devices, `model.` of Lightning, `_orig_mod.` of a compiled network.
     Raises BadInput as `read_weights` does, and if anything but plain tensors is found there.
     """
     content = read_weights(path)
-    key = next((key for key in keys if key in content), None)
+    usual = (name for name in _AROUND if isinstance(content.get(name), Mapping))
+    key = next((key for key in keys if key in content), next(usual, None))
     found = content if key is None else content[key]
     odd = [name for name, value in found.items() if not is_plain(value)] if isinstance(found, Mapping) else [key]
     if odd or not found:
-        places = " or ".join([*keys, "its top"])
+        places = " or ".join([*dict.fromkeys([*keys, *_AROUND]), "its top"])
         raise BadInput(f"{path} does not hold tensors alone under {places} (it holds {some_of(content)}): give another")
-    return {name: value.detach() for name, value in found.items()}
+    return {name: value.detach() for name, value in _without_wrappers(found).items()}
+
+
+def _without_wrappers(tensors: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
+    """Return tensors under names without what training programs put before every one of them."""
+    for prefix in _BEFORE:
+        if all(name.startswith(prefix) for name in tensors):
+            return _without_wrappers({name.removeprefix(prefix): tensor for name, tensor in tensors.items()})
+    return tensors
 
 
 def read_tensor(path: Path) -> Tensor:

@@ -35,7 +35,7 @@ COMMANDS: dict[str, Command] = {
     "run": RUN,
     "compare": Command(
         "vprbench.commands.working:compare",
-        "vprbench.comparison.request:Request",
+        "vprbench.comparison.checks:Request",
         groups=("dataset", "timing"),
         run=None,
         usual={"timing": "quick"},

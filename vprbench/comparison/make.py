@@ -196,10 +196,13 @@ def show(found: ReportData, rankings: Sequence[Ranking], wide: bool = False) -> 
     """Print notes, the ranked table and what tests say of it; of several views R@1 alone, side by side."""
     table = found.table
     if len(table.columns) == 1:
-        print(line_text(f"{table.title}: {words.data(table.columns[0])}"))
+        print(line_text(f"{table.title}: {words.data(table.columns[0])}", fits=True))
     else:
         print(
-            line_text(f"{table.title}: {table.columns[0].n_places or 0:,} places; {describe_protocol(found.runs[0])}")
+            line_text(
+                f"{table.title}: {table.columns[0].n_places or 0:,} places; {describe_protocol(found.runs[0])}",
+                fits=True,
+            )
         )
         for run in (group.runs[0] for group in found.groups if group.runs):
             print(line_text(f"{rows.describe_view(run, whole=True)}: {len(run.outcome):,} queries"))

@@ -49,9 +49,9 @@ def run_text(
     table = [rows.readable_row(one, settings.metrics) for one in shown]
     if seen:
         table = [{"answers": rows.describe_view(one), **row} for one, row in zip(seen, table, strict=True)]
-    notes = [(f"note: {note.text}", "yellow") for note in all_notes(shown[0])]
-    said = [*notes, (rows.protocol_line(run), "")]
-    said += [(f"{rows.describe_view(one, whole=True)}: {len(one.outcome)} queries", "") for one in seen]
+    notes = [(f"note: {note.text}", "yellow", False) for note in all_notes(shown[0])]
+    said: list[tuple[str, str, bool]] = [*notes, (rows.protocol_line(run), "", True)]
+    said += [(f"{rows.describe_view(one, whole=True)}: {len(one.outcome)} queries", "", False) for one in seen]
     below = list(filter(None, (line(one) for one in shown for line in (rows.interval_line, rows.tolerance_line))))
     if from_store:
         below.append(f"from the store: {folder} (force=true runs again)")

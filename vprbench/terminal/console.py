@@ -72,10 +72,10 @@ def table_text(
     return lines
 
 
-def line_text(line: str, style: str = "") -> str:
-    """Return a sentence as a line, or broken between words and in colour for a terminal."""
+def line_text(line: str, style: str = "", fits: bool = False) -> str:
+    """Return a sentence as a line, or broken between words and in colour for a terminal; broken anywhere if `fits`."""
     room = console()
-    if not room.is_terminal:
+    if not (room.is_terminal or fits):
         return printable(line)
     with room.capture() as lines:
         room.print(Text(printable(line), style=style))
