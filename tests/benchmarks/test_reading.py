@@ -7,10 +7,11 @@ import cv2
 import h5py
 import numpy as np
 import pytest
+from PIL import Image as PillowImage
 
 import vprbench
 from vprbench.api import Images
-from vprbench.api.decoding import read_image
+from vprbench.api.decoding import Decoding, read_image
 from vprbench.runs.identity import fingerprint
 
 
@@ -35,6 +36,29 @@ def test_frames(measure, size, tmp_path):
         len(paths),
         beside,
     )
+
+
+def test_tags(measure, size, tmp_path):
+    exif = PillowImage.Exif()
+    paths = {tag: [tmp_path / f"{tag}-{number}.jpg" for number in range(size(100, 3))] for tag in (1, 6)}
+    for tag, files in paths.items():
+        exif[0x0112] = tag
+        for number, path in enumerate(files):
+            PillowImage.fromarray(photograph(number, *size((360, 640), (24, 40)))).save(path, exif=exif)
+
+    def by_pillow():
+        for path in paths[1]:
+            with PillowImage.open(path) as image:
+                np.asarray(image)
+
+    ignored = Decoding(exif="ignore")
+    beside = {
+        "on its side, tag ignored": lambda: deque((read_image(path, ignored) for path in paths[6]), maxlen=0),
+        "upright": lambda: deque(map(read_image, paths[1]), maxlen=0),
+        "upright, Pillow alone": by_pillow,
+    }
+    what = "JPEG files of 640x360 that a tag turns"
+    measure(what, lambda: deque(map(read_image, paths[6]), maxlen=0), len(paths[6]), beside)
 
 
 @pytest.mark.parametrize("full", [10_000, 100_000])

@@ -51,6 +51,22 @@ def show(folder, names, grey):
         PillowImage.fromarray(np.full((32, 64, 3), grey, np.uint8)).save(folder / name)
 
 
+def show_few_levels(folder, names):
+    """Keep the upper 4 bits of frames, as of 12 bits that are read as 16."""
+    for name in names:
+        PillowImage.fromarray(np.asarray(PillowImage.open(folder / name)) // 16 * 16).save(folder / name)
+
+
+def tag(folder, names):
+    """Store frames upside down, with the EXIF tag that turns them back, in a dataset that ignores it."""
+    exif = PillowImage.Exif()
+    exif[0x0112] = 3
+    for name in names:
+        image = PillowImage.open(folder / name).transpose(PillowImage.Transpose.ROTATE_180)
+        image.save(folder / name, exif=exif)
+    return {"protocol": {"exif": "ignore"}}
+
+
 def write(folder, names, change):
     for name in names:
         (folder / name).write_bytes(change((folder / name).read_bytes()))
@@ -77,6 +93,8 @@ DOCUMENTED = {
     "Another partition": lambda *_: {"counts": (70,), "wrong_counts": {PLACES: OLID}},
     "Repeated frame": lambda winter, summer: shutil.copy(summer / "011.png", summer / "012.png"),
     "Black frames": lambda winter, summer: show(summer, NAMES[20:23], 0),
+    "Few levels": lambda winter, summer: show_few_levels(summer, NAMES[7:9]),
+    "Tags that are ignored": lambda winter, summer: tag(summer, NAMES[50:]),
     "Shifted by 3": lambda winter, summer: again(summer, [*season(1)[3:], *season(1, PLACES + 3)[PLACES:]]),
     "A frame too few": too_few,
     "Reversed": lambda winter, summer: again(summer, season(1)[::-1]),

@@ -1,6 +1,7 @@
 """Frames as people have them: held on their side by a camera, or of more levels than 8 bits, by every reader."""
 
 import csv
+import json
 
 import cv2
 import numpy as np
@@ -229,10 +230,28 @@ def test_every_reader_obeys_tags_of_own_frames_and_ignores_those_of_published_on
     assert not len(dataset.references.turned())
 
 
-def test_the_command_line_takes_both_options_and_refuses_others(tmp_path, capsys):
+def test_the_doctor_takes_both_options_counts_tags_and_names_frames_of_few_levels(tmp_path, capsys):
+    mapped, asked = write(tmp_path / "map", thermal(MAP)), write(tmp_path / "asked", thermal(ASKED))
+    turned = np.rot90(thermal(ASKED)[:3], 1, axes=(1, 2))
+    write(asked, turned, exif=ON_ITS_SIDE)
+    data = ["doctor", "dataset=folders", f"dataset.references=[{mapped}]", f"dataset.queries={asked}", "output=json"]
+
+    def said(*options):
+        code = main([*data, *options])
+        found = json.loads(capsys.readouterr().out)
+        return code, [(one["level"], one["text"].split(":")[0]) for one in found if one["check"] in ("exif", "levels")]
+
+    tags = "3 of 40 frames of asked have an EXIF tag that turns 000.png, 001.png, 002.png"
+    assert said() == (0, [("note", tags)])
+    assert said("dataset.exif=ignore") == (1, [("warning", tags)])
+    few = [f"40 of 40 frames of {name} have fewer than 32 of 256 grey levels" for name in ("map", "asked")]
+    assert said("dataset.levels=0..65535") == (1, [*(("warning", text) for text in few), ("note", tags)])
+    assert said("dataset.levels=-20..9000")[0] == 1
+
+
+@pytest.mark.parametrize("wrong", ["dataset.exif=never", "dataset.levels=4095"])
+def test_the_command_line_refuses_what_is_neither(tmp_path, capsys, wrong):
     folder = write(tmp_path / "map", bytes_of(MAP)[:2])
     data = ["method=sad", "dataset=folders", f"dataset.references=[{folder}]", f"dataset.queries={folder}"]
-    assert main([*data, "dataset.exif=never"]) == 2
-    assert "dataset.exif" in capsys.readouterr().err
-    assert main([*data, "dataset.levels=-20"]) == 2
-    assert "dataset.levels" in capsys.readouterr().err
+    assert main([*data, wrong]) == 2
+    assert wrong.partition("=")[0] in capsys.readouterr().err

@@ -17,7 +17,7 @@ from . import files, ground_truth, names, pictures
 from .alignment import alignment
 from .files import Contents
 from .finding import LEVELS, Finding, as_text, is_wrong
-from .looking import look_at
+from .looking import Looks, look_at
 from .recordings import of_recordings
 from .shared_frames import allowed, shared_frames
 from .traverse import traverses_of
@@ -57,7 +57,7 @@ def examine(dataset: Dataset) -> tuple[Finding, ...]:
         *_cheap(dataset, known),
         *(finding for found in known if found for finding in _unused(found)),
         *(finding for seen in looks for finding in pictures.unreadable(seen, broken)),
-        *(finding for seen in looks for finding in pictures.of_traverse(seen) if not _of_counts(dataset, finding)),
+        *(finding for seen in looks for finding in _of_traverse(dataset, seen)),
         *pictures.between(looks),
         *pictures.shared(looks, allowed(dataset)),
         *alignment(dataset, looks[:-1], looks[-1]),
@@ -110,9 +110,12 @@ def _cheap(dataset: Dataset, known: Iterable[Contents | None], sequences: bool =
         yield from files.of_folder(folder, found)
 
 
-def _of_counts(dataset: Dataset, finding: Finding) -> bool:
-    """Tell whether a finding says that frames are dark which count events: most pixels count none."""
-    return bool(dataset.recordings) and finding.check == "black frames"
+def _of_traverse(dataset: Dataset, seen: Looks) -> Iterator[Finding]:
+    """Check the frames of a traverse, but not whether those that count events are dark or have few levels."""
+    yield from pictures.turned(seen, dataset.protocol.get("exif", "obey"))
+    for finding in pictures.of_traverse(seen, "levels" in dataset.protocol):
+        if not dataset.recordings or finding.check not in ("black frames", "levels"):
+            yield finding
 
 
 def _unused(found: Contents) -> Iterator[Finding]:

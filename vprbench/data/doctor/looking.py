@@ -23,13 +23,15 @@ from .offsets import HEIGHT, WIDTH, Small
 BLACK_MEAN = 16.0
 #: Standard deviation of the grey values, of 255, below which a frame shows nothing.
 UNIFORM_STD = 3.0
+#: Grey levels of 256 below which little of a frame is left, as of 12 bits read as 16.
+FEW_LEVELS = 32
 
 _GREY_STEP = 4  # every so many-th pixel tells whether a frame has colours
 _READERS = min(8, core_count())
 
 Which = npt.NDArray[np.bool_]  # (n,), of the frames
-_Look = tuple[bytes, tuple[int, int], bool, float, float, Small]  # of a frame, in the order of the fields of Looks
-_NOTHING: _Look = (b"", (0, 0), False, 0.0, 0.0, np.zeros((HEIGHT, WIDTH), np.uint8))
+_Look = tuple[bytes, tuple[int, int], bool, float, float, int, Small]  # of a frame, in the order of the fields of Looks
+_NOTHING: _Look = (b"", (0, 0), False, 0.0, 0.0, 0, np.zeros((HEIGHT, WIDTH), np.uint8))
 
 
 @dataclass(frozen=True)
@@ -38,12 +40,14 @@ class Looks:
 
     traverse: str
     names: tuple[str, ...]
+    turned: Which  # whether the file has an EXIF tag that turns the frame, obeyed or not
     unreadable: Mapping[int, str]  # the complaint by the number of the frame
     contents: tuple[bytes, ...]  # hash of the pixels; empty if unreadable
     sizes: npt.NDArray[np.int64]  # (n, 2), height and width; 0 if unreadable
     grey: Which  # whether red, green and blue are the same
     mean: npt.NDArray[np.float64]  # (n,), of the grey values
     std: npt.NDArray[np.float64]  # (n,)
+    n_levels: npt.NDArray[np.int64]  # (n,), different grey values
     small: Small  # (n, 16, 32)
 
     @property
@@ -60,6 +64,11 @@ class Looks:
     def uniform(self) -> Which:
         """Which frames show nothing, black or not, (n,)."""
         return self.readable & (self.std < UNIFORM_STD)
+
+    @property
+    def of_few_levels(self) -> Which:
+        """Which frames have few grey levels, (n,)."""
+        return self.readable & (self.n_levels < FEW_LEVELS)
 
     def named(self, which: Which) -> list[str]:
         """Return the names of some of the frames."""
@@ -84,7 +93,8 @@ def look_at(images: Images, traverse: str) -> Looks:
             progress.report(f"looking at {traverse}", len(looks) / len(images))
     contents, *values = zip(*looks, strict=True)
     arrays = [np.array(value) for value in values]
-    return Looks(traverse, images.names, dict(sorted(unreadable.items())), contents, *arrays)
+    turned = np.isin(np.arange(len(images)), images.turned())
+    return Looks(traverse, images.names, turned, dict(sorted(unreadable.items())), contents, *arrays)
 
 
 def _look(image: Image) -> _Look:
@@ -93,5 +103,6 @@ def _look(image: Image) -> _Look:
     sample = image[::_GREY_STEP, ::_GREY_STEP]
     content = hashlib.sha256(repr(image.shape).encode() + image.tobytes()).digest()
     colourless = bool((sample == sample[:, :, :1]).all())
+    n_levels = int(np.count_nonzero(cv2.calcHist([grey], [0], None, [256], [0, 256])))
     small = cv2.resize(grey, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA).astype(np.uint8, copy=False)
-    return content, (image.shape[0], image.shape[1]), colourless, float(mean[0, 0]), float(std[0, 0]), small
+    return content, (image.shape[0], image.shape[1]), colourless, float(mean[0, 0]), float(std[0, 0]), n_levels, small

@@ -1,4 +1,4 @@
-"""Checks of frames: unreadable, of another size, in colour or grey, black, or the same pixel by pixel."""
+"""Checks of frames: unreadable, turned, of another size, in colour or grey, black, of few levels, or the same."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from vprbench.text import be, plural, some
 
 from .finding import Finding, Level
-from .looking import BLACK_MEAN, UNIFORM_STD, Looks
+from .looking import BLACK_MEAN, FEW_LEVELS, UNIFORM_STD, Looks
 
 #: What to do about queries that are among the references.
 IN_MAP = (
@@ -42,8 +42,11 @@ def unreadable(seen: Looks, known: Collection[Path]) -> Iterator[Finding]:
         )
 
 
-def of_traverse(seen: Looks) -> Iterator[Finding]:
-    """Find frames of a traverse of another size, black ones, ones of one grey value, and ones that are the same."""
+def of_traverse(seen: Looks, is_deep: bool) -> Iterator[Finding]:
+    """Find frames of a traverse of another size, black ones, ones of one or few grey values, and the same ones.
+
+    If the files of the dataset are deeper than 8 bits (`is_deep`), a range too wide may be what makes a frame black.
+    """
     yield from _size(seen)
     for which, what in (
         (seen.black, f"black (mean below {BLACK_MEAN:g} of 255)"),
@@ -57,7 +60,28 @@ def of_traverse(seen: Looks) -> Iterator[Finding]:
                 "leave such places out of the list: gamma and patch normalisation are undefined there, and every "
                 "method guesses",
             )
+    if names := seen.named(seen.of_few_levels & (is_deep | ~(seen.black | seen.uniform))):
+        yield Finding(
+            "warning",
+            "levels",
+            f"{_share(names, seen)} {'has' if len(names) == 1 else 'have'} fewer than {FEW_LEVELS} of 256 grey levels: "
+            f"{some(names)}",
+            "if the files hold more than 8 bits, give dataset.levels=LOW..HIGH, the levels that matter; else save them "
+            "with more",
+        )
     yield from _repeated(seen)
+
+
+def turned(seen: Looks, exif: str) -> Iterator[Finding]:
+    """Count the frames of a traverse that have an EXIF tag that turns them; `exif` says what becomes of it."""
+    names = seen.named(seen.turned)
+    has = f"{_share(names, seen)} {'has' if len(names) == 1 else 'have'} an EXIF tag that turns {some(names)}"
+    if names and exif == "ignore":
+        advice = "look at some: if they lie on their side, give dataset.exif=obey"
+        yield Finding("warning", "exif", f"{has}: it is ignored", advice)
+    elif names:
+        advice = "give dataset.exif=ignore for a protocol that was published without it"
+        yield Finding("note", "exif", f"{has}: it is obeyed", advice)
 
 
 def _size(seen: Looks) -> Iterator[Finding]:
