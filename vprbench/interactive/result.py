@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,6 +11,7 @@ import numpy as np
 import pandas as pd
 
 from vprbench.api.dataset import Dataset
+from vprbench.data.doctor import step_in_dictionary_order
 from vprbench.errors import BadInput
 from vprbench.interactive import short
 from vprbench.metrics.accuracy import hits_at, recall_at
@@ -31,6 +33,8 @@ if TYPE_CHECKING:
     from vprbench.paper.selection import Series
 
 NAN = float("nan")
+
+logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -148,7 +152,11 @@ class Result:
         return self.seen(views(None, options)[0])
 
     def seen(self, view: Views) -> Result:
-        """Return the result of a view of its run."""
+        """Return the result of a view of its run; a warning is logged if the queries are in dictionary order."""
+        if step := step_in_dictionary_order(self.queries):
+            logger.warning(
+                "neighbouring queries are in dictionary order, not in that of their numbers: ... %s ...", step
+            )
         run = view(self.run)
         kept = np.searchsorted(queries_shown(self.run), queries_shown(run)).tolist()
         return replace(self, run=run, queries=tuple(self.queries[query] for query in kept))

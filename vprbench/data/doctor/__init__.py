@@ -2,5 +2,6 @@
 
 from .examination import check_dataset, command, examine, quick
 from .finding import Finding, as_text
+from .names import step_in_dictionary_order
 
-__all__ = ["Finding", "as_text", "check_dataset", "command", "examine", "quick"]
+__all__ = ["Finding", "as_text", "check_dataset", "command", "examine", "quick", "step_in_dictionary_order"]

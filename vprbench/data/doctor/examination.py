@@ -106,6 +106,7 @@ def _cheap(dataset: Dataset, known: Iterable[Contents | None], sequences: bool =
     yield from names.names_of_places(references, query)
     yield from ground_truth.right_places(dataset)
     yield from ground_truth.course(dataset)
+    yield from ground_truth.drives(dataset)
     for folder, found in zip(dataset.folders, known, strict=True):
         yield from files.of_folder(folder, found)
 

@@ -70,5 +70,22 @@ def course(dataset: Dataset) -> Iterator[Finding]:
             yield Finding("note", "ground truth", text, "methods that use sequences lose the trace there")
 
 
+def drives(dataset: Dataset) -> Iterator[Finding]:
+    """Tell how many drives queries and places consist of, where the dataset was seen to break off."""
+    if "breaks" not in dataset.protocol:
+        return
+    told = ("queries", dataset.query_breaks, dataset.queries.names), ("places", dataset.place_breaks, ())
+    for what, breaks, names in told:
+        if breaks is None or not len(breaks):
+            continue
+        shown = f"; all but the first begin at {some(names[query] for query in breaks)}" if names else ""
+        yield Finding(
+            "note",
+            "drives",
+            f"the {what} are {plural(len(breaks) + 1, 'drive')}, by {dataset.protocol['breaks']}{shown}",
+            "no sequence reaches from one drive into the next; dataset.breaks=none takes all as one drive",
+        )
+
+
 def _names(dataset: Dataset, which: np.ndarray) -> list[str]:
     return [dataset.queries.names[query] for query in np.flatnonzero(which)]

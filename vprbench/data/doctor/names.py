@@ -39,7 +39,7 @@ def order(traverses: Sequence[Traverse], matters: bool, numbers: str | None = No
     `matters` says whether any answer or number rests on the order; else it is but noted. `numbers` is what the protocol
     says of numbers in names.
     """
-    steps = {traverse.name: _step_in_dictionary_order(traverse.images.names, numbers) for traverse in traverses}
+    steps = {traverse.name: step_in_dictionary_order(traverse.images.names, numbers) for traverse in traverses}
     wrong = [name for name, step in steps.items() if step]
     if wrong:
         every = len(wrong) == len(traverses)
@@ -87,7 +87,7 @@ def _differing(traverse: Traverse, places: Sequence[int], shown: Traverse) -> It
     )
 
 
-def _step_in_dictionary_order(names: Sequence[str], numbers: str | None) -> str:
+def step_in_dictionary_order(names: Sequence[str], numbers: str | None = None) -> str:
     """Return where names sorted by their characters first differ from the order of their numbers; empty if nowhere.
 
     Names in the order of their decimal numbers (0.25, 0.5) are in order, where they hold such or `numbers` says so.

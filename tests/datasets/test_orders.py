@@ -1,0 +1,324 @@
+"""Which frame is the i-th, where one drive ends and the next begins, and which traverses match by their order."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from image_folders import fill, lists, rights
+from mat_cells import cells
+from PIL import Image as PillowImage
+from scipy.io import savemat
+
+import vprbench
+from vprbench.api import BadInput
+from vprbench.cli import main
+from vprbench.data.doctor import quick
+
+DECIMAL = {  # names in the order of the road, of which the order of whole numbers is another one
+    "times": ["1418132416.1", "1418132416.15", "1418132416.2", "1418132417.0", "1418132417.05", "1418132417.5"],
+    "words before": ["t0.25", "t0.5", "t0.625", "t1.0", "t10.5"],
+    "ISO": ["2014-12-09T13:21:02.125", "2014-12-09T13:21:02.25", "2014-12-09T13:21:02.5", "2014-12-09T13:21:03.75"],
+    "negative": ["x-1.5_y2", "x-1_y2", "x-0.25_y2", "x0.5_y2", "x2_y2"],
+    "whole and negative": ["-10", "-2", "-1", "0", "3", "12"],
+    "exponents": ["1e-05", "2.5e-05", "0.0001", "0.25", "3.0", "1e+16"],
+    "some without a fraction": ["98", "98.25", "98.5", "99", "99.125", "99.5"],
+}
+WHOLE = {  # names in the order of whole numbers, and how often that there is another one is said
+    "counters": (["take1.8", "take1.9", "take1.10", "take1.11", "take2.1"], 1),
+    "two patterns": (["left_0.5", "left_0.25", "right_0.5"], 1),
+    "dates": (["2014.12.9", "2014.12.10"], 0),
+    "dashes": (["frame-1", "frame-2", "frame-10"], 0),
+    "equal lengths": (["t0.05", "t0.10", "t0.15"], 0),
+}
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+def texture(place):
+    """Return the frame of a place: a random texture of 6 by 8 cells, (48, 64)."""
+    cell = np.random.default_rng(place).integers(0, 256, (6, 8)).astype(np.uint8)
+    return np.asarray(PillowImage.fromarray(cell).resize((64, 48), PillowImage.Resampling.BICUBIC))
+
+
+def noisy(place):
+    """Return the same place in another traverse: noise of 20 levels."""
+    noise = np.random.default_rng(1000 + place).normal(0, 20, (48, 64))
+    return np.clip(texture(place) + noise, 0, 255).astype(np.uint8)
+
+
+def road(folder, names, frame=texture, places=None):
+    """Write the frame of each name, of the places 0, 1, 2 ... unless `places` says which; returns the folder."""
+    for place, name in zip(places or range(len(names)), names, strict=True):
+        file = Path(folder) / f"{name}.png"
+        file.parent.mkdir(parents=True, exist_ok=True)
+        PillowImage.fromarray(frame(place)).save(file)
+    return folder
+
+
+def pair(names, query_names):
+    """Return the options of two folders of one road."""
+    return {"references": [road("a", names)], "queries": road("b", query_names, noisy)}
+
+
+def made(options, **given):
+    """Yield the dataset of the same folders as the command line's reader and as Python's own function make it."""
+    yield vprbench.dataset("folders", **options, **given).build()
+    yield vprbench.dataset_of(**options, **given)
+
+
+def stems(images):
+    return [name.removesuffix(".png") for name in images.names]
+
+
+def recall(dataset, length=1):
+    return vprbench.run("sad", dataset, timing="none", results=None).in_sequences(length).recall(1)
+
+
+@pytest.mark.parametrize("kind", DECIMAL)
+def test_names_with_fractions_signs_and_exponents_stand_in_the_order_of_their_numbers(kind):
+    names = DECIMAL[kind]
+    options = pair(names, [f"{number:03}" for number in range(len(names))])
+    for dataset in made(options):
+        assert stems(dataset.references) == names
+        assert (dataset.protocol["numbers"], len(dataset.notes)) == ("decimal", 1)
+        assert not [one for one in quick(dataset) if one.level != "note"]
+    assert recall(dataset) == 1.0
+    for dataset in made(options, numbers="whole"):
+        assert stems(dataset.references) != names
+        assert ("numbers" in dataset.protocol, len(dataset.notes)) == (False, 1)
+
+
+@pytest.mark.parametrize("kind", WHOLE)
+def test_counters_dates_dashes_and_names_of_two_patterns_keep_the_order_of_whole_numbers(kind):
+    names, said = WHOLE[kind]
+    for dataset in made(pair(names, names)):
+        assert stems(dataset.references) == stems(dataset.queries) == names
+        assert ("numbers" in dataset.protocol, len(dataset.notes)) == (False, said)
+
+
+def test_traverses_whose_names_would_be_read_in_different_ways_are_refused_unless_one_way_is_chosen():
+    options = pair(["t1.8", "t1.9", "t1.10"], ["t0.25", "t0.5", "t0.625"])
+    for make in (vprbench.dataset("folders", **options).build, lambda: vprbench.dataset_of(**options)):
+        with pytest.raises(BadInput, match=r"numbers=auto.*t0\.25.* before t0\.5.*t1\.8.* before t1\.10"):
+            make()
+    for dataset in made(options, numbers="decimal"):
+        assert stems(dataset.references) == ["t1.10", "t1.8", "t1.9"]
+
+
+def test_vpr_bench_numbers_its_frames_by_whole_numbers_as_published_and_says_so():
+    fill(Path("query"), ["0.5.png", "0.25.png"])
+    fill(Path("ref"), ["0.5.png", "0.25.png"])
+    np.save("ground_truth_new.npy", lists([0], [1]), allow_pickle=True)
+    whole, decimal = (vprbench.dataset("vpr_bench", root=".", **way).build() for way in ({}, {"numbers": "decimal"}))
+    assert (stems(whole.queries), "numbers" in whole.protocol, len(whole.notes)) == (["0.5", "0.25"], False, 1)
+    assert (stems(decimal.queries), decimal.protocol["numbers"]) == (["0.25", "0.5"], "decimal")
+
+
+AT = ["@545012.369@4184025.717@", "@545012.47@4184025.717@", "@545020.5@4184025.717@"]
+SHUFFLED = ["1", "10", "2"]  # the order of a dictionary
+
+
+def by_utm_folders():
+    road("database", AT)
+    road("queries", ["@545012@4184025@"], noisy)
+    return {"dataset": "utm_folders", "root": "."}
+
+
+def by_negative_positions():
+    road("database", ["@-10@5@", "@-100@5@", "@-20@5@"])
+    road("queries", ["@-9@5@"], noisy)
+    return {"dataset": "utm_folders", "root": "."}
+
+
+def by_panorama():
+    road("database", [f"@1000@2000@{heading}@" for heading in (0, 30, 330, 60)])
+    road("queries", ["@1000@2000@0@"], noisy)
+    return {"dataset": "utm_folders", "root": "."}
+
+
+def table(file, names, columns, *cells_of):
+    rows = [f"image,{columns}", *(f"{name}.png,{of}" for name, of in zip(names, cells_of, strict=True))]
+    Path(file).write_text("\n".join(rows), encoding="utf-8")
+    return file
+
+
+def by_list(columns, *cells_of):
+    road(".", SHUFFLED)
+    road(".", ["q"], noisy)
+    references = [table("map.csv", SHUFFLED, columns, *cells_of)]
+    return {
+        "dataset": "image_list",
+        "references": references,
+        "queries": table("asked.csv", ["q"], columns, cells_of[0]),
+    }
+
+
+def by_dbstruct():
+    road(".", SHUFFLED)
+    road(".", ["q"], noisy)
+    metres = np.array([[0.0, 100.0, 200.0], [0.0] * 3])
+    names = [cells([f"{name}.png" for name in listed]) for listed in (SHUFFLED, ["q"])]
+    fields = ["test", names[0], metres, names[1], np.zeros((2, 1))]
+    savemat("set.mat", {"dbStruct": dict(zip("abcde", fields, strict=True))})
+    return {"dataset": "dbstruct", "root": ".", "mat": "set.mat"}
+
+
+ANY_ORDER = {
+    "positions of different lengths": by_utm_folders,
+    "negative positions": by_negative_positions,
+    "crops of a panorama": by_panorama,
+    "places in a list": lambda: by_list("place", "yard", "hall", "stairs"),
+    "positions in a list": lambda: by_list("east,north", "0,0", "100,0", "200,0"),
+    "positions in dbStruct": by_dbstruct,
+}
+
+
+@pytest.mark.parametrize("source", ANY_ORDER)
+def test_the_order_of_names_is_asked_for_only_where_it_matters(source, capsys):
+    given = ANY_ORDER[source]()
+    options = [f"dataset.{name}={value}".replace("'", "") for name, value in given.items() if name != "dataset"]
+    asked = ["method=sad", f"dataset={given['dataset']}", *options, "timing=none", "results=runs"]
+    assert main(asked) == 0
+    main([*asked, "sequence={length:2,incomplete:shortened}"])
+    assert ("dictionary" in capsys.readouterr().err) == (source != "positions of different lengths")
+
+
+def test_files_in_dictionary_order_are_right_where_the_right_places_are_given(caplog):
+    files = sorted(Path(road("a", [str(number) for number in range(12)])).iterdir())
+    asked = road("b", [str(number) for number in range(12)], noisy)
+    right = [[file.stem for file in files].index(str(place)) for place in range(12)]
+    assert recall(vprbench.dataset_of(files, asked, positives=right)) == 1.0
+    assert "dictionary" not in caplog.text
+    queried = sorted(Path(asked).iterdir())
+    assert recall(vprbench.dataset_of(files, queried, positives=range(12)), 2) == 1.0
+    assert "dictionary" in caplog.text
+    with pytest.raises(BadInput, match="dictionary"):
+        recall(vprbench.dataset_of(files, asked))
+
+
+def drives(*lengths):
+    """Return the names of frames in a sub-folder for each drive."""
+    return [f"drive{number}/{frame}" for number, length in enumerate(lengths) for frame in range(length)]
+
+
+def test_another_sub_folder_begins_another_drive_at_which_tolerance_and_sequences_end():
+    options = pair(drives(6, 5, 7), drives(6, 5, 7))
+    for dataset in made(options, tolerance=1):
+        assert (dataset.query_breaks.tolist(), dataset.place_breaks.tolist()) == ([6, 11], [6, 11])
+        assert rights(dataset)[5:7] + rights(dataset)[10:12] == [[4, 5], [6, 7], [9, 10], [11, 12]]
+        assert dataset.protocol["breaks"] == "folders"
+    for dataset in made(options, tolerance=1, breaks="none"):
+        assert (dataset.query_breaks, dataset.place_breaks, rights(dataset)[5]) == (None, None, [4, 5, 6])
+        assert "breaks" not in dataset.protocol
+
+
+def test_sequences_over_drives_in_another_order_are_right_where_the_drives_end_them():
+    options = pair(drives(8, 8, 8), [])
+    order = [*range(16, 24), *range(8), *range(8, 16)]
+    options["queries"] = road("b", drives(8, 8, 8), noisy, order)
+    truth = np.eye(24, dtype=bool)[order]
+    np.savez("truth.npz", positives=truth)
+    by_reader = vprbench.dataset("folders", **options, ground_truth="truth.npz")
+    for dataset in (by_reader.build(), vprbench.dataset_of(**options, positives=truth)):
+        assert recall(dataset, 5) == 1.0
+    without = vprbench.dataset_of(**options, positives=truth, breaks="none")
+    assert (recall(without), recall(without, 5)) == (1.0, pytest.approx(0.8))  # 2 of 4 sequences over each change
+
+
+BROKEN = {
+    "a position that jumps": lambda: (
+        "folders",
+        {"ground_truth": "utm", **pair([f"@{east}@0@" for east in EASTS], ["@0@1@", "@5@1@", "@10@1@", "@900@1@"])},
+        ([4], [3], "positions"),
+    ),
+    "folders in a list": lambda: ("image_list", by_drives("place"), ([4], [3], "folders")),
+    "folders and positions in a list": lambda: (
+        "image_list",
+        by_drives("east,north"),
+        ([4], [3], "folders and positions"),
+    ),
+    "folders of a database": lambda: ("utm_folders", by_database(), ([2], [], "folders")),
+    "folders in dbStruct as it is": lambda: ("dbstruct", by_mat(), ([], [], None)),
+    "folders in dbStruct": lambda: ("dbstruct", {**by_mat(), "breaks": "auto"}, ([2], [], "folders")),
+    "a folder for every frame": lambda: (
+        "folders",
+        pair([f"{number}/frame" for number in range(6)], [f"{number}/frame" for number in range(6)]),
+        ([], [], None),
+    ),
+}
+EASTS = [0, 5, 10, 15, 900, 905, 910]
+
+
+def by_drives(columns):
+    road(".", names := drives(4, 3))
+    road(".", asked := ["x/0", "x/1", "x/2", "y/0"], noisy)
+    words = [str(east) if columns == "place" else f"{east},0" for east in EASTS]
+    files = table("map.csv", names, columns, *words), table("asked.csv", asked, columns, *words[:3], words[4])
+    return {"references": [files[0]], "queries": files[1]}
+
+
+def by_database():
+    road("database", ["a/@0@0@", "a/@5@0@", "b/@10@0@", "b/@15@0@"])
+    road("queries", ["@0@1@", "@5@1@"], noisy)
+    return {"root": "."}
+
+
+def by_mat():
+    road(".", names := ["000/a", "000/b", "001/c", "001/d", "001/e"])
+    road(".", ["q"], noisy)
+    metres = np.array([[0.0, 5.0, 10.0, 15.0, 20.0], [0.0] * 5])
+    listed = [cells([f"{name}.png" for name in of]) for of in (names, ["q"])]
+    savemat(
+        "set.mat", {"dbStruct": dict(zip("abcde", ["", listed[0], metres, listed[1], np.zeros((2, 1))], strict=True))}
+    )
+    return {"root": ".", "mat": "set.mat"}
+
+
+@pytest.mark.parametrize("kind", BROKEN)
+def test_a_journey_breaks_off_where_the_folder_changes_or_the_position_jumps(kind):
+    reader, options, (places, queries, seen_by) = BROKEN[kind]()
+    dataset = vprbench.dataset(reader, **options).build()
+    found = [[] if breaks is None else breaks.tolist() for breaks in (dataset.place_breaks, dataset.query_breaks)]
+    assert (*found, dataset.protocol.get("breaks")) == (places, queries, seen_by)
+    said = [one.text for one in quick(dataset) if one.check == "drives"]
+    assert len(said) == bool(places) + bool(queries)
+
+
+def test_breaks_stay_where_they_are_when_queries_without_a_right_place_are_left_out():
+    options = pair([f"@{east}@0@" for east in EASTS], ["@0@1@", "@5@1@", "@10@1@", "@500@1@", "@900@1@", "@905@1@"])
+    dataset = vprbench.dataset("folders", **options, ground_truth="utm", unmatched="drop").build()
+    assert (len(dataset.queries), dataset.query_breaks.tolist()) == (5, [3])
+
+
+@pytest.mark.parametrize(
+    ("names", "query_names", "told"),
+    [
+        (drives(60), [str(number) for number in range(30)], ("60", "30")),
+        ([str(number) for number in range(5)], [str(number) for number in range(7)], ("5", "7")),
+        (
+            [f"s{number}" for number in range(6)],
+            [*(f"s{n}" for n in (0, 1, 4, 5)), "right/s2", "right/s3"],
+            ("6", "2+4"),
+        ),
+        (drives(4, 2), drives(3, 3), ("4+2", "3+3")),
+    ],
+    ids=["every second place", "more queries", "a folder in one traverse only", "drives of other lengths"],
+)
+def test_folders_that_cannot_match_by_order_are_refused_with_the_ways_out(names, query_names, told):
+    options = pair(names, query_names)
+    with pytest.raises(BadInput) as error:
+        vprbench.dataset("folders", **options).build()
+    wanted = (*told, "ground_truth=utm", "ground_truth=FILE.npz", "dataset=image_list")
+    assert [word in str(error.value) for word in wanted] == [True] * len(wanted)
+    with pytest.raises(BadInput, match=r"positives=.*image_list"):
+        vprbench.dataset_of(**options)
+    if len(names) == len(query_names):
+        assert [rights(dataset)[3] for dataset in made(options, breaks="none")] == [[3], [3]]
+    right = np.zeros((len(query_names), len(names)), bool)
+    right[:, 0] = True
+    np.savez("truth.npz", positives=right)
+    assert rights(vprbench.dataset("folders", **options, ground_truth="truth.npz").build())[-1] == [0]
+    assert rights(vprbench.dataset_of(**options, positives=right))[-1] == [0]
