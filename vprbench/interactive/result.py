@@ -19,7 +19,7 @@ from vprbench.metrics.intervals import WiderInterval
 from vprbench.metrics.registry import METRICS
 from vprbench.runs import frame, rows
 from vprbench.runs.predictions import predictions
-from vprbench.runs.query_results import RIGHT, UNANSWERABLE, judged
+from vprbench.runs.query_results import RIGHT, UNANSWERABLE, UNJUDGED, judged
 from vprbench.runs.readouts import readout_numbers
 from vprbench.runs.recall_intervals import interval_between, recall_interval
 from vprbench.runs.record import Run
@@ -120,10 +120,10 @@ class Result:
     def failures(self) -> pd.DataFrame:
         """Return the rows of `to_frame` that are not answered right, the surest errors first.
 
-        Queries that have no right place are left out.
+        Queries that have no right place are left out, and without a ground truth all are.
         """
         verdicts = np.array([*judged(self.run).verdicts])
-        wrong = self.to_frame()[~np.isin(verdicts, (RIGHT, UNANSWERABLE))]
+        wrong = self.to_frame()[~np.isin(verdicts, (RIGHT, UNANSWERABLE, UNJUDGED))]
         return wrong.sort_values("margin", kind="stable")
 
     def predictions(self, n: int = 10) -> pd.DataFrame:

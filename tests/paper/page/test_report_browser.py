@@ -139,6 +139,29 @@ def test_margins_that_are_infinite_missing_or_bounded_say_so_and_sort_to_their_e
         expect(tab.locator("#queries > li")).to_contain_text(text)
 
 
+def test_without_a_ground_truth_each_query_shows_its_best_five_places_by_score_and_margin_and_no_verdict(reader):
+    scores = np.full((3, 8), 0.125, np.float32)
+    for query, (first, second) in enumerate([(0.875, 0.75), (0.75, 0.25), (1.0, 0.625)]):
+        scores[query, [query, query + 1]] = first, second
+    of_a, of_b = (answered(table, [[]] * 3, protocol={"ground_truth": "none"}) for table in (scores, scores[:, ::-1]))
+    both = Section("Journey", (Series("SAD", False, (of_a,)), Series("HOG", False, (of_b,))), None)
+    tab = reader.read(page("<table></table>", [], [both]))
+    orders = {"by margin, lowest first": [0, 2, 1], HIGHEST: [1, 2, 0], ROUTE: [0, 1, 2]}
+    orders |= {"by score, lowest first": [1, 0, 2], "by score, highest first": [2, 0, 1]}
+    for order, queries in orders.items():
+        choose(tab, order=order)
+        assert listed(tab) == queries
+    second = row(tab, 1)
+    expect(second).to_contain_text("best score 0.75")
+    expect(second).to_contain_text("margin 0.5 to the second")
+    assert second.locator(".role").all_inner_texts() == ["Query", "1.", "2.", "3.", "4.", "5."]
+    choose(tab, method_b="HOG")
+    assert row(tab, 1).locator(".more .no-frame").first.inner_text() == "place 6"
+    assert tab.locator("#kind option").count() == 1
+    assert not re.search(r"wrong|failure|R@1|recall|tied|hits", tab.locator("body").inner_text(), re.IGNORECASE)
+    tab.locator("#queries").press("End")
+
+
 def test_several_datasets_are_chosen_between_and_their_frames_kept_apart(reader):
     swapped = made.journey_thumbnails(queries=tuple(reversed(made.journey_thumbnails().queries)))
     other = replace(one(journey_run({4: 0.25}, n_references=120), "Other", "GCL"), thumbnails=swapped)

@@ -1,0 +1,152 @@
+"""Without a ground truth everything runs and nothing is judged, by every reader and in Python.
+
+The frame of place k is a texture of its own, which query k shows with noise: what is retrieved first is known.
+"""
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from event_recordings import by_chance, write_aedat2
+from image_folders import fill, numbered
+from quick_runs import quick_runs
+from small_plan import install
+from textures import textures
+
+import vprbench
+from vprbench.cli import main
+from vprbench.comparison import make
+from vprbench.data.doctor import quick
+from vprbench.datasets.event_folders import event_folders
+from vprbench.datasets.folders import folders
+from vprbench.datasets.image_list import image_list
+from vprbench.datasets.utm_folders import utm_folders
+from vprbench.datasets.vpr_bench import vpr_bench
+from vprbench.errors import BadInput
+from vprbench.plugins import conformance, registry
+
+PLACES, QUERIES = 7, 5
+NONE = {"ground_truth": "none"}
+
+
+def of_folders(top):
+    maps = [str(fill(top / name, numbered(count))) for name, count in (("a", PLACES), ("b", 2))]
+    return folders(references=maps, queries=str(fill(top / "q", numbered(QUERIES))), **NONE)
+
+
+def of_lists(top):
+    fill(top, numbered(PLACES + 2))
+    for name, count in (("map", PLACES), ("more", 2), ("drive", QUERIES)):
+        (top / f"{name}.csv").write_text("\n".join(["image", *numbered(count)]), encoding="utf-8")
+    return image_list(references=[str(top / "map.csv"), str(top / "more.csv")], queries=str(top / "drive.csv"), **NONE)
+
+
+def of_utm_folders(top):
+    fill(top / "database", numbered(PLACES + 2))
+    fill(top / "queries", numbered(QUERIES))
+    return utm_folders(root=str(top), **NONE)
+
+
+def of_vpr_bench(top):
+    fill(top / "ref", numbered(PLACES + 2))
+    fill(top / "query", numbered(QUERIES))
+    return vpr_bench(root=str(top), **NONE)
+
+
+def of_python(top):
+    drives = [np.zeros((count, 6, 8), np.uint8) for count in (PLACES, 2, QUERIES)]
+    return vprbench.dataset_of(drives[:2], drives[2], **NONE)
+
+
+@pytest.mark.parametrize("made", [of_folders, of_lists, of_utm_folders, of_vpr_bench, of_python])
+def test_every_reference_is_a_place_and_no_query_has_a_right_one_whatever_their_names_and_numbers(made, tmp_path):
+    dataset = made(tmp_path)
+    assert (dataset.n_places, len(dataset.queries)) == (PLACES + 2, QUERIES)
+    assert not any(map(len, dataset.positives))
+    assert dataset.protocol["ground_truth"] == "none"
+    assert not {"unmatched", "tolerance_places", "radius_metres"} & {*dataset.protocol}
+    assert [f.level for f in quick(dataset) if f.check == "ground truth"] == ["note"]
+
+
+def test_recordings_of_different_lengths_need_none_either(tmp_path):
+    for name, seconds in (("map", 3.0), ("drive", 2.0)):
+        write_aedat2(tmp_path / f"{name}.aedat", by_chance(2000, seconds=seconds))
+    files = {"references": [str(tmp_path / "map.aedat")], "queries": str(tmp_path / "drive.aedat")}
+    dataset = event_folders(**files, window_ms=500.0, height=20, width=30, **NONE)
+    assert (dataset.n_places, len(dataset.queries), dataset.protocol["ground_truth"]) == (5, 3, "none")
+
+
+@pytest.mark.parametrize("given", [{"positives": [0]}, {"tolerance": 1}, {"ground_truth": "nothing"}])
+def test_in_python_right_places_are_either_given_or_not_known(given):
+    frames = np.zeros((1, 6, 8), np.uint8)
+    with pytest.raises(BadInput, match="ground_truth"):
+        vprbench.dataset_of(frames, frames, **(NONE | given))
+
+
+@pytest.fixture
+def drives(tmp_path, monkeypatch):
+    """Stand beside a map and a drive of fewer queries; returns the options of a run."""
+    quick_runs(monkeypatch)
+    monkeypatch.chdir(tmp_path)
+    textures(Path("map"), PLACES)
+    textures(Path("drive"), QUERIES, noise=20)
+    return ["timing=none", "threads=1", "dataset=folders", *asked("map", "drive")]
+
+
+def asked(references, queries):
+    return [f"dataset.references=[{references}]", f"dataset.queries={queries}", "dataset.ground_truth=none"]
+
+
+def test_a_run_retrieves_and_shows_no_accuracy_and_its_json_holds_null(drives, capsys):
+    assert main(["method=sad", *drives, "metrics=[r100p]", "wide=true"]) == 0
+    shown = capsys.readouterr().out
+    assert all(word not in shown for word in ("R@", "AUC", "wrong", "miss", "undefined"))
+    assert "peak MB" in shown
+    assert main(["method=sad", *drives, "metrics=[r100p,p100r]", "output=json", "predictions=1"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    names = [name for name in told if name.startswith(("recall", "auc", "average"))]
+    assert {told[name] for name in [*names, "r100p", "p100r"]} == {None}
+    with Path(*told["predictions"]).open(encoding="utf-8", newline="") as file:
+        lines = list(csv.DictReader(file))
+    assert [(line["place"], line["right"]) for line in lines] == [(str(place), "") for place in range(QUERIES)]
+
+
+def test_a_comparison_ranks_nothing_and_draws_no_accuracy(drives, capsys, monkeypatch, tmp_path):
+    given = []
+    install(monkeypatch, tmp_path)
+    monkeypatch.setattr(make, "written", lambda *each: given.append(each) or [])
+    assert main(["compare", "methods=sad,hog", "metrics=[f1_max]", *drives]) == 0
+    shown = capsys.readouterr().out
+    assert all(word not in shown for word in ("R@", "AUC", "F1", "wrong", "miss"))
+    found, best = given[0][0], given[0][-1]
+    assert {quantity.kind for quantity in found.table.quantities} == {"fit", "rate", "memory"}
+    assert best["right"].isna().all()
+    names = [name for name, _ in make.draw_all(found, found.runs)]
+    assert not any(part in name for name in names for part in ("recall", "precision", "similarity", "rate-", "frames"))
+    assert main(["compare", "methods=sad", *drives, "corruptions=blur-1"]) == 2
+
+
+def test_what_tells_accuracy_alone_is_refused(drives, capsys):
+    assert main(["method=sad", *drives, "readouts=true"]) == 2
+    assert "readouts" in capsys.readouterr().err
+
+
+def test_in_python_a_result_and_a_comparison_have_no_accuracy(drives):
+    data = vprbench.dataset_of("map", "drive", **NONE)
+    found = vprbench.compare(["sad", "hog"], data, metrics=["r100p"], timing="none")
+    result = found.results[0]
+    frame = result.to_frame()
+    assert (np.isnan(result.recall()), result.interval(), len(result.failures())) == (True, None, 0)
+    assert frame["best_place"].tolist() == [*range(QUERIES)]
+    assert frame["hit"].isna().all()
+    two = result.predictions(2)["score"].to_numpy().reshape(QUERIES, 2)
+    np.testing.assert_allclose(frame["margin"], two[:, 0] - two[:, 1], rtol=1e-6)
+    assert all("R@" not in text for text in (repr(result), result._repr_html_(), found.to_markdown()))
+
+
+def test_the_rule_that_queries_have_right_places_makes_an_exception(drives):
+    config = registry.entries("dataset")["folders"].values() | {"references": ["map"], "queries": "drive", **NONE}
+    states = {result.state for result in conformance.check_dataset(config)}
+    assert states == {"kept", "excepted"}
