@@ -14,7 +14,7 @@ from vprbench.api import BadInput, Dataset, Exif, MatFileError, NotThere, read_m
 from .readers.drives import Breaks
 from .readers.file_dataset import Unmatched, dataset_of_files
 from .readers.frame_folders import root_folder
-from .readers.image_files import check_listed
+from .readers.image_files import find_listed
 from .readers.positions import are_metres, by_radius
 from .readers.recipes import function_of
 
@@ -62,14 +62,14 @@ class DbStruct:
             database = [path.with_suffix(self.database_suffix) for path in database]
         queries = [top / self.query_folder / entry for entry in _names(file, fields, _QUERY_NAMES)]
         advice = "set dataset.root, dataset.database_folder or dataset.database_suffix"
-        check_listed(database, f"the database of {file.name}", advice)
-        check_listed(queries, f"the queries of {file.name}", "set dataset.root or dataset.query_folder")
+        mapped = find_listed(database, f"the database of {file.name}", advice)
+        asked = find_listed(queries, f"the queries of {file.name}", "set dataset.root or dataset.query_folder")
         metres = _positions(file, fields, _UTM, len(database))
         query_metres = _positions(file, fields, _QUERY_UTM, len(queries))
         return dataset_of_files(
             self.name,
-            database,
-            queries,
+            mapped,
+            asked,
             by_radius(metres, query_metres, self.radius_metres),
             self.unmatched,
             {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from array import array
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -16,7 +17,7 @@ from vprbench.api import BadInput, Dataset, Exif, NotThere, Paths
 from .readers.csv_tables import read_csv
 from .readers.drives import Breaks
 from .readers.file_dataset import GroundTruth, Unmatched, dataset_of_files, unknown
-from .readers.image_files import check_listed
+from .readers.image_files import find_listed
 from .readers.positions import MOST_METRES, by_radius, earth_centred
 from .readers.traverses import right_places
 
@@ -28,6 +29,7 @@ _COLUMNS: dict[Kind, tuple[str, ...]] = {
     "lat_lon": ("lat", "lon"),
 }
 _ALIASES = {"image name": "image", "index": "place"}  # as QVPR/VPRTempo names them
+_WHOLE = re.compile(r"(-?\d+)\.0+")  # a whole number as a program writes it that takes all numbers for decimal ones
 _KNOWN = ("image", *(column for columns in _COLUMNS.values() for column in columns))
 _WANTED = "image, and place or east,north or lat,lon"
 
@@ -108,8 +110,8 @@ class _Table:
     cells: Mapping[str, Sequence[str]]  # of every row, by our names of the columns
 
     def labels(self) -> list[str | int]:
-        """Return the place of every row, whole numbers as such: 7 and 007 are one place."""
-        words = self._words("place")
+        """Return the place of every row, whole numbers as such: 7, 007 and 7.0 are one place."""
+        words = [whole[1] if (whole := _WHOLE.fullmatch(word)) else word for word in self._words("place")]
         return [int(word) if len(word) < 20 and word.removeprefix("-").isdecimal() else word for word in words]
 
     def positions(self, kind: Kind) -> npt.NDArray[np.float64]:
@@ -127,7 +129,8 @@ class _Table:
                 number = np.nan
             if not abs(number) <= most:
                 row = len(numbers) + 1
-                raise BadInput(f"{column} {word} in row {row} of {self.file}: wanted is -{most:g} to {most:g}")
+                point = ", decimals with a point" * ("," in word)
+                raise BadInput(f"{column} {word} in row {row} of {self.file}: wanted is -{most:g} to {most:g}{point}")
             numbers.append(number)
         return np.array(numbers)
 
@@ -151,8 +154,8 @@ def _table(file: Path, root: str | None) -> _Table:
         raise BadInput(f"{file} lists no image: give it a row for each")
     cells = dict(zip(columns, table.columns, strict=True))
     names = _Table(file, Paths.of([]), cells)._words("image")
-    images = Paths.below(file.parent if root is None else Path(root).expanduser(), names)
-    check_listed(images, file.name, "correct the paths, or set dataset.root to the folder that they start from")
+    named = Paths.below(file.parent if root is None else Path(root).expanduser(), names)
+    images = find_listed(named, file.name, "correct the paths, or set dataset.root to the folder that they start from")
     return _Table(file, images, {**cells, "image": ()})  # the images hold them in less memory
 
 

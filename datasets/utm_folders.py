@@ -8,10 +8,11 @@ from typing import Literal
 
 from vprbench.api import BadInput, Dataset, Exif, NotThere, Paths
 
+from .readers.csv_tables import encoding_of
 from .readers.drives import Breaks
 from .readers.file_dataset import Unmatched, dataset_of_files, unknown
 from .readers.frame_folders import root_folder
-from .readers.image_files import check_listed, images_in
+from .readers.image_files import find_listed, images_in
 from .readers.positions import Zones, by_names
 from .readers.recipes import function_of
 
@@ -103,14 +104,13 @@ def _images(folder: Path, layout: str) -> Paths:
     if not beside.is_file():
         return images_in(folder, "dataset.root", layout, order="plain")
     try:
-        named = [line for line in beside.read_text(encoding="utf-8-sig").splitlines() if line.strip()]
-    except UnicodeDecodeError as error:
+        named = [line for line in beside.read_text(encoding=encoding_of(beside)).splitlines() if line.strip()]
+    except UnicodeError as error:
         raise BadInput(f"{beside} is no text in UTF-8 ({error}): save it as such, or delete it") from error
     if not named:
         raise NotThere(f"{beside} names no image: delete it to use all images of {folder}")
-    files = Paths.below(folder, named)
-    check_listed(files, beside.name, f"restore them, or delete {beside} to use all images of the folder")
-    return files
+    advice = f"restore them, or delete {beside} to use all images of the folder"
+    return find_listed(Paths.below(folder, named), beside.name, advice)
 
 
 def _list_beside(folder: Path) -> Path:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import difflib
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Literal
 
@@ -58,19 +60,48 @@ def images_in(
     return Paths.below(top, frames)
 
 
-def check_listed(files: Sequence[Path], listed_in: str, advice: str) -> None:
-    """Raise NotThere, with the first of them and `advice`, if files that a list names are missing."""
+def find_listed(files: Sequence[Path], listed_in: str, advice: str) -> Paths:
+    """Return the files that a list names, as the folders have them.
+
+    A file that is missing is the one under slashes for backslashes, or the only one whose name differs in capitals
+    alone. Raises NotThere, with the first row, the names nearest to its name and `advice`, if none is there.
+    """
     files = Paths.of(files)
     missing: list[int] = []
     for first in range(0, len(files), _BLOCK):
         block = np.arange(first, min(first + _BLOCK, len(files)))
         encoded = files.encoded(block)
         missing += [number for number, path in enumerate(encoded, first) if not os.path.isfile(path)]  # noqa: PTH113
-    if missing:
+    if not missing:
+        return files
+    in_folder = cache(_names_in)
+    found = {number: there for number in missing if (there := _same_file(files[number], in_folder))}
+    gone = [number for number in missing if number not in found]
+    if gone:
+        path = files[gone[0]]
+        slashed = Path(str(path).replace("\\", "/"))
+        close = difflib.get_close_matches(slashed.name, in_folder(slashed.parent)[:_BLOCK])
+        near = f"did you mean {' or '.join(close)}? else " * bool(close)
         raise NotThere(
-            f"{files[missing[0]]} does not exist ({len(missing)} of {len(files)} images in {listed_in} are missing): "
-            f"{advice}"
+            f"{path} does not exist ({len(gone)} of {len(files)} images in {listed_in} are missing), named in row "
+            f"{gone[0] + 1}: {near}{advice}"
         )
+    return Paths.of(found.get(number, path) for number, path in enumerate(files))
+
+
+def _names_in(folder: Path) -> list[str]:
+    try:
+        return sorted(entry.name for entry in folder.iterdir())
+    except OSError:
+        return []
+
+
+def _same_file(path: Path, in_folder: Callable[[Path], list[str]]) -> Path | None:
+    """Return the file that a path means under other slashes or capitals; None if there is none, or are several."""
+    slashed = Path(str(path).replace("\\", "/"))
+    alike = [name for name in in_folder(slashed.parent) if name.casefold() == slashed.name.casefold()]
+    named = [name for name in alike if name == slashed.name] or alike
+    return slashed.parent / named[0] if len(named) == 1 and (slashed.parent / named[0]).is_file() else None
 
 
 def _stranger(option: str, first: Path, count: int) -> BadInput:

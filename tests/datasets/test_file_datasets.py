@@ -291,7 +291,7 @@ REFUSED = {
                 (b"query,refs\n0,0\n", "has the columns query, refs"),
                 *((b"query,matching_refs\n0,0\n" + line, "line 3 of") for line in (b"x,1", b"1,a b", b"1", b"1,2.5")),
                 (b"query,matching_refs\n0,0\n0,1\n", "has two rows for query 0"),
-                ("query,matching_refs\n0,1\n".encode("utf-16"), "cannot be read as a CSV"),
+                (b"query,matching_refs\n0,\xe9\n", "cannot be read as a CSV"),
                 (b"query,matching_refs\n0," + b"1 " * 70_000, "cannot be read as a CSV"),
             )
         ),
@@ -381,8 +381,8 @@ def at(*positions):
 def listed(references, queries, **options):
     """Return the dataset of two tables beside the images 0.jpg to 9.jpg."""
     fill(Path(), numbered(10))
-    Path("map.csv").write_text(references, encoding="utf-8")
-    Path("asked.csv").write_text(queries, encoding="utf-8")
+    for file, content in (("map.csv", references), ("asked.csv", queries)):
+        Path(file).write_bytes(content if isinstance(content, bytes) else content.encode())
     return image_list(references=["map.csv"], queries="asked.csv", **options)
 
 
@@ -404,6 +404,53 @@ def test_columns_of_a_list_are_found_by_their_names(references, queries, options
     for image in Path().glob("*.jpg"):  # paths may start from another folder
         image.unlink()
     assert rights(image_list(references=["map.csv"], queries="asked.csv", root="frames", **options)) == right
+
+
+PLACES, ASKED = "image,place\n0.jpg,7\n1.jpg,8\n2.jpg,9\n", "image,place\n5.jpg,9\n6.jpg,7\n"
+GRID = "image;east;north\n0.jpg;0,5;-1,25\n1.jpg;60;0,0\n2.jpg;120,75;0\n"
+
+
+@pytest.mark.parametrize(
+    ("references", "queries"),
+    [
+        *((PLACES.encode(encoding), ASKED) for encoding in ("utf-16", "utf-16-le", "utf-16-be", "utf-8-sig")),
+        (b"\xfe\xff" + PLACES.encode("utf-16-be"), ASKED.replace("\n", "\r\n")),
+        *((f"{said}\n{PLACES}", ASKED) for said in ("sep=,", '"sep=,"', "SEP=,\r", "sep=,,")),
+        (f"sep=;\n{PLACES}".replace(",", ";"), ASKED.replace(",", "\t")),
+        (PLACES.replace(",", "|").join(["sep=|\n", ""]), ASKED.replace(",", ";")),
+        (PLACES.replace("7", "7.0").replace("9", "009"), ASKED.replace("7", "7.000")),
+        (PLACES.replace(",", ";").replace("7", "7,0"), ASKED),
+        (GRID, "image;east;north\n5.jpg;100,0;0,25\n6.jpg;1,1;0\n"),
+        (GRID.replace(",", ".").replace(";", ","), "image\teast\tnorth\n5.jpg\t100,0\t0,25\n6.jpg\t1,1\t0\n"),
+        (PLACES.replace("0.jpg", "0.JPG"), ASKED.replace("5.jpg", "5.Jpg")),
+        (PLACES.replace("0.jpg", "sub\\0.jpg"), ASKED.replace("5.jpg", ".\\sub\\5.JPG")),
+    ],
+)
+def test_lists_are_read_as_windows_excel_and_pandas_write_them(references, queries):
+    fill(Path("sub"), numbered(10))
+    dataset = listed(references, queries)
+    assert reds(dataset.references) == [0, 1, 2]
+    assert (reds(dataset.queries), rights(dataset)) == ([5, 6], [[2], [0]])
+
+
+@pytest.mark.parametrize(
+    ("references", "told"),
+    [
+        (PLACES.replace("8", "8,5"), ("line 3 of map.csv", "point")),
+        (PLACES.replace("7", "\N{LATIN SMALL LETTER E WITH ACUTE}").encode("latin-1"), ("map.csv", "UTF-8")),
+        ('image,lat,lon\n0.jpg,"51,5",7\n', ("lat 51,5 in row 1 of map.csv", "point")),
+        ("image;east;north\n0.jpg;545,012;7\n", ("east 545,012 in row 1 of map.csv", "point")),  # of thousands?
+        (PLACES.replace("1.jpg", "1.jpeg"), ("1.jpeg does not exist", "row 2", "1.jpg")),
+        (PLACES.replace("1.jpg", "sub\\11.jpg"), ("11.jpg does not exist", "row 2", "dataset.root")),
+        (PLACES.replace("1.jpg", "both.JPG"), ("both.JPG does not exist", "both.Jpg or both.jpg")),
+    ],
+)
+def test_what_a_list_may_mean_in_two_ways_is_refused_with_its_row_and_the_remedy(references, told):
+    fill(Path(), ["both.jpg", "both.Jpg"])
+    with pytest.raises(BadInput) as error:
+        listed(references, references)
+    assert [words for words in told if words not in str(error.value)] == []
+    assert "\n" not in str(error.value)
 
 
 # A thousandth of a degree near Brisbane (27.5 degrees south): 110.80 m north, 98.83 m east (tables of WGS 84).
