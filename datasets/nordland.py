@@ -9,7 +9,7 @@ from typing import Literal, get_args
 
 from vprbench.api import BadInput, Dataset, Exif, FrameFolder, Images, Paths, decoding_of
 
-from .readers.frame_folders import check_folders, root_folder
+from .readers.frame_folders import check_folders, find_folder, root_folder
 from .readers.recipes import function_of
 from .readers.traverses import Evaluation, Traverses, check_recorded, dataset_of, every, split
 
@@ -109,10 +109,11 @@ class Nordland:
             f"get the frames from {self.source}, and set dataset.root so that <root>/{first}/{used[first][0]} is the "
             "first"
         )
-        top = root_folder(self.name, self.root, "the seasons", layout, self.download, self.default_root)
+        top = root_folder(self.name, self.root, "the seasons", layout, self.download, self.default_root, [*used])
         counts = _whole_counts(self.frame_multiple)
         folders = {
-            season: FrameFolder(top / season, tuple(names), counts, _WRONG_COUNTS) for season, names in used.items()
+            season: FrameFolder(find_folder(top, season), tuple(names), counts, _WRONG_COUNTS)
+            for season, names in used.items()
         }
         check_folders([*folders.values()], layout, "dataset.suffix")
         return folders

@@ -11,7 +11,7 @@ from vprbench.api import BadInput, Dataset, Exif, NotThere, Paths
 from .readers.csv_tables import encoding_of
 from .readers.drives import Breaks
 from .readers.file_dataset import Unmatched, dataset_of_files, unknown
-from .readers.frame_folders import root_folder
+from .readers.frame_folders import folders_in, root_folder
 from .readers.image_files import find_listed, images_in
 from .readers.positions import Zones, by_names
 from .readers.recipes import function_of
@@ -89,13 +89,19 @@ utm_folders = function_of(UtmFolders)
 
 def _holding(top: Path, split: str, wanted: tuple[str, str], layout: str) -> tuple[str | None, Path]:
     """Return the split, None if the root is not divided, and the folder that holds both wanted folders."""
-    for found, folder in ((split, top / "images" / split), (split, top / split), (None, top)):
-        if all((folder / part).is_dir() for part in wanted):
-            return found, folder
+    for outer in ([top], folders_in(top)):  # the only folder of the root comes after the root, as a zip is unpacked
+        for found, *way in ((split, "images", split), (split, split), (None,)):
+            holding = [folder for folder in (each.joinpath(*way) for each in outer) if _has_both(folder, wanted)]
+            if len(holding) == 1:
+                return found, holding[0]
     raise NotThere(
         f"{' and '.join(f'{part}/' for part in wanted)} are neither in {top / 'images' / split} nor in {top / split} "
         f"nor in {top}: {layout}"
     )
+
+
+def _has_both(folder: Path, wanted: tuple[str, str]) -> bool:
+    return all((folder / part).is_dir() for part in wanted)
 
 
 def _images(folder: Path, layout: str) -> Paths:

@@ -9,7 +9,7 @@ from vprbench.api import BadInput, Dataset, Exif, NotThere
 
 from .readers.csv_tables import read_csv
 from .readers.file_dataset import Unmatched, dataset_of_files, each_a_place, unknown
-from .readers.frame_folders import root_folder
+from .readers.frame_folders import find_folder, root_folder
 from .readers.image_files import images_in
 from .readers.name_order import Numbers, by_numbers
 from .readers.pickled_lists import read_lists
@@ -48,8 +48,9 @@ def vpr_bench(
     files are decoded (`decoding_of`). Raises NotThere for what is missing, BadInput for a ground truth that does not
     fit.
     """
-    top = root_folder(name, root, "query/ and ref/", _LAYOUT, default_root=default_root)
-    found = [images_in(top / part, "dataset.root", _LAYOUT, deep=False) for part in ("query", "ref")]
+    top = root_folder(name, root, "query/ and ref/", _LAYOUT, default_root=default_root, parts=("query", "ref"))
+    folders = (find_folder(top, part) for part in ("query", "ref"))
+    found = [images_in(folder, "dataset.root", _LAYOUT, deep=False) for folder in folders]
     (asked, references), read, told = by_numbers(found, numbers)
     protocol = {"protocol": "vpr_bench", "references": "ref", "queries": "query", **read}
     if ground_truth == "none":

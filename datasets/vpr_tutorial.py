@@ -10,7 +10,7 @@ import numpy as np
 from vprbench.api import BadInput, Dataset, Exif, NotThere, Paths
 
 from .readers.file_dataset import GroundTruth, Unmatched, dataset_of_files, each_a_place
-from .readers.frame_folders import root_folder
+from .readers.frame_folders import find_folder, root_folder
 from .readers.image_files import images_in
 from .readers.matrix_files import matrix_in
 from .readers.traverses import check_references, right_places
@@ -50,12 +50,12 @@ def gardens_point(
         "www.tu-chemnitz.de/etit/proaut/datasets (all frames: doi 10.5281/zenodo.4590133) and "
         f"set dataset.root to the folder that holds {', '.join([*traverses, query])}"
     )
-    top = root_folder(name, root, "the traverses", layout)
-    mapped = Paths.joined(_first(top / traverse, images, layout) for traverse in traverses)
+    top = root_folder(name, root, "the traverses", layout, parts=[*traverses, query])
+    mapped = Paths.joined(_first(find_folder(top, traverse), images, layout) for traverse in traverses)
     return dataset_of_files(
         name,
         mapped,
-        _first(top / query, images, layout),
+        _first(find_folder(top, query), images, layout),
         GroundTruth(np.tile(places, len(traverses)), right, "no reference", by_order=True),
         "error",
         {
@@ -90,9 +90,10 @@ def with_matrix(
     for what is missing, BadInput for a matrix that does not fit.
     """
     layout = f"{source} and set dataset.root to the folder that holds {reference}, {query} and GT.npz"
-    top = root_folder(name, root, f"{reference}, {query} and GT.npz", layout)
+    top = root_folder(name, root, f"{reference}, {query} and GT.npz", layout, parts=[reference, query])
     mapped, asked = (
-        images_in(top / folder, "dataset.root", layout, order="plain", deep=False) for folder in (reference, query)
+        images_in(find_folder(top, folder), "dataset.root", layout, order="plain", deep=False)
+        for folder in (reference, query)
     )
     shape, axes = (len(mapped), len(asked)), ("references", "queries")
     right = matrix_in(top / "GT.npz", _MATRICES[ground_truth], shape, axes, layout)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import difflib
 import os
 from collections.abc import Collection, Sequence
+from itertools import chain
 from pathlib import Path
 
-from vprbench.api import FrameFolder, NotThere, checkout_folder, data_folder
+from vprbench.api import FrameFolder, NotThere, checkout_folder, data_folder, is_folder_beside
 
 _SUFFIXES = (".png", ".jpg", ".jpeg")
+_PACKED = (".zip", ".tar", ".gz", ".tgz", ".bz2", ".xz", ".rar", ".7z")
 _ARCHIVES = "archives"  # what was downloaded and not unpacked yet
 
 
@@ -19,8 +22,11 @@ def root_folder(
     layout: str,
     download: str | None = None,
     default_root: str | None = None,
+    parts: Collection[str] = (),
 ) -> Path:
     """Return the folder of dataset `name` that holds what `holding` says; raises NotThere with `layout`, what to do.
+
+    Where that has not the folders `parts`, it is the only folder in it that has them, as a zip is unpacked.
 
     A `root` of None is the folder that downloads of the dataset lie in, if it holds anything, else `default_root`
     (relative to the checkout) if it exists; `download` names the download folder if several datasets share one.
@@ -28,7 +34,7 @@ def root_folder(
     if root is None:
         kept = data_folder(download or name)
         if _holds_data(kept):
-            return kept
+            return _with_parts(kept, parts)
         default = checkout_folder() / (default_root or "")
         if default_root is not None and is_readable_folder(default):
             return default
@@ -41,8 +47,51 @@ def root_folder(
     if not is_readable_folder(folder):
         raise NotThere(
             f"dataset.root={root} is no folder that can be read: {name} needs the one that holds {holding}; {layout}"
+            + ", unpacked" * (folder.suffix.lower() in _PACKED)
         )
-    return folder
+    return _with_parts(folder, parts)
+
+
+def _with_parts(folder: Path, parts: Collection[str]) -> Path:
+    """Return a folder, or the only one in it that has these parts where the folder itself has not."""
+    if not parts or _has_all(folder, parts):
+        return folder
+    within = [inner for inner in folders_in(folder) if _has_all(inner, parts)]
+    return within[0] if len(within) == 1 else folder
+
+
+def _has_all(folder: Path, parts: Collection[str]) -> bool:
+    return all(is_readable_folder(find_folder(folder, part)) for part in parts)
+
+
+def find_folder(top: Path, name: str) -> Path:
+    """Return the folder `name` of a folder; where it is not there the only one whose name differs in capitals alone.
+
+    Where it holds nothing but one folder, the frames lie in that, as in summer/summer.
+    """
+    alike = [folder for folder in folders_in(top) if folder.name.casefold() == name.casefold()]
+    found = top / name
+    if len(alike) == 1 and not found.is_dir():
+        found = alike[0]
+    inner = folders_in(found)
+    return inner[0] if len(inner) == 1 and not files_in(found) else found
+
+
+def folders_in(folder: Path) -> list[Path]:
+    """Return the folders in a folder, by their names, but for hidden ones and those that systems put there."""
+    if not is_readable_folder(folder):
+        return []
+    return sorted(each for each in folder.iterdir() if is_readable_folder(each) and not is_folder_beside(each.name))
+
+
+def nearest_folder(path: Path) -> str:
+    """Return words for the folder that may be meant by a path where there is none; empty if none is alike."""
+    while path.parent != path and not is_readable_folder(path.parent):
+        path = path.parent
+    around = folders_in(path.parent)
+    known = {folder.name.casefold(): folder for folder in [*chain(*map(folders_in, around)), *around]}
+    close = difflib.get_close_matches(path.name.casefold(), known, n=1)
+    return f"did you mean {known[close[0]]}? else " if close else ""
 
 
 def _holds_data(folder: Path) -> bool:
@@ -75,7 +124,7 @@ def check_folders(folders: Sequence[FrameFolder], layout: str, suffix_option: st
     """
     for folder in folders:
         if not is_readable_folder(folder.path):
-            raise NotThere(f"{folder.path} does not exist or cannot be read: {layout}")
+            raise NotThere(f"{folder.path} does not exist or cannot be read: {nearest_folder(folder.path)}{layout}")
         present = files_in(folder.path)
         missing = [name for name in folder.used if name not in present]
         if missing:

@@ -22,6 +22,8 @@ from vprbench.api import (
     natural_keys,
 )
 
+from .frame_folders import nearest_folder
+
 _BLOCK = 10_000  # files that are looked for together
 
 
@@ -43,7 +45,7 @@ def images_in(
     """
     top = Path(folder).expanduser()
     if not str(folder) or not top.is_dir():
-        raise NotThere(f"{option}: {folder or 'nothing'} is no folder: {advice}")
+        raise NotThere(f"{option}: {folder or 'nothing'} is no folder: {nearest_folder(top)}{advice}")
     frames, strangers = _entries(top, deep)
     if not frames:
         raise NotThere(f"{option}: {folder} holds no images ({', '.join(IMAGE_SUFFIXES)}): {advice}")

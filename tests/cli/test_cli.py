@@ -207,6 +207,18 @@ def test_a_bad_option_is_told_with_what_was_meant(arguments, wanted, capsys):
     assert wanted in refused(arguments, capsys)
 
 
+@pytest.mark.parametrize(
+    "command", [["method=sad"], ["compare", "methods=sad"], ["doctor"]], ids=lambda words: words[0]
+)
+def test_a_path_that_holds_a_comma_is_answered_with_the_quotes_that_it_needs_and_read_with_these(command, capsys):
+    asked = frames(Path("drive 1, rain, 7 pm"), 4)
+    for value, wanted in ((f"[more,{asked}]", f'["{asked}"]'), (str(asked), f'"{asked}"')):
+        told = refused([*command, "dataset=folders", f"dataset.references={value}", "dataset.queries=more"], capsys)
+        assert f"'dataset.references={wanted}'" in told
+    quoted = ["dataset=folders", f'dataset.references=["{asked}"]', f'dataset.queries="{asked}x"']
+    assert f"{asked}x is no folder" in refused(["method=sad", *quoted], capsys)
+
+
 def test_frames_of_differing_sizes_grey_with_alpha_or_black_are_accepted_and_what_is_no_image_is_named(capsys):
     references, queries = frames(Path("references"), 3), frames(Path("queries"), 5)
     frames(Path("more"), 1, (30, 20), "L").joinpath("0.png").rename(references / "3.png")

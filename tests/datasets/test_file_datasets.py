@@ -3,6 +3,7 @@
 import csv
 from collections import namedtuple
 from functools import partial
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -451,6 +452,51 @@ def test_what_a_list_may_mean_in_two_ways_is_refused_with_its_row_and_the_remedy
         listed(references, references)
     assert [words for words in told if words not in str(error.value)] == []
     assert "\n" not in str(error.value)
+
+
+def fingerprints(dataset):
+    return dataset.references.fingerprint(), dataset.queries.fingerprint(), rights(dataset), dict(dataset.protocol)
+
+
+def moved_into(folder, paths):
+    Path(folder).mkdir()
+    for path in paths:
+        path.rename(Path(folder) / path)
+
+
+@pytest.mark.parametrize(
+    ("source", "way"),
+    [
+        ("database", "in one folder"),
+        *product(["numbers", "gardens", "tutorial"], ["in one folder", "in capitals", "deeper"]),
+    ],
+)
+def test_folders_are_found_in_one_folder_as_a_zip_is_unpacked_in_other_capitals_and_one_folder_deeper(source, way):
+    make, options = written(source)
+    before = fingerprints(make(**options))
+    parts = [path for path in Path().iterdir() if path.is_dir()]
+    if way == "in one folder":
+        moved_into("a set of frames", [*Path().iterdir()])
+    for folder in parts if way == "in capitals" else ():
+        folder.rename(folder.name.upper())
+    for folder in parts if way == "deeper" else ():
+        moved_into("outer", [folder])
+        Path("outer").rename(folder)
+    assert fingerprints(make(**options)) == before
+
+
+def test_of_two_folders_that_may_be_meant_none_is_taken_and_the_nearest_is_named():
+    for city in ("london", "paris"):
+        fill(Path(city) / "test" / "database", at((0, 0)))
+        fill(Path(city) / "test" / "queries", at((1, 1)))
+    answer(utm_folders, kind=NotThere, root=".")
+    assert rights(utm_folders(root="london")) == [[0]]
+    nearest = {
+        "London/test/database": "london",
+        **dict.fromkeys(("london/databases", "london/test/DATABASE"), "london/test/database"),
+    }
+    for given, meant in nearest.items():
+        assert f"did you mean {meant}?" in answer(folders, kind=NotThere, references=[given], queries="x")
 
 
 # A thousandth of a degree near Brisbane (27.5 degrees south): 110.80 m north, 98.83 m east (tables of WGS 84).

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Mapping, Sequence
+from itertools import combinations
+from pathlib import Path
 from typing import Any, NoReturn, cast
 
 import hydra
@@ -57,6 +60,7 @@ def readable(arguments: Sequence[str]) -> list[str]:
     """
     quoted = []
     for argument in arguments:
+        _require_quotes(argument)
         key, equals, value = argument.partition("=")
         if key in ("method", "dataset", "methods"):
             value = _named("dataset" if key == "dataset" else "method", value)
@@ -87,10 +91,28 @@ def _is_override(argument: str) -> bool:
 def _require_options(arguments: Sequence[str]) -> None:
     """Raise BadInput for the first that is no option=value, with the near names."""
     for argument in arguments:
+        _require_quotes(argument)
         name = argument.partition("=")[0]
         if not name or not _is_override(argument):
             wanted = f"give {name}=value" if name in KNOWN or "." in name else near(name, KNOWN)
             raise BadInput(f"{argument or 'an empty argument'} is no option=value: {wanted}")
+
+
+def _require_quotes(argument: str) -> None:
+    """Raise BadInput for an option of the dataset that would cut a path which is there at its comma."""
+    key, _, value = argument.partition("=")
+    if not key.lstrip("+").startswith("dataset.") or "," not in value or {"'", '"'} & {*value}:
+        return
+    parts = value.removeprefix("[").removesuffix("]").split(",")
+    for first, last in combinations(range(len(parts) + 1), 2):
+        path = ",".join(parts[first:last])
+        if last - first > 1 and _is_there(path) and not all(map(_is_there, parts[first:last])):
+            wanted = f'["{path}"]' if value.startswith("[") else f'"{path}"'
+            raise BadInput(f"{argument}: {path} holds a comma: put the path in quotes, as in '{key}={wanted}'")
+
+
+def _is_there(path: str) -> bool:
+    return os.path.lexists(Path(path).expanduser())
 
 
 def _quoted(value: str) -> str:
