@@ -39,7 +39,8 @@ def test_the_first_sentence_gives_the_difference_its_interval_whether_a_test_see
     assert 0 < low < 50 < high < 100
     assert "sad is 10 times faster" in sentence
 
-    (sentence,) = ranked([row("hog"), row("sad", 7)]).sentences  # a difference that no test sees
+    sentence, seeds = ranked([row("hog"), row("sad", 7)]).sentences  # a difference that no test sees
+    assert ("hog and sad" in seeds, "seeds=3" in seeds) == (True, True)
     assert re.search(r"1\.7 points above sad \[-[\d.]+, [\d.]+\]", sentence)
     assert not any(word in sentence for word in ("is best", "faster"))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -9,7 +10,7 @@ from typing import Any
 
 from vprbench.api.dataset import Dataset
 from vprbench.api.descriptor import DescriptorMethod
-from vprbench.data.doctor import check_dataset
+from vprbench.data.doctor import check_dataset, look_at_some
 from vprbench.errors import BadInput, NotFittedError, NotThere
 from vprbench.paper.plan import PlannedColumn, Row
 from vprbench.paper.run_options import RunOptions
@@ -120,6 +121,7 @@ class Checked:
     settings: Settings
     dataset: Dataset | None  # None: it cannot be built, and only stored runs are asked for
     images: str  # fingerprint of its frames
+    looked: str | None = None  # what a quick look at some frames found, and which command says more
 
 
 def checked(command: SortedOptions, compose: Compose) -> tuple[Checked | None, list[str]]:
@@ -138,12 +140,13 @@ def checked(command: SortedOptions, compose: Compose) -> tuple[Checked | None, l
     if wanted := command.request.predictions:
         require_depth(wanted, settings.depth, wanted)
     dataset: Dataset | None = None
-    images = ""
+    images, looked = "", None
     with progress_shown("compare"):
         try:
             dataset = seen_from(registry.make_dataset(config["dataset"]), viewpoints(command.request.views))
             check_dataset(dataset, bool(views(command.request.sequence, command.request.filter)))
             images = fingerprint(dataset)
+            looked = None if stored else _looked(dataset, command.of_dataset)
         except BadInput as error:
             wrong += [] if stored else [str(error)]
         cells = []
@@ -159,7 +162,13 @@ def checked(command: SortedOptions, compose: Compose) -> tuple[Checked | None, l
     title = command.request.name or str(config["dataset"]["name"])
     planned = PlannedColumn(title, title, command.of_dataset)
     column = ResolvedColumn(planned, config["dataset"], views=command.request.views)
-    return Checked(column, tuple(cells), settings, dataset, images), []
+    return Checked(column, tuple(cells), settings, dataset, images, looked), []
+
+
+def _looked(dataset: Dataset, options: Sequence[str]) -> str | None:
+    """Return what a look at some frames found, and the command that looks at all of them; None: nothing."""
+    found = look_at_some(dataset)
+    return f"{'; '.join(found)}: {shlex.join(['vprbench', 'doctor', *options])} says more" if found else None
 
 
 def _cell(name: str, command: SortedOptions, options: Sequence[str], dataset: Dataset | None, compose: Compose) -> Cell:

@@ -98,6 +98,8 @@ def make_comparison(command: SortedOptions, compose: Compose) -> int:
         for line in wrong:
             print(printable(f"vprbench: {line}"), file=sys.stderr)
         return 2
+    if found.looked is not None:
+        print(line_text(f"note: {found.looked}", "yellow"), flush=True)
     chosen = chosen_of(found, command)
     there = [cell.row for cell in found.cells if cell.missing is None]
     for cell in found.cells:

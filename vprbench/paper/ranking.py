@@ -27,7 +27,7 @@ from vprbench.paper.templates import sentences
 from vprbench.runs.frame import named_tuples
 from vprbench.runs.recall_intervals import along_the_journey, recall_interval
 from vprbench.runs.record import Run
-from vprbench.runs.tuned import others_of, tuned_here
+from vprbench.runs.tuned import draws, others_of, tuned_here
 from vprbench.runs.views import window_of
 
 #: The columns of a ranking; numbers are of all seeds of a row, and None where there is none.
@@ -57,7 +57,9 @@ def ranked(series: Sequence[Series]) -> Ranking:
     table = pd.DataFrame(lines, columns=["method", *NUMBERS, "seeds", "runs"], dtype=object)
     rows = [*named_tuples(table)]
     tuned = [row.method for row in rows if any(map(tuned_here, row.runs))]
-    return Ranking(table, tuple(_ranking_sentences([row for row in rows if row.method not in tuned], tuned)))
+    one_seed = [row.method for row in rows if len(row.runs) == 1 and draws(row.runs[0])]
+    told = _ranking_sentences([row for row in rows if row.method not in tuned], tuned)
+    return Ranking(table, (*told, *sentences("ranking.j2", "of_one_seed", one_seed)))
 
 
 def _tuned_elsewhere(rows: Sequence[Any]) -> str:

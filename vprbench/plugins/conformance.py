@@ -11,6 +11,7 @@ from vprbench.errors import BadInput
 from vprbench.plugins import networks
 from vprbench.plugins.dataset_rules import DATASET_RULES, BuiltDataset
 from vprbench.plugins.local_plugins import describe_error
+from vprbench.plugins.opened_files import listening, unnamed_files
 from vprbench.plugins.registry import arguments, entries, make_dataset, make_method, near
 from vprbench.plugins.rules import (
     ENCODE_RULE,
@@ -22,6 +23,7 @@ from vprbench.plugins.rules import (
     Subject,
 )
 from vprbench.plugins.tuned_places import UNKNOWN, declared_places, stretches
+from vprbench.text import some
 
 
 @dataclass(frozen=True)
@@ -37,6 +39,7 @@ class Result:
         return f"{self.state:<8}  {self.rule}{': ' + self.reason if self.reason else ''}"
 
 
+FILES_RULE = "files() names the files that it reads"
 TUNED_RULE = "tuned_on names datasets and numbers of their places"
 
 
@@ -59,14 +62,21 @@ def check(config: Mapping[str, Any], given: Set[str] = frozenset()) -> Iterator[
     if not networks.keeps_a_network(method):
         exceptions.setdefault(STORED_RULE, "it keeps no network")
     subject = Subject(partial(make_method, config), config)
-    for rule, test in RULES.items():
-        if rule in exceptions:
-            yield Result(rule, "excepted", exceptions.pop(rule))
-        elif rule != EXTENDED_RULE or method.extends:
-            result = _result(rule, partial(test, subject))
-            yield result
-            if rule == ENCODE_RULE and result.state == "broken":
-                return
+    with listening() as opened:
+        for rule, test in RULES.items():
+            if rule in exceptions:
+                yield Result(rule, "excepted", exceptions.pop(rule))
+            elif rule != EXTENDED_RULE or method.extends:
+                result = _result(rule, partial(test, subject))
+                yield result
+                if rule == ENCODE_RULE and result.state == "broken":
+                    return
+    if unnamed := unnamed_files(opened, method):
+        yield Result(
+            FILES_RULE,
+            "broken",
+            f"it reads {some(unnamed)}: return it from files(), or runs are found again whatever it holds",
+        )
     for rule in exceptions:
         yield Result(rule, "broken", "conformance_exceptions names a rule that does not exist")
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, astuple, replace
 from typing import Any
@@ -13,6 +13,7 @@ import numpy as np
 from vprbench import progress
 from vprbench.api.checkpoints import ledger
 from vprbench.api.dataset import Dataset
+from vprbench.plugins.opened_files import Opened, listening, unnamed_files
 from vprbench.runs import machine, readouts, spikes, timing_lock
 from vprbench.runs.adapted import describe_adaptation
 from vprbench.runs.answers import Answers, Scoring
@@ -24,6 +25,7 @@ from vprbench.runs.offset import find_offset
 from vprbench.runs.record import Run
 from vprbench.runs.stopwatch import Stopwatch, Timing, synchroniser
 from vprbench.runs.viewpoints import AS_IT_IS, Viewpoint
+from vprbench.text import be, some
 
 _NOISE = 0.05  # drift of a fixed computation that marks a run as noisy
 _BUSY = 15.0  # percent of CPU pressure that marks a run as noisy
@@ -48,7 +50,7 @@ def run(request: Request, key: str, keep: Callable[[Run], None] = lambda run: No
 
     cache = request.cache if request.files.load is None else None
     described = DescriptorCache.of(cache, method, request.config, dataset.n_places)
-    with ledger() as resumed:
+    with ledger() as resumed, listening() as opened:
         fitted = fit_or_load(request, key, stopwatch, described, resumed)
         read = queries.reading.seconds
         scoring = Scoring(stopwatch, method, dataset, request.config["depth"], request.scores)
@@ -68,6 +70,7 @@ def run(request: Request, key: str, keep: Callable[[Run], None] = lambda run: No
         *noted("dataset", dataset.notes),
         *fitted.notes,
         *noted("method", method.notes()),
+        *_opened_notes(request, opened),
         *_cache_notes(dataset, fitted.from_cache, from_cache),
         *scoring.notes(),
         *describe_adaptation(method),
@@ -198,6 +201,14 @@ def _scored(request: Request, key: str, fitted: FitResult, answers: Answers, mea
         scores=answers.scores,
         **measured,
     )
+
+
+def _opened_notes(request: Request, opened: Iterable[Opened]) -> Iterator[Note]:
+    """Yield a note on the files that a method read and that are no part of the key."""
+    known = {name for name, _ in request.config.get("files", ())}
+    if others := [path.name for path in unnamed_files(opened, request.method) if path.name not in known]:
+        text = f"read {some(others)}, which files() does not name: this run is found again whatever {be(others)} in it"
+        yield Note("opened", text)
 
 
 def _cache_notes(dataset: Dataset, references: int, queries: int) -> Iterator[Note]:

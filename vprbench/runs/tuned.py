@@ -114,8 +114,16 @@ def describe_recalls(runs: Sequence[Run]) -> str:
 
 
 def all_notes(run: Run) -> tuple[Note, ...]:
-    """Return the notes of a run, before them on what its method was tuned."""
-    return (*noted("tuned", filter(None, [tuned_note([run])])), *run.notes)
+    """Return the notes of a run, before them on what its method was tuned, and that it is of one seed."""
+    return (*noted("tuned", filter(None, [tuned_note([run])])), *noted("seed", [ONE_SEED] * draws(run)), *run.notes)
+
+
+ONE_SEED = "one seed of a method that draws at random: seeds=3 of vprbench compare says how far seeds differ"
+
+
+def draws(run: Run) -> bool:
+    """Tell whether a run's method drew at random: it takes a seed, and learnt what it knows in this run."""
+    return "seed" in run.config["method"] and run.network is None
 
 
 def _here(run: Run) -> str:

@@ -23,6 +23,7 @@ from .shared_frames import allowed, shared_frames
 from .traverse import traverses_of
 
 _UNUSED_LOOKED_AT = 1000  # images of a folder
+_SOME_LOOKED_AT = 200  # frames of a traverse, before a comparison
 
 
 def quick(dataset: Dataset, sequences: bool = False) -> tuple[Finding, ...]:
@@ -73,6 +74,28 @@ def check_dataset(dataset: Dataset, sequences: bool = False) -> tuple[str, ...]:
         more = f" ({len(errors) - 1} more, which the doctor names)" if len(errors) > 1 else ""
         raise BadInput(f"dataset {dataset.name}: {errors[0].text}: {errors[0].advice}{more}")
     return tuple(finding.text for finding in found if finding.level == "warning")
+
+
+def look_at_some(dataset: Dataset) -> tuple[str, ...]:
+    """Decode some frames of each traverse and return what they lack, a line each; none if frames are no files.
+
+    Event recordings are not looked at: most pixels of their frames count none.
+    """
+    if not dataset.folders or dataset.recordings:
+        return ()
+    references, query = traverses_of(dataset)
+    lines = []
+    for traverse in (*references, query):
+        n = len(traverse.images)
+        chosen = np.linspace(0, n - 1, min(n, _SOME_LOOKED_AT)).astype(np.int64)
+        seen = look_at(traverse.images[chosen], traverse.name)
+        of = f"of {len(chosen):,} frames of {traverse.name}" + " that were looked at" * (len(chosen) < n)
+        faults = {
+            "cannot be read": ~seen.readable,
+            "show nothing (black, or one grey value)": seen.black | seen.uniform,
+        }
+        lines += [f"{which.sum():,} {of} {fault}" for fault, which in faults.items() if which.any()]
+    return tuple(lines)
 
 
 def command(

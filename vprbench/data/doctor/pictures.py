@@ -57,8 +57,8 @@ def of_traverse(seen: Looks, is_deep: bool) -> Iterator[Finding]:
                 "warning",
                 "black frames",
                 f"{_share(names, seen)} {be(names)} {what}: {some(names)}",
-                "leave such places out of the list: gamma and patch normalisation are undefined there, and every "
-                "method guesses",
+                "every method guesses there, for gamma and patch normalisation are undefined: leave such places out, "
+                "by dataset=image_list with CSV files (image,place) of the others",
             )
     if names := seen.named(seen.of_few_levels & (is_deep | ~(seen.black | seen.uniform))):
         yield Finding(
