@@ -93,10 +93,10 @@ class Dataset:
     place_numbers: Places | None = None  # (n_places,), along the whole journey, if the map lacks some of its places
     query_breaks: Places | None = None  # queries, ascending, before which frames of the journey are missing
     place_breaks: Places | None = None  # the same of the map's places
-    by_order: bool = True  # whether the order of the images says which places are right
     folders: tuple[FrameFolder, ...] = ()  # where the frames lie, for checks; empty if they are no files
     recordings: tuple[Recording, ...] = ()  # of event cameras: of reference traverses, then of queries; for checks
     notes: tuple[str, ...] = ()  # what a reader of results on it has to know; a line each, kept with every run
+    by_order: bool = True  # whether the order of the images says which places are right
 
     def __post_init__(self) -> None:
         """Check that the parts fit one another."""
