@@ -165,7 +165,7 @@ def _kind_of_all(tables: Sequence[_Table]) -> Kind:
         if all({*columns} <= {*table.cells} for table in tables):
             return kind
     held = "; ".join(f"{table.file.name} has {', '.join(table.cells)}" for table in tables)
-    raise BadInput(f"{held}: wanted are {_WANTED}, the same in all files")
+    raise BadInput(f"{held}: wanted are {_WANTED}, the same in all files, or dataset.ground_truth=none")
 
 
 def _by_place(references: list[str | int], queries: list[str | int], tolerance: int) -> GroundTruth:
