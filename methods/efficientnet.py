@@ -49,13 +49,14 @@ class EfficientNet(NeuralDescriptor):
     def load(self, path: Path) -> nn.Module:
         """Return the network up to the last block that is read; raises BadInput for a file of another variant."""
         network = cast(_Network, self.blank())
-        folded = fold_batch_norms(state_dict(path))
+        tensors = state_dict(path)
+        folded = fold_batch_norms(tensors)
         n_blocks, of_variant = 1 + max(map(_block_of, folded), default=-1), count_blocks(self.variant)
-        if n_blocks != of_variant:
+        if folded and n_blocks != of_variant:
             wanted = f"{n_blocks} blocks, wanted {of_variant}; set method.variant"
             raise BadInput(f"{path} does not fit {self.variant}: {wanted}")
         known = {name: tensor for name, tensor in folded.items() if _block_of(name) <= self.blocks[-1]}
-        load_strictly(network.model, known, path)
+        load_strictly(network.model, known or tensors, path)  # which names what another network has
         return network
 
     def blank(self) -> nn.Module:

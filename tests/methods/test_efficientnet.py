@@ -288,13 +288,17 @@ def test_a_file_of_another_variant_is_refused(variant, other, blocks):
     assert "\n" not in str(error.value)
 
 
-def test_a_file_that_lacks_a_part_of_a_batch_norm_is_refused_by_its_convolution(folder):
+def test_a_file_that_lacks_a_part_or_is_of_another_network_is_refused_by_names_and_a_wrapped_one_read(folder):
     tensors = drawn_file()
     del tensors["_blocks.2._bn1.running_var"]
     path = saved(folder / "torn.pth", tensors)
     with pytest.raises(BadInput, match=r"torn\.pth .*2 missing \(blocks\.2\.depthwise\.weight"):
         made(**SMALL).load(path)
     made(**{**SMALL, "blocks": [0, 1]}).load(path)  # nothing after the last block is read
+    wrapped = {"state_dict": {f"model.{name}": tensor for name, tensor in drawn_file().items()}, "epoch": 3}
+    made(**SMALL).load(saved(folder / "of Lightning.pth", wrapped))
+    with pytest.raises(BadInput, match=r"missing \(stem\.weight.*1 unexpected \(head\.weight\)"):
+        made(**SMALL).load(saved(folder / "other.pth", {"head.weight": tensors["_conv_stem.weight"]}))
 
 
 @pytest.mark.parametrize(

@@ -79,7 +79,7 @@ def line_text(line: str, style: str = "", fits: bool = False) -> str:
         return printable(line)
     with room.capture() as lines:
         room.print(Text(printable(line), style=style))
-    return lines.get().rstrip("\n")
+    return "\n".join(line.rstrip() for line in lines.get().splitlines())
 
 
 def drawn(table: Table, room: Console, width: int | None = None) -> str:
