@@ -1,6 +1,7 @@
 """Costs of a query: operations by formulas and by PyTorch, bytes, and joules of a made-up powercap."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -106,6 +107,15 @@ def test_what_pytorch_does_is_counted_a_step_without_a_formula_is_not_available_
     found = energy.costs(request, run)
     assert "KeyError" in found["how"]["operations"]
     assert found["values"]["map_bytes"] == 10
+
+
+def test_the_memory_of_a_place_is_told_apart_from_what_is_there_whatever_the_number_of_places(monkeypatch):
+    parts = {"features": np.zeros(7, np.float32), "outputs_0": np.zeros((4, 5)), "outputs_1": np.zeros((2, 5))}
+    monkeypatch.setattr(Lookup, "state", lambda _: parts)
+    request = asked_for(Lookup(np.eye(6, dtype=np.float32)), journey(6, 6))
+    found = energy.costs(request, run_of(request.method, request.dataset))
+    assert found["values"]["map_bytes"] == pytest.approx((6 * 40 + 28) / 6)
+    assert re.findall(r"\d+ bytes", found["how"]["map_bytes"]) == ["40 bytes", "28 bytes"]
 
 
 @pytest.mark.extended

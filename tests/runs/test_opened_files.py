@@ -16,7 +16,7 @@ from pathlib import Path
 from vprbench.api import DescriptorMethod
 
 @dataclass
-class Mine(DescriptorMethod):
+class {name}(DescriptorMethod):
     weights: str = "weights.npy"
     {files}
     def __post_init__(self):
@@ -27,7 +27,7 @@ class Mine(DescriptorMethod):
     def encode(self, images):
         return np.array([[i[..., c].mean() + k for c in range(3) for k in (1, 2)] for i in images], np.float32)
 """
-READ, OPEN = 'np.load("weights.npy")', 'open("weights.npy", "rb").read(9)'
+READ, OPEN = 'np.load("weights.npy")', 'Path("weights.npy").read_bytes()'
 NAMED = "def files(self): return [Path(self.weights)]"
 QUICK = ["dataset=synthetic", "dataset.places=10", "dataset.first_query_place=0", "timing=none", "threads=1"]
 
@@ -41,13 +41,13 @@ def weights(tmp_path, monkeypatch):
 
 def run(name, capsys, *options):
     capsys.readouterr()
-    assert main([f"method=./{name}.py:Mine", *QUICK, "frames=false", "output=json", *options]) == 0
+    assert main([f"method=./{name}.py:{name.title()}", *QUICK, "frames=false", "output=json", *options]) == 0
     told = json.loads(capsys.readouterr().out)
     return told["from_store"], [note["text"] for note in told["notes"] if note["kind"] == "opened"]
 
 
 def write(name, files="", built="1", fitted="1"):
-    text = MINE.format(files=files, built=built, fitted=fitted)
+    text = MINE.format(name=name.title(), files=files, built=built, fitted=fitted)
     Path(f"{name}.py").write_text(text, encoding="utf-8")
 
 
@@ -80,6 +80,6 @@ def test_other_weights_in_a_file_that_a_method_reads_are_another_run_or_a_note_n
 )
 def test_check_names_the_files_that_a_method_reads_and_does_not_name(name, source, broken, capsys):
     write(name, **source)
-    main(["check", f"method=./{name}.py:Mine"])
+    main(["check", f"method=./{name}.py:{name.title()}"])
     lines = [line for line in capsys.readouterr().out.splitlines() if FILES_RULE in line]
     assert (len(lines), ["weights.npy" in line for line in lines]) == (broken, [True] * broken)

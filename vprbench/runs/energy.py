@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from vprbench.api.arithmetic import Arithmetic, Kind, tallied
 from vprbench.api.images import Images
@@ -204,10 +205,30 @@ def _map_bytes(method: Method, run: Run) -> Cost:
     if run.search is not None:
         return run.search["bytes_per_place"], f"index {run.search['index']}, a place"
     try:
-        arrays = method.state().values()
+        arrays = method.state()
     except BadInput:
         return None, "the method does not tell what its map holds"
-    return sum(array.nbytes for array in arrays) / run.outcome.n_places, "the arrays that save= keeps, a place"
+    n_places = run.outcome.n_places
+    slope, fixed = _slope_and_fixed(arrays, {n_places, run.n_references})
+    how = "the arrays that save= keeps, a place"
+    if slope and fixed:
+        how += f": {slope / n_places:,.0f} bytes in those with rows for places, and {fixed:,} bytes in all in others"
+    return (slope + fixed) / n_places, how
+
+
+def _slope_and_fixed(arrays: Mapping[str, npt.NDArray[Any]], lengths: set[int]) -> tuple[int, int]:
+    """Return the bytes of arrays that together have a row for each place or reference, and of the others.
+
+    Arrays whose names differ in the number at the end are one array, in parts.
+    """
+    parts: dict[str, list[npt.NDArray[Any]]] = {}
+    for name, array in arrays.items():
+        parts.setdefault(name.rstrip("0123456789"), []).append(array)
+    n_bytes = [0, 0]
+    for of_one in parts.values():
+        rows = sum(array.shape[0] if array.ndim else 0 for array in of_one)
+        n_bytes[rows not in lengths] += sum(array.nbytes for array in of_one)
+    return n_bytes[0], n_bytes[1]
 
 
 def _measured(request: Request, singles: Sequence[Images]) -> Cost:
