@@ -12,7 +12,7 @@ from PIL import Image as PillowImage
 
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
-from vprbench.data.doctor import as_text, check_dataset, command, examine, quick
+from vprbench.data.doctor import as_text, check_dataset, command, examine, look_at_some, quick
 from vprbench.errors import BadInput, NotThere
 from vprbench.progress import listening
 
@@ -243,3 +243,24 @@ def test_sound_frames_exit_with_0_and_a_dataset_that_cannot_be_built_with_1(spoi
         assert f"{finding['level']} {finding['check']}" == said
         assert {*finding} == {"level", "check", "text", "advice"}
     assert as_text("little", []).endswith("nothing is wrong: 0 errors, 0 warnings, 0 notes")
+
+
+@pytest.mark.parametrize(
+    ("spoil", "counts"),
+    [
+        (lambda *_: None, []),
+        (lambda _, summer: show(summer, NAMES[20:23], 0), ["3 60"]),
+        (lambda winter, summer: (show(winter, NAMES[:4], 0), show(summer, NAMES[8:9], 200)), ["4 60", "1 60"]),
+        (lambda _, summer: write(summer, NAMES[3:10], lambda whole: whole[:900]), ["7 60"]),
+    ],
+)
+def test_a_look_at_some_frames_counts_those_that_show_nothing_or_cannot_be_read(spoil, counts, spoilt):
+    assert [" ".join(re.findall(r"\d+", line)) for line in look_at_some(spoilt(spoil))] == counts
+
+
+def test_a_look_at_some_frames_of_a_long_traverse_says_that_it_was_at_some(tmp_path):
+    names = [f"{number:03d}.png" for number in range(399)]
+    dark = save(tmp_path / "dark", [np.zeros((2, 2, 3), np.uint8)] * 399, names)
+    light = save(tmp_path / "light", [np.full((2, 2, 3), 100, np.uint8)] * 399, names)
+    dataset = dataset_of([dark], light, names)
+    assert [line.startswith("200 of 200 ") for line in look_at_some(dataset)] == [True, True]
