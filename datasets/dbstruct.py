@@ -7,15 +7,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from vprbench.api import BadInput, Dataset, Exif, MatFileError, NotThere, read_mat
 
+from .readers.coordinates import Metres, Positions, WithoutPosition, are_metres
 from .readers.drives import Breaks
 from .readers.file_dataset import Unmatched, dataset_of_files
 from .readers.frame_folders import root_folder
 from .readers.image_files import find_listed
-from .readers.positions import are_metres, by_radius
+from .readers.positions import by_positions
 from .readers.recipes import function_of
 
 _NAMES, _UTM, _QUERY_NAMES, _QUERY_UTM = 1, 2, 3, 4  # fields by position, as Relja/netvlad writes them
@@ -33,7 +33,8 @@ class DbStruct:
 
     Database names start from `<root>/<database_folder>`, query names from `<root>/<query_folder>` (queries_real for
     Pittsburgh). `database_suffix` replaces that of the database names, for Tokyo 24/7 says .jpg and holds .png. Every
-    database image is a place; right is what lies within `radius_metres` of a query, the radius included. Under the
+    database image is a place; right is what lies within `radius_metres` of a query, the radius included. Images whose
+    position is none are an error, left out (`without_position` drop), or count where they say (`keep`). Under the
     `breaks` auto another folder, or a position that jumps, begins another drive. `exif` and `levels` say how files are
     decoded (`decoding_of`). Raises NotThere for missing files, BadInput for a file without such a structure.
     """
@@ -49,6 +50,7 @@ class DbStruct:
     breaks: Breaks = "none"
     exif: Exif = "ignore"
     levels: str | None = None
+    without_position: WithoutPosition = "error"
 
     def build(self) -> Dataset:
         """Return the dataset of these options, after a check that every image is there."""
@@ -64,13 +66,13 @@ class DbStruct:
         advice = "set dataset.root, dataset.database_folder or dataset.database_suffix"
         mapped = find_listed(database, f"the database of {file.name}", advice)
         asked = find_listed(queries, f"the queries of {file.name}", "set dataset.root or dataset.query_folder")
-        metres = _positions(file, fields, _UTM, len(database))
-        query_metres = _positions(file, fields, _QUERY_UTM, len(queries))
+        known = Positions.of_metres(mapped, self._metres(file, fields, _UTM, len(database)))
+        sought = Positions.of_metres(asked, self._metres(file, fields, _QUERY_UTM, len(queries)))
         return dataset_of_files(
             self.name,
             mapped,
             asked,
-            by_radius(metres, query_metres, self.radius_metres),
+            by_positions([known], sought, self.radius_metres, self.without_position),
             self.unmatched,
             {
                 "protocol": "dbstruct",
@@ -84,6 +86,17 @@ class DbStruct:
             exif=self.exif,
             levels=self.levels,
         )
+
+    def _metres(self, file: Path, fields: tuple[Any, ...], position: int, count: int) -> Metres:
+        """Return east and north in metres, (n, 2), of a field that holds them as (2, n)."""
+        metres = np.asarray(fields[position])
+        fits = metres.shape == (2, count) and metres.dtype.kind in "fiu"
+        if not fits or not are_metres(metres, self.without_position):
+            raise BadInput(
+                f"field {position + 1} of dbStruct in {file} has the shape {metres.shape}; wanted are metres, "
+                f"(2, {count}) for {count} names, each from -1e8 to 1e8, or NaN with dataset.without_position=drop"
+            )
+        return metres.T.astype(np.float64)
 
 
 dbstruct = function_of(DbStruct)
@@ -115,14 +128,3 @@ def _names(file: Path, fields: tuple[Any, ...], position: int) -> list[str]:
             f"field {position + 1} of dbStruct in {file} holds no list of file names: is it another structure?"
         )
     return [str(entry.item()).rstrip() for entry in entries]
-
-
-def _positions(file: Path, fields: tuple[Any, ...], position: int, count: int) -> npt.NDArray[np.float64]:
-    """Return east and north in metres, (n, 2), of a field that holds them as (2, n)."""
-    metres = np.asarray(fields[position])
-    if metres.shape != (2, count) or metres.dtype.kind not in "fiu" or not are_metres(metres):
-        raise BadInput(
-            f"field {position + 1} of dbStruct in {file} has the shape {metres.shape}; wanted are metres, "
-            f"(2, {count}) for {count} names, each from -1e8 to 1e8"
-        )
-    return metres.T.astype(np.float64)

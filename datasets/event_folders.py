@@ -13,9 +13,10 @@ import numpy as np
 from vprbench.api import BadInput, Dataset, Images, NotThere, Recording, event_frames
 
 from .folders import by_index
+from .readers.coordinates import Metres
 from .readers.event_files import events_in
 from .readers.file_dataset import GroundTruth, Unmatched, dataset_of_files, unknown
-from .readers.positions import Metres, by_radius
+from .readers.positions import by_radius
 from .readers.recipes import function_of
 from .readers.tracks import Track, track_of
 

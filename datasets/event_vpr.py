@@ -14,10 +14,10 @@ from scipy.spatial import KDTree
 from vprbench.api import BadInput, NotThere
 
 from .event_folders import EventFolders
+from .readers.coordinates import Metres
 from .readers.event_files import READERS, events_in
 from .readers.file_dataset import GroundTruth, Unmatched, each_a_place
 from .readers.frame_folders import root_folder
-from .readers.positions import Metres
 from .readers.recipes import function_of
 from .readers.tracks import Track, nmea_track
 

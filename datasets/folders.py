@@ -10,19 +10,22 @@ import numpy as np
 
 from vprbench.api import BadInput, Dataset, Exif, NotThere, Paths
 
+from .readers.coordinates import Positions, WithoutPosition, are_metres
 from .readers.drives import Breaks, check_by_order, drive_starts, right_in_drive
 from .readers.file_dataset import GroundTruth, Unmatched, dataset_of_files, each_a_place, unknown
 from .readers.image_files import images_in
-from .readers.matrix_files import matrix_in
+from .readers.matrix_files import array_in, matrix_in, names_in
 from .readers.name_order import Numbers, by_numbers
-from .readers.positions import by_names
+from .readers.positions import by_names, by_positions
 from .readers.traverses import right_places
 
 _ADVICE = "give a folder of images"
-_MATRIX = "positives"
+_MATRIX, _POSITIONS, _RADIUS = "positives", ("utmQ", "utmDb"), "posDistThr"  # the last ones as in dbStruct files
+_WANTED = f"the matrix {_MATRIX}, or the positions {' and '.join(_POSITIONS)}"
+_ADVICE_FILE = f"dataset.ground_truth wants {_WANTED}"
 _WAYS_OUT = (
     "give as many in each, or say what is right by dataset.ground_truth=utm (positions in names), by "
-    f"dataset.ground_truth=FILE.npz (a matrix {_MATRIX}) or by dataset=image_list (a column place)"
+    f"dataset.ground_truth=FILE.npz ({_WANTED}) or by dataset=image_list (a column place)"
 )
 
 
@@ -38,6 +41,7 @@ def folders(
     breaks: Breaks = "auto",
     exif: Exif = "obey",
     levels: str | None = None,
+    without_position: WithoutPosition = "error",
 ) -> Dataset:
     """Return the images of your own folders in natural order (2.jpg before 10.jpg), sub-folders included.
 
@@ -49,9 +53,11 @@ def folders(
     query are the places i - tolerance to i + tolerance. With `utm` every reference image is a place, names are
     `@UTM_east@UTM_north@...` in metres of one zone, and right is what lies within `radius_metres`, the radius
     included. With an .npz file every reference image is a place, and right is what its matrix `positives`,
-    (n_queries, n_references), says. With `none` every reference image is a place, nobody knows which are right, and no
-    answer is judged. A query without a right place is an error, kept as a miss, or dropped. Raises
-    NotThere for folders that are missing or hold no images, BadInput for bad names, arguments and matrices.
+    (n_queries, n_references), says, or what lies within the radius by its `utmQ` and `utmDb`, (n, 2) metres. With
+    `none` every reference image is a place, nobody knows which are right, and no answer is judged. A query without a
+    right place is an error, kept as a miss, or dropped. An image whose position is none is an error, dropped, or kept
+    where its position says (`without_position`). Raises NotThere for folders that are missing or hold no images,
+    BadInput for bad names, arguments and matrices.
     """
     if not references or queries is None:
         raise NotThere(
@@ -70,11 +76,18 @@ def folders(
         truth = replace(truth, positives=right_in_drive(truth.positives, starts.queries))
         chosen = {"tolerance_places": tolerance}
     elif ground_truth == "utm":
-        truth, chosen = by_names(mapped, asked, radius_metres), {"radius_metres": radius_metres}
+        chosen = {"radius_metres": radius_metres}
+        truth = by_names(mapped, asked, radius_metres, without=without_position)
     elif ground_truth == "none":
         truth = unknown(len(mapped), len(asked))
     else:
-        truth = _by_file(Path(ground_truth).expanduser(), len(asked), len(mapped))
+        file = Path(ground_truth).expanduser()
+        if file.suffix != ".npz":
+            raise BadInput(f"dataset.ground_truth={file}: give index, utm, none or an .npz file with {_WANTED}")
+        if {*names_in(file, _ADVICE_FILE)} >= {*_POSITIONS}:
+            truth, chosen = _by_positions(file, mapped, asked, radius_metres, without_position)
+        else:
+            truth = _by_matrix(file, len(asked), len(mapped))
     return dataset_of_files(
         name,
         mapped,
@@ -114,10 +127,37 @@ def by_index(traverses: Sequence[Sized], names: list[str], n_queries: int, toler
     return GroundTruth(np.tile(places, len(traverses)), positives, lacking, by_order=True)
 
 
-def _by_file(file: Path, n_queries: int, n_references: int) -> GroundTruth:
-    """Return the ground truth of a matrix of all images; raises BadInput for what is neither that nor a known word."""
-    if file.suffix != ".npz":
-        raise BadInput(f"dataset.ground_truth={file}: give index, utm, none or an .npz file with {_MATRIX}")
+def _by_matrix(file: Path, n_queries: int, n_references: int) -> GroundTruth:
+    """Return the ground truth of a matrix of all images."""
     shape, axes = (n_queries, n_references), ("queries", "references")
-    right = matrix_in(file, _MATRIX, shape, axes, "give the file that dataset.ground_truth names")
+    right = matrix_in(file, _MATRIX, shape, axes, _ADVICE_FILE)
     return each_a_place(n_references, map(np.flatnonzero, right), f"no right reference in {file.name}")
+
+
+def _by_positions(
+    file: Path, references: Paths, queries: Paths, radius_metres: float, without: WithoutPosition
+) -> tuple[GroundTruth, dict[str, float]]:
+    """Return the ground truth of a file with the positions of all images, and the radius.
+
+    Raises BadInput for positions that do not fit, and for a file that was made for another radius.
+    """
+    asked, mapped = (
+        _metres_in(file, key, images, without) for key, images in zip(_POSITIONS, (queries, references), strict=True)
+    )
+    truth = by_positions([mapped], asked, radius_metres, without)
+    if _RADIUS in names_in(file, _ADVICE_FILE):
+        own = array_in(file, _RADIUS, 1, "a radius in metres", _ADVICE_FILE)
+        if own.size == 1 and own.dtype.kind in "fiu" and own.item() != radius_metres:
+            told = f"{file.name} is for a radius of {own.item():g} m; dataset.radius_metres={radius_metres:g} counts"
+            truth = replace(truth, notes=(*truth.notes, told))
+    return truth, {"radius_metres": radius_metres}
+
+
+def _metres_in(file: Path, key: str, images: Paths, without: WithoutPosition) -> Positions:
+    wanted = f"metres, ({len(images)}, 2), each from -1e8 to 1e8, or NaN with dataset.without_position=drop"
+    metres = array_in(file, key, 2 * len(images), wanted, _ADVICE_FILE)
+    if metres.shape == (2, len(images)):
+        metres = metres.T
+    if metres.shape != (len(images), 2) or metres.dtype.kind not in "fiu" or not are_metres(metres, without):
+        raise BadInput(f"{key} in {file} has the shape {metres.shape}; wanted are {wanted}")
+    return Positions.of_metres(images, metres.astype(np.float64))

@@ -5,23 +5,27 @@ from __future__ import annotations
 import re
 from array import array
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import starmap
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
 
 from vprbench.api import BadInput, Dataset, Exif, NotThere, Paths
 
+from .readers.coordinates import MOST_METRES, Positions, WithoutPosition
 from .readers.csv_tables import read_csv
 from .readers.drives import Breaks
 from .readers.file_dataset import GroundTruth, Unmatched, dataset_of_files, unknown
 from .readers.image_files import find_listed
-from .readers.positions import MOST_METRES, by_radius, earth_centred
+from .readers.positions import by_positions
 from .readers.traverses import right_places
 
 Kind = Literal["place", "east_north", "lat_lon"]
+Label = str | int  # of a place
+Order = Literal["number", "row"]  # of places: whole numbers by their values, or by the rows of the references
 
 _COLUMNS: dict[Kind, tuple[str, ...]] = {
     "place": ("place",),
@@ -30,6 +34,7 @@ _COLUMNS: dict[Kind, tuple[str, ...]] = {
 }
 _ALIASES = {"image name": "image", "index": "place"}  # as QVPR/VPRTempo names them
 _WHOLE = re.compile(r"(-?\d+)\.0+")  # a whole number as a program writes it that takes all numbers for decimal ones
+_MOST_PLACES = 2**60  # of which sums are 64-bit numbers
 _KNOWN = ("image", *(column for columns in _COLUMNS.values() for column in columns))
 _WANTED = "image, and place or east,north or lat,lon"
 
@@ -46,6 +51,8 @@ def image_list(
     exif: Exif = "obey",
     levels: str | None = None,
     ground_truth: Literal["columns", "none"] = "columns",
+    without_position: WithoutPosition = "error",
+    place_order: Order = "number",
 ) -> Dataset:
     """Return the images that CSV files list, in the order of their rows.
 
@@ -53,15 +60,16 @@ def image_list(
     `east,north` (metres of one grid) and `lat,lon` (degrees, WGS 84) that all files have. VPRTempo's header
     `Image name,index` is read as image and place.
 
-    Places are any numbers or words. They are numbered in the order in which the references first name them, several
-    references may show one, and right are places at most `tolerance` away in that numbering. By position every
-    reference is a place, and right is what lies within `radius_metres`, the radius included; the distance between
-    latitudes and longitudes is the straight line through the ellipsoid. Another folder, or a position that jumps,
-    begins another drive unless `breaks` is none.
+    Places are any numbers or words, several references may show one, and right are places at most `tolerance` away.
+    Whole numbers count as themselves: 8 is 8 places from 0. Words are numbered in the order in which the references
+    first name them, whole numbers too if any place is a word, or with `place_order` row. By position every reference
+    is a place, and right is what lies within `radius_metres`, the radius included; the distance between latitudes and
+    longitudes is the straight line through the ellipsoid. Images whose position is none (0, 0 far from all others; a
+    fix that stood still) are an error, left out (`without_position` drop), or count where they say (`keep`). With
+    `ground_truth` none the column `image` is enough: every reference is a place, and no answer is judged.
 
-    `exif` and `levels` say how files are decoded (`decoding_of`).
-
-    With `ground_truth` none the column `image` is enough: every reference is a place, and no answer is judged.
+    Another folder, or a position that jumps, begins another drive unless `breaks` is none. `exif` and `levels` say how
+    files are decoded (`decoding_of`).
 
     Raises NotThere for missing files, BadInput for tables that do not fit.
     """
@@ -78,10 +86,11 @@ def image_list(
     if kind == "none":
         truth, chosen = unknown(sum(len(table.images) for table in mapped), len(asked.images)), {}
     elif kind == "place":
-        truth = _by_place([label for table in mapped for label in table.labels()], asked.labels(), tolerance)
+        shown = [label for table in mapped for label in table.labels()]
+        truth = _by_place(shown, asked.labels(), tolerance, place_order)
     else:
-        known = np.concatenate([table.positions(kind) for table in mapped])
-        truth = by_radius(known, asked.positions(kind), radius_metres)
+        *known, sought = (table.positions(kind, without_position) for table in tables)
+        truth = by_positions(known, sought, radius_metres, without_position)
     return dataset_of_files(
         name,
         Paths.joined(table.images for table in mapped),
@@ -109,28 +118,34 @@ class _Table:
     images: Paths
     cells: Mapping[str, Sequence[str]]  # of every row, by our names of the columns
 
-    def labels(self) -> list[str | int]:
+    def labels(self) -> list[Label]:
         """Return the place of every row, whole numbers as such: 7, 007 and 7.0 are one place."""
         words = [whole[1] if (whole := _WHOLE.fullmatch(word)) else word for word in self._words("place")]
         return [int(word) if len(word) < 20 and word.removeprefix("-").isdecimal() else word for word in words]
 
-    def positions(self, kind: Kind) -> npt.NDArray[np.float64]:
-        """Return the position of every row, (n, 2) or (n, 3)."""
-        first, second = (self._numbers(column) for column in _COLUMNS[kind])
-        return earth_centred(first, second) if kind == "lat_lon" else np.stack([first, second], axis=1)
+    def positions(self, kind: Kind, without: WithoutPosition) -> Positions:
+        """Return the position of every row; numbers that are none are an error, or NaN where such rows are left out."""
+        said = np.stack([self._numbers(column, without) for column in _COLUMNS[kind]], axis=1)
+        return (Positions.of_degrees if kind == "lat_lon" else Positions.of_metres)(self.images, said)
 
-    def _numbers(self, column: str) -> npt.NDArray[np.float64]:
+    def _numbers(self, column: str, without: WithoutPosition) -> npt.NDArray[np.float64]:
         most = {"lat": 90.0, "lon": 180.0}.get(column, MOST_METRES)
         numbers = array("d")
-        for word in self._words(column):
+        words = self.cells[column] if without == "drop" else self._words(column)
+        for word in words:
             try:
                 number = float(word)
             except ValueError:
                 number = np.nan
             if not abs(number) <= most:
-                row = len(numbers) + 1
-                point = ", decimals with a point" * ("," in word)
-                raise BadInput(f"{column} {word} in row {row} of {self.file}: wanted is -{most:g} to {most:g}{point}")
+                if without != "drop":
+                    row = len(numbers) + 1
+                    point = ", decimals with a point" * ("," in word)
+                    raise BadInput(
+                        f"{column} {word} in row {row} of {self.file}: wanted is -{most:g} to {most:g}{point}; "
+                        "dataset.without_position=drop leaves such rows out"
+                    )
+                number = np.nan
             numbers.append(number)
         return np.array(numbers)
 
@@ -168,13 +183,43 @@ def _kind_of_all(tables: Sequence[_Table]) -> Kind:
     raise BadInput(f"{held}: wanted are {_WANTED}, the same in all files, or dataset.ground_truth=none")
 
 
-def _by_place(references: list[str | int], queries: list[str | int], tolerance: int) -> GroundTruth:
-    """Number the places as the references first name them; right for a query are the places around its own."""
-    numbers = {label: number for number, label in enumerate(dict.fromkeys(references))}
-    nowhere = -2 * len(numbers)  # further from every place than the tolerance can reach
-    asked = np.array([numbers.get(label, nowhere) for label in queries])
+def _by_place(references: list[Label], queries: list[Label], tolerance: int, order: Order) -> GroundTruth:
+    """Return the ground truth of places by their labels; raises BadInput for an unknown order.
+
+    What the order of places changes is part of the protocol; where both orders are one, nothing is said.
+    """
+    if order not in get_args(Order):
+        raise BadInput(f"dataset.place_order={order}: choose {' or '.join(get_args(Order))}")
+    rows: dict[Label, int] = {label: row for row, label in enumerate(dict.fromkeys(references))}
+    by_row = replace(_along_the_journey(rows, references, queries, tolerance), place_numbers=None, protocol={})
+    if order == "row":
+        return replace(by_row, protocol={"place_order": "row"})
+    if not all(map(_is_number, references)):
+        return by_row
+    numbers = {label: int(label) for label in (*references, *queries) if _is_number(label)}
+    by_number = _along_the_journey(numbers, references, queries, tolerance)
+    same = zip((by_row.places, *by_row.positives), (by_number.places, *by_number.positives), strict=True)
+    if (np.diff(sorted({numbers[label] for label in references})) == 1).all() and all(starmap(np.array_equal, same)):
+        return by_row
+    return by_number
+
+
+def _is_number(label: Label) -> bool:
+    return isinstance(label, int) and abs(label) < _MOST_PLACES
+
+
+def _along_the_journey(
+    at: Mapping[Label, int], references: list[Label], queries: list[Label], tolerance: int
+) -> GroundTruth:
+    """Return the ground truth of places that lie at these numbers; right for a query are the places around its own."""
+    first = min(at.values())
+    nowhere = -2 * (max(at.values()) - first + 1)  # further from every place than the tolerance can reach
+    journey, places = np.unique([at[label] for label in references], return_inverse=True)
+    asked = np.array([at[label] - first if label in at else nowhere for label in queries])
     return GroundTruth(
-        places=np.array([numbers[label] for label in references]),
-        positives=right_places(asked, np.arange(len(numbers)), tolerance),
+        places=places,
+        positives=right_places(asked, journey - first, tolerance),
         lacking="a place that no reference shows",
+        place_numbers=journey,
+        protocol={"place_order": "number"},
     )

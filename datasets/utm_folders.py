@@ -8,6 +8,7 @@ from typing import Literal
 
 from vprbench.api import BadInput, Dataset, Exif, NotThere, Paths
 
+from .readers.coordinates import WithoutPosition
 from .readers.csv_tables import encoding_of
 from .readers.drives import Breaks
 from .readers.file_dataset import Unmatched, dataset_of_files, unknown
@@ -31,10 +32,11 @@ class UtmFolders:
     reference is a place; right is what lies within `radius_metres`, the radius included. Queries without a right place
     count as misses (`keep`, as in gmberton/VPR-methods-evaluation), are left out (`drop`, as in VPRTempo and
     VPR_Tutorial) or are an error. So are names of several UTM zones, unless images of different zones never show one
-    place (`zones` apart). With `ground_truth` none any name is taken, and no answer is judged. Another sub-folder, or a
-    position that jumps, begins another drive unless `breaks` is none. `exif` and `levels` say how files are decoded
-    (`decoding_of`). Raises NotThere for what is missing, BadInput for names without a position and for a list that is
-    no text.
+    place (`zones` apart), and images whose position is none (0, 0 far from all others; a fix that stood still), unless
+    they are left out (`without_position` drop) or count where they say (`keep`). With `ground_truth` none any name is
+    taken, and no answer is judged. Another sub-folder, or a position that jumps, begins another drive unless `breaks`
+    is none. `exif` and `levels` say how files are decoded (`decoding_of`). Raises NotThere for what is missing,
+    BadInput for names without a position and for a list that is no text.
     """
 
     name: str = "utm_folders"
@@ -49,6 +51,7 @@ class UtmFolders:
     exif: Exif = "obey"
     levels: str | None = None
     ground_truth: Literal["utm", "none"] = "utm"
+    without_position: WithoutPosition = "error"
 
     def build(self) -> Dataset:
         """Return the dataset of these options."""
@@ -60,7 +63,7 @@ class UtmFolders:
         references, asked = (_images(holding / folder, layout) for folder in folders)
         known = self.ground_truth == "utm"
         truth = (
-            by_names(references, asked, self.radius_metres, self.zones)
+            by_names(references, asked, self.radius_metres, self.zones, self.without_position)
             if known
             else unknown(len(references), len(asked))
         )

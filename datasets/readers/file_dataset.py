@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
@@ -27,8 +27,13 @@ class GroundTruth:
     positives: Sequence[npt.NDArray[np.int64]]  # per query, ascending
     lacking: str  # what a query without any lacks, as in "no reference within 25 m"
     by_order: bool = False  # whether the order of the images says what is right
-    jumps: tuple[Starts, Starts] = (NO_STARTS, NO_STARTS)  # references and queries at which the position jumps
     known: bool = True  # False: nobody knows which places are right
+    references: npt.NDArray[np.int64] | None = None  # those of all that it is about, ascending; None: all
+    queries: npt.NDArray[np.int64] | None = None
+    jumps: tuple[Starts, Starts] = (NO_STARTS, NO_STARTS)  # of these references and queries, where the position jumps
+    place_numbers: Places | None = None  # (n_places,), ascending, if places have numbers of their own
+    protocol: Mapping[str, Any] = field(default_factory=dict)  # what was chosen where the data left a choice
+    notes: Sequence[str] = ()
 
 
 def each_a_place(n_references: int, right: Iterable[npt.ArrayLike], lacking: str) -> GroundTruth:
@@ -65,6 +70,8 @@ def dataset_of_files(
     """
     if not truth.known:
         unmatched = "keep"
+    files = [Paths.of(part) for part in (references, queries) if not isinstance(part, Images)]
+    references, queries = _choose(references, truth.references), _choose(queries, truth.queries)
     shown = queries.names if isinstance(queries, Images) else Paths.of(queries)
     matched = [query for query, right in enumerate(truth.positives) if len(right)]
     kept = np.array(matched if unmatched == "drop" else range(len(queries)), dtype=np.int64)
@@ -79,11 +86,12 @@ def dataset_of_files(
     if not len(kept):
         raise BadInput(f"{told}, and dataset.unmatched=drop leaves none: check that both folders show the same places")
     starts = drive_starts(references, queries, breaks, truth.jumps)
-    place_breaks = starts.of_places(truth.places)
-    gaps = np.flatnonzero(np.diff(kept) > 1) + 1
-    query_breaks = np.union1d(gaps, _first_from(starts.queries, kept))
-    met = {"breaks": starts.seen_by} if len(place_breaks) or len(starts.queries) else {}
-    files = [Paths.of(part) for part in (references, queries) if not isinstance(part, Images)]
+    place_starts = starts.of_places(truth.places)
+    met = {"breaks": starts.seen_by} if len(place_starts) or len(starts.queries) else {}
+    place_gaps = NO_STARTS if truth.references is None else _after_gaps(truth.references)
+    query_gaps = _after_gaps(kept if truth.queries is None else truth.queries[kept])
+    places_told = met or truth.references is not None or truth.place_numbers is not None  # else their numbers tell
+    queries_told = met or truth.queries is not None or unmatched == "drop"
     decoding, decoded = decoding_of(Paths.joined(files), exif, levels, "dataset.")
     mapped, asked = (
         part if isinstance(part, Images) else Images.from_files(part, decoding) for part in (references, queries)
@@ -98,16 +106,30 @@ def dataset_of_files(
         positives=tuple(truth.positives[query] for query in kept.tolist()),
         protocol={
             **protocol,
+            **truth.protocol,
             **({"unmatched": unmatched} if truth.known else {"ground_truth": "none"}),
             **met,
             **decoded,
         },
-        query_breaks=query_breaks if unmatched == "drop" or met else None,
-        place_breaks=place_breaks if met else None,
+        place_numbers=truth.place_numbers,
+        query_breaks=np.union1d(query_gaps, _first_from(starts.queries, kept)) if queries_told else None,
+        place_breaks=np.union1d(place_gaps, place_starts) if places_told else None,
         by_order=truth.by_order,
         folders=folders_of(Paths.joined(files)),
-        notes=(*notes, *([said if truth.known else NOT_JUDGED] if without else ())),
+        notes=(*notes, *truth.notes, *([said if truth.known else NOT_JUDGED] if without else ())),
     )
+
+
+def _choose(images: Sequence[Path] | Images, numbers: npt.NDArray[np.int64] | None) -> Sequence[Path] | Images:
+    """Return the files or images of these numbers, all if there are no numbers."""
+    if numbers is None:
+        return images
+    return images[numbers] if isinstance(images, Images) else Paths.of(images)[numbers]
+
+
+def _after_gaps(numbers: npt.NDArray[np.int64]) -> Starts:
+    """Return which of some numbers, by their rank, come after others that were left out."""
+    return np.flatnonzero(np.diff(numbers) > 1) + 1
 
 
 def _first_from(starts: Starts, kept: npt.NDArray[np.int64]) -> Starts:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from array import array
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -16,18 +16,56 @@ from scipy.spatial import KDTree
 
 from vprbench.api import BadInput, Paths
 
+from .coordinates import MOST_METRES, Metres, Positions, WithoutPosition
 from .drives import position_jumps
 from .file_dataset import GroundTruth, each_a_place
+from .position_checks import check_coordinates, last_stand, name_without_position, without_position
 
-Metres = npt.NDArray[np.float64]  # (n, 2) east and north, or (n, 3)
 Zones = Literal["error", "apart"]  # of images in different UTM zones: apart means that they never show one place
 
 _ROUNDING_METRES = 1e-7  # of coordinates of some million metres: decides about nothing but the edge of the radius
-MOST_METRES = 1e8  # the way round the Earth is 4e7; of much larger numbers centimetres are lost, and squares overflow
-_EQUATOR_METRES = 6378137.0  # WGS 84
-_FLATTENING = 1 / 298.257223563
 _BAND = re.compile("[C-HJ-NP-X]")
 _APART_METRES = 1e9  # farther than any two points of one grid
+_AT_ONCE = 1024  # queries whose neighbours are lists of Python
+
+
+def by_positions(
+    references: Sequence[Positions], queries: Positions, radius_metres: float, without: WithoutPosition = "error"
+) -> GroundTruth:
+    """Return every reference as a place of its own; right is what lies within the radius, the radius included.
+
+    `references` are traverses. Images without a position (`position_checks.without_position`) are an error, are left
+    out (`drop`), or count where they say (`keep`). Raises BadInput for them, for a bad radius, and for coordinates
+    that are no metres.
+    """
+    _check_radius(radius_metres)
+    traverses = [*references, queries]
+    lacking = without_position(traverses, radius_metres)
+    if without == "error" and any(map(np.any, lacking)):
+        raise BadInput(
+            f"{name_without_position(traverses, lacking)}: correct them, or pass dataset.without_position=drop to "
+            "leave them out, dataset.without_position=keep if they were taken there"
+        )
+    counts = {
+        "references_without_position": sum(int(lacks.sum()) for lacks in lacking[:-1]),
+        "queries_without_position": int(lacking[-1].sum()),
+    }
+    kept = [~lacks if without == "drop" else np.full(len(lacks), True) for lacks in lacking]
+    mapped, asked = np.flatnonzero(np.concatenate(kept[:-1])), np.flatnonzero(kept[-1])
+    if not (len(mapped) and len(asked)):
+        raise BadInput(f"{name_without_position(traverses, lacking)}, and dataset.without_position=drop leaves none")
+    left = [each[which] for each, which in zip(traverses, kept, strict=True)]
+    check_coordinates(left, radius_metres)
+    truth = by_radius(np.concatenate([each.metres for each in left[:-1]]), left[-1].metres, radius_metres)
+    outcome = "are left out" if without == "drop" else "count where they say"
+    told = f"{name_without_position(traverses, lacking)}; they {outcome}" if any(counts.values()) else ""
+    return replace(
+        truth,
+        references=mapped if without == "drop" else None,
+        queries=asked if without == "drop" else None,
+        protocol={} if without == "error" else {"without_position": without, **counts},
+        notes=tuple(filter(None, [told, *map(last_stand, left)])),
+    )
 
 
 def by_radius(references: Metres, queries: Metres, radius_metres: float) -> GroundTruth:
@@ -35,48 +73,42 @@ def by_radius(references: Metres, queries: Metres, radius_metres: float) -> Grou
 
     Raises BadInput for a radius that is not above 0, or that spans more than the Earth.
     """
-    if not 0 < radius_metres <= MOST_METRES:
-        raise BadInput(f"dataset.radius_metres={radius_metres:g}: give more than 0 metres, at most {MOST_METRES:g}")
-    near = KDTree(references).query_ball_point(queries, radius_metres + _ROUNDING_METRES, return_sorted=True)
+    _check_radius(radius_metres)
+    near = _near(references, queries, radius_metres + _ROUNDING_METRES)
     truth = each_a_place(len(references), near, f"no reference within {radius_metres:g} m")
     jumps = position_jumps(references, radius_metres), position_jumps(queries, radius_metres)
     return replace(truth, jumps=jumps)
 
 
-def are_metres(numbers: npt.ArrayLike) -> bool:
-    """Tell whether all numbers are coordinates of places on the Earth: finite, and of no more than 100,000 km."""
-    return bool((np.abs(numbers) <= MOST_METRES).all())
+def _check_radius(radius_metres: float) -> None:
+    if not 0 < radius_metres <= MOST_METRES:
+        raise BadInput(f"dataset.radius_metres={radius_metres:g}: give more than 0 metres, at most {MOST_METRES:g}")
 
 
-def earth_centred(latitude: npt.NDArray[np.float64], longitude: npt.NDArray[np.float64]) -> Metres:
-    """Return points of the WGS 84 ellipsoid, given in degrees, in metres from the centre of the Earth, (n, 3).
-
-    The straight line between two points is shorter than the way on the ground by about its share d^2 / 24 R^2, at
-    10 km 0.1 mm in a kilometre. There are no zones and no seam.
-    """
-    phi, lambda_ = np.radians(latitude), np.radians(longitude)
-    eccentricity_squared = _FLATTENING * (2 - _FLATTENING)
-    across = _EQUATOR_METRES / np.sqrt(1 - eccentricity_squared * np.sin(phi) ** 2)
-    return np.stack(
-        [
-            across * np.cos(phi) * np.cos(lambda_),
-            across * np.cos(phi) * np.sin(lambda_),
-            across * (1 - eccentricity_squared) * np.sin(phi),
-        ],
-        axis=1,
-    )
+def _near(references: Metres, queries: Metres, radius_metres: float) -> Iterator[npt.NDArray[np.int64]]:
+    """Yield of every query the references within the radius, ascending."""
+    tree = KDTree(references)
+    for first in range(0, len(queries), _AT_ONCE):
+        found = tree.query_ball_point(queries[first : first + _AT_ONCE], radius_metres, return_sorted=True)
+        yield from (np.array(right, np.int64) for right in found)
 
 
 def by_names(
-    references: Sequence[Path], queries: Sequence[Path], radius_metres: float, zones: Zones = "error"
+    references: Sequence[Path],
+    queries: Sequence[Path],
+    radius_metres: float,
+    zones: Zones = "error",
+    without: WithoutPosition = "error",
 ) -> GroundTruth:
-    """Return every reference as a place of its own; right is what lies within the radius, the radius included.
+    """Return the ground truth `by_positions` of what the names of images say.
 
-    Raises BadInput for a name without a position, and for names of several UTM zones unless they are kept apart.
+    Raises BadInput for a name that says no position unless such images are left out, and for names of several UTM
+    zones unless they are kept apart.
     """
     listed = [Paths.of(files) for files in (references, queries)]
     grids: dict[str, str] = {}  # each with the last name that holds it
-    named = [_positions(files, grids) for files in listed]
+    numbers: dict[str, int] = {}  # of all grids
+    named = [_positions(files, grids, numbers, without) for files in listed]
     several = [grid for grid in grids if grid] if zones == "error" else [*grids] if "" in grids else []
     if len(several) > 1:
         first, second = (f"{grids[grid]} in {grid or 'no zone'}" for grid in several[:2])
@@ -89,28 +121,35 @@ def by_names(
                 else "with dataset.zones=apart every name has to hold its zone"
             )
         )
-    if zones == "apart":
-        shelf = np.arange(len(grids)) * _APART_METRES
-        named = [(np.column_stack([metres, shelf[of_each]]), of_each) for metres, of_each in named]
-    return by_radius(named[0][0], named[1][0], radius_metres)
+    shelf = np.arange(len(numbers)) * (_APART_METRES if zones == "apart" else 0)
+    mapped, asked = (
+        Positions(files, said, np.column_stack([said, shelf[of_each]]) if zones == "apart" else said)
+        for files, (said, of_each) in zip(listed, named, strict=True)
+    )
+    return by_positions([mapped], asked, radius_metres, without)
 
 
-def _positions(files: Paths, grids: dict[str, str]) -> tuple[Metres, npt.NDArray[np.int32]]:
-    """Return what the names of files say, (n, 2) and (n,): east and north, and the number of the grid in `grids`.
+def _positions(
+    files: Paths, grids: dict[str, str], numbers: dict[str, int], without: WithoutPosition
+) -> tuple[Metres, npt.NDArray[np.int32]]:
+    """Return what the names of files say, (n, 2) and (n,): east and north, NaN if nothing, and the number of the grid.
 
-    New grids are added, and each learns the last name that holds it. Raises BadInput with a name that holds none.
+    New grids get a number in `numbers`, and in `grids` the last name that holds them and a position. Raises BadInput
+    with a name that says none unless such images are left out.
     """
     metres, of_each = array("d"), array("i")
-    numbers = {grid: number for number, grid in enumerate(grids)}
     for number, name in enumerate(files.names):
         try:
             east, north, grid = _position(name)
         except ValueError as error:
-            raise BadInput(f"{files[number]} names {error}") from error
+            if without != "drop":
+                raise BadInput(f"{files[number]} names {error}; or pass dataset.without_position=drop") from error
+            east, north, grid = np.nan, np.nan, ""
         metres.append(east)
         metres.append(north)
         of_each.append(numbers.setdefault(grid, len(numbers)))
-        grids[grid] = name
+        if east < north or east > north:  # else it may be 0, 0 for a position that is not known
+            grids[grid] = name
     return np.array(metres).reshape(-1, 2), np.array(of_each)
 
 

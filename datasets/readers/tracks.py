@@ -10,8 +10,8 @@ import numpy.typing as npt
 
 from vprbench.api import BadInput
 
+from .coordinates import Metres, earth_centred
 from .csv_tables import read_csv
-from .positions import Metres, earth_centred
 
 Track = tuple[npt.NDArray[np.int64], Metres]  # microseconds (n,), ascending, and positions (n, d)
 

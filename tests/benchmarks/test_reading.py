@@ -2,6 +2,7 @@
 
 import os
 from collections import deque
+from pathlib import Path
 
 import cv2
 import h5py
@@ -10,8 +11,10 @@ import pytest
 from PIL import Image as PillowImage
 
 import vprbench
-from vprbench.api import Images
+from vprbench.api import Images, Paths
 from vprbench.api.decoding import Decoding, read_image
+from vprbench.datasets.readers.coordinates import Positions
+from vprbench.datasets.readers.positions import by_positions
 from vprbench.runs.identity import fingerprint
 
 
@@ -77,6 +80,14 @@ def test_names_positions_and_hashes(full, measure, size, tmp_path, monkeypatch):
     monkeypatch.setenv("VPRBENCH_HASHES", str(tmp_path / "hashes"))
     dataset = vprbench.dataset("utm_folders", root=str(tmp_path))
     measure(f"{n:,} files with positions in their names, hashes known", lambda: fingerprint(dataset.build()), n)
+
+
+def test_positions(measure, size):
+    n = size(100_000, 100)
+    drives = np.random.default_rng(0).normal(0, 1, (2, n, 2)) + np.stack([543_000 + np.arange(n), np.full(n, 4.1e6)], 1)
+    files = Paths.below(Path("drive"), [f"{number}.png" for number in range(n)])
+    mapped, asked = (Positions.of_metres(files, metres) for metres in drives)
+    measure(f"{n:,} positions looked for among as many, within 25 m", lambda: by_positions([mapped], asked, 25.0), n)
 
 
 def test_events(measure, size, tmp_path, monkeypatch):

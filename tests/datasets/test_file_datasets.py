@@ -225,7 +225,8 @@ REFUSED = {
         ({"c": ["@45@0@11@S@.jpg"]}, {}, "2 UTM zones"),
     ],
     "matrix": [
-        ({"truth.npz": {"truth": RIGHT}}, {}, "truth.npz holds no positives"),
+        ({"truth.npz": {"truth": RIGHT}}, {}, "truth.npz holds no positives, but truth: "),
+        ({"truth.npz": {"utmQ": METRES.T, "gt": RIGHT}}, {}, "utmQ and utmDb"),
     ],
     "database": [
         ({}, {"unmatched": "error"}, "1 of 3 queries have no reference within 25 m (first: images/test/queries/@900@"),
@@ -308,6 +309,7 @@ REFUSED = {
             ({"GT.npz": {"GThard": values}}, {}, "GT.npz holds " + told)
             for values, told in ((HARD * 2, "int64 values"), (HARD * 0.5, "float64"), (HARD.astype(str), "<U5"))
         ),
+        ({"GT.npz": {"hard": HARD}}, {}, "GT.npz holds no GThard, but hard: wanted is a matrix GThard"),
         ({"GT.npz": {"GThard": np.zeros((1000, 1000), bool)}}, {}, "unpacks to 1000128 bytes"),
         ({"GT.npz": {"GThard": HARD.astype(object)}}, {}, "GT.npz cannot be read"),  # nor unpickled
         *(({"GT.npz": lambda content, keep=keep: content[:keep]}, {}, "GT.npz cannot be read") for keep in (0, 200)),
