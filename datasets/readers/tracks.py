@@ -17,6 +17,7 @@ Track = tuple[npt.NDArray[np.int64], Metres]  # microseconds (n,), ascending, an
 
 _WANTED = "time (seconds on the clock of the events, ascending), lat and lon (degrees)"
 _DAY_S = 86_400
+_FAR_DEGREES = 5.0  # from 0, 0, farther than a drive
 
 
 def track_of(recording: Path) -> Track:
@@ -33,6 +34,12 @@ def _csv_track(file: Path) -> Track:
         raise BadInput(f"{file}: {error}; wanted are {_WANTED}") from error
     if not len(time) or not (np.diff(time) > 0).all() or not np.isfinite([time, lat, lon]).all():
         raise BadInput(f"{file} holds times that do not ascend, or no numbers; wanted are {_WANTED}")
+    nowhere = (lat == 0) & (lon == 0) & (np.hypot(lat, lon).max() > _FAR_DEGREES)
+    if wrong := np.flatnonzero(nowhere | (np.abs(lat) > 90) | (np.abs(lon) > 180)).tolist():
+        raise BadInput(
+            f"{file} holds {len(wrong)} positions that are none (first: {lat[wrong[0]]:g}, {lon[wrong[0]]:g} at "
+            f"{time[wrong[0]]:g} s): leave such rows out; wanted are {_WANTED}"
+        )
     return np.round(time * 1e6).astype(np.int64), earth_centred(lat, lon)
 
 

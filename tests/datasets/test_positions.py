@@ -199,7 +199,3 @@ def test_places_that_are_whole_numbers_count_as_themselves(references, queries, 
     assert (None if made.place_numbers is None else made.place_numbers.tolist()) == numbers
     assert made.protocol.get("place_order") == order
     assert made.place_breaks is None if numbers is None else not len(made.place_breaks)
-
-
-def test_another_order_of_places_is_refused():
-    assert "dataset.place_order=name" in answer(by_places, [1], [1], place_order="name")
