@@ -40,6 +40,10 @@ class Positions:
         """Return positions that were given in degrees, (n, 2)."""
         return cls(Paths.of(files), degrees, earth_centred(*degrees.T), in_degrees=True)
 
+    def __len__(self) -> int:
+        """Return the number of images."""
+        return len(self.said)
+
     def __getitem__(self, chosen: npt.NDArray[np.bool_]) -> Positions:
         """Return the positions of some images, chosen by yes and no, (n,)."""
         return Positions(self.files[chosen], self.said[chosen], self.metres[chosen], self.in_degrees)

@@ -73,7 +73,10 @@ def check_coordinates(traverses: Sequence[Positions], radius_metres: float) -> N
     if own.any():
         said, metres = said[own], metres[own]
     in_degrees = traverses[0].in_degrees
-    found = f"positions run from {_pair(said.min(axis=0))} to {_pair(said.max(axis=0))}"
+    found = (
+        f"the positions of {traverses[0].files[0]} and {sum(map(len, traverses)) - 1} more images run from "
+        f"{_pair(said.min(axis=0))} to {_pair(said.max(axis=0))}"
+    )
     if not in_degrees and _look_like_degrees(said):
         raise BadInput(f"{found}, which look like degrees: give {_OR_DEGREES}")
     if len(said) < _LEAST:
@@ -88,7 +91,8 @@ def check_coordinates(traverses: Sequence[Positions], radius_metres: float) -> N
     if extent <= radius_metres:
         raise BadInput(
             f"{found}, all within dataset.radius_metres={radius_metres:g}, so that every place is right for every "
-            f"query: give {'degrees with all decimals' if in_degrees else _OR_DEGREES}, or a radius below {extent:.3g}"
+            f"query: give {'degrees with all decimals' if in_degrees else _OR_DEGREES}"
+            f"{f', or a radius below {extent:.3g}' if extent else ''}"
         )
 
 
