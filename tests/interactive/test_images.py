@@ -65,6 +65,7 @@ def test_a_traverse_is_a_folder_a_list_of_files_or_arrays_grey_ones_too_and_any_
         ((0, 1), {"positives": np.array([[0, 1], [1, 0]])}, [[0, 1], [0, 1]]),  # narrower than the three places
         ((0, 1), {"positives": DataFrame([[0], [1]])}, [[0], [1]]),
         ((0, 1, 2), {"positives": [1, 0, 1]}, [[1], [0], [1]]),
+        ((0, 1), {"positives": [[], []]}, [[], []]),
     ],
 )
 def test_right_places_are_those_within_the_tolerance_or_those_that_are_given(queries, given, right):

@@ -228,7 +228,7 @@ def _right_places(positives: Any, n_queries: int, n_places: int) -> tuple[npt.ND
 def _of_sparse_matrix(positives: Any, n_queries: int, n_places: int) -> tuple[npt.NDArray[np.int64], ...]:
     """Return the right places of each query, ascending, that a sparse matrix of scipy says."""
     _check_matrix(positives.shape, n_queries, n_places)
-    matrix = csr_array(positives)
+    matrix = csr_array(positives, copy=True)
     matrix.sum_duplicates()
     if not np.isin(matrix.data, (0, 1)).all():
         raise BadInput(f"positives holds {matrix.dtype} values other than 0 and 1: yes and no are wanted")
@@ -242,7 +242,7 @@ def _is_matrix(given: npt.NDArray[Any], n_queries: int, n_places: int) -> bool:
     It does if it holds booleans, or 0 and 1 alone, as fractions or so that a list of places would name one twice or
     one that there is not. Raises BadInput for what may be both.
     """
-    if given.ndim != 2 or given.dtype.kind not in "buif" or not np.isin(given, (0, 1)).all():
+    if given.ndim != 2 or not given.size or given.dtype.kind not in "buif" or not np.isin(given, (0, 1)).all():
         return False
     each_once = given.shape[1] < 3 and bool((np.diff(given.astype(int), axis=1) != 0).all())
     if given.dtype.kind in "bf" or not each_once or given.max(initial=0) >= n_places:
