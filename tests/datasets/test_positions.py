@@ -116,6 +116,39 @@ def test_breaks_stand_where_images_without_a_position_were_left_out():
     assert left.notes[0].startswith("4 of 80 images have no position")
 
 
+FAR = [(east + 5000 * (k >= 20), north) for k, (east, north) in enumerate(DRIVE)]  # 5 km from image 19 to image 20
+
+
+@pytest.mark.parametrize(
+    ("second", "drive", "seen_by"),
+    [
+        ("one", FAR, "positions"),
+        ("two", DRIVE, "folders"),
+        ("two", FAR, "folders and positions"),
+        ("one", DRIVE, None),
+    ],
+)
+def test_drives_are_counted_among_the_images_that_have_a_position(second, drive, seen_by):
+    fill(Path(), names := [f"{second if k >= 20 else 'one'}/{k:02}.jpg" for k in range(N)])
+    for file, nowhere in (("map.csv", 3), ("asked.csv", 5)):
+        rows = zip(names, but({nowhere}, (0, 0), drive), strict=True)
+        Path(file).write_text("\n".join(["image,east,north", *(f"{name},{at[0]},{at[1]}" for name, at in rows)]))
+    options = {"without_position": "drop", "unmatched": "drop"}  # query 3 has no right reference
+    made = image_list(references=["map.csv"], queries="asked.csv", **options)
+    assert made.protocol.get("breaks") == seen_by
+    assert made.place_breaks.tolist() == [3, *[19] * (seen_by is not None)]
+    assert made.query_breaks.tolist() == [3, 4, *[18] * (seen_by is not None)]
+
+
+def test_places_with_numbers_of_their_own_break_off_where_another_drive_begins():
+    fill(Path(), names := ["one/0.jpg", "one/1.jpg", "two/2.jpg", "two/3.jpg"])
+    rows = [f"{name},{place}" for name, place in zip(names, (0, 8, 16, 24), strict=True)]
+    Path("map.csv").write_text("\n".join(["image,place", *rows]))
+    made = image_list(references=["map.csv"], queries="map.csv")
+    assert made.place_numbers.tolist() == [0, 8, 16, 24]
+    assert (made.place_breaks.tolist(), made.query_breaks.tolist()) == ([2], [2])
+
+
 @pytest.mark.parametrize(
     "drive",
     [
