@@ -49,8 +49,8 @@ def walk(places: int = 5, seed: int = 0) -> Dataset:
     frames = np.random.default_rng(seed).integers(0, 256, (places, 8, 9, 3), dtype=np.uint8)
     right = tuple(np.array([place]) for place in range(places))
     protocol = {"references": "there", "query": "back"}
-    images = Images.from_arrays([*frames])
-    return Dataset("walk", images, np.arange(places), images, right, protocol)
+    there, back = Images.from_arrays([*frames]), Images.from_arrays([*(frames ^ 1)])
+    return Dataset("walk", there, np.arange(places), back, right, protocol)
 """
 QUICK = ["timing=none", "threads=1"]
 EXAMPLE = ROOT / "tests" / "example_plugin"
