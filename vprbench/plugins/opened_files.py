@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import os
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from vprbench.api.method import Method
 
-_CODE = (".py", ".pyc", ".so", ".pyd", ".dll")
+_CODE = (".py", ".pyc", ".nbi", ".nbc", ".so", ".pyd", ".dll")
 _SYSTEM = ("/proc/", "/sys/", "/dev/", "/etc/", "/usr/")
 _FRAMES = str(Path("vprbench", "api", "images.py"))  # by which images are read
 _WRITES = os.O_WRONLY | os.O_RDWR | os.O_CREAT
@@ -41,18 +41,14 @@ def listening() -> Iterator[list[Opened]]:
         _listeners[:] = [one for one in _listeners if one is not heard]
 
 
-def build_with_files(
-    build: Callable[[Mapping[str, Any]], Method], arguments: Mapping[str, Any]
-) -> tuple[Method, list[Path]]:
-    """Return the method that `build` makes, and the files that its answers come from.
+def files_behind(method: Method, arguments: Mapping[str, Any], opened: Iterable[Opened]) -> list[Path]:
+    """Return the files that a method's answers come from: its `files()`, those of its arguments, and those `opened`.
 
-    These are what `files()` names, the files that its arguments name, and what its code opened when it was made.
+    Raises BadInput as `files()` does.
     """
-    with listening() as opened:
-        method = build(arguments)
     known = [*method.files()]
     named = [*map(Path, _texts(arguments)), *unnamed_files(opened, method)]
-    return method, [*known, *_others(named, known)]
+    return [*known, *_others(named, known)]
 
 
 def names_a_file(arguments: Mapping[str, Any]) -> bool:

@@ -13,7 +13,7 @@ from vprbench.api.method import Method
 from vprbench.data.doctor import check_dataset
 from vprbench.errors import BadInput
 from vprbench.plugins import networks, registry
-from vprbench.plugins.opened_files import build_with_files
+from vprbench.plugins.opened_files import files_behind, listening
 from vprbench.plugins.tuned_frames import queries_of_tuned_frames
 from vprbench.progress import progress_shown
 from vprbench.runs import machine, sequences, stream
@@ -83,7 +83,8 @@ def request_of(
     threads = n_threads(settings)
     machine.pin_threads(threads)
     files = networks.chosen_files(settings.save, settings.load, settings.force)
-    method, behind = build_with_files(build, config["method"])
+    with listening() as opened:
+        method = build(config["method"])
     _require_adaptable(method, settings)
     # what the cheap checks warn of is among the dataset's notes
     in_sequences = bool(sequences.views(settings.sequence, settings.filter))
@@ -97,6 +98,7 @@ def request_of(
     with progress_shown(name):  # frames may have to be hashed, and a file be downloaded
         frames = hashed(dataset)
         images, data = fingerprint(dataset, frames), data_record(dataset, frames)
+        behind = files_behind(method, config["method"], opened)
         config["files"] = [[path.name, content_hash(path)] for path in behind]
     return Request(
         name,
