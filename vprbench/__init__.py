@@ -7,6 +7,7 @@ result.recall(1), result.interval(), result.failures()
 
 from __future__ import annotations
 
+import os
 import sys
 from importlib import import_module
 from pathlib import Path
@@ -15,6 +16,9 @@ from types import ModuleType
 import lazy_loader
 
 __version__ = "0.7.0"
+
+# NumPy's threads sleep 2^16 clocks after a product, not 2^26: meanwhile they would keep the cores from PyTorch's.
+os.environ.setdefault("OPENBLAS_THREAD_TIMEOUT", "16")
 
 _attribute, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 _ROOMS = ("datasets", "methods")  # packages that have the name of a function
