@@ -35,7 +35,7 @@ search: $(READY) ## Search VPRTempo's hyperparameters on places that no result u
 		$(if $(JOBS),jobs=$(JOBS)) $(ARGS)
 
 # Speed at full size, on pytest-benchmark; ARGS are options of pytest, such as -k queries or --benchmark-compare.
-BENCH = BENCH=full $(RUN) -m pytest --benchmark-enable --benchmark-only --timeout 0 -q -s
+BENCH = OPENBLAS_THREAD_TIMEOUT=16 BENCH=full $(RUN) -m pytest --benchmark-enable --benchmark-only --timeout 0 -q -s
 OTHER_BENCHMARKS = $(addprefix --ignore tests/benchmarks/,test_descriptors.py test_maps.py)
 
 bench: $(READY) ## Measure how fast this machine trains and answers, write results/bench.md and .json: ARGS="-k queries"

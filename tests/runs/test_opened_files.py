@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from vprbench.cli import main
+from vprbench.plugins import entries
 from vprbench.plugins.conformance import FILES_RULE
 
 MINE = """
@@ -34,8 +35,9 @@ QUICK = ["dataset=synthetic", "dataset.places=10", "dataset.first_query_place=0"
 
 @pytest.fixture(autouse=True)
 def weights(tmp_path, monkeypatch):
-    """Run beside a file of weights."""
+    """Run beside a file of weights; methods of loose files are forgotten afterwards."""
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(entries, "_LOOSE", {"method": {}, "dataset": {}})
     np.save("weights.npy", np.float32(1))
 
 
