@@ -271,7 +271,7 @@ CONV_AP = PublishedNetwork(
 def test_a_file_of_other_channels_or_of_another_network_is_refused_with_what_is_wanted(folder):
     path = saved(folder / "changed", {**CONV_AP.tensors, "aggregator.channel_pool.bias": torch.zeros(7)})
     assert "method.channels=7" in CONV_AP.refusal(path)
-    assert "missing (backbone." in INDOOR.refusal(saved(folder / "other.pth", draw_cosplace("resnet18")))
+    assert "n_dimensions=64" in INDOOR.refusal(saved(folder / "other.pth", draw_cosplace("resnet18")))
 
 
 # AP-GeM, whose PCA is a pickled object of a module of 2019, which is there while a file is written alone
