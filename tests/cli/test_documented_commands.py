@@ -84,26 +84,33 @@ def data(tmp_path_factory):
     for name, season in {"monday": "spring", "friday": "summer"}.items():
         drive = EventJourney(window_ms=1000).recording(season, range(PLACES))
         write_recording(data / f"{name}.h5", drive)
-    for name in ("map", "today"):
-        (data / f"{name}.csv").write_text("image,place\n" + "".join(f"friday/{n}.jpg,{n}\n" for n in range(PLACES)))
+    for name, day in (("map", "monday"), ("today", "friday")):
+        (data / f"{name}.csv").write_text("image,place\n" + "".join(f"{day}/{n}.jpg,{n}\n" for n in range(PLACES)))
     for drive in ("sunset1", "sunset2"):
         frames(data / "brisbane_events_7x7" / drive, [f"images_{n:05d}.png" for n in range(PLACES)], "L", (7, 7))
     np.savez(data / "brisbane_events_7x7" / "ground_truth.npz", positives=np.eye(PLACES, dtype=bool))
     names = frames(data / "tokyo247", [f"{number}.png" for number in range(PLACES)])
+    frames(data / "tokyo247" / "queries", names)
     metres = np.array([[585000.0 + 100 * n for n in range(PLACES)], [4477000.0] * PLACES])
     fields = {"whichSet": "test", "dbImageFns": cells([name.replace("png", "jpg") for name in names]), "utmDb": metres}
-    fields |= {"qImageFns": cells(names), "utmQ": metres, "numImages": float(PLACES), "numQueries": float(PLACES)}
+    fields |= {
+        "qImageFns": cells([f"queries/{name}" for name in names]),
+        "utmQ": metres,
+        "numImages": float(PLACES),
+        "numQueries": float(PLACES),
+    }
     savemat(data / "tokyo247" / "tokyo247.mat", {"dbStruct": fields | {"posDistThr": 25.0, "posDistSqThr": 625.0}})
     return data
 
 
 def frames(folder, names, mode="RGB", size=(64, 32)):
-    """Put an image into the folder under each name; the same place looks alike in every folder, no frame is a copy."""
+    """Put an image into the folder under each name; a place looks alike in every folder, queries are no copies."""
     folder.mkdir(parents=True)
-    noise = np.random.default_rng([*str(folder).encode()])
+    noise = np.random.default_rng(0)
+    is_query = folder.name in ("summer", "friday", "query", "queries", "sunset2")
     for number, name in enumerate(names):
         levels = np.random.default_rng(number).integers(0, 256, (8, 16, 3), dtype=np.uint8)
-        seen = levels ^ noise.integers(0, 2, levels.shape, np.uint8)
+        seen = levels ^ (is_query * noise.integers(0, 2, levels.shape, np.uint8))
         PillowImage.fromarray(seen).resize(size).convert(mode).save(folder / name)
     return names
 
