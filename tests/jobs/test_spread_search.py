@@ -20,7 +20,7 @@ from vprbench.storage.shards import Shards, Writer
 
 @pytest.fixture(scope="module")
 def cluster():
-    quiet = {"dashboard_address": None, "silence_logs": logging.CRITICAL}
+    quiet = {"dashboard_address": ":0", "silence_logs": logging.CRITICAL}
     with LocalCluster(n_workers=2, threads_per_worker=1, memory_limit=0, **quiet) as started:
         yield started
 
