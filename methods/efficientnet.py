@@ -14,6 +14,7 @@ from torch.nn import functional
 
 from vprbench.api import BadInput, NeuralDescriptor, Resize, load_strictly, state_dict, takes
 
+from .parts.backbones.compiled_blocks import CompiledBlocks
 from .parts.backbones.efficientnet_lite import (
     EfficientNetLite,
     Variant,
@@ -23,7 +24,6 @@ from .parts.backbones.efficientnet_lite import (
     fold_batch_norms,
     map_size,
 )
-from .parts.backbones.fused_blocks import BlockOutputs, fuse_blocks
 
 Grid = tuple[int, int] | None  # rows and columns of cells; None: every position of the map
 
@@ -69,7 +69,7 @@ class EfficientNet(NeuralDescriptor):
         """Describe images with this network from now on."""
         super().use(network)
         own = cast(_Network, self._network)
-        own.fused = fuse_blocks(own.model) if self.device == "cpu" else None
+        own.compiled = CompiledBlocks(own.model) if self.device == "cpu" else None
 
     def pixels(self, levels: Tensor) -> Tensor:
         """Return what the network sees of RGB levels 0..255, (n, 3, height, width)."""
@@ -135,11 +135,11 @@ class _Network(nn.Module):
     def __init__(self, model: EfficientNetLite, blocks: Sequence[int], grid: Sequence[Grid]) -> None:
         super().__init__()
         self.model = model
-        self.fused: BlockOutputs | None = None  # the same outputs, faster
+        self.compiled: CompiledBlocks | None = None  # the same outputs, faster
         self._blocks, self._grid = blocks, grid
 
     def forward(self, images: Tensor) -> Tensor:
-        maps = (self.fused or self.model)(images, self._blocks)
+        maps = (self.compiled or self.model)(images, self._blocks)
         pairs = zip(maps, self._grid, strict=True)
         cells = [each if grid is None else functional.adaptive_avg_pool2d(each, grid) for each, grid in pairs]
         return torch.cat([functional.normalize(each.flatten(1).float(), dim=1) for each in cells], dim=1)

@@ -51,11 +51,11 @@ def plain(method):
     network = method._network
 
     def encode(images):
-        fused, network.fused = network.fused, None
+        compiled, network.compiled = network.compiled, None
         try:
             return method.encode(images)
         finally:
-            network.fused = fused
+            network.compiled = compiled
 
     return encode
 
@@ -67,22 +67,23 @@ def test_query(name, images, measure, size, route, fitted, products):
     descriptor = method if name.startswith("efficientnet") else method.encoder().descriptor
     floor = products(images * count_multiply_adds("lite0", descriptor.blocks[-1], 128, 224)) if images == 1 else {}
     encode = {"encode alone": lambda: method.encode(queries)}
-    unfused = {} if descriptor is not method else {"PyTorch's convolutions": lambda: plain(method)(queries)}
-    measure(f"{name}, {images} together", lambda: method.query(queries), images, {**encode, **unfused, **floor})
+    plainly = {} if descriptor is not method else {"PyTorch's convolutions": lambda: plain(method)(queries)}
+    measure(f"{name}, {images} together", lambda: method.query(queries), images, {**encode, **plainly, **floor})
 
 
 @pytest.mark.parametrize("block", [4, 10, 12])
 def test_bfloat16(block, measure, size, fitted):
     """bfloat16 beside float32: measured, and not offered."""
-    from vprbench.methods.parts.backbones.fused_blocks import fuse_blocks
+    from vprbench.methods.parts.backbones.compiled_blocks import compile_blocks
 
     network = fitted("efficientnet")._network.model
     images = torch.ones(1, 3, size(128, 32), size(224, 32)).contiguous(memory_format=torch.channels_last)
     calls = {}
     with torch.inference_mode(), suppress(RuntimeError):  # a processor without bfloat16
         for kind in (torch.float32, torch.bfloat16):
-            run, shown = fuse_blocks(network.to(kind)), images.to(kind)
-            calls[kind] = lambda run=run, shown=shown: run(shown, [block])
+            shown = images.to(kind)
+            run = compile_blocks(network.to(kind), shown, [block])
+            calls[kind] = lambda run=run, shown=shown: run(shown)
             calls[kind]()
     network.float()
     if len(calls) < 2:

@@ -21,8 +21,9 @@ from vprbench.api.arithmetic import tallied
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
 from vprbench.errors import BadInput, NotThere
+from vprbench.methods.parts.backbones import compiled_blocks
+from vprbench.methods.parts.backbones.compiled_blocks import CompiledBlocks, compile_blocks
 from vprbench.methods.parts.backbones.efficientnet_lite import EfficientNetLite, count_multiply_adds
-from vprbench.methods.parts.backbones.fused_blocks import fuse_blocks
 from vprbench.plugins import registry
 from vprbench.plugins.conformance import check
 from vprbench.plugins.rules import RULES, STORED_RULE, Journey
@@ -174,24 +175,38 @@ def test_folded_batch_norms_give_what_batch_norms_give(size, folder):
 
 
 @pytest.mark.parametrize("size", [(128, 224), (97, 131), (96, 131), (35, 64), (1, 1)])
-def test_fused_calls_give_what_the_plain_network_gives(size):
+def test_compiled_blocks_give_what_the_plain_network_gives(size):
     network = blocks_of("lite0")
-    fused = fuse_blocks(network)
-    assert fused is not None or not torch.backends.mkldnn.is_available()
-    if fused is None:
-        pytest.skip("PyTorch has no oneDNN here")
     images = seen(*drawn_images(size, size)).float().contiguous(memory_format=torch.channels_last)
     with torch.inference_mode():
-        assert furthest(fused(images, ALL), network(images, ALL)) < 1e-4
-        assert [maps.shape[1] for maps in fused(images, [0, 4])] == [16, 40]
+        for blocks in (ALL, [0, 4]):
+            found = CompiledBlocks(network)(images, blocks)
+            assert [maps.shape for maps in found] == [maps.shape for maps in network(images, blocks)]
+            assert furthest(found, network(images, blocks)) < 1e-4
+        if torch.backends.mkldnn.is_available() and size != (1, 1):  # oneDNN makes no graph of maps of one pixel
+            assert compile_blocks(network, images, ALL) is not None
 
 
-def test_descriptors_are_the_same_where_pytorch_fuses_nothing(monkeypatch):
+def test_images_of_more_sizes_than_are_compiled_for_are_described(monkeypatch):
+    images = drawn_images(*((64 + side, 100) for side in range(10)))
+    monkeypatch.setattr(compiled_blocks, "_MOST_SIZES", 20)
+    wanted = encoded(made(height=None, width=None, grid=[[2, 4]] * 3), *images)
+    monkeypatch.setattr(compiled_blocks, "_MOST_SIZES", 2)
+    assert distance(encoded(made(height=None, width=None, grid=[[2, 4]] * 3), *images), wanted) < 1e-6
+
+
+def test_descriptors_are_the_same_where_pytorch_compiles_nothing(monkeypatch):
     images = drawn_images((128, 224), (150, 200))
-    fused = encoded(made(), *images)
-    monkeypatch.delattr(torch._C._nn, "mkldnn_reorder_conv2d_weight", raising=False)
-    assert fuse_blocks(EfficientNetLite("lite0", 1)) is None
-    assert distance(encoded(made(), *images), fused) < 1e-6
+    compiled = encoded(made(), *images)
+
+    def refuse(enabled):
+        if enabled:
+            raise RuntimeError("Running oneDNN Graph fuser is only supported with MKLDNN builds.")
+
+    monkeypatch.setattr(torch.jit, "enable_onednn_fusion", refuse)
+    network = EfficientNetLite("lite0", 1)
+    assert compile_blocks(network, torch.zeros(1, 3, 32, 32), [1]) is None
+    assert distance(encoded(made(), *images), compiled) < 1e-6
 
 
 @pytest.mark.parametrize(

@@ -162,9 +162,9 @@ class Convolution(nn.Conv2d):
         """Make a layer of a square kernel."""
         super().__init__(n_inputs, n_outputs, kernel, stride, groups=groups)
 
-    def padding_of(self, maps: Tensor) -> tuple[tuple[int, int], tuple[int, int]]:
-        """Return the pixels of padding at the top and the bottom, and at the left and the right."""
-        kernel, stride, sides = self.kernel_size[0], self.stride[0], maps.shape[-2:]
+    def padding_of(self, sides: Sequence[int]) -> tuple[tuple[int, int], tuple[int, int]]:
+        """Return the padding at top and bottom, and at left and right, in pixels, for maps of `sides`."""
+        kernel, stride = self.kernel_size[0], self.stride[0]
         if stride == 1:
             return (kernel // 2, kernel // 2), (kernel // 2, kernel // 2)
         both = [max(0, (math.ceil(side / stride) - 1) * stride + kernel - side) for side in sides]
@@ -173,7 +173,7 @@ class Convolution(nn.Conv2d):
 
     def forward(self, maps: Tensor) -> Tensor:
         """Return the output for maps (n, channels, rows, columns)."""
-        (top, bottom), (left, right) = self.padding_of(maps)
+        (top, bottom), (left, right) = self.padding_of(maps.shape[-2:])
         if (top, left) == (bottom, right):
             return functional.conv2d(maps, self.weight, self.bias, self.stride, (top, left), groups=self.groups)
         return super().forward(functional.pad(maps, (left, right, top, bottom)))
