@@ -62,7 +62,6 @@ _NOT_THE_TABLES = (
     "save",
     "load",
     "wide",
-    "readouts",
     "stream",
     "corruption",
     "predictions",
