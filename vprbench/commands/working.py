@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, cast
+from typing import TYPE_CHECKING, Literal
 
-from vprbench.api.method import Method
 from vprbench.errors import BadInput
 from vprbench.plugins import registry
 from vprbench.plugins.options import chosen
 from vprbench.progress import answers_alone, progress_shown
 from vprbench.runs.compose import check_names, composed, readable
 from vprbench.runs.settings import checked_settings, n_threads
-from vprbench.storage.atomic import replace_text
 from vprbench.text import printable
 
 if TYPE_CHECKING:
@@ -87,40 +83,6 @@ def search_parameters(options: list[str]) -> int:
         found = search.search(settings, config["method"], config["dataset"])
     print(text.write(found, folder), end="")
     return 0
-
-
-def compare_gpu(options: list[str]) -> int:
-    """Compare the GPU with the CPU, time it, and write both."""
-    from vprbench.gpu import check
-    from vprbench.runs import machine
-    from vprbench.runs.store import Store
-
-    request = chosen(check.Settings, options, check.QUICK)
-    check.require_gpu(request.device)
-    given = {name: getattr(request, name) for name in ("device", "threads", "results", "seed")}
-    settings = checked_settings({**composed([]), "method": {}, **given})
-    folder = Path(settings.results).expanduser()
-    Store(folder).prepare()
-    machine.pin_threads(n_threads(settings))
-    with progress_shown("gpu-check"):
-        report = check.check_gpu(request, _maker(settings.seed))
-    text = check.to_text(report)
-    replace_text(folder / "gpu.md", text)
-    print(f"{text}\nwritten to {folder / 'gpu.md'}")
-    return 0 if report.correct else 1
-
-
-def _maker(seed: int) -> Callable[..., Method]:
-    """Return a maker of methods by name and device; its arguments replace the arguments of the yaml."""
-
-    @functools.cache
-    def config(name: str, device: str) -> dict[str, Any]:
-        return cast(dict[str, Any], composed([f"method={name}", f"device={device}", f"seed={seed}"])["method"])
-
-    def make(name: str, device: str, **arguments: Any) -> Method:
-        return registry.make_method({**config(name, device), **arguments})
-
-    return make
 
 
 def check(options: list[str]) -> int:

@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Any, get_args
 
 from vprbench.api.adaptation import Adapt
-from vprbench.api.dataset import Dataset, has_ground_truth
+from vprbench.api.dataset import Dataset
 from vprbench.api.frame_cache import frames_kept
 from vprbench.api.method import Method
 from vprbench.data.doctor import check_dataset
@@ -39,8 +39,8 @@ def build_request(name: str, config: dict[str, Any], settings: Settings, store: 
     return request_of(name, registry.make_method, dataset, config, settings, store, tuned_on)
 
 
-def _require_adaptable(method: Method, settings: Settings) -> None:
-    """Raise BadInput for an argument `adapt` of a method without centred codes, or beside options that know none."""
+def _require_adaptable(method: Method) -> None:
+    """Raise BadInput for an argument `adapt` that is unknown, and for one of a method without centred codes."""
     if method.adapt == "none":
         return
     if method.adapt not in get_args(Adapt):
@@ -49,10 +49,6 @@ def _require_adaptable(method: Method, settings: Settings) -> None:
         raise BadInput(
             f"method.adapt={method.adapt}: {type(method).__name__} has no codes that a mean can be taken off"
         )
-    views = viewpoints(settings.views)
-    if settings.readouts or (views is not None and views.auto):
-        other = "readouts=true" if settings.readouts else "views=auto"
-        raise BadInput(f"method.adapt={method.adapt}: {other} reads codes that are not adapted, leave one of both out")
 
 
 def corrupted_request(request: Request, corruption: str, config: Mapping[str, Any]) -> Request:
@@ -85,12 +81,10 @@ def request_of(
     files = networks.chosen_files(settings.save, settings.load, settings.force)
     with listening() as opened:
         method = build(config["method"])
-    _require_adaptable(method, settings)
+    _require_adaptable(method)
     # what the cheap checks warn of is among the dataset's notes
     in_sequences = bool(sequences.views(settings.sequence, settings.filter))
     dataset = replace(dataset, notes=(*dataset.notes, *check_dataset(dataset, in_sequences)))
-    if settings.readouts and not has_ground_truth(dataset.protocol):
-        raise BadInput(f"readouts=true: it tells R@1, and {dataset.name} has no ground truth; leave it out")
     tuned_queries = queries_of_tuned_frames(dataset, tuned_on)
     if isinstance(settings.corruption, str):
         dataset = corrupted(dataset, settings.corruption)
@@ -112,7 +106,6 @@ def request_of(
         cache=store.root.absolute() / "descriptors" if settings.cache else None,
         stream=stream.step(settings.stream, method, dataset.n_places),
         views=views,
-        readouts=settings.readouts,
         data=data,
         tuned_on=tuned_on,
         tuned_queries=tuned_queries,

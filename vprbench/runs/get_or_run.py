@@ -25,7 +25,7 @@ from vprbench.runs.sequences import views
 from vprbench.runs.settings import Settings
 from vprbench.runs.store import Store, identity, require_writable
 
-_ON_REQUEST = ("readouts", "stream", "energy")  # which a run keeps if it is run again without them
+_ON_REQUEST = ("stream", "energy")  # which a run keeps if it is run again without them
 
 
 class UnstoredRunError(BadInput):
@@ -119,7 +119,6 @@ def missing_parts(run: Run, request: Request, settings: Settings) -> list[str]:
     lacks = {
         "its network": request.files.save is not None and not request.files.replace,
         f"enough timing ({', '.join(too_little)})": bool(too_little),
-        "its readouts": settings.readouts and run.readouts is None,
         f"a map that grows by {request.stream} places": request.stream not in (0, first_stop),
         "its costs": settings.energy and run.energy is None,
         "its scores": settings.scores and run.scores is None,

@@ -23,13 +23,13 @@ if TYPE_CHECKING:
     from vprbench.runs.fitting import FitResult
 
 #: Raise it with a change by which a run may have other answers or times; a test holds that nobody forgets to decide.
-VERSION = 4
+VERSION = 5
 
 #: The modules whose changes are decided about, beside those of `vprbench.api`.
 MODULES = (
     *("vprbench.metrics.ranking", "vprbench.plugins.networks", "vprbench.runs.stopwatch", "vprbench.runs.fitting"),
     *("vprbench.runs.runner", "vprbench.runs.answers", "vprbench.runs.descriptors", "vprbench.runs.machine"),
-    *("vprbench.runs.corruption", "vprbench.runs.corrupted_frames", "vprbench.runs.viewpoints", "vprbench.runs.offset"),
+    *("vprbench.runs.corruption", "vprbench.runs.corrupted_frames", "vprbench.runs.viewpoints"),
 )
 
 
@@ -97,7 +97,6 @@ class Request:
     scores: bool = False  # keep them all, however many
     stream: int = 0  # places from one stop of a growing map to the next, which changes no answer; 0: none is asked for
     views: Viewpoints | None = None  # from which the queries are asked; None: the frames as they are
-    readouts: bool = False  # whether the layers are read too, which changes no answer
     tuned_on: Mapping[str, Any] = field(default_factory=dict)  # places that chose the method's settings
     tuned_queries: Sequence[int] = ()  # which show frames of these places, by their content
     data: DataRecord | None = None  # of the dataset; None: its files are looked at when it runs
