@@ -124,9 +124,9 @@ def _read_index(path: Path) -> dict[str, str]:
     try:
         files = json.loads(path.read_bytes())["files"]
         return dict(files)
-    except FileNotFoundError:
+    except OSError:
         return {}
-    except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
+    except (ValueError, TypeError, KeyError, RecursionError) as error:
         logger.warning("%s cannot be used (%s): the files of that folder are hashed anew", path, error)
         return {}
 
