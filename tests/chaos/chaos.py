@@ -147,7 +147,7 @@ class Chaos:
             "unknown": sorted(made.keys() - right.keys()),
             "doubled": watched.read_text().splitlines() if watched.exists() else [],
             "different": sorted(key for key in right.keys() & made.keys() if not _equal(right[key], made[key])),
-            "failed": [f"{each.method}: {each.error}" for each in Store(results, read_only=True).failures()],
+            "failed": [f"{each.method}: {each.error}" for each in Store(results).failures()],
             "locked": read_claims(results),
         }
         counts = ", ".join(f"{len(those)} {what}" for what, those in found.items())
@@ -196,7 +196,7 @@ def _temporary(path):
 
 
 def stored(results):
-    return {f"{run.dataset}/{run.method}-{run.key}": run for run in Store(results, read_only=True).runs()}
+    return {f"{run.dataset}/{run.method}-{run.key}": run for run in Store(results).runs()}
 
 
 def _equal(left, right):

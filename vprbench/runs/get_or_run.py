@@ -22,7 +22,7 @@ from vprbench.runs.record import Run
 from vprbench.runs.run_lock import HeldElsewhereError, RunLock
 from vprbench.runs.sequences import views
 from vprbench.runs.settings import Settings
-from vprbench.runs.store import Store, require_writable
+from vprbench.runs.store import Store
 
 _ON_REQUEST = ("readouts", "stream", "energy")  # which a run keeps if it is run again without them
 
@@ -51,8 +51,8 @@ def get_or_run(request: Request, settings: Settings, store: Store, wait: bool = 
     While another process makes the run this one waits, or without `wait` raises HeldElsewhereError. Raises BadInput if
     the run cannot be stored, UnstoredRunError if it was made by then, and what the method raises.
     """
-    refused = _why_not_writable(store)
     key, dataset = request.key(), request.dataset
+    refused = _why_not_writable(store, dataset)
     if request.files.save is not None and networks.made_by(request.files.save) == key:
         # the network of this very run, left by a process that was killed before it stored the run
         request = replace(request, files=replace(request.files, replace=True))
@@ -165,8 +165,6 @@ def _run(request: Request, settings: Settings, store: Store, stored: Run | None,
             with suppress(BadInput):  # which is raised when it is stored with its times
                 store.save(replace(scored, **_tuning(request)))
 
-    for place in (store.root / request.dataset.name, store.folder(request.dataset.name, request.name, key)):
-        require_writable(place)
     with progress_shown(title), overheard(lock.tell):
         run = runner.run(request, key, keep)
         run = replace(run, stream=stream.grown(request)) if request.stream else run
@@ -175,10 +173,10 @@ def _run(request: Request, settings: Settings, store: Store, stored: Run | None,
     return run
 
 
-def _why_not_writable(store: Store) -> BadInput | None:
-    """Return why nothing can be written to a store, None if it can; raises it if nothing can be read either."""
+def _why_not_writable(store: Store, dataset: Dataset) -> BadInput | None:
+    """Return why no run on a dataset can be stored, None if it can; raises it if nothing can be read either."""
     try:
-        store.prepare()
+        store.prepare(dataset.name)
     except BadInput as error:
         if not os.path.isdir(store.root):  # noqa: PTH112 - Path's own complains of names that are too long
             raise

@@ -6,7 +6,6 @@ import contextlib
 import logging
 import os
 import shutil
-import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -32,24 +31,28 @@ logger = logging.getLogger(__name__)
 class Store:
     """A results folder: `<dataset>/<method>-<key>/` holds one run. Several processes may write to it at once."""
 
-    def __init__(self, root: Path, read_only: bool = False) -> None:
-        """Use the folder `root`, where nothing is written yet, or never where it is only read."""
+    def __init__(self, root: Path) -> None:
+        """Use the folder `root`, where nothing is written yet."""
         self.root = root
-        self.read_only = read_only
-        self._named: set[Path] = set()  # damaged runs of which a warning has told
+        self._damaged: set[Path] = set()  # folders that a warning has named
 
-    def prepare(self) -> None:
-        """Make the folder and see that it can be written; raises BadInput before work is wasted on a run."""
-        self._require_writing()
+    def prepare(self, dataset: str = "") -> None:
+        """Make the folder, and see that it and the folder of a dataset can be written.
+
+        Raises BadInput before work is wasted on a run.
+        """
+        folder = self.root
         try:
-            self.root.mkdir(parents=True, exist_ok=True)
+            folder.mkdir(parents=True, exist_ok=True)
             self.remove_leftovers()
-            probe = atomic.unfinished(self.root)
-            probe.mkdir()
-            probe.rmdir()
+            for folder in (self.root, self.root / dataset):
+                if os.path.lexists(folder):  # a link may lead to a disk that is not there
+                    probe = atomic.unfinished(folder)
+                    probe.mkdir()
+                    probe.rmdir()
         except OSError as error:
             raise BadInput(
-                f"results={self.root} cannot be written ({error.strerror or error}): "
+                f"results={self.root}: {folder} cannot be written ({error.strerror or error}): "
                 "choose another folder with results=..."
             ) from error
 
@@ -89,7 +92,6 @@ class Store:
 
     def save(self, run: Run) -> Path:
         """Store a run, replacing one with the same key; raises BadInput if the disk refuses, or a run cannot be."""
-        self._require_writing()
         folder = self.folder(run.dataset, run.method, run.key)
         try:
             _place(folder, lambda partial: write(run, partial))
@@ -105,7 +107,6 @@ class Store:
 
     def save_failure(self, failure: Failure) -> Path:
         """Store that a run ended in an error, until a run of the same configuration succeeds."""
-        self._require_writing()
         folder = self._failure_folder(failure.method, failure.dataset, failure.config)
         try:
             _place(folder, lambda partial: write_failure(failure, partial))
@@ -145,10 +146,6 @@ class Store:
             except OSError as error:
                 logger.warning("%s cannot be read (%s): its runs are left out", dataset, error.strerror or error)
 
-    def _require_writing(self) -> None:
-        if self.read_only:
-            raise RuntimeError(f"the store {self.root} was opened to be read only")
-
     def _load(self, folder: Path) -> Run | None:
         """Read the run of a folder; None if there is none or, with a warning, none whole. Raises OtherLayoutError.
 
@@ -163,8 +160,8 @@ class Store:
                 return None
             except (DamagedRunError, OSError) as error:
                 reason = str(error)
-        if folder not in self._named:
-            self._named.add(folder)
+        if folder not in self._damaged:
+            self._damaged.add(folder)
             logger.warning("%s cannot be used and is left out: %s", folder, reason)
         return None
 
@@ -185,19 +182,3 @@ def _place(folder: Path, fill: Callable[[Path], None]) -> None:
         atomic.replace_folder(partial, folder)
     finally:
         shutil.rmtree(partial, ignore_errors=True)
-
-
-def require_writable(folder: Path) -> None:
-    """Raise BadInput for a folder that nothing can be written to, as a link to a disk that is not there; none is made.
-
-    A folder that is missing will be made, if the one above it takes it.
-    """
-    if not os.path.lexists(folder):
-        return
-    try:
-        tempfile.TemporaryDirectory(prefix=atomic.PARTIAL, dir=folder).cleanup()
-    except OSError as error:
-        raise BadInput(
-            f"{folder} cannot be written ({error.strerror or error}), where the run would be stored: mend that, or "
-            "choose another folder with results=..."
-        ) from error
