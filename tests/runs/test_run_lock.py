@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import multiprocessing
 import os
 import signal
 import subprocess
@@ -161,6 +162,28 @@ def test_alone_a_run_waits_for_the_process_that_makes_it_and_is_answered_from_th
     other.join()
     assert method.fits == []
     assert [path.name for path in store.root.iterdir()] == ["journey"]
+
+
+def test_of_ten_processes_that_want_a_run_one_makes_it_and_the_others_find_it(store, tmp_path):
+    fits, found = tmp_path / "fits", tmp_path / "found"
+
+    def work():
+        result = made(busy(lambda: note(fits)), store)
+        note(found, result.from_store)
+
+    processes = [multiprocessing.get_context("fork").Process(target=work, daemon=True) for _ in range(10)]
+    for process in processes:
+        process.start()
+    for process in processes:
+        process.join()
+    assert (len(fits.read_text().split()), found.read_text().split().count("True")) == (1, 9)
+    assert [path.name for path in store.root.iterdir()] == ["journey"]
+
+
+def note(path, word="once"):
+    """Add a word to a file, as one of several processes."""
+    with path.open("a") as file:
+        file.write(f"{word}\n")
 
 
 def test_a_run_that_another_process_could_not_make_meanwhile_is_tried_again(store):
