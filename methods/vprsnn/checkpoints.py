@@ -53,8 +53,8 @@ class Checkpoints:
         """Return the arrays of a part; None if it is not there, or with a warning if it is damaged."""
         path = self._path(name)
         try:
-            with np.load(path, allow_pickle=False) as file:
-                arrays = dict(file)
+            with path.open("rb") as file, np.load(file, allow_pickle=False) as found:
+                arrays = dict(found)
         except FileNotFoundError:
             return None
         except Exception as error:  # a damaged file may upset its reader in any way
@@ -68,7 +68,7 @@ class Checkpoints:
         if self._refused:
             return
         content = io.BytesIO()
-        np.savez(content, **dict(arrays))
+        np.savez(content, **arrays)  # type: ignore[arg-type]  # mypy takes them for `allow_pickle`
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
             replace_bytes(self._path(name), content.getvalue())

@@ -7,7 +7,6 @@ import time
 from contextlib import contextmanager
 from itertools import pairwise
 
-import psutil
 import pytest
 
 from vprbench.jobs import child
@@ -27,7 +26,7 @@ def _host(tmp_path, monkeypatch):
 @contextmanager
 def another(does):
     """Let another process compute, or be alone."""
-    with psutil.Popen([sys.executable, "-c", HOLDER.format(does)], stdout=subprocess.PIPE) as process:
+    with subprocess.Popen([sys.executable, "-c", HOLDER.format(does)], stdout=subprocess.PIPE) as process:
         assert process.stdout.readline()
         yield process
         process.kill()

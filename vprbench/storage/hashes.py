@@ -10,7 +10,7 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -79,7 +79,7 @@ def file_hashes(paths: Sequence[Path]) -> HashedFiles:
     try:
         for folder, positions in files.in_folders():
             names = [files.names[position] for position in positions.tolist()]
-            entries = _entries(folder, names, readers, lambda read, done=done: _report(done + read, len(files)))
+            entries = _entries(folder, names, readers, partial(_report, len(files), done))
             sizes[positions] = [int(entry.partition(" ")[0]) for entry in entries]
             joined = bytes.fromhex("".join(entry.rpartition(" ")[2] for entry in entries))
             hashes[positions] = np.frombuffer(joined, np.uint8).reshape(-1, _SHA256_BYTES)
@@ -173,8 +173,8 @@ def _read_file(folder: Path, name: str) -> str:
     return f"{before} {sha256}"
 
 
-def _report(done: int, total: int) -> None:
-    progress.report("hashing frames", done / total)
+def _report(total: int, done: int, read: int) -> None:
+    progress.report("hashing frames", (done + read) / total)
 
 
 def _unreadable(path: Path | str, error: OSError) -> BadInput:
