@@ -24,6 +24,7 @@ from vprbench.errors import BadInput
 from vprbench.runs import machine
 from vprbench.runs.rows import document
 from vprbench.runs.stopwatch import Protocol, StageRates, Stopwatch, Timing, synchroniser
+from vprbench.text import format_rate
 
 _PIXELS_PER_CELL = 4  # of the coarse grid that a frame is blown up from
 _NOISE = 12  # grey levels to either side that a copy of a frame differs by
@@ -304,14 +305,12 @@ def timed(settings: Settings, make: Make, route: Route, rules: str) -> tuple[Row
     asked = _query_rows(rules, timing)
     for row, laps in zip(asked[1:], timing.offline, strict=True):
         offline = StageRates.offline(laps)
-        row["target Hz"] = f"{TARGET_OFFLINE_HZ:,.0f}, {_met(offline.total >= TARGET_OFFLINE_HZ)}"
+        row["target Hz"] = f"{format_rate(TARGET_OFFLINE_HZ)}, {_met(offline.total >= TARGET_OFFLINE_HZ)}"
     return {**trained, "target s": f"{TARGET_FIT_SECONDS:g}, {reached} by the second"}, asked
 
 
 def _rates(rates: StageRates) -> str:
-    return " / ".join(
-        f"{rate:,.0f}" if rate >= 10 else f"{rate:.2g}" for rate in (rates.encode, rates.match, rates.total)
-    )
+    return " / ".join(map(format_rate, (rates.encode, rates.match, rates.total)))
 
 
 def _met(reached: bool) -> str:
