@@ -54,7 +54,7 @@ def frames(folder, count, size=(16, 12), mode="RGB"):
     return folder
 
 
-@pytest.mark.parametrize(("one", "options"), [("cli._run", []), ("jobs.executors.run_job", ["-m"])])
+@pytest.mark.parametrize(("one", "options"), [("commands.run.make_run", []), ("jobs.executors.run_job", ["-m"])])
 def test_no_run_sees_a_temporary_folder_and_none_is_left(tmp_path, monkeypatch, one, options):
     temporary = tmp_path / "temporary"
     temporary.mkdir()

@@ -10,6 +10,7 @@ import pytest
 from vprbench import cli
 from vprbench.jobs import child, executors, job
 from vprbench.jobs.job import Job, JobResult
+from vprbench.plugins import registry
 from vprbench.runs.store import Store
 
 GOOD = json.dumps({"code": 0, "key": "abc"})
@@ -95,7 +96,7 @@ def test_an_interruption_is_told_once_by_the_process_that_was_asked(as_job, monk
     def interrupt():
         raise KeyboardInterrupt(signal.SIGTERM)
 
-    monkeypatch.setattr(cli.registry, "register_search_path", interrupt)
+    monkeypatch.setattr(registry, "register_search_path", interrupt)
     monkeypatch.setattr(job, "current", Job() if as_job else None)
     assert cli.main(["method=sad"]) == 128 + signal.SIGTERM
     assert len(capsys.readouterr().err.splitlines()) == (not as_job)

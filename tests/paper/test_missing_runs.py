@@ -161,18 +161,17 @@ def test_on_a_terminal_a_table_fills_with_what_is_stored_and_leaves_it_clean_if_
         monkeypatch.setenv(name, value)
 
     def failing(_, heard, **__):
-        for line in ("\x01fit\t0.250", "\x01!note: a warning", "vprbench: it failed"):
+        for line in ("note: a warning", "vprbench: it failed"):
             heard(line)
         return JobResult(1, False, "it failed", recorded=True)
 
-    def interrupted(_, heard, **__):
-        heard("\x01query\t0.500")
+    def interrupted(*_, **__):
         raise KeyboardInterrupt(2)
 
     wishes = [STORED, a_wish(Row("A row with a name that is longer than its column may be", "sad"), seed=1)]
     monkeypatch.setattr(executors, "run_job", failing)
     assert [ending.code for ending in fill(wishes, Store(made[0] / "results"), RUN)] == [0, 1]
-    for text in ("\x1b[33mnote: a warning", "\x1b[31mvprbench: it failed", " %  ", " Hz", "fit 25 %"):
+    for text in ("note: a warning", "\x1b[31mvprbench: it failed", " %  ", " Hz", "1 of 2, 1 running, 0 waiting"):
         assert text in screen.getvalue()
     monkeypatch.setattr(executors, "run_job", interrupted)
     with pytest.raises(KeyboardInterrupt):

@@ -22,7 +22,7 @@ from typing import IO, cast
 from vprbench.jobs import job
 from vprbench.jobs.job import Job, JobResult
 from vprbench.plugins.entries import with_plugin_paths
-from vprbench.progress import MARKED
+from vprbench.progress import QUIET
 from vprbench.runs.timing_lock import folder
 from vprbench.storage.atomic import scratch
 from vprbench.storage.folders import checkout_folder
@@ -80,15 +80,15 @@ def run_job(
 ) -> JobResult:
     """Make the run of these options of the command line in a new process, which ends with this one.
 
-    `heard` is given each line of its standard error, in a thread, stages and warnings marked; without it the lines go
-    to this process's own. The process works in `folder`, or where this one does, and is interrupted once it is
+    `heard` is given each line of its standard error, in a thread, and no progress; without it the lines go to this
+    process's own. The process works in `folder`, or where this one does, and is interrupted once it is
     `stopped`. A process that dies is a failure with its exit code or signal, which one line on standard error tells.
     Raises KeyboardInterrupt if this process is interrupted, after the other one has ended.
     """
     options = [*map(with_plugin_paths, options)]
     with scratch() as place, free_gpu(options, stopped) as gpu:
         Job(tuple(options), os.getpid()).write(place)
-        given = _environment({job.FOLDER: str(place), **({MARKED: "1"} if heard else {}), **gpu})
+        given = _environment({job.FOLDER: str(place), **({QUIET: "1"} if heard else {}), **gpu})
         command = [sys.executable, *_flags(), "-m", "vprbench"]
         lines: deque[str] = deque(maxlen=_LINES)
         with (

@@ -32,7 +32,6 @@ from vprbench.jobs.job import JobResult
 from vprbench.jobs.options import ClusterOptions
 from vprbench.jobs.worker import RemoteJob, RemoteResult, make, put_in, stop
 from vprbench.plugins.entries import with_plugin_paths
-from vprbench.progress import marked
 from vprbench.runs.store import Store
 from vprbench.storage.atomic import unfinished
 from vprbench.text import printable
@@ -239,10 +238,8 @@ def _close(cluster: Cluster) -> None:
 
 
 def _say(_: int, line: str) -> None:
-    """Print what a run says; how far it is stands in the live view alone."""
-    told = marked(line)
-    if not isinstance(told, tuple):
-        print(printable(line if told is None else told), file=sys.stderr, flush=True)
+    """Print a line of a run's standard error."""
+    print(printable(line), file=sys.stderr, flush=True)
 
 
 def _interrupt(number: int, _: object) -> NoReturn:

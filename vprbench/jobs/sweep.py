@@ -15,7 +15,6 @@ from vprbench.jobs.job import JobResult
 from vprbench.jobs.options import ClusterOptions
 from vprbench.plugins import registry
 from vprbench.plugins.options import chosen
-from vprbench.progress import marked
 from vprbench.runs import machine
 from vprbench.runs.compose import composed
 from vprbench.runs.record import Failure
@@ -48,11 +47,8 @@ def swept(runs: Sequence[Sequence[str]], options: ClusterOptions) -> int:
             live.begin(number, " ".join(runs[number]), host)
 
     def heard(number: int, line: str) -> None:
-        told = marked(line)
-        if live is not None and isinstance(told, tuple):
-            live.share(number, f"{told[0].split(',')[0]} {100 * told[1]:.0f} %", 0.0)
-        elif live is not None and not isinstance(told, tuple):
-            live.line(told or line)
+        if live is not None:
+            live.line(line)
 
     codes = []
     with executor, live or nullcontext():
@@ -61,7 +57,7 @@ def swept(runs: Sequence[Sequence[str]], options: ClusterOptions) -> int:
             if result.printed:
                 print(result.printed, flush=True)
             if live is not None:
-                live.step(number, bool(result.code))
+                live.end(number, bool(result.code))
             if result.code == 1 and not result.recorded:
                 failure = lost(runs[number], result)
                 Store(results_of(runs[number])).try_to_save_failure(failure)

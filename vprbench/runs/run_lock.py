@@ -20,6 +20,8 @@ from typing import Any, Literal, Self
 from filelock import FileLock, Timeout
 
 from vprbench.errors import BadInput
+from vprbench.plugins.options import option
+from vprbench.text import format_duration, format_percent
 
 logger = logging.getLogger(__name__)
 
@@ -158,9 +160,9 @@ def _user() -> str:
 class StatusOptions:
     """Where to look."""
 
-    results: str = "results"  # folder of the stored runs
-    output: Literal["row", "json"] = "row"  # or json: one object
-    wide: bool = False  # true: all columns, however narrow the terminal
+    results: str = option("results")
+    output: Literal["row", "json"] = option("row", "or json: one object")
+    wide: bool = option(False, "true: all columns, however narrow the terminal")
 
 
 def status(results: str) -> dict[str, Any]:
@@ -182,10 +184,10 @@ def row(claim: Mapping[str, Any]) -> dict[str, str]:
     return {
         "run": f"{words['method']} on {words['dataset']}{on}",
         "stage": words["stage"].split(",")[0],
-        "%": f"{100 * claim['done']:.0f}" if isinstance(claim["done"], float) else "?",
+        "%": "?" if claim["done"] is None else format_percent(claim["done"], 0),
         "host": words["host"],
         "process": words["process"],
-        "last word": f"{claim['silent_seconds']:.0f} s ago",
+        "last word": f"{format_duration(claim['silent_seconds'])} ago",
         "seed": words["seed"],
         "device": words["device"],
         "owner": words["owner"],
