@@ -134,7 +134,6 @@ def _run(config: DictConfig) -> JobResult:
     recorded = {name: plain[name] for name in RECORDED}
     recorded["overrides"] = [registry.with_plugin_paths(option) for option in given]
     from vprbench.runs import machine
-    from vprbench.runs.get_or_run import FailedElsewhereError
     from vprbench.runs.record import Failure
     from vprbench.runs.run_lock import HeldElsewhereError
     from vprbench.runs.store import Store
@@ -166,19 +165,15 @@ def _run(config: DictConfig) -> JobResult:
             logging.info("%s: it is left to that", error)
             return JobResult(0, held=str(error.path))
         except BaseException as error:  # whatever a plug-in raises
-            elsewhere = error.failure if isinstance(error, FailedElsewhereError) else None
-            failure = elsewhere or failed(_public(_error_text(error).splitlines()[0]), isinstance(error, NotThere))
+            failure = failed(_public(_error_text(error).splitlines()[0]), isinstance(error, NotThere))
             if isinstance(error, BadInput) and not as_job:
                 raise
-            if elsewhere is None:
-                failures.try_to_save_failure(failure)
+            failures.try_to_save_failure(failure)
             if settings.output == "json" and as_job:
                 say(as_json(failure))
             message = f"{failure.method} failed: {failure.error}"
             if isinstance(error, BadInput):
                 message = str(error).strip() or failure.error
-            elif elsewhere is not None:
-                message = str(error)
             elif not isinstance(error, TrainingDivergedError):
                 print(textwrap.indent(printable(traceback.format_exc(), but="\n"), "  "), file=sys.stderr)
             result = _complain(message, 2 if isinstance(error, BadInput) else 1, failure)
@@ -193,7 +188,7 @@ def _answer(method: str, recorded: dict[str, Any], settings: Settings, store: St
     from vprbench.runs.build_request import build_request, corrupted_request
     from vprbench.runs.get_or_run import UnstoredRunError, get_or_run
 
-    current, key = job.current, ""
+    key = ""
     request = build_request(method, recorded, settings, store)
     for name in settings.corruption if isinstance(settings.corruption, list) else [None]:
         if name is not None:
@@ -201,7 +196,7 @@ def _answer(method: str, recorded: dict[str, Any], settings: Settings, store: St
             recorded |= {"corruption": name, "overrides": [*clean, f"corruption={name}"]}
         wanted = request if name is None else corrupted_request(request, name, recorded)
         try:
-            result = get_or_run(wanted, settings, store, current is None, None if current is None else current.since)
+            result = get_or_run(wanted, settings, store, wait=job.current is None)
         except UnstoredRunError as error:
             from vprbench.runs.run_text import run_text  # what it imports does not count as the run's memory
 

@@ -11,7 +11,6 @@ from vprbench import cli
 from vprbench.jobs import child, executors, job
 from vprbench.jobs.job import Job, JobResult
 from vprbench.runs.store import Store
-from vprbench.storage import owner
 
 GOOD = json.dumps({"code": 0, "key": "abc"})
 LEAVE = """echo '%s' > "$VPRBENCH_JOB/result.json" """
@@ -39,9 +38,9 @@ def test_a_job_is_asked_in_a_file_and_leaves_its_result_there_its_lines_with_us_
     temporary.mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(temporary))
     script = f"""cat "$VPRBENCH_JOB/job.json" "$VPRBENCH_JOB" > {tmp_path}/asked; echo one >&2; {LEAVE % GOOD}"""
-    assert ends(script, "method=sad", "seed=1", since=2.5, heard=said.append) == JobResult(0, key="abc")
+    assert ends(script, "method=sad", "seed=1", heard=said.append) == JobResult(0, key="abc")
     asked = json.loads((tmp_path / "asked").read_text())
-    assert (asked["options"][:2], asked["since"]) == (["method=sad", "seed=1"], 2.5)
+    assert asked["options"][:2] == ["method=sad", "seed=1"]
     assert [line for line in said if not line.startswith("cat")] == ["one"]
     assert [*temporary.iterdir()] == []
 
@@ -100,16 +99,6 @@ def test_an_interruption_is_told_once_by_the_process_that_was_asked(as_job, monk
     monkeypatch.setattr(job, "current", Job() if as_job else None)
     assert cli.main(["method=sad"]) == 128 + signal.SIGTERM
     assert len(capsys.readouterr().err.splitlines()) == (not as_job)
-
-
-def test_a_dead_process_leaves_no_lock_and_no_half_file(ends, tmp_path):
-    store, host = tmp_path / "results", owner.mark().partition("-")[0]
-    (store / ".locks").mkdir(parents=True)
-    (store / ".locks/it").touch()
-    others = store / f".partial-{owner.mark()}-x"
-    others.touch()
-    ends(f"started=$(cut -d' ' -f22 /proc/$$/stat)\ntouch {store}/.partial-{host}-$$-$started-y\nkill -KILL $$")
-    assert [path.name for path in store.iterdir()] == [others.name]
 
 
 def test_an_option_of_a_sweep_goes_to_each_of_its_methods_and_a_run_whose_process_dies_is_a_stored_failure(

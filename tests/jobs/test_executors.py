@@ -117,7 +117,7 @@ def test_workers_of_this_machine_make_runs_bring_them_home_and_are_made_up_for_i
 
 
 def test_a_worker_of_another_version_makes_no_run():
-    order = RemoteJob("sweep", 0, (), "", since=0.0, shared="", version="0.0.1")
+    order = RemoteJob("sweep", 0, (), "", shared="", version="0.0.1")
     with pytest.raises(BadInput, match=r"0\.0\.1"):
         make(order)
 

@@ -13,11 +13,11 @@ from pathlib import Path
 import platformdirs
 import pytest
 
-from vprbench.api.checkpoints import partial_folder
 from vprbench.api.weights import weights_folder
 from vprbench.errors import BadInput
 from vprbench.progress import listening
 from vprbench.storage import hashes as file_hashes
+from vprbench.storage.folders import cache_folder
 from vprbench.storage.hashes import FileHash, FileHashes, hashes_folder
 
 SECOND = 1_000_000_000  # nanoseconds
@@ -216,7 +216,11 @@ def test_more_files_than_a_batch_are_told_of_once_and_known_ones_found_again(tmp
     assert not read
 
 
-FOLDERS = {"VPRBENCH_WEIGHTS": weights_folder, "VPRBENCH_PARTIAL": partial_folder, "VPRBENCH_HASHES": hashes_folder}
+FOLDERS = {
+    "VPRBENCH_WEIGHTS": weights_folder,
+    "VPRBENCH_PARTIAL": lambda: cache_folder("VPRBENCH_PARTIAL", "partial"),
+    "VPRBENCH_HASHES": hashes_folder,
+}
 
 
 @pytest.mark.parametrize("variable", FOLDERS)

@@ -23,8 +23,7 @@ from vprbench.jobs import job
 from vprbench.jobs.job import Job, JobResult
 from vprbench.plugins.entries import with_plugin_paths
 from vprbench.progress import MARKED
-from vprbench.runs.store import Store
-from vprbench.runs.timing_lock import LOOK_EVERY, folder
+from vprbench.runs.timing_lock import folder
 from vprbench.storage.atomic import scratch
 from vprbench.storage.folders import checkout_folder
 from vprbench.text import printable
@@ -50,7 +49,7 @@ def free_gpu(options: Sequence[str], given_up: Callable[[], bool]) -> Iterator[d
                     continue
                 yield {} if number else {"CUDA_VISIBLE_DEVICES": name}
                 return
-        time.sleep(LOOK_EVERY)
+        time.sleep(_LOOK_EVERY)
     yield {}
 
 
@@ -75,7 +74,6 @@ _LINES = 200  # of standard error, among which the reason of a death is looked f
 
 def run_job(
     options: Sequence[str],
-    since: float | None = None,
     heard: Callable[[str], None] | None = None,
     stopped: Callable[[], bool] = lambda: False,
     folder: str | None = None,
@@ -89,7 +87,7 @@ def run_job(
     """
     options = [*map(with_plugin_paths, options)]
     with scratch() as place, free_gpu(options, stopped) as gpu:
-        Job(tuple(options), since, os.getpid()).write(place)
+        Job(tuple(options), os.getpid()).write(place)
         given = _environment({job.FOLDER: str(place), **({MARKED: "1"} if heard else {}), **gpu})
         command = [sys.executable, *_flags(), "-m", "vprbench"]
         lines: deque[str] = deque(maxlen=_LINES)
@@ -101,7 +99,6 @@ def run_job(
         result = JobResult.read(place)
     if result is not None:
         return result
-    Store(results_of(options)).remove_leftovers()
     method = next((each for each in reversed(options) if each.startswith("method=")), "the run")
     error = _words_on(code, lines) if code is not None else f"was not done after limit_minutes={_limit(options)}"
     (heard or _echo)(printable(f"vprbench: {method} {error}"))

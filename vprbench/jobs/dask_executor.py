@@ -79,9 +79,8 @@ class DaskExecutor:
                 with contextlib.suppress(Exception):  # of workers that are gone, or of runs that take too long
                     self._client.run(stop, self._sweep, on_error="ignore")
                     wait([*self._running], timeout=_PATIENCE)
-        for root, shared in self._shared.items():
+        for shared in self._shared.values():
             shared.unlink(missing_ok=True)
-            Store(root).remove_leftovers()  # of runs that had to be killed
 
     @cached_property
     def _client(self) -> Client:
@@ -101,7 +100,7 @@ class DaskExecutor:
         threads: dict[str, int] = self._client.nthreads()
         return max(1, sum(threads.values()))
 
-    def submit(self, number: int, options: Sequence[str], since: float, callbacks: Callbacks) -> Future[JobResult]:
+    def submit(self, number: int, options: Sequence[str], callbacks: Callbacks) -> Future[JobResult]:
         """Let a worker make a run; returns its future, which `wait` fulfils."""
         self._callbacks = callbacks
         root = results_of(options)
@@ -114,7 +113,6 @@ class DaskExecutor:
             number=number,
             options=tuple(map(with_plugin_paths, options)),  # a loose file has its name in this process alone
             folder=str(Path.cwd()),
-            since=since,
             shared=str(self._shared[root]),
         )
         future: Future[JobResult] = Future()

@@ -11,11 +11,10 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import Protocol, Self
 
-from vprbench.jobs.child import results_of, run_job
+from vprbench.jobs.child import run_job
 from vprbench.jobs.job import JobResult
 from vprbench.jobs.options import ClusterOptions
 from vprbench.runs import run_lock
-from vprbench.runs.store import Store
 
 _LOOK_EVERY = 1.0  # seconds between looks at whether the locks of others are free
 
@@ -44,7 +43,7 @@ class Executor(Protocol):
     def room(self) -> int:
         """Return how many runs may be made at a time."""
 
-    def submit(self, number: int, options: Sequence[str], since: float, callbacks: Callbacks) -> Future[JobResult]:
+    def submit(self, number: int, options: Sequence[str], callbacks: Callbacks) -> Future[JobResult]:
         """Begin to make a run; returns its future."""
 
     def wait(self) -> None:
@@ -67,12 +66,12 @@ class SerialExecutor:
         """Return 1."""
         return 1
 
-    def submit(self, number: int, options: Sequence[str], since: float, callbacks: Callbacks) -> Future[JobResult]:
+    def submit(self, number: int, options: Sequence[str], callbacks: Callbacks) -> Future[JobResult]:
         """Make a run; its future is done."""
         callbacks.begins(number, socket.gethostname())
         says = None if callbacks.says is None else functools.partial(callbacks.says, number)
         future: Future[JobResult] = Future()
-        future.set_result(run_job(options, since=since, heard=says))
+        future.set_result(run_job(options, heard=says))
         return future
 
     def wait(self) -> None:
@@ -88,7 +87,6 @@ def run_all(
     sweep makes is tried again at the end.
     """
     coming, callbacks = iter(runs), callbacks or Callbacks()
-    since = 0.0  # when the first run began, by the clock of the disk
     held_by_others: dict[int, tuple[Sequence[str], str]] = {}  # options, and the lock
     running: dict[Future[JobResult], Numbered] = {}
     while True:
@@ -96,8 +94,7 @@ def run_all(
             found = next(coming, None) or _freed(held_by_others, wait=not running)
             if found is None:
                 break
-            since = since or Store(results_of(found[1])).now()
-            running[executor.submit(*found, since, callbacks)] = found
+            running[executor.submit(*found, callbacks)] = found
         if not running:
             return
         executor.wait()

@@ -16,7 +16,6 @@ class Job:
     """What is asked of a process."""
 
     options: tuple[str, ...] = ()  # of the command line
-    since: float | None = None  # when the sweep began, by the clock of the disk: what failed since then has failed
     parent: int = 0  # the process that asks; the job ends with it
 
     def write(self, folder: Path) -> None:
@@ -27,7 +26,7 @@ class Job:
     def read(cls, folder: Path) -> Job:
         """Return the job of a folder."""
         asked = json.loads((folder / _ASKED).read_text(encoding="utf-8"))
-        return cls(tuple(asked["options"]), asked["since"], asked["parent"])
+        return cls(tuple(asked["options"]), asked["parent"])
 
 
 @dataclass(frozen=True)

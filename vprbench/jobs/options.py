@@ -10,7 +10,7 @@ from typing import Any
 
 from vprbench.errors import BadInput
 from vprbench.jobs.batch import Job, job
-from vprbench.storage.owner import core_count
+from vprbench.storage.cores import core_count
 
 logger = logging.getLogger(__name__)
 

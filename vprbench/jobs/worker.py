@@ -31,7 +31,6 @@ class RemoteJob:
     number: int
     options: tuple[str, ...]
     folder: str  # in which the client works
-    since: float  # when the sweep began, by the clock of the disk that holds its results
     shared: str  # a file that the client keeps in its results folder: a worker that sees it stores there
     version: str = vprbench.__version__
 
@@ -62,7 +61,6 @@ def make(order: RemoteJob) -> RemoteResult:
     own = Path(worker.local_directory) / "results"  # removed with the worker
     result = run_job(
         order.options if shared else [*order.options, f"results={own}"],
-        since=order.since if shared else None,
         heard=tell,
         stopped=stopped.is_set,
         folder=order.folder if Path(order.folder).is_dir() else None,

@@ -167,7 +167,7 @@ def assembled(
 
 def stored(request: TableRequest | TablePlan) -> tuple[list[Run], list[Failure]]:
     """Return the runs and failures of the store and of the stores of other machines, each once."""
-    stores = [Store(results_folder(folder), read_only=True) for folder in (request.results, *request.stores)]
+    stores = [Store(results_folder(folder)) for folder in (request.results, *request.stores)]
     runs = {(run.dataset, run.method, run.key): run for store in reversed(stores) for run in store.runs()}
     return [*runs.values()], [failure for store in stores for failure in store.failures()]
 

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from vprbench.api.checkpoints import ledger
 from vprbench.api.dataset import Dataset
 from vprbench.errors import BadInput
 from vprbench.metrics.accuracy import recall_at
@@ -19,11 +18,11 @@ from vprbench.progress import overheard, progress_shown
 from vprbench.runs import energy, runner, stream, thumbnails
 from vprbench.runs.identity import Request
 from vprbench.runs.query_results import by_interest
-from vprbench.runs.record import Failure, Run
+from vprbench.runs.record import Run
 from vprbench.runs.run_lock import HeldElsewhereError, RunLock
 from vprbench.runs.sequences import views
 from vprbench.runs.settings import Settings
-from vprbench.runs.store import Store, identity, require_writable
+from vprbench.runs.store import Store
 
 _ON_REQUEST = ("readouts", "stream", "energy")  # which a run keeps if it is run again without them
 
@@ -37,15 +36,6 @@ class UnstoredRunError(BadInput):
         self.run = run
 
 
-class FailedElsewhereError(Exception):
-    """Another process has tried the run meanwhile, and failed."""
-
-    def __init__(self, failure: Failure) -> None:
-        """Hold what became of it."""
-        super().__init__(f"{failure.method} on {failure.dataset} failed in another process: {failure.error}")
-        self.failure = failure
-
-
 @dataclass(frozen=True)
 class RunResult:
     """A run, the folder that holds it, and whether it was stored already."""
@@ -55,45 +45,30 @@ class RunResult:
     from_store: bool
 
 
-def get_or_run(
-    request: Request, settings: Settings, store: Store, wait: bool = True, since: float | None = None
-) -> RunResult:
+def get_or_run(request: Request, settings: Settings, store: Store, wait: bool = True) -> RunResult:
     """Return the run of a request from the store, or make and store it.
 
-    While another process makes the run this one waits, or without `wait` raises HeldElsewhereError. A failure of the
-    run that was stored `since` then, by the clock of the disk, is raised as FailedElsewhereError. Raises BadInput if
+    While another process makes the run this one waits, or without `wait` raises HeldElsewhereError. Raises BadInput if
     the run cannot be stored, UnstoredRunError if it was made by then, and what the method raises.
     """
-    refused = _why_not_writable(store)
     key, dataset = request.key(), request.dataset
+    refused = _why_not_writable(store, dataset)
     if request.files.save is not None and networks.made_by(request.files.save) == key:
         # the network of this very run, left by a process that was killed before it stored the run
         request = replace(request, files=replace(request.files, replace=True))
     folder = store.folder(dataset.name, request.name, key)
     store = Store(store.root.absolute())  # a method may change the working folder
-    before = identity(folder)
     stored = store.find(dataset.name, request.name, key)
     found = _complete(stored, request, settings)
     if found is None and refused is not None:
         raise refused
 
-    with ExitStack() as held, ledger():  # what was trained is kept until the run is stored
+    with ExitStack() as held:
         if found is None:
-            lock = _lock(request, folder, store)
-            if not lock.acquire(wait=False):
-                error = HeldElsewhereError(f"{request.name} on {dataset.name}", lock.path)
-                if not wait:
-                    raise error
-                logging.info("%s: waiting for it", error)
-                since = since or store.now()
-                lock.acquire()
-            held.enter_context(lock)
-            if identity(folder) != before:  # another process was done just before
-                stored = store.find(dataset.name, request.name, key)
-                found = _complete(stored, request, settings)
+            lock = held.enter_context(_acquired_lock(request, folder, store, wait))
+            stored = store.find(dataset.name, request.name, key)  # another process may have made it meanwhile
+            found = _complete(stored, request, settings)
         if found is None:
-            if since is not None and (failure := store.failure(request.name, dataset.name, request.config, since)):
-                raise FailedElsewhereError(failure)
             run = _run(request, settings, store, stored, lock)
             kept: dict[str, Any] = {
                 name: getattr(stored, name, None) for name in _ON_REQUEST if getattr(run, name) is None
@@ -132,10 +107,7 @@ def missing_parts(run: Run, request: Request, settings: Settings) -> list[str]:
 
 def _complete(stored: Run | None, request: Request, settings: Settings) -> Run | None:
     """Return a stored run if it has all that is asked for."""
-    if stored is None or settings.force:
-        return None
-    if missing := missing_parts(stored, request, settings):
-        logging.info("%s on %s is stored without %s: running again", stored.method, stored.dataset, ", ".join(missing))
+    if stored is None or settings.force or missing_parts(stored, request, settings):
         return None
     return stored
 
@@ -161,16 +133,29 @@ def _declarations(run: Run) -> list[Any]:
     return [run.tuned_on, run.tuned_queries, *(None if gaps is None else gaps.tolist() for gaps in breaks)]
 
 
-def _lock(request: Request, folder: Path, store: Store) -> RunLock:
-    """Return the lock of the run that lies, or would lie, in a folder."""
+def _acquired_lock(request: Request, folder: Path, store: Store, wait: bool) -> RunLock:
+    """Return the lock of the run that lies, or would lie, in a folder, held by this process.
+
+    While another process holds it this one waits, or without `wait` raises HeldElsewhereError.
+    """
     named = {name: request.config.get(name) for name in ("seed", "device", "corruption")}
     about = {"method": request.name, "dataset": request.dataset.name, **named}
-    return RunLock(store.root, f"{request.dataset.name}/{folder.name}", about)
+    lock = RunLock(store.root, f"{request.dataset.name}/{folder.name}", about)
+    if not lock.acquire(wait=False):
+        error = HeldElsewhereError(f"{request.name} on {request.dataset.name}", lock.path)
+        if not wait:
+            raise error
+        logging.info("%s: waiting for it", error)
+        lock.acquire()
+    return lock
 
 
 def _run(request: Request, settings: Settings, store: Store, stored: Run | None, lock: RunLock) -> Run:
     """Make a run."""
     key, title = request.key(), f"{request.name} on {request.dataset.name}"
+    if stored is not None and not settings.force:
+        missing = ", ".join(missing_parts(stored, request, settings))
+        logging.info("%s is stored without %s: running again", title, missing)
     needed = settings.scores or bool(views(settings.sequence, settings.filter))
     request = replace(request, scores=needed or (stored is not None and stored.scores is not None))  # which stay
 
@@ -180,8 +165,6 @@ def _run(request: Request, settings: Settings, store: Store, stored: Run | None,
             with suppress(BadInput):  # which is raised when it is stored with its times
                 store.save(replace(scored, **_tuning(request)))
 
-    for place in (store.root / request.dataset.name, store.folder(request.dataset.name, request.name, key)):
-        require_writable(place)
     with progress_shown(title), overheard(lock.tell):
         run = runner.run(request, key, keep)
         run = replace(run, stream=stream.grown(request)) if request.stream else run
@@ -190,10 +173,10 @@ def _run(request: Request, settings: Settings, store: Store, stored: Run | None,
     return run
 
 
-def _why_not_writable(store: Store) -> BadInput | None:
-    """Return why nothing can be written to a store, None if it can; raises it if nothing can be read either."""
+def _why_not_writable(store: Store, dataset: Dataset) -> BadInput | None:
+    """Return why no run on a dataset can be stored, None if it can; raises it if nothing can be read either."""
     try:
-        store.prepare()
+        store.prepare(dataset.name)
     except BadInput as error:
         if not os.path.isdir(store.root):  # noqa: PTH112 - Path's own complains of names that are too long
             raise

@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 import psutil
 
+from vprbench.storage.cores import core_count
+from vprbench.storage.cores import cores as cores  # callers ask the machine
 from vprbench.storage.folders import checkout_folder
-from vprbench.storage.owner import core_count
-from vprbench.storage.owner import cores as cores  # callers ask the machine
 
 _LIBRARIES = (
     "torch",

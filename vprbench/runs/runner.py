@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from vprbench import progress
-from vprbench.api.checkpoints import ledger
 from vprbench.api.dataset import Dataset
 from vprbench.plugins.opened_files import Opened, listening, unnamed_files
 from vprbench.runs import machine, readouts, spikes, timing_lock
@@ -50,8 +49,8 @@ def run(request: Request, key: str, keep: Callable[[Run], None] = lambda run: No
 
     cache = request.cache if request.files.load is None else None
     described = DescriptorCache.of(cache, method, request.config, dataset.n_places)
-    with ledger() as resumed, listening() as opened:
-        fitted = fit_or_load(request, key, stopwatch, described, resumed)
+    with listening() as opened:
+        fitted = fit_or_load(request, key, stopwatch, described)
         read = queries.reading.seconds
         scoring = Scoring(stopwatch, method, dataset, request.config["depth"], request.scores)
         answers = scoring.answers
@@ -136,7 +135,7 @@ class _Watch:
         self._before = machine.capture(device, threads)
         self._canary_seconds = machine.canary_seconds()
         self._peaks: list[tuple[int, int | None]] = []
-        self._alone: bool | None = None
+        self._is_timed = False
         self._waited: tuple[float, float] | None = None
         machine.reset_peak_memory(device)
 
@@ -150,7 +149,8 @@ class _Watch:
         was_alone = self._undisturbed()
         if not was_alone:
             progress.report("waiting to be timed", 0.0)
-        with timing_lock.alone() as self._alone:
+        with timing_lock.alone():
+            self._is_timed = True
             if not was_alone:
                 self._canary_seconds, self._waited = machine.canary_seconds(), machine.cpu_waited()
             machine.reset_peak_memory(self._device)
@@ -162,8 +162,8 @@ class _Watch:
             "canary_slowdown": machine.canary_seconds() / self._canary_seconds,
             "cpu_pressure_avg10_after": machine.cpu_pressure(),
         }
-        if self._alone is not None:
-            after["timed_alone"] = self._alone
+        if self._is_timed:
+            after["timed_alone"] = True
         if self._waited is not None:
             after["cpu_pressure_timed"] = machine.cpu_pressure_since(self._waited)
         self._peaks.append((machine.peak_memory_bytes(), machine.peak_device_memory_bytes(self._device)))
@@ -233,8 +233,6 @@ def _notes_on(run: Run) -> Iterator[Note]:
         yield Note("noisy", f"noisy: a fixed computation took {slowdown:.2f} times as long after the run as before")
     if pressure is not None and pressure > _BUSY:
         yield Note("noisy", f"noisy: processes waited for a core in {pressure:.0f} % {window}")
-    if not around.get("timed_alone", True):
-        yield Note("noisy", "noisy: other runs went on while it was timed")
     if not around.get("fitted_alone", True):
         yield Note("fitted", "fitted beside other runs, which made it slower")
     if run.timing is not None:

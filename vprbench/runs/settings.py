@@ -15,8 +15,8 @@ from vprbench.runs.predictions import require_depth
 from vprbench.runs.sequences import views
 from vprbench.runs.timing_protocol import Protocol
 from vprbench.runs.viewpoints import viewpoints
+from vprbench.storage.cores import core_count
 from vprbench.storage.folders import require_homes
-from vprbench.storage.owner import core_count
 
 
 @dataclass(frozen=True)

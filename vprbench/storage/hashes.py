@@ -20,8 +20,8 @@ import numpy.typing as npt
 
 from vprbench import progress
 from vprbench.errors import BadInput
+from vprbench.storage.cores import core_count
 from vprbench.storage.folders import cache_folder
-from vprbench.storage.owner import core_count
 from vprbench.storage.paths import Paths
 
 logger = logging.getLogger(__name__)

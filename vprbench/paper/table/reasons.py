@@ -118,8 +118,7 @@ def undefined(quantity: Quantity, runs: Sequence[Run]) -> Reason:
 
 # What a reader of a number has to know
 
-_APART: frozenset[NoteKind] = DISTURBED | {"offline", "described", "resumed", "fitted"}  # told by a mark, or elsewhere
-_OF_FITS: frozenset[NoteKind] = frozenset({"resumed", "fitted"})
+_APART: frozenset[NoteKind] = DISTURBED | {"offline", "described", "fitted"}  # told by a mark, or elsewhere
 
 
 def remarks(quantity: Quantity, row: Row, runs: Sequence[Run]) -> Iterator[Reason]:
@@ -128,7 +127,7 @@ def remarks(quantity: Quantity, row: Row, runs: Sequence[Run]) -> Iterator[Reaso
     if quantity.kind == "training" and row.training == "map":
         yield reason("map")
     if quantity.kind in ("training", "fit"):
-        yield from (short("note", note.text) for note in notes if note.kind in _OF_FITS)
+        yield from (short("note", note.text) for note in notes if note.kind == "fitted")
     elif quantity.kind != "memory":  # whose notes stand with the accuracy
         if quantity.fact == "recall_at_1":
             yield from _ties(runs)
