@@ -24,9 +24,10 @@ def option(default: Value = _NO_DEFAULT, meaning: str = "") -> Value:
     Without words the help has those of the option of that name in conf/run.yaml.
     """
     metadata = {MEANING: meaning}
+    made: Any = field(default=default, metadata=metadata)
     if isinstance(default, list | dict):
-        return field(default_factory=lambda: default.copy(), metadata=metadata)
-    return cast(Value, field(default=default, metadata=metadata))
+        made = field(default_factory=default.copy, metadata=metadata)
+    return cast(Value, made)
 
 
 def chosen(kind: Callable[..., Given], options: Sequence[str], quick: Mapping[str, Any]) -> Given:
