@@ -39,11 +39,13 @@ def read_mat(path: Path, variables: Sequence[str] | None = None, *, squeeze: boo
             _require_size(scipy.io.whosmat(path), variables, max(_LEAST_UNPACKED, _GROWTH * size))
             content = scipy.io.loadmat(path, variable_names=variables, struct_as_record=False, squeeze_me=squeeze)
         return {name: _as_plain(value) for name, value in content.items() if not name.startswith("__")}
-    except (OSError, MatFileError):
+    except MatFileError:
         raise
     except NotImplementedError as error:
         raise MatFileError("it is of MATLAB's version 7.3 (HDF5): save it again with save(..., '-v7')") from error
     except Exception as error:  # a damaged file fails in many ways
+        if isinstance(error, OSError) and error.errno is not None:  # the disk's; scipy's have no number
+            raise
         raise MatFileError(ascii(" ".join(str(error).split()) or type(error).__name__)[1:-1]) from error
 
 
