@@ -21,7 +21,7 @@ from vprbench.paper.figures.accuracy import of_rows
 from vprbench.paper.selection import groups, series
 from vprbench.paper.table import formats
 from vprbench.paper.table.quantities import QUANTITIES, quantities
-from vprbench.runs.energy import estimated_joules, synaptic_operations
+from vprbench.runs.energy import count_synops, estimate_joules
 
 
 def unanswerable(outcome):
@@ -115,8 +115,8 @@ def test_arithmetic_costs_what_the_table_says_and_synaptic_operations_add_up_by_
         ([Arithmetic(1000, 1000, "int8")], 330),  # 0.2 + 0.1 of a sum in 32 bits; 0.03
         ([Arithmetic(10, 0), Arithmetic(10, 10, "int64")], 79),  # 0.1 + 3.1; 0.1
     ):
-        assert 1e12 * estimated_joules(arithmetic) == pytest.approx(picojoules)
+        assert 1e12 * estimate_joules(arithmetic) == pytest.approx(picojoules)
     layers = [{"synops": n, "operation": kind} for n, kind in ((5.0, "AC"), (7.0, "MAC"), (1.5, "AC"))]
-    assert synaptic_operations({"layers": [*layers, {"name": "output"}]}) == (6.5, 7.0)
-    assert synaptic_operations({"layers": [{"name": "output"}]}) is None
-    assert synaptic_operations(None) is None
+    assert count_synops({"layers": [*layers, {"name": "output"}]}) == (6.5, 7.0)
+    assert count_synops({"layers": [{"name": "output"}]}) is None
+    assert count_synops(None) is None

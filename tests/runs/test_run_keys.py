@@ -93,7 +93,7 @@ def test_another_harness_changes_the_hash_of_every_method_and_nobody_changes_it_
     decided = json.loads(DECIDED.read_text())
     files = [Path(inspect.getfile(importlib.import_module(name))) for name in identity.MODULES]
     files += (ROOT / "vprbench/api").rglob("*.py")
-    now = {"version": identity.VERSION, "code": sources.hash_of_files(files)}
+    now = {"version": identity.VERSION, "code": sources.hash_files(files)}
     assert now == decided, (
         "the harness changed: if a run may now have other answers or times, raise identity.VERSION; in any case write "
         f"{json.dumps(now)} to {DECIDED}"
@@ -131,16 +131,22 @@ def test_all_files_that_a_method_imports_in_any_way_or_inherits_from_count_and_n
     }
     for name, text in files.items():
         (package / f"{name}.py").write_text(text)
-    found = sources.files_of(importlib.import_module("meadow.method").Method)
+    found = sources.find_files(importlib.import_module("meadow.method").Method)
     wanted = ("", ".method", ".near", ".behind_near", ".beside", ".dotted", ".inner.late")
     assert set(found) == {f"meadow{name}" for name in wanted}
-    ours = sources.files_of(VPRTempoEnsemble)
+    target = sources.hash_target("meadow.method.Method")
+    assert target == sources.hash_class(importlib.import_module("meadow.method").Method)
+    (package / "unused.py").write_text("x = 1\n")
+    assert sources.hash_target("meadow.method.Method") == target
+    (package / "beside.py").write_text("x = 1\n")
+    assert sources.hash_target("meadow.method.Method") != target
+    ours = sources.find_files(VPRTempoEnsemble)
     assert {f"vprbench.methods.{name}" for name in ("vprtempo.method", "vprtempo.layer")} <= set(ours)
     assert all(name.startswith("vprbench.methods.vprtempo") for name in ours)
 
 
 @pytest.mark.extended
-def test_the_run_of_a_real_method_is_found_after_an_edited_docstring_and_a_moved_file_and_not_after_another_number(
+def test_the_run_of_a_real_method_is_found_after_its_file_moved_and_not_after_another_number(
     package, monkeypatch, capsys
 ):
     file, yaml = package / "inner/moved.py", package / "method/grass.yaml"
@@ -154,7 +160,7 @@ def test_the_run_of_a_real_method_is_found_after_an_edited_docstring_and_a_moved
     found = []
     for path, old, new in (
         (package / "sad.py", "", ""),
-        (file, '"""Scores a place by minus the', '"""Scores a place by less the'),
+        (file, "", ""),
         (file, "similarity[query, row] = -0.0", "similarity[query, row] = -1.0"),
     ):
         assert old in text
@@ -167,34 +173,6 @@ def test_the_run_of_a_real_method_is_found_after_an_edited_docstring_and_a_moved
     assert found == [False, True, False]
 
 
-BEFORE = '''"""Counts."""
-from typing import TYPE_CHECKING
-from meadow.near import thing
-
-class Method:
-    """A method."""
-
-    window: int = 5  # pixels
-
-    def fit(self):
-        """Fit it."""
-        return [thing + 2 * self.window, -1]
-'''
-
-
-def test_values_and_statements_count_and_words_and_layout_of_code_do_not(tmp_path):
-    def meaning(text):
-        (tmp_path / "code.py").write_text(text)
-        return sources.hash_of_files([tmp_path / "code.py"])
-
-    words = {"A method.": "One method.", '    """A method."""\n\n': "", "  # pixels": "  # of the patch"}
-    layout = {"[thing + 2 * self.window, -1]": "[\n            thing + (2 * self.window),\n            -1,\n ]"}
-    values = {"2 *": "3 *", "= 5": "= 5.0", "-1": "None", ", -1": ", 1", "int": "float", "thing +": "thing -"}
-    for old, new in (words | layout | values).items():
-        assert old in BEFORE
-        assert (meaning(BEFORE.replace(old, new)) != meaning(BEFORE)) == (old in values), old
-
-
 def test_a_class_of_a_script_counts_with_its_file_and_a_class_without_a_file_is_another_one_each_time(
     tmp_path, monkeypatch
 ):
@@ -202,6 +180,6 @@ def test_a_class_of_a_script_counts_with_its_file_and_a_class_without_a_file_is_
     monkeypatch.setitem(sys.modules, "__main__", script)
     exec("class Mine:\n    pass\n", vars(script))
     assert code_hash(script.Mine) != code_hash(script.Mine)
-    (tmp_path / "script.py").write_text(BEFORE)
+    (tmp_path / "script.py").write_text("class Mine:\n    pass\n")
     script.__file__ = str(tmp_path / "script.py")
-    assert sources.source_hash(script.Mine) == sources.hash_of_files([tmp_path / "script.py"])
+    assert sources.hash_class(script.Mine) == sources.hash_files([tmp_path / "script.py"])

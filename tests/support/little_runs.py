@@ -25,7 +25,7 @@ CONFIG: dict[str, Any] = {
 QUICK = Protocol(minimum_seconds=0, minimum_queries=5, sample=16, warmup_queries=2, batch_sizes=[1, 4])
 
 
-source_hash = functools.cache(sources.source_hash)
+hash_class = functools.cache(sources.hash_class)
 
 
 def run_of(method, dataset, protocol=QUICK, **changes):
@@ -63,7 +63,7 @@ def quiet_surroundings():
         patch.setattr(runner, "machine", stand_in)
         patch.setattr(runner, "code_hash", lambda method: method.__qualname__)  # a class here has many files behind it
         for module in (sources, descriptors):
-            patch.setattr(module, "source_hash", source_hash)
+            patch.setattr(module, "hash_class", hash_class)
         gc.freeze()  # a measurement collects garbage first, which takes long among all that a test session imports
         try:
             yield stand_in

@@ -21,7 +21,7 @@ from vprbench.interactive import short
 from vprbench.plugins import registry
 from vprbench.plugins.entries import Group, entries, require_one
 from vprbench.runs.compose import composed_in_python
-from vprbench.runs.sources import source_hash
+from vprbench.runs.sources import hash_class
 from vprbench.text import near
 
 
@@ -150,7 +150,7 @@ def _of_object(given: Method, per_run: Mapping[str, Any]) -> Recipe:
         except ValueError as error:
             untold = f"its argument {name} cannot be recorded, for a {error}"
     try:
-        source_hash(kind)
+        hash_class(kind)
     except OSError as error:
         untold = str(error)
 

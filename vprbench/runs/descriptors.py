@@ -16,7 +16,7 @@ from vprbench.api.weights import Weights
 from vprbench.runs import machine
 from vprbench.runs.run_files import content_key
 from vprbench.runs.shortlist import LARGE_MAP
-from vprbench.runs.sources import source_hash
+from vprbench.runs.sources import hash_class
 from vprbench.storage.shards import Shards, Writer
 
 
@@ -47,7 +47,7 @@ class DescriptorCache:
         apart |= {name for name in config["method"] if isinstance(getattr(method, name, None), Weights)}
         origin = {
             "arguments": {name: value for name, value in config["method"].items() if name not in apart},
-            "code": source_hash(type(method)),
+            "code": hash_class(type(method)),
             "files": [sha256 for _, sha256 in config.get("files", [])],
             "device": machine.device_class(config["device"]),
             "libraries": machine.library_versions(),

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from vprbench.api.arithmetic import Arithmetic, Kind, tallied
 from vprbench.api.images import Images
@@ -32,14 +31,14 @@ PICOJOULES: Mapping[Kind, tuple[float, float]] = {
 }
 
 
-def estimated_joules(arithmetic: Iterable[Arithmetic]) -> float:
+def estimate_joules(arithmetic: Iterable[Arithmetic]) -> float:
     """Return the joules of some arithmetic."""
     prices = [(each, *PICOJOULES[each.kind]) for each in arithmetic]
     return 1e-12 * sum(each.single * single + each.multiply_adds * both for each, single, both in prices)
 
 
-def synaptic_operations(spikes: Mapping[str, Any] | None) -> tuple[float, float] | None:
-    """Return the accumulates and the multiply-accumulates of a query, of what a run keeps of spikes; None without any.
+def count_synops(spikes: Mapping[str, Any] | None) -> tuple[float, float] | None:
+    """Return the accumulates and the multiply-accumulates of a query, from a run's `spikes`; None without any.
 
     NeuroBench's SynOps (2.3.0): a spike costs one for each synapse of a weight other than 0 that it reaches, an
     accumulate where all spikes are alike, a multiply-accumulate where they have amplitudes.
@@ -59,7 +58,7 @@ class UnreadableError(Exception):
     """No counter of energy can be read; the message says why."""
 
 
-def rapl(root: Path) -> tuple[str, Joules]:
+def open_rapl(root: Path) -> tuple[str, Joules]:
     """Return the sum of the counters of Linux's powercap, right if asked before one wraps around a second time.
 
     They count whatever runs there. Raises UnreadableError where there is none, or where they may not be read.
@@ -85,7 +84,7 @@ def rapl(root: Path) -> tuple[str, Joules]:
     return f"RAPL {', '.join(names[zone] for zone in zones)}", joules
 
 
-def nvml(device: str) -> tuple[str, Joules]:
+def open_nvml(device: str) -> tuple[str, Joules]:
     """Return the energy counter of an NVIDIA GPU (Volta and later); raises UnreadableError where it has none."""
     import torch
 
@@ -110,13 +109,13 @@ def nvml(device: str) -> tuple[str, Joules]:
     return "NVML", joules
 
 
-def measured(
+def measure_joules(
     joules: Joules,
     ask: Callable[[], Any],
     clock: Joules = time.perf_counter,
     sleep: Callable[[float], None] = time.sleep,
 ) -> dict[str, float]:
-    """Return what a query takes beyond the idle machine; `ask` asks one, and waits for the device.
+    """Return the joules of a query beyond the idle machine, and the watts; `ask` asks one and waits for the device.
 
     After a rest of 2 s queries follow one another for as long, or for as long as one takes.
     """
@@ -124,41 +123,43 @@ def measured(
     before, began = joules(), clock()
     sleep(_SECONDS)
     rested, woke = joules(), clock()
-    idle, asked = (rested - before) / (woke - began), 0
-    while clock() - woke < _SECONDS or not asked:
+    idle, queries = (rested - before) / (woke - began), 0
+    while clock() - woke < _SECONDS or not queries:
         ask()
-        asked += 1
+        queries += 1
     spent, seconds = joules() - rested, clock() - woke
-    each = (spent - idle * seconds) / asked
-    return {"joules": each, "watts": spent / seconds, "idle_watts": idle, "queries": asked, "seconds": seconds}
+    each = (spent - idle * seconds) / queries
+    return {"joules": each, "watts": spent / seconds, "idle_watts": idle, "queries": queries, "seconds": seconds}
 
 
 _QUERIES = 4  # over which arithmetic is averaged, at most
+_UNKNOWN = "no formula, and no product of PyTorch"
 
-Cost = tuple[float | None, str]  # the value, None: not known, and how it was found or why not
+Cost = tuple[float | None, str]  # the value, None: not known, and its source, or why it is not known
 
 
-def costs(request: Request, run: Run) -> dict[str, Any]:
-    """Return what a run keeps of costs: `values` by name, None where one is not known, and `how` it was found or why.
+def find_costs(request: Request, run: Run) -> dict[str, Any]:
+    """Return the costs of a query: `values` by name, None where one is not known, and `how` each was found or why not.
 
     The estimate prices encode and match, in the place of match the synaptic operations of a network that spikes.
     """
     queries = request.dataset.queries.unnamed()
     some = queries[np.linspace(0, len(queries) - 1, min(_QUERIES, len(queries))).astype(np.int64)].in_memory()
     singles = [some[n : n + 1] for n in range(len(some))]
-    synops = synaptic_operations(run.spikes)
+    synops = count_synops(run.spikes)
     how = "no layer that spikes" if synops is None else "spikes x existing synapses"
     found: dict[str, Cost] = {"synops_ac": (synops and synops[0], how), "synops_mac": (synops and synops[1], how)}
     try:
-        found |= _operations(request.method, singles, synops)
+        found |= _count_operations(request.method, singles, synops)
     except Exception as error:  # a plug-in may fail in any way, and its answers and times still stand
         why = " ".join(f"not counted ({type(error).__name__}: {error})".split())
         found |= dict.fromkeys(("operations", "joules_estimated"), (None, why))
-    found |= {"joules_measured": _measured(request, singles), "map_bytes": _map_bytes(request.method, run)}
+    found["joules_measured"] = _measure_query(request.method, request.config["device"], singles)
+    found["map_bytes"] = _find_map_bytes(request.method, run)
     return {part: {name: cost[at] for name, cost in found.items()} for at, part in enumerate(("values", "how"))}
 
 
-def text(run: Run, wide: bool = False) -> str:
+def format_costs(run: Run, wide: bool = False) -> str:
     """Return the costs of a run as a small table, `n/a` with its reason for what is not known."""
     found = run.energy or {"values": {}, "how": {}}
     shown = {name: "n/a" if cost is None else METRICS[name].text(cost) for name, cost in found["values"].items()}
@@ -166,86 +167,66 @@ def text(run: Run, wide: bool = False) -> str:
     return table_text(("cost", "", "how"), rows, wide)
 
 
-def _operations(method: Method, singles: Sequence[Images], synops: tuple[float, float] | None) -> dict[str, Cost]:
+def _count_operations(method: Method, singles: Sequence[Images], synops: tuple[float, float] | None) -> dict[str, Cost]:
     """Return the operations of a query and the joules that they would take; the queries are asked for it."""
     encodes, matches = list[Arithmetic](), list[Arithmetic]()
     for single in singles:
-        codes, told = _counted(partial(method.encode, single))
-        encodes += told
+        codes, arithmetic = _count_call(partial(method.encode, single))
+        encodes += arithmetic
         if method.reference_mean is not None:
             codes = method.centre(codes, method.reference_mean)
-        matches += _counted(partial(method.match, codes))[1]
-    each = [sum(one.operations for one in told) / len(singles) for told in (encodes, matches)]
-    if not all(each):
-        why = f"of {'match' if each[0] else 'encode'} no formula is told, and PyTorch multiplies nothing"
-        return dict.fromkeys(("operations", "joules_estimated"), (None, why))
+        matches += _count_call(partial(method.match, codes))[1]
+    encode, match = (sum(one.operations for one in stage) / len(singles) for stage in (encodes, matches))
+    if not encode or not match:
+        return dict.fromkeys(
+            ("operations", "joules_estimated"), (None, f"{'match' if encode else 'encode'}: {_UNKNOWN}")
+        )
     kinds = "+".join(sorted({one.kind for one in encodes + matches}))
-    how = f"encode {each[0]:,.0f}, match {each[1]:,.0f} ({kinds}), by formulas or PyTorch's count"
-    priced = "an estimate by 45 nm, without memory: encode and match"
+    stages = "encode and match"
     if synops is not None:
-        priced = priced.replace("match", "synaptic operations")
+        stages = "encode and synaptic operations"
         matches = [Arithmetic(synops[1] * len(singles), synops[0] * len(singles), matches[0].kind)]
-    joules_a_query = estimated_joules(encodes + matches) / len(singles)
-    return {"operations": (sum(each), how), "joules_estimated": (joules_a_query, priced)}
+    joules = estimate_joules(encodes + matches) / len(singles)
+    return {
+        "operations": (encode + match, f"encode {encode:,.0f}, match {match:,.0f} ({kinds})"),
+        "joules_estimated": (joules, f"{stages} in 45 nm, without memory"),
+    }
 
 
-def _counted(work: Callable[[], Any]) -> tuple[Any, Sequence[Arithmetic]]:
-    """Return what work gives and its arithmetic: by formulas that are told, or as PyTorch counts products if more."""
+def _count_call(work: Callable[[], Any]) -> tuple[Any, Sequence[Arithmetic]]:
+    """Return the result of `work` and its arithmetic: by the method's formulas, or PyTorch's count if that is more."""
     from torch.utils.flop_counter import FlopCounterMode
 
-    with tallied() as told, FlopCounterMode(display=False) as counter:
+    with tallied() as by_formulas, FlopCounterMode(display=False) as counter:
         result = work()
     by_torch = Arithmetic(counter.get_total_flops() / 2)
-    return result, told if sum(each.operations for each in told) >= by_torch.operations else [by_torch]
+    return result, by_formulas if sum(one.operations for one in by_formulas) >= by_torch.operations else [by_torch]
 
 
-def _map_bytes(method: Method, run: Run) -> Cost:
+def _find_map_bytes(method: Method, run: Run) -> Cost:
+    n_places = run.outcome.n_places
     if (stated := method.map_bytes()) is not None:
-        return stated / run.outcome.n_places, "references or weights, a place"
+        return stated / n_places, "references or weights, a place"
     if run.search is not None:
         return run.search["bytes_per_place"], f"index {run.search['index']}, a place"
     try:
-        arrays = method.state()
+        return sum(array.nbytes for array in method.state().values()) / n_places, "the arrays that save= keeps, a place"
     except BadInput:
-        return None, "the method does not tell what its map holds"
-    n_places = run.outcome.n_places
-    slope, fixed = _slope_and_fixed(arrays, {n_places, run.n_references})
-    how = "the arrays that save= keeps, a place"
-    if slope and fixed:
-        how += f": {slope / n_places:,.0f} bytes in those with rows for places, and {fixed:,} bytes in all in others"
-    return (slope + fixed) / n_places, how
+        return None, "the method has no map_bytes() and no state()"
 
 
-def _slope_and_fixed(arrays: Mapping[str, npt.NDArray[Any]], lengths: set[int]) -> tuple[int, int]:
-    """Return the bytes of arrays that together have a row for each place or reference, and of the others.
-
-    Arrays whose names differ in the number at the end are one array, in parts.
-    """
-    parts: dict[str, list[npt.NDArray[Any]]] = {}
-    for name, array in arrays.items():
-        parts.setdefault(name.rstrip("0123456789"), []).append(array)
-    n_bytes = [0, 0]
-    for of_one in parts.values():
-        rows = sum(array.shape[0] if array.ndim else 0 for array in of_one)
-        n_bytes[rows not in lengths] += sum(array.nbytes for array in of_one)
-    return n_bytes[0], n_bytes[1]
-
-
-def _measured(request: Request, singles: Sequence[Images]) -> Cost:
-    device = request.config["device"]
-    turns, finished = itertools.cycle(singles), synchroniser(device)
+def _measure_query(method: Method, device: str, singles: Sequence[Images]) -> Cost:
+    turns, wait = itertools.cycle(singles), synchroniser(device)
 
     def ask() -> None:
-        request.method.query(next(turns))
-        finished()
+        method.query(next(turns))
+        wait()
 
     try:
-        source, read = nvml(device) if device.startswith("cuda") else rapl(POWERCAP)
+        source, read = open_nvml(device) if device.startswith("cuda") else open_rapl(POWERCAP)
     except UnreadableError as error:
         return None, str(error)
     with timing_lock.alone():
-        told = measured(read, ask)
-    how = "{watts:.1f} W less {idle_watts:.1f} W of the idle machine, {queries} queries in {seconds:.1f} s".format(
-        **told
-    )
-    return (told["joules"] if told["joules"] > 0 else None), f"{source}: {how}"
+        found = measure_joules(read, ask)
+    how = "{watts:.1f} W less {idle_watts:.1f} W idle, {queries} queries in {seconds:.1f} s".format(**found)
+    return (found["joules"] if found["joules"] > 0 else None), f"{source}: {how}"

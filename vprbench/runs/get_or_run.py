@@ -168,7 +168,7 @@ def _run(request: Request, settings: Settings, store: Store, stored: Run | None,
         run = runner.run(request, key, keep)
         run = replace(run, stream=stream.grown(request)) if request.stream else run
         if settings.energy:
-            run = replace(run, energy=energy.costs(request, run))
+            run = replace(run, energy=energy.find_costs(request, run))
     return run
 
 

@@ -123,15 +123,15 @@ def code_hash(method: type[Method]) -> str:
     Of a class without source it is another one each time: its runs are never found again.
     """
     try:
-        return _with_harness(sources.source_hash(method))
+        return _with_harness(sources.hash_class(method))
     except OSError:
         return uuid.uuid4().hex
 
 
 def code_hash_of(target: str) -> str | None:
     """Return the `code_hash` of a class by its full name, without importing it; None where its file cannot be told."""
-    found = sources.defined_in(target)
-    return None if found is None else _with_harness(sources.hash_of_files(sources.files_of_module(*found).values()))
+    code = sources.hash_target(target)
+    return None if code is None else _with_harness(code)
 
 
 def hashed(dataset: Dataset) -> Hashed:

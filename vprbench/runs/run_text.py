@@ -60,7 +60,7 @@ def run_text(
     if settings.stream:
         tables.append(stream.stream_text(run))
     if settings.energy:
-        tables.append(energy.text(run, settings.wide))
+        tables.append(energy.format_costs(run, settings.wide))
     return "\n".join([*(line_text(*each) for each in said), *tables, *map(line_text, below)])
 
 

@@ -22,7 +22,7 @@ from vprbench.plugins import registry
 from vprbench.runs import machine
 from vprbench.runs.identity import code_hash, fingerprint
 from vprbench.runs.run_files import content_key
-from vprbench.runs.sources import hash_of_files
+from vprbench.runs.sources import hash_files
 from vprbench.runs.store import Store
 from vprbench.tuning import objective, places, space
 from vprbench.tuning.comparison import Comparison, compared
@@ -116,7 +116,7 @@ def _origin(
     """Return what decides the trials of a search."""
     return {
         "method": {name: value for name, value in method.items() if name != "_target_"},
-        "code": [code_hash(type(encoder)), hash_of_files([Path(objective.__file__)])],
+        "code": [code_hash(type(encoder)), hash_files([Path(objective.__file__)])],
         "stretches": {name: [dict(part.protocol), fingerprint(part)] for name, part in stretches.items()},
         "space": [asdict(parameter) for parameter in space.PARAMETERS],
         "seed": seed,
