@@ -24,10 +24,10 @@ from vprbench.methods.hog import HOG
 from vprbench.metrics.sequences import Sequences
 from vprbench.plugins.rules import Journey
 from vprbench.runs import fitting, runner, shortlist
-from vprbench.runs.corrupted_frames import corrupted
-from vprbench.runs.rows import protocol_line
-from vprbench.runs.sequences import in_sequences
-from vprbench.runs.stream import grown
+from vprbench.runs.corrupted_frames import corrupt_queries
+from vprbench.runs.rows import describe_protocol
+from vprbench.runs.sequences import apply_sequences
+from vprbench.runs.stream import grow_map
 from vprbench.runs.viewpoints import Viewpoint, view_of
 from vprbench.storage import shards
 
@@ -210,8 +210,8 @@ def test_what_is_taken_off_is_part_of_the_key_and_stands_in_the_printed_protocol
     runs = {adapt: run(Table(adapt=adapt)) for adapt in KINDS}
     assert len({found.key for found in runs.values()}) == len(KINDS)
     for adapt, found in runs.items():
-        assert ("adapted" in kinds(found)) == (f", adapt {adapt})" in protocol_line(found)) == (adapt != "none")
-    assert "adapt" not in protocol_line(runs["none"])
+        assert ("adapted" in kinds(found)) == (f", adapt {adapt})" in describe_protocol(found)) == (adapt != "none")
+    assert "adapt" not in describe_protocol(runs["none"])
 
 
 def test_a_timed_run_gives_the_answers_of_the_scored_one():
@@ -287,7 +287,7 @@ def test_a_place_has_the_score_of_the_view_that_shows_it_best_whose_query_loses_
 
 @ADAPTED
 def test_the_mean_of_corrupted_queries_is_that_of_the_frames_as_they_are_seen(adapt):
-    queries = described(corrupted(JOURNEY, "noise-2").queries)
+    queries = described(corrupt_queries(JOURNEY, "noise-2").queries)
     wanted = scores_of(adapt, described(JOURNEY.references), queries, WORLD.places)
     assert run(HOG(**SMALL, adapt=adapt), JOURNEY, corruption="noise-2").scores == pytest.approx(wanted, abs=1e-5)
 
@@ -296,14 +296,14 @@ def test_the_mean_of_corrupted_queries_is_that_of_the_frames_as_they_are_seen(ad
 def test_sequences_are_those_of_scores_without_the_mean(adapt):
     found = run(Table(adapt=adapt))
     by_loops = replace(found, scores=scores_of(adapt).astype(np.float32))
-    seen, wanted = (in_sequences(one, Sequences(4)) for one in (found, by_loops))
+    seen, wanted = (apply_sequences(one, Sequences(4)) for one in (found, by_loops))
     assert np.array_equal(seen.top_places[:, 0], wanted.top_places[:, 0])
-    assert not np.array_equal(seen.top_places[:, 0], in_sequences(run(Table()), Sequences(4)).top_places[:, 0])
+    assert not np.array_equal(seen.top_places[:, 0], apply_sequences(run(Table()), Sequences(4)).top_places[:, 0])
 
 
 @ADAPTED
 def test_places_of_a_growing_map_lose_the_mean_of_its_first_ones(adapt):
-    stops = grown(replace(asked_for(Table(adapt=adapt), RIDE), stream=30))
+    stops = grow_map(replace(asked_for(Table(adapt=adapt), RIDE), stream=30))
     first, mean = REFERENCES[:30], REFERENCES[:30].astype(np.float64).mean(0)
     _, asked = slowly(adapt, first, QUERIES)
     for stop in stops:

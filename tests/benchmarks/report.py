@@ -9,7 +9,7 @@ import torch
 
 from vprbench.metrics.growth import fit_power
 from vprbench.runs import machine
-from vprbench.runs.rows import markdown
+from vprbench.runs.rows import format_markdown
 from vprbench.storage.atomic import replace_text
 
 _OWN = ("what", "images", "calls", "beside", "places", "grows", "n_codes")
@@ -57,10 +57,12 @@ def document(results):
         rows = [row(each) for each in few]
         if not any(each["beside"] for each in rows):
             rows = [{name: text for name, text in each.items() if name != "beside"} for each in rows]
-        parts += [f"## {group.strip().rstrip('.')}", markdown(rows), *growth(few)]
-    here = machine.capture("cuda" if torch.cuda.is_available() else "cpu", len(machine.cores()))
+        parts += [f"## {group.strip().rstrip('.')}", format_markdown(rows), *growth(few)]
+    here = machine.describe_machine("cuda" if torch.cuda.is_available() else "cpu", len(machine.cores()))
     loads = ", ".join(f"{load:.2f}" for load in here["load_average"])
-    return "\n\n".join([*parts, "## Machine", *machine.machine_lines(here), f"Load average afterwards {loads}."]) + "\n"
+    return (
+        "\n\n".join([*parts, "## Machine", *machine.format_machine(here), f"Load average afterwards {loads}."]) + "\n"
+    )
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ from stored_runs import run
 
 from vprbench.paper.ranking import ranked
 from vprbench.paper.table.reasons import full_seconds
-from vprbench.runs.frame import named_tuples
+from vprbench.runs.frame import iterate_rows
 
 MANY = range(0, 60, 2)
 
@@ -25,7 +25,7 @@ def row(name, *wrong, seconds=None, **changes):
 def test_rows_come_best_first_with_the_numbers_of_all_their_seeds():
     (one,), (other,) = (row("sad", *wrong, **more).runs for wrong, more in (((0, 1, 2), {}), ((0,), {"seed": 1})))
     seeds = [one, replace(other, fit_seconds=20.0)]
-    first, second = named_tuples(ranked([row("hog", *MANY), series("sad", *seeds)]).table)
+    first, second = iterate_rows(ranked([row("hog", *MANY), series("sad", *seeds)]).table)
     assert (first.method, first.seeds, second.method) == ("sad", 2, "hog")
     assert first.recall_at_1 == pytest.approx((57 + 59) / 120)
     assert first.low < first.recall_at_1 < first.high

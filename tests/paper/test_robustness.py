@@ -14,7 +14,7 @@ from vprbench.paper import robustness as text
 from vprbench.paper.figures.accuracy import robustness as drawn
 from vprbench.paper.robustness import robustness
 from vprbench.runs.corruption import Corruption
-from vprbench.runs.frame import named_tuples
+from vprbench.runs.frame import iterate_rows
 
 WEAK, STRONG, BLUR = Corruption("shift", 1), Corruption("shift", 3), Corruption("blur", 2)
 
@@ -35,7 +35,7 @@ def found():
 
 
 def test_a_drop_is_the_clean_mean_over_the_seeds_less_that_under_the_corruption(found):
-    points = {(p.method, p.kind, p.strength): p for p in named_tuples(found.points)}
+    points = {(p.method, p.kind, p.strength): p for p in iterate_rows(found.points)}
     wanted = {
         ("sad", "clean", 0): (1, 0.5, 0),
         ("tempo", "clean", 0): (2, 0.85, 0),

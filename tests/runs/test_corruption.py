@@ -11,8 +11,8 @@ from PIL import Image as PillowImage
 
 from vprbench.api.images import Images
 from vprbench.errors import BadInput
-from vprbench.runs.corrupted_frames import corrupted, corrupted_frame
-from vprbench.runs.corruption import KINDS, Corruption, corruption, corruptions
+from vprbench.runs.corrupted_frames import corrupt_frame, corrupt_queries
+from vprbench.runs.corruption import KINDS, Corruption, parse_corruption, parse_corruptions
 from vprbench.runs.identity import fingerprint
 
 FRAMES = [f"frame {i}" for i in range(12)]
@@ -20,7 +20,7 @@ RANDOM = np.random.default_rng(0).integers(0, 256, (40, 60, 3), np.uint8)
 
 
 def under(name, image, frame="frame"):
-    return corrupted_frame(image, corruption(name), frame).astype(float)
+    return corrupt_frame(image, parse_corruption(name), frame).astype(float)
 
 
 def grey(level, height=120, width=200):
@@ -94,7 +94,7 @@ def test_strengths_of_a_kind_go_one_way_and_further_and_alike_in_any_order_and_v
         assert 0 < amounts[0] < amounts[1] < amounts[2]
         if kind in ("shift", "brightness"):
             assert len({np.sign(change.sum()) for change in changes}) == 1
-    queries = corrupted(journey(6, 4), f"{kind}-2").queries
+    queries = corrupt_queries(journey(6, 4), f"{kind}-2").queries
     one_by_one = {i: queries[i] for i in (4, 1, 5, 0, 3, 2)}
     views = [queries, queries.unnamed(), [*queries[:3], *queries[3:]], queries.in_memory()]
     assert all(np.array_equal(image, one_by_one[i]) for view in views for i, image in enumerate(view))
@@ -109,7 +109,7 @@ def test_another_process_draws_the_same_and_another_seed_or_frame_does_not():
     code = (
         "import sys; from vprbench.runs.corrupted_frames import *; from vprbench.runs.corruption import *; "
         "import numpy as np; image = np.random.default_rng(0).integers(0, 256, (40, 60, 3), np.uint8);"
-        "sys.stdout.buffer.write(corrupted_frame(image, corruption('noise-2'), 'a').tobytes())"
+        "sys.stdout.buffer.write(corrupt_frame(image, parse_corruption('noise-2'), 'a').tobytes())"
     )
     told = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, cwd=ROOT)
     assert told.stdout == one.astype(np.uint8).tobytes()
@@ -117,15 +117,18 @@ def test_another_process_draws_the_same_and_another_seed_or_frame_does_not():
 
 def test_the_protocol_says_what_was_done_to_queries_and_nothing_else_is_touched():
     clean = journey(6, 4)
-    spoilt = corrupted(clean, "shift-2")
-    assert corrupted(clean, None) is clean
+    spoilt = corrupt_queries(clean, "shift-2")
+    assert corrupt_queries(clean, None) is clean
     assert spoilt.protocol.keys() - clean.protocol.keys() == {"corruption"}
     assert all(word in spoilt.protocol["corruption"] for word in ("shift-2", "4 px", "left or right", "seed 0"))
     assert spoilt.references is clean.references
     assert (spoilt.positives, spoilt.queries.names) == (clean.positives, clean.queries.names)
-    marks = {fingerprint(each) for each in (clean, spoilt, corrupted(clean, "shift-1"), corrupted(clean, "shift-2-1"))}
+    marks = {
+        fingerprint(each)
+        for each in (clean, spoilt, corrupt_queries(clean, "shift-1"), corrupt_queries(clean, "shift-2-1"))
+    }
     assert len(marks) == 4
-    assert fingerprint(corrupted(journey(6, 4), "shift-2")) == fingerprint(spoilt)
+    assert fingerprint(corrupt_queries(journey(6, 4), "shift-2")) == fingerprint(spoilt)
 
 
 @pytest.mark.parametrize("kind", ["array", "file", "stamp"])
@@ -147,12 +150,15 @@ def test_hashes_of_changed_images_see_the_images_and_the_change(kind, tmp_path):
 
 
 def test_names_ask_for_kinds_and_strengths_and_all_of_them():
-    assert len(corruptions(["all"])) == 21
-    assert corruptions(["blur-2", "shift"]) == (*(Corruption("shift", n) for n in (1, 2, 3)), Corruption("blur", 2))
-    assert corruptions([]) == ()
-    assert [corruption(name).name for name in ("noise-2", "noise-2-7")] == ["noise-2", "noise-2-7"]
+    assert len(parse_corruptions(["all"])) == 21
+    assert parse_corruptions(["blur-2", "shift"]) == (
+        *(Corruption("shift", n) for n in (1, 2, 3)),
+        Corruption("blur", 2),
+    )
+    assert parse_corruptions([]) == ()
+    assert [parse_corruption(name).name for name in ("noise-2", "noise-2-7")] == ["noise-2", "noise-2-7"]
     for wrong, told in (("shfit-1", "shift"), ("shift-4", "1 to 3"), ("shift", "1 to 3"), ("noise-1-x", "1 to 3")):
         with pytest.raises(BadInput, match=told):
-            corruption(wrong)
+            parse_corruption(wrong)
     with pytest.raises(BadInput, match="one seed"):
-        corruptions(["noise-1", "noise-1-4"])
+        parse_corruptions(["noise-1", "noise-1-4"])

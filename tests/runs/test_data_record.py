@@ -95,8 +95,8 @@ def test_what_images_are_made_from_beside_their_files_changes_their_hash(frames,
 
 def test_the_protocol_line_and_csv_tell_protocol_and_data_of_each_run_that_knows_them():
     protocol = {"protocol": "vprtempo", **a_run().protocol}
-    assert rows.protocol_line(a_run(data=RECORD)).endswith("tolerance_places 0), data 5f74d2dc7bb3")
-    text = frame.csv([a_failure(), a_run(), a_run(data=RECORD, protocol=protocol)])
+    assert rows.describe_protocol(a_run(data=RECORD)).endswith("tolerance_places 0), data 5f74d2dc7bb3")
+    text = frame.format_csv([a_failure(), a_run(), a_run(data=RECORD, protocol=protocol)])
     names = ("protocol", "names_sha256", "content_sha256")
     assert [[line[name] for name in names] for line in csv.DictReader(io.StringIO(text))] == [
         *[["", "", ""]] * 2,

@@ -21,8 +21,8 @@ from vprbench.methods.vprtempo.ensemble import VPRTempoEnsemble
 from vprbench.methods.vprtempo.int8 import VPRTempoInt8
 from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.plugins.rules import Journey
-from vprbench.runs.spikes import summary
-from vprbench.runs.stream import grown, step
+from vprbench.runs.spikes import summarise_spikes
+from vprbench.runs.stream import grow_map, parse_step
 
 SMALL = {"max_module": 8, "height": 12, "width": 12}
 TEN = ["dataset.places=10", "dataset.first_query_place=0", "frames=false", *RUN, "timing=none"]
@@ -41,18 +41,18 @@ pytestmark = pytest.mark.usefixtures("surroundings")
 def test_counts_are_added_up_for_each_query_and_an_amplitude_is_one_spike(values, kind, known):
     array = np.array(values)
     layer = LayerSpikes("hidden", array, kind, fan_out=np.arange(1, array.shape[1] + 1))
-    found = json.loads(json.dumps(summary([LayerSpikes("a", array), layer])))
+    found = json.loads(json.dumps(summarise_spikes([LayerSpikes("a", array), layer])))
     names = ("spikes_per_query", "active_share", "amplitude_mean", "synops", "operation")
     layer_known = {"name": "hidden", "neurons": array.shape[1], **dict(zip(names, known, strict=True))}
     assert (found["queries"], found["layers"][0]["name"], found["layers"][1:]) == (2, "a", [layer_known])
-    assert summary([]) is None
+    assert summarise_spikes([]) is None
 
 
 def test_impossible_spikes_are_refused_by_the_name_of_the_layer():
     impossible = [[np.array([[1.0, wrong]])] for wrong in (np.nan, np.inf, -0.5)]
     for layers in ([np.ones((2, 3)), np.ones((3, 3))], [np.ones(3)], *impossible):
         with pytest.raises(BadInput, match="input"):
-            summary([LayerSpikes("input", values) for values in layers])
+            summarise_spikes([LayerSpikes("input", values) for values in layers])
 
 
 @dataclass
@@ -178,7 +178,7 @@ def test_each_stop_of_a_growing_map_asks_the_queries_whose_place_is_known():
     dataset = replace(dataset, references=dataset.references[np.array([0, 1, 2, 3, 4, 1])], places=np.r_[0:5, 1])
     table = np.array([[5, 0, 0, 9, 0], [0, 5, 0, 0, 0], [0, 3, 5, 0, 9], [0, 0, 0, 5, 0], [1, 1, 1, 1, 1]], np.float32)
     method = Growing(table)
-    stops = grown(replace(asked_for(method, dataset), stream=2))
+    stops = grow_map(replace(asked_for(method, dataset), stream=2))
     assert [(stop["places"], stop["hits"], len(stop["seconds"])) for stop in stops] == [
         (2, [1.0, 1.0, 1.0], 0),
         (4, [0.0, 1.0, 0.0, 1.0], 2),
@@ -217,7 +217,7 @@ def test_a_growing_map_is_stored_with_its_run_and_printed(tmp_path, monkeypatch,
 
 
 def test_a_map_grows_by_the_places_asked_for_or_in_ten_stops_and_what_cannot_grow_is_refused():
-    assert [step(asked, SAD(), 12) for asked in (False, 5, 11, True)] == [0, 5, 11, 2]
+    assert [parse_step(asked, SAD(), 12) for asked in (False, 5, 11, True)] == [0, 5, 11, 2]
     for asked, method in ((12, SAD()), (-1, SAD()), (True, PCA())):
         with pytest.raises(BadInput, match="stream="):
-            step(asked, method, 12)
+            parse_step(asked, method, 12)

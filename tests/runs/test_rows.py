@@ -20,10 +20,10 @@ from little import a_run, laps, unanswerable_run
 from vprbench.metrics.intervals import block_length, share_interval
 from vprbench.metrics.registry import METRICS
 from vprbench.runs import frame, rows
-from vprbench.runs.frame import numbers
-from vprbench.runs.recall_intervals import along_the_journey, recall_interval
+from vprbench.runs.frame import list_numbers
+from vprbench.runs.recall_intervals import order_along_journey, recall_interval
 from vprbench.runs.record import Failure
-from vprbench.runs.rows import readable_row
+from vprbench.runs.rows import format_row
 
 ONE, TWO = np.array([1, 1, 1, 0]), np.array([2, 1, 1, 1])
 TIED = a_run(outcome=replace(a_run().outcome, top_tied=TWO, tied=TWO, tied_correct=np.ones(4, np.int64)))
@@ -36,7 +36,7 @@ HITS = np.repeat([1, 0, 1, 1, 0, 0, 1, 0, 1, 1], 20)
 
 
 def csv_rows(*results):
-    return list(csv.DictReader(io.StringIO(frame.csv(results))))
+    return list(csv.DictReader(io.StringIO(frame.format_csv(results))))
 
 
 def streamed(seconds, matched):
@@ -87,7 +87,7 @@ def run_of(hits, **changes):
     ],
 )
 def test_numbers_are_those_worked_by_hand_in_json_and_csv(run, known):
-    found = json.loads(json.dumps(numbers(run), allow_nan=False))
+    found = json.loads(json.dumps(list_numbers(run), allow_nan=False))
     assert {name: found[name] for name in known} == pytest.approx(known, abs=1e-5)
     (line,) = csv_rows(run)
     assert {name: line[name] for name in found} == {name: "" if v is None else str(v) for name, v in found.items()}
@@ -99,10 +99,10 @@ def test_csv_tells_a_failed_run_from_one_with_numbers():
     assert (ran["network"], loaded["network"]) == ("", "a" * 64)
     assert [ran[name] for name in ("method", "dataset", "error")] == ["little window=5", "journey", ""]
     assert [failed[name] for name in ("method", "error")] == ["vprtempo epochs=9", "MemoryError: 99 GB"]
-    assert {failed[name] for name in numbers(a_run())} == {""}
+    assert {failed[name] for name in list_numbers(a_run())} == {""}
     counts = ("queries", "offline_batch", "peak_memory_bytes")
     assert [ran[name] for name in counts] == ["4", "8", "512000000"]  # whole beside nothing
-    assert {*frame.frame([a_run()])} == {*frame.COLUMNS}
+    assert {*frame.tabulate_runs([a_run()])} == {*frame.COLUMNS}
     metrics, _, table = (ROOT / "docs/numbers.md").read_text(encoding="utf-8").partition("## The frame")
     assert {name for name in METRICS if not name.startswith("recall_at")} <= {*re.findall(r"`(\w+)`", metrics)}
     told = [name for row in re.findall(r"^\| (`.*?) \|", table, re.MULTILINE) for name in re.findall(r"`(\w+)`", row)]
@@ -135,29 +135,29 @@ RATES = ("streaming Hz enc/match/total", "offline Hz enc/match/total")
     ],
 )
 def test_a_row_shows(run, cells):
-    row = readable_row(run)
+    row = format_row(run)
     assert {head: row[head] for head in cells} == cells
-    assert [*row] == [*readable_row(a_run())]
+    assert [*row] == [*format_row(a_run())]
 
 
 def test_labels_rows_and_protocols_become_text():
     overrides = ["method=little", "method.window=5", "method.grey=true", "seed=3", "timing.sample=9"]
-    assert frame.label(a_run(config={**a_run().config, "overrides": overrides})) == "little window=5 grey=true"
-    written = rows.markdown([{"x": "1.50", "error": "int | None"}, {"x": "10,000"}]).splitlines()
+    assert frame.format_label(a_run(config={**a_run().config, "overrides": overrides})) == "little window=5 grey=true"
+    written = rows.format_markdown([{"x": "1.50", "error": "int | None"}, {"x": "10,000"}]).splitlines()
     assert [line.replace(" ", "") for line in written[2:]] == [r"|1.50|int\|None|", "|10,000|-|"]
     line = "journey: 4 queries, 10 places (reference spring+fall, query summer, tolerance_places 0)"
-    assert rows.protocol_line(a_run()) == line
+    assert rows.describe_protocol(a_run()) == line
 
 
 def test_the_interval_says_what_it_is_of_shuffled_queries_that_of_those_in_order_and_seeds_that_of_their_mean():
     for n_queries in (1, 4, 30):
-        few = numbers(run_of([1] * n_queries))
+        few = list_numbers(run_of([1] * n_queries))
         assert few["recall_at_1_interval"] == "independent"
         assert few["recall_at_1_low"] == pytest.approx(n_queries / (n_queries + 1.959964**2), abs=1e-6)
-    assert rows.interval_line(run_of([1] * 30)) is None
-    alike = numbers(run_of(HITS))
+    assert rows.describe_interval(run_of([1] * 30)) is None
+    alike = list_numbers(run_of(HITS))
     assert (alike["recall_at_1_interval"], alike["recall_at_1_block"]) == ("blocks", block_length(HITS))
-    assert f" {block_length(HITS)} " in rows.interval_line(run_of(HITS))
+    assert f" {block_length(HITS)} " in rows.describe_interval(run_of(HITS))
     assert recall_interval([NOWHERE]) is None
     order = np.random.default_rng(0).permutation(200)
     mixed = run_of(HITS[order], positives=tuple(np.array([place]) for place in order))
@@ -174,4 +174,4 @@ def test_queries_stand_in_the_order_of_the_journey():
     ):
         right = tuple(np.array(each, np.int64) for each in places)
         shown = stored_runs.run(hits=[1] * len(places), positives=right, place_numbers=along)
-        assert along_the_journey(shown).tolist() == order
+        assert order_along_journey(shown).tolist() == order

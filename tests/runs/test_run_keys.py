@@ -21,7 +21,7 @@ from vprbench.methods.vprtempo.ensemble import VPRTempoEnsemble
 from vprbench.plugins import registry
 from vprbench.plugins.networks import Files
 from vprbench.runs import identity, machine, runner, sources
-from vprbench.runs.corrupted_frames import corrupted
+from vprbench.runs.corrupted_frames import corrupt_queries
 from vprbench.runs.identity import code_hash, fingerprint
 
 pytestmark = pytest.mark.usefixtures("surroundings")
@@ -41,7 +41,7 @@ def key(dataset=None, protocol=QUICK, threads=1, **changes):
         {"method": {"_target_": "little.Lookup", "window": 6}},
         *({name: value} for name, value in (("seed", 1), ("depth", 4), ("threads", 2))),
         {"dataset": journey(6, 4, [[0], [1], [2], [3], [0, 1], [1]])},
-        {"dataset": corrupted(LITTLE, "shift-1")},
+        {"dataset": corrupt_queries(LITTLE, "shift-1")},
         *(
             {"dataset": replace(LITTLE, **{part: value})}
             for part, value in (

@@ -162,8 +162,8 @@ def test_candidates_stand_before_places_that_are_none_and_the_timed_answer_is_co
     assert "answers" in kinds(run_of(Turned(scores), journey(12, 40), depth=6))
     run = run_of(Lookup(np.full((12, 40), -np.inf, np.float32)), journey(12, 40))
     assert "answers" not in kinds(run)
-    json.dumps(frame.numbers(run), allow_nan=False)
-    assert rows.readable_row(run)["R@1 % [95 %]"]
+    json.dumps(frame.list_numbers(run), allow_nan=False)
+    assert rows.format_row(run)["R@1 % [95 %]"]
     store.save(run)
     (found,) = store.runs()
     assert np.array_equal(found.top_scores, run.top_scores)
@@ -290,10 +290,10 @@ def test_times_of_fit_computing_first_query_method_and_harness_are_told_apart(cl
     numbers_in(references)  # what is read before a run does not count
     dataset = replace(journey(8, 8), references=references, queries=queries)
     run = run_of(Learning(table(8, 8), clock=clock, late=excess), dataset)
-    shown = frame.numbers(run)
+    shown = frame.list_numbers(run)
     assert (shown["fit_seconds"], shown["fit_compute_seconds"]) == pytest.approx((8 * 0.02 + 0.06, 0.06))
     assert run.timing.first_query_seconds == pytest.approx(0.006 + excess)
-    assert rows.readable_row(run)["fit s"] == "0.22"
+    assert rows.format_row(run)["fit s"] == "0.22"
     assert run.method_seconds == pytest.approx(
         0.06 + 8 * 0.006 + 0.006 + excess
     )  # the first query is asked once before
@@ -370,6 +370,6 @@ def test_a_run_beside_others_says_so_of_its_fit_and_waits_to_be_timed_alone(tmp_
             fcntl.flock(of_another_run, fcntl.LOCK_UN if alone else fcntl.LOCK_SH)
             with progress.listening(end_the_other):
                 run = run_of(Lookup(table(12, 4)), journey(12, 4))
-            numbers = frame.numbers(run)
+            numbers = frame.list_numbers(run)
             assert (numbers["fitted_alone"], numbers["timed_alone"]) == (alone, True)
             assert ("fitted" in kinds(run)) is not alone

@@ -13,10 +13,10 @@ from vprbench.metrics.sequences import Filter, Sequences
 from vprbench.runs import answers
 from vprbench.runs.get_or_run import get_or_run
 from vprbench.runs.recall_intervals import recall_interval
-from vprbench.runs.sequences import NoScoresError, filtered, in_sequences, suffix, views
+from vprbench.runs.sequences import NoScoresError, apply_filter, apply_sequences, name_views, parse_views
 from vprbench.runs.settings import Settings
 from vprbench.runs.store import Store
-from vprbench.runs.views import queries_shown, restricted, window_of
+from vprbench.runs.views import queries_shown, select_queries, window_of
 
 N = 40
 
@@ -36,12 +36,12 @@ def mean_hits(run):
 
 def test_a_sequence_of_one_answers_as_the_run_itself_and_longer_ones_for_the_query_at_the_end_or_in_the_middle():
     run = aligned()
-    view = in_sequences(run, Sequences(1))
+    view = apply_sequences(run, Sequences(1))
     assert np.array_equal(view.top_places, run.top_places)
     assert np.array_equal(view.outcome.above, run.outcome.above)
     assert view.protocol == {**run.protocol, "sequence": "1 causal"}
     for window in ("causal", "centred"):
-        view = in_sequences(run, Sequences(8, window))
+        view = apply_sequences(run, Sequences(8, window))
         assert mean_hits(view) > 0.9 > 0.5 > mean_hits(run)
         assert queries_shown(view).tolist() == [right[0] for right in view.positives]
 
@@ -63,7 +63,7 @@ def test_the_protocol_of_lens_counts_as_its_code_counts(length):
     run = aligned(query_breaks=np.array([10]), place_breaks=np.array([20]), positives=positives)
     scores = (run.scores - run.scores.min() + 1).astype(np.float32)
     run = replace(run, scores=scores, outcome=outcome(scores, positives))
-    (view,) = (seen(run) for seen in views({"length": length, "window": "lens"}))
+    (view,) = (seen(run) for seen in parse_views({"length": length, "window": "lens"}))
     assert mean_hits(view) == pytest.approx(as_lens_scores(scores, positives, length))
     found = np.isfinite(view.outcome.best_score)
     full = [q for q in queries_shown(view) if (length - 1) // 2 <= q < N - length // 2]
@@ -74,31 +74,29 @@ def test_the_protocol_of_lens_counts_as_its_code_counts(length):
 
 def test_queries_without_a_full_window_are_left_out_or_scored_with_what_there_is():
     run = aligned(query_breaks=np.array([10]), place_breaks=np.array([10]))
-    left_out, shortened = in_sequences(run, Sequences(4)), in_sequences(run, Sequences(4, incomplete="shortened"))
+    left_out, shortened = apply_sequences(run, Sequences(4)), apply_sequences(run, Sequences(4, incomplete="shortened"))
     wanted = [*range(3, 10), *range(13, N)]
     assert queries_shown(left_out).tolist() == wanted
     assert len(shortened.outcome) == N
     assert np.array_equal(shortened.top_scores[wanted], left_out.top_scores)
     assert np.array_equal(shortened.top_scores[10], run.top_scores[10])  # it begins a new part
     assert left_out.protocol["sequence_incomplete"] == "6 of 40 queries left out"
-    bridged = in_sequences(run, Sequences(4, gaps="bridge"))
+    bridged = apply_sequences(run, Sequences(4, gaps="bridge"))
     assert queries_shown(bridged).tolist() == list(range(3, N))
     assert [view.protocol["sequence_gaps"] for view in (left_out, bridged)] == ["1 break it", "1 bridged"]
-    view = in_sequences(aligned(place_numbers=np.array([*range(0, 40, 2), *range(50, 90, 2)])), Sequences(2))
-    assert np.flatnonzero(np.isneginf(view.scores[5])).tolist() == [0, 20]  # an older run, whose map lacks places
-    some = restricted(aligned(), np.array([3, 4, 5, 9, 10, 11]), {"places": "other"})
-    assert queries_shown(in_sequences(some, Sequences(3))).tolist() == [5, 11]
+    some = select_queries(aligned(), np.array([3, 4, 5, 9, 10, 11]), {"places": "other"})
+    assert queries_shown(apply_sequences(some, Sequences(3))).tolist() == [5, 11]
     with pytest.raises(BadInput, match="gaps:bridge"):
-        in_sequences(aligned(), Sequences(41))
+        apply_sequences(aligned(), Sequences(41))
     with pytest.raises(NoScoresError, match="scores=true"):
-        in_sequences(aligned(scores=None), Sequences(2))
+        apply_sequences(aligned(scores=None), Sequences(2))
 
 
 def test_a_filter_follows_the_journey_and_no_block_of_an_interval_is_shorter_than_a_window():
-    view = filtered(aligned(), Filter())
+    view = apply_filter(aligned(), Filter())
     assert mean_hits(view) > 0.7 > 0.5 > mean_hits(aligned())
     assert (len(view.outcome), view.protocol["filter"]) == (N, "topological, moves 0 to 2, ratio 5")
-    view = in_sequences(aligned(200), Sequences(12))
+    view = apply_sequences(aligned(200), Sequences(12))
     assert window_of(view) == 12
     assert recall_interval([view]).block >= 12
 
@@ -106,7 +104,7 @@ def test_a_filter_follows_the_journey_and_no_block_of_an_interval_is_shorter_tha
 def test_a_view_is_never_stored_and_gaps_are(store):
     run = aligned(query_breaks=np.array([3, 7]), place_breaks=np.array([], np.int64))
     with pytest.raises(BadInput, match="view"):
-        store.save(in_sequences(run, Sequences(2)))
+        store.save(apply_sequences(run, Sequences(2)))
     store.save(run)
     (read,) = store.runs()
     assert (read.query_breaks.tolist(), read.place_breaks.tolist(), read.view) == ([3, 7], [], None)
@@ -148,8 +146,8 @@ BRIDGED = {"velocities": (0.8, 1), "gaps": "bridge"}
     ],
 )
 def test_options_in_words_and_the_names_of_their_files(options, wanted, name):
-    assert [view.keywords["options"] for view in views(*options)] == wanted
-    assert suffix(views(*options)) == name
+    assert [view.keywords["options"] for view in parse_views(*options)] == wanted
+    assert name_views(parse_views(*options)) == name
 
 
 @pytest.mark.parametrize(
@@ -168,4 +166,4 @@ def test_options_in_words_and_the_names_of_their_files(options, wanted, name):
 )
 def test_options_that_do_not_fit_are_named(options, word):
     with pytest.raises(BadInput, match=word):
-        views(*options)
+        parse_views(*options)

@@ -44,8 +44,8 @@ def two_traverses():
 
 def kept(root, dataset):
     root.mkdir(exist_ok=True)
-    thumbnails.keep(root, FINGERPRINT, dataset)
-    return thumbnails.find(root, FINGERPRINT)
+    thumbnails.save_thumbnails(root, FINGERPRINT, dataset)
+    return thumbnails.load_thumbnails(root, FINGERPRINT)
 
 
 def decoded(webp):
@@ -83,7 +83,7 @@ def large(monkeypatch):
 
 
 def there(root):
-    found = thumbnails.find(root, FINGERPRINT)
+    found = thumbnails.load_thumbnails(root, FINGERPRINT)
     assert (len(found.query_names), len(found.reference_names)) == (20, 30)
     return tuple([i for i, frame in enumerate(frames) if frame] for frames in (found.queries, found.references))
 
@@ -93,15 +93,15 @@ def test_of_a_large_dataset_a_run_keeps_what_it_shows_first_and_others_add_to_it
 ):
     one = tmp_path / "one"
     one.mkdir()
-    thumbnails.keep(one, FINGERPRINT, large, [(7, {1, 2}), (3, {2, 5}), (4, {1}), (0, {8, 9}), (1, {1})])
+    thumbnails.save_thumbnails(one, FINGERPRINT, large, [(7, {1, 2}), (3, {2, 5}), (4, {1}), (0, {8, 9}), (1, {1})])
     assert there(one) == ([3, 4, 7], [1, 2, 5])
-    assert decoded(thumbnails.find(one, FINGERPRINT).references[5]).mean() == pytest.approx(5, abs=2)
+    assert decoded(thumbnails.load_thumbnails(one, FINGERPRINT).references[5]).mean() == pytest.approx(5, abs=2)
     for shown, frames in (
         ([(7, {1, 2}), (3, {2, 5})], ([3, 7], [1, 2, 5])),
         ([(7, {1, 20}), (8, {21, 22}), (9, {22, 23})], ([3, 7, 8], [1, 2, 5, 20, 21, 22])),
         ([(10, {11}), (11, {12})], ([3, 7, 8, 10], [1, 2, 5, 11, 20, 21, 22])),
     ):
-        thumbnails.keep(tmp_path, FINGERPRINT, large, shown)
+        thumbnails.save_thumbnails(tmp_path, FINGERPRINT, large, shown)
         assert there(tmp_path) == frames
 
 
@@ -128,16 +128,18 @@ def test_four_queries_that_have_a_right_place_are_examples_beside_it_exactly_and
 def test_what_is_kept_already_is_not_read_again_and_progress_rises_over_queries_and_places(tmp_path):
     told = []
     with progress.listening(lambda *report: told.append(report)):
-        thumbnails.keep(tmp_path, FINGERPRINT, two_traverses(), iter([(1, {0})]))
+        thumbnails.save_thumbnails(tmp_path, FINGERPRINT, two_traverses(), iter([(1, {0})]))
     assert told == [
         *(("keeping small queries", i / 2) for i in range(2)),
         *(("keeping small references", i / 3) for i in range(3)),
     ]
-    found = thumbnails.find(tmp_path, FINGERPRINT)
+    found = thumbnails.load_thumbnails(tmp_path, FINGERPRINT)
     assert all([*found.queries, *found.references])  # a small dataset is kept whole
     assert [*(tmp_path / "frames").iterdir()] == [path(tmp_path)]
     unread = Images(lambda _: pytest.fail("an image was read"), ["a", "b"])
-    thumbnails.keep(tmp_path, FINGERPRINT, Dataset("world", unread, np.arange(2), unread, (np.array([0]),) * 2, {}))
+    thumbnails.save_thumbnails(
+        tmp_path, FINGERPRINT, Dataset("world", unread, np.arange(2), unread, (np.array([0]),) * 2, {})
+    )
 
 
 def refuse(*_):
@@ -147,11 +149,13 @@ def refuse(*_):
 def test_a_full_disk_and_a_frame_that_cannot_be_read_leave_nothing_behind(tmp_path, monkeypatch):
     missing = Images.from_files([tmp_path / "gone.png"])
     with pytest.raises(BadInput, match=r"gone\.png"):
-        thumbnails.keep(tmp_path, "a" * 64, Dataset("world", missing, np.array([0]), missing, (np.array([0]),), {}))
+        thumbnails.save_thumbnails(
+            tmp_path, "a" * 64, Dataset("world", missing, np.array([0]), missing, (np.array([0]),), {})
+        )
     assert list(tmp_path.iterdir()) == []
     monkeypatch.setattr(Path, "write_bytes", lambda to, _: refuse(to.touch()))
     with pytest.raises(OSError, match="No space left"):
-        thumbnails.keep(tmp_path, FINGERPRINT, two_traverses())
+        thumbnails.save_thumbnails(tmp_path, FINGERPRINT, two_traverses())
     assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
 
 
@@ -165,14 +169,14 @@ def test_a_full_disk_and_a_frame_that_cannot_be_read_leave_nothing_behind(tmp_pa
     ids=["cut", "array missing", "another bit"],
 )
 def test_a_damaged_file_is_none_and_named_and_made_anew(tmp_path, spoil, caplog):
-    assert (thumbnails.find(tmp_path, FINGERPRINT), caplog.records) == (None, [])
+    assert (thumbnails.load_thumbnails(tmp_path, FINGERPRINT), caplog.records) == (None, [])
     kept(tmp_path, two_traverses())
     path(tmp_path).write_bytes(spoil(path(tmp_path).read_bytes()))
-    assert thumbnails.find(tmp_path, FINGERPRINT) is None
+    assert thumbnails.load_thumbnails(tmp_path, FINGERPRINT) is None
     (record,) = caplog.records
     assert (record.levelno, str(path(tmp_path)) in record.getMessage()) == (logging.WARNING, True)
     assert kept(tmp_path, two_traverses()).query_names == ("q0.png", "q1.png")
-    assert thumbnails.find(tmp_path, FINGERPRINT[:16] + "f" * 48) is None  # of a hash that begins alike
+    assert thumbnails.load_thumbnails(tmp_path, FINGERPRINT[:16] + "f" * 48) is None  # of a hash that begins alike
 
 
 @pytest.mark.usefixtures("surroundings")
@@ -190,7 +194,7 @@ def test_a_run_makes_the_frames_that_are_missing_and_asked_for_and_is_not_lost_w
     first.unlink()
     assert frames(frames=False) == []
     assert frames() == [first]
-    monkeypatch.setattr(thumbnails, "keep", refuse)
+    monkeypatch.setattr(thumbnails, "save_thumbnails", refuse)
     frames(seed=1)
     assert "(No space left on device)" in caplog.text
     assert len([*store.runs()]) == 2

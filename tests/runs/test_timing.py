@@ -85,7 +85,7 @@ def test_a_run_that_is_ended_while_it_is_timed_leaves_its_answers_and_what_was_t
 
 
 def test_the_machine_is_described_in_values_that_json_can_hold_and_its_canary_notices_no_interrupted_lap():
-    described = machine.capture("cpu", 1)
+    described = machine.describe_machine("cpu", 1)
     assert json.loads(json.dumps(described, allow_nan=False)) == described
     assert all(described[name] for name in ("processor", "python", "threads", "cores", "memory_bytes", "load_average"))
     assert machine.canary_seconds() > 0

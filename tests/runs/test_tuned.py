@@ -16,8 +16,8 @@ from vprbench.cli import main
 from vprbench.datasets.nordland import published_frames
 from vprbench.plugins import registry
 from vprbench.runs.store import Store
-from vprbench.runs.tuned import other_places, tuned_here, tuned_note
-from vprbench.runs.views import rescored
+from vprbench.runs.tuned import describe_tuning, overlaps_tuning_places, without_tuning_places
+from vprbench.runs.views import replace_scores
 
 
 @pytest.fixture
@@ -125,7 +125,7 @@ def test_the_command_line_cannot_change_it_and_what_is_no_declaration_is_refused
         ({"dataset": "synthetic_2"}, False, None),
         ({"dataset": "railway", "tuned_on": {"dataset": "railway", "places": "0-7"}}, True, None),  # of nobody's yaml
         ({"tuned_on": {"dataset": "synthetic", "places": "every second place"}}, True, None),
-        ({"tuned_on": {"dataset": "street", "places": "0-7", "also_in": ["synthetic"]}}, True, None),
+        ({"tuned_on": {"dataset": "street", "places": "0-7", "also_in": {"synthetic": "unknown"}}}, True, None),
         ({"tuned_on": {"dataset": "synthetic", "places": "0-39"}}, True, None),
         ({"tuned_on": {"dataset": "synthetic", "places": "40-99"}}, False, None),
         ({"tuned_on": {}}, False, None),
@@ -137,15 +137,15 @@ def test_queries_of_tuned_places_are_told_by_their_numbers_and_all_are_suspected
     given = {"dataset": "synthetic", "tuned_on": {"dataset": "synthetic", "places": "0-7"}, **changes}
     right = given.pop("positives", [[i] for i in range(40)])
     made = run("mine", 0.5, 40, 40, **given, positives=tuple(map(np.array, right)))
-    left = other_places(made)
-    assert (tuned_here(made), left and len(left.outcome)) == (tuned, others)
-    assert bool(tuned_note([made])) == tuned
-    assert (len(told_elsewhere(tuned_note([made]))) == 4) == (others is not None)
+    left = without_tuning_places(made)
+    assert (overlaps_tuning_places(made), left and len(left.outcome)) == (tuned, others)
+    assert bool(describe_tuning([made])) == tuned
+    assert (len(told_elsewhere(describe_tuning([made]))) == 4) == (others is not None)
 
 
 def test_an_answer_that_rests_on_neighbours_is_of_a_tuned_place_if_one_of_them_is():
     made = run("mine", 0.5, 40, 40, dataset="synthetic", tuned_on={"dataset": "synthetic", "places": "10-19"})
-    left = other_places(rescored(made, np.asarray(made.scores), {"sequence": 4}, window=4))
+    left = without_tuning_places(replace_scores(made, np.asarray(made.scores), {"sequence": 4}, window=4))
     assert [int(right[0]) for right in left.positives] == [*range(7), *range(23, 40)]
 
 
@@ -200,8 +200,8 @@ def copies(folder, season, places):
 def test_frames_of_the_tuning_are_known_by_their_content_in_folders_lists_and_arrays(ride, made, others):
     options = {"timing": "none", "results": None, "threads": 1}
     (row,) = vprbench.compare(["mine"], vprbench.dataset_of(*made(ride)), **options).results
-    left = other_places(row.run)
-    assert (left and len(left.outcome), bool(tuned_note([row.run]))) == (others, others is not None)
+    left = without_tuning_places(row.run)
+    assert (left and len(left.outcome), bool(describe_tuning([row.run]))) == (others, others is not None)
 
 
 @pytest.mark.usefixtures("surroundings")

@@ -7,7 +7,13 @@ import numpy as np
 from little import a_run
 from report_page import SAD_WRONG, TEMPO_WRONG, UNANSWERABLE, answered, journey_run, right_place
 
-from vprbench.runs.query_results import by_interest, columns, judged, place_ranges, places_shown
+from vprbench.runs.query_results import (
+    format_place_ranges,
+    judge_answers,
+    list_columns,
+    list_places_shown,
+    order_by_interest,
+)
 
 NO = -np.inf  # the score of a place that is no candidate
 
@@ -15,8 +21,8 @@ NO = -np.inf  # the score of a place that is no candidate
 def judged_alone(scores, right, depth=None):
     """Judge one query; with a `depth` only so many best places are kept."""
     if depth is None:
-        return judged(answered([scores], [right]))
-    return judged(replace(answered([scores], [right], depth=depth), scores=None))
+        return judge_answers(answered([scores], [right]))
+    return judge_answers(replace(answered([scores], [right], depth=depth), scores=None))
 
 
 def test_a_query_is_judged():
@@ -42,7 +48,7 @@ def test_a_query_is_judged():
 
 
 def test_scores_stand_beside_their_places_and_wrong_places_of_equal_score_are_counted():
-    of_outcome = judged(replace(a_run(), scores=None))  # of a map of its own making
+    of_outcome = judge_answers(replace(a_run(), scores=None))  # of a map of its own making
     assert (of_outcome.verdicts, of_outcome.ranks.tolist()) == ("rrww", [1, 1, 3, 8])
     assert judged_alone([0.125, 0.875, 0.5, 0.25], [1]).scores.tolist() == [[0.875, 0.5, 0.25]]
     assert judged_alone([0.875, 0.5, 0.25, 0.125, 0.0], [3]).right_scores.tolist() == [0.125]
@@ -53,7 +59,7 @@ def test_scores_stand_beside_their_places_and_wrong_places_of_equal_score_are_co
 
 def test_what_the_page_reads_is_plain_and_holds_every_query():
     scores = [[0.875, NO, 0.5], [0.875, NO, NO], [0.5, 0.25, 0.125], [1 / 3, 2 / 3, 0.0]]
-    told = columns(judged(answered(scores, [[1], [0], [], [0]])))
+    told = list_columns(judge_answers(answered(scores, [[1], [0], [], [0]])))
     assert json.loads(json.dumps(told, allow_nan=False)) == {
         "verdicts": "wruw",
         "places": [0, 2, -1, 0, -1, -1, 0, 1, 2, 1, 0, 2],
@@ -69,20 +75,21 @@ def test_what_the_page_reads_is_plain_and_holds_every_query():
 
 def test_places_read_as_ranges_and_those_shown_are_the_best_three_and_the_right_ones():
     for places, text in (([], ""), ([4], "4"), ([7, 3, 4, 5], "3-5, 7")):
-        assert place_ranges(np.array(places, np.int64)) == text
+        assert format_place_ranges(np.array(places, np.int64)) == text
     first = judged_alone([0.5, 0.375, 0.25, 0.125, 0.0, 0.0], [4])
     second = judged_alone([0.0, 0.0, NO, NO, NO, 0.5], [])
-    assert places_shown([first, second]) == [0, 1, 2, 4, 5]
+    assert list_places_shown([first, second]) == [0, 1, 2, 4, 5]
 
 
 def test_queries_that_are_not_answered_right_come_first_with_their_places_and_then_all_others_in_one_order():
     run = journey_run(SAD_WRONG)
-    listed = dict(by_interest(judged(run)))
+    listed = dict(order_by_interest(judge_answers(run)))
     assert set([*listed][:6]) == {*SAD_WRONG, UNANSWERABLE}
     assert sorted(listed) == list(range(len(run.outcome)))
     assert all({right_place(query), *run.top_places[query, :3]} == listed[query] for query in (10, 40))
     first, second = (
-        [query for query, _ in by_interest(judged(journey_run(wrong)))] for wrong in (SAD_WRONG, TEMPO_WRONG)
+        [query for query, _ in order_by_interest(judge_answers(journey_run(wrong)))]
+        for wrong in (SAD_WRONG, TEMPO_WRONG)
     )
     common = {*first} - {*SAD_WRONG, *TEMPO_WRONG, UNANSWERABLE}
     assert [query for query in first if query in common] == [query for query in second if query in common]

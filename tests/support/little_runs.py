@@ -54,7 +54,7 @@ def table(n_queries, n_places, levels=1000):
 def quiet_surroundings():
     """Leave out of runs what is tested on its own and takes long; yields the surroundings that they see instead."""
     quick = {
-        "capture": lambda device, threads: {"processor": "Abacus 9", "time_utc": "2025-01-31T12:00:00Z"},
+        "describe_machine": lambda device, threads: {"processor": "Abacus 9", "time_utc": "2025-01-31T12:00:00Z"},
         "canary_seconds": lambda: 1.0,
         "cpu_pressure": lambda: 0.0,
     }

@@ -91,7 +91,9 @@ def make_run(config: DictConfig) -> JobResult:
 
     def failed(error: str, missing: bool = False) -> Failure:
         dataset = recorded["dataset"].get("name", choices["dataset"])
-        return Failure(choices["method"], dataset, recorded, error, machine.capture(settings.device, threads), missing)
+        return Failure(
+            choices["method"], dataset, recorded, error, machine.describe_machine(settings.device, threads), missing
+        )
 
     as_job = job.current is not None
     if settings.limit_minutes is not None and not as_job:
@@ -161,16 +163,16 @@ def _answer(method: str, recorded: dict[str, Any], settings: Settings, store: St
 
 def _write_predictions(result: RunResult, dataset: Dataset, settings: Settings) -> list[Path]:
     """Write the best places of each query, if asked for, of a run or of each of its views; returns the files."""
-    from vprbench.runs.predictions import predictions, write_csv
-    from vprbench.runs.sequences import suffix, views
+    from vprbench.runs.predictions import tabulate_predictions, write_csv
+    from vprbench.runs.sequences import name_views, parse_views
 
     if settings.predictions is None:
         return []
     name = f"{dataset.name}-{result.folder.name}"
-    shown = {suffix([view]): view(result.run) for view in views(settings.sequence, settings.filter)}
+    shown = {name_views([view]): view(result.run) for view in parse_views(settings.sequence, settings.filter)}
     return [
         write_csv(
-            predictions(run, settings.predictions, dataset),
+            tabulate_predictions(run, settings.predictions, dataset),
             Path(settings.results).expanduser() / f"{name}{ending}-predictions.csv",
         )
         for ending, run in (shown or {"": result.run}).items()

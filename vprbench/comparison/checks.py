@@ -21,7 +21,7 @@ from vprbench.plugins.options import chosen
 from vprbench.progress import progress_shown, report
 from vprbench.runs.identity import fingerprint
 from vprbench.runs.predictions import require_depth
-from vprbench.runs.sequences import views
+from vprbench.runs.sequences import parse_views
 from vprbench.runs.settings import KNOWN, Settings, checked_settings
 from vprbench.runs.viewpoints import seen_from, viewpoints
 from vprbench.text import near
@@ -124,7 +124,7 @@ def checked(command: SortedOptions, compose: Compose) -> tuple[Checked | None, l
     with progress_shown("compare"):
         try:
             dataset = seen_from(registry.make_dataset(config["dataset"]), viewpoints(command.request.views))
-            check_dataset(dataset, bool(views(command.request.sequence, command.request.filter)))
+            check_dataset(dataset, bool(parse_views(command.request.sequence, command.request.filter)))
             images = fingerprint(dataset)
             looked = None if stored else _looked(dataset, command.of_dataset)
         except BadInput as error:

@@ -26,13 +26,13 @@ from vprbench.paper.table.make import exit_code, write
 from vprbench.paper.table.quantities import RECALL, comparison_quantities, without_accuracies
 from vprbench.progress import progress_shown
 from vprbench.runs import rows
-from vprbench.runs.corrupted_frames import corrupted
-from vprbench.runs.corruption import Corruption, corruptions
-from vprbench.runs.frame import named_tuples
+from vprbench.runs.corrupted_frames import corrupt_queries
+from vprbench.runs.corruption import Corruption, parse_corruptions
+from vprbench.runs.frame import iterate_rows
 from vprbench.runs.identity import fingerprint
-from vprbench.runs.predictions import predictions, write_csv
+from vprbench.runs.predictions import tabulate_predictions, write_csv
 from vprbench.runs.record import Failure, Run
-from vprbench.runs.sequences import suffix, views
+from vprbench.runs.sequences import name_views, parse_views
 from vprbench.runs.settings import n_threads
 from vprbench.storage.atomic import replace_text
 from vprbench.terminal.console import line_text, show_table
@@ -46,10 +46,10 @@ def under(found: Checked, names: Sequence[str]) -> dict[Corruption, Checked]:
     if names and found.dataset is not None and not any(map(len, found.dataset.positives)):
         raise BadInput(f"corruptions={','.join(names)}: no query of {found.dataset.name} has a right place to lose")
     every = {}
-    for one in corruptions(names):
+    for one in parse_corruptions(names):
         planned = replace(found.column.planned, title=f"{found.column.planned.title}, {one.name}")
         column = replace(found.column, planned=planned, corruption=one.name)
-        dataset = None if found.dataset is None else corrupted(found.dataset, one.name)
+        dataset = None if found.dataset is None else corrupt_queries(found.dataset, one.name)
         with progress_shown(one.name):
             images = "" if dataset is None else fingerprint(dataset)
         every[one] = replace(found, column=column, dataset=dataset, images=images)
@@ -139,7 +139,7 @@ def chosen_of(found: Checked, command: SortedOptions) -> TablePlan:
         stored=request.stored,
         title=found.column.planned.title,
         quantities=comparison_quantities(request.metrics, request.devices),
-        views=views(request.sequence, request.filter),
+        views=parse_views(request.sequence, request.filter),
     )
 
 
@@ -234,7 +234,7 @@ def _shown(cells: pd.DataFrame) -> Iterator[str]:
     """Yield the text of a row's cells, the word for what is absent once in a column."""
     for _, of_column in cells.groupby("column", sort=False):
         first = of_column["absence"].iloc[0]
-        for number, cell in enumerate(named_tuples(of_column)):
+        for number, cell in enumerate(iterate_rows(of_column)):
             absence = cell.absence if number == 0 or cell.value or cell.absence != first else ""
             yield " ".join(filter(None, [absence, cell.value, cell.extent]))
 
@@ -250,7 +250,7 @@ def predicted(compared: ReportData, found: Checked, n: int | None) -> pd.DataFra
     for group in compared.groups:
         for one in accuracy_series(group, compared.chosen.rows):
             for run in one.runs:
-                table = predictions(run, min(n or 10, run.top_places.shape[1]), found.dataset)
+                table = tabulate_predictions(run, min(n or 10, run.top_places.shape[1]), found.dataset)
                 told = {"method": one.name, "seed": run.config["seed"], "answers": rows.describe_view(run)}
                 tables.append(pd.concat([pd.DataFrame(told, index=table.index), table], axis=1))
     return pd.concat(tables, ignore_index=True)
@@ -267,7 +267,7 @@ def written(
     from vprbench.paper.figures.accuracy import robustness as drawn_robustness
 
     folder, name = Path(found.chosen.results).expanduser(), found.chosen.columns[0].planned.name
-    name += "-views" * (found.chosen.columns[0].views is not None) + suffix(found.chosen.views)
+    name += "-views" * (found.chosen.columns[0].views is not None) + name_views(found.chosen.views)
     if beside_others and _of_other_frames(folder / f"{name}-runs.csv", found.runs):
         name = f"{name}-{found.runs[0].fingerprint[:6]}"
     files = write(found, folder, name)

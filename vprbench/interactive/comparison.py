@@ -20,9 +20,9 @@ from vprbench.paper.ranking import NUMBERS, Ranking, ranked
 from vprbench.paper.selection import Series
 from vprbench.paper.table.quantities import RATES
 from vprbench.runs import frame, rows
-from vprbench.runs.frame import named_tuples
+from vprbench.runs.frame import iterate_rows
 from vprbench.runs.record import Failure
-from vprbench.runs.sequences import views
+from vprbench.runs.sequences import parse_views
 from vprbench.runs.settings import require_metrics
 from vprbench.text import NOTHING, format_two_digits, plural
 
@@ -52,7 +52,7 @@ class Comparison:
         for name in self.metrics:
             of_seeds = ([METRICS[name].of(run) for run in runs] for runs in self.ranking.table["runs"])
             found.insert([*found].index("hz"), name, [pd.Series(each, dtype=float).mean() for each in of_seeds])
-        last = [{"method": frame.label(one), "seeds": 0, "left_out": one.error} for one in self.left_out]
+        last = [{"method": frame.format_label(one), "seeds": 0, "left_out": one.error} for one in self.left_out]
         every = pd.concat([found, pd.DataFrame(last)], ignore_index=True) if last else found
         return every.astype({**dict.fromkeys(NUMBERS, float), "method": str, "seeds": int, "left_out": str})
 
@@ -61,7 +61,7 @@ class Comparison:
 
         Raises BadInput for anything but one view, and for a run that kept no scores.
         """
-        asked = views(sequence, filter)
+        asked = parse_views(sequence, filter)
         if len(asked) != 1:
             raise BadInput(f"sequence={sequence}, filter={filter}: give one view, and ask again for each other one")
         results = tuple(result.seen(asked[0]) for result in self.results)
@@ -99,7 +99,7 @@ class Comparison:
 
     def _series(self) -> list[Series]:
         return [
-            Series(row.method, row.runs[0].spikes is not None, row.runs) for row in named_tuples(self.ranking.table)
+            Series(row.method, row.runs[0].spikes is not None, row.runs) for row in iterate_rows(self.ranking.table)
         ]
 
     def _text(self) -> pd.DataFrame:
@@ -150,7 +150,7 @@ def compare(
     raises, and BadInput, a line for each thing that is wrong.
     """
     metrics = require_metrics(metrics)
-    asked = views(sequence)
+    asked = parse_views(sequence)
     numbers = list(range(seeds)) if isinstance(seeds, int) else list(seeds)
     unusable = not numbers or min(numbers) < 0 or len({*numbers}) < len(numbers)
     if not len(methods) or isinstance(methods, str) or unusable or "seed" in options:
@@ -183,12 +183,12 @@ def _checked(
         try:
             there.append((method, prepared(method, where, options)))
             request = there[-1][1].request
-            names.append(frame.label(Failure(request.name, request.dataset.name, request.config, "")))
+            names.append(frame.format_label(Failure(request.name, request.dataset.name, request.config, "")))
         except NotThere as error:
             chosen = recipe(method, None, None)
             asked = {"overrides": chosen.overrides}
             left_out.append(Failure(chosen.name, where.dataset.name, asked, str(error), missing=True))
-            names.append(frame.label(left_out[-1]))
+            names.append(frame.format_label(left_out[-1]))
         except Exception as error:  # whatever a plug-in raises
             told = str(error) if isinstance(error, BadInput) else f"{type(error).__name__}: {error}"
             wrong.setdefault(told, []).append(short(method if isinstance(method, str) else repr(method)))
@@ -197,7 +197,7 @@ def _checked(
     if wrong:
         raise BadInput("\n".join(f"{', '.join(of)}: {error}" for error, of in wrong.items()))
     if not there:
-        raise NotThere("\n".join(f"{frame.label(one)}: {one.error}" for one in left_out))
+        raise NotThere("\n".join(f"{frame.format_label(one)}: {one.error}" for one in left_out))
     for one in left_out:
-        logger.warning("%s is left out: %s", frame.label(one), one.error)
+        logger.warning("%s is left out: %s", frame.format_label(one), one.error)
     return there, left_out

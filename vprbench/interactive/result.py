@@ -18,13 +18,13 @@ from vprbench.metrics.accuracy import hits_at, recall_at
 from vprbench.metrics.intervals import WiderInterval
 from vprbench.metrics.registry import METRICS
 from vprbench.runs import frame, rows
-from vprbench.runs.predictions import predictions
-from vprbench.runs.query_results import RIGHT, UNANSWERABLE, UNJUDGED, judged
-from vprbench.runs.recall_intervals import interval_between, recall_interval
+from vprbench.runs.predictions import tabulate_predictions
+from vprbench.runs.query_results import RIGHT, UNANSWERABLE, UNJUDGED, judge_answers
+from vprbench.runs.recall_intervals import difference_of_recalls, recall_interval
 from vprbench.runs.record import Run
-from vprbench.runs.sequences import Views, views
+from vprbench.runs.sequences import Views, parse_views
 from vprbench.runs.stopwatch import Timing, streaming_rate
-from vprbench.runs.tuned import all_notes
+from vprbench.runs.tuned import list_notes
 from vprbench.runs.views import queries_shown
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ class Result:
     @property
     def name(self) -> str:
         """The name of the method, with the arguments that were asked for."""
-        return frame.label(self.run)
+        return frame.format_label(self.run)
 
     @property
     def metrics(self) -> dict[str, float]:
@@ -60,7 +60,7 @@ class Result:
     @property
     def notes(self) -> tuple[str, ...]:
         """What a reader of the numbers has to know, a line each."""
-        return tuple(note.text for note in all_notes(self.run))
+        return tuple(note.text for note in list_notes(self.run))
 
     @property
     def hz(self) -> float:
@@ -85,7 +85,7 @@ class Result:
             raise BadInput(
                 f"{self.run.dataset} and {other.run.dataset}: a difference needs results on the same queries"
             )
-        return interval_between(self.run, other.run, confidence)
+        return difference_of_recalls(self.run, other.run, confidence)
 
     def to_frame(self) -> pd.DataFrame:
         """Return a row for each query.
@@ -95,7 +95,7 @@ class Result:
         best right place less that of the best wrong one, NaN where that is undefined. Without a ground truth `hit` is
         NaN, `rank` 0, and `margin` the score of the best place less that of the second.
         """
-        answers = judged(self.run)
+        answers = judge_answers(self.run)
         return pd.DataFrame(
             {
                 "query": self.queries,
@@ -113,7 +113,7 @@ class Result:
 
         Queries that have no right place are left out, and without a ground truth all are.
         """
-        verdicts = np.array([*judged(self.run).verdicts])
+        verdicts = np.array([*judge_answers(self.run).verdicts])
         wrong = self.to_frame()[~np.isin(verdicts, (RIGHT, UNANSWERABLE, UNJUDGED))]
         return wrong.sort_values("margin", kind="stable")
 
@@ -125,7 +125,7 @@ class Result:
         means more alike. `right` says whether it is a right place; None without a ground truth. Raises BadInput below
         1, and for more places than the run keeps (`depth`, 100 unless another was given).
         """
-        return predictions(self.run, n, self.dataset)
+        return tabulate_predictions(self.run, n, self.dataset)
 
     def in_sequences(self, length: int, **options: Any) -> Result:
         """Return the answers of `length` neighbouring queries together, a result like any other.
@@ -133,14 +133,14 @@ class Result:
         The options are those of `sequence`: window="centred", velocities=[0.8, 1, 1.2], contrast=10,
         incomplete="shortened", gaps="bridge". Raises BadInput for what does not fit, and for a run that kept no scores.
         """
-        return self.seen(views({"length": length, **options})[0])
+        return self.seen(parse_views({"length": length, **options})[0])
 
     def filter(self, **options: Any) -> Result:
         """Return the answers of a Bayes filter over the places, a result like any other.
 
         The options are those of `filter`: back=-2, ahead=10, ratio=5, gaps="bridge". Raises what `in_sequences` does.
         """
-        return self.seen(views(None, options)[0])
+        return self.seen(parse_views(None, options)[0])
 
     def seen(self, view: Views) -> Result:
         """Return the result of a view of its run; a warning is logged if the queries are in dictionary order."""
@@ -171,13 +171,13 @@ class Result:
         return Series(self.name, self.run.spikes is not None, (self.run,))
 
     def __repr__(self) -> str:
-        recall = rows.readable_row(self.run).get(rows.RECALL)
+        recall = rows.format_row(self.run).get(rows.RECALL)
         found = "no ground truth" if recall is None else f"R@1 {recall} %"
         of = ", ".join(filter(None, [self.run.dataset, rows.describe_view(self.run)]))
         return short(f"<{self.name} on {of}: {found}, {len(self.queries):,} queries>")
 
     def _repr_html_(self) -> str:
-        row = {"dataset": self.run.dataset, **rows.readable_row(self.run)}
+        row = {"dataset": self.run.dataset, **rows.format_row(self.run)}
         notes: list[Any] = [{"notes": note} for note in self.notes]
         tables = [pd.DataFrame([row]), *([pd.DataFrame(notes)] if notes else [])]
         return "".join(table.to_html(index=False, border=0) for table in tables)

@@ -78,4 +78,4 @@ def lost(options: Sequence[str], result: JobResult) -> Failure:
     asked = {each: config[each] for each in RECORDED} | {"overrides": list(map(registry.with_plugin_paths, options))}
     asked["method"] = registry.declared(name, asked["method"])[0]
     dataset = str(asked["dataset"].get("name", "dataset"))
-    return Failure(name, dataset, asked, result.error, machine.capture("cpu", 1), result.missing)
+    return Failure(name, dataset, asked, result.error, machine.describe_machine("cpu", 1), result.missing)

@@ -24,7 +24,7 @@ from vprbench.paper.table.quantities import QUANTITIES, Quantity, quantities
 from vprbench.paper.table.reasons import why_left_out
 from vprbench.plugins import registry
 from vprbench.runs.record import Failure, Run
-from vprbench.runs.sequences import Views, views
+from vprbench.runs.sequences import Views, parse_views
 from vprbench.runs.store import Store
 
 Part = TypeVar("Part")
@@ -94,7 +94,7 @@ def choose(request: TableRequest, compose: Compose) -> TablePlan:
         tuple(request.stores),
         request.stored,
         quantities=quantities(request.metrics),
-        views=views(request.sequence, request.filter),
+        views=parse_views(request.sequence, request.filter),
     )
 
 

@@ -14,7 +14,7 @@ from vprbench.errors import BadInput
 from vprbench.paper.plan import Row
 from vprbench.paper.selection import age, as_text, conditions
 from vprbench.paper.table import best
-from vprbench.runs.frame import with_records
+from vprbench.runs.frame import tabulate_with_records
 from vprbench.runs.record import Run
 
 _PER_SIZE = frozenset(  # parts of the protocol in which runs of one growth differ
@@ -57,7 +57,7 @@ def samples(row: Row, runs: Sequence[Run]) -> GrowthSamples:
     kept = [run for _, run in sorted(chosen.items(), key=lambda item: item[0])]
     times = pd.DataFrame(list(map(_query_times, kept)), columns=[*_TIMES], dtype=object)
     aside = tuple(_set_aside(row.name, members, newest[0]) for members in others)
-    return GrowthSamples(row.name, with_records(kept).join(times), aside)
+    return GrowthSamples(row.name, tabulate_with_records(kept).join(times), aside)
 
 
 def interval_of_median(values: npt.NDArray[np.float64]) -> tuple[float, float] | None:

@@ -81,7 +81,7 @@ class MissingRun:
                 "overrides": self.options(),
             },
             error,
-            machine.capture("cpu", 1),
+            machine.describe_machine("cpu", 1),
             missing,
         )
 

@@ -24,10 +24,10 @@ from vprbench.paper.table.best import (
 )
 from vprbench.paper.table.quantities import RATES
 from vprbench.paper.templates import sentences
-from vprbench.runs.frame import named_tuples
-from vprbench.runs.recall_intervals import along_the_journey, recall_interval
+from vprbench.runs.frame import iterate_rows
+from vprbench.runs.recall_intervals import order_along_journey, recall_interval
 from vprbench.runs.record import Run
-from vprbench.runs.tuned import draws, others_of, tuned_here
+from vprbench.runs.tuned import all_without_tuning_places, draws_at_random, overlaps_tuning_places
 from vprbench.runs.views import window_of
 
 #: The columns of a ranking; numbers are of all seeds of a row, and None where there is none.
@@ -55,9 +55,9 @@ def ranked(series: Sequence[Series]) -> Ranking:
     lines = [{"method": one.name, **_numbers(one.runs), "seeds": len(one.runs), "runs": one.runs} for one in series]
     lines.sort(key=lambda line: -1.0 if line["recall_at_1"] is None else line["recall_at_1"], reverse=True)
     table = pd.DataFrame(lines, columns=["method", *NUMBERS, "seeds", "runs"], dtype=object)
-    rows = [*named_tuples(table)]
-    tuned = [row.method for row in rows if any(map(tuned_here, row.runs))]
-    one_seed = [row.method for row in rows if len(row.runs) == 1 and draws(row.runs[0])]
+    rows = [*iterate_rows(table)]
+    tuned = [row.method for row in rows if any(map(overlaps_tuning_places, row.runs))]
+    one_seed = [row.method for row in rows if len(row.runs) == 1 and draws_at_random(row.runs[0])]
     told = _ranking_sentences([row for row in rows if row.method not in tuned], tuned)
     return Ranking(table, (*told, *sentences("ranking.j2", "of_one_seed", one_seed)))
 
@@ -68,7 +68,7 @@ def _tuned_elsewhere(rows: Sequence[Any]) -> str:
 
 
 def _numbers(runs: Sequence[Run]) -> dict[str, Any]:
-    others = others_of(runs)
+    others = all_without_tuning_places(runs)
     elsewhere = _accuracy(others) if others else (None, None, None)
     timed = all(run.timing is not None for run in runs)
     fits = [run.fit_seconds for run in runs if run.fit_seconds is not None]
@@ -101,6 +101,6 @@ def _difference(rows: Sequence[Any]) -> WiderInterval | None:
     """Return the interval of the first row's R@1 less the second's, of several seeds of their mean hits."""
     if len(rows) < 2 or rows[1].recall_at_1 is None:
         return None
-    order = along_the_journey(rows[0].runs[0])
+    order = order_along_journey(rows[0].runs[0])
     ours, theirs = (np.mean([hits_at(run.outcome, 1) for run in row.runs], axis=0)[order] for row in rows[:2])
     return difference_interval(ours, theirs, window=window_of(rows[0].runs[0]))

@@ -19,10 +19,10 @@ from vprbench.paper.table.formats import shown_as_it_is
 from vprbench.paper.templates import document
 from vprbench.runs import rows
 from vprbench.runs.corruption import KINDS, STRENGTHS, Corruption
-from vprbench.runs.frame import named_tuples
-from vprbench.runs.recall_intervals import along_the_journey, recall_interval
+from vprbench.runs.frame import iterate_rows
+from vprbench.runs.recall_intervals import order_along_journey, recall_interval
 from vprbench.runs.record import Run
-from vprbench.runs.tuned import tuned_note
+from vprbench.runs.tuned import describe_tuning
 
 _ABSENT = "-"
 
@@ -80,12 +80,12 @@ def _point(row: Series, clean: Series, one: Corruption | None) -> dict[str, Any]
     assert recall is not None
     assert before is not None
     assert interval is not None
-    order = along_the_journey(clean.runs[0])
+    order = order_along_journey(clean.runs[0])
     drop = None if one is None else difference_interval(_hits(clean.runs)[order], _hits(row.runs)[order])
     of_corruption = ("clean", 0, "") if one is None else (one.kind, one.strength, one.short)
     accuracy = (len(row.runs), recall, interval.low, interval.high)
     ends = (None, None) if drop is None else (drop.low, drop.high)
-    values = (row.name, *of_corruption, *accuracy, before - recall, *ends, tuned_note(row.runs))
+    values = (row.name, *of_corruption, *accuracy, before - recall, *ends, describe_tuning(row.runs))
     return dict(zip(COLUMNS, values, strict=True))
 
 
@@ -100,12 +100,12 @@ def lines(found: Robustness) -> list[dict[str, str]]:
     """
     head = "R@1 %, less by"
     told = [{head: "clean"}]
-    for point in named_tuples(found.points[found.points["strength"] == 0]):
+    for point in iterate_rows(found.points[found.points["strength"] == 0]):
         told[0][point.method] = _percent(point.recall_at_1)
     for kind, strengths in found.kinds.items():
         told.append({head: f"{kind} {KINDS[kind].short(strengths)}"})
         for row in found.clean:
-            there = {point.strength: point for point in named_tuples(found.of(row.name, kind))}
+            there = {point.strength: point for point in iterate_rows(found.of(row.name, kind))}
             told[-1][row.name] = "/".join(_drop(there.get(each)) for each in strengths)
     return told
 
@@ -123,8 +123,8 @@ def _percent(share: float) -> str:
 
 def markdown(found: Robustness, title: str) -> str:
     """Return the table as a document that says what each corruption is."""
-    shown = {"title": shown_as_it_is(title), "table": rows.markdown(lines(found)), "kinds": found.words}
-    tuned = {row.name: note for row in found.clean if (note := tuned_note(row.runs))}
+    shown = {"title": shown_as_it_is(title), "table": rows.format_markdown(lines(found)), "kinds": found.words}
+    tuned = {row.name: note for row in found.clean if (note := describe_tuning(row.runs))}
     return document("robustness.md.j2", **shown, tuned=tuned)
 
 

@@ -30,12 +30,12 @@ class RunOptions(ClusterOptions):
 
     def __post_init__(self) -> None:
         """Check what can be checked before a plan is read, or a method or dataset built."""
-        from vprbench.runs.sequences import views
+        from vprbench.runs.sequences import parse_views
         from vprbench.runs.settings import require_metrics
         from vprbench.runs.viewpoints import viewpoints
 
         super().__post_init__()
-        views(self.sequence, self.filter)
+        parse_views(self.sequence, self.filter)
         viewpoints(self.views)
         if self.seeds is not None and self.seeds < 1:
             raise BadInput(f"seeds={self.seeds}: give at least 1")
@@ -92,9 +92,9 @@ class CompareRequest(RunOptions):
 
     def __post_init__(self) -> None:
         """Check what can be checked before a method or the dataset is built."""
-        from vprbench.runs.corruption import corruptions
+        from vprbench.runs.corruption import parse_corruptions
 
         super().__post_init__()
         if not self.methods:
             raise BadInput("methods= is empty: name what is compared, as in methods=sad,hog")
-        corruptions(self.corruptions)
+        parse_corruptions(self.corruptions)

@@ -11,7 +11,7 @@ from typing import Any, Literal
 from vprbench.paper.plan import PlannedColumn, Row
 from vprbench.runs.machine import Machine
 from vprbench.runs.record import Failure, Run
-from vprbench.runs.sequences import NoScoresError, Views, suffix
+from vprbench.runs.sequences import NoScoresError, Views, name_views
 from vprbench.runs.viewpoints import viewpoints
 
 Device = Literal["cpu", "cuda"]
@@ -295,7 +295,7 @@ def seen(groups: Sequence[Group], rows: Sequence[Row], views: Sequence[Views]) -
                 except NoScoresError as error:
                     failures.append(Failure(run.method, run.dataset, run.config, str(error), run.environment, True))
                     lacking.append(error)
-            of_views.append(replace(group, runs=tuple(shown), failures=tuple(failures), view=suffix([view])[1:]))
+            of_views.append(replace(group, runs=tuple(shown), failures=tuple(failures), view=name_views([view])[1:]))
         found += [one for one in of_views if one.runs] or [replace(of_views[0], view="")]
     if lacking and not any(group.runs for group in found):
         raise lacking[0]

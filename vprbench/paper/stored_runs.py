@@ -14,7 +14,7 @@ from vprbench.plugins import registry
 from vprbench.plugins.opened_files import files_behind, listening, names_a_file
 from vprbench.progress import progress_shown
 from vprbench.runs import thumbnails
-from vprbench.runs.corrupted_frames import corrupted
+from vprbench.runs.corrupted_frames import corrupt_queries
 from vprbench.runs.identity import Identity, code_hash_of, fingerprint
 from vprbench.runs.record import Run
 from vprbench.runs.run_files import content_key
@@ -93,7 +93,7 @@ class StoredRuns:
         found = [
             run for run in found if run.query_breaks is not None or dataset.query_breaks is None
         ]  # it is told these
-        if settings.frames and thumbnails.find(self._store.root, images) is None:
+        if settings.frames and thumbnails.load_thumbnails(self._store.root, images) is None:
             return None
         return next((run for run in found if settings.cache or run.fit_seconds is not None), None)
 
@@ -102,7 +102,7 @@ class StoredRuns:
         key = content_key({"dataset": config, "corruption": corruption})
         if key not in self._datasets:
             with progress_shown(str(config["name"])):
-                dataset = corrupted(registry.make_dataset(config), corruption)
+                dataset = corrupt_queries(registry.make_dataset(config), corruption)
                 self._datasets[key] = dataset, fingerprint(dataset)
         return self._datasets[key]
 

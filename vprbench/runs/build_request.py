@@ -17,7 +17,7 @@ from vprbench.plugins.opened_files import files_behind, listening
 from vprbench.plugins.tuned_frames import queries_of_tuned_frames
 from vprbench.progress import progress_shown
 from vprbench.runs import machine, sequences, stream
-from vprbench.runs.corrupted_frames import corrupted
+from vprbench.runs.corrupted_frames import corrupt_queries
 from vprbench.runs.identity import Request, data_record, fingerprint, hashed
 from vprbench.runs.settings import Settings, n_threads
 from vprbench.runs.store import Store
@@ -56,7 +56,7 @@ def corrupted_request(request: Request, corruption: str, config: Mapping[str, An
 
     It has the same method, which is fitted once if the request has a `shared_fit`.
     """
-    dataset = corrupted(request.dataset, corruption)
+    dataset = corrupt_queries(request.dataset, corruption)
     frames = hashed(dataset)
     images, data = fingerprint(dataset, frames), data_record(dataset, frames)
     recorded = {**request.config, "corruption": corruption, "overrides": config["overrides"]}
@@ -83,11 +83,11 @@ def request_of(
         method = build(config["method"])
     _require_adaptable(method)
     # what the cheap checks warn of is among the dataset's notes
-    in_sequences = bool(sequences.views(settings.sequence, settings.filter))
+    in_sequences = bool(sequences.parse_views(settings.sequence, settings.filter))
     dataset = replace(dataset, notes=(*dataset.notes, *check_dataset(dataset, in_sequences)))
     tuned_queries = queries_of_tuned_frames(dataset, tuned_on)
     if isinstance(settings.corruption, str):
-        dataset = corrupted(dataset, settings.corruption)
+        dataset = corrupt_queries(dataset, settings.corruption)
     dataset = seen_from(dataset, views := viewpoints(settings.views))
     with progress_shown(name):  # frames may have to be hashed, and a file be downloaded
         frames = hashed(dataset)
@@ -104,7 +104,7 @@ def request_of(
         threads,
         files,
         cache=store.root.absolute() / "descriptors" if settings.cache else None,
-        stream=stream.step(settings.stream, method, dataset.n_places),
+        stream=stream.parse_step(settings.stream, method, dataset.n_places),
         views=views,
         data=data,
         tuned_on=tuned_on,

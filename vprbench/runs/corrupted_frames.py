@@ -11,12 +11,12 @@ import numpy as np
 
 from vprbench.api.arrays import Image
 from vprbench.api.dataset import Dataset
-from vprbench.runs.corruption import Corruption, corruption
+from vprbench.runs.corruption import Corruption, parse_corruption
 
 _GREY = 128  # of what hides a part of a frame
 
 
-def corrupted(dataset: Dataset, name: str | None) -> Dataset:
+def corrupt_queries(dataset: Dataset, name: str | None) -> Dataset:
     """Return a dataset whose query frames are corrupted when they are read, and whose protocol says so.
 
     None leaves it as it is. References, and places that a method chooses its settings by, stay clean. Raises BadInput
@@ -24,13 +24,13 @@ def corrupted(dataset: Dataset, name: str | None) -> Dataset:
     """
     if name is None:
         return dataset
-    wanted = corruption(name)
+    wanted = parse_corruption(name)
     text = wanted.protocol()
-    queries = dataset.queries.changed(lambda image, frame: corrupted_frame(image, wanted, frame), text)
+    queries = dataset.queries.changed(lambda image, frame: corrupt_frame(image, wanted, frame), text)
     return replace(dataset, queries=queries, protocol={**dataset.protocol, "corruption": text})
 
 
-def corrupted_frame(image: Image, wanted: Corruption, frame: str) -> Image:
+def corrupt_frame(image: Image, wanted: Corruption, frame: str) -> Image:
     """Return an image, uint8 (height, width, 3), corrupted; what is drawn follows from seed, kind and frame's name.
 
     So it is the same in any order, process and batch, and all strengths of a kind go one way.

@@ -68,7 +68,7 @@ class Corruption:
         return f"{self.name} (queries {KINDS[self.kind].describe([self.strength])}; seed {self.seed})"
 
 
-def corruption(name: str) -> Corruption:
+def parse_corruption(name: str) -> Corruption:
     """Return the corruption of a name; raises BadInput for an unknown name."""
     parts = re.fullmatch(r"([a-z_]+)-([1-3])(?:-(\d{1,9}))?", name)
     if parts is None or parts[1] not in KINDS:
@@ -78,7 +78,7 @@ def corruption(name: str) -> Corruption:
     return Corruption(parts[1], int(parts[2]), int(parts[3] or 0))
 
 
-def corruptions(names: Sequence[str]) -> tuple[Corruption, ...]:
+def parse_corruptions(names: Sequence[str]) -> tuple[Corruption, ...]:
     """Return the corruptions that are named, a kind for all its strengths, `all` for every kind, in the kinds' order.
 
     Raises BadInput for a name that is unknown, and for one corruption with two seeds.
@@ -86,7 +86,9 @@ def corruptions(names: Sequence[str]) -> tuple[Corruption, ...]:
     wanted = {
         one
         for name in (KINDS if [*names] == ["all"] else names)
-        for one in ([Corruption(name, strength) for strength in STRENGTHS] if name in KINDS else [corruption(name)])
+        for one in (
+            [Corruption(name, strength) for strength in STRENGTHS] if name in KINDS else [parse_corruption(name)]
+        )
     }
     if len({(one.kind, one.strength) for one in wanted}) < len(wanted):
         raise BadInput(f"corruptions={','.join(names)}: give each corruption once, with one seed")

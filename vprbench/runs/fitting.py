@@ -15,7 +15,7 @@ from vprbench.errors import BadInput
 from vprbench.plugins import networks
 from vprbench.runs.descriptors import DescriptorCache
 from vprbench.runs.identity import Request
-from vprbench.runs.notes import Note, noted
+from vprbench.runs.notes import Note, make_notes
 from vprbench.runs.stopwatch import Stopwatch
 from vprbench.storage.shards import LARGE_BYTES
 
@@ -65,7 +65,7 @@ def _fit_or_load(request: Request, key: str, stopwatch: Stopwatch, described: De
         progress.report("load", 0.0)
         wanted = networks.origin(method, arguments, dataset)
         with stopwatch.lap() as load:
-            notes = tuple(noted("loaded", networks.load(files.load, method, wanted, files.sha256)))
+            notes = tuple(make_notes("loaded", networks.load(files.load, method, wanted, files.sha256)))
         return FitResult(load_seconds=load[0], notes=notes)
     destination = networks.prepare(files, method, arguments, dataset)
     given = calibration(method, dataset)

@@ -14,7 +14,7 @@ from vprbench.runs.notes import DISTURBED
 from vprbench.runs.recall_intervals import recall_interval
 from vprbench.runs.record import Failure, Run
 from vprbench.runs.stopwatch import StageRates, Timing, best_batch, percentile_bound
-from vprbench.runs.tuned import other_places, tuned_note
+from vprbench.runs.tuned import describe_tuning, without_tuning_places
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -43,7 +43,7 @@ _NOT_IN_CSV = ("method", "arguments", "protocol")
 _DIGITS = 12  # of a fingerprint that people compare by eye
 
 
-def frame(results: Iterable[Run | Failure], metrics: Sequence[str] = ()) -> pd.DataFrame:
+def tabulate_runs(results: Iterable[Run | Failure], metrics: Sequence[str] = ()) -> pd.DataFrame:
     """Return runs and failures as rows, with more `metrics` by their names; what is not known is None.
 
     A failure has its `error` and no numbers.
@@ -56,30 +56,30 @@ def frame(results: Iterable[Run | Failure], metrics: Sequence[str] = ()) -> pd.D
     return pd.DataFrame(rows, columns=[*dict.fromkeys([*COLUMNS, *more, *metrics])], dtype=object)
 
 
-def with_records(runs: Sequence[Run], metrics: Sequence[str] = ()) -> pd.DataFrame:
+def tabulate_with_records(runs: Sequence[Run], metrics: Sequence[str] = ()) -> pd.DataFrame:
     """Return the frame of runs with the runs themselves in one more column, `record`."""
     import pandas as pd
 
-    return frame(runs, metrics).assign(record=pd.Series(list(runs), dtype=object))
+    return tabulate_runs(runs, metrics).assign(record=pd.Series(list(runs), dtype=object))
 
 
-def csv(results: Sequence[Run | Failure], metrics: Sequence[str] = ()) -> str:
+def format_csv(results: Sequence[Run | Failure], metrics: Sequence[str] = ()) -> str:
     """Return the frame of runs as CSV, a line each, unrounded."""
-    return str(frame(results, metrics).drop(columns=[*_NOT_IN_CSV]).rename(columns=_IN_CSV).to_csv(index=False))
+    return str(tabulate_runs(results, metrics).drop(columns=[*_NOT_IN_CSV]).rename(columns=_IN_CSV).to_csv(index=False))
 
 
-def named_tuples(table: pd.DataFrame) -> Iterator[Any]:
+def iterate_rows(table: pd.DataFrame) -> Iterator[Any]:
     """Yield the lines of a frame as named tuples."""
     return iter(table.itertuples(index=False))
 
 
-def label(run: Run | Failure) -> str:
+def format_label(run: Run | Failure) -> str:
     """Return a method's name with the arguments that were asked for."""
     return " ".join([run.method, *_arguments(run)])
 
 
 def _row(result: Run | Failure, metrics: Sequence[str], known: Mapping[str, Entry]) -> Facts:
-    about: Facts = {"method": result.method, "arguments": " ".join(_arguments(result)), "label": label(result)}
+    about: Facts = {"method": result.method, "arguments": " ".join(_arguments(result)), "label": format_label(result)}
     about |= {"dataset": result.dataset, "seed": result.config.get("seed"), "device": result.config.get("device")}
     if isinstance(result, Failure):
         return {**about, "error": result.error}
@@ -91,9 +91,9 @@ def _row(result: Run | Failure, metrics: Sequence[str], known: Mapping[str, Entr
         "protocol_name": result.protocol.get("protocol"),
         **{name: result.data.get(name) for name in ("names_sha256", "content_sha256")},
         "fingerprint": result.fingerprint[:_DIGITS],
-        **numbers(result, metrics),
+        **list_numbers(result, metrics),
         "network": result.network,
-        "tuned_on": tuned_note([result]),
+        "tuned_on": describe_tuning([result]),
         "machine": Machine.of(result.environment).line,
         "time_utc": str(result.environment.get("time_utc") or ""),
         "disturbed": any(note.kind in DISTURBED for note in result.notes),
@@ -102,7 +102,7 @@ def _row(result: Run | Failure, metrics: Sequence[str], known: Mapping[str, Entr
     }
 
 
-def numbers(run: Run, metrics: Sequence[str] = ()) -> dict[str, float | int | str | None]:
+def list_numbers(run: Run, metrics: Sequence[str] = ()) -> dict[str, float | int | str | None]:
     """Return one run as unrounded numbers, under names that hold their unit, with more `metrics` by their names."""
     first, answerable = recall_at(run.outcome, 1), recall_at(run.outcome, 1, "answerable")
     interval = recall_interval([run])
@@ -176,7 +176,7 @@ def _as_text(values: Mapping[str, Any]) -> str:
 
 def _recall_off_tuned_places(run: Run) -> dict[str, float | int | None]:
     """Return R@1 of the queries that show no place the method was tuned on; None each if that is not known or all."""
-    other = other_places(run)
+    other = without_tuning_places(run)
     first, interval = (None, None) if other is None else (recall_at(other.outcome, 1), recall_interval([other]))
     return {
         "recall_at_1_elsewhere": first.expected if first else None,

@@ -17,10 +17,10 @@ from vprbench.plugins import networks
 from vprbench.progress import overheard, progress_shown
 from vprbench.runs import energy, runner, stream, thumbnails
 from vprbench.runs.identity import Request
-from vprbench.runs.query_results import by_interest, judged
+from vprbench.runs.query_results import judge_answers, order_by_interest
 from vprbench.runs.record import Run
 from vprbench.runs.run_lock import HeldElsewhereError, RunLock
-from vprbench.runs.sequences import views
+from vprbench.runs.sequences import parse_views
 from vprbench.runs.settings import Settings
 from vprbench.runs.store import Store
 
@@ -155,7 +155,7 @@ def _run(request: Request, settings: Settings, store: Store, stored: Run | None,
     if stored is not None and not settings.force:
         missing = ", ".join(missing_parts(stored, request, settings))
         logging.info("%s is stored without %s: running again", title, missing)
-    needed = settings.scores or bool(views(settings.sequence, settings.filter))
+    needed = settings.scores or bool(parse_views(settings.sequence, settings.filter))
     request = replace(request, scores=needed or (stored is not None and stored.scores is not None))  # which stay
 
     def keep(scored: Run) -> None:  # whatever becomes of its timing; a stored run stays until it can be replaced
@@ -166,7 +166,7 @@ def _run(request: Request, settings: Settings, store: Store, stored: Run | None,
 
     with progress_shown(title), overheard(lock.tell):
         run = runner.run(request, key, keep)
-        run = replace(run, stream=stream.grown(request)) if request.stream else run
+        run = replace(run, stream=stream.grow_map(request)) if request.stream else run
         if settings.energy:
             run = replace(run, energy=energy.find_costs(request, run))
     return run
@@ -192,7 +192,7 @@ def _keep_frames(store: Store, run: Run, dataset: Dataset) -> None:
     """Keep small pictures of what the report shows of a run; if that fails, the run is stored all the same."""
     try:
         with progress_shown(dataset.name):
-            thumbnails.keep(store.root, run.fingerprint, dataset, by_interest(judged(run)))
+            thumbnails.save_thumbnails(store.root, run.fingerprint, dataset, order_by_interest(judge_answers(run)))
     except (OSError, BadInput) as error:
         reason = getattr(error, "strerror", None) or error
         logging.warning("note: no small pictures of %s were kept (%s)", dataset.name, reason)

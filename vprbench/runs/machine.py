@@ -34,7 +34,7 @@ _LIBRARIES = (
 )
 
 
-def capture(device: str, threads: int) -> dict[str, Any]:
+def describe_machine(device: str, threads: int) -> dict[str, Any]:
     """Return processor, memory, accelerator, libraries, git state and load, as plain values."""
     return {
         "python": platform.python_version(),
@@ -116,7 +116,7 @@ def device_class(device: str) -> str:
     return f"{kind} {processor() if kind == 'cpu' else _accelerator(device)['accelerator']}"
 
 
-def machine_lines(surroundings: dict[str, Any]) -> list[str]:
+def format_machine(surroundings: dict[str, Any]) -> list[str]:
     """Return what an environment says about processor, accelerator, libraries and source."""
     git = surroundings["git"]
     source = "no checkout" if git is None else f"{git['commit']}{', changed' * git['changed']}"

@@ -37,6 +37,6 @@ class Note(NamedTuple):
     text: str
 
 
-def noted(kind: NoteKind, texts: Iterable[str]) -> Iterator[Note]:
+def make_notes(kind: NoteKind, texts: Iterable[str]) -> Iterator[Note]:
     """Yield a note of one kind for each text."""
     return (Note(kind, text) for text in texts)

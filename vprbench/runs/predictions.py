@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-def predictions(run: Run, n: int, dataset: Dataset | None) -> pd.DataFrame:
+def tabulate_predictions(run: Run, n: int, dataset: Dataset | None) -> pd.DataFrame:
     """Return the best `n` places of each query, a row each, best first; of equal scores the lower place comes first.
 
     `query` is the query's number and `query_image` its file, or its name where it is no file. `rank` begins at 1.

@@ -45,7 +45,7 @@ class Answers:
     bounds: str  # a letter a query: whether the margin is EXACT, a bound or UNDEFINED
 
 
-def judged(run: Run) -> Answers:
+def judge_answers(run: Run) -> Answers:
     """Judge the answers of a run."""
     if not run.is_judged:
         return _unjudged(run)
@@ -138,7 +138,7 @@ def _shown(run: Run, n: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.floa
     return np.pad(places, missing, constant_values=NOWHERE), np.pad(scores, missing, constant_values=np.nan)
 
 
-def columns(answers: Answers) -> dict[str, Any]:
+def list_columns(answers: Answers) -> dict[str, Any]:
     """Return the answers of a run as plain values, numbers rounded, small enough for a page; None: there is none.
 
     An infinite margin is the text "-" or "+", for JSON has no such number.
@@ -147,25 +147,25 @@ def columns(answers: Answers) -> dict[str, Any]:
     return {
         "verdicts": answers.verdicts,
         "places": answers.places.ravel().tolist(),
-        "scores": rounded(answers.scores.ravel()),
+        "scores": round_digits(answers.scores.ravel()),
         "right": answers.right_places.tolist(),
-        "rightScores": rounded(answers.right_scores),
+        "rightScores": round_digits(answers.right_scores),
         "ranks": answers.ranks.tolist(),
         "equals": {int(query): int(answers.equals[query]) for query in np.flatnonzero(answers.equals)},
         "margins": [
             infinite.get(margin, short)
-            for margin, short in zip(answers.margins.tolist(), rounded(answers.margins), strict=True)
+            for margin, short in zip(answers.margins.tolist(), round_digits(answers.margins), strict=True)
         ],
         "bounds": answers.bounds,
     }
 
 
-def rounded(values: npt.NDArray[np.float64]) -> list[float | None]:
+def round_digits(values: npt.NDArray[np.float64]) -> list[float | None]:
     """Return values to five significant digits; None if one is not finite."""
     return [float(f"{value:.{_DIGITS}g}") if np.isfinite(value) else None for value in values.tolist()]
 
 
-def place_ranges(places: npt.NDArray[np.int64]) -> str:
+def format_place_ranges(places: npt.NDArray[np.int64]) -> str:
     """Return places as text, neighbours as a range.
 
     >>> place_ranges(np.array([7, 3, 4, 5]))
@@ -176,7 +176,7 @@ def place_ranges(places: npt.NDArray[np.int64]) -> str:
     return ", ".join(str(part[0]) if len(part) == 1 else f"{part[0]}-{part[-1]}" for part in parts)
 
 
-def by_interest(answers: Answers) -> Iterator[tuple[int, set[int]]]:
+def order_by_interest(answers: Answers) -> Iterator[tuple[int, set[int]]]:
     """Yield the queries of a run with the places shown beside each, those that are not answered right first.
 
     Otherwise they come in an order that is the same for all runs, from all over the journey.
@@ -186,7 +186,7 @@ def by_interest(answers: Answers) -> Iterator[tuple[int, set[int]]]:
         yield query, {*answers.places[query].tolist(), int(answers.right_places[query])} - {NOWHERE}
 
 
-def places_shown(answers: Iterable[Answers]) -> list[int]:
+def list_places_shown(answers: Iterable[Answers]) -> list[int]:
     """Return every place whose frame the answers show, ascending."""
     shown = {place for one in answers for part in (one.places, one.right_places) for place in part.ravel().tolist()}
     return sorted(shown - {NOWHERE})

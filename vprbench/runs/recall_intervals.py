@@ -26,15 +26,15 @@ def recall_interval(runs: Sequence[Run], confidence: float = 0.95) -> WiderInter
     if not runs[0].outcome.answerable.any():
         return None
     hits = np.mean([hits_at(run.outcome, 1) for run in runs], axis=0)
-    return share_interval(hits[along_the_journey(runs[0])], confidence, window_of(runs[0]))
+    return share_interval(hits[order_along_journey(runs[0])], confidence, window_of(runs[0]))
 
 
-def interval_between(first: Run, second: Run, confidence: float = 0.95) -> WiderInterval | None:
+def difference_of_recalls(first: Run, second: Run, confidence: float = 0.95) -> WiderInterval | None:
     """Return the interval of R@1 of one run less that of another on the same queries, -1 to 1.
 
     Ties are broken against the first and in favour of the second.
     """
-    order = along_the_journey(first)
+    order = order_along_journey(first)
 
     def hits(run: Run, ties: Ties) -> Values:
         return hits_at(run.outcome, 1, ties)[order]
@@ -42,7 +42,7 @@ def interval_between(first: Run, second: Run, confidence: float = 0.95) -> Wider
     return difference_interval(hits(first, "pessimistic"), hits(second, "optimistic"), confidence, window_of(first))
 
 
-def along_the_journey(run: Run) -> npt.NDArray[np.int64]:
+def order_along_journey(run: Run) -> npt.NDArray[np.int64]:
     """Return the queries in the order of the places that they show, (n_queries,); equals stay in their order.
 
     The place of a query is its first right one. A query without any stays behind the query before it.

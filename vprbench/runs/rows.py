@@ -9,11 +9,11 @@ from typing import Any
 
 from vprbench.metrics.accuracy import recall_at
 from vprbench.metrics.registry import METRICS, RECALLS
-from vprbench.runs.frame import label, recall_at_1_within
+from vprbench.runs.frame import format_label, recall_at_1_within
 from vprbench.runs.recall_intervals import recall_interval
 from vprbench.runs.record import Run
 from vprbench.runs.stopwatch import StageRates, Timing, best_batch
-from vprbench.runs.tuned import describe_recalls, other_places
+from vprbench.runs.tuned import describe_recalls, without_tuning_places
 from vprbench.text import NOTHING, format_interval, format_megabytes, format_rate, format_seconds
 
 RECALL = "R@1 % [95 %]"
@@ -23,13 +23,13 @@ LEAST = ("R@25 %", "R@10 %", "peak MB", "streaming Hz enc/match/total")  # left 
 _DIGITS = 12  # of a hash that people compare by eye
 
 
-def readable_row(run: Run, metrics: Sequence[str] = ()) -> dict[str, str]:
+def format_row(run: Run, metrics: Sequence[str] = ()) -> dict[str, str]:
     """Return one run as a row of text, with more `metrics` by their names; without a ground truth no accuracy."""
     shown = [METRICS[name] for name in (*(f"recall_at_{n}" for n in RECALLS[1:]), "auc_pr_a", *metrics)]
     if not run.is_judged:
         shown = [metric for metric in shown if metric.cost is not None]
     return {
-        "method": label(run),
+        "method": format_label(run),
         **({RECALL: _recall_with_interval(run)} if run.is_judged else {}),
         **{metric.head: metric.text(metric.of(run)) for metric in shown},
         "fit s": _fit(run),
@@ -54,7 +54,7 @@ def _fit(run: Run) -> str:
     return "kept" if run.network is None else "loaded"
 
 
-def markdown(rows: Sequence[dict[str, str]]) -> str:
+def format_markdown(rows: Sequence[dict[str, str]]) -> str:
     """Return rows of text as a Markdown table; what a row lacks is a dash."""
     import pandas as pd  # takes long to import, and a run needs none
 
@@ -62,7 +62,7 @@ def markdown(rows: Sequence[dict[str, str]]) -> str:
     return str(pd.DataFrame(rows).fillna(NOTHING).to_markdown(index=False, disable_numparse=True))
 
 
-def protocol_line(run: Run) -> str:
+def describe_protocol(run: Run) -> str:
     """Return in one line what was asked of which places, and by the first digits of a hash of which frames."""
     adapt = run.config["method"].get("adapt", "none")
     asked = {**run.protocol, **({} if adapt == "none" else {"adapt": adapt})}
@@ -77,7 +77,7 @@ def describe_view(run: Run, whole: bool = False) -> str:
     return ", ".join(f"{name.replace('_', ' ')} {run.protocol[name]}" for name in names)
 
 
-def interval_line(run: Run) -> str | None:
+def describe_interval(run: Run) -> str | None:
     """Return in one line how long the blocks behind the interval of R@1 are; None for Wilson's interval."""
     interval = recall_interval([run])
     if interval is None or interval.kind == "independent":
@@ -85,7 +85,7 @@ def interval_line(run: Run) -> str | None:
     return f"interval of R@1: from blocks of {interval.block} neighbouring queries"
 
 
-def tolerance_line(run: Run) -> str | None:
+def describe_tolerance(run: Run) -> str | None:
     """Return in one line R@1 under the wider tolerances that the dataset asks for; None if it asks for none."""
     wider = recall_at_1_within(run)
     if not wider:
@@ -99,7 +99,7 @@ def _recall_with_interval(run: Run) -> str:
     if first is None or interval is None:
         return "undefined (no query has a right place)"
     ends = format_interval(interval.low, interval.high)
-    others = f" elsewhere {describe_recalls([other])}" if (other := other_places(run)) else ""
+    others = f" elsewhere {describe_recalls([other])}" if (other := without_tuning_places(run)) else ""
     return f"{METRICS['recall_at_1'].text(first.expected)} {ends}{' ties!' if first.hangs_on_ties else ''}{others}"
 
 
@@ -113,7 +113,7 @@ def _plain(value: object) -> str:
     return "+".join(map(str, value)) if isinstance(value, list) else str(value)
 
 
-def document(template: Path, **values: Any) -> str:
+def render_template(template: Path, **values: Any) -> str:
     """Return a Jinja template with its values; `rows | table` makes a table, and absent parts leave no gap.
 
     Raises jinja2.UndefinedError for a name without a value.
@@ -121,6 +121,6 @@ def document(template: Path, **values: Any) -> str:
     from jinja2 import Environment, StrictUndefined
 
     environment = Environment(undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    environment.filters["table"] = markdown
+    environment.filters["table"] = format_markdown
     text = environment.from_string(template.read_text(encoding="utf-8")).render(**values)
     return re.sub(r"\n{3,}", "\n\n", text).strip() + "\n"

@@ -9,9 +9,9 @@ from typing import Any
 
 from vprbench.runs import energy, frame, rows, stream
 from vprbench.runs.record import Run
-from vprbench.runs.sequences import views
+from vprbench.runs.sequences import parse_views
 from vprbench.runs.settings import Settings
-from vprbench.runs.tuned import all_notes
+from vprbench.runs.tuned import list_notes
 from vprbench.terminal.console import line_text, table_text
 
 
@@ -22,7 +22,7 @@ def run_text(
 
     `predictions` are the files that hold the best places of each query.
     """
-    seen = [view(run) for view in views(settings.sequence, settings.filter)]
+    seen = [view(run) for view in parse_views(settings.sequence, settings.filter)]
     if settings.output == "json":
         return json.dumps(
             {
@@ -30,12 +30,12 @@ def run_text(
                 "dataset": run.dataset,
                 "protocol": dict(run.protocol),
                 "data": dict(run.data),
-                **frame.numbers(run, settings.metrics),
-                **({"stream": stream.stream_numbers(run)} if settings.stream else {}),
+                **frame.list_numbers(run, settings.metrics),
+                **({"stream": stream.list_stops(run)} if settings.stream else {}),
                 **({"energy": run.energy} if settings.energy else {}),
                 "network": run.network,
                 "tuned_on": run.tuned_on or None,
-                "notes": [note._asdict() for note in all_notes(run)],
+                "notes": [note._asdict() for note in list_notes(run)],
                 **({"views": [_viewed(one, settings) for one in seen]} if seen else {}),
                 **({"predictions": [*map(str, predictions)]} if predictions else {}),
                 "from_store": from_store,
@@ -44,13 +44,15 @@ def run_text(
             allow_nan=False,
         )
     shown = seen or [run]
-    table = [rows.readable_row(one, settings.metrics) for one in shown]
+    table = [rows.format_row(one, settings.metrics) for one in shown]
     if seen:
         table = [{"answers": rows.describe_view(one), **row} for one, row in zip(seen, table, strict=True)]
-    notes = [(f"note: {note.text}", "yellow", False) for note in all_notes(shown[0])]
-    said: list[tuple[str, str, bool]] = [*notes, (rows.protocol_line(run), "", True)]
+    notes = [(f"note: {note.text}", "yellow", False) for note in list_notes(shown[0])]
+    said: list[tuple[str, str, bool]] = [*notes, (rows.describe_protocol(run), "", True)]
     said += [(f"{rows.describe_view(one, whole=True)}: {len(one.outcome)} queries", "", False) for one in seen]
-    below = list(filter(None, (line(one) for one in shown for line in (rows.interval_line, rows.tolerance_line))))
+    below = list(
+        filter(None, (line(one) for one in shown for line in (rows.describe_interval, rows.describe_tolerance)))
+    )
     if from_store:
         below.append(f"from the store: {folder} (force=true runs again)")
     elif folder is not None:
@@ -58,11 +60,11 @@ def run_text(
     below += [f"best {settings.predictions} places of each query: {file}" for file in predictions]
     tables = [table_text([*table[0]], [[*row.values()] for row in table], settings.wide, rows.LEAST)]
     if settings.stream:
-        tables.append(stream.stream_text(run))
+        tables.append(stream.format_stops(run))
     if settings.energy:
         tables.append(energy.format_costs(run, settings.wide))
     return "\n".join([*(line_text(*each) for each in said), *tables, *map(line_text, below)])
 
 
 def _viewed(view: Run, settings: Settings) -> dict[str, Any]:
-    return {"protocol": dict(view.protocol), **frame.numbers(view, settings.metrics)}
+    return {"protocol": dict(view.protocol), **frame.list_numbers(view, settings.metrics)}

@@ -19,7 +19,7 @@ from vprbench.runs.answers import Answers, Scoring
 from vprbench.runs.descriptors import DescriptorCache
 from vprbench.runs.fitting import FitResult, fit_or_load
 from vprbench.runs.identity import Request, code_hash, data_record
-from vprbench.runs.notes import Note, noted
+from vprbench.runs.notes import Note, make_notes
 from vprbench.runs.record import Run
 from vprbench.runs.stopwatch import Stopwatch, Timing, synchroniser
 from vprbench.runs.viewpoints import Viewpoints
@@ -62,17 +62,17 @@ def run(request: Request, key: str, keep: Callable[[Run], None] = lambda run: No
 
     measured = {"data": data, **watch.seen()}
     with stopwatch.lap() as auditing:
-        counted, spike_notes = spikes.counted(method, queries)
+        counted, spike_notes = spikes.count_spikes(method, queries)
         measured |= {"search": scoring.audited.search(), "spikes": counted}
     told = (
-        *noted("dataset", dataset.notes),
+        *make_notes("dataset", dataset.notes),
         *fitted.notes,
-        *noted("method", method.notes()),
+        *make_notes("method", method.notes()),
         *_opened_notes(request, opened),
         *_cache_notes(dataset, fitted.from_cache, from_cache),
         *scoring.notes(),
         *describe_adaptation(method),
-        *noted("views", [] if request.views is None else [_describe_views(request.views)]),
+        *make_notes("views", [] if request.views is None else [_describe_views(request.views)]),
     )
     scored = replace(
         _scored(request, key, fitted, answers, measured),
@@ -102,7 +102,7 @@ class _Watch:
     def __init__(self, device: str, threads: int) -> None:
         self._device = device
         self._undisturbed = timing_lock.undisturbed()
-        self._before = machine.capture(device, threads)
+        self._before = machine.describe_machine(device, threads)
         self._canary_seconds = machine.canary_seconds()
         self._peaks: list[tuple[int, int | None]] = []
         self._is_timed = False

@@ -8,7 +8,6 @@ from functools import partial
 from typing import Any, TypeVar, get_type_hints
 
 import numpy as np
-import numpy.typing as npt
 
 from vprbench.api.arrays import Scores
 from vprbench.errors import BadInput
@@ -24,120 +23,120 @@ from vprbench.metrics.sequences import (
 from vprbench.plugins.checked import checked
 from vprbench.plugins.entries import read
 from vprbench.runs.record import Run
-from vprbench.runs.views import queries_shown, rescored, restricted
+from vprbench.runs.views import queries_shown, replace_scores, select_queries
 from vprbench.text import near
 
 Views = Callable[[Run], Run]  # a view; raises NoScoresError for a run that kept no scores, BadInput for what cannot be
-Asked = TypeVar("Asked", Sequences, Filter)
+Options = TypeVar("Options", Sequences, Filter)
 
 
 class NoScoresError(BadInput):
     """A run keeps no scores, which a view of it needs; the message says what to do."""
 
 
-def in_sequences(run: Run, options: Sequences) -> Run:
+def apply_sequences(run: Run, options: Sequences) -> Run:
     """Return a run whose queries are answered by the sequences of queries that they are in.
 
     The right places are those of the query itself, which ends a causal window and is in the middle of a centred one.
     """
     if options.window == "lens":
-        return _as_lens(run, options)
-    queries, places, told_gaps = _parts(run, options.gaps)
+        return _apply_lens(run, options)
+    queries, places, gaps = _number_parts(run, options.gaps)
     protocol = {"sequence": f"{options.length} {options.window}"}
     if options.velocities != (1.0,):
         protocol["sequence_velocities"] = "+".join(f"{velocity:g}" for velocity in options.velocities)
-    protocol |= {"sequence_contrast": str(options.contrast)} if options.contrast else {}
-    scores = _scores(run)
+    scores = _require_scores(run)
     if options.contrast:
+        protocol["sequence_contrast"] = str(options.contrast)
         scores = local_contrast(scores, options.contrast, places)
     found, counts = sequence_scores(scores, options, queries, places, float(run.protocol.get("query_stride", 1)))
-    short = int(np.count_nonzero(counts < options.length))
-    protocol |= {"sequence_gaps": told_gaps} if told_gaps and options.length > 1 else {}
-    protocol |= (
-        {"sequence_incomplete": f"{short} of {len(counts)} queries {options.incomplete.replace('_', ' ')}"}
-        if short
-        else {}
-    )
-    view = rescored(run, found, protocol, options.length)
+    if gaps and options.length > 1:
+        protocol["sequence_gaps"] = gaps
+    full = np.flatnonzero(counts >= options.length)
+    if (short := len(counts) - len(full)) > 0:
+        protocol["sequence_incomplete"] = f"{short} of {len(counts)} queries {options.incomplete.replace('_', ' ')}"
+    view = replace_scores(run, found, protocol, options.length)
     if not short or options.incomplete == "shortened":
         return view
-    if short == len(counts):
+    if not len(full):
         raise BadInput(
-            f"sequence={options.length}: no query of {run.dataset} has a full window (gaps: {told_gaps or 'none'}); "
+            f"sequence={options.length}: no query of {run.dataset} has a full window (gaps: {gaps or 'none'}); "
             "give fewer queries, or gaps:bridge or incomplete:shortened, as in sequence={length:4,gaps:bridge}"
         )
-    return restricted(view, np.flatnonzero(counts == options.length), {})
+    return select_queries(view, full, {})
 
 
-def _as_lens(run: Run, options: Sequences) -> Run:
+def _apply_lens(run: Run, options: Sequences) -> Run:
     """Return a run under the protocol of LENS (run_model.py and create_GTtol.py of its public code).
 
     Right is what lies within 3 places of a right place. A query whose window is not full is a miss, a place whose
     window is not is never the best, gaps of the journey count as none, and only queries with a right place are asked.
     """
     n_queries, n_places = len(run.outcome), run.outcome.n_places
-    found, counts = sequence_scores(_scores(run), options, np.zeros(n_queries, np.int64), np.zeros(n_places, np.int64))
+    no_gaps = np.zeros(n_queries, np.int64), np.zeros(n_places, np.int64)
+    found, counts = sequence_scores(_require_scores(run), options, *no_gaps)
     found[counts < options.length] = -np.inf
     right = tuple(np.unique(np.clip(own[:, None] + np.arange(-3, 4), 0, n_places - 1)) for own in run.positives)
     protocol = {"sequence": f"{options.length} lens, within 3 places"}
-    view = rescored(replace(run, positives=right), found, protocol, window=options.length)
-    return restricted(view, np.flatnonzero(view.outcome.answerable), {})
+    view = replace_scores(replace(run, positives=right), found, protocol, window=options.length)
+    return select_queries(view, np.flatnonzero(view.outcome.answerable), {})
 
 
-def filtered(run: Run, options: Filter) -> Run:
+def apply_filter(run: Run, options: Filter) -> Run:
     """Return a run whose queries are answered by a Bayes filter over the places, from the first query on.
 
     Moves are multiples of the usual step, the places from one query to the next.
     """
-    queries, _, told_gaps = _parts(run, options.gaps)
+    queries, _, gaps = _number_parts(run, options.gaps)
     step = int(run.protocol.get("query_stride", 1))
     options = replace(options, back=options.back * step, ahead=options.ahead * step)
     protocol = {"filter": f"topological, moves {options.back} to {options.ahead}, ratio {options.ratio:g}"}
-    protocol |= {"filter_gaps": told_gaps} if told_gaps else {}
-    return rescored(run, filtered_scores(_scores(run), options, queries), protocol, window=_MEMORY)
+    protocol |= {"filter_gaps": gaps} if gaps else {}
+    return replace_scores(run, filtered_scores(_require_scores(run), options, queries), protocol, window=_MEMORY)
 
 
 _MEMORY = 10  # queries that a belief is taken to rest on: blocks of an interval are no shorter
 
 
-def views(sequence: Any, filter: Any = None) -> tuple[Views, ...]:
+def parse_views(sequence: Any, filter: Any = None) -> tuple[Views, ...]:
     """Return the views that options ask for, one for each length of sequences; none for null and null.
 
     A sequence is a length, a list of lengths, or a mapping of the options of `Sequences`; a filter is true or a mapping
     of those of `Filter`. A text in the words of the command line, {length:4,window:centred}, will do for a mapping.
     Raises BadInput for anything else.
     """
-    given = _mapping("sequence", sequence, "length")
-    lengths = given.pop("length", []) if given is not None else []
-    sequences = [_made("sequence", Sequences, {**(given or {}), "length": length}) for length in _several(lengths)]
-    if given is not None and (not sequences or len({one.length for one in sequences}) < len(sequences)):
-        raise BadInput(f"sequence={sequence}: give a length, or several different ones, as in sequence=[2,4]")
-    found: list[Views] = [partial(in_sequences, options=one) for one in sequences]
-    options = _mapping("filter", {} if filter is True else None if filter is False else filter, "")
-    if options is not None:
-        found.append(partial(filtered, options=_made("filter", Filter, options)))
+    found: list[Views] = []
+    if (given := _read_mapping("sequence", sequence, "length")) is not None:
+        lengths = _as_list(given.get("length"))
+        sequences = [_build_options("sequence", Sequences, {**given, "length": length}) for length in lengths]
+        if not sequences or len({one.length for one in sequences}) < len(sequences):
+            raise BadInput(f"sequence={sequence}: give a length, or several different ones, as in sequence=[2,4]")
+        found += [partial(apply_sequences, options=one) for one in sequences]
+    given = _read_mapping("filter", {} if filter is True else None if filter is False else filter, "")
+    if given is not None:
+        found.append(partial(apply_filter, options=_build_options("filter", Filter, given)))
     return tuple(found)
 
 
-def suffix(seen: Iterable[Views]) -> str:
-    """Return what the names of files of some views end in: -sequence-2-4, -sequence-4-centred, -filter-ahead3."""
-    options = [one.keywords["options"] for one in seen if isinstance(one, partial)]
+def name_views(views: Iterable[Views]) -> str:
+    """Return the ending of names of files of some views: -sequence-2-4, -sequence-4-centred, -filter-ahead3."""
+    options = [view.keywords["options"] for view in views if isinstance(view, partial)]
     lengths = [str(one.length) for one in options if isinstance(one, Sequences)]
-    chosen = dict.fromkeys(word for one in options for word in _chosen(one))
+    words = dict.fromkeys(word for one in options for word in _name_options(one))
     kinds = ["", *(["sequence", *lengths] if lengths else []), *["filter"] * (len(lengths) < len(options))]
-    return "-".join([*kinds, *chosen])
+    return "-".join([*kinds, *words])
 
 
-def _chosen(options: Sequences | Filter) -> Iterable[str]:
+def _name_options(options: Sequences | Filter) -> Iterable[str]:
     """Yield a word for each option beside the length that is not its default."""
     for option in fields(options):
         value = getattr(options, option.name)
         if option.default not in (MISSING, value):
-            said = "" if isinstance(value, tuple) else str(value)
-            yield said if isinstance(value, str) else option.name + said
+            text = "" if isinstance(value, tuple) else str(value)
+            yield text if isinstance(value, str) else option.name + text
 
 
-def _scores(run: Run) -> Scores:
+def _require_scores(run: Run) -> Scores:
     if run.scores is None:
         raise NoScoresError(
             f"{run.method} on {run.dataset} kept no scores to make sequences of: run it with scores=true"
@@ -145,30 +144,19 @@ def _scores(run: Run) -> Scores:
     return run.scores
 
 
-def _parts(run: Run, gaps: str) -> tuple[Stretches, Stretches, str]:
-    """Return the unbroken parts of the journey that queries and places are in, and what is told of its gaps."""
+def _number_parts(run: Run, gaps: str) -> tuple[Stretches, Stretches, str]:
+    """Return the number of the unbroken part that each query and each place is in, and a few words about the gaps."""
     shown, n_places = queries_shown(run), run.outcome.n_places
-    place_breaks = _breaks(run.place_breaks, run.place_numbers)
-    known = max(len(one) for one in (run.query_breaks, place_breaks, ()) if one is not None)
-    protocol = f"{known} {'bridged' if gaps == 'bridge' else 'break it'}" if known else ""
+    known = max(0 if breaks is None else len(breaks) for breaks in (run.query_breaks, run.place_breaks))
+    words = f"{known} {'bridged' if gaps == 'bridge' else 'break it'}" if known else ""
     if gaps == "bridge":
-        return np.zeros(len(shown), np.int64), np.zeros(n_places, np.int64), protocol
-    stored = stretches(int(shown[-1]) + 1, None if run.query_breaks is None else run.query_breaks)[shown]
+        return np.zeros(len(shown), np.int64), np.zeros(n_places, np.int64), words
+    stored = stretches(int(shown[-1]) + 1, run.query_breaks)[shown]
     left_out = shown - np.arange(len(shown))  # grows where a view left queries out
-    return stored + left_out, stretches(n_places, place_breaks), protocol
+    return stored + left_out, stretches(n_places, run.place_breaks), words
 
 
-def _breaks(
-    breaks: npt.NDArray[np.int64] | None, numbers: npt.NDArray[np.int64] | None
-) -> npt.NDArray[np.int64] | None:
-    """Return the breaks between places, of an older run those that its numbers along the journey tell."""
-    if breaks is not None or numbers is None or len(numbers) < 2:
-        return breaks
-    steps = np.diff(numbers)
-    return np.flatnonzero(steps != steps.min()) + 1
-
-
-def _mapping(option: str, value: Any, short: str) -> dict[str, Any] | None:
+def _read_mapping(option: str, value: Any, short: str) -> dict[str, Any] | None:
     """Return an option as a mapping; a plain value is that of `short`."""
     if isinstance(value, str):
         value = read(value.replace(":", ": "))
@@ -179,21 +167,18 @@ def _mapping(option: str, value: Any, short: str) -> dict[str, Any] | None:
     return {short: value}
 
 
-def _several(value: Any) -> list[Any]:
-    return list(value) if isinstance(value, list | tuple) else [value]
+def _as_list(value: Any) -> list[Any]:
+    return list(value) if isinstance(value, list | tuple) else [] if value is None else [value]
 
 
-def _made(option: str, kind: type[Asked], given: Mapping[str, Any]) -> Asked:
+def _build_options(option: str, kind: type[Options], given: Mapping[str, Any]) -> Options:
     """Return the options of a view, checked; raises BadInput."""
     hints = get_type_hints(kind)
     for name in given:
         if name not in hints:
             raise BadInput(f"option {option}.{name} is unknown: {near(name, hints)}")
-    needed = [one.name for one in fields(kind) if one.default is MISSING and one.name not in given]
-    if needed:
-        raise BadInput(f"option {option}.{needed[0]} is missing")
     plain = {
-        name: checked(f"{option}.{name}", _several(value) if name == "velocities" else value, hints[name])
+        name: checked(f"{option}.{name}", _as_list(value) if name == "velocities" else value, hints[name])
         for name, value in given.items()
     }
     try:

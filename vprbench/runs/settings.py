@@ -10,9 +10,9 @@ from typing import Any, Literal, get_type_hints
 from vprbench.errors import BadInput
 from vprbench.metrics.registry import GROUPS, METRICS
 from vprbench.plugins import registry
-from vprbench.runs.corruption import corruptions
+from vprbench.runs.corruption import parse_corruptions
 from vprbench.runs.predictions import require_depth
-from vprbench.runs.sequences import views
+from vprbench.runs.sequences import parse_views
 from vprbench.runs.timing_protocol import Protocol
 from vprbench.runs.viewpoints import viewpoints
 from vprbench.storage.cores import core_count
@@ -69,11 +69,11 @@ def checked_settings(config: Mapping[str, Any]) -> Settings:
     plain["metrics"] = require_metrics(plain["metrics"])
     plain["energy"] |= bool({*plain["metrics"]} & {*GROUPS["energy"]})
     settings = Settings(**plain, timing=timing)
-    views(settings.sequence, settings.filter)
+    parse_views(settings.sequence, settings.filter)
     if viewpoints(settings.views) is not None and (settings.stream or settings.energy):
         raise BadInput(f"views={settings.views}: stream= and energy= are of one view a query, leave them out")
     if settings.corruption is not None:
-        corruptions([settings.corruption] if isinstance(settings.corruption, str) else settings.corruption)
+        parse_corruptions([settings.corruption] if isinstance(settings.corruption, str) else settings.corruption)
     if isinstance(settings.corruption, list) and (settings.save, settings.load) != (None, None):
         raise BadInput(f"corruption={','.join(settings.corruption)}: save= and load= take a run of one corruption")
     if settings.depth < 1:

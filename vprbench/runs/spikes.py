@@ -17,7 +17,7 @@ from vprbench.runs.notes import Note
 _QUERIES = 256  # whose spikes are counted, at most
 
 
-def counted(method: Method, queries: Images) -> tuple[dict[str, Any] | None, tuple[Note, ...]]:
+def count_spikes(method: Method, queries: Images) -> tuple[dict[str, Any] | None, tuple[Note, ...]]:
     """Return what the layers of a spiking network did for queries spread over all, and what went wrong meanwhile."""
     if type(method).spikes is Method.spikes:
         return None, ()
@@ -26,13 +26,13 @@ def counted(method: Method, queries: Images) -> tuple[dict[str, Any] | None, tup
     try:
         blocks = chosen.blocks(block_size(method, 1))
         codes = np.concatenate([np.array(method.encode(block)) for block in blocks])
-        return summary(method.spikes(adapt_traverse(method, codes))), ()
+        return summarise_spikes(method.spikes(adapt_traverse(method, codes))), ()
     except Exception as error:  # a plug-in may fail in any way, and its answers and times still stand
         reason = " ".join(str(error).split())
         return None, (Note("spikes", f"no spikes were counted ({type(error).__name__}: {reason})"),)
 
 
-def summary(layers: Sequence[LayerSpikes]) -> dict[str, Any] | None:
+def summarise_spikes(layers: Sequence[LayerSpikes]) -> dict[str, Any] | None:
     """Return the statistics of layers over their queries, as plain values; None without a layer.
 
     Of each layer: `spikes_per_query`, the `active_share` of neurons that spiked for at least one query, and

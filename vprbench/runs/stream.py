@@ -26,7 +26,7 @@ from vprbench.terminal.console import table_text
 _STOPS = 10  # where nobody says how many places lie between two
 
 
-def step(asked: bool | int, method: Method, n_places: int) -> int:
+def parse_step(asked: bool | int, method: Method, n_places: int) -> int:
     """Return how many places the first map has and each stop adds; 0 if no growing map is asked for.
 
     Raises BadInput for more than the map has, and for a method that learns its places together.
@@ -38,7 +38,7 @@ def step(asked: bool | int, method: Method, n_places: int) -> int:
     return -(-n_places // _STOPS) if asked is True else int(asked)
 
 
-def grown(request: Request) -> list[dict[str, Any]]:
+def grow_map(request: Request) -> list[dict[str, Any]]:
     """Fit the first places, add the others one by one, and ask at every stop; the method stays as it is.
 
     Of each stop, as plain values: the `places` of the map, for each query with a right place among them the chance
@@ -74,7 +74,7 @@ def _answerable_queries(positives: PlacesPerQuery, n: int) -> npt.NDArray[np.int
     return np.flatnonzero([bool((right < n).any()) for right in positives])
 
 
-def stream_numbers(run: Run) -> list[dict[str, Any]]:
+def list_stops(run: Run) -> list[dict[str, Any]]:
     """Return of each stop of a growing map R@1, 0 to 1, with its 95 % interval, and the seconds of a place.
 
     R@1 of the queries whose place the map knows, and of those of its first places.
@@ -103,9 +103,9 @@ def stream_numbers(run: Run) -> list[dict[str, Any]]:
     return lines
 
 
-def stream_text(run: Run) -> str:
+def format_stops(run: Run) -> str:
     """Return a growing map as a small table, whose last line is the map that was learnt at once."""
-    lines, percent = stream_numbers(run), METRICS["recall_at_1"].text
+    lines, percent = list_stops(run), METRICS["recall_at_1"].text
     rows = [[f"{run.outcome.n_places:,} at once", percent(METRICS["recall_at_1"].of(run)), *[""] * 4]]
     for line in reversed(lines):
         shares = [percent(line[f"recall_at_1{of}"]) for of in ("", "_low", "_high", "_of_first")]

@@ -67,14 +67,14 @@ def choose_frames(shown: Shown, most: int) -> tuple[set[int], set[int]]:
     return queries, places
 
 
-def keep(root: Path, fingerprint: str, dataset: Dataset, shown: Shown = ()) -> None:
+def save_thumbnails(root: Path, fingerprint: str, dataset: Dataset, shown: Shown = ()) -> None:
     """Keep small pictures of a dataset below a results folder, but for those that are there already.
 
     Of a large dataset only some frames are kept: those that `shown` names first. Several processes may do so at once; a
     reader finds a whole file or none, and what one adds while another does may have to be added again. Raises OSError
     if the disk refuses and BadInput if a frame cannot be read.
     """
-    found = find(root, fingerprint)
+    found = load_thumbnails(root, fingerprint)
     _, first_of_place = np.unique(dataset.places, return_index=True)
     traverses = {"queries": dataset.queries, "references": dataset.references[first_of_place]}
     kept = {
@@ -104,7 +104,7 @@ def keep(root: Path, fingerprint: str, dataset: Dataset, shown: Shown = ()) -> N
     replace_bytes(path, written.getvalue())
 
 
-def find(root: Path, fingerprint: str) -> Thumbnails | None:
+def load_thumbnails(root: Path, fingerprint: str) -> Thumbnails | None:
     """Return the pictures kept of a dataset; None if there are none or, with a warning, if they are damaged."""
     path = _path(root, fingerprint)
     try:

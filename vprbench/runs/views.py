@@ -36,7 +36,7 @@ def window_of(run: Run) -> int:
     return 1 if run.view is None else run.view.window
 
 
-def rescored(run: Run, scores: Scores, protocol: Mapping[str, Any], window: int = 1) -> Run:
+def replace_scores(run: Run, scores: Scores, protocol: Mapping[str, Any], window: int = 1) -> Run:
     """Return a run whose queries are answered by other `scores` (n_queries, n_places).
 
     `protocol` joins that of the run, which tells the view from the run. Raises what `ranking.outcome` raises.
@@ -53,7 +53,7 @@ def rescored(run: Run, scores: Scores, protocol: Mapping[str, Any], window: int 
     )
 
 
-def restricted(run: Run, queries: Queries, protocol: Mapping[str, Any]) -> Run:
+def select_queries(run: Run, queries: Queries, protocol: Mapping[str, Any]) -> Run:
     """Return a run of some of its queries (n_shown,), numbered as it has them; `protocol` joins its own."""
     rows = np.asarray(queries, np.int64)
     columns = [field.name for field in fields(Outcome) if field.name != "n_places"]

@@ -69,7 +69,7 @@ def search(settings: Settings, method: Mapping[str, Any], dataset: Mapping[str, 
     """
     started = time.perf_counter()
     jobs = _jobs(settings.jobs)
-    surroundings = machine.capture("cpu", 1)
+    surroundings = machine.describe_machine("cpu", 1)
     columns = read_plan(registry.conf_folders()["vprbench"] / "table.yaml").columns.values()
     allowed = places.searchable(settings.dataset, dataset, settings.places, columns)
     whole = registry.make_dataset(allowed.dataset)

@@ -8,8 +8,8 @@ import shlex
 from collections.abc import Iterator
 from pathlib import Path
 
-from vprbench.runs.machine import machine_lines
-from vprbench.runs.rows import document
+from vprbench.runs.machine import format_machine
+from vprbench.runs.rows import render_template
 from vprbench.storage.atomic import replace_text
 from vprbench.text import format_percent, format_signed_percent
 from vprbench.tuning.comparison import AGREE, SEEDS, Comparison, Repeated
@@ -44,7 +44,7 @@ def write(found: Found, folder: Path) -> str:
 def to_text(found: Found) -> str:
     """Return what was found as Markdown."""
     done = [trial for trial in found.trials if trial.recall_at_1 is not None]
-    return document(
+    return render_template(
         _TEMPLATE,
         found=found,
         n_done=len(done),
@@ -63,7 +63,7 @@ def to_text(found: Found) -> str:
         command=command(found),
         duration=f"{60 * found.minutes:.0f} seconds" if found.minutes < 2 else f"{found.minutes:.1f} minutes",
         here=found.environment,
-        software=machine_lines({**found.environment})[1],
+        software=format_machine({**found.environment})[1],
         percent=format_percent,
         **{"AGREE": AGREE, "SEEDS": SEEDS, "FEW": _FEW, "NAMED": _NAMED, "SHORT": _SHORT, "TITLE": TITLE},
     )

@@ -9,7 +9,7 @@ from vprbench.errors import BadInput
 from vprbench.metrics.intervals import share_interval
 from vprbench.metrics.ranking import outcome, ranked_places
 from vprbench.paper.figures.accuracy import precision_recall, recall_at_length, recall_at_n, recall_at_tolerance
-from vprbench.runs.sequences import views
+from vprbench.runs.sequences import parse_views
 
 RECALLS = (recall_at_n, recall_at_tolerance)
 
@@ -137,7 +137,7 @@ def test_sequences_have_their_recall_at_each_length_and_the_caption_counts_the_q
     noisy = np.random.default_rng(0).normal(size=(3, n, n)) + np.eye(n)
     runs = [answering(scores.astype(np.float32), [[i] for i in range(n)]) for scores in noisy]
     rows = {"first": runs[:2], "second": runs[2:]}
-    seen = [[series(name, *map(view, of_row)) for name, of_row in rows.items()] for view in views([*lengths])]
+    seen = [[series(name, *map(view, of_row)) for name, of_row in rows.items()] for view in parse_views([*lengths])]
     drawn = recall_at_length(seen[::-1])
     lines = {line.get_label(): line for line in panel(drawn).lines}
     for name, of_row in rows.items():
@@ -150,4 +150,4 @@ def test_sequences_have_their_recall_at_each_length_and_the_caption_counts_the_q
     assert "there are 30 at 1, 29 at 2, 26 at 5" in drawn.caption
     assert "ends with the query" in drawn.caption
     with pytest.raises(BadInput, match="two lengths"):
-        recall_at_length([[series("first", views(2)[0](runs[0]))]])
+        recall_at_length([[series("first", parse_views(2)[0](runs[0]))]])

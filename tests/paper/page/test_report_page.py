@@ -18,7 +18,7 @@ from vprbench.paper.page import words
 from vprbench.paper.page.page import Picture, Section
 from vprbench.paper.selection import Series
 from vprbench.runs.notes import Note
-from vprbench.runs.query_results import judged
+from vprbench.runs.query_results import judge_answers
 
 
 def embedded(text):
@@ -149,7 +149,7 @@ def test_the_last_finding_counts_what_all_and_what_some_missed(wrong, seeds, sen
     runs = [journey_run(one, seed) for seed, one in enumerate(wrong)]
     alone = [Series(f"method {number}", False, (run,)) for number, run in enumerate(runs)]
     each = [Series("VPRTempo", True, tuple(runs))] if seeds > 1 else alone
-    found = words.findings(each, [judged(run) for run in runs])
+    found = words.findings(each, [judge_answers(run) for run in runs])
     assert len(found) <= 3
     assert (found[-1] == sentence) is (sentence is not None)
 

@@ -22,7 +22,7 @@ from vprbench.paper.figures.style import DOUBLE_MM, SINGLE_MM, Drawn, legend_abo
 from vprbench.paper.robustness import Robustness
 from vprbench.paper.selection import Series
 from vprbench.runs.corruption import KINDS
-from vprbench.runs.recall_intervals import along_the_journey, recall_interval
+from vprbench.runs.recall_intervals import order_along_journey, recall_interval
 from vprbench.runs.record import Run
 from vprbench.runs.views import window_of
 
@@ -140,7 +140,7 @@ def _precision_at(curve: PRCurve, recall: Values) -> Values:
 def _resampled(run: Run, end: float) -> tuple[Values, Values, Values]:
     """Return recalls up to `end` and the 95 % interval of precision there, by a circular block bootstrap."""
     random = np.random.default_rng(0)
-    outcome = _of_queries(run.outcome, along_the_journey(run))
+    outcome = _of_queries(run.outcome, order_along_journey(run))
     block = max(block_length(hits_at(outcome, 1)), window_of(run))
     n_blocks = -(-len(outcome) // block)
     grid = np.linspace(0, end, _GRID_POINTS)
@@ -173,7 +173,7 @@ def _draw_recalls(axes: Axes, series: Sequence[Series], xs: Sequence[int], hits:
     lowest = 100.0
     for row in series:
         look = styles[row.name]
-        order = along_the_journey(row.runs[0])
+        order = order_along_journey(row.runs[0])
         of_seeds = np.stack([hits(run)[:, order] for run in row.runs])  # (n_seeds, len(xs), n_queries)
         shares = of_seeds.mean(axis=2)
         mean = shares.mean(axis=0)

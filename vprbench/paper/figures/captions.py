@@ -14,14 +14,16 @@ from vprbench.paper.selection import Series
 from vprbench.paper.table.best import disturbed, machine
 from vprbench.paper.templates import sentences
 from vprbench.runs.record import Run
-from vprbench.runs.tuned import tuned_note
+from vprbench.runs.tuned import describe_tuning
 from vprbench.text import plural
 
 
 def caption(figure: str, series: Sequence[Series | GrowthSamples], **values: Any) -> str:
     """Return the caption of a figure, a macro of captions.j2 by its name, that shows at least one run."""
     runs = [run for one in series for run in one.runs]
-    tuned = [f"{one.name}: {note}." for one in series if isinstance(one, Series) and (note := tuned_note(one.runs))]
+    tuned = [
+        f"{one.name}: {note}." for one in series if isinstance(one, Series) and (note := describe_tuning(one.runs))
+    ]
     told = {
         "datasets": [
             f"{r.dataset} ({plural(len(r.outcome), 'query')}, {plural(r.outcome.n_places, 'place')})" for r in runs

@@ -27,7 +27,7 @@ from vprbench.paper.figures.style import (
 )
 from vprbench.paper.growth import GrowthSamples
 from vprbench.paper.selection import Series
-from vprbench.runs.stream import stream_numbers
+from vprbench.runs.stream import list_stops
 
 _CLAIMS = {"VPRTempo": ("O(n)", "O(log n)")}  # by the paper: training, query
 _SECONDS = ("seconds", "low", "high")
@@ -96,7 +96,7 @@ def growing_map(series: Sequence[Series]) -> Drawn:
         raise BadInput("no map grew while it was asked: give a run stream=true")
     figure, (left, right) = new(DOUBLE_MM, _HEIGHT_MM, 1, 2)
     for name, look in looks([*grown]).items():
-        stops = stream_numbers(grown[name])
+        stops = list_stops(grown[name])
         places = [stop["places"] for stop in stops]
         style: dict[str, Any] = {"color": look.colour, "marker": look.marker}
         for of, dash, label in (("", "-", name), ("_of_first", ":", f"{name}, of the first {places[0]:,}")):

@@ -24,9 +24,9 @@ from vprbench.paper.stored_runs import Compose
 from vprbench.paper.table.best import mean_recall
 from vprbench.paper.table.formats import shown_as_it_is
 from vprbench.paper.table.make import exit_code
-from vprbench.runs.frame import named_tuples
+from vprbench.runs.frame import iterate_rows
 from vprbench.runs.record import Run
-from vprbench.runs.thumbnails import Thumbnails, find
+from vprbench.runs.thumbnails import Thumbnails, load_thumbnails
 from vprbench.storage.atomic import remove_leftovers, replace_text
 
 if TYPE_CHECKING:
@@ -95,7 +95,7 @@ def draw_all(
 def thumbnails_of(group: Group, chosen: TablePlan) -> Thumbnails | None:
     """Return the frames that were kept of a group's dataset, from the first store that has them."""
     for folder in (chosen.results, *chosen.stores):
-        kept = find(results_folder(folder), group.runs[0].fingerprint) if group.runs else None
+        kept = load_thumbnails(results_folder(folder), group.runs[0].fingerprint) if group.runs else None
         if kept is not None:
             return kept
     return None
@@ -140,7 +140,7 @@ def _growth(found: ReportData, runs: Sequence[Run], growth: Sequence[ResolvedCol
 def _marks(found: ReportData, group: Group) -> dict[tuple[str, str], str]:
     """Return the table's word for each cell of a group, by row and quantity."""
     cells = found.table.cells[found.table.cells["column"] == group.name]
-    return {(cell.row, cell.quantity): cell.mark for cell in named_tuples(cells)}
+    return {(cell.row, cell.quantity): cell.mark for cell in iterate_rows(cells)}
 
 
 def _growing(found: ReportData) -> list[Row]:

@@ -16,7 +16,7 @@ from vprbench.paper.stored_runs import Compose
 from vprbench.paper.table import formats
 from vprbench.paper.table.make import exit_code, file_name
 from vprbench.progress import progress_shown
-from vprbench.runs.sequences import views
+from vprbench.runs.sequences import parse_views
 from vprbench.runs.store import Store
 from vprbench.runs.thumbnails import Thumbnails
 from vprbench.runs.views import queries_shown
@@ -36,7 +36,7 @@ def make_report(request: TableRequest, options: Sequence[str], compose: Compose)
         found = gather(choose(request, compose), options, compose, executor)
     absent: list[str] = []
     drawings = draw_all(found, found.runs, growth_columns(found, compose), absent.append)
-    default = request.name is None and not request.columns and not views(request.sequence, request.filter)
+    default = request.name is None and not request.columns and not parse_views(request.sequence, request.filter)
     default &= request.views is None
     name = "report.html" if default else f"report-{file_name(request)}.html"
     path = write_page(found, drawings, Path(request.results).expanduser() / name, absent)

@@ -18,7 +18,14 @@ from vprbench.paper.page import words
 from vprbench.paper.selection import Series
 from vprbench.paper.table.quantities import TRAINING_TIME
 from vprbench.progress import report
-from vprbench.runs.query_results import Answers, by_interest, columns, judged, place_ranges, places_shown
+from vprbench.runs.query_results import (
+    Answers,
+    format_place_ranges,
+    judge_answers,
+    list_columns,
+    list_places_shown,
+    order_by_interest,
+)
 from vprbench.runs.recall_intervals import METHOD
 from vprbench.runs.record import Run
 from vprbench.runs.thumbnails import Thumbnails, choose_frames
@@ -121,7 +128,7 @@ def _judged(section: Section) -> dict[str, Answers]:
     answers = {}
     for number, (name, run) in enumerate(named):
         report(f"judging answers, {section.title}", number / len(named))
-        answers[name] = judged(run)
+        answers[name] = judge_answers(run)
     return answers
 
 
@@ -129,7 +136,7 @@ def _script_data(section: Section, answers: Mapping[str, Answers], frames: _Fram
     """Return what the page's script reads of a section."""
     runs, kept = [run for _, run in _named(section)], section.thumbnails
     run = runs[0]
-    shown = places_shown(answers.values())
+    shown = list_places_shown(answers.values())
     place_names = None if kept is None else {place: kept.reference_names[place] for place in shown}
     return {
         "title": section.title,
@@ -139,9 +146,9 @@ def _script_data(section: Section, answers: Mapping[str, Answers], frames: _Fram
         "queryNames": kept and kept.query_names,
         "placeNames": place_names,
         "firstReferences": words.first_references(runs, place_names.values()) if place_names else "",
-        "rightPlaces": [place_ranges(right) for right in run.positives],
+        "rightPlaces": [format_place_ranges(right) for right in run.positives],
         "framesMissing": _missing(kept, frames, len(run.outcome) + len(shown)),
-        "runs": [{"name": name, **columns(one)} for name, one in answers.items()],
+        "runs": [{"name": name, **list_columns(one)} for name, one in answers.items()],
     }
 
 
@@ -157,7 +164,7 @@ def _frames(section: Section, answers: Mapping[str, Answers], most: int) -> _Fra
     kept = section.thumbnails
     if kept is None:
         return _Frames()
-    in_turn = zip(*map(by_interest, answers.values()), strict=True)  # of each run a query
+    in_turn = zip(*map(order_by_interest, answers.values()), strict=True)  # of each run a query
     queries, places = choose_frames(itertools.chain.from_iterable(in_turn), most)
     n_queries = len(section.series[0].runs[0].outcome)
     return _Frames(

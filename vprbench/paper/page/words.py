@@ -11,7 +11,7 @@ from vprbench.paper.templates import ENVIRONMENT, sentences
 from vprbench.runs.machine import Machine
 from vprbench.runs.query_results import RIGHT, UNANSWERABLE, UNJUDGED, Answers
 from vprbench.runs.record import Run
-from vprbench.runs.tuned import all_notes
+from vprbench.runs.tuned import list_notes
 from vprbench.text import format_gigabytes
 
 _FINDINGS = 3  # sentences
@@ -62,7 +62,7 @@ def notes(measured: Iterable[tuple[str, Series]]) -> tuple[tuple[str, str], ...]
         (f"{title}: {run_name(one, run)}{_recall_off_tuned_places(run)}", note.text)
         for title, one in measured
         for run in one.runs
-        for note in all_notes(run)
+        for note in list_notes(run)
     )
 
 

@@ -14,7 +14,7 @@ from vprbench.metrics.intervals import mcnemar_exact
 from vprbench.paper.plan import Boundary
 from vprbench.runs.machine import Machine
 from vprbench.runs.notes import DISTURBED
-from vprbench.runs.recall_intervals import along_the_journey, interval_between
+from vprbench.runs.recall_intervals import difference_of_recalls, order_along_journey
 from vprbench.runs.record import Run
 from vprbench.runs.stopwatch import Seconds
 from vprbench.runs.views import window_of
@@ -115,12 +115,12 @@ def _more_accurate(one: Contestant, other: Contestant, chance: float) -> bool:
 
 
 def _separated(first: Run, second: Run, chance: float) -> bool:
-    order = along_the_journey(first)
+    order = order_along_journey(first)
     ours, theirs = hits_at(first.outcome, 1, "pessimistic")[order], hits_at(second.outcome, 1, "optimistic")[order]
     test = mcnemar_exact(ours, theirs, window_of(first))
     if test.b <= test.c or test.p_value >= chance:
         return False
-    interval = interval_between(first, second, 1 - chance)
+    interval = difference_of_recalls(first, second, 1 - chance)
     return interval is not None and interval.low > 0
 
 

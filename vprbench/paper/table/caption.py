@@ -13,7 +13,7 @@ from vprbench.paper.table import best
 from vprbench.paper.table.quantities import RATES, RECALL, Quantity
 from vprbench.paper.table.reasons import one_sentence
 from vprbench.paper.templates import ENVIRONMENT, sentences
-from vprbench.runs.frame import named_tuples
+from vprbench.runs.frame import iterate_rows
 from vprbench.runs.record import Failure
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ def caption(
     measured = cells[cells["seeds"].notna()]
     seeds = [(name, _seeds(measured[measured["row"] == name], columns)) for name in entries]
     recalls = measured[(measured["quantity"] == RECALL.name) & measured["block"].notna()]
-    blocks = [(column.title, [*named_tuples(recalls[recalls["column"] == column.name])]) for column in columns]
+    blocks = [(column.title, [*iterate_rows(recalls[recalls["column"] == column.name])]) for column in columns]
     return sentences(
         "table/sentences.j2",
         "caption",
@@ -58,7 +58,7 @@ def _seeds(measured: pd.DataFrame, columns: Sequence[Column]) -> dict[tuple[int,
     places: dict[tuple[int, ...], list[str]] = {}
     for column in columns:
         cells: Mapping[str, Any] = {
-            cell.quantity: cell.seeds for cell in named_tuples(measured[measured["column"] == column.name])
+            cell.quantity: cell.seeds for cell in iterate_rows(measured[measured["column"] == column.name])
         }
         shown = {rate.device: cells[rate.name] for rate in RATES if rate.name in cells}
         if RECALL.name in cells and not shown:  # nothing was timed

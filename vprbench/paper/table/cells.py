@@ -33,10 +33,10 @@ from vprbench.paper.table.reasons import (
     remarks,
     undefined,
 )
-from vprbench.runs.frame import with_records
+from vprbench.runs.frame import tabulate_with_records
 from vprbench.runs.recall_intervals import recall_interval
 from vprbench.runs.record import Run
-from vprbench.runs.tuned import others_of, tuned_here, tuned_note
+from vprbench.runs.tuned import all_without_tuning_places, describe_tuning, overlaps_tuning_places
 
 #: The columns of the frame of cells. Numbers are in the unit of the quantity; what there is not is None.
 FACTS = (
@@ -164,7 +164,7 @@ def _entries(
         for group, column in zip(groups, columns, strict=True)
     ]
     runs = [run for *_, devices in found for device in DEVICES for run in devices[device].runs]
-    every, parts, at = with_records(runs, metrics), [], 0
+    every, parts, at = tabulate_with_records(runs, metrics), [], 0
     for *_, devices in found:
         ends = [*itertools.accumulate((len(devices[device].runs) for device in DEVICES), initial=at)]
         parts.append({d: every[start:end] for d, (start, end) in zip(DEVICES, itertools.pairwise(ends), strict=True)})
@@ -181,7 +181,7 @@ def _contest(entries: Sequence[Entry], quantity: Quantity) -> tuple[str | None, 
     contest = [
         Contestant(name, runs, not entry.found[entry.device(quantity)].missing_seeds)
         for name, (entry, runs) in there.items()
-        if quantity.contends(entry.row) and not any(map(tuned_here, runs))
+        if quantity.contends(entry.row) and not any(map(overlaps_tuning_places, runs))
     ]
     timed = {name: runs for name, (_, runs) in there.items()} if quantity.kind == "rate" else {}
     return quantity.best(contest), other_timing(timed)
@@ -222,7 +222,7 @@ def _cell(
     found = entry.found[entry.device(quantity)]
     told = [reason("seeds", row, found)] if found.missing_seeds else []
     told += [reason("fewer", len(runs), len(found.runs))] if len(runs) < len(found.runs) else []
-    told += [Reason("tuned", note) for note in filter(None, [tuned_note(_records(entry.shown(RECALL)))])]
+    told += [Reason("tuned", note) for note in filter(None, [describe_tuning(_records(entry.shown(RECALL)))])]
     told += remarks(quantity, row, runs)
     told += filter(None, [apart.get(row.name)])
     if quantity.kind == "rate" and row.boundary is not None:
@@ -231,9 +231,9 @@ def _cell(
         told += differences(quantity, row, entry.group.column.planned, column.stand_in_for, runs[0])
         ours = numbers.get("at_boundary", numbers["value"])
         numbers["difference"] = None if column.stand_in_for else ours - value
-    if others := others_of(runs) if quantity.kind == "accuracy" else ():
+    if others := all_without_tuning_places(runs) if quantity.kind == "accuracy" else ():
         names = [quantity.name] if quantity.metric else []
-        elsewhere = _numbers(with_records(others, names), quantity) or {}
+        elsewhere = _numbers(tabulate_with_records(others, names), quantity) or {}
         numbers |= {"elsewhere": elsewhere.pop("value", None)}
         numbers |= {f"elsewhere_{name}": elsewhere.get(name) for name in ("low", "high", "spread")}
     return cell | {

@@ -126,7 +126,7 @@ def shown_as_it_is(text: str) -> str:
 
 def _markdown_table(table: Table, column: Column) -> str:
     heads, lines = _lines(table, column)
-    return rows.markdown([dict(zip(heads, line, strict=True)) for line in lines]) if lines else ""
+    return rows.format_markdown([dict(zip(heads, line, strict=True)) for line in lines]) if lines else ""
 
 
 def _lines(table: Table, column: Column) -> tuple[list[str], list[list[str]]]:

@@ -15,7 +15,7 @@ from vprbench.paper.run_options import TableRequest
 from vprbench.paper.stored_runs import Compose
 from vprbench.paper.table import formats
 from vprbench.runs import frame
-from vprbench.runs.sequences import suffix, views
+from vprbench.runs.sequences import name_views, parse_views
 from vprbench.runs.store import Store
 from vprbench.storage.atomic import replace_text
 from vprbench.terminal.console import console
@@ -76,7 +76,7 @@ def write(found: ReportData, folder: Path, name: str) -> list[Path]:
         f"{name}.md": formats.markdown(found.table),
         f"{name}.csv": formats.csv(found.table),
         f"{name}.tex": formats.latex(found.table, fragment=found.table.title is not None),
-        f"{name}-runs.csv": frame.csv(runs, found.chosen.metrics),
+        f"{name}-runs.csv": frame.format_csv(runs, found.chosen.metrics),
     }
     for file, text in texts.items():
         replace_text(folder / file, text)
@@ -86,7 +86,7 @@ def write(found: ReportData, folder: Path, name: str) -> list[Path]:
 def file_name(request: TableRequest) -> str:
     """Return what the files are called: the columns, where some were asked for."""
     default = "-".join(request.columns) if request.columns else "table"
-    seen = "-views" * (request.views is not None) + suffix(views(request.sequence, request.filter))
+    seen = "-views" * (request.views is not None) + name_views(parse_views(request.sequence, request.filter))
     return request.name or default + seen
 
 

@@ -11,7 +11,7 @@ from vprbench.paper.plan import Row
 from vprbench.paper.table.cells import Column, Table
 from vprbench.paper.table.quantities import RATES, TRAINING, TRAINING_TIME, Quantity
 from vprbench.paper.templates import ENVIRONMENT, sentences
-from vprbench.runs.frame import named_tuples
+from vprbench.runs.frame import iterate_rows
 from vprbench.text import format_spread
 
 PAPER = "paper"  # the line below a row
@@ -41,7 +41,7 @@ def in_words(table: Table) -> pd.DataFrame:
     in_paper = {*zip(printed["row"], printed["column"], strict=True)}
     several = len(table.machines) > 1
     lines = []
-    for cell in named_tuples(table.cells):
+    for cell in iterate_rows(table.cells):
         quantity = by_name[cell.quantity]
         absence = {"measured": "", "quoted": "", "not applicable": INAPPLICABLE}.get(cell.mark, cell.mark)
         value = _printed(cell.value) if cell.mark == "quoted" else ""
@@ -71,7 +71,7 @@ def in_words(table: Table) -> pd.DataFrame:
 def sections(table: Table, columns: Sequence[Column]) -> list[list[tuple[Row, list[Any]]]]:
     """Return the rows with the words of their cells in some columns; of Table II the spiking ones stand apart."""
     cells: dict[tuple[str, str], list[Any]] = {}
-    for cell in named_tuples(in_words(table)):
+    for cell in iterate_rows(in_words(table)):
         cells.setdefault((cell.row, cell.column), []).append(cell)
     lines = [(row, [cell for column in columns for cell in cells[row.name, column.name]]) for row in table.rows]
     parts = [[line for line in lines if line[0].spiking is spiking] for spiking in (False, True)]
@@ -103,7 +103,7 @@ def legend(table: Table) -> list[str]:
 
     The table's caption tells of tests and of disturbed times.
     """
-    cells = [*named_tuples(table.cells)]
+    cells = [*iterate_rows(table.cells)]
     training, rates = (
         [cell for cell in cells if cell.seeds is not None and cell.quantity in {q.name for q in quantities}]
         for quantities in (TRAINING, RATES)
