@@ -1,9 +1,10 @@
-"""What a reader of a run's numbers has to know, told apart by its kind."""
+"""Notes that a reader of a run's numbers needs, each with its kind."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from typing import Literal, NamedTuple
+from dataclasses import dataclass
+from typing import Literal
 
 NoteKind = Literal[
     "dataset",  # a sentence of the dataset
@@ -30,8 +31,9 @@ NoteKind = Literal[
 DISTURBED: frozenset[NoteKind] = frozenset({"noisy", "invalid"})
 
 
-class Note(NamedTuple):
-    """One line, and what it is about."""
+@dataclass(frozen=True)
+class Note:
+    """One line, and its kind."""
 
     kind: NoteKind
     text: str

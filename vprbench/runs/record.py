@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, Field, PlainValidator, ValidationInfo, with_config
+from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, PlainValidator, ValidationInfo, with_config
 
 from vprbench.api.dataset import has_ground_truth
 from vprbench.metrics.ranking import Outcome
@@ -41,7 +41,7 @@ class _Part(BaseModel):
 
 
 class FailureConfig(_Part):
-    """What was asked of a run that failed."""
+    """The options of a run that failed."""
 
     method: dict[str, Any] = {}
     dataset: dict[str, Any] = {}
@@ -52,7 +52,7 @@ class FailureConfig(_Part):
 
 
 class RunConfig(FailureConfig):
-    """What was asked of a run."""
+    """The options of a run."""
 
     method: dict[str, Any]
     dataset: dict[str, Any]
@@ -60,7 +60,7 @@ class RunConfig(FailureConfig):
 
 
 class DatasetProtocol(_Part):
-    """What a dataset selected, and which places it takes as right."""
+    """Which places of a dataset count as right, among all that it selected."""
 
     tolerance_places: Count = 0
     tolerance_frames: Count = 0
@@ -69,36 +69,15 @@ class DatasetProtocol(_Part):
     radius_metres: Number = 0.0
 
 
-class _Commit(_Part):
-    commit: str | None = None
-
-
-class FailureMachine(_Part):
-    """The machine, as far as a failed run knows it."""
+class Environment(_Part):
+    """The machine of a run, and when it ran; `machine.describe_machine` names all parts."""
 
     processor: str | None = None
-    time_utc: str | None = None
+    time_utc: Annotated[str, Field(pattern=r"^\d{4}-\d\d-\d\d")] | None = None
     cores: Count | None = None
     threads: Count | None = None
-    memory_bytes: Count | None = None
-    platform: str | None = None
     accelerator: str | None = None
-    accelerator_memory_bytes: Count | None = None
-    driver: str | None = None
-    cuda: str | None = None
-    governor: str | None = None
-    python: str | None = None
     libraries: dict[str, str | None] = {}
-    git: _Commit | None = None
-    load_average: list[Number] | None = None
-    cpu_pressure_avg10: Number | None = None
-
-
-class Machine(FailureMachine):
-    """The machine of a run, and when it ran."""
-
-    processor: str
-    time_utc: Annotated[str, Field(pattern=r"^\d{4}-\d\d-\d\d")]
 
 
 class Search(_Part):
@@ -108,8 +87,6 @@ class Search(_Part):
     bytes_per_place: Number
     recall_at_1: Share | None = None
     recall_at_10: Share | None = None
-    rerank: Count = 0
-    build_seconds: Amount | None = None
 
 
 class _Layer(_Part):
@@ -122,7 +99,7 @@ class _Layer(_Part):
 
 
 class Spikes(_Part):
-    """What the layers of a spiking network fire, over a sample of the queries."""
+    """The spikes of a network's layers, over a sample of the queries."""
 
     queries: Count
     layers: Annotated[list[_Layer], Field(min_length=1)]
@@ -133,7 +110,7 @@ Stop = dict[Literal["places", "hits", "seconds"], Places | list[Seconds]]
 
 
 class Energy(_Part):
-    """What a query costs, and how each figure was found."""
+    """The costs of a query, and how each was found."""
 
     values: dict[str, Amount | None]
     how: dict[str, str]
@@ -157,40 +134,46 @@ class TunedOn(_Part):
 
 
 Nothing = Annotated[dict[str, Any], Field(max_length=0)]
-
+Positives = tuple[npt.NDArray[np.int64], ...]  # the right places of each query
 
 _Breaks = npt.NDArray[np.int64] | None
 
 
-def _no_view(view: Any) -> None:
+def _refuse_view(view: Any) -> None:
     if view is not None:
         raise ValueError("a view of a run is never stored")
 
 
-def _right_places(positives: Any, info: ValidationInfo) -> tuple[npt.NDArray[np.int64], ...]:
-    """Return the right places of each query, of which each has to be a place."""
+def _join_positives(positives: Positives) -> dict[str, npt.NDArray[np.int64]]:
+    """Return the right places of all queries in one array, and how many there are of each."""
+    counts = np.array([len(right) for right in positives], np.int64)
+    return {"places": np.concatenate([np.empty(0, np.int64), *positives]), "counts": counts}
+
+
+def _split_positives(joined: Any, info: ValidationInfo) -> Positives:
+    """Return the right places of each query, each of which has to be a place of the map."""
     lengths: dict[str, int] = info.context or {}
-    if len(positives) != lengths["queries"]:
-        raise ValueError(f"has {len(positives)} rows; wanted {lengths['queries']}, one for each query")
-    places = np.concatenate([np.empty(0, np.int64), *positives])
+    places, counts = joined["places"], joined["counts"]
+    if len(counts) != lengths["queries"] or counts.min(initial=0) < 0 or counts.sum() != len(places):
+        raise ValueError(f"counts do not add up to {len(places)} places of {lengths['queries']} queries")
     if places.dtype.name not in INTEGERS or not (places >= 0).all() or not (places < lengths["places"]).all():
         raise ValueError(f"are {places.dtype} among which are no places; wanted 0 to {lengths['last place']}")
-    return tuple(positives)
+    return tuple(np.split(places, np.cumsum(counts)[:-1])) if len(counts) else ()
 
 
 @with_config(ConfigDict(extra="forbid"))
 @dataclass(frozen=True)
 class Run:
-    """What one method did on one dataset: raw answers and raw times, nothing judged."""
+    """One method on one dataset: raw answers and raw times, nothing judged."""
 
     method: Name
     dataset: Name
     key: Name
-    config: Annotated[Mapping[str, Any], Fits(RunConfig)]  # everything that was asked for, resolved
-    protocol: Annotated[Mapping[str, Any], Fits(DatasetProtocol)]  # what the dataset selected and how
+    config: Annotated[Mapping[str, Any], Fits(RunConfig)]  # all options, resolved
+    protocol: Annotated[Mapping[str, Any], Fits(DatasetProtocol)]  # which places the dataset selected
     fingerprint: Text  # of the dataset's images
-    environment: Annotated[Mapping[str, Any], Fits(Machine)]
-    notes: tuple[Note, ...]  # what a reader of the numbers has to know
+    environment: Annotated[Mapping[str, Any], Fits(Environment)]
+    notes: tuple[Note, ...]  # that a reader of the numbers needs
     n_references: Places
     fit_seconds: Seconds | None  # wall time, reading the images included; None: a network or descriptors were loaded
     fit_compute_seconds: Number | None  # without the time that the method waited for images
@@ -202,7 +185,7 @@ class Run:
     method_seconds: Number  # spent in the method
     timing: Timing | None  # None: it was not timed
     outcome: Outcome
-    positives: Annotated[tuple[npt.NDArray[np.int64], ...], PlainValidator(_right_places)]  # per query
+    positives: Annotated[Positives, PlainValidator(_split_positives), PlainSerializer(_join_positives, return_type=Any)]
     top_places: Annotated[npt.NDArray[np.int32], Array(INTEGERS, ("queries", "depth"), 0, "last place")]  # best first
     top_scores: Annotated[  # -inf: no candidate
         npt.NDArray[np.float32], Array(NUMBERS, ("queries", "depth"), -np.inf, HIGHEST_SCORE)
@@ -221,7 +204,9 @@ class Run:
     place_breaks: Annotated[_Breaks, Array(INTEGERS, ("place breaks",), 1, "last place")] | None = None
     stream: Annotated[Sequence[Mapping[str, Any]] | None, Fits(list[Stop] | None)] = None  # of a growing map
     energy: Annotated[Mapping[str, Any] | None, Fits(Energy | None)] = None  # None: not asked for
-    view: Annotated[View | None, PlainValidator(_no_view)] = None  # None: the run as it is stored
+    view: Annotated[View | None, PlainValidator(_refuse_view), Field(exclude=True)] = (
+        None  # None: the run as it is stored
+    )
 
     @property
     def is_judged(self) -> bool:
@@ -249,5 +234,5 @@ class Failure:
     dataset: Name
     config: Annotated[Mapping[str, Any], Fits(FailureConfig)]
     error: Text
-    environment: Annotated[Mapping[str, Any], Fits(FailureMachine)] = field(default_factory=dict)
+    environment: Annotated[Mapping[str, Any], Fits(Environment)] = field(default_factory=dict)
     missing: Flag = False  # weights, frames or the method itself are not there: nothing was tried

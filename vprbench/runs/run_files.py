@@ -8,7 +8,7 @@ import logging
 import os
 import stat
 from collections.abc import Mapping
-from dataclasses import asdict, fields, is_dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -16,7 +16,6 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import TypeAdapter, ValidationError
 
-from vprbench.runs.notes import Note
 from vprbench.runs.record import Failure, Run
 from vprbench.storage.tensors import mapped_arrays, write_arrays
 
@@ -28,7 +27,6 @@ SCHEMA = 10
 SUMMARY, _ARRAYS, _FAILURE = "run.json", "arrays.safetensors", "failure.json"
 _LARGEST_SUMMARY = 1 << 26  # bytes
 _SHOWN = 60  # characters of a value in a message
-_RIGHT, _RIGHT_COUNTS = "positives", "positives_per_query"  # which are stored joined
 _RUN, _FAILED = TypeAdapter(Run), TypeAdapter(Failure)
 
 
@@ -51,14 +49,13 @@ def write(run: Run, folder: Path) -> None:
 
     Raises OSError if the disk refuses, ValueError for a run that `load` would not take, and for a view of a run.
     """
-    arrays: dict[str, npt.NDArray[Any]] = {}
-    summary = _without_arrays(run, "", arrays)
     if run.view is not None:
         raise ValueError("a view of a run is never stored")
-    summary = json.loads(json.dumps(summary))
-    _checked_run(json.loads(json.dumps(summary)), arrays)
+    arrays: dict[str, npt.NDArray[Any]] = {}
+    text = json.dumps(_take_arrays(_RUN.dump_python(run, warnings=False), "", arrays))
+    _build_run(json.loads(text), arrays)
     write_arrays(folder / _ARRAYS, arrays)
-    summary |= {"schema": SCHEMA, "sha256": _digest(folder / _ARRAYS)}
+    summary = json.loads(text) | {"schema": SCHEMA, "sha256": _digest(folder / _ARRAYS)}
     _write_json(folder / SUMMARY, {**summary, "content_key": content_key(summary)})
 
 
@@ -68,10 +65,10 @@ def load(folder: Path) -> Run:
     Raises DamagedRunError if a part is missing, changed, impossible or unreadable, OtherLayoutError for another layout.
     """
     try:
-        summary = _summary(_content(folder / SUMMARY, _LARGEST_SUMMARY))
-        if _digest(_regular(folder / _ARRAYS)) != summary.pop("sha256"):
+        summary = _read_summary(_read_bytes(folder / SUMMARY, _LARGEST_SUMMARY))
+        if _digest(_require_file(folder / _ARRAYS)) != summary.pop("sha256"):
             raise DamagedRunError(f"{_ARRAYS} is not what was written")
-        return _checked_run(summary, mapped_arrays(folder / _ARRAYS))
+        return _build_run(summary, mapped_arrays(folder / _ARRAYS))
     except (DamagedRunError, OtherLayoutError):
         raise
     except Exception as error:  # a damaged file may upset its reader in any way
@@ -87,16 +84,16 @@ def read_failure(folder: Path) -> Failure | None:
     """Read a failure; None if there is none or, with a warning, none whole."""
     path = folder / _FAILURE
     try:
-        return _checked(_FAILED, json.loads(_content(path, _LARGEST_SUMMARY)), {})
+        return _validate(_FAILED, json.loads(_read_bytes(path, _LARGEST_SUMMARY)), {})
     except (FileNotFoundError, NotADirectoryError):
         return None
     except (OSError, MemoryError, ValueError, TypeError, RecursionError) as error:
-        logger.warning("%s cannot be used (%s)", path, _reason(error))
+        logger.warning("%s cannot be used (%s)", path, getattr(error, "strerror", None) or error)
         return None
 
 
-def _summary(content: bytes) -> dict[str, Any]:
-    """Return what is no array of a run, as it was written."""
+def _read_summary(content: bytes) -> dict[str, Any]:
+    """Return a run without its arrays, as it was written."""
     summary: dict[str, Any] = json.loads(content)
     layout = summary["schema"]
     if type(layout) is not int or layout < 1:
@@ -109,58 +106,38 @@ def _summary(content: bytes) -> dict[str, Any]:
     return summary
 
 
-def _without_arrays(value: Any, path: str, arrays: dict[str, npt.NDArray[Any]]) -> Any:
-    """Return a record as plain values; its arrays go to `arrays`, by the names of the fields that lead to them."""
-    if isinstance(value, Note):
-        return value._asdict()
-    if is_dataclass(value):
-        plain = {}
-        for part in fields(value):
-            inner, name = getattr(value, part.name), f"{path}{part.name}"
-            if part.name == _RIGHT:
-                arrays[name] = np.concatenate([np.empty(0, np.int64), *inner])
-                arrays[_RIGHT_COUNTS] = np.array([len(right) for right in inner])
-            elif isinstance(inner, np.ndarray):
-                arrays[name] = inner
-            elif part.name != "view":
-                plain[part.name] = _without_arrays(inner, f"{name}.", arrays)
-        return plain
-    if isinstance(value, tuple):
-        return [_without_arrays(inner, f"{path}{number}.", arrays) for number, inner in enumerate(value)]
+def _take_arrays(value: Any, path: str, arrays: dict[str, npt.NDArray[Any]]) -> Any:
+    """Return plain values with None in the place of arrays; these go to `arrays`, by the names that lead to them."""
+    if isinstance(value, np.ndarray):
+        arrays[path] = value
+        return None
+    if isinstance(value, Mapping):
+        return {name: _take_arrays(inner, f"{path}.{name}".strip("."), arrays) for name, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_take_arrays(inner, f"{path}.{number}", arrays) for number, inner in enumerate(value)]
     return value
 
 
-def _checked_run(summary: dict[str, Any], arrays: Mapping[str, npt.NDArray[Any]]) -> Run:
-    """Return the run of a summary and its arrays; raises ValueError that names the first value that cannot be."""
-    parts = dict(arrays)
-    right, counts = parts.pop(_RIGHT), parts.pop(_RIGHT_COUNTS)
-    if counts.min(initial=0) < 0 or counts.sum() != len(right):
-        raise ValueError(f"{_RIGHT_COUNTS} does not add up to the {len(right)} positives")
-    for path, array in parts.items():
+def _build_run(summary: dict[str, Any], arrays: Mapping[str, npt.NDArray[Any]]) -> Run:
+    """Return the run of a summary, which is changed, and its arrays; raises ValueError for the first invalid value."""
+    for path, array in arrays.items():
         part: Any = summary
         *outer, last = path.split(".")
         for name in outer:
             part = part[int(name) if name.isdigit() else name]
         part[last] = array
-    summary[_RIGHT] = tuple(np.split(right, np.cumsum(counts)[:-1])) if len(counts) else ()
     n_places, n_queries = summary["outcome"]["n_places"], len(summary["outcome"]["best_score"])
     lengths = {"places": n_places, "queries": n_queries, "last place": n_places - 1, "last query": n_queries - 1}
-    run = _checked(_RUN, summary, lengths)
-    if run.outcome.n_places > run.n_references:
-        raise ValueError(f"n_places is {run.outcome.n_places}, of {run.n_references} references")
-    for fewer, more in (("top_tied_correct", "top_tied"), ("tied_correct", "tied")):
-        if (getattr(run.outcome, fewer) > getattr(run.outcome, more)).any():
-            raise ValueError(f"{fewer} is more than {more} somewhere")
-    return run
+    return _validate(_RUN, summary, lengths)
 
 
-def _checked(adapter: TypeAdapter[Record], content: Any, lengths: dict[str, int]) -> Record:
+def _validate(adapter: TypeAdapter[Record], content: Any, lengths: dict[str, int]) -> Record:
     try:
         return adapter.validate_python(content, context=lengths)
     except ValidationError as error:
         first = error.errors(include_url=False, include_context=False)[0]
-        where, came = ".".join(map(str, first["loc"])), repr(first["input"])
-        raise ValueError(f"{where} is {came[:_SHOWN]}{'...' * (len(came) > _SHOWN)}: {first['msg']}") from None
+        where, value = ".".join(map(str, first["loc"])), repr(first["input"])
+        raise ValueError(f"{where} is {value[:_SHOWN]}: {first['msg']}") from None
 
 
 def _write_json(path: Path, content: Mapping[str, Any]) -> None:
@@ -170,15 +147,15 @@ def _write_json(path: Path, content: Mapping[str, Any]) -> None:
         os.fsync(file.fileno())
 
 
-def _content(path: Path, most_bytes: int) -> bytes:
-    with _regular(path).open("rb") as file:
+def _read_bytes(path: Path, most_bytes: int) -> bytes:
+    with _require_file(path).open("rb") as file:
         content = file.read(most_bytes + 1)
     if len(content) > most_bytes:
         raise ValueError(f"{path.name} is larger than {most_bytes} bytes")
     return content
 
 
-def _regular(path: Path) -> Path:
+def _require_file(path: Path) -> Path:
     """Return the path of a file; raises ValueError for a pipe or a device, which might never end."""
     if not stat.S_ISREG(path.stat().st_mode):
         raise ValueError(f"{path.name} is no file")
@@ -188,7 +165,3 @@ def _regular(path: Path) -> Path:
 def _digest(path: Path) -> str:
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def _reason(error: Exception) -> str:
-    return getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +36,7 @@ def run_text(
                 **({"energy": run.energy} if settings.energy else {}),
                 "network": run.network,
                 "tuned_on": run.tuned_on or None,
-                "notes": [note._asdict() for note in list_notes(run)],
+                "notes": [asdict(note) for note in list_notes(run)],
                 **({"views": [_viewed(one, settings) for one in seen]} if seen else {}),
                 **({"predictions": [*map(str, predictions)]} if predictions else {}),
                 "from_store": from_store,

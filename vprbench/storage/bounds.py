@@ -80,4 +80,7 @@ class Fits:
             check(value)
             return value
 
-        return core_schema.no_info_wrap_validator_function(unchanged, handler.generate_schema(self.model))
+        as_it_is = core_schema.plain_serializer_function_ser_schema(lambda value: value)
+        return core_schema.no_info_wrap_validator_function(
+            unchanged, handler.generate_schema(self.model), serialization=as_it_is
+        )
