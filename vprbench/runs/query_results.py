@@ -1,4 +1,4 @@
-"""What the report shows of each query: the best places of a run, judged by its ground truth."""
+"""Judged answers of a run, one for each query, as the report and `Result` show them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _DIGITS = 5  # significant ones of a score on the page
 
 @dataclass(frozen=True)
 class Answers:
-    """How a run answered each query.
+    """The answers of a run, judged.
 
     A margin is the score of the best right place less that of the best wrong place; infinite if the one or the
     other is no candidate, NaN if it is undefined: without a right place, or without any candidate. If a run
@@ -46,87 +46,76 @@ class Answers:
 
 
 def judge_answers(run: Run) -> Answers:
-    """Judge the answers of a run."""
+    """Judge the answers of a run by its ground truth."""
     if not run.is_judged:
-        return _unjudged(run)
+        return _keep_unjudged(run)
     outcome = run.outcome
-    kinds = np.where(hits_at(outcome, 1, "optimistic") > 0, TIED, WRONG)
-    kinds[hits_at(outcome, 1, "pessimistic") > 0] = RIGHT
-    kinds[~outcome.answerable] = UNANSWERABLE
-    bests = [_best_of_both_kinds(run, query) for query in range(len(outcome))]
-    places, scores = _shown(run, SHOWN)
+    verdicts = np.where(hits_at(outcome, 1, "optimistic") > 0, TIED, WRONG)
+    verdicts[hits_at(outcome, 1, "pessimistic") > 0] = RIGHT
+    verdicts[~outcome.answerable] = UNANSWERABLE
+    places, scores = _find_best_places(run, SHOWN)
+    right_places, right_scores, margins, bounds = zip(
+        *(_find_margin(run, query) for query in range(len(outcome))), strict=True
+    )
     return Answers(
-        verdicts="".join(kinds),
+        verdicts="".join(verdicts),
         places=places,
         scores=scores,
-        right_places=np.array([best.right_place for best in bests], np.int64),
-        right_scores=np.array([_known(best.right) for best in bests]),
+        right_places=np.array(right_places, np.int64),
+        right_scores=np.array(right_scores),
         ranks=np.where(outcome.tied > 0, outcome.above + 1, 0),
         equals=outcome.tied - outcome.tied_correct,
-        margins=np.array([best.margin for best in bests]),
-        bounds="".join(best.bound for best in bests),
+        margins=np.array(margins),
+        bounds="".join(bounds),
     )
 
 
-def _unjudged(run: Run) -> Answers:
+def _keep_unjudged(run: Run) -> Answers:
     """Return the answers of a run without a ground truth."""
-    places, scores = _shown(run, SHOWN_UNJUDGED)
-    nothing, margins = np.full(len(places), np.nan), scores[:, 0] - scores[:, 1]
+    places, scores = _find_best_places(run, SHOWN_UNJUDGED)
+    zeros, margins = np.zeros(len(places), np.int64), scores[:, 0] - scores[:, 1]
     return Answers(
         verdicts=UNJUDGED * len(places),
         places=places,
         scores=scores,
         right_places=np.full(len(places), NOWHERE),
-        right_scores=nothing,
-        ranks=np.zeros(len(places), np.int64),
-        equals=np.zeros(len(places), np.int64),
+        right_scores=np.full(len(places), np.nan),
+        ranks=zeros,
+        equals=zeros,
         margins=margins,
         bounds="".join(np.where(np.isnan(margins), UNDEFINED, EXACT)),
     )
 
 
-@dataclass(frozen=True)
-class _Best:
-    """The best right and the best wrong score of a query: -inf if there is none, bounds if not all is kept."""
+def _find_margin(run: Run, query: int) -> tuple[int, float, float, str]:
+    """Return the best right place of a query, its score, the margin and its bound, as `Answers` has them.
 
-    right_place: int
-    right: float
-    wrong: float
-    bound: str
-
-    @property
-    def margin(self) -> float:
-        return float("nan") if self.bound == UNDEFINED else self.right - self.wrong
-
-
-def _best_of_both_kinds(run: Run, query: int) -> _Best:
-    """Find the best right and the best wrong place, in all scores if they are kept, or else in the best ones."""
+    They come from all scores if the run keeps them, or else from those of the best places.
+    """
     outcome, positives = run.outcome, run.positives[query]
+    if not len(positives):
+        return NOWHERE, np.nan, np.nan, UNDEFINED
     if run.scores is not None:
         places, scores = np.arange(outcome.n_places), np.asarray(run.scores[query])
     else:
         places, scores = run.top_places[query], run.top_scores[query]
-    is_right = np.isin(places, positives)
-    top = float(outcome.best_score[query])
-    right = top if outcome.above[query] == 0 else float(scores[is_right].max(initial=-np.inf))
-    wrong = (
-        top
-        if outcome.top_tied_correct[query] < outcome.top_tied[query]
-        else float(scores[~is_right].max(initial=-np.inf))
-    )
+    is_right, top = np.isin(places, positives), float(outcome.best_score[query])
+    is_first, all_right = outcome.above[query] == 0, outcome.top_tied_correct[query] == outcome.top_tied[query]
+    right = top if is_first else float(scores[is_right].max(initial=-np.inf))
+    wrong = float(scores[~is_right].max(initial=-np.inf)) if all_right else top
     ranked = places[is_right & (scores == right)]
-    place = int((ranked if len(ranked) else positives[len(positives) // 2 :])[0]) if len(positives) else NOWHERE
-    if not len(positives) or not outcome.top_tied[query]:
-        return _Best(place, -np.inf, wrong, UNDEFINED)
-    lowest = float(scores[-1])  # where the best ones alone are kept, all others score no more
+    place = int(ranked[0] if len(ranked) else positives[len(positives) // 2])
+    if not outcome.top_tied[query]:
+        return place, np.nan, np.nan, UNDEFINED
+    bound, lowest = EXACT, float(scores[-1])  # where the best ones alone are kept, all others score no more
     if right == -np.inf and outcome.tied[query]:
-        return _Best(place, lowest, wrong, AT_MOST)
-    if wrong == -np.inf and len(scores) < outcome.n_places and lowest > -np.inf:
-        return _Best(place, right, lowest, AT_LEAST)
-    return _Best(place, right, wrong, EXACT)
+        right, bound = lowest, AT_MOST
+    elif wrong == -np.inf and len(scores) < outcome.n_places and lowest > -np.inf:
+        wrong, bound = lowest, AT_LEAST
+    return place, right if np.isfinite(right) else np.nan, right - wrong, bound
 
 
-def _shown(run: Run, n: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
+def _find_best_places(run: Run, n: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
     """Return the `n` best places and their scores, (n_queries, n) each, of equals the wrong ones first."""
     right = np.array([np.isin(*row) for row in zip(run.top_places, run.positives, strict=True)])
     order = np.lexsort((right, -run.top_scores), axis=1)[:, :n]
@@ -190,7 +179,3 @@ def list_places_shown(answers: Iterable[Answers]) -> list[int]:
     """Return every place whose frame the answers show, ascending."""
     shown = {place for one in answers for part in (one.places, one.right_places) for place in part.ravel().tolist()}
     return sorted(shown - {NOWHERE})
-
-
-def _known(score: float) -> float:
-    return score if np.isfinite(score) else float("nan")
