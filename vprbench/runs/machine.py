@@ -18,20 +18,11 @@ import numpy as np
 import psutil
 
 from vprbench.storage.cores import core_count
-from vprbench.storage.cores import cores as cores  # callers ask the machine
+from vprbench.storage.cores import cores as cores
 from vprbench.storage.folders import checkout_folder
 from vprbench.text import format_gigabytes
 
-_LIBRARIES = (
-    "torch",
-    "numpy",
-    "scipy",
-    "numba",
-    "opencv-python-headless",
-    "pillow",
-    "scikit-learn",
-    "faiss-cpu",
-)
+_LIBRARIES = ("torch", "numpy", "scipy", "numba", "opencv-python-headless", "pillow", "scikit-learn", "faiss-cpu")
 
 
 def describe_machine(device: str, threads: int) -> dict[str, Any]:
@@ -58,7 +49,7 @@ def describe_machine(device: str, threads: int) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Machine:
-    """What the times of a run were measured on, whatever the day."""
+    """The hardware, threads and torch that the times of a run depend on."""
 
     processor: str | None
     cores: int | None
@@ -68,7 +59,7 @@ class Machine:
 
     @classmethod
     def of(cls, environment: Mapping[str, Any]) -> Machine:
-        """Return the machine that `capture` looked at; None for what an environment does not tell."""
+        """Return the machine of an `environment`; None for parts that it lacks."""
         parts = {name: environment.get(name) for name in ("processor", "cores", "accelerator", "threads")}
         return cls(**parts, torch=(environment.get("libraries") or {}).get("torch"))
 
@@ -116,45 +107,42 @@ def device_class(device: str) -> str:
     return f"{kind} {processor() if kind == 'cpu' else _accelerator(device)['accelerator']}"
 
 
-def format_machine(surroundings: dict[str, Any]) -> list[str]:
-    """Return what an environment says about processor, accelerator, libraries and source."""
-    git = surroundings["git"]
+def format_machine(environment: Mapping[str, Any]) -> list[str]:
+    """Return two lines: the hardware, and libraries, source and time."""
+    git, gpu = environment["git"], environment.get("accelerator")
+    driver = f" GPU: {gpu}, driver {environment['driver']}, CUDA {environment['cuda']}." if gpu else ""
+    libraries = ", ".join(f"{name} {version or 'missing'}" for name, version in environment["libraries"].items())
     source = "no checkout" if git is None else f"{git['commit']}{', changed' * git['changed']}"
-    accelerator = (
-        f" GPU: {surroundings['accelerator']}, {format_gigabytes(surroundings['accelerator_memory_bytes'])}, driver "
-        f"{surroundings['driver']}, CUDA {surroundings['cuda']}."
-        if "accelerator" in surroundings
-        else ""
-    )
-    libraries = ", ".join(f"{name} {version or 'missing'}" for name, version in surroundings["libraries"].items())
     return [
-        f"{surroundings['processor']}, {surroundings['threads']} of {surroundings['cores']} cores, "
-        f"{format_gigabytes(surroundings['memory_bytes'])}, {surroundings['platform']}.{accelerator}",
-        f"python {surroundings['python']}, vprbench {surroundings['vprbench']}, {libraries}. Source: {source}. "
-        f"{surroundings['time_utc']}.",
+        f"{environment['processor']}, {environment['threads']} of {environment['cores']} cores, "
+        f"{format_gigabytes(environment['memory_bytes'])}, {environment['platform']}.{driver}",
+        f"python {environment['python']}, vprbench {environment['vprbench']}, {libraries}. Source: {source}. "
+        f"{environment['time_utc']}.",
     ]
 
 
 def cpu_pressure() -> float | None:
     """Return the share of the last 10 s, in percent, in which some process waited for a core; None if unknown."""
-    for line in _read("/proc/pressure/cpu").splitlines():
-        if line.startswith("some"):
-            return float(line.split("avg10=")[1].split()[0])
-    return None
+    found = _read_pressure()
+    return None if found is None else float(found["avg10"])
 
 
 def cpu_waited() -> tuple[float, float] | None:
     """Return the moment, and the seconds so far in which some process waited for a core; None if unknown."""
-    for line in _read("/proc/pressure/cpu").splitlines():
-        if line.startswith("some"):
-            return time.perf_counter(), int(line.split("total=")[1]) / 1e6
-    return None
+    found = _read_pressure()
+    return None if found is None else (time.perf_counter(), int(found["total"]) / 1e6)
 
 
 def cpu_pressure_since(before: tuple[float, float]) -> float:
     """Return the share of the time since `cpu_waited`, in percent, in which some process waited for a core."""
     now = cpu_waited() or before
     return 100 * (now[1] - before[1]) / max(now[0] - before[0], 1e-9)
+
+
+def _read_pressure() -> dict[str, str] | None:
+    """Return the first line of Linux's pressure of the cores: avg10 in percent, total in microseconds."""
+    words = _read("/proc/pressure/cpu").partition("\n")[0].split()
+    return dict(word.split("=") for word in words[1:]) if words[:1] == ["some"] else None
 
 
 def canary_seconds(clock: Callable[[], int] = time.perf_counter_ns) -> float:

@@ -1,4 +1,4 @@
-"""A map that grows while queries come: what one place more costs, and what becomes of the first ones."""
+"""A map that grows while queries come: the seconds of each place, and R@1 of all and of the first places."""
 
 from __future__ import annotations
 
@@ -80,37 +80,34 @@ def list_stops(run: Run) -> list[dict[str, Any]]:
     R@1 of the queries whose place the map knows, and of those of its first places.
     """
     lines, stops = [], run.stream or ()
-    for stop in stops:
+    known = [_answerable_queries(run.positives, stop["places"]) for stop in stops]
+    for stop, queries in zip(stops, known, strict=True):
         hits, seconds = np.array(stop["hits"]), stop["seconds"]
-        first = hits[
-            np.isin(
-                _answerable_queries(run.positives, stop["places"]),
-                _answerable_queries(run.positives, stops[0]["places"]),
-            )
-        ]
+        first = hits[np.isin(queries, known[0])]
         interval = share_interval(hits) if len(hits) else None
-        line = {
-            "places": stop["places"],
-            "queries": len(hits),
-            "recall_at_1": float(hits.mean()) if interval else None,
-            "recall_at_1_low": interval.low if interval else None,
-            "recall_at_1_high": interval.high if interval else None,
-            "recall_at_1_of_first": float(first.mean()) if len(first) else None,
-            "seconds_a_place": float(np.median(seconds)) if seconds else None,
-            "most_seconds_a_place": max(seconds, default=None),
-        }
-        lines.append(line)
+        lines.append(
+            {
+                "places": stop["places"],
+                "queries": len(hits),
+                "recall_at_1": float(hits.mean()) if interval else None,
+                "recall_at_1_low": interval.low if interval else None,
+                "recall_at_1_high": interval.high if interval else None,
+                "recall_at_1_of_first": float(first.mean()) if len(first) else None,
+                "seconds_a_place": float(np.median(seconds)) if seconds else None,
+                "most_seconds_a_place": max(seconds, default=None),
+            }
+        )
     return lines
 
 
 def format_stops(run: Run) -> str:
     """Return a growing map as a small table, whose last line is the map that was learnt at once."""
-    lines, percent = list_stops(run), METRICS["recall_at_1"].text
-    rows = [[f"{run.outcome.n_places:,} at once", percent(METRICS["recall_at_1"].of(run)), *[""] * 4]]
-    for line in reversed(lines):
-        shares = [percent(line[f"recall_at_1{of}"]) for of in ("", "_low", "_high", "_of_first")]
-        times = [line["seconds_a_place"], line["most_seconds_a_place"]]
-        told = ["-" if seconds is None else f"{1000 * seconds:.2f}" for seconds in times]
-        rows.insert(0, [f"{line['places']:,}", shares[0], f"[{shares[1]}, {shares[2]}]", shares[3], *told])
-    first = f"of the first {lines[0]['places']:,}"
+    stops, percent, rows = list_stops(run), METRICS["recall_at_1"].text, []
+    for stop in stops:
+        recall, low, high, of_first = (percent(stop[f"recall_at_1{end}"]) for end in ("", "_low", "_high", "_of_first"))
+        times = (stop["seconds_a_place"], stop["most_seconds_a_place"])
+        milliseconds = ["-" if seconds is None else f"{1000 * seconds:.2f}" for seconds in times]
+        rows.append([f"{stop['places']:,}", recall, f"[{low}, {high}]", of_first, *milliseconds])
+    rows.append([f"{run.outcome.n_places:,} at once", percent(METRICS["recall_at_1"].of(run)), *[""] * 4])
+    first = f"of the first {stops[0]['places']:,}"
     return table_text(["places", "R@1 %", "[95 %]", first, "ms a place", "most ms"], rows)
