@@ -285,7 +285,9 @@ class Learning(Lookup):
 
 @pytest.mark.parametrize("excess", [0, 0.6])
 def test_times_of_fit_computing_first_query_method_and_harness_are_told_apart(clock, monkeypatch, surroundings, excess):
-    monkeypatch.setattr(surroundings, "capture", lambda *_: clock.spend(7) or {})  # a look at the machine takes 7 s
+    monkeypatch.setattr(
+        surroundings, "describe_machine", lambda *_: clock.spend(7) or {}
+    )  # a look at the machine takes 7 s
     references, queries = (slow_pictures(8, 0.02, clock.spend) for _ in range(2))
     numbers_in(references)  # what is read before a run does not count
     dataset = replace(journey(8, 8), references=references, queries=queries)

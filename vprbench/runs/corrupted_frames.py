@@ -13,7 +13,7 @@ from vprbench.api.arrays import Image
 from vprbench.api.dataset import Dataset
 from vprbench.runs.corruption import Corruption, parse_corruption
 
-_GREY = 128  # of what hides a part of a frame
+_GREY = 128  # level of the rectangle that hides a part of a frame
 
 
 def corrupt_queries(dataset: Dataset, name: str | None) -> Dataset:
@@ -31,7 +31,7 @@ def corrupt_queries(dataset: Dataset, name: str | None) -> Dataset:
 
 
 def corrupt_frame(image: Image, wanted: Corruption, frame: str) -> Image:
-    """Return an image, uint8 (height, width, 3), corrupted; what is drawn follows from seed, kind and frame's name.
+    """Return an image, uint8 (height, width, 3), corrupted; random draws follow from seed, kind and the frame's name.
 
     So it is the same in any order, process and batch, and all strengths of a kind go one way.
     """

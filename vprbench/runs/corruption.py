@@ -1,4 +1,4 @@
-"""The corruptions of query frames by their names: kind and strength, as in `shift-1`, and what they are in words."""
+"""The corruptions of query frames by their names: kind and strength, as in `shift-1`, and their descriptions."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ class Kind:
 
     amounts: tuple[float, float, float]
     unit: str  # around an amount
-    words: str  # what is done to query frames, around amounts with their unit
+    words: str  # the change of query frames, around amounts with their unit
 
     def short(self, strengths: Sequence[int]) -> str:
         """Return the amounts of these strengths with their unit."""
         return self.unit.format("/".join(f"{self.amounts[each - 1]:g}" for each in strengths))
 
     def describe(self, strengths: Sequence[int]) -> str:
-        """Return what these strengths do to query frames."""
+        """Return the change of query frames in words."""
         return self.words.format(self.short(strengths).replace("/", ", "))
 
 
@@ -42,15 +42,15 @@ KINDS = {
 
 @dataclass(frozen=True)
 class Corruption:
-    """What is done to the query frames of a run."""
+    """A change of the query frames of a run."""
 
     kind: str
     strength: int  # 1 to 3
-    seed: int = 0  # of what is drawn for each frame: direction, place, noise
+    seed: int = 0  # of the direction, place or noise of each frame
 
     @property
     def name(self) -> str:
-        """What it is asked for by."""
+        """Its name in the option `corruption`."""
         return f"{self.kind}-{self.strength}" + (f"-{self.seed}" if self.seed else "")
 
     @property
@@ -64,7 +64,7 @@ class Corruption:
         return KINDS[self.kind].short([self.strength])
 
     def protocol(self) -> str:
-        """Return what stands of it in the protocol of a run."""
+        """Return its entry in the protocol of a run."""
         return f"{self.name} (queries {KINDS[self.kind].describe([self.strength])}; seed {self.seed})"
 
 
@@ -73,8 +73,8 @@ def parse_corruption(name: str) -> Corruption:
     parts = re.fullmatch(r"([a-z_]+)-([1-3])(?:-(\d{1,9}))?", name)
     if parts is None or parts[1] not in KINDS:
         kind = name.partition("-")[0]
-        told = "give a strength from 1 to 3" if kind in KINDS else near(kind, KINDS)
-        raise BadInput(f"corruption={name} is unknown: {told}, as in corruption=shift-1")
+        remedy = "give a strength from 1 to 3" if kind in KINDS else near(kind, KINDS)
+        raise BadInput(f"corruption={name} is unknown: {remedy}, as in corruption=shift-1")
     return Corruption(parts[1], int(parts[2]), int(parts[3] or 0))
 
 

@@ -1,4 +1,4 @@
-"""What a query of a fitted method costs in operations and joules, and a place of its map in bytes."""
+"""Costs of a fitted method: operations and joules of a query, bytes of a place of its map."""
 
 from __future__ import annotations
 
@@ -168,7 +168,7 @@ def format_costs(run: Run, wide: bool = False) -> str:
 
 
 def _count_operations(method: Method, singles: Sequence[Images], synops: tuple[float, float] | None) -> dict[str, Cost]:
-    """Return the operations of a query and the joules that they would take; the queries are asked for it."""
+    """Return the operations of a query and the joules that they would take."""
     encodes, matches = list[Arithmetic](), list[Arithmetic]()
     for single in singles:
         codes, arithmetic = _count_call(partial(method.encode, single))

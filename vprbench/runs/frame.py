@@ -1,4 +1,4 @@
-"""Stored runs as one table of numbers: a row a run, a column a fact; docs/numbers.md says what each column is."""
+"""Stored runs as one table of numbers: a row a run, a column a fact; docs/numbers.md explains the columns."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 Facts = dict[str, Any]
 
-#: The columns of every frame, in their order; `recall_at_1_within_K_places` and more metrics come where asked for.
+#: The columns of every frame, in their order; `recall_at_1_within_K_places` and more metrics come on request.
 COLUMNS = (
     *("method", "arguments", "label", "dataset", "dataset_arguments", "protocol", "protocol_name"),
     *("names_sha256", "content_sha256", "fingerprint", "seed", "device", "error"),
@@ -44,7 +44,7 @@ _DIGITS = 12  # of a fingerprint that people compare by eye
 
 
 def tabulate_runs(results: Iterable[Run | Failure], metrics: Sequence[str] = ()) -> pd.DataFrame:
-    """Return runs and failures as rows, with more `metrics` by their names; what is not known is None.
+    """Return runs and failures as rows, with more `metrics` by their names; unknown values are None.
 
     A failure has its `error` and no numbers.
     """
@@ -74,7 +74,7 @@ def iterate_rows(table: pd.DataFrame) -> Iterator[Any]:
 
 
 def format_label(run: Run | Failure) -> str:
-    """Return a method's name with the arguments that were asked for."""
+    """Return a method's name with the arguments of its command line."""
     return " ".join([run.method, *_arguments(run)])
 
 
@@ -157,7 +157,7 @@ def recall_at_1_within(run: Run) -> dict[int, float | None]:
 
 
 def _arguments(run: Run | Failure) -> list[str]:
-    """Return the arguments of a method that were asked for, as name=value."""
+    """Return the arguments of a method's command line, as name=value."""
     return [text.removeprefix("method.") for text in run.config.get("overrides", ()) if text.startswith("method.")]
 
 

@@ -166,7 +166,7 @@ def format_place_ranges(places: npt.NDArray[np.int64]) -> str:
 
 
 def order_by_interest(answers: Answers) -> Iterator[tuple[int, set[int]]]:
-    """Yield the queries of a run with the places shown beside each, those that are not answered right first.
+    """Yield the queries of a run with the places shown beside each, wrong answers first.
 
     Otherwise they come in an order that is the same for all runs, from all over the journey.
     """

@@ -1,10 +1,10 @@
-"""One finished run, or its failure: what each field may hold stands at the field."""
+"""One finished run, or its failure: each field with its valid values."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +20,6 @@ from vprbench.storage.bounds import (
     HIGHEST_SCORE,
     INTEGERS,
     NUMBERS,
-    Amount,
     Array,
     Count,
     Fits,
@@ -29,7 +28,6 @@ from vprbench.storage.bounds import (
     Number,
     Places,
     Seconds,
-    Share,
     Text,
 )
 
@@ -80,60 +78,6 @@ class Environment(_Part):
     libraries: dict[str, str | None] = {}
 
 
-class Search(_Part):
-    """The index of descriptors, and how often it finds what an exact search finds."""
-
-    index: str
-    bytes_per_place: Number
-    recall_at_1: Share | None = None
-    recall_at_10: Share | None = None
-
-
-class _Layer(_Part):
-    name: str
-    neurons: Count
-    spikes_per_query: Annotated[list[Amount], Field(min_length=1)]
-    active_share: Share
-    amplitude_mean: Number | None
-    times: list[Count] | None = None
-
-
-class Spikes(_Part):
-    """The spikes of a network's layers, over a sample of the queries."""
-
-    queries: Count
-    layers: Annotated[list[_Layer], Field(min_length=1)]
-
-
-#: A stop of a growing map.
-Stop = dict[Literal["places", "hits", "seconds"], Places | list[Seconds]]
-
-
-class Energy(_Part):
-    """The costs of a query, and how each was found."""
-
-    values: dict[str, Amount | None]
-    how: dict[str, str]
-
-
-class Frames(_Part):
-    """The frames of a dataset, as `identity.DataRecord` has them."""
-
-    names_sha256: str
-    content_sha256: str | None
-    images: Count
-    bytes: Count | None
-
-
-class TunedOn(_Part):
-    """The places on which the method's settings were chosen."""
-
-    dataset: str
-    places: str
-    also_in: dict[str, str] = {}
-
-
-Nothing = Annotated[dict[str, Any], Field(max_length=0)]
 Positives = tuple[npt.NDArray[np.int64], ...]  # the right places of each query
 
 _Breaks = npt.NDArray[np.int64] | None
@@ -179,7 +123,7 @@ class Run:
     fit_compute_seconds: Number | None  # without the time that the method waited for images
     load_seconds: Seconds | None  # wall time of reading, checking and restoring a network or descriptors
     network: Text | None  # SHA-256 of the file that was loaded
-    search: Annotated[Mapping[str, Any] | None, Fits(Search | None)]  # of descriptors; None: no descriptors
+    search: dict[str, Any] | None  # index of descriptors; None: no descriptors
     peak_memory_bytes: Count
     harness_seconds: Number  # spent neither in the method nor in reading images
     method_seconds: Number  # spent in the method
@@ -193,17 +137,17 @@ class Run:
     scores: (  # None: too many to keep
         Annotated[npt.NDArray[np.float32], Array(NUMBERS, ("queries", "places"), -np.inf, HIGHEST_SCORE)] | None
     )
-    spikes: Annotated[Mapping[str, Any] | None, Fits(Spikes | None)] = None
+    spikes: dict[str, Any] | None = None  # `spikes.summarise_spikes` names the parts
     place_numbers: (  # along the journey; None: 0, 1, 2 ...
         Annotated[npt.NDArray[np.int64], Array(INTEGERS, ("places",), -(1 << 53), 1 << 53)] | None
     ) = None
-    data: Annotated[Mapping[str, Any], Fits(Frames | Nothing)] = field(default_factory=dict)
-    tuned_on: Annotated[Mapping[str, Any], Fits(TunedOn | Nothing)] = field(default_factory=dict)
+    data: Mapping[str, Any] = field(default_factory=dict)  # as `identity.DataRecord` has it
+    tuned_on: Mapping[str, Any] = field(default_factory=dict)
     tuned_queries: Sequence[Count] | None = None  # which show frames of these places; None: not looked for yet
     query_breaks: Annotated[_Breaks, Array(INTEGERS, ("query breaks",), 1, "last query")] | None = None  # Dataset's
     place_breaks: Annotated[_Breaks, Array(INTEGERS, ("place breaks",), 1, "last place")] | None = None
-    stream: Annotated[Sequence[Mapping[str, Any]] | None, Fits(list[Stop] | None)] = None  # of a growing map
-    energy: Annotated[Mapping[str, Any] | None, Fits(Energy | None)] = None  # None: not asked for
+    stream: list[dict[str, Any]] | None = None  # of a growing map
+    energy: dict[str, Any] | None = None  # None: not requested
     view: Annotated[View | None, PlainValidator(_refuse_view), Field(exclude=True)] = (
         None  # None: the run as it is stored
     )
@@ -216,11 +160,11 @@ class Run:
     @property
     def timed_by(self) -> Protocol:
         """The protocol that it was timed by; one without rates if it was not timed."""
-        asked = self.config.get("timing")
-        return Protocol(rates=False) if self.timing is None or asked is None else Protocol(**asked)
+        options = self.config.get("timing")
+        return Protocol(rates=False) if self.timing is None or options is None else Protocol(**options)
 
     def required_timing(self) -> Timing:
-        """Return what was timed; raises ValueError if nothing was, which `timing` tells beforehand."""
+        """Return the timing; raises ValueError for a run without one."""
         if self.timing is None:
             raise ValueError(f"the run of {self.method} on {self.dataset} was not timed")
         return self.timing

@@ -18,7 +18,7 @@ from vprbench.text import NOTHING, format_interval, format_megabytes, format_rat
 
 RECALL = "R@1 % [95 %]"
 UNTIMED = "not timed"
-VIEWS = ("sequence", "filter")  # what a protocol calls them
+VIEWS = ("sequence", "filter")  # their names in a protocol
 LEAST = ("R@25 %", "R@10 %", "peak MB", "streaming Hz enc/match/total")  # left out first where a row is too wide
 _DIGITS = 12  # of a hash that people compare by eye
 
@@ -48,14 +48,14 @@ def _readable_rates(timing: Timing | None) -> dict[str, str]:
 
 
 def _fit(run: Run) -> str:
-    """Return the seconds of the fit, or what stood in for it."""
+    """Return the seconds of the fit, or a word for a run without one."""
     if run.fit_seconds is not None:
         return format_seconds(run.fit_seconds)
     return "kept" if run.network is None else "loaded"
 
 
 def format_markdown(rows: Sequence[dict[str, str]]) -> str:
-    """Return rows of text as a Markdown table; what a row lacks is a dash."""
+    """Return rows of text as a Markdown table; a missing value is a dash."""
     import pandas as pd  # takes long to import, and a run needs none
 
     rows = [{name: text.replace("|", r"\|") for name, text in row.items()} for row in rows]
@@ -63,26 +63,18 @@ def format_markdown(rows: Sequence[dict[str, str]]) -> str:
 
 
 def describe_protocol(run: Run) -> str:
-    """Return in one line what was asked of which places, and by the first digits of a hash of which frames."""
+    """Return one line: dataset, queries, places, protocol, and the first digits of the hash of the frames' names."""
     adapt = run.config["method"].get("adapt", "none")
-    asked = {**run.protocol, **({} if adapt == "none" else {"adapt": adapt})}
-    chosen = ", ".join(f"{name} {_plain(value)}" for name, value in asked.items())
+    protocol = {**run.protocol, **({} if adapt == "none" else {"adapt": adapt})}
+    chosen = ", ".join(f"{name} {_plain(value)}" for name, value in protocol.items())
     frames = f", data {run.data['names_sha256'][:_DIGITS]}" if run.data else ""
     return f"{run.dataset}: {len(run.outcome)} queries, {run.outcome.n_places} places ({chosen}){frames}"
 
 
 def describe_view(run: Run, whole: bool = False) -> str:
-    """Return in a few words, or in all, what a view of a run shows; empty for the run itself."""
+    """Return the protocol of a view in a few words, or `whole`; empty for the run itself."""
     names = [name for name in run.protocol if name.startswith(VIEWS) and (whole or name in VIEWS)]
     return ", ".join(f"{name.replace('_', ' ')} {run.protocol[name]}" for name in names)
-
-
-def describe_interval(run: Run) -> str | None:
-    """Return in one line how long the blocks behind the interval of R@1 are; None for Wilson's interval."""
-    interval = recall_interval([run])
-    if interval is None or interval.kind == "independent":
-        return None
-    return f"interval of R@1: from blocks of {interval.block} neighbouring queries"
 
 
 def describe_tolerance(run: Run) -> str | None:

@@ -6,7 +6,6 @@ import hashlib
 import json
 import logging
 import os
-import stat
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -25,7 +24,6 @@ logger = logging.getLogger(__name__)
 
 SCHEMA = 10
 SUMMARY, _ARRAYS, _FAILURE = "run.json", "arrays.safetensors", "failure.json"
-_LARGEST_SUMMARY = 1 << 26  # bytes
 _SHOWN = 60  # characters of a value in a message
 _RUN, _FAILED = TypeAdapter(Run), TypeAdapter(Failure)
 
@@ -65,8 +63,8 @@ def load(folder: Path) -> Run:
     Raises DamagedRunError if a part is missing, changed, impossible or unreadable, OtherLayoutError for another layout.
     """
     try:
-        summary = _read_summary(_read_bytes(folder / SUMMARY, _LARGEST_SUMMARY))
-        if _digest(_require_file(folder / _ARRAYS)) != summary.pop("sha256"):
+        summary = _read_summary((folder / SUMMARY).read_bytes())
+        if _digest(folder / _ARRAYS) != summary.pop("sha256"):
             raise DamagedRunError(f"{_ARRAYS} is not what was written")
         return _build_run(summary, mapped_arrays(folder / _ARRAYS))
     except (DamagedRunError, OtherLayoutError):
@@ -84,7 +82,7 @@ def read_failure(folder: Path) -> Failure | None:
     """Read a failure; None if there is none or, with a warning, none whole."""
     path = folder / _FAILURE
     try:
-        return _validate(_FAILED, json.loads(_read_bytes(path, _LARGEST_SUMMARY)), {})
+        return _validate(_FAILED, json.loads(path.read_bytes()), {})
     except (FileNotFoundError, NotADirectoryError):
         return None
     except (OSError, MemoryError, ValueError, TypeError, RecursionError) as error:
@@ -145,21 +143,6 @@ def _write_json(path: Path, content: Mapping[str, Any]) -> None:
         json.dump(content, file, indent=1)
         file.flush()
         os.fsync(file.fileno())
-
-
-def _read_bytes(path: Path, most_bytes: int) -> bytes:
-    with _require_file(path).open("rb") as file:
-        content = file.read(most_bytes + 1)
-    if len(content) > most_bytes:
-        raise ValueError(f"{path.name} is larger than {most_bytes} bytes")
-    return content
-
-
-def _require_file(path: Path) -> Path:
-    """Return the path of a file; raises ValueError for a pipe or a device, which might never end."""
-    if not stat.S_ISREG(path.stat().st_mode):
-        raise ValueError(f"{path.name} is no file")
-    return path
 
 
 def _digest(path: Path) -> str:

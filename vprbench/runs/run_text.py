@@ -51,9 +51,7 @@ def run_text(
     notes = [(f"note: {note.text}", "yellow", False) for note in list_notes(shown[0])]
     said: list[tuple[str, str, bool]] = [*notes, (rows.describe_protocol(run), "", True)]
     said += [(f"{rows.describe_view(one, whole=True)}: {len(one.outcome)} queries", "", False) for one in seen]
-    below = list(
-        filter(None, (line(one) for one in shown for line in (rows.describe_interval, rows.describe_tolerance)))
-    )
+    below = [line for one in shown if (line := rows.describe_tolerance(one)) is not None]
     if from_store:
         below.append(f"from the store: {folder} (force=true runs again)")
     elif folder is not None:

@@ -1,4 +1,4 @@
-"""What a run keeps of the spikes of a network: plain values for each layer."""
+"""Statistics of a network's spikes for the record of a run: plain values for each layer."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from vprbench.errors import BadInput
 from vprbench.runs.answers import block_size
 from vprbench.runs.notes import Note
 
-_QUERIES = 256  # whose spikes are counted, at most
+_QUERIES = 256  # at most, of which spikes are counted
 
 
 def count_spikes(method: Method, queries: Images) -> tuple[dict[str, Any] | None, tuple[Note, ...]]:
-    """Return what the layers of a spiking network did for queries spread over all, and what went wrong meanwhile."""
+    """Return the statistics of a spiking network over queries spread over all; None, and a note, if counting fails."""
     if type(method).spikes is Method.spikes:
         return None, ()
     wanted = batch_size_for(method, min(_QUERIES, len(queries)))
@@ -64,11 +64,9 @@ def _of_layer(layer: LayerSpikes) -> dict[str, Any]:
         "neurons": values.shape[1],
         "spikes_per_query": per_query.sum(1, dtype=np.float64).tolist(),
         "active_share": float(spiked.any(0).mean()) if values.size else 0.0,
-        "amplitude_mean": float(values[spiked].mean(dtype=np.float64)) if _has_amplitudes(layer) else None,
+        "amplitude_mean": float(values[spiked].mean(dtype=np.float64))
+        if layer.kind == "amplitude" and spiked.any()
+        else None,
         **({"times": layer.times[len(values) // 2].tolist()} if layer.times is not None else {}),
         **({"synops": synops, "operation": operation} if leads else {}),
     }
-
-
-def _has_amplitudes(layer: LayerSpikes) -> bool:
-    return layer.kind == "amplitude" and bool((layer.values > 0).any())

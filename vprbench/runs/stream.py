@@ -26,16 +26,16 @@ from vprbench.terminal.console import table_text
 _STOPS = 10  # where nobody says how many places lie between two
 
 
-def parse_step(asked: bool | int, method: Method, n_places: int) -> int:
+def parse_step(step: bool | int, method: Method, n_places: int) -> int:
     """Return how many places the first map has and each stop adds; 0 if no growing map is asked for.
 
     Raises BadInput for more than the map has, and for a method that learns its places together.
     """
-    if asked and not method.extends:
-        raise BadInput(f"stream={asked}: {type(method).__name__} learns its places together: leave stream out")
-    if asked is not True and not 0 <= asked < n_places:
-        raise BadInput(f"stream={asked}: give 1 to {n_places - 1} places, for the map has {n_places}, or true")
-    return -(-n_places // _STOPS) if asked is True else int(asked)
+    if step and not method.extends:
+        raise BadInput(f"stream={step}: {type(method).__name__} learns its places together: leave stream out")
+    if step is not True and not 0 <= step < n_places:
+        raise BadInput(f"stream={step}: give 1 to {n_places - 1} places, for the map has {n_places}, or true")
+    return -(-n_places // _STOPS) if step is True else int(step)
 
 
 def grow_map(request: Request) -> list[dict[str, Any]]:
@@ -77,7 +77,7 @@ def _answerable_queries(positives: PlacesPerQuery, n: int) -> npt.NDArray[np.int
 def list_stops(run: Run) -> list[dict[str, Any]]:
     """Return of each stop of a growing map R@1, 0 to 1, with its 95 % interval, and the seconds of a place.
 
-    R@1 of the queries whose place the map knows, and of those of its first places.
+    R@1 is of the queries with a place in the map; `recall_at_1_of_first` of the queries of its first places.
     """
     lines, stops = [], run.stream or ()
     known = [_answerable_queries(run.positives, stop["places"]) for stop in stops]
@@ -101,7 +101,7 @@ def list_stops(run: Run) -> list[dict[str, Any]]:
 
 
 def format_stops(run: Run) -> str:
-    """Return a growing map as a small table, whose last line is the map that was learnt at once."""
+    """Return a growing map as a small table, with a last line for the map that was learnt at once."""
     stops, percent, rows = list_stops(run), METRICS["recall_at_1"].text, []
     for stop in stops:
         recall, low, high, of_first = (percent(stop[f"recall_at_1{end}"]) for end in ("", "_low", "_high", "_of_first"))

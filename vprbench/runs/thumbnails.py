@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import io
+import json
 import logging
-from collections.abc import Collection, Iterable
+import zipfile
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from PIL import Image as PillowImage
 
 from vprbench import progress
@@ -21,7 +22,7 @@ from vprbench.storage.atomic import remove_leftovers, replace_bytes
 
 logger = logging.getLogger(__name__)
 
-_FOLDER = "frames"
+_FOLDER, _ABOUT = "frames", "about.json"
 _EXAMPLE_SIDE = 640  # pixels, the longest
 _EXAMPLES = 4
 _SIDE, _QUALITY = 96, 50  # of a thumbnail: its longest side in pixels, and WebP's quality; about 1 kB
@@ -51,7 +52,7 @@ class Thumbnails:
     references: tuple[bytes, ...]  # WebP, by place
 
 
-Shown = Iterable[tuple[int, Collection[int]]]  # queries, what matters most first, each with the places beside it
+Shown = Iterable[tuple[int, Collection[int]]]  # queries, most important first, each with the places beside it
 
 
 def choose_frames(shown: Shown, most: int) -> tuple[set[int], set[int]]:
@@ -68,51 +69,56 @@ def choose_frames(shown: Shown, most: int) -> tuple[set[int], set[int]]:
 
 
 def save_thumbnails(root: Path, fingerprint: str, dataset: Dataset, shown: Shown = ()) -> None:
-    """Keep small pictures of a dataset below a results folder, but for those that are there already.
+    """Keep small pictures of a dataset below a results folder, beside those that are there already.
 
     Of a large dataset only some frames are kept: those that `shown` names first. Several processes may do so at once; a
-    reader finds a whole file or none, and what one adds while another does may have to be added again. Raises OSError
-    if the disk refuses and BadInput if a frame cannot be read.
+    reader finds a whole file or none, and pictures that one adds while another does may be lost until the next run.
+    Raises OSError if the disk refuses and BadInput if a frame cannot be read.
     """
     found = load_thumbnails(root, fingerprint)
     _, first_of_place = np.unique(dataset.places, return_index=True)
-    traverses = {"queries": dataset.queries, "references": dataset.references[first_of_place]}
-    kept = {
-        "queries": [*found.queries] if found else [b""] * len(traverses["queries"]),
-        "references": [*found.references] if found else [b""] * len(traverses["references"]),
-    }
-    chosen: tuple[Collection[int], Collection[int]] = range(len(kept["queries"])), range(len(kept["references"]))
-    if sum(map(len, kept.values())) > _MOST:
-        room = _MOST - sum(1 for frames in kept.values() for frame in frames if frame)
-        chosen = choose_frames(shown, min(_OF_RUN, room))
-    missing = {
-        name: [index for index in sorted(indices) if not kept[name][index]]
-        for name, indices in zip(kept, chosen, strict=True)
-    }
-    if found is not None and not any(missing.values()):
+    queries, references = dataset.queries, dataset.references[first_of_place]
+    frames = (
+        [*found.queries] if found else [b""] * len(queries),
+        [*found.references] if found else [b""] * len(references),
+    )
+    chosen: tuple[Collection[int], Collection[int]] = range(len(queries)), range(len(references))
+    if len(queries) + len(references) > _MOST:
+        chosen = choose_frames(shown, min(_OF_RUN, _MOST - sum(map(bool, frames[0] + frames[1]))))
+    missing = [[n for n in sorted(wanted) if not kept[n]] for wanted, kept in zip(chosen, frames, strict=True)]
+    if found is not None and not any(missing):
         return
-    for name, indices in missing.items():
-        images = traverses[name][np.array(indices, np.int64)]
-        for number, image in enumerate(images):
-            progress.report(f"keeping small {name}", number / len(images))
-            kept[name][indices[number]] = _encode(_shrink(image, _SIDE), quality=_QUALITY)
-    written = io.BytesIO()
-    np.savez_compressed(written, allow_pickle=False, **_content(fingerprint, dataset, traverses["references"], kept))
+    for name, images, wanted, kept in zip(
+        ("queries", "references"), (queries, references), missing, frames, strict=True
+    ):
+        for number, image in enumerate(images[np.array(wanted, np.int64)]):
+            progress.report(f"keeping small {name}", number / len(wanted))
+            kept[wanted[number]] = _encode(image, _SIDE, quality=_QUALITY)
     path = _path(root, fingerprint)
     path.parent.mkdir(exist_ok=True)
     remove_leftovers(path.parent)
-    replace_bytes(path, written.getvalue())
+    replace_bytes(path, _pack(fingerprint, dataset, references, *frames))
 
 
 def load_thumbnails(root: Path, fingerprint: str) -> Thumbnails | None:
     """Return the pictures kept of a dataset; None if there are none or, with a warning, if they are damaged."""
     path = _path(root, fingerprint)
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            content = {name: archive[name] for name in archive.files}
-        if content["fingerprint"].item() != fingerprint:
-            raise ValueError("they are of another dataset")
-        return _read_content(content)
+        with zipfile.ZipFile(path) as archive:
+            about = json.loads(archive.read(_ABOUT))
+            if about["fingerprint"] != fingerprint:
+                raise ValueError("they are of another dataset")
+            files = {name: archive.read(name) for name in archive.namelist()}
+        names = {part: tuple(about[part]) for part in ("queries", "references")}
+        return Thumbnails(
+            query_names=names["queries"],
+            reference_names=names["references"],
+            examples=tuple(
+                Example(query, place, *(_decode(files[f"examples/{n}-{part}"]) for part in names))
+                for n, (query, place) in enumerate(about["examples"])
+            ),
+            **{part: tuple(files.get(f"{part}/{n}", b"") for n in range(len(names[part]))) for part in names},
+        )
     except FileNotFoundError:
         return None
     except Exception as error:  # a damaged file fails in many ways
@@ -121,74 +127,37 @@ def load_thumbnails(root: Path, fingerprint: str) -> Thumbnails | None:
 
 
 def _path(root: Path, fingerprint: str) -> Path:
-    return root / _FOLDER / f"{fingerprint[:16]}.npz"
+    return root / _FOLDER / f"{fingerprint[:16]}.zip"
 
 
-def _content(
-    fingerprint: str, dataset: Dataset, references: Images, kept: dict[str, list[bytes]]
-) -> dict[str, npt.NDArray[Any]]:
-    """Return the pictures of a dataset as named arrays: the frames that are kept, by traverse, and examples."""
-    answerable = [query for query, right in enumerate(dataset.positives) if len(right)]
-    spread = np.linspace(0, len(answerable) - 1, min(_EXAMPLES, len(answerable))).astype(int).tolist()
-    examples = [answerable[i] for i in spread]
-    right = [int(dataset.positives[query][len(dataset.positives[query]) // 2]) for query in examples]
-    return {
-        "fingerprint": np.array(fingerprint),
-        "query_names": np.array(dataset.queries.names),
-        "reference_names": np.array(references.names),
-        "examples": np.array([examples, right], np.int64),  # (2, n_examples)
-        **_pack("queries", kept["queries"]),
-        **_pack("references", kept["references"]),
-        **_pack("example_queries", (_encode_example(dataset.queries[query]) for query in examples)),
-        **_pack("example_references", (_encode_example(references[place]) for place in right)),
-    }
+def _pack(
+    fingerprint: str, dataset: Dataset, references: Images, of_queries: Sequence[bytes], of_places: Sequence[bytes]
+) -> bytes:
+    """Return a ZIP file of the frames that are kept, of examples, and of the names of all."""
+    answerable = np.flatnonzero([len(right) > 0 for right in dataset.positives])
+    spread = np.linspace(0, len(answerable) - 1, min(_EXAMPLES, len(answerable))).astype(int)
+    queries = answerable[spread].tolist()
+    examples = [(query, int(dataset.positives[query][len(dataset.positives[query]) // 2])) for query in queries]
+    names = {"queries": list(dataset.queries.names), "references": list(references.names)}
+    files = {_ABOUT: json.dumps({"fingerprint": fingerprint, **names, "examples": examples}).encode()}
+    for part, frames in zip(names, (of_queries, of_places), strict=True):
+        files |= {f"{part}/{n}": frame for n, frame in enumerate(frames) if frame}
+    for n, (query, place) in enumerate(examples):
+        for part, image in zip(names, (dataset.queries[query], references[place]), strict=True):
+            files[f"examples/{n}-{part}"] = _encode(image, _EXAMPLE_SIDE, lossless=True)
+    written = io.BytesIO()
+    with zipfile.ZipFile(written, "w") as archive:
+        for name, content in files.items():
+            archive.writestr(name, content)
+    return written.getvalue()
 
 
-def _encode_example(image: Image) -> bytes:
-    return _encode(_shrink(image, _EXAMPLE_SIDE), lossless=True)
-
-
-def _shrink(image: Image, side: int) -> PillowImage.Image:
-    """Return an image whose longest side has at most `side` pixels."""
-    picture = PillowImage.fromarray(image)
+def _encode(image: Image, side: int, **options: Any) -> bytes:
+    """Return an image as WebP, its longest side at most `side` pixels."""
+    picture, buffer = PillowImage.fromarray(image), io.BytesIO()
     picture.thumbnail((side, side))
-    return picture
-
-
-def _encode(picture: PillowImage.Image, **options: Any) -> bytes:
-    buffer = io.BytesIO()
     picture.save(buffer, "WEBP", method=_EFFORT, **options)
     return buffer.getvalue()
-
-
-def _pack(name: str, parts: Iterable[bytes]) -> dict[str, npt.NDArray[Any]]:
-    """Return byte strings as one array of bytes and one of where each ends."""
-    encoded = list(parts)
-    ends = np.cumsum([len(part) for part in encoded], dtype=np.int64)
-    return {name: np.frombuffer(b"".join(encoded), np.uint8), f"{name}_end": ends}
-
-
-def _unpack(content: dict[str, npt.NDArray[Any]], name: str) -> tuple[bytes, ...]:
-    joined, ends = content[name].tobytes(), content[f"{name}_end"].tolist()
-    return tuple(joined[start:end] for start, end in zip([0, *ends], ends, strict=False))
-
-
-def _read_content(content: dict[str, npt.NDArray[Any]]) -> Thumbnails:
-    queries, places = content["examples"].tolist()
-    pictures = zip(_unpack(content, "example_queries"), _unpack(content, "example_references"), strict=True)
-    kept = Thumbnails(
-        query_names=tuple(content["query_names"].tolist()),
-        reference_names=tuple(content["reference_names"].tolist()),
-        examples=tuple(
-            Example(query, place, _decode(asked), _decode(right))
-            for query, place, (asked, right) in zip(queries, places, pictures, strict=True)
-        ),
-        queries=_unpack(content, "queries"),
-        references=_unpack(content, "references"),
-    )
-    if (len(kept.queries), len(kept.references)) != (len(kept.query_names), len(kept.reference_names)):
-        raise ValueError("it holds other numbers of frames than of names")
-    return kept
 
 
 def _decode(webp: bytes) -> Image:

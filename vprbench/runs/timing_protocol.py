@@ -41,9 +41,9 @@ class Protocol:
             )
 
     def shortfalls(self, request: Protocol) -> list[str]:
-        """Return the options in which less was measured than is asked for; none: the measurement is enough.
+        """Return the options in which this protocol measures less than `request`; none: it is enough.
 
-        Whatever was measured answers `rates: false`.
+        Any measurement answers `rates: false`.
         """
         if not request.rates:
             return []

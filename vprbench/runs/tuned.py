@@ -40,7 +40,7 @@ def find_tuned_queries(run: Run) -> npt.NDArray[np.bool_] | None:
         tuned = np.bincount(queries_shown(run)[shown], minlength=n_stored) > 0
     else:
         return None
-    reach = window_of(run) - 1  # to either side: whose scores the answer may rest on
+    reach = window_of(run) - 1  # to either side: an answer may rest on their scores
     return np.convolve(tuned, np.ones(2 * reach + 1))[reach:][:n_stored][queries_shown(run)] > 0
 
 

@@ -20,7 +20,7 @@ Queries = npt.NDArray[np.int64]  # (n_shown,), ascending
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """What a view of a stored run shows; it is never stored."""
+    """The queries of a view of a stored run; it is never stored."""
 
     queries: Queries  # the stored queries that it still asks
     window: int = 1  # neighbouring queries that one answer rests on: no block of an interval is shorter
