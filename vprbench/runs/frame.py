@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, fields
+from dataclasses import astuple
 from typing import TYPE_CHECKING, Any
 
 from vprbench.metrics.accuracy import hits_within, recall_at
@@ -21,6 +21,13 @@ if TYPE_CHECKING:
 
 Facts = dict[str, Any]
 
+_TIMED = (
+    *("streaming_encode_hz", "streaming_match_hz", "streaming_total_hz"),
+    *("streaming_p90_seconds", "streaming_p99_seconds"),
+    *("offline_encode_hz", "offline_match_hz", "offline_total_hz", "offline_batch"),
+)
+_OF_INDEX = ("recall_at_1", "recall_at_10", "bytes_per_place", "build_seconds")
+
 #: The columns of every frame, in their order; `recall_at_1_within_K_places` and more metrics come on request.
 COLUMNS = (
     *("method", "arguments", "label", "dataset", "dataset_arguments", "protocol", "protocol_name"),
@@ -30,9 +37,7 @@ COLUMNS = (
     *("recall_at_1_pessimistic", "recall_at_1_optimistic", "recall_at_1_elsewhere", "recall_at_1_elsewhere_low"),
     *("recall_at_1_elsewhere_high", "queries_elsewhere", "auc_pr_a", "average_precision_a"),
     *("fit_seconds", "fit_compute_seconds", "first_query_seconds", "load_seconds"),
-    *("fitted_alone", "timed_alone", "streaming_encode_hz", "streaming_match_hz", "streaming_total_hz"),
-    *("streaming_p90_seconds", "streaming_p99_seconds", "offline_encode_hz", "offline_match_hz", "offline_total_hz"),
-    *("offline_batch", "index_recall_at_1", "index_recall_at_10", "index_bytes_per_place", "index_build_seconds"),
+    *("fitted_alone", "timed_alone", *_TIMED, *(f"index_{name}" for name in _OF_INDEX)),
     *("peak_memory_bytes", "harness_seconds", "method_seconds", "queries", "places", "network", "tuned_on"),
     *("machine", "time_utc", "disturbed", "notes", "key"),
 )
@@ -105,8 +110,7 @@ def _row(result: Run | Failure, metrics: Sequence[str], known: Mapping[str, Entr
 def list_numbers(run: Run, metrics: Sequence[str] = ()) -> dict[str, float | int | str | None]:
     """Return one run as unrounded numbers, under names that hold their unit, with more `metrics` by their names."""
     first, answerable = recall_at(run.outcome, 1), recall_at(run.outcome, 1, "answerable")
-    interval = recall_interval([run])
-    search = run.search or {}
+    interval, search = recall_interval([run]), run.search or {}
     return {
         **_accuracies(run, [f"recall_at_{n}" for n in RECALLS]),
         "recall_at_1_low": interval.low if interval else None,
@@ -119,20 +123,13 @@ def list_numbers(run: Run, metrics: Sequence[str] = ()) -> dict[str, float | int
         **{f"recall_at_1_within_{k}_places": share for k, share in recall_at_1_within(run).items()},
         **_recall_off_tuned_places(run),
         **_accuracies(run, ["auc_pr_a", "average_precision_a"]),
-        "fit_seconds": run.fit_seconds,
-        "fit_compute_seconds": run.fit_compute_seconds,
+        **{name: getattr(run, name) for name in ("fit_seconds", "fit_compute_seconds")},
         "first_query_seconds": None if run.timing is None else run.timing.first_query_seconds,
         "load_seconds": run.load_seconds,
-        "fitted_alone": run.environment.get("fitted_alone"),
-        "timed_alone": run.environment.get("timed_alone"),
+        **{name: run.environment.get(name) for name in ("fitted_alone", "timed_alone")},
         **_rate_numbers(run.timing),
-        "index_recall_at_1": search.get("recall_at_1"),
-        "index_recall_at_10": search.get("recall_at_10"),
-        "index_bytes_per_place": search.get("bytes_per_place"),
-        "index_build_seconds": search.get("build_seconds"),
-        "peak_memory_bytes": run.peak_memory_bytes,
-        "harness_seconds": run.harness_seconds,
-        "method_seconds": run.method_seconds,
+        **{f"index_{name}": search.get(name) for name in _OF_INDEX},
+        **{name: getattr(run, name) for name in ("peak_memory_bytes", "harness_seconds", "method_seconds")},
         "queries": len(run.outcome),
         "places": run.outcome.n_places,
         **_accuracies(run, metrics),
@@ -193,17 +190,8 @@ def _accuracies(run: Run, metrics: Sequence[str]) -> dict[str, float | None]:
 def _rate_numbers(timing: Timing | None) -> dict[str, float | int | None]:
     """Return rates and percentiles by their names; without a timing each is None."""
     if timing is None:
-        rates = (f"{scenario}_{stage.name}_hz" for scenario in ("streaming", "offline") for stage in fields(StageRates))
-        return dict.fromkeys([*rates, "streaming_p90_seconds", "streaming_p99_seconds", "offline_batch"])
+        return dict.fromkeys(_TIMED)
     streaming, batch = timing.streaming, best_batch(timing.offline)
-    return {
-        **_named_rates("streaming", StageRates.streaming(streaming)),
-        "streaming_p90_seconds": percentile_bound(streaming.total_seconds, 0.9),
-        "streaming_p99_seconds": percentile_bound(streaming.total_seconds, 0.99),
-        **_named_rates("offline", StageRates.offline(batch)),
-        "offline_batch": batch.images_per_call,
-    }
-
-
-def _named_rates(scenario: str, rates: StageRates) -> dict[str, float]:
-    return {f"{scenario}_{stage}_hz": rate for stage, rate in asdict(rates).items()}
+    percentiles = (percentile_bound(streaming.total_seconds, share) for share in (0.9, 0.99))
+    rates = astuple(StageRates.streaming(streaming)), astuple(StageRates.offline(batch))
+    return dict(zip(_TIMED, (*rates[0], *percentiles, *rates[1], batch.images_per_call), strict=True))

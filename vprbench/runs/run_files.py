@@ -22,7 +22,7 @@ Record = TypeVar("Record")
 
 logger = logging.getLogger(__name__)
 
-SCHEMA = 10
+SCHEMA = 11
 SUMMARY, _ARRAYS, _FAILURE = "run.json", "arrays.safetensors", "failure.json"
 _SHOWN = 60  # characters of a value in a message
 _RUN, _FAILED = TypeAdapter(Run), TypeAdapter(Failure)

@@ -185,7 +185,7 @@ def test_a_method_outside_the_plan_shows_the_time_to_build_its_map_in_no_contest
     ("tuned_on", "best"),
     [
         ({"dataset": "railway", "places": "half of the places"}, False),
-        ({"dataset": "rails", "places": "half of the places", "also_in": ["railway"]}, False),
+        ({"dataset": "rails", "places": "half of the places", "also_in": {"railway": "unknown"}}, False),
         ({"dataset": "street", "places": "half of the places"}, True),
     ],
 )
