@@ -29,7 +29,6 @@ from vprbench.errors import BadInput, ClusterLostError, NotThere, TrainingDiverg
 from vprbench.jobs import job
 from vprbench.jobs.child import run_job
 from vprbench.jobs.job import JobResult
-from vprbench.jobs.search import spread_over
 from vprbench.jobs.sweep import as_json, divided, swept
 from vprbench.plugins import registry
 from vprbench.progress import answers_alone, log_to_stderr
@@ -157,9 +156,8 @@ def _run(config: DictConfig) -> JobResult:
     with answers_alone() as say:
         say = printed.append if as_job else say  # the process that asked prints it
         try:
-            with spread_over(settings.search_scheduler):
-                key = _answer(choices["method"], recorded, settings, store, say)
-                return JobResult(0, key=key, printed="\n".join(printed))
+            key = _answer(choices["method"], recorded, settings, store, say)
+            return JobResult(0, key=key, printed="\n".join(printed))
         except KeyboardInterrupt:
             raise
         except HeldElsewhereError as error:  # the process that asked asks again

@@ -291,8 +291,8 @@ def test_a_large_map_is_asked_for_its_best_places_alone_when_scored_and_when_tim
         def match(self, codes):
             raise AssertionError("all places were scored")
 
-        def nearest(self, codes, n, **how):
-            return super().nearest(codes, n, **how)
+        def nearest(self, codes, n):
+            return super().nearest(codes, n)
 
     run = on(Shortlisted())
     twenty = Angles().encode(pictures(range(20))).astype(np.float64)

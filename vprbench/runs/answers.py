@@ -180,10 +180,7 @@ class Scoring:
         """Yield a note if the method was asked for its best places alone."""
         if isinstance(self.asked, Shortlisting):
             best = f"of {self._n_places:,} places the best {self.asked.depth} of each query are kept"
-            others = "" if self.asked.mapped is map else "; the workers of a cluster searched"
-            yield Note(
-                "shortlist", f"large map: {best}, and a right place that is none of these is no candidate{others}"
-            )
+            yield Note("shortlist", f"large map: {best}, and a right place that is none of these is no candidate")
 
     def _encode(self, block: Images) -> npt.NDArray[Any]:
         with self._stopwatch.lap() as lap:

@@ -39,7 +39,6 @@ class Settings:
     views: Any = None  # viewpoints from which each query is asked
     frames: bool = True  # keep small pictures of the dataset, for figures and report
     limit_minutes: float | None = None  # after which a run has failed; None: none
-    search_scheduler: str | None = None  # address of a dask cluster that searches large maps; None: this process does
     corruption: str | list[str] | None = None  # of the query frames, as in shift-1; several: a run each, fitted once
     save: str | None = None  # file for the trained network
     load: str | None = None  # file of a trained network; nothing is trained then

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,24 +13,10 @@ from vprbench.api.descriptor import DescriptorMethod
 from vprbench.api.images import Images
 from vprbench.api.method import Method
 from vprbench.api.nearest import Nearest
-from vprbench.api.search import Mapped
 from vprbench.runs.viewpoints import Viewed
 
 LARGE_MAP = 1 << 18  # places: of more, a run keeps the best ones of each query alone
 TOGETHER = 1024  # queries compared with such a map at once
-
-
-_mapped: ContextVar[Mapped] = ContextVar("who_searches_large_maps", default=map)
-
-
-@contextmanager
-def searching(mapped: Mapped) -> Iterator[None]:
-    """Let `mapped` stand in for `map` where large maps are searched inside the block: a cluster's, for instance."""
-    token = _mapped.set(mapped)
-    try:
-        yield
-    finally:
-        _mapped.reset(token)
 
 
 @dataclass(frozen=True)
@@ -42,7 +25,6 @@ class Shortlisting:
 
     method: DescriptorMethod
     depth: int
-    mapped: Mapped
 
     @property
     def code_bytes(self) -> int:
@@ -55,7 +37,7 @@ class Shortlisting:
 
     def match(self, codes: npt.NDArray[np.float32]) -> Nearest:
         """Return the best places for every code, (n_queries, depth)."""
-        return Nearest(*self.method.nearest(codes, self.depth, mapped=self.mapped))
+        return Nearest(*self.method.nearest(codes, self.depth))
 
 
 Scorer = Method | Shortlisting | Viewed
@@ -78,4 +60,4 @@ def scorer_for(method: Method, n_places: int, depth: int, whole: bool = False) -
     match, nearest = (
         next(kind for kind in type(method).__mro__ if name in vars(kind)) for name in ("match", "nearest")
     )
-    return Shortlisting(method, min(depth, n_places), _mapped.get()) if issubclass(nearest, match) else method
+    return Shortlisting(method, min(depth, n_places)) if issubclass(nearest, match) else method
