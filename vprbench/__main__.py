@@ -1,4 +1,4 @@
-"""Makes `python -m vprbench` the command line, and the process that makes one job of another process."""
+"""Makes `python -m vprbench` the command line, and the process that makes one run of another process."""
 
 from __future__ import annotations
 
@@ -16,10 +16,8 @@ def main() -> int:
     """Run the command line; returns the exit code, 0 only if every run or command that was asked for is done."""
     _open_streams()
     faulthandler.enable(2)  # standard error: a crash names the line of the plug-in
-    from vprbench.jobs import job
-
-    if folder := os.environ.pop(job.FOLDER, ""):
-        return _make_job(Path(folder))
+    if sys.argv[1:2] == ["--job"]:
+        return _make_job(Path(sys.argv[2]), int(sys.argv[3]))
     from vprbench.commands.at_once import answered
     from vprbench.errors import BadInput
     from vprbench.text import printable
@@ -37,29 +35,41 @@ def main() -> int:
     from vprbench import cli, progress
 
     progress.own_process = True
-    return cli.main()
+    code = cli.main()
+    _end_children()
+    return code
 
 
-def _make_job(folder: Path) -> int:
-    """Make a job in this process, and leave its result in the folder that it was asked in."""
-    from vprbench.jobs import job
+def _make_job(folder: Path, parent: int) -> int:
+    """Make the run of a folder in this process, and end at once: a plug-in may have left threads and children."""
     from vprbench.runs import timing_lock
 
-    job.current = job.Job.read(folder)
     if sys.platform == "linux":
         import ctypes
 
         ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG: this process ends with the one that asked
-        if os.getppid() != job.current.parent:  # which has died before
+        if os.getppid() != parent:  # which has died before
             return 1
     signal.signal(signal.SIGINT, _interrupt_once)
-    with timing_lock.computing():
-        from vprbench import cli, progress
+    try:
+        with timing_lock.computing():
+            from vprbench import progress
+            from vprbench.jobs.child import make_job
 
-        progress.own_process = True
-        result = cli.attempt(job.current.options)
-    result.write(folder)
-    return result.code
+            progress.own_process = True
+            code = make_job(folder)
+    except KeyboardInterrupt as error:  # the process that asked says it
+        code = 128 + int((error.args or (signal.SIGINT,))[0])
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)
+
+
+def _end_children() -> None:
+    """End the processes that a plug-in has left, which the interpreter would wait for."""
+    multiprocessing = sys.modules.get("multiprocessing")
+    for child in multiprocessing.active_children() if multiprocessing else ():
+        child.terminate()
 
 
 def _interrupt(number: int, _: object) -> NoReturn:

@@ -2,10 +2,8 @@
 
 import errno
 import json
-import os
 import re
 import shutil
-import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +14,7 @@ from served_files import serving
 from small_plan import RUN, Apart
 
 from vprbench.cli import main
-from vprbench.jobs import executors, job
-from vprbench.jobs.job import Job, JobResult
+from vprbench.jobs import executors
 from vprbench.plugins import registry
 from vprbench.runs import runner
 from vprbench.storage import tensors
@@ -53,27 +50,6 @@ def frames(folder, count, size=(16, 12), mode="RGB"):
         image = PillowImage.fromarray(generator.integers(0, 256, (size[1], size[0], 3), dtype=np.uint8))
         image.convert(mode).save(folder / f"{number}.png")
     return folder
-
-
-@pytest.mark.parametrize(("one", "options"), [("cli._run", []), ("jobs.executors.run_job", ["-m"])])
-def test_no_run_sees_a_temporary_folder_and_what_a_killed_sweep_left_is_removed_after_a_day(
-    tmp_path, monkeypatch, one, options
-):
-    temporary = tmp_path / "temporary"
-    old = temporary / ".partial-0-vprbench"
-    old.mkdir(parents=True)
-    os.utime(old, (0, 0))
-    monkeypatch.setattr(tempfile, "tempdir", str(temporary))
-    seen = []
-
-    def look(*_, **__):
-        seen.append(len({*temporary.iterdir()} - {old}))
-        return JobResult(0)
-
-    monkeypatch.setattr(f"vprbench.{one}", look)
-    assert main([*options, "method=sad", *QUICK]) == 0
-    assert (seen, old.exists()) == ([0], not options)
-    assert {*temporary.iterdir()} <= {old}
 
 
 def test_a_run_prints_one_json_object_and_answers_from_the_store_unless_forced_where_nothing_can_be_written_too(
@@ -118,8 +94,7 @@ def test_a_row_names_its_numbers_and_its_folder_from_the_store_too_under_the_wor
 
 @pytest.mark.extended
 def test_a_sweep_survives_failing_cells_and_says_in_a_line_each_which_weights_are_missing(capsys, monkeypatch):
-    monkeypatch.setattr(job, "current", Job())
-    monkeypatch.setattr(executors, "run_job", Apart())
+    monkeypatch.setattr(executors, "run_in_child", Apart())
     assert main(["-m", "method=gcl,salad,sad", *QUICK]) == 2
     (run,) = Path().rglob("run.json")
     assert json.loads(run.read_text())["method"] == "sad"

@@ -19,7 +19,8 @@ from vprbench.errors import BadInput
 from vprbench.metrics.ranking import outcome, outcome_of_best, ranked_places
 from vprbench.runs import descriptors, fitting, runner, shortlist
 from vprbench.runs.descriptors import DescriptorCache
-from vprbench.runs.identity import Request
+from vprbench.runs.experiment import Experiment
+from vprbench.runs.request import RunRequest
 from vprbench.runs.stopwatch import Protocol, Stopwatch
 from vprbench.storage import shards
 
@@ -55,8 +56,10 @@ def dataset():
 
 def run(method, dataset, folder, arguments=(), **changes):
     given = {"_target_": "Counting", "turn": 0.03, "index": "exact", "device": "cpu", **dict(arguments)}
-    config = {"method": given, "seed": 0, "device": "cpu", "depth": 5, "overrides": [], "files": [], **changes}
-    return runner.run(Request("counting", method, dataset, config, "fingerprint", PROTOCOL, 1, cache=folder), "key")
+    files = [*map(tuple, changes.pop("files", ()))]
+    asked = {"depth": 5, "threads": 1, "timing": PROTOCOL, **changes}
+    request = RunRequest("counting", given, dataset.name, {"name": dataset.name}, **asked)
+    return runner.run(Experiment(request, method, dataset, "fingerprint", files=files, cache=folder), "key")
 
 
 def encoded_for_answers(method):
@@ -323,7 +326,7 @@ def test_all_places_are_scored_where_all_scores_are_wanted_and_where_a_method_ma
         def match(self, codes):
             return -super().match(codes)
 
-    whole = runner.run(replace(asked_for(Angles(), journey(N_QUERIES, N_PLACES)), scores=True), "key")
+    whole = runner.run(asked_for(Angles(), journey(N_QUERIES, N_PLACES), scores=True), "key")
     for run in (whole, on(OwnWay())):
         assert run.scores.shape == (N_QUERIES, N_PLACES)
         assert "shortlist" not in kinds(run)

@@ -131,7 +131,7 @@ class Layered(Lookup):
 
 
 def read_run(method, dataset, **changes):
-    return runner.run(replace(asked_for(method, dataset), readouts=True, **changes), "key")
+    return runner.run(asked_for(method, dataset, readouts=True, **changes), "key")
 
 
 def test_codes_layers_and_answer_are_judged_by_the_same_right_places_and_a_place_by_its_most_similar_image():

@@ -16,11 +16,9 @@ from little import Lookup, a_failure, a_run, journey
 from little_runs import QUICK, asked_for, table
 
 from vprbench import cli
-from vprbench.plugins.networks import Files
 from vprbench.runs import run_lock
-from vprbench.runs.get_or_run import FailedElsewhereError, get_or_run
+from vprbench.runs.get_or_run import get_or_run
 from vprbench.runs.run_lock import HeldElsewhereError, RunLock, held_locks
-from vprbench.runs.settings import Settings
 from vprbench.runs.store import Store
 
 pytestmark = pytest.mark.usefixtures("surroundings")
@@ -94,9 +92,7 @@ def busy(during=lambda: None):
 
 
 def made(method, store, *waiting):
-    request = asked_for(method, journey(4, 4), replace(QUICK, rates=False), files=Files())
-    request = replace(request, config={**request.config, "files": []})
-    return get_or_run(request, Settings(frames=False, timing=request.protocol), store, *waiting)
+    return get_or_run(asked_for(method, journey(4, 4), replace(QUICK, rates=False)), store, *waiting)
 
 
 def lock_of_another(store):
@@ -105,11 +101,6 @@ def lock_of_another(store):
     made(busy(), elsewhere)
     (folder,) = (elsewhere.root / "journey").iterdir()
     return held_elsewhere(store.root, f"journey/{folder.name}")
-
-
-def failure_of(method):
-    config = {**asked_for(method, journey(4, 4)).config, "files": []}
-    return a_failure(method="little", dataset="journey", config=config, error="ValueError: no", missing=False)
 
 
 def test_a_run_is_locked_while_it_is_made_and_nothing_is_left_of_the_lock_nor_is_a_stored_run_locked(
@@ -165,31 +156,6 @@ def test_alone_a_run_waits_for_the_process_that_makes_it_and_is_answered_from_th
     other.join()
     assert method.fits == []
     assert [path.name for path in store.root.iterdir()] == ["journey"]
-
-
-def test_alone_a_run_that_fails_elsewhere_meanwhile_is_not_tried_again(store, monkeypatch):
-    method = busy()
-    acquire = RunLock.acquire
-
-    def fail_meanwhile(lock, wait=True):
-        if wait:
-            store.save_failure(failure_of(method))
-        return wait and acquire(lock)
-
-    monkeypatch.setattr(RunLock, "acquire", fail_meanwhile)
-    with pytest.raises(FailedElsewhereError, match=r"little on journey failed .*: ValueError: no"):
-        made(method, store)
-    assert method.fits == []
-
-
-def test_a_sweep_tries_again_what_failed_before_it_began_and_nothing_that_failed_since(store):
-    method = busy()
-    before = store.now() - 1
-    store.save_failure(failure_of(method))
-    with pytest.raises(FailedElsewhereError):
-        made(method, store, False, before)
-    assert not made(method, store, False, before + 60).from_store
-    assert method.fits == [1]
 
 
 def printed(capsys, store, *options):

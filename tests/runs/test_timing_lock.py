@@ -9,7 +9,6 @@ from contextlib import contextmanager
 import psutil
 import pytest
 
-from vprbench.jobs import child
 from vprbench.runs import timing_lock
 
 HOLDER = (
@@ -76,21 +75,3 @@ def is_locked(file):
         return True
     fcntl.flock(file, fcntl.LOCK_UN)
     return False
-
-
-def test_each_run_of_a_sweep_has_a_gpu_of_its_own(monkeypatch):
-    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "GPU-a,GPU-b")
-    child._gpus.cache_clear()
-    with child.free_gpu(["device=cpu", "device=cuda"], lambda: False) as first:
-        assert first == {"CUDA_VISIBLE_DEVICES": "GPU-a"}
-        with (
-            child.free_gpu(["device=cuda:1"], lambda: False) as second,
-            child.free_gpu(["seed=1"], lambda: False) as none,
-        ):
-            assert second == none == {}
-            looks = iter([False, True])
-            with child.free_gpu(["device=cuda"], lambda: next(looks)) as given_up:
-                assert given_up == {}
-        with child.free_gpu(["device=cuda"], lambda: False) as free_again:
-            assert free_again == {"CUDA_VISIBLE_DEVICES": "GPU-b"}
-    child._gpus.cache_clear()

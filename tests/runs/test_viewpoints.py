@@ -9,14 +9,13 @@ from little_runs import asked_for
 
 from vprbench.api.images import Images
 from vprbench.api.method import Method
+from vprbench.config import make_request
 from vprbench.errors import BadInput
 from vprbench.methods.sad import SAD
 from vprbench.paper.plan import PlannedColumn, Row
 from vprbench.paper.selection import ResolvedColumn, groups
 from vprbench.runs import runner
-from vprbench.runs.compose import composed
 from vprbench.runs.offset import find_offset, told_along
-from vprbench.runs.settings import checked_settings
 from vprbench.runs.viewpoints import AS_IT_IS, Viewed, Viewpoint, Viewpoints, seen_from, view_of, viewpoints
 
 pytestmark = pytest.mark.usefixtures("surroundings")
@@ -85,7 +84,7 @@ def test_what_is_no_viewpoint_is_refused_by_the_name_of_the_option(option):
 @pytest.mark.parametrize("other", ["stream=true", "energy=true"])
 def test_what_is_of_one_view_a_query_is_refused_beside_several(other):
     with pytest.raises(BadInput, match="views"):
-        checked_settings(composed(["views=auto", other]))
+        make_request(["views=[-0.1,0]", other])
 
 
 def test_a_place_has_the_score_of_the_view_that_shows_it_best_whatever_the_batch():
@@ -195,8 +194,8 @@ def moved():
 
 def run_with(dataset, views):
     asked = Viewpoints(**views)
-    request = asked_for(SAD(height=16, width=64), seen_from(dataset, asked), scores=True)
-    return runner.run(replace(request, views=asked, config={**request.config, "views": views}), "key")
+    experiment = asked_for(SAD(height=16, width=64), seen_from(dataset, asked), scores=True, views=views)
+    return runner.run(experiment, "key")
 
 
 def test_a_run_tells_its_offset_without_ground_truth_is_stored_with_it_and_finds_its_places(moved, store):

@@ -11,16 +11,17 @@ import pytest
 
 from vprbench.plugins.networks import Files
 from vprbench.runs import descriptors, machine, runner, sources
-from vprbench.runs.identity import Request
+from vprbench.runs.experiment import Experiment
+from vprbench.runs.request import RunRequest
 from vprbench.runs.stopwatch import Protocol
 
 CONFIG: dict[str, Any] = {
     "method": {"_target_": "little.Lookup", "window": 5, "device": "cpu"},
     "dataset": {"name": "journey"},
+    "frames": False,
     "seed": 0,
     "device": "cpu",
     "depth": 3,
-    "overrides": [],
 }
 QUICK = Protocol(minimum_seconds=0, minimum_queries=5, sample=16, warmup_queries=2, batch_sizes=[1, 4])
 
@@ -42,8 +43,10 @@ def asked_for(
     cache=None,
     **changes,
 ):
-    """Return the request of a little run; `changes` are made to its configuration."""
-    return Request("little", method, dataset, {**CONFIG, **changes}, "fingerprint", protocol, threads, files, cache)
+    """Return the experiment of a little run; `changes` are made to its request."""
+    given = {**CONFIG, "timing": protocol, "threads": threads, **changes}
+    request = RunRequest(method_name="little", dataset_name=dataset.name, **given)
+    return Experiment(request, method, dataset, "fingerprint", files, cache=cache)
 
 
 def table(n_queries, n_places, levels=1000):

@@ -155,7 +155,7 @@ def show_completion(words: Sequence[str]) -> None:
 def _options(command: Command, given: Sequence[str]) -> list[Option]:
     """Return the options that a command takes together with those given, those of the chosen method and dataset too."""
     conf = conf_folders()["vprbench"]
-    of_run = together(of_yaml(conf / "run.yaml"), of_class("vprbench.runs.settings:Settings"))
+    of_run = together(of_yaml(conf / "run.yaml"), of_class("vprbench.runs.request:RunRequest"))
     said = {option.name: option.meaning for option in of_run}
     own = of_class(command.takes) if command.takes else ()
     found = {each.name: replace(each, meaning=each.meaning or said.get(each.name, "")) for each in own}

@@ -5,21 +5,19 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, cast
+from typing import TYPE_CHECKING, Any
 
+from vprbench import config
 from vprbench.api.method import Method
 from vprbench.errors import BadInput
 from vprbench.plugins import registry
 from vprbench.plugins.options import chosen
 from vprbench.progress import answers_alone, progress_shown
-from vprbench.runs.compose import check_names, composed, readable
-from vprbench.runs.settings import checked_settings, n_threads
 from vprbench.storage.atomic import replace_text
 from vprbench.text import printable
 
 if TYPE_CHECKING:
     from vprbench.paper.gather import TableRequest
-    from vprbench.paper.stored_runs import Compose
 
 _NOT_OF_TABLES = ("method", "dataset", "corruption", "seed", "device", "output", "save", "load", "predictions")
 
@@ -50,16 +48,17 @@ def compare(options: list[str]) -> int:
     from vprbench.comparison.checks import sort_options
     from vprbench.comparison.make import make_comparison
 
-    return make_comparison(sort_options(readable(options)), lambda more: composed(readable(list(more))))
+    return make_comparison(sort_options(config.quote_options(options)))
 
 
-def _table_request(options: list[str]) -> tuple[TableRequest, list[str], Compose]:
-    """Return the rows and columns asked for, the options of their runs, and what resolves a dataset's options."""
+def _table_request(options: list[str]) -> tuple[TableRequest, list[str]]:
+    """Return the rows and columns that are asked for, and the options of their runs."""
     from vprbench.paper.gather import TableRequest
 
     own = [option for option in options if TableRequest.has(option)]
-    rest = readable([option for option in options if option not in own])
-    own = [*own, *readable([option for option in own if option.startswith("methods=")])]  # loose files get their names
+    rest = config.quote_options([option for option in options if option not in own])
+    loose = config.quote_options([option for option in own if option.startswith("methods=")])  # files get their names
+    own = [*own, *loose]
     for option in rest:
         if option.split("=")[0].split(".")[0] in _NOT_OF_TABLES:
             raise BadInput(
@@ -68,8 +67,10 @@ def _table_request(options: list[str]) -> tuple[TableRequest, list[str], Compose
             )
     request = chosen(TableRequest, own, {})
     rest += request.threads(rest)
-    checked_settings(composed(readable([*rest, f"results={request.results}"])))
-    return request, rest, lambda more: composed(readable(list(more)))
+    run = config.make_request(rest, {"results": request.results})
+    if not request.is_distributed:
+        run.require_machine()
+    return request, rest
 
 
 def search_parameters(options: list[str]) -> int:
@@ -78,13 +79,12 @@ def search_parameters(options: list[str]) -> int:
     from vprbench.tuning import search, space, text
 
     settings = chosen(search.Settings, options, search.QUICK)
-    check_names([f"dataset={settings.dataset}"])
-    root = [] if settings.root is None else [f"dataset.root={settings.root}"]
-    config = composed(readable([f"method={space.METHOD}", f"dataset={settings.dataset}", *root]))
+    root = {} if settings.root is None else {"dataset.root": settings.root}
+    request = config.make_request([f"method={space.METHOD}", f"dataset={settings.dataset}"], root)
     folder = Path(settings.results).expanduser()
     Store(folder).prepare()
     with progress_shown("search"):
-        found = search.search(settings, config["method"], config["dataset"])
+        found = search.search(settings, request.method, request.dataset)
     print(text.write(found, folder), end="")
     return 0
 
@@ -97,13 +97,13 @@ def compare_gpu(options: list[str]) -> int:
 
     request = chosen(check.Settings, options, check.QUICK)
     check.require_gpu(request.device)
-    given = {name: getattr(request, name) for name in ("device", "threads", "results", "seed")}
-    settings = checked_settings({**composed([]), "method": {}, **given})
-    folder = Path(settings.results).expanduser()
+    given = {name: getattr(request, name) for name in ("threads", "results", "seed")}
+    run = config.make_request([], given)
+    folder = Path(run.results).expanduser()
     Store(folder).prepare()
-    machine.pin_threads(n_threads(settings))
+    machine.pin_threads(run.n_threads)
     with progress_shown("gpu-check"):
-        report = check.check_gpu(request, _maker(settings.seed))
+        report = check.check_gpu(request, _maker(run.seed))
     text = check.to_text(report)
     replace_text(folder / "gpu.md", text)
     print(f"{text}\nwritten to {folder / 'gpu.md'}")
@@ -114,11 +114,11 @@ def _maker(seed: int) -> Callable[..., Method]:
     """Return a maker of methods by name and device; its arguments replace the arguments of the yaml."""
 
     @functools.cache
-    def config(name: str, device: str) -> dict[str, Any]:
-        return cast(dict[str, Any], composed([f"method={name}", f"device={device}", f"seed={seed}"])["method"])
+    def arguments_of(name: str, device: str) -> dict[str, Any]:
+        return config.make_request([f"method={name}", f"device={device}", f"seed={seed}"]).method
 
     def make(name: str, device: str, **arguments: Any) -> Method:
-        return registry.make_method({**config(name, device), **arguments})
+        return registry.make_method({**arguments_of(name, device), **arguments})
 
     return make
 
@@ -134,16 +134,15 @@ def check(options: list[str]) -> int:
     groups = [group for group in ("method", "dataset") if any(option.startswith(f"{group}=") for option in options)]
     if len(groups) != 1:
         raise BadInput(f"check needs method=NAME or dataset=NAME; {registry.near('', registry.entries('method'))}")
-    check_names(options)
-    options = readable(options)
-    config = composed(options)
-    machine.pin_threads(n_threads(checked_settings(config)))
+    request = config.make_request(options)
+    request.require_machine()
+    machine.pin_threads(request.n_threads)
     given = {option.split("=")[0].removeprefix("method.") for option in options}
-    with progress_shown(str(config[groups[0]].get("_target_", "")).rpartition(".")[2]):  # a file may be downloaded
+    with progress_shown(request.method_name if groups == ["method"] else request.dataset_name):  # of a download
         if groups == ["method"]:
-            results = list(conformance.check(config["method"], given))
+            results = list(conformance.check({**request.method, "tuned_on": request.tuned_on or None}, given))
         else:
-            results = list(conformance.check_dataset(config["dataset"]))
+            results = list(conformance.check_dataset(request.dataset))
     for result in results:
         print(printable(str(result)))
     kept, excepted, broken = (sum(r.state == state for r in results) for state in ("kept", "excepted", "broken"))
@@ -171,17 +170,13 @@ def doctor(options: list[str]) -> int:
     for option in options:
         if option.partition("=")[0].split(".")[0] not in ("dataset", "output"):
             raise BadInput(f"{option} is no option of doctor: it takes dataset=, dataset.OPTION= and output=json")
-    check_names(options)
-    config = composed(readable(options))
-    name = config["dataset"].get("name", "dataset")
-    output = registry.checked("output", config["output"], Literal["row", "json"])
-
-    with progress_shown(f"doctor, {name}"), answers_alone() as say:
+    request = config.make_request(options)
+    with progress_shown(f"doctor, {request.dataset_name}"), answers_alone() as say:
         return command(
-            name,
-            lambda: registry.make_dataset(config["dataset"]),
+            request.dataset_name,
+            lambda: registry.make_dataset(request.dataset),
             lambda text: say(printable(text, but="\n")),
-            "json" if output == "json" else "text",
+            "json" if request.output == "json" else "text",
         )
 
 
@@ -194,9 +189,8 @@ def fetch(options: list[str]) -> int:
     from vprbench.data.fetch.command import fetch_command
 
     def check(name: str, root: Path) -> list[str]:
-        config = composed(readable([f"dataset={name}", f"dataset.root={root}"]))
-        dataset = registry.make_dataset(config["dataset"])
-        found = quick(dataset)
+        request = config.make_request([f"dataset={name}"], {"dataset.root": str(root)})
+        found = quick(registry.make_dataset(request.dataset))
         wrong.extend(finding for finding in found if finding.level == "error")
         lines = [f"{finding.level}: {finding.check}: {finding.text}" for finding in found]
         return [*lines, f"python -m vprbench doctor dataset={name} dataset.root={root} looks at every frame"]

@@ -9,8 +9,8 @@ from typing import Any
 
 from vprbench.errors import BadInput
 from vprbench.jobs.options import ClusterOptions
+from vprbench.runs.request import spell_out_metrics
 from vprbench.runs.sequences import views
-from vprbench.runs.settings import require_metrics
 from vprbench.runs.viewpoints import viewpoints
 
 
@@ -39,7 +39,7 @@ class RunOptions(ClusterOptions):
             raise BadInput(f"seeds={self.seeds}: give at least 1")
         if self.name is not None and re.fullmatch(r"\w[\w.-]*", self.name) is None:
             raise BadInput(f"name={self.name}: give letters, digits, '.', '_' and '-', for it names files")
-        object.__setattr__(self, "metrics", require_metrics(self.metrics))
+        object.__setattr__(self, "metrics", spell_out_metrics(self.metrics))
         for device in self.devices or ():
             if re.fullmatch(r"cpu|cuda(:\d+)?", device) is None:
                 raise BadInput(f"devices={device} is unknown: give cpu, cuda or cuda:1")

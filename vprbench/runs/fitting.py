@@ -15,7 +15,7 @@ from vprbench.api.method import Method, calibration
 from vprbench.errors import BadInput
 from vprbench.plugins import networks
 from vprbench.runs.descriptors import DescriptorCache
-from vprbench.runs.identity import Request
+from vprbench.runs.experiment import Experiment
 from vprbench.runs.notes import Note, noted
 from vprbench.runs.stopwatch import Stopwatch
 from vprbench.storage.shards import LARGE_BYTES
@@ -48,25 +48,26 @@ class FitResult:
 
 
 def fit_or_load(
-    request: Request, key: str, stopwatch: Stopwatch, described: DescriptorCache | None, resumed: Resumed
+    experiment: Experiment, key: str, stopwatch: Stopwatch, described: DescriptorCache | None, resumed: Resumed
 ) -> FitResult:
     """Load the method's network, or fit and calibrate the method and store its network if that was asked for.
 
     What an interrupted run spent on parts of the fit that this run takes over counts as part of the fit. A method that
-    an earlier run of the request's `shared_fit` has fitted stays as it is.
+    an earlier run of the experiment's `shared_fit` has fitted stays as it is.
     """
-    if request.shared_fit:
-        return request.shared_fit[0].of_earlier_run()
-    fitted = _fit_or_load(request, key, stopwatch, described, resumed)
-    if request.shared_fit is not None:
-        request.shared_fit.append(fitted)
+    if experiment.shared_fit:
+        return experiment.shared_fit[0].of_earlier_run()
+    fitted = _fit_or_load(experiment, key, stopwatch, described, resumed)
+    if experiment.shared_fit is not None:
+        experiment.shared_fit.append(fitted)
     return fitted
 
 
 def _fit_or_load(
-    request: Request, key: str, stopwatch: Stopwatch, described: DescriptorCache | None, resumed: Resumed
+    experiment: Experiment, key: str, stopwatch: Stopwatch, described: DescriptorCache | None, resumed: Resumed
 ) -> FitResult:
-    method, dataset, files, arguments = request.method, request.dataset, request.files, request.config["method"]
+    method, dataset, files = experiment.method, experiment.dataset, experiment.networks
+    arguments = experiment.request.method
     if files.load is not None:
         progress.report("load", 0.0)
         wanted = networks.origin(method, arguments, dataset)

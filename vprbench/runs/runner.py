@@ -18,8 +18,9 @@ from vprbench.runs import machine, readouts, spikes, timing_lock
 from vprbench.runs.adapted import describe_adaptation
 from vprbench.runs.answers import Answers, Scoring
 from vprbench.runs.descriptors import DescriptorCache
+from vprbench.runs.experiment import Experiment
 from vprbench.runs.fitting import FitResult, fit_or_load
-from vprbench.runs.identity import Request, code_hash, data_record
+from vprbench.runs.identity import code_hash, data_record
 from vprbench.runs.notes import Note, noted
 from vprbench.runs.offset import find_offset
 from vprbench.runs.record import Run
@@ -34,28 +35,28 @@ _SAME_SCORE = 1e-4  # relative difference that counts as the same answer in the 
 
 
 @timing_lock.computing()
-def run(request: Request, key: str, keep: Callable[[Run], None] = lambda run: None) -> Run:
+def run(experiment: Experiment, key: str, keep: Callable[[Run], None] = lambda run: None) -> Run:
     """Fit a method or load its network, score every query and measure its rates; `key` identifies the run.
 
     `keep` is given the run without its rates before these are measured, unless none are asked for. Raises whatever the
     method raises. A network is stored before the first query; whether it can be is seen before it is trained. What is
-    timed is encoded, and never taken from the request's cache of descriptors.
+    timed is encoded, and never taken from the experiment's cache of descriptors.
     """
-    method, dataset, device = request.method, request.dataset, request.config["device"]
+    method, dataset, device = experiment.method, experiment.dataset, experiment.request.device
     queries = dataset.queries.unnamed()
-    data = request.data or data_record(dataset)
+    data = experiment.data or data_record(dataset)
     started = time.perf_counter()
-    watch = _Watch(device, request.threads)
-    stopwatch = Stopwatch(request.protocol, synchronise=synchroniser(device), seed=request.config["seed"])
+    watch = _Watch(device, experiment.request.n_threads)
+    stopwatch = Stopwatch(experiment.request.timing, synchronise=synchroniser(device), seed=experiment.request.seed)
 
-    cache = request.cache if request.files.load is None else None
-    described = DescriptorCache.of(cache, method, request.config, dataset.n_places)
+    cache = experiment.cache if experiment.networks.load is None else None
+    described = DescriptorCache.of(cache, method, experiment.config, dataset.n_places)
     with ledger() as resumed, listening() as opened:
-        fitted = fit_or_load(request, key, stopwatch, described, resumed)
+        fitted = fit_or_load(experiment, key, stopwatch, described, resumed)
         read = queries.reading.seconds
-        scoring = Scoring(stopwatch, method, dataset, request.config["depth"], request.scores)
+        scoring = Scoring(stopwatch, method, dataset, experiment.request.depth, experiment.request.scores)
         answers = scoring.answers
-        seen = _look(request, scoring, stopwatch)
+        seen = _look(experiment, scoring, stopwatch)
         first_query = stopwatch.first_query(scoring.begin_traverse(), queries)
         watch.fitted()
         answers.method_seconds += first_query
@@ -64,45 +65,45 @@ def run(request: Request, key: str, keep: Callable[[Run], None] = lambda run: No
 
     measured = {"data": data, "viewpoints": seen, **watch.seen()}
     with stopwatch.lap() as auditing:
-        inside, inside_notes = _inside(request)
+        inside, inside_notes = _inside(experiment)
         measured |= {"search": scoring.audited.search(), **inside}
     told = (
         *noted("dataset", dataset.notes),
         *fitted.notes,
         *noted("method", method.notes()),
-        *_opened_notes(request, opened),
+        *_opened_notes(experiment, opened),
         *_cache_notes(dataset, fitted.from_cache, from_cache),
         *scoring.notes(),
         *describe_adaptation(method),
         *noted("views", [] if seen is None else [_describe_views(seen)]),
     )
     scored = replace(
-        _scored(request, key, fitted, answers, measured),
+        _scored(experiment, key, fitted, answers, measured),
         harness_seconds=time.perf_counter() - started - elsewhere - auditing[0],
     )
     scored = replace(scored, notes=(*told, *_notes_on(scored), *inside_notes))
-    if not request.protocol.rates:
+    if not experiment.request.timing.rates:
         return scored
     keep(scored)
     with watch.alone():
         timing = stopwatch.measure(scoring.begin_traverse(), queries, first_query)
         timed = replace(scored, timing=timing, **watch.seen())
     progress.report("timing", 1.0)
-    timed = replace(timed, config={**scored.config, "timing": asdict(request.protocol)})
+    timed = replace(timed, config={**scored.config, "timing": asdict(experiment.request.timing)})
     return replace(timed, notes=(*told, *_notes_on(timed), *inside_notes))
 
 
-def _look(request: Request, scoring: Scoring, stopwatch: Stopwatch) -> dict[str, Any] | None:
-    """Let the queries be asked from the viewpoints of a request; return these and what they were chosen by."""
-    if request.views is None:
+def _look(experiment: Experiment, scoring: Scoring, stopwatch: Stopwatch) -> dict[str, Any] | None:
+    """Let the queries be asked from the viewpoints of an experiment; return these and what they were chosen by."""
+    if experiment.views is None:
         return None
-    views, evidence, seconds = request.views.all, None, 0.0
-    if request.views.auto:
+    views, evidence, seconds = experiment.views.all, None, 0.0
+    if experiment.views.auto:
         with stopwatch.lap() as lap:
-            offset = find_offset(request.method, request.dataset.queries.unnamed(), request.views)
+            offset = find_offset(experiment.method, experiment.dataset.queries.unnamed(), experiment.views)
         views, evidence, seconds = [*offset.views], dict(offset.evidence), lap[0]
         scoring.answers.method_seconds += seconds
-    scoring.look_from(views, request.method)
+    scoring.look_from(views, experiment.method)
     return {"views": [[*astuple(view)] for view in views], "evidence": evidence, "seconds": seconds}
 
 
@@ -118,12 +119,12 @@ def _describe_views(seen: Mapping[str, Any]) -> str:
     return f"asked at shifts in widths of the frame (/heights) of {shown}, told {how}"
 
 
-def _inside(request: Request) -> tuple[dict[str, Any], tuple[Note, ...]]:
+def _inside(experiment: Experiment) -> tuple[dict[str, Any], tuple[Note, ...]]:
     """Return what the layers of a fitted method did, and notes on it: spikes, and readouts if they were asked for."""
-    counted, notes = spikes.counted(request.method, request.dataset.queries.unnamed())
-    if not request.readouts:
+    counted, notes = spikes.counted(experiment.method, experiment.dataset.queries.unnamed())
+    if not experiment.request.readouts:
         return {"spikes": counted}, notes
-    read, more = readouts.read(request.method, request.dataset)
+    read, more = readouts.read(experiment.method, experiment.dataset)
     return {"spikes": counted, "readouts": read}, (*notes, *more)
 
 
@@ -172,22 +173,22 @@ class _Watch:
         return {"environment": {**self._before, **after}, "peak_memory_bytes": max(host)}
 
 
-def _scored(request: Request, key: str, fitted: FitResult, answers: Answers, measured: Mapping[str, Any]) -> Run:
+def _scored(experiment: Experiment, key: str, fitted: FitResult, answers: Answers, measured: Mapping[str, Any]) -> Run:
     """Return the record of a run that is not timed, but for its notes and `harness_seconds`."""
-    dataset = request.dataset
+    dataset = experiment.dataset
     return Run(
-        method=request.name,
+        method=experiment.request.method_name,
         dataset=dataset.name,
         key=key,
-        config={**request.config, "code": code_hash(type(request.method)), "timing": None},
+        config={**experiment.config, "code": code_hash(type(experiment.method)), "timing": None},
         protocol=dataset.protocol,
-        fingerprint=request.fingerprint,
+        fingerprint=experiment.fingerprint,
         notes=(),
         n_references=len(dataset.references),
         fit_seconds=fitted.fit_seconds,
         fit_compute_seconds=fitted.fit_compute_seconds,
         load_seconds=fitted.load_seconds,
-        network=request.files.sha256,
+        network=experiment.networks.sha256,
         harness_seconds=0.0,
         method_seconds=fitted.method_seconds + answers.method_seconds,
         timing=None,
@@ -203,10 +204,10 @@ def _scored(request: Request, key: str, fitted: FitResult, answers: Answers, mea
     )
 
 
-def _opened_notes(request: Request, opened: Iterable[Opened]) -> Iterator[Note]:
+def _opened_notes(experiment: Experiment, opened: Iterable[Opened]) -> Iterator[Note]:
     """Yield a note on the files that a method read and that are no part of the key."""
-    known = {name for name, _ in request.config.get("files", ())}
-    if others := [path.name for path in unnamed_files(opened, request.method) if path.name not in known]:
+    known = {name for name, _ in experiment.config.get("files", ())}
+    if others := [path.name for path in unnamed_files(opened, experiment.method) if path.name not in known]:
         text = f"read {some(others)}, which files() does not name: this run is found again whatever {be(others)} in it"
         yield Note("opened", text)
 
