@@ -50,8 +50,9 @@ bench-maps: $(READY) ## Measure what large maps cost by each index, write result
 	$(if $(MAPS),MAPS=$(MAPS)) $(BENCH) tests/benchmarks/test_maps.py --benchmark-json results/maps.json $(ARGS)
 	$(RUN) tests/benchmarks/report.py results/maps.json results/maps.md
 
-gpu-check: $(READY) ## On a machine with a GPU: compare it with the CPU, time it, write results/gpu.md (ARGS passes options).
-	$(RUN) -m vprbench gpu-check $(ARGS)
+gpu-check: $(READY) ## On a machine with a GPU: compare it with the CPU, time both, write results/gpu.md: ARGS="-k queries"
+	$(BENCH) tests/gpu --benchmark-json results/gpu.json $(ARGS)
+	$(RUN) tests/benchmarks/report.py results/gpu.json results/gpu.md
 
 nir-check: $(READY) $(BRIAN2)/.installed ## Ask networks that are stored as NIR in snnTorch and in Brian2, count equal best places: QUERIES=
 	$(RUN) tests/oracles/nir_check.py $(BRIAN2)/bin/python $(QUERIES)

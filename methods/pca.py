@@ -70,11 +70,6 @@ class PCA(Method):
         similarity = _project(codes, known.mean, known.projection) @ known.references.T
         return best_image_of_place(similarity, known.places)
 
-    def layers(self, codes: npt.NDArray[np.uint8]) -> dict[str, npt.NDArray[np.float32]]:
-        """Return the principal components as unit vectors."""
-        known = self._fitted()
-        return {"components": _project(codes, known.mean, known.projection)}
-
     def state(self) -> State:
         """Return the projection and the projected references."""
         return dict(vars(self._fitted()))

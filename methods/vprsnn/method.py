@@ -179,12 +179,6 @@ class VPRSNN(Arguments, Method):
             LayerSpikes("inhibitory", inhibitory, fan_out=np.full(excitatory.shape[1], members * others)),
         ]
 
-    def layers(self, codes: Levels) -> dict[str, npt.NDArray[np.int32]]:
-        """Return the spikes of the excitatory neurons, those of several networks side by side."""
-        self._require_a_network()
-        answers = [ask(member, codes, Stage()).excitatory for member in self._ready]
-        return {"excitatory": np.concatenate([answer.reshape(len(codes), -1) for answer in answers], axis=1)}
-
     def state(self) -> Mapping[str, npt.NDArray[Any]]:
         """Return the arrays of the trained network, those of several numbered."""
         self._require_a_network()

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -36,16 +35,16 @@ class LatencyQuery(SpikingQuery):
 
     def scores(self, spikes: npt.NDArray[np.float32]) -> Scores:
         """Return the state of every place's output neuron where the query ends."""
-        return [*self.run(spikes, self._lead)][-1][1]
+        return self._run(spikes)[1]
 
     def layers(self, spikes: npt.NDArray[np.float32]) -> tuple[Amplitudes, Amplitudes]:
         """Return the feature spikes that came before the end, as amplitudes, and the output neurons at the end."""
-        steps, scores = [*self.run(spikes, self._lead)][-1]
+        steps, scores = self._run(spikes)
         levels = self._levels(spikes)
         return levels * (self._clip / self._steps) * (levels > (self._steps - steps)[:, None]), scores
 
-    def run(self, spikes: npt.NDArray[np.float32], lead: float) -> Iterator[tuple[npt.NDArray[np.int64], Scores]]:
-        """Yield after each step of the features' cycle where each query stands, and its scores; ended ones stay."""
+    def _run(self, spikes: npt.NDArray[np.float32]) -> tuple[npt.NDArray[np.int64], Scores]:
+        """Return the step of the features' cycle at which each query ends, (n_queries,), and its scores there."""
         features = self._levels(spikes).reshape(len(spikes), len(self._by_feature), -1)
         added, scores = np.empty(len(self._full), np.float32), np.zeros((len(spikes), len(self._full)), np.float32)
         net, steps, going = scores.copy(), np.zeros(len(spikes), np.int64), np.ones(len(spikes), bool)
@@ -58,11 +57,11 @@ class LatencyQuery(SpikingQuery):
                 net[query, own] += added[own]
             above = net[going] - self._full * np.float32(step / self._steps)
             scores[going], steps[going] = self._fired(torch.from_numpy(above)).numpy(), step
-            yield steps, scores
             second, first = np.partition(np.pad(scores, ((0, 0), (1, 0))), -2, axis=1)[:, -2:].T
-            going &= first - second <= lead * first
+            going &= first - second <= self._lead * first
             if not going.any():
-                return
+                break
+        return steps, scores
 
     def _levels(self, spikes: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
         """Return how many steps before the end of their cycle the features spike, (n_queries, n_neurons); 0: never."""
@@ -98,15 +97,6 @@ class VPRTempoLatencies(VPRTempo):
     @property
     def _spiking_query(self) -> Any:
         return partial(LatencyQuery, steps=self.steps, lead=self.lead)
-
-    def answers(self, codes: npt.NDArray[np.float32]) -> Iterator[tuple[str, npt.NDArray[np.int64], Scores]]:
-        """Yield the answers after each step of the features' cycle, and of queries that end by leads of 10 to 60 %."""
-        query = cast(LatencyQuery, self._trained())
-        for steps, scores in query.run(codes, 1.0):
-            yield f"step {self.steps + steps[0]}", self.steps + steps, scores
-        for lead in (0.1, 0.2, 0.3, 0.4, 0.5, 0.6):
-            steps, scores = [*query.run(codes, lead)][-1]
-            yield f"lead of {lead:.0%}", self.steps + steps, scores
 
     def spikes(self, codes: npt.NDArray[np.float32]) -> list[LayerSpikes]:
         """Return the spikes of each layer until the query ends; outputs spike in a cycle of their own, best first."""

@@ -34,7 +34,7 @@ from .circuit import check_circuit, circuit_of
 from .encoding import scale_values
 from .layer import Layer, draw_layer, feature_rates
 from .network import Network, last_features, members_from_state, members_state
-from .query import LinearQuery, Query, SpikingQuery, asking, feature_layers, linear_layer, with_score_statistics
+from .query import LinearQuery, Query, SpikingQuery, asking, linear_layer, with_score_statistics
 from .rules import Rules
 from .training import (
     Schedule,
@@ -253,11 +253,6 @@ class VPRTempo(Arguments, Method, HasCircuit):
         inputs = torch.stack([torch.count_nonzero(member.features, dim=(0, 1)) for member in members]).sum(0)
         outputs = torch.cat([torch.count_nonzero(weights, dim=1) for weights in members[0].outputs])
         return [inputs.cpu().numpy(), len(members) * outputs.cpu().numpy()]
-
-    def layers(self, codes: npt.NDArray[np.float32]) -> dict[str, npt.NDArray[np.float32]]:
-        """Return the feature neurons of all networks: their spikes, or the sums of a linear query."""
-        self._trained()
-        return {"feature": feature_layers(self._networks(), self.chosen_rules(), codes, self._spiking_query)}
 
     def state(self) -> Mapping[str, npt.NDArray[np.float32]]:
         """Return the arrays of the trained network; the arrays of several networks are numbered."""

@@ -174,17 +174,6 @@ def asking(
     return queries[0] if len(members) == 1 and members[0].calibration is None else MeanQuery(members, queries)
 
 
-def feature_layers(
-    members: Sequence[Network], rules: Rules, codes: Amplitudes, spiking: Callable[[Network, Rules], SpikingQuery]
-) -> Amplitudes:
-    """Return the feature neurons of networks side by side, (n, neurons): their spikes, or what a linear query sums."""
-    if rules.query_rule == "spiking":
-        return np.concatenate([spiking(member, rules).layers(codes)[0] for member in members], axis=1)
-    x = torch.tensor(codes, device=members[0].features.device)
-    sums = [functional.linear(x, member.features.flatten(0, 1)) for member in members]
-    return np.asarray(torch.cat(sums, dim=1).cpu().numpy(), np.float32)
-
-
 def with_score_statistics(network: Network, spikes: Tensor, rules: Rules) -> Network:
     """Return the network with the mean and the spread of the scores that the references give each place."""
     query = asking([network], rules)

@@ -5,7 +5,9 @@ import sys
 from itertools import groupby
 from pathlib import Path
 
-from vprbench.metrics.growth import exponent
+import torch
+
+from vprbench.metrics.growth import fit_power
 from vprbench.runs import machine
 from vprbench.runs.rows import markdown
 from vprbench.storage.atomic import replace_text
@@ -43,9 +45,9 @@ def growth(measured):
     grown = [each for each in measured if "grows" in each["extra_info"]]
     for title, few in groupby(grown, lambda each: each["extra_info"]["grows"]):
         points = [(each["extra_info"]["places"], each["stats"]["median"] / each["extra_info"]["calls"]) for each in few]
-        found = exponent(*zip(*points, strict=True))
+        found = fit_power(*zip(*points, strict=True))
         ends = f"[{found.low:.2f}, {found.high:.2f}] from {points[0][0]:,} to {points[-1][0]:,} places"
-        yield f"{title}: n^{found.value:.2f} {ends}"
+        yield f"{title}: n^{found.exponent:.2f} {ends}"
 
 
 def document(results):
@@ -56,7 +58,7 @@ def document(results):
         if not any(each["beside"] for each in rows):
             rows = [{name: text for name, text in each.items() if name != "beside"} for each in rows]
         parts += [f"## {group.strip().rstrip('.')}", markdown(rows), *growth(few)]
-    here = machine.capture("cpu", len(machine.cores()))
+    here = machine.capture("cuda" if torch.cuda.is_available() else "cpu", len(machine.cores()))
     loads = ", ".join(f"{load:.2f}" for load in here["load_average"])
     return "\n\n".join([*parts, "## Machine", *machine.machine_lines(here), f"Load average afterwards {loads}."]) + "\n"
 

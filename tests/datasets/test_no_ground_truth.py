@@ -128,11 +128,6 @@ def test_a_comparison_ranks_nothing_and_draws_no_accuracy(drives, capsys, monkey
     assert main(["compare", "methods=sad", *drives, "corruptions=blur-1"]) == 2
 
 
-def test_what_tells_accuracy_alone_is_refused(drives, capsys):
-    assert main(["method=sad", *drives, "readouts=true"]) == 2
-    assert "readouts" in capsys.readouterr().err
-
-
 def test_in_python_a_result_and_a_comparison_have_no_accuracy(drives):
     data = vprbench.dataset_of("map", "drive", **NONE)
     found = vprbench.compare(["sad", "hog"], data, metrics=["r100p"], timing="none")

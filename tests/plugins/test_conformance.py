@@ -241,9 +241,6 @@ WRONG: dict[str, list[type[Pixels]]] = {
         wrong("LayersOfOneName", spikes=lambda _, codes: [LayerSpikes("grid", codes), LayerSpikes("grid", codes)]),
         spiking("CountsOnTheCodes", count_on),
         wrong("CountsOnItsMap", spikes=count_on_the_map),
-        wrong("LayersOfTooFewQueries", layers=lambda _, codes: {"grid": codes[1:]}),
-        wrong("LayersWithoutANumber", layers=lambda _, codes: {"grid": codes * np.float32(np.nan)}),
-        wrong("LayersThatWriteOnTheCodes", layers=lambda _, codes: {"grid": count_on(codes)}),
     ],
 }
 

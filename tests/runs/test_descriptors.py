@@ -63,7 +63,7 @@ def run(method, dataset, folder, arguments=(), **changes):
 
 
 def encoded_for_answers(method):
-    """The images that were encoded, without the first query and the timing: each lap, warm-up and audit show one."""
+    """The images that were encoded, without the first query and the timing: each lap and warm-up query shows one."""
     without = Counting()
     without.fit_descriptors(np.eye(2, dtype=np.float32), np.arange(2))
     Stopwatch(PROTOCOL).measure(without, journey(N_QUERIES, 2, [[0]] * N_QUERIES).queries)
@@ -304,7 +304,7 @@ def test_a_large_map_is_asked_for_its_best_places_alone_when_scored_and_when_tim
     assert np.array_equal(run.top_places, places)
     np.testing.assert_allclose(run.top_scores, best, atol=1e-6)
     assert parts(run.outcome) == outcome_among(places, run.top_scores, run.positives, N_PLACES)
-    assert (run.scores, "audit" in kinds(run)) == (None, False)
+    assert (run.scores, "answers" in kinds(run)) == (None, False)
     (note,) = [note.text for note in run.notes if note.kind == "shortlist"]
     assert ("80 places" in note, f"best {DEPTH} " in note) == (True, True)
 

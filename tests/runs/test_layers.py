@@ -1,4 +1,4 @@
-"""What a run keeps of the layers of a network, spikes and readouts, and of a map that grows while queries come."""
+"""Records of the spikes of a network's layers, and of a map that grows while queries come."""
 
 import json
 from collections.abc import Callable, Sequence
@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from little import Lookup, journey
-from little_runs import asked_for, kinds, run_of
+from little_runs import asked_for, run_of
 from small_plan import RUN
 
 from vprbench.api.images import Images
@@ -21,10 +21,6 @@ from vprbench.methods.vprtempo.ensemble import VPRTempoEnsemble
 from vprbench.methods.vprtempo.int8 import VPRTempoInt8
 from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.plugins.rules import Journey
-from vprbench.runs import runner
-from vprbench.runs.notes import Note
-from vprbench.runs.readouts import readout_numbers, readout_text
-from vprbench.runs.run_files import content_key
 from vprbench.runs.spikes import summary
 from vprbench.runs.stream import grown, step
 
@@ -109,64 +105,6 @@ def test_counting_takes_no_part_in_what_a_run_times(clock):
     assert run.timing.streaming.total_seconds == pytest.approx([0.001] * 6)
 
 
-TURNED = np.array([[1, 0], [0, 1], [-1, 0], [0.6, 0.8]], np.float32)  # what each picture looks like to the layer
-
-
-@dataclass
-class Layered(Lookup):
-    """A lookup with codes of two numbers, and one layer that knows four directions and doubles the length."""
-
-    lengths: Any = (2, 2, 2, 2)
-
-    def encode(self, images):
-        return np.array([[1, number] for number in super().encode(images)], np.float32)
-
-    def match(self, codes):
-        return self.table[codes[:, 1].astype(int)]
-
-    def layers(self, codes):
-        numbers = codes[:, 1].astype(int)
-        turned = TURNED[numbers] * np.array(self.lengths)[numbers, None]
-        return {"turned": turned, "silent": np.zeros((len(codes), 5))}
-
-
-def read_run(method, dataset, **changes):
-    return runner.run(asked_for(method, dataset, readouts=True, **changes), "key")
-
-
-def test_codes_layers_and_answer_are_judged_by_the_same_right_places_and_a_place_by_its_most_similar_image():
-    # By codes and by the turned layer each picture finds itself, which is right for the first and the last alone.
-    dataset = journey(4, 4, [[0], [3], [0], [3]])
-    method = Layered(np.array([[0, 1, 0, 0], [0, 0, 0, 1], [1, 0, 0, 0], [0, 1, 1, 0]], np.float32))
-    found = readout_numbers(read_run(method, dataset))
-    assert [(each["name"], each["neurons"], each["recall_at_1"]) for each in found] == [
-        ("codes", 2, 0.5),
-        ("turned", 2, 0.5),
-        ("silent", 5, 0.25),  # four places tie for every query
-        ("answer", 4, 0.5),
-    ]
-    # Wilson's interval of two hits in four.
-    assert (found[0]["recall_at_1_low"], found[0]["recall_at_1_high"]) == pytest.approx((0.150, 0.850), abs=0.001)
-    dataset = replace(journey(3, 4, [[0], [1], [0]]), places=np.array([0, 1, 0, 1]))
-    run = read_run(Layered(np.zeros((3, 2), np.float32), lengths=(1, 2, 3, 4)), dataset)
-    assert run.readouts[1] == {"name": "turned", "neurons": 2, "hits": [1.0, 1.0, 1.0]}
-
-
-def test_readouts_are_stored_runs_of_earlier_versions_have_none_and_a_method_without_layers_says_so(store):
-    failing = type("Failing", (Layered,), {"layers": lambda self, codes: {}["gone"]})
-    dataset, table = journey(4, 4), np.eye(4, dtype=np.float32)
-    read, plain = read_run(Layered(table), dataset), replace(run_of(Layered(table), dataset), key="other")
-    earlier = [store.save(run) for run in (read, plain)][1] / "run.json"
-    summary = json.loads(earlier.read_text())
-    del summary["readouts"], summary["content_key"]  # as versions before wrote it
-    earlier.write_text(json.dumps({**summary, "content_key": content_key(summary)}))
-    assert {run.key: run.readouts for run in store.runs()} == {"key": read.readouts, "other": None}
-    none, failed = read_run(Lookup(table), dataset), read_run(failing(table), dataset)
-    assert (none.readouts, "readouts: none" in readout_text(none), "readouts" in kinds(none)) == ([], True, False)
-    assert (failed.readouts, kinds(failed).count("readouts")) == (None, 1)
-    assert Note("readouts", "no layer was read (KeyError: 'gone')") in failed.notes
-
-
 def fitted(method):
     world = Journey.draw(0)
     method.fit(Images.from_arrays(world.references), world.places)
@@ -184,7 +122,7 @@ def by_eq_1(state, codes):
     return np.hstack(features), np.hstack(outputs)
 
 
-def test_the_spikes_and_layers_of_vprtempo_are_those_of_eq_1_whatever_acts_on_scores_alone():
+def test_the_spikes_of_vprtempo_are_those_of_eq_1_whatever_acts_on_scores_alone():
     method, codes = fitted(VPRTempo(**SMALL, seed=4))
     shown, features, outputs = method.spikes(codes)
     right = by_eq_1(dict(method.state()), codes)
@@ -194,23 +132,17 @@ def test_the_spikes_and_layers_of_vprtempo_are_those_of_eq_1_whatever_acts_on_sc
         assert layer.values == pytest.approx(known, abs=1e-5)
     assert 0 < np.count_nonzero(features.values) < features.values.size
     assert outputs.values == pytest.approx(method.match(codes), abs=1e-5)  # of one plain network they are its scores
-    assert method.layers(codes)["feature"].tolist() == features.values.tolist()
     ensemble = fitted(VPRTempoEnsemble(**SMALL, seed=4, members=2))[0]  # its first network is shown
     calibrated = fitted(VPRTempo(**SMALL, seed=4, calibrated_scores=True))[0]
     for other in (VPRTempo(**SMALL).restore(method.state()), calibrated, ensemble):
         for layer, own in zip(other.spikes(codes), (shown, features, outputs), strict=True):
             assert layer.values == pytest.approx(own.values, abs=1e-5)
-    second = fitted(VPRTempo(**SMALL, seed=5))[0].layers(codes)["feature"]
-    assert ensemble.layers(codes)["feature"] == pytest.approx(np.hstack([features.values, second]), abs=1e-5)
-    for ask in (VPRTempo(**SMALL).spikes, VPRTempo(**SMALL).layers):
-        with pytest.raises(NotFittedError):
-            ask(codes)
+    with pytest.raises(NotFittedError):
+        VPRTempo(**SMALL).spikes(codes)
 
 
-def test_layers_of_linear_quantised_and_component_methods_are_what_their_queries_pass():
+def test_the_spikes_of_linear_and_quantised_queries_are_those_that_they_pass():
     linear, codes = fitted(VPRTempo(**SMALL, query_rule="linear"))
-    sums = np.einsum("np,mfp->nmf", codes, linear.state()["features"]).reshape(len(codes), -1)
-    assert linear.layers(codes)["feature"] == pytest.approx(sums, abs=1e-4)
     assert [layer.name for layer in linear.spikes(codes)] == ["input"]
     method, codes = fitted(VPRTempoInt8(**SMALL))
     features, outputs = (layer.values for layer in method.spikes(codes)[1:])
@@ -218,11 +150,6 @@ def test_layers_of_linear_quantised_and_component_methods_are_what_their_queries
     assert steps == pytest.approx(np.rint(steps), abs=1e-3)
     assert outputs == pytest.approx(method.match(codes), abs=1e-5)
     assert features == pytest.approx(by_eq_1(dict(method.state()), codes)[0], abs=0.03)
-    method, codes = fitted(PCA(components=5))
-    references = method.layers(method.encode(Images.from_arrays(Journey.draw(0).references)))["components"]
-    similarity = method.layers(codes)["components"] @ references.T
-    best = np.maximum(similarity[:, :20], similarity[:, 20:])  # of both traverses
-    assert method.match(codes) == pytest.approx(best, abs=1e-5)
 
 
 @dataclass
@@ -271,19 +198,6 @@ def heads(capsys, *options):
     """Return the first words of the lines that the command prints."""
     assert main([*TEN, *options]) == 0
     return [line.split("  ")[0] for line in capsys.readouterr().out.splitlines()]
-
-
-def test_readouts_are_a_table_below_the_row_and_a_list_in_json_and_stay_with_the_run(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    assert asked(capsys, "method=pca")["readouts"] is None
-    made = asked(capsys, "method=pca", "readouts=true")
-    assert made["from_store"] is False  # the stored run had none
-    assert [each["name"] for each in made["readouts"]] == ["codes", "components", "answer"]
-    for name in ("recall_at_1", "recall_at_1_low"):
-        assert made["readouts"][2][name] == made[name]
-    names = heads(capsys, "method=pca", "readouts=true")
-    assert names[names.index("readout") :][:4] == ["readout", "codes, cosine", "components, cosine", "answer"]
-    assert asked(capsys, "method=pca", "force=true")["readouts"] == made["readouts"]
 
 
 @pytest.mark.extended

@@ -170,11 +170,10 @@ VALUES = [  # of which each cannot be in any of the places beside it
     (True, "outcome.n_places"),
     (-1, "fit_seconds peak_memory_bytes"),
     (10.5, "outcome.n_places config.seed environment.load_average search.recall_at_1"),
-    (float("inf"), "fit_seconds timing.repeated_seconds"),
+    (float("inf"), "fit_seconds load_seconds"),
     *((name, "method") for name in ("", "../../little", ".little")),
     ([], "timing.offline spikes.layers spikes.layers.0.spikes_per_query spikes.layers.0.neurons"),
     ([0], "config.timing.batch_sizes notes"),
-    ([{"name": "codes", "neurons": 2, "hits": [1.0]}], "readouts"),
     ({"torch": 2.6}, "environment.libraries"),
     ({"dataset": "journey"}, "tuned_on sha256"),
 ]

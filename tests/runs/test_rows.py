@@ -67,7 +67,7 @@ def run_of(hits, **changes):
         (
             a_run(timing=None),
             {
-                **{"recall_at_1": 0.5, "training_seconds": 12.34, "first_query_seconds": None},
+                **{"recall_at_1": 0.5, "fit_seconds": 12.34, "first_query_seconds": None},
                 **{"streaming_total_hz": None, "streaming_p90_seconds": None, "offline_batch": None},
             },
         ),

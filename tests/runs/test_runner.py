@@ -144,7 +144,7 @@ def test_fit_sees_every_reference_and_its_place_which_cannot_be_written():
     assert seen == [([0, 1, 2, 3], [0, 1, 2, 3])]
 
 
-def test_candidates_stand_before_places_that_are_none_and_their_best_answer_is_audited(store):
+def test_candidates_stand_before_places_that_are_none_and_the_timed_answer_is_compared_with_them(store):
     class Turned(Lookup):
         """Names the worst candidate where it is asked for a single image."""
 
@@ -158,10 +158,10 @@ def test_candidates_stand_before_places_that_are_none_and_their_best_answer_is_a
     assert set(run.top_places[:, :4].ravel().tolist()) == {3, 13, 23, 33}
     assert run.top_places[:, 4:].tolist() == [[0, 1]] * 12
     assert np.array_equal(np.isneginf(run.top_scores), np.tile(np.arange(6) > 3, (12, 1)))
-    assert "audit" not in kinds(run)
-    assert "audit" in kinds(run_of(Turned(scores), journey(12, 40), depth=6))
+    assert "answers" not in kinds(run)
+    assert "answers" in kinds(run_of(Turned(scores), journey(12, 40), depth=6))
     run = run_of(Lookup(np.full((12, 40), -np.inf, np.float32)), journey(12, 40))
-    assert "audit" not in kinds(run)
+    assert "answers" not in kinds(run)
     json.dumps(frame.numbers(run), allow_nan=False)
     assert rows.readable_row(run)["R@1 % [95 %]"]
     store.save(run)
@@ -226,7 +226,7 @@ def test_exact_search_goes_without_saying_codes_of_bits_tell_their_bytes_and_a_m
     methods = [Angles(index="exact"), Angles(index="hnsw")]
     for method in methods:
         run_of(method, journey(30, 300), replace(QUICK, warmup_queries=1, minimum_queries=1, batch_sizes=[1]))
-    assert methods[0].shown == methods[1].shown  # an audit shows no image again
+    assert methods[0].shown == methods[1].shown
 
 
 @pytest.mark.parametrize(
@@ -284,9 +284,7 @@ class Learning(Lookup):
 
 
 @pytest.mark.parametrize("excess", [0, 0.6])
-def test_times_of_fit_computing_method_and_harness_are_told_apart_and_work_left_to_the_first_query_counts_as_training(
-    clock, monkeypatch, surroundings, excess
-):
+def test_times_of_fit_computing_first_query_method_and_harness_are_told_apart(clock, monkeypatch, surroundings, excess):
     monkeypatch.setattr(surroundings, "capture", lambda *_: clock.spend(7) or {})  # a look at the machine takes 7 s
     references, queries = (slow_pictures(8, 0.02, clock.spend) for _ in range(2))
     numbers_in(references)  # what is read before a run does not count
@@ -295,10 +293,7 @@ def test_times_of_fit_computing_method_and_harness_are_told_apart_and_work_left_
     shown = frame.numbers(run)
     assert (shown["fit_seconds"], shown["fit_compute_seconds"]) == pytest.approx((8 * 0.02 + 0.06, 0.06))
     assert run.timing.first_query_seconds == pytest.approx(0.006 + excess)
-    trained = (shown["training_seconds"], shown["training_compute_seconds"])
-    assert trained == pytest.approx((0.22 + excess, 0.06 + excess))
-    assert rows.readable_row(run)["fit s"] == f"{0.22 + excess:.2g}"
-    assert ("late" in kinds(run)) is bool(excess)
+    assert rows.readable_row(run)["fit s"] == "0.22"
     assert run.method_seconds == pytest.approx(
         0.06 + 8 * 0.006 + 0.006 + excess
     )  # the first query is asked once before
@@ -318,42 +313,15 @@ def test_timing_takes_its_order_from_the_seed_of_the_run_and_every_stage_is_repo
     assert orders[0] == orders[1] != orders[2]
 
 
-@dataclass
-class Caching(Lookup):
-    """Needs 5 ms for an image, and `known` s for one that is among the last `remembered` different ones."""
-
-    clock: Clock = field(kw_only=True)
-    remembered: int = 1
-    known: float = 0.001
-    last: list[bytes] = field(default_factory=list)
-
-    def encode(self, images):
-        for image in images:
-            pixels = image.tobytes()
-            self.clock.spend(self.known if pixels in self.last else 0.005)
-            self.last = [*(old for old in self.last if old != pixels), pixels][-self.remembered :]
-        return super().encode(images)
-
-
-@pytest.mark.parametrize(
-    ("remembered", "known", "said"),  # MLPerf's TEST04, as the timing rules have it: at most 10 % of 5 ms
-    [(1, 0.001, "in 20 %"), (1000, 0.001, "in 20 %"), (1, 0.0044, "in 88 %"), (1, 0.0046, "")],
-)
-def test_a_method_that_is_more_than_a_tenth_faster_on_known_images_is_said_to_cache(clock, remembered, known, said):
-    run = run_of(Caching(table(12, 4), clock=clock, remembered=remembered, known=known), journey(12, 4))
-    notes = [note.text for note in run.notes if note.kind == "caching"]
-    assert (len(notes), said in "".join(notes)) == (bool(said), True)
-
-
 def test_rates_are_called_invalid_without_their_minima_alone(clock):
     protocol = replace(QUICK, minimum_queries=3000, maximum_seconds=0.005)
     method = Learning(table(12, 4), clock=clock)
     assert "invalid" in kinds(run_of(method, journey(12, 4), protocol))
-    assert not {"invalid", "offline", "caching"} & {*kinds(run_of(method, journey(12, 4)))}
+    assert not {"invalid", "offline"} & {*kinds(run_of(method, journey(12, 4)))}
 
 
 @pytest.mark.parametrize(
-    ("scores", "spoil", "fails"),
+    ("scores", "spoil", "differs"),
     [
         (table(12, 4), lambda scores, codes: np.roll(scores, len(codes) == 1, axis=1), True),  # for a single image
         (table(300, 4, 100_000), lambda scores, codes: -scores if codes.tolist() == [299] else scores, True),
@@ -366,12 +334,12 @@ def test_rates_are_called_invalid_without_their_minima_alone(clock):
         ),
     ],
 )
-def test_a_method_that_answers_otherwise_when_it_is_timed_fails_the_audit(scores, spoil, fails):
+def test_a_note_says_that_a_method_answers_otherwise_when_it_is_timed(scores, spoil, differs):
     class Spoilt(Lookup):
         def match(self, codes):
             return spoil(self.table[codes], codes)
 
-    assert ("audit" in kinds(run_of(Spoilt(scores), journey(*scores.shape)))) is fails
+    assert ("answers" in kinds(run_of(Spoilt(scores), journey(*scores.shape)))) is differs
 
 
 @pytest.mark.parametrize(

@@ -190,7 +190,6 @@ def a_run(**changes):
             offline=(laps([0.010] * 4, [0.0025] * 4), laps([0.040] * 3, [0.010] * 3, images_per_call=8)),
             sample=np.arange(4),
             answers=np.array([0, 1, 9, -1]),
-            repeated_seconds=0.0125,
         ),
         outcome=Outcome(
             scores[:, 0].copy(), ones, np.array([1, 1, 0, 0]), above, ones, ones, np.array([1, 2, 1, 1]), 10

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol, Self, final
@@ -144,20 +144,6 @@ class Method(ABC):
         """Return the spikes of each layer for these codes, first layer first; empty without spikes.
 
         Raises NotFittedError before `fit`.
-        """
-        return ()
-
-    def layers(self, codes: npt.NDArray[Any]) -> Mapping[str, npt.NDArray[Any]]:
-        """Return what each layer that was learnt makes of codes, (n_queries, n_neurons), by its name; most have none.
-
-        Readouts compare them by their cosines. Raises NotFittedError before `fit`.
-        """
-        return {}
-
-    def answers(self, codes: npt.NDArray[Any]) -> Iterable[tuple[str, npt.NDArray[Any], Scores]]:
-        """Return what would be answered at each time step N, "step N", and by rules that stop early; most have none.
-
-        Of each: its name, the steps it takes (n_queries,) and its scores. Raises NotFittedError before `fit`.
         """
         return ()
 

@@ -54,7 +54,6 @@ COMMANDS: dict[str, Command] = {
     "figures": Command("vprbench.commands.working:figures", "vprbench.paper.gather:TableRequest", ("timing",), None),
     "report": Command("vprbench.commands.working:report", "vprbench.paper.gather:TableRequest", ("timing",), None),
     "search": Command("vprbench.commands.working:search_parameters", "vprbench.tuning.search:Settings"),
-    "gpu-check": Command("vprbench.commands.working:compare_gpu", "vprbench.gpu.check:Settings"),
     "completion": Command("vprbench.commands.at_once:show_completion", words="bash|zsh|fish"),
 }
 _NOT_THE_TABLES = (
@@ -63,7 +62,6 @@ _NOT_THE_TABLES = (
     "save",
     "load",
     "wide",
-    "readouts",
     "stream",
     "corruption",
     "predictions",

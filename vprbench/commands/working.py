@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from vprbench import config
-from vprbench.api.method import Method
 from vprbench.errors import BadInput
 from vprbench.plugins import registry
 from vprbench.plugins.options import chosen
 from vprbench.progress import answers_alone, progress_shown
-from vprbench.storage.atomic import replace_text
 from vprbench.text import printable
 
 if TYPE_CHECKING:
@@ -87,40 +83,6 @@ def search_parameters(options: list[str]) -> int:
         found = search.search(settings, request.method, request.dataset)
     print(text.write(found, folder), end="")
     return 0
-
-
-def compare_gpu(options: list[str]) -> int:
-    """Compare the GPU with the CPU, time it, and write both."""
-    from vprbench.gpu import check
-    from vprbench.runs import machine
-    from vprbench.runs.store import Store
-
-    request = chosen(check.Settings, options, check.QUICK)
-    check.require_gpu(request.device)
-    given = {name: getattr(request, name) for name in ("threads", "results", "seed")}
-    run = config.make_request([], given)
-    folder = Path(run.results).expanduser()
-    Store(folder).prepare()
-    machine.pin_threads(run.n_threads)
-    with progress_shown("gpu-check"):
-        report = check.check_gpu(request, _maker(run.seed))
-    text = check.to_text(report)
-    replace_text(folder / "gpu.md", text)
-    print(f"{text}\nwritten to {folder / 'gpu.md'}")
-    return 0 if report.correct else 1
-
-
-def _maker(seed: int) -> Callable[..., Method]:
-    """Return a maker of methods by name and device; its arguments replace the arguments of the yaml."""
-
-    @functools.cache
-    def arguments_of(name: str, device: str) -> dict[str, Any]:
-        return config.make_request([f"method={name}", f"device={device}", f"seed={seed}"]).method
-
-    def make(name: str, device: str, **arguments: Any) -> Method:
-        return registry.make_method({**arguments_of(name, device), **arguments})
-
-    return make
 
 
 def check(options: list[str]) -> int:

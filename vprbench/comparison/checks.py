@@ -70,7 +70,7 @@ def sort_options(options: Sequence[str]) -> SortedOptions:
             raise BadInput(
                 f"{option}: give corruptions{option.removeprefix(name)}, beside which clean frames are asked"
             )
-        if name.partition(".")[0] in ("method", "seed", "output", "save", "load", "readouts", "stream"):
+        if name.partition(".")[0] in ("method", "seed", "output", "save", "load", "stream"):
             raise BadInput(
                 f"{option}: a comparison takes methods=NAME,NAME and seeds=NUMBER, and NAME.option=value for an "
                 "option of one of the methods"

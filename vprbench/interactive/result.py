@@ -20,7 +20,6 @@ from vprbench.metrics.registry import METRICS
 from vprbench.runs import frame, rows
 from vprbench.runs.predictions import predictions
 from vprbench.runs.query_results import RIGHT, UNANSWERABLE, UNJUDGED, judged
-from vprbench.runs.readouts import readout_numbers
 from vprbench.runs.recall_intervals import interval_between, recall_interval
 from vprbench.runs.record import Run
 from vprbench.runs.sequences import Views, views
@@ -68,14 +67,6 @@ class Result:
         """Queries per second, one at a time, encode and match together; NaN if the run was not timed."""
         timing: Timing | None = self.run.timing
         return NAN if timing is None else streaming_rate(timing.streaming.total_seconds)
-
-    @property
-    def readouts(self) -> pd.DataFrame:
-        """R@1 of codes, of each learnt layer and of the answer, with its interval, a row each.
-
-        Empty unless the run was asked for `readouts=True` and its method learns layers.
-        """
-        return pd.DataFrame(readout_numbers(self.run) or [])
 
     def recall(self, n: int = 1) -> float:
         """Return the share of queries with a right place among the best `n`, 0 to 1; NaN if none has a right place."""

@@ -41,9 +41,8 @@ class Options(TypedDict, total=False):
     depth: int  # best places kept for each query, 100
     scores: bool  # keep all scores, however many; those of small runs are kept anyway
     energy: bool  # count what a query and a place cost
-    readouts: bool  # R@1 of the codes and of each learnt layer too, by cosine: Result.readouts
     corruption: str | None  # of the query frames, as in "shift-1"; None: they are clean
-    views: str | Sequence[float] | Mapping[str, Any] | None  # "auto", or shifts in widths: viewpoints of each query
+    views: Sequence[float] | Mapping[str, Any] | None  # shifts in widths of the frame: viewpoints of each query
     save: str | Path | None  # file for the trained network
     load: str | Path | None  # file of a trained network: nothing is trained then
 

@@ -71,7 +71,7 @@ def _numbers(runs: Sequence[Run]) -> dict[str, Any]:
     others = others_of(runs)
     elsewhere = _accuracy(others) if others else (None, None, None)
     timed = all(run.timing is not None for run in runs)
-    fits = [run.training_seconds for run in runs if run.training_seconds is not None]
+    fits = [run.fit_seconds for run in runs if run.fit_seconds is not None]
     hz = mean(rate(run) for run in runs) if timed else None
     return dict(zip(NUMBERS, (*_accuracy(runs), *elsewhere, hz, median(fits) if fits else None), strict=True))
 

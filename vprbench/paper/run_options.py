@@ -26,7 +26,7 @@ class RunOptions(ClusterOptions):
     name: str | None = None  # of the files that are written
     sequence: Any = None  # 4, [1,4,10] or {length:4,window:centred}: answers of so many neighbouring queries
     filter: Any = None  # true or {back:0,ahead:2,ratio:5}: answers of a Bayes filter over the places
-    views: Any = None  # auto, or shifts in widths of the frame: the viewpoints of each query
+    views: Any = None  # shifts in widths of the frame: the viewpoints of each query
     wide: bool = False  # all columns, however wide the terminal is
     results: str = "results"
 

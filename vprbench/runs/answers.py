@@ -1,4 +1,4 @@
-"""The answers of one run: every query scored block by block, in bounded memory, and audited against the timed run."""
+"""The answers of one run: every query scored block by block, in bounded memory."""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 from vprbench.api.adaptation import Adapt
-from vprbench.api.dataset import Dataset, has_ground_truth
+from vprbench.api.dataset import Dataset
 from vprbench.api.frame_cache import frames_kept
 from vprbench.api.method import Method, calibration
 from vprbench.data.doctor import check_dataset
@@ -93,12 +93,10 @@ def build_experiment(
     files = networks.chosen_files(request.save, request.load, request.force)
     with listening() as opened:
         method = (make or registry.make_method)(request.method)
-    _require_adaptable(method, request)
+    _require_adaptable(method)
     # what the cheap checks warn of is among the dataset's notes
     in_sequences = bool(sequences.views(request.sequence, request.filter))
     dataset = replace(dataset, notes=(*dataset.notes, *check_dataset(dataset, in_sequences)))
-    if request.readouts and not has_ground_truth(dataset.protocol):
-        raise BadInput(f"readouts=true: it tells R@1, and {dataset.name} has no ground truth; leave it out")
     tuned_queries = queries_of_tuned_frames(dataset, request.tuned_on)
     if isinstance(request.corruption, str):
         dataset = corrupted(dataset, request.corruption)
@@ -134,8 +132,8 @@ def corrupt_experiment(clean: Experiment, corruption: str) -> Experiment:
     )
 
 
-def _require_adaptable(method: Method, request: RunRequest) -> None:
-    """Raise BadInput for an argument `adapt` of a method without centred codes, or beside options that know none."""
+def _require_adaptable(method: Method) -> None:
+    """Raise BadInput for an argument `adapt` that is unknown, and for one of a method without centred codes."""
     if method.adapt == "none":
         return
     if method.adapt not in get_args(Adapt):
@@ -144,7 +142,3 @@ def _require_adaptable(method: Method, request: RunRequest) -> None:
         raise BadInput(
             f"method.adapt={method.adapt}: {type(method).__name__} has no codes that a mean can be taken off"
         )
-    views = viewpoints(request.views)
-    if request.readouts or (views is not None and views.auto):
-        other = "readouts=true" if request.readouts else "views=auto"
-        raise BadInput(f"method.adapt={method.adapt}: {other} reads codes that are not adapted, leave one of both out")

@@ -25,7 +25,7 @@ from vprbench.runs.run_lock import HeldElsewhereError, RunLock
 from vprbench.runs.sequences import views
 from vprbench.runs.store import Store, require_writable
 
-_ON_REQUEST = ("readouts", "stream", "energy")  # which a run keeps if it is run again without them
+_ON_REQUEST = ("stream", "energy")  # which a run keeps if it is run again without them
 
 
 class UnstoredRunError(BadInput):
@@ -108,7 +108,6 @@ def list_missing_parts(run: Run, request: RunRequest, dataset: Dataset | None = 
     lacks = {
         "its network": request.save is not None and not saved,
         f"enough timing ({', '.join(too_little)})": bool(too_little),
-        "its readouts": request.readouts and run.readouts is None,
         f"a map that grows by {step} places": step not in (0, first_stop),
         "its costs": request.energy and run.energy is None,
         "its scores": request.scores and run.scores is None,

@@ -16,24 +16,19 @@ NoteKind = Literal[
     "calibrated",  # the held-out places that chose its settings
     "described",  # descriptors that a run had from the cache
     "fitted",  # a fit beside other runs
-    "late",  # work of the fit that the first query did
     "noisy",  # a machine that did other things too
     "invalid",  # too few laps
     "offline",  # too few laps of a batch size
-    "caching",  # known images that are answered faster than new ones
-    "audit",  # other answers when it was timed
+    "answers",  # other answers when it was timed
     "index",  # an approximate search
     "shortlist",  # a large map, of which the best places of a query alone are kept
     "adapted",  # the mean that is taken off descriptors
     "views",  # from which viewpoints queries were asked
     "spikes",  # why no spikes were counted
-    "readouts",  # why no layer was read
 ]
 
 #: Kinds of notes on a machine that was disturbed, or timed too shortly.
 DISTURBED: frozenset[NoteKind] = frozenset({"noisy", "invalid"})
-#: Kinds of notes on rates that an audit found wanting.
-FAILED_AUDITS: frozenset[NoteKind] = frozenset({"caching", "audit"})
 
 
 class Note(NamedTuple):

@@ -128,15 +128,6 @@ class Spikes(_Part):
     layers: Annotated[list[_Layer], Field(min_length=1)]
 
 
-class Readout(_Part):
-    """What a layer finds on its own: a hit or none for each query."""
-
-    name: str
-    neurons: Count
-    hits: Annotated[list[Share], Field(min_length=1)]
-    steps: list[Count] | None = None
-
-
 #: A stop of a growing map.
 Stop = dict[Literal["places", "hits", "seconds"], Places | list[Seconds]]
 
@@ -146,14 +137,6 @@ class Energy(_Part):
 
     values: dict[str, Amount | None]
     how: dict[str, str]
-
-
-class SeenFrom(_Part):
-    """From which viewpoints each query was asked, and what they were chosen by."""
-
-    views: Annotated[list[list[Number]], Field(min_length=1)]  # shifts in widths and in heights, zoom
-    evidence: dict[str, Any] | None = None  # of the first queries; None: the views were given
-    seconds: Amount = 0.0
 
 
 class Frames(_Part):
@@ -236,29 +219,9 @@ class Run:
     tuned_queries: Sequence[Count] | None = None  # which show frames of these places; None: not looked for yet
     query_breaks: Annotated[_Breaks, Array(INTEGERS, ("query breaks",), 1, "last query")] | None = None  # Dataset's
     place_breaks: Annotated[_Breaks, Array(INTEGERS, ("place breaks",), 1, "last place")] | None = None
-    readouts: Annotated[Sequence[Mapping[str, Any]] | None, Fits(list[Readout] | None)] = None
     stream: Annotated[Sequence[Mapping[str, Any]] | None, Fits(list[Stop] | None)] = None  # of a growing map
     energy: Annotated[Mapping[str, Any] | None, Fits(Energy | None)] = None  # None: not asked for
-    viewpoints: Annotated[Mapping[str, Any] | None, Fits(SeenFrom | None)] = None  # None: frames as they are
     view: Annotated[View | None, PlainValidator(_no_view)] = None  # None: the run as it is stored
-
-    @property
-    def training_seconds(self) -> float | None:
-        """The wall time until queries take their usual time: the fit, and what the first query took beyond a usual one.
-
-        None if nothing was fitted; the fit alone if queries were not timed.
-        """
-        return None if self.fit_seconds is None else self.fit_seconds + self._first_query_excess_seconds
-
-    @property
-    def training_compute_seconds(self) -> float | None:
-        """The same without the time that the method waited for images."""
-        computing = self.fit_compute_seconds
-        return None if computing is None else computing + self._first_query_excess_seconds
-
-    @property
-    def _first_query_excess_seconds(self) -> float:
-        return 0.0 if self.timing is None else self.timing.first_query_excess_seconds
 
     @property
     def is_judged(self) -> bool:

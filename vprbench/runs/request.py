@@ -56,7 +56,6 @@ class RunRequest:
     save: str | None = None  # file for the trained network
     load: str | None = None  # file of a trained network; nothing is trained then
     stream: bool | int = False  # grow the map place by place, and ask at each so many places; true: ten times
-    readouts: bool = False  # what the codes and the layers of a learnt method find on their own
     predictions: int | None = None  # best places of each query that are written as CSV; None: no file
     energy: bool = False  # what a query costs in operations and joules, and a place in bytes
     timing: Protocol = field(default_factory=Protocol)

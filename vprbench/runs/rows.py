@@ -48,8 +48,8 @@ def _readable_rates(timing: Timing | None) -> dict[str, str]:
 
 def _fit(run: Run) -> str:
     """Return the seconds of the fit, or what stood in for it."""
-    if run.training_seconds is not None:
-        return f"{run.training_seconds:.1f}" if run.training_seconds >= 10 else f"{run.training_seconds:.2g}"
+    if run.fit_seconds is not None:
+        return f"{run.fit_seconds:.1f}" if run.fit_seconds >= 10 else f"{run.fit_seconds:.2g}"
     return "kept" if run.network is None else "loaded"
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from vprbench.runs import energy, frame, readouts, rows, stream
+from vprbench.runs import energy, frame, rows, stream
 from vprbench.runs.record import Run
 from vprbench.runs.request import RunRequest
 from vprbench.runs.sequences import views
@@ -31,10 +31,8 @@ def run_text(
                 "protocol": dict(run.protocol),
                 "data": dict(run.data),
                 **frame.numbers(run, request.metrics),
-                "readouts": readouts.readout_numbers(run),
                 **({"stream": stream.stream_numbers(run)} if request.stream else {}),
                 **({"energy": run.energy} if request.energy else {}),
-                **({} if run.viewpoints is None else {"viewpoints": run.viewpoints}),
                 "network": run.network,
                 "tuned_on": run.tuned_on or None,
                 "notes": [note._asdict() for note in all_notes(run)],
@@ -59,8 +57,6 @@ def run_text(
         below.append(f"stored in {folder}")
     below += [f"best {request.predictions} places of each query: {file}" for file in predictions]
     tables = [table_text([*table[0]], [[*row.values()] for row in table], request.wide, rows.LEAST)]
-    if request.readouts:
-        tables.append(readouts.readout_text(run))
     if request.stream:
         tables.append(stream.stream_text(run))
     if request.energy:

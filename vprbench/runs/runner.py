@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, astuple, replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from vprbench import progress
 from vprbench.api.checkpoints import ledger
 from vprbench.api.dataset import Dataset
 from vprbench.plugins.opened_files import Opened, listening, unnamed_files
-from vprbench.runs import machine, readouts, spikes, timing_lock
+from vprbench.runs import machine, spikes, timing_lock
 from vprbench.runs.adapted import describe_adaptation
 from vprbench.runs.answers import Answers, Scoring
 from vprbench.runs.descriptors import DescriptorCache
@@ -22,15 +22,13 @@ from vprbench.runs.experiment import Experiment
 from vprbench.runs.fitting import FitResult, fit_or_load
 from vprbench.runs.identity import code_hash, data_record
 from vprbench.runs.notes import Note, noted
-from vprbench.runs.offset import find_offset
 from vprbench.runs.record import Run
 from vprbench.runs.stopwatch import Stopwatch, Timing, synchroniser
-from vprbench.runs.viewpoints import AS_IT_IS, Viewpoint
+from vprbench.runs.viewpoints import Viewpoints
 from vprbench.text import be, some
 
 _NOISE = 0.05  # drift of a fixed computation that marks a run as noisy
 _BUSY = 15.0  # percent of CPU pressure that marks a run as noisy
-_CACHING = 0.9  # known images that need less than this share of the time of new ones are suspicious
 _SAME_SCORE = 1e-4  # relative difference that counts as the same answer in the timed and in the scored run
 
 
@@ -56,17 +54,18 @@ def run(experiment: Experiment, key: str, keep: Callable[[Run], None] = lambda r
         read = queries.reading.seconds
         scoring = Scoring(stopwatch, method, dataset, experiment.request.depth, experiment.request.scores)
         answers = scoring.answers
-        seen = _look(experiment, scoring, stopwatch)
+        if experiment.views is not None:
+            scoring.look_from(experiment.views.all, experiment.method)
         first_query = stopwatch.first_query(scoring.begin_traverse(), queries)
         watch.fitted()
         answers.method_seconds += first_query
-        from_cache = scoring.score(described if seen is None else None)
+        from_cache = scoring.score(described if experiment.views is None else None)
         elsewhere = fitted.seconds + answers.method_seconds + queries.reading.seconds - read
 
-    measured = {"data": data, "viewpoints": seen, **watch.seen()}
+    measured = {"data": data, **watch.seen()}
     with stopwatch.lap() as auditing:
-        inside, inside_notes = _inside(experiment)
-        measured |= {"search": scoring.audited.search(), **inside}
+        counted, spike_notes = spikes.counted(method, queries)
+        measured |= {"search": scoring.audited.search(), "spikes": counted}
     told = (
         *noted("dataset", dataset.notes),
         *fitted.notes,
@@ -75,13 +74,13 @@ def run(experiment: Experiment, key: str, keep: Callable[[Run], None] = lambda r
         *_cache_notes(dataset, fitted.from_cache, from_cache),
         *scoring.notes(),
         *describe_adaptation(method),
-        *noted("views", [] if seen is None else [_describe_views(seen)]),
+        *noted("views", [] if experiment.views is None else [_describe_views(experiment.views)]),
     )
     scored = replace(
         _scored(experiment, key, fitted, answers, measured),
         harness_seconds=time.perf_counter() - started - elsewhere - auditing[0],
     )
-    scored = replace(scored, notes=(*told, *_notes_on(scored), *inside_notes))
+    scored = replace(scored, notes=(*told, *_notes_on(scored), *spike_notes))
     if not experiment.request.timing.rates:
         return scored
     keep(scored)
@@ -90,42 +89,13 @@ def run(experiment: Experiment, key: str, keep: Callable[[Run], None] = lambda r
         timed = replace(scored, timing=timing, **watch.seen())
     progress.report("timing", 1.0)
     timed = replace(timed, config={**scored.config, "timing": asdict(experiment.request.timing)})
-    return replace(timed, notes=(*told, *_notes_on(timed), *inside_notes))
+    return replace(timed, notes=(*told, *_notes_on(timed), *spike_notes))
 
 
-def _look(experiment: Experiment, scoring: Scoring, stopwatch: Stopwatch) -> dict[str, Any] | None:
-    """Let the queries be asked from the viewpoints of an experiment; return these and what they were chosen by."""
-    if experiment.views is None:
-        return None
-    views, evidence, seconds = experiment.views.all, None, 0.0
-    if experiment.views.auto:
-        with stopwatch.lap() as lap:
-            offset = find_offset(experiment.method, experiment.dataset.queries.unnamed(), experiment.views)
-        views, evidence, seconds = [*offset.views], dict(offset.evidence), lap[0]
-        scoring.answers.method_seconds += seconds
-    scoring.look_from(views, experiment.method)
-    return {"views": [[*astuple(view)] for view in views], "evidence": evidence, "seconds": seconds}
-
-
-def _describe_views(seen: Mapping[str, Any]) -> str:
-    """Return in words from which viewpoints queries were asked, and why."""
-    views = [Viewpoint(*view) for view in seen["views"]]
-    shown = ", ".join(map(str, views))
-    if (evidence := seen["evidence"]) is None:
-        return f"asked from {len(views)} viewpoints, shifts in widths of the frame (/heights): {shown}"
-    how = f"by the first {evidence['queries']} queries, in {seen['seconds']:.1f} s"
-    if views == [AS_IT_IS]:
-        return f"no offset of the camera is told {how}: frames are asked as they are"
-    return f"asked at shifts in widths of the frame (/heights) of {shown}, told {how}"
-
-
-def _inside(experiment: Experiment) -> tuple[dict[str, Any], tuple[Note, ...]]:
-    """Return what the layers of a fitted method did, and notes on it: spikes, and readouts if they were asked for."""
-    counted, notes = spikes.counted(experiment.method, experiment.dataset.queries.unnamed())
-    if not experiment.request.readouts:
-        return {"spikes": counted}, notes
-    read, more = readouts.read(experiment.method, experiment.dataset)
-    return {"spikes": counted, "readouts": read}, (*notes, *more)
+def _describe_views(views: Viewpoints) -> str:
+    """Return a note on the viewpoints of each query."""
+    shown = ", ".join(map(str, views.all))
+    return f"asked from {len(views.all)} viewpoints, shifts in widths of the frame (/heights): {shown}"
 
 
 class _Watch:
@@ -252,28 +222,19 @@ def _notes_on(run: Run) -> Iterator[Note]:
 
 
 def _notes_on_rates(run: Run, timing: Timing) -> Iterator[Note]:
-    if timing.first_query_excess_seconds:
-        trained = run.fit_seconds is not None
-        use = "what it took more counts as training" if trained else "no time holds it, for nothing was trained"
-        seconds = timing.first_query_seconds
-        times = seconds / float(np.median(timing.streaming.total_seconds))
-        yield Note("late", f"late work: the first query took {seconds:.2f} s, {times:,.0f} times the median; {use}")
     limit = "maximum" if run.timed_by.total_seconds is None else "total"
     unmet = f"a minimum of the timing protocol was not met within timing.{limit}_seconds"
     if not timing.streaming.valid:
         yield Note("invalid", f"invalid rates: {unmet}")
     elif not all(laps.valid for laps in timing.offline):
         yield Note("offline", f"invalid rates in batches: {unmet}")
-    if timing.repeated_seconds < _CACHING * timing.unseen_seconds:
-        share = 100 * timing.repeated_seconds / timing.unseen_seconds
-        yield Note("caching", f"caching: images seen before are answered in {share:.0f} % of the time of new ones")
     in_order = run.config["method"].get("adapt") == "running"  # the sample is asked in another order
-    if not in_order and not _same_answers(run, timing):
-        yield Note("audit", "audit failed: the timed run gave other answers than the scored run")
+    if not in_order and not _gives_same_answers(run, timing):
+        yield Note("answers", "the timed run gave other answers than the scored run")
 
 
-def _same_answers(run: Run, timing: Timing) -> bool:
-    """Tell whether the places named when the run was timed score best in its stored answers too."""
+def _gives_same_answers(run: Run, timing: Timing) -> bool:
+    """Return whether the places that the timed run named score best in the stored answers too."""
     queries = timing.sample[timing.answers >= 0]
     named = timing.answers[timing.answers >= 0]
     places, scores = run.top_places[queries], run.top_scores[queries]

@@ -20,18 +20,15 @@ from vprbench.runs.adapted import Asked
 from vprbench.runs.shortlist import Answer, best_place
 from vprbench.runs.timing_protocol import Protocol as Protocol  # callers ask the stopwatch
 from vprbench.storage.bounds import INTEGERS, NUMBERS, Array, Count, Flag, Positive
-from vprbench.storage.bounds import Seconds as Duration
 
 Clock = Callable[[], int]  # nanoseconds, monotonic
 Seconds = npt.NDArray[np.float64]
 
 _SAMPLE_BYTES = 1 << 29  # of decoded images held at once
-_LATE = 10  # times the median, beyond which a first query is no usual one
-_BRIEF_SECONDS = 0.05  # libraries need as much for what they do once in a process
 _STEADY_QUERIES, _STEADY_SPREAD = 10, 0.1
-_LONG_PASS, _LONG_CALL, _FEWEST_REPEATED = 4.0, 1.0, 8  # seconds and images: no more is asked of a slow method
+_LONG_PASS, _LONG_CALL = 4.0, 1.0  # seconds: no more is asked of a slow method
 _GAIN = 1.25  # times the rate: less is within what machines vary by
-_SHARES = (0.15, 0.5, 0.6)  # of `total_seconds`, by which warm-up, streaming and the look for caching have to end
+_SHARES = (0.15, 0.5)  # of `total_seconds`, by which warm-up and streaming have to end
 
 
 def _nothing() -> None:
@@ -79,18 +76,6 @@ class Timing:
     answers: Annotated[  # the best place of each in the timed run; -1 if not reached
         npt.NDArray[np.int64], Array(INTEGERS, ("sample",), -1, "last place")
     ]
-    repeated_seconds: Duration  # median of images asked a second time in a row; 0: there was no time to
-    unseen_seconds: Duration = 0.0  # median of images never shown before: a method that caches is slower there
-
-    @property
-    def first_query_excess_seconds(self) -> float:
-        """What the first query took beyond a usual one; 0 up to ten times the median, and if that is too brief.
-
-        So much of the training can have been left to it, and a method gains nothing by that.
-        """
-        usual = float(np.median(self.streaming.total_seconds))
-        excess = self.first_query_seconds - usual
-        return excess if self.first_query_seconds > _LATE * usual and excess > _BRIEF_SECONDS else 0.0
 
 
 class Stopwatch:
@@ -150,11 +135,9 @@ class Stopwatch:
             self._end_after(began, _SHARES[1])
             streaming, answers = self._stream(method, singles)
             progress.report("timing", 0.2)
-            self._end_after(began, _SHARES[2])
-            repeated, unseen = self._caching(method, singles, float(np.median(streaming.total_seconds)))
             offline = self._offline(method, sample, streaming, began)
         first = [*warmup, float("nan")][0] if first_query_seconds is None else first_query_seconds
-        return Timing(first, len(warmup), streaming, offline, chosen, answers, repeated, unseen)
+        return Timing(first, len(warmup), streaming, offline, chosen, answers)
 
     def _call(self, method: Asked, images: Images) -> tuple[float, float, Answer]:
         """Return the seconds of encode and match, and the scores or the best places."""
@@ -196,28 +179,6 @@ class Stopwatch:
                     break
         return Laps(np.array(encodes), np.array(matches), 1, finished), answers
 
-    def _caching(self, method: Asked, singles: Sequence[Images], usual: float) -> tuple[float, float]:
-        """Return the median seconds of images asked twice in a row, and of new ones asked in between.
-
-        Of slow ones 8 suffice. Both are 0 if there is no time for one image; `usual` is what a call takes.
-        """
-        repeated, unseen = list[float](), list[float]()
-        started, least = self._clock(), self._protocol.minimum_seconds
-        while len(unseen) < self._protocol.minimum_queries and not self._late(started, 3 * usual):
-            if len(unseen) >= _FEWEST_REPEATED and (self._clock() - started) / 1e9 >= least:
-                break
-            single = singles[len(unseen) % len(singles)]
-            for laps, image in ((None, single), (repeated, single), (unseen, self._changed(single))):
-                encode, match, _ = self._call(method, image)
-                if laps is not None:
-                    laps.append(encode + match)
-        return (float(np.median(repeated)), float(np.median(unseen))) if unseen else (0.0, 0.0)
-
-    def _changed(self, single: Images) -> Images:
-        """Return the image with noise in the lowest bit of its levels: the same to see, but new."""
-        image = single[0]
-        return Images.from_arrays([image ^ self._generator.integers(0, 2, image.shape, np.uint8)])
-
     def _offline(self, method: Asked, sample: Images, streaming: Laps, began: int) -> tuple[Laps, ...]:
         """Return the laps of each batch size whose calls fit into the time left; at least the streaming ones, of one.
 
@@ -227,7 +188,7 @@ class Stopwatch:
         offline, last, gains = list[Laps](), streaming, True
         for done, size in enumerate(sizes):
             progress.report("timing", 0.3 + 0.7 * done / len(sizes))
-            self._end_after(began, _SHARES[2] + (1 - _SHARES[2]) * (done + 1) / len(sizes))
+            self._end_after(began, _SHARES[1] + (1 - _SHARES[1]) * (done + 1) / len(sizes))
             call = last.per_image() * size  # at most
             if size == 1:
                 offline.append(streaming)

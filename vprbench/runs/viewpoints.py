@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import cv2
@@ -20,7 +20,7 @@ from vprbench.plugins.checked import checked
 from vprbench.plugins.entries import read
 from vprbench.text import near
 
-_EXAMPLE = "as in views=[-0.1,0,0.1], views=auto or views={vertical:[-0.1,0,0.1],zoom:[1,1.1]}"
+_EXAMPLE = "as in views=[-0.1,0,0.1] or views={vertical:[-0.1,0,0.1],zoom:[1,1.1]}"
 
 
 @dataclass(frozen=True)
@@ -42,13 +42,11 @@ AS_IT_IS = Viewpoint()
 
 @dataclass(frozen=True)
 class Viewpoints:
-    """The views of each query, or that they are chosen by the first queries; raises BadInput for impossible ones."""
+    """The views of each query; raises BadInput for impossible ones."""
 
     horizontal: tuple[float, ...] = (0.0,)  # in widths
     vertical: tuple[float, ...] = (0.0,)  # in heights
     zoom: tuple[float, ...] = (1.0,)  # enlargements, 0.5 to 2
-    auto: bool = False  # shifts and zoom are told from the queries
-    queries: int | None = 1000  # the first ones, by which `auto` chooses; None: all
 
     def __post_init__(self) -> None:
         """Check the shifts and zooms."""
@@ -60,10 +58,6 @@ class Viewpoints:
             raise BadInput(f"views.zoom={self.zoom}: give enlargements from 0.5 to 2, {_EXAMPLE}")
         if len({*self.all}) < len(self.all):
             raise BadInput(f"views={shown}: give each view once, {_EXAMPLE}")
-        if self.auto and self.all != [AS_IT_IS]:
-            raise BadInput(f"views={self.all}: auto chooses shifts and zoom itself, give none beside it")
-        if self.queries is not None and self.queries < 1:
-            raise BadInput(f"views.queries={self.queries}: give at least 1 query, or null for all")
 
     @property
     def all(self) -> list[Viewpoint]:
@@ -72,8 +66,6 @@ class Viewpoints:
 
     def protocol(self) -> str:
         """Return what stands of them in the protocol of a run."""
-        if self.auto:
-            return f"auto, by {'all' if self.queries is None else f'the first {self.queries}'} queries"
         return "+".join(map(str, self.all))
 
 
@@ -83,15 +75,12 @@ def viewpoints(value: Any) -> Viewpoints | None:
         value = read(value.replace(":", ": "))
     if value is None:
         return None
-    given = {"auto": True} if value == "auto" else value if isinstance(value, Mapping) else {"horizontal": value}
-    hints: dict[str, Any] = {
-        **{"horizontal": tuple[float, ...], "vertical": tuple[float, ...], "zoom": tuple[float, ...]},
-        **{"auto": bool, "queries": int | None},
-    }
+    given = value if isinstance(value, Mapping) else {"horizontal": value}
+    names = [each.name for each in fields(Viewpoints)]
     for name in given:
-        if name not in hints:
-            raise BadInput(f"option views.{name} is unknown: {near(name, hints)}")
-    return Viewpoints(**{name: checked(f"views.{name}", each, hints[name]) for name, each in given.items()})
+        if name not in names:
+            raise BadInput(f"option views.{name} is unknown: {near(name, names)}")
+    return Viewpoints(**{name: checked(f"views.{name}", each, tuple[float, ...]) for name, each in given.items()})
 
 
 def seen_from(dataset: Dataset, views: Viewpoints | None) -> Dataset:

@@ -266,11 +266,11 @@ def test_each_machine_is_told_once_with_what_ran_on_it_and_notes_are_of_everythi
     run = journey_run({}, notes=(Note("dataset", "the clock was not locked"),))
     on_gpu = on(replace(run, config={**run.config, "device": "cuda"}), processor="Difference Engine")
     browsed = journey_section()
-    seeds = (journey_run({}, 0, notes=(Note("audit", "audit failed"),)), journey_run({}, 1))
+    seeds = (journey_run({}, 0, notes=(Note("answers", "other answers"),)), journey_run({}, 1))
     measured = [("Journey", Series("VPRTempo", True, runs)) for runs in ((on_gpu,), seeds)]
     text = Parsed(report.page(TABLE, [], [browsed], measured=[("Journey", browsed.series[0]), *measured])).text
     machines = "Difference Engine", "Abacus 9"
-    notes = "VPRTempo, on cuda", "the clock was not locked", "two carts passed", "VPRTempo, seed 0", "audit failed"
+    notes = "VPRTempo, on cuda", "the clock was not locked", "two carts passed", "VPRTempo, seed 0", "other answers"
     assert [told for told in (*machines, *notes) if told not in text] == []
     assert "Difference Engine" not in Parsed(report.page(TABLE, [], [browsed])).text
 

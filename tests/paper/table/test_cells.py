@@ -154,7 +154,7 @@ def test_recall_tells_its_ties_its_notes_and_that_it_is_undefined_and_a_cost_tha
     outcome, two, nothing = run(hits=[1, 0, 1, 1]).outcome, np.array([1, 1, 2, 2]), np.zeros(4, np.int64)
     tied = run(outcome=replace(outcome, top_tied=two, tied=two))
     undefined = replace(outcome, above=nothing + 10, tied=nothing, tied_correct=nothing, n_positives=nothing)
-    notes = tuple(Note(kind, kind) for kind in ("caching", "index", "noisy"))
+    notes = tuple(Note(kind, kind) for kind in ("answers", "index", "noisy"))
     made = table([tied, run("hog", outcome=undefined), run("vprsnn", notes=notes)], rows=[SAD, HOG, VPRSNN])
     assert measured(made, "SAD", "recall_at_1").value == approx(50)
     assert any("25.0 to 75.0 %" in text for code, text in reasons(made, "SAD", "recall_at_1") if code == "ties")
@@ -162,7 +162,7 @@ def test_recall_tells_its_ties_its_notes_and_that_it_is_undefined_and_a_cost_tha
     query = measured(made, "hog", "query_cpu")  # of a row that the paper does not have
     assert (query.value, query.at_boundary, codes(made, "hog", "query_cpu")) == (approx(80), None, [])
     told = [[text for code, text in reasons(made, "VPRSNN", q) if code == "note"] for q in ("recall_at_1", "query_cpu")]
-    assert told == [["index"], ["caching"]]
+    assert told == [["index"], ["answers"]]
     energy = {"values": {"operations": 2e6, "joules_measured": None}, "how": {"joules_measured": "no counter here"}}
     costs = quantities(["operations", "joules_measured"], ("cpu",))
     made = table([run(energy=energy)], rows=[SAD], quantities=costs)
@@ -201,7 +201,7 @@ def test_a_row_that_was_tuned_on_a_columns_places_says_so_and_is_in_no_contest_t
     assert measured(others, "VPRSNN", "recall_at_1").best == (not best)  # it beats the others that are in the contest
 
 
-@pytest.mark.parametrize(("kind", "marked"), [("noisy", True), ("invalid", True), ("caching", False)])
+@pytest.mark.parametrize(("kind", "marked"), [("noisy", True), ("invalid", True), ("answers", False)])
 def test_times_of_a_busy_machine_or_of_too_few_laps_are_marked_and_recall_is_not(kind, marked):
     made = table([tempo(0), tempo(1, notes=(Note(kind, "noisy: carts"),)), tempo(2)], rows=[VPRTEMPO])
     assert [measured(made, "VPRTempo", quantity).disturbed for quantity in NAMES[:3]] == [False, marked, marked]

@@ -1,4 +1,4 @@
-"""Time against the number of places, with the laws of growth fitted to it: Figure 2C of the paper."""
+"""Time against the number of places, with the exponent of its growth: Figure 2C of the paper."""
 
 from __future__ import annotations
 
@@ -9,15 +9,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.lines import Line2D
 
 from vprbench.errors import BadInput
-from vprbench.metrics.growth import LAWS, Comparison, Law, compare
+from vprbench.metrics.growth import Power, fit_power
 from vprbench.paper.figures.captions import caption
 from vprbench.paper.figures.style import (
     DOUBLE_MM,
     GREY,
-    Dash,
     Drawn,
     Look,
     legend_above,
@@ -31,9 +29,7 @@ from vprbench.paper.growth import GrowthSamples
 from vprbench.paper.selection import Series
 from vprbench.runs.stream import stream_numbers
 
-_CLAIMS: dict[str, tuple[Law, Law]] = {"VPRTempo": ("linear", "logarithmic")}  # by the paper: training, query
-_DASHES: dict[Law, Dash] = {"constant": (0, (1, 2)), "logarithmic": (0, (4, 2)), "linear": (0, ())}
-_ORDER: dict[Law, str] = {"constant": "O(1)", "logarithmic": "O(log n)", "linear": "O(n)"}
+_CLAIMS = {"VPRTempo": ("O(n)", "O(log n)")}  # by the paper: training, query
 _SECONDS = ("seconds", "low", "high")
 _MS = 1e3  # milliseconds of a second
 _HEIGHT_MM = 74.0  # without the legend
@@ -43,16 +39,15 @@ _LETTERS = 52  # of a line of it
 
 @dataclass(frozen=True)
 class _Step:
-    """The times of one step of a row, and the laws fitted to them."""
+    """The times of one step of a row, and the power fitted to them."""
 
     times: pd.DataFrame  # `places`, `seconds`, `low`, `high` and `disturbed`, a line a run
-    comparison: Comparison | None  # None: too few sizes to tell laws apart
-    claimed: Law | None  # by the paper
+    power: Power | None  # None: too few sizes
 
 
 @dataclass(frozen=True)
 class _Fitted:
-    """One row with the laws fitted to its times."""
+    """One row with the powers fitted to its times."""
 
     samples: GrowthSamples
     training: _Step
@@ -61,9 +56,9 @@ class _Fitted:
 
 @styled
 def growth(rows: Sequence[GrowthSamples]) -> Drawn:
-    """Draw training time (left) and the time of a query (right) against the number of places, with fitted laws.
+    """Draw training time (left) and the time of a query (right) against the number of places, with fitted powers.
 
-    One row shows all laws, several rows the best law of each. Raises BadInput if there is no row.
+    Raises BadInput if there is no row.
     """
     if not rows:
         raise BadInput("no run with different numbers of places is stored: there is no growth to draw")
@@ -73,8 +68,8 @@ def growth(rows: Sequence[GrowthSamples]) -> Drawn:
     for row in fitted:
         name, look = row.samples.name, looked[row.samples.name]
         for axes, step, of, unit in ((left, row.training, "training", 1), (right, row.query, "encode and match", _MS)):
-            _draw_points(axes, step.times, unit, look, _label("" if len(rows) == 1 else name, of, step.comparison))
-            _draw_laws(axes, step, unit, look, named=len(rows) > 1)
+            _draw_points(axes, step.times, unit, look, _label(of if len(rows) == 1 else name, step.power))
+            _draw_power(axes, step, unit, look)
     left.set(xlabel="Places", ylabel="Training time (s)", title="Training")
     right.set(xlabel="Places", ylabel="Time of a query (ms)", title="Query")
     lines = _finish(left, pd.concat([row.training.times for row in fitted]), 1, "nothing was trained")
@@ -87,7 +82,7 @@ def growth(rows: Sequence[GrowthSamples]) -> Drawn:
         "disturbed": [(row.samples.name, sizes) for row in fitted if (sizes := _disturbed(row))],
         "several_seeds": any(row.table["seed"].nunique() > 1 for row in rows),
     }
-    return Drawn(figure, caption("growth", rows, rows=fitted, orders=_ORDER, **told))
+    return Drawn(figure, caption("growth", rows, rows=fitted, claims=_CLAIMS, **told))
 
 
 @styled
@@ -115,32 +110,24 @@ def growing_map(series: Sequence[Series]) -> Drawn:
 
 
 def _fitted(row: GrowthSamples) -> _Fitted:
-    training, query = _CLAIMS.get(row.name, (None, None))
     columns = ["query_seconds", "query_low", "query_high"]
-    return _Fitted(
-        row, _step(row.table, ["training_compute_seconds", None, None], training), _step(row.table, columns, query)
-    )
+    return _Fitted(row, _step(row.table, ["fit_compute_seconds", None, None]), _step(row.table, columns))
 
 
-def _step(table: pd.DataFrame, columns: Sequence[str | None], claimed: Law | None) -> _Step:
+def _step(table: pd.DataFrame, columns: Sequence[str | None]) -> _Step:
     """Return the times of one step from the columns of their seconds and interval, which a single time has none of."""
     named = zip(_SECONDS, columns, strict=True)
     times = table[["places", "disturbed"]].assign(**{to: table[of] if of else None for to, of in named})
     times = times.dropna(subset="seconds")
     try:
-        comparison = compare(times["places"].tolist(), times["seconds"].tolist())
+        return _Step(times, fit_power(times["places"].tolist(), times["seconds"].tolist()))
     except BadInput:  # too few sizes
-        comparison = None
-    return _Step(times, comparison, claimed)
+        return _Step(times, None)
 
 
-def _label(name: str, step: str, comparison: Comparison | None) -> str:
-    """Return what stands in the legend beside points: of a row among others its name and best law."""
-    if comparison is None:
-        return name or step
-    exponent = comparison.exponent
-    told = f"exponent {exponent.value:.2f} [{exponent.low:.2f}, {exponent.high:.2f}]"
-    return f"{name}: {comparison.best}, {told}" if name else f"{step}, {told}"
+def _label(name: str, power: Power | None) -> str:
+    """Return the legend's text for the points of a row or a step."""
+    return name if power is None else f"{name}, exponent {power.exponent:.2f} [{power.low:.2f}, {power.high:.2f}]"
 
 
 def _draw_points(axes: Axes, times: pd.DataFrame, unit: float, look: Look, label: str) -> None:
@@ -161,25 +148,11 @@ def _draw_points(axes: Axes, times: pd.DataFrame, unit: float, look: Look, label
         label = ""  # once in the legend
 
 
-def _draw_laws(axes: Axes, step: _Step, unit: float, look: Look, named: bool) -> None:
-    """Draw the best law, and thinly the others with a key for each where the row is alone and its points unnamed."""
-    if step.comparison is None:
-        return
-    fits, comparison = step.comparison.fits, step.comparison
-    places = np.geomspace(step.times["places"].min(), step.times["places"].max(), 200)
-    for law in sorted(LAWS, key=lambda law: fits[law].aicc):
-        best = law == comparison.best
-        if best or not named:
-            verdict = "lowest AICc" if best else f"AICc higher by {comparison.differences[law]:.1f}"
-            axes.plot(
-                places,
-                unit * fits[law].at(places),
-                color=look.colour if best else GREY,
-                linestyle=_DASHES[law],
-                linewidth=1.8 if best else 0.9,
-                label="" if named else f"{law}, {verdict}",
-                zorder=2 if best else 1,
-            )
+def _draw_power(axes: Axes, step: _Step, unit: float, look: Look) -> None:
+    """Draw the fitted power over the sizes that were measured; no line without one."""
+    if step.power is not None:
+        ends = np.array([step.times["places"].min(), step.times["places"].max()])
+        axes.plot(ends, unit * step.power.at(ends), color=look.colour, linewidth=1.8, zorder=2)
 
 
 def _finish(axes: Axes, times: pd.DataFrame, unit: float, nothing: str) -> int:
@@ -192,15 +165,8 @@ def _finish(axes: Axes, times: pd.DataFrame, unit: float, nothing: str) -> int:
     plain_log(axes, "y", (unit * times["seconds"]).tolist())
     axes.grid(True)
     handles, labels = axes.get_legend_handles_labels()
-    points_first = sorted(range(len(handles)), key=lambda i: isinstance(handles[i], Line2D))
-    texts = [wrapped(labels[i], _LETTERS) for i in points_first]
-    axes.legend(
-        [handles[i] for i in points_first],
-        texts,
-        loc="upper left",
-        bbox_to_anchor=(-0.02, -0.2),
-        borderaxespad=0,
-    )
+    texts = [wrapped(label, _LETTERS) for label in labels]
+    axes.legend(handles, texts, loc="upper left", bbox_to_anchor=(-0.02, -0.2), borderaxespad=0)
     return sum(1 + text.count("\n") for text in texts)
 
 

@@ -155,14 +155,12 @@ def _of_columns(found: ReportData) -> Iterator[tuple[str, Draw]]:
         shown = accuracy_series(group, found.chosen.rows)
         if not shown:
             continue
-        name, judged = group.name, shown[0].runs[0].is_judged
-        if judged:
+        name = group.name
+        if shown[0].runs[0].is_judged:
             yield from _of_accuracy(found, group, shown)
         yield f"spikes-{name}", partial(spikes.spike_statistics, shown)
         if in_time := spikes.in_time(shown):
             yield f"raster-{name}", partial(spikes.raster, in_time)
-            if judged:
-                yield f"steps-{name}", partial(spikes.recall_at_step, in_time)
     for column in found.chosen.columns:
         groups_of = [g for g in found.groups if g.column is column and g.runs and g.runs[0].is_judged]
         lengths = [accuracy_series(g, found.chosen.rows) for g in groups_of if "sequence" in g.runs[0].protocol]

