@@ -16,7 +16,6 @@ from small_plan import RUN, Apart
 from vprbench.cli import main
 from vprbench.jobs import executors
 from vprbench.plugins import registry
-from vprbench.runs import runner
 from vprbench.storage import tensors
 
 QUICK = ["dataset.places=12", "dataset.first_query_place=0", *RUN]
@@ -221,7 +220,7 @@ def test_results_that_cannot_be_written_are_named_before_the_run(capsys, monkeyp
     place.parent.mkdir(exist_ok=True)
     place.symlink_to("/nowhere/there")
     capsys.readouterr()
-    monkeypatch.setattr(runner, "run", lambda *_: pytest.fail("it ran"))
+    monkeypatch.setattr("vprbench.runs.get_or_run.execute", lambda *_: pytest.fail("it ran"))
     assert f"{place} cannot be written" in refused(["method=sad", *QUICK], capsys)
 
 

@@ -20,7 +20,7 @@ from vprbench.methods.hog import HOG
 from vprbench.methods.vprtempo.ensemble import VPRTempoEnsemble
 from vprbench.plugins import registry
 from vprbench.plugins.networks import Files
-from vprbench.runs import identity, machine, runner, sources
+from vprbench.runs import identity, machine, sources
 from vprbench.runs.corrupted_frames import corrupted
 from vprbench.runs.identity import code_hash, fingerprint
 
@@ -80,7 +80,7 @@ def test_what_cannot_change_a_run_does_not_change_its_key():
 
 
 def test_a_run_holds_the_hash_of_its_code_and_the_timing_protocol(monkeypatch):
-    monkeypatch.setattr(runner, "code_hash", code_hash)
+    monkeypatch.setattr("vprbench.runs.run.code_hash", code_hash)
     run = run_of(METHOD, LITTLE)
     assert run.config["code"] == code_hash(type(METHOD))
     assert run.config["timing"] == {

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from vprbench.plugins.networks import Files
-from vprbench.runs import descriptors, machine, runner, sources
+from vprbench.runs import descriptors, machine, run, sources, watch
 from vprbench.runs.experiment import Experiment
 from vprbench.runs.request import RunRequest
 from vprbench.runs.stopwatch import Protocol
@@ -30,7 +30,7 @@ source_hash = functools.cache(sources.source_hash)
 
 
 def run_of(method, dataset, protocol=QUICK, **changes):
-    return runner.run(asked_for(method, dataset, protocol, **changes), "key")
+    return run.execute(asked_for(method, dataset, protocol, **changes), "key")
 
 
 def asked_for(
@@ -63,8 +63,8 @@ def quiet_surroundings():
     }
     with pytest.MonkeyPatch.context() as patch:
         stand_in = SimpleNamespace(**{**vars(machine), **quick})
-        patch.setattr(runner, "machine", stand_in)
-        patch.setattr(runner, "code_hash", lambda method: method.__qualname__)  # a class here has many files behind it
+        patch.setattr(watch, "machine", stand_in)
+        patch.setattr(run, "code_hash", lambda method: method.__qualname__)  # a class here has many files behind it
         for module in (sources, descriptors):
             patch.setattr(module, "source_hash", source_hash)
         gc.freeze()  # a measurement collects garbage first, which takes long among all that a test session imports

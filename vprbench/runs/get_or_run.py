@@ -16,11 +16,12 @@ from vprbench.metrics.accuracy import recall_at
 from vprbench.metrics.registry import METRICS
 from vprbench.plugins import networks
 from vprbench.progress import overheard, progress_shown
-from vprbench.runs import energy, runner, stream, thumbnails
+from vprbench.runs import energy, stream, thumbnails
 from vprbench.runs.experiment import Experiment
 from vprbench.runs.query_results import by_interest
 from vprbench.runs.record import Run
 from vprbench.runs.request import RunRequest
+from vprbench.runs.run import execute
 from vprbench.runs.run_lock import HeldElsewhereError, RunLock
 from vprbench.runs.sequences import views
 from vprbench.runs.store import Store, require_writable
@@ -183,7 +184,7 @@ def _run(experiment: Experiment, key: str, store: Store, stored: Run | None, loc
     for place in (store.root / dataset.name, store.folder(dataset.name, request.method_name, key)):
         require_writable(place)
     with progress_shown(f"{request.method_name} on {dataset.name}"), overheard(lock.tell):
-        run = runner.run(experiment, key, keep)
+        run = execute(experiment, key, keep)
         run = replace(run, stream=stream.grown(experiment)) if experiment.stream else run
         if request.energy:
             run = replace(run, energy=energy.costs(experiment, run))

@@ -17,8 +17,8 @@ from vprbench.metrics.accuracy import hits_at
 from vprbench.metrics.intervals import share_interval
 from vprbench.metrics.ranking import PlacesPerQuery, concatenate, outcome
 from vprbench.metrics.registry import METRICS
-from vprbench.runs.answers import block_size
 from vprbench.runs.record import Run
+from vprbench.runs.scorers import block_size
 from vprbench.runs.stopwatch import Stopwatch, synchroniser
 from vprbench.terminal.console import table_text
 
