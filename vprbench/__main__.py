@@ -1,47 +1,76 @@
-"""Makes `python -m vprbench` the command line, and the process that makes one run of another process."""
+"""The process of the command line, by `python -m vprbench` or `vprbench`: its signals, its streams, and jobs."""
 
 from __future__ import annotations
 
-import contextlib
-import faulthandler
-import io
 import os
 import signal
 import sys
-from pathlib import Path
+from collections.abc import Callable
+from contextlib import suppress
+from types import FrameType
 from typing import NoReturn
+
+_IS_JOB = sys.argv[1:2] == ["--job"]  # another process asks for one run (jobs/child.py)
+
+
+def _end_at_once(number: int, _: FrameType | None) -> None:
+    """End the process in one line: nothing has begun that would have to be undone."""
+    with suppress(OSError):
+        if not _IS_JOB:  # the process that asked says it
+            os.write(2, b"vprbench: interrupted\n")
+    os._exit(128 + number)
+
+
+def _interrupt(number: int, _: FrameType | None) -> NoReturn:
+    raise KeyboardInterrupt(number)
+
+
+def _interrupt_once(number: int, _: FrameType | None) -> NoReturn:
+    """Interrupt once: a terminal interrupts this process, and so does the one that asked."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    raise KeyboardInterrupt(number)
+
+
+def _on_signals(handler: Callable[[int, FrameType | None], None]) -> None:
+    """Let a handler take interruptions; a job's process, which ends with another one, keeps the usual SIGTERM."""
+    for number in (signal.SIGINT,) if _IS_JOB else (signal.SIGINT, signal.SIGTERM):
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, handler)
+
+
+if __name__ == "__main__":  # before anything else is imported
+    _on_signals(_end_at_once)
 
 
 def main() -> int:
     """Run the command line; returns the exit code, 0 only if every run or command that was asked for is done."""
+    _on_signals(_end_at_once)
     _open_streams()
+    import faulthandler
+
     faulthandler.enable(2)  # standard error: a crash names the line of the plug-in
-    if sys.argv[1:2] == ["--job"]:
-        return _make_job(Path(sys.argv[2]), int(sys.argv[3]))
-    from vprbench.commands.at_once import answered
-    from vprbench.errors import BadInput
-    from vprbench.text import printable
+    from vprbench import cli
+    from vprbench.terminal import streams
 
+    streams.own_process = True
+    if _IS_JOB:
+        _make_job(sys.argv[2], int(sys.argv[3]))
     try:
-        if (code := answered(sys.argv[1:])) is not None:
-            sys.stdout.flush()
-            return code
-    except BadInput as error:
-        return _complain(printable(str(error)), 2)
-    except OSError:
-        sys.stdout = io.StringIO()  # the interpreter flushes it in the end
-        return _complain("standard output was closed before all was printed", 1)
-    signal.signal(signal.SIGTERM, _interrupt)
-    from vprbench import cli, progress
-
-    progress.own_process = True
-    code = cli.main()
-    _end_children()
-    return code
+        _on_signals(_interrupt)
+        return cli.main()
+    except KeyboardInterrupt as error:
+        streams.complain("interrupted")
+        return 128 + int((error.args or (signal.SIGINT,))[0])
+    finally:
+        _on_signals(_end_at_once)
+        _end_children()
+        exec("")  # or Python, which keeps in mind that code of another exec() was interrupted, ends by SIGINT
 
 
-def _make_job(folder: Path, parent: int) -> int:
+def _make_job(folder: str, parent: int) -> NoReturn:
     """Make the run of a folder in this process, and end at once: a plug-in may have left threads and children."""
+    from pathlib import Path
+
     from vprbench.runs import timing_lock
 
     if sys.platform == "linux":
@@ -49,19 +78,18 @@ def _make_job(folder: Path, parent: int) -> int:
 
         ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG: this process ends with the one that asked
         if os.getppid() != parent:  # which has died before
-            return 1
-    signal.signal(signal.SIGINT, _interrupt_once)
+            os._exit(1)
+    _on_signals(_interrupt_once)
     try:
         with timing_lock.computing():
-            from vprbench import progress
             from vprbench.jobs.child import make_job
 
-            progress.own_process = True
-            code = make_job(folder)
+            code = make_job(Path(folder))
     except KeyboardInterrupt as error:  # the process that asked says it
         code = 128 + int((error.args or (signal.SIGINT,))[0])
-    sys.stdout.flush()
-    sys.stderr.flush()
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError):
+            stream.flush()
     os._exit(code)
 
 
@@ -72,30 +100,16 @@ def _end_children() -> None:
         child.terminate()
 
 
-def _interrupt(number: int, _: object) -> NoReturn:
-    raise KeyboardInterrupt(number)
-
-
-def _interrupt_once(number: int, _: object) -> NoReturn:
-    """Interrupt once: a terminal interrupts this process, and so does the one that asked."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    raise KeyboardInterrupt(number)
-
-
 def _open_streams() -> None:
     """Let a standard stream that is closed be nowhere: the next file that is opened must not take its place."""
+    import io
+
     for number in range(3):
         try:
             os.fstat(number)
         except OSError:
             os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)
     sys.stdout, sys.stderr = (stream or io.StringIO() for stream in (sys.stdout, sys.stderr))
-
-
-def _complain(message: str, code: int) -> int:
-    with contextlib.suppress(OSError):
-        print(f"vprbench: {message}", file=sys.stderr)
-    return code
 
 
 if __name__ == "__main__":

@@ -1,8 +1,10 @@
-"""The errors by which a user or a plug-in learns what is wrong."""
+"""The errors by which a user or a plug-in learns what is wrong, and the words of any error."""
+
+import os
 
 
 class BadInput(ValueError):
-    """What a user can mend; the message is one line that names the culprit, what came and what to do."""
+    """An error that the user can fix: one line names the option or file, its value and the remedy."""
 
 
 class NotThere(BadInput):
@@ -18,4 +20,21 @@ class TrainingDivergedError(RuntimeError):
 
 
 class ClusterLostError(RuntimeError):
-    """What makes cells elsewhere is gone; the same command goes on with what is left."""
+    """The processes that make cells elsewhere are gone; the same command goes on with the rest."""
+
+
+def format_error(error: BaseException) -> str:
+    """Return an error as "Kind: message", or the message alone of BadInput; a plug-in's message may fail."""
+    if isinstance(error, SystemExit):
+        return f"SystemExit: the method or dataset ended the program, with exit code {error.code or 0}"
+    try:
+        text = str(error)
+    except Exception as unsaid:
+        text = f"(its text fails: {type(unsaid).__name__})"
+    return (text if isinstance(error, BadInput) else f"{type(error).__name__}: {text}") or type(error).__name__
+
+
+def hide_home(text: str) -> str:
+    """Return an error without the name of the user's home folder, for a table may print it."""
+    home = os.path.expanduser("~")  # noqa: PTH111 - which leaves it as it is where nobody knows the home
+    return text if home in ("~", "/", "") else text.replace(home, "~")

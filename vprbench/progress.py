@@ -1,33 +1,26 @@
-"""How far a long stage is: methods and runner report it, the command line shows it as a bar or as plain lines."""
+"""Progress of long stages: methods and runner report it, the command line shows it as a bar or as plain lines."""
 
 from __future__ import annotations
 
-import logging
 import os
-import shutil
 import sys
 import time
-import warnings
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext, redirect_stdout, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from contextvars import ContextVar
 from typing import Any, TextIO
 
-from vprbench.text import printable
+from vprbench.text import format_duration, format_percent, printable
 
 Listener = Callable[[str, float], None]  # stage, share done from 0 to 1
 
-MARKED = "VPRBENCH_MARKED"  # set for a process whose standard error another one reads: stages and warnings are marked
-_MARK, _WARNING = "\x01", "!"
-own_process = False  # whether this process is the command line's own, and no program or test that calls it
+QUIET = "VPRBENCH_QUIET"  # environment variable of a process whose progress nobody sees
 
 _listener: ContextVar[Listener | None] = ContextVar("progress_listener", default=None)
-_elsewhere: ContextVar[Listener | None] = ContextVar("progress_elsewhere", default=None)
-_answers: ContextVar[TextIO | None] = ContextVar("answers", default=None)
+_shown: ContextVar[bool] = ContextVar("progress_shown", default=False)
 
 _LINE_EVERY = 10.0  # seconds between plain lines
-_MARK_EVERY = 0.5  # seconds between marked lines
-_STEPS = 1000  # resolution of the bar
+_DRAW_EVERY = 0.1  # seconds between two states of a bar
 
 
 def report(stage: str, done: float) -> None:
@@ -50,131 +43,52 @@ def listening(listener: Listener) -> Iterator[None]:
 @contextmanager
 def overheard(listener: Listener) -> Iterator[None]:
     """Send every report made inside the block to `listener` too."""
-    shown = _listener.get()
+    other = _listener.get()
 
     def both(stage: str, done: float) -> None:
         listener(stage, done)
-        if shown is not None:
-            shown(stage, done)
+        if other is not None:
+            other(stage, done)
 
     with listening(both):
         yield
 
 
-class _OneLine(logging.Formatter):
-    def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802 - the name is given
-        text = printable(super().formatMessage(record), but="\t")
-        if record.levelno < logging.WARNING:
-            return text
-        if os.environ.get(MARKED):
-            return f"{_MARK}{_WARNING}{text}"
-        return f"\x1b[33m{text}\x1b[0m" if sys.stderr.isatty() and not os.environ.get("NO_COLOR") else text
-
-
-class _Lines(logging.StreamHandler[TextIO]):
-    """Writes on what is standard error now, above a bar that is shown there."""
-
-    def emit(self, record: logging.LogRecord) -> None:
-        self.stream = sys.stderr
-        bars = sys.modules.get("tqdm.std")
-        with bars.tqdm.external_write_mode(file=sys.stderr) if bars else nullcontext():
-            super().emit(record)
-
-
-def log_to_stderr() -> None:
-    """Let each logged message be a line on standard error."""
-    lines = _Lines()
-    lines.setFormatter(_OneLine("%(message)s"))
-    logging.basicConfig(level=logging.INFO, handlers=[lines])
-    logging.getLogger("hydra").setLevel(logging.WARNING)  # its words on a sweep are not ours
-
-
-def marked(line: str) -> tuple[str, float] | str | None:
-    """Return what a process told by a marked line: a stage and its share, or a warning; None for another line."""
-    if line.startswith(_MARK + _WARNING):
-        return line.removeprefix(_MARK + _WARNING)
-    if not line.startswith(_MARK):
-        return None
-    stage, _, share = line.removeprefix(_MARK).rpartition("\t")
-    return stage, float(share)
-
-
-@contextmanager
-def answers_alone() -> Iterator[Callable[[str], None]]:
-    """Yield what prints a line on standard output; all else that is printed inside goes to standard error.
-
-    In a process of the command line this holds for compiled code too, and until the process ends.
-    """
-    stream = sys.stdout
-    if own_process:
-        stream.flush()
-        stream = os.fdopen(os.dup(1), "w", encoding=stream.encoding, errors="replace")
-        os.dup2(2, 1)
-
-    def say(line: str) -> None:
-        with suppress(OSError, ValueError):  # a reader that has gone, or a full disk, makes no stored run a failure
-            print(line, file=stream, flush=True)
-
-    token = _answers.set(stream)
-    try:
-        with redirect_stdout(sys.stderr):
-            yield say
-    finally:
-        _answers.reset(token)
-
-
-def answer_stream() -> TextIO:
-    """Return where answers go: standard output, also inside `answers_alone`."""
-    return _answers.get() or sys.stdout
-
-
 @contextmanager
 def progress_shown(title: str, stream: TextIO | None = None) -> Iterator[None]:
-    """Show what is reported inside the block, with the stage and the time left, on standard error or `stream`."""
-    shown = _Forgiving(sys.stderr if stream is None else stream)
+    """Show each reported stage and the time left, on standard error or `stream`: a bar in a terminal, lines elsewhere.
+
+    Inside another such block, or where a live table is shown, this shows nothing of its own.
+    """
+    if _shown.get() or os.environ.get(QUIET):
+        yield
+        return
+    target = _LossyStream(sys.stderr if stream is None else stream)
     title = printable(title)
     show: AbstractContextManager[Listener]
-    if (elsewhere := _elsewhere.get()) is not None:
-        show = nullcontext(elsewhere)
-    elif os.environ.get(MARKED):
-        show = nullcontext(_marks(shown))
-    elif shown.isatty() or _in_notebook():
-        show = _bar(title, shown)
-    else:
-        show = nullcontext(_lines(title, shown))
-    with show as listener, listening(listener):
+    show = _draw_bar(title, target) if target.isatty() else nullcontext(_print_lines(title, target))
+    with show as listener, showing(), listening(listener):
         yield
 
 
 @contextmanager
-def shown_by(listener: Listener) -> Iterator[None]:
-    """Let `listener` show all progress inside the block, in place of bars and lines."""
-    token = _elsewhere.set(listener)
+def showing() -> Iterator[None]:
+    """Let no other bar or line of progress appear inside the block."""
+    token = _shown.set(True)
     try:
         yield
     finally:
-        _elsewhere.reset(token)
+        _shown.reset(token)
 
 
-def _in_notebook() -> bool:
-    """Tell whether a notebook runs this, which shows bars though its streams are no terminals."""
-    shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
-    return getattr(shell, "kernel", None) is not None
-
-
-class _Forgiving:
-    """A stream whose reader may go: what it would have read is lost, and nothing else."""
+class _LossyStream:
+    """A stream that drops its output once its reader has gone."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._stream, name)
-
-    def __eq__(self, other: object) -> bool:  # a bar asks whether it is drawn on the stream of a message
-        return self._stream is getattr(other, "_stream", other)
-
-    __hash__ = None  # type: ignore[assignment]
 
     def write(self, text: str) -> int:
         with suppress(OSError, ValueError):  # ValueError: it was closed
@@ -187,43 +101,39 @@ class _Forgiving:
 
 
 @contextmanager
-def _bar(title: str, stream: _Forgiving) -> Iterator[Listener]:
-    """Yield what moves a bar, and draws it anew for a new stage."""
-    with warnings.catch_warnings():  # without ipywidgets the bar of a notebook is text
-        warnings.simplefilter("ignore")
-        from tqdm.auto import tqdm
-    columns, rows = (None, None) if _in_notebook() else shutil.get_terminal_size()  # 80 and 24 if none tells
-    layout = "{desc} {percentage:3.0f} % |{bar}| {elapsed}, {remaining} left"
-    current = ""
-    with tqdm(total=_STEPS, desc=title, file=stream, bar_format=layout, leave=False, ncols=columns, nrows=rows) as bar:
+def _draw_bar(title: str, stream: Any) -> Iterator[Listener]:
+    """Yield a listener that draws a bar, from its beginning for a new stage; no thread draws beside a timed run."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+    words = TextColumn("{task.description} {task.percentage:3.0f} %", markup=False)
+    bar = Progress(
+        *(words, BarColumn(), TimeElapsedColumn(), TimeRemainingColumn(), TextColumn("left")),
+        console=Console(file=stream, force_jupyter=False),
+        auto_refresh=False,
+        transient=True,
+        redirect_stdout=sys.stdout.isatty(),
+        get_time=lambda: time.perf_counter(),
+    )
+    current, drawn = "", 0.0
+    with bar:
+        task = bar.add_task(title, total=1.0)
 
         def show(stage: str, done: float) -> None:
-            nonlocal current
+            nonlocal current, drawn
             if stage != current:
-                current = stage
-                bar.reset()
-                bar.set_description_str(f"{title}: {printable(stage)}")
-            bar.update(int(done * _STEPS) - bar.n)
+                current, drawn = stage, 0.0
+                bar.reset(task, description=f"{title}: {printable(stage)}")
+            bar.update(task, completed=done)
+            if (now := time.perf_counter()) - drawn >= _DRAW_EVERY:
+                drawn = now
+                bar.refresh()
 
         yield show
 
 
-def _marks(stream: _Forgiving) -> Listener:
-    """Return what prints a marked line for a new stage, and some more a second."""
-    current, last = "", 0.0
-
-    def show(stage: str, done: float) -> None:
-        nonlocal current, last
-        now = time.perf_counter()
-        if stage != current or now - last > _MARK_EVERY:
-            current, last = stage, now
-            print(f"{_MARK}{printable(stage)}\t{done:.3f}", file=stream, flush=True)
-
-    return show
-
-
-def _lines(title: str, stream: _Forgiving) -> Listener:
-    """Return what prints a line for a new stage, and one every few seconds of a long stage."""
+def _print_lines(title: str, stream: Any) -> Listener:
+    """Return a listener that prints a line for a new stage, and one every few seconds of a long stage."""
     current, started, last = "", 0.0, 0.0
 
     def show(stage: str, done: float) -> None:
@@ -235,7 +145,7 @@ def _lines(title: str, stream: _Forgiving) -> Listener:
             print(line, file=stream, flush=True)
         elif now - last >= _LINE_EVERY and 0 < done < 1:
             last = now
-            left = (now - started) * (1 - done) / done
-            print(f"{line} {100 * done:.0f} %, {left:.0f} s left", file=stream, flush=True)
+            left = format_duration((now - started) * (1 - done) / done)
+            print(f"{line} {format_percent(done, 0)} %, {left} left", file=stream, flush=True)
 
     return show

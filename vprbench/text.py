@@ -1,10 +1,13 @@
-"""Words for people: numbers with their nouns, lists cut short, and messages that a terminal shows and never obeys."""
+"""Words and numbers for people: every number that is read by a person is formatted here."""
 
 from __future__ import annotations
 
 import difflib
+import math
 from collections.abc import Iterable, Sequence
 from typing import Any
+
+NOTHING = "-"  # a number that there is not
 
 
 def some(names: Iterable[Any], most: int = 5) -> str:
@@ -42,3 +45,84 @@ def near(name: str, known: Iterable[str]) -> str:
     if close:
         return f"did you mean {' or '.join(close)}?"
     return f"there {'is' if len(known) == 1 else 'are'} {', '.join(known)}"
+
+
+def format_percent(share: float | None, digits: int = 1) -> str:
+    """Return a share, 0 to 1, in percent without its sign: "12.5"; a dash for None."""
+    return NOTHING if share is None else f"{100 * share:.{digits}f}"
+
+
+def format_signed_percent(share: float) -> str:
+    """Return a difference of shares in percent with its sign: "+1.5", and "+0.0" for all that rounds to 0."""
+    return f"{round(100 * share, 1) + 0.0:+.1f}"
+
+
+def format_interval(low: float, high: float) -> str:
+    """Return the ends of an interval of shares, 0 to 1, in percent: "[76.4, 99.1]"."""
+    return f"[{format_percent(low)}, {format_percent(high)}]"
+
+
+def format_rate(hertz: float) -> str:
+    """Return a rate in Hz without its unit: "15,120" from 10 Hz on, and two digits below."""
+    return f"{hertz:,.0f}" if hertz >= 10 else f"{hertz:.2g}"
+
+
+def format_seconds(seconds: float) -> str:
+    """Return seconds without their unit: "12.3" from 10 s on, and two digits below."""
+    return f"{seconds:.1f}" if seconds >= 10 else f"{seconds:.2g}"
+
+
+def format_duration(seconds: float) -> str:
+    """Return a duration with its unit: "45 s", "12 min" or "1.5 h"."""
+    if seconds < 60:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds <= 3600 else f"{seconds / 3600:.1f} h"
+
+
+def format_bytes(size: int) -> str:
+    """Return a number of bytes with its unit, to three digits: "17 MB"."""
+    for unit, name in ((10**9, "GB"), (10**6, "MB")):
+        if size >= unit:
+            return f"{size / unit:.3g} {name}"
+    return f"{size} bytes"
+
+
+def format_gigabytes(size: float) -> str:
+    """Return a number of bytes as whole GB: "64 GB"."""
+    return f"{size / 1e9:.0f} GB"
+
+
+def format_megabytes(size: float) -> str:
+    """Return a number of bytes as whole MB without the unit: "353"."""
+    return f"{size / 1e6:.0f}"
+
+
+def format_cost(value: float) -> str:
+    """Return a cost to three digits, or to all before the point."""
+    return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"
+
+
+def find_exponent(value: float, decimals: int) -> int:
+    """Return the power of ten of a number that is rounded to so many decimals behind its first digit: 9.96 is 10."""
+    return int(f"{value:.{decimals}e}".partition("e")[2])
+
+
+def format_two_digits(value: float) -> str:
+    """Return a number with two digits, or with all that stand before the point."""
+    if value == 0 or not math.isfinite(value):
+        return f"{value:g}"
+    return f"{value:,.{max(0, 1 - find_exponent(value, 1))}f}"
+
+
+def format_three_digits(value: float) -> str:
+    """Return a number to three digits, without powers of ten and zeros at its end: "0.05", "353", "15,120"."""
+    if value >= 100:
+        return f"{value:,.0f}"
+    text = f"{value:.{max(0, 2 - find_exponent(value, 2))}f}"
+    return text.rstrip("0").rstrip(".") if "." in text else text
+
+
+def format_spread(spread: float, beside: str) -> str:
+    """Return a spread with as many decimals as the number beside it, or as many as it takes to see it."""
+    decimals = len(beside.partition(".")[2])
+    return f"{spread:,.{max(decimals, -find_exponent(spread, 0))}f}" if spread else "0"

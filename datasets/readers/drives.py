@@ -84,7 +84,7 @@ def check_by_order(
     comes before the names of options. Frames that are no files have no sub-folders.
     """
     if len({len(files) for files in traverses}) > 1:
-        listed = ", ".join(f"{name} {len(files)}" for name, files in zip(names, traverses, strict=True))
+        listed = ", ".join(f"{name} {_count_by_folder(files)}" for name, files in zip(names, traverses, strict=True))
         raise BadInput(
             f"{option}references and {option}queries hold different numbers of images ({listed}), so that the i-th of "
             f"each do not show one place: {remedy}"
@@ -104,6 +104,12 @@ def _lengths(files: Paths) -> list[int]:
     """Return how many files follow one another in each folder."""
     ends = np.flatnonzero(np.diff(files.numbers)) + 1
     return list(map(int, np.diff([0, *ends.tolist(), len(files)])))
+
+
+def _count_by_folder(files: Paths | Sized) -> str:
+    """Return the number of files, and of each folder where there are several."""
+    counts = _lengths(files) if isinstance(files, Paths) else []
+    return f"{len(files)}" + (f" = {_sum(counts)} by folder" if len(counts) > 1 else "")
 
 
 def _sum(counts: Sequence[int]) -> str:

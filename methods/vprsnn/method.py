@@ -22,11 +22,11 @@ from vprbench.api import (
     PatchNormalisation,
     Places,
     Scores,
-    checkpoints,
 )
 
 from . import published, scoring
 from .arguments import Arguments
+from .checkpoints import Checkpoints
 from .model import Model
 from .network import Network, ReadyNetwork, by_member
 from .parallel import Stage
@@ -66,6 +66,9 @@ class VPRSNN(Arguments, Method):
     _ready: list[ReadyNetwork] = field(default_factory=list, init=False, repr=False, compare=False)
     #: The first image of each place, and what decided the training; None where nothing was fitted.
     _fitted: tuple[Levels, dict[str, Any]] | None = field(default=None, init=False, repr=False, compare=False)
+    #: Of the trainings that have ended; they are removed once the network is asked.
+    _checkpoints: list[Checkpoints] = field(default_factory=list, init=False, repr=False, compare=False)
+    _resumed_parts: int = field(default=0, init=False, repr=False, compare=False)
 
     @property
     def conformance_exceptions(self) -> Mapping[str, str]:  # type: ignore[override]  # it depends on another argument
@@ -83,20 +86,25 @@ class VPRSNN(Arguments, Method):
         return self.published_weights is None and None in self._thresholds()
 
     def fit(self, references: Images, places: Places) -> Self:
-        """Train every module from its own images, and learn which place each neuron speaks for."""
+        """Train every module from its own images, and learn which place each neuron speaks for.
+
+        A training that was interrupted goes on with the modules that are missing.
+        """
         self.check()
-        self._ready = []
+        self._remove_checkpoints()
+        self._ready, self._resumed_parts = [], 0
         levels = self.encode(references)
         first_traverse = levels[np.unique(places, return_index=True)[1]]
         identity = self._identity(levels, places)
         networks = []
-        with checkpoints.training(identity) as kept:
-            for training, threshold in self._trainings(kept):
-                lessons = self._lessons(training.model, levels, places, 0)
-                network = training.network(lessons, "training", self._published())
-                if threshold:
-                    network = training.counted(network, first_traverse, "counting reactions")
-                networks.append(replace(network, threshold=threshold or 0))
+        checkpoints = Checkpoints(identity)
+        for training, threshold in self._trainings(checkpoints):
+            lessons = self._lessons(training.model, levels, places, 0)
+            network = training.network(lessons, "training", self._published())
+            if threshold:
+                network = training.counted(network, first_traverse, "counting reactions")
+            networks.append(replace(network, threshold=threshold or 0))
+        self._end_training(checkpoints)
         self._fitted = (first_traverse, identity)
         return self._take(networks)
 
@@ -114,20 +122,21 @@ class VPRSNN(Arguments, Method):
             shown = np.concatenate([shown, levels[np.unique(held_out.places, return_index=True)[1]]])
         aside_from = {"map": identity, "shown": _digest(shown)}
         networks = [member.network for member in self._ready]
-        with checkpoints.training({**self._identity(levels, held_out.places), **aside_from}) as kept:
-            for number, (training, threshold) in enumerate(self._trainings(kept)):
-                if threshold is not None:
-                    continue
-                lessons = self._lessons(training.model, levels, held_out.places, _ASIDE)
-                aside = training.network(lessons, "calibration, training")
-                aside = training.counted(aside, shown, "calibration, counting reactions", _ASIDE)
-                ready = ReadyNetwork.of(training.model, aside, _ASIDE)
-                answers = ask(ready, queries, training.stage("calibration, asking"))
-                best = self._best_threshold(ready, answers, held_out.right)
-                network = replace(networks[number], reactions=None)
-                if best:
-                    network = training.counted(network, shown, "counting reactions")
-                networks[number] = replace(network, threshold=best)
+        checkpoints = Checkpoints({**self._identity(levels, held_out.places), **aside_from})
+        for number, (training, threshold) in enumerate(self._trainings(checkpoints)):
+            if threshold is not None:
+                continue
+            lessons = self._lessons(training.model, levels, held_out.places, _ASIDE)
+            aside = training.network(lessons, "calibration, training")
+            aside = training.counted(aside, shown, "calibration, counting reactions", _ASIDE)
+            ready = ReadyNetwork.of(training.model, aside, _ASIDE)
+            answers = ask(ready, queries, training.stage("calibration, asking"))
+            best = self._best_threshold(ready, answers, held_out.right)
+            network = replace(networks[number], reactions=None)
+            if best:
+                network = training.counted(network, shown, "counting reactions")
+            networks[number] = replace(network, threshold=best)
+        self._end_training(checkpoints)
         return self._take(networks)
 
     def encode(self, images: Images) -> Levels:
@@ -146,8 +155,13 @@ class VPRSNN(Arguments, Method):
         return scoring.no_match(scoring.normalised(scores) if self.probabilities else scores, scores)
 
     def notes(self) -> list[str]:
-        """Return how many neurons are silenced, and that weights were not trained here."""
+        """Return how many neurons are silenced, and which parts of the training are not of this run."""
         notes = []
+        if self._resumed_parts:
+            notes.append(
+                f"fit was resumed: its time leaves out {self._resumed_parts} modules and counts of reactions that an "
+                "interrupted run had finished"
+            )
         if self.published_weights is not None:
             notes.append("the weights were not trained here: fit learnt only which place each neuron speaks for")
         for member, ready in zip(self._thresholds(), self._ready, strict=True):
@@ -190,7 +204,7 @@ class VPRSNN(Arguments, Method):
     def restore(self, state: Mapping[str, npt.NDArray[Any]]) -> Self:
         """Take over a stored network; where `hyperactive_threshold` is None, with the threshold that it has."""
         self.check()
-        self._ready, self._fitted = [], None
+        self._ready, self._fitted, self._resumed_parts = [], None, 0
         networks = []
         thresholds = self._thresholds()
         for arrays, threshold in zip(by_member(state, len(thresholds)), thresholds, strict=True):
@@ -210,12 +224,12 @@ class VPRSNN(Arguments, Method):
         with _named("published_weights"):
             return published.files_of(Path(self.published_weights))
 
-    def _trainings(self, kept: checkpoints.Partial) -> list[tuple[Training, int | None]]:
+    def _trainings(self, checkpoints: Checkpoints) -> list[tuple[Training, int | None]]:
         """Return the training of each network, and its threshold."""
         models = self._models()
         parts = np.linspace(0, 1, len(models) + 1).tolist()
         return [
-            (Training(model, kept, begin, end), threshold)
+            (Training(model, checkpoints, begin, end), threshold)
             for model, begin, end, threshold in zip(models, parts, parts[1:], self._thresholds(), strict=False)
         ]
 
@@ -264,8 +278,18 @@ class VPRSNN(Arguments, Method):
         return self
 
     def _require_a_network(self) -> None:
+        """Raise NotFittedError without a network; one that is asked needs no checkpoints any more."""
         if not self._ready:
             raise NotFittedError("VPRSNN has no network yet: call fit(references, places) first")
+        self._remove_checkpoints()
+
+    def _end_training(self, checkpoints: Checkpoints) -> None:
+        self._checkpoints.append(checkpoints)
+        self._resumed_parts += checkpoints.n_loaded
+
+    def _remove_checkpoints(self) -> None:
+        while self._checkpoints:
+            self._checkpoints.pop().remove()
 
     def _identity(self, levels: Levels, places: Places) -> dict[str, Any]:
         """Return what decides the outcome of a training, and who spends time on it, as plain values."""

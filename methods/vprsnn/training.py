@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
-import numpy.typing as npt
-
-from vprbench.api import BadInput, checkpoints
+from vprbench.api import BadInput
 
 from .arrays import Synapses
+from .checkpoints import Arrays, Checkpoints
 from .model import Model
 from .module import show
 from .network import Network, ReadyNetwork
@@ -20,15 +18,13 @@ from .query import Levels, reactions
 from .synapses import normalise
 from .training_sets import Lesson, Recorder
 
-Arrays = Mapping[str, npt.NDArray[Any]]  # of a trained module
-
 
 @dataclass(frozen=True)
 class Training:
-    """The training of one network, `begin` to `end` of the progress; the parts in `kept` are not done again."""
+    """The training of one network, `begin` to `end` of the progress; parts in `checkpoints` are not trained again."""
 
     model: Model
-    kept: checkpoints.Partial
+    checkpoints: Checkpoints
     begin: float = 0.0
     end: float = 1.0
 
@@ -43,7 +39,7 @@ class Training:
                 f"method.published_weights holds {len(given)} modules, but the places make {len(lessons)}: give as "
                 "many places, and method.places_per_module, as they were trained with"
             )
-        modules = {number: self.kept.get(self._name(lesson)) for number, lesson in enumerate(lessons)}
+        modules = {number: self.checkpoints.load(self._name(lesson)) for number, lesson in enumerate(lessons)}
         missing = [number for number, module in modules.items() if module is None]
         if len(missing) < len(modules):
             stage = f"{stage}, {len(modules) - len(missing)} of {len(modules)} modules are there"
@@ -52,7 +48,7 @@ class Training:
             number = missing[index]
             module = train(self.model, lessons[number], tell, None if given is None else given[number])
             modules[number] = dict(module)
-            self.kept.put(self._name(lessons[number]), module)
+            self.checkpoints.save(self._name(lessons[number]), module)
 
         for_each_module(one, len(missing), self.stage(stage))
         return Network.of([module for module in modules.values() if module is not None])
@@ -63,10 +59,10 @@ class Training:
         Its modules have the numbers from `first` on.
         """
         name = f"reactions-{self.model.seed}-{first}"
-        found = self.kept.get(name)
+        found = self.checkpoints.load(name)
         if found is None:
             found = {"reactions": reactions(ReadyNetwork.of(self.model, network, first), shown, self.stage(stage))}
-            self.kept.put(name, found)
+            self.checkpoints.save(name, found)
         return replace(network, reactions=found["reactions"])
 
     def stage(self, name: str) -> Stage:

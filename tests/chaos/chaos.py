@@ -17,7 +17,9 @@ from typing import Any
 
 import numpy as np
 
+from vprbench.runs.run_lock import read_claims
 from vprbench.runs.store import Store
+from vprbench.storage.atomic import PARTIAL, remove_leftovers
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
@@ -145,8 +147,8 @@ class Chaos:
             "unknown": sorted(made.keys() - right.keys()),
             "doubled": watched.read_text().splitlines() if watched.exists() else [],
             "different": sorted(key for key in right.keys() & made.keys() if not _equal(right[key], made[key])),
-            "failed": [f"{each.method}: {each.error}" for each in Store(results, read_only=True).failures()],
-            "locked": sorted((results / ".locks").glob("*")),
+            "failed": [f"{each.method}: {each.error}" for each in Store(results).failures()],
+            "locked": read_claims(results),
         }
         counts = ", ".join(f"{len(those)} {what}" for what, those in found.items())
         print(f"{results.name}: {len(made)} of {self.n_cells} cells; {counts}", flush=True)
@@ -158,12 +160,23 @@ class Chaos:
         until = time.monotonic() + 30.0
         while (left := [*self.processes()]) and time.monotonic() < until:
             time.sleep(0.5)
+        self.forget()
         files = [path for path in self.home.rglob("*") if _temporary(path.relative_to(self.home))]
         print(f"left: {len(files)} temporary files, {len(left)} processes", flush=True)
         self.faults += [f"left: process {process}, {what}" for process, what in left]
         self.faults += [f"left: {path}" for path in files]
         for process, _ in left:
             os.kill(process, signal.SIGKILL)
+
+    def forget(self):
+        """Let more than a day pass over the unfinished files of killed processes, and clean as a run does."""
+        for partial in [*self.home.rglob(f"{PARTIAL}*")]:
+            with contextlib.suppress(FileNotFoundError):  # it lay in another one
+                for path in (partial, *partial.rglob("*")):
+                    os.utime(path, (0, 0))
+                remove_leftovers(partial.parent)
+        for results in self.home.glob("results-*"):
+            Store(results).prepare()
 
 
 def _kind(line):
@@ -172,15 +185,18 @@ def _kind(line):
 
 
 def _temporary(path):
-    """Tell whether a file should not be left: of dask's own folders it clears away itself, when it starts again."""
+    """Tell whether a file should not be left.
+
+    Temporary folders of killed processes are the system's to clear away, and dask clears its own when it starts again.
+    """
     first = path.parts[0]
     if first == "tmp":
-        return len(path.parts) == 2 and not path.name.startswith(("vprbench-slot", "dask-"))
+        return len(path.parts) == 2 and not path.name.startswith(("vprbench-", "dask-"))
     return first not in ("dask", "watch", "logs") and (path.name.startswith(".") or path.suffix == ".tmp")
 
 
 def stored(results):
-    return {f"{run.dataset}/{run.method}-{run.key}": run for run in Store(results, read_only=True).runs()}
+    return {f"{run.dataset}/{run.method}-{run.key}": run for run in Store(results).runs()}
 
 
 def _equal(left, right):

@@ -8,7 +8,9 @@ import pytest
 from stopped_clock import Clock
 
 from vprbench import progress
-from vprbench.progress import answers_alone, progress_shown
+from vprbench.progress import progress_shown
+from vprbench.terminal import streams
+from vprbench.terminal.streams import results_only_on_stdout
 
 Reports = list[tuple[float, str, float]]  # seconds since the last one, stage, share done
 
@@ -26,7 +28,7 @@ def clock(monkeypatch):
     clock = Clock()
     clock.spend(1000)
     clock.replaces_those_of([progress], monkeypatch)
-    monkeypatch.setattr("tqdm.std.time", clock.seconds)
+    monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setenv("COLUMNS", "80")
     monkeypatch.setenv("LINES", "24")
     return clock
@@ -60,8 +62,8 @@ def test_a_stage_has_a_line_and_a_long_one_its_share_and_the_time_left(clock, ca
 def test_a_bar_names_each_stage_shows_the_share_done_and_is_gone_at_the_end(clock, capsys):
     reports = [(0, "fit", 0.0), (0.15, "fit", 0.5), (0, "query", 0.0)]  # drawn ten times a second at most
     text = shown(clock, reports, Terminal())
-    assert text.index("sad on nordland: fit  50 % |") < text.index("nordland: query   0 %")
-    assert text.split("\r")[-1].strip() == ""
+    assert text.index("sad on nordland: fit  50 %") < text.index("nordland: query   0 %")
+    assert text.endswith("\x1b[2K")  # the line of the bar is erased
     assert capsys.readouterr().out == ""
 
 
@@ -78,12 +80,12 @@ def test_a_reader_that_has_gone_ends_no_run(terminal, clock, monkeypatch):
     monkeypatch.setattr(stream, "isatty", lambda: terminal)
     shown(clock, [(0, "fit", 0.5)], stream)
     monkeypatch.setattr("sys.stdout", stream)
-    with answers_alone() as say:
+    with results_only_on_stdout() as say:
         say("an answer")
 
 
 def test_what_is_printed_beside_the_answer_goes_to_standard_error_and_names_in_progress_are_not_obeyed(clock, capsys):
-    with answers_alone() as say:
+    with results_only_on_stdout() as say:
         print("a plug-in's word")
         say("the answer")
     assert capsys.readouterr() == ("the answer\n", "a plug-in's word\n")
@@ -91,32 +93,31 @@ def test_what_is_printed_beside_the_answer_goes_to_standard_error_and_names_in_p
     assert told == "a\\nvprbench: b: \\x1b[2Jfit\n"
 
 
-def test_a_process_that_is_read_marks_stages_and_warnings_which_stand_above_a_bar_elsewhere(clock, monkeypatch, capsys):
-    monkeypatch.setenv(progress.MARKED, "1")
-    lines = shown(clock, [(0, "fit\n", 0), (0.1, "fit\n", 0.5), (1, "fit\n", 0.75)], io.StringIO()).splitlines()
-    assert [progress.marked(line) for line in lines] == [("fit\\n", 0.0), ("fit\\n", 0.75)]
-    handler = progress._Lines()
-    handler.setFormatter(progress._OneLine())
-    for level in (logging.WARNING, logging.INFO):
-        handler.handle(logging.makeLogRecord({"msg": "a\ttab", "levelno": level}))
-    assert [progress.marked(line) for line in capsys.readouterr().err.splitlines()] == ["a\ttab", None]
+def test_a_log_line_stands_above_a_bar_and_a_warning_is_coloured_in_a_terminal(monkeypatch):
     stream = Terminal()
-    monkeypatch.delenv(progress.MARKED)
     monkeypatch.setattr("sys.stderr", stream)
     monkeypatch.delenv("NO_COLOR", raising=False)
-    handler = progress._Lines()
-    handler.setFormatter(progress._OneLine())
+    handler = streams._StderrHandler()
+    handler.setFormatter(streams._LineFormatter())
     with progress_shown("sad on nordland"):
         progress.report("fit", 0.5)
         handler.handle(logging.makeLogRecord({"msg": "a word", "levelno": logging.WARNING}))
-    assert "\r\x1b[33ma word\x1b[0m\n\r" in stream.getvalue()
+    lines = stream.getvalue().splitlines()
+    (warning,) = (line for line in lines if "a word" in line)
+    assert "\x1b[33ma word\x1b[0m" in warning
+    assert "fit" not in warning
 
 
-def test_progress_that_is_shown_elsewhere_or_to_an_inner_listener_draws_nothing_and_nobody_listens_after_a_block(clock):
-    told = []
-    with progress.shown_by(lambda *each: told.append(each)):
+def test_a_process_whose_progress_nobody_sees_and_an_inner_title_draw_nothing_and_nobody_listens_after_a_block(
+    clock, monkeypatch
+):
+    with monkeypatch.context() as patch:
+        patch.setenv(progress.QUIET, "1")
         assert shown(clock, [(0, "fit", 0.5)], Terminal()) == ""
-    assert told == [("fit", 0.5)]
+    outer = io.StringIO()
+    with progress_shown("outer", outer):
+        assert shown(clock, [(0, "fit", 0.5)], Terminal()) == ""
+    assert outer.getvalue() == "outer: fit\n"
     stream = io.StringIO()
     with contextlib.suppress(KeyError), progress_shown("sad on nordland", stream):
         raise KeyError

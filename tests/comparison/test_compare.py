@@ -100,11 +100,11 @@ def test_the_best_ten_places_of_each_query_are_written_for_every_run_or_as_many_
 
 def test_all_that_is_wrong_is_told_at_once_and_nothing_runs(apart, capsys):
     wrong = ["methods=sda,pca,vprtempo,hog", "pca.components=many", "vprtempo.patch=6", "hog.epochs=3"]
-    stored = len(list(Store(Path("results"), read_only=True).runs()))
+    stored = len(list(Store(Path("results")).runs()))
     assert main([*ASKED, *wrong, *dataset(Path())]) == 2
     told = [line.split(": ")[1] for line in capsys.readouterr().err.splitlines() if line.startswith("vprbench: ")]
     assert told == ["sda", "pca", "vprtempo", "hog"]
-    assert (apart.asked, len(list(Store(Path("results"), read_only=True).runs()))) == ([], stored)
+    assert (apart.asked, len(list(Store(Path("results")).runs()))) == ([], stored)
 
 
 @pytest.mark.parametrize(
@@ -142,7 +142,7 @@ def test_sequences_are_ranked_from_the_same_stored_runs_side_by_side(apart, caps
 def test_a_sequence_says_of_runs_without_scores_what_to_do(apart, capsys, tmp_path, monkeypatch):
     other = Store(tmp_path)
     other.prepare()
-    for run in Store(Path("results"), read_only=True).runs():
+    for run in Store(Path("results")).runs():
         other.save(replace(run, scores=None if run.method == "sad" else run.scores))
     monkeypatch.setattr(make, "run_missing", lambda *_: [])
     asked = [*dataset(Path()), "sequence=3", f"results={tmp_path}"]

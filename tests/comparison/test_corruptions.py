@@ -48,7 +48,7 @@ def lines(path):
 
 def runs():
     """Return the stored runs by their corruption."""
-    return {run.config["corruption"]: run for run in Store(Path("results"), read_only=True).runs()}
+    return {run.config["corruption"]: run for run in Store(Path("results")).runs()}
 
 
 def recall(run):

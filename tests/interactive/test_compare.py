@@ -40,7 +40,7 @@ def test_methods_are_ranked_with_their_metrics_and_a_sentence():
     assert (repr(given).count("\n"), len(repr(given)) <= 100) == (0, True)
     timed = given.ranking.table[:2].assign(low=None, high=None, fit_seconds=[0.0312, 312.0])
     shown = replace(given, ranking=replace(given.ranking, table=timed)).to_markdown()
-    assert [line.split("|")[-2].strip() for line in shown.splitlines()[2:]] == ["0.031", "310"]
+    assert [line.split("|")[-2].strip() for line in shown.splitlines()[2:]] == ["0.031", "312"]
 
 
 def test_a_method_that_was_tuned_on_places_asked_for_has_its_recall_on_the_others_beside_it():

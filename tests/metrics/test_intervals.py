@@ -169,6 +169,8 @@ def test_no_block_is_shorter_than_the_window_that_an_answer_rests_on():
     hits = np.random.default_rng(0).integers(0, 2, 400)
     assert share_interval(hits).block < 25 == share_interval(hits, window=25).block
     assert difference_interval(hits, hits[::-1], window=30).block == 30
+    assert share_interval(hits[:25], window=25) is None  # one block says nothing of how far blocks differ
+    assert difference_interval(hits[:30], hits[30:60], window=30) is None
 
 
 def autoregressive(n, phi, seed):

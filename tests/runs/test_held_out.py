@@ -1,7 +1,6 @@
-"""What a method may choose its settings by, and what a run says of that and of a training that it went on with."""
+"""What a method may choose its settings by, and what a run says of that."""
 
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +9,6 @@ from little_runs import asked_for, kinds, run_of, table
 from stopped_clock import Clock
 
 from vprbench import progress
-from vprbench.api import checkpoints
 from vprbench.api.dataset import HeldOut
 from vprbench.api.images import Images
 from vprbench.errors import BadInput
@@ -161,45 +159,3 @@ def test_a_stored_network_holds_what_was_chosen_and_nothing_is_chosen_anew(tmp_p
         run(Sharpened(), other, load=path)
     run(Prototypes(), with_held_out(), save=plain)  # chooses nothing, so any places will do
     assert run(Prototypes(), other, load=plain).load_seconds is not None
-
-
-@dataclass
-class Resuming(Lookup):
-    """Trains for 512 s, keeps that, and for 60 s more; a run of it may be interrupted."""
-
-    folder: Path = field(kw_only=True)
-    clock: Clock = field(kw_only=True)
-    interrupted_in: str = ""
-
-    def fit(self, references, places):
-        with checkpoints.training({"training": 1}, self.folder, self.clock.seconds) as kept:
-            if kept.get("first") is None:
-                self.clock.spend(512)
-                kept.put("first", {"weights": np.arange(3)})
-            self._go_on("fit", 60)
-        return self
-
-    def match(self, codes):
-        self._go_on("match", len(codes))
-        return super().match(codes)
-
-    def _go_on(self, where, seconds):
-        if where == self.interrupted_in:
-            raise KeyboardInterrupt
-        self.clock.spend(seconds)
-
-
-@pytest.mark.parametrize("where", ["fit", "match"])  # a training is kept until all queries are answered
-def test_what_an_interrupted_run_spent_counts_is_told_and_is_no_time_of_the_run_itself(tmp_path, clock, where):
-    method = Resuming(table(6, 4), folder=tmp_path / "kept", clock=clock)
-    with pytest.raises(KeyboardInterrupt):
-        run_of(replace(method, interrupted_in=where), journey(6, 4))
-    assert [path for path in method.folder.rglob("*") if path.is_file()]
-    run = run_of(method, journey(6, 4))
-    assert (run.fit_seconds, run.fit_compute_seconds) == pytest.approx((572, 572))
-    assert [note.text.count("512.0 s") for note in run.notes if note.kind == "resumed"] == [1]
-    assert run.method_seconds == pytest.approx(60 + 1 + 6)  # the first query is asked once before
-    assert run.harness_seconds == pytest.approx(0)
-    assert not [path for path in method.folder.rglob("*") if path.is_file()]
-    at_once = run_of(method, journey(6, 4))
-    assert (at_once.fit_seconds, "resumed" in kinds(at_once)) == (pytest.approx(572), False)

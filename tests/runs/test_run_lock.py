@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import multiprocessing
 import os
 import signal
 import subprocess
@@ -18,7 +19,7 @@ from little_runs import QUICK, asked_for, table
 from vprbench import cli
 from vprbench.runs import run_lock
 from vprbench.runs.get_or_run import get_or_run
-from vprbench.runs.run_lock import HeldElsewhereError, RunLock, held_locks
+from vprbench.runs.run_lock import HeldElsewhereError, RunLock, read_claims
 from vprbench.runs.store import Store
 
 pytestmark = pytest.mark.usefixtures("surroundings")
@@ -63,15 +64,16 @@ def test_the_lock_of_a_stopped_process_is_held_and_of_a_killed_one_free_at_once(
     with held_elsewhere(tmp_path) as process:
         process.send_signal(signal.SIGSTOP)
         assert not RunLock(tmp_path, RUN, {}).acquire(wait=False)
-        (held,) = held_locks(tmp_path)
-        assert (held.words["process"], run_lock.is_held(held.path)) == (process.pid, True)
+        (claim,) = read_claims(tmp_path)
+        (path,) = (tmp_path / ".locks").iterdir()
+        assert (claim["process"], run_lock.is_held(path)) == (process.pid, True)
         run_lock.remove_leftovers(tmp_path)
         process.kill()
         process.wait()
-        assert (held_locks(tmp_path), run_lock.is_held(held.path), held.path.exists()) == ([], False, True)
+        assert (read_claims(tmp_path), run_lock.is_held(path), path.exists()) == ([], False, True)
         run_lock.remove_leftovers(tmp_path)
         assert [*tmp_path.iterdir()] == []
-        assert not run_lock.is_held(held.path)
+        assert not run_lock.is_held(path)
 
 
 @dataclass
@@ -107,10 +109,10 @@ def test_a_run_is_locked_while_it_is_made_and_nothing_is_left_of_the_lock_nor_is
     store, monkeypatch
 ):
     seen = []
-    made(busy(lambda: seen.extend(held.words for held in held_locks(store.root))), store)
-    (words,) = seen
-    assert words["about"] == {"method": "little", "dataset": "journey", "seed": 0, "device": "cpu", "corruption": None}
-    assert words["stage"] == "fit"
+    made(busy(lambda: seen.extend(read_claims(store.root))), store)
+    (claim,) = seen
+    about = {"method": "little", "dataset": "journey", "seed": 0, "device": "cpu", "corruption": None, "stage": "fit"}
+    assert {name: claim[name] for name in about} == about
     assert [path.name for path in store.root.iterdir()] == ["journey"]
     monkeypatch.setattr(RunLock, "acquire", None)
     assert made(busy(), store).from_store
@@ -119,7 +121,7 @@ def test_a_run_is_locked_while_it_is_made_and_nothing_is_left_of_the_lock_nor_is
 @pytest.mark.parametrize("error", [KeyboardInterrupt, ValueError])
 def test_of_a_run_that_fails_or_is_interrupted_nothing_is_left(error, store):
     def fail():
-        assert len(held_locks(store.root)) == 1
+        assert len(read_claims(store.root)) == 1
         raise error
 
     with pytest.raises(error):
@@ -158,6 +160,36 @@ def test_alone_a_run_waits_for_the_process_that_makes_it_and_is_answered_from_th
     assert [path.name for path in store.root.iterdir()] == ["journey"]
 
 
+def test_of_ten_processes_that_want_a_run_one_makes_it_and_the_others_find_it(store, tmp_path):
+    fits, found = tmp_path / "fits", tmp_path / "found"
+
+    def work():
+        result = made(busy(lambda: note(fits)), store)
+        note(found, result.from_store)
+
+    processes = [multiprocessing.get_context("fork").Process(target=work, daemon=True) for _ in range(10)]
+    for process in processes:
+        process.start()
+    for process in processes:
+        process.join()
+    assert (len(fits.read_text().split()), found.read_text().split().count("True")) == (1, 9)
+    assert [path.name for path in store.root.iterdir()] == ["journey"]
+
+
+def note(path, word="once"):
+    """Add a word to a file, as one of several processes."""
+    with path.open("a") as file:
+        file.write(f"{word}\n")
+
+
+def test_a_run_that_another_process_could_not_make_meanwhile_is_tried_again(store):
+    with lock_of_another(store) as process:
+        threading.Timer(0.3, process.kill).start()
+        method = busy()
+        assert not made(method, store).from_store
+    assert method.fits == [1]
+
+
 def printed(capsys, store, *options):
     assert cli.main(["status", f"results={store.root}", *options]) == 0
     return capsys.readouterr().out
@@ -169,7 +201,7 @@ def test_stored_runs_and_failures_are_counted_and_a_run_that_is_being_made_stand
     for seed in range(3):
         store.save(a_run(key=f"{seed % 2}"))
         store.save_failure(a_failure(config={"seed": seed}))
-    for path in (".partial-1/run.json", "journey/.damaged-1/run.json", "descriptors/1/2/run.json"):
+    for path in (".partial-1/run.json", "journey/.partial-2/run.json", "descriptors/1/2/run.json"):
         (store.root / path).parent.mkdir(parents=True)
         (store.root / path).write_text("{}")
     assert len(printed(capsys, store).splitlines()) == 2

@@ -359,13 +359,18 @@ def test_a_run_is_noisy_if_processes_waited_for_a_core_or_a_fixed_computation_dr
     assert ("noisy" in kinds(run_of(Lookup(table(12, 4)), journey(12, 4)))) is noisy
 
 
-def test_a_run_beside_others_says_so_of_its_fit_and_of_its_rates(tmp_path, monkeypatch):
+def test_a_run_beside_others_says_so_of_its_fit_and_waits_to_be_timed_alone(tmp_path, monkeypatch):
     monkeypatch.setenv(timing_lock.FOLDER, str(tmp_path))
-    monkeypatch.setattr(timing_lock, "PATIENCE_SECONDS", 0.0)
     with (timing_lock.folder() / "computing").open("ab") as of_another_run:
+
+        def end_the_other(stage, _):
+            if stage == "waiting to be timed":
+                fcntl.flock(of_another_run, fcntl.LOCK_UN)
+
         for alone in (True, False):
             fcntl.flock(of_another_run, fcntl.LOCK_UN if alone else fcntl.LOCK_SH)
-            run = run_of(Lookup(table(12, 4)), journey(12, 4))
-            told = frame.numbers(run)
-            assert (told["fitted_alone"], told["timed_alone"]) == (alone, alone)
-            assert ({"fitted", "noisy"} <= {*kinds(run)}) is not alone
+            with progress.listening(end_the_other):
+                run = run_of(Lookup(table(12, 4)), journey(12, 4))
+            numbers = frame.numbers(run)
+            assert (numbers["fitted_alone"], numbers["timed_alone"]) == (alone, True)
+            assert ("fitted" in kinds(run)) is not alone

@@ -1,12 +1,12 @@
-"""Runs of one host compute side by side, and each is timed alone; each has a GPU of its own."""
+"""Runs of one host compute side by side, and each is timed alone."""
 
-import fcntl
 import subprocess
 import sys
+import threading
 import time
 from contextlib import contextmanager
+from itertools import pairwise
 
-import psutil
 import pytest
 
 from vprbench.runs import timing_lock
@@ -25,23 +25,19 @@ def _host(tmp_path, monkeypatch):
 @contextmanager
 def another(does):
     """Let another process compute, or be alone."""
-    with psutil.Popen([sys.executable, "-c", HOLDER.format(does)], stdout=subprocess.PIPE) as process:
+    with subprocess.Popen([sys.executable, "-c", HOLDER.format(does)], stdout=subprocess.PIPE) as process:
         assert process.stdout.readline()
         yield process
         process.kill()
 
 
-def test_a_run_is_timed_once_the_others_have_computed_and_none_begins_meanwhile(monkeypatch):
+def test_a_run_is_timed_once_the_others_have_computed_and_none_begins_meanwhile():
     with another("computing") as computes, timing_lock.computing():
-        disturbed = timing_lock.undisturbed()
-        assert not disturbed()
-        monkeypatch.setattr(timing_lock, "PATIENCE_SECONDS", 0.2)
-        with timing_lock.alone() as alone:
-            assert not alone
-        monkeypatch.setattr(timing_lock, "PATIENCE_SECONDS", 60.0)
-        computes.kill()  # the system frees its lock
-        with timing_lock.alone() as alone:
-            assert alone
+        undisturbed = timing_lock.undisturbed()
+        assert not undisturbed()
+        threading.Timer(0.3, computes.kill).start()  # the system frees its lock
+        with timing_lock.alone():
+            computes.wait(20)
             late = (
                 "import time\nfrom vprbench.runs import timing_lock as lock\nwith lock.computing(): print(time.time())"
             )
@@ -49,29 +45,22 @@ def test_a_run_is_timed_once_the_others_have_computed_and_none_begins_meanwhile(
             time.sleep(0.5)
             timed = time.time()
         assert float(begins.communicate()[0]) > timed
-        assert not disturbed()
+        assert not undisturbed()
     assert timing_lock.undisturbed()()
 
 
-def test_a_run_that_waits_to_be_timed_goes_before_a_run_that_would_begin_to_compute(monkeypatch):
-    waits = "from vprbench.runs import timing_lock as lock\nwith lock.alone() as alone: print(alone)"
-    with another("computing"):
-        waiting = subprocess.Popen([sys.executable, "-c", waits], stdout=subprocess.PIPE, text=True)
-        with (timing_lock.folder() / "waiting").open("ab") as file:
-            while not is_locked(file):
-                time.sleep(0.05)
-        monkeypatch.setattr(timing_lock, "PATIENCE_SECONDS", 0.2)
-        began = time.monotonic()
-        with timing_lock.computing():
-            assert time.monotonic() - began >= 0.2
-    assert waiting.communicate()[0] == "True\n"
-
-
-def is_locked(file):
-    """Tell whether another process holds a file alone."""
-    try:
-        fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return True
-    fcntl.flock(file, fcntl.LOCK_UN)
-    return False
+def test_runs_that_compute_side_by_side_and_are_then_to_be_timed_are_timed_one_after_the_other():
+    code = """
+import time
+from vprbench.runs import timing_lock as lock
+with lock.computing():
+    print(flush=True)
+    time.sleep(0.3)
+    with lock.alone():
+        begun = time.time()
+        time.sleep(0.2)
+        print(begun, time.time())
+"""
+    runs = [subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) for _ in range(3)]
+    times = sorted([float(moment) for moment in run.communicate()[0].split()] for run in runs)
+    assert all(one[1] <= next[0] for one, next in pairwise(times))

@@ -44,7 +44,7 @@ def printed(capsys, *options):
 
 
 def only_run():
-    (run,) = Store(Path("results"), read_only=True).runs()
+    (run,) = Store(Path("results")).runs()
     return run
 
 
@@ -108,7 +108,7 @@ def test_the_command_line_cannot_change_it_and_what_is_no_declaration_is_refused
     assert main([*options, *QUICK]) == 2
     error = capsys.readouterr().err
     assert (named in error, "tuned_on" in error, error.count("\n")) == (True, True, 1)
-    assert list(Store(Path("results"), read_only=True).runs()) == []
+    assert list(Store(Path("results")).runs()) == []
 
 
 @pytest.mark.parametrize(

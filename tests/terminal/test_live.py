@@ -1,24 +1,34 @@
-"""The live view tells what runs where, what waits and what has failed."""
+"""The live table shows which cells wait, which run and where, and which are done."""
 
 import io
 
 from rich.console import Console
 
+from vprbench.progress import progress_shown, report
 from vprbench.terminal.live import LiveTable
 
 
-def test_steps_that_run_elsewhere_are_shown_with_host_and_stage_and_the_rest_is_counted():
-    table = LiveTable(["SAD"], ["Route"], 6)
+def test_runs_are_shown_with_host_and_time_cells_with_their_results_and_the_rest_is_counted():
+    table = LiveTable(["SAD", "HOG"], ["Route"], 6)
     for seed in range(3):
         table.begin(seed, f"SAD on Route, seed {seed}", f"node{seed + 1}")
-    table.share(1, "query 40 %", 0.0)
-    table.step(0)
-    table.step(2, failed=True)
-    table.begin(3, "here")
+    table.show("SAD", "Route", "12.5 %")
+    table.end(0)
+    table.end(2, failed=True)
     stream = io.StringIO()
     Console(file=stream, width=120).print(table.__rich__())
     text = stream.getvalue()
-    assert "here" not in text  # a step that runs here needs no line of its own
-    assert "node2  SAD on Route, seed 1  query 40 %" in text
+    assert "node2  SAD on Route, seed 1  0 s" in text
     assert "node1" not in text
-    assert "2 of 6, 2 running, 2 waiting, 1 failed, 0:0" in text
+    assert [line.split() for line in text.splitlines() if line[:3] in ("SAD", "HOG")] == [
+        ["SAD", "12.5", "%"],
+        ["HOG", "\N{MIDDLE DOT}"],
+    ]
+    assert "2 of 6, 1 running, 3 waiting, 1 failed" in text
+
+
+def test_no_other_progress_is_shown_beside_a_live_table():
+    stream = io.StringIO()
+    with LiveTable([], [], 1), progress_shown("a download", stream):
+        report("fetching", 0.5)
+    assert stream.getvalue() == ""

@@ -23,7 +23,8 @@ from vprbench.runs import machine
 from vprbench.runs.store import Store
 from vprbench.tuning import objective, places, space
 from vprbench.tuning.objective import Task, Training
-from vprbench.tuning.search import QUICK, Settings, explore, search
+from vprbench.tuning.search import explore, search
+from vprbench.tuning.settings import QUICK, Settings
 from vprbench.tuning.space import PAPER
 from vprbench.tuning.study import JOURNAL, best_of, opened
 from vprbench.tuning.workers import Workers

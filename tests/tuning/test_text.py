@@ -14,7 +14,8 @@ from vprbench.config import make_request
 from vprbench.metrics.intervals import McNemar, WiderInterval
 from vprbench.tuning import text
 from vprbench.tuning.comparison import Comparison, Repeated
-from vprbench.tuning.search import Found, Settings
+from vprbench.tuning.search import Found
+from vprbench.tuning.settings import Settings
 from vprbench.tuning.space import PAPER
 from vprbench.tuning.study import Trial
 

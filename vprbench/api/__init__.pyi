@@ -1,6 +1,5 @@
 """The names of `vprbench.api`, each imported when a program asks for it."""
 
-from . import checkpoints as checkpoints
 from .adaptation import Adapt as Adapt
 from .adaptation import adapt_traverse as adapt_traverse
 from .arithmetic import takes as takes
@@ -52,6 +51,7 @@ from .other_rooms import NotFittedError as NotFittedError
 from .other_rooms import NotThere as NotThere
 from .other_rooms import Paths as Paths
 from .other_rooms import TrainingDivergedError as TrainingDivergedError
+from .other_rooms import cache_folder as cache_folder
 from .other_rooms import checkout_folder as checkout_folder
 from .other_rooms import data_folder as data_folder
 from .other_rooms import decimals_in as decimals_in

@@ -19,8 +19,8 @@ from vprbench.api.arrays import Image
 from vprbench.api.decoding import Decoding, as_rgb, decoded_bytes, read_image
 from vprbench.api.heads import UPRIGHT, head_of
 from vprbench.errors import BadInput
+from vprbench.storage.cores import core_count
 from vprbench.storage.hashes import HashedFiles, file_hashes
-from vprbench.storage.owner import core_count
 from vprbench.storage.paths import Paths, chosen_names
 
 Codes = npt.NDArray[np.uint64]  # (n,), of images: alike for images of the same content

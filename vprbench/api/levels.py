@@ -18,8 +18,8 @@ from vprbench.api.decoding import Decoding, Exif, Levels, read_counts
 from vprbench.api.heads import UPRIGHT, head_of
 from vprbench.errors import BadInput
 from vprbench.storage.atomic import replace_bytes
+from vprbench.storage.cores import core_count
 from vprbench.storage.hashes import file_hashes, hashes_folder
-from vprbench.storage.owner import core_count
 from vprbench.storage.paths import Paths
 
 #: (n_files, 3): lowest and highest level, and 1 if they are floats; infinite if some are no numbers, NaN if unreadable.

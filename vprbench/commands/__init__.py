@@ -1,1 +1,1 @@
-"""The commands: `at_once` answers without waiting for a library, `working` does the rest."""
+"""The commands: one function each, a run, and the help of all."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from vprbench.api.dataset import Dataset
 from vprbench.api.descriptor import DescriptorMethod
@@ -13,12 +13,11 @@ from vprbench.config import make_request
 from vprbench.data.doctor import check_dataset, look_at_some
 from vprbench.errors import BadInput, NotFittedError, NotThere
 from vprbench.paper.plan import PlannedColumn, Row
-from vprbench.paper.run_options import RunOptions
+from vprbench.paper.run_options import CompareRequest
 from vprbench.paper.selection import ResolvedColumn
 from vprbench.plugins import registry
 from vprbench.plugins.options import chosen
 from vprbench.progress import progress_shown, report
-from vprbench.runs.corruption import corruptions
 from vprbench.runs.identity import fingerprint
 from vprbench.runs.predictions import require_depth
 from vprbench.runs.request import OPTIONS, RunRequest
@@ -27,30 +26,11 @@ from vprbench.runs.viewpoints import seen_from, viewpoints
 from vprbench.text import near
 
 
-@dataclass(frozen=True, kw_only=True)
-class Request(RunOptions):
-    """Which methods are compared, and how; raises BadInput for what cannot be."""
-
-    methods: list[str]  # names; NAME.option=value sets an option of one of them
-    seeds: int = 1  # of each method that learns from a seed
-    corruptions: list[str] = field(default_factory=list)  # of query frames: all, kinds, or as in shift-1
-    devices: list[str] = field(default_factory=lambda: ["cpu"])  # or device=cuda, for one
-    predictions: int | None = None  # best places of each query in NAME-predictions.csv; null: 10, 0: no file
-    name: str | None = None  # of the files that are written, and the title; None: the dataset's
-
-    def __post_init__(self) -> None:
-        """Check what can be checked before a method or the dataset is built."""
-        super().__post_init__()
-        if not self.methods:
-            raise BadInput("methods= is empty: name what is compared, as in methods=sad,hog")
-        corruptions(self.corruptions)
-
-
 @dataclass(frozen=True)
 class SortedOptions:
     """The options of a comparison, by what they are of."""
 
-    request: Request
+    request: CompareRequest
     of_methods: Mapping[str, Sequence[str]]  # by the method's name, as method.option=value
     of_dataset: tuple[str, ...]
     of_runs: tuple[str, ...]  # as the command line has them
@@ -61,7 +41,7 @@ def sort_options(options: Sequence[str]) -> SortedOptions:
     own: list[str] = []
     of_dataset: list[str] = []
     rest: list[str] = []
-    known = (*Request.__dataclass_fields__, "dataset", "device", *OPTIONS)
+    known = (*CompareRequest.__dataclass_fields__, "dataset", "device", *OPTIONS)
     for option in options:
         name = option.partition("=")[0]
         if "." not in name and name not in known:
@@ -70,14 +50,14 @@ def sort_options(options: Sequence[str]) -> SortedOptions:
             raise BadInput(
                 f"{option}: give corruptions{option.removeprefix(name)}, beside which clean frames are asked"
             )
-        if name.partition(".")[0] in ("method", "seed", "output", "save", "load", "stream"):
+        if name.partition(".")[0] in CompareRequest.refused:
             raise BadInput(
                 f"{option}: a comparison takes methods=NAME,NAME and seeds=NUMBER, and NAME.option=value for an "
                 "option of one of the methods"
             )
         if name == "device":
             own.append(f"devices{option.removeprefix('device')}")
-        elif Request.has(option):
+        elif CompareRequest.has(option):
             own.append(option)
         else:
             (of_dataset if name.partition(".")[0] == "dataset" else rest).append(option)
@@ -85,7 +65,7 @@ def sort_options(options: Sequence[str]) -> SortedOptions:
         raise BadInput("methods= is missing: name what is compared, as in methods=sad,hog; see vprbench list")
     if not any(option.startswith("dataset=") for option in of_dataset):
         raise BadInput("dataset= is missing: name the data, as in dataset=folders; see vprbench list")
-    request = chosen(Request, own, {})
+    request = chosen(CompareRequest, own, {})
     methods = {name: [f"method{o.removeprefix(name)}" for o in rest if _is_of(o, name)] for name in request.methods}
     for name, given in methods.items():
         if run_wide := [o for o in given if o.partition("=")[0] in ("method.seed", "method.device")]:

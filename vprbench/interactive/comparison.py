@@ -25,7 +25,7 @@ from vprbench.runs.frame import named_tuples
 from vprbench.runs.record import Failure
 from vprbench.runs.request import spell_out_metrics
 from vprbench.runs.sequences import views
-from vprbench.text import plural
+from vprbench.text import NOTHING, format_two_digits, plural
 
 if TYPE_CHECKING:
     from vprbench.paper.figures.style import Figure
@@ -107,14 +107,14 @@ class Comparison:
         """Return the table as text for people: percent, and a dash for what there is not."""
         table = self.table
 
-        def column(name: str, text: Callable[[float], str], absent: str = rows.NOTHING) -> list[str]:
+        def column(name: str, text: Callable[[float], str], absent: str = NOTHING) -> list[str]:
             return [absent if np.isnan(value) else text(value) for value in table[name]]
 
         recall = METRICS["recall_at_1"]
 
         def interval(low: str, high: str) -> list[str]:
             ends = zip(column(low, recall.text), column(high, recall.text), strict=True)
-            return [rows.NOTHING if low == rows.NOTHING else f"[{low}, {high}]" for low, high in ends]
+            return [NOTHING if low == NOTHING else f"[{low}, {high}]" for low, high in ends]
 
         others = map(
             " ".join, zip(column("elsewhere", recall.text), interval("elsewhere_low", "elsewhere_high"), strict=True)
@@ -128,7 +128,7 @@ class Comparison:
             **({"Elsewhere": [*others]} if table["elsewhere"].notna().any() else {}),
             **{metric.head: column(metric.name, metric.text) for metric in metrics},
             "Queries/s": column("hz", RATES[0].text, rows.UNTIMED),
-            "Fit s": column("fit_seconds", lambda seconds: f"{float(f'{seconds:.2g}'):,g}"),
+            "Fit s": column("fit_seconds", format_two_digits),
             **({"Left out": table["left_out"].map(short)} if self.left_out else {}),
         }
         return pd.DataFrame(shown)

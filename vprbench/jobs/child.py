@@ -18,11 +18,12 @@ from pathlib import Path
 from typing import IO
 
 from vprbench.jobs.job import JobResult, make_run
-from vprbench.progress import MARKED, answers_alone, log_to_stderr
+from vprbench.progress import QUIET
 from vprbench.runs.request import RunRequest
 from vprbench.runs.store import Store
 from vprbench.storage.atomic import scratch
 from vprbench.storage.folders import checkout_folder
+from vprbench.terminal.streams import log_to_stderr, results_only_on_stdout
 from vprbench.text import printable
 
 _REQUEST, _RESULT = "request.json", "result.json"
@@ -42,7 +43,7 @@ def run_in_child(
 
     Args:
         request_json: the run, as `RunRequest.to_json` gives it.
-        hear: takes each line of the process's standard error, stages and warnings marked; None prints the lines.
+        hear: takes each line of the process's standard error, which shows no progress; None prints the lines.
         stopped: tells whether the process has to be interrupted.
         folder: the working folder of the process; None for this one's.
         environment: more variables of its environment.
@@ -60,7 +61,7 @@ def run_in_child(
             **os.environ,
             **(environment or {}),
             "PYTHONPATH": _python_path(),
-            **({MARKED: "1"} if hear else {}),
+            **({QUIET: "1"} if hear else {}),
         }
         command = [sys.executable, *_interpreter_flags(), "-m", "vprbench", "--job", str(place), str(os.getpid())]
         lines = _Lines(written, hear or _echo)
@@ -81,7 +82,7 @@ def make_job(folder: Path) -> int:
 
     log_to_stderr()
     printed: list[str] = []
-    with timing_lock.computing(), answers_alone():
+    with timing_lock.computing(), results_only_on_stdout():
         request = RunRequest.from_json((folder / _REQUEST).read_bytes())
         result = make_run(request, printed.append, wait=False)
     partial = folder / f"{_RESULT}.partial"

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import logging
-import os
 import sys
 import textwrap
 import traceback
@@ -14,9 +12,10 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from vprbench.errors import BadInput, NotThere, TrainingDivergedError
+from vprbench.errors import BadInput, NotThere, TrainingDivergedError, format_error, hide_home
 from vprbench.runs.record import Failure
 from vprbench.runs.request import RunRequest
+from vprbench.terminal.streams import complain
 from vprbench.text import printable
 
 
@@ -57,7 +56,7 @@ def make_run(request: RunRequest, say: Callable[[str], None], wait: bool = True)
         missing = isinstance(error, NotThere)
         complain(words)
     except BaseException as error:  # whatever a plug-in raises
-        code, words, missing = 1, _without_home(describe_error(error).splitlines()[0]), False
+        code, words, missing = 1, hide_home(format_error(error).splitlines()[0]), False
         if not isinstance(error, TrainingDivergedError):
             print(textwrap.indent(printable(traceback.format_exc(), but="\n"), "  "), file=sys.stderr)
         complain(f"{request.method_name} failed: {words}")
@@ -72,7 +71,7 @@ def failure_of(request: RunRequest, result: JobResult) -> Failure:
         request.method_name,
         request.dataset_name,
         request.record(),
-        _without_home(result.error.partition("\n")[0]),
+        hide_home(result.error.partition("\n")[0]),
         result.environment or machine.capture("cpu", 1),
         result.missing,
     )
@@ -81,23 +80,6 @@ def failure_of(request: RunRequest, result: JobResult) -> Failure:
 def failure_json(failure: Failure) -> str:
     """Return a failure as readers of JSON get it."""
     return json.dumps({name: getattr(failure, name) for name in ("method", "dataset", "error", "missing")})
-
-
-def complain(message: str) -> None:
-    """Say on standard error why an exit code is not 0."""
-    with contextlib.suppress(OSError):  # nobody may be there to read it
-        print(printable(f"vprbench: {message}"), file=sys.stderr, flush=True)
-
-
-def describe_error(error: BaseException) -> str:
-    """Return an error in words, whatever a plug-in has made of it."""
-    if isinstance(error, SystemExit):
-        return f"SystemExit: the method or dataset ended the program, with exit code {error.code or 0}"
-    try:
-        text = str(error)
-    except Exception as unsaid:  # a plug-in's error may fail to say what it is
-        text = f"(its text fails: {type(unsaid).__name__})"
-    return f"{type(error).__name__}: {text}"
 
 
 def _find_or_make(request: RunRequest, say: Callable[[str], None], wait: bool) -> str:
@@ -124,9 +106,3 @@ def _find_or_make(request: RunRequest, say: Callable[[str], None], wait: bool) -
         say(run_text(result.run, result.folder, result.from_store, request, files))
         key = result.run.key
     return key
-
-
-def _without_home(text: str) -> str:
-    """Return an error without the name of a person's home, for it may be printed in a table."""
-    home = os.path.expanduser("~")  # noqa: PTH111 - which leaves it as it is where nobody knows the home
-    return text if home in ("~", "/", "") else text.replace(home, "~")

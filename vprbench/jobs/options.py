@@ -5,12 +5,13 @@ from __future__ import annotations
 import importlib.util
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 from vprbench.errors import BadInput
 from vprbench.jobs.batch import Job, job
-from vprbench.storage.owner import core_count
+from vprbench.plugins.options import option
+from vprbench.storage.cores import core_count
 
 logger = logging.getLogger(__name__)
 
@@ -19,9 +20,9 @@ logger = logging.getLogger(__name__)
 class ClusterOptions:
     """Where runs are made, without any of these here and one after the other; raises BadInput for what cannot be."""
 
-    workers: int | None = None  # runs made side by side by processes of this machine; of cluster= the most jobs
-    scheduler: str | None = None  # address of a dask cluster that is there, as tcp://host:8786: runs are made on it
-    cluster: dict[str, Any] = field(default_factory=dict)  # slurm, pbs, lsf, sge or a yaml: runs are made in its jobs
+    workers: int | None = option(None, "runs made side by side by processes of this machine; of cluster= the most jobs")
+    scheduler: str | None = option(None, "address of a dask cluster, as tcp://host:8786: runs are made on it")
+    cluster: dict[str, Any] = option({}, "slurm, pbs, lsf, sge or a yaml: runs are made in its jobs")
 
     def __post_init__(self) -> None:
         """Check that one place is asked for, and that what it needs is there."""

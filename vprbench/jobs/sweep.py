@@ -11,7 +11,6 @@ from pathlib import Path
 from vprbench.jobs.executors import executor_for, run_all
 from vprbench.jobs.job import failure_json, failure_of
 from vprbench.jobs.options import ClusterOptions
-from vprbench.progress import marked
 from vprbench.runs.request import RunRequest
 from vprbench.runs.store import Store
 from vprbench.terminal.live import LiveTable
@@ -31,9 +30,8 @@ def run_sweep(requests: Sequence[RunRequest], options: ClusterOptions) -> int:
             live.begin(number, words, executor.name)
 
     def hear(_: int, line: str) -> None:
-        told = marked(line)
-        if live is not None and not isinstance(told, tuple):
-            live.line(told or line)
+        if live is not None:
+            live.line(line)
 
     codes = []
     with executor, live or nullcontext():
@@ -43,7 +41,7 @@ def run_sweep(requests: Sequence[RunRequest], options: ClusterOptions) -> int:
             if result.printed:
                 print(result.printed, flush=True)
             if live is not None:
-                live.step(number, bool(result.code))
+                live.end(number, bool(result.code))
             if result.code:
                 failure = failure_of(request, result)
                 Store(Path(request.results).expanduser()).try_to_save_failure(failure)

@@ -94,11 +94,14 @@ def share_interval(hits: npt.ArrayLike, confidence: float = 0.95, window: int = 
 
     The wider one of Wilson's and that of a circular block bootstrap, whose length `block_length` finds in the hits and
     which is expanded for few blocks; Wilson's where that length is 1. Where a hit rests on a `window` of so many
-    neighbours, no block is shorter. None without queries. Raises ValueError for other values.
+    neighbours, no block is shorter. None without queries, and where one block holds all of them. Raises ValueError for
+    other values.
     """
     row = finite_row(hits)
     independent = wilson(float(row.sum()), len(row), confidence)
-    return None if independent is None else _wider(row, independent, max(block_length(row), window), confidence)
+    if independent is None or (window > 1 and len(row) <= window):
+        return None
+    return _wider(row, independent, max(block_length(row), window), confidence)
 
 
 def difference_interval(
@@ -109,14 +112,15 @@ def difference_interval(
     The wider one of Agresti and Min's (2005), which takes queries as independent, and that of the block bootstrap as
     in `share_interval`. Most differences are 0, which hides from the rule that the others come together: the block
     length is the largest of those of both hits, of the differences and of the `window`. None for fewer than 20 queries,
-    too few to see whether neighbours are alike. Of values beyond 0 and 1 the lower end alone says anything: it is at
-    least -1, the upper end at most 1. Raises ValueError for hits on different queries.
+    too few to see whether neighbours are alike, and where one block holds all queries. Of values beyond 0 and 1 the
+    lower end alone says anything: it is at least -1, the upper end at most 1. Raises ValueError for hits on different
+    queries.
     """
     first, second = finite_row(ours), finite_row(theirs)
     if first.shape != second.shape:
         raise ValueError(f"a difference needs hits on the same queries, not {first.shape} and {second.shape}")
     row = first - second
-    if len(row) < FEWEST:
+    if len(row) < FEWEST or (window > 1 and len(row) <= window):
         return None
     block = max(window, *map(block_length, (first, second, row)))
     return _wider(row, _agresti_min(row, confidence), block, confidence)

@@ -23,6 +23,7 @@ from vprbench.metrics.accuracy import (
     recall_at_full_precision,
 )
 from vprbench.metrics.ranking import Outcome, PlacesPerQuery
+from vprbench.text import format_cost
 
 RECALLS = (1, 5, 10, 25)
 
@@ -100,7 +101,7 @@ class Metric:
     def rounded_text(self, shown: float) -> str:
         """Return a value that `shown` gave, rounded: of a cost to three digits, or to all before the point."""
         if self.cost is not None:
-            return f"{shown:,.0f}" if abs(shown) >= 100 else f"{shown:.3g}"
+            return format_cost(shown)
         return f"{shown:.{self.digits}f}"
 
 

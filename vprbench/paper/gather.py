@@ -6,7 +6,7 @@ import itertools
 import os
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -17,7 +17,7 @@ from vprbench.jobs.job import JobResult
 from vprbench.metrics.registry import GROUPS
 from vprbench.paper.missing_runs import Cell, Watch, fill, make_cell, results_folder
 from vprbench.paper.plan import Plan, PlannedColumn, Row, read_plan, with_plug_ins
-from vprbench.paper.run_options import RunOptions
+from vprbench.paper.run_options import TableRequest
 from vprbench.paper.selection import Group, ResolvedColumn, groups, seen
 from vprbench.paper.table.cells import Table, assemble
 from vprbench.paper.table.quantities import QUANTITIES, Quantity, quantities
@@ -30,24 +30,6 @@ from vprbench.runs.store import Store
 Part = TypeVar("Part")
 
 _ACCELERATORS = ("/dev/nvidiactl", "/dev/kfd", "/dev/dxg")  # of NVIDIA, of AMD, and of either on Windows
-
-
-@dataclass(frozen=True)
-class TableRequest(RunOptions):
-    """Which rows and columns, from which stores; raises BadInput for what cannot be."""
-
-    rows: list[str] | None = None  # of conf/table.yaml; None: those of the paper
-    methods: list[str] = field(default_factory=list)  # more rows: names of methods, or of more_rows
-    columns: list[str] | None = None  # None: the paper's datasets, or what stands in for them
-    full: bool = False  # slow rows at full size too
-    nordland: str | None = None  # folder of the real frames
-    robotcar: str | None = None
-
-    def __post_init__(self) -> None:
-        """Check what can be checked before a plan is read."""
-        super().__post_init__()
-        self._require_folders("nordland", self.nordland)
-        self._require_folders("robotcar", self.robotcar)
 
 
 @dataclass(frozen=True)
@@ -162,7 +144,7 @@ def assembled(
 
 def stored(request: TableRequest | TablePlan) -> tuple[list[Run], list[Failure]]:
     """Return the runs and failures of the store and of the stores of other machines, each once."""
-    stores = [Store(results_folder(folder), read_only=True) for folder in (request.results, *request.stores)]
+    stores = [Store(results_folder(folder)) for folder in (request.results, *request.stores)]
     runs = {(run.dataset, run.method, run.key): run for store in reversed(stores) for run in store.runs()}
     return [*runs.values()], [failure for store in stores for failure in store.failures()]
 

@@ -21,13 +21,13 @@ from vprbench.metrics.accuracy import recall_at
 from vprbench.paper.plan import Row
 from vprbench.paper.stored_runs import StoredRuns
 from vprbench.plugins import registry
-from vprbench.progress import marked, shown_by
 from vprbench.runs.record import Run
 from vprbench.runs.request import RunRequest
 from vprbench.runs.run_files import content_key
 from vprbench.runs.stopwatch import StageRates, best_batch
 from vprbench.runs.store import Store
 from vprbench.terminal.live import LiveTable
+from vprbench.text import format_percent, format_rate
 
 logger = logging.getLogger(__name__)
 
@@ -95,7 +95,7 @@ def fill(
     if first:
         watch.before_first(wanted[first[0][0]])
     hear = shown.hear if shown else None
-    with shown.table if shown else nullcontext(), shown_by(shown.progress) if shown else nullcontext():
+    with shown.table if shown else nullcontext():
         for number, result in run_all(executor, itertools.chain(first, cells), filling.begin, hear):
             filling.end(number, result)
             watch.after_each()
@@ -148,8 +148,6 @@ class _Filling:
     def cells(self) -> Iterator[Numbered]:
         """Yield the runs that a process has to make, by their numbers; the others end at once."""
         for number, cell in enumerate(self._wanted):
-            if self._shown is not None:
-                self._shown.at(number)
             result, found = self._missing.get(_known(cell)), None
             if result is None and not cell.error:
                 found = self._shelf.find(cell.request)
@@ -220,12 +218,8 @@ class _Shown:
         """Show a row and a column for each that is wanted; runs are made on `host`."""
         rows, columns = (dict.fromkeys(cell.row.name for cell in wanted), dict.fromkeys(map(_column, wanted)))
         self.table = LiveTable([*rows], [*columns], len(wanted))
-        self._wanted, self._host, self._at = wanted, host, 0
+        self._wanted, self._host = wanted, host
         self._numbers: dict[tuple[str, str], list[tuple[float | None, float | None]]] = {}
-
-    def at(self, number: int) -> None:
-        """Go on with a run."""
-        self._at = number
 
     def begin(self, number: int) -> None:
         """Show that a run has begun."""
@@ -233,21 +227,9 @@ class _Shown:
         self.table.show(cell.row.name, _column(cell), "runs", "cyan")
         self.table.begin(number, _title(cell), self._host)
 
-    def progress(self, stage: str, done: float, number: int | None = None) -> None:
-        """Show how far a run is; without a number the one that is looked at."""
-        number = self._at if number is None else number
-        words = f"{stage.split(',')[0]} {100 * done:.0f} %"
-        self.table.share(number, words, done if stage.startswith("timing") else 0.0)
-        self.table.show(self._wanted[number].row.name, _column(self._wanted[number]), words, "cyan")
-
-    def hear(self, number: int, line: str) -> None:
-        """Show what a process says: its progress in its cell, all else above the table."""
-        told = marked(line)
-        if isinstance(told, tuple):
-            self.progress(*told, number)
-        elif told is not None:
-            self.table.line(told, "yellow")
-        elif line:
+    def hear(self, _: int, line: str) -> None:
+        """Show a line of a process above the table."""
+        if line:
             self.table.line(line, "red" if line.startswith("vprbench: ") else "")
 
     def end(self, number: int, result: JobResult, found: Run | None) -> None:
@@ -262,12 +244,12 @@ class _Shown:
             rate = StageRates.offline(batch).total if batch else None
             numbers.append((first.expected if first else None, rate))
             recalls, rates = ([each for each in column if each is not None] for column in zip(*numbers, strict=True))
-            words = [f"{100 * mean(recalls):.1f} %" if recalls else "undefined"]
-            words.append(f"{mean(rates):,.0f} Hz" if rates else "not timed")
+            words = [f"{format_percent(mean(recalls))} %" if recalls else "undefined"]
+            words.append(f"{format_rate(mean(rates))} Hz" if rates else "not timed")
             self.table.show(*at, "  ".join(words))
         else:
             self.table.show(*at, "-", "dim")
-        self.table.step(number, bool(result.code and not result.missing))
+        self.table.end(number, bool(result.code and not result.missing))
 
 
 def _column(cell: Cell) -> str:

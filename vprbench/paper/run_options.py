@@ -3,35 +3,37 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from vprbench.errors import BadInput
 from vprbench.jobs.options import ClusterOptions
-from vprbench.runs.request import spell_out_metrics
-from vprbench.runs.sequences import views
-from vprbench.runs.viewpoints import viewpoints
+from vprbench.plugins.options import option
 
 
 @dataclass(frozen=True, kw_only=True)
 class RunOptions(ClusterOptions):
     """Which numbers of which runs are shown, and where they are made; raises BadInput for what cannot be."""
 
-    metrics: list[str] = field(default_factory=list)  # more quantities, by their names in METRICS
-    seeds: int | None = None  # at most so many a row
-    devices: list[str] | None = None  # None: cpu, and cuda where there is a GPU
-    stored: bool = False  # from the store alone: nothing is run
-    stores: list[str] = field(default_factory=list)  # results folders of other machines, read too
-    name: str | None = None  # of the files that are written
-    sequence: Any = None  # 4, [1,4,10] or {length:4,window:centred}: answers of so many neighbouring queries
-    filter: Any = None  # true or {back:0,ahead:2,ratio:5}: answers of a Bayes filter over the places
-    views: Any = None  # shifts in widths of the frame: the viewpoints of each query
-    wide: bool = False  # all columns, however wide the terminal is
-    results: str = "results"
+    metrics: list[str] = option([], "more quantities, as r100p, auc_roc, ap_c or energy")
+    seeds: int | None = option(None, "at most so many a row")
+    devices: list[str] | None = option(None, "null: cpu, and cuda where there is a GPU")
+    stored: bool = option(False, "from the store alone: nothing is run")
+    stores: list[str] = option([], "results folders of other machines, read too")
+    name: str | None = option(None, "of the files that are written")
+    sequence: Any = option(None)
+    filter: Any = option(None)
+    views: Any = option(None)
+    wide: bool = option(False)
+    results: str = option("results")
 
     def __post_init__(self) -> None:
         """Check what can be checked before a plan is read, or a method or dataset built."""
+        from vprbench.runs.request import spell_out_metrics
+        from vprbench.runs.sequences import views
+        from vprbench.runs.viewpoints import viewpoints
+
         super().__post_init__()
         views(self.sequence, self.filter)
         viewpoints(self.views)
@@ -45,7 +47,54 @@ class RunOptions(ClusterOptions):
                 raise BadInput(f"devices={device} is unknown: give cpu, cuda or cuda:1")
         self._require_folders("stores", *self.stores)
 
-    def _require_folders(self, option: str, *folders: str | None) -> None:
+    def _require_folders(self, name: str, *folders: str | None) -> None:
         for folder in folders:
             if folder is not None and not Path(folder).expanduser().is_dir():
-                raise BadInput(f"{option}={folder} is no folder: give the one that holds the frames or the runs")
+                raise BadInput(f"{name}={folder} is no folder: give the one that holds the frames or the runs")
+
+
+@dataclass(frozen=True, kw_only=True)
+class TableRequest(RunOptions):
+    """Which rows and columns, from which stores; raises BadInput for what cannot be."""
+
+    #: Options of a run that a table does not take: rows, methods, columns, seeds and devices say what it holds.
+    refused: ClassVar[tuple[str, ...]] = (
+        *("method", "dataset", "corruption", "seed", "device", "output", "save", "load", "predictions"),
+    )
+
+    rows: list[str] | None = option(None, "of conf/table.yaml; null: those of the paper")
+    methods: list[str] = option([], "more rows: names of methods, or of more_rows in conf/table.yaml")
+    columns: list[str] | None = option(None, "null: the paper's datasets, or those that stand in for them")
+    full: bool = option(False, "true: slow rows at full size too")
+    nordland: str | None = option(None, "folder of the real frames")
+    robotcar: str | None = option(None, "folder of the real frames")
+
+    def __post_init__(self) -> None:
+        """Check what can be checked before a plan is read."""
+        super().__post_init__()
+        self._require_folders("nordland", self.nordland)
+        self._require_folders("robotcar", self.robotcar)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CompareRequest(RunOptions):
+    """Which methods are compared, and how; raises BadInput for what cannot be."""
+
+    #: Options of a run that a comparison does not take.
+    refused: ClassVar[tuple[str, ...]] = (*("method", "corruption", "seed", "output", "save", "load", "stream"),)
+
+    methods: list[str] = option(meaning="names; NAME.option=value sets an option of one of them")
+    seeds: int = option(1, "of each method that learns from a seed")
+    corruptions: list[str] = option([], "of query frames: all, kinds, or as in shift-1")
+    devices: list[str] = option(["cpu"], "or device=cuda, for one")
+    predictions: int | None = option(None, "best places of each query in NAME-predictions.csv; null: 10, 0: no file")
+    name: str | None = option(None, "of the files that are written, and the title; null: the dataset's")
+
+    def __post_init__(self) -> None:
+        """Check what can be checked before a method or the dataset is built."""
+        from vprbench.runs.corruption import corruptions
+
+        super().__post_init__()
+        if not self.methods:
+            raise BadInput("methods= is empty: name what is compared, as in methods=sad,hog")
+        corruptions(self.corruptions)

@@ -9,20 +9,21 @@ from typing import Any, Literal
 
 from vprbench.errors import BadInput
 from vprbench.plugins.entries import Entry, Group, entries
+from vprbench.plugins.options import option
 
 
 @dataclass(frozen=True)
 class Listing:
-    """What to list."""
+    """The options of `list`."""
 
-    weights: Literal["any", "none", "needed"] = "any"  # of methods: none for those that need no published weights
-    output: Literal["row", "json"] = "row"  # or json: one list of objects
-    wide: bool = False  # true: descriptions are not cut short to fit the terminal
+    weights: Literal["any", "none", "needed"] = option("any", "of methods: none: they need no published weights")
+    output: Literal["row", "json"] = option("row", "or json: one list of objects")
+    wide: bool = option(False, "true: descriptions are not cut short to fit the terminal")
 
 
 @dataclass(frozen=True)
 class Listed:
-    """One method or dataset, as far as it can be told without an import."""
+    """One method or dataset, as its yaml describes it."""
 
     kind: Group
     name: str
@@ -32,6 +33,13 @@ class Listed:
     needs_weights: bool = False
     options: tuple[str, ...] = ()
     broken: str = ""  # why it cannot be used
+
+    @property
+    def summary(self) -> str:
+        """Its description with the plug-in that brings it, or why it is broken."""
+        if self.broken:
+            return f"BROKEN: {self.broken}"
+        return self.description if self.provider == "vprbench" else f"{self.description}  [{self.provider}]"
 
 
 def listed(words: Sequence[str], weights: str = "any") -> list[Listed]:

@@ -13,7 +13,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from vprbench.errors import BadInput
 from vprbench.plugins.entries import Group, entries
-from vprbench.plugins.options import chosen
+from vprbench.plugins.options import chosen, option
 from vprbench.text import some
 
 _TEMPLATES = Environment(
@@ -27,8 +27,8 @@ _TEMPLATES = Environment(
 class Settings:
     """Where the files of a new method or dataset go."""
 
-    folder: str = "."  # where the files go
-    package: bool = False  # true: a package to install, with a yaml of its options; false: one loose file
+    folder: str = option(".", "where the files go")
+    package: bool = option(False, "true: a package to install, with a yaml of its options; false: one loose file")
 
 
 def new(words: Sequence[str]) -> str:

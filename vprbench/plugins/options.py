@@ -1,9 +1,10 @@
-"""Options of a command, as name=value, become its settings: the fields of a dataclass."""
+"""Options of a command: fields of a dataclass with a meaning, and their values from name=value."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import MISSING, field
 from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 from vprbench.errors import BadInput
@@ -11,6 +12,19 @@ from vprbench.storage.folders import require_homes
 from vprbench.text import near
 
 Given = TypeVar("Given")
+
+MEANING = "meaning"  # the key of a field's metadata that holds the words of the help
+
+
+def option(default: Any = MISSING, meaning: str = "") -> Any:
+    """Return a field of a dataclass with its default and the words by which the help explains it.
+
+    Without words the help has those of the option of that name in conf/run.yaml.
+    """
+    metadata = {MEANING: meaning}
+    if isinstance(default, list | dict):
+        return field(default_factory=lambda: default.copy(), metadata=metadata)
+    return field(default=default, metadata=metadata)
 
 
 def chosen(kind: Callable[..., Given], options: Sequence[str], quick: Mapping[str, Any]) -> Given:

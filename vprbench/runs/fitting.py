@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 from vprbench import progress
 from vprbench.api.arrays import Places
-from vprbench.api.checkpoints import Resumed
 from vprbench.api.dataset import Dataset, HeldOut
 from vprbench.api.descriptor import DescriptorMethod
 from vprbench.api.images import Images
@@ -28,7 +27,7 @@ class FitResult:
     fit_seconds: float | None = None
     fit_compute_seconds: float | None = None
     load_seconds: float | None = None
-    earlier_seconds: float = 0.0  # the part of a fit that an interrupted run had done
+    earlier_seconds: float = 0.0  # the time that an earlier run had spent on a method that this run takes over
     notes: tuple[Note, ...] = ()
     from_cache: int = 0  # descriptors of references that were kept already
 
@@ -47,24 +46,21 @@ class FitResult:
         return max(0.0, (self.fit_compute_seconds or 0.0) + (self.load_seconds or 0.0) - self.earlier_seconds)
 
 
-def fit_or_load(
-    experiment: Experiment, key: str, stopwatch: Stopwatch, described: DescriptorCache | None, resumed: Resumed
-) -> FitResult:
+def fit_or_load(experiment: Experiment, key: str, stopwatch: Stopwatch, described: DescriptorCache | None) -> FitResult:
     """Load the method's network, or fit and calibrate the method and store its network if that was asked for.
 
-    What an interrupted run spent on parts of the fit that this run takes over counts as part of the fit. A method that
-    an earlier run of the experiment's `shared_fit` has fitted stays as it is.
+    A method that an earlier run of the experiment's `shared_fit` has fitted stays as it is.
     """
     if experiment.shared_fit:
         return experiment.shared_fit[0].of_earlier_run()
-    fitted = _fit_or_load(experiment, key, stopwatch, described, resumed)
+    fitted = _fit_or_load(experiment, key, stopwatch, described)
     if experiment.shared_fit is not None:
         experiment.shared_fit.append(fitted)
     return fitted
 
 
 def _fit_or_load(
-    experiment: Experiment, key: str, stopwatch: Stopwatch, described: DescriptorCache | None, resumed: Resumed
+    experiment: Experiment, key: str, stopwatch: Stopwatch, described: DescriptorCache | None
 ) -> FitResult:
     method, dataset, files = experiment.method, experiment.dataset, experiment.networks
     arguments = experiment.request.method
@@ -88,22 +84,17 @@ def _fit_or_load(
                 method.calibrate(held_out)
             except BadInput as error:
                 raise BadInput(f"choosing settings by held-out places: {error}") from error
-    seconds = fit[0] + resumed.seconds
+    seconds = fit[0]
     computing = seconds - (_reading_seconds(read) - before)
     if destination is not None:
         networks.save(destination, method, key, seconds, computing)
-    more_notes: list[Note] = []
-    if resumed.seconds:
-        text = f"fit was resumed: the {resumed.seconds:.1f} s that an interrupted run had spent on it are counted"
-        more_notes.append(Note("resumed", text))
+    calibrated: tuple[Note, ...] = ()
     if held_out is not None:
         text = f"calibrated on {len(held_out.queries)} held-out queries of {held_out.n_places} places"
-        more_notes.append(Note("calibrated", text))
+        calibrated = (Note("calibrated", text),)
     if from_cache:
-        return FitResult(load_seconds=fit[0], notes=tuple(more_notes), from_cache=from_cache)
-    return FitResult(
-        fit_seconds=seconds, fit_compute_seconds=computing, earlier_seconds=resumed.seconds, notes=tuple(more_notes)
-    )
+        return FitResult(load_seconds=seconds, notes=calibrated, from_cache=from_cache)
+    return FitResult(fit_seconds=seconds, fit_compute_seconds=computing, notes=calibrated)
 
 
 def _fit(method: Method, dataset: Dataset, described: DescriptorCache | None) -> int:

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from vprbench.api.checkpoints import ledger
 from vprbench.api.dataset import Dataset
 from vprbench.errors import BadInput
 from vprbench.metrics.accuracy import recall_at
@@ -24,7 +23,7 @@ from vprbench.runs.request import RunRequest
 from vprbench.runs.run import execute
 from vprbench.runs.run_lock import HeldElsewhereError, RunLock
 from vprbench.runs.sequences import views
-from vprbench.runs.store import Store, require_writable
+from vprbench.runs.store import Store
 
 _ON_REQUEST = ("stream", "energy")  # which a run keeps if it is run again without them
 
@@ -60,8 +59,8 @@ def get_or_run(experiment: Experiment, store: Store, wait: bool = True) -> RunRe
         UnstoredRunError: the run was made and the disk refuses it.
         BadInput: nothing can be written to the results folder; and whatever the method raises.
     """
-    refused = _why_not_writable(store)
     key, dataset, name = experiment.key(), experiment.dataset, experiment.request.method_name
+    refused = _why_not_writable(store, dataset)
     files = experiment.networks
     if files.save is not None and networks.made_by(files.save) == key:
         # the network of this very run, left by a process that was killed before it stored the run
@@ -73,7 +72,7 @@ def get_or_run(experiment: Experiment, store: Store, wait: bool = True) -> RunRe
     if found is None and refused is not None:
         raise refused
 
-    with ExitStack() as held, ledger():  # what was trained is kept until the run is stored
+    with ExitStack() as held:
         if found is None:
             lock = held.enter_context(_acquire_lock(experiment, folder, store, wait))
             stored = store.find(dataset.name, name, key)  # another process may have made it meanwhile
@@ -181,8 +180,6 @@ def _run(experiment: Experiment, key: str, store: Store, stored: Run | None, loc
             with suppress(BadInput):  # which is raised when it is stored with its times
                 store.save(replace(scored, **_tuning(experiment)))
 
-    for place in (store.root / dataset.name, store.folder(dataset.name, request.method_name, key)):
-        require_writable(place)
     with progress_shown(f"{request.method_name} on {dataset.name}"), overheard(lock.tell):
         run = execute(experiment, key, keep)
         run = replace(run, stream=stream.grown(experiment)) if experiment.stream else run
@@ -191,10 +188,10 @@ def _run(experiment: Experiment, key: str, store: Store, stored: Run | None, loc
     return run
 
 
-def _why_not_writable(store: Store) -> BadInput | None:
-    """Return why nothing can be written to a store, None if it can; raises it if nothing can be read either."""
+def _why_not_writable(store: Store, dataset: Dataset) -> BadInput | None:
+    """Return why no run on a dataset can be stored, None if it can; raises it if nothing can be read either."""
     try:
-        store.prepare()
+        store.prepare(dataset.name)
     except BadInput as error:
         if not os.path.isdir(store.root):  # noqa: PTH112 - Path's own complains of names that are too long
             raise

@@ -17,9 +17,10 @@ from typing import Any
 import numpy as np
 import psutil
 
+from vprbench.storage.cores import core_count
+from vprbench.storage.cores import cores as cores  # callers ask the machine
 from vprbench.storage.folders import checkout_folder
-from vprbench.storage.owner import core_count
-from vprbench.storage.owner import cores as cores  # callers ask the machine
+from vprbench.text import format_gigabytes
 
 _LIBRARIES = (
     "torch",
@@ -120,7 +121,7 @@ def machine_lines(surroundings: dict[str, Any]) -> list[str]:
     git = surroundings["git"]
     source = "no checkout" if git is None else f"{git['commit']}{', changed' * git['changed']}"
     accelerator = (
-        f" GPU: {surroundings['accelerator']}, {surroundings['accelerator_memory_bytes'] / 1e9:.0f} GB, driver "
+        f" GPU: {surroundings['accelerator']}, {format_gigabytes(surroundings['accelerator_memory_bytes'])}, driver "
         f"{surroundings['driver']}, CUDA {surroundings['cuda']}."
         if "accelerator" in surroundings
         else ""
@@ -128,7 +129,7 @@ def machine_lines(surroundings: dict[str, Any]) -> list[str]:
     libraries = ", ".join(f"{name} {version or 'missing'}" for name, version in surroundings["libraries"].items())
     return [
         f"{surroundings['processor']}, {surroundings['threads']} of {surroundings['cores']} cores, "
-        f"{surroundings['memory_bytes'] / 1e9:.0f} GB, {surroundings['platform']}.{accelerator}",
+        f"{format_gigabytes(surroundings['memory_bytes'])}, {surroundings['platform']}.{accelerator}",
         f"python {surroundings['python']}, vprbench {surroundings['vprbench']}, {libraries}. Source: {source}. "
         f"{surroundings['time_utc']}.",
     ]

@@ -12,7 +12,6 @@ NoteKind = Literal[
     "seed",  # the only seed of a method that draws at random
     "loaded",  # the network that it did not train
     "opened",  # files that its fit read and its key does not hold
-    "resumed",  # an interrupted fit that went on
     "calibrated",  # the held-out places that chose its settings
     "described",  # descriptors that a run had from the cache
     "fitted",  # a fit beside other runs

@@ -15,7 +15,7 @@ from vprbench.runs.predictions import require_depth
 from vprbench.runs.sequences import views
 from vprbench.runs.timing_protocol import Protocol
 from vprbench.runs.viewpoints import viewpoints
-from vprbench.storage.owner import core_count
+from vprbench.storage.cores import core_count
 from vprbench.text import near
 
 #: The fields that a stored run holds of its request.

@@ -14,9 +14,10 @@ from vprbench.runs.recall_intervals import recall_interval
 from vprbench.runs.record import Run
 from vprbench.runs.stopwatch import StageRates, Timing, best_batch
 from vprbench.runs.tuned import describe_recalls, other_places
+from vprbench.text import NOTHING, format_interval, format_megabytes, format_rate, format_seconds
 
 RECALL = "R@1 % [95 %]"
-NOTHING, UNTIMED = "-", "not timed"
+UNTIMED = "not timed"
 VIEWS = ("sequence", "filter")  # what a protocol calls them
 LEAST = ("R@25 %", "R@10 %", "peak MB", "streaming Hz enc/match/total")  # left out first where a row is too wide
 _DIGITS = 12  # of a hash that people compare by eye
@@ -33,7 +34,7 @@ def readable_row(run: Run, metrics: Sequence[str] = ()) -> dict[str, str]:
         **{metric.head: metric.text(metric.of(run)) for metric in shown},
         "fit s": _fit(run),
         **_readable_rates(run.timing),
-        "peak MB": f"{run.peak_memory_bytes / 1e6:.0f}",
+        "peak MB": format_megabytes(run.peak_memory_bytes),
     }
 
 
@@ -49,7 +50,7 @@ def _readable_rates(timing: Timing | None) -> dict[str, str]:
 def _fit(run: Run) -> str:
     """Return the seconds of the fit, or what stood in for it."""
     if run.fit_seconds is not None:
-        return f"{run.fit_seconds:.1f}" if run.fit_seconds >= 10 else f"{run.fit_seconds:.2g}"
+        return format_seconds(run.fit_seconds)
     return "kept" if run.network is None else "loaded"
 
 
@@ -97,17 +98,13 @@ def _recall_with_interval(run: Run) -> str:
     first, interval = recall_at(run.outcome, 1), recall_interval([run])
     if first is None or interval is None:
         return "undefined (no query has a right place)"
-    ends = f"[{100 * interval.low:.1f}, {100 * interval.high:.1f}]"
+    ends = format_interval(interval.low, interval.high)
     others = f" elsewhere {describe_recalls([other])}" if (other := other_places(run)) else ""
     return f"{METRICS['recall_at_1'].text(first.expected)} {ends}{' ties!' if first.hangs_on_ties else ''}{others}"
 
 
 def _rates(rates: StageRates) -> str:
-    return " / ".join(_hz(rate) for rate in (rates.encode, rates.match, rates.total))
-
-
-def _hz(rate: float) -> str:
-    return f"{rate:,.0f}" if rate >= 10 else f"{rate:.2g}"
+    return " / ".join(map(format_rate, (rates.encode, rates.match, rates.total)))
 
 
 def _plain(value: object) -> str:

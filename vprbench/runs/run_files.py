@@ -33,11 +33,7 @@ _RUN, _FAILED = TypeAdapter(Run), TypeAdapter(Failure)
 
 
 class DamagedRunError(Exception):
-    """A folder of the store does not hold a whole run; the message says what is wrong with it."""
-
-
-class UnreadableRunError(Exception):
-    """The system refuses to read a run, which may be whole; the message says why."""
+    """A folder of the store holds no whole run, or the system does not let it be read; the message says why."""
 
 
 class OtherLayoutError(Exception):
@@ -69,8 +65,7 @@ def write(run: Run, folder: Path) -> None:
 def load(folder: Path) -> Run:
     """Read a run of this layout.
 
-    Raises DamagedRunError if a part is missing, changed or cannot be, UnreadableRunError if the system does not
-    let it be read, OtherLayoutError for any other layout.
+    Raises DamagedRunError if a part is missing, changed, impossible or unreadable, OtherLayoutError for another layout.
     """
     try:
         summary = _summary(_content(folder / SUMMARY, _LARGEST_SUMMARY))
@@ -79,11 +74,7 @@ def load(folder: Path) -> Run:
         return _checked_run(summary, mapped_arrays(folder / _ARRAYS))
     except (DamagedRunError, OtherLayoutError):
         raise
-    except (FileNotFoundError, NotADirectoryError) as error:
-        raise DamagedRunError(f"{Path(error.filename).name} is missing") from error
-    except (OSError, MemoryError) as error:
-        raise UnreadableRunError(_reason(error)) from error
-    except Exception as error:  # what is wrong inside of a file may upset its reader in any way
+    except Exception as error:  # a damaged file may upset its reader in any way
         raise DamagedRunError(f"{type(error).__name__}: {error}") from error
 
 

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import getpass
 import hashlib
 import json
 import logging
+import os
 import re
+import socket
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -17,7 +20,8 @@ from typing import Any, Literal, Self
 from filelock import FileLock, Timeout
 
 from vprbench.errors import BadInput
-from vprbench.storage import owner
+from vprbench.plugins.options import option
+from vprbench.text import format_duration, format_percent
 
 logger = logging.getLogger(__name__)
 
@@ -25,15 +29,11 @@ FOLDER = ".locks"  # within a results folder: a file for each run that is being 
 _LOOK_EVERY = 0.5  # seconds between looks at a lock that is waited for
 _TELL_EVERY = 5.0  # seconds between two words on a stage that goes on
 _STAGE_LENGTH = 60  # letters
-
-
-@dataclass(frozen=True)
-class HeldLock:
-    """A lock that a process holds, and what it tells of its run."""
-
-    path: Path
-    words: Mapping[str, Any]  # none while it begins to write
-    silent_seconds: float  # since it told how far it is
+_CLAIM = (
+    *("method", "dataset", "seed", "device", "corruption"),
+    *("owner", "host", "process", "since", "stage", "done"),
+)
+_STORED = {"runs": "*/[!.]*/run.json", "failures": "*/[!.]*/failure.json"}
 
 
 class HeldElsewhereError(Exception):
@@ -41,9 +41,8 @@ class HeldElsewhereError(Exception):
 
     def __init__(self, run: str, path: Path) -> None:
         """Name the run, and hold the file of its lock."""
-        whose = _words(path)[0].get
-        maker = f"{whose('owner', 'somebody')} on {whose('host', 'some host')} (process {whose('process', 'unknown')})"
-        super().__init__(f"{run} is being made by {maker}")
+        claim = _read_claim(path)
+        super().__init__(f"{run} is being made by {claim['owner']} on {claim['host']} (process {claim['process']})")
         self.path = path
 
 
@@ -51,12 +50,13 @@ class RunLock:
     """The lock on one run; leave the block to free it."""
 
     def __init__(self, root: Path, run: str, about: Mapping[str, Any]) -> None:
-        """Name the run of the results folder `root`, and what others may read `about` it."""
+        """Name the run of the results folder `root`, and its method, dataset, seed, device and corruption."""
         name = re.sub(r"[^A-Za-z0-9_-]+", "-", run)[-150:]  # and whatever stands in a name, no two share a file
         name = f"{name}-{hashlib.sha256(run.encode(errors='surrogateescape')).hexdigest()[:8]}"
         self.path = root.absolute() / FOLDER / name  # a method may change the working folder
         self._lock = FileLock(self.path, thread_local=False)
-        self._words = {"about": dict(about), "since": time.time(), **owner.this_process()}
+        since = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
+        self._claim = {**about, "owner": _user(), "host": socket.gethostname(), "process": os.getpid(), "since": since}
         self._run, self._told = run, ("", 0.0)
 
     def acquire(self, wait: bool = True) -> bool:
@@ -99,20 +99,21 @@ class RunLock:
         if not self._lock.is_locked or (stage == self._told[0] and now - self._told[1] < _TELL_EVERY):
             return
         self._told = stage, now
-        text = json.dumps({**self._words, "stage": stage[:_STAGE_LENGTH], "done": round(done, 3)})
+        text = json.dumps({**self._claim, "stage": stage[:_STAGE_LENGTH], "done": round(done, 3)})
         with contextlib.suppress(OSError), self.path.open("r+b") as file:
             file.write(text.encode())
             file.truncate()
 
 
-def held_locks(root: Path) -> list[HeldLock]:
-    """Return the locks that processes hold on runs of a results folder, by their names."""
-    return [HeldLock(path, *_words(path)) for path in _files(root) if is_held(path)]
+def read_claims(root: Path) -> list[dict[str, Any]]:
+    """Return the runs of a results folder that processes make now, as plain values, the oldest first."""
+    claims = [_read_claim(path) for path in _lock_files(root) if is_held(path)]
+    return sorted(claims, key=lambda claim: str(claim["since"]))
 
 
 def remove_leftovers(root: Path) -> None:
     """Remove the files of locks that nobody holds: their holders were killed."""
-    for path in _files(root):
+    for path in _lock_files(root):
         lock = FileLock(path)
         with contextlib.suppress(OSError, Timeout), lock.acquire(blocking=False):
             path.unlink()
@@ -132,32 +133,36 @@ def is_held(path: Path | str) -> bool:
     return False
 
 
-def _files(root: Path) -> list[Path]:
+def _lock_files(root: Path) -> list[Path]:
     with contextlib.suppress(OSError):
         return sorted((root / FOLDER).iterdir())
     return []
 
 
-def _words(path: Path) -> tuple[dict[str, Any], float]:
-    """Return what a holder says of its run, nothing while it writes, and the seconds since then."""
+def _read_claim(path: Path) -> dict[str, Any]:
+    """Return what a holder says of its run; None in the place of what it does not say, or while it writes."""
+    silent_seconds, words = 0.0, None
+    with contextlib.suppress(OSError, ValueError):
+        silent_seconds = max(0.0, time.time() - path.stat().st_mtime)
+        words = json.loads(path.read_bytes())
+    claim = {name: words.get(name) if isinstance(words, dict) else None for name in _CLAIM}
+    return {**claim, "silent_seconds": round(silent_seconds, 1), "alive": True}
+
+
+def _user() -> str:
     try:
-        told, beat = json.loads(path.read_bytes()), path.stat().st_mtime
-    except (OSError, ValueError):
-        return {}, 0.0
-    return (told if isinstance(told, dict) else {}), max(0.0, time.time() - beat)
-
-
-_ABOUT = ("method", "dataset", "seed", "device", "corruption")
-_STORED = {"runs": "*/[!.]*/run.json", "failures": "*/[!.]*/failure.json"}
+        return getpass.getuser()
+    except (OSError, KeyError):  # a container may know no name
+        return str(os.getuid())
 
 
 @dataclass(frozen=True)
 class StatusOptions:
     """Where to look."""
 
-    results: str = "results"  # folder of the stored runs
-    output: Literal["row", "json"] = "row"  # or json: one object
-    wide: bool = False  # true: all columns, however narrow the terminal
+    results: str = option("results")
+    output: Literal["row", "json"] = option("row", "or json: one object")
+    wide: bool = option(False, "true: all columns, however narrow the terminal")
 
 
 def status(results: str) -> dict[str, Any]:
@@ -169,23 +174,7 @@ def status(results: str) -> dict[str, Any]:
         kind: sum(not path.parent.parent.name.startswith(".") for path in root.glob(pattern))
         for kind, pattern in _STORED.items()
     }
-    claims = sorted(map(_claim, held_locks(root)), key=lambda claim: str(claim["since"]))
-    return {"results": str(root), **stored, "claims": claims}
-
-
-def _claim(held: HeldLock) -> dict[str, Any]:
-    """Return a run that is being made as plain values, None for what the file of its lock does not tell."""
-    about, since, done = (held.words.get(name) for name in ("about", "since", "done"))
-    told = about if isinstance(about, Mapping) else {}
-    return {
-        **{name: told.get(name) for name in _ABOUT},
-        **{name: held.words.get(name) for name in ("owner", "host", "process")},
-        "since": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(since)) if isinstance(since, float) else None,
-        "stage": held.words.get("stage"),
-        "done": done if isinstance(done, float) else None,
-        "silent_seconds": round(held.silent_seconds, 1),
-        "alive": True,
-    }
+    return {"results": str(root), **stored, "claims": read_claims(root)}
 
 
 def row(claim: Mapping[str, Any]) -> dict[str, str]:
@@ -195,10 +184,10 @@ def row(claim: Mapping[str, Any]) -> dict[str, str]:
     return {
         "run": f"{words['method']} on {words['dataset']}{on}",
         "stage": words["stage"].split(",")[0],
-        "%": "?" if claim["done"] is None else f"{100 * claim['done']:.0f}",
+        "%": "?" if claim["done"] is None else format_percent(claim["done"], 0),
         "host": words["host"],
         "process": words["process"],
-        "last word": f"{claim['silent_seconds']:.0f} s ago",
+        "last word": f"{format_duration(claim['silent_seconds'])} ago",
         "seed": words["seed"],
         "device": words["device"],
         "owner": words["owner"],

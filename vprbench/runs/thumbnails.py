@@ -20,7 +20,7 @@ from vprbench.api.arrays import Image
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
 from vprbench.storage.atomic import remove_leftovers, replace_bytes
-from vprbench.storage.owner import core_count
+from vprbench.storage.cores import core_count
 
 logger = logging.getLogger(__name__)
 

@@ -2,73 +2,40 @@
 
 from __future__ import annotations
 
-import ctypes
 import errno
-import os
 import shutil
 import tempfile
+import time
 import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from vprbench.storage import owner
-
-PARTIAL = ".partial-"  # how the names of what is being written begin: no reader looks at them
-REPLACED = "-replaced-"  # within such a name: a whole folder whose replacement was about to arrive
-FORGOTTEN_SECONDS = 86400.0  # nobody needs so long from one byte of a file to the next
-
-_HERE, _EXCHANGE = -100, 2  # AT_FDCWD and RENAME_EXCHANGE of Linux
+PARTIAL = ".partial-"  # begins the names of unfinished files and folders, which no reader opens
+_REPLACED = ".replaced-"  # begins the names of folders that make way for another one
+_FORGOTTEN_SECONDS = 86400.0
+_ATTEMPTS = 100  # to replace a folder that other processes replace too
 
 
 def unfinished(folder: Path, ending: str = "") -> Path:
-    """Return a name in a folder that nobody else has, for what is being written there."""
-    return folder / f"{PARTIAL}{owner.mark()}-{uuid.uuid4().hex}{ending}"
+    """Return a name in a folder that no other process has, for a file or a folder that is being written."""
+    return folder / f"{PARTIAL}{uuid.uuid4().hex}{ending}"
 
 
-def leftovers(folder: Path, ending: str = "") -> Iterator[Path]:
-    """Yield what was begun to be written in a folder by a process of this host that is dead, or not touched for a day.
-
-    Of processes in other containers or on other machines age alone tells, by the clock of the disk. Raises OSError for
-    the folder.
-    """
-    found = [
-        path
-        for path in folder.iterdir()
-        if path.name.startswith(PARTIAL) and path.name.endswith(ending) and REPLACED not in path.name
-    ]
-    if not found:
-        return
-    probe = unfinished(folder)
-    probe.touch()
-    now = probe.stat().st_mtime
-    probe.unlink()
-    for path in found:
-        with suppress(OSError):  # its writer has just finished
-            touched = max(part.stat().st_mtime for part in (path, *path.rglob("*")))
-            if owner.is_dead(path.name.removeprefix(PARTIAL)) or now - touched > FORGOTTEN_SECONDS:
-                yield path
+def remove_leftovers(folder: Path, ending: str = "") -> None:
+    """Remove unfinished files and folders whose names end so and that nobody has written to for a day."""
+    with suppress(OSError):
+        for path in folder.iterdir():
+            if path.name.startswith(PARTIAL) and path.name.endswith(ending):
+                with suppress(OSError):  # its writer has just finished, or the system refuses
+                    _remove_if_forgotten(path)
 
 
 @contextmanager
 def scratch() -> Iterator[Path]:
-    """Yield a temporary folder, removed in the end, and remove the folders that killed processes left behind."""
-    ending = "-vprbench"
-    remove_leftovers(Path(tempfile.gettempdir()), ending)
-    begins = f"{PARTIAL}{owner.mark()}-"
-    with tempfile.TemporaryDirectory(ending, begins, ignore_cleanup_errors=True) as folder:
+    """Yield a temporary folder, removed in the end."""
+    with tempfile.TemporaryDirectory(prefix="vprbench-", ignore_cleanup_errors=True) as folder:
         yield Path(folder)
-
-
-def remove_leftovers(folder: Path, ending: str = "") -> None:
-    """Remove what killed processes left unfinished in a folder, under names that end so; what refuses stays."""
-    with suppress(OSError):
-        for path in leftovers(folder, ending):
-            if path.is_dir():
-                shutil.rmtree(path, ignore_errors=True)
-            else:
-                with suppress(OSError):
-                    path.unlink()
 
 
 def replace_text(path: Path, content: str) -> None:
@@ -86,58 +53,67 @@ def replace_bytes(path: Path, content: bytes) -> None:
         partial.unlink(missing_ok=True)
 
 
-def move_folder(partial: Path, folder: Path) -> None:
-    """Rename a complete folder to its final name; of several writers of one name the last one stays.
+def replace_folder(partial: Path, folder: Path) -> None:
+    """Rename a complete folder to its final name beside it; of several writers of one name the last one stays.
 
-    If the system can exchange two folders, the replaced folder is left under the name `partial` for the caller to
-    remove, and a reader finds the old run or the new run at any time, else for a moment none. If the final folder is
-    on another disk, by way of a link, it is copied there first; `partial` then stays for the caller to remove.
+    An earlier folder is renamed first and removed last. In between `folder_versions` finds it, so that a process that
+    is killed at any moment loses neither. Raises OSError if the system refuses.
     """
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    aside: list[Path] = []
-    for _ in range(100):
+    remove_replaced(folder.parent)  # of killed processes, or a reader might take one for the last
+    for _ in range(_ATTEMPTS):
         try:
             partial.rename(folder)
         except OSError as error:
-            if error.errno == errno.EXDEV:
-                _move_copy(partial, folder)
-                return
             if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
                 raise
-            try:
-                if exchange(partial, folder):
-                    break
-                replaced = partial.with_name(f"{partial.name}{REPLACED}{uuid.uuid4().hex[:8]}")
-                folder.rename(replaced)
-            except FileNotFoundError:
-                continue  # another process has just replaced it
-            aside.append(replaced)
+            with suppress(FileNotFoundError):  # another process has just renamed it
+                folder.rename(folder.with_name(f"{_REPLACED}{folder.name}-{uuid.uuid4().hex}"))
         else:
             break
     else:
         raise OSError(f"{folder} is being replaced by others all the time")
-    for replaced in aside:
-        shutil.rmtree(replaced, ignore_errors=True)
+    remove_replaced(folder.parent)
 
 
-def _move_copy(partial: Path, folder: Path) -> None:
-    """Copy a folder to the disk of its final name and rename it there."""
-    there = unfinished(folder.parent)
-    try:
-        shutil.copytree(partial, there)
-        move_folder(there, folder)
-    finally:
-        shutil.rmtree(there, ignore_errors=True)
+def folder_versions(folder: Path) -> list[Path]:
+    """Return where a folder lies: under its name, else under the names that it had to make way under."""
+    if folder.exists():
+        return [folder]
+    replaced = [path for path in _replaced_folders(folder.parent) if _final_folder(path) == folder]
+    return [folder] if folder.exists() else replaced  # the new one may have come while the old ones were listed
 
 
-def exchange(first: Path, second: Path) -> bool:
-    """Swap the names of two folders in one step; returns False if the system has no such step."""
-    try:
-        exchange = ctypes.CDLL(None, use_errno=True).renameat2
-    except (OSError, AttributeError, TypeError):  # no Linux, or an old one
-        return False
-    if exchange(_HERE, os.fsencode(first), _HERE, os.fsencode(second), _EXCHANGE) == 0:
-        return True
-    if ctypes.get_errno() == errno.ENOENT:
-        raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(second))
-    return False
+def final_folders(parent: Path) -> list[Path]:
+    """Return the final names of all folders in a folder, sorted; names that begin with a dot are unfinished.
+
+    Raises OSError if the folder cannot be listed.
+    """
+    found = {path for path in parent.iterdir() if not path.name.startswith(".") and path.is_dir()}
+    return sorted(found | {_final_folder(path) for path in _replaced_folders(parent)})
+
+
+def remove_replaced(parent: Path) -> None:
+    """Remove replaced folders whose replacement is there."""
+    for path in _replaced_folders(parent):
+        if _final_folder(path).exists():
+            shutil.rmtree(path, ignore_errors=True)
+
+
+def _replaced_folders(parent: Path) -> list[Path]:
+    with suppress(OSError):
+        return [path for path in parent.iterdir() if path.name.startswith(_REPLACED)]
+    return []
+
+
+def _final_folder(replaced: Path) -> Path:
+    return replaced.with_name(replaced.name.removeprefix(_REPLACED).rpartition("-")[0])
+
+
+def _remove_if_forgotten(path: Path) -> None:
+    written = max(part.stat().st_mtime for part in (path, *path.rglob("*")))
+    if time.time() - written < _FORGOTTEN_SECONDS:
+        return
+    if path.is_dir():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        path.unlink()

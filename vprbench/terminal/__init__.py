@@ -1,1 +1,1 @@
-"""What a person sees in a terminal: tables that fit it, a live table, and the help of the commands."""
+"""What a person sees in a terminal: tables that fit it, a live table, and the standard streams."""

@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from vprbench.progress import answer_stream
+from vprbench.terminal.streams import result_stream
 from vprbench.text import printable
 
 LEAST_WIDTH = 100  # columns, where no terminal says how wide it is
@@ -20,11 +20,11 @@ _GAP = 2  # columns between two of a table
 
 
 def console(stream: TextIO | None = None) -> Console:
-    """Return rich's console for `stream`, that of answers if None: colours only on terminals, and none for NO_COLOR.
+    """Return rich's console for `stream`, that of results if None: colours only on terminals, and none for NO_COLOR.
 
     It is as wide as the terminal; what is no terminal has 100 columns, or more if COLUMNS says so.
     """
-    stream = answer_stream() if stream is None else stream
+    stream = result_stream() if stream is None else stream
     told = os.environ.get("COLUMNS", "")
     width = None if stream.isatty() else max(LEAST_WIDTH, int(told) if told.isdecimal() else 0)
     return Console(file=stream, width=width, markup=False, emoji=False, highlight=False, force_jupyter=False)

@@ -14,9 +14,8 @@ from vprbench.api.dataset import Dataset
 from vprbench.errors import BadInput
 from vprbench.paper.plan import PlannedColumn
 from vprbench.runs.record import Run
+from vprbench.tuning.settings import FEWEST_PLACES
 from vprbench.tuning.space import SCATTERING
-
-FEWEST = 10  # places of a stretch: below, a network whose training diverged is not seen
 
 _ELSEWHERE = "search on dataset=synthetic, which has journeys that no result uses"
 
@@ -62,10 +61,10 @@ def searchable(name: str, config: Mapping[str, Any], places: int, columns: Itera
     searched = longest[:places]
     free[searched.start : searched.stop] = False
     checked = _longest(free)[:places]
-    if len(searched) < places or len(checked) < FEWEST:
+    if len(searched) < places or len(checked) < FEWEST_PLACES:
         raise BadInput(
             f"places={places}: of dataset={name} {len(longest)} places in a row are queried by no reported result, and "
-            f"{FEWEST} or more have to be left to check what is found: give fewer, or {_ELSEWHERE}"
+            f"{FEWEST_PLACES} or more have to be left to check what is found: give fewer, or {_ELSEWHERE}"
         )
     whole = {"first_query_place": 0, "query_places": config["places"]}
     return Searchable({**config, **whole}, searched, checked)

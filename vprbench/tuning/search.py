@@ -17,8 +17,6 @@ import optuna
 from vprbench import progress
 from vprbench.api.dataset import Dataset
 from vprbench.api.method import Method
-from vprbench.errors import BadInput
-from vprbench.jobs.options import ClusterOptions
 from vprbench.paper.plan import read_plan
 from vprbench.plugins import registry
 from vprbench.runs import machine
@@ -29,6 +27,7 @@ from vprbench.runs.store import Store
 from vprbench.tuning import objective, places, space
 from vprbench.tuning.comparison import Comparison, compared
 from vprbench.tuning.objective import StretchName, Task, Tried
+from vprbench.tuning.settings import Settings
 from vprbench.tuning.space import Values
 from vprbench.tuning.study import Stage, Study, Trial, best_of, opened
 from vprbench.tuning.workers import Workers
@@ -40,33 +39,6 @@ logger = logging.getLogger(__name__)
 
 _ATTEMPTS = 3  # at settings whose trial failed, before they are left out
 _ALL_FAIL = 5  # trials of a stage that fail before any ends: something is wrong with all of them
-
-
-@dataclass(frozen=True)
-class Settings(ClusterOptions):
-    """Where to search, and how long; raises BadInput if nothing would be tried."""
-
-    places: int = 500  # of the stretch that is searched
-    trials: int = 200  # two thirds of them random, the rest on the grid
-    jobs: int | None = None  # processes of one thread each, at most; None: one for each core this process may use
-    dataset: str = "synthetic"
-    root: str | None = None  # the folder of a recorded dataset
-    quick: bool = False  # tiny sizes: everything runs, nothing is found
-    seed: int = 0  # of what is drawn, and of each trial's training
-    results: str = "results"
-
-    def __post_init__(self) -> None:
-        """Check that something will be tried."""
-        super().__post_init__()
-        if self.jobs is not None and self.is_distributed:
-            raise BadInput("jobs= are processes of this machine: leave jobs= out")
-        for name, least in (("places", places.FEWEST), ("trials", 1), ("jobs", 1), ("seed", 0)):
-            given = getattr(self, name)
-            if given is not None and given < least:
-                raise BadInput(f"{name}={given}: give at least {least}")
-
-
-QUICK: Mapping[str, Any] = {"places": 20, "trials": 6}
 
 
 @dataclass(frozen=True)
@@ -131,7 +103,7 @@ def search(settings: Settings, method: Mapping[str, Any], dataset: Mapping[str, 
         best=best,
         importance=importance,
         compared=comparisons,
-        queried_by=tuple(places.querying(Store(results, read_only=True).runs(), allowed)),
+        queried_by=tuple(places.querying(Store(results).runs(), allowed)),
         jobs=started_jobs,
         minutes=(time.perf_counter() - started) / 60,
         environment=surroundings,

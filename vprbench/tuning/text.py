@@ -11,9 +11,11 @@ from pathlib import Path
 from vprbench.runs.machine import machine_lines
 from vprbench.runs.rows import document
 from vprbench.storage.atomic import replace_text
+from vprbench.text import format_percent, format_signed_percent
 from vprbench.tuning.comparison import AGREE, SEEDS, Comparison, Repeated
 from vprbench.tuning.objective import StretchName
-from vprbench.tuning.search import Found, Settings
+from vprbench.tuning.search import Found
+from vprbench.tuning.settings import Settings
 from vprbench.tuning.space import METHOD, PARAMETERS, TITLE
 
 _FEW = 50  # random trials below which importance is hardly more than chance
@@ -49,7 +51,9 @@ def to_text(found: Found) -> str:
         n_random=sum(trial.stage == "random" for trial in done),
         n_diverged=sum(trial.diverged is not None for trial in done),
         parameters=_parameter_rows(found),
-        mattered=", ".join(f"{_SYMBOLS[name]} {_percent(share)} %" for name, share in [*found.importance.items()][:3]),
+        mattered=", ".join(
+            f"{_SYMBOLS[name]} {format_percent(share)} %" for name, share in [*found.importance.items()][:3]
+        ),
         comparisons=[_comparison_row(name, compared) for name, compared in found.compared.items()],
         seeds=[row for name, compared in found.compared.items() for row in _seed_rows(name, compared)],
         searched=found.compared["searched"],
@@ -60,7 +64,7 @@ def to_text(found: Found) -> str:
         duration=f"{60 * found.minutes:.0f} seconds" if found.minutes < 2 else f"{found.minutes:.1f} minutes",
         here=found.environment,
         software=machine_lines({**found.environment})[1],
-        percent=_percent,
+        percent=format_percent,
         **{"AGREE": AGREE, "SEEDS": SEEDS, "FEW": _FEW, "NAMED": _NAMED, "SHORT": _SHORT, "TITLE": TITLE},
     )
 
@@ -97,7 +101,7 @@ def _parameter_rows(found: Found) -> list[dict[str, str]]:
             "best": f"{found.best.values[parameter.name]:g}",
             "paper": f"{parameter.paper:g}",
             "searched": f"{parameter.low:g} to {parameter.high:g}{' (log)' * parameter.log}",
-            "importance %": _percent(found.importance.get(parameter.name)),
+            "importance %": format_percent(found.importance.get(parameter.name)),
         }
         for parameter in PARAMETERS
     ]
@@ -105,15 +109,16 @@ def _parameter_rows(found: Found) -> list[dict[str, str]]:
 
 def _comparison_row(name: StretchName, compared: Comparison) -> dict[str, str]:
     ends = compared.interval
-    interval = "-" if ends is None else f"{_signed(ends.low)}, {_signed(ends.high)}"
-    ahead = sum(difference > 0 for difference in compared.differences)
+    interval = "-" if ends is None else f"{format_signed_percent(ends.low)}, {format_signed_percent(ends.high)}"
+    ahead = sum(each > 0 for each in compared.differences)
+    difference = compared.best.recall_at_1 - compared.paper.recall_at_1
     return {
         "places": _LONG[name],
         "number": str(compared.n_places),
         "queries": str(compared.n_queries),
         "best R@1 %": _repeated(compared.best),
         "paper R@1 %": _repeated(compared.paper),
-        "difference [95 %]": f"{_signed(compared.best.recall_at_1 - compared.paper.recall_at_1)} [{interval}]",
+        "difference [95 %]": f"{format_signed_percent(difference)} [{interval}]",
         "seeds with best ahead": f"{ahead} of {len(compared.seeds)}",
     }
 
@@ -123,9 +128,9 @@ def _seed_rows(name: StretchName, compared: Comparison) -> list[dict[str, str]]:
         {
             "places": _SHORT[name],
             "seed": str(seed),
-            "best R@1 %": _percent(compared.best.recalls_at_1[n]),
-            "paper R@1 %": _percent(compared.paper.recalls_at_1[n]),
-            "difference": _signed(compared.differences[n]),
+            "best R@1 %": format_percent(compared.best.recalls_at_1[n]),
+            "paper R@1 %": format_percent(compared.paper.recalls_at_1[n]),
+            "difference": format_signed_percent(compared.differences[n]),
             "only best right": str(compared.tests[n].b),
             "only paper right": str(compared.tests[n].c),
             "p (McNemar, exact)": f"{compared.tests[n].p_value:.2g}",
@@ -151,12 +156,4 @@ def _stem(settings: Settings) -> str:
 
 
 def _repeated(repeated: Repeated) -> str:
-    return f"{_percent(repeated.recall_at_1)} ± {_percent(repeated.recall_at_1_std)}"
-
-
-def _signed(share: float) -> str:
-    return f"{round(100 * share, 1) + 0.0:+.1f}"  # no -0.0
-
-
-def _percent(share: float | None) -> str:
-    return "-" if share is None else f"{100 * share:.1f}"
+    return f"{format_percent(repeated.recall_at_1)} ± {format_percent(repeated.recall_at_1_std)}"

@@ -130,6 +130,7 @@ def test_what_was_chosen_and_whom_it_silences_is_noted(calibrated):
     assert "1 of 7" in note
     found.hyperactive_threshold = 3
     assert found.notes() == [note.replace("chosen by held-out places", "given")]
+    found.state()  # or the next training would go on with its modules
     assert "no neuron" in calibrated(held_out(), hyperactive_candidates=[0]).notes()[0]
 
 

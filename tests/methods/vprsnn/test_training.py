@@ -1,18 +1,23 @@
 """VPRSNN's training: what a module is shown and learns, in how many threads, and how an interrupted one goes on."""
 
+import errno
 import itertools
+import os
+import subprocess
+import sys
 import threading
+import time
 from types import SimpleNamespace
 
 import direct_vprsnn as direct
 import numpy as np
 import pytest
 import torch
+from checkout import ROOT
 from little_vprsnn import SMALL, WORLD, fitted, held_out, images, recorded_trains, references, same
 
 from vprbench import progress
-from vprbench.api import checkpoints
-from vprbench.methods.vprsnn import training
+from vprbench.methods.vprsnn import checkpoints, training
 from vprbench.methods.vprsnn.arrays import unpadded
 from vprbench.methods.vprsnn.ensemble import VPRSNNEnsemble
 from vprbench.methods.vprsnn.method import VPRSNN
@@ -20,6 +25,8 @@ from vprbench.methods.vprsnn.model import Model
 from vprbench.methods.vprsnn.parallel import Stage, for_each_module
 from vprbench.methods.vprsnn.training import train
 from vprbench.methods.vprsnn.training_sets import Lesson, lesson, modules
+
+SUPPORT = ROOT / "tests" / "support"
 
 
 @pytest.fixture(autouse=True)
@@ -233,7 +240,7 @@ def interrupt(trained, after, work):
     [
         pytest.param(lambda: fitted(20, epochs=2), 2, 2, id="training"),
         pytest.param(lambda: VPRSNNEnsemble(**SMALL, seeds=[0, 10]).fit(*references(10)), 3, 1, id="ensemble"),
-        pytest.param(lambda: fitted().calibrate(held_out()), 2, 2, id="calibration"),  # after a map of one module
+        pytest.param(lambda: fitted().calibrate(held_out()), 2, 1, id="calibration"),  # after a map of one module
     ],
 )
 def test_what_was_interrupted_trains_only_what_is_missing_also_in_other_threads(
@@ -276,14 +283,72 @@ def test_a_training_that_is_interrupted_when_all_modules_are_trained_trains_none
     assert trained.numbers == []
 
 
-def test_an_interrupted_calibration_belongs_to_its_map(monkeypatch):
-    seen, begin = [], checkpoints.training
-    monkeypatch.setattr(checkpoints, "training", lambda identity: seen.append(identity) or begin(identity))
-    for second in (10, 20):  # the second traverse shows other images; the first, for which reactions count, is the same
+def test_an_interrupted_calibration_belongs_to_its_map(trainings, trained):
+    def calibrated(second):  # the second traverse shows other images; the first, for which reactions count, is the same
         rows = [*range(5), *range(second, second + 5)]
         shown = images([WORLD.references[row] for row in rows])
-        VPRSNN(**SMALL | {"epochs": 1}).fit(shown, np.tile(range(5), 2)).calibrate(held_out())
-    assert seen[1] != seen[3]
+        return VPRSNN(**SMALL | {"epochs": 1}).fit(shown, np.tile(range(5), 2)).calibrate(held_out())
+
+    interrupt(trained, 2, lambda: calibrated(10))
+    calibrated(20)
+    assert len(trained.numbers) == 3  # the module of the map and both of the held-out places
+
+
+def test_a_training_whose_process_is_killed_goes_on_with_its_modules_and_says_so(trainings, trained):
+    code = f"""
+import sys, time
+sys.path.append({str(SUPPORT)!r})
+from little_vprsnn import SMALL, VPRSNN, references
+from vprbench.methods.vprsnn import training
+train = training.train
+def once(*given):
+    training.train = lambda *_: time.sleep(60)
+    return train(*given)
+training.train = once
+VPRSNN(**SMALL).fit(*references(10))
+"""
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    with subprocess.Popen([sys.executable, "-c", code], cwd=ROOT, env=environment) as process:
+        while not list(trainings.glob("*/[!.]*")):
+            assert process.poll() is None
+            time.sleep(0.05)
+        process.kill()
+    method = fitted(10)
+    assert trained.numbers == [1]
+    resumed = [note for note in method.notes() if "resumed" in note]
+    assert len(resumed) == 1
+    state = method.state()
+    assert not list(trainings.iterdir())
+    again = fitted(10)
+    assert same(again.state(), state)
+    assert len(again.notes()) == len(method.notes()) - 1
+
+
+@pytest.mark.parametrize("damage", [lambda whole: whole[:-1], lambda whole: b"", lambda whole: bytes(len(whole))])
+def test_a_damaged_module_is_trained_anew_and_the_others_are_not(trainings, trained, damage):
+    expected = fitted(10).state()
+    trained.numbers = []
+    interrupt(trained, 1, lambda: fitted(10))
+    (path,) = trainings.glob("*/*")
+    path.write_bytes(damage(path.read_bytes()))
+    assert same(fitted(10).state(), expected)
+    assert trained.numbers == [0, 1]
+
+
+def test_a_training_is_kept_for_thirty_days_and_a_full_disk_costs_one_line(trainings, trained, monkeypatch, caplog):
+    interrupt(trained, 1, lambda: fitted(10))
+    (kept,) = trainings.iterdir()
+    for days, is_kept in ((29, True), (31, False)):
+        os.utime(kept, (time.time() - days * 86400.0,) * 2)
+        with monkeypatch.context() as patch:
+            patch.setattr(checkpoints, "replace_bytes", full_disk)
+            fitted(10, seed=1)
+        assert kept.exists() == is_kept
+    assert [record.getMessage().count("No space left") for record in caplog.records] == [1, 1]
+
+
+def full_disk(*_):
+    raise OSError(errno.ENOSPC, "No space left on device")
 
 
 def interrupted(*_):

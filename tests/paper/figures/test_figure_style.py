@@ -9,8 +9,9 @@ from matplotlib.colors import to_rgb
 from PIL import Image
 
 from vprbench.errors import BadInput
-from vprbench.paper.figures.style import SINGLE_MM, Drawn, looks, new, plain, plain_log, styled, write
+from vprbench.paper.figures.style import SINGLE_MM, Drawn, looks, new, plain_log, styled, write
 from vprbench.paper.templates import listed
+from vprbench.text import format_three_digits
 
 PAPER = ["SAD", "NetVLAD", "GCL", "VPRSNN", "VPRTempo"]
 
@@ -71,7 +72,7 @@ def test_a_figure_has_its_width_and_the_same_bytes_whatever_a_reader_set_and_a_f
 
 def test_numbers_are_written_to_three_digits_without_powers_of_ten_on_an_axis_that_holds_all_values():
     numbers = {15120: "15,120", 353: "353", 99.96: "100", 0.5: "0.5", 1.666: "1.67", 0.00123: "0.00123", 20: "20"}
-    assert {value: plain(value) for value in numbers} == numbers
+    assert {value: format_three_digits(value) for value in numbers} == numbers
     for values in ([0.01, 3e6], [3.0, 3.1], [0.02, 0.9]):
         figure, (axes,) = new(SINGLE_MM, 60)
         plain_log(axes, "x", values)

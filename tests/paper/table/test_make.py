@@ -26,7 +26,7 @@ def cells(path):
 
 
 def runs(folder):
-    return [run for run in Store(folder, read_only=True).runs() if run.method == "sad"]
+    return [run for run in Store(folder).runs() if run.method == "sad"]
 
 
 def test_each_run_is_made_once_and_the_files_hold_the_stored_numbers_and_why_there_are_none(made):

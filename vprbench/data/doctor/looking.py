@@ -15,7 +15,7 @@ from vprbench import progress
 from vprbench.api.arrays import Image
 from vprbench.api.images import Images
 from vprbench.errors import BadInput
-from vprbench.storage.owner import core_count
+from vprbench.storage.cores import core_count
 
 from .offsets import HEIGHT, WIDTH, Small
 

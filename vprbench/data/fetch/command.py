@@ -24,11 +24,12 @@ from vprbench.data.fetch.entries import (
 )
 from vprbench.errors import BadInput, NotThere
 from vprbench.plugins import registry
-from vprbench.plugins.options import chosen
+from vprbench.plugins.options import chosen, option
 from vprbench.progress import progress_shown
 from vprbench.storage import download
 from vprbench.storage.folders import data_folder
 from vprbench.storage.unpack import UNFINISHED, DamagedArchive, unpack
+from vprbench.text import format_bytes
 
 logger = logging.getLogger(__name__)
 
@@ -43,9 +44,9 @@ Check = Callable[[str, Path], Sequence[str]]  # of a dataset's name and folder: 
 class Settings:
     """What to fetch, and where to."""
 
-    parts: list[str] | None = None  # None: those that are usually wanted
-    root: str | None = None  # the dataset's folder; None: where runs look for it
-    keep_archives: bool = False
+    parts: list[str] | None = option(None, "null: those that are usually wanted")
+    root: str | None = option(None, "the dataset's folder; null: where runs look for it")
+    keep_archives: bool = option(False, "true: archives stay beside the frames")
 
 
 @dataclass(frozen=True)
@@ -288,9 +289,4 @@ def _short(url: str | None, error: BadInput) -> str:
 
 def _size(n_bytes: int | None) -> str:
     """Return a number of bytes for a person to read."""
-    if n_bytes is None:
-        return "size not stated"
-    for unit, name in ((10**9, "GB"), (10**6, "MB")):
-        if n_bytes >= unit:
-            return f"{n_bytes / unit:.3g} {name}"
-    return f"{n_bytes} bytes"
+    return "size not stated" if n_bytes is None else format_bytes(n_bytes)

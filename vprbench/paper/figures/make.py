@@ -15,10 +15,11 @@ from vprbench.config import make_request
 from vprbench.errors import BadInput
 from vprbench.jobs.executors import executor_for
 from vprbench.metrics.registry import METRICS
-from vprbench.paper.gather import ReportData, TablePlan, TableRequest, choose, gather, run_missing, runs_of, stored
+from vprbench.paper.gather import ReportData, TablePlan, choose, gather, run_missing, runs_of, stored
 from vprbench.paper.growth import GrowthSamples, samples
 from vprbench.paper.missing_runs import results_folder
 from vprbench.paper.plan import Row
+from vprbench.paper.run_options import TableRequest
 from vprbench.paper.selection import Group, ResolvedColumn, Series, accuracy_series, groups, of_row, series, title
 from vprbench.paper.table.best import mean_recall
 from vprbench.paper.table.formats import shown_as_it_is

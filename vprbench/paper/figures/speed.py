@@ -23,7 +23,6 @@ from vprbench.paper.figures.style import (
     Look,
     looks,
     new,
-    plain,
     plain_log,
     styled,
     wrapped,
@@ -33,6 +32,7 @@ from vprbench.paper.published import published
 from vprbench.paper.selection import Series
 from vprbench.paper.table import best
 from vprbench.runs.record import Run
+from vprbench.text import format_three_digits
 
 _PUBLISHED, _QUOTED = "//////", "......"  # hatches
 _BAR = 0.38  # of the distance between rows
@@ -185,13 +185,18 @@ def _draw_measured(axes: Axes, at: float, bar: _Bar, look: Look) -> None:
         axes.plot(x, y, color="white", linewidth=width + 1.4, solid_capstyle="butt")  # to be seen on a dark bar
         axes.plot(x, y, color="black", linewidth=width, solid_capstyle="butt")
     beyond = bar.more if bar.more is not None and bar.more > high else None
-    _write(axes, beyond or high, at, plain(bar.value) + (f" ({plain(beyond)})" if beyond else ""))
+    _write(
+        axes,
+        beyond or high,
+        at,
+        format_three_digits(bar.value) + (f" ({format_three_digits(beyond)})" if beyond else ""),
+    )
 
 
 def _draw_published(axes: Axes, at: float, printed: float, look: Look, hatch: str) -> None:
     start = axes.get_xlim()[0]
     axes.barh(at, printed - start, _BAR, start, color="white", edgecolor=look.colour, hatch=hatch, linewidth=0.8)
-    _write(axes, printed, at, plain(printed), color=GREY)
+    _write(axes, printed, at, format_three_digits(printed), color=GREY)
 
 
 def _write(axes: Axes, x: float, y: float, text: str, **looking: Any) -> None:

@@ -21,6 +21,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from vprbench.errors import BadInput
 from vprbench.storage.atomic import replace_bytes
+from vprbench.text import find_exponent, format_three_digits
 
 logging.getLogger("fontTools").setLevel(logging.WARNING)  # it tells every glyph that it embeds
 
@@ -219,27 +220,16 @@ def plain_log(
     labelled = (1.0, 2.0, 5.0) if log10(high / low) < _FEW_DECADES else (1.0,)
     axis.set_major_locator(LogLocator(subs=labelled, numticks=20))
     axis.set_minor_locator(LogLocator(subs=range(2, 10), numticks=20))
-    axis.set_major_formatter(FuncFormatter(partial(_label, axis) if which == "x" else lambda value, _: plain(value)))
+    axis.set_major_formatter(
+        FuncFormatter(partial(_label, axis) if which == "x" else lambda value, _: format_three_digits(value))
+    )
     axis.set_minor_formatter(NullFormatter())
-
-
-def plain(value: float) -> str:
-    """Return a number to three significant digits, without powers of ten: "0.05", "353", "15,120"."""
-    if value >= 100:
-        return f"{value:,.0f}"
-    text = f"{value:.{max(0, 2 - exponent_of(value))}f}"
-    return text.rstrip("0").rstrip(".") if "." in text else text
 
 
 def _label(axis: Axis, value: float, _: int | None) -> str:
     """Return the number at a tick; of decades too near for all their numbers, every second, or every third."""
     low, high = axis.get_view_interval()
-    longest = _DIGIT_POINTS * max(len(plain(10.0 ** exponent_of(end))) for end in (10 * low, high))
+    longest = _DIGIT_POINTS * max(len(format_three_digits(10.0 ** find_exponent(end, 2))) for end in (10 * low, high))
     points = axis.axes.get_window_extent().transformed(axis.axes.figure.dpi_scale_trans.inverted()).width * 72
     decade = points / log10(high / low)
-    return "" if exponent_of(value) % ceil(longest / decade) else plain(value)
-
-
-def exponent_of(value: float) -> int:
-    """Return the power of ten of a number's first digit, of 0 for 0."""
-    return int(f"{value:.2e}".partition("e")[2])
+    return "" if find_exponent(value, 2) % ceil(longest / decade) else format_three_digits(value)

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 
 from vprbench.jobs.executors import executor_for
 from vprbench.paper.figures.make import draw_all, growth_columns, thumbnails_of
-from vprbench.paper.gather import ReportData, TableRequest, choose, gather
+from vprbench.paper.gather import ReportData, choose, gather
+from vprbench.paper.run_options import TableRequest
 from vprbench.paper.selection import Group, accuracy_series, series, title
 from vprbench.paper.table import formats
 from vprbench.paper.table.make import exit_code, file_name
@@ -19,6 +20,7 @@ from vprbench.runs.store import Store
 from vprbench.runs.thumbnails import Thumbnails
 from vprbench.runs.views import queries_shown
 from vprbench.storage.atomic import replace_text
+from vprbench.text import format_bytes
 
 if TYPE_CHECKING:
     from vprbench.paper.figures.style import Drawn
@@ -37,7 +39,7 @@ def make_report(request: TableRequest, options: Sequence[str]) -> int:
     default &= request.views is None
     name = "report.html" if default else f"report-{file_name(request)}.html"
     path = write_page(found, drawings, Path(request.results).expanduser() / name, absent)
-    print(f"{path}: {path.stat().st_size / 1e6:.1f} MB, opens from disk")
+    print(f"{path}: {format_bytes(path.stat().st_size)}, opens from disk")
     return exit_code(found.job_results)
 
 

@@ -12,6 +12,7 @@ from vprbench.runs.machine import Machine
 from vprbench.runs.query_results import RIGHT, UNANSWERABLE, UNJUDGED, Answers
 from vprbench.runs.record import Run
 from vprbench.runs.tuned import all_notes
+from vprbench.text import format_gigabytes
 
 _FINDINGS = 3  # sentences
 
@@ -120,7 +121,7 @@ def _besides(recorded: tuple[str, object]) -> str:
 
 
 def _gigabytes(amount: float | None) -> str:
-    return f"{amount / 1e9:.0f} GB" if amount else ""
+    return format_gigabytes(amount) if amount else ""
 
 
 ENVIRONMENT.filters |= {"plain": _plain, "besides": _besides, "gigabytes": _gigabytes}

@@ -9,8 +9,9 @@ from pathlib import Path
 from vprbench.errors import BadInput
 from vprbench.jobs.executors import executor_for
 from vprbench.jobs.job import JobResult
-from vprbench.paper.gather import ReportData, TablePlan, TableRequest, all_runs, choose, material, run_missing, stored
+from vprbench.paper.gather import ReportData, TablePlan, all_runs, choose, material, run_missing, stored
 from vprbench.paper.missing_runs import Cell, Watch
+from vprbench.paper.run_options import TableRequest
 from vprbench.paper.table import formats
 from vprbench.runs import frame
 from vprbench.runs.sequences import suffix, views

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from statistics import mean, median
@@ -12,6 +11,7 @@ from vprbench.metrics.registry import METRICS, Metric
 from vprbench.paper.plan import Row
 from vprbench.paper.selection import DEVICES, Device
 from vprbench.paper.table.best import Contestant, best_rate, best_recall, best_training
+from vprbench.text import format_two_digits
 
 TRAINING_TIME = (  # of the table, the page and the README
     "Wall time from the first reference image to the finished map, without waiting for images to be read or rendered; "
@@ -27,18 +27,6 @@ Kind = Literal[
 ]
 
 
-def exponent(value: float, decimals: int) -> int:
-    """Return the power of ten of a number that is rounded to so many decimals behind its first digit: 9.96 is 10."""
-    return int(f"{value:.{decimals}e}".partition("e")[2])
-
-
-def two_digits(value: float) -> str:
-    """Return a number with two digits, or with all that stand before the point."""
-    if value == 0 or not math.isfinite(value):
-        return f"{value:g}"
-    return f"{value:,.{max(0, 1 - exponent(value, 1))}f}"
-
-
 @dataclass(frozen=True)
 class Quantity:
     """A column of the table: a fact of the frame of runs (`vprbench.runs.frame`), over the seeds of a row."""
@@ -51,7 +39,7 @@ class Quantity:
     device: Device | None = None  # whose runs it shows; None: those of the device with the most seeds
     in_unit: Callable[[float], float] = float
     over_seeds: Callable[[Sequence[float]], float] = mean
-    text: Callable[[float], str] = two_digits
+    text: Callable[[float], str] = format_two_digits
     total: str | None = None  # the fact that takes in the steps that `fact` leaves out
     best: Callable[[Sequence[Contestant]], str | None] = lambda rows: None  # the row that a test separates from all
     metric: Metric | None = None  # what it is of `METRICS`, but for R@1

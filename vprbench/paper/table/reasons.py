@@ -15,6 +15,7 @@ from vprbench.paper.table.quantities import Quantity
 from vprbench.paper.templates import sentences
 from vprbench.runs.notes import DISTURBED, NoteKind
 from vprbench.runs.record import Run
+from vprbench.text import format_duration
 
 LONGEST = 120  # letters of a reason, beside a command that it gives
 _WORDS = r"(?:\[[^\]]*\]|[^][,;()])"
@@ -118,8 +119,7 @@ def undefined(quantity: Quantity, runs: Sequence[Run]) -> Reason:
 
 # What a reader of a number has to know
 
-_APART: frozenset[NoteKind] = DISTURBED | {"offline", "described", "resumed", "fitted"}  # told by a mark, or elsewhere
-_OF_FITS: frozenset[NoteKind] = frozenset({"resumed", "fitted"})
+_APART: frozenset[NoteKind] = DISTURBED | {"offline", "described", "fitted"}  # told by a mark, or elsewhere
 
 
 def remarks(quantity: Quantity, row: Row, runs: Sequence[Run]) -> Iterator[Reason]:
@@ -128,7 +128,7 @@ def remarks(quantity: Quantity, row: Row, runs: Sequence[Run]) -> Iterator[Reaso
     if quantity.kind == "training" and row.training == "map":
         yield reason("map")
     if quantity.kind in ("training", "fit"):
-        yield from (short("note", note.text) for note in notes if note.kind in _OF_FITS)
+        yield from (short("note", note.text) for note in notes if note.kind == "fitted")
     elif quantity.kind != "memory":  # whose notes stand with the accuracy
         if quantity.fact == "recall_at_1":
             yield from _ties(runs)
@@ -234,7 +234,7 @@ def _leaves_out(run: Run, paper: PaperProtocol) -> bool:
     return run.outcome.n_places == len(run.outcome) == paper.queries
 
 
-_HOUR, _MINUTE = 3600.0, 60.0
+_MINUTE = 60.0
 
 
 def why_left_out(row: Row, column: ResolvedColumn, shown: Sequence[Group]) -> str:
@@ -246,7 +246,7 @@ def why_left_out(row: Row, column: ResolvedColumn, shown: Sequence[Group]) -> st
     if measured is None or not isinstance(places, int):
         return "too many places for the time that a table takes; FULL=1 runs it here"
     seconds = full_seconds(measured, places, places if queries is None else queries, row.asks_its_map) * len(row.seeds)
-    much = f"{seconds / _HOUR:.1f} h" if seconds > _HOUR else f"{max(1.0, seconds / _MINUTE):.0f} min"
+    much = format_duration(max(_MINUTE, seconds))
     seeds = f"; {len(row.seeds)} seeds" if len(row.seeds) > 1 else ""
     return f"FULL=1 would take about {much} here (from its run at {measured.outcome.n_places} places{seeds})"
 

@@ -9,9 +9,10 @@ import pandas as pd
 
 from vprbench.paper.plan import Row
 from vprbench.paper.table.cells import Column, Table
-from vprbench.paper.table.quantities import RATES, TRAINING, TRAINING_TIME, Quantity, exponent
+from vprbench.paper.table.quantities import RATES, TRAINING, TRAINING_TIME, Quantity
 from vprbench.paper.templates import ENVIRONMENT, sentences
 from vprbench.runs.frame import named_tuples
+from vprbench.text import format_spread
 
 PAPER = "paper"  # the line below a row
 INAPPLICABLE = "-"
@@ -122,7 +123,7 @@ def _extent(cell: Any, quantity: Quantity) -> str:
 
 def _range(value: float, spread: float | None, low: float | None, high: float | None, quantity: Quantity) -> str:
     """Return the spread over the seeds and the interval, of those that there are."""
-    parts = [] if spread is None else [f"± {_spread(spread, quantity.text(value))}"]
+    parts = [] if spread is None else [f"± {format_spread(spread, quantity.text(value))}"]
     if low is not None and high is not None:
         parts.append(f"[{quantity.text(low)}, {quantity.text(high)}]")
     return " ".join(parts)
@@ -132,12 +133,6 @@ def _beside(cell: Any, boundary: str | None, quantity: Quantity) -> str:
     alone = cell.at_boundary
     parts = [] if alone is None else [f"{boundary} alone here: {quantity.text(alone)}"]
     return "; ".join(parts if cell.difference is None else [*parts, _signed(cell.difference, quantity)])
-
-
-def _spread(spread: float, beside: str) -> str:
-    """Return a spread with as many decimals as the number beside it, or as many as it takes to see it."""
-    decimals = len(beside.partition(".")[2])
-    return f"{spread:,.{max(decimals, -exponent(spread, 0))}f}" if spread else "0"
 
 
 def _printed(value: float) -> str:

@@ -1,0 +1,164 @@
+"""Help, version, lists and completion: they name the options that each command takes, at once and without PyTorch."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+from checkout import ROOT
+
+from vprbench import __version__
+from vprbench.cli import main
+from vprbench.commands.catalogue import COMMANDS
+from vprbench.errors import BadInput
+from vprbench.plugins import registry
+from vprbench.runs.request import OPTIONS
+
+
+@pytest.fixture(autouse=True)
+def in_a_folder_of_its_own(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("COLUMNS", raising=False)
+
+
+def printed(capsys, *arguments):
+    assert main(arguments) == 0
+    return capsys.readouterr().out
+
+
+def helped(capsys, *arguments):
+    """The lines of a help by their options: option, default and meaning."""
+    lines = printed(capsys, *arguments, "--help").splitlines()
+    return {line.split()[0]: line.split(maxsplit=2) for line in lines if line.strip()}
+
+
+@pytest.mark.parametrize("line", ["", "--version", "list spiking", "compare --help", "table --help", "__complete v m"])
+def test_nothing_that_is_printed_at_once_imports_pytorch_or_a_plug_in(line):
+    heavy = {"torch", "matplotlib", "optuna", "vprbench.methods", "vprbench.datasets"}
+    code = f"import sys; from vprbench.__main__ import main; print(main(), [*{heavy} & {{*sys.modules}}])"
+    command = [sys.executable, "-c", code, *line.split()]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    assert (done.stdout.splitlines()[-1], done.stderr) == ("0 []", "")
+
+
+def test_without_a_command_the_commands_are_named_and_nothing_runs_and_the_help_of_each_fits_100_columns(capsys):
+    for arguments in ([], ["--help"], ["help"], ["-h"]):
+        text = printed(capsys, *arguments)
+        assert [name for name in COMMANDS if f"\nvprbench {name} " not in text] == []
+        assert max(map(len, text.splitlines())) <= 120
+    assert [*Path().iterdir()] == []
+    assert printed(capsys, "--version") == f"vprbench {__version__}\n"
+    for name, command in COMMANDS.items():
+        assert command.meaning
+        assert max(map(len, printed(capsys, name, "--help").splitlines()[2:]), default=0) <= 100
+
+
+TAKEN = {  # of commands whose options are no fields of a class
+    "check": {"method", "dataset", "device", "threads", "seed"},
+    "doctor": {"dataset", "output"},
+    "completion": set(),
+}
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_and_completion_name_every_option_that_a_command_takes_with_its_meaning(name, capsys):
+    kind = COMMANDS[name].option_class()
+    taken = TAKEN[name] if kind is None else {field.name for field in fields(kind)}
+    if name in ("run", "compare", "table", "figures", "report"):
+        taken |= {*OPTIONS} - {*getattr(kind, "refused", ())}
+    lines = helped(capsys, name)
+    assert taken - lines.keys() == set()
+    assert {f"{option}=" for option in taken} - {*printed(capsys, "__complete", f"vprbench {name} ").split()} == set()
+    assert [option for option in taken - {"seed"} if len(lines[option]) < 3 and option != "methods"] == []
+
+
+def refused(arguments, capsys):
+    """The words by which the command line refuses an option; empty if it does not."""
+    code = main(arguments)
+    told = capsys.readouterr().err
+    return (
+        told
+        if code == 2 and re.search(r"unknown|say what the table holds|takes methods=|give corruptions", told)
+        else ""
+    )
+
+
+@pytest.mark.parametrize("name", ["compare", "table"])
+def test_every_option_in_the_help_is_taken_and_no_other_one_of_a_run(name, capsys, monkeypatch):
+    def stop(*_):
+        raise BadInput("it would run")
+
+    monkeypatch.setattr("vprbench.comparison.make.make_comparison", stop)
+    monkeypatch.setattr("vprbench.paper.table.make.make_table", stop)
+    asked = {"compare": ["methods=sad", "dataset=synthetic"]}.get(name, [])
+    options = {option for option in helped(capsys, name) if re.fullmatch(r"[a-z_]+(\.[a-z_]+)?", option)} - {"vprbench"}
+    options &= {*(field.name for field in fields(COMMANDS[name].option_class()))} | {*OPTIONS}
+    assert [option for option in options if refused([name, *asked, f"{option}=null"], capsys)] == []
+    others = {*OPTIONS} - options
+    assert [option for option in others if not refused([name, *asked, f"{option}=null"], capsys)] == []
+
+
+def test_help_has_each_option_with_its_default_and_meaning_of_the_yaml_that_it_builds_on_too(capsys):
+    lines = helped(capsys, "table")
+    assert lines["rows"] == ["rows", "null", "of conf/table.yaml; null: those of the paper"]
+    assert lines["results"][1:] == ["results", "folder of the stored runs"]  # as a run has it
+    lines = helped(capsys, "method=vprtempo_tuned", "dataset=folders", "timing=quick")
+    assert lines["method.max_module"] == ["method.max_module", "1000", "places a module, at most"]
+    assert lines["timing.sample"][1] == "64"
+    assert lines["dataset.radius_metres"] == ["dataset.radius_metres", "25.0", "for utm"]
+    asked = {"method": "vprtempo_tuned", "dataset": "folders"}
+    entries = {group: registry.entries(group)[name] for group, name in asked.items()}
+    wanted = {f"{group}.{name}" for group, entry in entries.items() for name in entry.options}
+    assert wanted - {"method.seed", "method.device"} <= lines.keys()
+
+
+@pytest.mark.parametrize(
+    ("words", "there", "not_there"),
+    [
+        ("spiking", {"vprsnn", "vprtempo_tuned"}, {"sad", "synthetic"}),
+        ("weights=none", {"sad", "vprtempo"}, {"cosplace", "synthetic"}),
+        ("weights=needed", {"cosplace"}, {"sad"}),
+        ("datasets", {"synthetic", "folders"}, {"sad"}),
+        ("methods gradients", {"hog", "cohog"}, {"sad", "nordland"}),
+    ],
+)
+def test_a_list_is_filtered_by_words_tags_and_weights(words, there, not_there, capsys):
+    names = {each["name"] for each in json.loads(printed(capsys, "list", *words.split(), "output=json"))}
+    assert (there - names, names & not_there) == (set(), set())
+    assert {line.split()[0] for line in printed(capsys, "list", *words.split()).splitlines()} >= there
+
+
+@pytest.mark.parametrize(
+    ("line", "wanted"),
+    [
+        ("tab", ["table"]),
+        ("method=sa", ["method=sad", "method=salad", "method=salad_indoor"]),
+        *(("-m method=sad,ho", ["method=sad,hog"]), ("table methods=[sad,ho", ["methods=[sad,hog"])),
+        ("method=vprtempo method.max_", ["method.max_module="]),
+        ("dataset=folders dataset.ref", ["dataset.references="]),
+        *(("timing=qu", ["timing=quick"]), ("doctor dataset=sfu", ["dataset=sfu_mountain"])),
+        *(("table stored=", ["stored=true", "stored=false"]), ("search tri", ["trials="]), ("completion z", ["zsh"])),
+    ],
+)
+def test_the_last_word_is_completed(line, wanted, capsys):
+    assert printed(capsys, "__complete", f"vprbench {line}").split() == wanted
+
+
+def test_bash_completes_what_stands_behind_an_equals_sign(tmp_path):
+    program = tmp_path / "vprbench"
+    program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m vprbench "$@"\n')
+    program.chmod(0o755)
+    line = "vprbench check method=vprtempo_tuned_"
+    script = f"""
+source <(vprbench completion bash)
+COMP_LINE='{line}' COMP_POINT={len(line)} COMP_WORDS=(vprbench check method = vprtempo_tuned_) COMP_CWORD=4
+_vprbench vprbench vprtempo_tuned_ =
+printf '%s\\n' "${{COMPREPLY[@]}}"
+"""
+    told = {**os.environ, "PATH": f"{tmp_path}:{os.environ['PATH']}", "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(["bash", "-c", script], env=told, capture_output=True, text=True, check=False)
+    assert (done.stdout, done.stderr) == ("vprtempo_tuned_ensemble\n", "")
