@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
-from vprbench.api import BadInput, Dataset, Image, Images, kept_frames
+from vprbench.api import BadInput, Dataset, Image, Images, cached_frames
 
 from ..readers.traverses import Evaluation, Traverses, check_recorded, dataset_of, split
 from .film import HEIGHT, WIDTH
@@ -121,4 +121,4 @@ class Rendered:
 def _frames(painter: Painter, painted: Mapping[str, Any], shown: Sequence[tuple[str, int]]) -> Images:
     """Return the frames of (traverse, place), each rendered when it is looked at; `painted` decides how they look."""
     names = [f"{traverse}/place-{place:05d}" for traverse, place in shown]
-    return kept_frames(Images(lambda i: painter.render(*shown[i]), names), painted)
+    return cached_frames(Images(lambda i: painter.render(*shown[i]), names), painted)

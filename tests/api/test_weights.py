@@ -86,13 +86,14 @@ def test_an_own_copy_comes_first_then_a_right_file_in_the_folder(folder, tmp_pat
     assert downloads == []
 
 
-KNOWN, UNKNOWN = {"size_bytes": 9, "sha256": SHA256}, {"size_bytes": None, "sha256": None}
+KNOWN = {"size_bytes": 9, "sha256": SHA256}
+UNKNOWN = {"size_bytes": None, "sha256": None}
 
 
 @pytest.mark.parametrize(("certain", "known"), [(True, KNOWN), (False, UNKNOWN)])
 def test_a_missing_file_is_downloaded_with_what_is_stated_of_it(folder, downloads, certain, known):
     assert find_weights(of_content(**KNOWN, certain=certain), "gcl").read_bytes() == CONTENT
-    assert downloads == [(LINKED.url, folder / "net.pth", known)]
+    assert downloads == [(LINKED.url, folder / "net.pth", {**known, "resume": certain})]
 
 
 @pytest.mark.parametrize(

@@ -271,8 +271,6 @@ REFUSED = {
             )
         ),
         ({"set.mat": lambda content: content[:300]}, {}, "cannot be read as a .mat file"),
-        # scipy 1.17 crashes on this bit
-        ({"set.mat": lambda content: content[:304] + bytes([content[304] ^ 1]) + content[305:]}, {}, "as a .mat file"),
         ({"set.mat": HDF5}, {}, "-v7"),
     ],
     "numbers": [
@@ -365,7 +363,7 @@ def test_what_is_missing_does_not_fit_or_is_damaged_is_refused(source, files, op
 
 
 def test_a_small_mat_file_that_unpacks_to_a_large_one_is_refused(monkeypatch):
-    monkeypatch.setattr(mat_files, "_LEAST_BYTES", 1 << 24)
+    monkeypatch.setattr(mat_files, "_LEAST_UNPACKED", 1 << 24)
     bomb = partial(savemat, mdict={"dbStruct": structure(), "zeros": np.zeros(1 << 26, np.uint8)}, do_compression=True)
     make, options = written("dbstruct")
     bomb("set.mat")

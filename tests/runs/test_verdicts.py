@@ -1,16 +1,12 @@
 """What the report says of each query, from worked examples and a slow count."""
 
-import io
 import json
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from little import a_run
-from PIL import Image
 from report_page import SAD_WRONG, TEMPO_WRONG, UNANSWERABLE, answered, journey_run, right_place
 
-from vprbench.paper.page.fitting import fitting, text_bytes
 from vprbench.runs.query_results import by_interest, columns, judged, place_ranges, places_shown
 
 NO = -np.inf  # the score of a place that is no candidate
@@ -81,26 +77,13 @@ def test_places_read_as_ranges_and_those_shown_are_the_best_three_and_the_right_
 
 def test_queries_that_are_not_answered_right_come_first_with_their_places_and_then_all_others_in_one_order():
     run = journey_run(SAD_WRONG)
-    listed = dict(by_interest(run))
+    listed = dict(by_interest(judged(run)))
     assert set([*listed][:6]) == {*SAD_WRONG, UNANSWERABLE}
     assert sorted(listed) == list(range(len(run.outcome)))
     assert all({right_place(query), *run.top_places[query, :3]} == listed[query] for query in (10, 40))
-    first, second = ([query for query, _ in by_interest(journey_run(wrong))] for wrong in (SAD_WRONG, TEMPO_WRONG))
+    first, second = (
+        [query for query, _ in by_interest(judged(journey_run(wrong)))] for wrong in (SAD_WRONG, TEMPO_WRONG)
+    )
     common = {*first} - {*SAD_WRONG, *TEMPO_WRONG, UNANSWERABLE}
     assert [query for query in first if query in common] == [query for query in second if query in common]
     assert sorted(common) != [query for query in first if query in common]  # from all over the journey
-
-
-def test_frames_of_the_page_become_coarser_only_if_they_do_not_fit():
-    frames = [b""]
-    for pixels in np.random.default_rng(0).integers(0, 256, (3, 54, 96, 3), np.uint8):
-        Image.fromarray(pixels).save(written := io.BytesIO(), "WEBP", quality=95)
-        frames.append(written.getvalue())
-    size = text_bytes(frames)
-    assert fitting(frames, size) == frames
-    made = fitting(frames, size // 4)
-    assert (text_bytes(made) <= size // 4, made[0]) == (True, b"")
-    for frame in made[1:]:
-        with Image.open(io.BytesIO(frame)) as image:
-            assert image.width / image.height == pytest.approx(96 / 54, rel=0.1)
-    assert (fitting(frames, 50), fitting([], -1)) == (None, [])

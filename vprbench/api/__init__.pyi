@@ -19,7 +19,6 @@ from .decoding import Exif as Exif
 from .decoding import is_beside as is_beside
 from .decoding import is_folder_beside as is_folder_beside
 from .decoding import is_image_name as is_image_name
-from .decoding import open_image as open_image
 from .decoding import read_image as read_image
 from .descriptor import DescriptorMethod as DescriptorMethod
 from .descriptor import Growing as Growing
@@ -31,10 +30,11 @@ from .events import Recording as Recording
 from .events import counted as counted
 from .events import event_frames as event_frames
 from .events import hot_pixels as hot_pixels
+from .frame_cache import cached_frames as cached_frames
 from .frame_cache import frames_kept as frames_kept
-from .frame_cache import kept_frames as kept_frames
 from .gabor import GaborBank as GaborBank
 from .hamming import packed as packed
+from .heads import open_image as open_image
 from .images import Images as Images
 from .levels import decoding_of as decoding_of
 from .method import Circuit as Circuit

@@ -36,30 +36,25 @@ def decoding_of(
 ) -> tuple[Decoding, dict[str, Any]]:
     """Return how all files of a dataset are decoded, and what of it belongs to the protocol.
 
-    `levels` is LOW..HIGH, the levels that become 0 and 255 where files have more than 8 bits. If None, they are told
-    from all such files together: floats of 0 to 1 or 0 to 255 and integers of 0 to 255 stand for levels of 8 bits, and
+    `levels` is LOW..HIGH, the levels that become 0 and 255 where files have more than 8 bits. If None, all such files
+    together decide: floats of 0 to 1 or 0 to 255 and integers of 0 to 255 stand for levels of 8 bits, and
     other integers run from the lowest to the highest of any file. The protocol names `exif` if a file has a tag that
     turns it, and `levels` if a file is deeper than 8 bits; it is empty otherwise. Raises BadInput, which names the
-    option after `prefix`, for levels that are no range and for files whose levels cannot be told.
+    option after `prefix`, for levels that are no range and for files whose levels decide none.
     """
-    asked = None if levels is None else _range(levels, f"{prefix}levels")
+    given = None if levels is None else _parse_range(levels, f"{prefix}levels")
     files = Paths.of(files)
     distinct = files[files.distinct()[0]] if len(files) else files
-    deep: list[int] = []
-    has_tag = False
-    for number, path in enumerate(distinct):
-        head = head_of(path)
-        has_tag |= head.orientation != UPRIGHT
-        deep += [number] * head.deep
-    met: dict[str, Any] = {"exif": exif} if has_tag else {}
-    if not deep:
-        return Decoding(exif, asked), met
-    chosen = distinct[np.array(deep)]
-    found = asked or _told(chosen, len(deep) < len(distinct), f"{prefix}levels")
-    return Decoding(exif, found), {**met, "levels": _as_text(found)}
+    heads = [head_of(path) for path in distinct]
+    deep = np.flatnonzero([head.deep for head in heads])
+    protocol: dict[str, Any] = {"exif": exif} if any(head.orientation != UPRIGHT for head in heads) else {}
+    if not len(deep):
+        return Decoding(exif, given), protocol
+    found = given or _find_range(distinct[deep], len(deep) < len(distinct), f"{prefix}levels")
+    return Decoding(exif, found), {**protocol, "levels": _format_range(found)}
 
 
-def _range(text: str, option: str) -> Levels:
+def _parse_range(text: str, option: str) -> Levels:
     low, _, high = text.partition(_BETWEEN)
     with suppress(ValueError):
         levels = float(low), float(high)
@@ -68,13 +63,13 @@ def _range(text: str, option: str) -> Levels:
     raise BadInput(f"{option}={text}: give the lowest and the highest level as LOW..HIGH, as in 0..4095")
 
 
-def _as_text(levels: Levels) -> str:
+def _format_range(levels: Levels) -> str:
     return _BETWEEN.join(f"{level:.15g}" for level in levels)
 
 
-def _told(files: Paths, beside_bytes: bool, option: str) -> Levels:
-    """Return the range of deep files, some `beside_bytes` of 8 bits; raises BadInput if it cannot be told."""
-    extremes = _kept_extremes(files)
+def _find_range(files: Paths, beside_bytes: bool, option: str) -> Levels:
+    """Return the range of deep files, some `beside_bytes` of 8 bits; raises BadInput if they do not decide it."""
+    extremes = _load_extremes(files)
     readable = np.flatnonzero(~np.isnan(extremes[:, 0]))
     if not len(readable):  # said when they are read
         return _BYTE
@@ -95,15 +90,15 @@ def _told(files: Paths, beside_bytes: bool, option: str) -> Levels:
     return lowest, max(highest, lowest + 1)
 
 
-def _kept_extremes(files: Paths) -> Extremes:
-    """Return the extremes of files, which are kept by the content of all of them: to look for them takes a decoding."""
+def _load_extremes(files: Paths) -> Extremes:
+    """Return the extremes of files; finding them takes a decoding, so the cache keeps them by the files' content."""
     key = hashlib.sha256(file_hashes(files).sha256).hexdigest()
     path = hashes_folder() / f"levels-{_FORMAT}" / f"{key}.npy"
     with suppress(OSError, ValueError, EOFError):
         kept = np.load(path)
         if kept.shape == (len(files), 3):
             return np.asarray(kept, np.float64)
-    extremes = _extremes(files)
+    extremes = _find_extremes(files)
     content = io.BytesIO()
     np.save(content, extremes)
     with suppress(OSError):
@@ -112,17 +107,17 @@ def _kept_extremes(files: Paths) -> Extremes:
     return extremes
 
 
-def _extremes(files: Paths) -> Extremes:
+def _find_extremes(files: Paths) -> Extremes:
     rows = []
     with ThreadPoolExecutor(core_count()) as readers:
-        for row in readers.map(_extremes_of, files):
+        for row in readers.map(_read_extremes, files):
             rows.append(row)
             if len(rows) % _REPORT_EVERY == 0:
                 progress.report("looking for the range of levels", len(rows) / len(files))
     return np.array(rows, np.float64)
 
 
-def _extremes_of(path: Path) -> tuple[float, float, float]:
+def _read_extremes(path: Path) -> tuple[float, float, float]:
     try:
         counts = read_counts(path)
     except BadInput:  # said when it is read

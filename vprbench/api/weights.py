@@ -182,7 +182,8 @@ def _obtain(weights: Weights, subject: str, path: Path, stated: Stated, option: 
     logger.info("downloading %s (licence: %s) from %s", weights.file, weights.licence, weights.url)
     known = stated if stated.certain else Stated()
     try:
-        fetch(weights.url, path, size_bytes=known.size_bytes, sha256=known.sha256)
+        resume = known.sha256 is not None
+        fetch(weights.url, path, size_bytes=known.size_bytes, sha256=known.sha256, resume=resume)
     except BadInput as error:
         raise type(error)(f"{subject} needs {weights.file}: {error}") from error
 

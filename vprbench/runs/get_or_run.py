@@ -17,7 +17,7 @@ from vprbench.plugins import networks
 from vprbench.progress import overheard, progress_shown
 from vprbench.runs import energy, stream, thumbnails
 from vprbench.runs.experiment import Experiment
-from vprbench.runs.query_results import by_interest
+from vprbench.runs.query_results import by_interest, judged
 from vprbench.runs.record import Run
 from vprbench.runs.request import RunRequest
 from vprbench.runs.run import execute
@@ -208,7 +208,7 @@ def _keep_frames(store: Store, run: Run, dataset: Dataset) -> None:
     """Keep small pictures of what the report shows of a run; if that fails, the run is stored all the same."""
     try:
         with progress_shown(dataset.name):
-            thumbnails.keep(store.root, run.fingerprint, dataset, by_interest(run))
+            thumbnails.keep(store.root, run.fingerprint, dataset, by_interest(judged(run)))
     except (OSError, BadInput) as error:
         reason = getattr(error, "strerror", None) or error
         logging.warning("note: no small pictures of %s were kept (%s)", dataset.name, reason)

@@ -176,12 +176,11 @@ def place_ranges(places: npt.NDArray[np.int64]) -> str:
     return ", ".join(str(part[0]) if len(part) == 1 else f"{part[0]}-{part[-1]}" for part in parts)
 
 
-def by_interest(run: Run) -> Iterator[tuple[int, set[int]]]:
+def by_interest(answers: Answers) -> Iterator[tuple[int, set[int]]]:
     """Yield the queries of a run with the places shown beside each, those that are not answered right first.
 
     Otherwise they come in an order that is the same for all runs, from all over the journey.
     """
-    answers = judged(run)
     order = np.random.default_rng(0).permutation(len(answers.verdicts)).tolist()
     for query in sorted(order, key=lambda query: answers.verdicts[query] == RIGHT):
         yield query, {*answers.places[query].tolist(), int(answers.right_places[query])} - {NOWHERE}

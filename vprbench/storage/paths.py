@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 from array import array
 from collections.abc import Iterable, Iterator, Sequence
@@ -14,10 +15,8 @@ import numpy as np
 import numpy.typing as npt
 from natsort import natsort_keygen
 
-_BLOCK = 10_000  # texts whose keys are made together
-_END = 255  # stands after each text of a block, and is no character of any
+_DIGITS = re.compile("0*([0-9]+)")
 _FILE_SYSTEM = sys.getfilesystemencoding(), sys.getfilesystemencodeerrors()
-_LONGEST = 254  # digits of a number that are told apart; a file name has 255 characters at most
 
 
 class Paths(Sequence[Path]):
@@ -132,28 +131,9 @@ def chosen_names(names: Sequence[str], index: slice | npt.NDArray[Any]) -> tuple
 def natural_keys(texts: Sequence[str]) -> list[Any]:
     """Return for each text the key by which sorting puts 2.jpg before 10.jpg, as natsort does; one call's keys compare.
 
-    Keys of printable ASCII are text, of about the length of what they stand for.
+    Keys of printable ASCII are text: each number stands without leading zeros, after a 0 and the count of its digits.
     """
     if not all(text.isascii() and text.isprintable() for text in texts):
         key = natsort_keygen()
         return [key(text) for text in texts]
-    return [*chain.from_iterable(_encoded(texts[at : at + _BLOCK]) for at in range(0, len(texts), _BLOCK))]
-
-
-def _encoded(texts: Sequence[str]) -> list[str]:
-    """Return texts in which each number is without its leading zeros, and behind a 0 and the count of its digits."""
-    flat = np.frombuffer("".join(text + chr(_END) for text in texts).encode("latin-1"), np.uint8)
-    digit = (flat >= ord("0")) & (flat <= ord("9"))
-    edges = np.flatnonzero(np.diff(digit, prepend=False))
-    starts, ends = edges[::2], edges[1::2]
-    others = np.flatnonzero(~digit | (flat != ord("0")))
-    first = others[np.searchsorted(others, starts)]  # that is no leading zero
-    zeros = np.zeros(len(flat), np.int8)
-    zeros[starts] = 1
-    zeros[first] -= 1
-    times = 1 - zeros.cumsum(dtype=np.int8)  # that a character is told: a leading zero not at all
-    times[starts] += 2  # to make room
-    told = np.repeat(flat, times)
-    at = np.cumsum(times)[starts] - times[starts]
-    told[at], told[at + 1] = 0, np.minimum(ends - first, _LONGEST)
-    return told.tobytes().decode("latin-1").split(chr(_END))[:-1]
+    return [_DIGITS.sub(lambda found: f"\0{chr(len(found[1]))}{found[1]}", text) for text in texts]

@@ -3,7 +3,6 @@
 import base64
 import hashlib
 import io
-import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -18,10 +17,8 @@ from vprbench.paper.page import page as report
 from vprbench.paper.page import words
 from vprbench.paper.page.page import Picture, Section
 from vprbench.paper.selection import Series
-from vprbench.progress import listening
 from vprbench.runs.notes import Note
 from vprbench.runs.query_results import judged
-from vprbench.runs.thumbnails import Thumbnails
 
 
 def embedded(text):
@@ -78,24 +75,6 @@ def test_a_figure_that_is_not_drawn_is_told_under_the_others():
         assert "#figures" in [link["href"] for link in parsed.all("a")]
 
 
-@pytest.mark.parametrize(("colours", "alpha"), [(52, 255), (52, 0), (256, 255)])
-def test_a_large_figure_takes_fewer_bytes_and_looks_the_same(colours, alpha):
-    """Shades of grey at random, on white."""
-    levels = np.random.default_rng(0).integers(0, colours, (600, 600)) * (255 // (colours - 1))
-    pixels = np.stack([levels, levels, levels, np.full_like(levels, alpha)], 2).astype(np.uint8)
-    written = io.BytesIO()
-    if colours == 256:
-        Image.fromarray(pixels[..., 0]).save(written, "PNG", optimize=True)
-    else:
-        Image.fromarray(pixels, "RGBA").save(written, "PNG", compress_level=1)
-    png = written.getvalue()
-    assert len(png) > 200_000
-    small = pictured(report.page(TABLE, [Picture("frames", "Frames.", png)], []))
-    assert small == png if colours == 256 else len(small) < len(png)
-    seen = np.where(alpha == 255, pixels[..., :3], 255)
-    np.testing.assert_array_equal(Image.open(io.BytesIO(small)).convert("RGB"), seen)
-
-
 def test_hostile_names_are_text_everywhere_and_those_that_are_no_text_are_written():
     drawn = [Picture(HOSTILE, HOSTILE, b"")]
     text = report.page("", drawn, [made.hostile_section()], title=HOSTILE, made_from=HOSTILE)
@@ -137,51 +116,23 @@ def test_a_frame_stands_in_the_page_once_if_a_query_shows_it_and_the_page_names_
     places = tuple(frame if place == 15 else b"" for place, frame in enumerate(whole.references))
     text = made_up_page([journey_section(thumbnails=made.journey_thumbnails(queries=queries, references=places))])
     told = answers(text)
-    assert told["framesMissing"].startswith("Of this large dataset some frames are stored")
+    assert told["framesMissing"].startswith("2 of ")
     assert told["placeNames"]["22"] == "noon/00022.png"
     kept = embedded(text)
     assert list(kept["places"]) == ["15"]
     assert [query for query, frame in enumerate(kept["queries"]) if frame] == [10]
 
 
-def noisy(n_places, n_queries):
-    """Return two runs of noise with eight frames of noise again and again."""
-    frames, random = [], np.random.default_rng(0)
-    for _ in range(8):
-        written = io.BytesIO()
-        Image.fromarray(random.integers(0, 256, (54, 96, 3), np.uint8)).save(written, "WEBP", quality=90)
-        frames.append(written.getvalue())
-    names = tuple(f"images-{number:05d}.png" for number in range(n_places))
-    queries, places = (tuple(itertools.islice(itertools.cycle(frames), n)) for n in (n_queries, n_places))
-    right = [[n_places - n_queries + query] for query in range(n_queries)]
-    scores = random.random((2, n_queries, n_places), np.float32)
-    runs = [answered(each, right, depth=100, scores=None, n_references=2 * n_places) for each in scores]
-    series = tuple(Series(name, False, (run,)) for name, run in zip("ab", runs, strict=True))
-    return Section("Railway", series, Thumbnails(names[:n_queries], names, (), queries, places))
-
-
-@pytest.mark.extended
-def test_where_the_frames_are_too_large_all_of_them_become_coarser(monkeypatch):
-    """If none fits, names stand in their places; the page says how far it is meanwhile."""
-    given = noisy(60, 40)
-    text = report.page("", [], [given])
-    assert report.MOST_BYTES <= 10_000_000
-    assert base64.b64decode(embedded(text)["queries"][5]) == given.thumbnails.queries[5]
-    most = len(text.encode()) - sum(map(len, embedded(text)["queries"])) // 2
-    monkeypatch.setattr(report, "MOST_BYTES", most)
-    heard = {}
-    with listening(lambda stage, done: heard.setdefault(stage, []).append(done)):
-        text = report.page("", [], [given])
-    assert len(text.encode()) <= most
-    assert len(embedded(text)["queries"]) == 40
-    assert Image.open(io.BytesIO(base64.b64decode(embedded(text)["queries"][0]))).size == (96, 54)
-    assert [len(shares) for shares in heard.values()] == [2, 40 + len(embedded(text)["places"])]
-    assert all(shares == sorted(shares) and 0 <= shares[0] < shares[-1] < 1 for shares in heard.values())
-    monkeypatch.setattr(report, "MOST_BYTES", 1000)
-    text = report.page("", [], [given])
-    told = answers(text)
-    assert (told["firstReferences"], told["queryNames"][3], embedded(text)["queries"]) == ("", "images-00003.png", [])
-    assert told["framesMissing"].startswith("This page would be too large with frames")
+def test_a_page_shows_so_many_frames_at_most_and_those_of_wrong_answers_first(monkeypatch):
+    sections = [journey_section(title=title, thumbnails=made.journey_thumbnails()) for title in ("one", "other")]
+    monkeypatch.setattr(report, "MOST_FRAMES", 24)
+    parsed = Parsed(report.page("", [], sections))
+    for number, told in enumerate(parsed.data("answers")):
+        kept = parsed.data(f"frames-{number}")
+        queries = {query for query, frame in enumerate(kept["queries"]) if frame}
+        assert 6 < len(queries) + len(kept["places"]) <= 12
+        assert all({run["verdicts"][query] for run in told["runs"]} != {"r"} for query in queries)
+        assert told["framesMissing"].startswith(f"{len(queries) + len(kept['places'])} of ")
 
 
 @pytest.mark.parametrize(

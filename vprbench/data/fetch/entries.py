@@ -1,4 +1,4 @@
-"""What can be fetched, a yaml of conf/fetch for each download, and what has come: its files, checked."""
+"""The datasets that can be fetched, a yaml of conf/fetch for each, and the checks of files that came."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ import yaml
 
 from vprbench.errors import BadInput
 from vprbench.plugins import registry
-from vprbench.progress import report
 from vprbench.storage.atomic import replace_text
 from vprbench.storage.unpack import Wanted
 
@@ -63,7 +62,7 @@ class Download:
     register: str | None = None  # what a person has to do if no program may download all of it
     note: str | None = None
 
-    def chosen(self, names: list[str] | None) -> dict[str, Part]:
+    def choose_parts(self, names: list[str] | None) -> dict[str, Part]:
         """Return the parts of these names, or those that are usually wanted; raises BadInput for an unknown one."""
         given = list(self.default or self.parts) if names is None else names
         for name in given:
@@ -104,7 +103,6 @@ def read(path: Path) -> Download:
 
 
 RECORD = "fetched.json"  # in the dataset's folder
-_CHUNK = 1 << 22  # bytes hashed at once
 
 
 def count_files(folder: Path) -> int:
@@ -112,44 +110,41 @@ def count_files(folder: Path) -> int:
     return sum(path.is_file() and not path.name.startswith(".") for path in folder.rglob("*"))
 
 
-def require_stated(part: Part, archive: Path) -> dict[str, Any]:
+def check_archive(part: Part, archive: Path) -> dict[str, Any]:
     """Return the size and SHA-256 of an archive; raises BadInput if the entry states others."""
-    size_bytes, digest = archive.stat().st_size, hashlib.sha256()
+    size_bytes = archive.stat().st_size
     with archive.open("rb") as file:
-        while chunk := file.read(_CHUNK):
-            digest.update(chunk)
-            report(f"checking {archive.name}", min(file.tell() / size_bytes, 1.0))
-    for what, came, stated in (("bytes", size_bytes, part.size_bytes), ("SHA-256", digest.hexdigest(), part.sha256)):
+        sha256 = hashlib.file_digest(file, "sha256").hexdigest()
+    for name, came, stated in (("bytes", size_bytes, part.size_bytes), ("SHA-256", sha256, part.sha256)):
         if stated is not None and came != stated:
-            raise BadInput(f"{archive} has {what} {came}, stated is {stated}: remove it and run again")
-    return {"bytes": size_bytes, "sha256": digest.hexdigest()}
+            raise BadInput(f"{archive} has {name} {came}, stated is {stated}: remove it and run again")
+    return {"bytes": size_bytes, "sha256": sha256}
 
 
-def approve(part: Part, archive: Path, unpacked: Path) -> None:
-    """Raise BadInput if an archive holds other folders than stated, or other files in them."""
+def check_folders(part: Part, unpacked: Path) -> None:
+    """Raise BadInput if a folder that a part should hold is not among what was unpacked, or holds other files."""
     for name, held in part.holds.items():
         folder = unpacked / name
         if not folder.is_dir():
-            raise BadInput(f"{archive} gave no folder {name}: it is another archive than expected, remove it")
+            raise BadInput(f"gave no folder {name}: it is another archive than expected, remove it")
         if held.sha256 is not None and (came := content_sha256(folder)) != held.sha256:
             raise BadInput(
-                f"{archive} gave other files in {name} than expected (SHA-256 of their list {came}, stated is "
-                f"{held.sha256}): remove it and run again"
+                f"gave other files in {name} than expected (SHA-256 of their list {came}, stated is {held.sha256}): "
+                "remove it and run again"
             )
 
 
 def content_sha256(folder: Path) -> str:
-    """Return the SHA-256 of what `LC_ALL=C sha256sum *` prints in a folder."""
+    """Return the SHA-256 of the lines that `LC_ALL=C sha256sum *` prints in a folder."""
     digest = hashlib.sha256()
     for path in sorted(folder.iterdir(), key=lambda path: os.fsencode(path.name)):
         with path.open("rb") as file:
-            line = f"{hashlib.file_digest(file, 'sha256').hexdigest()}  {path.name}\n"
-        digest.update(line.encode())
+            digest.update(f"{hashlib.file_digest(file, 'sha256').hexdigest()}  {path.name}\n".encode())
     return digest.hexdigest()
 
 
-def record(root: Path) -> dict[str, dict[str, Any]]:
-    """Return what is recorded of the parts that were fetched, by name; none if the record is missing or nonsense."""
+def load_record(root: Path) -> dict[str, dict[str, Any]]:
+    """Return the record of the parts that were fetched, by name; empty if it is missing or damaged."""
     try:
         parts = json.loads((root / RECORD).read_text(encoding="utf-8"))["parts"]
         return {name: dict(part) for name, part in parts.items()}
@@ -157,7 +152,7 @@ def record(root: Path) -> dict[str, dict[str, Any]]:
         return {}
 
 
-def remember(root: Path, name: str, fetched: dict[str, Any]) -> None:
-    """Record what came of one part, beside what is recorded of the others."""
-    content = {"format": 1, "parts": {**record(root), name: fetched}}
+def add_to_record(root: Path, name: str, fetched: dict[str, Any]) -> None:
+    """Write one part into the record, beside the others."""
+    content = {"format": 1, "parts": {**load_record(root), name: fetched}}
     replace_text(root / RECORD, json.dumps(content, indent=1, ensure_ascii=False) + "\n")

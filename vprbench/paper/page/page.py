@@ -6,7 +6,7 @@ import base64
 import hashlib
 import itertools
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -15,22 +15,20 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from vprbench.paper.page import words
-from vprbench.paper.page.fitting import fitting, small_png
 from vprbench.paper.selection import Series
 from vprbench.paper.table.quantities import TRAINING_TIME
 from vprbench.progress import report
-from vprbench.runs.query_results import Answers, columns, judged, place_ranges, places_shown
+from vprbench.runs.query_results import Answers, by_interest, columns, judged, place_ranges, places_shown
 from vprbench.runs.recall_intervals import METHOD
 from vprbench.runs.record import Run
-from vprbench.runs.thumbnails import Thumbnails
+from vprbench.runs.thumbnails import Thumbnails, choose_frames
 
 TITLE = "Visual place recognition, measured"
-MOST_BYTES = 9_900_000  # of a page, unless its table and figures alone are larger
+MOST_FRAMES = 6000  # of a page, about 1.3 kB each
 
 _FOLDER = Path(__file__).parent
 _FRAMES_MISSING = "The frames of this dataset are not stored, so names stand in their places."
-_SOME_MISSING = "Of this large dataset some frames are stored; names stand in the places of the others."
-_FRAMES_TOO_LARGE = "This page would be too large with frames, so names stand in their places."
+_SOME_MISSING = "{} of {} frames are shown; names stand in the places of the others."
 
 
 @dataclass(frozen=True)
@@ -55,8 +53,12 @@ class Section:
 class _Frames:
     """The frames of a section that are shown, as WebP: of each query, and of some places by their number."""
 
-    queries: tuple[bytes, ...] = ()
+    queries: tuple[bytes, ...] = ()  # empty: not shown
     places: Mapping[int, bytes] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        """Return the number of frames that are shown."""
+        return sum(1 for frame in self.queries if frame) + len(self.places)
 
 
 def page(
@@ -73,20 +75,20 @@ def page(
     `table_html` is a fragment that is escaped already; `made_from` is a sentence that stands below the title.
     `measured` are the series behind the table on every device, with the titles of their sections: machines and notes
     are of them, or where there are none of the sections' own. `absent` says of each figure that is not drawn why.
-    Frames are made coarser where the page would exceed `MOST_BYTES` of UTF-8, and left out where that is not enough.
+    At most `MOST_FRAMES` frames are shown, as many of each section; queries that a run answered wrong come first.
     Raises ValueError where the runs of a section are not of the same images.
     """
     measured = measured or [(section.title, series) for section in sections for series in section.series]
     sections = [section for section in sections if section.series]
     answers = [_judged(section) for section in sections]
-    script_data = [_script_data(section, judged_runs) for section, judged_runs in zip(sections, answers, strict=True)]
+    most = MOST_FRAMES // max(1, len(sections))
+    frames = [_frames(*shown, most) for shown in zip(sections, answers, strict=True)]
+    script_data = [_script_data(*shown) for shown in zip(sections, answers, frames, strict=True)]
     facts = {
         "title": title,
         "made_from": made_from,
         "table": Markup(table_html),
-        "pictures": [
-            {"name": one.name, "caption": one.caption, "png": _base64(small_png(one.png))} for one in pictures
-        ],
+        "pictures": [{"name": one.name, "caption": one.caption, "png": _base64(one.png)} for one in pictures],
         "absent": absent,
         "sections": [_facts(one, judged_runs) for one, judged_runs in zip(sections, answers, strict=True)],
         "interval_method": METHOD,
@@ -95,20 +97,7 @@ def page(
         "notes": words.notes(measured),
         "judged": any(run.is_judged for section in sections for _, run in _named(section)),
     }
-    nothing = [_Frames()] * len(sections)
-    without_frames = _rendered(facts, script_data, nothing)
-    frames = [_frames(section, judged_runs.values()) for section, judged_runs in zip(sections, answers, strict=True)]
-    fitted = _fitted(frames, MOST_BYTES - len(without_frames.encode()))
-    if fitted is None:
-        return _rendered(
-            facts,
-            [
-                {**one, "framesMissing": one["framesMissing"] or _FRAMES_TOO_LARGE, "firstReferences": ""}
-                for one in script_data
-            ],
-            nothing,
-        )
-    return _rendered(facts, script_data, fitted)
+    return _rendered(facts, script_data, frames)
 
 
 def _facts(section: Section, answers: Mapping[str, Answers]) -> dict[str, Any]:
@@ -136,7 +125,7 @@ def _judged(section: Section) -> dict[str, Answers]:
     return answers
 
 
-def _script_data(section: Section, answers: Mapping[str, Answers]) -> dict[str, Any]:
+def _script_data(section: Section, answers: Mapping[str, Answers], frames: _Frames) -> dict[str, Any]:
     """Return what the page's script reads of a section."""
     runs, kept = [run for _, run in _named(section)], section.thumbnails
     run = runs[0]
@@ -151,42 +140,30 @@ def _script_data(section: Section, answers: Mapping[str, Answers]) -> dict[str, 
         "placeNames": place_names,
         "firstReferences": words.first_references(runs, place_names.values()) if place_names else "",
         "rightPlaces": [place_ranges(right) for right in run.positives],
-        "framesMissing": _missing(kept, len(run.outcome), shown),
+        "framesMissing": _missing(kept, frames, len(run.outcome) + len(shown)),
         "runs": [{"name": name, **columns(one)} for name, one in answers.items()],
     }
 
 
-def _missing(kept: Thumbnails | None, n_queries: int, places: Iterable[int]) -> str:
-    """Return the sentence on frames that are not stored; empty if all frames that the page shows are stored."""
+def _missing(kept: Thumbnails | None, frames: _Frames, wanted: int) -> str:
+    """Return the sentence on frames that are not shown; empty if all that the page speaks of are."""
     if kept is None:
         return _FRAMES_MISSING
-    whole = all(kept.queries[:n_queries]) and all(kept.references[place] for place in places)
-    return "" if whole else _SOME_MISSING
+    return "" if len(frames) == wanted else _SOME_MISSING.format(len(frames), wanted)
 
 
-def _frames(section: Section, answers: Iterable[Answers]) -> _Frames:
-    """Return the frames of a section that the page shows."""
+def _frames(section: Section, answers: Mapping[str, Answers], most: int) -> _Frames:
+    """Return the frames of a section that the page shows, `most` at most."""
     kept = section.thumbnails
     if kept is None:
         return _Frames()
+    in_turn = zip(*map(by_interest, answers.values()), strict=True)  # of each run a query
+    queries, places = choose_frames(itertools.chain.from_iterable(in_turn), most)
     n_queries = len(section.series[0].runs[0].outcome)
     return _Frames(
-        kept.queries[:n_queries],
-        {place: frame for place in places_shown(answers) if (frame := kept.references[place])},
+        tuple(kept.queries[query] if query in queries else b"" for query in range(n_queries)),
+        {place: frame for place in sorted(places) if (frame := kept.references[place])},
     )
-
-
-def _fitted(frames: Sequence[_Frames], most_bytes: int) -> list[_Frames] | None:
-    """Return the frames of all sections so that they fill at most so many bytes of the page; None: they cannot."""
-    numbers = sum(len(f'"{place}":') for section in frames for place in section.places)
-    made = fitting([frame for one in frames for frame in (*one.queries, *one.places.values())], most_bytes - numbers)
-    if made is None:
-        return None
-    following = iter(made)
-    return [
-        _Frames(tuple(itertools.islice(following, len(one.queries))), dict(zip(one.places, following, strict=False)))
-        for one in frames
-    ]
 
 
 def _rendered(facts: Mapping[str, Any], script_data: Sequence[Mapping[str, Any]], frames: Sequence[_Frames]) -> str:
