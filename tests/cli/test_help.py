@@ -18,7 +18,6 @@ from vprbench.errors import BadInput
 from vprbench.plugins import registry
 from vprbench.runs.request import OPTIONS
 
-
 OF_RUNS = {*OPTIONS} - {"method", "dataset", "timing"}  # but those that name a yaml
 
 
