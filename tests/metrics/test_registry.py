@@ -69,7 +69,7 @@ def test_an_added_metric_is_in_row_json_csv_and_table(lost, tmp_path, monkeypatc
     install(monkeypatch, tmp_path)
     row = run_apart([*ONE, "metrics=[lost,r100p]"]).printed
     assert {"Lost %", "R@100P %"} <= {*row.replace("  ", "\n").split("\n")}
-    said = json.loads(run_apart([*ONE, "metrics=[lost]", "output=json"]).printed)
+    said = json.loads(run_apart([*ONE, "metrics=lost", "output=json"]).printed)
     assert (said["from_store"], said["lost"]) == (True, 0)
     assert main(["table", "rows=[SAD]", "metrics=[lost]", "stored=true"]) == 0
     assert "| Lost % " in capfd.readouterr().out

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from vprbench.api.dataset import Dataset
 from vprbench.api.descriptor import DescriptorMethod
-from vprbench.config import make_request
+from vprbench.config import make_request, split_sweep
 from vprbench.data.doctor import check_dataset, look_at_some
 from vprbench.errors import BadInput, NotFittedError, NotThere
 from vprbench.paper.plan import PlannedColumn, Row
@@ -73,6 +73,11 @@ def sort_options(options: Sequence[str]) -> SortedOptions:
                 f"{name}.{run_wide[0].removeprefix('method.')}: give seeds=NUMBER and device=, for all methods"
             )
     of_runs = [option for option in rest if not any(_is_of(option, name) for name in methods)]
+    for option in of_runs:
+        above, dot, argument = option.partition("=")[0].partition(".")
+        if dot and above not in OPTIONS:
+            wanted = ", ".join(f"{name}.{argument}" for name in methods)
+            raise BadInput(f"option {above}.{argument} is of no method here: give {wanted}")
     if not any(option.startswith("timing=") for option in of_runs):
         of_runs = ["timing=quick", *of_runs]
     of_runs += request.threads(of_runs)
@@ -133,7 +138,8 @@ def checked(command: SortedOptions) -> tuple[Checked | None, list[str]]:
         for number, name in enumerate(command.of_methods):
             report(f"looking at {name}", number / len(command.of_methods))
             try:
-                cells.append(_cell(name, command, options, dataset))
+                settings = split_sweep(command.of_methods[name])
+                cells += [_cell(name, given, command, options, dataset) for given in settings]
             except BadInput as error:
                 told = str(error).removeprefix(f"{name}: ").replace("method.", f"{name}.")
                 wrong.append(f"{name}: {told}")
@@ -151,11 +157,12 @@ def _looked(dataset: Dataset, options: Sequence[str]) -> str | None:
     return f"{'; '.join(found)}: {shlex.join(['vprbench', 'doctor', *options])} says more" if found else None
 
 
-def _cell(name: str, command: SortedOptions, options: Sequence[str], dataset: Dataset | None) -> Cell:
-    """Look at one method; raises BadInput for what is wrong with it."""
+def _cell(
+    name: str, given: Sequence[str], command: SortedOptions, options: Sequence[str], dataset: Dataset | None
+) -> Cell:
+    """Look at one method with its `given` options; raises BadInput for what is wrong with it."""
     known = registry.entries("method")
     registry.require_one("method", name)
-    given = command.of_methods[name]
     if unknown := _unknown("method", name, given):
         raise BadInput(unknown)
     request = make_request([*options, f"method={name}", *given])

@@ -65,7 +65,7 @@ def run_in_child(
         }
         command = [sys.executable, *_interpreter_flags(), "-m", "vprbench", "--job", str(place), str(os.getpid())]
         lines = _Lines(written, hear or _echo)
-        with subprocess.Popen(command, env=variables, stderr=said, cwd=folder) as child:
+        with subprocess.Popen(command, env=variables, stderr=said, cwd=folder, process_group=0) as child:
             code = _follow(child, place / _RESULT, lines, request.limit_minutes, stopped)
         with contextlib.suppress(FileNotFoundError):
             return JobResult(**json.loads((place / _RESULT).read_text(encoding="utf-8")))
@@ -119,7 +119,8 @@ def _follow(
 ) -> int | None:
     """Wait for a process and pass on its lines; returns its exit code, None if it was killed at its limit.
 
-    A process that has left its result and does not end, as for children of its own, is killed.
+    A process that has left its result and does not end, as for children of its own, is killed; its children are ended
+    with it.
     """
     ends = math.inf if limit_minutes is None else time.monotonic() + 60 * limit_minutes
     try:
@@ -137,7 +138,8 @@ def _follow(
         _interrupt(child)
         raise
     finally:
-        child.kill()
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(child.pid, signal.SIGKILL)  # with the processes that a plug-in has started
         child.wait()
         lines.pass_on(ended=True)
     return child.returncode
@@ -157,7 +159,8 @@ def _interrupt(child: subprocess.Popen[bytes]) -> None:
 def _describe_death(code: int, lines: Iterable[str]) -> str:
     """Say how a process that left no result has ended, with the place that a crash names, or its last line."""
     said = [line.strip() for line in lines if line.strip()]
-    place = [line for line in said if line.startswith('File "')]
+    crashed = next((i for i, line in enumerate(said) if line.startswith("Current thread")), 0)
+    place = [line for line in said[crashed:] if line.startswith('File "')]
     last = f": {(place or said[-1:])[0]}" if said else ""
     if code >= 0:
         return f"ended without a result, with exit code {code}{last}"
