@@ -100,7 +100,7 @@ def check(options: list[str]) -> int:
     given = {option.split("=")[0].removeprefix("method.") for option in options}
     with progress_shown(str(config[groups[0]].get("_target_", "")).rpartition(".")[2]):  # a file may be downloaded
         if groups == ["method"]:
-            results = list(conformance.check(config["method"], given))
+            results = list(conformance.check_method(config["method"], given))
         else:
             results = list(conformance.check_dataset(config["dataset"]))
     for result in results:
@@ -112,9 +112,9 @@ def check(options: list[str]) -> int:
 
 def new(options: list[str]) -> int:
     """Write the files of a new method or dataset, which keep the contract at once: new method NAME."""
-    from vprbench.plugins.new import new as write_files
+    from vprbench.plugins.new import write_plugin
 
-    print(printable(write_files(options), but="\n"))
+    print(printable(write_plugin(options), but="\n"))
     return 0
 
 

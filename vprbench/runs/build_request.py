@@ -13,8 +13,8 @@ from vprbench.api.method import Method
 from vprbench.data.doctor import check_dataset
 from vprbench.errors import BadInput
 from vprbench.plugins import networks, registry
-from vprbench.plugins.opened_files import files_behind, listening
-from vprbench.plugins.tuned_frames import queries_of_tuned_frames
+from vprbench.plugins.opened_files import list_data_files, record_opened_files
+from vprbench.plugins.tuned_frames import find_tuned_queries
 from vprbench.progress import progress_shown
 from vprbench.runs import machine, sequences, stream
 from vprbench.runs.corrupted_frames import corrupted
@@ -78,21 +78,21 @@ def request_of(
     """
     threads = n_threads(settings)
     machine.pin_threads(threads)
-    files = networks.chosen_files(settings.save, settings.load, settings.force)
-    with listening() as opened:
+    files = networks.find_network_files(settings.save, settings.load, settings.force)
+    with record_opened_files() as opened:
         method = build(config["method"])
     _require_adaptable(method)
     # what the cheap checks warn of is among the dataset's notes
     in_sequences = bool(sequences.views(settings.sequence, settings.filter))
     dataset = replace(dataset, notes=(*dataset.notes, *check_dataset(dataset, in_sequences)))
-    tuned_queries = queries_of_tuned_frames(dataset, tuned_on)
+    tuned_queries = find_tuned_queries(dataset, tuned_on)
     if isinstance(settings.corruption, str):
         dataset = corrupted(dataset, settings.corruption)
     dataset = seen_from(dataset, views := viewpoints(settings.views))
     with progress_shown(name):  # frames may have to be hashed, and a file be downloaded
         frames = hashed(dataset)
         images, data = fingerprint(dataset, frames), data_record(dataset, frames)
-        behind = files_behind(method, config["method"], opened)
+        behind = list_data_files(method, config["method"], opened)
         config["files"] = [[path.name, content_hash(path)] for path in behind]
     return Request(
         name,

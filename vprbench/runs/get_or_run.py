@@ -53,7 +53,7 @@ def get_or_run(request: Request, settings: Settings, store: Store, wait: bool = 
     """
     key, dataset = request.key(), request.dataset
     refused = _why_not_writable(store, dataset)
-    if request.files.save is not None and networks.made_by(request.files.save) == key:
+    if request.files.save is not None and networks.read_run_key(request.files.save) == key:
         # the network of this very run, left by a process that was killed before it stored the run
         request = replace(request, files=replace(request.files, replace=True))
     folder = store.folder(dataset.name, request.name, key)

@@ -12,7 +12,7 @@ import numpy as np
 
 from vprbench import progress
 from vprbench.api.dataset import Dataset
-from vprbench.plugins.opened_files import Opened, listening, unnamed_files
+from vprbench.plugins.opened_files import OpenedFile, find_unnamed_files, record_opened_files
 from vprbench.runs import machine, spikes, timing_lock
 from vprbench.runs.adapted import describe_adaptation
 from vprbench.runs.answers import Answers, Scoring
@@ -47,7 +47,7 @@ def run(request: Request, key: str, keep: Callable[[Run], None] = lambda run: No
 
     cache = request.cache if request.files.load is None else None
     described = DescriptorCache.of(cache, method, request.config, dataset.n_places)
-    with listening() as opened:
+    with record_opened_files() as opened:
         fitted = fit_or_load(request, key, stopwatch, described)
         read = queries.reading.seconds
         scoring = Scoring(stopwatch, method, dataset, request.config["depth"], request.scores)
@@ -173,10 +173,10 @@ def _scored(request: Request, key: str, fitted: FitResult, answers: Answers, mea
     )
 
 
-def _opened_notes(request: Request, opened: Iterable[Opened]) -> Iterator[Note]:
+def _opened_notes(request: Request, opened: Iterable[OpenedFile]) -> Iterator[Note]:
     """Yield a note on the files that a method read and that are no part of the key."""
     known = {name for name, _ in request.config.get("files", ())}
-    if others := [path.name for path in unnamed_files(opened, request.method) if path.name not in known]:
+    if others := [path.name for path in find_unnamed_files(opened, request.method) if path.name not in known]:
         text = f"read {some(others)}, which files() does not name: this run is found again whatever {be(others)} in it"
         yield Note("opened", text)
 
