@@ -56,8 +56,7 @@ def lines(name):
 
 
 def test_the_files_hold_the_asked_runs_in_their_order_and_say_nothing_of_a_paper(compared, apart):
-    asked = [(options[3], [o for o in options if o.startswith("seed=")]) for options in compared[1].asked]
-    assert asked == [("method=sad", ["seed=0"]), ("method=pca", ["seed=0"]), ("method=pca", ["seed=1"])]
+    assert [(each.method_name, each.seed) for each in compared[1].asked] == [("sad", 0), ("pca", 0), ("pca", 1)]
     recalls = [line for line in lines("mine.csv") if line["quantity"] == "recall_at_1"]
     assert {line["row"] for line in recalls} == {"sad patch=5", "pca", "cosplace"}
     values = [float(line["value"]) for line in recalls[:2]]

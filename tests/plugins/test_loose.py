@@ -12,11 +12,10 @@ from PIL import Image
 from small_plan import Apart
 
 from vprbench.cli import main
+from vprbench.config import make_request, quote_options
 from vprbench.errors import BadInput
-from vprbench.jobs import executors, job
-from vprbench.jobs.job import Job
+from vprbench.jobs import executors
 from vprbench.plugins import entries, registry
-from vprbench.runs.compose import composed, readable
 from vprbench.runs.store import Store
 
 METHOD = """
@@ -97,12 +96,12 @@ def counted(capsys):
 
 def test_parameters_are_options_with_their_defaults_and_seed_and_device_those_of_the_run():
     asked = ["method=./means.py:Means", "method.bins=3", "seed=8", "dataset=./means.py:other"]
-    config = composed(readable(asked))
+    request = make_request(asked)
     wanted = {"bins": 3, "sizes": [1, 2], "names": ["a"], "seed": 8, "device": "cpu", "index": "exact"}
-    assert {name: config["method"][name] for name in wanted} == wanted
-    assert (config["dataset"]["places"], config["dataset"]["seed"], config["dataset"]["root"]) == ("???", 3, None)
+    assert {name: request.method[name] for name in wanted} == wanted
+    assert tuple(request.dataset[name] for name in ("places", "seed", "root")) == ("???", 3, None)
     entry = registry.entries("method")["Means"]
-    assert (entry.description, entry.changed(config["method"])) == ("Mean colours.", {"bins": 3})
+    assert (entry.description, request.changed) == ("Mean colours.", {"bins": 3})
 
 
 @pytest.mark.parametrize(
@@ -147,7 +146,7 @@ def test_a_path_among_names_is_read_as_a_name():
         ("methods=sad,pca", "methods=sad,pca"),
         ("method=", "method="),
     ):
-        assert readable([asked]) == [read]
+        assert quote_options([asked]) == [read]
 
 
 def test_the_source_of_the_file_and_of_what_lies_beside_it_counts(here):
@@ -167,8 +166,7 @@ def test_the_source_of_the_file_and_of_what_lies_beside_it_counts(here):
 
 
 def test_a_sweep_over_loose_files_stores_their_runs_by_name_and_another_process_gets_the_path(here, monkeypatch):
-    monkeypatch.setattr(job, "current", Job())
-    monkeypatch.setattr(executors, "run_job", Apart())
+    monkeypatch.setattr(executors, "run_in_child", Apart())
     assert main(["-m", "method=./means.py:Means,sad", "dataset=./walk.py", "dataset.places=6", *QUICK]) == 0
     runs = [*Store(here / "results").runs()]
     assert sorted((run.method, run.dataset) for run in runs) == [("Means", "walk"), ("sad", "walk")]

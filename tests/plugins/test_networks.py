@@ -24,8 +24,7 @@ from trap import Trap
 
 from vprbench.cli import main
 from vprbench.errors import BadInput, NotFittedError
-from vprbench.jobs import executors, job
-from vprbench.jobs.job import Job
+from vprbench.jobs import executors
 from vprbench.plugins import networks
 from vprbench.runs.store import Store
 
@@ -401,8 +400,7 @@ def test_a_network_outlives_a_failure_at_the_queries_and_a_failed_training_leave
 
 @pytest.mark.extended
 def test_cells_of_a_sweep_store_networks_under_their_own_names_and_none_replaces_another(run, monkeypatch):
-    monkeypatch.setattr(job, "current", Job())
-    monkeypatch.setattr(executors, "run_job", Apart())
+    monkeypatch.setattr(executors, "run_in_child", Apart())
     run("-m", "seed=0,1", "save=nets/net-${seed}.safetensors")
     assert sorted(path.name for path in Path("nets").iterdir()) == ["net-0.safetensors", "net-1.safetensors"]
     told = run("-m", "seed=2,3", "save=nets/net.safetensors", code=2)[1]

@@ -122,6 +122,15 @@ def named(group: Group, text: str) -> str:
     return entry.name
 
 
+def register_loose_file(option: str) -> None:
+    """Register what method=./mine.py:MyMethod or dataset=./mine.py:my_dataset names; any other option is ignored."""
+    group, _, name = option.partition("=")
+    if group == "method":
+        named("method", name)
+    elif group == "dataset":
+        named("dataset", name)
+
+
 def register_search_path() -> None:
     """Let Hydra find the yaml files of installed plug-ins."""
     Plugins.instance().register(_PluginSearchPath)

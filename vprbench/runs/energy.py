@@ -19,7 +19,7 @@ from vprbench.api.method import Method
 from vprbench.errors import BadInput
 from vprbench.metrics.registry import METRICS
 from vprbench.runs import timing_lock
-from vprbench.runs.identity import Request
+from vprbench.runs.experiment import Experiment
 from vprbench.runs.record import Run
 from vprbench.runs.stopwatch import synchroniser
 from vprbench.terminal.console import table_text
@@ -138,23 +138,23 @@ _QUERIES = 4  # over which arithmetic is averaged, at most
 Cost = tuple[float | None, str]  # the value, None: not known, and how it was found or why not
 
 
-def costs(request: Request, run: Run) -> dict[str, Any]:
+def costs(experiment: Experiment, run: Run) -> dict[str, Any]:
     """Return what a run keeps of costs: `values` by name, None where one is not known, and `how` it was found or why.
 
     The estimate prices encode and match, in the place of match the synaptic operations of a network that spikes.
     """
-    queries = request.dataset.queries.unnamed()
+    queries = experiment.dataset.queries.unnamed()
     some = queries[np.linspace(0, len(queries) - 1, min(_QUERIES, len(queries))).astype(np.int64)].in_memory()
     singles = [some[n : n + 1] for n in range(len(some))]
     synops = synaptic_operations(run.spikes)
     how = "no layer that spikes" if synops is None else "spikes x existing synapses"
     found: dict[str, Cost] = {"synops_ac": (synops and synops[0], how), "synops_mac": (synops and synops[1], how)}
     try:
-        found |= _operations(request.method, singles, synops)
+        found |= _operations(experiment.method, singles, synops)
     except Exception as error:  # a plug-in may fail in any way, and its answers and times still stand
         why = " ".join(f"not counted ({type(error).__name__}: {error})".split())
         found |= dict.fromkeys(("operations", "joules_estimated"), (None, why))
-    found |= {"joules_measured": _measured(request, singles), "map_bytes": _map_bytes(request.method, run)}
+    found |= {"joules_measured": _measured(experiment, singles), "map_bytes": _map_bytes(experiment.method, run)}
     return {part: {name: cost[at] for name, cost in found.items()} for at, part in enumerate(("values", "how"))}
 
 
@@ -231,12 +231,12 @@ def _slope_and_fixed(arrays: Mapping[str, npt.NDArray[Any]], lengths: set[int]) 
     return n_bytes[0], n_bytes[1]
 
 
-def _measured(request: Request, singles: Sequence[Images]) -> Cost:
-    device = request.config["device"]
+def _measured(experiment: Experiment, singles: Sequence[Images]) -> Cost:
+    device = experiment.request.device
     turns, finished = itertools.cycle(singles), synchroniser(device)
 
     def ask() -> None:
-        request.method.query(next(turns))
+        experiment.method.query(next(turns))
         finished()
 
     try:
