@@ -96,7 +96,7 @@ def check(options: list[str]) -> int:
     given = {option.split("=")[0].removeprefix("method.") for option in options}
     with progress_shown(request.method_name if groups == ["method"] else request.dataset_name):  # of a download
         if groups == ["method"]:
-            results = list(conformance.check({**request.method, "tuned_on": request.tuned_on or None}, given))
+            results = list(conformance.check_method({**request.method, "tuned_on": request.tuned_on or None}, given))
         else:
             results = list(conformance.check_dataset(request.dataset))
     for result in results:
@@ -108,9 +108,9 @@ def check(options: list[str]) -> int:
 
 def new(options: list[str]) -> int:
     """Write the files of a new method or dataset, which keep the contract at once: new method NAME."""
-    from vprbench.plugins.new import new as write_files
+    from vprbench.plugins.new import write_plugin
 
-    print(printable(write_files(options), but="\n"))
+    print(printable(write_plugin(options), but="\n"))
     return 0
 
 

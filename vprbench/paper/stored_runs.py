@@ -11,7 +11,7 @@ from typing import Any
 
 from vprbench.api.dataset import Dataset
 from vprbench.plugins import registry
-from vprbench.plugins.opened_files import files_behind, listening, names_a_file
+from vprbench.plugins.opened_files import list_data_files, record_opened_files
 from vprbench.progress import progress_shown
 from vprbench.runs import thumbnails
 from vprbench.runs.corrupted_frames import corrupted
@@ -107,8 +107,8 @@ def _hash_arguments(config: Mapping[str, Any]) -> str:
 
 def _hash_files(arguments: Mapping[str, Any], stored: Sequence[Run]) -> list[tuple[str, str]]:
     """Return name and hash of each data file behind a method; one whose stored runs used none is not imported."""
-    if not any(run.config["files"] for run in stored) and not names_a_file(arguments):
+    if not any(run.config["files"] for run in stored):
         return []
-    with listening() as opened:
+    with record_opened_files() as opened:
         method = registry.make_method(arguments)
-    return [(path.name, content_hash(path)) for path in files_behind(method, arguments, opened)]
+    return [(path.name, content_hash(path)) for path in list_data_files(method, arguments, opened)]

@@ -15,8 +15,8 @@ from vprbench.api.method import Method, calibration
 from vprbench.data.doctor import check_dataset
 from vprbench.errors import BadInput
 from vprbench.plugins import networks, registry
-from vprbench.plugins.opened_files import files_behind, listening
-from vprbench.plugins.tuned_frames import queries_of_tuned_frames
+from vprbench.plugins.opened_files import list_data_files, record_opened_files
+from vprbench.plugins.tuned_frames import find_tuned_queries
 from vprbench.progress import progress_shown
 from vprbench.runs import machine, sequences, stream
 from vprbench.runs.corrupted_frames import corrupted
@@ -90,20 +90,20 @@ def build_experiment(
     if dataset is None:
         with frames_kept(request.cache):
             dataset = registry.make_dataset(request.dataset)
-    files = networks.chosen_files(request.save, request.load, request.force)
-    with listening() as opened:
+    files = networks.find_network_files(request.save, request.load, request.force)
+    with record_opened_files() as opened:
         method = (make or registry.make_method)(request.method)
     _require_adaptable(method)
     # what the cheap checks warn of is among the dataset's notes
     in_sequences = bool(sequences.views(request.sequence, request.filter))
     dataset = replace(dataset, notes=(*dataset.notes, *check_dataset(dataset, in_sequences)))
-    tuned_queries = queries_of_tuned_frames(dataset, request.tuned_on)
+    tuned_queries = find_tuned_queries(dataset, request.tuned_on)
     if isinstance(request.corruption, str):
         dataset = corrupted(dataset, request.corruption)
     dataset = seen_from(dataset, viewpoints(request.views))
     with progress_shown(request.method_name):  # frames may have to be hashed, and a file be downloaded
         frames = hashed(dataset)
-        behind = [(path.name, content_hash(path)) for path in files_behind(method, request.method, opened)]
+        behind = [(path.name, content_hash(path)) for path in list_data_files(method, request.method, opened)]
         return Experiment(
             request,
             method,

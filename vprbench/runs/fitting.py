@@ -66,11 +66,11 @@ def _fit_or_load(
     arguments = experiment.request.method
     if files.load is not None:
         progress.report("load", 0.0)
-        wanted = networks.origin(method, arguments, dataset)
+        wanted = networks.describe_origin(method, arguments, dataset)
         with stopwatch.lap() as load:
-            notes = tuple(noted("loaded", networks.load(files.load, method, wanted, files.sha256)))
+            notes = tuple(noted("loaded", networks.load_network(files.load, method, wanted)))
         return FitResult(load_seconds=load[0], notes=notes)
-    destination = networks.prepare(files, method, arguments, dataset)
+    destination = networks.prepare_destination(files, method, arguments, dataset)
     given = calibration(method, dataset)
     held_out = None if given is None else _hidden(given)
     read = [dataset.references, *([held_out.references, held_out.queries] if held_out else [])]
@@ -87,7 +87,7 @@ def _fit_or_load(
     seconds = fit[0]
     computing = seconds - (_reading_seconds(read) - before)
     if destination is not None:
-        networks.save(destination, method, key, seconds, computing)
+        networks.save_network(destination, method, key, seconds)
     calibrated: tuple[Note, ...] = ()
     if held_out is not None:
         text = f"calibrated on {len(held_out.queries)} held-out queries of {held_out.n_places} places"

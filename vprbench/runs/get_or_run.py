@@ -62,7 +62,7 @@ def get_or_run(experiment: Experiment, store: Store, wait: bool = True) -> RunRe
     key, dataset, name = experiment.key(), experiment.dataset, experiment.request.method_name
     refused = _why_not_writable(store, dataset)
     files = experiment.networks
-    if files.save is not None and networks.made_by(files.save) == key:
+    if files.save is not None and networks.read_run_key(files.save) == key:
         # the network of this very run, left by a process that was killed before it stored the run
         experiment = replace(experiment, networks=replace(files, replace=True))
     folder = store.folder(dataset.name, name, key)
@@ -104,7 +104,7 @@ def list_missing_parts(run: Run, request: RunRequest, dataset: Dataset | None = 
     too_little = run.timed_by.shortfalls(request.timing)
     first_stop = (run.stream or [{"places": 0}])[0]["places"]
     step = stream.places_of_a_step(request.stream, run.outcome.n_places)
-    saved = request.save is not None and networks.made_by(Path(request.save).expanduser()) == run.key
+    saved = request.save is not None and networks.read_run_key(Path(request.save).expanduser()) == run.key
     lacks = {
         "its network": request.save is not None and not saved,
         f"enough timing ({', '.join(too_little)})": bool(too_little),

@@ -9,7 +9,7 @@ from typing import Any
 
 from vprbench import progress
 from vprbench.api.adaptation import Adaptation
-from vprbench.plugins.opened_files import listening
+from vprbench.plugins.opened_files import record_opened_files
 from vprbench.runs import run_notes, spikes, timing_lock
 from vprbench.runs.answers import Answers, QueryScoring, describe_search
 from vprbench.runs.descriptors import DescriptorCache
@@ -44,7 +44,7 @@ def execute(experiment: Experiment, key: str, keep: Callable[[Run], None] = lamb
 
     cache = experiment.cache if experiment.networks.load is None else None
     described = DescriptorCache.of(cache, method, experiment.config, dataset.n_places)
-    with listening() as opened:
+    with record_opened_files() as opened:
         fitted = fit_or_load(experiment, key, stopwatch, described)
         read = queries.reading.seconds
         scorer = scorer_for(method, dataset.n_places, request.depth, request.scores, () if views is None else views.all)

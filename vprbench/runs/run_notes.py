@@ -8,7 +8,7 @@ import numpy as np
 
 from vprbench.api.dataset import Dataset
 from vprbench.api.method import Method
-from vprbench.plugins.opened_files import Opened, unnamed_files
+from vprbench.plugins.opened_files import OpenedFile, find_unnamed_files
 from vprbench.runs.experiment import Experiment
 from vprbench.runs.notes import Note
 from vprbench.runs.record import Run
@@ -26,10 +26,10 @@ _ADAPTED = {
 }
 
 
-def on_opened_files(experiment: Experiment, opened: Iterable[Opened]) -> Iterator[Note]:
+def on_opened_files(experiment: Experiment, opened: Iterable[OpenedFile]) -> Iterator[Note]:
     """Yield a note on the files that a method read and that are no part of the key."""
     known = {name for name, _ in experiment.files}
-    if others := [path.name for path in unnamed_files(opened, experiment.method) if path.name not in known]:
+    if others := [path.name for path in find_unnamed_files(opened, experiment.method) if path.name not in known]:
         text = f"read {some(others)}, which files() does not name: this run is found again whatever {be(others)} in it"
         yield Note("opened", text)
 

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from vprbench.metrics.accuracy import recall_at
 from vprbench.metrics.registry import METRICS
 from vprbench.plugins.entries import entries
-from vprbench.plugins.tuned_places import UNKNOWN, stretches
+from vprbench.plugins.tuned_places import UNKNOWN, parse_places
 from vprbench.runs.notes import Note, noted
 from vprbench.runs.recall_intervals import recall_interval
 from vprbench.runs.record import Run
@@ -46,7 +46,7 @@ def _by_content(run: Run) -> npt.NDArray[np.bool_]:
 def _by_number(run: Run) -> npt.NDArray[np.bool_] | None:
     """Return which of the stored queries have a right place of the declared numbers, (n_stored,); None: not known."""
     numbers = np.arange(run.outcome.n_places) if run.place_numbers is None else run.place_numbers
-    known = stretches(_here(run))
+    known = parse_places(_here(run))
     if known is None or not _numbered_as_listed(run):
         return None
     tuned = np.zeros(len(numbers), np.bool_)
@@ -93,9 +93,11 @@ def tuned_note(runs: Sequence[Run]) -> str:
         return ""
     run, others = runs[0], others_of(runs)
     declared, here = run.tuned_on, _here(run)
-    words = f"tuned on {'places ' * bool(stretches(declared['places']))}{declared['places']} of {declared['dataset']}"
+    words = (
+        f"tuned on {'places ' * bool(parse_places(declared['places']))}{declared['places']} of {declared['dataset']}"
+    )
     words += ", whose frames are among these" if not here else ""
-    words += f" ({here} here)" if run.dataset != declared["dataset"] and stretches(here) else ""
+    words += f" ({here} here)" if run.dataset != declared["dataset"] and parse_places(here) else ""
     if others:
         elsewhere = f"{describe_recalls(others)} on the {len(others[0].outcome)} queries of other places"
         return f"{words}, in no contest; {elsewhere}"

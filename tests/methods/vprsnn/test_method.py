@@ -13,7 +13,7 @@ from vprbench.methods.vprsnn import scoring, training
 from vprbench.methods.vprsnn.method import VPRSNN
 from vprbench.methods.vprsnn.model import Model
 from vprbench.methods.vprsnn.scoring import Responses
-from vprbench.plugins.conformance import check
+from vprbench.plugins.conformance import check_method
 
 QUERIES = images(WORLD.queries)
 SHORT = {"presentation_ms": 120.0, "rest_ms": 30.0, "excitatory_start_mv": -80.0}
@@ -131,7 +131,7 @@ def test_five_places_learnt_at_full_resolution_are_recognised():
 @pytest.mark.extended
 def test_with_carried_potentials_it_keeps_all_rules_of_the_contract_but_two():
     config = {**yaml.safe_load((ROOT / "conf" / "method" / "vprsnn.yaml").read_text()), "seed": 0}
-    results = list(check({**config, **SMALL, "carried_potentials": True}, set(SMALL)))
+    results = list(check_method({**config, **SMALL, "carried_potentials": True}, set(SMALL)))
     assert [str(result) for result in results if result.state == "broken"] == []
     assert sum(result.state == "excepted" for result in results) == 2
 

@@ -23,7 +23,7 @@ from vprbench.methods.vprtempo.ensemble import VPRTempoEnsemble
 from vprbench.methods.vprtempo.int8 import VPRTempoInt8
 from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.methods.vprtempo.rules import PAPER, RULES, V1, QueryRule, Rules, RuleSet
-from vprbench.plugins.conformance import check
+from vprbench.plugins.conformance import check_method
 from vprbench.plugins.registry import make_method
 
 
@@ -213,7 +213,7 @@ def test_the_encoder_runs_by_the_engine_that_trains(encoding):
 )
 def test_the_contract_is_kept_with_any_input(encoding, kind):
     config = {"_target_": f"{kind.__module__}.{kind.__name__}", **INPUTS[encoding]}
-    assert [str(result) for result in check(config) if result.state != "kept"] == []
+    assert [str(result) for result in check_method(config) if result.state != "kept"] == []
 
 
 @ENCODINGS
