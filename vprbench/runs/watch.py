@@ -20,7 +20,7 @@ class MachineWatch:
         self._before = machine.capture(device, threads)
         self._canary_seconds = machine.canary_seconds()
         self._peaks: list[tuple[int, int | None]] = []
-        self._alone: bool | None = None
+        self._alone: bool | None = None  # whether it was timed alone; None: it was not timed
         self._waited: tuple[float, float] | None = None
         machine.reset_peak_memory(device)
 
@@ -34,7 +34,8 @@ class MachineWatch:
         was_alone = self._undisturbed()
         if not was_alone:
             progress.report("waiting to be timed", 0.0)
-        with timing_lock.alone() as self._alone:
+        with timing_lock.alone():
+            self._alone = True
             if not was_alone:
                 self._canary_seconds, self._waited = machine.canary_seconds(), machine.cpu_waited()
             machine.reset_peak_memory(self._device)
