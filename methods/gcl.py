@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any, ClassVar, Literal, Self
+from typing import ClassVar, Literal, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -146,11 +146,9 @@ class GCL(PublishedNetwork):
         """Score every place for every code, (n_queries, n_places); raises NotFittedError before `fit`."""
         return super().match(self._whitened(codes))
 
-    def nearest(
-        self, codes: npt.NDArray[np.float32], n: int, **how: Any
-    ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.int64]]:
+    def nearest(self, codes: npt.NDArray[np.float32], n: int) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.int64]]:
         """Return the scores of the best `n` places of each code, and these places."""
-        return super().nearest(self._whitened(codes), n, **how)
+        return super().nearest(self._whitened(codes), n)
 
     def _whitened(self, descriptors: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
         return descriptors if self._whitening is None else self._whitening(descriptors)

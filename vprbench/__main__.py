@@ -10,13 +10,13 @@ from contextlib import suppress
 from types import FrameType
 from typing import NoReturn
 
-_JOB = "VPRBENCH_JOB"  # environment variable: the folder of a job that another process asks for (jobs/job.py)
+_IS_JOB = sys.argv[1:2] == ["--job"]  # another process asks for one run (jobs/child.py)
 
 
 def _end_at_once(number: int, _: FrameType | None) -> None:
     """End the process in one line: nothing has begun that would have to be undone."""
     with suppress(OSError):
-        if _JOB not in os.environ:  # the process that asked says it
+        if not _IS_JOB:  # the process that asked says it
             os.write(2, b"vprbench: interrupted\n")
     os._exit(128 + number)
 
@@ -33,7 +33,7 @@ def _interrupt_once(number: int, _: FrameType | None) -> NoReturn:
 
 def _on_signals(handler: Callable[[int, FrameType | None], None]) -> None:
     """Let a handler take interruptions; a job's process, which ends with another one, keeps the usual SIGTERM."""
-    for number in (signal.SIGINT,) if _JOB in os.environ else (signal.SIGINT, signal.SIGTERM):
+    for number in (signal.SIGINT,) if _IS_JOB else (signal.SIGINT, signal.SIGTERM):
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, handler)
 
@@ -53,8 +53,8 @@ def main() -> int:
     from vprbench.terminal import streams
 
     streams.own_process = True
-    if folder := os.environ.get(_JOB):
-        return _make_job(folder)
+    if _IS_JOB:
+        _make_job(sys.argv[2], int(sys.argv[3]))
     try:
         _on_signals(_interrupt)
         return cli.main()
@@ -63,31 +63,41 @@ def main() -> int:
         return 128 + int((error.args or (signal.SIGINT,))[0])
     finally:
         _on_signals(_end_at_once)
+        _end_children()
         exec("")  # or Python, which keeps in mind that code of another exec() was interrupted, ends by SIGINT
 
 
-def _make_job(name: str) -> int:
-    """Make the job of a folder in this process, and leave its result there."""
+def _make_job(folder: str, parent: int) -> NoReturn:
+    """Make the run of a folder in this process, and end at once: a plug-in may have left threads and children."""
     from pathlib import Path
 
-    from vprbench import cli
-    from vprbench.jobs import job
     from vprbench.runs import timing_lock
 
-    folder = Path(name)
-    job.current = job.Job.read(folder)
     if sys.platform == "linux":
         import ctypes
 
         ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG: this process ends with the one that asked
-        if os.getppid() != job.current.parent:  # which has died before
-            return 1
+        if os.getppid() != parent:  # which has died before
+            os._exit(1)
     _on_signals(_interrupt_once)
-    del os.environ[_JOB]
-    with timing_lock.computing():
-        result = cli.attempt(job.current.options)
-    result.write(folder)
-    return result.code
+    try:
+        with timing_lock.computing():
+            from vprbench.jobs.child import make_job
+
+            code = make_job(Path(folder))
+    except KeyboardInterrupt as error:  # the process that asked says it
+        code = 128 + int((error.args or (signal.SIGINT,))[0])
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError):
+            stream.flush()
+    os._exit(code)
+
+
+def _end_children() -> None:
+    """End the processes that a plug-in has left, which the interpreter would wait for."""
+    multiprocessing = sys.modules.get("multiprocessing")
+    for child in multiprocessing.active_children() if multiprocessing else ():
+        child.terminate()
 
 
 def _open_streams() -> None:

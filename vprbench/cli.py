@@ -11,28 +11,24 @@ from collections.abc import Sequence
 from vprbench import __version__
 from vprbench.commands.catalogue import COMMANDS, COMPLETE
 from vprbench.errors import BadInput, ClusterLostError, format_error
-from vprbench.jobs import job
-from vprbench.jobs.job import JobResult
 from vprbench.terminal.streams import complain, log_to_stderr
 from vprbench.text import near
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code: 0, 1 for a run that failed, 2 for input to be mended."""
-    return attempt(sys.argv[1:] if arguments is None else arguments).code
-
-
-def attempt(given: Sequence[str]) -> JobResult:
-    """Run the command line; returns the exit code and why it is not 0, which standard error says too."""
     log_to_stderr()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a terminal that knows no arrows shows something else
             stream.reconfigure(errors="replace")
-    arguments = ["wide=true" if argument == "--wide" else argument for argument in given]
+    words = [
+        "wide=true" if argument == "--wide" else argument
+        for argument in (sys.argv[1:] if arguments is None else arguments)
+    ]
     try:
-        result = _call(arguments)
+        code = _call(words)
         sys.stdout.flush()
-        return result
+        return code
     except BadInput as error:
         return _fail(str(error).strip() or "invalid input; the plug-in gave no reason")
     except ClusterLostError as error:
@@ -42,27 +38,22 @@ def attempt(given: Sequence[str]) -> JobResult:
         return _fail("standard output was closed before all was printed", 1)
     except KeyboardInterrupt as error:
         code = 128 + int((error.args or (signal.SIGINT,))[0])
-        if job.current is not None:  # the process that asked says it
-            return JobResult(code)
         return _fail("interrupted; what was finished before is kept: give the same command again", code)
-    except Exception as error:
-        return _fail(_explain(error, arguments))
+    except OSError as error:
+        return _fail(f"{error.filename or 'a file'}: {error.strerror or error}")
 
 
-def _call(arguments: list[str]) -> JobResult:
+def _call(arguments: list[str]) -> int:
     """Answer a request for help, or call the command that the first argument names; raises BadInput for none."""
     name, *options = arguments or ["help"]
     if name in ("help", "--version", COMPLETE) or {"--help", "-h"} & {*arguments}:
         _help(name, options if name == "help" else arguments)
-        return JobResult(0)
+        return 0
     name, options = _split(arguments)
     try:
-        result = COMMANDS[name].call(options)
-    except SystemExit as error:
-        if name == "run":  # Hydra's
-            raise
+        return COMMANDS[name].call(options)
+    except SystemExit as error:  # a plug-in's
         return _fail(format_error(error), 1)
-    return result if isinstance(result, JobResult) else JobResult(result)
 
 
 def _help(name: str, arguments: list[str]) -> None:
@@ -86,26 +77,12 @@ def _split(arguments: list[str]) -> tuple[str, list[str]]:
     if re.fullmatch(r"\w[\w-]*", name) is None:
         return "run", arguments
     if name not in COMMANDS:
-        from vprbench.runs.settings import KNOWN
+        from vprbench.runs.request import OPTIONS
 
-        raise BadInput(f"give {name}=value" if name in KNOWN else f"{name} is no command: {near(name, COMMANDS)}")
+        raise BadInput(f"give {name}=value" if name in OPTIONS else f"{name} is no command: {near(name, COMMANDS)}")
     return name, arguments[1:]
 
 
-def _explain(error: Exception, arguments: Sequence[str]) -> str:
-    """Return an error of Hydra or of a file in one line; raises any other one again."""
-    from hydra.errors import HydraException
-    from omegaconf.errors import OmegaConfBaseException
-
-    from vprbench.runs.compose import explained
-
-    if isinstance(error, HydraException | OmegaConfBaseException):  # some of which are OSErrors
-        return explained(error, arguments)
-    if isinstance(error, OSError):
-        return f"{error.filename or 'a file'}: {error.strerror or error}"
-    raise error
-
-
-def _fail(message: str, code: int = 2) -> JobResult:
+def _fail(message: str, code: int = 2) -> int:
     complain(message)
-    return JobResult(code, error=message)
+    return code

@@ -23,9 +23,10 @@ from vprbench.methods.densevlad.method import DenseVLAD
 from vprbench.methods.hog import HOG
 from vprbench.metrics.sequences import Sequences
 from vprbench.plugins.rules import Journey
-from vprbench.runs import fitting, runner, shortlist
+from vprbench.runs import fitting, scorers
 from vprbench.runs.corrupted_frames import corrupt_queries
 from vprbench.runs.rows import describe_protocol
+from vprbench.runs.run import execute
 from vprbench.runs.sequences import apply_sequences
 from vprbench.runs.stream import grow_map
 from vprbench.runs.viewpoints import Viewpoint, view_of
@@ -164,7 +165,7 @@ def test_the_order_of_queries_matters_to_the_mean_of_those_so_far_alone(adapt):
 @ADAPTED
 def test_a_run_on_a_large_map_or_by_an_index_has_the_same_best_places(adapt, monkeypatch):
     usual, by_index = (run(Table(adapt=adapt, index=index)) for index in ("exact", "sq8"))
-    monkeypatch.setattr(shortlist, "LARGE_MAP", N_PLACES - 1)
+    monkeypatch.setattr(scorers, "LARGE_MAP", N_PLACES - 1)
     large = run(Table(adapt=adapt), depth=6)
     assert large.scores is None
     assert np.array_equal(large.top_places, usual.top_places[:, :6])
@@ -182,7 +183,7 @@ def test_descriptors_that_fill_the_memory_answer_from_shards_as_from_an_array(ad
         monkeypatch.setattr(module, "LARGE_BYTES", 1000)
     method = Table(adapt=adapt, keeps=keeps)
     with quiet_surroundings():
-        found = runner.run(asked_for(method, RIDE, cache=tmp_path / "cache"), "key")
+        found = execute(asked_for(method, RIDE, cache=tmp_path / "cache"), "key")
     assert method.searched.references.array is None
     assert found.scores == pytest.approx(wanted, abs=1e-6)
     del method

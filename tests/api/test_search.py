@@ -1,6 +1,5 @@
 """The search of descriptors: exact against plain sums, approximate indexes against exact search, and packed bits."""
 
-import pickle
 import re
 import tracemalloc
 
@@ -110,19 +109,14 @@ def test_the_nearest_places_are_those_of_all_scores_with_equals_in_the_order_of_
 
 
 @pytest.mark.usefixtures("in_small_blocks")
-def test_a_map_in_files_searched_by_other_processes_gives_the_same_bits(tmp_path):
+def test_a_map_in_files_gives_the_same_bits(tmp_path):
     references, codes = clustered(2200, 20)
-
-    def elsewhere(function, parts):
-        assert len(parts) == 3
-        return (pickle.loads(pickle.dumps(function))(pickle.loads(pickle.dumps(part))) for part in parts)
-
     places = np.arange(2200) // 2
     here, wanted = Search(references, places).nearest(codes, 5), oracle(codes, references, places)
     np.save(tmp_path / "references.npy", references)
     mapped = np.load(tmp_path / "references.npy", mmap_mode="r")
     for searched in (references, mapped, in_files(tmp_path, 2200, lambda rows: references[rows])):
-        there = Search(searched, places).nearest(codes, 5, mapped=elsewhere)
+        there = Search(searched, places).nearest(codes, 5)
         assert all(np.array_equal(*both) for both in zip(here, there, strict=True))
         np.testing.assert_allclose(Search(searched, places).scores(codes), wanted, atol=1e-6)
     one_by_one = [Search(references, places).nearest(code[None], 5) for code in codes[:30]]

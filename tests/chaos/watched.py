@@ -2,11 +2,11 @@
 
 import fcntl
 import hashlib
+import json
 import os
 import sys
 from pathlib import Path
 
-from vprbench.jobs import job
 from vprbench.methods import flyhash, hyperdimensional, pca, random_projection
 
 _locks = []  # held until the process ends, however it does
@@ -15,7 +15,8 @@ _locks = []  # held until the process ends, however it does
 def _watch():
     if _locks or not (folder := os.environ.get("CHAOS_WATCH")):
         return
-    options = sys.argv[1:] if job.current is None else job.current.options
+    asked = Path(sys.argv[2], "request.json") if sys.argv[1:2] == ["--job"] else None
+    options = sys.argv[1:] if asked is None else json.loads(asked.read_text())["overrides"]
     cell = " ".join(sorted(each for each in options if each.startswith(("method", "corruption=", "seed="))))
     _locks.append((Path(folder) / hashlib.sha256(cell.encode()).hexdigest()[:16]).open("a"))
     try:

@@ -4,7 +4,6 @@ import errno
 import json
 import re
 import shutil
-import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -15,10 +14,8 @@ from served_files import serving
 from small_plan import RUN, Apart
 
 from vprbench.cli import main
-from vprbench.jobs import executors, job
-from vprbench.jobs.job import Job, JobResult
+from vprbench.jobs import executors
 from vprbench.plugins import registry
-from vprbench.runs import runner
 from vprbench.storage import tensors
 
 QUICK = ["dataset.places=12", "dataset.first_query_place=0", *RUN]
@@ -52,22 +49,6 @@ def frames(folder, count, size=(16, 12), mode="RGB"):
         image = PillowImage.fromarray(generator.integers(0, 256, (size[1], size[0], 3), dtype=np.uint8))
         image.convert(mode).save(folder / f"{number}.png")
     return folder
-
-
-@pytest.mark.parametrize(("one", "options"), [("commands.run.make_run", []), ("jobs.executors.run_job", ["-m"])])
-def test_no_run_sees_a_temporary_folder_and_none_is_left(tmp_path, monkeypatch, one, options):
-    temporary = tmp_path / "temporary"
-    temporary.mkdir()
-    monkeypatch.setattr(tempfile, "tempdir", str(temporary))
-    seen = []
-
-    def look(*_, **__):
-        seen.append([*temporary.iterdir()])
-        return JobResult(0)
-
-    monkeypatch.setattr(f"vprbench.{one}", look)
-    assert main([*options, "method=sad", *QUICK]) == 0
-    assert (seen, [*temporary.iterdir()]) == ([[]], [])
 
 
 def test_a_run_prints_one_json_object_and_answers_from_the_store_unless_forced_where_nothing_can_be_written_too(
@@ -112,8 +93,7 @@ def test_a_row_names_its_numbers_and_its_folder_from_the_store_too_under_the_wor
 
 @pytest.mark.extended
 def test_a_sweep_survives_failing_cells_and_says_in_a_line_each_which_weights_are_missing(capsys, monkeypatch):
-    monkeypatch.setattr(job, "current", Job())
-    monkeypatch.setattr(executors, "run_job", Apart())
+    monkeypatch.setattr(executors, "run_in_child", Apart())
     assert main(["-m", "method=gcl,salad,sad", *QUICK]) == 2
     (run,) = Path().rglob("run.json")
     assert json.loads(run.read_text())["method"] == "sad"
@@ -236,7 +216,7 @@ def test_results_that_cannot_be_written_are_named_before_the_run(capsys, monkeyp
     place.parent.mkdir(exist_ok=True)
     place.symlink_to("/nowhere/there")
     capsys.readouterr()
-    monkeypatch.setattr(runner, "run", lambda *_: pytest.fail("it ran"))
+    monkeypatch.setattr("vprbench.runs.get_or_run.execute", lambda *_: pytest.fail("it ran"))
     assert f"{place} cannot be written" in refused(["method=sad", *QUICK], capsys)
 
 

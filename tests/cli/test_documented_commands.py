@@ -16,16 +16,16 @@ from checkout import ROOT
 from mat_cells import cells
 from PIL import Image as PillowImage
 from scipy.io import savemat
-from small_plan import RUN, Apart
+from small_plan import RUN, run_apart
 
 from vprbench import cli
 from vprbench.datasets.nordland import chosen_names
 from vprbench.datasets.synthetic_events import EventJourney, write_recording
-from vprbench.jobs import executors, job
-from vprbench.jobs.job import Job
+from vprbench.jobs import executors
 from vprbench.paper import gather
 from vprbench.paper.plan import read_plan
 from vprbench.plugins import registry
+from vprbench.runs.request import RunRequest
 
 DOCUMENTS = (
     "README.md",
@@ -191,8 +191,7 @@ def smaller_plan(path):
 @pytest.mark.extended
 @pytest.mark.parametrize("document", [document for document in DOCUMENTS if commands(document)])
 def test_the_commands_of_a_document_run_in_its_order_from_a_clean_folder(document, data, clean, monkeypatch):
-    monkeypatch.setattr(job, "current", Job())
-    monkeypatch.setattr(executors, "run_job", lambda options, **_: Apart()(smaller(list(options))))
+    monkeypatch.setattr(executors, "run_in_child", lambda text, *_: run_apart(smaller(options_again(text))))
     monkeypatch.setattr(gather, "read_plan", smaller_plan)
     for command in commands(document):
         options = options_of(command, data)
@@ -201,6 +200,11 @@ def test_the_commands_of_a_document_run_in_its_order_from_a_clean_folder(documen
             Path("results").mkdir(exist_ok=True)
         if answered_at_once(options) is None:
             assert execute(options) is None, command
+
+
+def options_again(request_json):
+    """Return the options of the command line that made a request."""
+    return RunRequest.from_json(request_json).overrides
 
 
 def execute(options):
@@ -216,7 +220,7 @@ def execute(options):
     elif options[0] == "compare":
         options = [*with_few_frames(options), *RUN]
     elif options[0] != "-m":
-        result = Apart()(smaller(options))
+        result = run_apart(smaller(options))
         missing = any(option == f"method={name}" for option in options for name in NO_WEIGHTS)
         told = (result.code, result.missing)
         return None if told == ((2, True) if missing else (0, False)) else f"{told}: {result.error}"

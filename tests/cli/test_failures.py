@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 from little import a_failure, a_run
+from small_plan import Apart
 
-from vprbench.cli import attempt
-from vprbench.jobs import job
-from vprbench.jobs.job import Job
+from vprbench.cli import main
+from vprbench.jobs import executors
 from vprbench.runs.store import Store
 
 QUICK = ["dataset.places=12", "dataset.first_query_place=0", "timing.minimum_seconds=0", "threads=1"]
@@ -63,17 +63,16 @@ MISSING, WRONG = True, False
     ],
 )
 def test_a_failure_in_a_sweep_says_whether_something_was_missing_and_which_arguments_were_changed(
-    arguments, missing, tmp_path, monkeypatch
+    arguments, missing, tmp_path, monkeypatch, capsys
 ):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(job, "current", Job())  # where failures that are the user's are recorded too
-    result = attempt([*arguments, "output=json"])
-    assert result.code == 2
+    monkeypatch.setattr(executors, "run_in_child", Apart())
+    assert main(["-m", "seed=0", *arguments, "output=json"]) == 2
     if missing is None:  # there is no such method, and nothing is stored
         assert not Path("results").exists()
         return
     (failure,) = Store(Path("results")).failures()
-    told = json.loads(result.printed)
+    told = json.loads(capsys.readouterr().out)
     assert (failure.missing, told["missing"], told["method"]) == (missing, missing, failure.method)
     assert {"processor", "threads", "libraries", "time_utc", "memory_bytes"} <= set(failure.environment)
     assert ("patch" in failure.config["changed"]) == ("method.patch=0" in arguments)

@@ -56,8 +56,7 @@ def lines(name):
 
 
 def test_the_files_hold_the_asked_runs_in_their_order_and_say_nothing_of_a_paper(compared, apart):
-    asked = [(options[3], [o for o in options if o.startswith("seed=")]) for options in compared[1].asked]
-    assert asked == [("method=sad", ["seed=0"]), ("method=pca", ["seed=0"]), ("method=pca", ["seed=1"])]
+    assert [(each.method_name, each.seed) for each in compared[1].asked] == [("sad", 0), ("pca", 0), ("pca", 1)]
     recalls = [line for line in lines("mine.csv") if line["quantity"] == "recall_at_1"]
     assert {line["row"] for line in recalls} == {"sad patch=5", "pca", "cosplace"}
     values = [float(line["value"]) for line in recalls[:2]]
@@ -99,6 +98,13 @@ def test_the_best_ten_places_of_each_query_are_written_for_every_run_or_as_many_
     assert given[2].groupby("answers").size().to_dict() == {"sequence 1 causal": 72, "sequence 3 causal": 66}
 
 
+def test_each_value_of_a_methods_option_is_a_row(apart, capsys):
+    assert main([*ASKED, "methods=[sad]", "sad.patch=5,9", *dataset(Path())]) == 0
+    assert [request.method["patch"] for request in apart.asked] == [9]
+    shown = capsys.readouterr().out
+    assert all(f"\nsad patch={patch} " in shown for patch in (5, 9))
+
+
 def test_all_that_is_wrong_is_told_at_once_and_nothing_runs(apart, capsys):
     wrong = ["methods=sda,pca,vprtempo,hog", "pca.components=many", "vprtempo.patch=6", "hog.epochs=3"]
     stored = len(list(Store(Path("results")).runs()))
@@ -118,6 +124,7 @@ def test_all_that_is_wrong_is_told_at_once_and_nothing_runs(apart, capsys):
             (f"methods=sad dataset=folders {option}", option.partition("=")[0].removeprefix("dataset."))
             for option in ("method=pca", "seeds=0", "metrics=r1p", "dataset.tolerence=1", "sad.seed=1", "sequnce=3")
         ),
+        ("methods=sad,hog dataset=folders randconv.patch=5", "sad.patch, hog.patch"),
     ],
 )
 def test_an_option_of_no_comparison_is_named(apart, capsys, options, word):

@@ -13,11 +13,11 @@ from checkout import is_readable
 from image_folders import REAL, answer, needs_real_frames, reds, rights
 from PIL import Image as PillowImage
 
+from vprbench.config import make_request
 from vprbench.datasets.nordland import chosen_names, nordland, published_frames
 from vprbench.datasets.readers import frame_folders
 from vprbench.errors import NotThere
 from vprbench.plugins import registry
-from vprbench.runs import compose
 
 TINY = {"stride": 2, "places": 6, "query_places": 4, "first_query_place": 2}
 TINY_FRAMES = (202, 204, 206, 208, 210, 212)  # the list begins with 202, 203, 204 and so on
@@ -210,7 +210,7 @@ def test_each_way_asks_the_frames_and_seasons_that_are_published(tmp_path, monke
     for season in SEASON_LEVEL:
         (tmp_path / season).mkdir()
     monkeypatch.setattr(frame_folders, "files_in", lambda _: {*FRAMES})  # that seem to be there: nothing is read
-    config = dict(compose.composed([f"dataset={name}"])["dataset"])
+    config = make_request([f"dataset={name}"]).dataset
     dataset = registry.make_dataset({**config, "root": str(tmp_path)})
     references, query, mapped, queried, tolerance = PUBLISHED[name]
     assert [*dataset.references.names] == mapped * len(references)

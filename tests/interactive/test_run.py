@@ -11,6 +11,7 @@ from little import Lookup, Prototypes, journey
 import vprbench
 from vprbench.api import BadInput, BinaryMethod, DescriptorMethod, Method, NotThere
 from vprbench.cli import main
+from vprbench.runs.frame import COLUMNS
 
 SMALL = {"places": 12, "first_query_place": 0}
 
@@ -115,6 +116,9 @@ def test_results_is_a_row_for_each_stored_run_and_tells_data_of_one_name_apart()
         untimed("sad", vprbench.dataset("synthetic", **{**SMALL, **more}), results="there")
     table = vprbench.results("there").set_index("dataset")
     assert (len(empty), [*empty]) == (0, [*vprbench.results("there")])
+    assert {*COLUMNS} <= {*empty}
+    assert not table["error"].any()
+    assert table["training_seconds"].tolist() == table["fit_seconds"].tolist()
     own = table.loc["journey"].sort_values("arguments")
     told = ["method", "seed", "arguments", "places", "queries", "dataset_arguments"]
     assert own[told].to_numpy().tolist() == [["Prototypes", 1, f"noise={noise}", 6, 4, ""] for noise in (0.0, 0.25)]

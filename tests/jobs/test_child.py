@@ -1,48 +1,48 @@
-"""A job is made in a process of its own: what it is asked, what it leaves, and how each death is named."""
+"""A run in a process of its own: its request and its result are files, and each death is named."""
 
 import json
 import signal
 import sys
 import tempfile
+from dataclasses import replace
 
 import pytest
 
 from vprbench import cli
-from vprbench.jobs import child, executors, job
-from vprbench.jobs.job import Job, JobResult
-from vprbench.plugins import registry
+from vprbench.jobs import child, executors
+from vprbench.jobs.job import JobResult
+from vprbench.runs.request import RunRequest
 from vprbench.runs.store import Store
 
 GOOD = json.dumps({"code": 0, "key": "abc"})
-LEAVE = """echo '%s' > "$VPRBENCH_JOB/result.json" """
+LEAVE = """echo '%s' > "$place/result.json" """
 LINE = '  File "mine.py", line 3 in fit'
+SAD = RunRequest("sad", {}, "journey", {"name": "journey"})
 
 
 @pytest.fixture
 def ends(tmp_path, monkeypatch):
-    """Return what runs a script in place of the command line, and says how it ended."""
+    """Return a function that runs a script in place of the command line, and says how it ended."""
 
-    def run(script, *options, **given):
+    def run(script, *arguments, **changes):
         program = tmp_path / "program"
-        program.write_text(f"#!/bin/sh\n{script}\n")
+        program.write_text(f"#!/bin/sh\nfor last; do place=$before; before=$last; done\n{script}\n")
         program.chmod(0o700)
         monkeypatch.setattr(sys, "executable", str(program))
-        return child.run_job([*options, f"results={tmp_path / 'results'}"], **given)
+        request = replace(SAD, results=str(tmp_path / "results"), **changes)
+        return child.run_in_child(request.to_json(), *arguments)
 
     return run
 
 
-def test_a_job_is_asked_in_a_file_and_leaves_its_result_there_its_lines_with_us_and_no_temporary_file(
-    ends, tmp_path, monkeypatch
-):
+def test_a_request_and_a_result_are_files_lines_are_passed_on_and_no_temporary_file_stays(ends, tmp_path, monkeypatch):
     temporary, said = tmp_path / "temporary", []
     temporary.mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(temporary))
-    script = f"""cat "$VPRBENCH_JOB/job.json" "$VPRBENCH_JOB" > {tmp_path}/asked; echo one >&2; {LEAVE % GOOD}"""
-    assert ends(script, "method=sad", "seed=1", heard=said.append) == JobResult(0, key="abc")
-    asked = json.loads((tmp_path / "asked").read_text())
-    assert asked["options"][:2] == ["method=sad", "seed=1"]
-    assert [line for line in said if not line.startswith("cat")] == ["one"]
+    script = f'cp "$place/request.json" {tmp_path}/asked; echo one >&2; printf two >&2; {LEAVE % GOOD}'
+    assert ends(script, said.append, seed=1) == JobResult(0, key="abc")
+    asked = RunRequest.from_json((tmp_path / "asked").read_text())
+    assert (asked.method_name, asked.seed, said) == ("sad", 1, ["one", "two"])
     assert [*temporary.iterdir()] == []
 
 
@@ -57,10 +57,17 @@ def test_a_job_is_asked_in_a_file_and_leaves_its_result_there_its_lines_with_us_
         (LEAVE % json.dumps({"code": 2, "error": "no frames", "missing": True}), 2, "no frames"),
     ],
 )
-def test_what_a_process_left_counts_and_a_process_that_left_nothing_has_failed(ends, script, code, words, capfd):
-    result = ends(script, "method=sad")
+def test_the_result_of_a_process_counts_and_a_process_without_one_has_failed(ends, script, code, words, capfd):
+    result = ends(script)
     assert (result.code, result.missing, words in result.error) == (code, code == 2, True)
-    assert capfd.readouterr().err.count("vprbench: method=sad ") == (code == 1)
+    assert capfd.readouterr().err.count("vprbench: sad ") == (code == 1)
+
+
+def test_a_process_is_ended_at_its_limit_or_soon_after_its_result(ends, monkeypatch):
+    monkeypatch.setattr(child, "_PATIENCE", 0.2)
+    assert "limit_minutes=0.005" in ends("exec sleep 20", limit_minutes=0.005).error
+    assert ends(f"{LEAVE % GOOD}; exec sleep 20").key == "abc"  # as one that waits for children of a plug-in
+    assert ends(f"(sleep 20; echo late >&2) & {LEAVE % GOOD}").key == "abc"
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
@@ -86,41 +93,31 @@ def test_a_job_that_is_stopped_is_interrupted_and_ended_if_it_does_not_listen(
     before = signal.signal(signal.SIGINT, signal.default_int_handler)  # the script inherits no deafness
     try:
         script = f"{script}\ntouch {tmp_path}/ready; exec sleep 20"
-        assert words in ends(script, stopped=(tmp_path / "ready").exists).error
+        assert words in ends(script, None, (tmp_path / "ready").exists).error
     finally:
         signal.signal(signal.SIGINT, before)
 
 
-@pytest.mark.parametrize("as_job", [True, False])
-def test_an_interruption_is_told_once_by_the_process_that_was_asked(as_job, monkeypatch, capsys):
-    def interrupt():
-        raise KeyboardInterrupt(signal.SIGTERM)
-
-    monkeypatch.setattr(registry, "register_search_path", interrupt)
-    monkeypatch.setattr(job, "current", Job() if as_job else None)
-    assert cli.main(["method=sad"]) == 128 + signal.SIGTERM
-    assert len(capsys.readouterr().err.splitlines()) == (not as_job)
-
-
-def test_an_option_of_a_sweep_goes_to_each_of_its_methods_and_a_run_whose_process_dies_is_a_stored_failure(
+def test_a_sweep_makes_a_request_for_each_combination_and_stores_a_run_whose_process_dies_as_a_failure(
     tmp_path, monkeypatch, capsys
 ):
     asked = []
-    dead = JobResult(1, error="was ended by signal 7 (SIGBUS)")
-    monkeypatch.setattr(executors, "run_job", lambda options, **_: asked.append(list(options)) or dead)
+    dead = JobResult(1, "was ended by signal 7 (SIGBUS)")
+    monkeypatch.setattr(executors, "run_in_child", lambda text, *_: asked.append(RunRequest.from_json(text)) or dead)
     monkeypatch.chdir(tmp_path)
-    places = "dataset.references=[a,b]"
-    options = ["method.max_module=921", "-m", "seed=0,1", places, "output=json"]
+    options = ["method.max_module=921", "-m", "seed=0,1", "dataset=folders", "dataset.references=[a,b]", "output=json"]
     assert cli.main(["method=vprtempo,vprtempo_int8", *options]) == 1
-    assert [options[:3] for options in asked] == [
-        [f"method={method}", "method.max_module=921", f"seed={seed}"]
-        for method in ("vprtempo", "vprtempo_int8")
-        for seed in (0, 1)
-    ]
-    assert all(places in options for options in asked)
+    wanted = [(method, seed) for method in ("vprtempo", "vprtempo_int8") for seed in (0, 1)]
+    assert [(request.method_name, request.seed) for request in asked] == wanted
+    assert all(request.changed == {"max_module": 921} for request in asked)
+    assert all(request.dataset["references"] == ["a", "b"] for request in asked)
     stored = [*Store(tmp_path / "results").failures()]
-    assert {(failure.method, failure.config["seed"]) for failure in stored} == {
-        (method, seed) for method in ("vprtempo", "vprtempo_int8") for seed in (0, 1)
-    }
+    assert sorted((failure.method, failure.config["seed"]) for failure in stored) == wanted
     told = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert [row["error"] for row in told] == [dead.error] * 4 == [failure.error for failure in stored]
+
+
+def test_of_several_runs_a_bad_one_is_refused_before_any_is_made(monkeypatch, capsys):
+    monkeypatch.setattr(executors, "run_in_child", lambda *_: pytest.fail("it ran"))
+    assert cli.main(["-m", "method=vprtempo,sad", "method.rules=paper"]) == 2
+    assert "method.rules is unknown to sad" in capsys.readouterr().err

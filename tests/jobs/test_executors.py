@@ -2,42 +2,52 @@
 
 import subprocess
 import sys
-from pathlib import Path
+import time
+from types import SimpleNamespace
 
 import pytest
 from killed_worker import Kills
-from little import a_failure, a_run
+from little import a_run
 
 from vprbench import cli
+from vprbench.config import make_request
 from vprbench.errors import BadInput
-from vprbench.jobs import executors
+from vprbench.jobs import cluster, executors
 from vprbench.jobs import options as cluster_options
-from vprbench.jobs.dask_executor import DaskExecutor
-from vprbench.jobs.executors import Callbacks, SerialExecutor, run_all
+from vprbench.jobs.cluster import DaskExecutor, pack_runs, run_on_worker, unpack_runs
+from vprbench.jobs.executors import SerialExecutor, run_all
 from vprbench.jobs.job import JobResult
 from vprbench.jobs.options import ClusterOptions
-from vprbench.jobs.worker import RemoteJob, make, put_in, taken_out
+from vprbench.plugins import entries
 from vprbench.plugins.options import chosen
+from vprbench.runs.request import RunRequest
 from vprbench.runs.store import Store
 from vprbench.tuning.workers import Answer, Workers
 
 RUN = ["method=sad", "dataset=synthetic", "dataset.places=12", "timing=none", "frames=false", "threads=1"]
 
 
-def test_a_run_is_asked_for_when_there_is_room_and_a_run_that_another_sweep_makes_is_asked_again_last(
-    monkeypatch,
-):
+def a_request(seed=0, **changes):
+    return RunRequest("sad", {}, "journey", {"name": "journey"}, seed=seed, **changes)
+
+
+def test_a_run_is_taken_when_there_is_room_and_a_run_that_another_sweep_makes_is_tried_again_last(monkeypatch):
     asked = []
     held = iter([True, False])
     ends = iter([JobResult(0), JobResult(0, held="a lock"), JobResult(1), JobResult(0, key="of the other sweep")])
-    monkeypatch.setattr(executors, "run_job", lambda options, **_: asked.append(f"makes {options[0]}") or next(ends))
+
+    def run(request_json, _):
+        asked.append(f"makes {RunRequest.from_json(request_json).seed}")
+        return next(ends)
+
+    monkeypatch.setattr(executors, "run_in_child", run)
     monkeypatch.setattr(executors.run_lock, "is_held", lambda lock: next(held))
     monkeypatch.setattr(executors, "_LOOK_EVERY", 0.0)
 
     def runs():
         for number in range(3):
             asked.append(f"asks {number}")
-            yield number, [str(number)]
+            yield number, a_request(number)
 
     results = [*run_all(SerialExecutor(), runs())]
     assert results == [(0, JobResult(0)), (2, JobResult(1)), (1, JobResult(0, key="of the other sweep"))]
@@ -99,11 +109,11 @@ def test_workers_of_this_machine_make_runs_bring_them_home_and_are_made_up_for_i
     shared, tmp_path, monkeypatch
 ):
     results, begun = tmp_path / "results", []
-    monkeypatch.setattr(Path, "touch", Path.touch if shared else lambda *_: None)  # no worker finds the results folder
+    if not shared:  # no worker finds the results folder
+        monkeypatch.setattr(cluster.DaskExecutor, "_probe", lambda *_: "/nowhere/probe")
     with DaskExecutor(ClusterOptions(workers=2)) as executor:
-        run = [*RUN, f"results={results}"]
-        ((number, result),) = run_all(executor, [(5, run)], Callbacks(lambda number, host: begun.append(number)))
-        monkeypatch.undo()
+        request = make_request(RUN, {"results": str(results)})
+        ((number, result),) = run_all(executor, [(5, request)], begun.append)
         with Workers(Kills(tmp_path), 1, executor.of_functions) as workers:
             (once,) = workers.answers([False], print)
             (always,) = workers.answers([True], print)
@@ -116,24 +126,54 @@ def test_workers_of_this_machine_make_runs_bring_them_home_and_are_made_up_for_i
     assert len([*(tmp_path / "True").iterdir()]) == 4  # it was tried again three times
 
 
+@pytest.mark.extended
+def test_an_interruption_ends_the_runs_of_the_workers(tmp_path, monkeypatch):
+    monkeypatch.setattr(entries, "_LOOSE", {"method": {}, "dataset": {}})
+    text = "import time, pathlib\nfrom vprbench.methods.sad import SAD\nclass Slow(SAD):\n"
+    text += f"    def fit(self, *_):\n        pathlib.Path(r'{tmp_path}/begun').touch()\n        time.sleep(60)\n"
+    (tmp_path / "slow.py").write_text(text)
+    request = make_request([*RUN[1:], f"method={tmp_path}/slow.py:Slow"], {"results": str(tmp_path / "results")})
+
+    def interrupt():
+        while not (tmp_path / "begun").exists():
+            time.sleep(0.1)
+        raise KeyboardInterrupt
+
+    def run():
+        with DaskExecutor(ClusterOptions(workers=1)) as executor:
+            monkeypatch.setattr(executor, "require_cluster", interrupt)
+            [*run_all(executor, [(0, request)])]
+
+    began = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        run()
+    assert time.monotonic() - began < 50
+    assert [*Store(tmp_path / "results").runs()] == []
+    assert not (tmp_path / "results/.locks").exists()
+
+
 def test_a_worker_of_another_version_makes_no_run():
-    order = RemoteJob("sweep", 0, (), "", shared="", version="0.0.1")
     with pytest.raises(BadInput, match=r"0\.0\.1"):
-        make(order)
+        run_on_worker("{}", "", "", "0.0.1")
 
 
-def test_the_runs_of_a_worker_are_taken_out_once_and_put_in_and_its_descriptors_stay(tmp_path):
+def test_the_runs_of_a_worker_are_packed_once_and_unpacked_and_its_descriptors_stay(tmp_path):
     worker, client = Store(tmp_path / "worker"), Store(tmp_path / "client")
     worker.prepare()
     worker.save(a_run())
-    worker.save_failure(a_failure(error="no"))
     for name in ("descriptors/abc/kept.npy", "frames/f.npz", ".locks/sad"):
         (worker.root / name).parent.mkdir(parents=True, exist_ok=True)
         (worker.root / name).write_bytes(name.encode())
-    files = taken_out(worker.root)
-    assert {name.partition("/")[0] for name in files} == {"journey", "frames"}
-    assert {*taken_out(worker.root)} == {"frames/f.npz"}
+    packed = pack_runs(worker.root)
+    assert [*worker.runs()] == []
     assert (worker.root / "descriptors/abc/kept.npy").exists()
-    put_in(files, client)
+    unpack_runs(packed, client)
     assert [run.key for run in client.runs()] == [a_run().key]
     assert (client.root / "frames/f.npz").read_bytes() == b"frames/f.npz"
+    assert {path.name for path in client.root.iterdir()} == {"journey", "frames"}
+
+
+def test_runs_on_a_gpu_take_those_of_the_machine_in_turn(monkeypatch):
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "GPU-a,GPU-b")
+    seen = [cluster._gpu_of(SimpleNamespace(name=name)) for name in (0, 1, 2, "tcp://elsewhere")]
+    assert seen == [{"CUDA_VISIBLE_DEVICES": f"GPU-{name}"} for name in "aba"] + [{}]

@@ -25,7 +25,7 @@ from vprbench.methods.parts.backbones import compiled_blocks
 from vprbench.methods.parts.backbones.compiled_blocks import CompiledBlocks, compile_blocks
 from vprbench.methods.parts.backbones.efficientnet_lite import EfficientNetLite, count_multiply_adds
 from vprbench.plugins import registry
-from vprbench.plugins.conformance import check
+from vprbench.plugins.conformance import check_method
 from vprbench.plugins.rules import RULES, STORED_RULE, Journey
 
 #: Of each block of lite0: input and output channels, kernel, stride, expansion (Tan and Le 2019, table 1).
@@ -349,7 +349,7 @@ def test_multiply_adds_are_those_of_the_size_that_images_get():
 )
 def test_a_method_keeps_every_rule_under_a_mean_that_is_taken_off(method, adapt):
     small = {"efficientnet": SMALL, "hog": {"height": 32, "width": 40}}.get(method, {})
-    results = [*check({**config(f"method={method}"), **small, "adapt": adapt})]
+    results = [*check_method({**config(f"method={method}"), **small, "adapt": adapt})]
     assert [str(result) for result in results if result.state == "broken"] == []
     excepted = {result.rule for result in results if result.state == "excepted"}
     assert excepted == ({STORED_RULE} if small else set())

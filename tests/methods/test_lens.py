@@ -61,7 +61,7 @@ def test_a_published_file_answers_by_its_two_weight_matrices_alone(tmp_path):
     state = published()
     torch.save(state, tmp_path / "lens.pth")
     method = Lens(**SMALL)
-    networks.load(tmp_path / "lens.pth", method, None)  # a published file says nothing of where it comes from
+    networks.load_network(tmp_path / "lens.pth", method, None)  # a published file says nothing of where it comes from
     weights = {name: tensor.numpy() for name, tensor in state.items() if name.endswith("weight")}
     assert np.array_equal(method.query(FRAMES), Lens(**SMALL).restore(weights).query(FRAMES))
     assert set(method.state()) == set(weights)

@@ -10,11 +10,11 @@ import pytest
 from assembled import measured, table
 from little import a_run, unanswerable_run
 from little_runs import quiet_surroundings
-from small_plan import RUN, install
+from small_plan import RUN, install, run_apart
 from stored_runs import RAIL, ROWS, SAD, run
 
 from vprbench.api.arithmetic import Arithmetic
-from vprbench.cli import attempt, main
+from vprbench.cli import main
 from vprbench.metrics.accuracy import average_precision, pr_curve_multi
 from vprbench.metrics.registry import METRICS, Metric
 from vprbench.paper.figures.accuracy import of_rows
@@ -67,9 +67,9 @@ ONE = ["method=sad", "dataset=synthetic", "dataset.places=20", "dataset.first_qu
 
 def test_an_added_metric_is_in_row_json_csv_and_table(lost, tmp_path, monkeypatch, capfd):
     install(monkeypatch, tmp_path)
-    row = attempt([*ONE, "metrics=[lost,r100p]"]).printed
+    row = run_apart([*ONE, "metrics=[lost,r100p]"]).printed
     assert {"Lost %", "R@100P %"} <= {*row.replace("  ", "\n").split("\n")}
-    said = json.loads(attempt([*ONE, "metrics=[lost]", "output=json"]).printed)
+    said = json.loads(run_apart([*ONE, "metrics=lost", "output=json"]).printed)
     assert (said["from_store"], said["lost"]) == (True, 0)
     assert main(["table", "rows=[SAD]", "metrics=[lost]", "stored=true"]) == 0
     assert "| Lost % " in capfd.readouterr().out

@@ -4,6 +4,7 @@ import io
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,33 +14,28 @@ from vprbench.cli import main
 from vprbench.jobs import executors
 from vprbench.jobs.job import JobResult
 from vprbench.paper import missing_runs, stored_runs
-from vprbench.paper.missing_runs import MissingRun
+from vprbench.paper.missing_runs import fill, make_cell
 from vprbench.paper.plan import Row
-from vprbench.runs.compose import composed
+from vprbench.runs.request import RunRequest
 from vprbench.runs.store import Store
 
 SAD = Row("SAD", "sad", training="none")
-ROUTE = ("dataset=synthetic", "dataset.places=20", "dataset.first_query_place=4")
+ROUTE = ["dataset=synthetic", "dataset.places=20", "dataset.first_query_place=4"]
 
 
-def a_wish(row=SAD, seed=0, **changes):
-    of_data = {"title": "Journey", "dataset_options": ROUTE[:2], "dataset": {"name": "synthetic", "places": 20}}
-    given = {"row": row, "seed": seed, "device": "cpu", "arguments": dict(row.arguments), **of_data}
-    return MissingRun(**{**given, **changes})
-
-
-def fill(wishes, store, options=()):
-    return missing_runs.fill(wishes, options, store, lambda options: composed(list(options)))
+def a_cell(row=SAD, seed=0, options=(), title="Journey", **values):
+    return make_cell(row, title, [*ROUTE, *RUN, *options], {"seed": seed, "device": "cpu", **values})
 
 
 @pytest.fixture
 def children(monkeypatch):
-    """Let processes end in these ways, one after the other; returns the options that they are asked with."""
+    """Let processes end in these ways, one after the other; returns the requests that they are asked."""
 
     def ending(*answers):
         asked = []
         left = list(answers)
-        monkeypatch.setattr(executors, "run_job", lambda options, **_: asked.append(list(options)) or left.pop(0))
+        run = lambda text, *_: asked.append(RunRequest.from_json(text)) or left.pop(0)  # noqa: E731 - as short as it is
+        monkeypatch.setattr(executors, "run_in_child", run)
         return asked
 
     return ending
@@ -50,20 +46,23 @@ def store(tmp_path):
     return Store(tmp_path / "results")
 
 
-def test_a_run_is_asked_for_by_its_options_and_one_without_its_method_is_a_failure_without_a_process(children, store):
+def test_a_run_is_asked_for_by_its_request_and_one_without_its_method_is_a_failure_without_a_process(children, store):
     asked = children(JobResult(0))
     row = Row("Big patches", "sad", arguments={"patch": 14, "preprocessing": "A"})
-    assert fill([a_wish(row, seed=3)], store, ["threads=1"]) == [JobResult(0)]
-    of_method = ["method=sad", "method.patch=14", 'method.preprocessing="A"']
-    assert asked == [[*ROUTE[:2], *of_method, "seed=3", "device=cpu", "threads=1", f"results={store.root}"]]
+    cell = a_cell(row, seed=3)
+    assert fill([cell], store) == [JobResult(0)]
+    assert asked == [cell.request]
+    assert (asked[0].changed, asked[0].seed, asked[0].dataset["places"]) == (row.arguments, 3, 20)
     asked = children()
     row = Row("Nothing", "no_such_method", seeds=(0, 1))
-    endings = fill([a_wish(row, 0), a_wish(row, 1)], store)
+    endings = fill([a_cell(row, 0), a_cell(row, 1)], store)
     assert [(ending.code, ending.missing) for ending in endings] == [(2, True), (2, True)]
     (failure,) = store.failures()
     assert (failure.method, failure.dataset, failure.missing) == ("no_such_method", "synthetic", True)
     assert "no_such_method" in failure.error
-    assert fill([a_wish(Row("HOG", "hog"), device="cuda")], store) == [JobResult(0)]  # it knows no device
+    assert fill([a_cell(Row("HOG", "hog"), device="cuda")], store) == [JobResult(0)]  # it knows no device
+    (ending,) = fill([a_cell(Row("SAD of colours", "sad", arguments={"colours": 3}))], store)
+    assert (ending.code, ending.missing, "method.colours is unknown to sad" in ending.error) == (2, False, True)
     assert asked == []
 
 
@@ -71,56 +70,56 @@ def test_weights_that_are_missing_are_looked_for_once_and_without_a_process(monk
     monkeypatch.setenv("VPRBENCH_WEIGHTS", str(tmp_path))
     asked = children(JobResult(0))
     row = Row("GCL", "gcl", arguments={"backbone": "vgg16"}, training="pretrained")
-    wishes = [a_wish(row), a_wish(row, title="Street", dataset={"name": "street", "places": 20})]
-    assert [(ending.code, ending.missing) for ending in fill(wishes, store)] == [(2, True)] * 2
+    cells = [a_cell(row), a_cell(row, title="Route", options=["dataset.name=route"])]
+    assert [(ending.code, ending.missing) for ending in fill(cells, store)] == [(2, True)] * 2
     told = {(each.dataset, each.missing, "MSLS_vgg16_GeM_480_GCL.pth" in each.error) for each in store.failures()}
-    assert told == {("synthetic", True, True), ("street", True, True)}
+    assert told == {("synthetic", True, True), ("route", True, True)}
     assert asked == []
     (tmp_path / "MSLS_vgg16_GeM_480_GCL.pth").write_bytes(b"what is in it is for the process to see")
-    assert fill(wishes[:1], store) == [JobResult(0)]
+    assert fill(cells[:1], store) == [JobResult(0)]
     assert len(asked) == 1
-    missing = JobResult(2, True, "weights are missing", recorded=True)  # as a process tells of its first seed
+    missing = JobResult(2, "weights are missing", True)  # as a process tells of its first seed
     asked = children(missing, JobResult(0))
-    endings = fill([a_wish(seed=0), a_wish(seed=1), a_wish(Row("PCA", "pca"))], store)
+    endings = fill([a_cell(seed=0), a_cell(seed=1), a_cell(Row("PCA", "pca"))], store)
     assert (endings, len(asked)) == ([missing, missing, JobResult(0)], 2)
 
 
-def test_a_failure_of_one_seed_does_not_stop_the_next_and_is_stored_unless_the_process_did(children, store):
-    diverged, killed = JobResult(1, False, "it diverged", recorded=True), JobResult(1, False, "was ended by signal 9")
-    children(diverged, killed, JobResult(0))
-    endings = fill([a_wish(seed=seed) for seed in range(3)], store, ROUTE[2:])
-    assert [(ending.code, ending.recorded) for ending in endings] == [(1, True), (1, True), (0, False)]
+def test_a_failure_of_one_seed_is_stored_and_does_not_stop_the_next(children, store):
+    killed = JobResult(1, "was ended by signal 9")
+    children(killed, JobResult(0))
+    cells = [a_cell(seed=seed, results=str(store.root)) for seed in range(2)]
+    assert [ending.code for ending in fill(cells, store)] == [1, 0]
     (failure,) = store.failures()
-    assert (failure.error, failure.missing, failure.config["seed"]) == ("was ended by signal 9", False, 1)
-    assert main([*a_wish(seed=1).options(), *ROUTE[2:], "timing=none", f"results={store.root}"]) == 0
+    assert (failure.error, failure.missing, failure.config["seed"]) == ("was ended by signal 9", False, 0)
+    assert main(["method=sad", *ROUTE, "seed=0", "timing=none", f"results={store.root}"]) == 0
     assert not [*store.failures()]  # the run takes its place
 
 
-STORED = a_wish(dataset_options=ROUTE)
+STORED = a_cell()
 
 
 @pytest.mark.parametrize(
-    ("wish", "options", "patched", "n_processes"),
+    ("cell", "patched", "n_processes"),
     [
-        (STORED, [], {}, 0),
-        (a_wish(seed=1, dataset_options=ROUTE), [], {}, 1),
-        (a_wish(dataset_options=ROUTE, arguments={"patch": 14}), [], {}, 1),
-        (a_wish(dataset_options=(*ROUTE, "dataset.query_places=5")), [], {}, 1),
-        (a_wish(dataset_options=(*ROUTE, "dataset.protocol=nobody")), [], {}, 1),
-        (STORED, ["timing.minimum_seconds=0.01"], {}, 1),
-        (STORED, ["force=true"], {}, 1),
-        (STORED, [], {"code_hash_of": "other code"}, 1),
-        (STORED, [], {"code_hash_of": None}, 1),
-        (STORED, [], {"fingerprint": "other frames"}, 1),
+        (STORED, {}, 0),
+        (a_cell(seed=1), {}, 1),
+        (a_cell(Row("SAD", "sad", arguments={"patch": 14})), {}, 1),
+        (a_cell(options=["dataset.query_places=5"]), {}, 1),
+        (a_cell(options=["dataset.protocol=nobody"]), {}, 1),
+        (a_cell(options=["timing.minimum_seconds=0.01"]), {}, 1),
+        (a_cell(options=["force=true"]), {}, 1),
+        (STORED, {"code_hash_of": "other code"}, 1),
+        (STORED, {"code_hash_of": None}, 1),
+        (STORED, {"fingerprint": "other frames"}, 1),
     ],
 )
 def test_a_process_is_started_only_for_what_is_not_stored_as_it_would_be_made_now(
-    made, monkeypatch, children, wish, options, patched, n_processes
+    made, monkeypatch, children, cell, patched, n_processes
 ):
     asked = children(JobResult(0))
     for name, value in patched.items():
         monkeypatch.setattr(stored_runs, name, lambda _, value=value: value)
-    assert fill([wish], Store(made[0] / "results"), [*RUN, *options]) == [JobResult(0)]
+    assert fill([cell], Store(made[0] / "results")) == [JobResult(0)]
     assert len(asked) == n_processes
 
 
@@ -128,9 +127,10 @@ def test_frames_that_were_removed_are_kept_again_by_a_process(copied, children):
     shutil.rmtree("results/frames")
     assert missing_runs.results_folder("mine") == Path.cwd() / "mine"  # which a process elsewhere finds, too
     asked = children(JobResult(0))
-    fill([STORED], Store(Path("results")), [*RUN, "frames=false"])
+    without = replace(STORED, request=replace(STORED.request, frames=False))
+    fill([without], Store(Path("results")))
     assert asked == []
-    fill([STORED], Store(Path("results")), RUN)
+    fill([STORED], Store(Path("results")))
     assert len(asked) == 1
 
 
@@ -144,7 +144,7 @@ from vprbench.paper import gather
 from vprbench.paper.plan import read_plan
 from vprbench.cli import main
 gather.read_plan = lambda _: read_plan(Path("plan.yaml"))
-executors.run_job = None
+executors.run_in_child = None
 code = main(["table", "rows=[SAD]", "devices=[cpu]", *sys.argv[1:]])
 sys.exit("torch" if "torch" in sys.modules else code)
 """
@@ -152,7 +152,9 @@ sys.exit("torch" if "torch" in sys.modules else code)
     assert (done.returncode, done.stderr) == (0, "")
 
 
-def test_on_a_terminal_a_table_fills_with_what_is_stored_and_leaves_it_clean_if_it_is_interrupted(made, monkeypatch):
+def test_on_a_terminal_a_table_fills_with_what_is_stored_and_leaves_it_clean_if_it_is_interrupted(
+    made, monkeypatch, tmp_path
+):
     screen = io.StringIO()
     monkeypatch.setattr(screen, "isatty", lambda: True)
     monkeypatch.setattr(sys, "stderr", screen)
@@ -160,20 +162,22 @@ def test_on_a_terminal_a_table_fills_with_what_is_stored_and_leaves_it_clean_if_
     for name, value in (("TERM", "xterm-256color"), ("COLUMNS", "100"), ("LINES", "30")):
         monkeypatch.setenv(name, value)
 
-    def failing(_, heard, **__):
+    def failing(_, hear):
         for line in ("note: a warning", "vprbench: it failed"):
-            heard(line)
-        return JobResult(1, False, "it failed", recorded=True)
+            hear(line)
+        return JobResult(1, "it failed")
 
-    def interrupted(*_, **__):
+    def interrupted(*_):
         raise KeyboardInterrupt(2)
 
-    wishes = [STORED, a_wish(Row("A row with a name that is longer than its column may be", "sad"), seed=1)]
-    monkeypatch.setattr(executors, "run_job", failing)
-    assert [ending.code for ending in fill(wishes, Store(made[0] / "results"), RUN)] == [0, 1]
+    cells = [STORED, a_cell(Row("A row with a name that is longer than its column may be", "sad"), seed=1)]
+    monkeypatch.setattr(executors, "run_in_child", failing)
+    store = Store(tmp_path / "results")
+    shutil.copytree(made[0] / "results", store.root)
+    assert [ending.code for ending in fill(cells, store)] == [0, 1]
     for text in ("note: a warning", "\x1b[31mvprbench: it failed", " %  ", " Hz", "1 of 2, 1 running, 0 waiting"):
         assert text in screen.getvalue()
-    monkeypatch.setattr(executors, "run_job", interrupted)
+    monkeypatch.setattr(executors, "run_in_child", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        fill(wishes, Store(made[0] / "results"), RUN)
+        fill(cells, store)
     assert screen.getvalue().rindex("\x1b[?25h") > screen.getvalue().rindex("\x1b[?25l")  # the cursor is there again

@@ -5,12 +5,12 @@ import yaml
 from assembled import NAMES
 from checkout import ROOT
 
+from vprbench.config import make_request
 from vprbench.errors import BadInput
 from vprbench.paper.gather import TableRequest, choose, runs_of
 from vprbench.paper.plan import read_plan, with_plug_ins
 from vprbench.paper.published import published
 from vprbench.plugins import registry
-from vprbench.runs import compose
 
 PLAN = ROOT / "conf" / "table.yaml"
 
@@ -21,11 +21,11 @@ def plan():
 
 
 def chosen(**asked):
-    return choose(TableRequest(**{"devices": ["cpu"], **asked}), lambda options: compose.composed(list(options)))
+    return choose(TableRequest(**{"devices": ["cpu"], **asked}))
 
 
 def of_last_row(here):
-    return [*runs_of(here, here.columns[0], here.rows[-1:])]
+    return [*runs_of(here, here.columns[0], here.rows[-1:], [])]
 
 
 def test_rows_and_published_numbers_are_those_of_table_two_in_its_order(plan):
@@ -60,10 +60,10 @@ def test_every_row_that_learns_from_a_seed_has_three_and_says_whether_its_scores
         assert len({*row.seeds}) == (3 if "seed" in options else 1), row.name
         assert {*row.arguments} <= {*options}, row.name
         if "calibrated_scores" in options:
-            asked = [f"method.{name}={value}" for name, value in row.arguments.items()]
-            config = compose.composed([f"method={row.method}", *asked])["method"]
-            assert ("calibrated" in row.name) == (config["calibrated_scores"] is True)
-            calibrated += [row.method] * (config["calibrated_scores"] is True)
+            asked = {f"method.{name}": value for name, value in row.arguments.items()}
+            arguments = make_request([f"method={row.method}"], asked).method
+            assert ("calibrated" in row.name) == (arguments["calibrated_scores"] is True)
+            calibrated += [row.method] * (arguments["calibrated_scores"] is True)
     assert sorted(calibrated) == ["vprtempo", "vprtempo_ensemble", "vprtempo_tuned_ensemble"]
     for kind in ("", "tuned_", "oriented_"):  # members of seed s, in no two runs: s to s + 4
         seeds = plan.more_rows[f"vprtempo_{kind}ensemble"].seeds
@@ -135,8 +135,8 @@ def test_a_plug_in_brings_rows_and_columns_that_are_asked_for_by_name_and_others
     monkeypatch.setattr(registry, "conf_folders", lambda: folders)
     assert "short" not in [column.planned.name for column in chosen().columns]
     (made,) = of_last_row(chosen(rows=["SAD"], methods=["mine"], columns=["short"]))
-    assert (made.row.name, made.title, made.dataset["places"]) == ("Mine", "Short route", 12)
-    assert "method.patch=9" in made.options()
+    assert (made.row.name, made.title, made.request.dataset["places"]) == ("Mine", "Short route", 12)
+    assert made.request.changed == {"patch": 9}
     for option, name in ("rows", "Nobody"), ("methods", "nobody"), ("columns", "moon"):
         with pytest.raises(BadInput, match=f"{option}={name}"):
             chosen(**{option: [name]})
@@ -161,18 +161,18 @@ def test_a_plug_in_that_takes_a_name_or_means_nothing_is_refused(content, names,
 
 
 @pytest.mark.parametrize(
-    ("method", "seeds", "training", "options"),
+    ("method", "seeds", "training", "asked"),
     [
-        ("hog", (0,), "map", ["method=hog"]),
-        ("vprsnn_all_neurons", (0, 1, 2), "own", ["method=vprsnn", "method.hyperactive_threshold=0"]),
-        ("vprsnn_ensemble", (0, 1, 2), "own", ["method=vprsnn_ensemble"]),
+        ("hog", (0,), "map", ("hog", {})),
+        ("vprsnn_all_neurons", (0, 1, 2), "own", ("vprsnn", {"hyperactive_threshold": 0})),
+        ("vprsnn_ensemble", (0, 1, 2), "own", ("vprsnn_ensemble", {})),
     ],
 )
-def test_a_method_on_request_is_a_run_a_seed_where_it_learns_from_one(method, seeds, training, options):
+def test_a_method_on_request_is_a_run_a_seed_where_it_learns_from_one(method, seeds, training, asked):
     here = chosen(rows=["VPRSNN"], methods=[method], columns=["nordland_64x32"], full=True)
     runs = of_last_row(here)
-    assert (here.rows[-1].training, tuple(run.seed for run in runs)) == (training, seeds)
-    assert {option for run in runs for option in run.options() if option.startswith("method")} == {*options}
+    assert (here.rows[-1].training, tuple(run.request.seed for run in runs)) == (training, seeds)
+    assert all((run.request.method_name, run.request.changed) == asked for run in runs)
 
 
 def test_rows_of_vprsnn_run_on_the_street_with_one_seed_unless_all_is_to_run_in_full():

@@ -11,7 +11,7 @@ from vprbench.api.descriptor import DescriptorMethod
 from vprbench.api.method import LayerSpikes
 from vprbench.api.neural import NeuralDescriptor
 from vprbench.plugins import registry
-from vprbench.plugins.conformance import check
+from vprbench.plugins.conformance import check_method
 from vprbench.plugins.rules import EXTENDED_RULE, RULES
 
 ENTRIES = registry.entries("method")
@@ -31,7 +31,7 @@ EXTENDED = {
     "name", [pytest.param(name, marks=[pytest.mark.extended] * (name in EXTENDED)) for name in METHODS]
 )
 def test_a_method_keeps_every_rule(name):
-    results = list(check(composed(f"method={name}")))
+    results = list(check_method(composed(f"method={name}")))
     assert [str(result) for result in results if result.state == "broken"] == []
     assert {result.rule for result in results} >= {*RULES} - {EXTENDED_RULE}
 
@@ -247,7 +247,7 @@ WRONG: dict[str, list[type[Pixels]]] = {
 
 def broken(method, **arguments):
     config = {"_target_": f"{__name__}.{method.__name__}", **arguments}
-    return [result.rule for result in check(config) if result.state == "broken"]
+    return [result.rule for result in check_method(config) if result.state == "broken"]
 
 
 def test_a_method_that_differs_in_nothing_that_matters_keeps_every_rule_and_each_rule_has_a_wrong_one():
@@ -268,9 +268,9 @@ def test_the_rule_catches_what_breaks_it(rule, method):
 def test_an_approximate_index_breaks_no_rule_and_exceptions_are_counted_with_their_reasons():
     for index, neighbours in (("sq8", 5), ("hnsw", 100)):
         assert broken(KeepsNoNetwork, index=index, neighbours=neighbours) == []
-    excepted = [r for r in check({"_target_": f"{__name__}.Excused"}) if r.state == "excepted"]
+    excepted = [r for r in check_method({"_target_": f"{__name__}.Excused"}) if r.state == "excepted"]
     assert [r.reason for r in excepted] == ["it draws"] * 7
-    excepted = [r for r in check({"_target_": f"{__name__}.KeepsNoNetwork"}) if r.state == "excepted"]
+    excepted = [r for r in check_method({"_target_": f"{__name__}.KeepsNoNetwork"}) if r.state == "excepted"]
     assert [(result.rule, result.reason) for result in excepted] == [(STORED, "it keeps no network")]
     assert broken(ExcusedForNothing) == ["no such rule"]  # an exception from a rule that does not exist
 
@@ -294,6 +294,6 @@ def test_a_method_that_replaces_query_is_refused():
     ],
 )
 def test_what_a_method_was_tuned_on_has_to_be_told_by_datasets_and_numbers(tuned_on, state, named):
-    result = next(check({**composed("method=sad"), "tuned_on": {"dataset": "street", **tuned_on}}))
+    result = next(check_method({**composed("method=sad"), "tuned_on": {"dataset": "street", **tuned_on}}))
     assert result.state == state
     assert named in result.reason

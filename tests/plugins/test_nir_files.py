@@ -44,7 +44,7 @@ def plain():
 def stored(method, folder):
     pytest.importorskip("nir", reason="the extra nir is not installed")
     path = folder / "net.nir"
-    networks.save(destination(path, method, RIDE), method, "0123", 1.0, 1.0)
+    networks.save_network(destination(path, method, RIDE), method, "0123", 1.0)
     return path
 
 
@@ -52,7 +52,7 @@ def loaded(path, method, kind=None):
     """Load a file into a new method with the arguments of another one."""
     arguments = {field.name: getattr(method, field.name) for field in fields(method) if field.init}
     new = (kind or type(method))(**arguments)
-    networks.load(path, new, networks.origin(new, arguments, RIDE))
+    networks.load_network(path, new, networks.describe_origin(new, arguments, RIDE))
     return new
 
 

@@ -5,7 +5,7 @@ from little_runs import quiet_surroundings
 from stopped_clock import Clock, ReadersThatWait
 
 from vprbench.api import images
-from vprbench.runs import runner
+from vprbench.runs import run
 from vprbench.runs.store import Store
 
 
@@ -20,7 +20,7 @@ def surroundings():
 def clock(monkeypatch):
     """The clock of runs and of reading."""
     clock = Clock()
-    clock.replaces_those_of([runner, images], monkeypatch)
+    clock.replaces_those_of([run, images], monkeypatch)
     monkeypatch.setattr(images, "ThreadPoolExecutor", ReadersThatWait)
     return clock
 

@@ -17,9 +17,11 @@ from vprbench.api.images import Images
 from vprbench.api.weights import Weights
 from vprbench.errors import BadInput
 from vprbench.metrics.ranking import outcome, outcome_of_best, ranked_places
-from vprbench.runs import descriptors, fitting, runner, shortlist
+from vprbench.runs import descriptors, fitting, scorers
 from vprbench.runs.descriptors import DescriptorCache
-from vprbench.runs.identity import Request
+from vprbench.runs.experiment import Experiment
+from vprbench.runs.request import RunRequest
+from vprbench.runs.run import execute
 from vprbench.runs.stopwatch import Protocol, Stopwatch
 from vprbench.storage import shards
 
@@ -55,8 +57,10 @@ def dataset():
 
 def run(method, dataset, folder, arguments=(), **changes):
     given = {"_target_": "Counting", "turn": 0.03, "index": "exact", "device": "cpu", **dict(arguments)}
-    config = {"method": given, "seed": 0, "device": "cpu", "depth": 5, "overrides": [], "files": [], **changes}
-    return runner.run(Request("counting", method, dataset, config, "fingerprint", PROTOCOL, 1, cache=folder), "key")
+    files = [*map(tuple, changes.pop("files", ()))]
+    asked = {"depth": 5, "threads": 1, "timing": PROTOCOL, **changes}
+    request = RunRequest("counting", given, dataset.name, {"name": dataset.name}, **asked)
+    return execute(Experiment(request, method, dataset, "fingerprint", files=files, cache=folder), "key")
 
 
 def encoded_for_answers(method):
@@ -254,7 +258,7 @@ DEPTH = 6
 @pytest.fixture
 def large(monkeypatch):
     """Make maps of as many places as here large ones."""
-    monkeypatch.setattr(shortlist, "LARGE_MAP", N_PLACES - 1)
+    monkeypatch.setattr(scorers, "LARGE_MAP", N_PLACES - 1)
 
 
 def on(method):
@@ -291,8 +295,8 @@ def test_a_large_map_is_asked_for_its_best_places_alone_when_scored_and_when_tim
         def match(self, codes):
             raise AssertionError("all places were scored")
 
-        def nearest(self, codes, n, **how):
-            return super().nearest(codes, n, **how)
+        def nearest(self, codes, n):
+            return super().nearest(codes, n)
 
     run = on(Shortlisted())
     twenty = Angles().encode(pictures(range(20))).astype(np.float64)
@@ -309,7 +313,7 @@ def test_a_large_map_is_asked_for_its_best_places_alone_when_scored_and_when_tim
 @pytest.mark.parametrize("neighbours", [3, DEPTH])
 def test_an_index_gives_what_it_gives_where_all_places_are_scored(neighbours, monkeypatch):
     usual = on(Angles(index="hnsw", neighbours=neighbours))
-    monkeypatch.setattr(shortlist, "LARGE_MAP", N_PLACES - 1)
+    monkeypatch.setattr(scorers, "LARGE_MAP", N_PLACES - 1)
     found = on(Angles(index="hnsw", neighbours=neighbours))
     assert ("shortlist" in kinds(usual), "shortlist" in kinds(found)) == (False, True)
     assert np.array_equal(found.top_places, usual.top_places)
@@ -323,7 +327,7 @@ def test_all_places_are_scored_where_all_scores_are_wanted_and_where_a_method_ma
         def match(self, codes):
             return -super().match(codes)
 
-    whole = runner.run(replace(asked_for(Angles(), journey(N_QUERIES, N_PLACES)), scores=True), "key")
+    whole = execute(asked_for(Angles(), journey(N_QUERIES, N_PLACES), scores=True), "key")
     for run in (whole, on(OwnWay())):
         assert run.scores.shape == (N_QUERIES, N_PLACES)
         assert "shortlist" not in kinds(run)
@@ -336,7 +340,7 @@ def test_descriptors_of_a_large_map_are_kept_unless_a_method_may_learn_them(tmp_
 
     for large, method, kept in ((N_PLACES, Angles(), 0), (N_PLACES - 1, Learning(), 0), (N_PLACES - 1, Angles(), 2)):
         monkeypatch.setattr(descriptors, "LARGE_MAP", large)
-        runner.run(asked_for(method, journey(N_QUERIES, N_PLACES), cache=tmp_path), "key")
+        execute(asked_for(method, journey(N_QUERIES, N_PLACES), cache=tmp_path), "key")
         assert len([*tmp_path.glob("*/*.npy")]) == kept
 
 
@@ -348,7 +352,7 @@ def test_descriptors_that_fill_the_memory_stay_in_shards(cached, tmp_path, monke
         monkeypatch.setattr(module, "LARGE_BYTES", 1000)
     monkeypatch.setattr(Angles, "keeps_descriptors", lambda _: cached)
     method = Angles()
-    run = runner.run(asked_for(method, journey(N_QUERIES, N_PLACES), cache=tmp_path / "cache"), "key")
+    run = execute(asked_for(method, journey(N_QUERIES, N_PLACES), cache=tmp_path / "cache"), "key")
     assert method.searched.references.array is None
     folder = tmp_path / ("cache" if cached else "scratch")
     assert len([*folder.glob("*/*.npy")]) == (4 if cached else 2)  # of 80 references, and of 70 queries

@@ -13,8 +13,8 @@ from vprbench.api.dataset import HeldOut
 from vprbench.api.images import Images
 from vprbench.errors import BadInput
 from vprbench.plugins import networks
-from vprbench.runs import runner
 from vprbench.runs.notes import Note
+from vprbench.runs.run import execute
 
 pytestmark = pytest.mark.usefixtures("surroundings")
 
@@ -144,7 +144,7 @@ class Sharpened(Prototypes):
 
 def test_a_stored_network_holds_what_was_chosen_and_nothing_is_chosen_anew(tmp_path):
     def run(method, dataset, **files):
-        return runner.run(asked_for(method, dataset, files=networks.Files(**files)), "key")
+        return execute(asked_for(method, dataset, files=networks.Files(**files)), "key")
 
     path, plain = tmp_path / "network.safetensors", tmp_path / "plain.safetensors"
     trained = run(Sharpened(), with_held_out(), save=path)

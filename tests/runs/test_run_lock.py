@@ -17,11 +17,9 @@ from little import Lookup, a_failure, a_run, journey
 from little_runs import QUICK, asked_for, table
 
 from vprbench import cli
-from vprbench.plugins.networks import Files
 from vprbench.runs import run_lock
 from vprbench.runs.get_or_run import get_or_run
 from vprbench.runs.run_lock import HeldElsewhereError, RunLock, read_claims
-from vprbench.runs.settings import Settings
 from vprbench.runs.store import Store
 
 pytestmark = pytest.mark.usefixtures("surroundings")
@@ -96,9 +94,7 @@ def busy(during=lambda: None):
 
 
 def made(method, store, *waiting):
-    request = asked_for(method, journey(4, 4), replace(QUICK, rates=False), files=Files())
-    request = replace(request, config={**request.config, "files": []})
-    return get_or_run(request, Settings(frames=False, timing=request.protocol), store, *waiting)
+    return get_or_run(asked_for(method, journey(4, 4), replace(QUICK, rates=False)), store, *waiting)
 
 
 def lock_of_another(store):

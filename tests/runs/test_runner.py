@@ -21,7 +21,8 @@ from vprbench.api.method import LayerSpikes
 from vprbench.errors import BadInput
 from vprbench.metrics import ranking
 from vprbench.metrics.ranking import outcome
-from vprbench.runs import answers, frame, rows, runner, timing_lock
+from vprbench.runs import answers, frame, rows, scorers, timing_lock
+from vprbench.runs.run import execute
 
 pytestmark = pytest.mark.usefixtures("surroundings")
 
@@ -31,8 +32,8 @@ def test_queries_are_scored_in_order_in_blocks_and_have_the_outcome_of_the_whole
     scores = table(300, 40, levels)
     dataset = journey(300, 40, [list(range(i % 4)) for i in range(300)])  # every fourth query has no right place
     whole = outcome(scores, dataset.positives)
-    for cells, size in ((answers._BLOCK_CELLS, 128), (40 * 7, 7)):  # many places are scored in smaller blocks
-        monkeypatch.setattr(answers, "_BLOCK_CELLS", cells)
+    for cells, size in ((scorers._BLOCK_CELLS, 128), (40 * 7, 7)):  # many places are scored in smaller blocks
+        monkeypatch.setattr(scorers, "_BLOCK_CELLS", cells)
         monkeypatch.setattr(ranking, "_RANKED_CELLS", min(ranking._RANKED_CELLS, cells // 2))
         method = Lookup(scores)
         run = run_of(method, dataset)
@@ -124,7 +125,7 @@ class Reading(DescriptorMethod):
 def test_no_query_is_given_under_its_name(tmp_path, cached):
     named = Images.from_arrays([picture(i) for i in range(6)], [f"place {i % 4}" for i in range(6)])
     method, dataset = Reading(), replace(journey(6, 4), queries=named)
-    runner.run(asked_for(method, dataset, cache=tmp_path if cached else None), "key")
+    execute(asked_for(method, dataset, cache=tmp_path if cached else None), "key")
     assert len(method.names) > 3 * 6
     assert all(name.startswith("image ") for name in method.names)
 
@@ -249,7 +250,7 @@ def test_an_index_is_compared_on_up_to_256_queries_from_the_first_to_the_last(
     monkeypatch.setattr(Watched, "code_bytes", code_bytes)
     monkeypatch.setattr(Watched, "keeps_descriptors", lambda _: kept)
     method, queries = Watched(index="hnsw"), journey(n_queries, 300)
-    runner.run(asked_for(method, queries, cache=tmp_path), "key")
+    execute(asked_for(method, queries, cache=tmp_path), "key")
     assert any(tmp_path.iterdir()) is kept
     every = Angles().encode(queries.queries)
     (codes,) = method.seen

@@ -14,7 +14,6 @@ from vprbench.runs import answers
 from vprbench.runs.get_or_run import get_or_run
 from vprbench.runs.recall_intervals import recall_interval
 from vprbench.runs.sequences import NoScoresError, apply_filter, apply_sequences, name_views, parse_views
-from vprbench.runs.settings import Settings
 from vprbench.runs.store import Store
 from vprbench.runs.views import queries_shown, select_queries, window_of
 
@@ -113,11 +112,10 @@ def test_a_view_is_never_stored_and_gaps_are(store):
 @pytest.mark.usefixtures("surroundings")
 def test_all_scores_are_kept_on_request_and_for_sequences_and_not_lost_when_a_run_is_made_again(tmp_path, monkeypatch):
     monkeypatch.setattr(answers, "_LARGEST_MATRIX", 10)
-    request = asked_for(Lookup(table(6, 4)), journey(6, 4), replace(QUICK, rates=False))
 
-    def kept(folder="a", **settings):
-        asked = Settings(frames=False, timing=request.protocol, **settings)
-        return get_or_run(request, asked, Store(tmp_path / folder)).run.scores is not None
+    def kept(folder="a", **asked):
+        experiment = asked_for(Lookup(table(6, 4)), journey(6, 4), replace(QUICK, rates=False), **asked)
+        return get_or_run(experiment, Store(tmp_path / folder)).run.scores is not None
 
     assert [kept(), kept(scores=True), kept(), kept(force=True)] == [False, True, True, True]
     assert kept("b", sequence=2)

@@ -15,10 +15,9 @@ from stopped_clock import Clock
 
 from vprbench.api.images import Images
 from vprbench.api.method import Method
+from vprbench.config import make_request
 from vprbench.errors import BadInput
 from vprbench.runs import stopwatch
-from vprbench.runs.compose import composed
-from vprbench.runs.settings import checked_settings
 from vprbench.runs.stopwatch import Protocol, Stopwatch, best_batch, offline_rate, percentile_bound, streaming_rate
 
 MS = 1_000_000  # nanoseconds
@@ -246,7 +245,6 @@ def test_the_bound_of_a_percentile_is_the_lap_with_h_above_it():
 
 
 def test_a_protocol_that_measures_nothing_is_refused_by_name():
-    config = composed([])
     for option, values in {
         **{option: [0] for option in ("minimum_queries", "minimum_passes", "sample")},
         "batch_sizes": [[], [8, 0]],
@@ -256,7 +254,7 @@ def test_a_protocol_that_measures_nothing_is_refused_by_name():
     }.items():
         for value in values:
             with pytest.raises(BadInput, match=rf"timing\.{option}\b"):
-                checked_settings({**config, "timing": {**config["timing"], option: value}})
+                make_request([], {f"timing.{option}": value})
 
 
 LIMITED = Protocol(0.25, 64, 1, 5.0, 64, 20, [1, 8, 32], total_seconds=5.0)

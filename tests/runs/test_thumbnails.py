@@ -18,7 +18,6 @@ from vprbench.api.images import Images
 from vprbench.errors import BadInput
 from vprbench.runs import thumbnails
 from vprbench.runs.get_or_run import get_or_run
-from vprbench.runs.settings import Settings
 
 FINGERPRINT = "0123456789abcdef" * 4
 
@@ -184,8 +183,8 @@ def test_a_run_makes_the_frames_that_are_missing_and_asked_for_and_is_not_lost_w
     store, monkeypatch, caplog
 ):
     def frames(seed=0, **settings):
-        request = asked_for(Lookup(table(6, 4)), journey(6, 4), replace(QUICK, rates=False), seed=seed)
-        get_or_run(request, Settings(timing=request.protocol, **settings), store)
+        asked = {"seed": seed, "frames": True, **settings}
+        get_or_run(asked_for(Lookup(table(6, 4)), journey(6, 4), replace(QUICK, rates=False), **asked), store)
         return list((store.root / "frames").glob("*.zip"))
 
     (first,) = frames()

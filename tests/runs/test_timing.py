@@ -3,7 +3,7 @@
 import itertools
 import json
 import logging
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +12,10 @@ from held_memory import fall_in_a_new_window, in_a_new_process, peaks_of_runs, r
 from little import Lookup, a_run, journey
 from little_runs import QUICK, asked_for, kinds, table
 
+from vprbench.config import list_timings, make_request
 from vprbench.runs import machine
-from vprbench.runs.compose import composed
 from vprbench.runs.get_or_run import get_or_run
 from vprbench.runs.machine import Machine
-from vprbench.runs.settings import Settings, timings
 from vprbench.runs.stopwatch import Protocol, Stopwatch
 from vprbench.runs.store import Store
 
@@ -27,8 +26,7 @@ MORE = replace(QUICK, minimum_queries=6)
 
 
 def asked(store, protocol, force=False):
-    request = asked_for(Lookup(table(12, 4)), journey(12, 4), protocol)
-    return get_or_run(request, Settings(frames=False, force=force), store)
+    return get_or_run(asked_for(Lookup(table(12, 4)), journey(12, 4), protocol, force=force), store)
 
 
 def test_a_run_is_made_again_where_it_was_timed_by_less_than_asked_for_and_not_where_by_more(store, caplog):
@@ -52,13 +50,13 @@ def test_a_protocol_that_measures_less_falls_short_by_name_and_the_named_ones_an
     assert not QUICK.shortfalls(QUICK)
     assert not QUICK.shortfalls(UNTIMED)
     order = ["none", "quick", "standard", "publish"]
-    assert timings() == sorted(order)
-    named = {name: Protocol(**composed([f"timing={name}"])["timing"]) for name in order}
+    assert list_timings() == sorted(order)
+    named = {name: make_request([f"timing={name}"]).timing for name in order}
     for number, name in enumerate(order):
         assert [bool(named[name].shortfalls(named[other])) for other in order] == [i > number for i in range(4)]
-    assert named["standard"] == Protocol() == Protocol(**composed([])["timing"])
-    changed = composed(["timing=quick", "timing.minimum_seconds=1"])["timing"]
-    assert changed == {**asdict(named["quick"]), "minimum_seconds": 1}
+    assert named["standard"] == Protocol() == make_request().timing
+    changed = make_request(["timing=quick", "timing.minimum_seconds=1"]).timing
+    assert changed == replace(named["quick"], minimum_seconds=1)
 
 
 def interrupt(*_):

@@ -1,4 +1,4 @@
-"""Runs of one host compute side by side, and each is timed alone; each has a GPU of its own."""
+"""Runs of one host compute side by side, and each is timed alone."""
 
 import subprocess
 import sys
@@ -9,7 +9,6 @@ from itertools import pairwise
 
 import pytest
 
-from vprbench.jobs import child
 from vprbench.runs import timing_lock
 
 HOLDER = (
@@ -65,21 +64,3 @@ with lock.computing():
     runs = [subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) for _ in range(3)]
     times = sorted([float(moment) for moment in run.communicate()[0].split()] for run in runs)
     assert all(one[1] <= next[0] for one, next in pairwise(times))
-
-
-def test_each_run_of_a_sweep_has_a_gpu_of_its_own(monkeypatch):
-    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "GPU-a,GPU-b")
-    child._gpus.cache_clear()
-    with child.free_gpu(["device=cpu", "device=cuda"], lambda: False) as first:
-        assert first == {"CUDA_VISIBLE_DEVICES": "GPU-a"}
-        with (
-            child.free_gpu(["device=cuda:1"], lambda: False) as second,
-            child.free_gpu(["seed=1"], lambda: False) as none,
-        ):
-            assert second == none == {}
-            looks = iter([False, True])
-            with child.free_gpu(["device=cuda"], lambda: next(looks)) as given_up:
-                assert given_up == {}
-        with child.free_gpu(["device=cuda"], lambda: False) as free_again:
-            assert free_again == {"CUDA_VISIBLE_DEVICES": "GPU-b"}
-    child._gpus.cache_clear()

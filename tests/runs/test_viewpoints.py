@@ -8,14 +8,14 @@ from little import journey
 from little_runs import asked_for, kinds
 
 from vprbench.api.images import Images
+from vprbench.config import make_request
 from vprbench.errors import BadInput
 from vprbench.methods.sad import SAD
 from vprbench.paper.plan import PlannedColumn, Row
 from vprbench.paper.selection import ResolvedColumn, groups
-from vprbench.runs import runner
-from vprbench.runs.compose import composed
-from vprbench.runs.settings import checked_settings
-from vprbench.runs.viewpoints import AS_IT_IS, Viewed, Viewpoint, Viewpoints, seen_from, view_of, viewpoints
+from vprbench.runs.run import execute
+from vprbench.runs.scorers import ViewsScorer
+from vprbench.runs.viewpoints import AS_IT_IS, Viewpoint, Viewpoints, seen_from, view_of, viewpoints
 
 pytestmark = pytest.mark.usefixtures("surroundings")
 
@@ -80,7 +80,7 @@ def test_what_is_no_viewpoint_is_refused_by_the_name_of_the_option(option):
 @pytest.mark.parametrize("other", ["stream=true", "energy=true"])
 def test_what_is_of_one_view_a_query_is_refused_beside_several(other):
     with pytest.raises(BadInput, match="views"):
-        checked_settings(composed(["views=[-0.1,0.1]", other]))
+        make_request(["views=[-0.1,0]", other])
 
 
 def test_a_place_has_the_score_of_the_view_that_shows_it_best_whatever_the_batch():
@@ -88,7 +88,7 @@ def test_a_place_has_the_score_of_the_view_that_shows_it_best_whatever_the_batch
     method = SAD(height=16, width=64).fit(seen, np.arange(6))
     views = [Viewpoint(-0.25), AS_IT_IS, Viewpoint(0.25)]
     asked = Images.from_arrays([view_of(seen[i], view) for i, view in enumerate([*views, *views])])
-    viewed = Viewed(method, views)
+    viewed = ViewsScorer(method, views)
     scores = viewed.match(viewed.encode(asked))
     alone = [method.query(Images.from_arrays([view_of(image, view) for image in asked])) for view in views]
     assert np.array_equal(scores, np.max(alone, axis=0))
@@ -106,12 +106,12 @@ def moved():
 
 def run_with(dataset, views):
     asked = Viewpoints(**views)
-    request = asked_for(SAD(height=16, width=64), seen_from(dataset, asked), scores=True)
-    return runner.run(replace(request, views=asked, config={**request.config, "views": views}), "key")
+    experiment = asked_for(SAD(height=16, width=64), seen_from(dataset, asked), scores=True, views=views)
+    return execute(experiment, "key")
 
 
 def test_a_run_from_shifted_views_finds_the_places_of_a_shifted_camera_and_says_from_where_it_looked(moved, store):
-    plain = runner.run(asked_for(SAD(height=16, width=64), moved), "plain")
+    plain = execute(asked_for(SAD(height=16, width=64), moved), "plain")
     run = run_with(moved, {"horizontal": (-0.125, 0.0)})
     right = [np.mean(each.top_places[:, 0] == np.arange(200)) for each in (plain, run)]
     assert right[0] < 0.1 < 0.95 < right[1]
@@ -122,7 +122,7 @@ def test_a_run_from_shifted_views_finds_the_places_of_a_shifted_camera_and_says_
 
 
 def test_runs_from_other_viewpoints_stand_in_no_column_of_plain_ones(moved):
-    plain = runner.run(asked_for(SAD(height=16, width=64), moved), "plain")
+    plain = execute(asked_for(SAD(height=16, width=64), moved), "plain")
     seen = run_with(moved, {"horizontal": (0.0, 0.125)})
     row = Row(plain.method, plain.method)
     for views, wanted in ((None, plain), ([0.0, 0.125], seen)):

@@ -246,7 +246,7 @@ def replace_and_die(root, step):
 def destination(path, method, dataset, replace=False):
     """Return where a network goes that `method` learns on `dataset` under the arguments it has."""
     arguments = {n: v for n, v in vars(method).items() if not n.startswith("_") and n != "reference_mean"}
-    found = networks.prepare(networks.Files(save=path, replace=replace), method, arguments, dataset)
+    found = networks.prepare_destination(networks.Files(save=path, replace=replace), method, arguments, dataset)
     assert found is not None
     return found
 
@@ -257,4 +257,4 @@ def replace_network_and_die(path, step):
     method = Prototypes(seed=1).fit(dataset.references, dataset.places)
     where = destination(path, method, dataset, replace=True)
     die_before(step)
-    networks.save(where, method, "new", 1.0, 1.0)
+    networks.save_network(where, method, "new", 1.0)

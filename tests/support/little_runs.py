@@ -10,17 +10,18 @@ import numpy as np
 import pytest
 
 from vprbench.plugins.networks import Files
-from vprbench.runs import descriptors, machine, runner, sources
-from vprbench.runs.identity import Request
+from vprbench.runs import descriptors, machine, run, sources, watch
+from vprbench.runs.experiment import Experiment
+from vprbench.runs.request import RunRequest
 from vprbench.runs.stopwatch import Protocol
 
 CONFIG: dict[str, Any] = {
     "method": {"_target_": "little.Lookup", "window": 5, "device": "cpu"},
     "dataset": {"name": "journey"},
+    "frames": False,
     "seed": 0,
     "device": "cpu",
     "depth": 3,
-    "overrides": [],
 }
 QUICK = Protocol(minimum_seconds=0, minimum_queries=5, sample=16, warmup_queries=2, batch_sizes=[1, 4])
 
@@ -29,7 +30,7 @@ hash_class = functools.cache(sources.hash_class)
 
 
 def run_of(method, dataset, protocol=QUICK, **changes):
-    return runner.run(asked_for(method, dataset, protocol, **changes), "key")
+    return run.execute(asked_for(method, dataset, protocol, **changes), "key")
 
 
 def asked_for(
@@ -42,8 +43,10 @@ def asked_for(
     cache=None,
     **changes,
 ):
-    """Return the request of a little run; `changes` are made to its configuration."""
-    return Request("little", method, dataset, {**CONFIG, **changes}, "fingerprint", protocol, threads, files, cache)
+    """Return the experiment of a little run; `changes` are made to its request."""
+    given = {**CONFIG, "timing": protocol, "threads": threads, **changes}
+    request = RunRequest(method_name="little", dataset_name=dataset.name, **given)
+    return Experiment(request, method, dataset, "fingerprint", files, cache=cache)
 
 
 def table(n_queries, n_places, levels=1000):
@@ -60,8 +63,8 @@ def quiet_surroundings():
     }
     with pytest.MonkeyPatch.context() as patch:
         stand_in = SimpleNamespace(**{**vars(machine), **quick})
-        patch.setattr(runner, "machine", stand_in)
-        patch.setattr(runner, "code_hash", lambda method: method.__qualname__)  # a class here has many files behind it
+        patch.setattr(watch, "machine", stand_in)
+        patch.setattr(run, "code_hash", lambda method: method.__qualname__)  # a class here has many files behind it
         for module in (sources, descriptors):
             patch.setattr(module, "hash_class", hash_class)
         gc.freeze()  # a measurement collects garbage first, which takes long among all that a test session imports

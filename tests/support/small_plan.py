@@ -2,14 +2,16 @@
 
 import contextlib
 import io
+from dataclasses import replace
 
 from PIL import Image
 
-from vprbench import cli
-from vprbench.jobs import executors, job
-from vprbench.jobs.job import Job
+from vprbench.config import make_request
+from vprbench.jobs import executors
+from vprbench.jobs.job import make_run
 from vprbench.paper import gather
 from vprbench.paper.plan import read_plan
+from vprbench.runs.request import RunRequest
 
 PLAN = """
 seeds: [0, 1]
@@ -48,15 +50,22 @@ RUN = [
 
 
 class Apart:
-    """Stands in for processes of their own: the same command line, run here; remembers what was asked."""
+    """Stands in for processes of their own: makes the run here; remembers the requests."""
 
     def __init__(self):
-        self.asked: list[list[str]] = []
+        self.asked: list[RunRequest] = []
 
-    def __call__(self, options, **_):
-        self.asked.append(list(options))
+    def __call__(self, request_json, *_):
+        self.asked.append(RunRequest.from_json(request_json))
+        printed = []
         with contextlib.redirect_stdout(io.StringIO()):
-            return cli.attempt(options)
+            result = make_run(self.asked[-1], printed.append, wait=False)
+        return replace(result, printed="\n".join(printed))
+
+
+def run_apart(options):
+    """Make the run of these options as a process of its own does."""
+    return Apart()(make_request(options).to_json())
 
 
 def quick_figures(monkeypatch):
@@ -78,7 +87,6 @@ def install(monkeypatch, folder, plan=PLAN):
     path.write_text(plan, encoding="utf-8")
     apart = Apart()
     monkeypatch.chdir(folder)
-    monkeypatch.setattr(job, "current", Job())
-    monkeypatch.setattr(executors, "run_job", apart)
+    monkeypatch.setattr(executors, "run_in_child", apart)
     monkeypatch.setattr(gather, "read_plan", lambda _: read_plan(path))
     return apart

@@ -10,8 +10,8 @@ import pytest
 from checkout import ROOT
 from little import a_run
 
+from vprbench.config import make_request
 from vprbench.metrics.intervals import McNemar, WiderInterval
-from vprbench.runs import compose
 from vprbench.tuning import text
 from vprbench.tuning.comparison import Comparison, Repeated
 from vprbench.tuning.search import Found
@@ -88,14 +88,14 @@ def test_what_is_peculiar_to_a_search_is_told(changes, told):
 
 @pytest.mark.parametrize("name", ["synthetic", "nordland", "oxford_robotcar"])
 def test_the_command_runs_the_best_settings_on_the_dataset(name):
-    config = compose.composed(["method=vprtempo", f"dataset={name}"])
+    dataset = make_request(["method=vprtempo", f"dataset={name}"]).dataset
     folder = "/data/it's a 100% path, {really}"
-    settings = Settings(dataset=name, root=folder if "root" in config["dataset"] else None)
-    command = shlex.split(text.command(a_search(settings=settings, dataset=config["dataset"])))
-    run = compose.composed(compose.readable(command[3:]))
-    assert run["dataset"].get("root") == settings.root
-    assert run["method"]["max_module"] == 1100
-    assert {name: run["method"][name] for name in BEST} == BEST
+    settings = Settings(dataset=name, root=folder if "root" in dataset else None)
+    command = shlex.split(text.command(a_search(settings=settings, dataset=dataset)))
+    run = make_request(command[3:])
+    assert run.dataset.get("root") == settings.root
+    assert run.method["max_module"] == 1100
+    assert {name: run.method[name] for name in BEST} == BEST
 
 
 def test_every_trial_is_a_line_of_csv():

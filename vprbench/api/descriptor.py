@@ -16,7 +16,7 @@ from vprbench import progress
 from vprbench.api.adaptation import Adapt
 from vprbench.api.arrays import Descriptors, Places, Scores
 from vprbench.api.method import Method, require_codes
-from vprbench.api.search import Audit, Mapped, Search, agreement, check_index
+from vprbench.api.search import Audit, Search, agreement, check_index
 from vprbench.api.search_indexes import Kind
 from vprbench.errors import BadInput, NotFittedError
 from vprbench.storage.atomic import remove_leftovers, unfinished
@@ -177,15 +177,13 @@ class DescriptorMethod(Method):
         """Return the inner product with the best reference image of each place; -inf if none was retrieved."""
         return self._indexed().scores(codes)
 
-    def nearest(
-        self, codes: npt.NDArray[np.float32], n: int, *, mapped: Mapped = map
-    ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.int64]]:
+    def nearest(self, codes: npt.NDArray[np.float32], n: int) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.int64]]:
         """Return the scores of the best `n` places of each code, best first, and these places, as `Search.nearest`.
 
         So queries of a large map are answered. A subclass that overrides `match` overrides this as well, or all places
         are scored.
         """
-        return self._indexed().nearest(codes, n, mapped)
+        return self._indexed().nearest(codes, n)
 
     def keeps_descriptors(self) -> bool:
         """Tell whether descriptors of whole traverses are worth keeping on disk; False if `fit` changes descriptors."""

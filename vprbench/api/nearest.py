@@ -28,7 +28,7 @@ _FEW_QUERIES = 3  # that are faster compared one by one: a product of matrices f
 
 @dataclass(frozen=True)
 class Part:
-    """Consecutive images of a map, searched by one worker: their borders depend on the map alone."""
+    """Consecutive images of a map, searched together."""
 
     first: int  # the number of its first image
     n_images: int
@@ -47,7 +47,7 @@ class Nearest:
 
 
 def parts_of_map(vectors: Shards, places: Numbers | None) -> Iterator[Part]:
-    """Yield the parts that a map is searched in exactly; one in memory has its own rows alone, to be sent around."""
+    """Yield the parts that a map is searched in exactly."""
     from vprbench.api.rows import Rows  # here, for it needs PyTorch
 
     shared = Rows(vectors)

@@ -31,10 +31,6 @@ class Rows:
         self._addresses = np.zeros(len(vectors.pieces), np.uint64)
         self._each = vectors.each
 
-    def __reduce__(self) -> tuple[type[Rows], tuple[Shards]]:
-        """Go to another process without what is mapped in this one."""
-        return Rows, (self._vectors,)
-
     def products(self, codes: Vectors, queries: Numbers, images: Numbers) -> Vectors:
         """Return the inner products of pairs of a query and an image, given by their numbers, (n_pairs,).
 

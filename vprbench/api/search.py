@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import partial, reduce
+from functools import reduce
 from time import perf_counter
 from typing import get_args
 
@@ -16,7 +16,6 @@ from vprbench.api.bit_indexes import BitGraph, Bits, RaBitQ
 from vprbench.api.nearest import (
     CELLS,
     ROUNDING,
-    Nearest,
     Numbers,
     Part,
     Vectors,
@@ -33,9 +32,6 @@ from vprbench.storage.shards import Shards
 _TOGETHER = 1 << 16  # reference images, if several show a place
 
 _BEST = 10  # places that an audit compares
-
-#: Applies a function to each part of a map and gives the results in their order, as `map` does; a cluster may stand in.
-Mapped = Callable[[Callable[[Part], Nearest], Sequence[Part]], Iterable[Nearest]]
 
 
 _INDEXES: dict[Kind, Callable[[Shards, int], Flat | Retrieving]] = {
@@ -133,21 +129,19 @@ class Search:
                 scores[queries, block.places] = np.maximum(scores[queries, block.places], best)
         return scores
 
-    def nearest(self, codes: Vectors, n: int, mapped: Mapped = map) -> tuple[Vectors, Numbers]:
+    def nearest(self, codes: Vectors, n: int) -> tuple[Vectors, Numbers]:
         """Return the similarity of the `n` best places, (n_queries, n), and these places, best first.
 
         Of places as good as one another the lower comes first; where there is none, the similarity is -inf and the
-        place -1. Exact similarities are sums in float64, then rounded: the same in any batch, on any number of
-        machines. `mapped` searches the parts of the map, whose borders depend on nothing else. Raises ValueError for
+        place -1. Exact similarities are sums in float64, then rounded: the same in any batch. Raises ValueError for
         codes of another length.
         """
         codes = self._checked(codes)
         if self.rerank or isinstance(self._index, Retrieving):
             best = best_places(*self._retrieved(codes), len(codes), n)
         elif self.kind == "exact":
-            best = reduce(
-                merged, mapped(partial(best_of_part, codes, n), [*parts_of_map(self.references, self._shown)])
-            )
+            parts = parts_of_map(self.references, self._shown)
+            best = reduce(merged, (best_of_part(codes, n, part) for part in parts))
         else:
             best = best_of_part(codes, n, self._whole(self._index, self._shown))
         return best.similarity, best.places

@@ -177,7 +177,7 @@ def _content_of_torch(path: Path, mmap: bool) -> Any:
             f"d = torch.load({str(path)!r}, weights_only=False, map_location='cpu'); "
             "d = d.get('model_state_dict', d.get('state_dict', d)); "
             "torch.save({name: value for name, value in d.items() if torch.is_tensor(value)}, 'tensors.pth')\", "
-            "and give method.weights.path=tensors.pth"
+            "and give tensors.pth in its place"
         ) from error
     except Exception as error:  # torch raises whatever a damaged file leads it to
         raise BadInput(f"{path} cannot be read as a file of torch ({_reason(error)}): get it anew") from error

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import json
 import pkgutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, cast
+from typing import TYPE_CHECKING, cast
 
 from vprbench.errors import BadInput
-from vprbench.jobs.job import JobResult
 from vprbench.text import near, printable
 
 if TYPE_CHECKING:
     from vprbench.paper.run_options import TableRequest
-    from vprbench.paper.stored_runs import Compose
 
 
 COMPLETE = "__complete"  # the hidden command of completion scripts: a line -> the words that its last may become
@@ -25,7 +23,7 @@ COMPLETE = "__complete"  # the hidden command of completion scripts: a line -> t
 class Command:
     """A command and its options."""
 
-    call: Callable[[list[str]], int | JobResult]  # its docstring says in the first sentence what it does
+    call: Callable[[list[str]], int]  # its docstring says in the first sentence what it does
     options: str = ""  # module:Class, whose fields are its options
     groups: tuple[str, ...] = ()  # configurations that it takes, with their options: method, dataset, timing
     run: tuple[str, ...] | None = ()  # options of a run that it takes too; None: all that the class does not refuse
@@ -42,7 +40,7 @@ class Command:
         return cast(type, pkgutil.resolve_name(self.options)) if self.options else None
 
 
-def run(options: list[str]) -> JobResult:
+def run(options: list[str]) -> int:
     """Run one method on one dataset, or with -m all combinations, each in a process of its own."""
     from vprbench.commands.run import run_or_sweep
 
@@ -53,9 +51,9 @@ def compare(options: list[str]) -> int:
     """Run methods on one dataset, rank them in a table, draw figures and write a page."""
     from vprbench.comparison.checks import sort_options
     from vprbench.comparison.make import make_comparison
-    from vprbench.runs.compose import readable
+    from vprbench.config import quote_options
 
-    return make_comparison(sort_options(readable(options)), _compose)
+    return make_comparison(sort_options(quote_options(options)))
 
 
 def show_list(words: list[str]) -> int:
@@ -84,25 +82,23 @@ def check(options: list[str]) -> int:
 
     Raises BadInput if none is named.
     """
+    from vprbench.config import make_request
     from vprbench.plugins import conformance, registry
     from vprbench.progress import progress_shown
     from vprbench.runs import machine
-    from vprbench.runs.compose import check_names, readable
-    from vprbench.runs.settings import checked_settings, n_threads
 
     groups = [group for group in ("method", "dataset") if any(option.startswith(f"{group}=") for option in options)]
     if len(groups) != 1:
         raise BadInput(f"check needs method=NAME or dataset=NAME; {near('', registry.entries('method'))}")
-    check_names(options)
-    options = readable(options)
-    config = _compose(options)
-    machine.pin_threads(n_threads(checked_settings(config)))
+    request = make_request(options)
+    request.require_machine()
+    machine.pin_threads(request.n_threads)
     given = {option.split("=")[0].removeprefix("method.") for option in options}
-    with progress_shown(str(config[groups[0]].get("_target_", "")).rpartition(".")[2]):  # a file may be downloaded
+    with progress_shown(request.method_name if groups == ["method"] else request.dataset_name):  # of a download
         if groups == ["method"]:
-            results = list(conformance.check(config["method"], given))
+            results = list(conformance.check_method({**request.method, "tuned_on": request.tuned_on or None}, given))
         else:
-            results = list(conformance.check_dataset(config["dataset"]))
+            results = list(conformance.check_dataset(request.dataset))
     for result in results:
         print(printable(str(result)))
     kept, excepted, broken = (sum(r.state == state for r in results) for state in ("kept", "excepted", "broken"))
@@ -112,9 +108,9 @@ def check(options: list[str]) -> int:
 
 def new(options: list[str]) -> int:
     """Write the files of a new method or dataset, which keep the contract at once: new method NAME."""
-    from vprbench.plugins.new import new as write_files
+    from vprbench.plugins.new import write_plugin
 
-    print(printable(write_files(options), but="\n"))
+    print(printable(write_plugin(options), but="\n"))
     return 0
 
 
@@ -123,10 +119,10 @@ def doctor(options: list[str]) -> int:
 
     Raises BadInput if no dataset is named, and for options that are neither its own nor output=json.
     """
+    from vprbench.config import make_request
     from vprbench.data.doctor import command
     from vprbench.plugins import registry
     from vprbench.progress import progress_shown
-    from vprbench.runs.compose import check_names
     from vprbench.terminal.streams import results_only_on_stdout
 
     if not any(option.startswith("dataset=") for option in options):
@@ -134,17 +130,13 @@ def doctor(options: list[str]) -> int:
     for option in options:
         if option.partition("=")[0].split(".")[0] not in ("dataset", "output"):
             raise BadInput(f"{option} is no option of doctor: it takes dataset=, dataset.OPTION= and output=json")
-    check_names(options)
-    config = _compose(options)
-    name = config["dataset"].get("name", "dataset")
-    output = registry.checked("output", config["output"], Literal["row", "json"])
-
-    with progress_shown(f"doctor, {name}"), results_only_on_stdout() as say:
+    request = make_request(options)
+    with progress_shown(f"doctor, {request.dataset_name}"), results_only_on_stdout() as say:
         return command(
-            name,
-            lambda: registry.make_dataset(config["dataset"]),
+            request.dataset_name,
+            lambda: registry.make_dataset(request.dataset),
             lambda text: say(printable(text, but="\n")),
-            "json" if output == "json" else "text",
+            "json" if request.output == "json" else "text",
         )
 
 
@@ -172,6 +164,7 @@ def fetch(options: list[str]) -> int:
 
     Returns 1 if the frames that came are not right.
     """
+    from vprbench.config import make_request
     from vprbench.data.doctor import Finding, quick
     from vprbench.data.fetch.command import fetch_command
     from vprbench.plugins import registry
@@ -179,8 +172,8 @@ def fetch(options: list[str]) -> int:
     wrong: list[Finding] = []
 
     def check_frames(name: str, root: Path) -> list[str]:
-        config = _compose([f"dataset={name}", f"dataset.root={root}"])
-        found = quick(registry.make_dataset(config["dataset"]))
+        request = make_request([f"dataset={name}"], {"dataset.root": str(root)})
+        found = quick(registry.make_dataset(request.dataset))
         wrong.extend(finding for finding in found if finding.level == "error")
         lines = [f"{finding.level}: {finding.check}: {finding.text}" for finding in found]
         return [*lines, f"python -m vprbench doctor dataset={name} dataset.root={root} looks at every frame"]
@@ -211,22 +204,21 @@ def report(options: list[str]) -> int:
 
 def search(options: list[str]) -> int:
     """Search the best settings of the method in conf/search.yaml, on places that no result uses."""
+    from vprbench.config import make_request
     from vprbench.plugins.options import chosen
     from vprbench.progress import progress_shown
-    from vprbench.runs.compose import check_names
     from vprbench.runs.store import Store
     from vprbench.tuning import space, text
     from vprbench.tuning.search import search as search_settings
     from vprbench.tuning.settings import QUICK, Settings
 
     settings = chosen(Settings, options, QUICK)
-    check_names([f"dataset={settings.dataset}"])
-    root = [] if settings.root is None else [f"dataset.root={settings.root}"]
-    config = _compose([f"method={space.METHOD}", f"dataset={settings.dataset}", *root])
+    root = {} if settings.root is None else {"dataset.root": settings.root}
+    request = make_request([f"method={space.METHOD}", f"dataset={settings.dataset}"], root)
     folder = Path(settings.results).expanduser()
     Store(folder).prepare()
     with progress_shown("search"):
-        found = search_settings(settings, config["method"], config["dataset"])
+        found = search_settings(settings, request.method, request.dataset)
     print(text.write(found, folder), end="")
     return 0
 
@@ -242,30 +234,15 @@ def print_completion(words: list[str]) -> int:
     return 0
 
 
-def _compose(options: Sequence[str]) -> dict[str, Any]:
-    """Return the configuration of a run with these options of the command line, as plain values."""
-    from vprbench.plugins import registry
-    from vprbench.runs.compose import composed, explained, readable
-
-    registry.register_search_path()
-    try:
-        return composed(readable(options))
-    except BadInput:
-        raise
-    except ValueError as error:  # Hydra's, of a name that is none
-        raise BadInput(explained(error, options)) from error
-
-
-def _request_table(options: list[str]) -> tuple[TableRequest, list[str], Compose]:
-    """Return the rows and columns of a table, the options of their runs, and the function that resolves options."""
+def _request_table(options: list[str]) -> tuple[TableRequest, list[str]]:
+    """Return the rows and columns of a table, and the options of their runs."""
+    from vprbench.config import make_request, quote_options
     from vprbench.paper.run_options import TableRequest
     from vprbench.plugins.options import chosen
-    from vprbench.runs.compose import readable
-    from vprbench.runs.settings import checked_settings
 
     own = [option for option in options if TableRequest.has(option)]
-    rest = readable([option for option in options if option not in own])
-    own = [*own, *readable([option for option in own if option.startswith("methods=")])]  # loose files get their names
+    rest = quote_options([option for option in options if option not in own])
+    own += quote_options([option for option in own if option.startswith("methods=")])  # loose files get their names
     for option in rest:
         if option.split("=")[0].split(".")[0] in TableRequest.refused:
             raise BadInput(
@@ -274,8 +251,10 @@ def _request_table(options: list[str]) -> tuple[TableRequest, list[str], Compose
             )
     request = chosen(TableRequest, own, {})
     rest += request.threads(rest)
-    checked_settings(_compose([*rest, f"results={request.results}"]))
-    return request, rest, _compose
+    run = make_request(rest, {"results": request.results})
+    if not request.is_distributed:
+        run.require_machine()
+    return request, rest
 
 
 _TABLE = ("vprbench.paper.run_options:TableRequest", ("timing",), None)

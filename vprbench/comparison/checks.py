@@ -6,23 +6,22 @@ import shlex
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
 
 from vprbench.api.dataset import Dataset
 from vprbench.api.descriptor import DescriptorMethod
+from vprbench.config import make_request, split_sweep
 from vprbench.data.doctor import check_dataset, look_at_some
 from vprbench.errors import BadInput, NotFittedError, NotThere
 from vprbench.paper.plan import PlannedColumn, Row
 from vprbench.paper.run_options import CompareRequest
 from vprbench.paper.selection import ResolvedColumn
-from vprbench.paper.stored_runs import Compose
 from vprbench.plugins import registry
 from vprbench.plugins.options import chosen
 from vprbench.progress import progress_shown, report
 from vprbench.runs.identity import fingerprint
 from vprbench.runs.predictions import require_depth
+from vprbench.runs.request import OPTIONS, RunRequest
 from vprbench.runs.sequences import parse_views
-from vprbench.runs.settings import KNOWN, Settings, checked_settings
 from vprbench.runs.viewpoints import seen_from, viewpoints
 from vprbench.text import near
 
@@ -42,7 +41,7 @@ def sort_options(options: Sequence[str]) -> SortedOptions:
     own: list[str] = []
     of_dataset: list[str] = []
     rest: list[str] = []
-    known = (*CompareRequest.__dataclass_fields__, "dataset", "device", *KNOWN)
+    known = (*CompareRequest.__dataclass_fields__, "dataset", "device", *OPTIONS)
     for option in options:
         name = option.partition("=")[0]
         if "." not in name and name not in known:
@@ -74,6 +73,11 @@ def sort_options(options: Sequence[str]) -> SortedOptions:
                 f"{name}.{run_wide[0].removeprefix('method.')}: give seeds=NUMBER and device=, for all methods"
             )
     of_runs = [option for option in rest if not any(_is_of(option, name) for name in methods)]
+    for option in of_runs:
+        above, dot, argument = option.partition("=")[0].partition(".")
+        if dot and above not in OPTIONS:
+            wanted = ", ".join(f"{name}.{argument}" for name in methods)
+            raise BadInput(f"option {above}.{argument} is of no method here: give {wanted}")
     if not any(option.startswith("timing=") for option in of_runs):
         of_runs = ["timing=quick", *of_runs]
     of_runs += request.threads(of_runs)
@@ -98,13 +102,13 @@ class Checked:
 
     column: ResolvedColumn
     cells: tuple[Cell, ...]
-    settings: Settings
+    request: RunRequest  # of its dataset, with the options of all runs
     dataset: Dataset | None  # None: it cannot be built, and only stored runs are asked for
     images: str  # fingerprint of its frames
     looked: str | None = None  # what a quick look at some frames found, and which command says more
 
 
-def checked(command: SortedOptions, compose: Compose) -> tuple[Checked | None, list[str]]:
+def checked(command: SortedOptions) -> tuple[Checked | None, list[str]]:
     """Return what a comparison consists of, and what is wrong with it, a line each; None if anything is.
 
     The dataset and every method are built, and weights are looked for. For stored=true nothing has to be there.
@@ -115,15 +119,16 @@ def checked(command: SortedOptions, compose: Compose) -> tuple[Checked | None, l
     unknown = _unknown("dataset", _choice(command.of_dataset, "dataset"), command.of_dataset)
     if unknown:
         raise BadInput(unknown)
-    config = dict(compose([*options, f"results={command.request.results}"]))
-    settings = checked_settings({**config, "method": {}})
+    request = make_request(options, {"results": command.request.results})
+    if not command.request.is_distributed and not stored:
+        request.require_machine()
     if wanted := command.request.predictions:
-        require_depth(wanted, settings.depth, wanted)
+        require_depth(wanted, request.depth, wanted)
     dataset: Dataset | None = None
     images, looked = "", None
     with progress_shown("compare"):
         try:
-            dataset = seen_from(registry.make_dataset(config["dataset"]), viewpoints(command.request.views))
+            dataset = seen_from(registry.make_dataset(request.dataset), viewpoints(command.request.views))
             check_dataset(dataset, bool(parse_views(command.request.sequence, command.request.filter)))
             images = fingerprint(dataset)
             looked = None if stored else _looked(dataset, command.of_dataset)
@@ -133,16 +138,17 @@ def checked(command: SortedOptions, compose: Compose) -> tuple[Checked | None, l
         for number, name in enumerate(command.of_methods):
             report(f"looking at {name}", number / len(command.of_methods))
             try:
-                cells.append(_cell(name, command, options, dataset, compose))
+                settings = split_sweep(command.of_methods[name])
+                cells += [_cell(name, given, command, options, dataset) for given in settings]
             except BadInput as error:
                 told = str(error).removeprefix(f"{name}: ").replace("method.", f"{name}.")
                 wrong.append(f"{name}: {told}")
     if wrong:
         return None, wrong
-    title = command.request.name or str(config["dataset"]["name"])
+    title = command.request.name or request.dataset_name
     planned = PlannedColumn(title, title, command.of_dataset)
-    column = ResolvedColumn(planned, config["dataset"], views=command.request.views)
-    return Checked(column, tuple(cells), settings, dataset, images, looked), []
+    column = ResolvedColumn(planned, request.dataset, views=command.request.views)
+    return Checked(column, tuple(cells), request, dataset, images, looked), []
 
 
 def _looked(dataset: Dataset, options: Sequence[str]) -> str | None:
@@ -151,29 +157,29 @@ def _looked(dataset: Dataset, options: Sequence[str]) -> str | None:
     return f"{'; '.join(found)}: {shlex.join(['vprbench', 'doctor', *options])} says more" if found else None
 
 
-def _cell(name: str, command: SortedOptions, options: Sequence[str], dataset: Dataset | None, compose: Compose) -> Cell:
-    """Look at one method; raises BadInput for what is wrong with it."""
+def _cell(
+    name: str, given: Sequence[str], command: SortedOptions, options: Sequence[str], dataset: Dataset | None
+) -> Cell:
+    """Look at one method with its `given` options; raises BadInput for what is wrong with it."""
     known = registry.entries("method")
     registry.require_one("method", name)
-    given = command.of_methods[name]
     if unknown := _unknown("method", name, given):
         raise BadInput(unknown)
-    config = {**compose([*options, f"method={name}", *given]), "overrides": list(given)}
-    config["method"], _ = registry.declared(name, config["method"])
+    request = make_request([*options, f"method={name}", *given])
     entry = known.get(name)
-    seeded = "seed" in (config["method"] if entry is None else entry.options)
+    seeded = "seed" in (request.method if entry is None else entry.options)
     row = Row(
         " ".join([name, *(option.removeprefix("method.") for option in given)]),
         name,
         training="own" if seeded else "map",
         spiking=entry is not None and entry.spiking,
-        arguments=_arguments(name, given, config["method"]),
+        arguments=request.changed,
         seeds=tuple(range(command.request.seeds)) if seeded else (0,),
     )
     if command.request.stored:
         return Cell(row)
     try:
-        method = registry.make_method(config["method"])
+        method = registry.make_method(request.method)
         if dataset is not None and isinstance(method, DescriptorMethod):
             method.require_index(len(dataset.references))
         if not list(method.files()) and dataset is not None:
@@ -186,14 +192,6 @@ def _cell(name: str, command: SortedOptions, options: Sequence[str], dataset: Da
     except Exception as error:  # whatever a plug-in raises
         raise BadInput(f"{type(error).__name__}: {error}") from error
     return Cell(row)
-
-
-def _arguments(name: str, given: Sequence[str], config: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return the arguments that options changed, as a run records them."""
-    entry = registry.entries("method").get(name)
-    if entry is not None:
-        return entry.changed(config)
-    return {key: config[key] for key in (option.partition("=")[0].split(".")[1] for option in given)}
 
 
 def _unknown(group: registry.Group, name: str, options: Sequence[str]) -> str | None:

@@ -12,7 +12,7 @@ import pandas as pd
 from vprbench.comparison.checks import Checked, SortedOptions, checked
 from vprbench.errors import BadInput
 from vprbench.jobs.executors import Executor, executor_for
-from vprbench.jobs.job import JobResult
+from vprbench.jobs.job import JobResult, failure_of
 from vprbench.paper.figures.make import draw_all, write_figures
 from vprbench.paper.gather import ReportData, TablePlan, assembled, run_missing, runs_of, stored
 from vprbench.paper.page.make import write_page
@@ -20,7 +20,6 @@ from vprbench.paper.plan import Growth, Plan, Row
 from vprbench.paper.ranking import Ranking, ranked
 from vprbench.paper.robustness import Robustness, csv, lines, markdown, robustness
 from vprbench.paper.selection import Group, accuracy_series, as_text, describe_protocol, groups, seen
-from vprbench.paper.stored_runs import Compose
 from vprbench.paper.table import words
 from vprbench.paper.table.make import exit_code, write
 from vprbench.paper.table.quantities import RECALL, comparison_quantities, without_accuracies
@@ -33,7 +32,6 @@ from vprbench.runs.identity import fingerprint
 from vprbench.runs.predictions import tabulate_predictions, write_csv
 from vprbench.runs.record import Failure, Run
 from vprbench.runs.sequences import name_views, parse_views
-from vprbench.runs.settings import n_threads
 from vprbench.storage.atomic import replace_text
 from vprbench.terminal.console import line_text, show_table
 from vprbench.text import printable
@@ -61,7 +59,6 @@ def make_missing(
     rows: Sequence[Row],
     spoilt: dict[Corruption, Checked],
     command: SortedOptions,
-    compose: Compose,
     executor: Executor | None = None,
 ) -> list[JobResult]:
     """Make the runs that are not stored, on the first device alone; returns how each ended.
@@ -74,16 +71,16 @@ def make_missing(
     if not spoilt or chosen.stored:
         return []
     options += _UNTIMED
-    names = tuple(each.name for each in spoilt)
+    names = [each.name for each in spoilt]
     first = next(iter(spoilt.values())).column
     title = f"{first.dataset['name']}, {len(names)} corruptions"
-    column = replace(first, planned=replace(first.planned, title=title))
-    together = [replace(run, corruption=names) for row in rows for run in runs_of(once, column, [row])]
+    column = replace(first, planned=replace(first.planned, title=title), corruption=names)
+    together = list(runs_of(once, column, rows, options))
     if any(option.startswith("limit_minutes=") for option in options):
-        return run_missing(once, [one for run in together for one in run.each()], options, compose, executor)
-    results = run_missing(once, together, options, compose, executor)
-    died = [run for run, result in zip(together, results, strict=True) if result.code == 1]
-    alone = run_missing(once, [one for run in died for one in run.each()], options, compose, executor)
+        return run_missing(once, [one for cell in together for one in cell.each()], executor)
+    results = run_missing(once, together, executor)
+    died = [cell for cell, result in zip(together, results, strict=True) if result.code == 1]
+    alone = run_missing(once, [one for cell in died for one in cell.each()], executor)
     return [*(result for result in results if result.code != 1), *alone]
 
 
@@ -91,9 +88,9 @@ _NO_PLAN = Plan({}, {}, {}, Growth((), (), (), 0))
 _LEAST = ("peak MB", "AUC-PR (A)", "R@5 %")  # columns that a narrow terminal lacks first
 
 
-def make_comparison(command: SortedOptions, compose: Compose) -> int:
+def make_comparison(command: SortedOptions) -> int:
     """Compare methods on one dataset; returns the exit code: 1 where a run failed, 2 for input to be mended."""
-    found, wrong = checked(command, compose)
+    found, wrong = checked(command)
     if found is None:
         for line in wrong:
             print(printable(f"vprbench: {line}"), file=sys.stderr)
@@ -107,9 +104,10 @@ def make_comparison(command: SortedOptions, compose: Compose) -> int:
             print(printable(f"vprbench: {cell.row.name} is left out: {cell.missing}"), file=sys.stderr)
     options = [*command.of_runs, *["scores=true"] * bool(chosen.views)]
     with executor_for(command.request) as executor:
-        results = run_missing(chosen, list(runs_of(chosen, found.column, there)), options, compose, executor)
+        cells = [] if chosen.stored else list(runs_of(chosen, found.column, there, options))
+        results = run_missing(chosen, cells, executor)
         spoilt = under(found, command.request.corruptions)
-        results += make_missing(chosen, there, spoilt, command, compose, executor)
+        results += make_missing(chosen, there, spoilt, command, executor)
     known, failures = stored(chosen)
     compared, rankings = ranked_material(chosen, found, known, failures, results)
     show(compared, rankings, command.request.wide)
@@ -158,10 +156,10 @@ def ranked_material(
     if there.runs and not there.runs[0].is_judged:
         chosen = replace(chosen, quantities=without_accuracies(chosen.quantities))
     left_out = [
-        run.failed(cell.missing, missing=True)
-        for cell in found.cells
-        if cell.missing is not None
-        for run in runs_of(chosen, found.column, [cell.row])
+        failure_of(cell.request, JobResult(2, left.missing, missing=True))
+        for left in found.cells
+        if left.missing is not None
+        for cell in runs_of(chosen, found.column, [left.row], ())
     ]
     shown = groups(there.runs, [*failures, *left_out], [found.column], chosen.rows)
     shown = seen(shown, chosen.rows, chosen.views)
@@ -182,7 +180,7 @@ def _is_of(run: Run, found: Checked) -> bool:
     if found.dataset is None:
         return True
     alike = run.fingerprint == found.images and as_text(run.protocol) == as_text(found.dataset.protocol)
-    return alike and run.environment.get("threads") == n_threads(found.settings)
+    return alike and run.environment.get("threads") == found.request.n_threads
 
 
 def _with_options_of(run: Run, found: Checked) -> Run:

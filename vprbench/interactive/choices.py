@@ -16,11 +16,11 @@ from pydantic_core import PydanticSerializationError, to_jsonable_python
 
 from vprbench.api.dataset import Dataset
 from vprbench.api.method import Method
+from vprbench.config import make_request
 from vprbench.errors import BadInput
 from vprbench.interactive import short
 from vprbench.plugins import registry
 from vprbench.plugins.entries import Group, entries, require_one
-from vprbench.runs.compose import composed_in_python
 from vprbench.runs.sources import hash_class
 from vprbench.text import near
 
@@ -34,12 +34,12 @@ class NamedMethod:
 
     def build(self, seed: int = 0, device: str = "cpu") -> Method:
         """Return a new method, which has learnt nothing; raises BadInput for options that do not fit."""
-        return registry.make_method(self.config(seed, device))
+        values = {**self.values(), "seed": seed, "device": device}
+        return registry.make_method(make_request([f"method={self.name}"], values).method)
 
-    def config(self, seed: int, device: str) -> dict[str, Any]:
-        """Return its arguments, and what its yaml declares of it."""
-        values = {**_values("method", self.options), "seed": seed, "device": device}
-        return dict(composed_in_python([f"method={self.name}"], values)["method"])
+    def values(self) -> dict[str, Any]:
+        """Return its options by the names that a run has for them."""
+        return _values("method", self.options)
 
     def __repr__(self) -> str:
         return _as_call("method", self.name, self.options)
@@ -54,11 +54,11 @@ class NamedDataset:
 
     def build(self) -> Dataset:
         """Return the dataset; raises BadInput for options that do not fit, NotThere where its frames are missing."""
-        return registry.make_dataset(self.config())
+        return registry.make_dataset(make_request([f"dataset={self.name}"], self.values()).dataset)
 
-    def config(self) -> dict[str, Any]:
-        """Return its arguments."""
-        return dict(composed_in_python([f"dataset={self.name}"], _values("dataset", self.options))["dataset"])
+    def values(self) -> dict[str, Any]:
+        """Return its options by the names that a run has for them."""
+        return _values("dataset", self.options)
 
     def __repr__(self) -> str:
         return _as_call("dataset", self.name, self.options)
@@ -86,75 +86,85 @@ def dataset(name: str, /, **options: Any) -> NamedDataset:
 
 
 @dataclass(frozen=True)
-class Place:
-    """A dataset that is built, and its arguments."""
+class DatasetChoice:
+    """A dataset that is built, and its parts of a request."""
 
     dataset: Dataset
-    config: Mapping[str, Any]
-    overrides: tuple[str, ...]  # what was asked for, as on the command line
+    values: Mapping[str, Any]  # options by their dotted names
+    overrides: tuple[str, ...]  # the same as on the command line
+    described: Mapping[str, Any]  # fields of the request that describe an object
+
+    @property
+    def options(self) -> tuple[str, ...]:
+        """The option that chooses a registered one."""
+        return () if self.described else self.overrides[:1]
 
 
-def place(chosen: AnyDataset) -> Place:
+def choose_dataset(chosen: AnyDataset) -> DatasetChoice:
     """Build a dataset; raises what its builder raises, BadInput for any other object."""
     chosen = dataset(chosen) if isinstance(chosen, str) else chosen
     if isinstance(chosen, NamedDataset):
-        config = chosen.config()
-        return Place(registry.make_dataset(config), config, _overrides("dataset", chosen))
+        return DatasetChoice(chosen.build(), chosen.values(), _overrides("dataset", chosen), {})
     if not isinstance(chosen, Dataset):
         raise BadInput(
             f"a dataset of type {type(chosen).__name__} came; wanted a name, vprbench.dataset(...) or a Dataset, as "
             "vprbench.dataset_of(...) makes one of images"
         )
-    return Place(chosen, {"name": chosen.name}, (f"dataset={chosen.name}",))
+    described = {"dataset_name": chosen.name, "dataset": {"name": chosen.name}}
+    return DatasetChoice(chosen, {}, (f"dataset={chosen.name}",), described)
 
 
 @dataclass(frozen=True)
-class Recipe:
-    """How a method is made: from the arguments that a record holds."""
+class MethodChoice:
+    """A method, as its parts of a request and the function that makes it of the request's arguments."""
 
     name: str
-    config: Mapping[str, Any]  # its arguments, and what its yaml declares of it
-    changed: Mapping[str, Any]  # from its defaults
-    overrides: tuple[str, ...]  # what was asked for, as on the command line
-    build: Callable[[Mapping[str, Any]], Method]
-    untold: str | None = None  # why its runs cannot be told apart from others, and so are not stored
+    values: Mapping[str, Any]  # options by their dotted names; of an object its seed and device
+    overrides: tuple[str, ...]  # the options as on the command line
+    described: Mapping[str, Any]  # fields of the request that describe an object
+    make: Callable[[Mapping[str, Any]], Method] | None = None  # of an object
+    unstored_reason: str | None = None  # why its runs cannot be told apart from others, and so are not stored
+
+    @property
+    def options(self) -> tuple[str, ...]:
+        """The option that chooses a registered one."""
+        return () if self.described else self.overrides[:1]
 
 
-def recipe(chosen: AnyMethod, seed: int | None, device: str | None) -> Recipe:
-    """Return how a method is made under a seed and on a device; None: those of an object, else 0 and the CPU.
+def choose_method(chosen: AnyMethod, seed: int | None, device: str | None) -> MethodChoice:
+    """Return the parts of a request; without seed and device those of an object, else 0 and the CPU.
 
     Raises BadInput for any other object.
     """
     chosen = method(chosen) if isinstance(chosen, str) else chosen
     if isinstance(chosen, NamedMethod):
-        config = chosen.config(seed or 0, device or "cpu")
-        changed = entries("method")[chosen.name].changed(config)
-        return Recipe(chosen.name, config, changed, _overrides("method", chosen), registry.make_method)
+        values = {**chosen.values(), "seed": seed or 0, "device": device or "cpu"}
+        return MethodChoice(chosen.name, values, _overrides("method", chosen), {})
     if not isinstance(chosen, Method) and not (isinstance(chosen, type) and issubclass(chosen, Method)):
         raise BadInput(
             f"a method of type {type(chosen).__name__} came; wanted a name, vprbench.method(...) or an object whose "
             "class subclasses vprbench.api.Method"
         )
-    return _of_object(chosen() if isinstance(chosen, type) else chosen, {"seed": seed, "device": device})
+    return _describe_object(chosen() if isinstance(chosen, type) else chosen, {"seed": seed, "device": device})
 
 
-def _of_object(given: Method, per_run: Mapping[str, Any]) -> Recipe:
-    """Return how methods of the class and arguments of an object are made; itself is never fitted."""
+def _describe_object(given: Method, per_run: Mapping[str, Any]) -> MethodChoice:
+    """Return the choice of methods of the class and arguments of an object; itself is never fitted."""
     kind = type(given)
-    arguments, untold = _arguments(given)
+    arguments, reason = _arguments(given)
     arguments |= {name: value for name, value in per_run.items() if name in arguments and value is not None}
     recorded: dict[str, Any] = {}
     for name, value in arguments.items():
         try:
             recorded[name] = plain(value)
         except ValueError as error:
-            untold = f"its argument {name} cannot be recorded, for a {error}"
+            reason = f"its argument {name} cannot be recorded, for a {error}"
     try:
         hash_class(kind)
     except OSError as error:
-        untold = str(error)
+        reason = str(error)
 
-    def build(wanted: Mapping[str, Any]) -> Method:
+    def make(wanted: Mapping[str, Any]) -> Method:
         if not arguments:
             return copy.deepcopy(given)
         return kind(
@@ -169,7 +179,9 @@ def _of_object(given: Method, per_run: Mapping[str, Any]) -> Recipe:
     }
     overrides = (f"method={kind.__name__}", *(f"method.{name}={_text(value)}" for name, value in changed.items()))
     config = {"_target_": f"{kind.__module__}.{kind.__qualname__}", **recorded}
-    return Recipe(kind.__name__, config, changed, overrides, build, untold)
+    described = {"method_name": kind.__name__, "method": config, "changed": changed, "tuned_on": {}}
+    values = {name: recorded[name] for name in per_run if name in recorded}
+    return MethodChoice(kind.__name__, values, overrides, described, make, reason)
 
 
 def _arguments(given: Method) -> tuple[dict[str, Any], str | None]:

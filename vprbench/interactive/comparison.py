@@ -12,18 +12,19 @@ import pandas as pd
 
 from vprbench.errors import BadInput, NotThere
 from vprbench.interactive import short
-from vprbench.interactive.choices import AnyDataset, AnyMethod, Place, place, recipe
+from vprbench.interactive.choices import AnyDataset, AnyMethod, DatasetChoice, choose_dataset, choose_method
 from vprbench.interactive.result import Result
-from vprbench.interactive.running import Options, Prepared, finished, prepared
+from vprbench.interactive.running import Options, finish, prepare
 from vprbench.metrics.registry import METRICS
 from vprbench.paper.ranking import NUMBERS, Ranking, ranked
 from vprbench.paper.selection import Series
 from vprbench.paper.table.quantities import RATES
 from vprbench.runs import frame, rows
+from vprbench.runs.experiment import Experiment
 from vprbench.runs.frame import iterate_rows
 from vprbench.runs.record import Failure
+from vprbench.runs.request import spell_out_metrics
 from vprbench.runs.sequences import parse_views
-from vprbench.runs.settings import require_metrics
 from vprbench.text import NOTHING, format_two_digits, plural
 
 if TYPE_CHECKING:
@@ -149,19 +150,19 @@ def compare(
     and checked before the first runs; one whose weights are not there is left out, with a warning. Raises what `run`
     raises, and BadInput, a line for each thing that is wrong.
     """
-    metrics = require_metrics(metrics)
+    metrics = spell_out_metrics(metrics)
     asked = parse_views(sequence)
     numbers = list(range(seeds)) if isinstance(seeds, int) else list(seeds)
     unusable = not numbers or min(numbers) < 0 or len({*numbers}) < len(numbers)
     if not len(methods) or isinstance(methods, str) or unusable or "seed" in options:
         raise BadInput(f"methods={methods}, seeds={seeds}: give a list of methods, and different seeds with seeds=")
-    where = place(dataset)
+    where = choose_dataset(dataset)
     there, left_out = _checked(methods, where, {**options, "seed": numbers[0]})
     of_methods: list[list[Result]] = []
     for method, ready in there:
-        more = numbers[1:] if "seed" in ready.request.config["method"] else []
-        others = (prepared(method, where, {**options, "seed": seed}) for seed in more)
-        of_methods.append([finished(each) for each in (ready, *others)])
+        more = numbers[1:] if "seed" in ready.request.method else []
+        others = (prepare(method, where, {**options, "seed": seed}) for seed in more)
+        of_methods.append([finish(each) for each in (ready, *others)])
     series = [Series(each[0].name, each[0].run.spikes is not None, tuple(r.run for r in each)) for each in of_methods]
     results = tuple(result for each in of_methods for result in each)
     found = Comparison(results, ranked(series), tuple(metrics), tuple(left_out))
@@ -169,23 +170,23 @@ def compare(
 
 
 def _checked(
-    methods: Sequence[AnyMethod], where: Place, options: Options
-) -> tuple[list[tuple[AnyMethod, Prepared]], list[Failure]]:
+    methods: Sequence[AnyMethod], where: DatasetChoice, options: Options
+) -> tuple[list[tuple[AnyMethod, Experiment]], list[Failure]]:
     """Return the methods that can run, and those whose weights are not there; raises BadInput, a line for each error.
 
     Raises NotThere if no method can run.
     """
-    there: list[tuple[AnyMethod, Prepared]] = []
+    there: list[tuple[AnyMethod, Experiment]] = []
     left_out: list[Failure] = []
     wrong: dict[str, list[str]] = {}  # the methods of each error
     names: list[str] = []
     for method in methods:
         try:
-            there.append((method, prepared(method, where, options)))
+            there.append((method, prepare(method, where, options)))
             request = there[-1][1].request
-            names.append(frame.format_label(Failure(request.name, request.dataset.name, request.config, "")))
+            names.append(frame.format_label(Failure(request.method_name, request.dataset_name, request.record(), "")))
         except NotThere as error:
-            chosen = recipe(method, None, None)
+            chosen = choose_method(method, None, None)
             asked = {"overrides": chosen.overrides}
             left_out.append(Failure(chosen.name, where.dataset.name, asked, str(error), missing=True))
             names.append(frame.format_label(left_out[-1]))

@@ -37,7 +37,7 @@ def results(folder: str | Path = "results") -> pd.DataFrame:
         raise BadInput(
             f"results={folder} is no folder: give one that vprbench.run, or the command line, stored runs in"
         )
-    found = tabulate_runs(Store(root).runs(), [*METRICS]).drop(columns=["label", "protocol_name", "error"])
+    found = tabulate_runs(Store(root).runs(), [*METRICS])
     numbers = [name for name in found if name in METRICS or str(name).endswith(("_low", "_high", "_seconds", "_hz"))]
     return found.astype(dict.fromkeys(numbers, float)).assign(hz=found["streaming_total_hz"].astype(float))
 

@@ -4,20 +4,24 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, TypedDict, Unpack
 
+from vprbench.config import make_request
 from vprbench.errors import BadInput
-from vprbench.interactive.choices import AnyDataset, AnyMethod, Place, Recipe, place, recipe
+from vprbench.interactive.choices import (
+    AnyDataset,
+    AnyMethod,
+    DatasetChoice,
+    MethodChoice,
+    choose_dataset,
+    choose_method,
+)
 from vprbench.interactive.result import Result
-from vprbench.plugins import registry
-from vprbench.runs.build_request import request_of
-from vprbench.runs.compose import composed_in_python
+from vprbench.runs.experiment import Experiment, build_experiment
 from vprbench.runs.get_or_run import get_or_run
-from vprbench.runs.identity import Request
-from vprbench.runs.settings import KNOWN, Settings, checked_settings
+from vprbench.runs.request import OPTIONS, RunRequest
 from vprbench.runs.store import Store
 from vprbench.text import near
 
@@ -51,68 +55,49 @@ def run(method: AnyMethod, dataset: AnyDataset, **options: Unpack[Options]) -> R
     Dataset, as `vprbench.dataset_of(...)` makes one. Raises BadInput for what does not fit, NotThere where weights or
     frames are missing, and what the method raises.
     """
-    return finished(prepared(method, place(dataset), options))
+    return finish(prepare(method, choose_dataset(dataset), options))
 
 
-@dataclass(frozen=True)
-class Prepared:
-    """A run whose method and dataset are built and checked."""
-
-    request: Request
-    settings: Settings
-    store: Store | None  # None: nothing is stored
-
-
-def prepared(method: AnyMethod, where: Place, options: Options) -> Prepared:
-    """Build and check what a run needs; raises BadInput, NotThere."""
+def prepare(method: AnyMethod, where: DatasetChoice, options: Options) -> Experiment:
+    """Build and check a run whose results folder is empty if nothing is stored; raises BadInput, NotThere."""
     for name in options:
-        if name in KNOWN and name not in Options.__annotations__:
+        if name in OPTIONS and name not in Options.__annotations__:
             raise BadInput(f"option {name} is the command line's, where each run has a process: leave it out")
         if name not in Options.__annotations__:
             raise BadInput(f"option {name} is unknown: {near(name, Options.__annotations__)}")
     if not isinstance(options.get("corruption"), str | None):
         raise BadInput(f"corruption={options['corruption']}: give one name, as in corruption='shift-1'")
-    chosen = recipe(method, options.get("seed"), options.get("device"))
+    chosen = choose_method(method, options.get("seed"), options.get("device"))
     stored = options.get("results", "results") is not None
-    if stored and chosen.untold is not None:
-        logger.warning("the run of %s will not be stored: %s", chosen.name, chosen.untold)
+    if stored and chosen.unstored_reason is not None:
+        logger.warning("the run of %s will not be stored: %s", chosen.name, chosen.unstored_reason)
         stored = False
-    settings, config = _settings(chosen, where, options, stored)
-    store = Store(Path(settings.results).expanduser())
-    method_config, tuned_on = registry.declared(chosen.name, config["method"])
-    named = ("dataset", "corruption", "views", "seed", "device", "depth", "load", "limit_minutes")
-    asked = {name: config[name] for name in named}
-    asked |= {"method": method_config, "changed": dict(chosen.changed)}
-    corrupted = [f"corruption={settings.corruption}"] * (settings.corruption is not None)
-    asked |= {"overrides": [*chosen.overrides, *where.overrides, *corrupted, f"seed={settings.seed}"]}
-    request = request_of(chosen.name, chosen.build, where.dataset, asked, settings, store, tuned_on)
-    return Prepared(request, settings, store if stored else None)
+    return build_experiment(_request(chosen, where, options, stored), where.dataset, chosen.make)
 
 
-def finished(ready: Prepared) -> Result:
+def finish(experiment: Experiment) -> Result:
     """Return the result of a run, from the store or made now; raises what the method raises."""
-    dataset = ready.request.dataset
-    queries = dataset.queries.names
-    if ready.store is not None:
-        found = get_or_run(ready.request, ready.settings, ready.store)
-        return Result(found.run, found.folder, queries, found.from_store, dataset)
+    dataset, request = experiment.dataset, experiment.request
+    if request.results:
+        found = get_or_run(experiment, Store(Path(request.results).expanduser()))
+        return Result(found.run, found.folder, dataset.queries.names, found.from_store, dataset)
     with TemporaryDirectory(prefix="vprbench-") as folder:
-        found = get_or_run(ready.request, ready.settings, Store(Path(folder)))
-    return Result(found.run, None, queries, dataset=dataset)
+        found = get_or_run(experiment, Store(Path(folder)))
+    return Result(found.run, None, dataset.queries.names, dataset=dataset)
 
 
-def _settings(chosen: Recipe, where: Place, options: Options, stored: bool) -> tuple[Settings, dict[str, Any]]:
-    """Return the settings of a run, and its configuration."""
-    values: dict[str, Any] = {name: _plain(value) for name, value in options.items() if name != "timing"}
-    values |= {name: chosen.config[name] for name in ("seed", "device") if name in chosen.config}
+def _request(chosen: MethodChoice, where: DatasetChoice, options: Options, stored: bool) -> RunRequest:
     timing = options.get("timing", "quick")
+    values: dict[str, Any] = {name: _plain(value) for name, value in options.items() if name != "timing"}
     if isinstance(timing, Mapping):
         values |= {f"timing.{name}": value for name, value in timing.items()}
     if not stored:
         values |= {"results": "", "cache": False, "frames": False}
-    config = composed_in_python([f"timing={timing}"] if isinstance(timing, str) else [], values)
-    config |= {"method": chosen.config, "dataset": where.config}
-    return checked_settings(config), config
+    values |= {**chosen.values, **where.values}
+    named = [*chosen.options, *where.options, *([f"timing={timing}"] if isinstance(timing, str) else [])]
+    corruption = [f"corruption={values['corruption']}"] if values.get("corruption") is not None else []
+    overrides = [*chosen.overrides, *where.overrides, *corruption, f"seed={values.get('seed', 0)}"]
+    return make_request(named, values, {**chosen.described, **where.described, "overrides": overrides})
 
 
 def _plain(value: Any) -> Any:

@@ -1,1 +1,1 @@
-"""Runs made here one after the other, or side by side on dask, which no other room knows."""
+"""Many runs: each in a process of its own, one after the other or side by side on dask."""

@@ -1,38 +1,32 @@
-"""Who makes runs, each in a process of its own, and tells how they ended: this process, or a dask cluster."""
+"""Many runs, each in a process of its own: here one after the other, or on dask side by side."""
 
 from __future__ import annotations
 
 import functools
 import socket
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import Future
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from types import TracebackType
-from typing import Protocol, Self
+from typing import Any, Protocol, Self
 
-from vprbench.jobs.child import run_job
+from vprbench.jobs.child import run_in_child
 from vprbench.jobs.job import JobResult
 from vprbench.jobs.options import ClusterOptions
 from vprbench.runs import run_lock
+from vprbench.runs.request import RunRequest
 
-_LOOK_EVERY = 1.0  # seconds between looks at whether the locks of others are free
+_LOOK_EVERY = 1.0  # seconds between looks at the locks of others, and at the cluster
 
-Numbered = tuple[int, Sequence[str]]  # a run's number, and its options of the command line
-
-
-@dataclass(frozen=True)
-class Callbacks:
-    """What is called while runs are made."""
-
-    begins: Callable[[int, str], None] = lambda *_: None  # with the number of a run, and the host
-    says: Callable[[int, str], None] | None = None  # with a number and a line of standard error; None: it is printed
+Numbered = tuple[int, RunRequest]
+Hear = Callable[[int, str], None]  # takes a run's number and a line of its standard error
 
 
 class Executor(Protocol):
     """Makes runs; a context, which ends what was started."""
 
-    is_distributed: bool  # whether other processes wait for the runs, several at a time
+    is_distributed: bool  # whether several runs go on at a time
+    name: str  # where the runs are made, for people
 
     def __enter__(self) -> Self:
         """Begin."""
@@ -43,17 +37,21 @@ class Executor(Protocol):
     def room(self) -> int:
         """Return how many runs may be made at a time."""
 
-    def submit(self, number: int, options: Sequence[str], callbacks: Callbacks) -> Future[JobResult]:
-        """Begin to make a run; returns its future."""
+    def submit(self, request: RunRequest, hear: Callable[[str], None] | None) -> Future[Any]:
+        """Begin to make a run; `hear` takes the lines of its standard error, None prints them."""
 
-    def wait(self) -> None:
-        """Wait for a moment, and fulfil the futures of the runs that are made."""
+    def collect(self, request: RunRequest, made: Future[Any], hear: Callable[[str], None] | None) -> JobResult:
+        """Return the outcome of a run that has ended; raises BadInput for a cluster that can make none."""
+
+    def require_cluster(self) -> None:
+        """Raise ClusterLostError if no run will ever end."""
 
 
 class SerialExecutor:
     """Makes runs here, one after the other."""
 
     is_distributed = False
+    name = socket.gethostname()
 
     def __enter__(self) -> Self:
         """Start nothing."""
@@ -66,53 +64,64 @@ class SerialExecutor:
         """Return 1."""
         return 1
 
-    def submit(self, number: int, options: Sequence[str], callbacks: Callbacks) -> Future[JobResult]:
+    def submit(self, request: RunRequest, hear: Callable[[str], None] | None) -> Future[JobResult]:
         """Make a run; its future is done."""
-        callbacks.begins(number, socket.gethostname())
-        says = None if callbacks.says is None else functools.partial(callbacks.says, number)
         future: Future[JobResult] = Future()
-        future.set_result(run_job(options, heard=says))
+        future.set_result(run_in_child(request.to_json(), hear))
         return future
 
-    def wait(self) -> None:
-        """Return at once: every future is done."""
+    def collect(self, request: RunRequest, made: Future[JobResult], hear: Callable[[str], None] | None) -> JobResult:
+        """Return the outcome of a run."""
+        return made.result()
+
+    def require_cluster(self) -> None:
+        """There is no cluster."""
 
 
 def run_all(
-    executor: Executor, runs: Iterable[Numbered], callbacks: Callbacks | None = None
+    executor: Executor,
+    runs: Iterable[Numbered],
+    begin: Callable[[int], None] = lambda _: None,
+    hear: Hear | None = None,
 ) -> Iterator[tuple[int, JobResult]]:
-    """Make runs; yields the number of each and its result, in any order.
+    """Make runs; yields the number of each and its outcome, in any order.
 
-    A run is asked for when there is room for it, so that what is known by then may decide which. A run that another
-    sweep makes is tried again at the end.
+    A run is taken from `runs` when there is room for it, so that the outcomes until then may decide which. `begin` is
+    called with its number. A run that another command makes meanwhile is tried again at the end.
     """
-    coming, callbacks = iter(runs), callbacks or Callbacks()
-    held_by_others: dict[int, tuple[Sequence[str], str]] = {}  # options, and the lock
-    running: dict[Future[JobResult], Numbered] = {}
+    coming = iter(runs)
+    held: list[tuple[Numbered, str]] = []  # runs that other commands make, with their locks
+    running: dict[Future[Any], Numbered] = {}
+
+    def hear_of(number: int) -> Callable[[str], None] | None:
+        return None if hear is None else functools.partial(hear, number)
+
     while True:
-        while len(running) < (executor.room() if running or held_by_others else 1):
-            found = next(coming, None) or _freed(held_by_others, wait=not running)
+        while len(running) < (executor.room() if running or held else 1):
+            found = next(coming, None) or _free_run(held, wait=not running)
             if found is None:
                 break
-            running[executor.submit(*found, callbacks)] = found
+            begin(found[0])
+            running[executor.submit(found[1], hear_of(found[0]))] = found
         if not running:
             return
-        executor.wait()
-        for future in [each for each in running if each.done()]:
-            (number, options), result = running.pop(future), future.result()
+        executor.require_cluster()
+        for future in wait(running, _LOOK_EVERY, FIRST_COMPLETED).done:
+            number, request = running.pop(future)
+            result = executor.collect(request, future, hear_of(number))
             if result.held:
-                held_by_others[number] = options, result.held
+                held.append(((number, request), result.held))
             else:
                 yield number, result
 
 
-def _freed(held_by_others: dict[int, tuple[Sequence[str], str]], wait: bool) -> Numbered | None:
+def _free_run(held: list[tuple[Numbered, str]], wait: bool) -> Numbered | None:
     """Return a run that nobody else makes any more; if there is none, wait for one or return None."""
-    while held_by_others:
-        for number, (options, lock) in held_by_others.items():
+    while held:
+        for at, (run, lock) in enumerate(held):
             if not run_lock.is_held(lock):
-                del held_by_others[number]
-                return number, options
+                del held[at]
+                return run
         if not wait:
             return None
         time.sleep(_LOOK_EVERY)
@@ -120,9 +129,9 @@ def _freed(held_by_others: dict[int, tuple[Sequence[str], str]], wait: bool) -> 
 
 
 def executor_for(options: ClusterOptions) -> Executor:
-    """Return who makes runs under these options; nothing of dask is imported without one."""
+    """Return the executor that options ask for; nothing of dask is imported without one."""
     if not options.is_distributed:
         return SerialExecutor()
-    from vprbench.jobs.dask_executor import DaskExecutor
+    from vprbench.jobs.cluster import DaskExecutor
 
     return DaskExecutor(options)

@@ -1,58 +1,108 @@
-"""A run that one process asks of another: what is asked, and what came of it, as files of a folder."""
+"""One run made from start to end: its row or JSON said, and its outcome as plain values."""
 
 from __future__ import annotations
 
-import contextlib
 import json
-from dataclasses import asdict, dataclass
+import logging
+import sys
+import textwrap
+import traceback
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Any
 
-FOLDER = "VPRBENCH_JOB"  # the environment variable that names the folder, for a process that makes a job
-_ASKED, _RESULT = "job.json", "result.json"
-
-
-@dataclass(frozen=True)
-class Job:
-    """What is asked of a process."""
-
-    options: tuple[str, ...] = ()  # of the command line
-    parent: int = 0  # the process that asks; the job ends with it
-
-    def write(self, folder: Path) -> None:
-        """Leave it for the process that makes it."""
-        (folder / _ASKED).write_text(json.dumps(asdict(self)), encoding="utf-8")
-
-    @classmethod
-    def read(cls, folder: Path) -> Job:
-        """Return the job of a folder."""
-        asked = json.loads((folder / _ASKED).read_text(encoding="utf-8"))
-        return cls(tuple(asked["options"]), asked["parent"])
+from vprbench.errors import BadInput, NotThere, TrainingDivergedError, format_error, hide_home
+from vprbench.runs.record import Failure
+from vprbench.runs.request import RunRequest
+from vprbench.terminal.streams import complain
+from vprbench.text import printable
 
 
 @dataclass(frozen=True)
 class JobResult:
-    """What came of a job."""
+    """The outcome of a run."""
 
-    code: int  # 0: all that was asked for is stored
-    missing: bool = False  # method, weights or frames are not there
+    code: int  # 0: the run is stored; 1: it failed; 2: its input has to be mended
     error: str = ""
-    recorded: bool = False  # whether the store knows of the error
+    missing: bool = False  # method, weights or frames are not there
     key: str = ""  # of the run that is stored
-    printed: str = ""  # what the job has to say on standard output
+    printed: str = ""  # the row or JSON of the run
+    environment: dict[str, Any] = field(default_factory=dict)  # the machine of a run that failed
     held: str = ""  # the lock of another process that makes the run now: ask again once it is free
 
-    def write(self, folder: Path) -> None:
-        """Leave it for the process that asked."""
-        partial = folder / f"{_RESULT}.partial"
-        partial.write_text(json.dumps(asdict(self)), encoding="utf-8")
-        partial.rename(folder / _RESULT)
-
-    @classmethod
-    def read(cls, folder: Path) -> JobResult | None:
-        """Return the result that was left in a folder; None if the process has died before."""
-        with contextlib.suppress(FileNotFoundError):
-            return cls(**json.loads((folder / _RESULT).read_text(encoding="utf-8")))
-        return None
+    def to_json(self) -> str:
+        """Return all fields as JSON."""
+        return json.dumps(asdict(self))
 
 
-current: Job | None = None  # the job that this process makes
+def make_run(request: RunRequest, say: Callable[[str], None], wait: bool = True) -> JobResult:
+    """Make a run, or find it stored, and say its row or JSON; an error is said on standard error and returned.
+
+    Without `wait` a run that another process makes is left to that. Raises KeyboardInterrupt alone.
+    """
+    from vprbench.runs import machine
+    from vprbench.runs.run_lock import HeldElsewhereError
+
+    try:
+        return JobResult(0, key=_find_or_make(request, say, wait))
+    except HeldElsewhereError as error:
+        logging.info("%s: it is left to that", error)
+        return JobResult(0, held=str(error.path))
+    except KeyboardInterrupt:
+        raise
+    except BadInput as error:
+        code, words = 2, str(error).strip() or "invalid input; the plug-in gave no reason"
+        missing = isinstance(error, NotThere)
+        complain(words)
+    except BaseException as error:  # whatever a plug-in raises
+        code, words, missing = 1, hide_home(format_error(error).splitlines()[0]), False
+        if not isinstance(error, TrainingDivergedError):
+            print(textwrap.indent(printable(traceback.format_exc(), but="\n"), "  "), file=sys.stderr)
+        complain(f"{request.method_name} failed: {words}")
+    return JobResult(code, words, missing, environment=machine.describe_machine(request.device, request.n_threads))
+
+
+def failure_of(request: RunRequest, result: JobResult) -> Failure:
+    """Return the record of a run that gave no result."""
+    from vprbench.runs import machine
+
+    return Failure(
+        request.method_name,
+        request.dataset_name,
+        request.record(),
+        hide_home(result.error.partition("\n")[0]),
+        result.environment or machine.describe_machine("cpu", 1),
+        result.missing,
+    )
+
+
+def failure_json(failure: Failure) -> str:
+    """Return a failure as readers of JSON get it."""
+    return json.dumps({name: getattr(failure, name) for name in ("method", "dataset", "error", "missing")})
+
+
+def _find_or_make(request: RunRequest, say: Callable[[str], None], wait: bool) -> str:
+    """Make the run of a request, or one for each of its corruptions, and return the key of the last."""
+    from vprbench.runs.experiment import build_experiment, corrupt_experiment
+    from vprbench.runs.get_or_run import UnstoredRunError, get_or_run
+    from vprbench.runs.predictions import write_predictions
+    from vprbench.runs.store import Store
+
+    store, key = Store(Path(request.results).expanduser()), ""
+    clean = build_experiment(request)
+    for name in request.corruption if isinstance(request.corruption, list) else [None]:
+        experiment = clean if name is None else corrupt_experiment(clean, name)
+        try:
+            result = get_or_run(experiment, store, wait)
+        except UnstoredRunError as error:
+            from vprbench.runs.run_text import run_text  # what it imports does not count as the run's memory
+
+            say(run_text(error.run, None, False, request))
+            raise
+        from vprbench.runs.run_text import run_text
+
+        files = write_predictions(result.run, result.folder.name, request, experiment.dataset)
+        say(run_text(result.run, result.folder, result.from_store, request, files))
+        key = result.run.key
+    return key

@@ -1,4 +1,4 @@
-"""The options that say where cells are made, shared by all commands that make several."""
+"""The options that say where runs are made, shared by all commands that make several."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True, kw_only=True)
 class ClusterOptions:
-    """Where cells are made, without any of these here and one after the other; raises BadInput for what cannot be."""
+    """Where runs are made, without any of these here and one after the other; raises BadInput for what cannot be."""
 
     workers: int | None = option(None, "runs made side by side by processes of this machine; of cluster= the most jobs")
     scheduler: str | None = option(None, "address of a dask cluster, as tcp://host:8786: runs are made on it")
@@ -46,7 +46,7 @@ class ClusterOptions:
 
     @property
     def is_distributed(self) -> bool:
-        """Whether cells are made in other processes, side by side."""
+        """Whether runs are made in other processes, side by side."""
         return self.workers is not None or self.scheduler is not None or bool(self.cluster)
 
     def job(self) -> Job:
@@ -54,7 +54,7 @@ class ClusterOptions:
         return job(self.cluster, self.workers)
 
     def threads(self, options: Sequence[str]) -> list[str]:
-        """Return the option that gives each cell its share of the cores, where cells are made side by side.
+        """Return the option that gives each run its share of the cores, where runs are made side by side.
 
         None if the options of the runs say how many threads there are.
         """

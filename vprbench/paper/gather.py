@@ -8,17 +8,17 @@ import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
+from vprbench.config import make_request
 from vprbench.errors import BadInput
 from vprbench.jobs.executors import Executor
 from vprbench.jobs.job import JobResult
 from vprbench.metrics.registry import GROUPS
-from vprbench.paper.missing_runs import MissingRun, Watch, fill, results_folder
+from vprbench.paper.missing_runs import Cell, Watch, fill, make_cell, results_folder
 from vprbench.paper.plan import Plan, PlannedColumn, Row, read_plan, with_plug_ins
 from vprbench.paper.run_options import TableRequest
 from vprbench.paper.selection import Group, ResolvedColumn, groups, seen
-from vprbench.paper.stored_runs import Compose
 from vprbench.paper.table.cells import Table, assemble
 from vprbench.paper.table.quantities import QUANTITIES, Quantity, quantities
 from vprbench.paper.table.reasons import why_left_out
@@ -67,7 +67,7 @@ class ReportData:
     job_results: tuple[JobResult, ...]  # of what was tried now
 
 
-def choose(request: TableRequest, compose: Compose) -> TablePlan:
+def choose(request: TableRequest) -> TablePlan:
     """Resolve what was asked for against conf/table.yaml; raises BadInput for rows or columns that are unknown."""
     folders = registry.conf_folders()
     plan = with_plug_ins(read_plan(folders["vprbench"] / "table.yaml"), folders)
@@ -81,7 +81,7 @@ def choose(request: TableRequest, compose: Compose) -> TablePlan:
 
     def resolved(column: PlannedColumn) -> ResolvedColumn:
         options = (*column.options, *_root(column, request))
-        return ResolvedColumn(replace(column, options=options), dict(compose(options)["dataset"]), views=request.views)
+        return ResolvedColumn(replace(column, options=options), make_request(options).dataset, views=request.views)
 
     return TablePlan(
         plan,
@@ -98,27 +98,22 @@ def choose(request: TableRequest, compose: Compose) -> TablePlan:
     )
 
 
-def gather(chosen: TablePlan, options: Sequence[str], compose: Compose, executor: Executor | None = None) -> ReportData:
+def gather(chosen: TablePlan, options: Sequence[str], executor: Executor | None = None) -> ReportData:
     """Make the runs that are wanted and not stored, unless `stored` was asked for, and put the stored ones together.
 
     `options` of the command line are those of all runs. Raises BadInput if there is no run at all.
     """
-    results = run_missing(chosen, [run for runs in all_runs(chosen) for run in runs], options, compose, executor)
+    cells = [cell for cells in all_runs(chosen, options) for cell in cells]
+    results = run_missing(chosen, cells, executor)
     runs, failures = stored(chosen)
     return material(chosen, runs, failures, tuple(results))
 
 
 def run_missing(
-    chosen: TablePlan,
-    runs: Sequence[MissingRun],
-    options: Sequence[str],
-    compose: Compose,
-    executor: Executor | None = None,
-    watch: Watch | None = None,
+    chosen: TablePlan, cells: Sequence[Cell], executor: Executor | None = None, watch: Watch | None = None
 ) -> list[JobResult]:
     """Make those of some runs that are not stored, none if `stored` was asked for; returns how each ended."""
-    options = [*options, *["energy=true"] * bool({*chosen.metrics} & {*GROUPS["energy"]})]
-    return [] if chosen.stored else fill(runs, options, Store(results_folder(chosen.results)), compose, executor, watch)
+    return [] if chosen.stored else fill(cells, Store(results_folder(chosen.results)), executor, watch)
 
 
 def material(
@@ -154,26 +149,36 @@ def stored(request: TableRequest | TablePlan) -> tuple[list[Run], list[Failure]]
     return [*runs.values()], [failure for store in stores for failure in store.failures()]
 
 
-def runs_of(chosen: TablePlan, column: ResolvedColumn, rows: Sequence[Row]) -> Iterator[MissingRun]:
-    """Yield the runs of some rows in one column."""
+def runs_of(chosen: TablePlan, column: ResolvedColumn, rows: Sequence[Row], options: Sequence[str]) -> Iterator[Cell]:
+    """Yield the runs of some rows in one column; `options` of the command line are those of all runs."""
     planned = column.planned
+    values: dict[str, Any] = {"results": str(results_folder(chosen.results))}
+    if {*chosen.metrics} & {*GROUPS["energy"]}:
+        values["energy"] = True
+    if column.corruption is not None:
+        values["corruption"] = column.corruption
+    if column.views is not None:
+        values["views"] = column.views
     for row in rows:
         for device, seed in itertools.product(chosen.devices, row.seeds):
-            frames = planned.title, planned.options, column.dataset
-            yield MissingRun(row, *frames, row.arguments, seed, device, column.corruption, column.views)
+            yield make_cell(
+                row, planned.title, [*planned.options, *options], {**values, "seed": seed, "device": device}
+            )
 
 
-def all_runs(chosen: TablePlan) -> tuple[list[MissingRun], list[MissingRun]]:
+def all_runs(chosen: TablePlan, options: Sequence[str]) -> tuple[list[Cell], list[Cell]]:
     """Return the runs of rows that run at any size, and those of slow rows where they are not too slow.
 
-    Both row by row, the smallest datasets first.
+    Both row by row, the smallest datasets first; none if `stored` was asked for.
     """
+    if chosen.stored:
+        return [], []
     columns = sorted(chosen.columns, key=lambda column: column.dataset.get("places") or 0)
-    runs: tuple[list[MissingRun], list[MissingRun]] = [], []
+    runs: tuple[list[Cell], list[Cell]] = [], []
     for row in chosen.rows:
         for column in columns:
             if not chosen.slow(column, row):
-                runs[row.most_places is not None].extend(runs_of(chosen, column, [row]))
+                runs[row.most_places is not None].extend(runs_of(chosen, column, [row], options))
     return runs
 
 

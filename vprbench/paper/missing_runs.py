@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import json
 import logging
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -14,16 +13,16 @@ from statistics import mean
 from typing import Any
 
 from vprbench.api.weights import Weights, find_weights
-from vprbench.errors import NotThere
-from vprbench.jobs.executors import Callbacks, Executor, Numbered, SerialExecutor, run_all
-from vprbench.jobs.job import JobResult
-from vprbench.jobs.sweep import lost
+from vprbench.config import make_request
+from vprbench.errors import BadInput, NotThere
+from vprbench.jobs.executors import Executor, Numbered, SerialExecutor, run_all
+from vprbench.jobs.job import JobResult, failure_of
 from vprbench.metrics.accuracy import recall_at
 from vprbench.paper.plan import Row
-from vprbench.paper.stored_runs import Compose, StoredRuns
+from vprbench.paper.stored_runs import StoredRuns
 from vprbench.plugins import registry
-from vprbench.runs import machine
-from vprbench.runs.record import Failure, Run
+from vprbench.runs.record import Run
+from vprbench.runs.request import RunRequest
 from vprbench.runs.run_files import content_key
 from vprbench.runs.stopwatch import StageRates, best_batch
 from vprbench.runs.store import Store
@@ -34,100 +33,70 @@ logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
-class MissingRun:
-    """One run: a row on a dataset, with a seed and a device."""
+class Cell:
+    """One run of a table: a row on a dataset, with a seed and a device."""
 
     row: Row
     title: str  # of the dataset, for people
-    dataset_options: tuple[str, ...]  # of the command line
-    dataset: Mapping[str, Any]  # what these resolve to
-    arguments: Mapping[str, Any]  # of the row's method
-    seed: int
-    device: str
-    corruption: str | tuple[str, ...] | None = None  # of the query frames; several: a run each, in one process
-    views: Any = None  # viewpoints that its queries are asked from, as the option says
+    request: RunRequest
+    error: str = ""  # why no process can make it
+    missing: bool = False  # whether that is because its method is not there
 
-    def options(self) -> list[str]:
-        """Return the options of the command line that make the run."""
-        return [
-            *self.dataset_options,
-            f"method={self.row.method}",
-            *(f"method.{name}={json.dumps(value)}" for name, value in _flat(self.arguments)),
-            f"seed={self.seed}",
-            f"device={self.device}",
-            *([] if self.corruption is None else [f"corruption={_listed(self.corruption)}"]),
-            *([] if self.views is None else [f"views={_written(self.views)}"]),
-        ]
-
-    def each(self) -> list[MissingRun]:
-        """Return a run for each of the corruptions."""
-        several = self.corruption if isinstance(self.corruption, tuple) else [self.corruption]
-        return [replace(self, corruption=one) for one in several]
-
-    def failed(self, error: str, missing: bool) -> Failure:
-        """Return the record of its failure."""
-        return Failure(
-            self.row.method,
-            str(self.dataset["name"]),
-            {
-                "method": dict(self.arguments),
-                "dataset": dict(self.dataset),
-                "corruption": self.corruption,
-                "views": self.views,
-                "seed": self.seed,
-                "device": self.device,
-                "load": None,
-                "changed": dict(self.arguments),
-                "overrides": self.options(),
-            },
-            error,
-            machine.describe_machine("cpu", 1),
-            missing,
-        )
+    def each(self) -> list[Cell]:
+        """Return a cell for each of its corruptions."""
+        return [replace(self, request=self.request.with_corruption(name)) for name in self.request.corruptions]
 
 
-def _listed(names: str | tuple[str, ...]) -> str:
-    return names if isinstance(names, str) else f"[{','.join(names)}]"
+def make_cell(row: Row, title: str, options: Sequence[str], values: Mapping[str, Any]) -> Cell:
+    """Return a run of a row; one whose method is unknown, or whose options do not fit, says so in its `error`.
+
+    Args:
+        row: the method and its arguments.
+        title: the title of the dataset.
+        options: of the command line, those of the dataset among them.
+        values: more options by their dotted names, as seed and device.
+    """
+    arguments = {f"method.{name}": value for name, value in _flatten(row.arguments)}
+    known = row.method in registry.entries("method")
+    try:
+        if known:
+            return Cell(row, title, make_request([*options, f"method={row.method}"], {**values, **arguments}))
+        error = f"there is no method {row.method} here yet"
+    except BadInput as refused:
+        error = str(refused)
+    given = dict(row.arguments)
+    nobody = {"method_name": row.method, "method": given, "changed": given, "tuned_on": {}}
+    return Cell(row, title, make_request(options, values, nobody), error, missing=not known)
 
 
-def _written(value: Any) -> str:
-    """Return an option's value in the words of the command line."""
-    return value if isinstance(value, str) else json.dumps(value, separators=(",", ":")).replace('"', "")
-
-
-def _flat(arguments: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+def _flatten(arguments: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
     """Yield arguments, those of mappings by dotted names."""
     for name, value in arguments.items():
         if isinstance(value, Mapping) and value:
-            yield from ((f"{name}.{inner}", given) for inner, given in _flat(value))
+            yield from ((f"{name}.{inner}", given) for inner, given in _flatten(value))
         else:
             yield name, value
 
 
 def fill(
-    wanted: Sequence[MissingRun],
-    options: Sequence[str],
-    store: Store,
-    compose: Compose,
-    executor: Executor | None = None,
-    watch: Watch | None = None,
+    wanted: Sequence[Cell], store: Store, executor: Executor | None = None, watch: Watch | None = None
 ) -> list[JobResult]:
     """Make the runs that are not stored yet, by an executor or one after the other; returns how each ended.
 
-    `options` of the command line are those of all runs. For a run that is stored no process is started, nor for one
-    whose published weights cannot be had. What is missing for the first seed of a row is missing for the others, which
-    are not tried if it is known by then. A failure is stored, never raised. `watch` is told how it goes.
+    For a run that is stored no process is started, nor for one whose published weights cannot be had. What is missing
+    for the first seed of a row is missing for the others, which are not tried if it is known by then. A failure is
+    stored, never raised. `watch` is told how it goes.
     """
     executor, watch = executor or SerialExecutor(), watch or Watch()
-    shown = _Shown(wanted) if sys.stderr.isatty() and len(wanted) > 1 else None
-    filling = _Filling(wanted, options, store, compose, shown, executor.is_distributed)
+    shown = _Shown(wanted, executor.name) if sys.stderr.isatty() and len(wanted) > 1 else None
+    filling = _Filling(wanted, store, shown, executor.is_distributed)
     cells = filling.cells()
     first = list(itertools.islice(cells, 1))
     if first:
         watch.before_first(wanted[first[0][0]])
-    heard = shown.heard if shown else None
+    hear = shown.hear if shown else None
     with shown.table if shown else nullcontext():
-        for number, result in run_all(executor, itertools.chain(first, cells), Callbacks(filling.begin, heard)):
+        for number, result in run_all(executor, itertools.chain(first, cells), filling.begin, hear):
             filling.end(number, result)
             watch.after_each()
     return [filling.results[number] for number in range(len(wanted))]
@@ -135,86 +104,75 @@ def fill(
 
 @dataclass(frozen=True)
 class Watch:
-    """What is called while runs are made: before the first process starts, and after each that has ended."""
+    """Functions that are called while runs are made: before the first process starts, and after each that has ended."""
 
-    before_first: Callable[[MissingRun], None] = lambda _: None
+    before_first: Callable[[Cell], None] = lambda _: None
     after_each: Callable[[], None] = lambda: None
 
 
 class _Weights:
     """The published weights that rows need, looked for once, and fetched if that is possible."""
 
-    def __init__(self, options: Sequence[str], compose: Compose) -> None:
-        """Look for those of runs with these options."""
-        self._options, self._compose = options, compose
+    def __init__(self) -> None:
+        """Look for none yet."""
         self._errors: dict[tuple[str, str], str] = {}
 
-    def lacking(self, run: MissingRun) -> str:
+    def lacking(self, cell: Cell) -> str:
         """Return why those of a run cannot be had; nothing if they are there, or if its process has to tell."""
-        known = (run.row.method, content_key(run.arguments))
+        arguments = cell.request.method
+        known = (cell.row.method, content_key(cell.row.arguments))
         if known not in self._errors:
             self._errors[known] = ""
             try:
-                config = self._compose([*run.options(), *self._options])["method"]
-                wanted = registry.checked("method.weights", config["weights"], Weights)
-                find_weights(wanted, config["_target_"].rpartition(".")[2])
+                wanted = registry.checked("method.weights", arguments["weights"], Weights)
+                find_weights(wanted, arguments["_target_"].rpartition(".")[2])
             except NotThere as error:
-                logger.warning("%s: %s", run.row.name, error)
+                logger.warning("%s: %s", cell.row.name, error)
                 self._errors[known] = str(error)
             except (Exception, SystemExit) as error:  # whatever a plug-in raises, or an option that does not fit
-                logger.debug("the weights of %s are left to a process: %s", run.row.name, error)
+                logger.debug("the weights of %s are left to a process: %s", cell.row.name, error)
         return self._errors[known]
 
 
 class _Filling:
     """Which of the wanted runs a process has to make, and how all of them end."""
 
-    def __init__(
-        self,
-        wanted: Sequence[MissingRun],
-        options: Sequence[str],
-        store: Store,
-        compose: Compose,
-        shown: _Shown | None,
-        elsewhere: bool,
-    ) -> None:
+    def __init__(self, wanted: Sequence[Cell], store: Store, shown: _Shown | None, elsewhere: bool) -> None:
         """Compare with the store as it is when the first run is asked for."""
-        self._wanted, self._options, self._store = wanted, options, store
-        self._shelf, self._weights = StoredRuns(store, options, compose), _Weights(options, compose)
+        self._wanted, self._store = wanted, store
+        self._shelf, self._weights = StoredRuns(store), _Weights()
         self._shown, self._elsewhere = shown, elsewhere
         self._missing: dict[tuple[str, str, str], JobResult] = {}
         self.results: dict[int, JobResult] = {}
 
     def cells(self) -> Iterator[Numbered]:
         """Yield the runs that a process has to make, by their numbers; the others end at once."""
-        for number, run in enumerate(self._wanted):
-            result, found = self._missing.get(_known(run)), None
-            if result is None:
-                found = self._shelf.find(run)
+        for number, cell in enumerate(self._wanted):
+            result, found = self._missing.get(_known(cell)), None
+            if result is None and not cell.error:
+                found = self._shelf.find(cell.request)
                 result = JobResult(0) if found else None
             if result is None:
-                result = self._unmade(run)
+                result = self._unmade(cell)
             if result is None:
-                yield number, [*run.options(), *self._options, f"results={self._store.root}"]
+                yield number, cell.request
             else:
                 self._end(number, result, found)
 
-    def begin(self, number: int, host: str) -> None:
+    def begin(self, number: int) -> None:
         """Tell that a process makes a run."""
         if self._shown is not None:
-            self._shown.begin(number, host)
+            self._shown.begin(number)
         else:
-            self._say(number, f" on {host}" * self._elsewhere)
+            logger.info("[%d/%d] %s", number + 1, len(self._wanted), _title(self._wanted[number]))
 
     def end(self, number: int, result: JobResult) -> None:
-        """Take how a process ended; a failure that it has not stored is stored."""
-        run, found = self._wanted[number], None
-        if result.code and not result.recorded and not isinstance(run.corruption, tuple):
-            options = [*run.options(), *self._options]
-            failure = lost(options, result) if result.code == 1 else run.failed(result.error, result.missing)
-            result = _stored(failure, self._store, result.code)
+        """Take how a process ended, and store its failure."""
+        request, found = self._wanted[number].request, None
+        if result.code and not isinstance(request.corruption, list):  # of several each is tried again alone
+            self._save_failure(request, result)
         if self._shown is not None and result.key:
-            found = self._store.find(str(run.dataset["name"]), run.row.method, result.key)
+            found = self._store.find(request.dataset_name, request.method_name, result.key)
         self._end(number, result, found)
         if self._shown is None and self._elsewhere:
             logger.info("%d of %d done", len(self.results), len(self._wanted))
@@ -226,58 +184,61 @@ class _Filling:
         if self._shown is not None:
             self._shown.end(number, result, found)
 
-    def _unmade(self, run: MissingRun) -> JobResult | None:
+    def _unmade(self, cell: Cell) -> JobResult | None:
         """Return how a run ends that no process can make; None if one has to tell."""
-        known = registry.entries("method")
-        if run.row.method not in known:
-            return _stored(run.failed(f"there is no method {run.row.method} here yet", missing=True), self._store)
-        if run.device != "cpu" and "device" not in known[run.row.method].options:
+        entry = registry.entries("method").get(cell.row.method)
+        if entry is not None and cell.request.device != "cpu" and "device" not in entry.options:
             return JobResult(0)
-        if known[run.row.method].needs_weights and (lacking := self._weights.lacking(run)):
-            return _stored(run.failed(lacking, missing=True), self._store)
-        return None
+        lacking = cell.error
+        if not lacking and entry is not None and entry.needs_weights:
+            lacking = self._weights.lacking(cell)
+        if not lacking:
+            return None
+        result = JobResult(2, lacking, missing=cell.missing or not cell.error)
+        self._save_failure(cell.request, result)
+        return result
 
-    def _say(self, number: int, where: str = "") -> None:
-        run = self._wanted[number]
-        logger.info("[%d/%d] %s%s", number + 1, len(self._wanted), _title(run), where)
+    def _save_failure(self, request: RunRequest, result: JobResult) -> None:
+        self._store.prepare()
+        self._store.save_failure(failure_of(request, result))
 
 
-def _known(run: MissingRun) -> tuple[str, str, str]:
-    return run.row.name, run.title, run.device
+def _known(cell: Cell) -> tuple[str, str, str]:
+    return cell.row.name, cell.title, cell.request.device
 
 
-def _title(run: MissingRun) -> str:
-    return f"{run.row.name} on {run.title}, seed {run.seed}, {run.device}"
+def _title(cell: Cell) -> str:
+    return f"{cell.row.name} on {cell.title}, seed {cell.request.seed}, {cell.request.device}"
 
 
 class _Shown:
     """The live table of what is filled: recall and query rate of each row and dataset, as they are stored."""
 
-    def __init__(self, wanted: Sequence[MissingRun]) -> None:
-        """Show a row and a column for each that is wanted."""
-        rows, columns = (dict.fromkeys(run.row.name for run in wanted), dict.fromkeys(map(_column, wanted)))
+    def __init__(self, wanted: Sequence[Cell], host: str) -> None:
+        """Show a row and a column for each that is wanted; runs are made on `host`."""
+        rows, columns = (dict.fromkeys(cell.row.name for cell in wanted), dict.fromkeys(map(_column, wanted)))
         self.table = LiveTable([*rows], [*columns], len(wanted))
-        self._wanted = wanted
+        self._wanted, self._host = wanted, host
         self._numbers: dict[tuple[str, str], list[tuple[float | None, float | None]]] = {}
 
-    def begin(self, number: int, host: str) -> None:
-        """Show that a run has begun on a host."""
-        run = self._wanted[number]
-        self.table.show(run.row.name, _column(run), "runs", "cyan")
-        self.table.begin(number, _title(run), host)
+    def begin(self, number: int) -> None:
+        """Show that a run has begun."""
+        cell = self._wanted[number]
+        self.table.show(cell.row.name, _column(cell), "runs", "cyan")
+        self.table.begin(number, _title(cell), self._host)
 
-    def heard(self, _: int, line: str) -> None:
+    def hear(self, _: int, line: str) -> None:
         """Show a line of a process above the table."""
         if line:
             self.table.line(line, "red" if line.startswith("vprbench: ") else "")
 
     def end(self, number: int, result: JobResult, found: Run | None) -> None:
         """Show what a run has come to."""
-        cell = (self._wanted[number].row.name, _column(self._wanted[number]))
+        at = (self._wanted[number].row.name, _column(self._wanted[number]))
         if result.code:
-            self.table.show(*cell, *(("not there", "dim") if result.missing else ("failed", "red")))
+            self.table.show(*at, *(("not there", "dim") if result.missing else ("failed", "red")))
         elif found is not None:
-            numbers = self._numbers.setdefault(cell, [])
+            numbers = self._numbers.setdefault(at, [])
             first = recall_at(found.outcome, 1)
             batch = best_batch(found.timing.offline) if found.timing else None
             rate = StageRates.offline(batch).total if batch else None
@@ -285,20 +246,14 @@ class _Shown:
             recalls, rates = ([each for each in column if each is not None] for column in zip(*numbers, strict=True))
             words = [f"{format_percent(mean(recalls))} %" if recalls else "undefined"]
             words.append(f"{format_rate(mean(rates))} Hz" if rates else "not timed")
-            self.table.show(*cell, "  ".join(words))
+            self.table.show(*at, "  ".join(words))
         else:
-            self.table.show(*cell, "-", "dim")
+            self.table.show(*at, "-", "dim")
         self.table.end(number, bool(result.code and not result.missing))
 
 
-def _column(run: MissingRun) -> str:
-    return run.title if run.device == "cpu" else f"{run.title}, {run.device}"
-
-
-def _stored(failure: Failure, store: Store, code: int = 2) -> JobResult:
-    store.prepare()
-    store.save_failure(failure)
-    return JobResult(code, failure.missing, failure.error, recorded=True)
+def _column(cell: Cell) -> str:
+    return cell.title if cell.request.device == "cpu" else f"{cell.title}, {cell.request.device}"
 
 
 def results_folder(results: str) -> Path:

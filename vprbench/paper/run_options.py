@@ -30,8 +30,8 @@ class RunOptions(ClusterOptions):
 
     def __post_init__(self) -> None:
         """Check what can be checked before a plan is read, or a method or dataset built."""
+        from vprbench.runs.request import spell_out_metrics
         from vprbench.runs.sequences import parse_views
-        from vprbench.runs.settings import require_metrics
         from vprbench.runs.viewpoints import viewpoints
 
         super().__post_init__()
@@ -41,7 +41,7 @@ class RunOptions(ClusterOptions):
             raise BadInput(f"seeds={self.seeds}: give at least 1")
         if self.name is not None and re.fullmatch(r"\w[\w.-]*", self.name) is None:
             raise BadInput(f"name={self.name}: give letters, digits, '.', '_' and '-', for it names files")
-        object.__setattr__(self, "metrics", require_metrics(self.metrics))
+        object.__setattr__(self, "metrics", spell_out_metrics(self.metrics))
         for device in self.devices or ():
             if re.fullmatch(r"cpu|cuda(:\d+)?", device) is None:
                 raise BadInput(f"devices={device} is unknown: give cpu, cuda or cuda:1")

@@ -29,7 +29,7 @@ class ResolvedColumn:
 
     planned: PlannedColumn
     dataset: Mapping[str, Any]  # the resolved arguments of the dataset, as a run's configuration holds them
-    corruption: str | None = None  # of the query frames; None: they are clean
+    corruption: str | list[str] | None = None  # of the query frames; None: they are clean
     views: Any = None  # the option that says from which viewpoints queries are asked
 
 

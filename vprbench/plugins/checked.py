@@ -13,13 +13,19 @@ from vprbench.errors import BadInput
 
 
 def checked(option: str, value: Any, hint: Any) -> Any:
-    """Return `value` if it is of the type `hint`; raises BadInput that names option, value and what was wanted."""
+    """Return `value` if it is of the type `hint`, or a list of it where a list is wanted.
+
+    Raises BadInput that names option, value and what was wanted.
+    """
     try:
         own = is_dataclass(hint)  # which brings its own rules
         adapter = TypeAdapter(hint, config=None if own else ConfigDict(arbitrary_types_allowed=True))
         return adapter.validate_json(json.dumps(value), strict=True)  # in JSON a list may become a tuple, a text a path
     except ValidationError as error:
-        wanted = "; ".join(dict.fromkeys(_wanted(problem) for problem in error.errors()))
+        problems = error.errors()
+        if isinstance(value, str | int | float) and all(p["type"] == "list_type" and not p["loc"] for p in problems):
+            return checked(option, [value], hint)
+        wanted = "; ".join(dict.fromkeys(_wanted(problem) for problem in problems))
         raise BadInput(f"{option}={value}: {wanted}") from error
 
 

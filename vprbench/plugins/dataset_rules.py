@@ -1,12 +1,13 @@
-"""The rules for datasets, each a function that raises RuleBrokenError with what was seen."""
+"""The rules for datasets: functions of a dataset that raise RuleBrokenError with the values that break them."""
 
 from __future__ import annotations
 
 import json
 import random
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -16,229 +17,214 @@ import numpy.typing as npt
 from vprbench.api.arrays import Image
 from vprbench.api.dataset import Dataset, has_ground_truth
 from vprbench.api.images import Images
-from vprbench.plugins.rules import RuleBrokenError, RuleExceptedError, sentence
-from vprbench.text import plural, some, some_of
+from vprbench.plugins.rules import RuleExceptedError, require
+from vprbench.text import some, some_of
 
-_SAMPLE = 8  # images of each traverse that are decoded
+_N_SAMPLES = 8  # images of each traverse that are decoded
 
 
 @dataclass(frozen=True)
 class BuiltDataset:
-    """A dataset, and what makes it again from its configuration."""
+    """A dataset, a function that makes it again, and its configuration."""
 
     dataset: Dataset
-    again: Callable[[], Dataset]
+    make: Callable[[], Dataset]
     config: Mapping[str, Any]
 
-    def parts(self) -> Iterator[tuple[str, Images]]:
-        """Yield references and queries with their names."""
-        yield from (("references", self.dataset.references), ("queries", self.dataset.queries))
+    @property
+    def parts(self) -> dict[str, Images]:
+        """References and queries by name."""
+        return {"references": self.dataset.references, "queries": self.dataset.queries}
 
-    def samples(self) -> Iterator[tuple[str, Image]]:
-        """Yield some images of each traverse with words for where they stand."""
-        for part, images in self.parts():
-            yield from ((f"{part}[{i}] ({images.names[i]})", images[i]) for i in _sample(images))
+    @cached_property
+    def samples(self) -> dict[str, Image]:
+        """Some images of each traverse, by part, number and name."""
+        return {
+            f"{part}[{i}] ({images.names[i]})": images[i]
+            for part, images in self.parts.items()
+            for i in _sample(images)
+        }
 
 
-DATASET_RULES: dict[str, Callable[[BuiltDataset], None]] = {}  # by what they say
+DATASET_RULES: dict[str, Callable[[BuiltDataset], None]] = {}  # by the text that `check` prints
 
 
-def dataset_rule(test: Callable[[BuiltDataset], None]) -> Callable[[BuiltDataset], None]:
+def dataset_rule(text: str) -> Callable[[Callable[[BuiltDataset], None]], Callable[[BuiltDataset], None]]:
     """Put a function among the rules for datasets, in the order of the file."""
-    DATASET_RULES[sentence(test)] = test
-    return test
+    return lambda test: DATASET_RULES.setdefault(text, test)
 
 
-@dataset_rule
-def _same_when_made_again(made: BuiltDataset) -> None:
-    """It is the same when it is made again."""
-    first, second = made.dataset, made.again()
-    for what in ("name", "n_places", "protocol", "notes"):
-        if getattr(first, what) != getattr(second, what):
-            _broken(f"{what} is {getattr(first, what)}, and {getattr(second, what)} when it is made again")
-    for part, images in made.parts():
+@dataset_rule("it is the same when it is made again")
+def _check_again(made: BuiltDataset) -> None:
+    first, second = made.dataset, made.make()
+    for name in ("name", "n_places", "protocol", "notes"):
+        one, other = getattr(first, name), getattr(second, name)
+        require(one == other, f"{name} is {one}, and {other} when it is made again")
+    for part, images in made.parts.items():
         others: Images = getattr(second, part)
-        chosen = np.array(_sample(images))
-        if images.names != others.names or images[chosen].fingerprint() != others[chosen].fingerprint():
-            _broken(f"{part} are others when it is made again: draw from a seed, and sort what a folder lists")
+        sample = np.array(_sample(images))
+        same = images.names == others.names and images[sample].fingerprint() == others[sample].fingerprint()
+        require(same, f"{part} are others when it is made again: draw from a seed, and sort the names in a folder")
     truth = zip((first.places, *first.positives), (second.places, *second.positives), strict=True)
-    if not all(np.array_equal(one, other) for one, other in truth):
-        _broken("places or ground truth are others when it is made again")
+    same = all(np.array_equal(one, other) for one, other in truth)
+    require(same, "places or ground truth are others when it is made again")
 
 
-@dataset_rule
-def _named(made: BuiltDataset) -> None:
-    """It has the name that was asked for."""
+@dataset_rule("it has the name that was asked for")
+def _check_name(made: BuiltDataset) -> None:
     wanted = made.config.get("name", made.dataset.name)
-    if made.dataset.name != wanted:
-        _broken(f"name={wanted} was asked for, but it is {made.dataset.name}")
+    require(made.dataset.name == wanted, f"name={wanted} was asked for, but it is {made.dataset.name}")
 
 
-@dataset_rule
-def _places(made: BuiltDataset) -> None:
-    """Place ids are whole numbers."""
+@dataset_rule("place ids are whole numbers")
+def _check_places(made: BuiltDataset) -> None:
     places = made.dataset.places
-    if not _is_row(places):
-        _broken(f"places are {_kind(places)}; wanted is an array of whole numbers, (n_references,)")
+    require(_is_row(places), f"places are {_kind(places)}; wanted is an array of whole numbers, (n_references,)")
 
 
-@dataset_rule
-def _right(made: BuiltDataset) -> None:
-    """Right places are whole numbers, ascending, each once."""
+@dataset_rule("right places are whole numbers, ascending, each once")
+def _check_positives(made: BuiltDataset) -> None:
     for query, right in enumerate(made.dataset.positives):
-        if not _is_row(right) and len(right):
-            _broken(f"the right places of query {query} are {_kind(right)}; wanted is an array of whole numbers")
-        if (np.diff(right) <= 0).any():
-            _broken(f"the right places of query {query} are {some(list(right))}: name each once, ascending")
+        whole = _is_row(right) or not len(right)
+        require(whole, f"the right places of query {query} are {_kind(right)}; wanted is an array of whole numbers")
+        ascending = (np.diff(right) > 0).all()
+        require(ascending, f"the right places of query {query} are {some(list(right))}: name each once, ascending")
 
 
-@dataset_rule
-def _answerable(made: BuiltDataset) -> None:
-    """Most queries have a right place."""
+@dataset_rule("most queries have a right place")
+def _check_answerable(made: BuiltDataset) -> None:
     right = made.dataset.positives
     if not has_ground_truth(made.dataset.protocol):
         raise RuleExceptedError("there is no ground truth, and no answer is judged")
     without = sum(not len(places) for places in right)
-    if 2 * without > len(right):
-        _broken(f"{without} of {len(right)} queries have no right place: does the ground truth fit the map?")
+    complaint = f"{without} of {len(right)} queries have no right place: does the ground truth fit the map?"
+    require(2 * without <= len(right), complaint)
 
 
-@dataset_rule
-def _asks(made: BuiltDataset) -> None:
-    """No query is right everywhere."""
-    everywhere = [q for q, right in enumerate(made.dataset.positives) if len(right) == made.dataset.n_places > 1]
-    if everywhere:
-        _broken(f"for {len(everywhere)} queries every place is right: is the tolerance too wide?")
+@dataset_rule("no query is right everywhere")
+def _check_wrong_places(made: BuiltDataset) -> None:
+    everywhere = sum(len(right) == made.dataset.n_places > 1 for right in made.dataset.positives)
+    require(not everywhere, f"for {everywhere} queries every place is right: is the tolerance too wide?")
 
 
-@dataset_rule
-def _rgb(made: BuiltDataset) -> None:
-    """Images are uint8 (height, width, 3)."""
-    for where, image in made.samples():
-        wrong = not isinstance(image, np.ndarray) or image.dtype != np.uint8 or image.ndim != 3
-        if wrong or image.shape[2] != 3 or not image.size:
-            _broken(f"{where} is {_kind(image)}; wanted is uint8 (height, width, 3)")
+@dataset_rule("images are uint8 (height, width, 3)")
+def _check_images(made: BuiltDataset) -> None:
+    for where, image in made.samples.items():
+        right = isinstance(image, np.ndarray) and image.dtype == np.uint8 and image.ndim == 3
+        right = right and image.shape[2] == 3 and image.size > 0
+        require(right, f"{where} is {_kind(image)}; wanted is uint8 (height, width, 3)")
 
 
-@dataset_rule
-def _show(made: BuiltDataset) -> None:
-    """Images show something."""
-    plain = [bool((image == image.reshape(-1, image.shape[-1])[0]).all()) for _, image in made.samples()]
-    if 2 * sum(plain) > len(plain):
-        _broken(f"{sum(plain)} of {len(plain)} images that were looked at have one colour all over")
+@dataset_rule("images show something")
+def _check_content(made: BuiltDataset) -> None:
+    images = made.samples.values()
+    n_plain = sum(bool((image == image.reshape(-1, image.shape[-1])[0]).all()) for image in images)
+    require(2 * n_plain <= len(images), f"{n_plain} of {len(images)} images that were read have one colour all over")
 
 
-@dataset_rule
-def _one_size(made: BuiltDataset) -> None:
-    """Images of a traverse have one size, or notes say so."""
-    for part, images in made.parts():
-        sizes = {f"{image.shape[1]}x{image.shape[0]}" for image in (images[i] for i in _sample(images))}
-        told = any("size" in note for note in made.dataset.notes)
-        if len(sizes) > 1:
-            text = f"{part} have sizes {some(sorted(sizes))}"
-            if told or images[:1].file_hashes() is not None:
-                raise RuleExceptedError(f"{text}, as the files have")
-            _broken(f"{text}: give them one, or say so in the dataset's notes")
+@dataset_rule("images of a traverse have one size, or notes say so")
+def _check_sizes(made: BuiltDataset) -> None:
+    for part, images in made.parts.items():
+        shapes = [made.samples[where].shape for where in made.samples if where.startswith(f"{part}[")]
+        sizes = sorted({f"{width}x{height}" for height, width, *_ in shapes})
+        text = f"{part} have sizes {some(sizes)}"
+        noted = any("size" in note for note in made.dataset.notes)
+        if len(sizes) > 1 and (noted or images[:1].file_hashes() is not None):
+            raise RuleExceptedError(f"{text}, as the files have")
+        require(len(sizes) == 1, f"{text}: give them one, or say so in the dataset's notes")
 
 
-@dataset_rule
-def _same_image(made: BuiltDataset) -> None:
-    """An image is the same however it is read."""
-    for part, images in made.parts():
+@dataset_rule("an image is the same however it is read")
+def _check_reading(made: BuiltDataset) -> None:
+    for part, images in made.parts.items():
         sample = _sample(images)
         view, unnamed = images[np.array(sample)], images.unnamed()
-        for i, in_a_row in zip(sample, view, strict=True):  # which is read ahead by threads
+        for i, in_a_row in zip(sample, view, strict=True):  # threads read the view ahead
             first = np.array(images[i], copy=True)
-            for way, other in {
+            others = {
                 "read again": images[i],
                 "in a slice": images[i : i + 1][0],
                 "counted from the end": images[i - len(images)],
                 "in a row of others": in_a_row,
                 "without its name": unnamed[i],
-            }.items():
-                if not np.array_equal(first, other):
-                    _broken(f"{part}[{i}] ({images.names[i]}) is another image {way}")
+            }
+            wrong = [way for way, other in others.items() if not np.array_equal(first, other)]
+            require(not wrong, f"{part}[{i}] ({images.names[i]}) is another image {some(wrong)}")
 
 
-@dataset_rule
-def _names(made: BuiltDataset) -> None:
-    """Every image of a traverse has a name of its own."""
-    for part, images in made.parts():
-        often = Counter(images.names)
-        twice = sorted(name for name in often if not name or often[name] > 1)
-        if twice:
-            text = f"{plural(len(twice), 'name')} of {part} stand for several images or none ({some_of(twice)})"
-            if sum(twice[0] in folder.used for folder in made.dataset.folders) >= often[twice[0]]:
-                raise RuleExceptedError(f"{text}, as the files in several folders have them")
-            _broken(text)
+@dataset_rule("every image of a traverse has a name of its own")
+def _check_names(made: BuiltDataset) -> None:
+    for part, images in made.parts.items():
+        counts = Counter(images.names)
+        wrong = sorted(name for name in counts if not name or counts[name] > 1)
+        text = f"names of {part} that stand for several images or none: {some_of(wrong)}"
+        if wrong and sum(wrong[0] in folder.used for folder in made.dataset.folders) >= counts[wrong[0]]:
+            raise RuleExceptedError(f"{text}, as the files in several folders have them")
+        require(not wrong, text)
 
 
-@dataset_rule
-def _plain(made: BuiltDataset) -> None:
-    """The protocol holds plain values."""
-    protocol = made.dataset.protocol
+@dataset_rule("the protocol holds plain values")
+def _check_protocol(made: BuiltDataset) -> None:
+    protocol, text = made.dataset.protocol, ""
     try:
-        kept = json.loads(json.dumps(dict(protocol), allow_nan=False))
+        text = json.dumps(dict(protocol), allow_nan=False)
     except (TypeError, ValueError) as error:
-        _broken(f"the protocol is no JSON: {error}")
-    changed = [name for name in protocol if kept.get(name) != protocol[name]]
-    if changed:
-        _broken(
-            f"{changed[0]} of the protocol is {protocol[changed[0]]!r}; JSON would make it {kept.get(changed[0])!r}"
-        )
+        require(False, f"the protocol is no JSON: {error}")
+    stored = json.loads(text)
+    for name, value in protocol.items():
+        require(stored.get(name) == value, f"{name} of the protocol is {value!r}; JSON makes it {stored.get(name)!r}")
 
 
-@dataset_rule
-def _protocol_names_both(made: BuiltDataset) -> None:
-    """The protocol says what references and queries are."""
+@dataset_rule("the protocol says what references and queries are")
+def _check_protocol_keys(made: BuiltDataset) -> None:
     keys = " ".join(made.dataset.protocol)
-    if "quer" not in keys or not any(word in keys for word in ("reference", "database")):
-        _broken(f"the protocol says of {keys or 'nothing'}; wanted are references and query too")
+    named = "quer" in keys and ("reference" in keys or "database" in keys)
+    require(named, f"the protocol names {keys or 'nothing'}; wanted are references and query too")
 
 
-@dataset_rule
-def _journey(made: BuiltDataset) -> None:
-    """Place numbers ascend along the journey."""
+@dataset_rule("place numbers ascend along the journey")
+def _check_place_numbers(made: BuiltDataset) -> None:
     numbers = made.dataset.place_numbers
-    if numbers is not None and (np.diff(numbers) <= 0).any():
-        _broken("place_numbers do not ascend: number the places along the journey")
+    ascend = numbers is None or (np.diff(numbers) > 0).all()
+    require(ascend, "place_numbers do not ascend: number the places along the journey")
 
 
-@dataset_rule
-def _held_out(made: BuiltDataset) -> None:
-    """Held-out queries are none of the queries."""
-    held_out, queries = made.dataset.held_out, made.dataset.queries
-    if held_out is None:
+@dataset_rule("held-out queries are none of the queries")
+def _check_held_out(made: BuiltDataset) -> None:
+    if made.dataset.held_out is None:
         return
-    where = {name: i for i, name in enumerate(queries.names)}
-    for i, name in ((i, held_out.queries.names[i]) for i in _sample(held_out.queries)):
-        if name in where and np.array_equal(held_out.queries[i], queries[where[name]]):
-            _broken(f"the held-out query {name} is one of the queries: results may ask none of these")
+    held_out, queries = made.dataset.held_out.queries, made.dataset.queries
+    numbers = {name: i for i, name in enumerate(queries.names)}
+    for i in _sample(held_out):
+        name = held_out.names[i]
+        same = name in numbers and np.array_equal(held_out[i], queries[numbers[name]])
+        require(not same, f"the held-out query {name} is one of the queries: leave it out there")
 
 
-@dataset_rule
-def _leaves(made: BuiltDataset) -> None:
-    """Reading leaves the working folder and random numbers alone."""
-    folder, numbers, numpy_numbers = Path.cwd(), random.getstate(), repr(np.random.get_state())  # noqa: NPY002
-    again = made.again()
+@dataset_rule("reading leaves the working folder and random numbers alone")
+def _check_surroundings(made: BuiltDataset) -> None:
+    def random_numbers() -> tuple[Any, str]:
+        return random.getstate(), repr(np.random.get_state())  # noqa: NPY002
+
+    folder, before = Path.cwd(), random_numbers()
+    again = made.make()
     for images in (again.references, again.queries):
         list(images[np.array(_sample(images))])
-    if Path.cwd() != folder:
-        _broken(f"the working folder is {Path.cwd()} after reading, and was {folder}")
-    if random.getstate() != numbers or repr(np.random.get_state()) != numpy_numbers:  # noqa: NPY002
-        _broken("the random numbers of the whole program are others after reading: use numpy.random.default_rng(seed)")
+    require(Path.cwd() == folder, f"the working folder is {Path.cwd()} after reading, and was {folder}")
+    complaint = "the random numbers of the whole program are others after reading: use numpy.random.default_rng(seed)"
+    require(random_numbers() == before, complaint)
 
 
-@dataset_rule
-def _lines(made: BuiltDataset) -> None:
-    """Notes are lines."""
+@dataset_rule("notes are lines")
+def _check_notes(made: BuiltDataset) -> None:
     notes: Any = made.dataset.notes
-    if not isinstance(notes, tuple) or not all(isinstance(note, str) and note.isprintable() for note in notes):
-        _broken(f"notes are {notes!r}; wanted is a tuple of lines")
+    lines = isinstance(notes, tuple) and all(isinstance(note, str) and note.isprintable() for note in notes)
+    require(lines, f"notes are {notes!r}; wanted is a tuple of lines")
 
 
 def _sample(images: Images) -> list[int]:
-    return sorted({round(i) for i in np.linspace(0, len(images) - 1, _SAMPLE).tolist()})
+    """Return the numbers of some images, spread over all."""
+    return sorted({round(i) for i in np.linspace(0, len(images) - 1, _N_SAMPLES).tolist()})
 
 
 def _is_row(numbers: npt.NDArray[Any]) -> bool:
@@ -247,7 +233,3 @@ def _is_row(numbers: npt.NDArray[Any]) -> bool:
 
 def _kind(value: Any) -> str:
     return f"{value.dtype} {value.shape}" if isinstance(value, np.ndarray) else f"a {type(value).__name__}"
-
-
-def _broken(message: str) -> None:
-    raise RuleBrokenError(message)

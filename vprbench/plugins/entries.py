@@ -15,7 +15,7 @@ from typing import Any, ClassVar, Literal, get_args
 import yaml
 
 from vprbench.errors import BadInput
-from vprbench.plugins.tuned_places import declared_places
+from vprbench.plugins.tuned_places import parse_tuned_on
 
 Group = Literal["method", "dataset"]
 
@@ -73,7 +73,7 @@ class Entry:
 
         These are the values of `TunedOn`; empty if none are declared. Raises BadInput that names the yaml.
         """
-        return declared_places(self.values().get("tuned_on"), self.path)
+        return parse_tuned_on(self.values().get("tuned_on"), self.path)
 
     def changed(self, arguments: Mapping[str, Any]) -> dict[str, Any]:
         """Return the `arguments` that differ from the values of the yaml and of the yamls it builds on.

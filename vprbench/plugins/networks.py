@@ -6,8 +6,7 @@ import hashlib
 import inspect
 import json
 import os
-import pickle
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -43,9 +42,9 @@ class Files:
 
 @dataclass(frozen=True)
 class Origin:
-    """What a network was trained with and on."""
+    """The method, its arguments, and the data that a network was trained with."""
 
-    kind: str  # what `stored_as` names
+    kind: str  # `stored_as` of the method, or the name of its class
     arguments: Mapping[str, Any]  # of the method, but for its device
     dataset: str
     n_places: int
@@ -55,7 +54,7 @@ class Origin:
 
 @dataclass(frozen=True)
 class Destination:
-    """Where the network of a run goes, with what it is trained with and on."""
+    """The file that a run stores its network in, and the origin of the network."""
 
     path: Path
     replace: bool
@@ -63,31 +62,27 @@ class Destination:
     examples: Images  # references
 
 
-def chosen_files(save: str | None, load: str | None, replace: bool) -> Files:
-    """Return the files that a run was asked to use; raises BadInput if the one to load cannot be read."""
+def find_network_files(save: str | None, load: str | None, replace: bool) -> Files:
+    """Return the files that the options of a run name; raises BadInput if the one to load cannot be read."""
     source = None if load is None else Path(load).expanduser()
-    return Files(
-        load=source,
-        sha256=None if source is None else _file_digest(source),
-        save=None if save is None else Path(save).expanduser(),
-        replace=replace,
-    )
+    target = None if save is None else Path(save).expanduser()
+    return Files(source, None if source is None else _hash_file(source), target, replace)
 
 
 def keeps_a_network(method: Method) -> bool:
-    """Tell whether what a method learns can be stored: whether its class has `state` and `restore` of its own."""
+    """Tell whether the class of a method overrides `state` and `restore`, so that a file can hold its network."""
     return type(method).state is not Method.state and type(method).restore is not Method.restore
 
 
-def origin(method: Method, arguments: Mapping[str, Any], dataset: Dataset) -> Origin:
-    """Return the arguments and data that the network of a method, configured by `arguments`, is trained with."""
+def describe_origin(method: Method, arguments: Mapping[str, Any], dataset: Dataset) -> Origin:
+    """Return the origin of a network that a method, configured by `arguments`, learns on a dataset."""
     digest = hashlib.sha256(dataset.references.fingerprint().encode())
     digest.update(dataset.places.tobytes())
     held_out = calibration(method, dataset)
     kept = {name: value for name, value in arguments.items() if name not in ("_target_", "device")}
     return Origin(
         kind=method.stored_as or type(method).__name__,
-        arguments=json.loads(json.dumps(kept)),  # as it will be read: a tuple is a list
+        arguments=json.loads(json.dumps(kept)),  # as a file holds it: a tuple is a list
         dataset=dataset.name,
         n_places=dataset.n_places,
         references=digest.hexdigest(),
@@ -95,10 +90,13 @@ def origin(method: Method, arguments: Mapping[str, Any], dataset: Dataset) -> Or
     )
 
 
-def prepare(files: Files, method: Method, arguments: Mapping[str, Any], dataset: Dataset) -> Destination | None:
-    """Return where the network that is about to be trained goes, None for nowhere, and make the folder.
+def prepare_destination(
+    files: Files, method: Method, arguments: Mapping[str, Any], dataset: Dataset
+) -> Destination | None:
+    """Return the destination of the network that a run is about to train, None without `save`, and make its folder.
 
-    Raises BadInput if it could not be stored: before the hour that the training may take.
+    Raises:
+        BadInput: the network could not be stored there; the training, which may take an hour, has not begun.
     """
     path = files.save
     if path is None:
@@ -111,71 +109,66 @@ def prepare(files: Files, method: Method, arguments: Mapping[str, Any], dataset:
     try:
         _refuse_to_replace(path, files.replace)
         path.parent.mkdir(parents=True, exist_ok=True)
-        remove_leftovers(path.parent, f"-{path.name}")
-        probe = unfinished(path.parent, f"-{path.name}")
+        remove_leftovers(path.parent)
+        probe = unfinished(path.parent)
         probe.touch()
         probe.unlink()
     except OSError as error:
         raise BadInput(f"save={path} cannot be written ({error.strerror}): choose another file") from error
-    chosen = np.linspace(0, len(dataset.references) - 1, min(nir_files.EXAMPLES, len(dataset.references))).astype(int)
+    n = len(dataset.references)
+    examples = dataset.references[np.linspace(0, n - 1, min(nir_files.EXAMPLES, n)).astype(int)]
     path = path.absolute()  # a method may change the working folder
-    return Destination(path, files.replace, origin(method, arguments, dataset), dataset.references[chosen])
+    return Destination(path, files.replace, describe_origin(method, arguments, dataset), examples)
 
 
-def save(to: Destination, method: Method, run_key: str, fit_seconds: float, fit_compute_seconds: float) -> None:
-    """Store what a method has learnt; a reader sees the old file or the whole new one, never a part.
+def save_network(destination: Destination, method: Method, run_key: str, fit_seconds: float) -> None:
+    """Store the state of a method; a reader sees the old file or the whole new one, never a part.
 
-    Raises BadInput if the disk refuses, or if another run has stored its network there meanwhile.
+    Raises:
+        BadInput: the disk refuses, or another run has stored a network there meanwhile.
+        TypeError: `state` holds anything but arrays of numbers.
     """
-    description = {
-        "format": FORMAT,
-        "run": run_key,
-        **asdict(to.origin),
-        "fit_seconds": fit_seconds,
-        "fit_compute_seconds": fit_compute_seconds,
-    }
+    path = destination.path
+    description = {"format": FORMAT, "run": run_key, "fit_seconds": fit_seconds, **asdict(destination.origin)}
     text = json.dumps(description, sort_keys=True)
     state = {name: plain(array, f"{type(method).__name__}.state()[{name!r}]") for name, array in method.state().items()}
-    partial = unfinished(to.path.parent, f"-{to.path.name}")
+    partial = unfinished(path.parent)
     try:
-        if to.path.suffix == nir_files.SUFFIX:
-            nir_files.write(partial, method, to.examples, text, state, _SEAL)
+        if path.suffix == nir_files.SUFFIX:
+            nir_files.write_network(partial, method, destination.examples, text, state, _SEAL)
         else:
             save_file(state, partial, _SEAL.metadata(text, state))
         with partial.open("rb+") as file:
             os.fsync(file.fileno())
-        _refuse_to_replace(to.path, to.replace or made_by(to.path) == run_key)
-        partial.replace(to.path)
+        _refuse_to_replace(path, destination.replace)
+        partial.replace(path)
     except (OSError, SafetensorError) as error:
-        raise BadInput(f"the network could not be stored in {to.path} ({error}): nothing was changed there") from error
+        raise BadInput(f"the network could not be stored in {path} ({error}): nothing was changed there") from error
     finally:
         partial.unlink(missing_ok=True)
 
 
-def made_by(path: Path) -> str | None:
+def read_run_key(path: Path) -> str | None:
     """Return the key of the run that trained the network in a file, None if there is no whole one."""
     try:
-        description, _ = _read(path)
+        description, _ = _read_network(path)
     except BadInput:
         return None
     return str(description["run"])
 
 
-def load(path: Path, method: Method, wanted: Origin, sha256: str | None = None) -> tuple[str, ...]:
-    """Give a method what a file holds; returns what a reader of its numbers has to know.
+def load_network(path: Path, method: Method, wanted: Origin) -> tuple[str, ...]:
+    """Give a method the state in a file; returns notes that a reader of its results needs.
 
-    Raises BadInput for a file that is damaged, that changed since `sha256`, or that does not fit `wanted`.
+    Raises:
+        BadInput: the file is damaged, or its origin is not the `wanted` one.
     """
     _require_a_network(method)
-    if sha256 not in (None, _file_digest(path)):
-        raise BadInput(f"{path} changed while the run was prepared: run again")
     if path.suffix == _PUBLISHED:
-        state, note = _published(path), _UNCHECKED
+        state, note = _read_published(path), _UNCHECKED
     else:
-        description, state = _read(path)
-        usual = {name: each.default for name, each in inspect.signature(type(method)).parameters.items()}
-        differences = [*_differences(description, wanted, method.query_arguments, usual)]
-        if differences:
+        description, state = _read_network(path)
+        if differences := _list_differences(description, wanted, method):
             raise BadInput(
                 f"{path} holds another network than this run needs: {'; '.join(differences)}; "
                 "give what it was trained with and on, or train anew without load="
@@ -188,41 +181,42 @@ def load(path: Path, method: Method, wanted: Origin, sha256: str | None = None) 
     return (note,)
 
 
-def _differences(
-    there: Mapping[str, Any], wanted: Origin, free: frozenset[str], usual: Mapping[str, Any]
-) -> Iterator[str]:
-    """Yield each difference between what a network was trained with and on and what is wanted.
+def _list_differences(stored: Mapping[str, Any], wanted: Origin, method: Method) -> list[str]:
+    """Return the differences between the origin of a stored network and the wanted one; arguments of queries are free.
 
-    An argument that came after the network was stored may have its `usual` value.
+    An argument that is younger than the stored network may have its default.
     """
-    if there["kind"].rpartition(".")[2] != wanted.kind:  # version 0.6 wrote the module of the class too
-        yield f"it is one of {there['kind']}, not of {wanted.kind}"
-        return  # the arguments of another method say nothing
+    if stored["kind"] != wanted.kind:
+        return [f"it is one of {stored['kind']}, not of {wanted.kind}"]  # its arguments mean other things
     now = wanted.arguments
-    before = {name: value for name, value in now.items() if name in usual and usual[name] == value}
-    before |= there["arguments"]
-    for name in sorted({*before, *now} - free):
-        if not (name in before and name in now and before[name] == now[name]):
-            yield f"method.{name} is {_shown(before, name)} there and {_shown(now, name)} here"
-    if there["n_places"] != wanted.n_places:
-        yield f"{there['n_places']} places there (dataset {there['dataset']}) and {wanted.n_places} here"
-    elif there["references"] != wanted.references:
-        yield f"other reference images or places (dataset {there['dataset']} there and {wanted.dataset} here)"
-    elif None not in (there.get("held_out"), wanted.held_out) and there["held_out"] != wanted.held_out:
-        yield "its settings were chosen by other held-out places"
+    defaults = {name: parameter.default for name, parameter in inspect.signature(type(method)).parameters.items()}
+    then = {name: value for name, value in now.items() if name in defaults and defaults[name] == value}
+    then |= stored["arguments"]
+    found = [
+        f"method.{name} is {_format_argument(then, name)} there and {_format_argument(now, name)} here"
+        for name in sorted({*then, *now} - method.query_arguments)
+        if not (name in then and name in now and then[name] == now[name])
+    ]
+    if stored["n_places"] != wanted.n_places:
+        found.append(f"{stored['n_places']} places there (dataset {stored['dataset']}) and {wanted.n_places} here")
+    elif stored["references"] != wanted.references:
+        found.append(f"other reference images or places (dataset {stored['dataset']} there and {wanted.dataset} here)")
+    elif None not in (stored["held_out"], wanted.held_out) and stored["held_out"] != wanted.held_out:
+        found.append("its settings were chosen by other held-out places")
+    return found
 
 
-def _shown(arguments: Mapping[str, Any], name: str) -> str:
-    if name not in arguments:
-        return "unknown"
-    value = arguments[name]
+def _format_argument(arguments: Mapping[str, Any], name: str) -> str:
+    value = arguments.get(name, "unknown")
     return value if isinstance(value, str) else json.dumps(value)
 
 
-def _read(path: Path) -> tuple[dict[str, Any], Arrays]:
+def _read_network(path: Path) -> tuple[dict[str, Any], Arrays]:
     """Return description and arrays; raises BadInput for a file that is not ours, damaged or of another layout."""
+    is_nir = path.suffix == nir_files.SUFFIX
     try:
-        text, state, whole = nir_files.read(path, _SEAL) if path.suffix == nir_files.SUFFIX else _SEAL.read(path)
+        text, state, whole = nir_files.read_network(path, _SEAL) if is_nir else _SEAL.read(path)
+        description = json.loads(text or "{}") if whole else {}
     except (OSError, ValueError) as error:
         reason = str(error).splitlines()[0]
         raise BadInput(
@@ -230,19 +224,14 @@ def _read(path: Path) -> tuple[dict[str, Any], Arrays]:
         ) from error
     if text is None:
         raise BadInput(f"{path} was not stored by vprbench: it does not say what its network was trained with")
-    try:
-        description: dict[str, Any] = json.loads(text)
-        layout = description["format"]
-    except (ValueError, KeyError, TypeError):
-        layout = FORMAT  # the digest tells that it is damaged
-    if layout != FORMAT:
-        raise BadInput(f"{path} has layout {layout}, this program reads {FORMAT}: train anew")
     if not whole:
         raise BadInput(f"{path} is not what was written: restore the file or train anew")
+    if description["format"] != FORMAT:
+        raise BadInput(f"{path} has layout {description['format']}, this program reads {FORMAT}: train anew")
     return description, state
 
 
-def _published(path: Path) -> Arrays:
+def _read_published(path: Path) -> Arrays:
     """Return the tensors of a file in the authors' layout, a dictionary of state dictionaries, under dotted names.
 
     Source: VPRTempo's public code saves {"model_0": state dictionary, ...} with torch.save. Raises BadInput for a file
@@ -250,42 +239,31 @@ def _published(path: Path) -> Arrays:
     """
     import torch
 
-    try:
-        content = read_weights(path)
-    except BadInput as error:
-        if not isinstance(error.__cause__, pickle.UnpicklingError):
-            raise
-        raise BadInput(
-            f"{path} is damaged, or would have to run code of its own to be read, which is never done: "
-            "give a file that holds tensors alone"
-        ) from error
-    found: dict[str, Any] = {}
-    for name, value in content.items():
-        found |= {f"{name}.{key}": part for key, part in value.items()} if isinstance(value, dict) else {name: value}
-    for name, value in found.items():
+    tensors: dict[str, Any] = {}
+    for name, value in read_weights(path).items():
+        tensors |= {f"{name}.{key}": part for key, part in value.items()} if isinstance(value, dict) else {name: value}
+    for name, value in tensors.items():
         if not is_plain(value):
             kind = f"{value.layout} of {value.dtype}" if isinstance(value, torch.Tensor) else type(value).__name__
             raise BadInput(f"{path}: {name} is of type {kind}; wanted plain tensors in state dictionaries")
-    return {name: value.detach().to(torch.float32, copy=True).numpy() for name, value in found.items()}
+    return {name: value.detach().to(torch.float32, copy=True).numpy() for name, value in tensors.items()}
 
 
-def _file_digest(path: Path) -> str:
+def _hash_file(path: Path) -> str:
     if path.suffix not in (_OURS, nir_files.SUFFIX, _PUBLISHED):
         raise BadInput(
             f"load={path}: give a stored network ({_OURS}, {nir_files.SUFFIX}) or a published one ({_PUBLISHED})"
         )
     try:
-        if not path.is_file():
-            raise BadInput(f"load={path} is no file: give one that save= wrote, or a published {_PUBLISHED}")
         with path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
-        raise BadInput(f"load={path} cannot be read ({error.strerror})") from error
+        raise BadInput(f"load={path} cannot be read ({error.strerror}): give a file that save= wrote") from error
 
 
 def _require_a_network(method: Method) -> None:
     if not keeps_a_network(method):
-        Method.state(method)  # which says so
+        Method.state(method)  # raises the error that says so
 
 
 def _refuse_to_replace(path: Path, replace: bool) -> None:

@@ -1,6 +1,6 @@
 """Trained networks as files of NIR, the intermediate representation that simulators and chips of spikes read.
 
-A reader shows the first node an input for `steps` steps of length 1, takes the mean of what the last node gives, and
+A reader shows the first node an input for `steps` steps of length 1, takes the mean of the last node's outputs, and
 limits it to `output_min` and `output_max` where these are there. An IF node adds its input to a potential that begins
 at 0, spikes above the threshold, and subtracts the threshold then. `check_input` is answered by `check_output` within
 `check_tolerance`, before any limit. All of these are metadata of the graph.
@@ -21,8 +21,8 @@ from vprbench.storage.tensors import Array, Arrays, Seal
 
 SUFFIX = ".nir"
 STEPS = 64
-_OURS = "vprbench"  # the group of what we alone read
-EXAMPLES = 32  # references, the one of which is kept that tells most about the reset
+EXAMPLES = 32  # references among which the check vector is chosen
+_STATE = "vprbench/"  # the group of the method's state, which other readers ignore
 _ROUNDING = 1e-4  # of the largest answer
 
 
@@ -37,8 +37,8 @@ def require_nir(path: Path, method: Method | None = None) -> None:
     method.check_circuit()
 
 
-def write(path: Path, method: Method, examples: Images, text: str, state: Arrays, seal: Seal) -> None:
-    """Write the network of a method as a graph, checked by one of the examples, and beside it what `read` returns.
+def write_network(path: Path, method: Method, examples: Images, text: str, state: Arrays, seal: Seal) -> None:
+    """Write the network of a method as a graph with a check vector, and its sealed text and state beside the graph.
 
     Raises OSError.
     """
@@ -47,89 +47,88 @@ def write(path: Path, method: Method, examples: Images, text: str, state: Arrays
 
     assert isinstance(method, HasCircuit)
     circuit = method.circuit()
-    graph = _graph(circuit)
-    graph.metadata = _metadata(graph, circuit, np.asarray(method.encode(examples), np.float32))
+    graph = _build_graph(circuit)
+    graph.metadata = _describe_graph(graph, circuit, np.asarray(method.encode(examples), np.float32))
     nir.write(path, graph)
     with h5py.File(path, "r+") as file:
         for name, array in state.items():
-            file.create_dataset(f"{_OURS}/{name}", data=array, compression="gzip" if array.ndim else None)
-        file.attrs.update(seal.metadata(text, _arrays(file)))
+            file.create_dataset(_STATE + name, data=array, compression="gzip" if array.ndim else None)
+        file.attrs.update(seal.metadata(text, _read_arrays(file)))
 
 
-def read(path: Path, seal: Seal) -> tuple[str | None, dict[str, Array], bool]:
-    """Return what `Seal.read` does of such a file: text, state, and whether all arrays in it are what was written.
+def read_network(path: Path, seal: Seal) -> tuple[str | None, dict[str, Array], bool]:
+    """Return the text, the state, and whether all arrays of a file are as written, as `Seal.read` does.
 
-    Raises OSError for a file that cannot be read, ValueError for another.
+    Raises OSError for a file that cannot be read, ValueError for one of another kind.
     """
     require_nir(path)
     import h5py  # type: ignore[import-untyped, unused-ignore]
 
     try:
         with h5py.File(path) as file:
-            text, digest = file.attrs.get(seal.text), file.attrs.get(seal.digest)
-            arrays = _arrays(file)
+            text, digest, arrays = file.attrs.get(seal.text), file.attrs.get(seal.digest), _read_arrays(file)
     except (KeyError, RuntimeError, TypeError) as error:
         raise ValueError(str(error)) from error
-    own = {name.removeprefix(f"{_OURS}/"): array for name, array in arrays.items() if name.startswith(f"{_OURS}/")}
-    return text, own, digest == seal.metadata(text or "", arrays)[seal.digest]
+    state = {name.removeprefix(_STATE): array for name, array in arrays.items() if name.startswith(_STATE)}
+    return text, state, digest == seal.metadata(text or "", arrays)[seal.digest]
 
 
-def _arrays(file: Any) -> dict[str, Array]:
-    """Return all numbers in a file under their paths."""
-    found: dict[str, Array] = {}
+def _read_arrays(file: Any) -> dict[str, Array]:
+    """Return all arrays of numbers in a file under their paths."""
+    arrays: dict[str, Array] = {}
 
     def keep(name: str, item: Any) -> None:
         if getattr(item, "dtype", np.dtype(object)).kind in "biuf":
-            found[name] = np.asarray(item[()])
+            arrays[name] = np.asarray(item[()])
 
     file.visititems(keep)
-    return found
+    return arrays
 
 
-def _graph(circuit: Circuit) -> Any:
+def _build_graph(circuit: Circuit) -> Any:
     """Return the nodes of a circuit: neurons before the last layer spike, and weights after them hold their clip.
 
-    A neuron of activation a spikes in a / clip of the steps; half a spike ahead, its count is rounded, not cut off.
+    A neuron of activation a spikes in a / clip of the steps; a bias of half a spike rounds its count to the nearest.
     """
     import nir  # type: ignore[import-untyped, unused-ignore]
 
     nodes: list[Any] = []
-    worth = np.float32(1)  # of what a neuron passes on
+    spike_value = np.float32(1)
     for weights, bias in circuit.layers[:-1]:
         if circuit.clip is None:
             nodes.append(nir.Affine(weights, bias))
             continue
         clip = np.float32(circuit.clip)
-        nodes.append(nir.Affine(weights * worth, bias + clip / np.float32(2 * STEPS)))
+        nodes.append(nir.Affine(weights * spike_value, bias + clip / np.float32(2 * STEPS)))
         nodes.append(nir.IF(np.ones_like(bias), np.full_like(bias, clip)))
-        worth = clip
+        spike_value = clip
     weights, bias = circuit.layers[-1]
-    return nir.NIRGraph.from_list(*nodes, nir.Affine(weights * worth, bias))
+    return nir.NIRGraph.from_list(*nodes, nir.Affine(weights * spike_value, bias))
 
 
-def _metadata(graph: Any, circuit: Circuit, inputs: Array) -> dict[str, Any]:
-    """Return what a reader of a graph has to know, and the one of the inputs (n, n_in) to test itself by."""
+def _describe_graph(graph: Any, circuit: Circuit, inputs: Array) -> dict[str, Any]:
+    """Return the metadata of a graph; the check vector is the input, of (n, n_in), that tells most about the reset."""
     steps = 1 if circuit.clip is None else STEPS
-    answers, others = (_simulated(graph, inputs, steps, subtracted) for subtracted in (True, False))
-    apart = np.abs(answers - others).max(1)
-    best = int(apart.argmax())
+    answers, reset_to_zero = (_simulate(graph, inputs, steps, subtracts) for subtracts in (True, False))
+    differences = np.abs(answers - reset_to_zero).max(1)
+    best = int(differences.argmax())
     metadata = {
         "steps": steps,
         "input": "the same in every step",
         "output": "the mean of the steps",
         "check_input": inputs[best],
         "check_output": answers[best],
-        "check_tolerance": float(max(apart[best] / 64, _ROUNDING * np.abs(answers[best]).max())),
+        "check_tolerance": float(max(differences[best] / 64, _ROUNDING * np.abs(answers[best]).max())),
     }
     if circuit.clip is not None:
         metadata |= {"reset": "the threshold is subtracted", "output_min": 0.0, "output_max": circuit.clip}
     return metadata
 
 
-def _simulated(graph: Any, inputs: Array, steps: int, subtracted: bool) -> Array:
+def _simulate(graph: Any, inputs: Array, steps: int, subtracts: bool) -> Array:
     """Return the mean of the last node's outputs (n, n_out) over the steps, before any limit, for inputs (n, n_in).
 
-    A spike subtracts the threshold from the potential, or sets it to 0.
+    A spike subtracts the threshold from the potential, or else sets it to 0.
     """
     import nir  # type: ignore[import-untyped, unused-ignore]
 
@@ -144,6 +143,6 @@ def _simulated(graph: Any, inputs: Array, steps: int, subtracted: bool) -> Array
                 continue
             v = potentials.get(number, np.float32(0)) + x
             x = (v > node.v_threshold).astype(np.float32)
-            potentials[number] = v - node.v_threshold * x if subtracted else v * (1 - x)
+            potentials[number] = v - node.v_threshold * x if subtracts else v * (1 - x)
         total = total + x
     return np.asarray(total / np.float32(steps))

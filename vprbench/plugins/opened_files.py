@@ -1,4 +1,4 @@
-"""Which data files a method opens that its `files()` do not name, so that another content of them is not missed."""
+"""Data files that the code of a method opens, beside those that its `files()` names."""
 
 from __future__ import annotations
 
@@ -14,104 +14,85 @@ from typing import Any, NamedTuple
 from vprbench.api.method import Method
 
 _CODE = (".py", ".pyc", ".nbi", ".nbc", ".so", ".pyd", ".dll")
-_SYSTEM = ("/proc/", "/sys/", "/dev/", "/etc/", "/usr/")
-_FRAMES = str(Path("vprbench", "api", "images.py"))  # by which images are read
+_INSTALLED = ("/proc/", "/sys/", "/dev/", "/etc/", "/usr/", f"{sys.prefix}{os.sep}", f"{sys.base_prefix}{os.sep}")
+_HARNESS = tuple(str(Path("vprbench", *part)) for part in (("api", "images.py"), ("storage", "hashes.py")))
 _WRITES = os.O_WRONLY | os.O_RDWR | os.O_CREAT
 
 
-class Opened(NamedTuple):
-    """A file that was opened to be read."""
+class OpenedFile(NamedTuple):
+    """A file that was opened to be read, and the source files of the functions that were running."""
 
     path: str
-    by: frozenset[str]  # the files of the code that led there
+    callers: frozenset[str]
 
 
-_listeners: list[list[Opened]] = []
+_recordings: dict[int, list[OpenedFile]] = {}
 
 
 @contextmanager
-def listening() -> Iterator[list[Opened]]:
-    """Collect the files that Python code opens to be read in the block; libraries in other languages are not heard."""
-    _hear()
-    heard: list[Opened] = []
-    _listeners.append(heard)
+def record_opened_files() -> Iterator[list[OpenedFile]]:
+    """Collect the files that Python code opens to be read in the block; a library in C opens files unseen."""
+    _add_hook()
+    opened: list[OpenedFile] = []
+    _recordings[id(opened)] = opened
     try:
-        yield heard
+        yield opened
     finally:
-        _listeners[:] = [one for one in _listeners if one is not heard]
+        del _recordings[id(opened)]
 
 
-def files_behind(method: Method, arguments: Mapping[str, Any], opened: Iterable[Opened]) -> list[Path]:
-    """Return the files that a method's answers come from: its `files()`, those of its arguments, and those `opened`.
+def list_data_files(method: Method, arguments: Mapping[str, Any], opened: Iterable[OpenedFile]) -> list[Path]:
+    """Return `files()` of a method, then the files that its arguments name and those that it opened.
 
     Raises BadInput as `files()` does.
     """
-    known = [*method.files()]
-    named = [*map(Path, _texts(arguments)), *unnamed_files(opened, method)]
-    return [*known, *_others(named, known)]
+    named = [*method.files()]
+    others = [*map(Path, _list_texts(arguments)), *find_unnamed_files(opened, method)]
+    return [*named, *_select_data_files(others, named)]
 
 
-def names_a_file(arguments: Mapping[str, Any]) -> bool:
-    """Tell whether any of a method's arguments names a file that is there."""
-    return bool(_others(map(Path, _texts(arguments)), ()))
+def find_unnamed_files(opened: Iterable[OpenedFile], method: Method) -> list[Path]:
+    """Return the data files that the code of a method opened and its `files()` does not name, each once.
 
-
-def unnamed_files(opened: Iterable[Opened], method: Method) -> list[Path]:
-    """Return the data files that the code of a method opened and its `files()` do not name, each once.
-
-    Code, images, and what Python and the system bring do not count.
+    Code, frames, hashes of files and installed files do not count. The list is empty for a class without a source file.
     """
-    with suppress(TypeError, OSError):  # of a class without a file nothing is known
-        own = inspect.getfile(type(method))
-        ours = [Path(one.path) for one in opened if own in one.by and not any(by.endswith(_FRAMES) for by in one.by)]
-        return _others(ours, [*method.files()])
+    with suppress(TypeError, OSError):
+        source = inspect.getfile(type(method))
+        return _select_data_files((Path(file.path) for file in opened if source in file.callers), method.files())
     return []
 
 
-def _others(paths: Iterable[Path], known: Iterable[Path]) -> list[Path]:
-    """Return which of the paths are data files and not known, each once."""
-    found = {path.resolve(): path for path in map(Path.expanduser, paths) if path.suffix not in ("", *_CODE)}
-    brought = (*_SYSTEM, *(f"{folder}{os.sep}" for folder in {sys.prefix, sys.base_prefix}))
-    without = {Path(path).expanduser().resolve() for path in known}
-    return [
-        path
-        for whole, path in found.items()
-        if whole not in without and not str(whole).startswith(brought) and whole.is_file()
-    ]
+def _select_data_files(paths: Iterable[Path], named: Iterable[Path]) -> list[Path]:
+    found = [path.expanduser() for path in paths if path.suffix not in ("", *_CODE)]
+    resolved = {path.resolve(): path for path in found if os.path.isfile(path)}  # noqa: PTH113 (Path.is_file may raise)
+    known = {Path(path).expanduser().resolve() for path in named}
+    return [path for whole, path in resolved.items() if whole not in known and not str(whole).startswith(_INSTALLED)]
 
 
-def _texts(value: Any) -> Iterator[str]:
-    """Yield the texts among arguments, however deep."""
+def _list_texts(value: Any) -> list[str]:
+    """Return the texts among arguments, however deep."""
     if isinstance(value, Mapping):
-        for name, inner in value.items():
-            yield from () if name == "_target_" else _texts(inner)
-    elif isinstance(value, list | tuple):
-        for inner in value:
-            yield from _texts(inner)
-    elif isinstance(value, str) and "\0" not in value and "\n" not in value:
-        yield value
+        value = [inner for name, inner in value.items() if name != "_target_"]
+    if isinstance(value, str):
+        return [value]
+    return [text for inner in value for text in _list_texts(inner)] if isinstance(value, list | tuple) else []
 
 
 @cache
-def _hear() -> None:
-    """Let Python tell of every file that is opened from now on; nothing takes that back."""
-    sys.addaudithook(_tell)
+def _add_hook() -> None:
+    sys.addaudithook(_record)  # Python cannot remove an audit hook
 
 
-def _tell(event: str, arguments: tuple[Any, ...]) -> None:
-    if not _listeners or event != "open":
+def _record(event: str, arguments: tuple[Any, ...]) -> None:
+    if not _recordings or event != "open":
         return
-    path, mode, flags = arguments
-    if (
-        not isinstance(path, str | bytes | os.PathLike)
-        or (mode is None and flags & _WRITES)
-        or "r" not in (mode or "r")
-    ):
+    path, _, flags = arguments
+    if not isinstance(path, str | bytes | os.PathLike) or flags & _WRITES:
         return
-    by, frame = set[str](), sys._getframe(1)
+    callers, frame = set[str](), sys._getframe(1)
     while frame is not None:
-        by.add(frame.f_code.co_filename)
+        callers.add(frame.f_code.co_filename)
         frame = frame.f_back  # type: ignore[assignment]
-    opened = Opened(os.fsdecode(path), frozenset(by))
-    for heard in [*_listeners]:
-        heard.append(opened)
+    if not any(caller.endswith(_HARNESS) for caller in callers):
+        for opened in [*_recordings.values()]:
+            opened.append(OpenedFile(os.fsdecode(path), frozenset(callers)))

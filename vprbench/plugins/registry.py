@@ -31,7 +31,7 @@ from vprbench.plugins.entries import entries as entries
 from vprbench.plugins.entries import require_one as require_one
 from vprbench.plugins.entries import with_plugin_paths as with_plugin_paths
 from vprbench.plugins.local_plugins import describe_error
-from vprbench.plugins.tuned_places import declared_places
+from vprbench.plugins.tuned_places import parse_tuned_on
 from vprbench.text import near as near  # for the commands too
 
 _MOST_NAME_BYTES = 200  # file systems take 255, and other names are made of this one
@@ -78,7 +78,7 @@ def declared(name: str, config: Mapping[str, Any]) -> tuple[dict[str, Any], dict
     Raises BadInput if a registered method was asked for with another `tuned_on` than its yaml has.
     """
     entry = entries("method").get(name)
-    asked = declared_places(config.get("tuned_on"), f"method {name}")
+    asked = parse_tuned_on(config.get("tuned_on"), f"method {name}")
     if entry is not None and asked != entry.tuned_on:
         raise BadInput(f"method.tuned_on={asked or None}: what {name} was tuned on is told by {entry.path} alone")
     return arguments(config), asked
@@ -114,12 +114,21 @@ def named(group: Group, text: str) -> str:
 
     Raises BadInput if the file cannot be imported, or if the name is another's.
     """
-    if not local_plugins.names_a_file(text):
+    if not local_plugins.is_loose_file(text):
         return text
-    entry = local_plugins.load(group, text)
+    entry = local_plugins.load_loose_file(group, text)
     yamls.add(entry)
     ConfigStore.instance().store(group=group, name=entry.name, node=entry.values())
     return entry.name
+
+
+def register_loose_file(option: str) -> None:
+    """Register what method=./mine.py:MyMethod or dataset=./mine.py:my_dataset names; any other option is ignored."""
+    group, _, name = option.partition("=")
+    if group == "method":
+        named("method", name)
+    elif group == "dataset":
+        named("dataset", name)
 
 
 def register_search_path() -> None:

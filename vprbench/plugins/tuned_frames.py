@@ -17,34 +17,34 @@ from vprbench.plugins import entries
 _UNUSED_BITS = 16  # of a code: the files keep 12 of its 16 hexadecimal digits
 
 
-def queries_of_tuned_frames(dataset: Dataset, tuned_on: Mapping[str, Any]) -> list[int]:
+def find_tuned_queries(dataset: Dataset, tuned_on: Mapping[str, Any]) -> list[int]:
     """Return the queries that show frames by which a method was tuned, or whose right places do; ascending.
 
-    `tuned_on` is what the method declares. A frame is known by the content of its file, of one in memory by its
-    pixels; none is known if frames are computed, or if no conf folder has `shared/tuned_frames/DATASET.txt`. Raises
-    BadInput for a file that cannot be read.
+    `tuned_on` is the declaration of the method. The content of its file identifies a frame, or its pixels if it is in
+    memory. No query is found if frames are computed, or if no conf folder has `shared/tuned_frames/DATASET.txt`.
+
+    Raises:
+        BadInput: a file cannot be read.
     """
-    known = _known_codes(str(tuned_on.get("dataset", "")))
-    if not len(known):
+    name = f"{tuned_on.get('dataset', '')}.txt"
+    paths = [folder / "shared" / "tuned_frames" / name for folder in entries.conf_folders().values()]
+    lists = [path for path in paths if path.is_file()]
+    if not lists:
         return []
-    asked, mapped = (_are_among(part, known) for part in (dataset.queries, dataset.references))
-    places = np.unique(dataset.places[mapped])
-    shown = [bool(asks) or bool(np.isin(r, places).any()) for asks, r in zip(asked, dataset.positives, strict=True)]
-    return np.flatnonzero(shown).tolist()
+    codes = _read_codes(lists[0])
+    tuned_queries = _find_frames(dataset.queries, codes)
+    tuned_places = np.unique(dataset.places[_find_frames(dataset.references, codes)])
+    right_is_tuned = [bool(np.isin(right, tuned_places).any()) for right in dataset.positives]
+    return np.flatnonzero(tuned_queries | np.array(right_is_tuned, np.bool_)).tolist()
 
 
-def _are_among(images: Images, known: Codes) -> npt.NDArray[np.bool_]:
-    codes = images.content_codes()
-    return np.zeros(len(images), np.bool_) if codes is None else np.isin(codes >> np.uint64(_UNUSED_BITS), known)
-
-
-def _known_codes(dataset: str) -> Codes:
-    """Return the codes of the frames of a dataset that methods were tuned on; none if nobody keeps them."""
-    paths = (folder / "shared" / "tuned_frames" / f"{dataset}.txt" for folder in entries.conf_folders().values())
-    return next((_codes_in(path) for path in paths if path.is_file()), np.zeros(0, np.uint64))
+def _find_frames(images: Images, codes: Codes) -> npt.NDArray[np.bool_]:
+    """Return which images have one of the codes, (n_images,)."""
+    own = images.content_codes()
+    return np.zeros(len(images), np.bool_) if own is None else np.isin(own >> np.uint64(_UNUSED_BITS), codes)
 
 
 @cache
-def _codes_in(path: Path) -> Codes:
+def _read_codes(path: Path) -> Codes:
     lines = path.read_text(encoding="utf-8").splitlines()
     return np.array([int(code, 16) for line in lines if line[:1] != "#" for code in line.split()], np.uint64)

@@ -15,7 +15,7 @@ from vprbench.api.method import Method
 from vprbench.api.weights import Weights
 from vprbench.runs import machine
 from vprbench.runs.run_files import content_key
-from vprbench.runs.shortlist import LARGE_MAP
+from vprbench.runs.scorers import LARGE_MAP
 from vprbench.runs.sources import hash_class
 from vprbench.storage.shards import Shards, Writer
 

@@ -18,7 +18,7 @@ from vprbench.api.method import Method
 from vprbench.errors import BadInput
 from vprbench.metrics.registry import METRICS
 from vprbench.runs import timing_lock
-from vprbench.runs.identity import Request
+from vprbench.runs.experiment import Experiment
 from vprbench.runs.record import Run
 from vprbench.runs.stopwatch import synchroniser
 from vprbench.terminal.console import table_text
@@ -138,24 +138,24 @@ _UNKNOWN = "no formula, and no product of PyTorch"
 Cost = tuple[float | None, str]  # the value, None: not known, and its source, or why it is not known
 
 
-def find_costs(request: Request, run: Run) -> dict[str, Any]:
+def find_costs(experiment: Experiment, run: Run) -> dict[str, Any]:
     """Return the costs of a query: `values` by name, None where one is not known, and `how` each was found or why not.
 
     The estimate prices encode and match, in the place of match the synaptic operations of a network that spikes.
     """
-    queries = request.dataset.queries.unnamed()
+    queries = experiment.dataset.queries.unnamed()
     some = queries[np.linspace(0, len(queries) - 1, min(_QUERIES, len(queries))).astype(np.int64)].in_memory()
     singles = [some[n : n + 1] for n in range(len(some))]
     synops = count_synops(run.spikes)
     how = "no layer that spikes" if synops is None else "spikes x existing synapses"
     found: dict[str, Cost] = {"synops_ac": (synops and synops[0], how), "synops_mac": (synops and synops[1], how)}
     try:
-        found |= _count_operations(request.method, singles, synops)
+        found |= _count_operations(experiment.method, singles, synops)
     except Exception as error:  # a plug-in may fail in any way, and its answers and times still stand
         why = " ".join(f"not counted ({type(error).__name__}: {error})".split())
         found |= dict.fromkeys(("operations", "joules_estimated"), (None, why))
-    found["joules_measured"] = _measure_query(request.method, request.config["device"], singles)
-    found["map_bytes"] = _find_map_bytes(request.method, run)
+    found["joules_measured"] = _measure_query(experiment.method, experiment.request.device, singles)
+    found["map_bytes"] = _find_map_bytes(experiment.method, run)
     return {part: {name: cost[at] for name, cost in found.items()} for at, part in enumerate(("values", "how"))}
 
 

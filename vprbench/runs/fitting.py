@@ -14,7 +14,7 @@ from vprbench.api.method import Method, calibration
 from vprbench.errors import BadInput
 from vprbench.plugins import networks
 from vprbench.runs.descriptors import DescriptorCache
-from vprbench.runs.identity import Request
+from vprbench.runs.experiment import Experiment
 from vprbench.runs.notes import Note, make_notes
 from vprbench.runs.stopwatch import Stopwatch
 from vprbench.storage.shards import LARGE_BYTES
@@ -46,28 +46,31 @@ class FitResult:
         return max(0.0, (self.fit_compute_seconds or 0.0) + (self.load_seconds or 0.0) - self.earlier_seconds)
 
 
-def fit_or_load(request: Request, key: str, stopwatch: Stopwatch, described: DescriptorCache | None) -> FitResult:
+def fit_or_load(experiment: Experiment, key: str, stopwatch: Stopwatch, described: DescriptorCache | None) -> FitResult:
     """Load the method's network, or fit and calibrate the method and store its network if that was asked for.
 
-    A method that an earlier run of the request's `shared_fit` has fitted stays as it is.
+    A method that an earlier run of the experiment's `shared_fit` has fitted stays as it is.
     """
-    if request.shared_fit:
-        return request.shared_fit[0].of_earlier_run()
-    fitted = _fit_or_load(request, key, stopwatch, described)
-    if request.shared_fit is not None:
-        request.shared_fit.append(fitted)
+    if experiment.shared_fit:
+        return experiment.shared_fit[0].of_earlier_run()
+    fitted = _fit_or_load(experiment, key, stopwatch, described)
+    if experiment.shared_fit is not None:
+        experiment.shared_fit.append(fitted)
     return fitted
 
 
-def _fit_or_load(request: Request, key: str, stopwatch: Stopwatch, described: DescriptorCache | None) -> FitResult:
-    method, dataset, files, arguments = request.method, request.dataset, request.files, request.config["method"]
+def _fit_or_load(
+    experiment: Experiment, key: str, stopwatch: Stopwatch, described: DescriptorCache | None
+) -> FitResult:
+    method, dataset, files = experiment.method, experiment.dataset, experiment.networks
+    arguments = experiment.request.method
     if files.load is not None:
         progress.report("load", 0.0)
-        wanted = networks.origin(method, arguments, dataset)
+        wanted = networks.describe_origin(method, arguments, dataset)
         with stopwatch.lap() as load:
-            notes = tuple(make_notes("loaded", networks.load(files.load, method, wanted, files.sha256)))
+            notes = tuple(make_notes("loaded", networks.load_network(files.load, method, wanted)))
         return FitResult(load_seconds=load[0], notes=notes)
-    destination = networks.prepare(files, method, arguments, dataset)
+    destination = networks.prepare_destination(files, method, arguments, dataset)
     given = calibration(method, dataset)
     held_out = None if given is None else _hidden(given)
     read = [dataset.references, *([held_out.references, held_out.queries] if held_out else [])]
@@ -84,7 +87,7 @@ def _fit_or_load(request: Request, key: str, stopwatch: Stopwatch, described: De
     seconds = fit[0]
     computing = seconds - (_reading_seconds(read) - before)
     if destination is not None:
-        networks.save(destination, method, key, seconds, computing)
+        networks.save_network(destination, method, key, seconds)
     calibrated: tuple[Note, ...] = ()
     if held_out is not None:
         text = f"calibrated on {len(held_out.queries)} held-out queries of {held_out.n_places} places"

@@ -1,26 +1,19 @@
-"""A run that is asked for and what identifies it: the key of all that can change it, hashes of its code and frames."""
+"""What identifies a run: the key of all that can change it, and hashes of its code and frames."""
 
 from __future__ import annotations
 
 import hashlib
 import uuid
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypedDict
+from collections.abc import Sequence
+from typing import TypedDict
 
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import names_hash
-from vprbench.api.method import Method, calibration
-from vprbench.plugins import networks
+from vprbench.api.method import Method
 from vprbench.runs import machine, sources
+from vprbench.runs.request import RunRequest
 from vprbench.runs.run_files import content_key
-from vprbench.runs.timing_protocol import Protocol
-from vprbench.runs.viewpoints import Viewpoints
 from vprbench.storage.hashes import HashedFiles
-
-if TYPE_CHECKING:
-    from vprbench.runs.fitting import FitResult
 
 #: Raise it with a change by which a run may have other answers or times; a test holds that nobody forgets to decide.
 VERSION = 5
@@ -28,48 +21,56 @@ VERSION = 5
 #: The modules whose changes are decided about, beside those of `vprbench.api`.
 MODULES = (
     *("vprbench.metrics.ranking", "vprbench.plugins.networks", "vprbench.runs.stopwatch", "vprbench.runs.fitting"),
-    *("vprbench.runs.runner", "vprbench.runs.answers", "vprbench.runs.descriptors", "vprbench.runs.machine"),
+    *("vprbench.runs.run", "vprbench.runs.answers", "vprbench.runs.scorers", "vprbench.runs.descriptors"),
+    *("vprbench.runs.machine", "vprbench.runs.watch"),
     *("vprbench.runs.corruption", "vprbench.runs.corrupted_frames", "vprbench.runs.viewpoints"),
 )
 
 
-_NO_FILES = networks.Files()
 Hashed = tuple[HashedFiles | None, HashedFiles | None]  # references and queries; None: images that are no files
 
 
-@dataclass(frozen=True)
-class Identity:
-    """All that can change the outcome of a run, or the times it measures by one timing protocol."""
+def run_key(
+    request: RunRequest,
+    dataset: Dataset,
+    *,
+    images: str,
+    method_class: str,
+    code: str,
+    files: Sequence[tuple[str, str]],
+    held_out: str | None,
+    network: str | None,
+) -> str:
+    """Return the hash of all that can change the outcome of a run, or the times it measures by one timing protocol.
 
-    method_class: str  # its name alone: where its file lies does not count
-    code: str  # its hash
-    config: Mapping[str, Any]  # what was asked for: method, seed, device, depth, files
-    dataset: Dataset
-    images: str  # their fingerprint
-    held_out: str | None  # fingerprint of the places that the method chooses its settings by
-    threads: int
-    network: str | None = None  # hash of the file that the run loads; a run that trains has another key
-
-    def key(self) -> str:
-        """Return the hash of all of it."""
-        arguments = {name: value for name, value in self.config["method"].items() if name not in ("_target_", "device")}
-        return content_key(
-            {
-                "method": {"class": self.method_class, **arguments},
-                "code": self.code,
-                "dataset": self.dataset.name,
-                "protocol": dict(self.dataset.protocol),
-                "images": self.images,
-                "held_out": self.held_out,
-                "files": self.config.get("files", []),
-                "seed": self.config["seed"],
-                "device": machine.device_class(self.config["device"]),
-                "threads": self.threads,
-                "depth": self.config["depth"],
-                "libraries": machine.library_versions(),
-                "network": self.network,
-            }
-        )
+    Args:
+        request: the run that is asked for; the place of its method's file does not count.
+        dataset: its dataset, built.
+        images: the fingerprint of the dataset.
+        method_class: the name of the method's class.
+        code: the hash of that class's code.
+        files: name and hash of each data file behind the method.
+        held_out: the fingerprint of the places that the method chooses its settings by; None if there are none.
+        network: the hash of the file that the run loads; None for a run that trains.
+    """
+    arguments = {name: value for name, value in request.method.items() if name not in ("_target_", "device")}
+    return content_key(
+        {
+            "method": {"class": method_class, **arguments},
+            "code": code,
+            "dataset": dataset.name,
+            "protocol": dict(dataset.protocol),
+            "images": images,
+            "held_out": held_out,
+            "files": [[*each] for each in files],
+            "seed": request.seed,
+            "device": machine.device_class(request.device),
+            "threads": request.n_threads,
+            "depth": request.depth,
+            "libraries": machine.library_versions(),
+            "network": network,
+        }
+    )
 
 
 class DataRecord(TypedDict):
@@ -79,42 +80,6 @@ class DataRecord(TypedDict):
     content_sha256: str | None  # of the SHA-256 (32 bytes) of each file, joined; None if an image is no file
     images: int  # a frame that is used twice counts twice
     bytes: int | None  # of all files together; None if an image is no file
-
-
-@dataclass(frozen=True)
-class Request:
-    """One run that is asked for."""
-
-    name: str  # of the method
-    method: Method
-    dataset: Dataset
-    config: Mapping[str, Any]  # method, dataset, seed, device, depth and what else was asked for, resolved
-    fingerprint: str  # of the dataset
-    protocol: Protocol
-    threads: int
-    files: networks.Files = _NO_FILES  # networks to load or to store
-    cache: Path | None = None  # a folder for descriptors worth keeping
-    scores: bool = False  # keep them all, however many
-    stream: int = 0  # places from one stop of a growing map to the next, which changes no answer; 0: none is asked for
-    views: Viewpoints | None = None  # from which the queries are asked; None: the frames as they are
-    tuned_on: Mapping[str, Any] = field(default_factory=dict)  # places that chose the method's settings
-    tuned_queries: Sequence[int] = ()  # which show frames of these places, by their content
-    data: DataRecord | None = None  # of the dataset; None: its files are looked at when it runs
-    shared_fit: list[FitResult] | None = None  # of runs that share the method: what its fit gave, once it was fitted
-
-    def key(self) -> str:
-        """Return the hash of its identity."""
-        held_out = calibration(self.method, self.dataset)
-        return Identity(
-            method_class=type(self.method).__qualname__,
-            code=code_hash(type(self.method)),
-            config=self.config,
-            dataset=self.dataset,
-            images=self.fingerprint,
-            held_out=None if held_out is None else held_out.fingerprint(),
-            threads=self.threads,
-            network=self.files.sha256,
-        ).key()
 
 
 def code_hash(method: type[Method]) -> str:

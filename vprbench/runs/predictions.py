@@ -12,11 +12,14 @@ from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
 from vprbench.errors import BadInput
 from vprbench.runs.record import Run
+from vprbench.runs.sequences import name_views, parse_views
 from vprbench.runs.views import queries_shown
 from vprbench.storage.atomic import replace_bytes
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from vprbench.runs.request import RunRequest
 
 
 def tabulate_predictions(run: Run, n: int, dataset: Dataset | None) -> pd.DataFrame:
@@ -49,6 +52,24 @@ def tabulate_predictions(run: Run, n: int, dataset: Dataset | None) -> pd.DataFr
             "right": right[rows, ranks] if run.is_judged else None,
         }
     )
+
+
+def write_predictions(run: Run, name: str, request: RunRequest, dataset: Dataset) -> list[Path]:
+    """Write the best places of each query of a run, or of each of its views, if a request asks for them.
+
+    Returns the files, which lie in the results folder.
+    """
+    if request.predictions is None:
+        return []
+    shown = {name_views([view]): view(run) for view in parse_views(request.sequence, request.filter)} or {"": run}
+    folder = Path(request.results).expanduser()
+    return [
+        write_csv(
+            tabulate_predictions(one, request.predictions, dataset),
+            folder / f"{dataset.name}-{name}{ending}-predictions.csv",
+        )
+        for ending, one in shown.items()
+    ]
 
 
 def require_depth(n: int, depth: int, n_places: int) -> None:

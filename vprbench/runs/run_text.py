@@ -10,34 +10,34 @@ from typing import Any
 
 from vprbench.runs import energy, frame, rows, stream
 from vprbench.runs.record import Run
+from vprbench.runs.request import RunRequest
 from vprbench.runs.sequences import parse_views
-from vprbench.runs.settings import Settings
 from vprbench.runs.tuned import list_notes
 from vprbench.terminal.console import line_text, table_text
 
 
 def run_text(
-    run: Run, folder: Path | None, from_store: bool, settings: Settings, predictions: Sequence[Path] = ()
+    run: Run, folder: Path | None, from_store: bool, request: RunRequest, predictions: Sequence[Path] = ()
 ) -> str:
     """Return the row of a run or its JSON, its notes and its views; `folder` is where it lies, None if nowhere.
 
     `predictions` are the files that hold the best places of each query.
     """
-    seen = [view(run) for view in parse_views(settings.sequence, settings.filter)]
-    if settings.output == "json":
+    seen = [view(run) for view in parse_views(request.sequence, request.filter)]
+    if request.output == "json":
         return json.dumps(
             {
                 "method": run.method,
                 "dataset": run.dataset,
                 "protocol": dict(run.protocol),
                 "data": dict(run.data),
-                **frame.list_numbers(run, settings.metrics),
-                **({"stream": stream.list_stops(run)} if settings.stream else {}),
-                **({"energy": run.energy} if settings.energy else {}),
+                **frame.list_numbers(run, request.metrics),
+                **({"stream": stream.list_stops(run)} if request.stream else {}),
+                **({"energy": run.energy} if request.energy else {}),
                 "network": run.network,
                 "tuned_on": run.tuned_on or None,
                 "notes": [asdict(note) for note in list_notes(run)],
-                **({"views": [_viewed(one, settings) for one in seen]} if seen else {}),
+                **({"views": [_viewed(one, request) for one in seen]} if seen else {}),
                 **({"predictions": [*map(str, predictions)]} if predictions else {}),
                 "from_store": from_store,
                 "run_folder": None if folder is None else str(folder),
@@ -45,7 +45,7 @@ def run_text(
             allow_nan=False,
         )
     shown = seen or [run]
-    table = [rows.format_row(one, settings.metrics) for one in shown]
+    table = [rows.format_row(one, request.metrics) for one in shown]
     if seen:
         table = [{"answers": rows.describe_view(one), **row} for one, row in zip(seen, table, strict=True)]
     notes = [(f"note: {note.text}", "yellow", False) for note in list_notes(shown[0])]
@@ -56,14 +56,14 @@ def run_text(
         below.append(f"from the store: {folder} (force=true runs again)")
     elif folder is not None:
         below.append(f"stored in {folder}")
-    below += [f"best {settings.predictions} places of each query: {file}" for file in predictions]
-    tables = [table_text([*table[0]], [[*row.values()] for row in table], settings.wide, rows.LEAST)]
-    if settings.stream:
+    below += [f"best {request.predictions} places of each query: {file}" for file in predictions]
+    tables = [table_text([*table[0]], [[*row.values()] for row in table], request.wide, rows.LEAST)]
+    if request.stream:
         tables.append(stream.format_stops(run))
-    if settings.energy:
-        tables.append(energy.format_costs(run, settings.wide))
+    if request.energy:
+        tables.append(energy.format_costs(run, request.wide))
     return "\n".join([*(line_text(*each) for each in said), *tables, *map(line_text, below)])
 
 
-def _viewed(view: Run, settings: Settings) -> dict[str, Any]:
-    return {"protocol": dict(view.protocol), **frame.list_numbers(view, settings.metrics)}
+def _viewed(view: Run, request: RunRequest) -> dict[str, Any]:
+    return {"protocol": dict(view.protocol), **frame.list_numbers(view, request.metrics)}

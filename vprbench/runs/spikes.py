@@ -11,8 +11,8 @@ from vprbench.api.adaptation import adapt_traverse
 from vprbench.api.images import Images
 from vprbench.api.method import LayerSpikes, Method, batch_size_for
 from vprbench.errors import BadInput
-from vprbench.runs.answers import block_size
 from vprbench.runs.notes import Note
+from vprbench.runs.scorers import block_size
 
 _QUERIES = 256  # at most, of which spikes are counted
 

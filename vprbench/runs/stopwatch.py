@@ -16,8 +16,7 @@ from pydantic import ConfigDict, Field, with_config
 from vprbench import progress
 from vprbench.api.images import Images
 from vprbench.api.method import batch_size_for, require_codes
-from vprbench.runs.adapted import Asked
-from vprbench.runs.shortlist import Answer, best_place
+from vprbench.runs.scorers import Answer, Scorer, best_place
 from vprbench.runs.timing_protocol import Protocol as Protocol  # callers ask the stopwatch
 from vprbench.storage.bounds import INTEGERS, NUMBERS, Array, Count, Flag, Positive
 
@@ -105,16 +104,16 @@ class Stopwatch:
         self._synchronise()
         seconds.append((self._clock() - start) / 1e9)
 
-    def first_query(self, method: Asked, images: Images) -> float:
+    def first_query(self, scorer: Scorer, images: Images) -> float:
         """Return the seconds of the first of `images`, decoded beforehand; raises BadInput if it is given no codes."""
         first = images[:1].in_memory()
         try:
-            return sum(self._call(method, first)[:2])
+            return sum(self._call(scorer, first)[:2])
         except Exception:
-            require_codes(method.encode(first), 1)  # asked where it costs no time of a query
+            require_codes(scorer.encode(first), 1)  # asked where it costs no time of a query
             raise
 
-    def measure(self, method: Asked, images: Images, first_query_seconds: float | None = None) -> Timing:
+    def measure(self, scorer: Scorer, images: Images, first_query_seconds: float | None = None) -> Timing:
         """Measure a fitted method on a sample of `images`, decoded beforehand; batches of large codes are smaller.
 
         A pass takes 4 s at most, unless the minimum of queries takes more: the sample of a slow method is smaller.
@@ -127,43 +126,43 @@ class Stopwatch:
             progress.report("timing", 0.0)
             began = self._clock()
             self._end_after(began, _SHARES[0])
-            warmup = self._warm_up(method, singles, first_query_seconds or 0.0)
+            warmup = self._warm_up(scorer, singles, first_query_seconds or 0.0)
             usual = float(np.median(warmup[-_STEADY_QUERIES:])) if warmup else 0.0
             if usual and (few := max(self._protocol.minimum_queries, int(_LONG_PASS / usual))) < count:
                 some = np.linspace(0, count - 1, few).astype(np.int64)
                 chosen, sample, singles = chosen[some], sample[some], [singles[i] for i in some]
             self._end_after(began, _SHARES[1])
-            streaming, answers = self._stream(method, singles)
+            streaming, answers = self._stream(scorer, singles)
             progress.report("timing", 0.2)
-            offline = self._offline(method, sample, streaming, began)
+            offline = self._offline(scorer, sample, streaming, began)
         first = [*warmup, float("nan")][0] if first_query_seconds is None else first_query_seconds
         return Timing(first, len(warmup), streaming, offline, chosen, answers)
 
-    def _call(self, method: Asked, images: Images) -> tuple[float, float, Answer]:
+    def _call(self, scorer: Scorer, images: Images) -> tuple[float, float, Answer]:
         """Return the seconds of encode and match, and the scores or the best places."""
         self._synchronise()
         start = self._clock()
-        codes = method.encode(images)
+        codes = scorer.encode(images)
         self._synchronise()
         encoded = self._clock()
-        scores = method.match(codes)
+        scores = scorer.match(codes)
         self._synchronise()
         matched = self._clock()
         return (encoded - start) / 1e9, (matched - encoded) / 1e9, scores
 
-    def _warm_up(self, method: Asked, singles: Sequence[Images], usual: float) -> list[float]:
+    def _warm_up(self, scorer: Scorer, singles: Sequence[Images], usual: float) -> list[float]:
         """Return the seconds of the calls; `usual` is what one may take."""
         laps: list[float] = []
         started = self._clock()
         while len(laps) < self._protocol.warmup_queries and not self._late(started, usual):
-            encode, match, _ = self._call(method, singles[len(laps) % len(singles)])
+            encode, match, _ = self._call(scorer, singles[len(laps) % len(singles)])
             laps.append(usual := encode + match)
             last = laps[-_STEADY_QUERIES:]
             if len(last) == _STEADY_QUERIES and max(last) - min(last) <= _STEADY_SPREAD * max(last):
                 break
         return laps
 
-    def _stream(self, method: Asked, singles: Sequence[Images]) -> tuple[Laps, npt.NDArray[np.int64]]:
+    def _stream(self, scorer: Scorer, singles: Sequence[Images]) -> tuple[Laps, npt.NDArray[np.int64]]:
         encodes: list[float] = []
         matches: list[float] = []
         answers = np.full(len(singles), -1)
@@ -171,7 +170,7 @@ class Stopwatch:
         while not (finished := self._finished(len(encodes), len(singles), started)) and not late:
             order = self._generator.permutation(len(singles)).tolist()
             for query in order:
-                encode, match, scores = self._call(method, singles[query])
+                encode, match, scores = self._call(scorer, singles[query])
                 encodes.append(encode)
                 matches.append(match)
                 answers[query] = best_place(scores)
@@ -179,12 +178,12 @@ class Stopwatch:
                     break
         return Laps(np.array(encodes), np.array(matches), 1, finished), answers
 
-    def _offline(self, method: Asked, sample: Images, streaming: Laps, began: int) -> tuple[Laps, ...]:
+    def _offline(self, scorer: Scorer, sample: Images, streaming: Laps, began: int) -> tuple[Laps, ...]:
         """Return the laps of each batch size whose calls fit into the time left; at least the streaming ones, of one.
 
         Batches whose call is long are left out once larger ones no longer gain.
         """
-        sizes = sorted({batch_size_for(method, min(size, len(sample))) for size in self._protocol.batch_sizes})
+        sizes = sorted({batch_size_for(scorer, min(size, len(sample))) for size in self._protocol.batch_sizes})
         offline, last, gains = list[Laps](), streaming, True
         for done, size in enumerate(sizes):
             progress.report("timing", 0.3 + 0.7 * done / len(sizes))
@@ -193,20 +192,20 @@ class Stopwatch:
             if size == 1:
                 offline.append(streaming)
             elif not self._over(2 * call) and (gains or call <= _LONG_CALL):  # one is not timed
-                before, last = last, self._batches(method, sample, size)
+                before, last = last, self._batches(scorer, sample, size)
                 gains = before.per_image() >= _GAIN * last.per_image()
                 offline.append(last)
         return tuple(offline) or (replace(streaming, valid=False),)
 
-    def _batches(self, method: Asked, sample: Images, size: int) -> Laps:
+    def _batches(self, scorer: Scorer, sample: Images, size: int) -> Laps:
         starts = range(0, len(sample) - size + 1, size)  # whole batches only
         batches = [sample[start : start + size] for start in starts]
         encodes: list[float] = []
         matches: list[float] = []
-        self._call(method, batches[0])
+        self._call(scorer, batches[0])
         late, started = False, self._clock()
         while not (finished := self._finished(len(encodes) * size, len(sample), started)) and not late:
-            encode, match, _ = self._call(method, batches[len(encodes) % len(batches)])
+            encode, match, _ = self._call(scorer, batches[len(encodes) % len(batches)])
             encodes.append(encode)
             matches.append(match)
             late = self._late(started, encode + match)

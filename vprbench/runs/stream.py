@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from copy import copy
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -17,11 +17,13 @@ from vprbench.metrics.accuracy import hits_at
 from vprbench.metrics.intervals import share_interval
 from vprbench.metrics.ranking import PlacesPerQuery, concatenate, outcome
 from vprbench.metrics.registry import METRICS
-from vprbench.runs.answers import block_size
-from vprbench.runs.identity import Request
 from vprbench.runs.record import Run
+from vprbench.runs.scorers import block_size
 from vprbench.runs.stopwatch import Stopwatch, synchroniser
 from vprbench.terminal.console import table_text
+
+if TYPE_CHECKING:
+    from vprbench.runs.experiment import Experiment
 
 _STOPS = 10  # where nobody says how many places lie between two
 
@@ -35,22 +37,27 @@ def parse_step(step: bool | int, method: Method, n_places: int) -> int:
         raise BadInput(f"stream={step}: {type(method).__name__} learns its places together: leave stream out")
     if step is not True and not 0 <= step < n_places:
         raise BadInput(f"stream={step}: give 1 to {n_places - 1} places, for the map has {n_places}, or true")
+    return places_of_a_step(step, n_places)
+
+
+def places_of_a_step(step: bool | int, n_places: int) -> int:
+    """Return how many places the option `stream` adds at a time to a map that ends with `n_places`; 0 for none."""
     return -(-n_places // _STOPS) if step is True else int(step)
 
 
-def grow_map(request: Request) -> list[dict[str, Any]]:
+def grow_map(experiment: Experiment) -> list[dict[str, Any]]:
     """Fit the first places, add the others one by one, and ask at every stop; the method stays as it is.
 
     Of each stop, as plain values: the `places` of the map, for each query with a right place among them the chance
     `hits` that the best is right, and the `seconds` of each place since the stop before, its images read beforehand.
     """
-    method, dataset, first = copy(request.method), request.dataset, request.stream
+    method, dataset, first = copy(experiment.method), experiment.dataset, experiment.stream
     references, size = dataset.references.unnamed(), block_size(method, dataset.n_places)
     old = np.flatnonzero(dataset.places < first)
     method.fit(references[old], dataset.places[old])
     codes = np.concatenate([method.encode(block) for block in dataset.queries.unnamed().blocks(size)])
     codes = adapt_traverse(method, codes)
-    stopwatch = Stopwatch(request.protocol, synchronise=synchroniser(request.config["device"]))
+    stopwatch = Stopwatch(experiment.request.timing, synchronise=synchroniser(experiment.request.device))
     stops: list[dict[str, Any]] = []
     seconds: list[float] = []
     for n in range(first, dataset.n_places + 1):

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from vprbench.metrics.accuracy import recall_at
 from vprbench.metrics.registry import METRICS
 from vprbench.plugins.entries import entries
-from vprbench.plugins.tuned_places import stretches
+from vprbench.plugins.tuned_places import parse_places
 from vprbench.runs.notes import Note, make_notes
 from vprbench.runs.recall_intervals import recall_interval
 from vprbench.runs.record import Run
@@ -46,7 +46,7 @@ def find_tuned_queries(run: Run) -> npt.NDArray[np.bool_] | None:
 
 def _show_declared_places(run: Run) -> npt.NDArray[np.bool_] | None:
     """Return which queries have a right place of the declared numbers, (n_queries,); None: the numbers do not tell."""
-    known, entry = stretches(_declared_places(run)), entries("dataset").get(run.dataset)
+    known, entry = parse_places(_declared_places(run)), entries("dataset").get(run.dataset)
     if known is None or entry is None:
         return None
     listed = entry.values()
@@ -94,7 +94,7 @@ def describe_tuning(runs: Sequence[Run]) -> str:
     if not any(map(overlaps_tuning_places, runs)):
         return ""
     declared = runs[0].tuned_on
-    places = "places " * bool(stretches(declared["places"]))
+    places = "places " * bool(parse_places(declared["places"]))
     words = f"tuned on {places}{declared['places']} of {declared['dataset']}, in no contest"
     if others := all_without_tuning_places(runs):
         return f"{words}; {describe_recalls(others)} on the {len(others[0].outcome)} queries of other places"

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from vprbench.api.arrays import Image, Scores
+from vprbench.api.arrays import Image
 from vprbench.api.dataset import Dataset
-from vprbench.api.images import Images
-from vprbench.api.method import Method
 from vprbench.errors import BadInput
 from vprbench.plugins.checked import checked
 from vprbench.plugins.entries import read
@@ -99,27 +96,3 @@ def view_of(image: Image, viewpoint: Viewpoint) -> Image:
     left, up = -round(viewpoint.horizontal * width), -round(viewpoint.vertical * height)
     matrix = np.array([[zoom, 0, (1 - zoom) * (width - 1) / 2 + left], [0, zoom, (1 - zoom) * (height - 1) / 2 + up]])
     return np.asarray(cv2.warpAffine(image, matrix, (width, height), borderMode=cv2.BORDER_REFLECT_101), np.uint8)
-
-
-class Viewed:
-    """Stands in for a fitted method where it is asked: a place's score is that of the view that shows it best."""
-
-    def __init__(self, method: Method, views: Sequence[Viewpoint]) -> None:
-        """Ask the method for each query from these viewpoints."""
-        self.method, self.views = method, views
-
-    @property
-    def code_bytes(self) -> int:
-        """Bytes of the codes of one query."""
-        return self.method.code_bytes * len(self.views)
-
-    def encode(self, images: Images) -> npt.NDArray[Any]:
-        """Turn queries into the codes of their views, (n_queries, n_views, ...)."""
-        frames = [view_of(image, view) for image in images for view in self.views]
-        codes = self.method.encode(Images.from_arrays(frames))
-        return codes.reshape(len(images), len(self.views), *codes.shape[1:])
-
-    def match(self, codes: npt.NDArray[Any]) -> Scores:
-        """Return the best score of every place among the views, (n_queries, n_places)."""
-        scores = self.method.match(codes.reshape(-1, *codes.shape[2:]))
-        return np.asarray(scores.reshape(*codes.shape[:2], -1).max(1), np.float32)

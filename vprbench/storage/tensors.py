@@ -45,14 +45,6 @@ class Seal:
         text = metadata.get(self.text)
         return text, arrays, metadata.get(self.digest) == _digest(text or "", arrays)
 
-    def read_text(self, path: Path) -> str | None:
-        """Return the text without looking at the arrays; raises what `read` raises."""
-        try:
-            with safe_open(path, framework="np") as file:
-                return (file.metadata() or {}).get(self.text)
-        except SafetensorError as error:
-            raise ValueError(str(error)) from error
-
 
 def plain(array: Array, name: str) -> Array:
     """Return an array as safetensors writes it, byte after byte; raises TypeError for anything but numbers."""

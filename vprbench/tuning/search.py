@@ -33,7 +33,7 @@ from vprbench.tuning.study import Stage, Study, Trial, best_of, opened
 from vprbench.tuning.workers import Workers
 
 if TYPE_CHECKING:
-    from vprbench.jobs.dask_executor import DaskExecutor
+    from vprbench.jobs.cluster import DaskExecutor
 
 logger = logging.getLogger(__name__)
 
@@ -188,7 +188,7 @@ def _executor(settings: Settings) -> AbstractContextManager[DaskExecutor | None]
     """Return the cluster that settings are tried on, None for processes of this search."""
     if not settings.is_distributed:
         return nullcontext()
-    from vprbench.jobs.dask_executor import DaskExecutor
+    from vprbench.jobs.cluster import DaskExecutor
 
     return DaskExecutor(settings)
 

@@ -7,14 +7,13 @@ import yaml
 from checkout import ROOT
 from little_vprsnn import SMALL, WORLD, fitted, held_out, images, layers, recorded_trains, references, same
 
+from vprbench.config import make_request
 from vprbench.errors import BadInput, NotFittedError
 from vprbench.methods.vprsnn import scoring, training
 from vprbench.methods.vprsnn.method import VPRSNN
 from vprbench.methods.vprsnn.model import Model
 from vprbench.methods.vprsnn.scoring import Responses
-from vprbench.plugins.conformance import check
-from vprbench.runs.compose import composed_in_python
-from vprbench.runs.settings import checked_settings
+from vprbench.plugins.conformance import check_method
 
 QUERIES = images(WORLD.queries)
 SHORT = {"presentation_ms": 120.0, "rest_ms": 30.0, "excitatory_start_mv": -80.0}
@@ -132,7 +131,7 @@ def test_five_places_learnt_at_full_resolution_are_recognised():
 @pytest.mark.extended
 def test_with_carried_potentials_it_keeps_all_rules_of_the_contract_but_two():
     config = {**yaml.safe_load((ROOT / "conf" / "method" / "vprsnn.yaml").read_text()), "seed": 0}
-    results = list(check({**config, **SMALL, "carried_potentials": True}, set(SMALL)))
+    results = list(check_method({**config, **SMALL, "carried_potentials": True}, set(SMALL)))
     assert [str(result) for result in results if result.state == "broken"] == []
     assert sum(result.state == "excepted" for result in results) == 2
 
@@ -140,7 +139,7 @@ def test_with_carried_potentials_it_keeps_all_rules_of_the_contract_but_two():
 def test_a_gpu_is_refused_to_a_method_without_an_argument_device():
     for name, fits in (("vprsnn", False), ("vprsnn_ensemble", False), ("vprtempo", True)):
         with pytest.raises(BadInput, match=r"device=cuda") as error:
-            checked_settings(composed_in_python([f"method={name}"], {"device": "cuda:999"}))
+            make_request([f"method={name}"], {"device": "cuda:999"}).require_machine()
         assert ("has no argument device" in str(error.value)) is not fits
 
 

@@ -15,6 +15,7 @@ from vprbench.api.gabor import GaborBank
 from vprbench.api.images import Images
 from vprbench.api.oriented import OrientedEdges
 from vprbench.api.preprocess import PatchNormalisation
+from vprbench.config import make_request
 from vprbench.errors import BadInput, NotFittedError, TrainingDivergedError
 from vprbench.methods.vprtempo.arguments import Encoding
 from vprbench.methods.vprtempo.encoding import spikes_of
@@ -22,9 +23,8 @@ from vprbench.methods.vprtempo.ensemble import VPRTempoEnsemble
 from vprbench.methods.vprtempo.int8 import VPRTempoInt8
 from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.methods.vprtempo.rules import PAPER, RULES, V1, QueryRule, Rules, RuleSet
-from vprbench.plugins.conformance import check
+from vprbench.plugins.conformance import check_method
 from vprbench.plugins.registry import make_method
-from vprbench.runs import compose
 
 
 @cache
@@ -213,7 +213,7 @@ def test_the_encoder_runs_by_the_engine_that_trains(encoding):
 )
 def test_the_contract_is_kept_with_any_input(encoding, kind):
     config = {"_target_": f"{kind.__module__}.{kind.__name__}", **INPUTS[encoding]}
-    assert [str(result) for result in check(config) if result.state != "kept"] == []
+    assert [str(result) for result in check_method(config) if result.state != "kept"] == []
 
 
 @ENCODINGS
@@ -240,5 +240,5 @@ def test_spikes_begin_with_the_input_and_another_input_is_refused_on_restoring(e
 
 @pytest.mark.parametrize(("name", "n_inputs"), [("vprtempo_oriented", 2048), ("vprtempo_oriented_ensemble", 3072)])
 def test_the_methods_of_oriented_edges_read_as_many_as_they_say(name, n_inputs):
-    method = make_method(compose.composed([f"method={name}"])["method"])
+    method = make_method(make_request([f"method={name}"]).method)
     assert method.encode(QUERIES).shape == (len(QUERIES), n_inputs)

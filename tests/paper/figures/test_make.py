@@ -60,11 +60,9 @@ def test_every_figure_is_there_with_its_caption_and_what_was_missing_was_run_wit
     captions = (figures / "captions.md").read_text().splitlines()
     assert {line.split("**")[1].rstrip(".") for line in captions if line.startswith("**")} == NAMES
     tempo, *growth = drawn[1].asked
-    of_tempo = ["method.height=12", "method.width=12", "method.epochs=1"]
-    assert [option for option in tempo if option.startswith("method")] == ["method=vprtempo", *of_tempo]
-    sizes = [[option for option in options if option.startswith("dataset.")] for options in growth]
-    assert sizes == [[f"dataset.places={n}", "dataset.query_places=6"] for n in (10, 14)]
-    assert [["frames=false" in options for options in asked] for asked in ([tempo], growth)] == [[False], [True] * 2]
+    assert (tempo.method_name, tempo.changed) == ("vprtempo", {"height": 12, "width": 12, "epochs": 1})
+    assert [(each.dataset["places"], each.dataset["query_places"]) for each in growth] == [(10, 6), (14, 6)]
+    assert [tempo.frames, *(each.frames for each in growth)] == [True, False, False]
 
 
 def test_a_name_in_a_caption_is_no_markup():

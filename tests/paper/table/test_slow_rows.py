@@ -10,6 +10,7 @@ from small_plan import RUN, install
 
 from vprbench.cli import main
 from vprbench.jobs import executors
+from vprbench.runs.request import RunRequest
 
 
 def marks():
@@ -25,15 +26,15 @@ def seen(tmp_path, monkeypatch):
     quick_runs(monkeypatch)
     apart, seen = install(monkeypatch, tmp_path), []
 
-    def run(options, **_):
-        if "method=pca" not in options:
-            return apart(options)
+    def run(request_json, *_):
+        if RunRequest.from_json(request_json).method_name != "pca":
+            return apart(request_json)
         seen.append(marks())
         if len(seen) == 2:
             raise KeyboardInterrupt
-        return apart(options)
+        return apart(request_json)
 
-    monkeypatch.setattr(executors, "run_job", run)
+    monkeypatch.setattr(executors, "run_in_child", run)
     return seen
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vprbench import progress
+from vprbench.config import make_request
 from vprbench.errors import BadInput
 from vprbench.jobs.executors import executor_for
 from vprbench.metrics.registry import METRICS
@@ -20,7 +21,6 @@ from vprbench.paper.missing_runs import results_folder
 from vprbench.paper.plan import Row
 from vprbench.paper.run_options import TableRequest
 from vprbench.paper.selection import Group, ResolvedColumn, Series, accuracy_series, groups, of_row, series, title
-from vprbench.paper.stored_runs import Compose
 from vprbench.paper.table.best import mean_recall
 from vprbench.paper.table.formats import shown_as_it_is
 from vprbench.paper.table.make import exit_code
@@ -35,16 +35,15 @@ if TYPE_CHECKING:
 logger = logging.getLogger(__name__)
 
 
-def make_figures(request: TableRequest, options: Sequence[str], compose: Compose) -> int:
+def make_figures(request: TableRequest, options: Sequence[str]) -> int:
     """Draw all figures as PDF and PNG under results/figures; returns the exit code, 1 where a run failed."""
     with executor_for(request) as executor:
-        found = gather(choose(request, compose), options, compose, executor)
-        growth = growth_columns(found, compose)
+        found = gather(choose(request), options, executor)
+        growth = growth_columns(found)
         once = replace(found.chosen, devices=("cpu",))
-        sizes = [run for column in growth for run in runs_of(once, column, _growing(found))]
-        results = run_missing(
-            found.chosen, sizes, [*options, "frames=false"], compose, executor
-        )  # nobody looks at theirs
+        options = [*options, "frames=false"]  # nobody looks at theirs
+        sizes = [cell for column in growth for cell in runs_of(once, column, _growing(found), options)]
+        results = run_missing(found.chosen, sizes, executor)
     runs = stored(found.chosen)[0] if sizes else found.runs
     folder = Path(request.results).expanduser() / "figures"
     for path in write_figures(draw_all(found, runs, growth), folder):
@@ -101,10 +100,10 @@ def thumbnails_of(group: Group, chosen: TablePlan) -> Thumbnails | None:
     return None
 
 
-def growth_columns(found: ReportData, compose: Compose) -> list[ResolvedColumn]:
+def growth_columns(found: ReportData) -> list[ResolvedColumn]:
     """Return a column for each size of the growth."""
     planned = map(found.chosen.plan.growth.column, found.chosen.plan.growth.sizes)
-    return [ResolvedColumn(column, dict(compose(column.options)["dataset"])) for column in planned]
+    return [ResolvedColumn(column, make_request(column.options).dataset) for column in planned]
 
 
 Draw = Callable[[], "Drawn"]

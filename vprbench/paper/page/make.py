@@ -12,7 +12,6 @@ from vprbench.paper.figures.make import draw_all, growth_columns, thumbnails_of
 from vprbench.paper.gather import ReportData, choose, gather
 from vprbench.paper.run_options import TableRequest
 from vprbench.paper.selection import Group, accuracy_series, series, title
-from vprbench.paper.stored_runs import Compose
 from vprbench.paper.table import formats
 from vprbench.paper.table.make import exit_code, file_name
 from vprbench.progress import progress_shown
@@ -27,15 +26,15 @@ if TYPE_CHECKING:
     from vprbench.paper.figures.style import Drawn
 
 
-def make_report(request: TableRequest, options: Sequence[str], compose: Compose) -> int:
+def make_report(request: TableRequest, options: Sequence[str]) -> int:
     """Write results/report.html; returns the exit code, 1 where a run failed.
 
     Runs of the table that are missing are made; those of the growth are drawn where they are stored.
     """
     with executor_for(request) as executor:
-        found = gather(choose(request, compose), options, compose, executor)
+        found = gather(choose(request), options, executor)
     absent: list[str] = []
-    drawings = draw_all(found, found.runs, growth_columns(found, compose), absent.append)
+    drawings = draw_all(found, found.runs, growth_columns(found), absent.append)
     default = request.name is None and not request.columns and not parse_views(request.sequence, request.filter)
     default &= request.views is None
     name = "report.html" if default else f"report-{file_name(request)}.html"

@@ -10,9 +10,8 @@ from vprbench.errors import BadInput
 from vprbench.jobs.executors import executor_for
 from vprbench.jobs.job import JobResult
 from vprbench.paper.gather import ReportData, TablePlan, all_runs, choose, material, run_missing, stored
-from vprbench.paper.missing_runs import MissingRun, Watch
+from vprbench.paper.missing_runs import Cell, Watch
 from vprbench.paper.run_options import TableRequest
-from vprbench.paper.stored_runs import Compose
 from vprbench.paper.table import formats
 from vprbench.runs import frame
 from vprbench.runs.sequences import name_views, parse_views
@@ -21,27 +20,27 @@ from vprbench.storage.atomic import replace_text
 from vprbench.terminal.console import console
 
 
-def make_table(request: TableRequest, options: Sequence[str], compose: Compose) -> int:
+def make_table(request: TableRequest, options: Sequence[str]) -> int:
     """Print the table and write it as Markdown, CSV and LaTeX; returns the exit code, 1 where a cell failed.
 
     Where slow rows have to run, the table is printed and written without them first, and written again after each of
     their runs.
     """
-    chosen = choose(request, compose)
-    quick, slow = all_runs(chosen)
+    chosen = choose(request)
+    quick, slow = all_runs(chosen, options)
     with executor_for(request) as executor:
-        results = run_missing(chosen, quick, options, compose, executor)
+        results = run_missing(chosen, quick, executor)
 
-        def before_slow(run: MissingRun) -> None:
+        def before_slow(cell: Cell) -> None:
             with suppress(BadInput):  # no run is there yet
                 _show(_put_together(chosen, results), request)
-                print(f"{run.row.name} follows and takes longest: interrupt it, and what is done is kept", flush=True)
+                print(f"{cell.row.name} follows and takes longest: interrupt it, and what is done is kept", flush=True)
 
         def after_slow() -> None:
             with suppress(BadInput):  # no run is there yet
                 write(_put_together(chosen, results), _folder(request), file_name(request))
 
-        results += run_missing(chosen, slow, options, compose, executor, Watch(before_slow, after_slow))
+        results += run_missing(chosen, slow, executor, Watch(before_slow, after_slow))
     found = _put_together(chosen, results)
     _show(found, request)
     return exit_code(found.job_results)

@@ -1,0 +1,274 @@
+"""Options of the command line or of a program become requests of runs; Hydra is known here and in plugins.registry."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import os
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, cast, get_args, get_type_hints
+
+import hydra
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.errors import HydraException
+from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from vprbench.errors import BadInput
+from vprbench.plugins import registry
+from vprbench.plugins.checked import checked
+from vprbench.plugins.registry import Group
+from vprbench.runs.request import OPTIONS, RunRequest
+from vprbench.runs.timing_protocol import Protocol
+from vprbench.storage.folders import require_homes
+from vprbench.text import near
+
+_DEFAULTS = {"method": "sad", "dataset": "synthetic"}  # of conf/run.yaml
+
+
+def make_request(
+    options: Sequence[str] = (),
+    values: Mapping[str, Any] | None = None,
+    objects: Mapping[str, Any] | None = None,
+) -> RunRequest:
+    """Return the run that is asked for.
+
+    Args:
+        options: of the command line, as in method=sad.
+        values: more options by their dotted names, as plain values.
+        objects: fields of the request that describe a method or dataset that is no registered one.
+
+    Raises:
+        BadInput: an option is unknown or does not fit.
+    """
+    options = quote_options(options)
+    config = compose_config(options, values)
+    names = {group: _choose(group, options) for group in get_args(Group)}
+    method, tuned_on = registry.declared(names["method"], config["method"])
+    entry = registry.entries("method").get(names["method"])
+    fields = {
+        "method_name": names["method"],
+        "method": method,
+        "dataset_name": str(config["dataset"].get("name") or names["dataset"]),
+        "dataset": config["dataset"],
+        "changed": {} if entry is None else entry.changed(method),
+        "tuned_on": tuned_on,
+        "overrides": [*map(registry.with_plugin_paths, options), *_as_options(values or {})],
+        **_check_options(config),
+    }
+    return RunRequest(**{**fields, **(objects or {})})
+
+
+def split_sweep(options: Sequence[str]) -> list[list[str]]:
+    """Return the options of each run of a sweep, as `method=sad,pca seed=0,1` asks for four; raises BadInput."""
+    options = quote_options(options)
+    _require_options(options)
+    swept = []
+    with _explaining(options):
+        for parsed in OverridesParser.create().parse_overrides(list(options)):
+            key = parsed.get_key_element()
+            if parsed.is_discrete_sweep():
+                swept.append([f"{key}={value}" for value in parsed.sweep_string_iterator()])
+            else:
+                swept.append([parsed.input_line or ""])
+    return [list(run) for run in itertools.product(*swept)]
+
+
+def compose_config(options: Sequence[str], values: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    """Return what Hydra makes of conf/run.yaml and these options, as plain values; raises BadInput."""
+    _require_options(options)
+    _require_names(options)
+    registry.register_search_path()
+    kept, GlobalHydra.instance().hydra = GlobalHydra.instance().hydra, None  # a program may use Hydra itself
+    try:
+        with (
+            _explaining([*options, *(values or {})]),
+            hydra.initialize_config_module("vprbench.conf", version_base="1.3"),
+        ):
+            config = hydra.compose("run", overrides=list(options))
+            for name, value in (values or {}).items():
+                OmegaConf.update(config, name, value)
+            return cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
+    finally:
+        GlobalHydra.instance().hydra = kept
+
+
+def show_config(options: Sequence[str]) -> str:
+    """Return the configuration that options make, as YAML."""
+    return OmegaConf.to_yaml(OmegaConf.create(compose_config(quote_options(options))))
+
+
+def quote_options(options: Sequence[str]) -> list[str]:
+    """Put quotes around values, such as paths with accents, that Hydra's grammar cannot read bare.
+
+    Of a list, as in [~/north,~/south], around each value. A method or dataset in a loose file, ./mine.py:MyMethod, is
+    registered and gets its name. Raises BadInput for a file that cannot be imported.
+    """
+    quoted = []
+    for option in options:
+        _require_quotes(option)
+        key, equals, value = option.partition("=")
+        if key in ("method", "dataset", "methods"):
+            value = _register_names("dataset" if key == "dataset" else "method", value)
+            option = f"{key}{equals}{value}"
+        if equals and not option.startswith("-") and not _is_override(option):
+            parts = (
+                [f"{key}=[{','.join(map(_quote, value[1:-1].split(',')))}]"] if value[:1] + value[-1:] == "[]" else []
+            )
+            option = next(filter(_is_override, parts), f"{key}={_quote(value)}")
+        quoted.append(option)
+    return quoted
+
+
+def list_timings() -> list[str]:
+    """Return the names of the timing protocols in conf/timing."""
+    return sorted(path.stem for path in (registry.conf_folders()["vprbench"] / "timing").glob("*.yaml"))
+
+
+def _check_options(config: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the options of a run; raises BadInput that names the first one that is unknown or of another type."""
+    for name in (*config, *OPTIONS):
+        if name not in OPTIONS:
+            raise BadInput(f"option {name} is unknown: {near(name, OPTIONS)}")
+        if name not in config:
+            raise BadInput(f"option {name} is missing: leave its default in place")
+    require_homes(config)
+    hints = get_type_hints(RunRequest)
+    own = [name for name in OPTIONS if name not in ("method", "dataset", "timing")]
+    return {**{name: checked(name, config[name], hints[name]) for name in own}, "timing": _timing(config["timing"])}
+
+
+def _timing(config: Any) -> Protocol:
+    if not isinstance(config, Mapping):
+        known = ", ".join(list_timings())
+        raise BadInput(f"timing={config}: give {known}, or one option, as in timing.minimum_seconds=10")
+    hints = get_type_hints(Protocol, include_extras=True)
+    for name in config:
+        if name not in hints:
+            raise BadInput(f"option timing.{name} is unknown: {near(name, hints)}")
+    return Protocol(**{name: checked(f"timing.{name}", config[name], hints[name]) for name in config})
+
+
+def _as_options(values: Mapping[str, Any]) -> Iterator[str]:
+    """Yield values by dotted names as options of the command line."""
+    for name, value in values.items():
+        yield f"{name}={value if isinstance(value, str) else json.dumps(value)}"
+
+
+def _choose(group: Group, options: Sequence[str]) -> str:
+    """Return the name of the method or dataset that options choose, the last one if there are several."""
+    given = [option.partition("=")[2].strip("'\"") for option in options if option.startswith(f"{group}=")]
+    return given[-1] if given else _DEFAULTS[group]
+
+
+def _register_names(group: Group, names: str) -> str:
+    """Return names between commas; a loose file is registered and replaced by the name of its method or dataset."""
+    bare = names.removeprefix("[").removesuffix("]")
+    found = ",".join(registry.named(group, name) for name in bare.split(","))
+    return names.replace(bare, found) if bare else names
+
+
+def _is_override(option: str) -> bool:
+    try:
+        OverridesParser.create().parse_override(option)
+    except HydraException:
+        return False
+    return True
+
+
+def _require_options(options: Sequence[str]) -> None:
+    """Raise BadInput for the first that is no option=value, with the near names."""
+    for option in options:
+        if option.startswith("-"):
+            raise BadInput(f"{option} is no option here: see python -m vprbench --help")
+        name = option.partition("=")[0]
+        if not name or not _is_override(option):
+            wanted = f"give {name}=value" if name in OPTIONS or "." in name else near(name, OPTIONS)
+            raise BadInput(f"{option or 'an empty argument'} is no option=value: {wanted}")
+
+
+def _require_quotes(option: str) -> None:
+    """Raise BadInput for an option of the dataset that would cut an existing path at its comma."""
+    key, _, value = option.partition("=")
+    if not key.lstrip("+").startswith("dataset.") or "," not in value or {"'", '"'} & {*value}:
+        return
+    parts = value.removeprefix("[").removesuffix("]").split(",")
+    for first, last in itertools.combinations(range(len(parts) + 1), 2):
+        path = ",".join(parts[first:last])
+        if last - first > 1 and _exists(path) and not all(map(_exists, parts[first:last])):
+            wanted = f'["{path}"]' if value.startswith("[") else f'"{path}"'
+            raise BadInput(f"{option}: {path} holds a comma: put the path in quotes, as in '{key}={wanted}'")
+
+
+def _exists(path: str) -> bool:
+    return os.path.lexists(Path(path).expanduser())
+
+
+def _quote(value: str) -> str:
+    return "'" + value.replace("\\", "\\\\").replace("'", "\\'") + "'"
+
+
+def _require_names(options: Sequence[str]) -> None:
+    """Raise BadInput, with near names, for a method, dataset or timing that is not there or has no readable yaml."""
+    for option in options:
+        group, _, given = option.partition("=")
+        if group not in ("method", "dataset", "timing"):
+            continue
+        if given.startswith("["):
+            raise BadInput(f"{option}: give one name, or with -m several between commas")
+        known, given = _known(group), given.strip("'\"")
+        for name in given.split(",") if re.fullmatch(r"[\w,.-]*", given) else ():
+            if group != "timing":
+                registry.require_one(cast(Group, group), name)
+            if name not in known:
+                raise BadInput(f"{group}={name} is unknown: {near(name, known)}")
+            if group != "timing":
+                registry.entries(cast(Group, group))[name].values()
+
+
+def _known(group: str) -> list[str]:
+    return list_timings() if group == "timing" else list(registry.entries(cast(Group, group)))
+
+
+@contextmanager
+def _explaining(options: Sequence[str]) -> Iterator[None]:
+    try:
+        yield
+    except (HydraException, OmegaConfBaseException) as error:
+        raise BadInput(_explain(error, options)) from error
+
+
+def _explain(error: Exception, options: Sequence[str]) -> str:
+    """Return an error of Hydra as one line that names the option and the remedy."""
+    text = " ".join(str(error).split())
+    if several := re.match(r"Ambiguous value for argument '(.+?)' 1\.", text):
+        name, _, values = several[1].partition("=")
+        return f"{several[1]}: give -m too, to run with each, or {name}=[{values}], for a list"
+    if sought := re.search(r"Could not find '(method|dataset|timing)/(.*?)'\s+Available", str(error), re.DOTALL):
+        return f"{sought[1]}={sought[2]} is unknown: {near(sought[2], _known(sought[1]))}"
+    if (unresolved := re.match(r"(.+) full_key: (\S+) object_type=", text)) and not text.startswith("Key '"):
+        return f"{unresolved[2]}: {unresolved[1]}"
+    if group := re.match(r"Multiple values for (\w+)\.|Could not override '(method|dataset|timing)'", text):
+        name = group[1] or group[2]
+        return f"option {name} takes one name, as in {name}={_known(name)[0]}, or with -m several between commas"
+    named = (
+        r"Could not override '([^']+)'",
+        r"Key '[^']+' is not in struct full_key: (\S+)",
+        r"Key '([^']+)' is not in struct",
+        r"Could not delete .*?'([^']+)' does",
+    )
+    option = next(filter(None, (re.match(pattern, text) for pattern in named)), None)
+    if option is None:
+        found = re.search(r"Could not find '([^']+)'", text)
+        return f"{found[1]} is unknown" if found else text.split(" See https://hydra.cc")[0]
+    above, _, name = option.group(1).partition(".")
+    if above in _DEFAULTS and name:
+        chosen = _choose(cast(Group, above), options)
+        entry = registry.entries(cast(Group, above)).get(chosen)
+        return f"option {above}.{name} is unknown to {chosen}: {near(name, entry.options if entry else [])}"
+    near_names = near(name, Protocol.__dataclass_fields__) if above == "timing" and name else near(above, OPTIONS)
+    return f"option {option.group(1)} is unknown: {near_names}"

@@ -1,0 +1,144 @@
+"""A run that is ready to be made: the method and the dataset of its request built and checked, their files hashed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, get_args
+
+from vprbench.api.adaptation import Adapt
+from vprbench.api.dataset import Dataset
+from vprbench.api.frame_cache import frames_kept
+from vprbench.api.method import Method, calibration
+from vprbench.data.doctor import check_dataset
+from vprbench.errors import BadInput
+from vprbench.plugins import networks, registry
+from vprbench.plugins.opened_files import list_data_files, record_opened_files
+from vprbench.plugins.tuned_frames import find_tuned_queries
+from vprbench.progress import progress_shown
+from vprbench.runs import machine, sequences, stream
+from vprbench.runs.corrupted_frames import corrupt_queries
+from vprbench.runs.identity import DataRecord, code_hash, data_record, fingerprint, hashed, run_key
+from vprbench.runs.request import RunRequest
+from vprbench.runs.viewpoints import Viewpoints, seen_from, viewpoints
+from vprbench.storage.hashes import content_hash
+
+if TYPE_CHECKING:
+    from vprbench.runs.fitting import FitResult
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """What a run is made of."""
+
+    request: RunRequest
+    method: Method
+    dataset: Dataset  # its queries corrupted, if that was asked for
+    fingerprint: str  # of the dataset
+    networks: networks.Files = field(default_factory=networks.Files)  # to load or to store
+    files: Sequence[tuple[str, str]] = ()  # name and hash of each data file behind the method
+    cache: Path | None = None  # a folder for descriptors worth keeping
+    stream: int = 0  # places from one stop of a growing map to the next; 0: the map does not grow
+    tuned_queries: Sequence[int] = ()  # which show places that the method was tuned on, by their frames' content
+    data: DataRecord | None = None  # of the dataset; None: its files are looked at when it runs
+    shared_fit: list[FitResult] | None = None  # of runs that share the method: what its fit gave, once it was fitted
+
+    @property
+    def views(self) -> Viewpoints | None:
+        """The viewpoints that each query is asked from; None: the frames as they are."""
+        return viewpoints(self.request.views)
+
+    @cached_property
+    def config(self) -> dict[str, Any]:
+        """What a stored run holds of the request, and the files behind its method."""
+        return {**self.request.record(), "files": [[*each] for each in self.files]}
+
+    def key(self) -> str:
+        """Return the hash of all that can change the outcome of the run."""
+        held_out = calibration(self.method, self.dataset)
+        return run_key(
+            self.request,
+            self.dataset,
+            images=self.fingerprint,
+            method_class=type(self.method).__qualname__,
+            code=code_hash(type(self.method)),
+            files=self.files,
+            held_out=None if held_out is None else held_out.fingerprint(),
+            network=self.networks.sha256,
+        )
+
+
+def build_experiment(
+    request: RunRequest, dataset: Dataset | None = None, make: Callable[[Mapping[str, Any]], Method] | None = None
+) -> Experiment:
+    """Build the method and the dataset of a request.
+
+    Args:
+        request: the run that is asked for.
+        dataset: an object in place of the registered dataset.
+        make: what makes the method of its arguments; None: its registered class.
+
+    Raises:
+        BadInput: an option, the data or this machine does not fit; NotThere where weights or frames are missing.
+    """
+    for option in request.overrides:
+        registry.register_loose_file(option)
+    request.require_machine()
+    machine.pin_threads(request.n_threads)
+    if dataset is None:
+        with frames_kept(request.cache):
+            dataset = registry.make_dataset(request.dataset)
+    files = networks.find_network_files(request.save, request.load, request.force)
+    with record_opened_files() as opened:
+        method = (make or registry.make_method)(request.method)
+    _require_adaptable(method)
+    # what the cheap checks warn of is among the dataset's notes
+    in_sequences = bool(sequences.parse_views(request.sequence, request.filter))
+    dataset = replace(dataset, notes=(*dataset.notes, *check_dataset(dataset, in_sequences)))
+    tuned_queries = find_tuned_queries(dataset, request.tuned_on)
+    if isinstance(request.corruption, str):
+        dataset = corrupt_queries(dataset, request.corruption)
+    dataset = seen_from(dataset, viewpoints(request.views))
+    with progress_shown(request.method_name):  # frames may have to be hashed, and a file be downloaded
+        frames = hashed(dataset)
+        behind = [(path.name, content_hash(path)) for path in list_data_files(method, request.method, opened)]
+        return Experiment(
+            request,
+            method,
+            dataset,
+            fingerprint(dataset, frames),
+            files,
+            behind,
+            cache=Path(request.results).expanduser().absolute() / "descriptors" if request.cache else None,
+            stream=stream.parse_step(request.stream, method, dataset.n_places),
+            tuned_queries=tuned_queries,
+            data=data_record(dataset, frames),
+            shared_fit=[] if isinstance(request.corruption, list) else None,
+        )
+
+
+def corrupt_experiment(clean: Experiment, corruption: str) -> Experiment:
+    """Return the same experiment on corrupted query frames; its method is fitted once if it has a `shared_fit`."""
+    dataset = corrupt_queries(clean.dataset, corruption)
+    frames = hashed(dataset)
+    return replace(
+        clean,
+        request=clean.request.with_corruption(corruption),
+        dataset=dataset,
+        fingerprint=fingerprint(dataset, frames),
+        data=data_record(dataset, frames),
+    )
+
+
+def _require_adaptable(method: Method) -> None:
+    """Raise BadInput for an argument `adapt` that is unknown, and for one of a method without centred codes."""
+    if method.adapt == "none":
+        return
+    if method.adapt not in get_args(Adapt):
+        raise BadInput(f"method.adapt={method.adapt}: give {', '.join(get_args(Adapt))}")
+    if not method.adapts:
+        raise BadInput(
+            f"method.adapt={method.adapt}: {type(method).__name__} has no codes that a mean can be taken off"
+        )
