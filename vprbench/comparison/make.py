@@ -17,7 +17,7 @@ from vprbench.paper.figures.make import draw_all, write_figures
 from vprbench.paper.gather import ReportData, TablePlan, assembled, run_missing, runs_of, stored
 from vprbench.paper.page.make import write_page
 from vprbench.paper.plan import Growth, Plan, Row
-from vprbench.paper.ranking import Ranking, ranked
+from vprbench.paper.ranking import Ranking, rank_rows
 from vprbench.paper.robustness import Robustness, csv, lines, markdown, robustness
 from vprbench.paper.selection import Group, accuracy_series, as_text, describe_protocol, groups, seen
 from vprbench.paper.table import words
@@ -163,7 +163,7 @@ def ranked_material(
     ]
     shown = groups(there.runs, [*failures, *left_out], [found.column], chosen.rows)
     shown = seen(shown, chosen.rows, chosen.views)
-    rankings = [ranked(accuracy_series(group, chosen.rows)) for group in shown]
+    rankings = [rank_rows(accuracy_series(group, chosen.rows)) for group in shown]
     order = [*rankings[0].table["method"]]
     ordered = sorted(chosen.rows, key=lambda row: order.index(row.name) if row.name in order else len(order))
     return assembled(replace(chosen, rows=tuple(ordered)), shown, there.runs, tuple(results)), rankings
