@@ -2,7 +2,6 @@
 
 import re
 from dataclasses import replace
-from types import SimpleNamespace
 
 import pytest
 from figure_runs import series
@@ -10,7 +9,6 @@ from little import unanswerable_run
 from stored_runs import run
 
 from vprbench.paper.ranking import rank_rows
-from vprbench.paper.table.reasons import full_seconds
 from vprbench.runs.frame import named_tuples
 
 MANY = range(0, 60, 2)
@@ -57,13 +55,3 @@ def test_the_fastest_row_is_named_and_one_tuned_on_these_places_or_without_right
     ranking = rank_rows([series("a", unanswerable_run()), series("b", unanswerable_run())])
     assert [*ranking.table["recall_at_1"]] == [None, None]
     assert len(ranking.sentences) == 1
-
-
-def test_training_of_a_row_that_was_left_out_grows_with_the_places_and_asking_with_places_times_queries():
-    # trained 40 s and read for 10 s; 30 queries to 20 places took 6 s: 0.01 s each
-    outcome = type("Outcome", (), {"n_places": 20, "__len__": lambda _: 30})()
-    run = SimpleNamespace(outcome=outcome, fit_seconds=50.0, fit_compute_seconds=40.0, method_seconds=46.0)
-    asking = 200 * 300 * 0.01
-    assert full_seconds(run, 200, 300, asks_its_map=False) == pytest.approx(10 * 50 + asking)
-    of_the_map = 10 * (50 - 20 * 20 * 0.01) + 200 * 200 * 0.01
-    assert full_seconds(run, 200, 300, asks_its_map=True) == pytest.approx(of_the_map + asking)

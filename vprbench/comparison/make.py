@@ -196,7 +196,7 @@ def show(found: ReportData, rankings: Sequence[Ranking], wide: bool = False) -> 
     """Print notes, the ranked table and what tests say of it; of several views R@1 alone, side by side."""
     table = found.table
     if len(table.columns) == 1:
-        print(line_text(f"{table.title}: {words.data(table.columns[0])}", fits=True))
+        print(line_text(f"{table.title}: {words.describe_data(table.columns[0])}", fits=True))
     else:
         print(
             line_text(
@@ -208,9 +208,9 @@ def show(found: ReportData, rankings: Sequence[Ranking], wide: bool = False) -> 
             print(line_text(f"{rows.describe_view(run, whole=True)}: {len(run.outcome):,} queries"))
     for row, cells in table.cells.groupby("row", sort=False):
         for number in sorted({number for notes in cells["notes"] for number in notes}):
-            print(line_text(f"note: {row}: {table.notes[number - 1].text}", "yellow"))
+            print(line_text(f"note: {row}: {table.notes[number - 1]}", "yellow"))
     print()
-    cells = words.in_words(table)
+    cells = words.describe_cells(table)
     heads = ["method", *(quantity.heading for quantity in table.quantities)]
     if len(table.columns) > 1:
         heads = ["R@1 %", *map(_short, found.groups)]

@@ -15,7 +15,7 @@ from vprbench.metrics.intervals import Values, difference_interval
 from vprbench.metrics.registry import METRICS
 from vprbench.paper.selection import Series
 from vprbench.paper.table.best import mean_recall
-from vprbench.paper.table.formats import shown_as_it_is
+from vprbench.paper.table.formats import escape_markdown
 from vprbench.runs import rows
 from vprbench.runs.corruption import KINDS, STRENGTHS, Corruption
 from vprbench.runs.frame import named_tuples
@@ -123,10 +123,10 @@ def _percent(share: float) -> str:
 def markdown(found: Robustness, title: str) -> str:
     """Return the table as a document that says what each corruption is."""
     effects = [f"- {kind}: queries {effect}" for kind, effect in found.words.items()]
-    tuned = [f"- {shown_as_it_is(row.name)}: {note}" for row in found.clean if (note := tuned_note(row.runs))]
+    tuned = [f"- {escape_markdown(row.name)}: {note}" for row in found.clean if (note := tuned_note(row.runs))]
     return "\n".join(
         [
-            f"# {shown_as_it_is(title)}: corrupted queries\n",
+            f"# {escape_markdown(title)}: corrupted queries\n",
             f"{rows.markdown(lines(found))}\n",
             "R@1 over all queries on clean frames, in percent; below it the points that weak, medium and strong",
             "corruptions cost. In brackets: the 95 % interval of the paired difference holds 0, or there are too few",

@@ -23,7 +23,6 @@ from vprbench.paper.selection import ResolvedColumn, groups
 from vprbench.paper.table import formats
 from vprbench.paper.table.cells import assemble
 from vprbench.paper.table.quantities import quantities
-from vprbench.paper.templates import ENVIRONMENT
 from vprbench.runs.notes import Note
 from vprbench.terminal import console
 
@@ -38,7 +37,7 @@ def comparison():
     rows = [Row("VPRTempo", "vprtempo", spiking=True), Row("SAD", "sad", training="none")]
     runs = [run("vprtempo", dataset=STREET, timing=None), run(dataset=STREET, hits=[1, 0, 0, 0], timing=None)]
     found = groups(runs, [failure("vprtempo", dataset=STREET)], asked, rows)
-    return assemble(found, rows, PLAN, {}, quantities(["recall_at_5"], ("cpu",)), "Corridor_1")
+    return assemble(found, rows, PLAN, (), quantities(["recall_at_5"], ("cpu",)), "Corridor_1")
 
 
 @pytest.mark.parametrize(
@@ -229,9 +228,3 @@ def test_any_text_is_printed_as_it_is_or_by_plain_letters_or_numbers(tmp_path):
     assert "[U+1F642] a b" in text
     for made in (table(rows=[]), replace(table(), columns=())):
         compiled(formats.latex(made), tmp_path)
-
-
-def test_a_word_that_a_later_import_gives_to_templates_reaches_one_in_use(monkeypatch):
-    assert "ICRA" in table().caption[0]
-    monkeypatch.setitem(ENVIRONMENT.globals, "PAPER", "another paper")
-    assert "another paper" in table().caption[0]

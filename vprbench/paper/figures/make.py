@@ -22,7 +22,7 @@ from vprbench.paper.plan import Row
 from vprbench.paper.run_options import TableRequest
 from vprbench.paper.selection import Group, ResolvedColumn, Series, accuracy_series, groups, of_row, series, title
 from vprbench.paper.table.best import mean_recall
-from vprbench.paper.table.formats import shown_as_it_is
+from vprbench.paper.table.formats import escape_markdown
 from vprbench.paper.table.make import exit_code
 from vprbench.runs.frame import named_tuples
 from vprbench.runs.record import Run
@@ -67,7 +67,7 @@ def write_figures(drawings: Iterable[tuple[str, Drawn]], folder: Path) -> Iterat
 
 def listed(captions: Iterable[tuple[str, str]]) -> str:
     """Return the captions of figures, by their names, as Markdown; what is in them is shown as it is."""
-    lines = (f"**{shown_as_it_is(name)}.** {shown_as_it_is(caption)}\n" for name, caption in captions)
+    lines = (f"**{escape_markdown(name)}.** {escape_markdown(caption)}\n" for name, caption in captions)
     return "\n".join(["# Captions\n", *lines])
 
 
