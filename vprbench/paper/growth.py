@@ -77,7 +77,7 @@ def interval_of_median(values: npt.NDArray[np.float64]) -> tuple[float, float] |
 def _query_times(run: Run) -> tuple[float | None, ...]:
     if run.timing is None:
         return (None, None, None)
-    seconds = best.laps(run)
+    seconds = best.list_laps(run)
     return (float(np.median(seconds)), *(interval_of_median(seconds) or (None, None)))
 
 

@@ -13,7 +13,7 @@ import pandas as pd
 from vprbench.metrics.accuracy import hits_at
 from vprbench.metrics.intervals import WiderInterval, difference_interval
 from vprbench.paper.selection import Series
-from vprbench.paper.table.best import Contestant, best_rate, best_recall, mean_recall, rate
+from vprbench.paper.table.best import Contestant, average_recall, compute_rate, find_best_rate, find_best_recall
 from vprbench.paper.table.quantities import RATES
 from vprbench.runs.frame import named_tuples
 from vprbench.runs.recall_intervals import along_the_journey, recall_interval
@@ -65,13 +65,13 @@ def _numbers(runs: Sequence[Run]) -> dict[str, Any]:
     elsewhere = _accuracy(others) if others else (None, None, None)
     timed = all(run.timing is not None for run in runs)
     fits = [run.fit_seconds for run in runs if run.fit_seconds is not None]
-    hz = mean(rate(run) for run in runs) if timed else None
+    hz = mean(compute_rate(run) for run in runs) if timed else None
     return dict(zip(NUMBERS, (*_accuracy(runs), *elsewhere, hz, median(fits) if fits else None), strict=True))
 
 
 def _accuracy(runs: Sequence[Run]) -> tuple[float | None, float | None, float | None]:
     interval = recall_interval(runs)
-    return (mean_recall(runs), *((None, None) if interval is None else (interval.low, interval.high)))
+    return (average_recall(runs), *((None, None) if interval is None else (interval.low, interval.high)))
 
 
 def _describe_first(rows: Sequence[Any]) -> list[str]:
@@ -88,10 +88,10 @@ def _describe_first(rows: Sequence[Any]) -> list[str]:
     name = f"{first.method} (tuned on {tuned_on})" if tuned_on else first.method
     if len(rows) == 1:
         return [f"{name} finds {format_percent(first.recall_at_1)} %."]
-    verdict = "is best:" if best_recall(contest) else "leads with"
-    doubt = "" if best_recall(contest) else "but no test separates it from all others: "
+    verdict = "is best:" if find_best_recall(contest) else "leads with"
+    doubt = "" if find_best_recall(contest) else "but no test separates it from all others: "
     sentence = f"{name} {verdict} {format_percent(first.recall_at_1)} %, {doubt}{_describe_difference(rows)}."
-    fastest = best_rate([one for one, row in zip(contest, rows, strict=True) if row.hz is not None])
+    fastest = find_best_rate([one for one, row in zip(contest, rows, strict=True) if row.hz is not None])
     rates = {row.method: row.hz for row in rows}
     if fastest is None:
         return [sentence]

@@ -14,7 +14,7 @@ from vprbench.metrics.accuracy import hits_at
 from vprbench.metrics.intervals import Values, difference_interval
 from vprbench.metrics.registry import METRICS
 from vprbench.paper.selection import Series
-from vprbench.paper.table.best import mean_recall
+from vprbench.paper.table.best import average_recall
 from vprbench.paper.table.formats import escape_markdown
 from vprbench.runs import rows
 from vprbench.runs.corruption import KINDS, STRENGTHS, Corruption
@@ -75,7 +75,7 @@ def robustness(clean: Sequence[Series], corrupted: Mapping[Corruption, Sequence[
 
 
 def _point(row: Series, clean: Series, one: Corruption | None) -> dict[str, Any]:
-    recall, before, interval = mean_recall(row.runs), mean_recall(clean.runs), recall_interval(row.runs)
+    recall, before, interval = average_recall(row.runs), average_recall(clean.runs), recall_interval(row.runs)
     assert recall is not None
     assert before is not None
     assert interval is not None

@@ -246,7 +246,7 @@ def text():
     other = one(journey_run(dict.fromkeys(range(30), 0.25)), "Other")
     pictures = [Picture(name, "What is drawn.", made.drawn_figure()) for name in ("speed", "recall")]
     sections = [journey_section(thumbnails=made.journey_thumbnails()), other]
-    return page(formats.html(made_table.table()), pictures, sections)
+    return page(formats.to_html(made_table.table()), pictures, sections)
 
 
 @pytest.fixture

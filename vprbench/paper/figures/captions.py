@@ -10,7 +10,7 @@ import numpy as np
 from vprbench.errors import BadInput
 from vprbench.paper.growth import GrowthSamples
 from vprbench.paper.selection import Series
-from vprbench.paper.table.best import disturbed, machine
+from vprbench.paper.table.best import describe_machine, is_disturbed
 from vprbench.runs.record import Run
 from vprbench.runs.tuned import tuned_note
 from vprbench.text import plural
@@ -38,7 +38,7 @@ def describe_runs(series: Sequence[Series], seeds: str, of_times: bool = False) 
     """
     datasets = dict.fromkeys(_describe_dataset(run) for one in series for run in one.runs)
     several = dict.fromkeys(f"{one.name} {len(one.runs)}" for one in series if len(one.runs) > 1)
-    noisy = dict.fromkeys(one.name for one in series if any(map(disturbed, one.runs)))
+    noisy = dict.fromkeys(one.name for one in series if any(map(is_disturbed, one.runs)))
     tuned = dict.fromkeys(f"{one.name}: {note}." for one in series if (note := tuned_note(one.runs)))
     return join_facts(
         f"Dataset: {'; '.join(datasets)}.",
@@ -51,7 +51,7 @@ def describe_runs(series: Sequence[Series], seeds: str, of_times: bool = False) 
 
 def describe_machines(series: Sequence[Series | GrowthSamples]) -> str:
     """Return a sentence that names the machines on which runs were timed."""
-    return f"Measured on {'; '.join(dict.fromkeys(machine(run) for one in series for run in one.runs))}."
+    return f"Measured on {'; '.join(dict.fromkeys(describe_machine(run) for one in series for run in one.runs))}."
 
 
 def _describe_dataset(run: Run) -> str:

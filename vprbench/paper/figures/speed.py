@@ -134,10 +134,10 @@ def _minutes(row: Row, runs: Sequence[Run], word: str) -> _Bar:
 def _hertz(row: Row, runs: Sequence[Run], word: str) -> _Bar:
     if not runs:
         return _Bar(word=word)
-    rates = list(map(best.rate, runs))
+    rates = list(map(best.compute_rate, runs))
     low, high = min(rates), max(rates)
     if len(runs) == 1:
-        low, high = (1 / float(np.quantile(best.laps(runs[0]), share)) for share in (0.9, 0.1))
+        low, high = (1 / float(np.quantile(best.list_laps(runs[0]), share)) for share in (0.9, 0.1))
     return _Bar(mean(rates), low, high)
 
 

@@ -52,7 +52,7 @@ def against_rate(series: Sequence[Series]) -> Drawn:
     kept, untimed = split_timed(series)
     if not kept and untimed:
         raise BadInput("the figure of accuracy against query rate has no timed runs to draw: run with timing=quick")
-    points = _points(kept, "accuracy against query rate", contests.rate)
+    points = _points(kept, "accuracy against query rate", contests.compute_rate)
     figure, (axes,) = new(SINGLE_MM, _HEIGHT_MM)
     best = _draw(axes, points, "Queries per second, encode and match", lower_is_better=False)
     _legend_if_crowded(figure)
@@ -118,7 +118,7 @@ def _point(one: Series, cost: float, figure: str) -> _Point:
         raise BadInput(
             f"the figure of {figure} has nothing to draw: no query of {one.runs[0].dataset} has a right place"
         )
-    recall = 100 * (contests.mean_recall(one.runs) or 0.0)
+    recall = 100 * (contests.average_recall(one.runs) or 0.0)
     return _Point(one.name, cost, recall, Interval(100 * interval.low, 100 * interval.high))
 
 

@@ -123,16 +123,16 @@ def assemble(
     `slow` holds the column and row of cells that are left out for their number of places. Under a `title` other than
     the paper's the rows stay in their order. Looks at runs, failures and plan alone.
     """
-    columns = tuple(_column(group, groups, plan) for group in groups)
+    columns = tuple(_describe_column(group, groups, plan) for group in groups)
     ordered = sorted(rows, key=lambda row: title is None and row.spiking)
-    entries = _entries(ordered, groups, columns, [quantity.name for quantity in quantities if quantity.metric])
+    entries = _list_entries(ordered, groups, columns, [quantity.name for quantity in quantities if quantity.metric])
     contests = {
-        (column.name, quantity.name): _contest([each for each in entries if each.column is column], quantity)
+        (column.name, quantity.name): _find_best([each for each in entries if each.column is column], quantity)
         for column, quantity in itertools.product(columns, quantities)
     }
     printed = published()
     made = [
-        _cell(entry, quantity, printed, *contests[entry.column.name, quantity.name], slow)
+        _make_cell(entry, quantity, printed, *contests[entry.column.name, quantity.name], slow)
         for entry, quantity in itertools.product(entries, quantities)
     ]
     notes, machines = _number_notes_and_machines(made)
@@ -141,7 +141,7 @@ def assemble(
     return Table(cells, columns, tuple(ordered), notes, machines, quantities, title, n_aside)
 
 
-def _column(group: Group, groups: Sequence[Group], plan: Plan) -> Column:
+def _describe_column(group: Group, groups: Sequence[Group], plan: Plan) -> Column:
     planned = group.column.planned
     real = plan.columns[planned.stand_in_for].title if planned.stand_in_for else None
     facts = (None, None, "no run is stored", real, planned.published, planned.remark)
@@ -159,30 +159,25 @@ def _column(group: Group, groups: Sequence[Group], plan: Plan) -> Column:
     )
 
 
-def _entries(
+def _list_entries(
     rows: Sequence[Row], groups: Sequence[Group], columns: Sequence[Column], metrics: Sequence[str]
 ) -> list[Entry]:
-    """Return what is stored of each row in each column, row by row."""
-    found = [
-        (row, group, column, {device: of_row(group, row, device) for device in DEVICES})
-        for row in rows
-        for group, column in zip(groups, columns, strict=True)
-    ]
-    runs = [run for *_, devices in found for device in DEVICES for run in devices[device].runs]
-    every, parts, at = with_records(runs, metrics), [], 0
-    for *_, devices in found:
-        ends = [*itertools.accumulate((len(devices[device].runs) for device in DEVICES), initial=at)]
-        parts.append({d: every[start:end] for d, (start, end) in zip(DEVICES, itertools.pairwise(ends), strict=True)})
-        at = ends[-1]
-    return [Entry(*each, facts) for each, facts in zip(found, parts, strict=True)]
+    """Return the stored runs of each row in each column, row by row."""
+    entries = []
+    for row in rows:
+        for group, column in zip(groups, columns, strict=True):
+            found = {device: of_row(group, row, device) for device in DEVICES}
+            facts = {device: with_records(found[device].runs, metrics) for device in DEVICES}
+            entries.append(Entry(row, group, column, found, facts))
+    return entries
 
 
-def _contest(entries: Sequence[Entry], quantity: Quantity) -> tuple[str | None, Mapping[str, str]]:
+def _find_best(entries: Sequence[Entry], quantity: Quantity) -> tuple[str | None, Mapping[str, str]]:
     """Return which row of a column is best by a test, and by row how it was timed otherwise than the others.
 
     What was tuned on the places of the column is in no contest.
     """
-    there = {entry.row.name: (entry, runs) for entry in entries if (runs := _records(entry.shown(quantity)))}
+    there = {entry.row.name: (entry, runs) for entry in entries if (runs := _list_records(entry.shown(quantity)))}
     contest = [
         Contestant(name, runs, not entry.found[entry.device(quantity)].missing_seeds)
         for name, (entry, runs) in there.items()
@@ -192,11 +187,11 @@ def _contest(entries: Sequence[Entry], quantity: Quantity) -> tuple[str | None, 
     return quantity.best(contest), find_other_timing(timed)
 
 
-def _records(facts: pd.DataFrame) -> tuple[Run, ...]:
+def _list_records(facts: pd.DataFrame) -> tuple[Run, ...]:
     return tuple(facts["record"])
 
 
-def _cell(
+def _make_cell(
     entry: Entry,
     quantity: Quantity,
     printed: Mapping[tuple[str, str], Mapping[str, float | None]],
@@ -215,19 +210,19 @@ def _cell(
     cell["notes"] = []
     source = quantity.source(row)
     if source != "measured":
-        return cell if source == "none" else cell | _quoted(row, quantity, value, printed)
+        return cell if source == "none" else cell | _quote(row, quantity, value, printed)
     facts = entry.shown(quantity)
-    runs = _records(facts)
+    runs = _list_records(facts)
     if not runs:
         mark, remark = _explain_absence(entry, quantity, slow)
         return cell | {"mark": mark, "notes": [remark] if remark else []}
-    numbers = _numbers(facts, quantity)
+    numbers = _compute_numbers(facts, quantity)
     if numbers is None:
         return cell | {"notes": [explain_undefined(quantity, runs)]}
     found = entry.found[entry.device(quantity)]
     notes = [f"seeds: {len(runs)} of {len(row.seeds)}"] if len(runs) < len(row.seeds) else []
     notes += [describe_failure(failure, with_seed=True) for failure in found.failures]
-    notes += filter(None, [tuned_note(_records(entry.shown(RECALL)))])
+    notes += filter(None, [tuned_note(_list_records(entry.shown(RECALL)))])
     notes += list_remarks(quantity, row, runs)
     notes += filter(None, [other_timing.get(row.name)])
     if quantity.kind == "rate" and row.boundary is not None:
@@ -238,7 +233,7 @@ def _cell(
         numbers["difference"] = None if column.stand_in_for else ours - value
     if others := others_of(runs) if quantity.kind == "accuracy" else ():
         names = [quantity.name] if quantity.metric else []
-        elsewhere = _numbers(with_records(others, names), quantity) or {}
+        elsewhere = _compute_numbers(with_records(others, names), quantity) or {}
         numbers |= {"elsewhere": elsewhere.pop("value", None)}
         numbers |= {f"elsewhere_{name}": elsewhere.get(name) for name in ("low", "high", "spread")}
     return cell | {
@@ -252,7 +247,7 @@ def _cell(
     }
 
 
-def _numbers(facts: pd.DataFrame, quantity: Quantity) -> dict[str, Any] | None:
+def _compute_numbers(facts: pd.DataFrame, quantity: Quantity) -> dict[str, Any] | None:
     """Return what runs gave over their seeds, with its interval and spread; None if it is undefined."""
     values = [quantity.in_unit(value) for value in facts[quantity.fact].dropna()]
     if not values:
@@ -263,18 +258,18 @@ def _numbers(facts: pd.DataFrame, quantity: Quantity) -> dict[str, Any] | None:
         totals = [quantity.in_unit(value) for value in facts[quantity.total].dropna()]
         found["total"] = quantity.over_seeds(totals)
     if quantity.fact == RECALL.fact:
-        found |= _interval(recall_interval(_records(facts)))
+        found |= _describe_interval(recall_interval(_list_records(facts)))
     return found
 
 
-def _interval(interval: WiderInterval | None) -> dict[str, Any]:
+def _describe_interval(interval: WiderInterval | None) -> dict[str, Any]:
     if interval is None:
         return {}
     ends = {"low": 100 * interval.low, "high": 100 * interval.high}
     return {**ends, "interval": interval.kind, "block": interval.block}
 
 
-def _quoted(
+def _quote(
     row: Row,
     quantity: Quantity,
     value: float | None,

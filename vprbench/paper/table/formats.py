@@ -170,7 +170,7 @@ def _write_published(cell: Any, markup: _Markup) -> str:
     return f"{value} ({markup.number(cell.beside)})" if cell.beside else value
 
 
-def markdown(table: Table) -> str:
+def to_markdown(table: Table) -> str:
     """Return a table as Markdown: one table for each dataset, the paper's line below each row."""
     units, *facts = map(escape_markdown, words.list_facts(table))
     parts = [f"# {escape_markdown(table.heading)}", units]
@@ -184,7 +184,7 @@ def markdown(table: Table) -> str:
     return "\n\n".join(filter(None, [*parts, "\n".join(facts)])) + "\n"
 
 
-def for_terminal(table: Table, wide: bool = False) -> str:
+def to_terminal(table: Table, wide: bool = False) -> str:
     """Return a table as text that fits the terminal, unless `wide`, with its notes; the legend is in the files."""
     of_gpu = [quantity.heading for quantity in table.quantities if quantity.device == "cuda"]
     least = [*dict.fromkeys([*of_gpu, *(quantity.heading for quantity in TRAINING)])]
@@ -198,7 +198,7 @@ def for_terminal(table: Table, wide: bool = False) -> str:
     return "\n".join([*parts, "", *notes, *words.list_machines(table), ""])
 
 
-def latex(table: Table, fragment: bool = False) -> str:
+def to_latex(table: Table, fragment: bool = False) -> str:
     r"""Return a table as a LaTeX document of landscape pages, for booktabs and graphicx; any text is escaped.
 
     Two datasets stand in one table. A fragment holds the tables alone, for \input and booktabs, and the facts about
@@ -231,7 +231,7 @@ def _write_tabular(frame: pd.DataFrame) -> str:
     return str(frame.to_latex(column_format=layout, multicolumn_format="c")).rstrip()
 
 
-def html(table: Table) -> str:
+def to_html(table: Table) -> str:
     """Return a table as a fragment of HTML: the table in a frame that scrolls, then notes, machines and facts.
 
     All text is escaped. The classes of parts of a cell are best, absent and published. A page has room for
@@ -263,7 +263,7 @@ def html(table: Table) -> str:
     return "\n".join(filter(None, parts)) + "\n"
 
 
-def csv(table: Table) -> str:
+def to_csv(table: Table) -> str:
     """Return a table as CSV: one line for each row, dataset and quantity, with unrounded numbers.
 
     `value` is the quoted one where `mark` says so, `elsewhere` that on places that the row was not tuned on. `total`,
