@@ -61,11 +61,11 @@ def write_figures(drawings: Iterable[tuple[str, Drawn]], folder: Path) -> Iterat
     for name, drawn in drawings:
         captions.append((name, drawn.caption))
         yield write(drawn, folder, name)[0]
-    replace_text(folder / "captions.md", listed(captions))
+    replace_text(folder / "captions.md", list_captions(captions))
     yield folder / "captions.md"
 
 
-def listed(captions: Iterable[tuple[str, str]]) -> str:
+def list_captions(captions: Iterable[tuple[str, str]]) -> str:
     """Return the captions of figures, by their names, as Markdown; what is in them is shown as it is."""
     lines = (f"**{escape_markdown(name)}.** {escape_markdown(caption)}\n" for name, caption in captions)
     return "\n".join(["# Captions\n", *lines])

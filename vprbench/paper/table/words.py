@@ -152,7 +152,7 @@ def _list_terms(table: Table, cells: Sequence[Any], measured: Sequence[Any]) -> 
     if _any_known(measured, "spread"):
         yield "±: standard deviation over the seeds."
     if _any_known(measured, "low"):
-        yield f"[low, high]: 95 % interval of R@1 over the queries, of several seeds of their mean: {METHOD}."
+        yield f"Square brackets: 95 % interval of R@1 over the queries, of several seeds of their mean: {METHOD}."
     if _any_known(measured, "elsewhere"):
         yield f"{_ELSEWHERE}: on the queries of places that the row was not tuned on, with the same map."
     if names & {quantity.name for quantity in TRAINING} and _any_known(measured, "total"):
@@ -169,7 +169,7 @@ def _list_terms(table: Table, cells: Sequence[Any], measured: Sequence[Any]) -> 
     if "left out" in marks:
         yield "left out: too many places for the time of a table; FULL=1 runs it."
     if "not applicable" in marks:
-        yield f"{INAPPLICABLE}: there is no such step or number."
+        yield f"Dash ({INAPPLICABLE}): there is no such step or number."
 
 
 def _any_known(cells: Iterable[Any], fact: str) -> bool:
