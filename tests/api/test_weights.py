@@ -204,7 +204,7 @@ def test_a_file_with_more_than_tensors_names_what_it_needs_and_a_conversion_that
     for content, value in ((TENSORS, np.array([{}])), ({"state_dict": TENSORS}, np.array([(1, 2.0)], "i4,f8")[0])):
         with pytest.raises(BadInput, match=r"holds more than tensors \(numpy\S*\)") as error:
             read_weights(write_torch({**content, "best": value}, path))
-        named = re.search(r'(python -c ".*"), and give method\.weights\.path=(\S+)$', str(error.value))
+        named = re.search(r'(python -c ".*"), and give (\S+) in its place$', str(error.value))
         monkeypatch.chdir(tmp_path)
         exec(shlex.split(named[1])[2], {})
         kept = state_dict(tmp_path / named[2], "state_dict")

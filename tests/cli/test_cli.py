@@ -152,7 +152,7 @@ PLACES = "dataset.places=12 dataset.first_query_place=0"
         *("method=sad seed=1,2", "-m method=sad,sadd", "dataset=nordland dataset.root=/nowhere"),
         *("dataset=nordland dataset.root=~nobody_here", "results=~nobody_here/r", "load=~nobody_here/n.safetensors"),
         *("dataset=folders dataset.references=['~nobody_here']", "method=cosplace method.weights.path=~nobody_here/w"),
-        *("dataset.references=spring", "-m method=vprtempo,sad method.rules=paper", f"{PLACES} method.patch=6"),
+        *("dataset.references={spring:1}", "-m method=vprtempo,sad method.rules=paper", f"{PLACES} method.patch=6"),
         *(f"{PLACES} dataset.name=../out", f"{PLACES} load=network.bin", f"{PLACES} load=a.safetensors"),
         *(f"{PLACES} save=a.pth", f"{PLACES} results={'a' * 300}", f"{PLACES} method=vprtempo method.max_module=0"),
     ],

@@ -8,7 +8,7 @@ from little import Lookup, Prototypes, journey
 
 import vprbench
 from vprbench.api import BadInput, NotThere
-from vprbench.paper.ranking import ranked
+from vprbench.paper.ranking import rank_rows
 from vprbench.paper.selection import Series
 
 
@@ -49,7 +49,7 @@ def test_a_method_that_was_tuned_on_places_asked_for_has_its_recall_on_the_other
     assert "Elsewhere" not in given.to_markdown()
     best, other = (replace(runs[0], dataset="synthetic") for runs in given.ranking.table["runs"])
     tuned = replace(best, tuned_on={"dataset": "synthetic", "places": "0-9"})  # 14 of 24 hits are on 20 other places
-    shown = replace(given, ranking=ranked([Series(run.method, False, (run,)) for run in (tuned, other)]))
+    shown = replace(given, ranking=rank_rows([Series(run.method, False, (run,)) for run in (tuned, other)]))
     assert shown.table["elsewhere"].tolist() == [pytest.approx(0.7), pytest.approx(np.nan, nan_ok=True)]
     assert shown.table["elsewhere_low"][0] < 0.7 < shown.table["elsewhere_high"][0]
     assert shown.to_markdown().count(" 70.0 [") == 1

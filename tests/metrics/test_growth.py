@@ -73,16 +73,13 @@ def test_samples_stand_in_the_order_of_places_and_seeds_and_the_newest_run_of_ea
         samples(TEMPO, [])
 
 
-def test_runs_under_other_conditions_than_the_newest_are_set_aside_by_name():
+def test_runs_under_other_conditions_than_the_newest_are_counted_and_not_shown():
     old = [figure_runs.sized(n, 9.0, 0.009, code="older", **OLD) for n in (100, 300, 1000)]
     slow = [figure_runs.sized(300, 9.0, 0.009, processor="Slide rule", time_utc="2024-06-01T00:00:00Z")]
     new = [figure_runs.sized(n, 1.0, 0.001) for n in (100, 300)]
     found = samples(TEMPO, [*old, *new, *slow])
     assert found.table.fit_compute_seconds.tolist() == [1.0, 1.0]
-    assert found.aside == (
-        "Set aside: runs of VPRTempo at 300 places (other machine).",
-        "Set aside: runs of VPRTempo at 100, 300, 1,000 places (other code).",
-    )
+    assert found.n_aside == 4
 
 
 def test_runs_with_other_arguments_weights_or_protocol_are_another_growth():
@@ -98,7 +95,7 @@ def test_runs_with_other_arguments_weights_or_protocol_are_another_growth():
     fewer = {"arguments": given, "protocol": {**protocol, "query_places": 9}}
     smaller = figure_runs.sized(300, 9.0, 0.001, **fewer, **OLD)
     assert samples(TEMPO, [new, smaller]).runs == (smaller, new)
-    for part, other in runs.items():
+    for other in runs.values():
         found = samples(TEMPO, [new, other])
         assert found.runs == (new,)
-        assert found.aside == (f"Set aside: runs of VPRTempo at 300 places (other {part}).",)
+        assert found.n_aside == 1

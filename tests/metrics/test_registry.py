@@ -82,14 +82,14 @@ def test_a_metric_of_the_table_is_the_mean_of_its_seeds_in_its_unit_and_never_bo
     made = table([run(hits=[1] * 40), run("vprsnn", hits=[0] * 40)], quantities=quantities(["r100p", "ep", "lost"]))
     assert [measured(made, "SAD", name).value for name in ("r100p", "ep", "lost")] == [100, 1, 0]
     assert not any(measured(made, "SAD", name).best for name in ("r100p", "ep", "lost"))
-    (line, *_) = [line for line in csv.DictReader(io.StringIO(formats.csv(made))) if line["quantity"] == "ep"]
+    (line, *_) = [line for line in csv.DictReader(io.StringIO(formats.to_csv(made))) if line["quantity"] == "ep"]
     assert (line["unit"], line["value"]) == ("", "1.0")
-    text = formats.markdown(made)
+    text = formats.to_markdown(made)
     assert all(sentence in text for sentence in (lost.explained, METRICS["ep"].explained))
     assert lost.explained.endswith("lower is better.")
     unasked = table([run()], rows=[SAD])
     assert unasked.quantities == QUANTITIES == quantities([]) == quantities(["recall_at_1"])
-    for form in ("markdown", "csv", "latex", "html"):
+    for form in ("to_markdown", "to_csv", "to_latex", "to_html"):
         assert "lost" not in getattr(formats, form)(unasked).lower()
 
 

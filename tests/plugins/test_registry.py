@@ -1,6 +1,7 @@
 """What a registered yaml holds, how its options are read and checked, and what a dataset plug-in has to return."""
 
 import errno
+import re
 import subprocess
 import sys
 from dataclasses import dataclass, field, fields, replace
@@ -162,10 +163,12 @@ def test_an_option_that_does_not_fit_is_refused_by_its_name_and_what_json_cannot
     for option in ("sizes=1,two", "name", "nmae=x", "sizes=[[1]]"):
         with pytest.raises(BadInput, match=option.split("=")[0]):
             chosen(Asked, [option], {})
-    for value, hint in (("4", int), (1, bool), (4.5, int), ("x", Literal["y"]), (3, list[str])):
-        with pytest.raises(BadInput, match=rf"^method\.cells={value}: "):
+    for value, hint in (("4", int), (1, bool), (4.5, int), ("x", Literal["y"]), ({"a": 1}, list[str])):
+        with pytest.raises(BadInput, match=rf"^method\.cells={re.escape(str(value))}: "):
             checked("method.cells", value, hint)
-    for value, hint, wanted in ((4, float, 4.0), ([1, 2], tuple[int, ...], (1, 2)), ("a/b", Path, Path("a/b"))):
+    lists = ((3, list[int], [3]), ("mrr", list[str], ["mrr"]))  # one value is a list of one
+    others = ((4, float, 4.0), ([1, 2], tuple[int, ...], (1, 2)), ("a/b", Path, Path("a/b")))
+    for value, hint, wanted in (*lists, *others):
         assert checked("x", value, hint) == wanted
 
 

@@ -9,8 +9,8 @@ from vprbench.paper.table.quantities import QUANTITIES
 NAMES = ("recall_at_1", "train_cpu", "query_cpu", "train_gpu", "query_gpu")
 
 
-def table(runs=(), failures=(), rows=ROWS, asked=(RAIL,), left_out=None, quantities=QUANTITIES):
-    return assemble(groups(runs, failures, asked, rows), rows, PLAN, left_out or {}, quantities)
+def table(runs=(), failures=(), rows=ROWS, asked=(RAIL,), slow=(), quantities=QUANTITIES):
+    return assemble(groups(runs, failures, asked, rows), rows, PLAN, slow, quantities)
 
 
 def cell(made, row, quantity, column="railway"):
@@ -24,12 +24,8 @@ def measured(made, row, quantity, column="railway"):
     return found
 
 
-def reasons(made, row, quantity):
+def notes(made, row, quantity):
     return [made.notes[number - 1] for number in cell(made, row, quantity).notes]
-
-
-def codes(made, row, quantity):
-    return [reason.code for reason in reasons(made, row, quantity)]
 
 
 def tempo(seed=0, **changes):

@@ -17,7 +17,7 @@ from vprbench.paper.figures.make import draw_all, write_figures
 from vprbench.paper.gather import ReportData, TablePlan, assembled, run_missing, runs_of, stored
 from vprbench.paper.page.make import write_page
 from vprbench.paper.plan import Growth, Plan, Row
-from vprbench.paper.ranking import Ranking, ranked
+from vprbench.paper.ranking import Ranking, rank_rows
 from vprbench.paper.robustness import Robustness, csv, lines, markdown, robustness
 from vprbench.paper.selection import Group, accuracy_series, as_text, describe_protocol, groups, seen
 from vprbench.paper.table import words
@@ -163,7 +163,7 @@ def ranked_material(
     ]
     shown = groups(there.runs, [*failures, *left_out], [found.column], chosen.rows)
     shown = seen(shown, chosen.rows, chosen.views)
-    rankings = [ranked(accuracy_series(group, chosen.rows)) for group in shown]
+    rankings = [rank_rows(accuracy_series(group, chosen.rows)) for group in shown]
     order = [*rankings[0].table["method"]]
     ordered = sorted(chosen.rows, key=lambda row: order.index(row.name) if row.name in order else len(order))
     return assembled(replace(chosen, rows=tuple(ordered)), shown, there.runs, tuple(results)), rankings
@@ -196,7 +196,7 @@ def show(found: ReportData, rankings: Sequence[Ranking], wide: bool = False) -> 
     """Print notes, the ranked table and what tests say of it; of several views R@1 alone, side by side."""
     table = found.table
     if len(table.columns) == 1:
-        print(line_text(f"{table.title}: {words.data(table.columns[0])}", fits=True))
+        print(line_text(f"{table.title}: {words.describe_data(table.columns[0])}", fits=True))
     else:
         print(
             line_text(
@@ -208,9 +208,9 @@ def show(found: ReportData, rankings: Sequence[Ranking], wide: bool = False) -> 
             print(line_text(f"{rows.describe_view(run, whole=True)}: {len(run.outcome):,} queries"))
     for row, cells in table.cells.groupby("row", sort=False):
         for number in sorted({number for notes in cells["notes"] for number in notes}):
-            print(line_text(f"note: {row}: {table.notes[number - 1].text}", "yellow"))
+            print(line_text(f"note: {row}: {table.notes[number - 1]}", "yellow"))
     print()
-    cells = words.in_words(table)
+    cells = words.describe_cells(table)
     heads = ["method", *(quantity.heading for quantity in table.quantities)]
     if len(table.columns) > 1:
         heads = ["R@1 %", *map(_short, found.groups)]

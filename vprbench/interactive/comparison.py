@@ -16,7 +16,7 @@ from vprbench.interactive.choices import AnyDataset, AnyMethod, DatasetChoice, c
 from vprbench.interactive.result import Result
 from vprbench.interactive.running import Options, finish, prepare
 from vprbench.metrics.registry import METRICS
-from vprbench.paper.ranking import NUMBERS, Ranking, ranked
+from vprbench.paper.ranking import NUMBERS, Ranking, rank_rows
 from vprbench.paper.selection import Series
 from vprbench.paper.table.quantities import RATES
 from vprbench.runs import frame, rows
@@ -69,7 +69,7 @@ class Comparison:
         new = {id(old.run): one for old, one in zip(self.results, results, strict=True)}
         of_rows = [(one.name, [new[id(run)].run for run in one.runs]) for one in self._series()]
         series = [Series(name, runs[0].spikes is not None, tuple(runs)) for name, runs in of_rows]
-        return replace(self, results=results, ranking=ranked(series))
+        return replace(self, results=results, ranking=rank_rows(series))
 
     @property
     def sentence(self) -> str:
@@ -165,7 +165,7 @@ def compare(
         of_methods.append([finish(each) for each in (ready, *others)])
     series = [Series(each[0].name, each[0].run.spikes is not None, tuple(r.run for r in each)) for each in of_methods]
     results = tuple(result for each in of_methods for result in each)
-    found = Comparison(results, ranked(series), tuple(metrics), tuple(left_out))
+    found = Comparison(results, rank_rows(series), tuple(metrics), tuple(left_out))
     return found.seen_as(sequence) if asked else found
 
 

@@ -21,7 +21,6 @@ from vprbench.paper.run_options import TableRequest
 from vprbench.paper.selection import Group, ResolvedColumn, groups, seen
 from vprbench.paper.table.cells import Table, assemble
 from vprbench.paper.table.quantities import QUANTITIES, Quantity, quantities
-from vprbench.paper.table.reasons import why_left_out
 from vprbench.plugins import registry
 from vprbench.runs.record import Failure, Run
 from vprbench.runs.sequences import Views, parse_views
@@ -128,8 +127,8 @@ def assembled(
     chosen: TablePlan, found: Sequence[Group], runs: Sequence[Run], results: tuple[JobResult, ...] = ()
 ) -> ReportData:
     """Put groups of runs, or of views of them, into the table; raises BadInput if they hold none."""
-    left_out = {
-        (column.planned.name, row.name): why_left_out(chosen.plan.with_all_seeds(row), column, found)
+    slow = {
+        (column.planned.name, row.name)
         for column, row in itertools.product(chosen.columns, chosen.rows)
         if chosen.slow(column, row)
     }
@@ -138,7 +137,7 @@ def assembled(
             f"results={chosen.results} holds no run of these rows and columns: "
             + ("leave stored=true out, so that some are made" if chosen.stored else "see above why none could be made")
         )
-    table = assemble(found, chosen.rows, chosen.plan, left_out, chosen.quantities, chosen.title)
+    table = assemble(found, chosen.rows, chosen.plan, slow, chosen.quantities, chosen.title)
     return ReportData(chosen, tuple(found), table, tuple(runs), results)
 
 

@@ -30,7 +30,7 @@ class GrowthSamples:
     name: str  # the row's
     table: pd.DataFrame  # the frame of its runs, ascending by places and seed, with `record` and the times of a query:
     # seconds of encode and match together, their median and its 95 % interval; None: not timed, under six laps
-    aside: tuple[str, ...]  # sentences: which runs are not among them, and why
+    n_aside: int  # stored runs that are not among them, of other code or conditions
 
     @property
     def runs(self) -> tuple[Run, ...]:
@@ -42,8 +42,10 @@ def samples(row: Row, runs: Sequence[Run]) -> GrowthSamples:
     """Collect the times of one row on one dataset, whose runs differ in their places and seeds.
 
     Times compare by one code under the same arguments, on one machine and under one protocol alone: the set of runs
-    with the newest one is taken, of each size and seed its newest run, and the others are named in `aside`. Raises
-    BadInput for no runs.
+    with the newest one is taken, of each size and seed its newest run, and the others are counted.
+
+    Raises:
+        BadInput: There are no runs.
     """
     if not runs:
         raise BadInput(f"no run of {row.name} is stored at different numbers of places: nothing shows its growth")
@@ -56,8 +58,7 @@ def samples(row: Row, runs: Sequence[Run]) -> GrowthSamples:
         chosen.setdefault((run.outcome.n_places, run.config["seed"]), run)
     kept = [run for _, run in sorted(chosen.items(), key=lambda item: item[0])]
     times = pd.DataFrame(list(map(_query_times, kept)), columns=[*_TIMES], dtype=object)
-    aside = tuple(_set_aside(row.name, members, newest[0]) for members in others)
-    return GrowthSamples(row.name, tabulate_with_records(kept).join(times), aside)
+    return GrowthSamples(row.name, tabulate_with_records(kept).join(times), sum(map(len, others)))
 
 
 def interval_of_median(values: npt.NDArray[np.float64]) -> tuple[float, float] | None:
@@ -76,7 +77,7 @@ def interval_of_median(values: npt.NDArray[np.float64]) -> tuple[float, float] |
 def _query_times(run: Run) -> tuple[float | None, ...]:
     if run.timing is None:
         return (None, None, None)
-    seconds = best.laps(run)
+    seconds = best.list_laps(run)
     return (float(np.median(seconds)), *(interval_of_median(seconds) or (None, None)))
 
 
@@ -84,10 +85,3 @@ def _conditions(run: Run) -> dict[str, Any]:
     """Return the conditions that must be equal for times to compare, keyed by the word for a difference."""
     protocol = {name: value for name, value in run.protocol.items() if name not in _PER_SIZE}
     return {**conditions(run), "dataset": [run.dataset, protocol], "device": run.config["device"]}
-
-
-def _set_aside(name: str, members: Sequence[Run], chosen: Run) -> str:
-    ours, wanted = _conditions(members[0]), _conditions(chosen)
-    different = ", ".join(part for part in wanted if ours[part] != wanted[part])
-    sizes = ", ".join(f"{size:,}" for size in sorted({run.outcome.n_places for run in members}))
-    return f"Set aside: runs of {name} at {sizes} places (other {different})."

@@ -30,7 +30,6 @@ class Row:
     rate_remark: str | None = None  # what is known of how the paper timed its queries
     most_places: int | None = None  # with more it takes too long for a table; None: any number
     seeds_unless_full: int | None = None  # the first so many of `seeds` unless slow rows are to run in full; None: all
-    asks_its_map: bool = False  # its fit asks the trained network for each of its places
 
     @property
     def learns_here(self) -> bool:
@@ -77,10 +76,6 @@ class Plan:
     columns: Mapping[str, PlannedColumn]
     growth: Growth
     seeds: tuple[int, ...] = (0,)  # of rows that are asked for by their method's name and learn from a seed
-
-    def with_all_seeds(self, row: Row) -> Row:
-        """Return a row with all of its seeds."""
-        return next((own for own in (*self.rows.values(), *self.more_rows.values()) if own.name == row.name), row)
 
 
 def read_plan(path: Path) -> Plan:

@@ -13,22 +13,14 @@ import pandas as pd
 from vprbench.metrics.accuracy import hits_at
 from vprbench.metrics.intervals import WiderInterval, difference_interval
 from vprbench.paper.selection import Series
-from vprbench.paper.table.best import (
-    FASTER,
-    Contestant,
-    best_rate,
-    best_recall,
-    disturbed,
-    mean_recall,
-    rate,
-)
+from vprbench.paper.table.best import Contestant, average_recall, compute_rate, find_best_rate, find_best_recall
 from vprbench.paper.table.quantities import RATES
-from vprbench.paper.templates import sentences
 from vprbench.runs.frame import iterate_rows
 from vprbench.runs.recall_intervals import order_along_journey, recall_interval
 from vprbench.runs.record import Run
 from vprbench.runs.tuned import all_without_tuning_places, draws_at_random, overlaps_tuning_places
 from vprbench.runs.views import window_of
+from vprbench.text import format_interval, format_percent
 
 #: The columns of a ranking; numbers are of all seeds of a row, and None where there is none.
 NUMBERS = (
@@ -47,7 +39,7 @@ class Ranking:
     sentences: tuple[str, ...]  # the first is about the best row
 
 
-def ranked(series: Sequence[Series]) -> Ranking:
+def rank_rows(series: Sequence[Series]) -> Ranking:
     """Rank rows that answered the same queries by R@1, those of equal R@1 as they came, and say what tests separate.
 
     A row that was tuned on these places is ranked, and in no contest.
@@ -58,13 +50,14 @@ def ranked(series: Sequence[Series]) -> Ranking:
     rows = [*iterate_rows(table)]
     tuned = [row.method for row in rows if any(map(overlaps_tuning_places, row.runs))]
     one_seed = [row.method for row in rows if len(row.runs) == 1 and draws_at_random(row.runs[0])]
-    told = _ranking_sentences([row for row in rows if row.method not in tuned], tuned)
-    return Ranking(table, (*told, *sentences("ranking.j2", "of_one_seed", one_seed)))
-
-
-def _tuned_elsewhere(rows: Sequence[Any]) -> str:
-    """Return the dataset whose places the first row was tuned on, as far as is known none of these; empty if none."""
-    return str(rows[0].runs[0].tuned_on.get("dataset", "")) if rows else ""
+    sentences = (
+        *_describe_first([row for row in rows if row.method not in tuned]),
+        f"Tuned on these places, in no contest: {', '.join(tuned)}." if tuned else "",
+        f"Ran with one seed and draw at random: {', '.join(one_seed)}; seeds=3 measures how far seeds differ."
+        if one_seed
+        else "",
+    )
+    return Ranking(table, tuple(filter(None, sentences)))
 
 
 def _numbers(runs: Sequence[Run]) -> dict[str, Any]:
@@ -72,35 +65,51 @@ def _numbers(runs: Sequence[Run]) -> dict[str, Any]:
     elsewhere = _accuracy(others) if others else (None, None, None)
     timed = all(run.timing is not None for run in runs)
     fits = [run.fit_seconds for run in runs if run.fit_seconds is not None]
-    hz = mean(rate(run) for run in runs) if timed else None
+    hz = mean(compute_rate(run) for run in runs) if timed else None
     return dict(zip(NUMBERS, (*_accuracy(runs), *elsewhere, hz, median(fits) if fits else None), strict=True))
 
 
 def _accuracy(runs: Sequence[Run]) -> tuple[float | None, float | None, float | None]:
     interval = recall_interval(runs)
-    return (mean_recall(runs), *((None, None) if interval is None else (interval.low, interval.high)))
+    return (average_recall(runs), *((None, None) if interval is None else (interval.low, interval.high)))
 
 
-def _ranking_sentences(rows: Sequence[Any], tuned: Sequence[str]) -> list[str]:
+def _describe_first(rows: Sequence[Any]) -> list[str]:
+    """Return what tests say of the best and of the fastest row; `rows` are those in the contest, best first."""
+    if not rows:
+        return []
+    first = rows[0]
+    if not first.runs[0].is_judged:
+        return ["There is no ground truth: nothing is ranked by accuracy."]
+    if first.recall_at_1 is None:
+        return ["No query has a right place: nothing is ranked."]
     contest = [Contestant(row.method, row.runs, True) for row in rows]
-    timed = [one for one, row in zip(contest, rows, strict=True) if row.hz is not None]
-    of_first = best_rate(timed[:2]) if timed[:2] == contest[:2] else None
-    found = best_recall(contest), _difference(rows), of_first or _about_faster(rows[:2]), best_rate(timed)
-    elsewhere = _tuned_elsewhere(rows)
-    return sentences("ranking.j2", "told", rows, *found, tuned, elsewhere, times=RATES[0].text, about=of_first is None)
+    tuned_on = first.runs[0].tuned_on.get("dataset")  # of other places
+    name = f"{first.method} (tuned on {tuned_on})" if tuned_on else first.method
+    if len(rows) == 1:
+        return [f"{name} finds {format_percent(first.recall_at_1)} %."]
+    verdict = "is best:" if find_best_recall(contest) else "leads with"
+    doubt = "" if find_best_recall(contest) else "but no test separates it from all others: "
+    sentence = f"{name} {verdict} {format_percent(first.recall_at_1)} %, {doubt}{_describe_difference(rows)}."
+    fastest = find_best_rate([one for one, row in zip(contest, rows, strict=True) if row.hz is not None])
+    rates = {row.method: row.hz for row in rows}
+    if fastest is None:
+        return [sentence]
+    times = "" if fastest == first.method else f", {RATES[0].text(rates[fastest] / first.hz)} times {first.method}'s"
+    return [sentence, f"{fastest} is fastest: {RATES[0].text(rates[fastest])} queries a second{times}."]
 
 
-def _about_faster(rows: Sequence[Any]) -> str | None:
-    """Return which of two rows is faster where a busy machine alone keeps a test from saying so."""
-    rates = sorted((row.hz or 0.0, row.method) for row in rows)
-    busy = any(map(disturbed, (run for row in rows for run in row.runs)))
-    return rates[1][1] if len(rates) == 2 and busy and rates[1][0] > FASTER * rates[0][0] > 0 else None
+def _describe_difference(rows: Sequence[Any]) -> str:
+    """Return by how much the first row is above the second, with the interval."""
+    first, second = rows[:2]
+    points = first.recall_at_1 - second.recall_at_1
+    interval = _estimate_difference(rows)
+    ends = "" if interval is None else f" {format_interval(interval.low, interval.high)}"
+    return f"{f'{format_percent(points)} points above' if points else 'level with'} {second.method}{ends}"
 
 
-def _difference(rows: Sequence[Any]) -> WiderInterval | None:
+def _estimate_difference(rows: Sequence[Any]) -> WiderInterval | None:
     """Return the interval of the first row's R@1 less the second's, of several seeds of their mean hits."""
-    if len(rows) < 2 or rows[1].recall_at_1 is None:
-        return None
     order = order_along_journey(rows[0].runs[0])
     ours, theirs = (np.mean([hits_at(run.outcome, 1) for run in row.runs], axis=0)[order] for row in rows[:2])
     return difference_interval(ours, theirs, window=window_of(rows[0].runs[0]))

@@ -14,9 +14,8 @@ from vprbench.metrics.accuracy import hits_at
 from vprbench.metrics.intervals import Values, difference_interval
 from vprbench.metrics.registry import METRICS
 from vprbench.paper.selection import Series
-from vprbench.paper.table.best import mean_recall
-from vprbench.paper.table.formats import shown_as_it_is
-from vprbench.paper.templates import document
+from vprbench.paper.table.best import average_recall
+from vprbench.paper.table.formats import escape_markdown
 from vprbench.runs import rows
 from vprbench.runs.corruption import KINDS, STRENGTHS, Corruption
 from vprbench.runs.frame import iterate_rows
@@ -76,7 +75,7 @@ def robustness(clean: Sequence[Series], corrupted: Mapping[Corruption, Sequence[
 
 
 def _point(row: Series, clean: Series, one: Corruption | None) -> dict[str, Any]:
-    recall, before, interval = mean_recall(row.runs), mean_recall(clean.runs), recall_interval(row.runs)
+    recall, before, interval = average_recall(row.runs), average_recall(clean.runs), recall_interval(row.runs)
     assert recall is not None
     assert before is not None
     assert interval is not None
@@ -123,9 +122,20 @@ def _percent(share: float) -> str:
 
 def markdown(found: Robustness, title: str) -> str:
     """Return the table as a document that says what each corruption is."""
-    shown = {"title": shown_as_it_is(title), "table": rows.format_markdown(lines(found)), "kinds": found.words}
-    tuned = {row.name: note for row in found.clean if (note := describe_tuning(row.runs))}
-    return document("robustness.md.j2", **shown, tuned=tuned)
+    effects = [f"- {kind}: queries {effect}" for kind, effect in found.words.items()]
+    tuned = [f"- {escape_markdown(row.name)}: {note}" for row in found.clean if (note := describe_tuning(row.runs))]
+    return "\n".join(
+        [
+            f"# {escape_markdown(title)}: corrupted queries\n",
+            f"{rows.format_markdown(lines(found))}\n",
+            "R@1 over all queries on clean frames, in percent; below it the points that weak, medium and strong",
+            "corruptions cost. In brackets: the 95 % interval of the paired difference holds 0, or there are too few",
+            "queries for one. References are clean.\n",
+            *effects,
+            *tuned,
+            "",
+        ]
+    )
 
 
 def csv(found: Robustness) -> str:

@@ -1,4 +1,4 @@
-"""Which stored runs belong to which column and row, what the columns are called, and which runs are set aside."""
+"""Which stored runs belong to which column and row, and the titles of the columns."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ DEVICES: tuple[Device, ...] = ("cpu", "cuda")
 
 #: Arguments of a dataset that say where code and frames lie, not which they are.
 _WHERE = frozenset({"_target_", "root", "default_root", "source", "download", "calibration", "processed", "lists"})
-_OTHER = "of other"
 _PER_RUN = frozenset({"_target_", "seed", "device"})  # arguments of a method in which the runs of a row differ
 
 
@@ -50,20 +49,11 @@ class Group:
 
 
 @dataclass(frozen=True)
-class ExcludedRuns:
-    """Runs of a row that are stored and not shown."""
-
-    n_runs: int
-    why: str  # words that follow "runs"
-    other: tuple[str, ...] = ()  # in what they differ from those that are shown
-
-
-@dataclass(frozen=True)
 class RowRuns:
     """The runs of one row in one column on one kind of device, alike in all but their seed."""
 
     runs: tuple[Run, ...]  # one a seed, ascending
-    aside: tuple[ExcludedRuns, ...]
+    n_aside: int  # stored runs that are not shown: of other code or settings, older, or of other seeds
     missing_seeds: tuple[int, ...]
     failures: tuple[Failure, ...]  # one a seed, ascending: of missing seeds, and errors since the seed's run
 
@@ -108,8 +98,8 @@ def of_row(group: Group, row: Row, device: Device) -> RowRuns:
 
     Runs that differ in code, defaults, weights, libraries, threads or machine are never put together.
     Of such sets the complete ones come first, then those that trained instead of loading, then the one with the newest
-    run; the others are counted in `aside`, and so are seeds that the row does not ask for. If the row
-    has runs, failures from other machines are ignored, and "missing" failures of seeds that have a run.
+    run; all other runs are counted. Of a row with runs, failures from other machines are ignored, and "missing"
+    failures of seeds that have a run.
     """
     there = [run for run in group.runs if _in_row(run, row) and _on(run) == device]
     of_seeds = [run for run in there if run.config["seed"] in row.seeds]
@@ -118,11 +108,6 @@ def of_row(group: Group, row: Row, device: Device) -> RowRuns:
         sets[as_text(_setup(run))].append(run)
     ranked = sorted(sets.values(), key=lambda members: _rank(members, row), reverse=True)
     chosen = {run.config["seed"]: run for run in sorted(ranked[0], key=age)} if ranked else {}
-    aside = [_difference(members, ranked[0]) for members in ranked[1:]]
-    if ranked and (repeated := [run for run in ranked[0] if run is not chosen[run.config["seed"]]]):
-        aside.append(ExcludedRuns(len(repeated), "measured again since"))
-    if unasked := [run for run in there if run.config["seed"] not in row.seeds]:
-        aside.append(ExcludedRuns(len(unasked), "of seeds that were not asked for"))
     newest: dict[int, Failure] = {}
     for failure in group.failures:
         if not _in_row(failure, row) or _on(failure) != device:
@@ -134,7 +119,7 @@ def of_row(group: Group, row: Row, device: Device) -> RowRuns:
             newest[seed] = failure
     return RowRuns(
         runs=tuple(run for _, run in sorted(chosen.items())),
-        aside=tuple(aside),
+        n_aside=len(there) - len(chosen),
         missing_seeds=tuple(seed for seed in row.seeds if seed not in chosen),
         failures=tuple(failure for _, failure in sorted(newest.items())),
     )
@@ -164,13 +149,6 @@ def accuracy_series(group: Group, rows: Sequence[Row]) -> list[Series]:
     found = [(row, {device: of_row(group, row, device) for device in DEVICES}) for row in rows]
     taken = ((row, devices[accuracy_device(devices)].runs) for row, devices in found)
     return [Series(row.name, row.spiking, runs) for row, runs in taken if runs]
-
-
-def options_apart(group: Group) -> tuple[str, ...]:
-    """Return the options of the dataset that none of a group's runs share with it: it gained or lost them since."""
-    today = group.column.dataset.keys() - _WHERE
-    apart = [today ^ (run.config["dataset"].keys() - _WHERE) for run in group.runs]
-    return tuple(sorted(set.union(*apart))) if apart and all(apart) else ()
 
 
 def _in_column(result: Run | Failure, column: ResolvedColumn) -> bool:
@@ -241,13 +219,6 @@ def _setup(run: Run) -> dict[str, Any]:
 def _rank(members: Sequence[Run], row: Row) -> tuple[bool, bool, tuple[str, str]]:
     complete = {run.config["seed"] for run in members} >= set(row.seeds)
     return complete, members[0].network is None, max(map(age, members))
-
-
-def _difference(members: Sequence[Run], chosen: Sequence[Run]) -> ExcludedRuns:
-    """Say in what runs differ from those that were chosen."""
-    ours, theirs = _setup(members[0]), _setup(chosen[0])
-    other = tuple(name for name, value in ours.items() if as_text(value) != as_text(theirs[name]))
-    return ExcludedRuns(len(members), _OTHER, other)
 
 
 def _machine(result: Run | Failure) -> tuple[Any, ...]:

@@ -67,7 +67,7 @@ def test_points_stand_at_the_total_rate_and_the_recall_with_its_interval_and_unt
     (axes,) = drawn.figure.axes
     assert points(axes) == [approx((80, 50)), approx((2, 0)), approx((4, 100))]
     assert axes.get_ylim() == (0, 100)
-    assert "Left out, for it was not timed: Untimed." in drawn.caption
+    assert "Not timed: Untimed." in drawn.caption
     for hits, kind in ([1] * 400, "independent"), (np.repeat([1, 0, 1, 1, 0, 0, 1, 0, 1, 1], 20).tolist(), "blocks"):
         expected = share_interval(np.array(hits))
         assert expected.kind == kind

@@ -10,7 +10,6 @@ from PIL import Image
 
 from vprbench.errors import BadInput
 from vprbench.paper.figures.style import SINGLE_MM, Drawn, looks, new, plain_log, styled, write
-from vprbench.paper.templates import listed
 from vprbench.text import format_three_digits
 
 PAPER = ["SAD", "NetVLAD", "GCL", "VPRSNN", "VPRTempo"]
@@ -80,10 +79,3 @@ def test_numbers_are_written_to_three_digits_without_powers_of_ten_on_an_axis_th
         low, high = axes.get_xlim()
         assert low < min(values) <= max(values) < high
         assert sum(low <= tick <= high for tick in axes.xaxis.get_majorticklocs()) >= 2
-
-
-def test_a_list_of_names_keeps_names_with_a_comma_apart():
-    assert listed(["SAD", "VPRTempo, public code", "GCL"]) == "SAD; VPRTempo, public code; and GCL"
-    assert (
-        listed(["input 784", "feature 1,568", "input 784", "output 450"]) == "input 784, feature 1,568 and output 450"
-    )

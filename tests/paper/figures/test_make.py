@@ -9,7 +9,7 @@ from quick_runs import quick_runs
 from small_plan import PLAN, RUN, install, quick_figures
 
 from vprbench.cli import main
-from vprbench.paper.figures.make import listed
+from vprbench.paper.figures.make import list_captions
 
 pytestmark = pytest.mark.extended
 
@@ -66,7 +66,7 @@ def test_every_figure_is_there_with_its_caption_and_what_was_missing_was_run_wit
 
 
 def test_a_name_in_a_caption_is_no_markup():
-    text = listed([("rate-<b>", "R@1 of <script>alert(1)</script> & [here](javascript:go) with *stars*.")])
+    text = list_captions([("rate-<b>", "R@1 of <script>alert(1)</script> & [here](javascript:go) with *stars*.")])
     assert text == (
         "# Captions\n\n**rate-&lt;b&gt;.** R@1 of &lt;script&gt;alert(1)&lt;/script&gt; &amp; "
         "\\[here\\](javascript:go) with \\*stars\\*.\n"

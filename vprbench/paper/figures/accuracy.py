@@ -17,7 +17,7 @@ from vprbench.metrics.accuracy import PRCurve, Values, average_precision, hits_a
 from vprbench.metrics.intervals import block_length, share_interval
 from vprbench.metrics.ranking import Outcome
 from vprbench.metrics.registry import Metric
-from vprbench.paper.figures.captions import caption, one_dataset
+from vprbench.paper.figures.captions import INTERVALS, describe_runs, join_facts, list_names, require_one_dataset
 from vprbench.paper.figures.style import DOUBLE_MM, SINGLE_MM, Drawn, legend_above, looks, new, styled, wrapped
 from vprbench.paper.robustness import Robustness
 from vprbench.paper.selection import Series
@@ -62,8 +62,12 @@ def precision_recall(series: Sequence[Series]) -> Drawn:
         line.set_markevery([len(recall) - 1])
     axes.set(xlabel="Recall", ylabel="Precision", xlim=(0, 1.03), ylim=(0, 1.03))
     _finish(figure, axes)
-    single = any(len(row.runs) == 1 for row in series)
-    return Drawn(figure, caption("precision_recall", series, single=single, resamples=_RESAMPLES))
+    caption = (
+        "Precision-recall curves of the best match of each query; recall is over the queries with a right place (curve "
+        "A). AP: the area under the steps. Band of a single run: 95 % interval of precision, block bootstrap of "
+        f"{_RESAMPLES} resamples. {describe_runs(series, 'thin lines, their mean is thick; AP ± standard deviation')}"
+    )
+    return Drawn(figure, caption)
 
 
 @styled
@@ -80,7 +84,8 @@ def recall_at_n(series: Sequence[Series]) -> Drawn:
     ticks = [n for n in (1, 5, 10, 15, 20, 25) if n in numbers]
     axes.set(xlabel="Best places looked at, N", ylabel="Recall at N (%)", xticks=ticks)
     _finish(figure, axes)
-    return Drawn(figure, caption("recall_at_n", series))
+    caption = "Recall at N: share of all queries with a right place among the N best; ties count by expected value."
+    return Drawn(figure, f"{caption} {_describe_recalls(series)}")
 
 
 @styled
@@ -104,12 +109,22 @@ def recall_at_tolerance(series: Sequence[Series]) -> Drawn:
         row.name for row in series if any((run.outcome.top_tied > run.top_places.shape[1]).any() for run in row.runs)
     ]
     own = first.protocol.get("tolerance_places")
-    return Drawn(figure, caption("recall_at_tolerance", series, own=own, cut=cut))
+    caption = join_facts(
+        "Recall at 1 over all queries; at tolerance k a match within k places of a right place counts as right"
+        f"{f' (the dataset allows {own})' if own else ''}, and ties by the share of right places.",
+        list_names("Of ties only the stored places count", cut),
+        _describe_recalls(series),
+    )
+    return Drawn(figure, caption)
+
+
+def _describe_recalls(series: Sequence[Series]) -> str:
+    return f"Bands: {INTERVALS}. {describe_runs(series, 'thin lines, their mean is thick; the band is of mean hits')}"
 
 
 def _answerable(series: Sequence[Series], figure: str) -> Run:
     """Return a run that stands for the data of all rows; raises BadInput if no query has a right place."""
-    run = one_dataset(series, figure)
+    run = require_one_dataset(series, figure)
     if not run.outcome.answerable.any():
         raise BadInput(f"no query of dataset {run.dataset} has a right place: there is no figure of {figure}")
     return run
@@ -213,7 +228,7 @@ def of_rows(series: Sequence[Series], metric: Metric) -> Drawn:
         axes.plot([mean(values)], [place], color=look.colour, marker=look.marker)
     axes.set(yticks=range(len(known)), yticklabels=[wrapped(one.name, _LETTERS) for one in kept], xlabel=metric.head)
     axes.invert_yaxis()
-    return Drawn(figure, caption("of_rows", kept, metric=metric))
+    return Drawn(figure, f"{metric.explained} {describe_runs(kept, 'mean, and a line from lowest to highest')}")
 
 
 _COLUMNS = 4
@@ -249,7 +264,13 @@ def robustness(found: Robustness) -> Drawn:
     for axes in panels[len(kinds) :]:
         axes.set_visible(False)
     legend_above(figure, panels[0].get_legend_handles_labels()[0])
-    return Drawn(figure, caption("robustness", found.clean, kinds=found.words, bands=bands))
+    caption = join_facts(
+        "Recall at 1 over all queries against the strength of corruptions of the queries; references are clean.",
+        *(f"{kind.capitalize()}: queries {effect}." for kind, effect in found.words.items()),
+        f"Bands: {INTERVALS}." if bands else "",
+        describe_runs(found.clean, "means"),
+    )
+    return Drawn(figure, caption)
 
 
 @styled
@@ -278,10 +299,16 @@ def recall_at_length(shown: Sequence[Sequence[Series]]) -> Drawn:
     axes.set(xlabel="Queries in a sequence", ylabel="Recall at 1 (%)", xticks=[*map(_length, views)], ylim=(0, 102))
     axes.grid(True)
     legend_above(figure, axes.get_legend_handles_labels()[0])
-    first = views[0]
     protocol = max((rows[0].runs[0].protocol for rows in views), key=len)
-    asked = [(_length(rows), len(rows[0].runs[0].outcome)) for rows in views]
-    return Drawn(figure, caption("recall_at_length", first, protocol=protocol, asked=asked))
+    parts = {"sequence_velocities": "velocities", "sequence_contrast": "local contrast", "sequence_gaps": "gaps"}
+    caption = (
+        "Recall at 1 of sequences, whose scores are the mean of neighbouring queries' scores; the window "
+        f"{'ends with the query' if 'causal' in protocol['sequence'] else 'has the query in its middle'}"
+        f"{''.join(f', {words} {protocol[name]}' for name, words in parts.items() if name in protocol)}. Queries: "
+        f"{', '.join(f'{len(rows[0].runs[0].outcome):,} at {_length(rows)}' for rows in views)}. "
+        f"{_describe_recalls(views[0])}"
+    )
+    return Drawn(figure, caption)
 
 
 def _length(rows: Sequence[Series]) -> int:

@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 
 from vprbench.errors import BadInput
 from vprbench.metrics.growth import Power, fit_power
-from vprbench.paper.figures.captions import caption
+from vprbench.paper.figures.captions import describe_machines, describe_runs, join_facts, list_names
 from vprbench.paper.figures.style import (
     DOUBLE_MM,
     GREY,
@@ -28,8 +28,9 @@ from vprbench.paper.figures.style import (
 from vprbench.paper.growth import GrowthSamples
 from vprbench.paper.selection import Series
 from vprbench.runs.stream import list_stops
+from vprbench.text import plural
 
-_CLAIMS = {"VPRTempo": ("O(n)", "O(log n)")}  # by the paper: training, query
+_CLAIMS = {"VPRTempo": "O(n) training, O(log n) query"}  # by the paper
 _SECONDS = ("seconds", "low", "high")
 _MS = 1e3  # milliseconds of a second
 _HEIGHT_MM = 74.0  # without the legend
@@ -76,13 +77,20 @@ def growth(rows: Sequence[GrowthSamples]) -> Drawn:
     lines = max(lines, _finish(right, pd.concat([row.query.times for row in fitted]), _MS, "nothing was timed"))
     figure.set_figheight((_HEIGHT_MM + lines * _LINE_MM) / 25.4)
     table = pd.concat([row.table for row in rows])
-    told = {
-        "datasets": [*table["dataset"]],
-        "sizes": sorted({*table["places"]}),
-        "disturbed": [(row.samples.name, sizes) for row in fitted if (sizes := _disturbed(row))],
-        "several_seeds": any(row.table["seed"].nunique() > 1 for row in rows),
-    }
-    return Drawn(figure, caption("growth", rows, rows=fitted, claims=_CLAIMS, **told))
+    places = sorted({*table["places"]})
+    hollow = [f"{row.samples.name} at {' and '.join(sizes)} places" for row in fitted if (sizes := _disturbed(row))]
+    claims = [f"{row.name} {_CLAIMS[row.name]}" for row in rows if row.name in _CLAIMS]
+    n_aside = sum(row.n_aside for row in rows)
+    caption = join_facts(
+        f"Time against places on {', '.join(dict.fromkeys(table['dataset']))}: {len(places)} maps of {places[0]:,} to "
+        f"{places[-1]:,} places. Left: training without waiting for images. Right: one query from memory, encode and "
+        "match; median and its 95 % interval. Lines: powers fitted to the logarithms of the medians over seeds.",
+        list_names("Hollow points, for a disturbed machine or too few laps", hollow),
+        list_names("Claims of the paper", claims),
+        describe_machines(rows),
+        f"Not drawn: {plural(n_aside, 'run')} of other code or conditions." if n_aside else "",
+    )
+    return Drawn(figure, caption)
 
 
 @styled
@@ -106,7 +114,12 @@ def growing_map(series: Sequence[Series]) -> Drawn:
     left.set(xlabel="Places in the map", ylabel="Recall at 1 (%)", ylim=(0, 102))
     right.set(xlabel="Places in the map", ylabel="Time of a new place (ms)", yscale="log")
     legend_above(figure, left.get_legend_handles_labels()[0])
-    return Drawn(figure, caption("growing_map", [one for one in series if one.name in grown]))
+    caption = (
+        "Left: recall at 1 of a map that grows place by place, over queries whose right place it holds (dotted: over "
+        "those of its first fit). Right: median time of a new place, its images in memory. "
+    )
+    drawn = [one for one in series if one.name in grown]
+    return Drawn(figure, caption + describe_runs(drawn, "the first is drawn", of_times=True))
 
 
 def _fitted(row: GrowthSamples) -> _Fitted:

@@ -21,8 +21,8 @@ from vprbench.paper.missing_runs import results_folder
 from vprbench.paper.plan import Row
 from vprbench.paper.run_options import TableRequest
 from vprbench.paper.selection import Group, ResolvedColumn, Series, accuracy_series, groups, of_row, series, title
-from vprbench.paper.table.best import mean_recall
-from vprbench.paper.table.formats import shown_as_it_is
+from vprbench.paper.table.best import average_recall
+from vprbench.paper.table.formats import escape_markdown
 from vprbench.paper.table.make import exit_code
 from vprbench.runs.frame import iterate_rows
 from vprbench.runs.record import Run
@@ -61,13 +61,13 @@ def write_figures(drawings: Iterable[tuple[str, Drawn]], folder: Path) -> Iterat
     for name, drawn in drawings:
         captions.append((name, drawn.caption))
         yield write(drawn, folder, name)[0]
-    replace_text(folder / "captions.md", listed(captions))
+    replace_text(folder / "captions.md", list_captions(captions))
     yield folder / "captions.md"
 
 
-def listed(captions: Iterable[tuple[str, str]]) -> str:
+def list_captions(captions: Iterable[tuple[str, str]]) -> str:
     """Return the captions of figures, by their names, as Markdown; what is in them is shown as it is."""
-    lines = (f"**{shown_as_it_is(name)}.** {shown_as_it_is(caption)}\n" for name, caption in captions)
+    lines = (f"**{escape_markdown(name)}.** {escape_markdown(caption)}\n" for name, caption in captions)
     return "\n".join(["# Captions\n", *lines])
 
 
@@ -179,7 +179,7 @@ def _of_accuracy(found: ReportData, group: Group, shown: Sequence[Series]) -> It
     if thumbnails is not None:
         yield f"fig3a-frames-{name}", partial(pictures.frames, thumbnails, title(group, found.groups))
     papers = [one for one in shown if one.name in found.chosen.plan.rows]
-    best = max(shown, key=lambda one: mean_recall(one.runs) or 0.0)
+    best = max(shown, key=lambda one: average_recall(one.runs) or 0.0)
     one = papers[-1] if papers else best  # VPRTempo, as in the paper, where it has runs
     if one.runs[0].view is None or one.runs[0].scores is not None:  # of several views none keeps its scores
         yield f"fig3b-similarity-{name}", partial(pictures.similarity, one.runs[0], one.name)

@@ -12,10 +12,9 @@ from vprbench.api.arrays import Image, Scores
 from vprbench.api.images import Images
 from vprbench.errors import BadInput
 from vprbench.metrics.ranking import PlacesPerQuery
-from vprbench.paper.figures.captions import caption
+from vprbench.paper.figures.captions import describe_runs
 from vprbench.paper.figures.style import DOUBLE_MM, Drawn, new, styled
 from vprbench.paper.selection import Series
-from vprbench.paper.templates import sentences
 from vprbench.runs.record import Run
 from vprbench.runs.thumbnails import Thumbnails
 
@@ -62,8 +61,14 @@ def frames(thumbnails: Thumbnails, title: str) -> Drawn:
         axes[column].set_title(name)
     for panel, example in zip(axes[:: len(columns)], examples, strict=True):
         panel.set_ylabel(f"Place {example.place}\nquery {example.query}")
-    told = sentences("figures/captions.j2", "frames", title, thumbnails, _SIDE, _PATCH)
-    return Drawn(figure, " ".join(told))
+    names = thumbnails.reference_names, thumbnails.query_names
+    pairs = [f"{names[0][example.place]} and {names[1][example.query]}" for example in examples]
+    caption = (
+        f"Places of {title}, each with a query that shows it. Left: as stored. Right: VPRTempo's input, grey, "
+        f"gamma-corrected, {_SIDE} x {_SIDE} pixels, normalised in patches of {_PATCH} x {_PATCH}. "
+        f"From top to bottom: {'; '.join(pairs)}."
+    )
+    return Drawn(figure, caption)
 
 
 @styled
@@ -90,8 +95,12 @@ def similarity(run: Run, name: str | None = None) -> Drawn:
     axes[0].set_title("Ground truth")
     axes[1].set_title(f"Similarity, {name}")
     figure.colorbar(drawn, ax=axes[1], label="Score within its query", ticks=[0, 0.5, 1], aspect=30)
-    shown = [Series(name, False, (run,))]
-    return Drawn(figure, caption("similarity", shown, name=name, seed=run.config["seed"], block=block))
+    caption = (
+        f"Ground truth (left) and scores of {name}, seed {run.config['seed']} (right); rows are queries, columns are "
+        "places. Scores of each query run from 0, its worst place, to 1, its best. "
+        f"{f'A cell is the maximum of {block} x {block} scores. ' if block > 1 else ''}"
+    )
+    return Drawn(figure, caption + describe_runs([Series(name, False, (run,))], ""))
 
 
 def _normalised(images: Sequence[Image]) -> list[Image]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import mean, median
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from vprbench.errors import BadInput
-from vprbench.paper.figures.captions import caption, timed
+from vprbench.paper.figures.captions import describe_runs, join_facts, split_timed
 from vprbench.paper.figures.style import (
     DOUBLE_MM,
     GREY,
@@ -27,8 +27,8 @@ from vprbench.paper.figures.style import (
     styled,
     wrapped,
 )
-from vprbench.paper.plan import Boundary, PlannedColumn, Row
-from vprbench.paper.published import published
+from vprbench.paper.plan import PlannedColumn, Row
+from vprbench.paper.published import PAPER, PAPER_CPU, PAPER_GPU, published
 from vprbench.paper.selection import Series
 from vprbench.paper.table import best
 from vprbench.runs.record import Run
@@ -37,7 +37,6 @@ from vprbench.text import format_three_digits
 _PUBLISHED, _QUOTED = "//////", "......"  # hatches
 _BAR = 0.38  # of the distance between rows
 _LETTERS = 22  # of a line of a row's name
-_STEPS = get_args(Boundary)
 
 
 @dataclass(frozen=True)
@@ -77,8 +76,13 @@ def training_time(
     panels = _panels(cpu, gpu, rows, column, quantities, marks, _minutes)
     quoted = [row.name for row in rows if row.training == "pretrained"]
     figure = _draw(panels, rows, "Training time (min)", _keys(panels, quoted), quoted)
-    told = {"column": column, "printed": any(p.published for p in panels), "ticks": _has_ticks(panels)}
-    return Drawn(figure, caption("training_time", [*cpu, *gpu], **told, quoted=quoted))
+    printed = _describe_published(column, panels, f"; quoted there: {', '.join(quoted)}" if quoted else "")
+    caption = join_facts(
+        f"Training time on {column.title}. Bars: without waiting for images to be read; ticks and brackets: with it.",
+        printed,
+        describe_runs([*cpu, *gpu], "median, and a line from lowest to highest", of_times=True),
+    )
+    return Drawn(figure, caption)
 
 
 @styled
@@ -95,13 +99,26 @@ def query_rate(
     was not timed counts as none.
     """
     quantities: tuple[str, str] = ("query_cpu", "query_gpu")
-    (cpu, _), (gpu, _) = timed(cpu), timed(gpu)
+    (cpu, _), (gpu, _) = split_timed(cpu), split_timed(gpu)
     panels = _panels(cpu, gpu, rows, column, quantities, marks, _hertz)
     figure = _draw(panels, rows, "Queries per second, encode and match", _keys(panels, (), ", of one step alone"), ())
     printed = {name for panel in panels for name in panel.published}
-    steps = [(step, [row.name for row in rows if row.boundary == step and row.name in printed]) for step in _STEPS]
-    told = {"column": column, "printed": printed, "steps": [(step, names) for step, names in steps if names]}
-    return Drawn(figure, caption("query_rate", [*cpu, *gpu], **told))
+    steps = [f"{row.name} {row.boundary}" for row in rows if row.boundary and row.name in printed]
+    caption = join_facts(
+        f"Queries per second on {column.title}, one query from memory, encode and match: 1 / median.",
+        _describe_published(column, panels, f"; of one step: {', '.join(steps)}"),
+        "Line over a bar of one seed: the middle 80 % of its queries.",
+        describe_runs([*cpu, *gpu], "mean, and a line from lowest to highest", of_times=True),
+    )
+    return Drawn(figure, caption)
+
+
+def _describe_published(column: PlannedColumn, panels: Sequence[_Panel], more: str) -> str:
+    """Return a sentence on the paper's bars, where there are any."""
+    if not any(panel.published for panel in panels):
+        return ""
+    real = f" on {column.published}, for which this dataset stands in" if column.stand_in_for else ""
+    return f"Hatched bars: {PAPER}{real}, measured on {PAPER_CPU} and {PAPER_GPU}{more}."
 
 
 def _minutes(row: Row, runs: Sequence[Run], word: str) -> _Bar:
@@ -117,10 +134,10 @@ def _minutes(row: Row, runs: Sequence[Run], word: str) -> _Bar:
 def _hertz(row: Row, runs: Sequence[Run], word: str) -> _Bar:
     if not runs:
         return _Bar(word=word)
-    rates = list(map(best.rate, runs))
+    rates = list(map(best.compute_rate, runs))
     low, high = min(rates), max(rates)
     if len(runs) == 1:
-        low, high = (1 / float(np.quantile(best.laps(runs[0]), share)) for share in (0.9, 0.1))
+        low, high = (1 / float(np.quantile(best.list_laps(runs[0]), share)) for share in (0.9, 0.1))
     return _Bar(mean(rates), low, high)
 
 

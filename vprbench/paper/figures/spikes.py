@@ -12,7 +12,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter
 
 from vprbench.errors import BadInput
-from vprbench.paper.figures.captions import caption, one_dataset
+from vprbench.paper.figures.captions import describe_runs, require_one_dataset
 from vprbench.paper.figures.style import DOUBLE_MM, Drawn, Look, legend_above, looks, new, styled
 from vprbench.paper.selection import Series
 from vprbench.runs.record import Run
@@ -40,7 +40,7 @@ def spike_statistics(series: Sequence[Series]) -> Drawn:
     rows = [Series(row.name, row.spiking, runs) for row in series if (runs := _with_spikes(row))]
     if not rows:
         raise BadInput("no stored run holds spikes: run a spiking method such as method=vprtempo, with force=true")
-    one_dataset(rows, "spikes")
+    require_one_dataset(rows, "spikes")
     names = list(dict.fromkeys(layer["name"] for row in rows for each in row.runs for layer in _layers(each)))
     lines = -(-(len(names) + 1) // _COLUMNS)
     columns = -(-(len(names) + 1) // lines)
@@ -66,7 +66,12 @@ def spike_statistics(series: Sequence[Series]) -> Drawn:
     for panel in axes:
         panel.grid(True, axis="y")
     _legend(figure, rows, styles)
-    return Drawn(figure, caption("spike_statistics", rows, rows=[_sample(row) for row in rows], whiskers=_WHISKERS))
+    caption = (
+        "Spikes of a query in each layer: box from quartile to quartile with the median, whiskers from the "
+        f"{_WHISKERS[0]}th to the {_WHISKERS[1]}th percentile. Last panel: share of neurons that spike in any sampled "
+        f"query. Sampled: {'; '.join(map(_describe_sample, rows))}. "
+    )
+    return Drawn(figure, caption + describe_runs(rows, "a box holds all; bars are means, dots the seeds"))
 
 
 def _with_spikes(row: Series) -> tuple[Run, ...]:
@@ -115,10 +120,11 @@ def _title(name: str, rows: Sequence[Series]) -> str:
     return f"{name},\n{plural(neurons.pop(), 'neuron')}" if len(neurons) == 1 else name
 
 
-def _sample(row: Series) -> tuple[str, list[str], list[str]]:
-    """Return a row's name, how many queries of each seed were sampled and how many neurons its layers have."""
-    queries = [f"{run.spikes['queries']:,}" for run in row.runs if run.spikes]
-    return row.name, queries, [f"{layer['name']} {layer['neurons']:,}" for layer in _layers(row.runs[0])]
+def _describe_sample(row: Series) -> str:
+    """Return a row's name, the sampled queries of a seed, and the neurons of its layers."""
+    queries = dict.fromkeys(f"{run.spikes['queries']:,}" for run in row.runs if run.spikes)
+    neurons = ", ".join(f"{layer['name']} {layer['neurons']:,}" for layer in _layers(row.runs[0]))
+    return f"{row.name}, {' and '.join(queries)} queries of a seed (neurons: {neurons})"
 
 
 def _legend(figure: Figure, rows: Sequence[Series], styles: Mapping[str, Look]) -> None:
@@ -146,4 +152,5 @@ def raster(rows: Sequence[Series]) -> Drawn:
         panel.set(title=f"{layer['name']}: {len(neurons):,} of {layer['neurons']:,} neurons spike", ylabel="Neuron")
         panel.set(xlim=(0, 1 + max(max(each["times"]) for each in layers)), ylim=(-1, layer["neurons"]))
     axes[-1].set_xlabel("Time step since the query was shown")
-    return Drawn(figure, caption("raster", rows[:1], name=rows[0].name))
+    caption = f"Spikes of {rows[0].name} for one query, a dot a neuron; an earlier spike is a larger amplitude. "
+    return Drawn(figure, caption + describe_runs(rows[:1], "the first is drawn"))

@@ -14,7 +14,14 @@ from matplotlib.transforms import Bbox
 
 from vprbench.errors import BadInput
 from vprbench.metrics.intervals import Interval
-from vprbench.paper.figures.captions import caption, one_dataset, timed
+from vprbench.paper.figures.captions import (
+    INTERVALS,
+    describe_runs,
+    join_facts,
+    list_names,
+    require_one_dataset,
+    split_timed,
+)
 from vprbench.paper.figures.style import DOUBLE_MM, GREY, SINGLE_MM, Drawn, legend_above, looks, new, plain_log, styled
 from vprbench.paper.selection import Series
 from vprbench.paper.table import best as contests
@@ -42,14 +49,19 @@ def against_rate(series: Sequence[Series]) -> Drawn:
     Rows that were not timed are left out. Raises BadInput for no timed rows, for rows on different data and if no query
     has a right place.
     """
-    kept, untimed = timed(series)
+    kept, untimed = split_timed(series)
     if not kept and untimed:
         raise BadInput("the figure of accuracy against query rate has no timed runs to draw: run with timing=quick")
-    points = _points(kept, "accuracy against query rate", contests.rate)
+    points = _points(kept, "accuracy against query rate", contests.compute_rate)
     figure, (axes,) = new(SINGLE_MM, _HEIGHT_MM)
     best = _draw(axes, points, "Queries per second, encode and match", lower_is_better=False)
     _legend_if_crowded(figure)
-    return Drawn(figure, caption("against_rate", kept, best=best, untimed=untimed))
+    caption = join_facts(
+        "R@1 against queries per second, one query from memory, encode and match; up and right is better.",
+        list_names("Not timed", untimed),
+        _describe_front(best, kept),
+    )
+    return Drawn(figure, caption)
 
 
 @styled
@@ -67,8 +79,19 @@ def against_memory(series: Sequence[Series]) -> Drawn:
         _draw(all_axes[1], maps, "Map (bytes per place)", lower_is_better=True)
     _legend_if_crowded(figure)
     on_gpu = [one.name for one in series if any(run.config["device"] != "cpu" for run in one.runs)]
-    of_maps = [point.name for point in maps]
-    return Drawn(figure, caption("against_memory", series, best=best, on_gpu=on_gpu, maps=of_maps))
+    caption = join_facts(
+        "R@1 against the peak main memory of the whole process, libraries included; up and left is better.",
+        list_names("On a GPU, whose memory is not in it", on_gpu),
+        "Right: bytes of the map per place, of rows that keep descriptors." if maps else "",
+        _describe_front(best, series),
+    )
+    return Drawn(figure, caption)
+
+
+def _describe_front(best: Sequence[str], series: Sequence[Series]) -> str:
+    """Return the facts that both figures share; `best` names the rows of the front."""
+    ending = describe_runs(series, "means, the bar is of mean hits", of_times=True)
+    return f"Grey steps: Pareto front ({', '.join(best)}). Bars: {INTERVALS}. {ending}"
 
 
 def front(costs: Sequence[float], gains: Sequence[float]) -> list[int]:
@@ -85,7 +108,7 @@ def front(costs: Sequence[float], gains: Sequence[float]) -> list[int]:
 
 
 def _points(series: Sequence[Series], figure: str, cost: Callable[[Run], float]) -> list[_Point]:
-    one_dataset(series, figure)
+    require_one_dataset(series, figure)
     return [_point(one, mean(map(cost, one.runs)), figure) for one in series]
 
 
@@ -95,7 +118,7 @@ def _point(one: Series, cost: float, figure: str) -> _Point:
         raise BadInput(
             f"the figure of {figure} has nothing to draw: no query of {one.runs[0].dataset} has a right place"
         )
-    recall = 100 * (contests.mean_recall(one.runs) or 0.0)
+    recall = 100 * (contests.average_recall(one.runs) or 0.0)
     return _Point(one.name, cost, recall, Interval(100 * interval.low, 100 * interval.high))
 
 

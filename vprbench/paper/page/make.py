@@ -77,7 +77,7 @@ def write_page(
     made_from = f"Made from {len(runs)} stored run{'s' * (len(runs) != 1)}, the newest of {newest}."
     heading = found.table.title or TITLE
     with progress_shown("report"):
-        text = page(formats.html(found.table), pictures, sections, heading, made_from, measured, absent)
+        text = page(formats.to_html(found.table), pictures, sections, heading, made_from, measured, absent)
     Store(path.parent).prepare()
     replace_text(path, text)
     return path

@@ -100,8 +100,8 @@ def page(
         "sections": [_facts(one, judged_runs) for one, judged_runs in zip(sections, answers, strict=True)],
         "interval_method": METHOD,
         "training_time": TRAINING_TIME,
-        "machines": words.machines(series for _, series in measured),
-        "notes": words.notes(measured),
+        "machines": words.list_machines(series for _, series in measured),
+        "notes": words.list_run_notes(measured),
         "judged": any(run.is_judged for section in sections for _, run in _named(section)),
     }
     return _rendered(facts, script_data, frames)
@@ -111,13 +111,13 @@ def _facts(section: Section, answers: Mapping[str, Answers]) -> dict[str, Any]:
     """Return what stands of a section in the page's text."""
     return {
         "title": section.title,
-        "findings": words.findings(section.series, answers.values()),
-        "protocol": words.protocol([run for _, run in _named(section)]),
+        "findings": words.list_findings(section.series, answers.values()),
+        "protocol": words.list_protocol([run for _, run in _named(section)]),
     }
 
 
 def _named(section: Section) -> list[tuple[str, Run]]:
-    return [(words.run_name(series, run), run) for series in section.series for run in series.runs]
+    return [(words.name_run(series, run), run) for series in section.series for run in series.runs]
 
 
 def _judged(section: Section) -> dict[str, Answers]:
@@ -145,7 +145,7 @@ def _script_data(section: Section, answers: Mapping[str, Answers], frames: _Fram
         "nQueries": len(run.outcome),
         "queryNames": kept and kept.query_names,
         "placeNames": place_names,
-        "firstReferences": words.first_references(runs, place_names.values()) if place_names else "",
+        "firstReferences": words.describe_first_references(runs, place_names.values()) if place_names else "",
         "rightPlaces": [format_place_ranges(right) for right in run.positives],
         "framesMissing": _missing(kept, frames, len(run.outcome) + len(shown)),
         "runs": [{"name": name, **list_columns(one)} for name, one in answers.items()],

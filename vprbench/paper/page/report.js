@@ -551,7 +551,7 @@ function Tabs(list, panel, turn) {
   const table = document.querySelector("#table table");
   if (!table) return;
   const NEXT = { name: ["ascending", "descending", "none"], number: ["descending", "ascending", "none"] };
-  const heads = [...table.querySelectorAll("thead th[scope=col]")];
+  const heads = [...table.querySelectorAll("thead tr:last-child th")];
   const rows = [...table.tBodies].flatMap((body) => [...body.rows].map((row) => ({ row, body })));
 
   // A cell begins with its number; a row without one stays last.

@@ -1,127 +1,180 @@
-"""What a reader of the numbers has to know of the runs, in words: protocol, machines and notes."""
+"""The facts of runs on the page: findings, protocol, machines and notes."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from vprbench.paper.ranking import ranked
+from vprbench.paper.ranking import rank_rows
 from vprbench.paper.selection import Series
-from vprbench.paper.templates import ENVIRONMENT, sentences
 from vprbench.runs.machine import Machine
 from vprbench.runs.query_results import RIGHT, UNANSWERABLE, UNJUDGED, Answers
 from vprbench.runs.record import Run
 from vprbench.runs.tuned import list_notes
-from vprbench.text import format_gigabytes
+from vprbench.text import format_gigabytes, plural
 
 _FINDINGS = 3  # sentences
+_STATED = {  # parts of a protocol that the page names in their own facts
+    *("references", "reference", "query", "queries", "places", "query_places"),
+    *("tolerance_places", "tolerance_frames", "radius_metres", "tolerance_metres"),
+}
 
-Facts = tuple[tuple[str, str], ...]  # terms, each with what is said of it
+Facts = tuple[tuple[str, str], ...]  # (term, text)
 
 
-def findings(series: Sequence[Series], answers: Iterable[Answers]) -> list[str]:
-    """Return at most three sentences on the series of one dataset: what tests say, then which queries were missed.
+def list_findings(series: Sequence[Series], answers: Iterable[Answers]) -> list[str]:
+    """Return at most three sentences on the rows of one dataset: results of tests, then counts of missed queries.
 
     `answers` are those of their runs.
     """
-    found = list(ranked(series).sentences)
+    found = list(rank_rows(series).sentences)
     kinds = [set(verdicts) for verdicts in zip(*(one.verdicts for one in answers), strict=True)]
     wrong = [RIGHT not in kind for kind in kinds if kind not in ({UNANSWERABLE}, {UNJUDGED})]
     n_runs = sum(len(one.runs) for one in series)
     if n_runs > 1 and wrong:
         by_some = sum(RIGHT in kind and len(kind) > 1 for kind in kinds)
-        what = "run" if n_runs > len(series) else "method"
-        found += sentences("page/words.j2", "missed", len(wrong), sum(wrong), by_some, what)
+        missed = f"all {n_runs} runs miss {sum(wrong):,}, some runs miss {by_some:,} more"
+        found.append(f"Of {plural(len(wrong), 'query')} {missed}.")
     return found[:_FINDINGS]
 
 
-def protocol(runs: Sequence[Run]) -> Facts:
-    """Say what was asked of which places, for runs of one dataset and protocol."""
-    timings: list[Any] = []
-    for run in runs:
-        asked = run.config.get("timing")
-        timings += [asked] if asked and asked not in timings else []
-    return _facts("protocol", runs[0], [len(right) for right in runs[0].positives], timings)
+def list_protocol(runs: Sequence[Run]) -> Facts:
+    """Return the facts on places, queries, right places and timing, for runs of one dataset and protocol."""
+    run, given = runs[0], runs[0].protocol
+    timings = dict.fromkeys(_describe_timing(asked) for one in runs if (asked := one.config.get("timing")))
+    recorded = {name: value for name, value in given.items() if name not in _STATED and value is not None}
+    references = plural(run.n_references, "reference image")
+    return _keep_known(
+        ("Dataset", f"{run.dataset}, images {run.fingerprint[:16]}"),
+        ("Map", f"{plural(run.outcome.n_places, 'place')}, from {references}{_name_traverses(given, 'references')}"),
+        ("Queries", f"{plural(len(run.positives), 'image')}{_name_traverses(given, 'query', 'queries')}"),
+        ("Right places", _describe_right_places(run) if run.is_judged else "no ground truth"),
+        ("Also recorded", "; ".join(f"{name.replace('_', ' ')}: {_join(value)}" for name, value in recorded.items())),
+        *(("Timing", timing) for timing in timings),
+    )
 
 
-def machines(series: Iterable[Series]) -> list[tuple[str, Facts]]:
-    """Return what is recorded of each machine after its name, in the order of the runs."""
+def list_machines(series: Iterable[Series]) -> list[tuple[str, Facts]]:
+    """Return the recorded facts of each machine after its name, in the order of the runs."""
     found: dict[object, list[tuple[str, Run]]] = {}
     for one in series:
         for run in one.runs:
             found.setdefault(Machine.of(run.environment).hardware, []).append((one.name, run))
-    return [(f"Machine {number}", _machine(runs)) for number, runs in enumerate(found.values(), 1)]
+    return [(f"Machine {number}", _list_machine(runs)) for number, runs in enumerate(found.values(), 1)]
 
 
-def notes(measured: Iterable[tuple[str, Series]]) -> tuple[tuple[str, str], ...]:
-    """Return the notes of runs, each with the run that it is about; `measured` is series with their datasets' titles.
-
-    The device is named of runs that were not made on the CPU.
-    """
+def list_run_notes(measured: Iterable[tuple[str, Series]]) -> Facts:
+    """Return the notes of runs, each after the run's name; `measured` is rows with the titles of their datasets."""
     return tuple(
-        (f"{title}: {run_name(one, run)}{_recall_off_tuned_places(run)}", note.text)
+        (f"{title}: {name_run(one, run)}{_name_device(run)}", note.text)
         for title, one in measured
         for run in one.runs
         for note in list_notes(run)
     )
 
 
-def first_references(runs: Sequence[Run], names: Iterable[str]) -> str:
-    """Say which of several reference images of a place is shown; empty if no place has several.
+def describe_first_references(runs: Sequence[Run], names: Iterable[str]) -> str:
+    """Return which of several reference images of a place is shown; empty if no place has several.
 
-    `names` are those of the reference images that are shown; where all lie in one folder it names the traverse.
+    `names` are those of the reference images that are shown; a folder that holds all of them names the traverse.
     """
     if all(run.n_references <= run.outcome.n_places for run in runs):
         return ""
-    return " ".join(sentences("page/words.j2", "first_references", list({name.rpartition("/")[0] for name in names})))
+    folders = {name.rpartition("/")[0] for name in names}
+    traverse = f" ({folders.pop()})" if len(folders) == 1 and folders != {""} else ""
+    return f"The frame of a place is its first reference image{traverse}; methods learnt the other ones too."
 
 
-def run_name(series: Series, run: Run) -> str:
+def name_run(series: Series, run: Run) -> str:
     """Return the name of a run within its dataset: that of its row, and its seed if the row has several."""
     return f"{series.name}, seed {run.config['seed']}" if len(series.runs) > 1 else series.name
 
 
-def _recall_off_tuned_places(run: Run) -> str:
+def _name_device(run: Run) -> str:
     return "" if run.config.get("device") in (None, "cpu") else f", on {run.config['device']}"
 
 
-def _machine(named: Sequence[tuple[str, Run]]) -> Facts:
-    """Return what the records of one machine's runs say of it: each term once, with all that was recorded."""
+def _name_traverses(given: Mapping[str, Any], *names: str) -> str:
+    return "".join(f" ({_join(given[name])})" for name in names if name in given)
+
+
+def _describe_right_places(run: Run) -> str:
+    counts = [len(right) for right in run.positives]
+    within = [
+        f"within {run.protocol[name]:g} {unit}"
+        for name, unit in (
+            *(("tolerance_places", "places"), ("tolerance_frames", "frames")),
+            *(("radius_metres", "m"), ("tolerance_metres", "m")),
+        )
+        if run.protocol.get(name) is not None
+    ]
+    known = [count for count in counts if count]
+    without = len(counts) - len(known)
+    parts = [*within, f"{_format_range(known, 'd')} of a query" if known else ""]
+    parts.append(f"none of {plural(without, 'query')}" if without else "")
+    return "; ".join(filter(None, parts))
+
+
+def _describe_timing(asked: Mapping[str, Any]) -> str:
+    if not asked.get("rates", True):
+        return "no query rates"
+    most = asked.get("total_seconds")
+    return (
+        f"at least {asked['minimum_seconds']:g} s and {plural(asked['minimum_queries'], 'query')} from a sample of "
+        f"{plural(asked['sample'], 'image')} in memory; warm-up of at most {plural(asked['warmup_queries'], 'query')}"
+        f"{f'; at most {most:g} s for all batch sizes' if most else ''}"
+    )
+
+
+def _list_machine(named: Sequence[tuple[str, Run]]) -> Facts:
+    """Return the facts in the records of one machine's runs: each term once, with all that was recorded."""
     surroundings = [run.environment for _, run in named]
     facts: dict[str, dict[str, None]] = {}
-    for term, text in (fact for known in surroundings for fact in _facts("machine", known)):
+    for term, text in (fact for known in surroundings for fact in _list_surroundings(known)):
         facts.setdefault(term, {})[text] = None
-    libraries: dict[str, list[str]] = {}
-    for name, version in (item for known in surroundings for item in known.get("libraries", {}).items()):
-        libraries.setdefault(name, []).extend([version] if version is not None else [])
-    ran = _facts(
-        "ran",
-        {name: versions for name, versions in libraries.items() if versions},
-        [known["load_average"][0] for known in surroundings if known.get("load_average")],
-        [share for known in surroundings if (share := known.get("cpu_pressure_avg10")) is not None],
-        [known["time_utc"][:10] for known in surroundings if known.get("time_utc")],
-        [f"{name} ({run.dataset})" for name, run in named],
+    loads = [known["load_average"][0] for known in surroundings if known.get("load_average")]
+    waiting = [share for known in surroundings if (share := known.get("cpu_pressure_avg10")) is not None]
+    days = sorted({known["time_utc"][:10] for known in surroundings if known.get("time_utc")})
+    return _keep_known(
+        *((term, "; ".join(texts)) for term, texts in facts.items()),
+        ("Load before a run", f"{_format_range(loads, '.2g')} processes on average over a minute" if loads else ""),
+        ("Waiting for a core", f"{_format_range(waiting, '.2g')} % of the 10 s before a run" if waiting else ""),
+        ("Dates", " to ".join(dict.fromkeys([days[0], days[-1]])) if days else ""),
+        ("Runs", "; ".join(dict.fromkeys(f"{name} ({run.dataset})" for name, run in named))),
     )
-    return (*((term, "; ".join(texts)) for term, texts in facts.items()), *ran)
 
 
-def _facts(macro: str, *values: Any) -> Facts:
-    lines = (line.partition(": ") for line in sentences("page/words.j2", macro, *values))
-    return tuple((term, text) for term, _, text in lines)
+def _list_surroundings(known: Mapping[str, Any]) -> Facts:
+    """Return the facts of one record's environment."""
+    git, memory, on_board = known.get("git") or {}, known.get("memory_bytes"), known.get("accelerator_memory_bytes")
+    commit = f"{git['commit'][:12]}{' with changes' if git.get('changed') else ''}" if git.get("commit") else ""
+    libraries = [f"{name} {version}" for name, version in known.get("libraries", {}).items() if version is not None]
+    return _keep_known(
+        ("Processor", known.get("processor")),
+        ("Threads", f"{known['threads']} of {plural(known['cores'], 'core')}" if known.get("cores") else None),
+        ("Memory", format_gigabytes(memory) if memory else None),
+        ("Accelerator", known.get("accelerator")),
+        ("Accelerator memory", format_gigabytes(on_board) if on_board else None),
+        ("Driver", known.get("driver")),
+        ("CUDA", known.get("cuda") if known.get("driver") else None),
+        ("System", known.get("platform")),
+        ("Clock governor", known.get("governor")),
+        ("Python", known.get("python")),
+        ("vprbench", known.get("vprbench")),
+        ("Commit", commit or "not recorded"),
+        ("Libraries", ", ".join(libraries)),
+    )
 
 
-def _plain(value: object) -> str:
+def _keep_known(*facts: tuple[str, str | None]) -> Facts:
+    return tuple((term, str(text)) for term, text in facts if text)
+
+
+def _format_range(values: Sequence[float], digits: str) -> str:
+    return " to ".join(dict.fromkeys(format(value, digits) for value in (min(values), max(values))))
+
+
+def _join(value: object) -> str:
     if isinstance(value, Mapping):
-        return ", ".join(f"{name} {_plain(part)}" for name, part in value.items())
+        return ", ".join(f"{name} {_join(part)}" for name, part in value.items())
     return " and ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
-
-
-def _besides(recorded: tuple[str, object]) -> str:
-    return f"{recorded[0].replace('_', ' ')}: {_plain(recorded[1])}"
-
-
-def _gigabytes(amount: float | None) -> str:
-    return format_gigabytes(amount) if amount else ""
-
-
-ENVIRONMENT.filters |= {"plain": _plain, "besides": _besides, "gigabytes": _gigabytes}

@@ -1,4 +1,4 @@
-"""Which row of a column is best, where a test says so: nothing is bold that chance or a busy machine may have made."""
+"""The best row of a column: bold marks a difference that a paired test confirms on an undisturbed machine."""
 
 from __future__ import annotations
 
@@ -33,19 +33,19 @@ class Contestant:
     finished: bool  # all its seeds are stored: otherwise it may be beaten but cannot win
 
 
-def best_recall(rows: Sequence[Contestant]) -> str | None:
+def find_best_recall(rows: Sequence[Contestant]) -> str | None:
     """Return the row with the highest R@1 if a paired test separates it from every other row, else None.
 
     For every pair of seeds the exact McNemar test gives p < 0.05 / number of other rows, and the interval of the
     difference at that level (`intervals.difference_interval`) lies above 0. Ties are broken against the best row and in
     favour of the other one. All runs answer the same queries.
     """
-    rows = [row for row in rows if mean_recall(row.runs) is not None]
+    rows = [row for row in rows if average_recall(row.runs) is not None]
     chance = CHANCE / max(1, len(rows) - 1)
-    return _winner(rows, lambda row: mean_recall(row.runs) or 0.0, partial(_more_accurate, chance=chance))
+    return _winner(rows, lambda row: average_recall(row.runs) or 0.0, partial(_more_accurate, chance=chance))
 
 
-def best_rate(rows: Sequence[Contestant]) -> str | None:
+def find_best_rate(rows: Sequence[Contestant]) -> str | None:
     """Return the row with the highest query rate if the laps separate it from every other row, else None.
 
     All rows ran undisturbed on one machine and were timed alike. For every pair of seeds it is at least 1.25 times as
@@ -55,10 +55,10 @@ def best_rate(rows: Sequence[Contestant]) -> str | None:
     rows = [replace(row, finished=row.finished and not any(map(has_other_answers, row.runs))) for row in rows]
     if not _comparable(rows):
         return None
-    return _winner(rows, lambda row: float(np.mean([rate(run) for run in row.runs])), _faster)
+    return _winner(rows, lambda row: float(np.mean([compute_rate(run) for run in row.runs])), _faster)
 
 
-def best_training(rows: Sequence[Contestant]) -> str | None:
+def find_best_training(rows: Sequence[Contestant]) -> str | None:
     """Return the row that trains fastest, by at least 1.25 times in every pair of seeds; None if no row does.
 
     Waiting for images does not count. All rows trained undisturbed on one machine. One fit a seed is no sample that a
@@ -70,19 +70,19 @@ def best_training(rows: Sequence[Contestant]) -> str | None:
     return _winner(rows, lambda row: -_slowest(row), lambda one, other: FASTER * _slowest(one) <= _fastest(other))
 
 
-def mean_recall(runs: Sequence[Run]) -> float | None:
+def average_recall(runs: Sequence[Run]) -> float | None:
     """Return the mean R@1 over the seeds, 0 to 1, expected under ties; None if no query has a right place."""
     recalls = [recall_at(run.outcome, 1) for run in runs]
     expected = [recall.expected for recall in recalls if recall is not None]
     return float(np.mean(expected)) if expected else None
 
 
-def rate(run: Run, boundary: Boundary | None = None) -> float:
+def compute_rate(run: Run, boundary: Boundary | None = None) -> float:
     """Return the streaming rate in Hz, 1 / median: of encode and match together, or of one of them alone."""
-    return 1 / float(np.median(laps(run, boundary)))
+    return 1 / float(np.median(list_laps(run, boundary)))
 
 
-def disturbed(run: Run) -> bool:
+def is_disturbed(run: Run) -> bool:
     """Tell whether a run's times were taken while the machine did other things, or are too few."""
     return any(note.kind in DISTURBED for note in run.notes)
 
@@ -92,7 +92,7 @@ def has_other_answers(run: Run) -> bool:
     return any(note.kind == "answers" for note in run.notes)
 
 
-def machine(run: Run) -> str:
+def describe_machine(run: Run) -> str:
     """Return what a run's times were measured on, without the day."""
     return Machine.of(run.environment).line
 
@@ -128,7 +128,8 @@ def _faster(one: Contestant, other: Contestant) -> bool:
     from scipy.stats import mannwhitneyu  # takes long to import
 
     return all(
-        rate(first) >= FASTER * rate(second) and mannwhitneyu(laps(first), laps(second)).pvalue < RATE_CHANCE
+        compute_rate(first) >= FASTER * compute_rate(second)
+        and mannwhitneyu(list_laps(first), list_laps(second)).pvalue < RATE_CHANCE
         for first, second in product(one.runs, other.runs)
     )
 
@@ -137,14 +138,14 @@ def _comparable(rows: Sequence[Contestant]) -> bool:
     """Tell whether all times were taken in one way on one machine that did nothing else."""
     runs = [run for row in rows for run in row.runs]
     alike = all(run.timing is not None and _timed_by(run) == _timed_by(runs[0]) for run in runs)
-    return alike and len(set(map(machine, runs))) == 1 and not any(map(disturbed, runs))
+    return alike and len(set(map(describe_machine, runs))) == 1 and not any(map(is_disturbed, runs))
 
 
 def _timed_by(run: Run) -> tuple[object, ...]:
     return run.config.get("timing"), run.environment.get("libraries"), run.environment.get("threads")
 
 
-def laps(run: Run, boundary: Boundary | None = None) -> Seconds:
+def list_laps(run: Run, boundary: Boundary | None = None) -> Seconds:
     """Return the seconds of the streaming laps: of encode and match together, or of one of them alone.
 
     Raises ValueError for a run that was not timed.

@@ -1,4 +1,4 @@
-"""The cells of Table II, before any format: what was measured, what the paper printed, and why they differ.
+"""The cells of Table II, before any format: measured and published numbers, with remarks.
 
 They are one frame: the frame of the runs that rows show (`vprbench.runs.frame`), grouped by row, column and device, and
 put beside the numbers that the paper printed.
@@ -7,8 +7,8 @@ put beside the numbers that the paper printed.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from statistics import stdev
 from typing import Any
 
@@ -20,18 +20,15 @@ from vprbench.paper.published import published
 from vprbench.paper.selection import DEVICES, Device, Group, RowRuns, accuracy_device, describe_protocol, of_row
 from vprbench.paper.selection import title as title_of
 from vprbench.paper.table.best import Contestant
-from vprbench.paper.table.caption import caption
 from vprbench.paper.table.quantities import QUANTITIES, RECALL, Quantity
-from vprbench.paper.table.reasons import (
-    MARKS,
-    Reason,
-    absent,
-    differences,
-    lacking,
-    other_timing,
-    reason,
-    remarks,
-    undefined,
+from vprbench.paper.table.remarks import (
+    Mark,
+    describe_failure,
+    explain_absence,
+    explain_undefined,
+    find_other_timing,
+    list_differences,
+    list_remarks,
 )
 from vprbench.runs.frame import tabulate_with_records
 from vprbench.runs.recall_intervals import recall_interval
@@ -41,7 +38,7 @@ from vprbench.runs.tuned import all_without_tuning_places, describe_tuning, over
 #: The columns of the frame of cells. Numbers are in the unit of the quantity; what there is not is None.
 FACTS = (
     *("row", "column", "quantity"),  # their names
-    "mark",  # "measured", or the word for a cell without a number (`reasons.Mark`)
+    "mark",  # "measured", or the word for a cell without a number (`remarks.Mark`)
     "value",  # over the seeds: the mean, of minutes and seconds of a fit the median; where mark is "quoted" the paper's
     *("low", "high", "interval", "block"),  # of R@1: 95 % over the queries, of which kind, and queries a block
     *("elsewhere", "elsewhere_low", "elsewhere_high", "elsewhere_spread"),  # of an accuracy, on places not tuned on
@@ -68,6 +65,7 @@ class Column:
     n_queries: int | None
     protocol: str  # in words
     stand_in_for: str | None  # the title of the real dataset that a rendered one stands in for
+    published: str | None = None  # the dataset of the paper's table
     remark: str | None = None  # what a reader has to know of the data
 
 
@@ -78,11 +76,11 @@ class Table:
     cells: pd.DataFrame  # a line for each row, column and quantity: `FACTS`
     columns: tuple[Column, ...]
     rows: tuple[Row, ...]
-    caption: tuple[str, ...]  # sentences
-    notes: tuple[Reason, ...]  # note n is notes[n - 1]
+    notes: tuple[str, ...]  # remarks on cells; note n is notes[n - 1]
     machines: tuple[str, ...]  # one line each
     quantities: tuple[Quantity, ...] = QUANTITIES
     title: str | None = None  # None: Table II, whose spiking rows stand apart
+    n_aside: int = 0  # stored runs of its rows that it does not show
 
     @property
     def heading(self) -> str:
@@ -116,90 +114,92 @@ def assemble(
     groups: Sequence[Group],
     rows: Sequence[Row],
     plan: Plan,
-    left_out: Mapping[tuple[str, str], str],
+    slow: Collection[tuple[str, str]] = (),
     quantities: tuple[Quantity, ...] = QUANTITIES,
     title: str | None = None,
 ) -> Table:
     """Return the table of some rows, a group of columns for each group of runs, one for each of the quantities.
 
-    `left_out` says by the names of column and row where rows stand that take too long. Under a `title` other than the
-    paper's the rows stay in their order. Looks at runs, failures and plan alone.
+    `slow` holds the column and row of cells that are left out for their number of places. Under a `title` other than
+    the paper's the rows stay in their order. Looks at runs, failures and plan alone.
     """
-    columns = tuple(_column(group, groups, plan) for group in groups)
+    columns = tuple(_describe_column(group, groups, plan) for group in groups)
     ordered = sorted(rows, key=lambda row: title is None and row.spiking)
-    entries = _entries(ordered, groups, columns, [quantity.name for quantity in quantities if quantity.metric])
+    entries = _list_entries(ordered, groups, columns, [quantity.name for quantity in quantities if quantity.metric])
     contests = {
-        (column.name, quantity.name): _contest([each for each in entries if each.column is column], quantity)
+        (column.name, quantity.name): _find_best([each for each in entries if each.column is column], quantity)
         for column, quantity in itertools.product(columns, quantities)
     }
     printed = published()
     made = [
-        _cell(entry, quantity, printed, *contests[entry.column.name, quantity.name], left_out)
+        _make_cell(entry, quantity, printed, *contests[entry.column.name, quantity.name], slow)
         for entry, quantity in itertools.product(entries, quantities)
     ]
     notes, machines = _number_notes_and_machines(made)
     cells = pd.DataFrame(made, columns=[*FACTS], dtype=object)
-    named = {row.name: [entry for entry in entries if entry.row is row] for row in ordered}
-    sentences = tuple(caption(groups, columns, named, cells, quantities))
-    return Table(cells, columns, tuple(ordered), sentences, notes, machines, quantities, title)
+    n_aside = sum(found.n_aside for entry in entries for found in entry.found.values())
+    return Table(cells, columns, tuple(ordered), notes, machines, quantities, title, n_aside)
 
 
-def _column(group: Group, groups: Sequence[Group], plan: Plan) -> Column:
+def _describe_column(group: Group, groups: Sequence[Group], plan: Plan) -> Column:
     planned = group.column.planned
     real = plan.columns[planned.stand_in_for].title if planned.stand_in_for else None
+    facts = (None, None, "no run is stored", real, planned.published, planned.remark)
+    described = Column(planned.name, planned.title, *facts)
     if not group.runs:
-        return Column(planned.name, planned.title, None, None, "no run is stored", real, planned.remark)
+        return described
     run = group.runs[0]
-    counts = run.outcome.n_places, len(run.outcome)
-    return Column(group.name, title_of(group, groups), *counts, describe_protocol(run), real, planned.remark)
+    return replace(
+        described,
+        name=group.name,
+        title=title_of(group, groups),
+        n_places=run.outcome.n_places,
+        n_queries=len(run.outcome),
+        protocol=describe_protocol(run),
+    )
 
 
-def _entries(
+def _list_entries(
     rows: Sequence[Row], groups: Sequence[Group], columns: Sequence[Column], metrics: Sequence[str]
 ) -> list[Entry]:
-    """Return what is stored of each row in each column, row by row."""
-    found = [
-        (row, group, column, {device: of_row(group, row, device) for device in DEVICES})
-        for row in rows
-        for group, column in zip(groups, columns, strict=True)
-    ]
-    runs = [run for *_, devices in found for device in DEVICES for run in devices[device].runs]
-    every, parts, at = tabulate_with_records(runs, metrics), [], 0
-    for *_, devices in found:
-        ends = [*itertools.accumulate((len(devices[device].runs) for device in DEVICES), initial=at)]
-        parts.append({d: every[start:end] for d, (start, end) in zip(DEVICES, itertools.pairwise(ends), strict=True)})
-        at = ends[-1]
-    return [Entry(*each, facts) for each, facts in zip(found, parts, strict=True)]
+    """Return the stored runs of each row in each column, row by row."""
+    entries = []
+    for row in rows:
+        for group, column in zip(groups, columns, strict=True):
+            found = {device: of_row(group, row, device) for device in DEVICES}
+            facts = {device: tabulate_with_records(found[device].runs, metrics) for device in DEVICES}
+            entries.append(Entry(row, group, column, found, facts))
+    return entries
 
 
-def _contest(entries: Sequence[Entry], quantity: Quantity) -> tuple[str | None, Mapping[str, Reason]]:
+def _find_best(entries: Sequence[Entry], quantity: Quantity) -> tuple[str | None, Mapping[str, str]]:
     """Return which row of a column is best by a test, and by row how it was timed otherwise than the others.
 
     What was tuned on the places of the column is in no contest.
     """
-    there = {entry.row.name: (entry, runs) for entry in entries if (runs := _records(entry.shown(quantity)))}
+    there = {entry.row.name: (entry, runs) for entry in entries if (runs := _list_records(entry.shown(quantity)))}
     contest = [
         Contestant(name, runs, not entry.found[entry.device(quantity)].missing_seeds)
         for name, (entry, runs) in there.items()
         if quantity.contends(entry.row) and not any(map(overlaps_tuning_places, runs))
     ]
     timed = {name: runs for name, (_, runs) in there.items()} if quantity.kind == "rate" else {}
-    return quantity.best(contest), other_timing(timed)
+    return quantity.best(contest), find_other_timing(timed)
 
 
-def _records(facts: pd.DataFrame) -> tuple[Run, ...]:
+def _list_records(facts: pd.DataFrame) -> tuple[Run, ...]:
     return tuple(facts["record"])
 
 
-def _cell(
+def _make_cell(
     entry: Entry,
     quantity: Quantity,
     printed: Mapping[tuple[str, str], Mapping[str, float | None]],
     best: str | None,
-    apart: Mapping[str, Reason],
-    left_out: Mapping[tuple[str, str], str],
+    other_timing: Mapping[str, str],
+    slow: Collection[tuple[str, str]],
 ) -> dict[str, Any]:
-    """Return one cell, its notes as reasons and its machine by name."""
+    """Return one cell, its notes as text and its machine by name."""
     row, column = entry.row, entry.column
     dataset = "" if entry.group.view else entry.group.column.planned.published or ""  # the paper has no views
     paper = printed.get((row.name, dataset), {})
@@ -210,30 +210,30 @@ def _cell(
     cell["notes"] = []
     source = quantity.source(row)
     if source != "measured":
-        return cell if source == "none" else cell | _quoted(row, quantity, value, printed)
+        return cell if source == "none" else cell | _quote(row, quantity, value, printed)
     facts = entry.shown(quantity)
-    runs = _records(facts)
+    runs = _list_records(facts)
     if not runs:
-        absence = _absence(entry, quantity, left_out)
-        return cell | {"mark": MARKS[absence.code], "notes": [absence]}
-    numbers = _numbers(facts, quantity)
+        mark, remark = _explain_absence(entry, quantity, slow)
+        return cell | {"mark": mark, "notes": [remark] if remark else []}
+    numbers = _compute_numbers(facts, quantity)
     if numbers is None:
-        return cell | {"notes": [undefined(quantity, runs)]}
+        return cell | {"notes": [explain_undefined(quantity, runs)]}
     found = entry.found[entry.device(quantity)]
-    told = [reason("seeds", row, found)] if found.missing_seeds else []
-    told += [reason("fewer", len(runs), len(found.runs))] if len(runs) < len(found.runs) else []
-    told += [Reason("tuned", note) for note in filter(None, [describe_tuning(_records(entry.shown(RECALL)))])]
-    told += remarks(quantity, row, runs)
-    told += filter(None, [apart.get(row.name)])
+    notes = [f"seeds: {len(runs)} of {len(row.seeds)}"] if len(runs) < len(row.seeds) else []
+    notes += [describe_failure(failure, with_seed=True) for failure in found.failures]
+    notes += filter(None, [describe_tuning(_list_records(entry.shown(RECALL)))])
+    notes += list_remarks(quantity, row, runs)
+    notes += filter(None, [other_timing.get(row.name)])
     if quantity.kind == "rate" and row.boundary is not None:
         numbers["at_boundary"] = quantity.over_seeds([*facts[f"streaming_{row.boundary}_hz"]])
     if value is not None:
-        told += differences(quantity, row, entry.group.column.planned, column.stand_in_for, runs[0])
+        notes += list_differences(quantity, row, entry.group.column.planned, column.stand_in_for, runs[0])
         ours = numbers.get("at_boundary", numbers["value"])
         numbers["difference"] = None if column.stand_in_for else ours - value
     if others := all_without_tuning_places(runs) if quantity.kind == "accuracy" else ():
         names = [quantity.name] if quantity.metric else []
-        elsewhere = _numbers(tabulate_with_records(others, names), quantity) or {}
+        elsewhere = _compute_numbers(tabulate_with_records(others, names), quantity) or {}
         numbers |= {"elsewhere": elsewhere.pop("value", None)}
         numbers |= {f"elsewhere_{name}": elsewhere.get(name) for name in ("low", "high", "spread")}
     return cell | {
@@ -243,11 +243,11 @@ def _cell(
         "seeds": tuple(facts["seed"]),
         "disturbed": quantity.kind in ("training", "fit", "rate") and any(facts["disturbed"]),
         "machine": (facts["machine"].iloc[0], max(facts["time_utc"])[:10]),
-        "notes": told,
+        "notes": notes,
     }
 
 
-def _numbers(facts: pd.DataFrame, quantity: Quantity) -> dict[str, Any] | None:
+def _compute_numbers(facts: pd.DataFrame, quantity: Quantity) -> dict[str, Any] | None:
     """Return what runs gave over their seeds, with its interval and spread; None if it is undefined."""
     values = [quantity.in_unit(value) for value in facts[quantity.fact].dropna()]
     if not values:
@@ -258,18 +258,18 @@ def _numbers(facts: pd.DataFrame, quantity: Quantity) -> dict[str, Any] | None:
         totals = [quantity.in_unit(value) for value in facts[quantity.total].dropna()]
         found["total"] = quantity.over_seeds(totals)
     if quantity.fact == RECALL.fact:
-        found |= _interval(recall_interval(_records(facts)))
+        found |= _describe_interval(recall_interval(_list_records(facts)))
     return found
 
 
-def _interval(interval: WiderInterval | None) -> dict[str, Any]:
+def _describe_interval(interval: WiderInterval | None) -> dict[str, Any]:
     if interval is None:
         return {}
     ends = {"low": 100 * interval.low, "high": 100 * interval.high}
     return {**ends, "interval": interval.kind, "block": interval.block}
 
 
-def _quoted(
+def _quote(
     row: Row,
     quantity: Quantity,
     value: float | None,
@@ -279,39 +279,32 @@ def _quoted(
     said = [cells.get(quantity.name) for (name, _), cells in printed.items() if name == row.name]
     known = next((each for each in [value, *said] if each is not None), None)
     if known is None:
-        return {"notes": [reason("unpublished")]}
-    mark = "none" if value is None else "quoted"
-    return {"mark": "quoted", "value": known, "published_mark": mark, "notes": [reason("quoted")]}
+        return {"notes": ["pre-trained: no time is published"]}
+    return {"mark": "quoted", "value": known, "published_mark": "none" if value is None else "quoted"}
 
 
-def _absence(entry: Entry, quantity: Quantity, left_out: Mapping[tuple[str, str], str]) -> Reason:
+def _explain_absence(entry: Entry, quantity: Quantity, slow: Collection[tuple[str, str]]) -> tuple[Mark, str]:
     device = entry.device(quantity)
     found = entry.found[device]
-    if found.runs and not found.failures:  # which are of these runs, while they were timed
-        return lacking(quantity, found.runs)
-    if entry.group.number > 1:
-        return reason("protocol without runs")
+    if entry.group.number > 1 and not found.runs and not found.failures:
+        return "not run", ""
     elsewhere = any(entry.found[other].runs for other in DEVICES if other != device)
-    place = (entry.group.column.planned.name, entry.row.name)
-    return absent(entry.row, device, found, elsewhere, left_out.get(place))
+    return explain_absence(found, quantity, elsewhere, (entry.group.column.planned.name, entry.row.name) in slow)
 
 
-def _number_notes_and_machines(cells: Sequence[dict[str, Any]]) -> tuple[tuple[Reason, ...], tuple[str, ...]]:
-    """Put numbers in the place of the cells' reasons and machines, in the order in which they come; returns both.
+def _number_notes_and_machines(cells: Sequence[dict[str, Any]]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Put numbers in the place of the cells' notes and machines, in the order in which they come; returns both.
 
-    A machine is told with the newest day of its runs.
+    A machine is named with the newest day of its runs.
     """
-    notes: dict[str, Reason] = {}
     days: dict[str, str] = {}
     for cell in cells:
-        for told in cell["notes"]:
-            notes.setdefault(told.text, told)
         if cell["machine"] is not None:
             name, day = cell["machine"]
             days[name] = max(days.get(name, ""), day)
-    numbers = {text: number for number, text in enumerate(notes, 1)}
-    machines = {name: number for number, name in enumerate(days)}
+    notes = [*dict.fromkeys(note for cell in cells for note in cell["notes"])]
+    machines = [*days]
     for cell in cells:
-        cell["notes"] = tuple(sorted({numbers[told.text] for told in cell["notes"]}))
-        cell["machine"] = None if cell["machine"] is None else machines[cell["machine"][0]]
-    return tuple(notes.values()), tuple(f"{name}, {day}" for name, day in days.items())
+        cell["notes"] = tuple(sorted({notes.index(note) + 1 for note in cell["notes"]}))
+        cell["machine"] = None if cell["machine"] is None else machines.index(cell["machine"][0])
+    return tuple(notes), tuple(f"{name}, {day}" for name, day in days.items())

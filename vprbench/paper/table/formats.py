@@ -1,9 +1,11 @@
-"""Table II as Markdown, CSV, LaTeX and HTML: the same words and numbers in every format."""
+"""A table as Markdown, LaTeX, HTML, CSV and text for a terminal: one frame of cells, marked up for each of them."""
 
 from __future__ import annotations
 
 import re
 import unicodedata
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from html import escape
 from typing import Any
 
@@ -12,8 +14,7 @@ import pandas as pd
 from vprbench.paper.table import words
 from vprbench.paper.table.cells import FACTS, Column, Table
 from vprbench.paper.table.quantities import TRAINING
-from vprbench.paper.templates import ENVIRONMENT, document, one_line
-from vprbench.runs import rows
+from vprbench.runs.frame import iterate_rows
 from vprbench.terminal.console import line_text, table_text
 
 _GREEK = "αβγδεζηθικλμνξπρστυφχψωΓΔΘΛΞΠΣΥΦΨΩ"
@@ -35,63 +36,234 @@ _SIGNS = {
 _NOT_IN_T1 = "ĦħĸĿŀŉŦŧſ"  # of the letters up to ž
 
 
-def tex(text: str) -> str:
+def one_line(text: str) -> str:
+    """Return text on one line, without control characters."""
+    return " ".join("".join(sign if sign.isprintable() else " " for sign in text).split())
+
+
+def escape_latex(text: str) -> str:
     """Return text that LaTeX prints as it is; a sign that its fonts lack gives its plain letters or its number."""
-    escaped = "".join(map(_sign, unicodedata.normalize("NFC", one_line(text))))
+    escaped = "".join(map(_escape_sign, unicodedata.normalize("NFC", one_line(text))))
     return re.sub(r"([-,'])(?=\1)", r"\1{}", escaped)  # pairs of these would melt into one sign
 
 
-def _sign(sign: str) -> str:
+def _escape_sign(sign: str) -> str:
     if sign in _SIGNS:
         return _SIGNS[sign]
     if sign <= "ž" and sign not in _NOT_IN_T1:
         return sign
     plain = [part for part in unicodedata.normalize("NFKD", sign) if not unicodedata.combining(part)]
-    return f"[U+{ord(sign):04X}]" if plain in ([], [sign]) else "".join(map(_sign, plain))
+    return f"[U+{ord(sign):04X}]" if plain in ([], [sign]) else "".join(map(_escape_sign, plain))
 
 
 _SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
+_MACHINE, _NOTE = "table-machine", "table-note"  # ids in HTML
+_TABLES_SIDE_BY_SIDE = 2  # datasets in one table of LaTeX: more would be too small to read
+_PREAMBLE = r"""\documentclass{article}
+\usepackage[landscape,a4paper,margin=12mm]{geometry}
+\usepackage[T1]{fontenc}
+\usepackage[utf8]{inputenc}
+\usepackage{lmodern,textcomp}
+\usepackage{booktabs,graphicx} % these two are all that the tables need
+\pagestyle{empty}
+\setlength{\parindent}{0pt}
+\setlength{\parskip}{4pt}
+\raggedright
+\begin{document}"""
 
 
-def markdown(table: Table) -> str:
+@dataclass(frozen=True)
+class _Markup:
+    """The marks of one format."""
+
+    escape: Callable[[str], str]  # of names
+    number: Callable[[str], str]  # the same of numbers and of the words in their place
+    bold: str
+    italic: str
+    mark: Callable[[int, Sequence[int]], str]  # the machine, 0 for none, and the notes of a cell
+    name: str = "{}"  # of a row
+    spiking: str = ""  # behind the name of a spiking row; empty: a line above these rows
+    paper: str = "↳ paper"  # the name of the line below a row
+    published: str = ""  # below a number in its cell; empty: a line below the row
+    absence: str = "{}"  # the word for an absent number
+
+
+def _mark_in_text(machine: int, notes: Sequence[int]) -> str:
+    numbers = ",".join(map(str, notes)).translate(_SUPERSCRIPTS)
+    return " ".join(filter(None, [f"M{machine}" if machine else "", numbers]))
+
+
+def _mark_in_latex(machine: int, notes: Sequence[int]) -> str:
+    return rf"\textsuperscript{{{', '.join([f'M{machine}'] * bool(machine) + [*map(str, notes)])}}}"
+
+
+def _mark_in_html(machine: int, notes: Sequence[int]) -> str:
+    links = [f'<a href="#{_MACHINE}-{machine}">M{machine}</a>'] if machine else []
+    links += [f'<a href="#{_NOTE}-{note}">{note}</a>' for note in notes]
+    return f"<sup>{', '.join(links)}</sup>"
+
+
+_TEXT = _Markup(one_line, str, "{}", "{}", _mark_in_text)
+_MARKDOWN = _Markup(lambda text: escape_markdown(text).replace("|", r"\|"), str, "**{}**", "*{}*", _mark_in_text)
+_LATEX = _Markup(
+    escape_latex,
+    lambda text: escape_latex(text).replace("-", "$-$"),
+    r"\textbf{{{}}}",
+    r"\textit{{{}}}",
+    _mark_in_latex,
+    name="{{{}}}",
+    paper=r"{\quad paper}",
+)
+_FRAGMENT = replace(_LATEX, mark=lambda machine, notes: "")
+_HTML = _Markup(
+    lambda text: escape(one_line(text)),
+    escape,
+    '<b class="best">{}</b>',
+    "<i>{}</i>",
+    _mark_in_html,
+    spiking=" <small>spiking</small>",
+    published='<br><span class="published">paper {}</span>',
+    absence='<span class="absent">{}</span>',
+)
+
+
+def lay_out(table: Table, columns: Sequence[Column], markup: _Markup) -> pd.DataFrame:
+    """Return the cells of some columns as text, a line for each row, the paper's numbers below those measured.
+
+    The columns have two levels, the title of the dataset and the heading of the quantity.
+    """
+    cells: dict[tuple[str, str], list[Any]] = {}
+    for cell in iterate_rows(words.describe_cells(table)):
+        cells.setdefault((cell.row, cell.column), []).append(cell)
+    heads = [(column.title, quantity.heading) for column in columns for quantity in table.quantities]
+    names: list[str] = []
+    lines: list[list[str]] = []
+    apart = table.title is None and not all(row.spiking for row in table.rows)
+    for row in table.rows:
+        of_row = [cell for column in columns for cell in cells[row.name, column.name]]
+        if apart and row.spiking and not markup.spiking:
+            names.append(markup.italic.format("spiking"))
+            lines.append([""] * len(heads))
+            apart = False
+        names.append(markup.name.format(markup.escape(row.name)) + (markup.spiking if apart and row.spiking else ""))
+        lines.append([_write_cell(cell, markup) for cell in of_row])
+        if any(cell.in_paper for cell in of_row) and not markup.published:
+            names.append(markup.paper)
+            lines.append([_write_published(cell, markup) for cell in of_row])
+    levels = [(markup.escape(title), markup.escape(heading)) for title, heading in heads]
+    labels = pd.MultiIndex.from_tuples(levels, names=["", "method"]) if levels else pd.Index([])
+    return pd.DataFrame(lines, pd.Index(names, dtype=object), labels, dtype=object)
+
+
+def _write_cell(cell: Any, markup: _Markup) -> str:
+    marked = markup.bold if cell.best else markup.italic if cell.kind == "quoted" else "{}"
+    value = marked.format(markup.number(cell.value)) if cell.value else ""
+    notes = markup.mark(cell.machine, cell.notes) if cell.machine or cell.notes else ""
+    absence = markup.absence.format(markup.number(cell.absence)) if cell.absence else ""
+    below = markup.published.format(_write_published(cell, markup)) if cell.in_paper else ""
+    return " ".join(filter(None, [absence, value, markup.number(cell.extent), notes])) + below
+
+
+def _write_published(cell: Any, markup: _Markup) -> str:
+    marked = markup.italic if cell.published_quoted else "{}"
+    value = marked.format(markup.number(cell.published))
+    return f"{value} ({markup.number(cell.beside)})" if cell.beside else value
+
+
+def to_markdown(table: Table) -> str:
     """Return a table as Markdown: one table for each dataset, the paper's line below each row."""
-    return _without_gaps(document("table/table.md.j2", table=table, words=words))
+    units, *facts = map(escape_markdown, words.list_facts(table))
+    parts = [f"# {escape_markdown(table.heading)}", units]
+    for column in table.columns:
+        parts += [f"## {escape_markdown(column.title)}"] if column.title != table.heading else []
+        frame = lay_out(table, [column], _MARKDOWN).droplevel(0, axis=1)
+        text = frame.rename_axis("method").to_markdown(disable_numparse=True) if table.rows else ""
+        parts += [escape_markdown(words.describe_data(column)), text]
+    parts.append("\n".join(f"{number}. {escape_markdown(note)}" for number, note in enumerate(table.notes, 1)))
+    parts.append("\n".join(f"- {escape_markdown(machine)}" for machine in words.list_machines(table)))
+    return "\n\n".join(filter(None, [*parts, "\n".join(facts)])) + "\n"
 
 
-def for_terminal(table: Table, wide: bool = False) -> str:
+def to_terminal(table: Table, wide: bool = False) -> str:
     """Return a table as text that fits the terminal, unless `wide`, with its notes; the legend is in the files."""
     of_gpu = [quantity.heading for quantity in table.quantities if quantity.device == "cuda"]
     least = [*dict.fromkeys([*of_gpu, *(quantity.heading for quantity in TRAINING)])]
     parts = [line_text(table.heading, "bold")]
     for column in table.columns:
-        heads, lines = _lines(table, column)
-        parts += ["", line_text(column.title, "bold"), line_text(words.data(column), "dim")]
-        parts += [table_text(heads, [[text.replace("*", "") for text in line] for line in lines], wide, least)]
-    notes = [line_text(f"{number} {note.text}", "dim") for number, note in enumerate(table.notes, 1)]
-    return "\n".join([*parts, "", *notes, *(f"{mark}: {machine}" for mark, machine in words.machines(table)), ""])
+        frame = lay_out(table, [column], _TEXT)
+        lines = [[name, *line] for name, line in zip(frame.index, frame.to_numpy().tolist(), strict=True)]
+        parts += ["", line_text(column.title, "bold"), line_text(words.describe_data(column), "dim")]
+        parts.append(table_text(["method", *frame.columns.get_level_values(1)], lines, wide, least))
+    notes = [line_text(f"{number} {note}", "dim") for number, note in enumerate(table.notes, 1)]
+    return "\n".join([*parts, "", *notes, *words.list_machines(table), ""])
 
 
-def latex(table: Table, fragment: bool = False) -> str:
+def to_latex(table: Table, fragment: bool = False) -> str:
     r"""Return a table as a LaTeX document of landscape pages, for booktabs and graphicx; any text is escaped.
 
-    Two datasets stand in one table: more would be too small to read. A cell fills two columns, its value on the right
-    of the first and what goes with it on the left of the second; words fill both. A fragment holds these tables alone,
-    for \input and booktabs, and tells what their numbers are in comments.
+    Two datasets stand in one table. A fragment holds the tables alone, for \input and booktabs, and the facts about
+    its numbers in comments.
     """
-    values = {"table": table, "words": words, "n": len(table.quantities), "fragment": fragment}
-    return _without_gaps(document("table/table.tex.j2", **values)).lstrip()
+    starts = range(0, len(table.columns), _TABLES_SIDE_BY_SIDE)
+    batches = [table.columns[start : start + _TABLES_SIDE_BY_SIDE] for start in starts]
+    tabulars = [_write_tabular(lay_out(table, batch, _FRAGMENT if fragment else _LATEX)) for batch in batches]
+    units, *facts = words.list_facts(table)
+    if fragment:
+        comments = [f"{table.heading}. It needs \\usepackage{{booktabs}}.", units, *facts, *words.list_machines(table)]
+        return "\n".join([*(f"% {one_line(line)}" for line in comments), *tabulars])
+    parts = [_PREAMBLE, rf"\textbf{{{escape_latex(table.heading)}.}} {escape_latex(units)}"]
+    for batch, tabular in zip(batches, tabulars if table.rows else (), strict=bool(table.rows)):
+        for column in batch:
+            title, data = escape_latex(column.title), escape_latex(words.describe_data(column))
+            parts.append(rf"{{\footnotesize \textbf{{{title}:}} {data}\par}}")
+        fit = r"\resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}{%"
+        parts.append(f"{fit}\n\\setlength{{\\tabcolsep}}{{4pt}}{tabular}}}")
+    notes = [rf"\textsuperscript{{{n}}} {escape_latex(note)}\quad" for n, note in enumerate(table.notes, 1)]
+    machines = [rf"{escape_latex(machine)}\quad" for machine in words.list_machines(table)]
+    parts += [r"\footnotesize", "\n".join(notes), "\n".join(machines), escape_latex(" ".join(facts))]
+    return "\n\n".join(filter(None, [*parts, r"\end{document}"])) + "\n"
 
 
-def html(table: Table) -> str:
-    """Return a table as a fragment of HTML: the table in a frame that scrolls, then notes, machines and explanations.
+def _write_tabular(frame: pd.DataFrame) -> str:
+    if frame.empty:
+        return ""
+    layout = f"@{{}}l{'l' * len(frame.columns)}@{{}}"
+    return str(frame.to_latex(column_format=layout, multicolumn_format="c")).rstrip()
 
-    Classes of cells are measured, quoted and absent; inside of them are best, published and difference. All text is
-    escaped. A page has room for one such fragment: its notes have fixed anchors.
+
+def to_html(table: Table) -> str:
+    """Return a table as a fragment of HTML: the table in a frame that scrolls, then notes, machines and facts.
+
+    All text is escaped. The classes of parts of a cell are best, absent and published. A page has room for
+    one such fragment: its notes have fixed anchors.
     """
-    return document("table/table.html.j2", table=table, words=words).lstrip()
+    units, *facts = (escape(one_line(fact)) for fact in words.list_facts(table))
+    heading = escape(one_line(table.heading))
+    notes = [f'<li id="{_NOTE}-{n}">{escape(one_line(note))}</li>' for n, note in enumerate(table.notes, 1)]
+    machines = [
+        f'<li id="{_MACHINE}-{n}">{escape(one_line(machine))}</li>'
+        for n, machine in enumerate(words.list_machines(table), 1)
+    ]
+    with pd.option_context("display.max_colwidth", None):
+        text = lay_out(table, table.columns, _HTML).to_html(escape=False, border=False, classes="results")
+    head, found, body = text.replace('halign="left"', 'scope="colgroup"').partition("<tbody>")
+    body = head.replace("<th>", '<th scope="col">') + found + body.replace("<th>", '<th scope="row">')
+    data = [
+        f'<p class="legend">{escape(one_line(f"{column.title}: {words.describe_data(column)}"))}</p>'
+        for column in table.columns
+    ]
+    parts = [
+        f'<p class="caption"><b>{heading}.</b> {units}</p>',
+        *data,
+        f'<div class="scroll" tabindex="0" role="region" aria-label="{heading}">\n{body}\n</div>',
+        f'<ol class="notes">\n{chr(10).join(notes)}\n</ol>' if notes else "",
+        f'<ul class="machines legend">\n{chr(10).join(machines)}\n</ul>' if machines else "",
+        f'<p class="legend">{" ".join(facts)}</p>',
+    ]
+    return "\n".join(filter(None, parts)) + "\n"
 
 
-def csv(table: Table) -> str:
+def to_csv(table: Table) -> str:
     """Return a table as CSV: one line for each row, dataset and quantity, with unrounded numbers.
 
     `value` is the quoted one where `mark` says so, `elsewhere` that on places that the row was not tuned on. `total`,
@@ -106,13 +278,13 @@ def csv(table: Table) -> str:
         "unit": [units[name] for name in table.cells["quantity"]],
         "seeds": [None if seeds is None else " ".join(map(str, seeds)) for seeds in table.cells["seeds"]],
         "machine": [None if at is None else one_line(table.machines[at]) for at in table.cells["machine"]],
-        "notes": ["; ".join(one_line(table.notes[n - 1].text) for n in notes) for notes in table.cells["notes"]],
+        "notes": ["; ".join(one_line(table.notes[n - 1]) for n in notes) for notes in table.cells["notes"]],
     }
     cells = table.cells.assign(**{name: pd.Series(values, dtype=object) for name, values in texts.items()})
     return str(cells[[*_CSV_COLUMNS]].to_csv(index=False, lineterminator="\n"))
 
 
-def shown_as_it_is(text: str) -> str:
+def escape_markdown(text: str) -> str:
     """Return text that Markdown shows as it is: no markup, no HTML, no list."""
     text = escape(one_line(text), quote=False)
     text = re.sub(r"([\\`*#$])", r"\\\1", text)
@@ -123,44 +295,6 @@ def shown_as_it_is(text: str) -> str:
     text = re.sub(r"^(\d*)([-+=.)])", r"\1\\\2", text)
     return re.sub(r"(?<!\w)_|_(?!\w)", r"\\_", text)  # inside of words it is no markup
 
-
-def _markdown_table(table: Table, column: Column) -> str:
-    heads, lines = _lines(table, column)
-    return rows.format_markdown([dict(zip(heads, line, strict=True)) for line in lines]) if lines else ""
-
-
-def _lines(table: Table, column: Column) -> tuple[list[str], list[list[str]]]:
-    """Return the heads and the lines of a column's table, the paper's line below each row."""
-    heads = ["method", *(quantity.heading for quantity in table.quantities)]
-    lines: list[list[str]] = []
-    sections = words.sections(table, [column])
-    for part in sections:
-        if len(sections) > 1 and part[0][0].spiking:
-            lines.append([f"*{words.SPIKING}*", *[""] * len(table.quantities)])
-        for row, cells in part:
-            lines.append([shown_as_it_is(row.name), *map(_markdown_cell, cells)])
-            if any(cell.in_paper for cell in cells):
-                lines.append([f"↳ {words.PAPER}", *map(_markdown_published, cells)])
-    return heads, lines
-
-
-def _markdown_cell(cell: Any) -> str:
-    value = f"**{cell.value}**" if cell.best else f"*{cell.value}*" if cell.kind == "quoted" else cell.value
-    machine = words.machine_mark(cell.machine) if cell.machine else ""
-    notes = ",".join(map(str, cell.notes)).translate(_SUPERSCRIPTS)
-    return " ".join(part for part in (cell.absence, value, cell.extent, machine, notes) if part)
-
-
-def _markdown_published(cell: Any) -> str:
-    value = f"*{cell.published}*" if cell.published_quoted else cell.published
-    return f"{value} ({cell.beside})" if cell.beside else value
-
-
-def _without_gaps(text: str) -> str:
-    return re.sub(r"\n{3,}", "\n\n", text)
-
-
-ENVIRONMENT.filters |= {"shown_as_it_is": shown_as_it_is, "tex": tex, "table_of": _markdown_table}
 
 _CSV_COLUMNS = (
     *("row", "column", "title", "quantity", "unit"),

@@ -54,7 +54,7 @@ def _put_together(chosen: TablePlan, results: Sequence[JobResult]) -> ReportData
 def _show(found: ReportData, request: TableRequest) -> None:
     """Print the table, then write its files."""
     narrow = console().is_terminal
-    printed = formats.for_terminal(found.table, request.wide) if narrow else formats.markdown(found.table)
+    printed = formats.to_terminal(found.table, request.wide) if narrow else formats.to_markdown(found.table)
     print(printed, end="", flush=True)  # first: it is there to be read even where nothing is written
     written = write(found, _folder(request), file_name(request))
     print(f"\nwritten to {', '.join(str(path) for path in written)}", flush=True)
@@ -72,9 +72,9 @@ def write(found: ReportData, folder: Path, name: str) -> list[Path]:
     Store(folder).prepare()
     runs = [run for group in found.groups for run in group.runs]
     texts = {
-        f"{name}.md": formats.markdown(found.table),
-        f"{name}.csv": formats.csv(found.table),
-        f"{name}.tex": formats.latex(found.table, fragment=found.table.title is not None),
+        f"{name}.md": formats.to_markdown(found.table),
+        f"{name}.csv": formats.to_csv(found.table),
+        f"{name}.tex": formats.to_latex(found.table, fragment=found.table.title is not None),
         f"{name}-runs.csv": frame.format_csv(runs, found.chosen.metrics),
     }
     for file, text in texts.items():

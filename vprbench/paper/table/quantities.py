@@ -10,7 +10,7 @@ from typing import Literal
 from vprbench.metrics.registry import METRICS, Metric
 from vprbench.paper.plan import Row
 from vprbench.paper.selection import DEVICES, Device
-from vprbench.paper.table.best import Contestant, best_rate, best_recall, best_training
+from vprbench.paper.table.best import Contestant, find_best_rate, find_best_recall, find_best_training
 from vprbench.text import format_two_digits
 
 TRAINING_TIME = (  # of the table, the page and the README
@@ -71,7 +71,7 @@ RECALL = Quantity(
     *("recall_at_1", "R@1", "%", "recall_at_1"),
     in_unit=METRICS["recall_at_1"].shown,
     text=METRICS["recall_at_1"].rounded_text,
-    best=best_recall,
+    best=find_best_recall,
 )
 
 
@@ -81,12 +81,12 @@ def _training(name: str, head: str, device: Device) -> Quantity:
         in_unit=lambda seconds: seconds / 60,
         over_seeds=median,
         total="fit_seconds",
-        best=best_training,
+        best=find_best_training,
     )
 
 
 def _rate(name: str, head: str, device: Device) -> Quantity:
-    return Quantity(name, head, "Hz", "streaming_total_hz", "rate", device, best=best_rate)
+    return Quantity(name, head, "Hz", "streaming_total_hz", "rate", device, best=find_best_rate)
 
 
 TRAINING = (_training("train_cpu", "train CPU", "cpu"), _training("train_gpu", "train GPU", "cuda"))
