@@ -20,8 +20,8 @@ from omegaconf.errors import OmegaConfBaseException
 
 from vprbench.errors import BadInput
 from vprbench.plugins import registry
-from vprbench.plugins.checked import checked
 from vprbench.plugins.registry import Group
+from vprbench.plugins.values import check_value
 from vprbench.runs.request import OPTIONS, RunRequest
 from vprbench.runs.timing_protocol import Protocol
 from vprbench.storage.folders import require_homes
@@ -139,7 +139,7 @@ def _check_options(config: Mapping[str, Any]) -> dict[str, Any]:
     require_homes(config)
     hints = get_type_hints(RunRequest)
     own = [name for name in OPTIONS if name not in ("method", "dataset", "timing")]
-    return {**{name: checked(name, config[name], hints[name]) for name in own}, "timing": _timing(config["timing"])}
+    return {**{name: check_value(name, config[name], hints[name]) for name in own}, "timing": _timing(config["timing"])}
 
 
 def _timing(config: Any) -> Protocol:
@@ -150,7 +150,7 @@ def _timing(config: Any) -> Protocol:
     for name in config:
         if name not in hints:
             raise BadInput(f"option timing.{name} is unknown: {near(name, hints)}")
-    return Protocol(**{name: checked(f"timing.{name}", config[name], hints[name]) for name in config})
+    return Protocol(**{name: check_value(f"timing.{name}", config[name], hints[name]) for name in config})
 
 
 def _as_options(values: Mapping[str, Any]) -> Iterator[str]:

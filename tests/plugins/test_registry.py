@@ -21,9 +21,9 @@ from vprbench.cli import main
 from vprbench.errors import BadInput
 from vprbench.methods.sad import SAD
 from vprbench.plugins import registry
-from vprbench.plugins.checked import checked
 from vprbench.plugins.entries import Entry, entries
 from vprbench.plugins.options import chosen
+from vprbench.plugins.values import check_value
 from vprbench.runs.store import Store
 
 
@@ -165,11 +165,11 @@ def test_an_option_that_does_not_fit_is_refused_by_its_name_and_what_json_cannot
             chosen(Asked, [option], {})
     for value, hint in (("4", int), (1, bool), (4.5, int), ("x", Literal["y"]), ({"a": 1}, list[str])):
         with pytest.raises(BadInput, match=rf"^method\.cells={re.escape(str(value))}: "):
-            checked("method.cells", value, hint)
+            check_value("method.cells", value, hint)
     lists = ((3, list[int], [3]), ("mrr", list[str], ["mrr"]))  # one value is a list of one
     others = ((4, float, 4.0), ([1, 2], tuple[int, ...], (1, 2)), ("a/b", Path, Path("a/b")))
     for value, hint, wanted in (*lists, *others):
-        assert checked("x", value, hint) == wanted
+        assert check_value("x", value, hint) == wanted
 
 
 # What a dataset plug-in returns

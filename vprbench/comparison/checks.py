@@ -108,7 +108,7 @@ class Checked:
     looked: str | None = None  # what a quick look at some frames found, and which command says more
 
 
-def checked(command: SortedOptions) -> tuple[Checked | None, list[str]]:
+def check_comparison(command: SortedOptions) -> tuple[Checked | None, list[str]]:
     """Return what a comparison consists of, and what is wrong with it, a line each; None if anything is.
 
     The dataset and every method are built, and weights are looked for. For stored=true nothing has to be there.

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from vprbench.comparison.checks import Checked, SortedOptions, checked
+from vprbench.comparison.checks import Checked, SortedOptions, check_comparison
 from vprbench.errors import BadInput
 from vprbench.jobs.executors import Executor, executor_for
 from vprbench.jobs.job import JobResult, failure_of
@@ -90,7 +90,7 @@ _LEAST = ("peak MB", "AUC-PR (A)", "R@5 %")  # columns that a narrow terminal la
 
 def make_comparison(command: SortedOptions) -> int:
     """Compare methods on one dataset; returns the exit code: 1 where a run failed, 2 for input to be mended."""
-    found, wrong = checked(command)
+    found, wrong = check_comparison(command)
     if found is None:
         for line in wrong:
             print(printable(f"vprbench: {line}"), file=sys.stderr)

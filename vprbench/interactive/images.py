@@ -18,7 +18,7 @@ from vprbench.api.levels import decoding_of
 from vprbench.errors import BadInput
 from vprbench.interactive import short
 from vprbench.plugins import registry
-from vprbench.plugins.checked import checked
+from vprbench.plugins.values import check_value
 from vprbench.storage.paths import Paths
 from vprbench.text import plural
 
@@ -126,7 +126,7 @@ def dataset_of(
         place_breaks=place_breaks if broken else None,
         by_order=judged and not given,
         notes=tuple(notes),
-    ).with_shared_frames(checked("shared_frames", shared_frames, SharedFrames))
+    ).with_shared_frames(check_value("shared_frames", shared_frames, SharedFrames))
 
 
 def _traverses(references: Any) -> list[Any]:

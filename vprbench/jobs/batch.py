@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_type_hints
 
 from vprbench.errors import BadInput
-from vprbench.plugins.checked import checked
 from vprbench.plugins.entries import conf_folders, read
+from vprbench.plugins.values import check_value
 from vprbench.storage.folders import checkout_folder
 from vprbench.text import near
 
@@ -57,7 +57,7 @@ def job(given: Mapping[str, Any], workers: int | None) -> Job:
     for option in values:
         if option not in hints:
             raise BadInput(f"option cluster.{option} is unknown: {near(option, hints)}")
-    found = Job(**{option: checked(f"cluster.{option}", value, hints[option]) for option, value in values.items()})
+    found = Job(**{option: check_value(f"cluster.{option}", value, hints[option]) for option, value in values.items()})
     return found if workers is None else replace(found, maximum=workers, minimum=min(found.minimum, workers))
 
 

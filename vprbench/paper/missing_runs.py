@@ -124,7 +124,7 @@ class _Weights:
         if known not in self._errors:
             self._errors[known] = ""
             try:
-                wanted = registry.checked("method.weights", arguments["weights"], Weights)
+                wanted = registry.check_value("method.weights", arguments["weights"], Weights)
                 find_weights(wanted, arguments["_target_"].rpartition(".")[2])
             except NotThere as error:
                 logger.warning("%s: %s", cell.row.name, error)
@@ -153,7 +153,7 @@ class _Filling:
                 found = self._shelf.find(cell.request)
                 result = JobResult(0) if found else None
             if result is None:
-                result = self._unmade(cell)
+                result = self._end_without_process(cell)
             if result is None:
                 yield number, cell.request
             else:
@@ -184,7 +184,7 @@ class _Filling:
         if self._shown is not None:
             self._shown.end(number, result, found)
 
-    def _unmade(self, cell: Cell) -> JobResult | None:
+    def _end_without_process(self, cell: Cell) -> JobResult | None:
         """Return how a run ends that no process can make; None if one has to tell."""
         entry = registry.entries("method").get(cell.row.method)
         if entry is not None and cell.request.device != "cpu" and "device" not in entry.options:

@@ -35,7 +35,7 @@ def chosen(kind: Callable[..., Given], options: Sequence[str], quick: Mapping[st
     hints = get_type_hints(kind)
     given: dict[str, Any] = {}
     for option in options:
-        from vprbench.plugins.checked import checked  # takes long, and there may be no option
+        from vprbench.plugins.values import check_value  # takes long, and there may be no option
 
         name, equals, text = option.partition("=")
         above, _, inner = name.partition(".")
@@ -47,7 +47,7 @@ def chosen(kind: Callable[..., Given], options: Sequence[str], quick: Mapping[st
         if named:
             given.setdefault(above, {})[inner or "name"] = _value(text, Any)
         else:
-            given[name] = checked(name, _value(text, hints[name]), hints[name])
+            given[name] = check_value(name, _value(text, hints[name]), hints[name])
     require_homes(given)
     return kind(**{**(quick if given.get("quick") else {}), **given})
 

@@ -22,7 +22,6 @@ from vprbench.api.method import Method
 from vprbench.errors import BadInput
 from vprbench.plugins import entries as yamls
 from vprbench.plugins import local_plugins
-from vprbench.plugins.checked import checked as checked
 from vprbench.plugins.entries import Entry as Entry
 from vprbench.plugins.entries import Group as Group
 from vprbench.plugins.entries import broken_plugins as broken_plugins
@@ -32,6 +31,7 @@ from vprbench.plugins.entries import require_one as require_one
 from vprbench.plugins.entries import with_plugin_paths as with_plugin_paths
 from vprbench.plugins.local_plugins import describe_error
 from vprbench.plugins.tuned_places import parse_tuned_on
+from vprbench.plugins.values import check_value as check_value
 from vprbench.text import near as near  # for the commands too
 
 _MOST_NAME_BYTES = 200  # file systems take 255, and other names are made of this one
@@ -103,7 +103,7 @@ def make_dataset(config: Mapping[str, Any]) -> Dataset:
     `shared_frames` is an option of every dataset, and no argument of the function that makes it.
     """
     own = {name: value for name, value in config.items() if name != "shared_frames"}
-    shared = checked("dataset.shared_frames", config.get("shared_frames", "error"), SharedFrames)
+    shared = check_value("dataset.shared_frames", config.get("shared_frames", "error"), SharedFrames)
     with _explaining_disk_errors(str(config.get("name", ""))):
         dataset = _build("dataset", own)
     return require_dataset(dataset, config["_target_"]).with_shared_frames(shared)
@@ -173,7 +173,7 @@ def _build(group: Group, config: Mapping[str, Any]) -> Any:
     for name, value in arguments.items():
         if name not in known:
             raise BadInput(f"{group}.{name} is unknown to {config['_target_']}: {near(name, known)}")
-        arguments[name] = checked(f"{group}.{name}", value, hints.get(name, Any))
+        arguments[name] = check_value(f"{group}.{name}", value, hints.get(name, Any))
     missing = [n for n, p in known.items() if p.default is p.empty and p.kind < p.VAR_POSITIONAL and n not in arguments]
     if missing:
         raise BadInput(f"{group}.{missing[0]} is missing: {config['_target_']} has no default for it")

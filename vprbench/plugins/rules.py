@@ -17,7 +17,7 @@ from vprbench.api.arrays import Image, Places
 from vprbench.api.images import Images
 from vprbench.api.method import Method, require_codes
 from vprbench.errors import NotFittedError
-from vprbench.plugins.registry import checked
+from vprbench.plugins.registry import check_value
 from vprbench.storage.tensors import plain
 
 N_PLACES = 20
@@ -104,7 +104,7 @@ def _check_constructor(subject: Subject) -> None:
     method = subject.make()
     for name, value in subject.config.items():
         stored = getattr(method, name, "not stored")
-        wanted = checked(f"method.{name}", value, type(stored)) if is_dataclass(stored) else value
+        wanted = check_value(f"method.{name}", value, type(stored)) if is_dataclass(stored) else value
         same = name == "_target_" or _as_lists(stored) == _as_lists(wanted)
         require(same, f"argument {name}={value} is {stored} after construction")
 

@@ -37,7 +37,7 @@ def run_text(
                 "network": run.network,
                 "tuned_on": run.tuned_on or None,
                 "notes": [asdict(note) for note in list_notes(run)],
-                **({"views": [_viewed(one, request) for one in seen]} if seen else {}),
+                **({"views": [_describe_view(one, request) for one in seen]} if seen else {}),
                 **({"predictions": [*map(str, predictions)]} if predictions else {}),
                 "from_store": from_store,
                 "run_folder": None if folder is None else str(folder),
@@ -65,5 +65,5 @@ def run_text(
     return "\n".join([*(line_text(*each) for each in said), *tables, *map(line_text, below)])
 
 
-def _viewed(view: Run, request: RunRequest) -> dict[str, Any]:
+def _describe_view(view: Run, request: RunRequest) -> dict[str, Any]:
     return {"protocol": dict(view.protocol), **frame.list_numbers(view, request.metrics)}

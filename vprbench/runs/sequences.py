@@ -20,8 +20,8 @@ from vprbench.metrics.sequences import (
     sequence_scores,
     stretches,
 )
-from vprbench.plugins.checked import checked
 from vprbench.plugins.entries import read
+from vprbench.plugins.values import check_value
 from vprbench.runs.record import Run
 from vprbench.runs.views import queries_shown, replace_scores, select_queries
 from vprbench.text import near
@@ -178,7 +178,7 @@ def _build_options(option: str, kind: type[Options], given: Mapping[str, Any]) -
         if name not in hints:
             raise BadInput(f"option {option}.{name} is unknown: {near(name, hints)}")
     plain = {
-        name: checked(f"{option}.{name}", _as_list(value) if name == "velocities" else value, hints[name])
+        name: check_value(f"{option}.{name}", _as_list(value) if name == "velocities" else value, hints[name])
         for name, value in given.items()
     }
     try:

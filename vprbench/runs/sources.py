@@ -44,7 +44,7 @@ def _follow_imports(name: str, file: Path) -> dict[str, Path]:
     found, waiting = {name: file}, [name]
     while waiting:
         module = waiting.pop()
-        for imported in _imported_names(found[module].read_text(encoding="utf-8"), _package_of(module, found[module])):
+        for imported in _list_imports(found[module].read_text(encoding="utf-8"), _package_of(module, found[module])):
             if imported not in found and _is_own(imported, name, file) and (path := _find_file(imported)) is not None:
                 found[imported] = path
                 waiting.append(imported)
@@ -72,24 +72,24 @@ def _find_definition(target: str) -> tuple[str, Path] | None:
         if isinstance(node, ast.ImportFrom):
             for alias in node.names:
                 if name == (alias.asname or alias.name):
-                    return _find_definition(f"{_imported_module(node, _package_of(module, path))}.{alias.name}")
+                    return _find_definition(f"{_resolve_module(node, _package_of(module, path))}.{alias.name}")
     return None
 
 
 @cache
-def _imported_names(text: str, package: str) -> tuple[str, ...]:
+def _list_imports(text: str, package: str) -> tuple[str, ...]:
     """Return the full names of all that a text imports, modules and what may be a module."""
     found: list[str] = []
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.Import):
             found += (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and (package or not node.level):
-            module = _imported_module(node, package)
+            module = _resolve_module(node, package)
             found += (module, *(f"{module}.{alias.name}" for alias in node.names))
     return tuple(found)
 
 
-def _imported_module(node: ast.ImportFrom, package: str) -> str:
+def _resolve_module(node: ast.ImportFrom, package: str) -> str:
     name = "." * node.level + (node.module or "")
     return importlib.util.resolve_name(name, package) if node.level else name
 

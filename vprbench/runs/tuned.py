@@ -34,7 +34,7 @@ def find_tuned_queries(run: Run) -> npt.NDArray[np.bool_] | None:
     In a view of sequences those near such a query are among them: their answers may rest on its scores.
     """
     n_stored = int(queries_shown(run).max(initial=0)) + 1
-    if run.tuned_queries or not _declared_places(run):  # known by the content of their frames
+    if run.tuned_queries or not _format_declared_places(run):  # known by the content of their frames
         tuned = np.isin(np.arange(n_stored), np.array(run.tuned_queries or (), np.int64))
     elif (shown := _show_declared_places(run)) is not None:
         tuned = np.bincount(queries_shown(run)[shown], minlength=n_stored) > 0
@@ -46,7 +46,7 @@ def find_tuned_queries(run: Run) -> npt.NDArray[np.bool_] | None:
 
 def _show_declared_places(run: Run) -> npt.NDArray[np.bool_] | None:
     """Return which queries have a right place of the declared numbers, (n_queries,); None: the numbers do not tell."""
-    known, entry = parse_places(_declared_places(run)), entries("dataset").get(run.dataset)
+    known, entry = parse_places(_format_declared_places(run)), entries("dataset").get(run.dataset)
     if known is None or entry is None:
         return None
     listed = entry.values()
@@ -57,7 +57,7 @@ def _show_declared_places(run: Run) -> npt.NDArray[np.bool_] | None:
     return np.array([tuned[right].any() for right in run.positives], np.bool_)
 
 
-def _declared_places(run: Run) -> str:
+def _format_declared_places(run: Run) -> str:
     """Return the places of a run's dataset that its method was tuned on, as declared; empty if there are none."""
     declared = run.tuned_on
     return str({**declared.get("also_in", {}), declared.get("dataset"): declared.get("places")}.get(run.dataset, ""))

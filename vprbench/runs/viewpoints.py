@@ -13,8 +13,8 @@ import numpy as np
 from vprbench.api.arrays import Image
 from vprbench.api.dataset import Dataset
 from vprbench.errors import BadInput
-from vprbench.plugins.checked import checked
 from vprbench.plugins.entries import read
+from vprbench.plugins.values import check_value
 from vprbench.text import near
 
 _EXAMPLE = "as in views=[-0.1,0,0.1] or views={vertical:[-0.1,0,0.1],zoom:[1,1.1]}"
@@ -77,7 +77,7 @@ def viewpoints(value: Any) -> Viewpoints | None:
     for name in given:
         if name not in names:
             raise BadInput(f"option views.{name} is unknown: {near(name, names)}")
-    return Viewpoints(**{name: checked(f"views.{name}", each, tuple[float, ...]) for name, each in given.items()})
+    return Viewpoints(**{name: check_value(f"views.{name}", each, tuple[float, ...]) for name, each in given.items()})
 
 
 def seen_from(dataset: Dataset, views: Viewpoints | None) -> Dataset:

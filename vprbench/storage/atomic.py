@@ -79,7 +79,7 @@ def folder_versions(folder: Path) -> list[Path]:
     """Return where a folder lies: under its name, else under the names that it had to make way under."""
     if folder.exists():
         return [folder]
-    replaced = [path for path in _replaced_folders(folder.parent) if _final_folder(path) == folder]
+    replaced = [path for path in _find_replaced_folders(folder.parent) if _final_folder(path) == folder]
     return [folder] if folder.exists() else replaced  # the new one may have come while the old ones were listed
 
 
@@ -89,17 +89,17 @@ def final_folders(parent: Path) -> list[Path]:
     Raises OSError if the folder cannot be listed.
     """
     found = {path for path in parent.iterdir() if not path.name.startswith(".") and path.is_dir()}
-    return sorted(found | {_final_folder(path) for path in _replaced_folders(parent)})
+    return sorted(found | {_final_folder(path) for path in _find_replaced_folders(parent)})
 
 
 def remove_replaced(parent: Path) -> None:
     """Remove replaced folders whose replacement is there."""
-    for path in _replaced_folders(parent):
+    for path in _find_replaced_folders(parent):
         if _final_folder(path).exists():
             shutil.rmtree(path, ignore_errors=True)
 
 
-def _replaced_folders(parent: Path) -> list[Path]:
+def _find_replaced_folders(parent: Path) -> list[Path]:
     with suppress(OSError):
         return [path for path in parent.iterdir() if path.name.startswith(_REPLACED)]
     return []

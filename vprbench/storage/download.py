@@ -73,7 +73,7 @@ def _download(url: str, whole: Path, timeout_seconds: float, size_bytes: int | N
         report(stage, min(done_bytes / total_bytes, 1.0) if total_bytes else 0.0)
 
     report(stage, 0.0)
-    kept = _received_bytes(whole)
+    kept = _count_received_bytes(whole)
     try:
         gdown.download(
             url,
@@ -86,7 +86,7 @@ def _download(url: str, whole: Path, timeout_seconds: float, size_bytes: int | N
             timeout=timeout_seconds,
         )
     except (requests.RequestException, gdown.FileURLRetrievalError, gdown.DownloadError) as error:
-        received = _received_bytes(whole)
+        received = _count_received_bytes(whole)
         if kept and "did not honor" in str(error):  # the server does not continue this part
             shutil.rmtree(whole.parent)
             whole.parent.mkdir()
@@ -97,7 +97,7 @@ def _download(url: str, whole: Path, timeout_seconds: float, size_bytes: int | N
     return None
 
 
-def _received_bytes(whole: Path) -> int:
+def _count_received_bytes(whole: Path) -> int:
     return sum(part.stat().st_size for part in whole.parent.iterdir())
 
 

@@ -93,17 +93,17 @@ def unpack(
         raise type(error)(f"{archive} {error}; nothing was unpacked") from error
     except OSError as error:
         if error.errno is None:  # gzip and bz2 report damage by it
-            raise _damaged(archive, error) from error
+            raise _describe_damage(archive, error) from error
         raise BadInput(
             f"{archive} cannot be unpacked into {destination} ({error.strerror}), and nothing was: free some space, or "
             "choose another folder"
         ) from error
     except _DAMAGE as error:
-        raise _damaged(archive, error) from error
+        raise _describe_damage(archive, error) from error
     return n_files
 
 
-def _damaged(archive: Path, error: Exception) -> DamagedArchive:
+def _describe_damage(archive: Path, error: Exception) -> DamagedArchive:
     reason = " ".join(str(error).split()) or type(error).__name__
     return DamagedArchive(f"{archive} is damaged, or no archive ({reason}): download it anew")
 

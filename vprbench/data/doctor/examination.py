@@ -60,7 +60,7 @@ def examine(dataset: Dataset) -> tuple[Finding, ...]:
         *(finding for seen in looks for finding in pictures.unreadable(seen, broken)),
         *(finding for seen in looks for finding in _of_traverse(dataset, seen)),
         *pictures.between(looks),
-        *pictures.shared(looks, allowed(dataset)),
+        *pictures.find_shared_frames(looks, allowed(dataset)),
         *alignment(dataset, looks[:-1], looks[-1]),
         *of_recordings(dataset),
     ])  # fmt: skip

@@ -138,7 +138,7 @@ def between(looks: Sequence[Looks]) -> Iterator[Finding]:
         yield Finding("note", "colour", text, "methods that use colour suffer")
 
 
-def shared(looks: Sequence[Looks], queries_allowed: bool) -> Iterator[Finding]:
+def find_shared_frames(looks: Sequence[Looks], queries_allowed: bool) -> Iterator[Finding]:
     """Find traverses that hold the same frames, as if a folder was named twice; the queries are the last.
 
     Queries that are among the references are an error, unless they are allowed.

@@ -94,7 +94,7 @@ def read(path: Path) -> Download:
     if not isinstance(content, dict):
         raise BadInput(f"{path} holds no entry: give licence, source, and parts or register")
     entry = {"name": path.stem, "description": first.lstrip("# "), "folder": path.stem, **content}
-    download: Download = registry.checked(str(path), entry, Download)
+    download: Download = registry.check_value(str(path), entry, Download)
     if not download.parts and download.register is None:
         raise BadInput(f"{path} has neither parts nor register: say what is downloaded, or what a person has to do")
     if unknown := [name for name in download.default or () if name not in download.parts]:

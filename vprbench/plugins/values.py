@@ -12,7 +12,7 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 from vprbench.errors import BadInput
 
 
-def checked(option: str, value: Any, hint: Any) -> Any:
+def check_value(option: str, value: Any, hint: Any) -> Any:
     """Return `value` if it is of the type `hint`, or a list of it where a list is wanted.
 
     Raises BadInput that names option, value and what was wanted.
@@ -24,7 +24,7 @@ def checked(option: str, value: Any, hint: Any) -> Any:
     except ValidationError as error:
         problems = error.errors()
         if isinstance(value, str | int | float) and all(p["type"] == "list_type" and not p["loc"] for p in problems):
-            return checked(option, [value], hint)
+            return check_value(option, [value], hint)
         wanted = "; ".join(dict.fromkeys(_wanted(problem) for problem in problems))
         raise BadInput(f"{option}={value}: {wanted}") from error
 
