@@ -21,7 +21,6 @@ DECIMAL = {  # names in the order of the road, of which the order of whole numbe
     "negative": ["x-1.5_y2", "x-1_y2", "x-0.25_y2", "x0.5_y2", "x2_y2"],
     "whole and negative": ["-10", "-2", "-1", "0", "3", "12"],
     "exponents": ["1e-05", "2.5e-05", "0.0001", "0.25", "3.0", "1e+16"],
-    "some without a fraction": ["98", "98.25", "98.5", "99", "99.125", "99.5"],
 }
 WHOLE = {  # names in the order of whole numbers, and how often that there is another one is said
     "counters": (["take1.8", "take1.9", "take1.10", "take1.11", "take2.1"], 1),

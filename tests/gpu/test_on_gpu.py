@@ -94,7 +94,8 @@ def test_queries_of_a_large_map(rules, images, device, size, route, copies, meas
 def test_descriptors_of_a_trained_network(images, device, size, route, build, measure):
     places, images = size(200, 12), min(images, size(128, 4))
     shown, queries = route(places).references(places), route(places).queries(places, places)
-    here, there = (build(TRAINED, where).fit(*shown) for where in (device, "cpu"))
+    frames = {"height": size(128, 64), "width": size(224, 112)}
+    here, there = (build(TRAINED, where, **frames).fit(*shown) for where in (device, "cpu"))
     found, few = compare_descriptors(here, there, queries), queries[:images]
     measure(
         f"{TRAINED}, {images} together",

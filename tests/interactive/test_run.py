@@ -87,8 +87,7 @@ class Bits(BinaryMethod):
     encode = Plain.encode
 
 
-@pytest.mark.parametrize("kind", [Plain, Vectors, Bits])
-@pytest.mark.parametrize("given", [None, [[1.0]] * 4, np.ones(7, np.float32)])
+@pytest.mark.parametrize(("kind", "given"), [(Plain, None), (Vectors, [[1.0]] * 4), (Bits, np.ones(7, np.float32))])
 def test_codes_that_are_no_array_with_a_row_for_each_image_are_one_line_and_fit_need_not_return(kind, given):
     class Odd(kind):
         def encode(self, images):

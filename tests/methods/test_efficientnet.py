@@ -174,7 +174,7 @@ def test_folded_batch_norms_give_what_batch_norms_give(size, folder):
     assert float(wanted[-1].std()) > 0.1
 
 
-@pytest.mark.parametrize("size", [(128, 224), (97, 131), (96, 131), (35, 64), (1, 1)])
+@pytest.mark.parametrize("size", [(64, 96), (97, 131), (1, 1)])
 def test_compiled_blocks_give_what_the_plain_network_gives(size):
     network = blocks_of("lite0")
     images = seen(*drawn_images(size, size)).float().contiguous(memory_format=torch.channels_last)
@@ -188,11 +188,11 @@ def test_compiled_blocks_give_what_the_plain_network_gives(size):
 
 
 def test_images_of_more_sizes_than_are_compiled_for_are_described(monkeypatch):
-    images = drawn_images(*((64 + side, 100) for side in range(10)))
-    monkeypatch.setattr(compiled_blocks, "_MOST_SIZES", 20)
-    wanted = encoded(made(height=None, width=None, grid=[[2, 4]] * 3), *images)
+    free = {"height": None, "width": None, "blocks": [4], "grid": [[2, 4]]}
+    images = drawn_images(*((64 + side, 100) for side in range(4)))
+    wanted = encoded(made(**free), *images)
     monkeypatch.setattr(compiled_blocks, "_MOST_SIZES", 2)
-    assert distance(encoded(made(height=None, width=None, grid=[[2, 4]] * 3), *images), wanted) < 1e-6
+    assert distance(encoded(made(**free), *images), wanted) < 1e-6
 
 
 def test_descriptors_are_the_same_where_pytorch_compiles_nothing(monkeypatch):
@@ -212,10 +212,8 @@ def test_descriptors_are_the_same_where_pytorch_compiles_nothing(monkeypatch):
 @pytest.mark.parametrize(
     ("variant", "blocks", "grid", "size", "lengths"),
     [
-        ("lite0", [4], [None], (128, 224), [40 * 16 * 28]),
         ("lite0", [4, 10, 12], [None, None, [2, 4]], (128, 224), [40 * 16 * 28, 112 * 8 * 14, 192 * 2 * 4]),
         ("lite0", [0, 2, 7], [None, None, None], (97, 131), [16 * 49 * 66, 24 * 25 * 33, 80 * 7 * 9]),
-        ("lite0", [11, 15], [None, [1, 1]], (97, 131), [192 * 4 * 5, 320]),
         ("lite0", [0, 15], [[33, 1], [1, 2]], (65, 64), [16 * 33, 320 * 2]),
         ("lite0", [15], [None], (1, 2), [320]),
         # One block more in each repeated stage, and a tenth more channels, in whole eights: 24 to 24, 40 to 48.
@@ -317,7 +315,7 @@ def test_a_file_that_lacks_a_part_or_is_of_another_network_is_refused_by_names_a
 
 
 @pytest.mark.parametrize(
-    ("variant", "last", "size"), [("lite0", 15, (128, 224)), ("lite0", 4, (97, 131)), ("lite2", 20, (33, 64))]
+    ("variant", "last", "size"), [("lite0", 15, (64, 96)), ("lite0", 4, (97, 131)), ("lite2", 20, (33, 64))]
 )
 def test_multiply_adds_are_those_that_pytorch_counts_and_are_told_of_every_image(variant, last, size):
     with torch.device("meta"), FlopCounterMode(display=False) as counter:
@@ -342,9 +340,8 @@ def test_multiply_adds_are_those_of_the_size_that_images_get():
 @pytest.mark.parametrize(
     ("method", "adapt"),
     [
-        *itertools.product(["efficientnet"], ["none", "running", "traverse"]),
         *itertools.product(["hog", "vprtempo_oriented"], ["references", "running", "traverse"]),
-        *itertools.product(["vprtempo_efficientnet", "vprtempo_efficientnet_int8"], ["running"]),
+        ("efficientnet", "running"),
     ],
 )
 def test_a_method_keeps_every_rule_under_a_mean_that_is_taken_off(method, adapt):

@@ -65,7 +65,7 @@ def test_a_network_comes_back_from_nir_to_the_bit_and_is_loaded_with_8_bits(trai
     assert np.allclose(back.query(SEEN), plain.query(SEEN), atol=0.02)
 
 
-@pytest.mark.parametrize("simulator", ["plain", "snntorch", "brian2"])
+@pytest.mark.parametrize("simulator", ["plain", "snntorch", pytest.param("brian2", marks=pytest.mark.extended)])
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::UserWarning")  # of snnTorch
 def test_another_simulator_names_the_same_places(trained, simulator, tmp_path):
     path = stored(trained, tmp_path)

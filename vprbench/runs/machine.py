@@ -147,7 +147,7 @@ def _read_pressure() -> dict[str, str] | None:
 
 def canary_seconds(clock: Callable[[], int] = time.perf_counter_ns) -> float:
     """Return the median time of a fixed numpy computation; a change between two calls shows a disturbed machine."""
-    values = np.linspace(1, 0, 200_000)
+    values = np.linspace(1, 0, 50_000)
     scratch = np.empty_like(values)  # allocating anew would time the operating system
     laps = []
     for _ in range(20):

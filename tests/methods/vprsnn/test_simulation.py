@@ -103,7 +103,6 @@ ASKED = {"learning": False, "weight_sum": None}
         *(
             pytest.param({"seed": 6, **changes}, ALONE, id="-".join(changes))
             for changes in (
-                {"excitatory_minimum_interval_ms": 6.95, "pre_rate": 0.01},
                 {"excitatory_minimum_interval_ms": 6.95, "pre_rate": -0.02, "post_rate": 0.1},
                 {"inhibitory_to_excitatory_weight": 0.0},
                 {"excitatory_to_inhibitory_weight": 30.0, "inhibitory_refractory_ms": 40.0},
