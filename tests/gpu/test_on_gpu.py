@@ -90,17 +90,23 @@ def test_queries_of_a_large_map(rules, images, device, size, route, copies, meas
     assert found.holds, found
 
 
-@pytest.mark.parametrize("images", [1, 128])
-def test_descriptors_of_a_trained_network(images, device, size, route, build, measure):
-    places, images = size(200, 12), min(images, size(128, 4))
-    shown, queries = route(places).references(places), route(places).queries(places, places)
-    frames = {"height": size(128, 64), "width": size(224, 112)}
+@pytest.fixture(scope="module")
+def described(device, size, route, build):
+    """Return the trained network on the device and on the CPU, each with its map, and the queries."""
+    places, frames = size(200, 12), {"height": size(128, 64), "width": size(224, 112)}
+    shown = route(places).references(places)
     here, there = (build(TRAINED, where, **frames).fit(*shown) for where in (device, "cpu"))
-    found, few = compare_descriptors(here, there, queries), queries[:images]
+    return here, there, route(places).queries(places, places)
+
+
+@pytest.mark.parametrize("images", [1, 128])
+def test_descriptors_of_a_trained_network(images, described, size, measure):
+    here, there, queries = described
+    found, few = compare_descriptors(here, there, queries), queries[: min(images, size(128, 4))]
     measure(
-        f"{TRAINED}, {images} together",
+        f"{TRAINED}, {len(few)} together",
         lambda: here.query(few),
-        images,
+        len(few),
         {"CPU": lambda: there.query(few)},
         **found.columns(),
     )

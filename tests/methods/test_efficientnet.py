@@ -86,7 +86,7 @@ def published_outputs(variant):
     return image, outputs
 
 
-@pytest.mark.parametrize("variant", PUBLISHED)
+@pytest.mark.parametrize("variant", ["lite0", "lite1", pytest.param("lite2", marks=pytest.mark.extended)])
 def test_every_block_gives_what_that_of_the_published_package_gives(variant):
     image, wanted = published_outputs(variant)
     with torch.inference_mode():
@@ -174,7 +174,7 @@ def test_folded_batch_norms_give_what_batch_norms_give(size, folder):
     assert float(wanted[-1].std()) > 0.1
 
 
-@pytest.mark.parametrize("size", [(64, 96), (97, 131), (1, 1)])
+@pytest.mark.parametrize("size", [(64, 96), (35, 67), (1, 1)])
 def test_compiled_blocks_give_what_the_plain_network_gives(size):
     network = blocks_of("lite0")
     images = seen(*drawn_images(size, size)).float().contiguous(memory_format=torch.channels_last)

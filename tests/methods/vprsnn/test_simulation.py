@@ -91,10 +91,10 @@ ASKED = {"learning": False, "weight_sum": None}
 @pytest.mark.parametrize(
     ("drawn", "how"),
     [
-        *(({"seed": 2, "n_neurons": n_neurons}, {}) for n_neurons in (1, 2, 5, 8, 12)),
+        *(({"seed": 2, "n_neurons": n_neurons}, {}) for n_neurons in (1, 2, 12)),
         ({"seed": 3, "n_neurons": 20}, ASKED),
         ({"seed": 4, "n_images": 3, "presentation_ms": 350.0, "rest_ms": 150.0}, {}),  # as published
-        *(({"seed": 5, "longest": longest, "n_images": 3}, {}) for longest in (0, 1, 127, 300)),
+        *(({"seed": 5, "longest": longest, "n_images": 3}, {}) for longest in (0, 1, 300)),
         pytest.param({"seed": 20}, {"weight_sum": 40.0}, id="weights above the maximum"),  # few are lifted past 1
         ({"seed": 10, "n_neurons": 6, "n_inputs": 1, "share": 0.3, "n_images": 2}, ALONE),
         ({"seed": 21, "excitatory_minimum_interval_ms": 0.0}, ALONE),  # the refractory period is longer
