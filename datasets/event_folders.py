@@ -60,7 +60,7 @@ class EventFolders:
         elif self.ground_truth == "none":
             truth, chosen = unknown(sum(map(len, shown[:-1])), len(shown[-1])), {}
         else:
-            truth = by_index(shown[:-1], self.references, len(shown[-1]), self.tolerance)
+            truth = _by_number(shown, self.references, self.tolerance)
             chosen = {"tolerance_places": self.tolerance}
         protocol = {
             "protocol": "event_folders",
@@ -113,6 +113,19 @@ class EventFolders:
 
 
 event_folders = function_of(EventFolders)
+
+
+def _by_number(shown: Sequence[Images], names: list[str], tolerance: int) -> GroundTruth:
+    """Return the ground truth of frames that show the same place under the same number; a note where counts differ."""
+    n_places, n_queries = len(shown[0]), len(shown[-1])
+    truth = by_index(shown[:-1], names, n_queries, tolerance)
+    if n_queries == n_places:
+        return truth
+    note = (
+        f"the query recording has {n_queries} frames, each reference {n_places}: with ground_truth=index frame i of "
+        "both shows place i, so the camera has to pass every place at the same time; else give ground_truth=gps"
+    )
+    return replace(truth, notes=(*truth.notes, note))
 
 
 def _joined(parts: Sequence[Images]) -> Images:

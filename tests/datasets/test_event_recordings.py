@@ -132,6 +132,7 @@ def track(file, metres, times):
 def test_frames_of_the_same_number_show_the_same_place_or_positions_say_what_lies_within_metres(options, tmp_path):
     dataset = event_folders(**options, window_ms=500.0, tolerance=1)
     assert (dataset.n_places, len(dataset.queries)) == (19, 13)
+    assert ["13 frames" in note and "ground_truth=gps" in note for note in dataset.notes] == [True]
     assert rights(dataset)[:2] == [[0, 1], [0, 1, 2]]
     assert dataset.references[0].sum() > 0
     assert dict(dataset.protocol) == {
@@ -140,6 +141,7 @@ def test_frames_of_the_same_number_show_the_same_place_or_positions_say_what_lie
     }
     by_number = event_folders(**options, events_per_frame=400)
     assert (by_number.n_places, [int(image[..., 0].sum()) for image in by_number.queries]) == (10, [400] * 10)
+    assert by_number.notes == ()
     # The map is driven at 10 m/s from 5 s on, the other drive at 20 m/s; its positions begin at 6 s.
     track(tmp_path / "map.aedat", lambda time: 10 * time, np.arange(5.0, 16.0))
     track(tmp_path / "drive.aedat", lambda time: 20 * time - 60, np.arange(6.0, 13.0, 0.5))
