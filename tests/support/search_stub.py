@@ -1,11 +1,11 @@
 """Stands in for training in tests of the search: a known recall for any settings, and ways to fail."""
 
+from concurrent.futures import Executor, Future
 from dataclasses import dataclass
 
 import numpy as np
 
 from vprbench.tuning.objective import Tried
-from vprbench.tuning.workers import Answer
 
 
 def recall(values):
@@ -31,25 +31,19 @@ class Stub:
         return Tried(np.array([recall(values) - seed * self.shifts_by_seed]), nothing)
 
 
-class Here:
-    """In place of processes: tries in this one."""
+class Here(Executor):
+    """In place of processes: works in this one, until it is interrupted."""
 
-    def __init__(self, attempt, count=1, killed_at=None):
-        self.attempt, self.started, self.killed_at = attempt, count, killed_at
+    def __init__(self, killed_at=None):
+        self.killed_at, self.number = killed_at, 0
 
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        """Nothing was started."""
-
-    def answers(self, tasks, begins):
-        for number, task in enumerate(tasks):
-            begins(number)
-            if number == self.killed_at:
-                raise KeyboardInterrupt
-            try:
-                answer = Answer(number, self.attempt(task))
-            except Exception as error:
-                answer = Answer(number, None, f"{type(error).__name__}: {error}")
-            yield answer
+    def submit(self, work, /, *arguments):
+        if self.number == self.killed_at:
+            raise KeyboardInterrupt
+        self.number += 1
+        future = Future()
+        try:
+            future.set_result(work(*arguments))
+        except Exception as error:
+            future.set_exception(error)
+        return future

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from statistics import mean, stdev
 from typing import Literal
@@ -13,7 +14,6 @@ from vprbench import progress
 from vprbench.metrics.intervals import McNemar, WiderInterval, difference_interval, mcnemar_exact
 from vprbench.tuning.objective import StretchName, Task, Tried
 from vprbench.tuning.space import PAPER, Values
-from vprbench.tuning.workers import Workers
 
 Verdict = Literal["better", "worse", "not told apart"]
 
@@ -68,22 +68,24 @@ class Comparison:
         return "not told apart"
 
 
-def compared(
-    workers: Workers[Task, Tried], best: Values, n_places: Mapping[StretchName, int], seed: int
+def compare_with_paper(
+    executor: Executor,
+    attempt: Callable[[Task], Tried],
+    best: Values,
+    n_places: Mapping[StretchName, int],
+    seed: int,
 ) -> dict[StretchName, Comparison]:
     """Train under the best settings and the paper's with the seeds that follow `seed`, on each stretch.
 
-    Raises RuntimeError if a training gives no answer.
+    Raises what a training raises.
     """
     seeds = tuple(range(seed + 1, seed + 1 + SEEDS))
     tasks = [Task(stretch, values, each) for stretch in n_places for values in (best, PAPER) for each in seeds]
-    given: dict[int, Tried] = {}
-    for answer in workers.answers(tasks, lambda task: progress.report("best against paper", task / len(tasks))):
-        if answer.given is None:
-            raise RuntimeError(f"the comparison with the paper's settings failed: {answer.error}")
-        given[answer.task] = answer.given
-    ordered = [given[task] for task in range(len(tasks))]
-    halves = [ordered[first : first + SEEDS] for first in range(0, len(tasks), SEEDS)]
+    answers: list[Tried] = []
+    for answer in executor.map(attempt, tasks):
+        answers.append(answer)
+        progress.report("best against paper", len(answers) / len(tasks))
+    halves = [answers[first : first + SEEDS] for first in range(0, len(tasks), SEEDS)]
     return {
         stretch: compare(n_places[stretch], seeds, best_ones, paper_ones)
         for stretch, best_ones, paper_ones in zip(n_places, halves[::2], halves[1::2], strict=True)

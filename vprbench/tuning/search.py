@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import logging
 import time
-from collections import Counter
-from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from itertools import islice
+from multiprocessing import get_context
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import optuna
+from optuna.trial import FrozenTrial, TrialState
 
 from vprbench import progress
 from vprbench.api.dataset import Dataset
@@ -25,20 +27,17 @@ from vprbench.runs.run_files import content_key
 from vprbench.runs.sources import hash_files
 from vprbench.runs.store import Store
 from vprbench.tuning import objective, places, space
-from vprbench.tuning.comparison import Comparison, compared
+from vprbench.tuning.comparison import Comparison, compare_with_paper
 from vprbench.tuning.objective import StretchName, Task, Tried
 from vprbench.tuning.settings import Settings
-from vprbench.tuning.space import Values
-from vprbench.tuning.study import Stage, Study, Trial, best_of, opened
-from vprbench.tuning.workers import Workers
-
-if TYPE_CHECKING:
-    from vprbench.jobs.cluster import DaskExecutor
+from vprbench.tuning.space import PARAMETERS, Values
+from vprbench.tuning.study import Stage, Trial, find_best, list_trials, open_study, rank_parameters
 
 logger = logging.getLogger(__name__)
 
-_ATTEMPTS = 3  # at settings whose trial failed, before they are left out
-_ALL_FAIL = 5  # trials of a stage that fail before any ends: something is wrong with all of them
+Attempt = Callable[[Task], Tried]
+
+_KNOWN = (TrialState.COMPLETE, TrialState.FAIL, TrialState.WAITING)
 
 
 @dataclass(frozen=True)
@@ -78,20 +77,18 @@ def search(settings: Settings, method: Mapping[str, Any], dataset: Mapping[str, 
     encoder = registry.make_method(method)
     results = Path(settings.results).expanduser()
     folder = results / "search" / content_key(_origin(settings.seed, method, encoder, stretches))
-    with opened(folder) as study:
+    with open_study(folder) as study:
         for name, part in stretches.items():
             objective.keep(folder / name, part, encoder)
         attempt = objective.Training(folder.absolute(), method)
-        with _executor(settings) as dask, _workers(attempt, jobs, dask) as workers:
-            tried_now = explore(study, workers, settings.trials, settings.seed)
-            trials = study.trials()
-            best = best_of(trials)
-            if best is None:
-                raise RuntimeError("no trial came to an end")
+        with _open_executor(settings, jobs) as (executor, jobs):
+            tried_now = explore(study, executor, attempt, settings.trials, settings.seed, jobs)
+            trials = list_trials(study)
+            best = find_best(trials)
+            assert best is not None
             n_places = {name: part.n_places for name, part in stretches.items()}
-            comparisons = compared(workers, best.values, n_places, settings.seed)
-            started_jobs = workers.started
-        importance = study.importance()
+            comparisons = compare_with_paper(executor, attempt, best.values, n_places, settings.seed)
+        importance = rank_parameters(study)
     return Found(
         settings=settings,
         method=method,
@@ -104,7 +101,7 @@ def search(settings: Settings, method: Mapping[str, Any], dataset: Mapping[str, 
         importance=importance,
         compared=comparisons,
         queried_by=tuple(places.querying(Store(results).runs(), allowed)),
-        jobs=started_jobs,
+        jobs=jobs,
         minutes=(time.perf_counter() - started) / 60,
         environment=surroundings,
     )
@@ -124,55 +121,59 @@ def _origin(
     }
 
 
-def explore(study: Study, workers: Workers[Task, Tried], trials: int, seed: int) -> int:
+def explore(study: optuna.Study, executor: Executor, attempt: Attempt, trials: int, seed: int, jobs: int) -> int:
     """Try random settings, then a grid around the best of them, until `trials` are stored; returns how many it tried.
 
-    Settings that a killed process was trying, and settings whose trial fails, are tried again, a few times.
+    Optuna asks for the settings and keeps the answers; `jobs` of them are tried at a time, by `executor`. Raises
+    RuntimeError if all trials of a stage fail.
     """
     n_random = trials - trials // 3
-    tried = _stage(study, workers, "random", space.drawn(n_random, seed), trials)
-    best = best_of(study.trials(), "random")
-    if best is not None:
-        grid = list(islice(space.around(best.values), 2 * trials))  # of which some may have been tried before
-        tried += _stage(study, workers, "grid", grid, trials)
-    return tried
+    tried = _try_stage(study, executor, attempt, "random", space.drawn(n_random, seed), trials, jobs)
+    best = find_best(list_trials(study), "random")
+    assert best is not None
+    grid = list(islice(space.around(best.values), 2 * trials))  # of which some may have been tried before
+    return tried + _try_stage(study, executor, attempt, "grid", grid, trials, jobs)
 
 
-def _stage(study: Study, workers: Workers[Task, Tried], stage: Stage, points: Sequence[Values], trials: int) -> int:
-    """Try settings that were not tried yet, in their order, as long as there is room for trials.
+def _try_stage(
+    study: optuna.Study,
+    executor: Executor,
+    attempt: Attempt,
+    stage: Stage,
+    points: Sequence[Values],
+    trials: int,
+    jobs: int,
+) -> int:
+    """Try settings that were not tried yet, in their order, as long as there is room for trials."""
+    known = [trial.params or trial.system_attrs["fixed_params"] for trial in study.get_trials(states=_KNOWN)]
+    room = max(0, trials - sum(trial.recall_at_1 is not None for trial in list_trials(study)))
+    waiting = len(study.get_trials(deepcopy=False, states=[TrialState.WAITING]))
+    left = [(point, values) for point, values in enumerate(points) if values not in known]
+    for point, values in left[: max(0, room - waiting)]:
+        study.enqueue_trial(dict(values), user_attrs={"stage": stage, "point": point})
+    wanted = min(room, waiting + len(left))
 
-    Raises RuntimeError if the first few all fail.
-    """
-    tried = 0
-    failures: Counter[int] = Counter()  # by point
-    while todo := _untried(study.trials(), points, failures, trials):
-        begun: dict[int, int] = {}
+    def objective(trial: optuna.Trial) -> float:
+        values = {each.name: trial.suggest_float(each.name, each.low, each.high, log=each.log) for each in PARAMETERS}
+        try:
+            answer = executor.submit(attempt, Task("searched", values)).result()
+        except Exception as error:
+            trial.set_user_attr("failed", f"{type(error).__name__}: {error}")
+            raise
+        if answer.diverged is not None:
+            trial.set_user_attr("diverged", answer.diverged)
+        return answer.recall_at_1
 
-        def begin(task: int, todo: list[int] = todo, begun: dict[int, int] = begun) -> None:
-            begun[task] = study.begin(stage, todo[task], points[todo[task]])
+    def report(study: optuna.Study, ended: FrozenTrial) -> None:
+        progress.report(f"{stage} settings", 1 - len(study.get_trials(states=[TrialState.WAITING])) / max(wanted, 1))
 
-        progress.report(f"{stage} settings", 0.0)
-        tasks = [Task("searched", points[point]) for point in todo]
-        for done, answer in enumerate(workers.answers(tasks, begin), 1):
-            if answer.given is None:
-                study.fail(begun[answer.task], answer.error)
-                failures[todo[answer.task]] += 1
-                if failures.total() == _ALL_FAIL and not tried:
-                    raise RuntimeError(f"the first {_ALL_FAIL} trials failed; the last: {answer.error}")
-            else:
-                study.end(begun[answer.task], answer.given.recall_at_1, answer.given.diverged)
-                tried += 1
-            progress.report(f"{stage} settings", done / len(todo))
-    return tried
-
-
-def _untried(trials: Sequence[Trial], points: Sequence[Values], failures: Mapping[int, int], most: int) -> list[int]:
-    """Return which points are left to try, as many as there is room for."""
-    done = [trial.values for trial in trials if trial.recall_at_1 is not None]
-    left = [
-        number for number, values in enumerate(points) if values not in done and failures.get(number, 0) < _ATTEMPTS
-    ]
-    return left[: max(0, most - len(done))]
+    if wanted:
+        study.optimize(objective, n_trials=wanted, n_jobs=jobs, catch=(Exception,), callbacks=[report])
+    ended = [trial for trial in list_trials(study) if trial.stage == stage]
+    done = [trial for trial in ended if trial.recall_at_1 is not None]
+    if ended and not done:
+        raise RuntimeError(f"all {len(ended)} {stage} trials failed; the last: {ended[-1].failed}")
+    return min(wanted, len(done))
 
 
 def _jobs(requested: int | None) -> int:
@@ -184,17 +185,17 @@ def _jobs(requested: int | None) -> int:
     return min(requested or cores, cores)
 
 
-def _executor(settings: Settings) -> AbstractContextManager[DaskExecutor | None]:
-    """Return the cluster that settings are tried on, None for processes of this search."""
-    if not settings.is_distributed:
-        return nullcontext()
-    from vprbench.jobs.cluster import DaskExecutor
+@contextmanager
+def _open_executor(settings: Settings, jobs: int) -> Iterator[tuple[Executor, int]]:
+    """Open processes of one thread each, or the workers of a cluster, and say how many tasks may run at a time."""
+    if settings.is_distributed:
+        from vprbench.jobs.cluster import DaskExecutor
 
-    return DaskExecutor(settings)
-
-
-def _workers(attempt: objective.Training, jobs: int, dask: DaskExecutor | None) -> Workers[Task, Tried]:
-    return Workers(attempt, jobs) if dask is None else Workers(attempt, dask.room(), dask.of_functions)
+        with DaskExecutor(settings) as dask:
+            yield dask.of_functions(), dask.room()
+        return
+    with ProcessPoolExecutor(jobs, get_context("spawn"), machine.pin_threads, (1,)) as pool:
+        yield pool, jobs
 
 
 def _named(allowed: places.Searchable) -> dict[StretchName, range]:

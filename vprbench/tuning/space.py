@@ -42,15 +42,12 @@ PARAMETERS = tuple(Parameter(name, **values) for name, values in _DECLARED["para
 PAPER: Values = {parameter.name: parameter.paper for parameter in PARAMETERS}
 
 
-def distributions() -> dict[str, BaseDistribution]:
-    """Return the ranges as Optuna knows them."""
-    return {each.name: FloatDistribution(each.low, each.high, log=each.log) for each in PARAMETERS}
-
-
 def drawn(count: int, seed: int) -> list[Values]:
     """Draw settings at random; a larger count of the same seed begins with the same ones."""
     study = optuna.create_study(sampler=optuna.samplers.RandomSampler(seed))
-    ranges = distributions()
+    ranges: dict[str, BaseDistribution] = {
+        each.name: FloatDistribution(each.low, each.high, log=each.log) for each in PARAMETERS
+    }
     settings: list[Values] = []
     while len(settings) < count:
         values = {name: _rounded(value) for name, value in study.ask(ranges).params.items()}
