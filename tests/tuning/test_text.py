@@ -113,7 +113,7 @@ def test_every_trial_is_a_line_of_csv():
 
 @pytest.mark.parametrize(
     ("settings", "stem"),
-    [({}, "search"), ({"dataset": "street"}, "search-street"), ({"quick": True}, "search-quick")],
+    [({}, "search"), ({"dataset": "nordland"}, "search-nordland"), ({"quick": True}, "search-quick")],
 )
 def test_files_are_written_by_dataset_and_size_and_into_the_study(tmp_path, settings, stem):
     found = a_search(settings=Settings(**settings), folder=tmp_path / "study")

@@ -31,7 +31,7 @@ def write(found: Found, folder: Path) -> str:
     """Write the report and every trial into a folder and into the folder of the study; returns the text to print.
 
     In the folder the names tell an unusual dataset and a quick search: search.md and
-    search.csv, search-street.md, search-quick.md.
+    search.csv, search-nordland.md, search-quick.md.
     """
     text, trials = to_text(found), trials_csv(found)
     stem = _stem(found.settings)
