@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..rendering.chance import Ints
-from ..rendering.film import PIXEL
+from .chance import Ints
+from .film import PIXEL
 from .route import DEPTHS, METRE
 
 SIGNS = np.array([-1, 1])  # left, right

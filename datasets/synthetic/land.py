@@ -5,9 +5,9 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from ..rendering.chance import Ints
-from ..rendering.film import BOTTOM, FAR, PIXEL, WIDTH, Canvas, Outlines, Paint
 from .camera import SIGNS, Camera
+from .chance import Ints
+from .film import BOTTOM, FAR, PIXEL, WIDTH, Canvas, Outlines, Paint
 from .route import BELTS, COLUMNS, DEPTHS, METRE, RIDGE_X, TOPS, WATER_LEVEL, View
 from .scenery import SNOW
 from .seasons import Season

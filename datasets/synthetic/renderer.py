@@ -9,9 +9,9 @@ import numpy as np
 
 from vprbench.api import Image
 
-from ..rendering.chance import FULL, Chance
-from ..rendering.film import PIXEL, WIDTH, Canvas, Film, Outlines, Paint, develop, roughen, sky
 from .camera import Camera
+from .chance import FULL, Chance
+from .film import PIXEL, WIDTH, Canvas, Film, Outlines, Paint, develop, roughen, sky
 from .land import belts, ground_colours, land_outlines, paint_ridges, water_colours
 from .route import BELTS, DEPTHS, METRE, PLACE_SPACING, Route, View
 from .scenery import Scenery, Things
@@ -19,7 +19,7 @@ from .seasons import SEASONS, Season, SnowCover
 from .shapes import OUTLINES, UNIT
 from .track import ribbons
 
-#: Raise it whenever a change in this folder, or in what it shares, changes a pixel: it is part of the protocol.
+#: Raise it whenever a change in this folder changes a pixel: it is part of the protocol.
 VERSION = 2
 
 # How many places it takes until the mood of a traverse is another: overcast, haze, camera to the right,
@@ -39,15 +39,15 @@ class Renderer:
         self._scenery = Scenery(self._chance)
         self._film = Film(self._chance)
 
-    def render(self, season_name: str, place: int, ahead: int = 0) -> Image:
-        """Return the frame of a place, or from 1/16 metres `ahead` of it, uint8 (HEIGHT, WIDTH, 3), RGB."""
+    def render(self, season_name: str, place: int) -> Image:
+        """Return the frame of a place, uint8 (HEIGHT, WIDTH, 3), RGB."""
         season = SEASONS[season_name]
         luck = self._chance.dice(600 + season.number, np.array([place]))[:, 0].tolist()
         mood = self._chance.smooth(
             600 + 10 * season.number + np.arange(len(_MOOD_PLACES)), np.array([place]), _MOOD_PLACES
         ).tolist()
         astray = (mood[4] - FULL // 2) * season.astray * METRE // FULL + (luck[0] - 128) // 16
-        position = place * PLACE_SPACING + ahead + astray
+        position = place * PLACE_SPACING + astray
         view = self._route.view(position)
         overcast = min(max(season.overcast + (mood[0] - FULL // 2) // 4, 0), 256)
         camera = self._camera(season, view, luck, mood, overcast)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..rendering.chance import FULL, Chance, Ints
+from .chance import FULL, Chance, Ints
 
 METRE = 16  # units of length
 PLACE_SPACING = 150 * METRE  # what a train covers between two frames of Nordland, some 8 s apart

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from ..rendering.chance import Chance, Ints
+from .chance import Chance, Ints
 from .route import COLUMNS, DEPTHS, METRE, View
 from .seasons import SEASONS, Season, SnowCover
 from .shapes import SHAPE

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..rendering.chance import Ints
-from ..rendering.film import Colour
+from .chance import Ints
+from .film import Colour
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..rendering.chance import Ints
+from .chance import Ints
 
 CORNERS = 10
 #: Outlines are in 1/64 of a thing's half width (to the right) and of its height (upwards).

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..rendering.chance import Ints
-from ..rendering.film import Outlines, Paint
 from .camera import Camera
+from .chance import Ints
+from .film import Outlines, Paint
 from .route import DEPTHS, METRE, WATER_LEVEL, View
 from .scenery import SNOW
 

@@ -36,7 +36,7 @@ DOCUMENTS = (
 PLACES = 12
 PART = (f"dataset.places={PLACES}", "dataset.query_places=8", "dataset.first_query_place=4")
 SMALLER = {
-    **dict.fromkeys(("synthetic", "street", "nordland"), PART),
+    **dict.fromkeys(("synthetic", "nordland"), PART),
     "nordland_64x32": (*PART, "dataset.first_place=0"),
     "vprtempo": ("method.epochs=1", "method.stdp_rate=0.0001"),
     "vprsnn": (

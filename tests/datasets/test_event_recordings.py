@@ -1,7 +1,6 @@
-"""Events: files of any format, drives placed by their logs, and the simulated event camera."""
+"""Events: files of any format, and drives placed by their logs."""
 
 import sys
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from datetime import UTC, datetime
 
@@ -10,16 +9,11 @@ import pytest
 from event_recordings import by_chance, joined, same, write_aedat2, write_aedat4, write_evt3
 from image_folders import REAL, answer, needs_real_frames, rights
 
-from vprbench.api.events import hot_pixels
-from vprbench.datasets import synthetic_events
 from vprbench.datasets.brisbane_events_7x7 import brisbane_events_7x7
 from vprbench.datasets.event_folders import event_folders
 from vprbench.datasets.event_vpr import brisbane_event_vpr, qcr_event_vpr
 from vprbench.datasets.readers import event_files
 from vprbench.datasets.readers.event_files import events_in
-from vprbench.datasets.rendering.film import HEIGHT, WIDTH
-from vprbench.datasets.rendering.journey import World
-from vprbench.datasets.synthetic_events import EventJourney, event_journey, write_recording
 from vprbench.errors import NotThere
 from vprbench.methods.sad import SAD
 
@@ -263,107 +257,3 @@ def test_sad_finds_76_of_724_places_of_brisbane():
     best = sad.query(dataset.queries).argmax(axis=1)
     hits = sum(place in right for place, right in zip(best, dataset.positives, strict=True))
     assert hits == 76  # 0.105 of 724, as the data's own description measured it
-
-
-PIXELS = HEIGHT * WIDTH
-EXACT = {"threshold_spread": 0, "noise_hz": 0, "refractory_us": 0, "steps": 1, "metres": 180 / 16}
-BRIGHTER, DARKER = 0, 1
-
-
-class Wall:
-    """A wall of one grey value, which becomes 1 brighter each 1/16 metre from 20 on; place 1 darkens from 200 on."""
-
-    def __init__(self, seed):
-        self.seed = seed
-
-    def render(self, traverse, place, ahead=0):
-        return np.full((HEIGHT, WIDTH, 3), 200 - ahead if place == DARKER else 20 + ahead, np.uint8)
-
-
-@pytest.fixture
-def _wall(monkeypatch):
-    world = World("the wall", "hour", ("spring",), (0, 1), Wall, 1)
-    monkeypatch.setitem(synthetic_events._WORLDS, "synthetic", world)
-
-
-def seen(place=BRIGHTER, **options):
-    (events,) = EventJourney(**options).recording("spring", [place]).events()
-    return events
-
-
-def per_pixel(events):
-    return np.bincount(events.y.astype(int) * WIDTH + events.x, minlength=PIXELS)
-
-
-# The rule, on a wall whose light changes by the factor (200 + 5.1) / (20 + 5.1) in half a second: by 2.1006 in
-# logarithms, so that the threshold 0.2 is crossed ten times, every 500 * 0.2 / 2.1006 = 47.6 ms.
-
-
-@pytest.mark.usefixtures("_wall")
-@pytest.mark.parametrize(("place", "rising"), [(BRIGHTER, True), (DARKER, False)])
-def test_a_pixel_sends_an_event_whenever_the_logarithm_of_light_has_changed_by_the_threshold(place, rising):
-    events = seen(place, **EXACT)
-    assert (per_pixel(events) == 10).all()
-    assert np.abs(events.t.reshape(10, PIXELS) - 47_605 * np.arange(1, 11)[:, None]).max() < 10
-    assert (events.p == rising).all()
-
-
-@pytest.mark.usefixtures("_wall")
-def test_refractory_times_renderings_thresholds_noise_and_hot_pixels_are_as_the_options_say():
-    for option, expected in (("refractory_us", 47_000), 10), (("refractory_us", 60_000), 5), (("steps", 9), 10):
-        assert (per_pixel(seen(**EXACT | dict([option]))) == expected).all()
-    spread = per_pixel(seen(**EXACT | {"threshold_spread": 0.02}))
-    assert spread.min() < 9 < 11 < spread.max()
-    assert np.array_equal(spread, per_pixel(seen(place=5, **EXACT | {"threshold_spread": 0.02})))  # it lasts
-    still = EXACT | {"metres": 0, "noise_hz": 2.0}
-    expected = 2.0 * PIXELS * 0.5
-    assert abs(per_pixel(seen(**still)).sum() - expected) < 5 * expected**0.5
-    counts = per_pixel(seen(**still | {"hot_pixels": 7})).reshape(HEIGHT, WIDTH)
-    assert hot_pixels(counts, 10).sum() == 7
-    assert not np.array_equal(seen(noise_hz=3, seed=1).t, seen(noise_hz=3).t)
-
-
-@pytest.mark.extended
-def test_frames_count_the_events_of_the_recording_and_places_are_recognised_under_another_light():
-    dataset = event_journey(places=12, references=["spring"], query="winter", hot_pixels=3, first_query_place=2)
-    assert [recording.name for recording in dataset.recordings] == ["spring", "winter"]
-    for images, recording in zip((dataset.references, dataset.queries), dataset.recordings, strict=True):
-        with ThreadPoolExecutor(3) as threads:
-            frames = list(threads.map(images.__getitem__, range(len(images))))
-        chunks = list(recording.events())
-        t, x, y = (np.concatenate([getattr(chunk, name) for chunk in chunks]) for name in "txy")
-        assert (np.diff(t) >= 0).all()
-        counts = np.zeros((len(images), HEIGHT, WIDTH), int)
-        np.add.at(counts, (t // 500_000, y, x), 1)
-        assert np.array_equal(np.minimum(8 * counts, 255), np.array(frames)[..., 0])
-        assert np.array_equal(recording.middle_us, 500_000 * np.arange(len(images)) + 250_000)
-    dataset = event_journey(places=12, journey="street", references=["sun"], query="rain", first_query_place=0)
-    counts = [np.array([frame.ravel() for frame in frames], float) for frames in (dataset.references, dataset.queries)]
-    known, asked = (frames / np.linalg.norm(frames, axis=1, keepdims=True) for frames in counts)
-    assert ((asked @ known.T).argmax(1) == np.arange(12)).mean() > 0.3  # a guess: 0.08
-    one, other = (event_journey(places=10, seed=seed).protocol for seed in (0, 1))
-    assert one != other
-    assert one["threshold"] == 0.2
-
-
-def test_a_written_recording_holds_the_events(tmp_path):
-    h5py = pytest.importorskip("h5py", reason="HDF5 is written with h5py (pip install vprbench[events])")
-    recording = EventJourney(steps=1).recording("fall", [3, 4])
-    write_recording(tmp_path / "fall.h5", recording)
-    with h5py.File(tmp_path / "fall.h5") as file:
-        for name in "txyp":
-            expected = np.concatenate([getattr(chunk, name) for chunk in recording.events()])
-            assert np.array_equal(file["events"][name][:], expected)
-
-
-@pytest.mark.parametrize(
-    ("asked", "told"),
-    [
-        ({"journey": "sea"}, "dataset.journey=sea: choose synthetic or street"),
-        ({"threshold": 0}, "dataset.threshold=0: "),
-        ({"noise_hz": float("nan")}, "dataset.noise_hz=nan: "),
-        ({"hot_pixels": 20_000}, "dataset.hot_pixels=20000: give 0 to 14400"),
-    ],
-)
-def test_what_cannot_be_simulated_is_refused_by_its_option(asked, told):
-    assert told in answer(event_journey, **asked)

@@ -286,7 +286,7 @@ def test_a_method_that_replaces_query_is_refused():
     [
         ({"places": "0-9, 30-39", "also_in": {"synthetic": "0-4", "nordland": "unknown"}}, "kept", ""),
         ({"places": "0-9", "also_in": ["synthetic"]}, "kept", ""),
-        ({"dataset": "streat", "places": "0-9"}, "broken", "street"),
+        ({"dataset": "nordlant", "places": "0-9"}, "broken", "nordland"),
         ({"places": "0-9", "also_in": {"nordland_vprsnn": "0-9"}}, "broken", "nordland_vprsnn"),
         ({"places": "the first ten"}, "broken", "the first ten"),
         ({"places": "9-0"}, "broken", "9-0"),
@@ -295,6 +295,6 @@ def test_a_method_that_replaces_query_is_refused():
     ],
 )
 def test_what_a_method_was_tuned_on_has_to_be_told_by_datasets_and_numbers(tuned_on, state, named):
-    result = next(check_method({**composed("method=sad"), "tuned_on": {"dataset": "street", **tuned_on}}))
+    result = next(check_method({**composed("method=sad"), "tuned_on": {"dataset": "nordland", **tuned_on}}))
     assert result.state == state
     assert named in result.reason

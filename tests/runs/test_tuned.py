@@ -96,7 +96,7 @@ def test_a_run_prints_and_keeps_on_what_its_method_was_tuned_even_if_its_yaml_sa
     [
         (["method=upper", "method.tuned_on=null"], "{dataset: a, places: b}", "method.tuned_on="),
         (["method=upper", "~method.tuned_on"], "{dataset: a, places: b}", "method.tuned_on="),
-        (["method=upper", "method.tuned_on.dataset=street"], "{dataset: a, places: b}", "method.tuned_on="),
+        (["method=upper", "method.tuned_on.dataset=nordland"], "{dataset: a, places: b}", "method.tuned_on="),
         (["method=mine"], "nordland", "mine"),
         (["method=mine"], "{dataset: a, places: b, colour: red}", "mine"),
     ],
@@ -116,7 +116,7 @@ def test_the_command_line_cannot_change_it_and_what_is_no_declaration_is_refused
     [
         ({}, True, 32),
         ({"tuned_on": {"dataset": "synthetic", "places": "0-3, 36-39"}}, True, 32),
-        ({"tuned_on": {"dataset": "street", "places": "0-99", "also_in": {"synthetic": "8-11"}}}, True, 36),
+        ({"tuned_on": {"dataset": "nordland", "places": "0-99", "also_in": {"synthetic": "8-11"}}}, True, 36),
         ({"positives": [[i, i + 1] for i in range(40)], "place_numbers": np.arange(41)}, True, 32),
         ({"positives": [[i + 2] for i in range(40)], "place_numbers": np.arange(42)}, True, 34),
         ({"place_numbers": 2 * np.arange(40)}, True, 36),
@@ -125,7 +125,7 @@ def test_the_command_line_cannot_change_it_and_what_is_no_declaration_is_refused
         ({"dataset": "synthetic_2"}, False, None),
         ({"dataset": "railway", "tuned_on": {"dataset": "railway", "places": "0-7"}}, True, None),  # of nobody's yaml
         ({"tuned_on": {"dataset": "synthetic", "places": "every second place"}}, True, None),
-        ({"tuned_on": {"dataset": "street", "places": "0-7", "also_in": {"synthetic": "unknown"}}}, True, None),
+        ({"tuned_on": {"dataset": "nordland", "places": "0-7", "also_in": {"synthetic": "unknown"}}}, True, None),
         ({"tuned_on": {"dataset": "synthetic", "places": "0-39"}}, True, None),
         ({"tuned_on": {"dataset": "synthetic", "places": "40-99"}}, False, None),
         ({"tuned_on": {}}, False, None),

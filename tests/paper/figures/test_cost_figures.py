@@ -25,7 +25,7 @@ approx = pytest.approx
 METHODS = ("VPRTempo", "VPRTempo, public code", "SAD", "NetVLAD", "CosPlace", "MixVPR")
 PLAN = read_plan(ROOT / "conf" / "table.yaml")
 ROWS = list(PLAN.rows.values())
-NORDLAND, STREET = PLAN.columns["nordland"], PLAN.columns["street"]
+NORDLAND, WINTER = PLAN.columns["nordland"], PLAN.columns["railway_winter"]
 UNPUBLISHED = replace(PLAN.columns["railway"], title="Railway (rendered), 225 places", published=None)
 
 
@@ -171,7 +171,7 @@ def test_training_bars_end_at_the_minutes_without_waiting_for_images_and_a_tick_
 def test_rates_are_of_encode_and_match_together_with_the_middle_four_fifths_of_laps_beside_the_paper_s():
     netvlad = series("NetVLAD", figure_runs.run("netvlad", encode_seconds=0.5, match_seconds=0.1))
     sad = series("SAD", figure_runs.run("sad", encode_seconds=0.001, match_seconds=0.004))
-    for column, rates in ((NORDLAND, [10, 0.5, 2, 2, 353]), (STREET, [185, 0.5, 0.4, 2, 1670])):
+    for column, rates in ((NORDLAND, [10, 0.5, 2, 2, 353]), (WINTER, [185, 0.5, 0.4, 2, 1670])):
         (axes,) = query_rate([sad, netvlad], (), ROWS, column, {}).figure.axes
         assert bars(axes, hatched=False) == {0: approx(200), 1: approx(1 / 0.6)}
         assert [bars(axes, hatched=True)[i] for i in range(5)] == approx(rates)

@@ -31,7 +31,7 @@ from vprbench.runs.thumbnails import Example, Thumbnails
 STORED = Path(__file__).parent / "stored" / "captions.md"
 PLAN = read_plan(ROOT / "conf" / "table.yaml")
 ROWS = list(PLAN.rows.values())
-NORDLAND, STREET = PLAN.columns["nordland"], PLAN.columns["street"]
+NORDLAND, WINTER = PLAN.columns["nordland"], PLAN.columns["railway_winter"]
 UNPUBLISHED = replace(PLAN.columns["railway"], title="Railway (rendered), 225 places", published=None)
 SIZES = (100, 300, 1000, 3000, 9000, 27000)
 NOISY = (Note("noisy", "two carts passed"),)
@@ -94,7 +94,7 @@ def every_kind():
     for bars in (training_time, query_rate):
         yield f"{bars.__name__} on two devices", bars(five, five_rows("cuda", n_places=50), ROWS, NORDLAND, {})
         yield f"{bars.__name__} of one row", bars(five[:1], (), ROWS, PLAN.columns["railway_vprsnn"], words)
-        yield f"{bars.__name__} of what stands in", bars(five[-1:], (), ROWS, STREET, {})
+        yield f"{bars.__name__} of what stands in", bars(five[-1:], (), ROWS, WINTER, {})
         yield f"{bars.__name__} outside of the paper", bars(troubled()[2:], (), [Row("GCL", "gcl")], UNPUBLISHED, {})
     yield "metric", of_rows(five, METRICS["recall_at_5"])
     for kind, grew in of_growth():

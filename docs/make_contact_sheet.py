@@ -1,8 +1,8 @@
-"""Makes docs/synthetic.png and docs/street.png: the same places in columns, one traverse in each row."""
+"""Makes docs/synthetic.png: the same places of the rendered railway in columns, one season in each row."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,10 +10,8 @@ import cv2
 import numpy as np
 
 from vprbench.api.arrays import Image
-from vprbench.api.dataset import Dataset
-from vprbench.datasets.rendering.film import HEIGHT, WIDTH
-from vprbench.datasets.street import street
 from vprbench.datasets.synthetic import synthetic
+from vprbench.datasets.synthetic.film import HEIGHT, WIDTH
 
 GAP = 4  # pixels between frames
 LABEL = 74  # pixels to the left of the frames
@@ -28,22 +26,10 @@ class Block:
     places: Sequence[int]
 
 
-SHEETS: dict[str, tuple[Callable[..., Dataset], tuple[Block, ...]]] = {
-    "synthetic": (
-        synthetic,
-        (
-            Block(("spring", "summer", "fall", "winter"), (118, 805, 960, 1390, 1505, 1827, 2280, 3114)),
-            Block(("summer", "winter"), range(1600, 1608)),
-        ),
-    ),
-    "street": (
-        street,
-        (
-            Block(("sun", "rain", "dusk"), (3, 60, 140, 190, 231, 268, 350, 421)),
-            Block(("sun", "dusk"), range(200, 208)),
-        ),
-    ),
-}
+BLOCKS = (
+    Block(("spring", "summer", "fall", "winter"), (118, 805, 960, 1390, 1505, 1827, 2280, 3114)),
+    Block(("summer", "winter"), range(1600, 1608)),
+)
 
 
 def frame_corner(block: int, row: int, column: int, blocks: Sequence[Block]) -> tuple[int, int]:
@@ -52,14 +38,14 @@ def frame_corner(block: int, row: int, column: int, blocks: Sequence[Block]) -> 
     return (block + 1) * HEADING + rows_above * (HEIGHT + GAP), LABEL + column * (WIDTH + GAP)
 
 
-def sheet(dataset: Callable[..., Dataset], blocks: Sequence[Block]) -> Image:
-    """Return the sheet of a dataset, RGB."""
+def draw_sheet(blocks: Sequence[Block]) -> Image:
+    """Return the sheet, RGB."""
     last = blocks[-1]
     bottom, right = frame_corner(len(blocks) - 1, len(last.traverses) - 1, len(last.places) - 1, blocks)
     page = np.full((bottom + HEIGHT + GAP, right + WIDTH + GAP, 3), 255, np.uint8)
     for number, block in enumerate(blocks):
         for row, traverse in enumerate(block.traverses):
-            shown = dataset(places=max(block.places) + 10, references=[traverse], query=traverse).references
+            shown = synthetic(places=max(block.places) + 10, references=[traverse], query=traverse).references
             for column, place in enumerate(block.places):
                 top, left = frame_corner(number, row, column, blocks)
                 page[top : top + HEIGHT, left : left + WIDTH] = shown[place]
@@ -74,9 +60,8 @@ def _write(page: Image, text: str, left: int, base: int) -> None:
 
 
 if __name__ == "__main__":
-    for name, (dataset, blocks) in SHEETS.items():
-        cv2.imwrite(
-            str(Path(__file__).with_name(f"{name}.png")),
-            cv2.cvtColor(sheet(dataset, blocks), cv2.COLOR_RGB2BGR),
-            [cv2.IMWRITE_PNG_COMPRESSION, 9],
-        )
+    cv2.imwrite(
+        str(Path(__file__).with_name("synthetic.png")),
+        cv2.cvtColor(draw_sheet(BLOCKS), cv2.COLOR_RGB2BGR),
+        [cv2.IMWRITE_PNG_COMPRESSION, 9],
+    )
