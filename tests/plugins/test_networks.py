@@ -3,7 +3,6 @@
 import errno
 import json
 import multiprocessing
-import os
 import pickle
 import tempfile
 from collections.abc import Mapping
@@ -16,7 +15,7 @@ import numpy.typing as npt
 import pytest
 import torch
 from image_folders import answer
-from little import Lookup, Prototypes, destination, journey, pictures, replace_network_and_die
+from little import Lookup, Prototypes, journey, pictures, replace_network_and_die, store_network
 from little_runs import quiet_surroundings
 from plugged_in import plugin, see_plugins
 from safetensors.numpy import save_file
@@ -44,7 +43,7 @@ def fitted(method):
 
 def store(path, method, replace=False):
     """Fit a method and store its network; returns the method."""
-    networks.save_network(destination(path, method, WORLD, replace), fitted(method), "0123", 12.34)
+    store_network(path, fitted(method), WORLD, replace)
     return method
 
 
@@ -91,7 +90,7 @@ def test_arrays_come_back_bit_by_bit(path):
     }
     method = Holding(arrays=arrays)
     path.parent.mkdir()
-    networks.save_network(networks.Destination(path, False, ORIGIN, WORLD.references), method, "", 1.0)
+    networks.save_network(networks.Files(save=path), method, ORIGIN, WORLD.references)
     networks.load_network(path, method, ORIGIN)
     for name, given in arrays.items():
         back = method.arrays[name]
@@ -183,7 +182,7 @@ def test_a_method_that_keeps_no_network_says_what_to_do():
         method.state,
         lambda: method.restore({}),
         lambda: networks.load_network(path, method, ORIGIN),
-        lambda: destination(path, method, WORLD),
+        lambda: networks.require_destination(networks.Files(save=path), method),
     ):
         with pytest.raises(BadInput, match=r"^Lookup keeps no network.*save=.*load="):
             ask()
@@ -207,31 +206,19 @@ def test_a_file_that_cannot_be_stored_is_refused_before_the_training(tmp_path, m
     if name.startswith("denied"):
         monkeypatch.setattr(tempfile, "TemporaryFile", denied)  # root, who may run these tests, has every right
     with pytest.raises(BadInput, match=said):
-        destination(tmp_path / name, Prototypes(), WORLD, force)
+        networks.require_destination(networks.Files(save=tmp_path / name, replace=force), Prototypes())
 
 
 def test_a_file_stays_that_appeared_during_the_training_or_that_a_full_disk_cannot_replace(path, monkeypatch):
-    where = destination(path, Prototypes(seed=1), WORLD)
     store(path, Prototypes(seed=1))
     before = path.read_bytes()
     with pytest.raises(BadInput, match="is there already"):
-        networks.save_network(where, fitted(Prototypes(seed=1)), "of another run", 1.0)
+        networks.save_network(networks.Files(save=path), fitted(Prototypes(seed=1)), ORIGIN, WORLD.references)
     monkeypatch.setattr(Path, "write_bytes", denied)  # as a full disk
     with pytest.raises(BadInput, match=r"stored.*denied"):
         store(path, Prototypes(seed=1), replace=True)
     assert path.read_bytes() == before
     assert [*path.parent.iterdir()] == [path]
-
-
-def test_what_a_killed_run_left_of_a_network_is_removed_after_a_day(path):
-    path.parent.mkdir(parents=True)
-    old, new, other = (path.parent / name for name in (".partial-0", ".partial-1", "notes"))
-    for left in (old, new, other):
-        left.touch()
-    for left in (old, other):
-        os.utime(left, (0, 0))
-    destination(path, Prototypes(), WORLD)
-    assert sorted(path.parent.iterdir()) == [new, other]
 
 
 @pytest.mark.extended
@@ -252,10 +239,9 @@ def test_a_process_killed_at_any_step_of_writing_leaves_the_old_network_or_the_n
 
 
 def test_a_state_that_is_no_array_of_numbers_is_the_methods_mistake(path):
-    where = destination(path, Prototypes(), WORLD)
     for value in (np.array([None]), np.array(["a"]), torch.zeros(1), [1.0]):
         with pytest.raises(TypeError, match=r"Holding\.state\(\).*means"):
-            networks.save_network(where, Holding(arrays={"means": value}), "", 1.0)
+            networks.save_network(networks.Files(save=path), Holding(arrays={"means": value}), ORIGIN, WORLD.references)
 
 
 # Published networks

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from checkout import ROOT
-from little import Prototypes, destination, journey
+from little import Prototypes, store_network
 
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
@@ -44,7 +44,7 @@ def plain():
 def stored(method, folder):
     pytest.importorskip("nir", reason="the extra nir is not installed")
     path = folder / "net.nir"
-    networks.save_network(destination(path, method, RIDE), method, "0123", 1.0)
+    store_network(path, method, RIDE)
     return path
 
 
@@ -127,10 +127,10 @@ def test_what_is_no_circuit_and_a_missing_package_are_named_before_the_training(
         (Prototypes(), "Prototypes"),
     ):
         with pytest.raises(BadInput, match=named):
-            destination(tmp_path / "net.nir", method, journey(8, 4))
+            networks.require_destination(networks.Files(save=tmp_path / "net.nir"), method)
     monkeypatch.setattr("vprbench.plugins.nir_files.find_spec", lambda name: None)
     with pytest.raises(BadInput, match=r"vprbench\[nir\]"):
-        destination(tmp_path / "net.nir", VPRTempo(**SMALL), RIDE)
+        networks.require_destination(networks.Files(save=tmp_path / "net.nir"), VPRTempo(**SMALL))
     (tmp_path / "net.nir").touch()
     with pytest.raises(BadInput, match=r"vprbench\[nir\]"):
         loaded(tmp_path / "net.nir", VPRTempo(**SMALL))

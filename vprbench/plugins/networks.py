@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
@@ -21,7 +20,7 @@ from vprbench.api.method import Method, calibration
 from vprbench.api.weight_files import is_plain, read_weights
 from vprbench.errors import BadInput
 from vprbench.plugins import nir_files
-from vprbench.storage.atomic import remove_leftovers, replace_bytes
+from vprbench.storage.atomic import replace_bytes
 from vprbench.storage.tensors import Arrays, plain
 
 _OURS, _PUBLISHED = ".safetensors", ".pth"
@@ -55,16 +54,6 @@ class Origin(BaseModel):
     fit_seconds: float = 0.0
 
 
-@dataclass(frozen=True)
-class Destination:
-    """The file that a run stores its network in, and the origin of the network."""
-
-    path: Path
-    replace: bool
-    origin: Origin
-    examples: Images  # references
-
-
 def find_network_files(save: str | None, load: str | None, replace: bool) -> Files:
     """Return the files that the options of a run name; raises BadInput if the one to load cannot be read."""
     source = None if load is None else Path(load).expanduser()
@@ -77,7 +66,9 @@ def keeps_a_network(method: Method) -> bool:
     return type(method).state is not Method.state and type(method).restore is not Method.restore
 
 
-def describe_origin(method: Method, arguments: Mapping[str, Any], dataset: Dataset) -> Origin:
+def describe_origin(
+    method: Method, arguments: Mapping[str, Any], dataset: Dataset, run_key: str = "", fit_seconds: float = 0.0
+) -> Origin:
     """Return the origin of a network that a method, configured by `arguments`, learns on a dataset."""
     digest = hashlib.sha256(dataset.references.fingerprint().encode())
     digest.update(dataset.places.tobytes())
@@ -90,20 +81,16 @@ def describe_origin(method: Method, arguments: Mapping[str, Any], dataset: Datas
         n_places=dataset.n_places,
         references=digest.hexdigest(),
         held_out=None if held_out is None else held_out.fingerprint(),
+        run=run_key,
+        fit_seconds=fit_seconds,
     )
 
 
-def prepare_destination(
-    files: Files, method: Method, arguments: Mapping[str, Any], dataset: Dataset
-) -> Destination | None:
-    """Return the destination of the network that a run is about to train, None without `save`, and make its folder.
-
-    Raises:
-        BadInput: the network could not be stored there; the training, which may take an hour, has not begun.
-    """
+def require_destination(files: Files, method: Method) -> None:
+    """Raise BadInput if the network could not be stored, before a training that may take an hour; make its folder."""
     path = files.save
     if path is None:
-        return None
+        return
     _require_a_network(method)
     if path.suffix == nir_files.SUFFIX:
         nir_files.require_circuit(path, method)
@@ -112,31 +99,33 @@ def prepare_destination(
     try:
         _refuse_to_replace(path, files.replace)
         path.parent.mkdir(parents=True, exist_ok=True)
-        remove_leftovers(path.parent)
         with tempfile.TemporaryFile(dir=path.parent):
             pass  # the folder can be written to
     except OSError as error:
         raise BadInput(f"save={path} cannot be written ({error.strerror}): choose another file") from error
-    n = len(dataset.references)
-    examples = dataset.references[np.linspace(0, n - 1, min(nir_files.EXAMPLES, n)).astype(int)]
-    return Destination(path, files.replace, describe_origin(method, arguments, dataset), examples)
 
 
-def save_network(destination: Destination, method: Method, run_key: str, fit_seconds: float) -> None:
+def save_network(files: Files, method: Method, origin: Origin, references: Images) -> None:
     """Store the state of a method; a reader sees the old file or the whole new one, never a part.
+
+    Args:
+        files: the file to store it in, under `save`.
+        method: the trained method.
+        origin: the origin of its network.
+        references: images, of which some become a check of a file of NIR.
 
     Raises:
         BadInput: the disk refuses, or another run has stored a network there meanwhile.
         TypeError: `state` holds anything but arrays of numbers.
     """
-    path = destination.path
-    origin = destination.origin.model_copy(update={"run": run_key, "fit_seconds": fit_seconds})
+    path = files.save
+    assert path is not None
     state = {name: plain(array, f"{type(method).__name__}.state()[{name!r}]") for name, array in method.state().items()}
     content = save(state, {_METADATA: json.dumps(origin.model_dump())})
     if path.suffix == nir_files.SUFFIX:
-        content = nir_files.format_network(method, destination.examples, content)
+        content = nir_files.format_network(method, references, content)
     try:
-        _refuse_to_replace(path, destination.replace)
+        _refuse_to_replace(path, files.replace)
         replace_bytes(path, content)
     except OSError as error:
         raise BadInput(f"the network could not be stored in {path} ({error}): nothing was changed there") from error

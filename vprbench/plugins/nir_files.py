@@ -22,7 +22,7 @@ from vprbench.errors import BadInput
 
 SUFFIX = ".nir"
 STEPS = 64
-EXAMPLES = 32  # references among which the check vector is chosen
+_EXAMPLES = 32  # references among which the check vector is chosen
 _CONTENT = "vprbench"  # the array of the network as safetensors, which other readers ignore
 _ROUNDING = 1e-4  # of the largest answer
 
@@ -43,7 +43,7 @@ def require_circuit(path: Path, method: Method) -> None:
     method.check_circuit()
 
 
-def format_network(method: Method, examples: Images, content: bytes) -> bytes:
+def format_network(method: Method, references: Images, content: bytes) -> bytes:
     """Return a file of NIR: the graph of a trained method with a check vector, and `content` beside the graph."""
     import h5py  # type: ignore[import-untyped, unused-ignore]
     import nir  # type: ignore[import-untyped, unused-ignore]
@@ -51,6 +51,7 @@ def format_network(method: Method, examples: Images, content: bytes) -> bytes:
     assert isinstance(method, HasCircuit)
     circuit = method.circuit()
     graph = _build_graph(circuit)
+    examples = references[np.linspace(0, len(references) - 1, min(_EXAMPLES, len(references))).astype(int)]
     graph.metadata = _describe_graph(graph, circuit, np.asarray(method.encode(examples), np.float32))
     buffer = BytesIO()
     nir.write(buffer, graph)
