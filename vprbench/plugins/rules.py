@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, is_dataclass
 from functools import cached_property
 from typing import Any
@@ -133,28 +134,22 @@ def _check_unfitted(subject: Subject) -> None:
 
 
 def _check_inputs(subject: Subject) -> None:
-    world, untouched = Journey.draw(), Journey.draw()
-    method = subject.fit_new(world)
-    codes = method.encode(world.query_images)
-    before = np.array(codes, copy=True)
-    method.match(codes)
-    require(np.array_equal(np.asarray(codes), before), "match changed the codes")
-    require(np.array_equal(world.places, untouched.places), "fit changed the place ids")
-    images = zip(world.references + world.queries, untouched.references + untouched.queries, strict=True)
-    require(all(np.array_equal(image, drawn) for image, drawn in images), "an image was changed")
+    world = Journey.draw()
+    with _require_unchanged("place ids", world.places), _require_unchanged("images", *world.references, *world.queries):
+        method = subject.fit_new(world)
+        codes = method.encode(world.query_images)
+        with _require_unchanged("codes", codes):
+            method.match(codes)
 
 
 def _check_returned(subject: Subject) -> None:
     method, queries = subject.shared, Journey.draw().query_images
     codes = method.encode(queries[:3])
-    codes_before = np.array(codes, copy=True)
-    later = method.encode(queries[3:])
-    scores = method.match(codes_before)
-    scores_before = np.array(scores, copy=True)
-    method.match(later)
-    for name, array, before in (("encode", codes, codes_before), ("match", scores, scores_before)):
-        same = np.array_equal(np.asarray(array), before)
-        require(same, f"a later call changes what {name} returned: return an array of its own")
+    with _require_unchanged("the codes that encode returned", codes):
+        later = method.encode(queries[3:])
+    scores = method.match(codes)
+    with _require_unchanged("the scores that match returned", scores):
+        method.match(later)
 
 
 def _check_seed(subject: Subject) -> None:
@@ -237,13 +232,12 @@ def _check_extended(subject: Subject) -> None:
     method = subject.make()
     method.fit(images[known], world.places[known])
     scores = method.query(world.query_images)
-    before = scores.copy()
-    for place in range(first_new, N_PLACES):
-        own = np.flatnonzero(world.places == place)
-        method.extend(images[own], world.places[own])
+    with _require_unchanged("the scores that match returned", scores):
+        for place in range(first_new, N_PLACES):
+            own = np.flatnonzero(world.places == place)
+            method.extend(images[own], world.places[own])
     after = method.query(world.query_images)[:, :first_new]
-    _require_same(before, after, "learning more places changes the scores of known ones")
-    require(np.array_equal(scores, before), "extend changes what match returned")
+    _require_same(scores, after, "learning more places changes the scores of known ones")
     right = np.count_nonzero(method.query(images[new])[:, first_new:].argmax(1) == world.places[new] - first_new)
     complaint = f"only {right} of {len(new)} images of new places score highest at their own among these"
     require(2 * right > len(new), complaint)
@@ -254,8 +248,8 @@ def _check_spikes(subject: Subject) -> None:
     method = subject.fit_new(world)
     scores = method.query(world.query_images)
     codes = method.encode(world.query_images)
-    before = np.array(codes, copy=True)
-    layers = list(method.spikes(codes))
+    with _require_unchanged("codes", codes):
+        layers = list(method.spikes(codes))
     names = [layer.name for layer in layers]
     require(all(names) and len(set(names)) == len(names), f"layers named {names}; wanted a name each")
     for layer in layers:
@@ -264,8 +258,7 @@ def _check_spikes(subject: Subject) -> None:
         require(right, f"layer {layer.name} has spikes of shape {shape}; wanted {wanted}")
         right = np.isfinite(layer.values).all() and (layer.values >= 0).all()
         require(right, f"layer {layer.name} has spikes that are not finite or below 0")
-    same = np.array_equal(np.asarray(codes), before) and np.array_equal(method.query(world.query_images), scores)
-    require(same, "counting spikes changes codes or later scores")
+    require(np.array_equal(method.query(world.query_images), scores), "counting spikes changes later scores")
 
 
 def _except_adapted(method: Method) -> None:
@@ -276,6 +269,15 @@ def _except_adapted(method: Method) -> None:
 
 def _as_lists(value: Any) -> Any:
     return [*map(_as_lists, value)] if isinstance(value, list | tuple) else value
+
+
+@contextmanager
+def _require_unchanged(name: str, *arrays: Any) -> Iterator[None]:
+    """Require that the block changes none of some arrays."""
+    before = [np.array(array, copy=True) for array in arrays]
+    yield
+    same = all(np.array_equal(np.asarray(array), copy) for array, copy in zip(arrays, before, strict=True))
+    require(same, f"a call changes {name}: work on a copy, and return an array of its own")
 
 
 def _require_not_fitted(ask: Callable[[], Any], name: str) -> None:
