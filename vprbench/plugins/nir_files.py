@@ -73,8 +73,8 @@ def read_content(path: Path) -> bytes:
             if _CONTENT not in file:
                 return b""
             array = file[_CONTENT]
-            if array.nbytes > path.stat().st_size:
-                raise ValueError(f"it declares {array.nbytes} bytes")
+            if array.dtype != np.uint8 or array.nbytes > path.stat().st_size:
+                raise ValueError(f"it declares {array.nbytes} bytes of {array.dtype}")
             return bytes(array[()].tobytes())
     except (AttributeError, KeyError, RuntimeError, TypeError) as error:
         raise ValueError(str(error)) from error
