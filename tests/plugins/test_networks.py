@@ -3,6 +3,7 @@
 import errno
 import json
 import multiprocessing
+import os
 import pickle
 import tempfile
 from collections.abc import Mapping
@@ -55,11 +56,11 @@ def load(path, method, dataset=WORLD, **arguments):
 def refusal(path, method=None, dataset=WORLD, **arguments):
     """Return the one line that refuses a file, and see that the method was given nothing."""
     method = method or Prototypes()
-    told = answer(load, path, method, dataset, **arguments)
+    line = answer(load, path, method, dataset, **arguments)
     with pytest.raises(NotFittedError):
         method.state()
-    assert str(path) in told
-    return told
+    assert str(path) in line
+    return line
 
 
 @dataclass
@@ -109,8 +110,8 @@ def test_arrays_come_back_bit_by_bit(path):
 )
 def test_what_no_training_sees_may_differ(path, trained, loaded, given):
     store(path, trained)
-    told = load(path, loaded, replace(WORLD, name="voyage"), **given)
-    assert told == ("loaded network: run 0123 trained it in 12.3 s",)
+    notes = load(path, loaded, replace(WORLD, name="voyage"), **given)
+    assert notes == ("loaded network: run 0123 trained it in 12.3 s",)
     assert np.array_equal(loaded.state()["means"], trained.state()["means"])
 
 
@@ -219,6 +220,15 @@ def test_a_file_stays_that_appeared_during_the_training_or_that_a_full_disk_cann
         store(path, Prototypes(seed=1), replace=True)
     assert path.read_bytes() == before
     assert [*path.parent.iterdir()] == [path]
+
+
+def test_what_a_killed_run_left_of_a_network_is_removed_after_a_day(path):
+    path.parent.mkdir(parents=True)
+    for name in (".partial-0", "notes"):
+        (path.parent / name).touch()
+        os.utime(path.parent / name, (0, 0))
+    networks.require_destination(networks.Files(save=path), Prototypes())
+    assert [left.name for left in path.parent.iterdir()] == ["notes"]
 
 
 @pytest.mark.extended
@@ -377,7 +387,7 @@ def test_cells_of_a_sweep_store_networks_under_their_own_names_and_none_replaces
     monkeypatch.setattr(executors, "run_in_child", Apart())
     run("-m", "seed=0,1", "save=nets/net-${seed}.safetensors")
     assert sorted(path.name for path in Path("nets").iterdir()) == ["net-0.safetensors", "net-1.safetensors"]
-    told = run("-m", "seed=2,3", "save=nets/net.safetensors", code=2)[1]
-    assert "save=nets/net.safetensors is there already: give another name (in a sweep" in told
+    errors = run("-m", "seed=2,3", "save=nets/net.safetensors", code=2)[1]
+    assert "save=nets/net.safetensors is there already: give another name (in a sweep" in errors
     keys = {record.parent.name for record in Path("results").rglob("run.json")}
     assert keys == {f"prototypes-{networks.read_run_key(path)}" for path in Path("nets").iterdir()}

@@ -20,7 +20,7 @@ from vprbench.api.method import Method, calibration
 from vprbench.api.weight_files import is_plain, read_weights
 from vprbench.errors import BadInput
 from vprbench.plugins import nir_files
-from vprbench.storage.atomic import replace_bytes
+from vprbench.storage.atomic import remove_leftovers, replace_bytes
 from vprbench.storage.tensors import Arrays, plain
 
 _OURS, _PUBLISHED = ".safetensors", ".pth"
@@ -99,6 +99,7 @@ def require_destination(files: Files, method: Method) -> None:
     try:
         _refuse_to_replace(path, files.replace)
         path.parent.mkdir(parents=True, exist_ok=True)
+        remove_leftovers(path.parent)
         with tempfile.TemporaryFile(dir=path.parent):
             pass  # the folder can be written to
     except OSError as error:

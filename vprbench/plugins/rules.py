@@ -280,9 +280,9 @@ def _require_unchanged(name: str, *arrays: Any) -> Iterator[None]:
     require(same, f"a call changes {name}: work on a copy, and return an array of its own")
 
 
-def _require_not_fitted(ask: Callable[[], Any], name: str) -> None:
+def _require_not_fitted(call: Callable[[], Any], name: str) -> None:
     try:
-        ask()
+        call()
     except NotFittedError:
         return
     raise RuleBrokenError(f"{name} before fit raised no NotFittedError")
