@@ -26,7 +26,7 @@ from vprbench.methods.parts.backbones.compiled_blocks import CompiledBlocks, com
 from vprbench.methods.parts.backbones.efficientnet_lite import EfficientNetLite, count_multiply_adds
 from vprbench.plugins import registry
 from vprbench.plugins.conformance import check_method
-from vprbench.plugins.rules import RULES, STORED_RULE, Journey
+from vprbench.plugins.rules import RULES, Journey
 
 #: Of each block of lite0: input and output channels, kernel, stride, expansion (Tan and Le 2019, table 1).
 LITE0 = [
@@ -348,8 +348,8 @@ def test_a_method_keeps_every_rule_under_a_mean_that_is_taken_off(method, adapt)
     small = {"efficientnet": SMALL, "hog": {"height": 32, "width": 40}}.get(method, {})
     results = [*check_method({**config(f"method={method}"), **small, "adapt": adapt})]
     assert [str(result) for result in results if result.state == "broken"] == []
-    excepted = {result.rule for result in results if result.state == "excepted"}
-    assert excepted == ({STORED_RULE} if small else set())
+    excepted = [result.rule for result in results if result.state == "excepted"]
+    assert len(excepted) == bool(small) + 2 * (adapt != "references")  # stored networks; batches and the order
     assert {result.rule for result in results} >= {*RULES}
 
 

@@ -38,8 +38,8 @@ def main(python, n_queries=1000):
         with TemporaryDirectory() as folder:
             net = Path(folder) / f"{rule}.nir"
             arguments = {name: value for name, value in vars(method).items() if not name.startswith("_")}
-            destination = networks.prepare_destination(networks.Files(save=net), method, arguments, dataset)
-            networks.save_network(destination, method, "check", 0.0)
+            origin = networks.describe_origin(method, arguments, dataset)
+            networks.save_network(networks.Files(save=net), method, origin, dataset.references)
             graph = nir.read(net)
             in_brian2 = partial(simulators.in_brian2, python, net, Path(folder))
             ways = {"plain": simulators.plain, "snnTorch": simulators.in_snntorch, "Brian2": in_brian2}

@@ -1,4 +1,4 @@
-"""Files of arrays and paths: sealed, replaced as a whole, shards of one array, and very many paths in order."""
+"""Files of arrays and paths: replaced as a whole, shards of one array, and very many paths in order."""
 
 import pickle
 from pathlib import Path
@@ -9,13 +9,11 @@ from file_limit import no_file_may_exceed
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from natsort import natsorted
-from safetensors.numpy import save_file
 
 from vprbench.storage import shards
 from vprbench.storage.atomic import replace_bytes
 from vprbench.storage.paths import Paths, natural_keys
 from vprbench.storage.shards import Shards, Writer
-from vprbench.storage.tensors import Seal
 
 
 def test_a_reader_keeps_the_old_file_and_a_full_disk_leaves_it_alone(tmp_path):
@@ -27,41 +25,6 @@ def test_a_reader_keeps_the_old_file_and_a_full_disk_leaves_it_alone(tmp_path):
     with no_file_may_exceed(1000), pytest.raises(OSError, match="large"):
         replace_bytes(path, bytes(2000))
     assert [(each.name, each.read_bytes()) for each in tmp_path.iterdir()] == [("table.csv", b"new")]
-
-
-SEAL = Seal("about", "digest")
-ARRAYS = {"weights": np.arange(6, dtype=np.int32).reshape(2, 3), "bias": np.zeros(2, np.float32)}
-
-
-@pytest.mark.parametrize(
-    ("text", "arrays", "whole"),
-    [
-        ("told", ARRAYS, True),
-        ("tolt", ARRAYS, False),
-        ("told", {"weights": ARRAYS["weights"], "bjas": ARRAYS["bias"]}, False),
-        ("told", {**ARRAYS, "weights": ARRAYS["weights"].reshape(3, 2)}, False),
-        ("told", {**ARRAYS, "weights": ARRAYS["weights"].view(np.uint32)}, False),
-        ("told", {"weights": ARRAYS["weights"]}, False),
-    ],
-    ids=["nothing", "text", "name", "shape", "type", "array missing"],
-)
-def test_a_change_is_seen(tmp_path, text, arrays, whole):
-    digest = SEAL.metadata("told", ARRAYS)["digest"]
-    save_file(dict(arrays), tmp_path / "file", {"about": text, "digest": digest})
-    found, read, same = SEAL.read(tmp_path / "file")
-    assert (found, same) == (text, whole)
-    assert {name: array.tolist() for name, array in read.items()} == {name: a.tolist() for name, a in arrays.items()}
-
-
-def test_what_is_no_sealed_file_is_not_whole(tmp_path):
-    save_file(ARRAYS, tmp_path / "file")
-    text, _, whole = SEAL.read(tmp_path / "file")
-    assert (text, whole) == (None, False)
-    (tmp_path / "file").write_bytes(b"no tensors")
-    with pytest.raises(ValueError, match=r"."):
-        SEAL.read(tmp_path / "file")
-    with pytest.raises(FileNotFoundError):
-        SEAL.read(tmp_path / "nowhere")
 
 
 N, D = 300, 5

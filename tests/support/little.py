@@ -243,18 +243,18 @@ def replace_and_die(root, step):
     store.save(a_run(n_references=22))
 
 
-def destination(path, method, dataset, replace=False):
-    """Return where a network goes that `method` learns on `dataset` under the arguments it has."""
+def store_network(path, method, dataset, replace=False, key="0123"):
+    """Store the network that `method` has learnt on `dataset` under the arguments it has."""
     arguments = {n: v for n, v in vars(method).items() if not n.startswith("_") and n != "reference_mean"}
-    found = networks.prepare_destination(networks.Files(save=path, replace=replace), method, arguments, dataset)
-    assert found is not None
-    return found
+    files = networks.Files(save=path, replace=replace)
+    networks.require_destination(files, method)
+    origin = networks.describe_origin(method, arguments, dataset, key, 12.34)
+    networks.save_network(files, method, origin, dataset.references)
 
 
 def replace_network_and_die(path, step):
     """Replace a stored network, killed before a step."""
     dataset = journey(4, 4)
     method = Prototypes(seed=1).fit(dataset.references, dataset.places)
-    where = destination(path, method, dataset, replace=True)
     die_before(step)
-    networks.save_network(where, method, "new", 1.0)
+    store_network(path, method, dataset, replace=True, key="new")

@@ -10,19 +10,9 @@ from typing import Any, Literal
 from vprbench.errors import BadInput
 from vprbench.plugins.dataset_rules import DATASET_RULES, BuiltDataset
 from vprbench.plugins.local_plugins import describe_error
-from vprbench.plugins.networks import keeps_a_network
 from vprbench.plugins.opened_files import find_unnamed_files, record_opened_files
 from vprbench.plugins.registry import arguments, entries, make_dataset, make_method, near
-from vprbench.plugins.rules import (
-    ENCODE_RULE,
-    EXTENDED_RULE,
-    RULES,
-    STORED_RULE,
-    RuleBrokenError,
-    RuleExceptedError,
-    Subject,
-    require,
-)
+from vprbench.plugins.rules import ENCODE_RULE, RULES, RuleBrokenError, RuleExceptedError, Subject, require
 from vprbench.plugins.tuned_places import UNKNOWN, parse_places, parse_tuned_on
 from vprbench.text import some
 
@@ -46,8 +36,7 @@ class Result:
 def check_method(config: Mapping[str, Any], given: Set[str] = frozenset()) -> Iterator[Result]:
     """Put the method of a configuration to every rule.
 
-    A rule in the method's `conformance_exceptions` is excepted with its reason, and the rule on stored networks if the
-    method keeps none. The rule on growing maps holds for methods that extend. The first fit and encode that fail are
+    A rule in the method's `conformance_exceptions` is excepted with its reason. The first fit and encode that fail are
     the last result, for without codes every other rule would say the same.
 
     Args:
@@ -64,18 +53,16 @@ def check_method(config: Mapping[str, Any], given: Set[str] = frozenset()) -> It
     own = {name: value for name, value in method.conformance_arguments.items() if name not in given}
     config = {**arguments(config), **own}
     exceptions = dict(method.conformance_exceptions)
-    if not keeps_a_network(method):
-        exceptions.setdefault(STORED_RULE, "it keeps no network")
     subject = Subject(partial(make_method, config), config)
     with record_opened_files() as opened:
         for rule, test in RULES.items():
             if rule in exceptions:
                 yield Result(rule, "excepted", exceptions.pop(rule))
-            elif rule != EXTENDED_RULE or method.extends:
-                result = _apply(rule, partial(test, subject))
-                yield result
-                if rule == ENCODE_RULE and result.state == "broken":
-                    return
+                continue
+            result = _apply(rule, partial(test, subject))
+            yield result
+            if rule == ENCODE_RULE and result.state == "broken":
+                return
     if unnamed := find_unnamed_files(opened, method):
         remedy = "return it from files(), or runs are found again whatever it holds"
         yield Result(FILES_RULE, "broken", f"it reads {some(unnamed)}: {remedy}")

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import hashlib
-import inspect
 import json
-import os
+import tempfile
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
-import numpy as np
+from pydantic import BaseModel, ConfigDict, ValidationError
 from safetensors import SafetensorError
-from safetensors.numpy import save_file
+from safetensors.numpy import load, save
 
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
@@ -21,12 +20,11 @@ from vprbench.api.method import Method, calibration
 from vprbench.api.weight_files import is_plain, read_weights
 from vprbench.errors import BadInput
 from vprbench.plugins import nir_files
-from vprbench.storage.atomic import remove_leftovers, unfinished
-from vprbench.storage.tensors import Arrays, Seal, plain
+from vprbench.storage.atomic import remove_leftovers, replace_bytes
+from vprbench.storage.tensors import Arrays, plain
 
-FORMAT = 1
 _OURS, _PUBLISHED = ".safetensors", ".pth"
-_SEAL = Seal("vprbench", "vprbench_sha256")  # the text about a network: how it came about, as JSON
+_METADATA = "vprbench"  # the entry of a file's metadata that holds the origin of its network, as JSON
 _UNCHECKED = "published network: neither its arguments nor its training images could be checked"
 
 
@@ -40,26 +38,20 @@ class Files:
     replace: bool = False  # a file that is there already
 
 
-@dataclass(frozen=True)
-class Origin:
+class Origin(BaseModel):
     """The method, its arguments, and the data that a network was trained with."""
 
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    format: Literal[2] = 2  # of the file
     kind: str  # `stored_as` of the method, or the name of its class
-    arguments: Mapping[str, Any]  # of the method, but for its device
+    arguments: dict[str, Any]  # of the method, but for its device
     dataset: str
     n_places: int
     references: str  # hash of the reference images and their places
     held_out: str | None = None  # hash of the places that its settings were chosen by
-
-
-@dataclass(frozen=True)
-class Destination:
-    """The file that a run stores its network in, and the origin of the network."""
-
-    path: Path
-    replace: bool
-    origin: Origin
-    examples: Images  # references
+    run: str = ""  # key of the run that trained it
+    fit_seconds: float = 0.0
 
 
 def find_network_files(save: str | None, load: str | None, replace: bool) -> Files:
@@ -74,7 +66,9 @@ def keeps_a_network(method: Method) -> bool:
     return type(method).state is not Method.state and type(method).restore is not Method.restore
 
 
-def describe_origin(method: Method, arguments: Mapping[str, Any], dataset: Dataset) -> Origin:
+def describe_origin(
+    method: Method, arguments: Mapping[str, Any], dataset: Dataset, run_key: str = "", fit_seconds: float = 0.0
+) -> Origin:
     """Return the origin of a network that a method, configured by `arguments`, learns on a dataset."""
     digest = hashlib.sha256(dataset.references.fingerprint().encode())
     digest.update(dataset.places.tobytes())
@@ -87,74 +81,63 @@ def describe_origin(method: Method, arguments: Mapping[str, Any], dataset: Datas
         n_places=dataset.n_places,
         references=digest.hexdigest(),
         held_out=None if held_out is None else held_out.fingerprint(),
+        run=run_key,
+        fit_seconds=fit_seconds,
     )
 
 
-def prepare_destination(
-    files: Files, method: Method, arguments: Mapping[str, Any], dataset: Dataset
-) -> Destination | None:
-    """Return the destination of the network that a run is about to train, None without `save`, and make its folder.
-
-    Raises:
-        BadInput: the network could not be stored there; the training, which may take an hour, has not begun.
-    """
+def require_destination(files: Files, method: Method) -> None:
+    """Raise BadInput if the network could not be stored, before a training that may take an hour; make its folder."""
     path = files.save
     if path is None:
-        return None
+        return
     _require_a_network(method)
     if path.suffix == nir_files.SUFFIX:
-        nir_files.require_nir(path, method)
+        nir_files.require_circuit(path, method)
     elif path.suffix != _OURS:
         raise BadInput(f"save={path}: give a file that ends in {_OURS} or {nir_files.SUFFIX}")
     try:
         _refuse_to_replace(path, files.replace)
         path.parent.mkdir(parents=True, exist_ok=True)
         remove_leftovers(path.parent)
-        probe = unfinished(path.parent)
-        probe.touch()
-        probe.unlink()
+        with tempfile.TemporaryFile(dir=path.parent):
+            pass  # the folder can be written to
     except OSError as error:
         raise BadInput(f"save={path} cannot be written ({error.strerror}): choose another file") from error
-    n = len(dataset.references)
-    examples = dataset.references[np.linspace(0, n - 1, min(nir_files.EXAMPLES, n)).astype(int)]
-    path = path.absolute()  # a method may change the working folder
-    return Destination(path, files.replace, describe_origin(method, arguments, dataset), examples)
 
 
-def save_network(destination: Destination, method: Method, run_key: str, fit_seconds: float) -> None:
+def save_network(files: Files, method: Method, origin: Origin, references: Images) -> None:
     """Store the state of a method; a reader sees the old file or the whole new one, never a part.
+
+    Args:
+        files: the file to store it in, under `save`.
+        method: the trained method.
+        origin: the origin of its network.
+        references: images, of which some become a check of a file of NIR.
 
     Raises:
         BadInput: the disk refuses, or another run has stored a network there meanwhile.
         TypeError: `state` holds anything but arrays of numbers.
     """
-    path = destination.path
-    description = {"format": FORMAT, "run": run_key, "fit_seconds": fit_seconds, **asdict(destination.origin)}
-    text = json.dumps(description, sort_keys=True)
+    path = files.save
+    assert path is not None
     state = {name: plain(array, f"{type(method).__name__}.state()[{name!r}]") for name, array in method.state().items()}
-    partial = unfinished(path.parent)
+    content = save(state, {_METADATA: json.dumps(origin.model_dump())})
+    if path.suffix == nir_files.SUFFIX:
+        content = nir_files.format_network(method, references, content)
     try:
-        if path.suffix == nir_files.SUFFIX:
-            nir_files.write_network(partial, method, destination.examples, text, state, _SEAL)
-        else:
-            save_file(state, partial, _SEAL.metadata(text, state))
-        with partial.open("rb+") as file:
-            os.fsync(file.fileno())
-        _refuse_to_replace(path, destination.replace)
-        partial.replace(path)
-    except (OSError, SafetensorError) as error:
+        _refuse_to_replace(path, files.replace)
+        replace_bytes(path, content)
+    except OSError as error:
         raise BadInput(f"the network could not be stored in {path} ({error}): nothing was changed there") from error
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def read_run_key(path: Path) -> str | None:
     """Return the key of the run that trained the network in a file, None if there is no whole one."""
     try:
-        description, _ = _read_network(path)
+        return _read_network(path)[0].run
     except BadInput:
         return None
-    return str(description["run"])
 
 
 def load_network(path: Path, method: Method, wanted: Origin) -> tuple[str, ...]:
@@ -167,13 +150,13 @@ def load_network(path: Path, method: Method, wanted: Origin) -> tuple[str, ...]:
     if path.suffix == _PUBLISHED:
         state, note = _read_published(path), _UNCHECKED
     else:
-        description, state = _read_network(path)
-        if differences := _list_differences(description, wanted, method):
+        origin, state = _read_network(path)
+        if differences := _list_differences(origin, wanted, method):
             raise BadInput(
                 f"{path} holds another network than this run needs: {'; '.join(differences)}; "
                 "give what it was trained with and on, or train anew without load="
             )
-        note = f"loaded network: run {description['run']} trained it in {description['fit_seconds']:.1f} s"
+        note = f"loaded network: run {origin.run} trained it in {origin.fit_seconds:.1f} s"
     try:
         method.restore(state)
     except BadInput as error:
@@ -181,54 +164,44 @@ def load_network(path: Path, method: Method, wanted: Origin) -> tuple[str, ...]:
     return (note,)
 
 
-def _list_differences(stored: Mapping[str, Any], wanted: Origin, method: Method) -> list[str]:
-    """Return the differences between the origin of a stored network and the wanted one; arguments of queries are free.
-
-    An argument that is younger than the stored network may have its default.
-    """
-    if stored["kind"] != wanted.kind:
-        return [f"it is one of {stored['kind']}, not of {wanted.kind}"]  # its arguments mean other things
-    now = wanted.arguments
-    defaults = {name: parameter.default for name, parameter in inspect.signature(type(method)).parameters.items()}
-    then = {name: value for name, value in now.items() if name in defaults and defaults[name] == value}
-    then |= stored["arguments"]
+def _list_differences(stored: Origin, wanted: Origin, method: Method) -> list[str]:
+    """Return the differences between two origins, but for the arguments that only queries see."""
+    if stored.kind != wanted.kind:
+        return [f"it is one of {stored.kind}, not of {wanted.kind}"]  # its arguments mean other things
+    names = sorted({*stored.arguments, *wanted.arguments} - method.query_arguments)
+    values = [(stored.arguments.get(name, "unknown"), wanted.arguments.get(name, "unknown")) for name in names]
     found = [
-        f"method.{name} is {_format_argument(then, name)} there and {_format_argument(now, name)} here"
-        for name in sorted({*then, *now} - method.query_arguments)
-        if not (name in then and name in now and then[name] == now[name])
+        f"method.{name} is {json.dumps(there)} there and {json.dumps(here)} here"
+        for name, (there, here) in zip(names, values, strict=True)
+        if there != here
     ]
-    if stored["n_places"] != wanted.n_places:
-        found.append(f"{stored['n_places']} places there (dataset {stored['dataset']}) and {wanted.n_places} here")
-    elif stored["references"] != wanted.references:
-        found.append(f"other reference images or places (dataset {stored['dataset']} there and {wanted.dataset} here)")
-    elif None not in (stored["held_out"], wanted.held_out) and stored["held_out"] != wanted.held_out:
+    if stored.n_places != wanted.n_places:
+        found.append(f"{stored.n_places} places there (dataset {stored.dataset}) and {wanted.n_places} here")
+    elif stored.references != wanted.references:
+        found.append(f"other reference images or places (dataset {stored.dataset} there and {wanted.dataset} here)")
+    elif None not in (stored.held_out, wanted.held_out) and stored.held_out != wanted.held_out:
         found.append("its settings were chosen by other held-out places")
     return found
 
 
-def _format_argument(arguments: Mapping[str, Any], name: str) -> str:
-    value = arguments.get(name, "unknown")
-    return value if isinstance(value, str) else json.dumps(value)
-
-
-def _read_network(path: Path) -> tuple[dict[str, Any], Arrays]:
-    """Return description and arrays; raises BadInput for a file that is not ours, damaged or of another layout."""
-    is_nir = path.suffix == nir_files.SUFFIX
+def _read_network(path: Path) -> tuple[Origin, Arrays]:
+    """Return origin and arrays; raises BadInput for a file that is not ours, damaged or of another layout."""
     try:
-        text, state, whole = nir_files.read_network(path, _SEAL) if is_nir else _SEAL.read(path)
-        description = json.loads(text or "{}") if whole else {}
-    except (OSError, ValueError) as error:
-        reason = str(error).splitlines()[0]
+        content = nir_files.read_content(path) if path.suffix == nir_files.SUFFIX else path.read_bytes()
+        state = load(content) if content else {}
+        header = json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")] or "{}")
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, SafetensorError) as error:
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise BadInput(
             f"{path} cannot be read as a stored network ({reason}): restore the file or train anew"
         ) from error
+    text = header.get("__metadata__", {}).get(_METADATA)
     if text is None:
         raise BadInput(f"{path} was not stored by vprbench: it does not say what its network was trained with")
-    if not whole:
-        raise BadInput(f"{path} is not what was written: restore the file or train anew")
-    if description["format"] != FORMAT:
-        raise BadInput(f"{path} has layout {description['format']}, this program reads {FORMAT}: train anew")
-    return description, state
+    try:
+        return Origin.model_validate_json(text), state
+    except ValidationError as error:
+        raise BadInput(f"{path} is damaged or was stored by another version: train anew") from error
 
 
 def _read_published(path: Path) -> Arrays:

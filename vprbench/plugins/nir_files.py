@@ -9,55 +9,59 @@ at 0, spikes above the threshold, and subtracts the threshold then. `check_input
 from __future__ import annotations
 
 from importlib.util import find_spec
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from vprbench.api.images import Images
 from vprbench.api.method import Circuit, HasCircuit, Method
 from vprbench.errors import BadInput
-from vprbench.storage.tensors import Array, Arrays, Seal
 
 SUFFIX = ".nir"
 STEPS = 64
-EXAMPLES = 32  # references among which the check vector is chosen
-_STATE = "vprbench/"  # the group of the method's state, which other readers ignore
+_EXAMPLES = 32  # references among which the check vector is chosen
+_CONTENT = "vprbench"  # the array of the network as safetensors, which other readers ignore
 _ROUNDING = 1e-4  # of the largest answer
 
+Array = npt.NDArray[Any]
 
-def require_nir(path: Path, method: Method | None = None) -> None:
-    """Raise BadInput if a file of NIR cannot be read here, or cannot hold the network of a method."""
+
+def require_nir(path: Path) -> None:
+    """Raise BadInput if the packages that read and write files of NIR are not installed."""
     if find_spec("nir") is None:
         raise BadInput(f"{path} needs the package nir, which is not installed: pip install 'vprbench[nir]'")
-    if method is None:
-        return
+
+
+def require_circuit(path: Path, method: Method) -> None:
+    """Raise BadInput, before any training, if a file of NIR cannot hold the network of a method."""
+    require_nir(path)
     if not isinstance(method, HasCircuit):
         raise BadInput(f"save={path}: {type(method).__name__} has no layers that NIR could hold: save .safetensors")
     method.check_circuit()
 
 
-def write_network(path: Path, method: Method, examples: Images, text: str, state: Arrays, seal: Seal) -> None:
-    """Write the network of a method as a graph with a check vector, and its sealed text and state beside the graph.
-
-    Raises OSError.
-    """
+def format_network(method: Method, references: Images, content: bytes) -> bytes:
+    """Return a file of NIR: the graph of a trained method with a check vector, and `content` beside the graph."""
     import h5py  # type: ignore[import-untyped, unused-ignore]
     import nir  # type: ignore[import-untyped, unused-ignore]
 
     assert isinstance(method, HasCircuit)
     circuit = method.circuit()
     graph = _build_graph(circuit)
+    examples = references[np.linspace(0, len(references) - 1, min(_EXAMPLES, len(references))).astype(int)]
     graph.metadata = _describe_graph(graph, circuit, np.asarray(method.encode(examples), np.float32))
-    nir.write(path, graph)
-    with h5py.File(path, "r+") as file:
-        for name, array in state.items():
-            file.create_dataset(_STATE + name, data=array, compression="gzip" if array.ndim else None)
-        file.attrs.update(seal.metadata(text, _read_arrays(file)))
+    buffer = BytesIO()
+    nir.write(buffer, graph)
+    with h5py.File(buffer, "r+") as file:
+        file[_CONTENT] = np.frombuffer(content, np.uint8)
+    return buffer.getvalue()
 
 
-def read_network(path: Path, seal: Seal) -> tuple[str | None, dict[str, Array], bool]:
-    """Return the text, the state, and whether all arrays of a file are as written, as `Seal.read` does.
+def read_content(path: Path) -> bytes:
+    """Return the `content` of a file that `format_network` made, empty if another program wrote the file.
 
     Raises OSError for a file that cannot be read, ValueError for one of another kind.
     """
@@ -66,23 +70,14 @@ def read_network(path: Path, seal: Seal) -> tuple[str | None, dict[str, Array], 
 
     try:
         with h5py.File(path) as file:
-            text, digest, arrays = file.attrs.get(seal.text), file.attrs.get(seal.digest), _read_arrays(file)
-    except (KeyError, RuntimeError, TypeError) as error:
+            if _CONTENT not in file:
+                return b""
+            array = file[_CONTENT]
+            if array.dtype != np.uint8 or array.nbytes > path.stat().st_size:
+                raise ValueError(f"it declares {array.nbytes} bytes of {array.dtype}")
+            return bytes(array[()].tobytes())
+    except (AttributeError, KeyError, RuntimeError, TypeError) as error:
         raise ValueError(str(error)) from error
-    state = {name.removeprefix(_STATE): array for name, array in arrays.items() if name.startswith(_STATE)}
-    return text, state, digest == seal.metadata(text or "", arrays)[seal.digest]
-
-
-def _read_arrays(file: Any) -> dict[str, Array]:
-    """Return all arrays of numbers in a file under their paths."""
-    arrays: dict[str, Array] = {}
-
-    def keep(name: str, item: Any) -> None:
-        if getattr(item, "dtype", np.dtype(object)).kind in "biuf":
-            arrays[name] = np.asarray(item[()])
-
-    file.visititems(keep)
-    return arrays
 
 
 def _build_graph(circuit: Circuit) -> Any:

@@ -9,13 +9,14 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
+from traceback import walk_stack
 from typing import Any, NamedTuple
 
 from vprbench.api.method import Method
 
-_CODE = (".py", ".pyc", ".nbi", ".nbc", ".so", ".pyd", ".dll")
+_CODE = ("", ".py", ".pyc", ".nbi", ".nbc", ".so", ".pyd", ".dll")
 _INSTALLED = ("/proc/", "/sys/", "/dev/", "/etc/", "/usr/", f"{sys.prefix}{os.sep}", f"{sys.base_prefix}{os.sep}")
-_HARNESS = tuple(str(Path("vprbench", *part)) for part in (("api", "images.py"), ("storage", "hashes.py")))
+_HARNESS = (str(Path("vprbench", "api", "images.py")), str(Path("vprbench", "storage", "hashes.py")))
 _WRITES = os.O_WRONLY | os.O_RDWR | os.O_CREAT
 
 
@@ -26,7 +27,7 @@ class OpenedFile(NamedTuple):
     callers: frozenset[str]
 
 
-_recordings: dict[int, list[OpenedFile]] = {}
+_recordings: dict[int, list[OpenedFile]] = {}  # of the blocks that run now
 
 
 @contextmanager
@@ -63,7 +64,7 @@ def find_unnamed_files(opened: Iterable[OpenedFile], method: Method) -> list[Pat
 
 
 def _select_data_files(paths: Iterable[Path], named: Iterable[Path]) -> list[Path]:
-    found = [path.expanduser() for path in paths if path.suffix not in ("", *_CODE)]
+    found = [path.expanduser() for path in paths if path.suffix not in _CODE]
     resolved = {path.resolve(): path for path in found if os.path.isfile(path)}  # noqa: PTH113 (Path.is_file may raise)
     known = {Path(path).expanduser().resolve() for path in named}
     return [path for whole, path in resolved.items() if whole not in known and not str(whole).startswith(_INSTALLED)]
@@ -71,10 +72,10 @@ def _select_data_files(paths: Iterable[Path], named: Iterable[Path]) -> list[Pat
 
 def _list_texts(value: Any) -> list[str]:
     """Return the texts among arguments, however deep."""
-    if isinstance(value, Mapping):
-        value = [inner for name, inner in value.items() if name != "_target_"]
     if isinstance(value, str):
         return [value]
+    if isinstance(value, Mapping):
+        value = [inner for name, inner in value.items() if name != "_target_"]
     return [text for inner in value for text in _list_texts(inner)] if isinstance(value, list | tuple) else []
 
 
@@ -84,15 +85,12 @@ def _add_hook() -> None:
 
 
 def _record(event: str, arguments: tuple[Any, ...]) -> None:
-    if not _recordings or event != "open":
+    if event != "open" or not _recordings:
         return
     path, _, flags = arguments
     if not isinstance(path, str | bytes | os.PathLike) or flags & _WRITES:
         return
-    callers, frame = set[str](), sys._getframe(1)
-    while frame is not None:
-        callers.add(frame.f_code.co_filename)
-        frame = frame.f_back  # type: ignore[assignment]
+    callers = frozenset(frame.f_code.co_filename for frame, _ in walk_stack(sys._getframe(1)))
     if not any(caller.endswith(_HARNESS) for caller in callers):
         for opened in [*_recordings.values()]:
-            opened.append(OpenedFile(os.fsdecode(path), frozenset(callers)))
+            opened.append(OpenedFile(os.fsdecode(path), callers))

@@ -70,7 +70,7 @@ def _fit_or_load(
         with stopwatch.lap() as load:
             notes = tuple(make_notes("loaded", networks.load_network(files.load, method, wanted)))
         return FitResult(load_seconds=load[0], notes=notes)
-    destination = networks.prepare_destination(files, method, arguments, dataset)
+    networks.require_destination(files, method)
     given = calibration(method, dataset)
     held_out = None if given is None else _hidden(given)
     read = [dataset.references, *([held_out.references, held_out.queries] if held_out else [])]
@@ -86,8 +86,9 @@ def _fit_or_load(
                 raise BadInput(f"choosing settings by held-out places: {error}") from error
     seconds = fit[0]
     computing = seconds - (_reading_seconds(read) - before)
-    if destination is not None:
-        networks.save_network(destination, method, key, seconds)
+    if files.save is not None:
+        origin = networks.describe_origin(method, arguments, dataset, key, seconds)
+        networks.save_network(files, method, origin, dataset.references)
     calibrated: tuple[Note, ...] = ()
     if held_out is not None:
         text = f"calibrated on {len(held_out.queries)} held-out queries of {held_out.n_places} places"

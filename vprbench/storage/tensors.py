@@ -1,11 +1,9 @@
-"""Arrays in files of safetensors that tell whether they are what was written: no pickle, no code."""
+"""Arrays in files of safetensors: no pickle, no code."""
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,47 +18,12 @@ Arrays = Mapping[str, Array]
 _KINDS = {"F32": "<f4", "F64": "<f8", "I32": "<i4", "I64": "<i8"}
 
 
-@dataclass(frozen=True)
-class Seal:
-    """The keys of a file's metadata: of a text about the arrays, and of the SHA-256 of text and arrays together."""
-
-    text: str
-    digest: str
-
-    def metadata(self, text: str, arrays: Arrays) -> dict[str, str]:
-        """Return the metadata to write beside arrays."""
-        return {self.text: text, self.digest: _digest(text, arrays)}
-
-    def read(self, path: Path) -> tuple[str | None, dict[str, Array], bool]:
-        """Return the text, None if there is none, the arrays, and whether both are what was written.
-
-        Raises OSError for a file that cannot be read and ValueError for one that holds no such arrays.
-        """
-        try:
-            with safe_open(path, framework="np") as file:
-                arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (it is no mapping)
-                metadata = file.metadata() or {}
-        except (SafetensorError, TypeError, AttributeError) as error:  # the last two: a type that numpy lacks
-            raise ValueError(str(error)) from error
-        text = metadata.get(self.text)
-        return text, arrays, metadata.get(self.digest) == _digest(text or "", arrays)
-
-
 def plain(array: Array, name: str) -> Array:
     """Return an array as safetensors writes it, byte after byte; raises TypeError for anything but numbers."""
     if not isinstance(array, np.ndarray) or array.dtype.kind not in "biuf":
         kind = array.dtype if isinstance(array, np.ndarray) else type(array).__name__
         raise TypeError(f"{name} is {kind}; wanted a numpy array of numbers")
     return array.astype(array.dtype.newbyteorder("<"), order="C", copy=False)
-
-
-def _digest(text: str, arrays: Arrays) -> str:
-    """Return the hash of a text and of every array, its name, type and shape."""
-    digest = hashlib.sha256(text.encode())
-    for name, array in sorted(arrays.items()):
-        digest.update(f"\0{name}\0{array.dtype.str}{array.shape}\0".encode())
-        digest.update(array.reshape(-1).view(np.uint8).data)
-    return digest.hexdigest()
 
 
 def write_arrays(path: Path, arrays: Arrays) -> None:
