@@ -119,10 +119,6 @@ class Store:
         with contextlib.suppress(OSError, BadInput):
             self.save_failure(failure)
 
-    def failure(self, method: str, dataset: str, config: Mapping[str, Any]) -> Failure | None:
-        """Return how the last run of this configuration failed; None if it did not."""
-        return read_failure(self._failure_folder(method, dataset, config))
-
     def remove_leftovers(self) -> None:
         """Remove locks that nobody holds, and unfinished files that nobody has written to for a day."""
         run_lock.remove_leftovers(self.root)
