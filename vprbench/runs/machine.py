@@ -6,27 +6,27 @@ import contextlib
 import importlib.metadata
 import os
 import platform
+import re
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import psutil
 
 from vprbench.storage.cores import core_count
-from vprbench.storage.cores import cores as cores
 from vprbench.storage.folders import checkout_folder
-from vprbench.text import format_gigabytes
 
 _LIBRARIES = ("torch", "numpy", "scipy", "numba", "opencv-python-headless", "pillow", "scikit-learn", "faiss-cpu")
 
 
 def describe_machine(device: str, threads: int) -> dict[str, Any]:
     """Return processor, memory, accelerator, libraries, git state and load, as plain values."""
+    pressure = read_cpu_pressure()
     return {
         "python": platform.python_version(),
         "platform": platform.platform(),
@@ -41,7 +41,7 @@ def describe_machine(device: str, threads: int) -> dict[str, Any]:
         "libraries": library_versions(),
         "git": _git_state(),
         "load_average": list(psutil.getloadavg()),
-        "cpu_pressure_avg10": cpu_pressure(),
+        "cpu_pressure_avg10": None if pressure is None else pressure.percent,
         "time_utc": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
         "command": sys.argv,
     }
@@ -107,42 +107,28 @@ def device_class(device: str) -> str:
     return f"{kind} {processor() if kind == 'cpu' else _accelerator(device)['accelerator']}"
 
 
-def format_machine(environment: Mapping[str, Any]) -> list[str]:
-    """Return two lines: the hardware, and libraries, source and time."""
-    git, gpu = environment["git"], environment.get("accelerator")
-    driver = f" GPU: {gpu}, driver {environment['driver']}, CUDA {environment['cuda']}." if gpu else ""
+def format_software(environment: Mapping[str, Any]) -> str:
+    """Return libraries, source and time in one line."""
+    git = environment["git"]
     libraries = ", ".join(f"{name} {version or 'missing'}" for name, version in environment["libraries"].items())
     source = "no checkout" if git is None else f"{git['commit']}{', changed' * git['changed']}"
-    return [
-        f"{environment['processor']}, {environment['threads']} of {environment['cores']} cores, "
-        f"{format_gigabytes(environment['memory_bytes'])}, {environment['platform']}.{driver}",
+    return (
         f"python {environment['python']}, vprbench {environment['vprbench']}, {libraries}. Source: {source}. "
-        f"{environment['time_utc']}.",
-    ]
+        f"{environment['time_utc']}."
+    )
 
 
-def cpu_pressure() -> float | None:
-    """Return the share of the last 10 s, in percent, in which some process waited for a core; None if unknown."""
-    found = _read_pressure()
-    return None if found is None else float(found["avg10"])
+class CpuPressure(NamedTuple):
+    """How long some process waited for a core."""
+
+    percent: float  # of the last 10 s
+    seconds: float  # since the system started
 
 
-def cpu_waited() -> tuple[float, float] | None:
-    """Return the moment, and the seconds so far in which some process waited for a core; None if unknown."""
-    found = _read_pressure()
-    return None if found is None else (time.perf_counter(), int(found["total"]) / 1e6)
-
-
-def cpu_pressure_since(before: tuple[float, float]) -> float:
-    """Return the share of the time since `cpu_waited`, in percent, in which some process waited for a core."""
-    now = cpu_waited() or before
-    return 100 * (now[1] - before[1]) / max(now[0] - before[0], 1e-9)
-
-
-def _read_pressure() -> dict[str, str] | None:
-    """Return the first line of Linux's pressure of the cores: avg10 in percent, total in microseconds."""
-    words = _read("/proc/pressure/cpu").partition("\n")[0].split()
-    return dict(word.split("=") for word in words[1:]) if words[:1] == ["some"] else None
+def read_cpu_pressure() -> CpuPressure | None:
+    """Return Linux's pressure stall information of the cores; None on a system without it."""
+    some = re.match(r"some avg10=(\S+) .*total=(\d+)", _read("/proc/pressure/cpu"))
+    return None if some is None else CpuPressure(float(some[1]), int(some[2]) / 1e6)
 
 
 def canary_seconds(clock: Callable[[], int] = time.perf_counter_ns) -> float:

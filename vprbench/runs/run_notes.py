@@ -17,7 +17,7 @@ from vprbench.runs.stopwatch import Timing
 from vprbench.text import be, some
 
 _NOISE = 0.05  # drift of a fixed computation that marks a run as noisy
-_BUSY = 15.0  # percent of CPU pressure that marks a run as noisy
+_BUSY = 15.0  # percent of the time in which a process waits for a core, that marks a run as noisy
 _SAME_SCORE = 1e-4  # relative difference that counts as the same answer in the timed and in the scored run
 _ADAPTED = {
     "references": "the mean of the references is taken off the descriptors of references and queries",
@@ -61,16 +61,11 @@ def on_scorer(scorer: Scorer, method: Method, n_places: int) -> Iterator[Note]:
 def on_measurements(run: Run) -> Iterator[Note]:
     """Yield notes on a run's machine, rates and index."""
     around = run.environment
-    slowdown, pressure = around["canary_slowdown"], around["cpu_pressure_avg10_after"]
-    window = "of the last 10 s of the run"
-    if around.get("cpu_pressure_timed") is not None:
-        pressure, window = around["cpu_pressure_timed"], "of the time in which it was timed"
+    slowdown, waited = around["canary_slowdown"], around["cpu_waited_percent"]
     if abs(slowdown - 1) > _NOISE:
-        yield Note("noisy", f"noisy: a fixed computation took {slowdown:.2f} times as long after the run as before")
-    if pressure is not None and pressure > _BUSY:
-        yield Note("noisy", f"noisy: processes waited for a core in {pressure:.0f} % {window}")
-    if not around.get("timed_alone", True):
-        yield Note("noisy", "noisy: other runs went on while it was timed")
+        yield Note("noisy", f"noisy: a fixed computation took {slowdown:.2f} times as long afterwards as before")
+    if waited is not None and waited > _BUSY:
+        yield Note("noisy", f"noisy: processes waited for a core in {waited:.0f} % of the time")
     if not around.get("fitted_alone", True):
         yield Note("fitted", "fitted beside other runs, which made it slower")
     if run.timing is not None:

@@ -8,7 +8,7 @@ import shlex
 from collections.abc import Iterator
 from pathlib import Path
 
-from vprbench.runs.machine import format_machine
+from vprbench.runs.machine import format_software
 from vprbench.runs.rows import render_template
 from vprbench.storage.atomic import replace_text
 from vprbench.text import format_percent, format_signed_percent
@@ -63,7 +63,7 @@ def to_text(found: Found) -> str:
         command=command(found),
         duration=f"{60 * found.minutes:.0f} seconds" if found.minutes < 2 else f"{found.minutes:.1f} minutes",
         here=found.environment,
-        software=format_machine({**found.environment})[1],
+        software=format_software(found.environment),
         percent=format_percent,
         **{"AGREE": AGREE, "SEEDS": SEEDS, "FEW": _FEW, "NAMED": _NAMED, "SHORT": _SHORT, "TITLE": TITLE},
     )
