@@ -24,7 +24,7 @@ from vprbench.methods.hog import HOG
 from vprbench.metrics.sequences import Sequences
 from vprbench.plugins.rules import Journey
 from vprbench.runs import fitting, scorers
-from vprbench.runs.corrupted_frames import corrupt_queries
+from vprbench.runs.corruption import corrupt_queries
 from vprbench.runs.rows import describe_protocol
 from vprbench.runs.run import execute
 from vprbench.runs.sequences import apply_sequences

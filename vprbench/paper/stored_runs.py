@@ -14,7 +14,7 @@ from vprbench.plugins import registry
 from vprbench.plugins.opened_files import list_data_files, record_opened_files
 from vprbench.progress import progress_shown
 from vprbench.runs import thumbnails
-from vprbench.runs.corrupted_frames import corrupt_queries
+from vprbench.runs.corruption import corrupt_queries
 from vprbench.runs.get_or_run import list_missing_parts
 from vprbench.runs.identity import code_hash_of, fingerprint, run_key
 from vprbench.runs.record import Run

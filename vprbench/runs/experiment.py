@@ -19,7 +19,7 @@ from vprbench.plugins.opened_files import list_data_files, record_opened_files
 from vprbench.plugins.tuned_frames import find_tuned_queries
 from vprbench.progress import progress_shown
 from vprbench.runs import machine, sequences, stream
-from vprbench.runs.corrupted_frames import corrupt_queries
+from vprbench.runs.corruption import corrupt_queries
 from vprbench.runs.identity import DataRecord, code_hash, data_record, fingerprint, hashed, run_key
 from vprbench.runs.request import RunRequest
 from vprbench.runs.viewpoints import Viewpoints, seen_from, viewpoints

@@ -23,7 +23,7 @@ MODULES = (
     *("vprbench.metrics.ranking", "vprbench.plugins.networks", "vprbench.runs.stopwatch", "vprbench.runs.fitting"),
     *("vprbench.runs.run", "vprbench.runs.answers", "vprbench.runs.scorers", "vprbench.runs.descriptors"),
     *("vprbench.runs.machine", "vprbench.runs.watch"),
-    *("vprbench.runs.corruption", "vprbench.runs.corrupted_frames", "vprbench.runs.viewpoints"),
+    *("vprbench.runs.corruption", "vprbench.runs.viewpoints"),
 )
 
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import gc
+import itertools
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Annotated
@@ -163,20 +164,31 @@ class Stopwatch:
         return laps
 
     def _stream(self, scorer: Scorer, singles: Sequence[Images]) -> tuple[Laps, npt.NDArray[np.int64]]:
-        encodes: list[float] = []
-        matches: list[float] = []
-        answers = np.full(len(singles), -1)
-        late, started = False, self._clock()
-        while not (finished := self._finished(len(encodes), len(singles), started)) and not late:
-            order = self._generator.permutation(len(singles)).tolist()
-            for query in order:
-                encode, match, scores = self._call(scorer, singles[query])
-                encodes.append(encode)
-                matches.append(match)
-                answers[query] = best_place(scores)
+        """Return the laps of single queries, shuffled in each pass, and the best place of each."""
+        passes = (self._generator.permutation(len(singles)).tolist() for _ in itertools.count())
+        return self._time(scorer, singles, passes, len(singles))
+
+    def _time(
+        self, scorer: Scorer, calls: Sequence[Images], passes: Iterable[Sequence[int]], queries_a_pass: int
+    ) -> tuple[Laps, npt.NDArray[np.int64]]:
+        """Return the laps of `calls`, in the order of the numbers in `passes`, and the best place of each one's first.
+
+        Laps end after a pass by which all minima are met, and when they take too long.
+        """
+        laps: list[tuple[float, float]] = []
+        size, answers = len(calls[0]), np.full(len(calls), -1)
+        finished, late, started = False, False, self._clock()
+        for numbers in passes:
+            if (finished := self._finished(len(laps) * size, queries_a_pass, started)) or late:
+                break
+            for number in numbers:
+                encode, match, answer = self._call(scorer, calls[number])
+                laps.append((encode, match))
+                answers[number] = best_place(answer)
                 if late := self._late(started, encode + match):
                     break
-        return Laps(np.array(encodes), np.array(matches), 1, finished), answers
+        encodes, matches = (np.array(seconds) for seconds in zip(*laps, strict=True))
+        return Laps(encodes, matches, size, finished), answers
 
     def _offline(self, scorer: Scorer, sample: Images, streaming: Laps, began: int) -> tuple[Laps, ...]:
         """Return the laps of each batch size whose calls fit into the time left; at least the streaming ones, of one.
@@ -192,24 +204,17 @@ class Stopwatch:
             if size == 1:
                 offline.append(streaming)
             elif not self._over(2 * call) and (gains or call <= _LONG_CALL):  # one is not timed
-                before, last = last, self._batches(scorer, sample, size)
+                before, last = last, self._batch(scorer, sample, size)
                 gains = before.per_image() >= _GAIN * last.per_image()
                 offline.append(last)
         return tuple(offline) or (replace(streaming, valid=False),)
 
-    def _batches(self, scorer: Scorer, sample: Images, size: int) -> Laps:
-        starts = range(0, len(sample) - size + 1, size)  # whole batches only
-        batches = [sample[start : start + size] for start in starts]
-        encodes: list[float] = []
-        matches: list[float] = []
+    def _batch(self, scorer: Scorer, sample: Images, size: int) -> Laps:
+        """Return the laps of whole batches of a size; the first call is not timed."""
+        batches = [sample[start : start + size] for start in range(0, len(sample) - size + 1, size)]
         self._call(scorer, batches[0])
-        late, started = False, self._clock()
-        while not (finished := self._finished(len(encodes) * size, len(sample), started)) and not late:
-            encode, match, _ = self._call(scorer, batches[len(encodes) % len(batches)])
-            encodes.append(encode)
-            matches.append(match)
-            late = self._late(started, encode + match)
-        return Laps(np.array(encodes), np.array(matches), size, finished)
+        one_by_one = ([number] for number in itertools.cycle(range(len(batches))))
+        return self._time(scorer, batches, one_by_one, len(sample))[0]
 
     def _finished(self, queries: int, per_pass: int, started: int) -> bool:
         protocol = self._protocol
