@@ -17,7 +17,7 @@ class MachineWatch:
     def __init__(self, device: str, threads: int) -> None:
         """Look for the first time; the peak of memory counts from now on."""
         self._device = device
-        self._undisturbed = timing_lock.undisturbed()
+        self._was_alone = timing_lock.is_only_run()
         self._environment = machine.describe_machine(device, threads)
         machine.reset_peak_memory(device)
         self._begin()
@@ -28,13 +28,13 @@ class MachineWatch:
         self._began, self._pressure = time.perf_counter(), machine.read_cpu_pressure()
 
     def end_fit(self) -> None:
-        """Note whether the method was fitted, and asked for the first time, while no other run went on here."""
-        self._environment |= {"fitted_alone": self._undisturbed()}
+        """Record whether another run went on here when this one began, or goes on now that its method is fitted."""
+        self._environment |= {"fitted_alone": self._was_alone and timing_lock.is_only_run()}
 
     @contextmanager
     def alone(self) -> Iterator[None]:
         """Wait until no other run goes on here, and look at the load from then on."""
-        if not self._undisturbed():
+        if not timing_lock.is_only_run():
             progress.report("waiting to be timed", 0.0)
         with timing_lock.alone():
             self._environment |= {"timed_alone": True}
