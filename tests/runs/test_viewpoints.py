@@ -15,7 +15,7 @@ from vprbench.paper.plan import PlannedColumn, Row
 from vprbench.paper.selection import ResolvedColumn, groups
 from vprbench.runs.run import execute
 from vprbench.runs.scorers import ViewsScorer
-from vprbench.runs.viewpoints import AS_IT_IS, Viewpoint, Viewpoints, seen_from, view_of, viewpoints
+from vprbench.runs.viewpoints import AS_IT_IS, Viewpoint, Viewpoints, parse_viewpoints, seen_from, view_of
 
 pytestmark = pytest.mark.usefixtures("surroundings")
 
@@ -58,10 +58,10 @@ def test_a_zoom_shows_the_middle_of_the_frame_enlarged(zoom):
     ids=str,
 )
 def test_an_option_is_a_list_of_shifts_or_a_mapping(option, views, told):
-    found = viewpoints(option)
+    found = parse_viewpoints(option)
     assert ([astuple(view) for view in found.all], found.protocol()) == (views, told)
     assert seen_from(journey(4, 2), found).protocol["views"] == told
-    assert viewpoints(None) is None
+    assert parse_viewpoints(None) is None
 
 
 @pytest.mark.parametrize(
@@ -74,7 +74,7 @@ def test_an_option_is_a_list_of_shifts_or_a_mapping(option, views, told):
 )
 def test_what_is_no_viewpoint_is_refused_by_the_name_of_the_option(option):
     with pytest.raises(BadInput, match="views"):
-        viewpoints(option)
+        parse_viewpoints(option)
 
 
 @pytest.mark.parametrize("other", ["stream=true", "energy=true"])

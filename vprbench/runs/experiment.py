@@ -22,7 +22,7 @@ from vprbench.runs import machine, sequences, stream
 from vprbench.runs.corruption import corrupt_queries
 from vprbench.runs.identity import DataRecord, code_hash, data_record, fingerprint, hashed, run_key
 from vprbench.runs.request import RunRequest
-from vprbench.runs.viewpoints import Viewpoints, seen_from, viewpoints
+from vprbench.runs.viewpoints import Viewpoints, parse_viewpoints, seen_from
 from vprbench.storage.hashes import content_hash
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ class Experiment:
     @property
     def views(self) -> Viewpoints | None:
         """The viewpoints that each query is asked from; None: the frames as they are."""
-        return viewpoints(self.request.views)
+        return parse_viewpoints(self.request.views)
 
     @cached_property
     def config(self) -> dict[str, Any]:
@@ -100,7 +100,7 @@ def build_experiment(
     tuned_queries = find_tuned_queries(dataset, request.tuned_on)
     if isinstance(request.corruption, str):
         dataset = corrupt_queries(dataset, request.corruption)
-    dataset = seen_from(dataset, viewpoints(request.views))
+    dataset = seen_from(dataset, parse_viewpoints(request.views))
     with progress_shown(request.method_name):  # frames may have to be hashed, and a file be downloaded
         frames = hashed(dataset)
         behind = [(path.name, content_hash(path)) for path in list_data_files(method, request.method, opened)]

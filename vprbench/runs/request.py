@@ -14,7 +14,7 @@ from vprbench.runs.corruption import parse_corruptions
 from vprbench.runs.predictions import require_depth
 from vprbench.runs.sequences import parse_views
 from vprbench.runs.timing_protocol import Protocol
-from vprbench.runs.viewpoints import viewpoints
+from vprbench.runs.viewpoints import parse_viewpoints
 from vprbench.storage.cores import core_count
 from vprbench.text import near
 
@@ -66,7 +66,7 @@ class RunRequest:
         object.__setattr__(self, "metrics", metrics)
         object.__setattr__(self, "energy", self.energy or bool({*metrics} & {*GROUPS["energy"]}))
         parse_views(self.sequence, self.filter)
-        if viewpoints(self.views) is not None and (self.stream or self.energy):
+        if parse_viewpoints(self.views) is not None and (self.stream or self.energy):
             raise BadInput(f"views={self.views}: stream= and energy= are of one view a query, leave them out")
         parse_corruptions(self.corruptions)
         if isinstance(self.corruption, list) and (self.save, self.load) != (None, None):
