@@ -15,7 +15,7 @@ from vprbench.runs.answers import Answers, QueryScoring, describe_search
 from vprbench.runs.descriptors import DescriptorCache
 from vprbench.runs.experiment import Experiment
 from vprbench.runs.fitting import FitResult, fit_or_load
-from vprbench.runs.identity import code_hash, data_record
+from vprbench.runs.identity import code_hash
 from vprbench.runs.notes import make_notes
 from vprbench.runs.record import Run
 from vprbench.runs.scorers import AdaptedScorer, scorer_for
@@ -37,7 +37,6 @@ def execute(experiment: Experiment, key: str, keep: Callable[[Run], None] = lamb
     """
     request, method, dataset = experiment.request, experiment.method, experiment.dataset
     queries, views = dataset.queries.unnamed(), experiment.views
-    data = experiment.data or data_record(dataset)
     started = time.perf_counter()
     watch = MachineWatch(request.device, request.n_threads)
     stopwatch = Stopwatch(request.timing, synchronise=synchroniser(request.device), seed=request.seed)
@@ -62,7 +61,7 @@ def execute(experiment: Experiment, key: str, keep: Callable[[Run], None] = lamb
         from_cache = scoring.score(described if views is None else None)
         elsewhere = fitted.seconds + answers.method_seconds + queries.reading.seconds - read
 
-    measured = {"data": data, **watch.record()}
+    measured = {"data": experiment.data, **watch.record()}
     with stopwatch.lap() as auditing:
         counted, spike_notes = spikes.count_spikes(method, queries)
         measured |= {"search": describe_search(method, scoring.audited_codes), "spikes": counted}
