@@ -11,7 +11,7 @@ from vprbench import progress
 from vprbench.api.adaptation import Adaptation
 from vprbench.plugins.opened_files import record_opened_files
 from vprbench.runs import run_notes, spikes, timing_lock
-from vprbench.runs.answers import Answers, QueryScoring, describe_search
+from vprbench.runs.answers import QueryScoring, describe_search
 from vprbench.runs.descriptors import DescriptorCache
 from vprbench.runs.experiment import Experiment
 from vprbench.runs.fitting import FitResult, fit_or_load
@@ -47,8 +47,7 @@ def execute(experiment: Experiment, key: str, keep: Callable[[Run], None] = lamb
         fitted = fit_or_load(experiment, key, stopwatch, described)
         read = queries.reading.seconds
         scorer = scorer_for(method, dataset.n_places, request.depth, request.scores, () if views is None else views.all)
-        answers = Answers(dataset, request.depth, request.scores)
-        scoring = QueryScoring(stopwatch, method, scorer, dataset, answers)
+        scoring = QueryScoring(stopwatch, method, scorer, dataset, request.depth, request.scores)
 
         def begin_traverse() -> Any:
             if method.adapt == "none":
@@ -57,9 +56,9 @@ def execute(experiment: Experiment, key: str, keep: Callable[[Run], None] = lamb
 
         first_query = stopwatch.first_query(begin_traverse(), queries)
         watch.end_fit()
-        answers.method_seconds += first_query
+        scoring.method_seconds += first_query
         from_cache = scoring.score(described if views is None else None)
-        elsewhere = fitted.seconds + answers.method_seconds + queries.reading.seconds - read
+        elsewhere = fitted.seconds + scoring.method_seconds + queries.reading.seconds - read
 
     measured = {"data": experiment.data, **watch.record()}
     with stopwatch.lap() as auditing:
@@ -74,7 +73,7 @@ def execute(experiment: Experiment, key: str, keep: Callable[[Run], None] = lamb
         *run_notes.on_scorer(scorer, method, dataset.n_places),
     )
     harness_seconds = time.perf_counter() - started - elsewhere - auditing[0]
-    scored = _record(experiment, key, fitted, answers, {**measured, "harness_seconds": harness_seconds})
+    scored = _record(experiment, key, fitted, scoring, {**measured, "harness_seconds": harness_seconds})
     scored = replace(scored, notes=(*notes, *run_notes.on_measurements(scored), *spike_notes))
     if not request.timing.rates:
         return scored
@@ -87,7 +86,9 @@ def execute(experiment: Experiment, key: str, keep: Callable[[Run], None] = lamb
     return replace(timed, notes=(*notes, *run_notes.on_measurements(timed), *spike_notes))
 
 
-def _record(experiment: Experiment, key: str, fitted: FitResult, answers: Answers, measured: Mapping[str, Any]) -> Run:
+def _record(
+    experiment: Experiment, key: str, fitted: FitResult, scoring: QueryScoring, measured: Mapping[str, Any]
+) -> Run:
     """Return the record of a run that is not timed, but for its notes."""
     dataset = experiment.dataset
     return Run(
@@ -103,15 +104,15 @@ def _record(experiment: Experiment, key: str, fitted: FitResult, answers: Answer
         fit_compute_seconds=fitted.fit_compute_seconds,
         load_seconds=fitted.load_seconds,
         network=experiment.networks.sha256,
-        method_seconds=fitted.method_seconds + answers.method_seconds,
+        method_seconds=fitted.method_seconds + scoring.method_seconds,
         timing=None,
-        outcome=answers.outcome,
+        outcome=scoring.outcome,
         positives=dataset.positives,
         place_numbers=dataset.place_numbers,
         query_breaks=dataset.query_breaks,
         place_breaks=dataset.place_breaks,
-        top_places=answers.top_places,
-        top_scores=answers.top_scores,
-        scores=answers.scores,
+        top_places=scoring.top_places,
+        top_scores=scoring.top_scores,
+        scores=scoring.scores,
         **measured,
     )
