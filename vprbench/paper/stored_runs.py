@@ -21,7 +21,7 @@ from vprbench.runs.record import Run
 from vprbench.runs.request import RunRequest
 from vprbench.runs.run_files import content_key
 from vprbench.runs.store import Store
-from vprbench.runs.viewpoints import parse_viewpoints, seen_from
+from vprbench.runs.viewpoints import parse_viewpoints, record_viewpoints
 from vprbench.storage.hashes import content_hash
 
 logger = logging.getLogger(__name__)
@@ -70,7 +70,7 @@ class StoredRuns:
         if not alike or code is None:
             return None
         dataset, images = self._dataset(request.dataset, request.corruption)
-        dataset = seen_from(dataset, parse_viewpoints(request.views))
+        dataset = record_viewpoints(dataset, parse_viewpoints(request.views))
         keys = {
             run_key(
                 request,

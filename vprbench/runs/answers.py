@@ -54,7 +54,7 @@ class QueryScoring:
         self.scores = np.empty(shape, np.float32) if kept else None  # the system gives memory as it is filled
         self.method_seconds = 0.0
         self.adaptation = Adaptation(method)
-        index = _index(method)
+        index = _find_index(method)
         wanted = 0 if index is None or index.kind == "exact" else min(_AUDITED, len(self._queries))
         audited = batch_size_for(method, wanted) if wanted else 0
         self._audited = np.linspace(0, len(self._queries) - 1, audited).astype(np.int64)
@@ -89,16 +89,16 @@ class QueryScoring:
             )
         if not self.adaptation.is_causal:
             surveyed = 0
-            for codes in self._codes(kept):
+            for codes in self._iterate_codes(kept):
                 self.adaptation.survey(codes)
                 surveyed += len(codes)
                 progress.report("looking at all queries", surveyed / n_queries)
-        for codes in self._codes(kept):
+        for codes in self._iterate_codes(kept):
             self._keep(len(codes), self._match(codes))
             progress.report("query" if kept is None else "search", self._done / n_queries)
         return from_cache
 
-    def _codes(self, kept: Any) -> Iterator[npt.NDArray[Any]]:
+    def _iterate_codes(self, kept: Any) -> Iterator[npt.NDArray[Any]]:
         """Yield the codes of all queries in blocks, from those that are kept or encoded now."""
         if kept is not None:
             yield from (kept[start : start + self._size] for start in range(0, len(self._queries), self._size))
@@ -149,7 +149,7 @@ def describe_search(method: Method, codes: list[npt.NDArray[Any]]) -> dict[str, 
     """Return by which index a method searches, and the share of exact search's places that it finds for some codes."""
     if isinstance(method, BinaryMethod) and method.known is not None:
         return {"index": "exact", "bytes_per_place": method.known.bytes_per_place, **asdict(Audit(1.0, 1.0))}
-    index = _index(method)
+    index = _find_index(method)
     if index is None or not isinstance(method, DescriptorMethod):
         return None
     audit = Audit(1.0, 1.0) if index.kind == "exact" else method.audit(np.concatenate(codes))
@@ -166,5 +166,5 @@ def _fill_missing(places: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
     return named
 
 
-def _index(method: Method) -> Search | None:
+def _find_index(method: Method) -> Search | None:
     return method.searched if isinstance(method, DescriptorMethod) else None

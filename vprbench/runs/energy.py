@@ -20,7 +20,7 @@ from vprbench.metrics.registry import METRICS
 from vprbench.runs import timing_lock
 from vprbench.runs.experiment import Experiment
 from vprbench.runs.record import Run
-from vprbench.runs.stopwatch import synchroniser
+from vprbench.runs.stopwatch import make_synchroniser
 from vprbench.terminal.console import table_text
 
 #: Picojoules of a single operation and of a multiply-add in 45 nm (Horowitz, ISSCC 2014); 64 bits are priced as 32.
@@ -210,7 +210,7 @@ def _find_map_bytes(method: Method, run: Run) -> Cost:
 
 
 def _measure_query(method: Method, device: str, singles: Sequence[Images]) -> Cost:
-    turns, wait = itertools.cycle(singles), synchroniser(device)
+    turns, wait = itertools.cycle(singles), make_synchroniser(device)
 
     def ask() -> None:
         method.query(next(turns))

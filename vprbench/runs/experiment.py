@@ -22,7 +22,7 @@ from vprbench.runs import machine, sequences, stream
 from vprbench.runs.corruption import corrupt_queries
 from vprbench.runs.identity import DataRecord, code_hash, hash_frames, run_key
 from vprbench.runs.request import RunRequest
-from vprbench.runs.viewpoints import Viewpoints, parse_viewpoints, seen_from
+from vprbench.runs.viewpoints import Viewpoints, parse_viewpoints, record_viewpoints
 from vprbench.storage.hashes import content_hash
 
 if TYPE_CHECKING:
@@ -100,7 +100,7 @@ def build_experiment(
     tuned_queries = find_tuned_queries(dataset, request.tuned_on)
     if isinstance(request.corruption, str):
         dataset = corrupt_queries(dataset, request.corruption)
-    dataset = seen_from(dataset, parse_viewpoints(request.views))
+    dataset = record_viewpoints(dataset, parse_viewpoints(request.views))
     with progress_shown(request.method_name):  # frames may have to be hashed, and a file be downloaded
         dataset_hash, data = hash_frames(dataset)
         behind = [(path.name, content_hash(path)) for path in list_data_files(method, request.method, opened)]

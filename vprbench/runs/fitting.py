@@ -72,9 +72,9 @@ def _fit_or_load(
         return FitResult(load_seconds=load[0], notes=notes)
     destination = networks.prepare_destination(files, method, arguments, dataset)
     given = calibration(method, dataset)
-    held_out = None if given is None else _hidden(given)
+    held_out = None if given is None else _hide_names(given)
     read = [dataset.references, *([held_out.references, held_out.queries] if held_out else [])]
-    before = _reading_seconds(read)
+    before = _sum_reading_seconds(read)
     progress.report("fit", 0.0)
     with stopwatch.lap() as fit:
         from_cache = _fit(method, dataset, described)
@@ -85,7 +85,7 @@ def _fit_or_load(
             except BadInput as error:
                 raise BadInput(f"choosing settings by held-out places: {error}") from error
     seconds = fit[0]
-    computing = seconds - (_reading_seconds(read) - before)
+    computing = seconds - (_sum_reading_seconds(read) - before)
     if destination is not None:
         networks.save_network(destination, method, key, seconds)
     calibrated: tuple[Note, ...] = ()
@@ -104,7 +104,7 @@ def _fit(method: Method, dataset: Dataset, described: DescriptorCache | None) ->
     def report(done: int) -> None:
         progress.report("fit, reading images", done / total)
 
-    places = _read_only(dataset.places)
+    places = _lock_places(dataset.places)
     if described is None:
         method.fit(dataset.references.watched(report), places)
         return 0
@@ -115,23 +115,23 @@ def _fit(method: Method, dataset: Dataset, described: DescriptorCache | None) ->
     return from_cache
 
 
-def _hidden(held_out: HeldOut) -> HeldOut:
+def _hide_names(held_out: HeldOut) -> HeldOut:
     """Return the same places as a method may see them: under names that say nothing, not to be written to."""
     return HeldOut(
         references=held_out.references.unnamed(),
-        places=_read_only(held_out.places),
+        places=_lock_places(held_out.places),
         queries=held_out.queries.unnamed(),
-        right=_read_only(held_out.right),
+        right=_lock_places(held_out.right),
         in_map=held_out.in_map,
     )
 
 
-def _reading_seconds(read: Iterable[Images]) -> float:
+def _sum_reading_seconds(read: Iterable[Images]) -> float:
     """Return how long somebody waited for images; views of one sequence share their waiting, which counts once."""
     return sum(waiting.seconds for waiting in {id(images.reading): images.reading for images in read}.values())
 
 
-def _read_only(places: Places) -> Places:
+def _lock_places(places: Places) -> Places:
     view = places.view()
     view.flags.writeable = False
     return view

@@ -93,7 +93,7 @@ def list_missing_parts(run: Run, request: RunRequest, dataset: Dataset | None = 
     """
     too_little = run.timed_by.shortfalls(request.timing)
     first_stop = (run.stream or [{"places": 0}])[0]["places"]
-    step = stream.places_of_a_step(request.stream, run.outcome.n_places)
+    step = stream.count_step_places(request.stream, run.outcome.n_places)
     saved = request.save is not None and networks.read_run_key(Path(request.save).expanduser()) == run.key
     lacks = {
         "its network": request.save is not None and not saved,
@@ -138,22 +138,22 @@ def _refresh(stored: Run, experiment: Experiment, store: Store) -> Run:
     run = replace(
         stored,
         config={**stored.config, "overrides": request.overrides},
-        **_tuning(experiment),
+        **_list_tuning(experiment),
         query_breaks=dataset.query_breaks,
         place_breaks=dataset.place_breaks,
     )
-    if _declarations(run) != _declarations(stored):
+    if _list_declarations(run) != _list_declarations(stored):
         with suppress(BadInput):
             store.save(run)
     return run
 
 
-def _tuning(experiment: Experiment) -> dict[str, Any]:
+def _list_tuning(experiment: Experiment) -> dict[str, Any]:
     """Return the fields of a run on the places that its method was tuned on."""
     return {"tuned_on": experiment.request.tuned_on, "tuned_queries": list(experiment.tuned_queries)}
 
 
-def _declarations(run: Run) -> list[Any]:
+def _list_declarations(run: Run) -> list[Any]:
     breaks = (run.query_breaks, run.place_breaks)
     return [run.tuned_on, run.tuned_queries, *(None if gaps is None else gaps.tolist() for gaps in breaks)]
 
@@ -172,13 +172,13 @@ def _make(experiment: Experiment, key: str, store: Store, stored: Run | None) ->
 
     def keep(scored: Run) -> None:
         """Store the answers before they are timed; a stored run stays until the new one is whole."""
-        logging.info("%s on %s: %s; its times follow", scored.method, scored.dataset, _recall(scored))
+        logging.info("%s on %s: %s; its times follow", scored.method, scored.dataset, _format_recall(scored))
         if stored is None:
             with suppress(BadInput):  # which is raised when it is stored with its times
-                store.save(replace(scored, **_tuning(experiment)))
+                store.save(replace(scored, **_list_tuning(experiment)))
 
     with progress_shown(f"{request.method_name} on {experiment.dataset.name}"):
-        run = replace(execute(experiment, key, keep), **_tuning(experiment))
+        run = replace(execute(experiment, key, keep), **_list_tuning(experiment))
         if experiment.stream:
             run = replace(run, stream=stream.grow_map(experiment))
         if request.energy:
@@ -187,7 +187,7 @@ def _make(experiment: Experiment, key: str, store: Store, stored: Run | None) ->
     return replace(run, **kept)
 
 
-def _recall(run: Run) -> str:
+def _format_recall(run: Run) -> str:
     first = recall_at(run.outcome, 1)
     return "R@1 is undefined" if first is None else f"R@1 {METRICS['recall_at_1'].text(first.expected)} %"
 

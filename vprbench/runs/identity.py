@@ -84,7 +84,7 @@ def code_hash(method: type[Method]) -> str:
     Of a class without source it is another one each time: its runs are never found again.
     """
     try:
-        return _with_harness(sources.hash_class(method))
+        return _add_harness(sources.hash_class(method))
     except OSError:
         return uuid.uuid4().hex
 
@@ -92,7 +92,7 @@ def code_hash(method: type[Method]) -> str:
 def code_hash_of(target: str) -> str | None:
     """Return the `code_hash` of a class by its full name, without importing it; None where its file cannot be told."""
     code = sources.hash_target(target)
-    return None if code is None else _with_harness(code)
+    return None if code is None else _add_harness(code)
 
 
 def hash_frames(dataset: Dataset) -> tuple[str, DataRecord]:
@@ -123,5 +123,5 @@ def fingerprint(dataset: Dataset) -> str:
     return hash_frames(dataset)[0]
 
 
-def _with_harness(code: str) -> str:
+def _add_harness(code: str) -> str:
     return hashlib.sha256(f"{code} {VERSION}".encode()).hexdigest()

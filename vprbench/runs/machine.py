@@ -36,10 +36,10 @@ def describe_machine(device: str, threads: int) -> dict[str, Any]:
         "memory_bytes": psutil.virtual_memory().total,
         "threads": threads,
         "device": device,
-        **_accelerator(device),
-        "vprbench": _version("vprbench"),
+        **_describe_accelerator(device),
+        "vprbench": _read_version("vprbench"),
         "libraries": library_versions(),
-        "git": _git_state(),
+        "git": _read_git_state(),
         "load_average": list(psutil.getloadavg()),
         "cpu_pressure_avg10": None if pressure is None else pressure.percent,
         "time_utc": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
@@ -77,7 +77,7 @@ class Machine:
 
 def library_versions() -> dict[str, str | None]:
     """Return the versions of the libraries that compute, None for those that are not installed."""
-    return {name: _version(name) for name in _LIBRARIES}
+    return {name: _read_version(name) for name in _LIBRARIES}
 
 
 def pin_threads(threads: int) -> None:
@@ -104,7 +104,7 @@ def processor() -> str:
 def device_class(device: str) -> str:
     """Return the kind of device and its model, in which stored times are comparable."""
     kind = device.partition(":")[0]
-    return f"{kind} {processor() if kind == 'cpu' else _accelerator(device)['accelerator']}"
+    return f"{kind} {processor() if kind == 'cpu' else _describe_accelerator(device)['accelerator']}"
 
 
 def format_software(environment: Mapping[str, Any]) -> str:
@@ -171,7 +171,7 @@ def peak_device_memory_bytes(device: str) -> int | None:
     return int(torch.cuda.max_memory_allocated(device))
 
 
-def _accelerator(device: str) -> dict[str, Any]:
+def _describe_accelerator(device: str) -> dict[str, Any]:
     if not device.startswith("cuda"):
         return {}
     import torch
@@ -180,28 +180,28 @@ def _accelerator(device: str) -> dict[str, Any]:
         "accelerator": torch.cuda.get_device_name(device),
         "accelerator_memory_bytes": torch.cuda.get_device_properties(device).total_memory,
         "cuda": torch.version.cuda,
-        "driver": _output("nvidia-smi", "--query-gpu=driver_version", "--format=csv,noheader"),
+        "driver": _run_command("nvidia-smi", "--query-gpu=driver_version", "--format=csv,noheader"),
     }
 
 
-def _version(name: str) -> str | None:
+def _read_version(name: str) -> str | None:
     try:
         return importlib.metadata.version(name)
     except importlib.metadata.PackageNotFoundError:
         return None
 
 
-def _git_state() -> dict[str, Any] | None:
+def _read_git_state() -> dict[str, Any] | None:
     """Return the commit of the checkout this package runs from, and whether it was changed."""
     root = checkout_folder()
     if not (root / ".git").exists():
         return None
-    commit = _output("git", "-C", str(root), "rev-parse", "HEAD")
-    changed = _output("git", "-C", str(root), "status", "--porcelain", "--untracked-files=no")
+    commit = _run_command("git", "-C", str(root), "rev-parse", "HEAD")
+    changed = _run_command("git", "-C", str(root), "status", "--porcelain", "--untracked-files=no")
     return {"commit": commit or None, "changed": bool(changed)}
 
 
-def _output(*command: str) -> str:
+def _run_command(*command: str) -> str:
     try:
         return subprocess.run(command, capture_output=True, text=True, timeout=10, check=False).stdout.strip()
     except (OSError, subprocess.TimeoutExpired):

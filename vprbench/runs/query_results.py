@@ -48,7 +48,7 @@ class Answers:
 def judge_answers(run: Run) -> Answers:
     """Judge the answers of a run by its ground truth."""
     if not run.is_judged:
-        return _keep_unjudged(run)
+        return _list_unjudged(run)
     outcome = run.outcome
     verdicts = np.where(hits_at(outcome, 1, "optimistic") > 0, TIED, WRONG)
     verdicts[hits_at(outcome, 1, "pessimistic") > 0] = RIGHT
@@ -70,7 +70,7 @@ def judge_answers(run: Run) -> Answers:
     )
 
 
-def _keep_unjudged(run: Run) -> Answers:
+def _list_unjudged(run: Run) -> Answers:
     """Return the answers of a run without a ground truth."""
     places, scores = _find_best_places(run, SHOWN_UNJUDGED)
     zeros, margins = np.zeros(len(places), np.int64), scores[:, 0] - scores[:, 1]

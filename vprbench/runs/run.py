@@ -18,8 +18,8 @@ from vprbench.runs.fitting import FitResult, fit_or_load
 from vprbench.runs.identity import code_hash
 from vprbench.runs.notes import make_notes
 from vprbench.runs.record import Run
-from vprbench.runs.scorers import AdaptedScorer, scorer_for
-from vprbench.runs.stopwatch import Stopwatch, synchroniser
+from vprbench.runs.scorers import AdaptedScorer, choose_scorer
+from vprbench.runs.stopwatch import Stopwatch, make_synchroniser
 from vprbench.runs.watch import MachineWatch
 
 
@@ -39,14 +39,16 @@ def execute(experiment: Experiment, key: str, keep: Callable[[Run], None] = lamb
     queries, views = dataset.queries.unnamed(), experiment.views
     started = time.perf_counter()
     watch = MachineWatch(request.device, request.n_threads)
-    stopwatch = Stopwatch(request.timing, synchronise=synchroniser(request.device), seed=request.seed)
+    stopwatch = Stopwatch(request.timing, synchronise=make_synchroniser(request.device), seed=request.seed)
 
     cache = experiment.cache if experiment.networks.load is None else None
     described = DescriptorCache.of(cache, method, experiment.config, dataset.n_places)
     with record_opened_files() as opened:
         fitted = fit_or_load(experiment, key, stopwatch, described)
         read = queries.reading.seconds
-        scorer = scorer_for(method, dataset.n_places, request.depth, request.scores, () if views is None else views.all)
+        scorer = choose_scorer(
+            method, dataset.n_places, request.depth, request.scores, () if views is None else views.all
+        )
         scoring = QueryScoring(stopwatch, method, scorer, dataset, request.depth, request.scores)
 
         def begin_traverse() -> Any:
@@ -68,13 +70,13 @@ def execute(experiment: Experiment, key: str, keep: Callable[[Run], None] = lamb
         *make_notes("dataset", dataset.notes),
         *fitted.notes,
         *make_notes("method", method.notes()),
-        *run_notes.on_opened_files(experiment, opened),
-        *run_notes.on_cache(dataset, fitted.from_cache, from_cache),
-        *run_notes.on_scorer(scorer, method, dataset.n_places),
+        *run_notes.note_opened_files(experiment, opened),
+        *run_notes.note_cache(dataset, fitted.from_cache, from_cache),
+        *run_notes.note_scorer(scorer, method, dataset.n_places),
     )
     harness_seconds = time.perf_counter() - started - elsewhere - auditing[0]
-    scored = _record(experiment, key, fitted, scoring, {**measured, "harness_seconds": harness_seconds})
-    scored = replace(scored, notes=(*notes, *run_notes.on_measurements(scored), *spike_notes))
+    scored = _make_record(experiment, key, fitted, scoring, {**measured, "harness_seconds": harness_seconds})
+    scored = replace(scored, notes=(*notes, *run_notes.note_measurements(scored), *spike_notes))
     if not request.timing.rates:
         return scored
     keep(scored)
@@ -83,10 +85,10 @@ def execute(experiment: Experiment, key: str, keep: Callable[[Run], None] = lamb
         timed = replace(scored, timing=timing, **watch.record())
     progress.report("timing", 1.0)
     timed = replace(timed, config={**scored.config, "timing": asdict(request.timing)})
-    return replace(timed, notes=(*notes, *run_notes.on_measurements(timed), *spike_notes))
+    return replace(timed, notes=(*notes, *run_notes.note_measurements(timed), *spike_notes))
 
 
-def _record(
+def _make_record(
     experiment: Experiment, key: str, fitted: FitResult, scoring: QueryScoring, measured: Mapping[str, Any]
 ) -> Run:
     """Return the record of a run that is not timed, but for its notes."""

@@ -26,7 +26,7 @@ _ADAPTED = {
 }
 
 
-def on_opened_files(experiment: Experiment, opened: Iterable[OpenedFile]) -> Iterator[Note]:
+def note_opened_files(experiment: Experiment, opened: Iterable[OpenedFile]) -> Iterator[Note]:
     """Yield a note on the files that a method read and that are no part of the key."""
     known = {name for name, _ in experiment.files}
     if others := [path.name for path in find_unnamed_files(opened, experiment.method) if path.name not in known]:
@@ -34,7 +34,7 @@ def on_opened_files(experiment: Experiment, opened: Iterable[OpenedFile]) -> Ite
         yield Note("opened", text)
 
 
-def on_cache(dataset: Dataset, references: int, queries: int) -> Iterator[Note]:
+def note_cache(dataset: Dataset, references: int, queries: int) -> Iterator[Note]:
     """Yield how many descriptors were not encoded because they were kept."""
     traverses = (("references", references, len(dataset.references)), ("queries", queries, len(dataset.queries)))
     kept = [f"{n if n == of else f'{n} of {of}'} {images}" for images, n, of in traverses if n]
@@ -45,7 +45,7 @@ def on_cache(dataset: Dataset, references: int, queries: int) -> Iterator[Note]:
         yield Note("described", text)
 
 
-def on_scorer(scorer: Scorer, method: Method, n_places: int) -> Iterator[Note]:
+def note_scorer(scorer: Scorer, method: Method, n_places: int) -> Iterator[Note]:
     """Yield a note if a method is asked for its best places alone, under adaptation or from several viewpoints."""
     if isinstance(scorer, NearestScorer):
         best = f"of {n_places:,} places the best {scorer.depth} of each query are kept"
@@ -58,7 +58,7 @@ def on_scorer(scorer: Scorer, method: Method, n_places: int) -> Iterator[Note]:
         yield Note("views", text)
 
 
-def on_measurements(run: Run) -> Iterator[Note]:
+def note_measurements(run: Run) -> Iterator[Note]:
     """Yield notes on a run's machine, rates and index."""
     around = run.environment
     slowdown, waited = around["canary_slowdown"], around["cpu_waited_percent"]
@@ -69,7 +69,7 @@ def on_measurements(run: Run) -> Iterator[Note]:
     if not around.get("fitted_alone", True):
         yield Note("fitted", "fitted beside other runs, which made it slower")
     if run.timing is not None:
-        yield from _on_rates(run, run.timing)
+        yield from _note_rates(run, run.timing)
     if run.search is not None and run.search["index"] != "exact":
         found = run.search
         again = f", the best {found['rerank']} compared again" if found["rerank"] else ""
@@ -81,7 +81,7 @@ def on_measurements(run: Run) -> Iterator[Note]:
         )
 
 
-def _on_rates(run: Run, timing: Timing) -> Iterator[Note]:
+def _note_rates(run: Run, timing: Timing) -> Iterator[Note]:
     limit = "maximum" if run.timed_by.total_seconds is None else "total"
     unmet = f"a minimum of the timing protocol was not met within timing.{limit}_seconds"
     if not timing.streaming.valid:

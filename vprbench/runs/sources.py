@@ -44,7 +44,7 @@ def _follow_imports(name: str, file: Path) -> dict[str, Path]:
     found, waiting = {name: file}, [name]
     while waiting:
         module = waiting.pop()
-        for imported in _list_imports(found[module].read_text(encoding="utf-8"), _package_of(module, found[module])):
+        for imported in _list_imports(found[module].read_text(encoding="utf-8"), _name_package(module, found[module])):
             if imported not in found and _is_own(imported, name, file) and (path := _find_file(imported)) is not None:
                 found[imported] = path
                 waiting.append(imported)
@@ -72,7 +72,7 @@ def _find_definition(target: str) -> tuple[str, Path] | None:
         if isinstance(node, ast.ImportFrom):
             for alias in node.names:
                 if name == (alias.asname or alias.name):
-                    return _find_definition(f"{_resolve_module(node, _package_of(module, path))}.{alias.name}")
+                    return _find_definition(f"{_resolve_module(node, _name_package(module, path))}.{alias.name}")
     return None
 
 
@@ -94,7 +94,7 @@ def _resolve_module(node: ast.ImportFrom, package: str) -> str:
     return importlib.util.resolve_name(name, package) if node.level else name
 
 
-def _package_of(module: str, path: Path) -> str:
+def _name_package(module: str, path: Path) -> str:
     return module if path.name == "__init__.py" else module.rpartition(".")[0]
 
 

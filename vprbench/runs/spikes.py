@@ -47,10 +47,10 @@ def summarise_spikes(layers: Sequence[LayerSpikes]) -> dict[str, Any] | None:
     if len(counts) > 1 or any(layer.values.ndim != 2 for layer in layers):
         shapes = ", ".join(f"{layer.name} {layer.values.shape}" for layer in layers)
         raise BadInput(f"spikes of shapes {shapes} came; wanted (n_queries, n_neurons), all of the same queries")
-    return {"queries": counts[0], "layers": [_of_layer(layer) for layer in layers]}
+    return {"queries": counts[0], "layers": [_summarise_layer(layer) for layer in layers]}
 
 
-def _of_layer(layer: LayerSpikes) -> dict[str, Any]:
+def _summarise_layer(layer: LayerSpikes) -> dict[str, Any]:
     values = np.asarray(layer.values)
     if not np.isfinite(values).all() or (values < 0).any():
         raise BadInput(f"the spikes of layer {layer.name} are not all finite and 0 or more")

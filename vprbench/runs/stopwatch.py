@@ -31,7 +31,7 @@ _GAIN = 1.25  # times the rate: less is within what machines vary by
 _SHARES = (0.15, 0.5)  # of `total_seconds`, by which warm-up and streaming have to end
 
 
-def _nothing() -> None:
+def _do_nothing() -> None:
     """Synchronise a device that does nothing behind the caller's back."""
 
 
@@ -85,7 +85,7 @@ class Stopwatch:
         self,
         protocol: Protocol,
         clock: Clock = time.perf_counter_ns,
-        synchronise: Callable[[], None] = _nothing,
+        synchronise: Callable[[], None] = _do_nothing,
         seed: int = 0,
     ) -> None:
         """Measure by `clock`, with `synchronise` at every boundary; `seed` draws the order of the queries."""
@@ -120,10 +120,10 @@ class Stopwatch:
         A pass takes 4 s at most, unless the minimum of queries takes more: the sample of a slow method is smaller.
         If the method was asked before, `first_query_seconds` is what its first query took.
         """
-        chosen = _sample(images, self._protocol.sample)
+        chosen = _choose_sample(images, self._protocol.sample)
         sample, count = images[chosen].in_memory(), len(chosen)
         singles = [sample[np.array([i])] for i in range(count)]
-        with _garbage_kept():
+        with _pause_garbage_collection():
             progress.report("timing", 0.0)
             began = self._clock()
             self._end_after(began, _SHARES[0])
@@ -234,7 +234,7 @@ class Stopwatch:
         return self._clock() + coming * 1e9 > self._end
 
 
-def _sample(images: Images, wanted: int) -> npt.NDArray[np.int64]:
+def _choose_sample(images: Images, wanted: int) -> npt.NDArray[np.int64]:
     """Return `wanted` images spread over all, fewer if these would fill more than the bytes that may be held."""
     count = min(len(images), wanted)
     while True:
@@ -245,17 +245,17 @@ def _sample(images: Images, wanted: int) -> npt.NDArray[np.int64]:
         count = max(1, min(count - 1, count * _SAMPLE_BYTES // n_bytes))
 
 
-def synchroniser(device: str) -> Callable[[], None]:
+def make_synchroniser(device: str) -> Callable[[], None]:
     """Return what waits until `device` has nothing left to do."""
     if not device.startswith("cuda"):
-        return _nothing
+        return _do_nothing
     import torch
 
     return lambda: torch.cuda.synchronize(device)
 
 
 @contextmanager
-def _garbage_kept() -> Iterator[None]:
+def _pause_garbage_collection() -> Iterator[None]:
     """Keep the garbage collector out of the timed window."""
     gc.collect()
     was_enabled = gc.isenabled()

@@ -121,8 +121,8 @@ def load_thumbnails(root: Path, fingerprint: str) -> Thumbnails | None:
             tuple(files.get(f"{part}/{n}", b"") for n in range(len(about[part]))) for part in ("queries", "references")
         )
         examples = (
-            Example(*pair, _decode(files[f"examples/{n}-queries"]), _decode(files[f"examples/{n}-references"]))
-            for n, pair in enumerate(about["examples"])
+            Example(query, place, _decode(files[f"examples/{n}-queries"]), _decode(files[f"examples/{n}-references"]))
+            for n, (query, place) in enumerate(about["examples"])
         )
         return Thumbnails(tuple(about["queries"]), tuple(about["references"]), tuple(examples), *frames)
     except FileNotFoundError:

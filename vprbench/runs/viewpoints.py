@@ -71,12 +71,12 @@ def parse_viewpoints(value: Any) -> Viewpoints | None:
     return None if given is None else build_options("views", Viewpoints, given)
 
 
-def seen_from(dataset: Dataset, views: Viewpoints | None) -> Dataset:
+def record_viewpoints(dataset: Dataset, views: Viewpoints | None) -> Dataset:
     """Return a dataset whose protocol says from which viewpoints its queries are asked."""
     return dataset if views is None else replace(dataset, protocol={**dataset.protocol, "views": views.protocol()})
 
 
-def view_of(image: Image, viewpoint: Viewpoint) -> Image:
+def render_view(image: Image, viewpoint: Viewpoint) -> Image:
     """Return an image (height, width, 3) as a camera that looks elsewhere would show it, its borders reflected.
 
     Shifts are by whole pixels; an enlargement about the middle interpolates between pixels.
