@@ -94,7 +94,7 @@ class Store:
         """Store a run, replacing one with the same key; raises BadInput if the disk refuses, or a run cannot be."""
         folder = self.folder(run.dataset, run.method, run.key)
         try:
-            _fill_folder(folder, lambda partial: write(run, partial))
+            _place(folder, lambda partial: write(run, partial))
             shutil.rmtree(self._failure_folder(run.method, run.dataset, run.config), ignore_errors=True)
         except ValueError as error:
             raise BadInput(f"the run cannot be stored: {error}; mend the method or dataset that gave it") from error
@@ -109,7 +109,7 @@ class Store:
         """Store that a run ended in an error, until a run of the same configuration succeeds."""
         folder = self._failure_folder(failure.method, failure.dataset, failure.config)
         try:
-            _fill_folder(folder, lambda partial: write_failure(failure, partial))
+            _place(folder, lambda partial: write_failure(failure, partial))
         except OSError as error:
             raise BadInput(f"the failure could not be stored in {folder} ({error.strerror or error})") from error
         return folder
@@ -169,7 +169,7 @@ class Store:
         return self.root / dataset / f"{method}-failed-{content_key(asked)}"
 
 
-def _fill_folder(folder: Path, fill: Callable[[Path], None]) -> None:
+def _place(folder: Path, fill: Callable[[Path], None]) -> None:
     """Let `fill` write into a folder beside `folder`, and put that in its place."""
     partial = atomic.unfinished(folder.parent)
     try:
