@@ -59,7 +59,7 @@ class UnreadableError(Exception):
 
 
 def open_rapl(root: Path) -> Joules:
-    """Return the sum of the counters of processor and memory in Linux's powercap, asked before one wraps around twice.
+    """Return the sum of the counters of processor and memory in Linux's powercap, read before one wraps around twice.
 
     Raises UnreadableError where there is none, or where they may not be read.
     """
@@ -154,7 +154,7 @@ def find_costs(experiment: Experiment, run: Run) -> dict[str, Any]:
 
 
 def format_costs(run: Run, wide: bool = False) -> str:
-    """Return the costs of a run as a small table, `n/a` with its reason for what is not known."""
+    """Return the costs of a run as a small table, `n/a` with its reason for an unknown cost."""
     found = run.energy or {"values": {}, "how": {}}
     shown = {name: "n/a" if cost is None else METRICS[name].text(cost) for name, cost in found["values"].items()}
     rows = [[METRICS[name].head, shown[name], found["how"][name]] for name in shown]

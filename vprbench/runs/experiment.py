@@ -35,7 +35,7 @@ class Experiment:
 
     request: RunRequest
     method: Method
-    dataset: Dataset  # its queries corrupted, if that was asked for
+    dataset: Dataset  # its queries corrupted, if the request says so
     fingerprint: str  # of the dataset
     data: DataRecord  # of the dataset
     networks: networks.Files = field(default_factory=networks.Files)  # to load or to store
@@ -43,11 +43,11 @@ class Experiment:
     cache: Path | None = None  # a folder for descriptors worth keeping
     stream: int = 0  # places from one stop of a growing map to the next; 0: the map does not grow
     tuned_queries: Sequence[int] = ()  # which show places that the method was tuned on, by their frames' content
-    shared_fit: list[FitResult] | None = None  # of runs that share the method: what its fit gave, once it was fitted
+    shared_fit: list[FitResult] | None = None  # of runs that share the method: the result of its fit, once it is fitted
 
     @property
     def views(self) -> Viewpoints | None:
-        """The viewpoints that each query is asked from; None: the frames as they are."""
+        """The viewpoints of each query; None: the frames as they are."""
         return parse_viewpoints(self.request.views)
 
     @cached_property
@@ -76,9 +76,9 @@ def build_experiment(
     """Build the method and the dataset of a request.
 
     Args:
-        request: the run that is asked for.
+        request: the run to be made.
         dataset: an object in place of the registered dataset.
-        make: what makes the method of its arguments; None: its registered class.
+        make: makes the method from its arguments; None: its registered class.
 
     Raises:
         BadInput: an option, the data or this machine does not fit; NotThere where weights or frames are missing.
@@ -94,7 +94,7 @@ def build_experiment(
     with record_opened_files() as opened:
         method = (make or registry.make_method)(request.method)
     _require_adaptable(method)
-    # what the cheap checks warn of is among the dataset's notes
+    # warnings of the cheap checks are among the dataset's notes
     in_sequences = bool(sequences.parse_views(request.sequence, request.filter))
     dataset = replace(dataset, notes=(*dataset.notes, *check_dataset(dataset, in_sequences)))
     tuned_queries = find_tuned_queries(dataset, request.tuned_on)

@@ -47,7 +47,7 @@ class FitResult:
 
 
 def fit_or_load(experiment: Experiment, key: str, stopwatch: Stopwatch, described: DescriptorCache | None) -> FitResult:
-    """Load the method's network, or fit and calibrate the method and store its network if that was asked for.
+    """Load the method's network, or fit and calibrate the method and store its network if the request says where.
 
     A method that an earlier run of the experiment's `shared_fit` has fitted stays as it is.
     """

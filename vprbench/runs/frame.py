@@ -166,8 +166,8 @@ def _list_arguments(run: Run | Failure) -> list[str]:
 
 def _find_changed_arguments(run: Run, known: Mapping[str, Entry]) -> Mapping[str, Any]:
     """Return the arguments of a run's dataset that differ from its yaml; all of one that is not registered here."""
-    asked = (text.lstrip("+") for text in run.config.get("overrides", ()))
-    name = next((text.partition("=")[2] for text in asked if text.startswith("dataset=")), run.dataset)
+    overrides = (text.lstrip("+") for text in run.config.get("overrides", ()))
+    name = next((text.partition("=")[2] for text in overrides if text.startswith("dataset=")), run.dataset)
     arguments = {key: value for key, value in run.config["dataset"].items() if key not in ("_target_", "name")}
     entry = known.get(name)
     return arguments if entry is None else entry.changed(arguments)

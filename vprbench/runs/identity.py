@@ -17,7 +17,7 @@ from vprbench.runs.run_files import content_key
 #: Raise it with a change by which a run may have other answers or times; a test holds that nobody forgets to decide.
 VERSION = 5
 
-#: The modules whose changes are decided about, beside those of `vprbench.api`.
+#: A change of these modules is a decision about VERSION, beside those of `vprbench.api`.
 MODULES = (
     *("vprbench.metrics.ranking", "vprbench.plugins.networks", "vprbench.runs.stopwatch", "vprbench.runs.fitting"),
     *("vprbench.runs.run", "vprbench.runs.answers", "vprbench.runs.scorers", "vprbench.runs.descriptors"),
@@ -40,7 +40,7 @@ def run_key(
     """Return the hash of all that can change the outcome of a run, or the times it measures by one timing protocol.
 
     Args:
-        request: the run that is asked for; the place of its method's file does not count.
+        request: the run to be made; the place of its method's file does not count.
         dataset: its dataset, built.
         images: the fingerprint of the dataset.
         method_class: the name of the method's class.
@@ -90,7 +90,7 @@ def code_hash(method: type[Method]) -> str:
 
 
 def code_hash_of(target: str) -> str | None:
-    """Return the `code_hash` of a class by its full name, without importing it; None where its file cannot be told."""
+    """Return the `code_hash` of a class by its full name, without importing it; None where its file is unknown."""
     code = sources.hash_target(target)
     return None if code is None else _add_harness(code)
 

@@ -65,7 +65,7 @@ class Machine:
 
     @property
     def hardware(self) -> tuple[str | None, int | None, str | None]:
-        """Processor, cores and accelerator, whatever the threads and the libraries."""
+        """Processor, cores and accelerator, without threads and libraries."""
         return self.processor, self.cores, self.accelerator
 
     @property

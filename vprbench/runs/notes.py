@@ -23,7 +23,7 @@ NoteKind = Literal[
     "index",  # an approximate search
     "shortlist",  # a large map, of which the best places of a query alone are kept
     "adapted",  # the mean that is taken off descriptors
-    "views",  # from which viewpoints queries were asked
+    "views",  # the viewpoints of queries
     "spikes",  # why no spikes were counted
 ]
 

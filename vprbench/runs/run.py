@@ -33,7 +33,7 @@ def execute(experiment: Experiment, key: str, keep: Callable[[Run], None] = lamb
     Args:
         experiment: method, dataset and request.
         key: identifies the run.
-        keep: takes the run without its rates before these are measured, unless none are asked for.
+        keep: takes the run without its rates before these are measured, unless the request asks for none.
     """
     request, method, dataset = experiment.request, experiment.method, experiment.dataset
     queries, views = dataset.queries.unnamed(), experiment.views

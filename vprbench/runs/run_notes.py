@@ -46,7 +46,7 @@ def note_cache(dataset: Dataset, references: int, queries: int) -> Iterator[Note
 
 
 def note_scorer(scorer: Scorer, method: Method, n_places: int) -> Iterator[Note]:
-    """Yield a note if a method is asked for its best places alone, under adaptation or from several viewpoints."""
+    """Yield a note for shortlists of best places, for adaptation and for several viewpoints."""
     if isinstance(scorer, NearestScorer):
         best = f"of {n_places:,} places the best {scorer.depth} of each query are kept"
         yield Note("shortlist", f"large map: {best}, and a right place that is none of these is no candidate")
@@ -88,7 +88,7 @@ def _note_rates(run: Run, timing: Timing) -> Iterator[Note]:
         yield Note("invalid", f"invalid rates: {unmet}")
     elif not all(laps.valid for laps in timing.offline):
         yield Note("offline", f"invalid rates in batches: {unmet}")
-    in_order = run.config["method"].get("adapt") == "running"  # the sample is asked in another order
+    in_order = run.config["method"].get("adapt") == "running"  # the sample comes in another order
     if not in_order and not _gives_same_answers(run, timing):
         yield Note("answers", "the timed run gave other answers than the scored run")
 

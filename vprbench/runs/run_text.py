@@ -1,4 +1,4 @@
-"""What a person or a program is told of one run: its row, the notes on it, and where it lies."""
+"""One run as text or JSON: its row, its notes, its views and its folder."""
 
 from __future__ import annotations
 

@@ -24,17 +24,19 @@ from vprbench.plugins.values import build_options, parse_mapping
 from vprbench.runs.record import Run
 from vprbench.runs.views import queries_shown, replace_scores, select_queries
 
-Views = Callable[[Run], Run]  # a view; raises NoScoresError for a run that kept no scores, BadInput for what cannot be
+Views = Callable[
+    [Run], Run
+]  # a view; raises NoScoresError for a run that kept no scores, BadInput for an impossible view
 
 
 class NoScoresError(BadInput):
-    """A run keeps no scores, which a view of it needs; the message says what to do."""
+    """A run keeps no scores, which a view of it needs; the message names the remedy."""
 
 
 def apply_sequences(run: Run, options: Sequences) -> Run:
     """Return a run whose queries are answered by the sequences of queries that they are in.
 
-    The right places are those of the query itself, which ends a causal window and is in the middle of a centred one.
+    The right places are the right places of the query itself, which ends a causal window and is in the middle of a centred one.
     """
     if options.window == "lens":
         return _apply_lens(run, options)

@@ -26,7 +26,7 @@ def hash_target(target: str) -> str | None:
 
 
 def hash_files(files: Iterable[Path]) -> str:
-    """Return the hash of the bytes of files, in whatever order and under whatever names."""
+    """Return the hash of the bytes of files; their order and names do not count."""
     hashes = sorted(hashlib.sha256(path.read_bytes()).hexdigest() for path in files)
     return hashlib.sha256("".join(hashes).encode()).hexdigest()
 
@@ -78,7 +78,7 @@ def _find_definition(target: str) -> tuple[str, Path] | None:
 
 @cache
 def _list_imports(text: str, package: str) -> tuple[str, ...]:
-    """Return the full names of all that a text imports, modules and what may be a module."""
+    """Return the full names of all imports of a text, of modules and of names that may be modules."""
     found: list[str] = []
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.Import):

@@ -14,7 +14,7 @@ from vprbench.errors import BadInput
 from vprbench.runs.notes import Note
 from vprbench.runs.scorers import block_size
 
-_QUERIES = 256  # at most, of which spikes are counted
+_QUERIES = 256  # whose spikes are counted, at most
 
 
 def count_spikes(method: Method, queries: Images) -> tuple[dict[str, Any] | None, tuple[Note, ...]]:

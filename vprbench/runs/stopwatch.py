@@ -26,8 +26,8 @@ Seconds = npt.NDArray[np.float64]
 
 _SAMPLE_BYTES = 1 << 29  # of decoded images held at once
 _STEADY_QUERIES, _STEADY_SPREAD = 10, 0.1
-_LONG_PASS, _LONG_CALL = 4.0, 1.0  # seconds: no more is asked of a slow method
-_GAIN = 1.25  # times the rate: less is within what machines vary by
+_LONG_PASS, _LONG_CALL = 4.0, 1.0  # seconds, at most, of a slow method
+_GAIN = 1.25  # times the rate: machines vary by less
 _SHARES = (0.15, 0.5)  # of `total_seconds`, by which warm-up and streaming have to end
 
 
@@ -93,7 +93,7 @@ class Stopwatch:
         self._clock = clock
         self._synchronise = synchronise
         self._generator = np.random.default_rng(seed)
-        self._end = float("inf")  # by the clock, of what is measured now
+        self._end = float("inf")  # of the present measurement, by the clock
 
     @contextmanager
     def lap(self) -> Iterator[list[float]]:
@@ -111,14 +111,14 @@ class Stopwatch:
         try:
             return sum(self._call(scorer, first)[:2])
         except Exception:
-            require_codes(scorer.encode(first), 1)  # asked where it costs no time of a query
+            require_codes(scorer.encode(first), 1)  # checked outside of timed calls
             raise
 
     def measure(self, scorer: Scorer, images: Images, first_query_seconds: float | None = None) -> Timing:
         """Measure a fitted method on a sample of `images`, decoded beforehand; batches of large codes are smaller.
 
         A pass takes 4 s at most, unless the minimum of queries takes more: the sample of a slow method is smaller.
-        If the method was asked before, `first_query_seconds` is what its first query took.
+        If the method has answered before, `first_query_seconds` are the seconds of its first query.
         """
         chosen = _choose_sample(images, self._protocol.sample)
         sample, count = images[chosen].in_memory(), len(chosen)
@@ -152,7 +152,7 @@ class Stopwatch:
         return (encoded - start) / 1e9, (matched - encoded) / 1e9, scores
 
     def _warm_up(self, scorer: Scorer, singles: Sequence[Images], usual: float) -> list[float]:
-        """Return the seconds of the calls; `usual` is what one may take."""
+        """Return the seconds of the calls; `usual` is the expected time of one."""
         laps: list[float] = []
         started = self._clock()
         while len(laps) < self._protocol.warmup_queries and not self._late(started, usual):
@@ -222,7 +222,7 @@ class Stopwatch:
         return long_enough and queries >= max(protocol.minimum_queries, protocol.minimum_passes * per_pass)
 
     def _end_after(self, began: int, share: float) -> None:
-        """Let what is measured next end before a share of `total_seconds` is over, if a call is enough for that."""
+        """Let the next measurement end before a share of `total_seconds` is over, but for a single call."""
         total = self._protocol.total_seconds
         self._end = float("inf") if total is None else began + share * total * 1e9
 
@@ -246,7 +246,7 @@ def _choose_sample(images: Images, wanted: int) -> npt.NDArray[np.int64]:
 
 
 def make_synchroniser(device: str) -> Callable[[], None]:
-    """Return what waits until `device` has nothing left to do."""
+    """Return a function that waits until `device` is idle."""
     if not device.startswith("cuda"):
         return _do_nothing
     import torch

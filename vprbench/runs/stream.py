@@ -29,7 +29,7 @@ _STOPS = 10  # where nobody says how many places lie between two
 
 
 def parse_step(step: bool | int, method: Method, n_places: int) -> int:
-    """Return how many places the first map has and each stop adds; 0 if no growing map is asked for.
+    """Return how many places the first map has and each stop adds; 0 without a growing map.
 
     Raises BadInput for more than the map has, and for a method that learns its places together.
     """

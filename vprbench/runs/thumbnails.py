@@ -68,9 +68,9 @@ def choose_frames(shown: Shown, most: int) -> tuple[set[int], set[int]]:
 
 
 def save_thumbnails(root: Path, fingerprint: str, dataset: Dataset, shown: Shown = ()) -> None:
-    """Keep small pictures of a dataset below a results folder, beside those that are there already.
+    """Keep small pictures of a dataset below a results folder, beside earlier ones.
 
-    Of a large dataset only some frames are kept: those that `shown` names first. Several processes may do so at once; a
+    Of a large dataset only the frames that `shown` names first are kept. Several processes may do so at once; a
     reader finds a whole file or none, and pictures that one adds while another does may be lost until the next run.
     Raises OSError if the disk refuses and BadInput if a frame cannot be read.
     """

@@ -58,7 +58,7 @@ class Viewpoints:
         return [Viewpoint(*each) for each in itertools.product(self.horizontal, self.vertical, self.zoom)]
 
     def protocol(self) -> str:
-        """Return what stands of them in the protocol of a run."""
+        """Return their entry in the protocol of a run."""
         return "+".join(map(str, self.all))
 
 
@@ -72,7 +72,7 @@ def parse_viewpoints(value: Any) -> Viewpoints | None:
 
 
 def record_viewpoints(dataset: Dataset, views: Viewpoints | None) -> Dataset:
-    """Return a dataset whose protocol says from which viewpoints its queries are asked."""
+    """Return a dataset whose protocol names the viewpoints of its queries."""
     return dataset if views is None else replace(dataset, protocol={**dataset.protocol, "views": views.protocol()})
 
 
