@@ -83,7 +83,7 @@ class RunRequest:
             raise BadInput(f"threads={self.threads}: give at least 1")
         if self.save is not None and self.load is not None:
             raise BadInput(
-                f"save={self.save} and load={self.load}: a network that is loaded is stored already, give one of them"
+                f"save={self.save} and load={self.load}: a loaded network is stored already, give one of them"
             )
         self._check_device()
 

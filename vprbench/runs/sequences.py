@@ -26,7 +26,7 @@ from vprbench.runs.views import queries_shown, replace_scores, select_queries
 
 Views = Callable[
     [Run], Run
-]  # a view; raises NoScoresError for a run that kept no scores, BadInput for an impossible view
+]  # raises NoScoresError for a run without scores, BadInput for an impossible view
 
 
 class NoScoresError(BadInput):
@@ -36,7 +36,7 @@ class NoScoresError(BadInput):
 def apply_sequences(run: Run, options: Sequences) -> Run:
     """Return a run whose queries are answered by the sequences of queries that they are in.
 
-    The right places are the right places of the query itself, which ends a causal window and is in the middle of a centred one.
+    A query keeps its own right places. It ends a causal window and is in the middle of a centred one.
     """
     if options.window == "lens":
         return _apply_lens(run, options)
