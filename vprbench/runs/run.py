@@ -10,13 +10,13 @@ from typing import Any
 from vprbench import progress
 from vprbench.api.adaptation import Adaptation
 from vprbench.plugins.opened_files import record_opened_files
-from vprbench.runs import run_notes, spikes, timing_lock
+from vprbench.runs import spikes, timing_lock
 from vprbench.runs.answers import QueryScoring, describe_search
 from vprbench.runs.descriptors import DescriptorCache
 from vprbench.runs.experiment import Experiment
 from vprbench.runs.fitting import FitResult, fit_or_load
 from vprbench.runs.identity import code_hash
-from vprbench.runs.notes import make_notes
+from vprbench.runs.notes import make_notes, note_cache, note_measurements, note_opened_files, note_scorer
 from vprbench.runs.record import Run
 from vprbench.runs.scorers import AdaptedScorer, choose_scorer
 from vprbench.runs.stopwatch import Stopwatch, make_synchroniser
@@ -70,13 +70,13 @@ def execute(experiment: Experiment, key: str, keep: Callable[[Run], None] = lamb
         *make_notes("dataset", dataset.notes),
         *fitted.notes,
         *make_notes("method", method.notes()),
-        *run_notes.note_opened_files(experiment, opened),
-        *run_notes.note_cache(dataset, fitted.from_cache, from_cache),
-        *run_notes.note_scorer(scorer, method, dataset.n_places),
+        *note_opened_files(experiment, opened),
+        *note_cache(dataset, fitted.from_cache, from_cache),
+        *note_scorer(scorer, method, dataset.n_places),
     )
     harness_seconds = time.perf_counter() - started - elsewhere - auditing[0]
     scored = _make_record(experiment, key, fitted, scoring, {**measured, "harness_seconds": harness_seconds})
-    scored = replace(scored, notes=(*notes, *run_notes.note_measurements(scored), *spike_notes))
+    scored = replace(scored, notes=(*notes, *note_measurements(scored), *spike_notes))
     if not request.timing.rates:
         return scored
     keep(scored)
@@ -85,7 +85,7 @@ def execute(experiment: Experiment, key: str, keep: Callable[[Run], None] = lamb
         timed = replace(scored, timing=timing, **watch.record())
     progress.report("timing", 1.0)
     timed = replace(timed, config={**scored.config, "timing": asdict(request.timing)})
-    return replace(timed, notes=(*notes, *run_notes.note_measurements(timed), *spike_notes))
+    return replace(timed, notes=(*notes, *note_measurements(timed), *spike_notes))
 
 
 def _make_record(

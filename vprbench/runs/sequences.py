@@ -24,9 +24,7 @@ from vprbench.plugins.values import build_options, parse_mapping
 from vprbench.runs.record import Run
 from vprbench.runs.views import queries_shown, replace_scores, select_queries
 
-Views = Callable[
-    [Run], Run
-]  # raises NoScoresError for a run without scores, BadInput for an impossible view
+Views = Callable[[Run], Run]  # raises NoScoresError for a run without scores, BadInput for an impossible view
 
 
 class NoScoresError(BadInput):
