@@ -27,23 +27,20 @@ class FitResult:
     fit_seconds: float | None = None
     fit_compute_seconds: float | None = None
     load_seconds: float | None = None
-    earlier_seconds: float = 0.0  # the time that an earlier run had spent on a method that this run takes over
     notes: tuple[Note, ...] = ()
     from_cache: int = 0  # descriptors of references that were kept already
-
-    def of_earlier_run(self) -> FitResult:
-        """Return the result for a run that takes over a method fitted by an earlier run: no time was its own."""
-        return replace(self, earlier_seconds=(self.fit_seconds or 0.0) + (self.load_seconds or 0.0))
+    of_earlier_run: bool = False  # whose method this run takes over: none of the time is its own
 
     @property
     def seconds(self) -> float:
         """Return the wall time of this run."""
-        return (self.fit_seconds or 0.0) + (self.load_seconds or 0.0) - self.earlier_seconds
+        return 0.0 if self.of_earlier_run else (self.fit_seconds or 0.0) + (self.load_seconds or 0.0)
 
     @property
     def method_seconds(self) -> float:
         """Return the time of this run that went into the method."""
-        return max(0.0, (self.fit_compute_seconds or 0.0) + (self.load_seconds or 0.0) - self.earlier_seconds)
+        own = (self.fit_compute_seconds or 0.0) + (self.load_seconds or 0.0)
+        return 0.0 if self.of_earlier_run else max(0.0, own)
 
 
 def fit_or_load(experiment: Experiment, key: str, stopwatch: Stopwatch, described: DescriptorCache | None) -> FitResult:
@@ -52,7 +49,7 @@ def fit_or_load(experiment: Experiment, key: str, stopwatch: Stopwatch, describe
     A method that an earlier run of the experiment's `shared_fit` has fitted stays as it is.
     """
     if experiment.shared_fit:
-        return experiment.shared_fit[0].of_earlier_run()
+        return replace(experiment.shared_fit[0], of_earlier_run=True)
     fitted = _fit_or_load(experiment, key, stopwatch, described)
     if experiment.shared_fit is not None:
         experiment.shared_fit.append(fitted)

@@ -20,9 +20,13 @@ def hash_class(kind: type) -> str:
 
 
 def hash_target(target: str) -> str | None:
-    """Return the `hash_class` of a class by its full name, without importing it; None where no file defines it."""
-    defined = _find_definition(target)
-    return None if defined is None else hash_files(_follow_imports(*defined).values())
+    """Return the `hash_class` of a class by its full name, without importing it; None for a module without a file.
+
+    It is another hash if the module of the name imports the class from elsewhere.
+    """
+    module = target.rpartition(".")[0]
+    path = _find_file(module)
+    return None if path is None else hash_files(_follow_imports(module, path).values())
 
 
 def hash_files(files: Iterable[Path]) -> str:
@@ -58,22 +62,6 @@ def _is_own(module: str, method: str, file: Path) -> bool:
         return module.startswith("vprbench.methods.") and package == top
     beside = (file.with_name(f"{top}.py"), file.parent / top / "__init__.py")
     return top == package or (method == package and any(path.is_file() for path in beside))
-
-
-def _find_definition(target: str) -> tuple[str, Path] | None:
-    """Return the module that defines a class, and its file; a name that a module imports is followed."""
-    module, _, name = target.rpartition(".")
-    path = _find_file(module)
-    if path is None:
-        return None
-    for node in ast.parse(path.read_bytes()).body:
-        if isinstance(node, ast.ClassDef) and node.name == name:
-            return module, path
-        if isinstance(node, ast.ImportFrom):
-            for alias in node.names:
-                if name == (alias.asname or alias.name):
-                    return _find_definition(f"{_resolve_module(node, _name_package(module, path))}.{alias.name}")
-    return None
 
 
 @cache
