@@ -19,7 +19,7 @@ from vprbench.api.images import Images
 from vprbench.api.method import batch_size_for, require_codes
 from vprbench.runs.scorers import Answer, Scorer, best_place
 from vprbench.runs.timing_protocol import Protocol as Protocol  # callers ask the stopwatch
-from vprbench.storage.bounds import INTEGERS, NUMBERS, Array, Count, Flag, Positive
+from vprbench.storage.bounds import INTEGERS, NUMBERS, Array, Count, Flag, Number, Positive
 
 Clock = Callable[[], int]  # nanoseconds, monotonic
 Seconds = npt.NDArray[np.float64]
@@ -68,7 +68,7 @@ class Laps:
 class Timing:
     """All that was measured of one method's queries."""
 
-    first_query_seconds: Annotated[float, Field(strict=True)]  # of the first one after the fit; NaN if none warmed up
+    first_query_seconds: Number  # of the first one after the fit
     warmup_queries: Count
     streaming: Laps
     offline: Annotated[tuple[Laps, ...], Field(min_length=1)]  # one per batch size
@@ -114,11 +114,11 @@ class Stopwatch:
             require_codes(scorer.encode(first), 1)  # checked outside of timed calls
             raise
 
-    def measure(self, scorer: Scorer, images: Images, first_query_seconds: float | None = None) -> Timing:
+    def measure(self, scorer: Scorer, images: Images, first_query_seconds: float = 0.0) -> Timing:
         """Measure a fitted method on a sample of `images`, decoded beforehand; batches of large codes are smaller.
 
         A pass takes 4 s at most, unless the minimum of queries takes more: the sample of a slow method is smaller.
-        If the method has answered before, `first_query_seconds` are the seconds of its first query.
+        `first_query_seconds` are the seconds of its first query, asked before.
         """
         chosen = _choose_sample(images, self._protocol.sample)
         sample, count = images[chosen].in_memory(), len(chosen)
@@ -127,7 +127,7 @@ class Stopwatch:
             progress.report("timing", 0.0)
             began = self._clock()
             self._end_after(began, _SHARES[0])
-            warmup = self._warm_up(scorer, singles, first_query_seconds or 0.0)
+            warmup = self._warm_up(scorer, singles, first_query_seconds)
             usual = float(np.median(warmup[-_STEADY_QUERIES:])) if warmup else 0.0
             if usual and (few := max(self._protocol.minimum_queries, int(_LONG_PASS / usual))) < count:
                 some = np.linspace(0, count - 1, few).astype(np.int64)
@@ -136,8 +136,7 @@ class Stopwatch:
             streaming, answers = self._stream(scorer, singles)
             progress.report("timing", 0.2)
             offline = self._offline(scorer, sample, streaming, began)
-        first = [*warmup, float("nan")][0] if first_query_seconds is None else first_query_seconds
-        return Timing(first, len(warmup), streaming, offline, chosen, answers)
+        return Timing(first_query_seconds, len(warmup), streaming, offline, chosen, answers)
 
     def _call(self, scorer: Scorer, images: Images) -> tuple[float, float, Answer]:
         """Return the seconds of encode and match, and the scores or the best places."""
