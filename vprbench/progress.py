@@ -41,20 +41,6 @@ def listening(listener: Listener) -> Iterator[None]:
 
 
 @contextmanager
-def overheard(listener: Listener) -> Iterator[None]:
-    """Send every report made inside the block to `listener` too."""
-    other = _listener.get()
-
-    def both(stage: str, done: float) -> None:
-        listener(stage, done)
-        if other is not None:
-            other(stage, done)
-
-    with listening(both):
-        yield
-
-
-@contextmanager
 def progress_shown(title: str, stream: TextIO | None = None) -> Iterator[None]:
     """Show each reported stage and the time left, on standard error or `stream`: a bar in a terminal, lines elsewhere.
 

@@ -24,12 +24,12 @@ from vprbench.methods.hog import HOG
 from vprbench.metrics.sequences import Sequences
 from vprbench.plugins.rules import Journey
 from vprbench.runs import fitting, scorers
-from vprbench.runs.corrupted_frames import corrupt_queries
+from vprbench.runs.corruption import corrupt_queries
 from vprbench.runs.rows import describe_protocol
 from vprbench.runs.run import execute
 from vprbench.runs.sequences import apply_sequences
 from vprbench.runs.stream import grow_map
-from vprbench.runs.viewpoints import Viewpoint, view_of
+from vprbench.runs.viewpoints import Viewpoint, render_view
 from vprbench.storage import shards
 
 N_PLACES, N_QUERIES, N_DIMENSIONS = 80, 150, 12
@@ -280,7 +280,8 @@ def described(images):
 def test_a_place_has_the_score_of_the_view_that_shows_it_best_whose_query_loses_one_mean(adapt):
     shifts = [-0.1, 0, 0.1]
     views = np.stack(
-        [described(Images.from_arrays([view_of(i, Viewpoint(shift)) for i in WORLD.queries])) for shift in shifts], 1
+        [described(Images.from_arrays([render_view(i, Viewpoint(shift)) for i in WORLD.queries])) for shift in shifts],
+        1,
     )
     wanted = scores_of(adapt, described(JOURNEY.references), views, WORLD.places)
     assert run(HOG(**SMALL, adapt=adapt), JOURNEY, views=shifts).scores == pytest.approx(wanted, abs=1e-5)

@@ -11,6 +11,7 @@ from vprbench.metrics.growth import fit_power
 from vprbench.runs import machine
 from vprbench.runs.rows import format_markdown
 from vprbench.storage.atomic import replace_text
+from vprbench.storage.cores import core_count
 
 _OWN = ("what", "images", "calls", "beside", "places", "grows", "n_codes")
 _INTRODUCTION = """# How fast this machine is
@@ -58,10 +59,19 @@ def document(results):
         if not any(each["beside"] for each in rows):
             rows = [{name: text for name, text in each.items() if name != "beside"} for each in rows]
         parts += [f"## {group.strip().rstrip('.')}", format_markdown(rows), *growth(few)]
-    here = machine.describe_machine("cuda" if torch.cuda.is_available() else "cpu", len(machine.cores()))
+    here = machine.describe_machine("cuda" if torch.cuda.is_available() else "cpu", core_count())
     loads = ", ".join(f"{load:.2f}" for load in here["load_average"])
     return (
-        "\n\n".join([*parts, "## Machine", *machine.format_machine(here), f"Load average afterwards {loads}."]) + "\n"
+        "\n\n".join(
+            [
+                *parts,
+                "## Machine",
+                f"{machine.Machine.of(here).line}.",
+                machine.format_software(here),
+                f"Load average afterwards {loads}.",
+            ]
+        )
+        + "\n"
     )
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from agreement import Agreement, compare_descriptors, compare_networks, compare_scores
 
-from vprbench.runs.stopwatch import synchroniser
+from vprbench.runs.stopwatch import make_synchroniser
 
 RULES = pytest.mark.parametrize("rules", ["paper", "reference"])
 TRAVERSES = 2
@@ -21,7 +21,7 @@ def fit(size, route, build):
         seen = {"height": size(28, 12), "width": size(28, 12), "epochs": size(4, 2)}
         network = build("vprtempo", device, rules=rules, engine=engine, max_module=max_module, **seen)
         network.fit(*route(places).references(places, TRAVERSES))
-        synchroniser(device)()
+        make_synchroniser(device)()
         return network
 
     return fitted

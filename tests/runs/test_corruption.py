@@ -11,8 +11,14 @@ from PIL import Image as PillowImage
 
 from vprbench.api.images import Images
 from vprbench.errors import BadInput
-from vprbench.runs.corrupted_frames import corrupt_frame, corrupt_queries
-from vprbench.runs.corruption import KINDS, Corruption, parse_corruption, parse_corruptions
+from vprbench.runs.corruption import (
+    KINDS,
+    Corruption,
+    corrupt_frame,
+    corrupt_queries,
+    parse_corruption,
+    parse_corruptions,
+)
 from vprbench.runs.identity import fingerprint
 
 FRAMES = [f"frame {i}" for i in range(12)]
@@ -107,7 +113,7 @@ def test_another_process_draws_the_same_and_another_seed_or_frame_does_not():
     assert not np.array_equal(one, under("noise-2-7", RANDOM, "a"))
     assert not np.array_equal(one, under("noise-2", RANDOM, "b"))
     code = (
-        "import sys; from vprbench.runs.corrupted_frames import *; from vprbench.runs.corruption import *; "
+        "import sys; from vprbench.runs.corruption import *; "
         "import numpy as np; image = np.random.default_rng(0).integers(0, 256, (40, 60, 3), np.uint8);"
         "sys.stdout.buffer.write(corrupt_frame(image, parse_corruption('noise-2'), 'a').tobytes())"
     )

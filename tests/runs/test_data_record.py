@@ -17,7 +17,7 @@ from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
 from vprbench.cli import main
 from vprbench.runs import frame, rows
-from vprbench.runs.identity import data_record
+from vprbench.runs.identity import hash_frames
 
 RECORD = {"names_sha256": "5f74d2dc7bb3" + "0" * 52, "content_sha256": None, "images": 14, "bytes": None}
 
@@ -31,7 +31,7 @@ def record(references, queries):
         images if isinstance(images, Images) else Images.from_files(images) for images in (references, queries)
     )
     right = (np.array([0]),) * len(queries)
-    return data_record(Dataset("journey", references, np.arange(len(references)), queries, right, {}))
+    return hash_frames(Dataset("journey", references, np.arange(len(references)), queries, right, {}))[1]
 
 
 @pytest.fixture

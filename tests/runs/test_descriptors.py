@@ -20,6 +20,7 @@ from vprbench.metrics.ranking import outcome, outcome_of_best, ranked_places
 from vprbench.runs import descriptors, fitting, scorers
 from vprbench.runs.descriptors import DescriptorCache
 from vprbench.runs.experiment import Experiment
+from vprbench.runs.identity import hash_frames
 from vprbench.runs.request import RunRequest
 from vprbench.runs.run import execute
 from vprbench.runs.stopwatch import Protocol, Stopwatch
@@ -60,7 +61,9 @@ def run(method, dataset, folder, arguments=(), **changes):
     files = [*map(tuple, changes.pop("files", ()))]
     asked = {"depth": 5, "threads": 1, "timing": PROTOCOL, **changes}
     request = RunRequest("counting", given, dataset.name, {"name": dataset.name}, **asked)
-    return execute(Experiment(request, method, dataset, "fingerprint", files=files, cache=folder), "key")
+    return execute(
+        Experiment(request, method, dataset, "fingerprint", hash_frames(dataset)[1], files=files, cache=folder), "key"
+    )
 
 
 def encoded_for_answers(method):

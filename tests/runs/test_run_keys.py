@@ -21,7 +21,7 @@ from vprbench.methods.vprtempo.ensemble import VPRTempoEnsemble
 from vprbench.plugins import registry
 from vprbench.plugins.networks import Files
 from vprbench.runs import identity, machine, sources
-from vprbench.runs.corrupted_frames import corrupt_queries
+from vprbench.runs.corruption import corrupt_queries
 from vprbench.runs.identity import code_hash, fingerprint
 
 pytestmark = pytest.mark.usefixtures("surroundings")

@@ -21,7 +21,7 @@ from vprbench.api.method import LayerSpikes
 from vprbench.errors import BadInput
 from vprbench.metrics import ranking
 from vprbench.metrics.ranking import outcome
-from vprbench.runs import answers, frame, rows, scorers, timing_lock
+from vprbench.runs import answers, frame, machine, rows, scorers, timing_lock
 from vprbench.runs.run import execute
 
 pytestmark = pytest.mark.usefixtures("surroundings")
@@ -346,17 +346,22 @@ def test_a_note_says_that_a_method_answers_otherwise_when_it_is_timed(scores, sp
 
 
 @pytest.mark.parametrize(
-    ("pressure", "after", "noisy"),
+    ("waited", "after", "noisy"),
     [
-        *((None, 1.0, False), (15.0, 1.0, False), (15.1, 1.0, True)),
-        *((0.0, 1.04, False), (0.0, 1.06, True), (0.0, 0.94, True), (0.0, 0.96, False)),
+        *((None, 1.0, False), (1000, 1.0, True)),
+        *((0.0, each, abs(each - 1) > 0.05) for each in (1.04, 1.06, 0.94, 0.96)),
     ],
 )
 def test_a_run_is_noisy_if_processes_waited_for_a_core_or_a_fixed_computation_drifts_by_more_than_five_percent(
-    monkeypatch, surroundings, pressure, after, noisy
+    monkeypatch, surroundings, waited, after, noisy
 ):
-    canaries = chain([1.0], repeat(after))
-    monkeypatch.setattr(surroundings, "cpu_pressure", lambda: pressure)
+    canaries = chain([1.0] * 3, repeat(after))  # until timing begins
+    pressures = iter(range(9))
+    monkeypatch.setattr(
+        surroundings,
+        "read_cpu_pressure",
+        lambda: None if waited is None else machine.CpuPressure(0.0, waited * next(pressures)),
+    )
     monkeypatch.setattr(surroundings, "canary_seconds", lambda: next(canaries))
     assert ("noisy" in kinds(run_of(Lookup(table(12, 4)), journey(12, 4)))) is noisy
 

@@ -33,8 +33,7 @@ def another(does):
 
 def test_a_run_is_timed_once_the_others_have_computed_and_none_begins_meanwhile():
     with another("computing") as computes, timing_lock.computing():
-        undisturbed = timing_lock.undisturbed()
-        assert not undisturbed()
+        assert not timing_lock.is_only_run()
         threading.Timer(0.3, computes.kill).start()  # the system frees its lock
         with timing_lock.alone():
             computes.wait(20)
@@ -45,8 +44,7 @@ def test_a_run_is_timed_once_the_others_have_computed_and_none_begins_meanwhile(
             time.sleep(0.5)
             timed = time.time()
         assert float(begins.communicate()[0]) > timed
-        assert not undisturbed()
-    assert timing_lock.undisturbed()()
+    assert timing_lock.is_only_run()
 
 
 def test_runs_that_compute_side_by_side_and_are_then_to_be_timed_are_timed_one_after_the_other():

@@ -7,13 +7,8 @@ import numpy as np
 from little import a_run
 from report_page import SAD_WRONG, TEMPO_WRONG, UNANSWERABLE, answered, journey_run, right_place
 
-from vprbench.runs.query_results import (
-    format_place_ranges,
-    judge_answers,
-    list_columns,
-    list_places_shown,
-    order_by_interest,
-)
+from vprbench.paper.page.columns import format_place_ranges, list_columns, list_places_shown
+from vprbench.runs.query_results import judge_answers, order_by_interest
 
 NO = -np.inf  # the score of a place that is no candidate
 

@@ -15,7 +15,7 @@ from vprbench.paper.plan import PlannedColumn, Row
 from vprbench.paper.selection import ResolvedColumn, groups
 from vprbench.runs.run import execute
 from vprbench.runs.scorers import ViewsScorer
-from vprbench.runs.viewpoints import AS_IT_IS, Viewpoint, Viewpoints, seen_from, view_of, viewpoints
+from vprbench.runs.viewpoints import AS_IT_IS, Viewpoint, Viewpoints, parse_viewpoints, record_viewpoints, render_view
 
 pytestmark = pytest.mark.usefixtures("surroundings")
 
@@ -34,7 +34,7 @@ def test_a_view_looks_to_the_right_and_down_by_shares_of_the_frame_and_borders_a
     image = frames(1)[0]
     right, down = round(64 * horizontal), round(16 * vertical)
     wide = np.pad(image, ((15, 15), (63, 63), (0, 0)), "reflect")[15 + down :, 63 + right :][:16, :64]
-    assert np.array_equal(view_of(image, Viewpoint(horizontal, vertical)), wide)
+    assert np.array_equal(render_view(image, Viewpoint(horizontal, vertical)), wide)
 
 
 @pytest.mark.parametrize("zoom", [1.5, 2.0, 0.8])
@@ -42,7 +42,7 @@ def test_a_zoom_shows_the_middle_of_the_frame_enlarged(zoom):
     right, down = np.arange(64) - 31.5, np.arange(16) - 7.5
     planes = [100 + 2 * x + 0 * y for x, y in ((right, down[:, None]), (right / zoom, down[:, None]))]
     ramp, wanted = (np.repeat(plane[:, :, None], 3, axis=2) for plane in planes)
-    found = view_of(ramp.astype(np.uint8), Viewpoint(zoom=zoom))
+    found = render_view(ramp.astype(np.uint8), Viewpoint(zoom=zoom))
     inside = np.abs(right / zoom) < 31
     assert np.abs(found[:, inside] - wanted[:, inside]).max() <= 1
 
@@ -58,10 +58,10 @@ def test_a_zoom_shows_the_middle_of_the_frame_enlarged(zoom):
     ids=str,
 )
 def test_an_option_is_a_list_of_shifts_or_a_mapping(option, views, told):
-    found = viewpoints(option)
+    found = parse_viewpoints(option)
     assert ([astuple(view) for view in found.all], found.protocol()) == (views, told)
-    assert seen_from(journey(4, 2), found).protocol["views"] == told
-    assert viewpoints(None) is None
+    assert record_viewpoints(journey(4, 2), found).protocol["views"] == told
+    assert parse_viewpoints(None) is None
 
 
 @pytest.mark.parametrize(
@@ -74,7 +74,7 @@ def test_an_option_is_a_list_of_shifts_or_a_mapping(option, views, told):
 )
 def test_what_is_no_viewpoint_is_refused_by_the_name_of_the_option(option):
     with pytest.raises(BadInput, match="views"):
-        viewpoints(option)
+        parse_viewpoints(option)
 
 
 @pytest.mark.parametrize("other", ["stream=true", "energy=true"])
@@ -87,10 +87,10 @@ def test_a_place_has_the_score_of_the_view_that_shows_it_best_whatever_the_batch
     seen = Images.from_arrays(frames(6))
     method = SAD(height=16, width=64).fit(seen, np.arange(6))
     views = [Viewpoint(-0.25), AS_IT_IS, Viewpoint(0.25)]
-    asked = Images.from_arrays([view_of(seen[i], view) for i, view in enumerate([*views, *views])])
+    asked = Images.from_arrays([render_view(seen[i], view) for i, view in enumerate([*views, *views])])
     viewed = ViewsScorer(method, views)
     scores = viewed.match(viewed.encode(asked))
-    alone = [method.query(Images.from_arrays([view_of(image, view) for image in asked])) for view in views]
+    alone = [method.query(Images.from_arrays([render_view(image, view) for image in asked])) for view in views]
     assert np.array_equal(scores, np.max(alone, axis=0))
     assert np.array_equal(scores, np.concatenate([viewed.match(viewed.encode(asked[i : i + 1])) for i in range(6)]))
 
@@ -100,13 +100,13 @@ def moved():
     """A journey of 200 places whose queries look an eighth of the frame to the right."""
     dataset = journey(200, 200)
     seen = frames(200)
-    queries = [view_of(image, Viewpoint(0.125)) for image in seen]
+    queries = [render_view(image, Viewpoint(0.125)) for image in seen]
     return replace(dataset, references=Images.from_arrays(seen), queries=Images.from_arrays(queries))
 
 
 def run_with(dataset, views):
     asked = Viewpoints(**views)
-    experiment = asked_for(SAD(height=16, width=64), seen_from(dataset, asked), scores=True, views=views)
+    experiment = asked_for(SAD(height=16, width=64), record_viewpoints(dataset, asked), scores=True, views=views)
     return execute(experiment, "key")
 
 

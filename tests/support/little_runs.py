@@ -12,6 +12,7 @@ import pytest
 from vprbench.plugins.networks import Files
 from vprbench.runs import descriptors, machine, run, sources, watch
 from vprbench.runs.experiment import Experiment
+from vprbench.runs.identity import hash_frames
 from vprbench.runs.request import RunRequest
 from vprbench.runs.stopwatch import Protocol
 
@@ -46,7 +47,7 @@ def asked_for(
     """Return the experiment of a little run; `changes` are made to its request."""
     given = {**CONFIG, "timing": protocol, "threads": threads, **changes}
     request = RunRequest(method_name="little", dataset_name=dataset.name, **given)
-    return Experiment(request, method, dataset, "fingerprint", files, cache=cache)
+    return Experiment(request, method, dataset, "fingerprint", hash_frames(dataset)[1], files, cache=cache)
 
 
 def table(n_queries, n_places, levels=1000):
@@ -59,7 +60,7 @@ def quiet_surroundings():
     quick = {
         "describe_machine": lambda device, threads: {"processor": "Abacus 9", "time_utc": "2025-01-31T12:00:00Z"},
         "canary_seconds": lambda: 1.0,
-        "cpu_pressure": lambda: 0.0,
+        "read_cpu_pressure": lambda: None,
     }
     with pytest.MonkeyPatch.context() as patch:
         stand_in = SimpleNamespace(**{**vars(machine), **quick})

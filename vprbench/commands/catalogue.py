@@ -141,7 +141,7 @@ def doctor(options: list[str]) -> int:
 
 
 def show_status(words: list[str]) -> int:
-    """Show which runs of a results folder are made now, by whom and how far, and how many are stored."""
+    """Show which runs of a results folder are made now and by whom, and how many are stored."""
     from vprbench.plugins.options import chosen
     from vprbench.runs.run_lock import StatusOptions, row, status
     from vprbench.terminal.console import console, show_table

@@ -22,7 +22,7 @@ from vprbench.runs.identity import fingerprint
 from vprbench.runs.predictions import require_depth
 from vprbench.runs.request import OPTIONS, RunRequest
 from vprbench.runs.sequences import parse_views
-from vprbench.runs.viewpoints import seen_from, viewpoints
+from vprbench.runs.viewpoints import parse_viewpoints, record_viewpoints
 from vprbench.text import near
 
 
@@ -128,7 +128,7 @@ def check_comparison(command: SortedOptions) -> tuple[Checked | None, list[str]]
     images, looked = "", None
     with progress_shown("compare"):
         try:
-            dataset = seen_from(registry.make_dataset(request.dataset), viewpoints(command.request.views))
+            dataset = record_viewpoints(registry.make_dataset(request.dataset), parse_viewpoints(command.request.views))
             check_dataset(dataset, bool(parse_views(command.request.sequence, command.request.filter)))
             images = fingerprint(dataset)
             looked = None if stored else _looked(dataset, command.of_dataset)

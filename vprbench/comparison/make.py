@@ -25,8 +25,7 @@ from vprbench.paper.table.make import exit_code, write
 from vprbench.paper.table.quantities import RECALL, comparison_quantities, without_accuracies
 from vprbench.progress import progress_shown
 from vprbench.runs import rows
-from vprbench.runs.corrupted_frames import corrupt_queries
-from vprbench.runs.corruption import Corruption, parse_corruptions
+from vprbench.runs.corruption import Corruption, corrupt_queries, parse_corruptions
 from vprbench.runs.frame import iterate_rows
 from vprbench.runs.identity import fingerprint
 from vprbench.runs.predictions import tabulate_predictions, write_csv

@@ -96,13 +96,13 @@ def _find_or_make(request: RunRequest, say: Callable[[str], None], wait: bool) -
         try:
             result = get_or_run(experiment, store, wait)
         except UnstoredRunError as error:
-            from vprbench.runs.run_text import run_text  # what it imports does not count as the run's memory
+            from vprbench.runs.run_text import format_run  # what it imports does not count as the run's memory
 
-            say(run_text(error.run, None, False, request))
+            say(format_run(error.run, None, False, request))
             raise
-        from vprbench.runs.run_text import run_text
+        from vprbench.runs.run_text import format_run
 
         files = write_predictions(result.run, result.folder.name, request, experiment.dataset)
-        say(run_text(result.run, result.folder, result.from_store, request, files))
+        say(format_run(result.run, result.folder, result.from_store, request, files))
         key = result.run.key
     return key

@@ -32,11 +32,11 @@ class RunOptions(ClusterOptions):
         """Check what can be checked before a plan is read, or a method or dataset built."""
         from vprbench.runs.request import spell_out_metrics
         from vprbench.runs.sequences import parse_views
-        from vprbench.runs.viewpoints import viewpoints
+        from vprbench.runs.viewpoints import parse_viewpoints
 
         super().__post_init__()
         parse_views(self.sequence, self.filter)
-        viewpoints(self.views)
+        parse_viewpoints(self.views)
         if self.seeds is not None and self.seeds < 1:
             raise BadInput(f"seeds={self.seeds}: give at least 1")
         if self.name is not None and re.fullmatch(r"\w[\w.-]*", self.name) is None:

@@ -12,7 +12,7 @@ from vprbench.paper.plan import PlannedColumn, Row
 from vprbench.runs.machine import Machine
 from vprbench.runs.record import Failure, Run
 from vprbench.runs.sequences import NoScoresError, Views, name_views
-from vprbench.runs.viewpoints import viewpoints
+from vprbench.runs.viewpoints import parse_viewpoints
 
 Device = Literal["cpu", "cuda"]
 DEVICES: tuple[Device, ...] = ("cpu", "cuda")
@@ -158,7 +158,7 @@ def _in_column(result: Run | Failure, column: ResolvedColumn) -> bool:
     """
     if result.config.get("corruption") != column.corruption:
         return False
-    if viewpoints(result.config.get("views")) != viewpoints(column.views):
+    if parse_viewpoints(result.config.get("views")) != parse_viewpoints(column.views):
         return False
     wanted, given = column.dataset, result.config.get("dataset", {})
     both = wanted.keys() & given.keys() - _WHERE

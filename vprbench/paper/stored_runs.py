@@ -14,14 +14,14 @@ from vprbench.plugins import registry
 from vprbench.plugins.opened_files import list_data_files, record_opened_files
 from vprbench.progress import progress_shown
 from vprbench.runs import thumbnails
-from vprbench.runs.corrupted_frames import corrupt_queries
+from vprbench.runs.corruption import corrupt_queries
 from vprbench.runs.get_or_run import list_missing_parts
 from vprbench.runs.identity import code_hash_of, fingerprint, run_key
 from vprbench.runs.record import Run
 from vprbench.runs.request import RunRequest
 from vprbench.runs.run_files import content_key
 from vprbench.runs.store import Store
-from vprbench.runs.viewpoints import seen_from, viewpoints
+from vprbench.runs.viewpoints import parse_viewpoints, record_viewpoints
 from vprbench.storage.hashes import content_hash
 
 logger = logging.getLogger(__name__)
@@ -70,7 +70,7 @@ class StoredRuns:
         if not alike or code is None:
             return None
         dataset, images = self._dataset(request.dataset, request.corruption)
-        dataset = seen_from(dataset, viewpoints(request.views))
+        dataset = record_viewpoints(dataset, parse_viewpoints(request.views))
         keys = {
             run_key(
                 request,

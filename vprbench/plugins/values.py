@@ -5,11 +5,15 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import is_dataclass
-from typing import Any
+from typing import Any, TypeVar, get_type_hints
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from vprbench.errors import BadInput
+from vprbench.plugins.entries import read
+from vprbench.text import near
+
+Options = TypeVar("Options")
 
 
 def check_value(option: str, value: Any, hint: Any) -> Any:
@@ -27,6 +31,34 @@ def check_value(option: str, value: Any, hint: Any) -> Any:
             return check_value(option, [value], hint)
         wanted = "; ".join(dict.fromkeys(_wanted(problem) for problem in problems))
         raise BadInput(f"{option}={value}: {wanted}") from error
+
+
+def parse_mapping(value: Any, short: str) -> dict[str, Any] | None:
+    """Return the value of an option as a mapping, None for null; a plain value is that of the name `short`.
+
+    A text in the words of the command line, {length:4,window:centred}, will do for a mapping.
+    """
+    if isinstance(value, str):
+        value = read(value.replace(":", ": "))
+    if value is None or isinstance(value, Mapping):
+        return None if value is None else dict(value)
+    return {short: value}
+
+
+def build_options(option: str, kind: type[Options], given: Mapping[str, Any]) -> Options:
+    """Return the dataclass `kind` of some values by name.
+
+    Raises BadInput that names the option, for an unknown name, a value of another type, and one that `kind` refuses.
+    """
+    hints = get_type_hints(kind)
+    for name in given:
+        if name not in hints:
+            raise BadInput(f"option {option}.{name} is unknown: {near(name, hints)}")
+    values = {name: check_value(f"{option}.{name}", value, hints[name]) for name, value in given.items()}
+    try:
+        return kind(**values)
+    except ValueError as error:
+        raise BadInput(f"{option}: {error}") from error
 
 
 def _wanted(problem: Mapping[str, Any]) -> str:

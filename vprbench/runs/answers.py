@@ -36,50 +36,29 @@ _AUDITED = 256  # queries by which an approximate index is compared with exact s
 _LARGEST_MATRIX = 10_000_000  # scores kept whole up to this number
 
 
-class Answers:
-    """Collects a method's answers block by block, in bounded memory."""
+class QueryScoring:
+    """Scores the queries of a dataset in blocks, in bounded memory; codes are adapted in between as the method asks."""
 
-    def __init__(self, dataset: Dataset, depth: int, whole: bool = False) -> None:
+    def __init__(
+        self, stopwatch: Stopwatch, method: Method, scorer: Scorer, dataset: Dataset, depth: int, whole: bool = False
+    ) -> None:
         """Keep the best `depth` places of each query, and all scores if they are few or if `whole`."""
-        self._positives = dataset.positives
-        self._depth = depth
-        self._shape = (len(dataset.queries), dataset.n_places)
-        self.done = 0
-        self.method_seconds = 0.0
+        self._stopwatch, self._scorer, self._depth = stopwatch, scorer, depth
+        self._queries, self._positives, self._n_places = dataset.queries.unnamed(), dataset.positives, dataset.n_places
+        self._size = block_size(scorer, dataset.n_places)
+        self._done = 0
         self._outcomes: list[Outcome] = []
-        self._top_places: list[npt.NDArray[np.int32]] = []
-        self._top_scores: list[Scores] = []
-        kept = whole or self._shape[0] * self._shape[1] <= _LARGEST_MATRIX
-        self._kept = np.empty(self._shape, np.float32) if kept else None  # the system gives memory as it is filled
-
-    def add(self, n_queries: int, answer: Answer) -> None:
-        """Take the scores, or the best places, of the next queries; raises BadInput for a wrong shape or kind."""
-        if isinstance(answer, Nearest):
-            self._add_best(answer)
-        else:
-            self._add_scores(n_queries, answer)
-
-    def _add_best(self, best: Nearest) -> None:
-        scores = checked_scores(best.similarity, self.done)
-        positives = self._positives[self.done : self.done + len(scores)]
-        self._outcomes.append(outcome_of_best(scores, best.places, positives, self._shape[1]))
-        self._top_places.append(_fill_missing(best.places).astype(np.int32))
-        self._top_scores.append(scores)
-        self._kept = None
-        self.done += len(scores)
-
-    def _add_scores(self, n_queries: int, scores: Scores) -> None:
-        wanted = (n_queries, self._shape[1])
-        if np.shape(scores) != wanted:
-            raise BadInput(f"the method gave scores of shape {np.shape(scores)}; wanted {wanted}, one for each place")
-        scores = checked_scores(scores, self.done)
-        self._outcomes.append(outcome(scores, self._positives[self.done : self.done + len(scores)]))
-        places, values = ranked_places(scores, self._depth)
-        self._top_places.append(places)
-        self._top_scores.append(values)
-        if self._kept is not None:
-            self._kept[self.done : self.done + len(scores)] = scores
-        self.done += len(scores)
+        self._top: list[tuple[npt.NDArray[np.int32], Scores]] = []
+        shape = len(dataset.queries), dataset.n_places
+        kept = whole or shape[0] * shape[1] <= _LARGEST_MATRIX
+        self.scores = np.empty(shape, np.float32) if kept else None  # the system gives memory as it is filled
+        self.method_seconds = 0.0
+        self.adaptation = Adaptation(method)
+        index = _find_index(method)
+        wanted = 0 if index is None or index.kind == "exact" else min(_AUDITED, len(self._queries))
+        audited = batch_size_for(method, wanted) if wanted else 0
+        self._audited = np.linspace(0, len(self._queries) - 1, audited).astype(np.int64)
+        self.audited_codes: list[npt.NDArray[Any]] = []  # by which an approximate index is compared with exact search
 
     @property
     def outcome(self) -> Outcome:
@@ -89,57 +68,37 @@ class Answers:
     @property
     def top_places(self) -> npt.NDArray[np.int32]:
         """The best places of each query, (n_queries, depth), best first."""
-        return np.concatenate(self._top_places)
+        return np.concatenate([places for places, _ in self._top])
 
     @property
     def top_scores(self) -> Scores:
         """The scores of these places, (n_queries, depth)."""
-        return np.concatenate(self._top_scores)
-
-    @property
-    def scores(self) -> Scores | None:
-        """All scores, (n_queries, n_places); None if they are too many to keep."""
-        return self._kept
-
-
-class QueryScoring:
-    """Scores the queries of a dataset, encode and match timed; codes are adapted in between as the method asks."""
-
-    def __init__(
-        self, stopwatch: Stopwatch, method: Method, scorer: Scorer, dataset: Dataset, answers: Answers
-    ) -> None:
-        """Give the answers of a fitted method's scorer to `answers`."""
-        self._stopwatch, self._scorer, self._answers = stopwatch, scorer, answers
-        self._queries = dataset.queries.unnamed()
-        self._size = block_size(scorer, dataset.n_places)
-        self.adaptation = Adaptation(method)
-        index = _index(method)
-        wanted = 0 if index is None or index.kind == "exact" else min(_AUDITED, len(self._queries))
-        audited = batch_size_for(method, wanted) if wanted else 0
-        self._audited = np.linspace(0, len(self._queries) - 1, audited).astype(np.int64)
-        self.audited_codes: list[npt.NDArray[Any]] = []  # by which an approximate index is compared with exact search
+        return np.concatenate([scores for _, scores in self._top])
 
     def score(self, described: DescriptorCache | None) -> int:
-        """Score all queries; returns of how many `described` had kept the descriptors already."""
-        kept, from_cache = None, 0
+        """Score all queries; returns of how many `described` had kept the descriptors already.
+
+        Raises BadInput for scores of a wrong shape or kind.
+        """
+        kept, from_cache, n_queries = None, 0, len(self._queries)
         if described is not None:
             kept, from_cache = described.descriptors(
                 self._queries,
                 lambda block: np.asarray(self._encode(block)),
-                lambda done: progress.report("query", done / len(self._queries)),
+                lambda done: progress.report("query", done / n_queries),
             )
         if not self.adaptation.is_causal:
             surveyed = 0
-            for codes in self._codes(kept):
+            for codes in self._iterate_codes(kept):
                 self.adaptation.survey(codes)
                 surveyed += len(codes)
-                progress.report("looking at all queries", surveyed / len(self._queries))
-        for codes in self._codes(kept):
-            self._match(codes)
-            progress.report("query" if kept is None else "search", self._answers.done / len(self._queries))
+                progress.report("looking at all queries", surveyed / n_queries)
+        for codes in self._iterate_codes(kept):
+            self._keep(len(codes), self._match(codes))
+            progress.report("query" if kept is None else "search", self._done / n_queries)
         return from_cache
 
-    def _codes(self, kept: Any) -> Iterator[npt.NDArray[Any]]:
+    def _iterate_codes(self, kept: Any) -> Iterator[npt.NDArray[Any]]:
         """Yield the codes of all queries in blocks, from those that are kept or encoded now."""
         if kept is not None:
             yield from (kept[start : start + self._size] for start in range(0, len(self._queries), self._size))
@@ -151,26 +110,46 @@ class QueryScoring:
     def _encode(self, block: Images) -> npt.NDArray[Any]:
         with self._stopwatch.lap() as lap:
             codes = require_codes(self._scorer.encode(block), len(block))
-        self._answers.method_seconds += lap[0]
+        self.method_seconds += lap[0]
         return codes
 
-    def _match(self, codes: npt.NDArray[Any]) -> None:
+    def _match(self, codes: npt.NDArray[Any]) -> Answer:
         with self._stopwatch.lap() as lap:
             codes = self.adaptation.apply(codes)
             answer = self._scorer.match(codes)
-        self._answers.method_seconds += lap[0]
-        rows = self._audited - self._answers.done
+        self.method_seconds += lap[0]
+        rows = self._audited - self._done
         rows = rows[(rows >= 0) & (rows < len(codes))]
         if len(rows):
             self.audited_codes.append(codes[rows, 0] if isinstance(self._scorer, ViewsScorer) else codes[rows])
-        self._answers.add(len(codes), answer)
+        return answer
+
+    def _keep(self, n_queries: int, answer: Answer) -> None:
+        """Keep the outcome, the best places and, of a small map, the scores of the next queries."""
+        right = self._positives[self._done : self._done + n_queries]
+        if isinstance(answer, Nearest):
+            scores, places = checked_scores(answer.similarity, self._done), answer.places
+            self._outcomes.append(outcome_of_best(scores, places, right, self._n_places))
+            self._top.append((_fill_missing(places).astype(np.int32), scores))
+            self.scores = None
+        else:
+            wanted = (n_queries, self._n_places)
+            if np.shape(answer) != wanted:
+                shape = np.shape(answer)
+                raise BadInput(f"the method gave scores of shape {shape}; wanted {wanted}, one for each place")
+            scores = checked_scores(answer, self._done)
+            self._outcomes.append(outcome(scores, right))
+            self._top.append(ranked_places(scores, self._depth))
+            if self.scores is not None:
+                self.scores[self._done : self._done + n_queries] = scores
+        self._done += n_queries
 
 
 def describe_search(method: Method, codes: list[npt.NDArray[Any]]) -> dict[str, Any] | None:
     """Return by which index a method searches, and the share of exact search's places that it finds for some codes."""
     if isinstance(method, BinaryMethod) and method.known is not None:
         return {"index": "exact", "bytes_per_place": method.known.bytes_per_place, **asdict(Audit(1.0, 1.0))}
-    index = _index(method)
+    index = _find_index(method)
     if index is None or not isinstance(method, DescriptorMethod):
         return None
     audit = Audit(1.0, 1.0) if index.kind == "exact" else method.audit(np.concatenate(codes))
@@ -187,5 +166,5 @@ def _fill_missing(places: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
     return named
 
 
-def _index(method: Method) -> Search | None:
+def _find_index(method: Method) -> Search | None:
     return method.searched if isinstance(method, DescriptorMethod) else None

@@ -1,21 +1,76 @@
-"""The corruptions of query frames by their names: kind and strength, as in `shift-1`, and their descriptions."""
+"""Corruptions of query frames by their names, kind and strength, as in `shift-1`: pure functions of frame and seed."""
 
 from __future__ import annotations
 
+import hashlib
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
+import cv2
+import numpy as np
+
+from vprbench.api.arrays import Image
+from vprbench.api.dataset import Dataset
 from vprbench.errors import BadInput
 from vprbench.text import near
 
 STRENGTHS = (1, 2, 3)  # weak, medium, strong
+_GREY = 128  # level of the rectangle that hides a part of a frame
+
+
+def _shift(image: Image, pixels: float, random: np.random.Generator) -> Image:
+    last = image.shape[1] - 1
+    return np.ascontiguousarray(image[:, np.clip(np.arange(last + 1) + _draw_sign(random) * int(pixels), 0, last)])
+
+
+def _rotate(image: Image, degrees: float, random: np.random.Generator) -> Image:
+    height, width = image.shape[:2]
+    about = cv2.getRotationMatrix2D(((width - 1) / 2, (height - 1) / 2), _draw_sign(random) * degrees, 1.0)
+    return np.asarray(cv2.warpAffine(image, about, (width, height), borderMode=cv2.BORDER_REPLICATE), np.uint8)
+
+
+def _expose(image: Image, stops: float, random: np.random.Generator) -> Image:
+    return np.asarray(cv2.convertScaleAbs(image, alpha=2.0 ** (_draw_sign(random) * stops)), np.uint8)
+
+
+def _blur(image: Image, percent: float, random: np.random.Generator) -> Image:
+    deviation = percent / 100 * image.shape[1]
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), deviation, borderType=cv2.BORDER_REPLICATE), np.uint8)
+
+
+def _add_noise(image: Image, levels: float, random: np.random.Generator) -> Image:
+    noise = np.float32(levels) * random.standard_normal(image.shape, np.float32)
+    return np.clip(np.rint(image + noise), 0, 255).astype(np.uint8)
+
+
+def _occlude(image: Image, percent: float, random: np.random.Generator) -> Image:
+    corners = []
+    for side, where in zip(image.shape[:2], random.random(2), strict=True):
+        length = round(side * (percent / 100) ** 0.5)
+        corners.append((int(where * (side - length + 1)), length))
+    (top, height), (left, width) = corners
+    occluded = image.copy()
+    occluded[top : top + height, left : left + width] = _GREY
+    return occluded
+
+
+def _coarsen(image: Image, factor: float, random: np.random.Generator) -> Image:
+    height, width = image.shape[:2]
+    small = max(1, round(width / factor)), max(1, round(height / factor))
+    less = cv2.resize(image, small, interpolation=cv2.INTER_AREA)
+    return np.asarray(cv2.resize(less, (width, height), interpolation=cv2.INTER_LINEAR), np.uint8)
+
+
+def _draw_sign(random: np.random.Generator) -> int:
+    return 1 if random.random() < 0.5 else -1
 
 
 @dataclass(frozen=True)
 class Kind:
     """One way to spoil a frame, in three strengths."""
 
+    change: Callable[[Image, float, np.random.Generator], Image]  # of an image, by an amount
     amounts: tuple[float, float, float]
     unit: str  # around an amount
     words: str  # the change of query frames, around amounts with their unit
@@ -30,13 +85,13 @@ class Kind:
 
 
 KINDS = {
-    "shift": Kind((1, 4, 8), "{} px", "moved left or right by {}, borders repeated"),
-    "rotation": Kind((2, 5, 10), "{}°", "turned left or right by {}, borders repeated"),
-    "brightness": Kind((0.5, 1, 2), "{} EV", "brighter or darker by {}: levels times 2 to that power"),
-    "blur": Kind((1, 2, 4), "{} %", "blurred by a Gaussian whose deviation is {} of their width"),
-    "noise": Kind((5, 10, 20), "±{}", "with Gaussian noise of {} levels in each pixel and channel"),
-    "occlusion": Kind((10, 25, 50), "{} %", "with {} of their area hidden by a grey rectangle anywhere"),
-    "resolution": Kind((2, 4, 8), "1:{}", "reduced {} and enlarged again"),
+    "shift": Kind(_shift, (1, 4, 8), "{} px", "moved left or right by {}, borders repeated"),
+    "rotation": Kind(_rotate, (2, 5, 10), "{}°", "turned left or right by {}, borders repeated"),
+    "brightness": Kind(_expose, (0.5, 1, 2), "{} EV", "brighter or darker by {}: levels times 2 to that power"),
+    "blur": Kind(_blur, (1, 2, 4), "{} %", "blurred by a Gaussian whose deviation is {} of their width"),
+    "noise": Kind(_add_noise, (5, 10, 20), "±{}", "with Gaussian noise of {} levels in each pixel and channel"),
+    "occlusion": Kind(_occlude, (10, 25, 50), "{} %", "with {} of their area hidden by a grey rectangle anywhere"),
+    "resolution": Kind(_coarsen, (2, 4, 8), "1:{}", "reduced {} and enlarged again"),
 }
 
 
@@ -94,3 +149,26 @@ def parse_corruptions(names: Sequence[str]) -> tuple[Corruption, ...]:
         raise BadInput(f"corruptions={','.join(names)}: give each corruption once, with one seed")
     order = [*KINDS]
     return tuple(sorted(wanted, key=lambda one: (order.index(one.kind), one.strength)))
+
+
+def corrupt_queries(dataset: Dataset, name: str | None) -> Dataset:
+    """Return a dataset whose query frames are corrupted when they are read, and whose protocol says so.
+
+    None leaves it as it is. References, and places that a method chooses its settings by, stay clean. Raises BadInput
+    for a name that is unknown.
+    """
+    if name is None:
+        return dataset
+    wanted = parse_corruption(name)
+    text = wanted.protocol()
+    queries = dataset.queries.changed(lambda image, frame: corrupt_frame(image, wanted, frame), text)
+    return replace(dataset, queries=queries, protocol={**dataset.protocol, "corruption": text})
+
+
+def corrupt_frame(image: Image, wanted: Corruption, frame: str) -> Image:
+    """Return an image, uint8 (height, width, 3), corrupted; random draws follow from seed, kind and the frame's name.
+
+    So it is the same in any order, process and batch, and all strengths of a kind go one way.
+    """
+    drawn = hashlib.sha256(f"{wanted.seed} {wanted.kind} {frame}".encode(errors="surrogateescape")).digest()
+    return KINDS[wanted.kind].change(image, wanted.amount, np.random.default_rng([*drawn]))

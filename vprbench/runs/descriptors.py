@@ -32,7 +32,7 @@ class DescriptorCache:
     def of(
         cls, folder: Path | None, method: Method, config: Mapping[str, Any], n_places: int
     ) -> DescriptorCache | None:
-        """Return what gives the descriptors of a run's method; None if none are kept.
+        """Return the cache for the descriptors of a run's method; None if none are kept.
 
         Those of a large map are kept however fast they are made, so that a killed run goes on, unless a method may
         learn what they are. The path and the name of a file of weights do not count, for its content does.

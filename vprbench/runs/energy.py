@@ -20,7 +20,7 @@ from vprbench.metrics.registry import METRICS
 from vprbench.runs import timing_lock
 from vprbench.runs.experiment import Experiment
 from vprbench.runs.record import Run
-from vprbench.runs.stopwatch import synchroniser
+from vprbench.runs.stopwatch import make_synchroniser
 from vprbench.terminal.console import table_text
 
 #: Picojoules of a single operation and of a multiply-add in 45 nm (Horowitz, ISSCC 2014); 64 bits are priced as 32.
@@ -58,13 +58,13 @@ class UnreadableError(Exception):
     """No counter of energy can be read; the message says why."""
 
 
-def open_rapl(root: Path) -> tuple[str, Joules]:
-    """Return the sum of the counters of Linux's powercap, right if asked before one wraps around a second time.
+def open_rapl(root: Path) -> Joules:
+    """Return the sum of the counters of processor and memory in Linux's powercap, read before one wraps around twice.
 
-    They count whatever runs there. Raises UnreadableError where there is none, or where they may not be read.
+    Raises UnreadableError where there is none, or where they may not be read.
     """
-    try:  # domains that do not lie within one another
-        names = {zone: (zone / "name").read_text().strip() for zone in sorted(root.glob("*-rapl*:*"))}
+    try:  # the domains package and dram do not lie within one another
+        names = {zone: (zone / "name").read_text() for zone in sorted(root.glob("*-rapl*:*"))}
         zones = [zone for zone, name in names.items() if name.startswith(("package", "dram"))]
         ranges = [int((zone / "max_energy_range_uj").read_text()) for zone in zones]
         last = [int((zone / "energy_uj").read_text()) for zone in zones]
@@ -81,10 +81,10 @@ def open_rapl(root: Path) -> tuple[str, Joules]:
         last = now
         return microjoules / 1e6
 
-    return f"RAPL {', '.join(names[zone] for zone in zones)}", joules
+    return joules
 
 
-def open_nvml(device: str) -> tuple[str, Joules]:
+def open_nvml(device: str) -> Joules:
     """Return the energy counter of an NVIDIA GPU (Volta and later); raises UnreadableError where it has none."""
     import torch
 
@@ -106,30 +106,24 @@ def open_nvml(device: str) -> tuple[str, Joules]:
         joules()
     except (OSError, AttributeError) as error:
         raise UnreadableError(f"NVML cannot be read ({error})") from None
-    return "NVML", joules
+    return joules
 
 
-def measure_joules(
-    joules: Joules,
-    ask: Callable[[], Any],
-    clock: Joules = time.perf_counter,
-    sleep: Callable[[float], None] = time.sleep,
-) -> dict[str, float]:
-    """Return the joules of a query beyond the idle machine, and the watts; `ask` asks one and waits for the device.
+def measure_joules(joules: Joules, ask: Callable[[], Any]) -> float:
+    """Return the joules of a query beyond the idle machine; `ask` asks one and waits for the device.
 
     After a rest of 2 s queries follow one another for as long, or for as long as one takes.
     """
     ask()
-    before, began = joules(), clock()
-    sleep(_SECONDS)
-    rested, woke = joules(), clock()
-    idle, queries = (rested - before) / (woke - began), 0
-    while clock() - woke < _SECONDS or not queries:
+    began = time.perf_counter(), joules()
+    time.sleep(_SECONDS)
+    rested, queries = (time.perf_counter(), joules()), 0
+    while time.perf_counter() - rested[0] < _SECONDS or not queries:
         ask()
         queries += 1
-    spent, seconds = joules() - rested, clock() - woke
-    each = (spent - idle * seconds) / queries
-    return {"joules": each, "watts": spent / seconds, "idle_watts": idle, "queries": queries, "seconds": seconds}
+    ended = time.perf_counter(), joules()
+    idle_watts = (rested[1] - began[1]) / (rested[0] - began[0])
+    return (ended[1] - rested[1] - idle_watts * (ended[0] - rested[0])) / queries
 
 
 _QUERIES = 4  # over which arithmetic is averaged, at most
@@ -160,7 +154,7 @@ def find_costs(experiment: Experiment, run: Run) -> dict[str, Any]:
 
 
 def format_costs(run: Run, wide: bool = False) -> str:
-    """Return the costs of a run as a small table, `n/a` with its reason for what is not known."""
+    """Return the costs of a run as a small table, `n/a` with its reason for an unknown cost."""
     found = run.energy or {"values": {}, "how": {}}
     shown = {name: "n/a" if cost is None else METRICS[name].text(cost) for name, cost in found["values"].items()}
     rows = [[METRICS[name].head, shown[name], found["how"][name]] for name in shown]
@@ -216,17 +210,17 @@ def _find_map_bytes(method: Method, run: Run) -> Cost:
 
 
 def _measure_query(method: Method, device: str, singles: Sequence[Images]) -> Cost:
-    turns, wait = itertools.cycle(singles), synchroniser(device)
+    turns, wait = itertools.cycle(singles), make_synchroniser(device)
 
     def ask() -> None:
         method.query(next(turns))
         wait()
 
+    on_gpu = device.startswith("cuda")
     try:
-        source, read = open_nvml(device) if device.startswith("cuda") else open_rapl(POWERCAP)
+        joules = open_nvml(device) if on_gpu else open_rapl(POWERCAP)
     except UnreadableError as error:
         return None, str(error)
     with timing_lock.alone():
-        found = measure_joules(read, ask)
-    how = "{watts:.1f} W less {idle_watts:.1f} W idle, {queries} queries in {seconds:.1f} s".format(**found)
-    return (found["joules"] if found["joules"] > 0 else None), f"{source}: {how}"
+        found = measure_joules(joules, ask)
+    return (found if found > 0 else None), f"{'NVML' if on_gpu else 'RAPL'}, less the idle machine"

@@ -19,10 +19,10 @@ from vprbench.plugins.opened_files import list_data_files, record_opened_files
 from vprbench.plugins.tuned_frames import find_tuned_queries
 from vprbench.progress import progress_shown
 from vprbench.runs import machine, sequences, stream
-from vprbench.runs.corrupted_frames import corrupt_queries
-from vprbench.runs.identity import DataRecord, code_hash, data_record, fingerprint, hashed, run_key
+from vprbench.runs.corruption import corrupt_queries
+from vprbench.runs.identity import DataRecord, code_hash, hash_frames, run_key
 from vprbench.runs.request import RunRequest
-from vprbench.runs.viewpoints import Viewpoints, seen_from, viewpoints
+from vprbench.runs.viewpoints import Viewpoints, parse_viewpoints, record_viewpoints
 from vprbench.storage.hashes import content_hash
 
 if TYPE_CHECKING:
@@ -35,20 +35,20 @@ class Experiment:
 
     request: RunRequest
     method: Method
-    dataset: Dataset  # its queries corrupted, if that was asked for
+    dataset: Dataset  # its queries corrupted, if the request says so
     fingerprint: str  # of the dataset
+    data: DataRecord  # of the dataset
     networks: networks.Files = field(default_factory=networks.Files)  # to load or to store
     files: Sequence[tuple[str, str]] = ()  # name and hash of each data file behind the method
     cache: Path | None = None  # a folder for descriptors worth keeping
     stream: int = 0  # places from one stop of a growing map to the next; 0: the map does not grow
     tuned_queries: Sequence[int] = ()  # which show places that the method was tuned on, by their frames' content
-    data: DataRecord | None = None  # of the dataset; None: its files are looked at when it runs
-    shared_fit: list[FitResult] | None = None  # of runs that share the method: what its fit gave, once it was fitted
+    shared_fit: list[FitResult] | None = None  # of runs that share the method: the result of its fit, once it is fitted
 
     @property
     def views(self) -> Viewpoints | None:
-        """The viewpoints that each query is asked from; None: the frames as they are."""
-        return viewpoints(self.request.views)
+        """The viewpoints of each query; None: the frames as they are."""
+        return parse_viewpoints(self.request.views)
 
     @cached_property
     def config(self) -> dict[str, Any]:
@@ -76,9 +76,9 @@ def build_experiment(
     """Build the method and the dataset of a request.
 
     Args:
-        request: the run that is asked for.
+        request: the run to be made.
         dataset: an object in place of the registered dataset.
-        make: what makes the method of its arguments; None: its registered class.
+        make: makes the method from its arguments; None: its registered class.
 
     Raises:
         BadInput: an option, the data or this machine does not fit; NotThere where weights or frames are missing.
@@ -94,27 +94,27 @@ def build_experiment(
     with record_opened_files() as opened:
         method = (make or registry.make_method)(request.method)
     _require_adaptable(method)
-    # what the cheap checks warn of is among the dataset's notes
+    # warnings of the cheap checks are among the dataset's notes
     in_sequences = bool(sequences.parse_views(request.sequence, request.filter))
     dataset = replace(dataset, notes=(*dataset.notes, *check_dataset(dataset, in_sequences)))
     tuned_queries = find_tuned_queries(dataset, request.tuned_on)
     if isinstance(request.corruption, str):
         dataset = corrupt_queries(dataset, request.corruption)
-    dataset = seen_from(dataset, viewpoints(request.views))
+    dataset = record_viewpoints(dataset, parse_viewpoints(request.views))
     with progress_shown(request.method_name):  # frames may have to be hashed, and a file be downloaded
-        frames = hashed(dataset)
+        dataset_hash, data = hash_frames(dataset)
         behind = [(path.name, content_hash(path)) for path in list_data_files(method, request.method, opened)]
         return Experiment(
             request,
             method,
             dataset,
-            fingerprint(dataset, frames),
+            dataset_hash,
+            data,
             files,
             behind,
             cache=Path(request.results).expanduser().absolute() / "descriptors" if request.cache else None,
             stream=stream.parse_step(request.stream, method, dataset.n_places),
             tuned_queries=tuned_queries,
-            data=data_record(dataset, frames),
             shared_fit=[] if isinstance(request.corruption, list) else None,
         )
 
@@ -122,14 +122,9 @@ def build_experiment(
 def corrupt_experiment(clean: Experiment, corruption: str) -> Experiment:
     """Return the same experiment on corrupted query frames; its method is fitted once if it has a `shared_fit`."""
     dataset = corrupt_queries(clean.dataset, corruption)
-    frames = hashed(dataset)
-    return replace(
-        clean,
-        request=clean.request.with_corruption(corruption),
-        dataset=dataset,
-        fingerprint=fingerprint(dataset, frames),
-        data=data_record(dataset, frames),
-    )
+    dataset_hash, data = hash_frames(dataset)
+    request = clean.request.with_corruption(corruption)
+    return replace(clean, request=request, dataset=dataset, fingerprint=dataset_hash, data=data)
 
 
 def _require_adaptable(method: Method) -> None:

@@ -27,32 +27,29 @@ class FitResult:
     fit_seconds: float | None = None
     fit_compute_seconds: float | None = None
     load_seconds: float | None = None
-    earlier_seconds: float = 0.0  # the time that an earlier run had spent on a method that this run takes over
     notes: tuple[Note, ...] = ()
     from_cache: int = 0  # descriptors of references that were kept already
-
-    def of_earlier_run(self) -> FitResult:
-        """Return the result for a run that takes over a method fitted by an earlier run: no time was its own."""
-        return replace(self, earlier_seconds=(self.fit_seconds or 0.0) + (self.load_seconds or 0.0))
+    of_earlier_run: bool = False  # whose method this run takes over: none of the time is its own
 
     @property
     def seconds(self) -> float:
         """Return the wall time of this run."""
-        return (self.fit_seconds or 0.0) + (self.load_seconds or 0.0) - self.earlier_seconds
+        return 0.0 if self.of_earlier_run else (self.fit_seconds or 0.0) + (self.load_seconds or 0.0)
 
     @property
     def method_seconds(self) -> float:
         """Return the time of this run that went into the method."""
-        return max(0.0, (self.fit_compute_seconds or 0.0) + (self.load_seconds or 0.0) - self.earlier_seconds)
+        own = (self.fit_compute_seconds or 0.0) + (self.load_seconds or 0.0)
+        return 0.0 if self.of_earlier_run else max(0.0, own)
 
 
 def fit_or_load(experiment: Experiment, key: str, stopwatch: Stopwatch, described: DescriptorCache | None) -> FitResult:
-    """Load the method's network, or fit and calibrate the method and store its network if that was asked for.
+    """Load the method's network, or fit and calibrate the method and store its network if the request says where.
 
     A method that an earlier run of the experiment's `shared_fit` has fitted stays as it is.
     """
     if experiment.shared_fit:
-        return experiment.shared_fit[0].of_earlier_run()
+        return replace(experiment.shared_fit[0], of_earlier_run=True)
     fitted = _fit_or_load(experiment, key, stopwatch, described)
     if experiment.shared_fit is not None:
         experiment.shared_fit.append(fitted)
@@ -72,9 +69,9 @@ def _fit_or_load(
         return FitResult(load_seconds=load[0], notes=notes)
     networks.require_destination(files, method)
     given = calibration(method, dataset)
-    held_out = None if given is None else _hidden(given)
+    held_out = None if given is None else _hide_names(given)
     read = [dataset.references, *([held_out.references, held_out.queries] if held_out else [])]
-    before = _reading_seconds(read)
+    before = _sum_reading_seconds(read)
     progress.report("fit", 0.0)
     with stopwatch.lap() as fit:
         from_cache = _fit(method, dataset, described)
@@ -85,7 +82,7 @@ def _fit_or_load(
             except BadInput as error:
                 raise BadInput(f"choosing settings by held-out places: {error}") from error
     seconds = fit[0]
-    computing = seconds - (_reading_seconds(read) - before)
+    computing = seconds - (_sum_reading_seconds(read) - before)
     if files.save is not None:
         origin = networks.describe_origin(method, arguments, dataset, key, seconds)
         networks.save_network(files, method, origin, dataset.references)
@@ -105,7 +102,7 @@ def _fit(method: Method, dataset: Dataset, described: DescriptorCache | None) ->
     def report(done: int) -> None:
         progress.report("fit, reading images", done / total)
 
-    places = _read_only(dataset.places)
+    places = _lock_places(dataset.places)
     if described is None:
         method.fit(dataset.references.watched(report), places)
         return 0
@@ -116,23 +113,23 @@ def _fit(method: Method, dataset: Dataset, described: DescriptorCache | None) ->
     return from_cache
 
 
-def _hidden(held_out: HeldOut) -> HeldOut:
+def _hide_names(held_out: HeldOut) -> HeldOut:
     """Return the same places as a method may see them: under names that say nothing, not to be written to."""
     return HeldOut(
         references=held_out.references.unnamed(),
-        places=_read_only(held_out.places),
+        places=_lock_places(held_out.places),
         queries=held_out.queries.unnamed(),
-        right=_read_only(held_out.right),
+        right=_lock_places(held_out.right),
         in_map=held_out.in_map,
     )
 
 
-def _reading_seconds(read: Iterable[Images]) -> float:
+def _sum_reading_seconds(read: Iterable[Images]) -> float:
     """Return how long somebody waited for images; views of one sequence share their waiting, which counts once."""
     return sum(waiting.seconds for waiting in {id(images.reading): images.reading for images in read}.values())
 
 
-def _read_only(places: Places) -> Places:
+def _lock_places(places: Places) -> Places:
     view = places.view()
     view.flags.writeable = False
     return view

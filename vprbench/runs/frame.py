@@ -56,7 +56,7 @@ def tabulate_runs(results: Iterable[Run | Failure], metrics: Sequence[str] = ())
     import pandas as pd  # takes long to import, and a run needs none
 
     known = entries("dataset")
-    rows = [_row(each, metrics, known) for each in results]
+    rows = [_list_facts(each, metrics, known) for each in results]
     more = [name for row in rows for name in row if name not in COLUMNS]
     return pd.DataFrame(rows, columns=[*dict.fromkeys([*COLUMNS, *more, *metrics])], dtype=object)
 
@@ -80,19 +80,23 @@ def iterate_rows(table: pd.DataFrame) -> Iterator[Any]:
 
 def format_label(run: Run | Failure) -> str:
     """Return a method's name with the arguments of its command line."""
-    return " ".join([run.method, *_arguments(run)])
+    return " ".join([run.method, *_list_arguments(run)])
 
 
-def _row(result: Run | Failure, metrics: Sequence[str], known: Mapping[str, Entry]) -> Facts:
-    about: Facts = {"method": result.method, "arguments": " ".join(_arguments(result)), "label": format_label(result)}
+def _list_facts(result: Run | Failure, metrics: Sequence[str], known: Mapping[str, Entry]) -> Facts:
+    about: Facts = {
+        "method": result.method,
+        "arguments": " ".join(_list_arguments(result)),
+        "label": format_label(result),
+    }
     about |= {"dataset": result.dataset, "seed": result.config.get("seed"), "device": result.config.get("device")}
     if isinstance(result, Failure):
         return {**about, "error": result.error}
     return {
         **about,
         "error": "",
-        "dataset_arguments": _as_text(_changed(result, known)),
-        "protocol": _as_text(result.protocol),
+        "dataset_arguments": _format_arguments(_find_changed_arguments(result, known)),
+        "protocol": _format_arguments(result.protocol),
         "protocol_name": result.protocol.get("protocol"),
         **{name: result.data.get(name) for name in ("names_sha256", "content_sha256")},
         "fingerprint": result.fingerprint[:_DIGITS],
@@ -112,7 +116,7 @@ def list_numbers(run: Run, metrics: Sequence[str] = ()) -> dict[str, float | int
     first, answerable = recall_at(run.outcome, 1), recall_at(run.outcome, 1, "answerable")
     interval, search = recall_interval([run]), run.search or {}
     return {
-        **_accuracies(run, [f"recall_at_{n}" for n in RECALLS]),
+        **_compute_accuracies(run, [f"recall_at_{n}" for n in RECALLS]),
         "recall_at_1_low": interval.low if interval else None,
         "recall_at_1_high": interval.high if interval else None,
         "recall_at_1_interval": interval.kind if interval else None,
@@ -121,20 +125,20 @@ def list_numbers(run: Run, metrics: Sequence[str] = ()) -> dict[str, float | int
         "recall_at_1_pessimistic": first.pessimistic if first else None,
         "recall_at_1_optimistic": first.optimistic if first else None,
         **{f"recall_at_1_within_{k}_places": share for k, share in recall_at_1_within(run).items()},
-        **_recall_off_tuned_places(run),
-        **_accuracies(run, ["auc_pr_a", "average_precision_a"]),
+        **_list_other_places(run),
+        **_compute_accuracies(run, ["auc_pr_a", "average_precision_a"]),
         **{name: getattr(run, name) for name in ("fit_seconds", "fit_compute_seconds")},
         "first_query_seconds": None if run.timing is None else run.timing.first_query_seconds,
         "training_seconds": run.fit_seconds,
         "training_compute_seconds": run.fit_compute_seconds,
         "load_seconds": run.load_seconds,
         **{name: run.environment.get(name) for name in ("fitted_alone", "timed_alone")},
-        **_rate_numbers(run.timing),
+        **_list_rates(run.timing),
         **{f"index_{name}": search.get(name) for name in _OF_INDEX},
         **{name: getattr(run, name) for name in ("peak_memory_bytes", "harness_seconds", "method_seconds")},
         "queries": len(run.outcome),
         "places": run.outcome.n_places,
-        **_accuracies(run, metrics),
+        **_compute_accuracies(run, metrics),
     }
 
 
@@ -155,25 +159,25 @@ def recall_at_1_within(run: Run) -> dict[int, float | None]:
     return {k: float(share) for k, share in zip(wider, hits.mean(axis=1), strict=True)}
 
 
-def _arguments(run: Run | Failure) -> list[str]:
+def _list_arguments(run: Run | Failure) -> list[str]:
     """Return the arguments of a method's command line, as name=value."""
     return [text.removeprefix("method.") for text in run.config.get("overrides", ()) if text.startswith("method.")]
 
 
-def _changed(run: Run, known: Mapping[str, Entry]) -> Mapping[str, Any]:
+def _find_changed_arguments(run: Run, known: Mapping[str, Entry]) -> Mapping[str, Any]:
     """Return the arguments of a run's dataset that differ from its yaml; all of one that is not registered here."""
-    asked = (text.lstrip("+") for text in run.config.get("overrides", ()))
-    name = next((text.partition("=")[2] for text in asked if text.startswith("dataset=")), run.dataset)
+    overrides = (text.lstrip("+") for text in run.config.get("overrides", ()))
+    name = next((text.partition("=")[2] for text in overrides if text.startswith("dataset=")), run.dataset)
     arguments = {key: value for key, value in run.config["dataset"].items() if key not in ("_target_", "name")}
     entry = known.get(name)
     return arguments if entry is None else entry.changed(arguments)
 
 
-def _as_text(values: Mapping[str, Any]) -> str:
+def _format_arguments(values: Mapping[str, Any]) -> str:
     return " ".join(f"{name}={value}" for name, value in values.items())
 
 
-def _recall_off_tuned_places(run: Run) -> dict[str, float | int | None]:
+def _list_other_places(run: Run) -> dict[str, float | int | None]:
     """Return R@1 of the queries that show no place the method was tuned on; None each if that is not known or all."""
     other = without_tuning_places(run)
     first, interval = (None, None) if other is None else (recall_at(other.outcome, 1), recall_interval([other]))
@@ -185,11 +189,11 @@ def _recall_off_tuned_places(run: Run) -> dict[str, float | int | None]:
     }
 
 
-def _accuracies(run: Run, metrics: Sequence[str]) -> dict[str, float | None]:
+def _compute_accuracies(run: Run, metrics: Sequence[str]) -> dict[str, float | None]:
     return {name: METRICS[name].of(run) for name in metrics}
 
 
-def _rate_numbers(timing: Timing | None) -> dict[str, float | int | None]:
+def _list_rates(timing: Timing | None) -> dict[str, float | int | None]:
     """Return rates and percentiles by their names; without a timing each is None."""
     if timing is None:
         return dict.fromkeys(_TIMED)

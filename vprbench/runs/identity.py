@@ -13,21 +13,17 @@ from vprbench.api.method import Method
 from vprbench.runs import machine, sources
 from vprbench.runs.request import RunRequest
 from vprbench.runs.run_files import content_key
-from vprbench.storage.hashes import HashedFiles
 
 #: Raise it with a change by which a run may have other answers or times; a test holds that nobody forgets to decide.
 VERSION = 5
 
-#: The modules whose changes are decided about, beside those of `vprbench.api`.
+#: A change of these modules is a decision about VERSION, beside those of `vprbench.api`.
 MODULES = (
     *("vprbench.metrics.ranking", "vprbench.plugins.networks", "vprbench.runs.stopwatch", "vprbench.runs.fitting"),
     *("vprbench.runs.run", "vprbench.runs.answers", "vprbench.runs.scorers", "vprbench.runs.descriptors"),
     *("vprbench.runs.machine", "vprbench.runs.watch"),
-    *("vprbench.runs.corruption", "vprbench.runs.corrupted_frames", "vprbench.runs.viewpoints"),
+    *("vprbench.runs.corruption", "vprbench.runs.viewpoints"),
 )
-
-
-Hashed = tuple[HashedFiles | None, HashedFiles | None]  # references and queries; None: images that are no files
 
 
 def run_key(
@@ -44,7 +40,7 @@ def run_key(
     """Return the hash of all that can change the outcome of a run, or the times it measures by one timing protocol.
 
     Args:
-        request: the run that is asked for; the place of its method's file does not count.
+        request: the run to be made; the place of its method's file does not count.
         dataset: its dataset, built.
         images: the fingerprint of the dataset.
         method_class: the name of the method's class.
@@ -88,49 +84,44 @@ def code_hash(method: type[Method]) -> str:
     Of a class without source it is another one each time: its runs are never found again.
     """
     try:
-        return _with_harness(sources.hash_class(method))
+        return _add_harness(sources.hash_class(method))
     except OSError:
         return uuid.uuid4().hex
 
 
 def code_hash_of(target: str) -> str | None:
-    """Return the `code_hash` of a class by its full name, without importing it; None where its file cannot be told."""
+    """Return the `code_hash` of a class by its full name, without importing it; None where its file is unknown."""
     code = sources.hash_target(target)
-    return None if code is None else _with_harness(code)
+    return None if code is None else _add_harness(code)
 
 
-def hashed(dataset: Dataset) -> Hashed:
-    """Return the hashes of a dataset's files; raises BadInput if one cannot be read."""
-    return dataset.references.file_hashes(), dataset.queries.file_hashes()
+def hash_frames(dataset: Dataset) -> tuple[str, DataRecord]:
+    """Return the hash of a dataset's images, order and ground truth, and the record of its frames.
 
-
-def fingerprint(dataset: Dataset, files: Hashed | None = None) -> str:
-    """Return the hash of a dataset's images, order and ground truth; of its `files`, if these are hashed already."""
-    references, queries = files or hashed(dataset)
+    The record lets others tell whether they used the same frames. Raises BadInput if a file cannot be read.
+    """
+    traverses = dataset.references, dataset.queries
+    files = [images.file_hashes() for images in traverses]  # None: images that are no files
     digest = hashlib.sha256()
-    digest.update(dataset.references.fingerprint(references).encode())
-    digest.update(dataset.queries.fingerprint(queries).encode())
+    for images, hashes in zip(traverses, files, strict=True):
+        digest.update(images.fingerprint(hashes).encode())
     digest.update(dataset.places.tobytes())
     for right in dataset.positives:
         digest.update(right.tobytes() + b";")
-    return digest.hexdigest()
-
-
-def data_record(dataset: Dataset, files: Hashed | None = None) -> DataRecord:
-    """Return what a run records of its frames, by which others can tell whether they used the same frames.
-
-    Of its `files`, if these are hashed already. Raises BadInput if a file cannot be read.
-    """
-    names = dataset.references.names, dataset.queries.names
-    known = [part for part in files or hashed(dataset) if part is not None]
-    whole = len(known) == len(names)
-    return {
-        "names_sha256": names_hash(*names).hexdigest(),
+    known = [hashes for hashes in files if hashes is not None]
+    whole = len(known) == len(files)
+    return digest.hexdigest(), {
+        "names_sha256": names_hash(*(images.names for images in traverses)).hexdigest(),
         "content_sha256": hashlib.sha256(b"".join(part.sha256 for part in known)).hexdigest() if whole else None,
-        "images": sum(map(len, names)),
+        "images": sum(map(len, traverses)),
         "bytes": sum(int(part.sizes.sum()) for part in known) if whole else None,
     }
 
 
-def _with_harness(code: str) -> str:
+def fingerprint(dataset: Dataset) -> str:
+    """Return the hash of a dataset's images, order and ground truth; raises BadInput if a file cannot be read."""
+    return hash_frames(dataset)[0]
+
+
+def _add_harness(code: str) -> str:
     return hashlib.sha256(f"{code} {VERSION}".encode()).hexdigest()

@@ -6,27 +6,27 @@ import contextlib
 import importlib.metadata
 import os
 import platform
+import re
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import psutil
 
 from vprbench.storage.cores import core_count
-from vprbench.storage.cores import cores as cores
 from vprbench.storage.folders import checkout_folder
-from vprbench.text import format_gigabytes
 
 _LIBRARIES = ("torch", "numpy", "scipy", "numba", "opencv-python-headless", "pillow", "scikit-learn", "faiss-cpu")
 
 
 def describe_machine(device: str, threads: int) -> dict[str, Any]:
     """Return processor, memory, accelerator, libraries, git state and load, as plain values."""
+    pressure = read_cpu_pressure()
     return {
         "python": platform.python_version(),
         "platform": platform.platform(),
@@ -36,12 +36,12 @@ def describe_machine(device: str, threads: int) -> dict[str, Any]:
         "memory_bytes": psutil.virtual_memory().total,
         "threads": threads,
         "device": device,
-        **_accelerator(device),
-        "vprbench": _version("vprbench"),
+        **_describe_accelerator(device),
+        "vprbench": _read_version("vprbench"),
         "libraries": library_versions(),
-        "git": _git_state(),
+        "git": _read_git_state(),
         "load_average": list(psutil.getloadavg()),
-        "cpu_pressure_avg10": cpu_pressure(),
+        "cpu_pressure_avg10": None if pressure is None else pressure.percent,
         "time_utc": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
         "command": sys.argv,
     }
@@ -65,7 +65,7 @@ class Machine:
 
     @property
     def hardware(self) -> tuple[str | None, int | None, str | None]:
-        """Processor, cores and accelerator, whatever the threads and the libraries."""
+        """Processor, cores and accelerator, without threads and libraries."""
         return self.processor, self.cores, self.accelerator
 
     @property
@@ -77,7 +77,7 @@ class Machine:
 
 def library_versions() -> dict[str, str | None]:
     """Return the versions of the libraries that compute, None for those that are not installed."""
-    return {name: _version(name) for name in _LIBRARIES}
+    return {name: _read_version(name) for name in _LIBRARIES}
 
 
 def pin_threads(threads: int) -> None:
@@ -104,45 +104,31 @@ def processor() -> str:
 def device_class(device: str) -> str:
     """Return the kind of device and its model, in which stored times are comparable."""
     kind = device.partition(":")[0]
-    return f"{kind} {processor() if kind == 'cpu' else _accelerator(device)['accelerator']}"
+    return f"{kind} {processor() if kind == 'cpu' else _describe_accelerator(device)['accelerator']}"
 
 
-def format_machine(environment: Mapping[str, Any]) -> list[str]:
-    """Return two lines: the hardware, and libraries, source and time."""
-    git, gpu = environment["git"], environment.get("accelerator")
-    driver = f" GPU: {gpu}, driver {environment['driver']}, CUDA {environment['cuda']}." if gpu else ""
+def format_software(environment: Mapping[str, Any]) -> str:
+    """Return libraries, source and time in one line."""
+    git = environment["git"]
     libraries = ", ".join(f"{name} {version or 'missing'}" for name, version in environment["libraries"].items())
     source = "no checkout" if git is None else f"{git['commit']}{', changed' * git['changed']}"
-    return [
-        f"{environment['processor']}, {environment['threads']} of {environment['cores']} cores, "
-        f"{format_gigabytes(environment['memory_bytes'])}, {environment['platform']}.{driver}",
+    return (
         f"python {environment['python']}, vprbench {environment['vprbench']}, {libraries}. Source: {source}. "
-        f"{environment['time_utc']}.",
-    ]
+        f"{environment['time_utc']}."
+    )
 
 
-def cpu_pressure() -> float | None:
-    """Return the share of the last 10 s, in percent, in which some process waited for a core; None if unknown."""
-    found = _read_pressure()
-    return None if found is None else float(found["avg10"])
+class CpuPressure(NamedTuple):
+    """How long some process waited for a core."""
+
+    percent: float  # of the last 10 s
+    seconds: float  # since the system started
 
 
-def cpu_waited() -> tuple[float, float] | None:
-    """Return the moment, and the seconds so far in which some process waited for a core; None if unknown."""
-    found = _read_pressure()
-    return None if found is None else (time.perf_counter(), int(found["total"]) / 1e6)
-
-
-def cpu_pressure_since(before: tuple[float, float]) -> float:
-    """Return the share of the time since `cpu_waited`, in percent, in which some process waited for a core."""
-    now = cpu_waited() or before
-    return 100 * (now[1] - before[1]) / max(now[0] - before[0], 1e-9)
-
-
-def _read_pressure() -> dict[str, str] | None:
-    """Return the first line of Linux's pressure of the cores: avg10 in percent, total in microseconds."""
-    words = _read("/proc/pressure/cpu").partition("\n")[0].split()
-    return dict(word.split("=") for word in words[1:]) if words[:1] == ["some"] else None
+def read_cpu_pressure() -> CpuPressure | None:
+    """Return Linux's pressure stall information of the cores; None on a system without it."""
+    some = re.match(r"some avg10=(\S+) .*total=(\d+)", _read("/proc/pressure/cpu"))
+    return None if some is None else CpuPressure(float(some[1]), int(some[2]) / 1e6)
 
 
 def canary_seconds(clock: Callable[[], int] = time.perf_counter_ns) -> float:
@@ -185,7 +171,7 @@ def peak_device_memory_bytes(device: str) -> int | None:
     return int(torch.cuda.max_memory_allocated(device))
 
 
-def _accelerator(device: str) -> dict[str, Any]:
+def _describe_accelerator(device: str) -> dict[str, Any]:
     if not device.startswith("cuda"):
         return {}
     import torch
@@ -194,28 +180,28 @@ def _accelerator(device: str) -> dict[str, Any]:
         "accelerator": torch.cuda.get_device_name(device),
         "accelerator_memory_bytes": torch.cuda.get_device_properties(device).total_memory,
         "cuda": torch.version.cuda,
-        "driver": _output("nvidia-smi", "--query-gpu=driver_version", "--format=csv,noheader"),
+        "driver": _run_command("nvidia-smi", "--query-gpu=driver_version", "--format=csv,noheader"),
     }
 
 
-def _version(name: str) -> str | None:
+def _read_version(name: str) -> str | None:
     try:
         return importlib.metadata.version(name)
     except importlib.metadata.PackageNotFoundError:
         return None
 
 
-def _git_state() -> dict[str, Any] | None:
+def _read_git_state() -> dict[str, Any] | None:
     """Return the commit of the checkout this package runs from, and whether it was changed."""
     root = checkout_folder()
     if not (root / ".git").exists():
         return None
-    commit = _output("git", "-C", str(root), "rev-parse", "HEAD")
-    changed = _output("git", "-C", str(root), "status", "--porcelain", "--untracked-files=no")
+    commit = _run_command("git", "-C", str(root), "rev-parse", "HEAD")
+    changed = _run_command("git", "-C", str(root), "status", "--porcelain", "--untracked-files=no")
     return {"commit": commit or None, "changed": bool(changed)}
 
 
-def _output(*command: str) -> str:
+def _run_command(*command: str) -> str:
     try:
         return subprocess.run(command, capture_output=True, text=True, timeout=10, check=False).stdout.strip()
     except (OSError, subprocess.TimeoutExpired):

@@ -40,7 +40,7 @@ def tabulate_predictions(run: Run, n: int, dataset: Dataset | None) -> pd.DataFr
     shown: tuple[Any, Any] = (None, None)
     if dataset is not None:
         first = np.unique(dataset.places, return_index=True)[1]
-        shown = _called(dataset.queries, queries), _called(dataset.references, first[places])
+        shown = _name_images(dataset.queries, queries), _name_images(dataset.references, first[places])
     return pd.DataFrame(
         {
             "query": queries,
@@ -86,7 +86,7 @@ def write_csv(table: pd.DataFrame, file: Path) -> Path:
     return file
 
 
-def _called(images: Images, which: npt.NDArray[np.int64]) -> list[str]:
+def _name_images(images: Images, which: npt.NDArray[np.int64]) -> list[str]:
     """Return the files of some images, or their names where they are no files."""
     called = images.names if images.files is None else images.files
     texts = {index: str(called[index]) for index in np.unique(which).tolist()}

@@ -1,10 +1,9 @@
-"""Judged answers of a run, one for each query, as the report and `Result` show them."""
+"""Judged answers of a run, one for each query, as the page and `Result` show them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -18,8 +17,6 @@ SHOWN_UNJUDGED = 5  # the same without a ground truth
 NOWHERE = -1  # in the place of a place
 RIGHT, WRONG, TIED, UNANSWERABLE, UNJUDGED = "rwtun"
 EXACT, AT_MOST, AT_LEAST, UNDEFINED = "=<>?"
-
-_DIGITS = 5  # significant ones of a score on the page
 
 
 @dataclass(frozen=True)
@@ -48,7 +45,7 @@ class Answers:
 def judge_answers(run: Run) -> Answers:
     """Judge the answers of a run by its ground truth."""
     if not run.is_judged:
-        return _keep_unjudged(run)
+        return _list_unjudged(run)
     outcome = run.outcome
     verdicts = np.where(hits_at(outcome, 1, "optimistic") > 0, TIED, WRONG)
     verdicts[hits_at(outcome, 1, "pessimistic") > 0] = RIGHT
@@ -70,7 +67,7 @@ def judge_answers(run: Run) -> Answers:
     )
 
 
-def _keep_unjudged(run: Run) -> Answers:
+def _list_unjudged(run: Run) -> Answers:
     """Return the answers of a run without a ground truth."""
     places, scores = _find_best_places(run, SHOWN_UNJUDGED)
     zeros, margins = np.zeros(len(places), np.int64), scores[:, 0] - scores[:, 1]
@@ -127,44 +124,6 @@ def _find_best_places(run: Run, n: int) -> tuple[npt.NDArray[np.int64], npt.NDAr
     return np.pad(places, missing, constant_values=NOWHERE), np.pad(scores, missing, constant_values=np.nan)
 
 
-def list_columns(answers: Answers) -> dict[str, Any]:
-    """Return the answers of a run as plain values, numbers rounded, small enough for a page; None: there is none.
-
-    An infinite margin is the text "-" or "+", for JSON has no such number.
-    """
-    infinite = {-np.inf: "-", np.inf: "+"}
-    return {
-        "verdicts": answers.verdicts,
-        "places": answers.places.ravel().tolist(),
-        "scores": round_digits(answers.scores.ravel()),
-        "right": answers.right_places.tolist(),
-        "rightScores": round_digits(answers.right_scores),
-        "ranks": answers.ranks.tolist(),
-        "equals": {int(query): int(answers.equals[query]) for query in np.flatnonzero(answers.equals)},
-        "margins": [
-            infinite.get(margin, short)
-            for margin, short in zip(answers.margins.tolist(), round_digits(answers.margins), strict=True)
-        ],
-        "bounds": answers.bounds,
-    }
-
-
-def round_digits(values: npt.NDArray[np.float64]) -> list[float | None]:
-    """Return values to five significant digits; None if one is not finite."""
-    return [float(f"{value:.{_DIGITS}g}") if np.isfinite(value) else None for value in values.tolist()]
-
-
-def format_place_ranges(places: npt.NDArray[np.int64]) -> str:
-    """Return places as text, neighbours as a range.
-
-    >>> place_ranges(np.array([7, 3, 4, 5]))
-    '3-5, 7'
-    """
-    ordered = np.unique(places)
-    parts = np.split(ordered, np.flatnonzero(np.diff(ordered) > 1) + 1) if len(ordered) else []
-    return ", ".join(str(part[0]) if len(part) == 1 else f"{part[0]}-{part[-1]}" for part in parts)
-
-
 def order_by_interest(answers: Answers) -> Iterator[tuple[int, set[int]]]:
     """Yield the queries of a run with the places shown beside each, wrong answers first.
 
@@ -173,9 +132,3 @@ def order_by_interest(answers: Answers) -> Iterator[tuple[int, set[int]]]:
     order = np.random.default_rng(0).permutation(len(answers.verdicts)).tolist()
     for query in sorted(order, key=lambda query: answers.verdicts[query] == RIGHT):
         yield query, {*answers.places[query].tolist(), int(answers.right_places[query])} - {NOWHERE}
-
-
-def list_places_shown(answers: Iterable[Answers]) -> list[int]:
-    """Return every place whose frame the answers show, ascending."""
-    shown = {place for one in answers for part in (one.places, one.right_places) for place in part.ravel().tolist()}
-    return sorted(shown - {NOWHERE})

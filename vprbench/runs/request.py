@@ -1,4 +1,4 @@
-"""One run that is asked for: method, dataset and options as plain values, which travel to other processes as JSON."""
+"""The request of one run: method, dataset and options as plain values, which travel to other processes as JSON."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from vprbench.runs.corruption import parse_corruptions
 from vprbench.runs.predictions import require_depth
 from vprbench.runs.sequences import parse_views
 from vprbench.runs.timing_protocol import Protocol
-from vprbench.runs.viewpoints import viewpoints
+from vprbench.runs.viewpoints import parse_viewpoints
 from vprbench.storage.cores import core_count
 from vprbench.text import near
 
@@ -49,7 +49,7 @@ class RunRequest:
     scores: bool = False  # keep all scores, however many
     sequence: Any = None
     filter: Any = None
-    views: Any = None  # viewpoints from which each query is asked
+    views: Any = None  # viewpoints of each query
     frames: bool = True  # keep small pictures of the dataset, for figures and report
     limit_minutes: float | None = None  # after which a run has failed; None: none
     corruption: str | list[str] | None = None  # of the query frames, as in shift-1; several: a run each, fitted once
@@ -57,7 +57,7 @@ class RunRequest:
     load: str | None = None  # file of a trained network; nothing is trained then
     stream: bool | int = False  # grow the map place by place, and ask at each so many places; true: ten times
     predictions: int | None = None  # best places of each query that are written as CSV; None: no file
-    energy: bool = False  # what a query costs in operations and joules, and a place in bytes
+    energy: bool = False  # count operations and joules of a query, and bytes of a place
     timing: Protocol = field(default_factory=Protocol)
 
     def __post_init__(self) -> None:
@@ -66,7 +66,7 @@ class RunRequest:
         object.__setattr__(self, "metrics", metrics)
         object.__setattr__(self, "energy", self.energy or bool({*metrics} & {*GROUPS["energy"]}))
         parse_views(self.sequence, self.filter)
-        if viewpoints(self.views) is not None and (self.stream or self.energy):
+        if parse_viewpoints(self.views) is not None and (self.stream or self.energy):
             raise BadInput(f"views={self.views}: stream= and energy= are of one view a query, leave them out")
         parse_corruptions(self.corruptions)
         if isinstance(self.corruption, list) and (self.save, self.load) != (None, None):
@@ -82,12 +82,14 @@ class RunRequest:
         if self.threads is not None and self.threads < 1:
             raise BadInput(f"threads={self.threads}: give at least 1")
         if self.save is not None and self.load is not None:
-            raise BadInput(f"save={self.save} and load={self.load}: what is loaded is stored already, give one of them")
+            raise BadInput(
+                f"save={self.save} and load={self.load}: a loaded network is stored already, give one of them"
+            )
         self._check_device()
 
     @property
     def corruptions(self) -> list[str]:
-        """The corruptions that are asked for; none for clean frames."""
+        """The corruptions of the request; none for clean frames."""
         several = [] if self.corruption is None else self.corruption
         return [several] if isinstance(several, str) else several
 

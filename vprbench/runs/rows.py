@@ -30,24 +30,24 @@ def format_row(run: Run, metrics: Sequence[str] = ()) -> dict[str, str]:
         shown = [metric for metric in shown if metric.cost is not None]
     return {
         "method": format_label(run),
-        **({RECALL: _recall_with_interval(run)} if run.is_judged else {}),
+        **({RECALL: _format_recall(run)} if run.is_judged else {}),
         **{metric.head: metric.text(metric.of(run)) for metric in shown},
-        "fit s": _fit(run),
-        **_readable_rates(run.timing),
+        "fit s": _format_fit(run),
+        **_format_timing(run.timing),
         "peak MB": format_megabytes(run.peak_memory_bytes),
     }
 
 
-def _readable_rates(timing: Timing | None) -> dict[str, str]:
+def _format_timing(timing: Timing | None) -> dict[str, str]:
     streaming = offline = UNTIMED
     if timing is not None:
         batch = best_batch(timing.offline)
-        streaming = _rates(StageRates.streaming(timing.streaming))
-        offline = f"{_rates(StageRates.offline(batch))} (batch {batch.images_per_call})"
+        streaming = _format_rates(StageRates.streaming(timing.streaming))
+        offline = f"{_format_rates(StageRates.offline(batch))} (batch {batch.images_per_call})"
     return {"streaming Hz enc/match/total": streaming, "offline Hz enc/match/total": offline}
 
 
-def _fit(run: Run) -> str:
+def _format_fit(run: Run) -> str:
     """Return the seconds of the fit, or a word for a run without one."""
     if run.fit_seconds is not None:
         return format_seconds(run.fit_seconds)
@@ -66,7 +66,7 @@ def describe_protocol(run: Run) -> str:
     """Return one line: dataset, queries, places, protocol, and the first digits of the hash of the frames' names."""
     adapt = run.config["method"].get("adapt", "none")
     protocol = {**run.protocol, **({} if adapt == "none" else {"adapt": adapt})}
-    chosen = ", ".join(f"{name} {_plain(value)}" for name, value in protocol.items())
+    chosen = ", ".join(f"{name} {_format_value(value)}" for name, value in protocol.items())
     frames = f", data {run.data['names_sha256'][:_DIGITS]}" if run.data else ""
     return f"{run.dataset}: {len(run.outcome)} queries, {run.outcome.n_places} places ({chosen}){frames}"
 
@@ -86,7 +86,7 @@ def describe_tolerance(run: Run) -> str | None:
     return f"R@1 within {', '.join(map(str, wider))} places: {shares} %"
 
 
-def _recall_with_interval(run: Run) -> str:
+def _format_recall(run: Run) -> str:
     first, interval = recall_at(run.outcome, 1), recall_interval([run])
     if first is None or interval is None:
         return "undefined (no query has a right place)"
@@ -95,11 +95,11 @@ def _recall_with_interval(run: Run) -> str:
     return f"{METRICS['recall_at_1'].text(first.expected)} {ends}{' ties!' if first.hangs_on_ties else ''}{others}"
 
 
-def _rates(rates: StageRates) -> str:
+def _format_rates(rates: StageRates) -> str:
     return " / ".join(map(format_rate, (rates.encode, rates.match, rates.total)))
 
 
-def _plain(value: object) -> str:
+def _format_value(value: object) -> str:
     if isinstance(value, Mapping):
         return "+".join(f"{inner} in {name}" for name, inner in value.items())
     return "+".join(map(str, value)) if isinstance(value, list) else str(value)

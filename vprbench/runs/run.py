@@ -10,16 +10,16 @@ from typing import Any
 from vprbench import progress
 from vprbench.api.adaptation import Adaptation
 from vprbench.plugins.opened_files import record_opened_files
-from vprbench.runs import run_notes, spikes, timing_lock
-from vprbench.runs.answers import Answers, QueryScoring, describe_search
+from vprbench.runs import spikes, timing_lock
+from vprbench.runs.answers import QueryScoring, describe_search
 from vprbench.runs.descriptors import DescriptorCache
 from vprbench.runs.experiment import Experiment
 from vprbench.runs.fitting import FitResult, fit_or_load
-from vprbench.runs.identity import code_hash, data_record
-from vprbench.runs.notes import make_notes
+from vprbench.runs.identity import code_hash
+from vprbench.runs.notes import make_notes, note_cache, note_measurements, note_opened_files, note_scorer
 from vprbench.runs.record import Run
-from vprbench.runs.scorers import AdaptedScorer, scorer_for
-from vprbench.runs.stopwatch import Stopwatch, synchroniser
+from vprbench.runs.scorers import AdaptedScorer, choose_scorer
+from vprbench.runs.stopwatch import Stopwatch, make_synchroniser
 from vprbench.runs.watch import MachineWatch
 
 
@@ -33,23 +33,23 @@ def execute(experiment: Experiment, key: str, keep: Callable[[Run], None] = lamb
     Args:
         experiment: method, dataset and request.
         key: identifies the run.
-        keep: takes the run without its rates before these are measured, unless none are asked for.
+        keep: takes the run without its rates before these are measured, unless the request asks for none.
     """
     request, method, dataset = experiment.request, experiment.method, experiment.dataset
     queries, views = dataset.queries.unnamed(), experiment.views
-    data = experiment.data or data_record(dataset)
     started = time.perf_counter()
     watch = MachineWatch(request.device, request.n_threads)
-    stopwatch = Stopwatch(request.timing, synchronise=synchroniser(request.device), seed=request.seed)
+    stopwatch = Stopwatch(request.timing, synchronise=make_synchroniser(request.device), seed=request.seed)
 
     cache = experiment.cache if experiment.networks.load is None else None
     described = DescriptorCache.of(cache, method, experiment.config, dataset.n_places)
     with record_opened_files() as opened:
         fitted = fit_or_load(experiment, key, stopwatch, described)
         read = queries.reading.seconds
-        scorer = scorer_for(method, dataset.n_places, request.depth, request.scores, () if views is None else views.all)
-        answers = Answers(dataset, request.depth, request.scores)
-        scoring = QueryScoring(stopwatch, method, scorer, dataset, answers)
+        scorer = choose_scorer(
+            method, dataset.n_places, request.depth, request.scores, () if views is None else views.all
+        )
+        scoring = QueryScoring(stopwatch, method, scorer, dataset, request.depth, request.scores)
 
         def begin_traverse() -> Any:
             if method.adapt == "none":
@@ -58,11 +58,11 @@ def execute(experiment: Experiment, key: str, keep: Callable[[Run], None] = lamb
 
         first_query = stopwatch.first_query(begin_traverse(), queries)
         watch.end_fit()
-        answers.method_seconds += first_query
+        scoring.method_seconds += first_query
         from_cache = scoring.score(described if views is None else None)
-        elsewhere = fitted.seconds + answers.method_seconds + queries.reading.seconds - read
+        elsewhere = fitted.seconds + scoring.method_seconds + queries.reading.seconds - read
 
-    measured = {"data": data, **watch.record()}
+    measured = {"data": experiment.data, **watch.record()}
     with stopwatch.lap() as auditing:
         counted, spike_notes = spikes.count_spikes(method, queries)
         measured |= {"search": describe_search(method, scoring.audited_codes), "spikes": counted}
@@ -70,13 +70,13 @@ def execute(experiment: Experiment, key: str, keep: Callable[[Run], None] = lamb
         *make_notes("dataset", dataset.notes),
         *fitted.notes,
         *make_notes("method", method.notes()),
-        *run_notes.on_opened_files(experiment, opened),
-        *run_notes.on_cache(dataset, fitted.from_cache, from_cache),
-        *run_notes.on_scorer(scorer, method, dataset.n_places),
+        *note_opened_files(experiment, opened),
+        *note_cache(dataset, fitted.from_cache, from_cache),
+        *note_scorer(scorer, method, dataset.n_places),
     )
     harness_seconds = time.perf_counter() - started - elsewhere - auditing[0]
-    scored = _record(experiment, key, fitted, answers, {**measured, "harness_seconds": harness_seconds})
-    scored = replace(scored, notes=(*notes, *run_notes.on_measurements(scored), *spike_notes))
+    scored = _make_record(experiment, key, fitted, scoring, {**measured, "harness_seconds": harness_seconds})
+    scored = replace(scored, notes=(*notes, *note_measurements(scored), *spike_notes))
     if not request.timing.rates:
         return scored
     keep(scored)
@@ -85,10 +85,12 @@ def execute(experiment: Experiment, key: str, keep: Callable[[Run], None] = lamb
         timed = replace(scored, timing=timing, **watch.record())
     progress.report("timing", 1.0)
     timed = replace(timed, config={**scored.config, "timing": asdict(request.timing)})
-    return replace(timed, notes=(*notes, *run_notes.on_measurements(timed), *spike_notes))
+    return replace(timed, notes=(*notes, *note_measurements(timed), *spike_notes))
 
 
-def _record(experiment: Experiment, key: str, fitted: FitResult, answers: Answers, measured: Mapping[str, Any]) -> Run:
+def _make_record(
+    experiment: Experiment, key: str, fitted: FitResult, scoring: QueryScoring, measured: Mapping[str, Any]
+) -> Run:
     """Return the record of a run that is not timed, but for its notes."""
     dataset = experiment.dataset
     return Run(
@@ -104,15 +106,15 @@ def _record(experiment: Experiment, key: str, fitted: FitResult, answers: Answer
         fit_compute_seconds=fitted.fit_compute_seconds,
         load_seconds=fitted.load_seconds,
         network=experiment.networks.sha256,
-        method_seconds=fitted.method_seconds + answers.method_seconds,
+        method_seconds=fitted.method_seconds + scoring.method_seconds,
         timing=None,
-        outcome=answers.outcome,
+        outcome=scoring.outcome,
         positives=dataset.positives,
         place_numbers=dataset.place_numbers,
         query_breaks=dataset.query_breaks,
         place_breaks=dataset.place_breaks,
-        top_places=answers.top_places,
-        top_scores=answers.top_scores,
-        scores=answers.scores,
+        top_places=scoring.top_places,
+        top_scores=scoring.top_scores,
+        scores=scoring.scores,
         **measured,
     )

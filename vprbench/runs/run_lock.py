@@ -21,18 +21,12 @@ from filelock import FileLock, Timeout
 
 from vprbench.errors import BadInput
 from vprbench.plugins.options import option
-from vprbench.text import format_duration, format_percent
 
 logger = logging.getLogger(__name__)
 
 FOLDER = ".locks"  # within a results folder: a file for each run that is being made
 _LOOK_EVERY = 0.5  # seconds between looks at a lock that is waited for
-_TELL_EVERY = 5.0  # seconds between two words on a stage that goes on
-_STAGE_LENGTH = 60  # letters
-_CLAIM = (
-    *("method", "dataset", "seed", "device", "corruption"),
-    *("owner", "host", "process", "since", "stage", "done"),
-)
+_CLAIM = ("method", "dataset", "seed", "device", "corruption", "owner", "host", "process", "since")
 _STORED = {"runs": "*/[!.]*/run.json", "failures": "*/[!.]*/failure.json"}
 
 
@@ -51,16 +45,14 @@ class RunLock:
 
     def __init__(self, root: Path, run: str, about: Mapping[str, Any]) -> None:
         """Name the run of the results folder `root`, and its method, dataset, seed, device and corruption."""
-        name = re.sub(r"[^A-Za-z0-9_-]+", "-", run)[-150:]  # and whatever stands in a name, no two share a file
+        name = re.sub(r"[^A-Za-z0-9_-]+", "-", run)[-150:]  # the hash tells names apart that read alike
         name = f"{name}-{hashlib.sha256(run.encode(errors='surrogateescape')).hexdigest()[:8]}"
         self.path = root.absolute() / FOLDER / name  # a method may change the working folder
         self._lock = FileLock(self.path, thread_local=False)
-        since = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
-        self._claim = {**about, "owner": _user(), "host": socket.gethostname(), "process": os.getpid(), "since": since}
-        self._run, self._told = run, ("", 0.0)
+        self._run, self._about = run, about
 
     def acquire(self, wait: bool = True) -> bool:
-        """Take the lock, if need be once its holder has ended; returns False if others hold it and nobody waits.
+        """Take the lock, if need be once its holder has ended; returns False if another process holds it.
 
         Where nothing can be locked a warning says so, and the run is made all the same.
         """
@@ -71,13 +63,16 @@ class RunLock:
                 break
             except Timeout:
                 return False
-            except FileNotFoundError:  # who was done has just removed the folder
+            except FileNotFoundError:  # another process has just removed the folder
                 continue
             except OSError as error:
                 reason = error.strerror or error
                 logger.warning("%s cannot be locked (%s): another process may make it too", self._run, reason)
                 return True
-        self.tell("begins", 0.0)
+        since = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
+        claim = {"owner": _read_user(), "host": socket.gethostname(), "process": os.getpid(), "since": since}
+        with contextlib.suppress(OSError):
+            self.path.write_text(json.dumps({**self._about, **claim}), encoding="utf-8")
         return True
 
     def __enter__(self) -> Self:
@@ -88,32 +83,21 @@ class RunLock:
         """Free the lock, and leave no file."""
         if self._lock.is_locked:
             with contextlib.suppress(OSError):
-                self.path.unlink()  # who has opened it meanwhile sees that it is gone, and opens another one
+                self.path.unlink()  # a process that has opened it meanwhile sees that it is gone, and opens another
         self._lock.release()
         with contextlib.suppress(OSError):
             self.path.parent.rmdir()
 
-    def tell(self, stage: str, done: float) -> None:
-        """Let others read how far the run is, 0 to 1; a stage that goes on is written now and then."""
-        now = time.monotonic()
-        if not self._lock.is_locked or (stage == self._told[0] and now - self._told[1] < _TELL_EVERY):
-            return
-        self._told = stage, now
-        text = json.dumps({**self._claim, "stage": stage[:_STAGE_LENGTH], "done": round(done, 3)})
-        with contextlib.suppress(OSError), self.path.open("r+b") as file:
-            file.write(text.encode())
-            file.truncate()
-
 
 def read_claims(root: Path) -> list[dict[str, Any]]:
     """Return the runs of a results folder that processes make now, as plain values, the oldest first."""
-    claims = [_read_claim(path) for path in _lock_files(root) if is_held(path)]
+    claims = [_read_claim(path) for path in _list_locks(root) if is_held(path)]
     return sorted(claims, key=lambda claim: str(claim["since"]))
 
 
 def remove_leftovers(root: Path) -> None:
     """Remove the files of locks that nobody holds: their holders were killed."""
-    for path in _lock_files(root):
+    for path in _list_locks(root):
         lock = FileLock(path)
         with contextlib.suppress(OSError, Timeout), lock.acquire(blocking=False):
             path.unlink()
@@ -133,23 +117,21 @@ def is_held(path: Path | str) -> bool:
     return False
 
 
-def _lock_files(root: Path) -> list[Path]:
+def _list_locks(root: Path) -> list[Path]:
     with contextlib.suppress(OSError):
         return sorted((root / FOLDER).iterdir())
     return []
 
 
 def _read_claim(path: Path) -> dict[str, Any]:
-    """Return what a holder says of its run; None in the place of what it does not say, or while it writes."""
-    silent_seconds, words = 0.0, None
+    """Return the claim of a holder; None for each part that it lacks, or while it is written."""
+    claim = None
     with contextlib.suppress(OSError, ValueError):
-        silent_seconds = max(0.0, time.time() - path.stat().st_mtime)
-        words = json.loads(path.read_bytes())
-    claim = {name: words.get(name) if isinstance(words, dict) else None for name in _CLAIM}
-    return {**claim, "silent_seconds": round(silent_seconds, 1), "alive": True}
+        claim = json.loads(path.read_bytes())
+    return {name: claim.get(name) if isinstance(claim, dict) else None for name in _CLAIM}
 
 
-def _user() -> str:
+def _read_user() -> str:
     try:
         return getpass.getuser()
     except (OSError, KeyError):  # a container may know no name
@@ -181,15 +163,5 @@ def row(claim: Mapping[str, Any]) -> dict[str, str]:
     """Return a run that is being made as the cells of a line, by their columns."""
     words = {name: "?" if value is None else str(value) for name, value in claim.items()}
     on = "" if claim["corruption"] is None else f", {words['corruption']}"
-    return {
-        "run": f"{words['method']} on {words['dataset']}{on}",
-        "stage": words["stage"].split(",")[0],
-        "%": "?" if claim["done"] is None else format_percent(claim["done"], 0),
-        "host": words["host"],
-        "process": words["process"],
-        "last word": f"{format_duration(claim['silent_seconds'])} ago",
-        "seed": words["seed"],
-        "device": words["device"],
-        "owner": words["owner"],
-        "since": words["since"],
-    }
+    columns = ("host", "process", "since", "seed", "device", "owner")
+    return {"run": f"{words['method']} on {words['dataset']}{on}", **{name: words[name] for name in columns}}

@@ -1,4 +1,4 @@
-"""What a person or a program is told of one run: its row, the notes on it, and where it lies."""
+"""One run as text or JSON: its row, its notes, its views and its folder."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from vprbench.runs.tuned import list_notes
 from vprbench.terminal.console import line_text, table_text
 
 
-def run_text(
+def format_run(
     run: Run, folder: Path | None, from_store: bool, request: RunRequest, predictions: Sequence[Path] = ()
 ) -> str:
     """Return the row of a run or its JSON, its notes and its views; `folder` is where it lies, None if nowhere.

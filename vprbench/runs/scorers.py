@@ -15,7 +15,7 @@ from vprbench.api.descriptor import DescriptorMethod
 from vprbench.api.images import Images
 from vprbench.api.method import Method, batch_size_for
 from vprbench.api.nearest import Nearest
-from vprbench.runs.viewpoints import Viewpoint, view_of
+from vprbench.runs.viewpoints import Viewpoint, render_view
 
 LARGE_MAP = 1 << 18  # places: of more, a run keeps the best ones of each query alone
 _TOGETHER = 1024  # queries compared with such a map at once
@@ -74,7 +74,7 @@ class ViewsScorer:
 
     def encode(self, images: Images) -> npt.NDArray[Any]:
         """Turn queries into the codes of their views, (n_queries, n_views, ...)."""
-        frames = [view_of(image, view) for image in images for view in self.views]
+        frames = [render_view(image, view) for image in images for view in self.views]
         codes = self.method.encode(Images.from_arrays(frames))
         return codes.reshape(len(images), len(self.views), *codes.shape[1:])
 
@@ -105,7 +105,7 @@ class AdaptedScorer:
         return self.scorer.match(self.adaptation.apply(codes))
 
 
-def scorer_for(
+def choose_scorer(
     method: Method, n_places: int, depth: int, whole: bool = False, views: Sequence[Viewpoint] = ()
 ) -> Scorer:
     """Return the scorer of a fitted method.

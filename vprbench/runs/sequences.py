@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import MISSING, fields, replace
 from functools import partial
-from typing import Any, TypeVar, get_type_hints
+from typing import Any
 
 import numpy as np
 
@@ -20,24 +20,21 @@ from vprbench.metrics.sequences import (
     sequence_scores,
     stretches,
 )
-from vprbench.plugins.entries import read
-from vprbench.plugins.values import check_value
+from vprbench.plugins.values import build_options, parse_mapping
 from vprbench.runs.record import Run
 from vprbench.runs.views import queries_shown, replace_scores, select_queries
-from vprbench.text import near
 
-Views = Callable[[Run], Run]  # a view; raises NoScoresError for a run that kept no scores, BadInput for what cannot be
-Options = TypeVar("Options", Sequences, Filter)
+Views = Callable[[Run], Run]  # raises NoScoresError for a run without scores, BadInput for an impossible view
 
 
 class NoScoresError(BadInput):
-    """A run keeps no scores, which a view of it needs; the message says what to do."""
+    """A run keeps no scores, which a view of it needs; the message names the remedy."""
 
 
 def apply_sequences(run: Run, options: Sequences) -> Run:
     """Return a run whose queries are answered by the sequences of queries that they are in.
 
-    The right places are those of the query itself, which ends a causal window and is in the middle of a centred one.
+    A query keeps its own right places. It ends a causal window and is in the middle of a centred one.
     """
     if options.window == "lens":
         return _apply_lens(run, options)
@@ -102,19 +99,21 @@ def parse_views(sequence: Any, filter: Any = None) -> tuple[Views, ...]:
     """Return the views that options ask for, one for each length of sequences; none for null and null.
 
     A sequence is a length, a list of lengths, or a mapping of the options of `Sequences`; a filter is true or a mapping
-    of those of `Filter`. A text in the words of the command line, {length:4,window:centred}, will do for a mapping.
-    Raises BadInput for anything else.
+    of those of `Filter`. Raises BadInput for anything else.
     """
     found: list[Views] = []
-    if (given := _read_mapping("sequence", sequence, "length")) is not None:
-        lengths = _as_list(given.get("length"))
-        sequences = [_build_options("sequence", Sequences, {**given, "length": length}) for length in lengths]
-        if not sequences or len({one.length for one in sequences}) < len(sequences):
+    if (given := parse_mapping(sequence, "length")) is not None:
+        lengths = given.get("length")
+        lengths = [*lengths] if isinstance(lengths, list | tuple) else [lengths]
+        if not lengths or len({*map(str, lengths)}) < len(lengths):
             raise BadInput(f"sequence={sequence}: give a length, or several different ones, as in sequence=[2,4]")
-        found += [partial(apply_sequences, options=one) for one in sequences]
-    given = _read_mapping("filter", {} if filter is True else None if filter is False else filter, "")
-    if given is not None:
-        found.append(partial(apply_filter, options=_build_options("filter", Filter, given)))
+        each = (build_options("sequence", Sequences, {**given, "length": length}) for length in lengths)
+        found += [partial(apply_sequences, options=options) for options in each]
+    if filter not in (None, False):
+        given = parse_mapping({} if filter is True else filter, "") or {}
+        if "" in given:
+            raise BadInput(f"filter={filter}: give true, or a mapping of its options, as in filter={{back:0,ahead:2}}")
+        found.append(partial(apply_filter, options=build_options("filter", Filter, given)))
     return tuple(found)
 
 
@@ -154,34 +153,3 @@ def _number_parts(run: Run, gaps: str) -> tuple[Stretches, Stretches, str]:
     stored = stretches(int(shown[-1]) + 1, run.query_breaks)[shown]
     left_out = shown - np.arange(len(shown))  # grows where a view left queries out
     return stored + left_out, stretches(n_places, run.place_breaks), words
-
-
-def _read_mapping(option: str, value: Any, short: str) -> dict[str, Any] | None:
-    """Return an option as a mapping; a plain value is that of `short`."""
-    if isinstance(value, str):
-        value = read(value.replace(":", ": "))
-    if value is None or isinstance(value, Mapping):
-        return None if value is None else dict(value)
-    if not short:
-        raise BadInput(f"{option}={value}: give true, or a mapping of its options, as in {option}={{back:0,ahead:2}}")
-    return {short: value}
-
-
-def _as_list(value: Any) -> list[Any]:
-    return list(value) if isinstance(value, list | tuple) else [] if value is None else [value]
-
-
-def _build_options(option: str, kind: type[Options], given: Mapping[str, Any]) -> Options:
-    """Return the options of a view, checked; raises BadInput."""
-    hints = get_type_hints(kind)
-    for name in given:
-        if name not in hints:
-            raise BadInput(f"option {option}.{name} is unknown: {near(name, hints)}")
-    plain = {
-        name: check_value(f"{option}.{name}", _as_list(value) if name == "velocities" else value, hints[name])
-        for name, value in given.items()
-    }
-    try:
-        return kind(**plain)
-    except ValueError as error:
-        raise BadInput(f"{option}: {error}") from error

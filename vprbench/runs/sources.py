@@ -20,13 +20,17 @@ def hash_class(kind: type) -> str:
 
 
 def hash_target(target: str) -> str | None:
-    """Return the `hash_class` of a class by its full name, without importing it; None where no file defines it."""
-    defined = _find_definition(target)
-    return None if defined is None else hash_files(_follow_imports(*defined).values())
+    """Return the `hash_class` of a class by its full name, without importing it; None for a module without a file.
+
+    It is another hash if the module of the name imports the class from elsewhere.
+    """
+    module = target.rpartition(".")[0]
+    path = _find_file(module)
+    return None if path is None else hash_files(_follow_imports(module, path).values())
 
 
 def hash_files(files: Iterable[Path]) -> str:
-    """Return the hash of the bytes of files, in whatever order and under whatever names."""
+    """Return the hash of the bytes of files; their order and names do not count."""
     hashes = sorted(hashlib.sha256(path.read_bytes()).hexdigest() for path in files)
     return hashlib.sha256("".join(hashes).encode()).hexdigest()
 
@@ -44,7 +48,7 @@ def _follow_imports(name: str, file: Path) -> dict[str, Path]:
     found, waiting = {name: file}, [name]
     while waiting:
         module = waiting.pop()
-        for imported in _list_imports(found[module].read_text(encoding="utf-8"), _package_of(module, found[module])):
+        for imported in _list_imports(found[module].read_text(encoding="utf-8"), _name_package(module, found[module])):
             if imported not in found and _is_own(imported, name, file) and (path := _find_file(imported)) is not None:
                 found[imported] = path
                 waiting.append(imported)
@@ -60,25 +64,9 @@ def _is_own(module: str, method: str, file: Path) -> bool:
     return top == package or (method == package and any(path.is_file() for path in beside))
 
 
-def _find_definition(target: str) -> tuple[str, Path] | None:
-    """Return the module that defines a class, and its file; a name that a module imports is followed."""
-    module, _, name = target.rpartition(".")
-    path = _find_file(module)
-    if path is None:
-        return None
-    for node in ast.parse(path.read_bytes()).body:
-        if isinstance(node, ast.ClassDef) and node.name == name:
-            return module, path
-        if isinstance(node, ast.ImportFrom):
-            for alias in node.names:
-                if name == (alias.asname or alias.name):
-                    return _find_definition(f"{_resolve_module(node, _package_of(module, path))}.{alias.name}")
-    return None
-
-
 @cache
 def _list_imports(text: str, package: str) -> tuple[str, ...]:
-    """Return the full names of all that a text imports, modules and what may be a module."""
+    """Return the full names of all imports of a text, of modules and of names that may be modules."""
     found: list[str] = []
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.Import):
@@ -94,7 +82,7 @@ def _resolve_module(node: ast.ImportFrom, package: str) -> str:
     return importlib.util.resolve_name(name, package) if node.level else name
 
 
-def _package_of(module: str, path: Path) -> str:
+def _name_package(module: str, path: Path) -> str:
     return module if path.name == "__init__.py" else module.rpartition(".")[0]
 
 

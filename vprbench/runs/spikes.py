@@ -14,7 +14,7 @@ from vprbench.errors import BadInput
 from vprbench.runs.notes import Note
 from vprbench.runs.scorers import block_size
 
-_QUERIES = 256  # at most, of which spikes are counted
+_QUERIES = 256  # whose spikes are counted, at most
 
 
 def count_spikes(method: Method, queries: Images) -> tuple[dict[str, Any] | None, tuple[Note, ...]]:
@@ -47,10 +47,10 @@ def summarise_spikes(layers: Sequence[LayerSpikes]) -> dict[str, Any] | None:
     if len(counts) > 1 or any(layer.values.ndim != 2 for layer in layers):
         shapes = ", ".join(f"{layer.name} {layer.values.shape}" for layer in layers)
         raise BadInput(f"spikes of shapes {shapes} came; wanted (n_queries, n_neurons), all of the same queries")
-    return {"queries": counts[0], "layers": [_of_layer(layer) for layer in layers]}
+    return {"queries": counts[0], "layers": [_summarise_layer(layer) for layer in layers]}
 
 
-def _of_layer(layer: LayerSpikes) -> dict[str, Any]:
+def _summarise_layer(layer: LayerSpikes) -> dict[str, Any]:
     values = np.asarray(layer.values)
     if not np.isfinite(values).all() or (values < 0).any():
         raise BadInput(f"the spikes of layer {layer.name} are not all finite and 0 or more")

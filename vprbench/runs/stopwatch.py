@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import gc
+import itertools
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Annotated
@@ -18,19 +19,19 @@ from vprbench.api.images import Images
 from vprbench.api.method import batch_size_for, require_codes
 from vprbench.runs.scorers import Answer, Scorer, best_place
 from vprbench.runs.timing_protocol import Protocol as Protocol  # callers ask the stopwatch
-from vprbench.storage.bounds import INTEGERS, NUMBERS, Array, Count, Flag, Positive
+from vprbench.storage.bounds import INTEGERS, NUMBERS, Array, Count, Flag, Number, Positive
 
 Clock = Callable[[], int]  # nanoseconds, monotonic
 Seconds = npt.NDArray[np.float64]
 
 _SAMPLE_BYTES = 1 << 29  # of decoded images held at once
 _STEADY_QUERIES, _STEADY_SPREAD = 10, 0.1
-_LONG_PASS, _LONG_CALL = 4.0, 1.0  # seconds: no more is asked of a slow method
-_GAIN = 1.25  # times the rate: less is within what machines vary by
+_LONG_PASS, _LONG_CALL = 4.0, 1.0  # seconds, at most, of a slow method
+_GAIN = 1.25  # times the rate: machines vary by less
 _SHARES = (0.15, 0.5)  # of `total_seconds`, by which warm-up and streaming have to end
 
 
-def _nothing() -> None:
+def _do_nothing() -> None:
     """Synchronise a device that does nothing behind the caller's back."""
 
 
@@ -67,7 +68,7 @@ class Laps:
 class Timing:
     """All that was measured of one method's queries."""
 
-    first_query_seconds: Annotated[float, Field(strict=True)]  # of the first one after the fit; NaN if none warmed up
+    first_query_seconds: Number  # of the first one after the fit
     warmup_queries: Count
     streaming: Laps
     offline: Annotated[tuple[Laps, ...], Field(min_length=1)]  # one per batch size
@@ -84,7 +85,7 @@ class Stopwatch:
         self,
         protocol: Protocol,
         clock: Clock = time.perf_counter_ns,
-        synchronise: Callable[[], None] = _nothing,
+        synchronise: Callable[[], None] = _do_nothing,
         seed: int = 0,
     ) -> None:
         """Measure by `clock`, with `synchronise` at every boundary; `seed` draws the order of the queries."""
@@ -92,7 +93,7 @@ class Stopwatch:
         self._clock = clock
         self._synchronise = synchronise
         self._generator = np.random.default_rng(seed)
-        self._end = float("inf")  # by the clock, of what is measured now
+        self._end = float("inf")  # of the present measurement, by the clock
 
     @contextmanager
     def lap(self) -> Iterator[list[float]]:
@@ -110,23 +111,23 @@ class Stopwatch:
         try:
             return sum(self._call(scorer, first)[:2])
         except Exception:
-            require_codes(scorer.encode(first), 1)  # asked where it costs no time of a query
+            require_codes(scorer.encode(first), 1)  # checked outside of timed calls
             raise
 
-    def measure(self, scorer: Scorer, images: Images, first_query_seconds: float | None = None) -> Timing:
+    def measure(self, scorer: Scorer, images: Images, first_query_seconds: float = 0.0) -> Timing:
         """Measure a fitted method on a sample of `images`, decoded beforehand; batches of large codes are smaller.
 
         A pass takes 4 s at most, unless the minimum of queries takes more: the sample of a slow method is smaller.
-        If the method was asked before, `first_query_seconds` is what its first query took.
+        `first_query_seconds` are the seconds of its first query, asked before.
         """
-        chosen = _sample(images, self._protocol.sample)
+        chosen = _choose_sample(images, self._protocol.sample)
         sample, count = images[chosen].in_memory(), len(chosen)
         singles = [sample[np.array([i])] for i in range(count)]
-        with _garbage_kept():
+        with _pause_garbage_collection():
             progress.report("timing", 0.0)
             began = self._clock()
             self._end_after(began, _SHARES[0])
-            warmup = self._warm_up(scorer, singles, first_query_seconds or 0.0)
+            warmup = self._warm_up(scorer, singles, first_query_seconds)
             usual = float(np.median(warmup[-_STEADY_QUERIES:])) if warmup else 0.0
             if usual and (few := max(self._protocol.minimum_queries, int(_LONG_PASS / usual))) < count:
                 some = np.linspace(0, count - 1, few).astype(np.int64)
@@ -135,8 +136,7 @@ class Stopwatch:
             streaming, answers = self._stream(scorer, singles)
             progress.report("timing", 0.2)
             offline = self._offline(scorer, sample, streaming, began)
-        first = [*warmup, float("nan")][0] if first_query_seconds is None else first_query_seconds
-        return Timing(first, len(warmup), streaming, offline, chosen, answers)
+        return Timing(first_query_seconds, len(warmup), streaming, offline, chosen, answers)
 
     def _call(self, scorer: Scorer, images: Images) -> tuple[float, float, Answer]:
         """Return the seconds of encode and match, and the scores or the best places."""
@@ -151,7 +151,7 @@ class Stopwatch:
         return (encoded - start) / 1e9, (matched - encoded) / 1e9, scores
 
     def _warm_up(self, scorer: Scorer, singles: Sequence[Images], usual: float) -> list[float]:
-        """Return the seconds of the calls; `usual` is what one may take."""
+        """Return the seconds of the calls; `usual` is the expected time of one."""
         laps: list[float] = []
         started = self._clock()
         while len(laps) < self._protocol.warmup_queries and not self._late(started, usual):
@@ -163,20 +163,31 @@ class Stopwatch:
         return laps
 
     def _stream(self, scorer: Scorer, singles: Sequence[Images]) -> tuple[Laps, npt.NDArray[np.int64]]:
-        encodes: list[float] = []
-        matches: list[float] = []
-        answers = np.full(len(singles), -1)
-        late, started = False, self._clock()
-        while not (finished := self._finished(len(encodes), len(singles), started)) and not late:
-            order = self._generator.permutation(len(singles)).tolist()
-            for query in order:
-                encode, match, scores = self._call(scorer, singles[query])
-                encodes.append(encode)
-                matches.append(match)
-                answers[query] = best_place(scores)
+        """Return the laps of single queries, shuffled in each pass, and the best place of each."""
+        passes = (self._generator.permutation(len(singles)).tolist() for _ in itertools.count())
+        return self._time(scorer, singles, passes, len(singles))
+
+    def _time(
+        self, scorer: Scorer, calls: Sequence[Images], passes: Iterable[Sequence[int]], queries_a_pass: int
+    ) -> tuple[Laps, npt.NDArray[np.int64]]:
+        """Return the laps of `calls`, in the order of the numbers in `passes`, and the best place of each one's first.
+
+        Laps end after a pass by which all minima are met, and when they take too long.
+        """
+        laps: list[tuple[float, float]] = []
+        size, answers = len(calls[0]), np.full(len(calls), -1)
+        finished, late, started = False, False, self._clock()
+        for numbers in passes:
+            if (finished := self._finished(len(laps) * size, queries_a_pass, started)) or late:
+                break
+            for number in numbers:
+                encode, match, answer = self._call(scorer, calls[number])
+                laps.append((encode, match))
+                answers[number] = best_place(answer)
                 if late := self._late(started, encode + match):
                     break
-        return Laps(np.array(encodes), np.array(matches), 1, finished), answers
+        encodes, matches = (np.array(seconds) for seconds in zip(*laps, strict=True))
+        return Laps(encodes, matches, size, finished), answers
 
     def _offline(self, scorer: Scorer, sample: Images, streaming: Laps, began: int) -> tuple[Laps, ...]:
         """Return the laps of each batch size whose calls fit into the time left; at least the streaming ones, of one.
@@ -192,24 +203,17 @@ class Stopwatch:
             if size == 1:
                 offline.append(streaming)
             elif not self._over(2 * call) and (gains or call <= _LONG_CALL):  # one is not timed
-                before, last = last, self._batches(scorer, sample, size)
+                before, last = last, self._batch(scorer, sample, size)
                 gains = before.per_image() >= _GAIN * last.per_image()
                 offline.append(last)
         return tuple(offline) or (replace(streaming, valid=False),)
 
-    def _batches(self, scorer: Scorer, sample: Images, size: int) -> Laps:
-        starts = range(0, len(sample) - size + 1, size)  # whole batches only
-        batches = [sample[start : start + size] for start in starts]
-        encodes: list[float] = []
-        matches: list[float] = []
+    def _batch(self, scorer: Scorer, sample: Images, size: int) -> Laps:
+        """Return the laps of whole batches of a size; the first call is not timed."""
+        batches = [sample[start : start + size] for start in range(0, len(sample) - size + 1, size)]
         self._call(scorer, batches[0])
-        late, started = False, self._clock()
-        while not (finished := self._finished(len(encodes) * size, len(sample), started)) and not late:
-            encode, match, _ = self._call(scorer, batches[len(encodes) % len(batches)])
-            encodes.append(encode)
-            matches.append(match)
-            late = self._late(started, encode + match)
-        return Laps(np.array(encodes), np.array(matches), size, finished)
+        one_by_one = ([number] for number in itertools.cycle(range(len(batches))))
+        return self._time(scorer, batches, one_by_one, len(sample))[0]
 
     def _finished(self, queries: int, per_pass: int, started: int) -> bool:
         protocol = self._protocol
@@ -217,7 +221,7 @@ class Stopwatch:
         return long_enough and queries >= max(protocol.minimum_queries, protocol.minimum_passes * per_pass)
 
     def _end_after(self, began: int, share: float) -> None:
-        """Let what is measured next end before a share of `total_seconds` is over, if a call is enough for that."""
+        """Let the next measurement end before a share of `total_seconds` is over, but for a single call."""
         total = self._protocol.total_seconds
         self._end = float("inf") if total is None else began + share * total * 1e9
 
@@ -229,7 +233,7 @@ class Stopwatch:
         return self._clock() + coming * 1e9 > self._end
 
 
-def _sample(images: Images, wanted: int) -> npt.NDArray[np.int64]:
+def _choose_sample(images: Images, wanted: int) -> npt.NDArray[np.int64]:
     """Return `wanted` images spread over all, fewer if these would fill more than the bytes that may be held."""
     count = min(len(images), wanted)
     while True:
@@ -240,17 +244,17 @@ def _sample(images: Images, wanted: int) -> npt.NDArray[np.int64]:
         count = max(1, min(count - 1, count * _SAMPLE_BYTES // n_bytes))
 
 
-def synchroniser(device: str) -> Callable[[], None]:
-    """Return what waits until `device` has nothing left to do."""
+def make_synchroniser(device: str) -> Callable[[], None]:
+    """Return a function that waits until `device` is idle."""
     if not device.startswith("cuda"):
-        return _nothing
+        return _do_nothing
     import torch
 
     return lambda: torch.cuda.synchronize(device)
 
 
 @contextmanager
-def _garbage_kept() -> Iterator[None]:
+def _pause_garbage_collection() -> Iterator[None]:
     """Keep the garbage collector out of the timed window."""
     gc.collect()
     was_enabled = gc.isenabled()

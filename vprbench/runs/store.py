@@ -115,13 +115,9 @@ class Store:
         return folder
 
     def try_to_save_failure(self, failure: Failure) -> None:
-        """Store a failure if the disk takes it; the error itself is told in any case."""
+        """Store a failure if the disk takes it; the caller reports the error in any case."""
         with contextlib.suppress(OSError, BadInput):
             self.save_failure(failure)
-
-    def failure(self, method: str, dataset: str, config: Mapping[str, Any]) -> Failure | None:
-        """Return how the last run of this configuration failed; None if it did not."""
-        return read_failure(self._failure_folder(method, dataset, config))
 
     def remove_leftovers(self) -> None:
         """Remove locks that nobody holds, and unfinished files that nobody has written to for a day."""
@@ -133,7 +129,7 @@ class Store:
                 atomic.remove_replaced(dataset)
 
     def _folders(self) -> Iterator[Path]:
-        """Yield the folders of all datasets, by dataset and name; those that cannot be read are named in a warning."""
+        """Yield the folders of all datasets, by dataset and name; a warning names each that cannot be read."""
         try:
             datasets = atomic.final_folders(self.root)
         except FileNotFoundError:
@@ -166,11 +162,11 @@ class Store:
         return None
 
     def _failure_folder(self, method: str, dataset: str, config: Mapping[str, Any]) -> Path:
-        asked = {name: config.get(name) for name in ("method", "dataset", "seed", "device", "load")}
+        wanted = {name: config.get(name) for name in ("method", "dataset", "seed", "device", "load")}
         for name in ("corruption", "views"):
             if config.get(name):
-                asked[name] = config[name]
-        return self.root / dataset / f"{method}-failed-{content_key(asked)}"
+                wanted[name] = config[name]
+        return self.root / dataset / f"{method}-failed-{content_key(wanted)}"
 
 
 def _place(folder: Path, fill: Callable[[Path], None]) -> None:

@@ -19,7 +19,7 @@ from vprbench.metrics.ranking import PlacesPerQuery, concatenate, outcome
 from vprbench.metrics.registry import METRICS
 from vprbench.runs.record import Run
 from vprbench.runs.scorers import block_size
-from vprbench.runs.stopwatch import Stopwatch, synchroniser
+from vprbench.runs.stopwatch import Stopwatch, make_synchroniser
 from vprbench.terminal.console import table_text
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ _STOPS = 10  # where nobody says how many places lie between two
 
 
 def parse_step(step: bool | int, method: Method, n_places: int) -> int:
-    """Return how many places the first map has and each stop adds; 0 if no growing map is asked for.
+    """Return how many places the first map has and each stop adds; 0 without a growing map.
 
     Raises BadInput for more than the map has, and for a method that learns its places together.
     """
@@ -37,10 +37,10 @@ def parse_step(step: bool | int, method: Method, n_places: int) -> int:
         raise BadInput(f"stream={step}: {type(method).__name__} learns its places together: leave stream out")
     if step is not True and not 0 <= step < n_places:
         raise BadInput(f"stream={step}: give 1 to {n_places - 1} places, for the map has {n_places}, or true")
-    return places_of_a_step(step, n_places)
+    return count_step_places(step, n_places)
 
 
-def places_of_a_step(step: bool | int, n_places: int) -> int:
+def count_step_places(step: bool | int, n_places: int) -> int:
     """Return how many places the option `stream` adds at a time to a map that ends with `n_places`; 0 for none."""
     return -(-n_places // _STOPS) if step is True else int(step)
 
@@ -57,7 +57,7 @@ def grow_map(experiment: Experiment) -> list[dict[str, Any]]:
     method.fit(references[old], dataset.places[old])
     codes = np.concatenate([method.encode(block) for block in dataset.queries.unnamed().blocks(size)])
     codes = adapt_traverse(method, codes)
-    stopwatch = Stopwatch(experiment.request.timing, synchronise=synchroniser(experiment.request.device))
+    stopwatch = Stopwatch(experiment.request.timing, synchronise=make_synchroniser(experiment.request.device))
     stops: list[dict[str, Any]] = []
     seconds: list[float] = []
     for n in range(first, dataset.n_places + 1):
@@ -68,7 +68,7 @@ def grow_map(experiment: Experiment) -> list[dict[str, Any]]:
             seconds.append(lap[0])
         progress.report("growing map", n / dataset.n_places)
         if n % first == 0 or n == dataset.n_places:
-            blocks = np.split(asked := _answerable_queries(dataset.positives, n), range(size, len(asked), size))
+            blocks = np.split(asked := _find_answerable(dataset.positives, n), range(size, len(asked), size))
             right = [[dataset.positives[query][dataset.positives[query] < n] for query in block] for block in blocks]
             found = concatenate([outcome(method.match(codes[b]), r) for b, r in zip(blocks, right, strict=True)])
             stops.append({"places": n, "hits": hits_at(found, 1).tolist(), "seconds": seconds})
@@ -76,7 +76,7 @@ def grow_map(experiment: Experiment) -> list[dict[str, Any]]:
     return stops
 
 
-def _answerable_queries(positives: PlacesPerQuery, n: int) -> npt.NDArray[np.int64]:
+def _find_answerable(positives: PlacesPerQuery, n: int) -> npt.NDArray[np.int64]:
     """Return the queries that have a right place among the first `n`."""
     return np.flatnonzero([bool((right < n).any()) for right in positives])
 
@@ -87,7 +87,7 @@ def list_stops(run: Run) -> list[dict[str, Any]]:
     R@1 is of the queries with a place in the map; `recall_at_1_of_first` of the queries of its first places.
     """
     lines, stops = [], run.stream or ()
-    known = [_answerable_queries(run.positives, stop["places"]) for stop in stops]
+    known = [_find_answerable(run.positives, stop["places"]) for stop in stops]
     for stop, queries in zip(stops, known, strict=True):
         hits, seconds = np.array(stop["hits"]), stop["seconds"]
         first = hits[np.isin(queries, known[0])]

@@ -6,7 +6,7 @@ import io
 import json
 import logging
 import zipfile
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,6 @@ from PIL import Image as PillowImage
 from vprbench import progress
 from vprbench.api.arrays import Image
 from vprbench.api.dataset import Dataset
-from vprbench.api.images import Images
 from vprbench.storage.atomic import remove_leftovers, replace_bytes
 
 logger = logging.getLogger(__name__)
@@ -69,56 +68,63 @@ def choose_frames(shown: Shown, most: int) -> tuple[set[int], set[int]]:
 
 
 def save_thumbnails(root: Path, fingerprint: str, dataset: Dataset, shown: Shown = ()) -> None:
-    """Keep small pictures of a dataset below a results folder, beside those that are there already.
+    """Keep small pictures of a dataset below a results folder, beside earlier ones.
 
-    Of a large dataset only some frames are kept: those that `shown` names first. Several processes may do so at once; a
+    Of a large dataset only the frames that `shown` names first are kept. Several processes may do so at once; a
     reader finds a whole file or none, and pictures that one adds while another does may be lost until the next run.
     Raises OSError if the disk refuses and BadInput if a frame cannot be read.
     """
-    found = load_thumbnails(root, fingerprint)
-    _, first_of_place = np.unique(dataset.places, return_index=True)
-    queries, references = dataset.queries, dataset.references[first_of_place]
-    frames = (
-        [*found.queries] if found else [b""] * len(queries),
-        [*found.references] if found else [b""] * len(references),
-    )
-    chosen: tuple[Collection[int], Collection[int]] = range(len(queries)), range(len(references))
-    if len(queries) + len(references) > _MOST:
-        chosen = choose_frames(shown, min(_OF_RUN, _MOST - sum(map(bool, frames[0] + frames[1]))))
-    missing = [[n for n in sorted(wanted) if not kept[n]] for wanted, kept in zip(chosen, frames, strict=True)]
-    if found is not None and not any(missing):
+    kept = load_thumbnails(root, fingerprint)
+    first_of_place = np.unique(dataset.places, return_index=True)[1]
+    images = {"queries": dataset.queries, "references": dataset.references[first_of_place]}
+    frames = {part: [*getattr(kept, part)] if kept else [b""] * len(images[part]) for part in images}
+    chosen: tuple[Collection[int], ...] = tuple(range(len(part)) for part in frames.values())
+    if sum(map(len, frames.values())) > _MOST:
+        n_kept = sum(bool(frame) for part in frames.values() for frame in part)
+        chosen = choose_frames(shown, min(_OF_RUN, _MOST - n_kept))
+    missing = {
+        part: [n for n in sorted(wanted) if not frames[part][n]] for part, wanted in zip(frames, chosen, strict=True)
+    }
+    if kept is not None and not any(missing.values()):
         return
-    for name, images, wanted, kept in zip(
-        ("queries", "references"), (queries, references), missing, frames, strict=True
-    ):
-        for number, image in enumerate(images[np.array(wanted, np.int64)]):
-            progress.report(f"keeping small {name}", number / len(wanted))
-            kept[wanted[number]] = _encode(image, _SIDE, quality=_QUALITY)
-    path = _path(root, fingerprint)
+    for part, numbers in missing.items():
+        for done, image in enumerate(images[part][np.array(numbers, np.int64)]):
+            progress.report(f"keeping small {part}", done / len(numbers))
+            frames[part][numbers[done]] = _encode(image, _SIDE, quality=_QUALITY)
+    files = {f"{part}/{n}": frame for part in frames for n, frame in enumerate(frames[part]) if frame}
+    examples = _choose_examples(dataset)
+    for n, pair in enumerate(examples):
+        for number, part in zip(pair, images, strict=True):
+            files[f"examples/{n}-{part}"] = _encode(images[part][number], _EXAMPLE_SIDE, lossless=True)
+    names = {part: [*images[part].names] for part in images}
+    about = {"fingerprint": fingerprint, **names, "examples": examples}
+    path = _locate(root, fingerprint)
     path.parent.mkdir(exist_ok=True)
     remove_leftovers(path.parent)
-    replace_bytes(path, _pack(fingerprint, dataset, references, *frames))
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w") as archive:
+        for name, content in {_ABOUT: json.dumps(about).encode(), **files}.items():
+            archive.writestr(name, content)
+    replace_bytes(path, packed.getvalue())
 
 
 def load_thumbnails(root: Path, fingerprint: str) -> Thumbnails | None:
     """Return the pictures kept of a dataset; None if there are none or, with a warning, if they are damaged."""
-    path = _path(root, fingerprint)
+    path = _locate(root, fingerprint)
     try:
         with zipfile.ZipFile(path) as archive:
-            about = json.loads(archive.read(_ABOUT))
-            if about["fingerprint"] != fingerprint:
-                raise ValueError("they are of another dataset")
             files = {name: archive.read(name) for name in archive.namelist()}
-        names = {part: tuple(about[part]) for part in ("queries", "references")}
-        return Thumbnails(
-            query_names=names["queries"],
-            reference_names=names["references"],
-            examples=tuple(
-                Example(query, place, *(_decode(files[f"examples/{n}-{part}"]) for part in names))
-                for n, (query, place) in enumerate(about["examples"])
-            ),
-            **{part: tuple(files.get(f"{part}/{n}", b"") for n in range(len(names[part]))) for part in names},
+        about = json.loads(files[_ABOUT])
+        if about["fingerprint"] != fingerprint:
+            raise ValueError("they are of another dataset")
+        frames = (
+            tuple(files.get(f"{part}/{n}", b"") for n in range(len(about[part]))) for part in ("queries", "references")
         )
+        examples = (
+            Example(query, place, _decode(files[f"examples/{n}-queries"]), _decode(files[f"examples/{n}-references"]))
+            for n, (query, place) in enumerate(about["examples"])
+        )
+        return Thumbnails(tuple(about["queries"]), tuple(about["references"]), tuple(examples), *frames)
     except FileNotFoundError:
         return None
     except Exception as error:  # a damaged file fails in many ways
@@ -126,30 +132,16 @@ def load_thumbnails(root: Path, fingerprint: str) -> Thumbnails | None:
         return None
 
 
-def _path(root: Path, fingerprint: str) -> Path:
+def _locate(root: Path, fingerprint: str) -> Path:
     return root / _FOLDER / f"{fingerprint[:16]}.zip"
 
 
-def _pack(
-    fingerprint: str, dataset: Dataset, references: Images, of_queries: Sequence[bytes], of_places: Sequence[bytes]
-) -> bytes:
-    """Return a ZIP file of the frames that are kept, of examples, and of the names of all."""
+def _choose_examples(dataset: Dataset) -> list[tuple[int, int]]:
+    """Return a few queries spread over all that have a right place, each with the middle one of its right places."""
     answerable = np.flatnonzero([len(right) > 0 for right in dataset.positives])
     spread = np.linspace(0, len(answerable) - 1, min(_EXAMPLES, len(answerable))).astype(int)
-    queries = answerable[spread].tolist()
-    examples = [(query, int(dataset.positives[query][len(dataset.positives[query]) // 2])) for query in queries]
-    names = {"queries": list(dataset.queries.names), "references": list(references.names)}
-    files = {_ABOUT: json.dumps({"fingerprint": fingerprint, **names, "examples": examples}).encode()}
-    for part, frames in zip(names, (of_queries, of_places), strict=True):
-        files |= {f"{part}/{n}": frame for n, frame in enumerate(frames) if frame}
-    for n, (query, place) in enumerate(examples):
-        for part, image in zip(names, (dataset.queries[query], references[place]), strict=True):
-            files[f"examples/{n}-{part}"] = _encode(image, _EXAMPLE_SIDE, lossless=True)
-    written = io.BytesIO()
-    with zipfile.ZipFile(written, "w") as archive:
-        for name, content in files.items():
-            archive.writestr(name, content)
-    return written.getvalue()
+    rights = [(query, dataset.positives[query]) for query in answerable[spread].tolist()]
+    return [(query, int(right[len(right) // 2])) for query, right in rights]
 
 
 def _encode(image: Image, side: int, **options: Any) -> bytes:

@@ -6,8 +6,7 @@ import contextlib
 import fcntl
 import os
 import tempfile
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import IO
 
@@ -32,7 +31,6 @@ def computing() -> Iterator[None]:
             yield
         finally:
             _computing.remove(file)
-            _last_end().touch()
             fcntl.flock(file, fcntl.LOCK_UN)  # a fork of this process may hold the file open
 
 
@@ -54,21 +52,8 @@ def alone() -> Iterator[None]:
         fcntl.flock(own, fcntl.LOCK_SH)
 
 
-def undisturbed() -> Callable[[], bool]:
-    """Return a function that tells whether no other run has computed on this host since now."""
-    moment = time.time()
-    return lambda: _is_only_one() and not (_last_end().exists() and _last_end().stat().st_mtime > moment)
-
-
-def folder() -> Path:
-    """Return the folder of the lock of this host and user, made if need be."""
-    path = Path(os.environ.get(FOLDER) or Path(tempfile.gettempdir()) / f"vprbench-slot-{os.getuid()}")
-    path.mkdir(mode=0o700, parents=True, exist_ok=True)
-    return path
-
-
-def _is_only_one() -> bool:
-    """Tell whether no other process computes."""
+def is_only_run() -> bool:
+    """Tell whether no other run of this host computes or is timed now."""
     with contextlib.ExitStack() as opened:
         file = _computing[0] if _computing else opened.enter_context(_open_lock())
         try:
@@ -81,10 +66,12 @@ def _is_only_one() -> bool:
         return only
 
 
+def folder() -> Path:
+    """Return the folder of the lock of this host and user, made if need be."""
+    path = Path(os.environ.get(FOLDER) or Path(tempfile.gettempdir()) / f"vprbench-slot-{os.getuid()}")
+    path.mkdir(mode=0o700, parents=True, exist_ok=True)
+    return path
+
+
 def _open_lock() -> IO[bytes]:
     return (folder() / "computing").open("ab")
-
-
-def _last_end() -> Path:
-    """Return the file whose time tells when a run of this host has last ended to compute."""
-    return folder() / "ended"

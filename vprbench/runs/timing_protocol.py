@@ -49,10 +49,12 @@ class Protocol:
             return []
         if not self.rates:
             return ["rates"]
-        return [part.name for part in fields(self) if _less(getattr(self, part.name), getattr(request, part.name))]
+        return [
+            part.name for part in fields(self) if _measures_less(getattr(self, part.name), getattr(request, part.name))
+        ]
 
 
-def _less(kept: Any, request: Any) -> bool:
+def _measures_less(kept: Any, request: Any) -> bool:
     if isinstance(request, list):
         return not set(request) <= set(kept)
     return kept is not None and (request is None or bool(kept < request))  # None: no limit

@@ -31,7 +31,7 @@ ONE_SEED = "one seed of a method that draws at random: seeds=3 of vprbench compa
 def find_tuned_queries(run: Run) -> npt.NDArray[np.bool_] | None:
     """Return which queries have a right place that the method was tuned on, (n_queries,); None: that is not known.
 
-    In a view of sequences those near such a query are among them: their answers may rest on its scores.
+    In a view of sequences the queries near such a query are among them: their answers may rest on its scores.
     """
     n_stored = int(queries_shown(run).max(initial=0)) + 1
     if run.tuned_queries or not _format_declared_places(run):  # known by the content of their frames
@@ -89,7 +89,7 @@ def all_without_tuning_places(runs: Sequence[Run]) -> tuple[Run, ...]:
 def describe_tuning(runs: Sequence[Run]) -> str:
     """Return a remark on the places that a row's method was tuned on; empty if its queries show none of them.
 
-    `runs` are those of the row, which differ in their seed alone.
+    `runs` are the runs of the row, which differ in their seed alone.
     """
     if not any(map(overlaps_tuning_places, runs)):
         return ""
@@ -112,11 +112,11 @@ def describe_recalls(runs: Sequence[Run]) -> str:
 
 
 def list_notes(run: Run) -> tuple[Note, ...]:
-    """Return the notes of a run, before them on what its method was tuned, and that it is of one seed."""
+    """Return the notes of a run, before them the tuning of its method, and that it is of one seed."""
     tuning, one_seed = filter(None, [describe_tuning([run])]), [ONE_SEED] * draws_at_random(run)
     return (*make_notes("tuned", tuning), *make_notes("seed", one_seed), *run.notes)
 
 
 def draws_at_random(run: Run) -> bool:
-    """Tell whether a run's method drew at random: it takes a seed, and learnt what it knows in this run."""
+    """Tell whether a run's method drew at random: it takes a seed, and learnt in this run."""
     return "seed" in run.config["method"] and run.network is None

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
@@ -12,10 +11,7 @@ import numpy as np
 
 from vprbench.api.arrays import Image
 from vprbench.api.dataset import Dataset
-from vprbench.errors import BadInput
-from vprbench.plugins.entries import read
-from vprbench.plugins.values import check_value
-from vprbench.text import near
+from vprbench.plugins.values import build_options, parse_mapping
 
 _EXAMPLE = "as in views=[-0.1,0,0.1] or views={vertical:[-0.1,0,0.1],zoom:[1,1.1]}"
 
@@ -39,7 +35,7 @@ AS_IT_IS = Viewpoint()
 
 @dataclass(frozen=True)
 class Viewpoints:
-    """The views of each query; raises BadInput for impossible ones."""
+    """The views of each query; raises ValueError for impossible ones."""
 
     horizontal: tuple[float, ...] = (0.0,)  # in widths
     vertical: tuple[float, ...] = (0.0,)  # in heights
@@ -50,11 +46,11 @@ class Viewpoints:
         shown = self.protocol() if self.all else "[]"
         shifts = (*self.horizontal, *self.vertical)
         if not self.all or not all(abs(each) <= 0.5 for each in shifts):  # NaN too
-            raise BadInput(f"views={shown}: give shifts from -0.5 to 0.5 of the frame, {_EXAMPLE}")
+            raise ValueError(f"{shown}: give shifts from -0.5 to 0.5 of the frame, {_EXAMPLE}")
         if not all(0.5 <= each <= 2 for each in self.zoom):
-            raise BadInput(f"views.zoom={self.zoom}: give enlargements from 0.5 to 2, {_EXAMPLE}")
+            raise ValueError(f"zoom {self.zoom}: give enlargements from 0.5 to 2, {_EXAMPLE}")
         if len({*self.all}) < len(self.all):
-            raise BadInput(f"views={shown}: give each view once, {_EXAMPLE}")
+            raise ValueError(f"{shown}: give each view once, {_EXAMPLE}")
 
     @property
     def all(self) -> list[Viewpoint]:
@@ -62,30 +58,25 @@ class Viewpoints:
         return [Viewpoint(*each) for each in itertools.product(self.horizontal, self.vertical, self.zoom)]
 
     def protocol(self) -> str:
-        """Return what stands of them in the protocol of a run."""
+        """Return their entry in the protocol of a run."""
         return "+".join(map(str, self.all))
 
 
-def viewpoints(value: Any) -> Viewpoints | None:
-    """Return the views that the option asks for; None for null. Raises BadInput for what it cannot be."""
-    if isinstance(value, str):
-        value = read(value.replace(":", ": "))
-    if value is None:
-        return None
-    given = value if isinstance(value, Mapping) else {"horizontal": value}
-    names = [each.name for each in fields(Viewpoints)]
-    for name in given:
-        if name not in names:
-            raise BadInput(f"option views.{name} is unknown: {near(name, names)}")
-    return Viewpoints(**{name: check_value(f"views.{name}", each, tuple[float, ...]) for name, each in given.items()})
+def parse_viewpoints(value: Any) -> Viewpoints | None:
+    """Return the views that the option asks for, a list of shifts or a mapping of `Viewpoints`; None for null.
+
+    Raises BadInput for a value that is neither, and for impossible views.
+    """
+    given = parse_mapping(value, "horizontal")
+    return None if given is None else build_options("views", Viewpoints, given)
 
 
-def seen_from(dataset: Dataset, views: Viewpoints | None) -> Dataset:
-    """Return a dataset whose protocol says from which viewpoints its queries are asked."""
+def record_viewpoints(dataset: Dataset, views: Viewpoints | None) -> Dataset:
+    """Return a dataset whose protocol names the viewpoints of its queries."""
     return dataset if views is None else replace(dataset, protocol={**dataset.protocol, "views": views.protocol()})
 
 
-def view_of(image: Image, viewpoint: Viewpoint) -> Image:
+def render_view(image: Image, viewpoint: Viewpoint) -> Image:
     """Return an image (height, width, 3) as a camera that looks elsewhere would show it, its borders reflected.
 
     Shifts are by whole pixels; an enlargement about the middle interpolates between pixels.

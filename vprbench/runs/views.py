@@ -39,7 +39,7 @@ def window_of(run: Run) -> int:
 def replace_scores(run: Run, scores: Scores, protocol: Mapping[str, Any], window: int = 1) -> Run:
     """Return a run whose queries are answered by other `scores` (n_queries, n_places).
 
-    `protocol` joins that of the run, which tells the view from the run. Raises what `ranking.outcome` raises.
+    `protocol` joins that of the run, which tells the view from the run. Raises BadInput as `ranking.outcome` does.
     """
     places, values = ranked_places(scores, run.top_places.shape[1])
     return replace(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -11,47 +12,44 @@ from vprbench.runs import machine, timing_lock
 
 
 class MachineWatch:
-    """Looks at the machine when it is made, and again whenever `environment` is asked for."""
+    """Looks at the machine when it is made, when timing begins, and in `record`."""
 
     def __init__(self, device: str, threads: int) -> None:
         """Look for the first time; the peak of memory counts from now on."""
         self._device = device
-        self._undisturbed = timing_lock.undisturbed()
-        self._before = machine.describe_machine(device, threads)
-        self._canary_seconds = machine.canary_seconds()
-        self._peaks: list[tuple[int, int | None]] = []
-        self._alone: bool | None = None  # whether it was timed alone; None: it was not timed
-        self._waited: tuple[float, float] | None = None
+        self._was_alone = timing_lock.is_only_run()
+        self._environment = machine.describe_machine(device, threads)
         machine.reset_peak_memory(device)
+        self._begin()
+
+    def _begin(self) -> None:
+        """Look at the load from now on."""
+        self._canary_seconds = machine.canary_seconds()
+        self._began, self._pressure = time.perf_counter(), machine.read_cpu_pressure()
 
     def end_fit(self) -> None:
-        """Note whether the method was fitted, and asked for the first time, while no other run went on here."""
-        self._before |= {"fitted_alone": self._undisturbed()}
+        """Record whether another run went on here when this one began, or goes on now that its method is fitted."""
+        self._environment |= {"fitted_alone": self._was_alone and timing_lock.is_only_run()}
 
     @contextmanager
     def alone(self) -> Iterator[None]:
-        """Wait until no other run goes on here; if others did until now, look as if for the first time."""
-        was_alone = self._undisturbed()
-        if not was_alone:
+        """Wait until no other run goes on here, and look at the load from then on."""
+        if not timing_lock.is_only_run():
             progress.report("waiting to be timed", 0.0)
         with timing_lock.alone():
-            self._alone = True
-            if not was_alone:
-                self._canary_seconds, self._waited = machine.canary_seconds(), machine.cpu_waited()
-            machine.reset_peak_memory(self._device)
+            self._environment |= {"timed_alone": True}
+            self._begin()
             yield
 
     def record(self) -> dict[str, Any]:
         """Return the fields `environment` and `peak_memory_bytes` of a run that ends now."""
-        after: dict[str, Any] = {
+        now, waited = machine.read_cpu_pressure(), None
+        if now is not None and self._pressure is not None:
+            seconds = max(time.perf_counter() - self._began, 1e-9)
+            waited = 100 * (now.seconds - self._pressure.seconds) / seconds
+        after = {
             "canary_slowdown": machine.canary_seconds() / self._canary_seconds,
-            "cpu_pressure_avg10_after": machine.cpu_pressure(),
+            "cpu_waited_percent": waited,
+            "device_memory_bytes": machine.peak_device_memory_bytes(self._device),
         }
-        if self._alone is not None:
-            after["timed_alone"] = self._alone
-        if self._waited is not None:
-            after["cpu_pressure_timed"] = machine.cpu_pressure_since(self._waited)
-        self._peaks.append((machine.peak_memory_bytes(), machine.peak_device_memory_bytes(self._device)))
-        host, on_device = zip(*self._peaks, strict=True)
-        after["device_memory_bytes"] = max((peak for peak in on_device if peak is not None), default=None)
-        return {"environment": {**self._before, **after}, "peak_memory_bytes": max(host)}
+        return {"environment": {**self._environment, **after}, "peak_memory_bytes": machine.peak_memory_bytes()}

@@ -26,6 +26,7 @@ from vprbench.runs.identity import code_hash, fingerprint
 from vprbench.runs.run_files import content_key
 from vprbench.runs.sources import hash_files
 from vprbench.runs.store import Store
+from vprbench.storage.cores import core_count
 from vprbench.tuning import objective, places, space
 from vprbench.tuning.comparison import Comparison, compare_with_paper
 from vprbench.tuning.objective import StretchName, Task, Tried
@@ -178,7 +179,7 @@ def _try_stage(
 
 def _jobs(requested: int | None) -> int:
     """Return how many processes there may be: at most one for each core."""
-    cores = len(machine.cores())
+    cores = core_count()
     if requested is not None and requested > cores:
         used = "1 process is used" if cores == 1 else f"{cores} processes are used"
         logger.info("jobs=%d: %s, one for each core that is there for this process", requested, used)

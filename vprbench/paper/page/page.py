@@ -15,17 +15,11 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from vprbench.paper.page import words
+from vprbench.paper.page.columns import format_place_ranges, list_columns, list_places_shown
 from vprbench.paper.selection import Series
 from vprbench.paper.table.quantities import TRAINING_TIME
 from vprbench.progress import report
-from vprbench.runs.query_results import (
-    Answers,
-    format_place_ranges,
-    judge_answers,
-    list_columns,
-    list_places_shown,
-    order_by_interest,
-)
+from vprbench.runs.query_results import Answers, judge_answers, order_by_interest
 from vprbench.runs.recall_intervals import METHOD
 from vprbench.runs.record import Run
 from vprbench.runs.thumbnails import Thumbnails, choose_frames
