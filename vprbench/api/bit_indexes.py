@@ -54,25 +54,24 @@ class Bits(_Binary):
 
     def __init__(self, references: Vectors) -> None:
         """Keep the bits of the references, read part by part."""
-        from vprbench.api.hamming import in_blocks
-
         super().__init__(references)
-        self._n_images, n_dimensions = references.shape
-        self._blocks = np.empty((-(-self._n_images // 8), -(-n_dimensions // 64), 8), np.uint64)
-        for rows in parts(self._n_images, -(-rows_together(references) // 8) * 8):
-            self._blocks[rows.start // 8 : -(-rows.stop // 8)] = in_blocks(self._bits(references[rows]))
-        self.n_bytes = self._blocks.nbytes + self._thresholds.nbytes
+        n_images, n_dimensions = references.shape
+        self._codes = np.empty((n_images, -(-n_dimensions // 64)), np.uint64)
+        for rows in parts(n_images, rows_together(references)):
+            self._codes[rows] = self._bits(references[rows])
+        self.n_bytes = self._codes.nbytes + self._thresholds.nbytes
 
     def retrieve(self, codes: Vectors, n: int) -> tuple[Vectors, Numbers]:
         """Return similarities and images, (n_queries, n) each, best first; of equals the lower image."""
-        best = find_best(self._bits(codes), n, Compared(self._n_images, _COMPARED, None, self._compared, None))
+        compared = Compared(len(self._codes), _COMPARED, None, self._compare, None)
+        best = find_best(self._bits(codes), n, compared)
         return np.where(best.places >= 0, self._similarity(-best.similarity), -np.inf), best.places
 
-    def _compared(self, bits: npt.NDArray[np.uint64], first: int, last: int) -> Vectors:
-        """Return minus the differing bits; `first` is a multiple of 8."""
+    def _compare(self, bits: npt.NDArray[np.uint64], first: int, last: int) -> Vectors:
+        """Return minus the differing bits, (n_queries, last - first)."""
         from vprbench.api.hamming import similarity
 
-        return similarity(bits, self._blocks[first // 8 : -(-last // 8)])[:, : last - first]
+        return similarity(bits, self._codes[first:last])
 
 
 class BitGraph(_Binary):
