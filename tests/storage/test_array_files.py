@@ -1,5 +1,7 @@
 """Files of arrays and paths: sealed, replaced as a whole, and very many paths in order."""
 
+import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +14,7 @@ from safetensors.numpy import save_file
 
 from vprbench.storage.atomic import replace_bytes
 from vprbench.storage.paths import Paths, natural_keys
+from vprbench.storage.row_files import keep_rows
 from vprbench.storage.tensors import Seal
 
 
@@ -59,6 +62,30 @@ def test_what_is_no_sealed_file_is_not_whole(tmp_path):
         SEAL.read(tmp_path / "file")
     with pytest.raises(FileNotFoundError):
         SEAL.read(tmp_path / "nowhere")
+
+
+ROWS = np.random.default_rng(0).standard_normal((3000, 5)).astype(np.float32)
+
+
+def test_of_two_that_want_the_same_rows_one_makes_them_and_a_third_finds_them_all(tmp_path):
+    began = []
+
+    def make(first):
+        began.append(first)
+        time.sleep(0.05)
+        yield from np.array_split(ROWS[first:], 7)
+
+    with ThreadPoolExecutor(2) as threads:
+        made = [*threads.map(lambda _: keep_rows(tmp_path / "rows.npy", len(ROWS), make), range(2))]
+    made.append(keep_rows(tmp_path / "rows.npy", len(ROWS), make))
+    assert (began, sorted(kept for _, kept in made)) == ([0], [0, 3000, 3000])
+    assert all(np.array_equal(rows, ROWS) for rows, _ in made)
+
+
+@pytest.mark.parametrize("n_rows", [2999, 3001])
+def test_more_or_fewer_rows_than_stated_are_an_error(tmp_path, n_rows):
+    with pytest.raises(ValueError, match="3000 rows came"):
+        keep_rows(tmp_path / "rows.npy", n_rows, lambda first: [ROWS])
 
 
 PARTS = st.text(alphabet="ab.019 /é", min_size=1, max_size=8)
