@@ -9,8 +9,6 @@ from functools import cache
 from pathlib import Path
 from typing import Literal
 
-import numpy as np
-
 from vprbench.api import (
     IMAGE_SUFFIXES,
     BadInput,
@@ -24,7 +22,7 @@ from vprbench.api import (
 
 from .frame_folders import nearest_folder
 
-_BLOCK = 10_000  # files that are looked for together
+_MOST_NAMES = 10_000  # of a folder that are compared with a missing one
 
 
 def images_in(
@@ -69,11 +67,7 @@ def find_listed(files: Sequence[Path], listed_in: str, advice: str) -> Paths:
     alone. Raises NotThere, with the first row, the names nearest to its name and `advice`, if none is there.
     """
     files = Paths.of(files)
-    missing: list[int] = []
-    for first in range(0, len(files), _BLOCK):
-        block = np.arange(first, min(first + _BLOCK, len(files)))
-        encoded = files.encoded(block)
-        missing += [number for number, path in enumerate(encoded, first) if not os.path.isfile(path)]  # noqa: PTH113
+    missing = [number for number, path in enumerate(files) if not path.is_file()]
     if not missing:
         return files
     in_folder = cache(_names_in)
@@ -82,7 +76,7 @@ def find_listed(files: Sequence[Path], listed_in: str, advice: str) -> Paths:
     if gone:
         path = files[gone[0]]
         slashed = Path(str(path).replace("\\", "/"))
-        close = difflib.get_close_matches(slashed.name, in_folder(slashed.parent)[:_BLOCK])
+        close = difflib.get_close_matches(slashed.name, in_folder(slashed.parent)[:_MOST_NAMES])
         near = f"did you mean {' or '.join(close)}? else " * bool(close)
         raise NotThere(
             f"{path} does not exist ({len(gone)} of {len(files)} images in {listed_in} are missing), named in row "

@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from vprbench.api import BadInput, Paths, decimals_in
+from vprbench.api import BadInput, Paths, find_decimals
 
 Numbers = Literal["auto", "decimal", "whole"]
 
@@ -21,7 +21,7 @@ def by_numbers(
     Nothing is said where both readings give one order. Raises BadInput, which names the `option`, if `auto` would read
     some traverses in one way and some in the other.
     """
-    found = [decimals_in(files.names, files.numbers.tolist()) for files in traverses]
+    found = [find_decimals(files.names, files.numbers.tolist()) for files in traverses]
     by_reading = {each.reading: each for each in found if each is not None}
     if numbers == "auto" and len(by_reading) == 2:
         told = [" before ".join(by_reading[way].first[:: 1 if way == "decimal" else -1]) for way in sorted(by_reading)]

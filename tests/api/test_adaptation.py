@@ -23,14 +23,13 @@ from vprbench.methods.densevlad.method import DenseVLAD
 from vprbench.methods.hog import HOG
 from vprbench.metrics.sequences import Sequences
 from vprbench.plugins.rules import Journey
-from vprbench.runs import fitting, scorers
+from vprbench.runs import scorers
 from vprbench.runs.corruption import corrupt_queries
 from vprbench.runs.rows import describe_protocol
 from vprbench.runs.run import execute
 from vprbench.runs.sequences import apply_sequences
 from vprbench.runs.stream import grow_map
 from vprbench.runs.viewpoints import Viewpoint, render_view
-from vprbench.storage import shards
 
 N_PLACES, N_QUERIES, N_DIMENSIONS = 80, 150, 12
 DRAW = np.random.default_rng(0)
@@ -174,21 +173,19 @@ def test_a_run_on_a_large_map_or_by_an_index_has_the_same_best_places(adapt, mon
 
 @ADAPTED
 @pytest.mark.parametrize("keeps", [False, True])
-def test_descriptors_that_fill_the_memory_answer_from_shards_as_from_an_array(adapt, keeps, tmp_path, monkeypatch):
+def test_descriptors_that_fill_the_memory_answer_from_a_file_as_from_an_array(adapt, keeps, tmp_path, monkeypatch):
     wanted = run(Table(adapt=adapt)).scores
     monkeypatch.setenv("VPRBENCH_SCRATCH", str(tmp_path / "scratch"))
-    monkeypatch.setattr(shards, "_LEAST_ROWS", 64)
     monkeypatch.setattr(descriptor, "_MEAN_ROWS", 32)
-    for module in (descriptor, fitting):
-        monkeypatch.setattr(module, "LARGE_BYTES", 1000)
+    monkeypatch.setattr(descriptor, "LARGE_BYTES", 1000)
     method = Table(adapt=adapt, keeps=keeps)
     with quiet_surroundings():
         found = execute(asked_for(method, RIDE, cache=tmp_path / "cache"), "key")
-    assert method.searched.references.array is None
+    assert isinstance(method.searched.references.base, np.memmap)
     assert found.scores == pytest.approx(wanted, abs=1e-6)
     del method
     gc.collect()
-    assert not [*(tmp_path / "scratch").glob("*/*.npy")]
+    assert not [*(tmp_path / "scratch").rglob("*.npy")]
 
 
 @ADAPTED

@@ -12,7 +12,6 @@ from vprbench.api.binary import BinaryMap
 from vprbench.api.hamming import packed
 from vprbench.api.search import Search, agreement
 from vprbench.errors import BadInput
-from vprbench.storage.shards import Writer
 
 N_IMAGES, N_DIMENSIONS = 2000, 64
 PLACES = np.arange(N_IMAGES)
@@ -53,12 +52,10 @@ def layouts(n):
     }
 
 
-def in_files(folder, total, rows_of):
-    """Vectors in shards on disk."""
-    writer = Writer(folder, total)
-    for rows in writer.missing():
-        writer.write(rows, [rows_of(rows)])
-    return writer.shards()
+def in_file(folder, vectors):
+    """Vectors, memory-mapped."""
+    np.save(folder / "references.npy", vectors)
+    return np.load(folder / "references.npy", mmap_mode="r")
 
 
 @pytest.mark.parametrize("layout", layouts(8))
@@ -86,7 +83,6 @@ def found_by_sorting(scores, n):
 @pytest.fixture
 def in_small_blocks(monkeypatch):
     monkeypatch.setattr(nearest, "CELLS", 70 * 20)  # 70 images together, and 20 queries with these
-    monkeypatch.setattr(nearest, "_CELLS_OF_A_PART", 1)  # the images of a shard
     monkeypatch.setattr(nearest, "_FIRST", 50)
 
 
@@ -95,7 +91,7 @@ def in_small_blocks(monkeypatch):
 def test_the_nearest_places_are_those_of_all_scores_with_equals_in_the_order_of_places(layout):
     n = 2200
     references, _ = clustered(n, 20)
-    references[[5, 60, 300, 1500, 2199]] = references[7]  # in several blocks and parts
+    references[[5, 60, 300, 1500, 2199]] = references[7]  # in several blocks
     codes = np.concatenate([references[[7]], unit(np.random.default_rng(1).standard_normal((20, 20)))])
     places = layouts(n)[layout]
     scores = np.full((len(codes), places.max() + 1), -np.inf)
@@ -109,13 +105,11 @@ def test_the_nearest_places_are_those_of_all_scores_with_equals_in_the_order_of_
 
 
 @pytest.mark.usefixtures("in_small_blocks")
-def test_a_map_in_files_gives_the_same_bits(tmp_path):
+def test_a_map_in_a_file_gives_the_same_bits(tmp_path):
     references, codes = clustered(2200, 20)
     places = np.arange(2200) // 2
     here, wanted = Search(references, places).nearest(codes, 5), oracle(codes, references, places)
-    np.save(tmp_path / "references.npy", references)
-    mapped = np.load(tmp_path / "references.npy", mmap_mode="r")
-    for searched in (references, mapped, in_files(tmp_path, 2200, lambda rows: references[rows])):
+    for searched in (references, in_file(tmp_path, references)):
         there = Search(searched, places).nearest(codes, 5)
         assert all(np.array_equal(*both) for both in zip(here, there, strict=True))
         np.testing.assert_allclose(Search(searched, places).scores(codes), wanted, atol=1e-6)
@@ -152,10 +146,11 @@ def peak_bytes(work):
 
 
 @pytest.mark.parametrize("kind", ["sq8", "rabitq", "binary", "binary_hnsw"])
-def test_an_index_of_a_map_in_files_is_built_part_by_part(kind, tmp_path, monkeypatch):
-    for module, name in ((bit_indexes, "_SAMPLED"), (search_indexes, "_SAMPLED"), (bit_indexes, "_ADDED")):
+def test_an_index_of_a_map_in_a_file_is_built_part_by_part(kind, tmp_path, monkeypatch):
+    names = ((bit_indexes, "_SAMPLED"), (search_indexes, "_SAMPLED"), (bit_indexes, "_ADDED"), (nearest, "CELLS"))
+    for module, name in names:
         monkeypatch.setattr(module, name, 1 << 18)
-    vectors = in_files(tmp_path, 5000, lambda rows: clustered(rows.stop - rows.start, 512, rows.start)[0])
+    vectors = in_file(tmp_path, clustered(5000, 512)[0])
     Search(vectors[:300], np.arange(300), kind, rerank=5)  # so that what is imported is left out
     assert peak_bytes(lambda: Search(vectors, np.arange(5000), kind)) < 0.6 * vectors.nbytes
 

@@ -1,8 +1,7 @@
 """A second run encodes the timed sample alone, and a run on a large map asks for the best places alone."""
 
 import gc
-import json
-import os
+import shutil
 import tracemalloc
 from dataclasses import dataclass, field, replace
 
@@ -17,14 +16,14 @@ from vprbench.api.images import Images
 from vprbench.api.weights import Weights
 from vprbench.errors import BadInput
 from vprbench.metrics.ranking import outcome, outcome_of_best, ranked_places
-from vprbench.runs import descriptors, fitting, scorers
+from vprbench.runs import descriptors, scorers
 from vprbench.runs.descriptors import DescriptorCache
 from vprbench.runs.experiment import Experiment
 from vprbench.runs.identity import hash_frames
 from vprbench.runs.request import RunRequest
 from vprbench.runs.run import execute
 from vprbench.runs.stopwatch import Protocol, Stopwatch
-from vprbench.storage import shards
+from vprbench.storage import row_files
 
 pytestmark = pytest.mark.usefixtures("surroundings")
 
@@ -85,7 +84,7 @@ def test_the_first_run_encodes_each_image_once_and_keeps_what_is_worth_it_and_th
     first, second = Counting(keeps=keeps), Counting(keeps=keeps)
     found, again = (run(method, dataset, tmp_path if cached else None) for method in (first, second))
     assert (encoded_for_answers(first), encoded_for_answers(second)) == (ALL, 0 if files else ALL)
-    assert len(list(tmp_path.glob("*/*.npy"))) == files
+    assert len(list(tmp_path.glob("*.npy"))) == files
     assert (found.fit_seconds is None, descriptions(found)) == (False, [])
     assert (again.fit_seconds is None, again.load_seconds is not None) == (bool(files),) * 2
     assert np.array_equal(found.scores, again.scores)
@@ -164,19 +163,15 @@ def describe(folder, encode=some, images=pictures(range(N))):  # noqa: B008 - it
     """Return the descriptors of a traverse, how many were kept, and how many images were told to be done."""
     done = []
     made, kept = DescriptorCache(folder, {"method": "m"}).descriptors(images, encode, done.append)
-    return made[:], kept, done
+    return made, kept, done
 
 
-def test_what_was_kept_is_found_memory_mapped_and_read_only_beside_what_it_came_from(tmp_path):
+def test_what_was_kept_is_found_memory_mapped_and_read_only(tmp_path):
     made, *told = describe(tmp_path)
     found, *told_again = describe(tmp_path)
     assert (told, told_again) == ([0, [N]], [N, []])
     assert made.tolist() == found.tolist() == some(pictures(range(N))).tolist()
-    assert (isinstance(found, np.memmap), found.flags.writeable) == (True, False)
-    about = json.loads(next(tmp_path.glob("*/about.json")).read_text())
-    about.pop("images")
-    assert about == {"method": "m", "shape": [N, 4], "bytes": 160}
-    assert sorted(path.suffix for path in tmp_path.glob("*/*")) == [".json", ".npy"]
+    assert (isinstance(found.base, np.memmap), found.flags.writeable) == (True, False)
 
 
 @pytest.mark.parametrize(
@@ -189,68 +184,88 @@ def test_what_was_kept_is_found_memory_mapped_and_read_only_beside_what_it_came_
     ],
     ids=["cut", "page", "other number", "other type"],
 )
-def test_a_damaged_file_is_named_and_made_anew_and_what_nobody_touched_for_a_day_is_removed(tmp_path, caplog, damage):
+def test_a_damaged_file_is_named_and_made_anew(tmp_path, caplog, damage):
     describe(tmp_path)
-    (path,) = tmp_path.glob("*/*.npy")
+    (path,) = tmp_path.glob("*.npy")
     damage(path)
-    old, new = (path.parent / f".partial-{name}.npy" for name in ("old", "new"))
-    for partial in (old, new):
-        partial.write_bytes(b"half")
-    os.utime(old, (0, 0))
     again, kept, _ = describe(tmp_path)
     assert (kept, path.name in caplog.text) == (0, True)
     assert np.array_equal(again, some(pictures(range(N))))
-    assert (old.exists(), new.exists()) == (False, True)
 
 
-def full(*_):
-    raise OSError(28, "No space left on device")
+@pytest.fixture
+def disk(monkeypatch):
+    """A dict whose `free` is how many bytes the disk has left."""
+    changes, usage = {}, shutil.disk_usage
+    monkeypatch.setattr(row_files.shutil, "disk_usage", lambda folder: usage(folder)._replace(**changes))
+    return changes
 
 
 @pytest.mark.parametrize("folder", ["file", "full"])
-def test_a_folder_that_takes_nothing_leaves_the_descriptors_in_memory(tmp_path, caplog, monkeypatch, folder):
+def test_a_folder_that_takes_nothing_leaves_the_descriptors_in_memory(tmp_path, caplog, disk, folder):
     (tmp_path / "file").write_text("")
-    if folder == "full":
-        monkeypatch.setattr(os, "posix_fallocate", full)  # before the first descriptor is written
+    disk["free"] = 0
     made, kept, _ = describe(tmp_path / folder)
     assert (made.tolist(), kept) == (some(pictures(range(N))).tolist(), 0)
     assert "no descriptors are kept" in caplog.text
-    assert [path for path in tmp_path.rglob("*") if path.is_file()] == [tmp_path / "file"]
+    assert not [*tmp_path.rglob("*.npy")]
 
 
-def test_an_error_while_encoding_leaves_nothing_and_descriptors_go_through_memory_block_by_block(tmp_path):
-    taken = []
+def interrupted(after):
+    """Return an `encode` that fails once it has been shown more images than these."""
+    shown = []
 
-    def wide(images):
-        taken.append(sum(512 * path.stat().st_blocks for path in tmp_path.glob("*/*")))
-        if len(taken) == 2:
+    def encode(images):
+        shown.append(len(images))
+        if sum(shown) > after:
             raise ZeroDivisionError
-        return np.ones((len(images), 10_000), np.float32)
+        return some(images)
 
+    return encode
+
+
+@pytest.mark.parametrize(("after", "kept"), [(1000, 0), (1900, 1024)])
+def test_an_interrupted_encoding_goes_on_after_a_stretch_with_the_same_bits(tmp_path, after, kept):
+    wanted, *_ = describe(tmp_path / "whole", some, MANY)
     with pytest.raises(ZeroDivisionError):
-        describe(tmp_path, wide, MANY)
-    assert not list(tmp_path.glob("*/*"))
+        describe(tmp_path / "cut", interrupted(after), MANY)
+    (part,) = (tmp_path / "cut").glob("*.part")
+    with part.open("ab") as file:
+        file.write(b"half a row")
+    found, *told, done = describe(tmp_path / "cut", some, MANY)
+    assert (told, done[-1]) == ([kept], 2000 - kept)
+    assert np.array_equal(found, wanted)
+
+
+def test_another_file_in_the_place_of_an_unfinished_one_is_written_anew(tmp_path):
+    wanted, *_ = describe(tmp_path)
+    (path,) = tmp_path.glob("*.npy")
+    for content in (b"", b"<html>", path.read_bytes().replace(b"(10, 4)", b"(11, 4)")):
+        path.unlink()
+        path.with_name(f"{path.name}.part").write_bytes(content)
+        found, kept, _ = describe(tmp_path)
+        assert (kept, found.tolist()) == (0, wanted.tolist())
+
+
+def test_descriptors_go_through_memory_block_by_block(tmp_path):
     tracemalloc.start()
-    DescriptorCache(tmp_path, {}).descriptors(MANY, wide, lambda done: None)
+    wide = np.ones((64, 10_000), np.float32)
+    DescriptorCache(tmp_path, {}).descriptors(MANY, lambda images: 2 * wide[: len(images)], lambda done: None)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    assert taken[4] >= 1024 * 10_000 * 4  # the room of a shard is taken before it is filled
     assert peak < 2000 * 10_000 * 4 / 3
 
 
-def test_more_than_fits_into_memory_is_refused_where_the_disk_is_full_and_what_is_done_stays(tmp_path, monkeypatch):
-    monkeypatch.setattr(shards, "LARGE_BYTES", 1000)
-    described = []
-
-    def until_it_is_full(images):
-        described.append(len(images))
-        if sum(described) > 1024:
-            monkeypatch.setattr(os, "posix_fallocate", full)
-        return some(images)
-
-    with pytest.raises(BadInput, match=r"No space left"):
-        describe(tmp_path, until_it_is_full, MANY)
-    monkeypatch.undo()
+def test_more_than_fits_into_memory_is_refused_where_the_disk_is_full_and_goes_on_when_there_is_room(
+    tmp_path, monkeypatch, disk
+):
+    monkeypatch.setattr(row_files, "LARGE_BYTES", 1000)
+    with pytest.raises(ZeroDivisionError):
+        describe(tmp_path, interrupted(1100), MANY)
+    disk["free"] = 0
+    with pytest.raises(BadInput, match="No space left"):
+        describe(tmp_path, some, MANY)
+    disk.clear()
     made, kept, done = describe(tmp_path, some, MANY)
     assert (len(made), kept, done[-1]) == (2000, 1024, 976)
 
@@ -344,22 +359,20 @@ def test_descriptors_of_a_large_map_are_kept_unless_a_method_may_learn_them(tmp_
     for large, method, kept in ((N_PLACES, Angles(), 0), (N_PLACES - 1, Learning(), 0), (N_PLACES - 1, Angles(), 2)):
         monkeypatch.setattr(descriptors, "LARGE_MAP", large)
         execute(asked_for(method, journey(N_QUERIES, N_PLACES), cache=tmp_path), "key")
-        assert len([*tmp_path.glob("*/*.npy")]) == kept
+        assert len([*tmp_path.glob("*.npy")]) == kept
 
 
 @pytest.mark.parametrize("cached", [False, True])
-def test_descriptors_that_fill_the_memory_stay_in_shards(cached, tmp_path, monkeypatch):
+def test_descriptors_that_fill_the_memory_stay_in_a_file(cached, tmp_path, monkeypatch):
     monkeypatch.setenv("VPRBENCH_SCRATCH", str(tmp_path / "scratch"))
-    monkeypatch.setattr(shards, "_LEAST_ROWS", 64)
-    for module in (descriptor, fitting):
-        monkeypatch.setattr(module, "LARGE_BYTES", 1000)
+    monkeypatch.setattr(descriptor, "LARGE_BYTES", 1000)
     monkeypatch.setattr(Angles, "keeps_descriptors", lambda _: cached)
     method = Angles()
     run = execute(asked_for(method, journey(N_QUERIES, N_PLACES), cache=tmp_path / "cache"), "key")
-    assert method.searched.references.array is None
+    assert isinstance(method.searched.references.base, np.memmap)
     folder = tmp_path / ("cache" if cached else "scratch")
-    assert len([*folder.glob("*/*.npy")]) == (4 if cached else 2)  # of 80 references, and of 70 queries
+    assert len([*folder.rglob("*.npy")]) == (2 if cached else 1)  # of references, and of queries
     np.testing.assert_allclose(run.scores, on(Angles()).scores, atol=1e-6)
     del method
     gc.collect()
-    assert not [*(tmp_path / "scratch").glob("*/*.npy")]
+    assert not [*(tmp_path / "scratch").rglob("*.npy")]

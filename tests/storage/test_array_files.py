@@ -1,6 +1,7 @@
-"""Files of arrays and paths: replaced as a whole, shards of one array, and very many paths in order."""
+"""Files of arrays and paths: replaced as a whole, and very many paths in order."""
 
-import pickle
+import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -10,10 +11,9 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from natsort import natsorted
 
-from vprbench.storage import shards
 from vprbench.storage.atomic import replace_bytes
 from vprbench.storage.paths import Paths, natural_keys
-from vprbench.storage.shards import Shards, Writer
+from vprbench.storage.row_files import keep_rows
 
 
 def test_a_reader_keeps_the_old_file_and_a_full_disk_leaves_it_alone(tmp_path):
@@ -27,63 +27,28 @@ def test_a_reader_keeps_the_old_file_and_a_full_disk_leaves_it_alone(tmp_path):
     assert [(each.name, each.read_bytes()) for each in tmp_path.iterdir()] == [("table.csv", b"new")]
 
 
-N, D = 300, 5
-ROWS = np.random.default_rng(0).standard_normal((N, D)).astype(np.float32)
+ROWS = np.random.default_rng(0).standard_normal((3000, 5)).astype(np.float32)
 
 
-@pytest.fixture(autouse=True)
-def small_shards(monkeypatch):
-    monkeypatch.setattr(shards, "_LEAST_ROWS", 64)
+def test_of_two_that_want_the_same_rows_one_makes_them_and_a_third_finds_them_all(tmp_path):
+    began = []
+
+    def make(first):
+        began.append(first)
+        time.sleep(0.05)
+        yield from np.array_split(ROWS[first:], 7)
+
+    with ThreadPoolExecutor(2) as threads:
+        made = [*threads.map(lambda _: keep_rows(tmp_path / "rows.npy", len(ROWS), make), range(2))]
+    made.append(keep_rows(tmp_path / "rows.npy", len(ROWS), make))
+    assert (began, sorted(kept for _, kept in made)) == ([0], [0, 3000, 3000])
+    assert all(np.array_equal(rows, ROWS) for rows, _ in made)
 
 
-def written(folder):
-    """Return the shards, and the first rows of those that were missing."""
-    writer, began = Writer(folder, N), []
-    for part in writer.missing():
-        began.append(part.start)
-        writer.write(part, np.array_split(ROWS[part], 3))
-    return writer.shards({"what": "test"}), began
-
-
-@pytest.mark.parametrize("kind", ["files", "memory"])
-def test_shards_hold_the_rows_of_an_array_and_a_piece_goes_to_another_process_by_its_name(tmp_path, kind):
-    kept = written(tmp_path)[0] if kind == "files" else Shards.of(ROWS)
-    assert (kept.shape, len(kept), kept.nbytes) == ((N, D), N, ROWS.nbytes)
-    assert [(piece.first, piece.rows().tolist()) for piece in kept.pieces] == [
-        (first, ROWS[first : first + 64].tolist()) for first in (0, 64, 128, 192, 256)
-    ]
-    for first, last in ((0, N), (None, None), (64, 128), (60, 200), (299, 300), (7, 7), (290, 999)):
-        assert np.array_equal(kept[first:last], ROWS[first:last])
-    chosen = np.array([[299, 0], [64, 63], [0, 255]])
-    assert np.array_equal(kept.take(chosen), ROWS[chosen])
-    if kind == "files":  # and what one file has is no copy
-        assert isinstance(kept[130:190], np.memmap)
-        sent = pickle.dumps(kept.pieces[2])
-        assert len(sent) < 500 + len(str(tmp_path)) < 64 * D * 4
-        assert np.array_equal(pickle.loads(sent).rows(), ROWS[128:192])
-
-
-def test_finished_shards_stay_and_missing_or_damaged_ones_are_written_anew(tmp_path, caplog):
-    assert written(tmp_path)[1] == [0, 64, 128, 192, 256]
-    assert Shards.find(tmp_path, N) is not None
-    files = sorted(tmp_path.glob("*.npy"))
-    files[1].unlink()
-    files[3].write_bytes(files[3].read_bytes()[:-20])
-    assert Shards.find(tmp_path, N) is None
-    again, began = written(tmp_path)
-    assert began == [64, 192]
-    assert np.array_equal(again[:], ROWS)
-    assert files[3].name in caplog.text
-    assert not list(tmp_path.glob(".*"))
-
-
-@pytest.mark.parametrize(("n_rows", "least", "most"), [(1, 1, 1), (10_000, 5, 15), (10**9, 200, 256)])
-def test_there_are_never_many_files(n_rows, least, most, monkeypatch):
-    monkeypatch.setattr(shards, "_LEAST_ROWS", 1024)
-    parts = shards.borders(n_rows)
-    assert least <= len(parts) <= most
-    assert (parts[0].start, parts[-1].stop) == (0, n_rows)
-    assert all(part.start % 64 == 0 for part in parts)
+@pytest.mark.parametrize("n_rows", [2999, 3001])
+def test_more_or_fewer_rows_than_stated_are_an_error(tmp_path, n_rows):
+    with pytest.raises(ValueError, match="3000 rows came"):
+        keep_rows(tmp_path / "rows.npy", n_rows, lambda first: [ROWS])
 
 
 PARTS = st.text(alphabet="ab.019 /é", min_size=1, max_size=8)
@@ -101,19 +66,13 @@ def test_paths_below_a_folder_are_those_that_pathlib_makes(texts, top):
     assert [*paths[::-2]] == wanted[::-2]
     assert [*paths[np.arange(len(wanted)) % 3 == 0]] == wanted[::3]
     assert [*Paths.joined([paths, paths[1:]])] == [*wanted, *wanted[1:]]
-    assert [*paths.absolute()] == [path.absolute() for path in wanted]
-    files = np.flatnonzero([path.name != "" for path in wanted])
-    assert paths.encoded(files) == [str(wanted[number]).encode() for number in files]
 
 
 @quiet
 @given(st.lists(st.sampled_from(["a/1", "a/2", "b/1", "1", "b/c/2"]), max_size=9))
 def test_each_of_the_different_paths_comes_once_and_folders_come_as_they_first_appear(texts):
     paths = Paths.below(Path("/top"), texts)
-    order, which = paths.distinct()
-    distinct = [paths[number] for number in order]
-    assert distinct == sorted({*paths}, key=lambda path: (path.parent, path.name))
-    assert [distinct[number] for number in which] == [*paths]
+    assert [*paths.distinct()] == [*dict.fromkeys(paths)]
     parents = [path.parent for path in paths]
     found = [(folder, which.tolist()) for folder, which in paths.in_folders()]
     assert found == [(one, [i for i, parent in enumerate(parents) if parent == one]) for one in dict.fromkeys(parents)]

@@ -131,20 +131,12 @@ def test_no_more_bytes_and_files_come_out_than_expected(archive, to, maker):
     assert unpack(archive, to, Wanted(unpacked_bytes=1001, most_files=2)) == 2
 
 
-@pytest.mark.parametrize(
-    ("offset", "field", "said", "kind"),
-    [
-        (22, struct.pack("<I", 10), "is damaged, or no archive", DamagedArchive),
-        (6, b"\1", "encrypted", BadInput),
-    ],
-)
-def test_a_zip_is_refused_for_what_it_states(archive, to, offset, field, said, kind):
+def test_a_zip_that_states_fewer_bytes_than_it_holds_is_damaged(archive, to):
     content = bytearray(zipped({"set/spring/1.png": bytes(1_000_000)}))
-    for signature, more in ((b"PK\x03\x04", 0), (b"PK\x01\x02", 2)):  # beside the file, and in the list
-        at = content.index(signature) + offset + more
-        content[at : at + len(field)] = field
+    for signature, offset in ((b"PK\x03\x04", 22), (b"PK\x01\x02", 24)):  # beside the file, and in the list
+        struct.pack_into("<I", content, content.index(signature) + offset, 10)
     archive.write_bytes(content)
-    refused(archive, to, Wanted(unpacked_bytes=100), said, kind)
+    refused(archive, to, Wanted(unpacked_bytes=100), "is damaged, or no archive", DamagedArchive)
 
 
 def empty(name, **fields):
@@ -155,7 +147,10 @@ def empty(name, **fields):
 
 
 LONG_NAME = empty("long", type=tarfile.GNUTYPE_LONGNAME, size=1 << 32) + bytes(20_000_000)
-OLD_SPARSE = empty("set/1.png", type=tarfile.GNUTYPE_SPARSE) + bytes(20_000_000)
+OLD_SPARSE = bytearray(empty("set/1.png", type=tarfile.GNUTYPE_SPARSE))
+OLD_SPARSE[482] = 1  # more of its map follows
+OLD_SPARSE[148:156] = b"%06o\0 " % tarfile.calc_chksums(OLD_SPARSE)[0]
+OLD_SPARSE += (b"00000000001\0" * 42 + b"\1" + bytes(7)) * 40_000
 SPARSE = {"GNU.sparse.major": "1", "GNU.sparse.minor": "0"}
 
 
@@ -170,7 +165,7 @@ SPARSE = {"GNU.sparse.major": "1", "GNU.sparse.minor": "0"}
 def test_an_archive_whose_header_asks_for_the_whole_memory_is_refused(archive, to, content):
     archive.write_bytes(gzip.compress(content, 1))
     tracemalloc.start()
-    refused(archive, to, WANTED, "takes more than|sparse", DamagedArchive)
+    refused(archive, to, WANTED, "takes more than", DamagedArchive)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 12_000_000
@@ -200,15 +195,12 @@ def with_another(content, position):
 
 
 WHOLE = {name: make({"set/spring/1.png": NOISE, "set/spring/2.png": NOISE[::-1]}) for name, make in MAKERS.items()}
-LITTLE_TAR = tarred({"set/1.png": bytes(512), "set/2.png": bytes(512)}, compression="")
 DAMAGED = {
     # of a plain tar the zeros at its end alone may be missing
     **{
         f"{name}, {n} %": whole[: n * len(whole.rstrip(b"\0")) // 100] for name, whole in WHOLE.items() for n in (2, 98)
     },
     **{f"{name}, other": with_another(whole, len(whole) // 2) for name, whole in WHOLE.items() if name != "tar"},
-    "tar to a whole file": LITTLE_TAR[:1024],
-    "tar with a broken header in its midst": with_another(LITTLE_TAR, 1024 + 150),
     "nothing": b"",
     "a web page": b"<!doctype html>",
     "no gz": b"\x1f\x8bno",

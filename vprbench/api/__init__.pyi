@@ -13,6 +13,7 @@ from .compiling import compiled as compiled
 from .dataset import Dataset as Dataset
 from .dataset import FrameFolder as FrameFolder
 from .dataset import HeldOut as HeldOut
+from .decimal_names import find_decimals as find_decimals
 from .decoding import IMAGE_SUFFIXES as IMAGE_SUFFIXES
 from .decoding import Decoding as Decoding
 from .decoding import Exif as Exif
@@ -54,7 +55,6 @@ from .other_rooms import TrainingDivergedError as TrainingDivergedError
 from .other_rooms import cache_folder as cache_folder
 from .other_rooms import checkout_folder as checkout_folder
 from .other_rooms import data_folder as data_folder
-from .other_rooms import decimals_in as decimals_in
 from .other_rooms import natural_keys as natural_keys
 from .other_rooms import progress as progress
 from .other_rooms import read_mat as read_mat

@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.storage.shards import Shards
-
 Image = npt.NDArray[np.uint8]  # (height, width, 3), RGB
 Places = npt.NDArray[np.int64]  # (n_references,), the place that each reference image shows
-Descriptors = npt.NDArray[np.float32] | Shards  # (n_images, n_dimensions); Shards if they fill more than 1 GiB
+Descriptors = npt.NDArray[np.float32]  # (n_images, n_dimensions); memory-mapped if they fill more than 1 GiB
 Scores = npt.NDArray[np.float32]  # (n_queries, n_places), higher means more alike; -inf: no candidate

@@ -25,39 +25,37 @@ class BinaryMap:
     """The bits of a map's references."""
 
     def __init__(self, codes: Words, places: Places) -> None:
-        """Rearrange a copy of the codes, (n_references, n_words), with the place of each.
+        """Keep a copy of the codes, (n_references, n_words), with the place of each.
 
         Raises BadInput for anything but words of one image or more.
         """
-        from vprbench.api.hamming import in_blocks  # here, for it needs PyTorch
-
         if codes.dtype != np.uint64 or codes.ndim != 2 or places.shape != (len(codes),) or not codes.size:
             raise BadInput(
                 f"references of {codes.dtype} {codes.shape} came with places {places.shape}: wanted uint64 "
                 "(n_images, n_words) of an image or more, and a place for each"
             )
-        self._n_references, self._n_words = map(int, codes.shape)
         self._places = places
-        self._blocks = in_blocks(codes)
+        self._codes = codes.copy(order="C")
 
     @property
     def bytes_per_place(self) -> int:
         """The bytes of codes that answers need, for each place."""
-        return int(8 * self._n_words * self._n_references / (self._places.max() + 1))
+        return int(self._codes.nbytes / (self._places.max() + 1))
 
     def scores(self, codes: Words) -> Scores:
         """Return for each place minus the bits in which its most similar image differs, (n_queries, n_places).
 
         Raises ValueError for codes that are not words, or not as many as the references have.
         """
-        from vprbench.api.hamming import similarity
+        from vprbench.api.hamming import similarity  # here, for it needs PyTorch
 
-        if codes.dtype != np.uint64 or codes.ndim != 2 or codes.shape[1] != self._n_words:
+        n_words = self._codes.shape[1]
+        if codes.dtype != np.uint64 or codes.ndim != 2 or codes.shape[1] != n_words:
             raise ValueError(
-                f"codes of {codes.dtype} {codes.shape} came; this map compares uint64 (n_queries, {self._n_words})"
+                f"codes of {codes.dtype} {codes.shape} came; this map compares uint64 (n_queries, {n_words})"
             )
-        takes(single=3 * len(codes) * self._n_references * self._n_words, kind="int64")  # differ, count, add
-        return best_image_of_place(similarity(codes, self._blocks)[:, : self._n_references], self._places)
+        takes(single=3 * len(codes) * self._codes.size, kind="int64")  # differ, count, add
+        return best_image_of_place(similarity(codes, self._codes), self._places)
 
 
 @dataclass(kw_only=True, eq=False)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.api.nearest import Numbers, Part, Vectors, best_of_part, parts, rows_together
+from vprbench.api.nearest import Compared, Numbers, Vectors, find_best, parts, rows_together
 from vprbench.api.search_indexes import (
     TRAINED_PER_CENTROID,
     Retrieving,
@@ -16,7 +16,6 @@ from vprbench.api.search_indexes import (
     one_thread,
     sample,
 )
-from vprbench.storage.shards import Shards
 
 _SAMPLED = 1 << 24  # numbers that thresholds are medians of
 _ADDED = 1 << 24  # numbers made bits at once
@@ -38,7 +37,7 @@ class _Binary(Retrieving):
     Of vectors whose bits differ in a share s, the inner product is about cos(pi * s) (Charikar 2002).
     """
 
-    def __init__(self, references: Shards) -> None:
+    def __init__(self, references: Vectors) -> None:
         self._thresholds: Vectors = np.median(sample(references, _SAMPLED // references.shape[1]), axis=0)
 
     def _bits(self, vectors: Vectors) -> npt.NDArray[np.uint64]:
@@ -53,34 +52,32 @@ class _Binary(Retrieving):
 class Bits(_Binary):
     """All images compared, by this project's own kernel: faster than faiss.IndexBinaryFlat."""
 
-    def __init__(self, references: Shards) -> None:
+    def __init__(self, references: Vectors) -> None:
         """Keep the bits of the references, read part by part."""
-        from vprbench.api.hamming import in_blocks
-
         super().__init__(references)
-        self._n_images, n_dimensions = references.shape
-        self._blocks = np.empty((-(-self._n_images // 8), -(-n_dimensions // 64), 8), np.uint64)
-        for rows in parts(self._n_images, -(-rows_together(references) // 8) * 8):
-            self._blocks[rows.start // 8 : -(-rows.stop // 8)] = in_blocks(self._bits(references[rows]))
-        self.n_bytes = self._blocks.nbytes + self._thresholds.nbytes
+        n_images, n_dimensions = references.shape
+        self._codes = np.empty((n_images, -(-n_dimensions // 64)), np.uint64)
+        for rows in parts(n_images, rows_together(references)):
+            self._codes[rows] = self._bits(references[rows])
+        self.n_bytes = self._codes.nbytes + self._thresholds.nbytes
 
     def retrieve(self, codes: Vectors, n: int) -> tuple[Vectors, Numbers]:
         """Return similarities and images, (n_queries, n) each, best first; of equals the lower image."""
-        whole = Part(0, self._n_images, _COMPARED, None, self._compared, None)
-        best = best_of_part(self._bits(codes), n, whole)
+        compared = Compared(len(self._codes), _COMPARED, None, self._compare, None)
+        best = find_best(self._bits(codes), n, compared)
         return np.where(best.places >= 0, self._similarity(-best.similarity), -np.inf), best.places
 
-    def _compared(self, bits: npt.NDArray[np.uint64], first: int, last: int) -> Vectors:
-        """Return minus the differing bits; `first` is a multiple of 8."""
+    def _compare(self, bits: npt.NDArray[np.uint64], first: int, last: int) -> Vectors:
+        """Return minus the differing bits, (n_queries, last - first)."""
         from vprbench.api.hamming import similarity
 
-        return similarity(bits, self._blocks[first // 8 : -(-last // 8)])[:, : last - first]
+        return similarity(bits, self._codes[first:last])
 
 
 class BitGraph(_Binary):
     """A graph of images whose bits are near, climbed from layer to layer."""
 
-    def __init__(self, references: Shards) -> None:
+    def __init__(self, references: Vectors) -> None:
         """Link the references one after the other."""
         faiss = faiss_module()
         super().__init__(references)
@@ -105,7 +102,7 @@ class RaBitQ(Retrieving):
     64, and 16 at least, unless `probes` says how many.
     """
 
-    def __init__(self, references: Shards, probes: int) -> None:
+    def __init__(self, references: Vectors, probes: int) -> None:
         """Learn the lists from a sample, and put the references into them, read part by part."""
         faiss = faiss_module()
         n_images, n_dimensions = references.shape

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 import weakref
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, Self
@@ -21,7 +21,7 @@ from vprbench.api.search_indexes import Kind
 from vprbench.errors import BadInput, NotFittedError
 from vprbench.storage.atomic import remove_leftovers, unfinished
 from vprbench.storage.folders import cache_folder
-from vprbench.storage.shards import LARGE_BYTES, Shards, Writer
+from vprbench.storage.row_files import LARGE_BYTES, STRETCH, keep_rows
 
 if TYPE_CHECKING:
     from vprbench.api.images import Images
@@ -90,9 +90,9 @@ class DescriptorMethod(Method):
     _grown: tuple[Growing, Growing] | None = field(default=None, init=False, repr=False, compare=False)
 
     def fit(self, references: Images, places: Places) -> Self:
-        """Encode the references block by block and learn the map from that: from one array, or shards if it is large.
+        """Encode the references block by block and learn the map from the descriptors.
 
-        Such shards lie in the folder VPRBENCH_SCRATCH, or one in the user's cache, until nobody holds them.
+        More than 1 GiB lie in a file in the folder VPRBENCH_SCRATCH, or in the user's cache, until nobody holds them.
         """
         self.searched = None
         self.require_index(len(references))
@@ -102,7 +102,7 @@ class DescriptorMethod(Method):
             codes = require_codes(self.encode(block), len(block))
             if not done:
                 if 4 * len(references) * codes.shape[1] > LARGE_BYTES:
-                    return self.fit_encoded(_in_scratch(len(references), self._writing(references)), places)
+                    return self.fit_encoded(self._encode_into_scratch(references), places)
                 descriptors = np.empty((len(references), codes.shape[1]), np.float32)
             descriptors[done : done + len(block)] = codes
             done += len(block)
@@ -121,13 +121,10 @@ class DescriptorMethod(Method):
         total = sum(descriptors[rows].sum(0, dtype=np.float64) for rows in blocks)
         self.reference_mean = mean = np.asarray(total / len(descriptors), np.float32)
         if descriptors.nbytes <= LARGE_BYTES:
-            return self.fit_descriptors(self.centre(descriptors[:], mean), places)
+            return self.fit_descriptors(self.centre(descriptors, mean), places)
 
-        def write_centred(writer: Writer) -> None:
-            for rows in writer.missing():
-                writer.write(rows, [self.centre(descriptors[rows], mean)])
-
-        return self.fit_descriptors(_in_scratch(len(descriptors), write_centred), places)
+        centred = (self.centre(descriptors[rows], mean) for rows in blocks)
+        return self.fit_descriptors(_put_into_scratch(len(descriptors), centred), places)
 
     def centre(self, codes: npt.NDArray[np.float32], mean: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
         """Return descriptors (..., n_dimensions) without a mean, of unit length; zero where they are the mean."""
@@ -137,8 +134,7 @@ class DescriptorMethod(Method):
     def fit_descriptors(self, descriptors: Descriptors, places: Places) -> Self:
         """Learn the map from the codes of the references, (n_references, n_dimensions), and forget any earlier map.
 
-        They are not copied and may be memory-mapped; more than 1 GiB come as shards. Raises BadInput if `index` cannot
-        be made of them.
+        They are not copied; more than 1 GiB are memory-mapped. Raises BadInput if `index` cannot be made of them.
         """
         self.searched = self._grown = None
         self.searched = Search(descriptors, places.copy(), self.index, self.neighbours, self.rerank, self.probes)
@@ -155,7 +151,7 @@ class DescriptorMethod(Method):
         if not self.extends:
             return super().extend(references, places)
         require_new_places(places, len(references), int(known.places.max()) + 1)
-        vectors, numbers = self._grown = self._grown or (Growing(known.references[:]), Growing(known.places))
+        vectors, numbers = self._grown = self._grown or (Growing(known.references), Growing(known.places))
         blocks = encoded_blocks(references)
         codes = np.concatenate([require_codes(self.encode(block), len(block)) for block in blocks])
         vectors.append(codes if self.reference_mean is None else self.centre(codes, self.reference_mean))
@@ -163,11 +159,10 @@ class DescriptorMethod(Method):
         self.searched = Search(vectors.rows, numbers.rows)
         return self
 
-    def _writing(self, references: Images) -> Callable[[Writer], object]:
-        """Return what encodes the references into a writer."""
+    def _encode_into_scratch(self, references: Images) -> Descriptors:
         total = len(references)
         report = partial(progress.report, "fit, reading images")
-        return lambda writer: encoded(references, self.encode, writer, lambda done: report(done / total))
+        return _put_into_scratch(total, encode_stretches(references, self.encode, lambda done: report(done / total)))
 
     def require_index(self, n_references: int) -> None:
         """Raise BadInput if `index` cannot be made of so many references, before they are encoded."""
@@ -215,41 +210,34 @@ class DescriptorMethod(Method):
         return self.searched
 
 
-def _in_scratch(n_rows: int, write: Callable[[Writer], object]) -> Shards:
-    """Return rows that `write` puts into files, which go when nobody holds the rows any more."""
+def _put_into_scratch(n_rows: int, blocks: Iterable[npt.NDArray[np.float32]]) -> Descriptors:
+    """Return rows in a file, which is removed when nobody holds the rows any more."""
     scratch = cache_folder(_FOLDER, "scratch")
     remove_leftovers(scratch)
     folder = unfinished(scratch)
-    writer = Writer(folder, n_rows, "descriptors")
     try:
-        write(writer)
+        rows, _ = keep_rows(folder / "descriptors.npy", n_rows, lambda first: blocks, "descriptors")
     except BaseException:
         shutil.rmtree(folder, ignore_errors=True)
         raise
-    shards = writer.shards()
-    weakref.finalize(shards, shutil.rmtree, folder, ignore_errors=True)
-    return shards
+    weakref.finalize(rows if rows.base is None else rows.base, shutil.rmtree, folder, ignore_errors=True)
+    return rows
 
 
-def encoded(
-    images: Images, encode: Callable[[Images], npt.NDArray[np.float32]], writer: Writer, done: Callable[[int], None]
-) -> int:
-    """Write what `encode` makes of images, shard by shard, where a shard is missing; returns how many were encoded.
+def encode_stretches(
+    images: Images, encode: Callable[[Images], npt.NDArray[np.float32]], done: Callable[[int], None], first: int = 0
+) -> Iterator[npt.NDArray[np.float32]]:
+    """Yield descriptors of consecutive images from the `first` on, (n, n_dimensions).
 
-    `done` is told how many so far. Each shard is encoded on its own: the same bits, killed and gone on with or not.
+    Each stretch of 1024 images is encoded on its own, so whoever goes on after a stretch gets the same bits. `done` is
+    called with the number of images encoded so far.
     """
-    new = 0
-
-    def codes(rows: slice) -> Iterator[npt.NDArray[np.float32]]:
-        nonlocal new
-        for block in encoded_blocks(images[rows]):
+    for start in range(first, len(images), STRETCH):
+        n_encoded = start - first
+        for block in encoded_blocks(images[start : start + STRETCH]):
             yield require_codes(encode(block), len(block))
-            new += len(block)
-            done(new)
-
-    for rows in writer.missing():
-        writer.write(rows, codes(rows))
-    return new
+            n_encoded += len(block)
+            done(n_encoded)
 
 
 def encoded_blocks(images: Images) -> Iterator[Images]:

@@ -290,7 +290,7 @@ class Images(Sequence[Image]):
         files, content = self.file_hashes(), self._content
         if files is None or content is None:
             return None if files is None else _codes([files.sha256])
-        return _codes(hashlib.sha256(files[i].sha256 + content(i)).digest() for i in range(len(self)))
+        return _codes(hashlib.sha256(files[i] + content(i)).digest() for i in range(len(self)))
 
     def fingerprint(self, hashed: HashedFiles | None = None) -> str:
         """Return a hash that changes when images are added, removed, renamed, reordered or replaced.

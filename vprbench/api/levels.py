@@ -43,8 +43,7 @@ def decoding_of(
     option after `prefix`, for levels that are no range and for files whose levels decide none.
     """
     given = None if levels is None else _parse_range(levels, f"{prefix}levels")
-    files = Paths.of(files)
-    distinct = files[files.distinct()[0]] if len(files) else files
+    distinct = Paths.of(files).distinct()
     heads = [head_of(path) for path in distinct]
     deep = np.flatnonzero([head.deep for head in heads])
     protocol: dict[str, Any] = {"exif": exif} if any(head.orientation != UPRIGHT for head in heads) else {}

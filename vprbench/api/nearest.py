@@ -1,19 +1,13 @@
-"""The places nearest to a code in a map of any size: block by block, the best of each block merged with the others'."""
+"""The places nearest to a code in a map of any size: block by block, the best of each kept."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-
-from vprbench.storage.shards import Shards
-
-if TYPE_CHECKING:
-    from vprbench.api.rows import Rows
 
 Vectors = npt.NDArray[np.float32]  # (n_images, n_dimensions)
 Codes = npt.NDArray[Any]  # (n_queries, ...)
@@ -21,16 +15,14 @@ Numbers = npt.NDArray[np.int64]
 
 CELLS = 1 << 24  # numbers of an intermediate result: 64 MiB
 ROUNDING = 1e-6  # of inner products of unit vectors
-_CELLS_OF_A_PART = 1 << 28
 _FIRST = 1 << 14  # images of a block that bound what the others have to exceed
 _FEW_QUERIES = 3  # that are faster compared one by one: a product of matrices first rearranges the references
 
 
 @dataclass(frozen=True)
-class Part:
-    """Consecutive images of a map, searched together."""
+class Compared:
+    """All images of a map, and how codes are compared with them."""
 
-    first: int  # the number of its first image
     n_images: int
     together: int  # images compared at once
     places: Numbers | None  # of each image; None: a place each, of its number
@@ -46,66 +38,31 @@ class Nearest:
     places: Numbers  # (n_queries, n), -1 where there is none
 
 
-def parts_of_map(vectors: Shards, places: Numbers | None) -> Iterator[Part]:
-    """Yield the parts that a map is searched in exactly."""
-    from vprbench.api.rows import Rows  # here, for it needs PyTorch
-
-    shared = Rows(vectors)
-    for own in parts(len(vectors), vectors.each * max(1, _CELLS_OF_A_PART // (vectors.each * vectors.shape[1]))):
-        held, rows, start = vectors, shared, own.start
-        if vectors.array is not None:
-            held, start = Shards.of(vectors.array[own]), 0
-            rows = Rows(held)
-        yield Part(
-            own.start,
-            own.stop - own.start,
-            rows_together(vectors),
-            None if places is None else places[own],
-            partial(inner_products, held, start),
-            partial(products, rows, start),
-        )
+def rows_together(vectors: Vectors) -> int:
+    """Return how many vectors are compared at once: up to 64 MiB."""
+    return max(1, CELLS // int(vectors.shape[1]))
 
 
-def rows_together(vectors: Shards) -> int:
-    """Return how many vectors are compared at once without a copy: up to 64 MiB in memory, else those of a shard."""
-    return vectors.each if vectors.array is None else max(1, CELLS // vectors.shape[1])
-
-
-def inner_products(vectors: Shards, start: int, codes: Vectors, first: int, last: int) -> Vectors:
-    """Return the inner products of codes with the vectors start + first to start + last, (n_queries, last - first).
+def inner_products(rows: Vectors, codes: Vectors) -> Vectors:
+    """Return the inner products of codes with vectors, (n_queries, n_rows).
 
     numpy's product is the fastest on two cores, for one query and for many: beside it were measured PyTorch's product
     and faiss.IndexFlatIP.
     """
-    rows = vectors[start + first : start + last]
     if 0 < len(codes) <= _FEW_QUERIES:
         return np.stack([rows @ code for code in codes])
     return codes @ rows.T
 
 
-def products(rows: Rows, start: int, codes: Vectors, queries: Numbers, images: Numbers) -> Vectors:
-    """Return the exact inner products of pairs of a query and vector start + image, (n_pairs,)."""
-    return rows.products(codes, queries, start + images)
-
-
-def best_of_part(codes: Codes, n: int, part: Part) -> Nearest:
-    """Return the `n` best places of a part for each of the codes."""
+def find_best(codes: Codes, n: int, images: Compared) -> Nearest:
+    """Return the `n` best places for each of the codes."""
     best = Nearest(np.full((len(codes), n), -np.inf, np.float32), np.full((len(codes), n), -1, np.int64))
-    for block in parts(part.n_images, part.together):
-        places = None if part.places is None else part.places[block]
+    for block in parts(images.n_images, images.together):
         for queries in parts(len(codes), max(1, CELLS // (block.stop - block.start))):
             known = Nearest(best.similarity[queries], best.places[queries])
-            asked, similarity, images = _promising(codes[queries], known, part, block, places)
-            shown = part.first + block.start + images if places is None else places[images]
-            found = _with(known, asked, similarity, shown)
+            found = _add_candidates(known, *_find_candidates(codes[queries], known, images, block))
             best.similarity[queries], best.places[queries] = found.similarity, found.places
     return best
-
-
-def merged(left: Nearest, right: Nearest) -> Nearest:
-    """Return the best places of two parts of a map."""
-    rows, columns = np.nonzero(right.places >= 0)
-    return _with(left, rows, right.similarity[rows, columns], right.places[rows, columns])
 
 
 def best_places(queries: Numbers, similarity: Vectors, places: Numbers, n_queries: int, n: int) -> Nearest:
@@ -132,19 +89,17 @@ def parts(n: int, size: int) -> Iterator[slice]:
         yield slice(first, min(first + size, n))
 
 
-def _promising(
-    codes: Codes, known: Nearest, part: Part, block: slice, places: Numbers | None
-) -> tuple[Numbers, Vectors, Numbers]:
-    """Return query, similarity and image in its block of whatever may be better than what is known."""
-    scores = part.similarity(codes, block.start, block.stop)
-    n = known.places.shape[1]
+def _find_candidates(codes: Codes, known: Nearest, images: Compared, block: slice) -> tuple[Numbers, Vectors, Numbers]:
+    """Return candidates of a block that may enter the current best n: query, similarity and place of each."""
+    scores = images.similarity(codes, block.start, block.stop)
+    places = None if images.places is None else images.places[block]
     floor = known.similarity[:, -1]
     if np.isneginf(floor).any():
-        floor = np.maximum(floor, _nth_best(scores, places, n))
-    rows, images = np.divmod(np.flatnonzero(scores >= floor[:, None] - np.float32(ROUNDING)), scores.shape[1])
-    if part.exactly is None:
-        return rows, scores[rows, images], images
-    return rows, part.exactly(codes, rows, block.start + images), images
+        floor = np.maximum(floor, _nth_best(scores, places, known.places.shape[1]))
+    rows, columns = np.divmod(np.flatnonzero(scores >= floor[:, None] - np.float32(ROUNDING)), scores.shape[1])
+    shown = block.start + columns
+    exact = scores[rows, columns] if images.exactly is None else images.exactly(codes, rows, shown)
+    return rows, exact, shown if images.places is None else images.places[shown]
 
 
 def _nth_best(scores: Vectors, places: Numbers | None, n: int) -> Vectors:
@@ -160,8 +115,8 @@ def _nth_best(scores: Vectors, places: Numbers | None, n: int) -> Vectors:
     return nth
 
 
-def _with(known: Nearest, rows: Numbers, similarity: Vectors, places: Numbers) -> Nearest:
-    """Return the best of what is known of each query and what was found: query, similarity and place."""
+def _add_candidates(known: Nearest, rows: Numbers, similarity: Vectors, places: Numbers) -> Nearest:
+    """Return the best of the known places of each query and of candidates: query, similarity and place of each."""
     own, columns = np.nonzero(known.places >= 0)
     return best_places(
         np.concatenate([own, rows]),

@@ -6,7 +6,6 @@ from vprbench.errors import NotFittedError as NotFittedError
 from vprbench.errors import NotThere as NotThere
 from vprbench.errors import TrainingDivergedError as TrainingDivergedError
 from vprbench.storage.atomic import replace_bytes as replace_bytes
-from vprbench.storage.decimal_names import decimals_in as decimals_in
 from vprbench.storage.folders import cache_folder as cache_folder
 from vprbench.storage.folders import checkout_folder as checkout_folder
 from vprbench.storage.folders import data_folder as data_folder

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from functools import reduce
+from dataclasses import dataclass, replace
 from time import perf_counter
 from typing import get_args
 
@@ -16,25 +15,23 @@ from vprbench.api.bit_indexes import BitGraph, Bits, RaBitQ
 from vprbench.api.nearest import (
     CELLS,
     ROUNDING,
+    Compared,
     Numbers,
-    Part,
     Vectors,
-    best_of_part,
     best_places,
-    merged,
+    find_best,
     parts,
-    parts_of_map,
+    rows_together,
 )
 from vprbench.api.search_indexes import BITS, EightBits, Exact, Flat, Graph, Kind, ProductCodes, Retrieving
 from vprbench.errors import BadInput
-from vprbench.storage.shards import Shards
 
 _TOGETHER = 1 << 16  # reference images, if several show a place
 
 _BEST = 10  # places that an audit compares
 
 
-_INDEXES: dict[Kind, Callable[[Shards, int], Flat | Retrieving]] = {
+_INDEXES: dict[Kind, Callable[[Vectors, int], Flat | Retrieving]] = {
     "exact": lambda references, _: Exact(references),
     "sq8": lambda references, _: EightBits(references),
     "hnsw": lambda references, _: Graph(references),
@@ -67,14 +64,14 @@ class Search:
 
     def __init__(
         self,
-        references: Vectors | Shards,
+        references: Vectors,
         places: Numbers,
         kind: Kind = "exact",
         neighbours: int = 100,
         rerank: int = 0,
         probes: int = 0,
     ) -> None:
-        """Index `references`, which stay where they are (memory-mapped or in shards), with the place of each.
+        """Index `references`, which stay where they are, memory-mapped or not, with the place of each.
 
         An approximate index answers without them, but to compare exactly the `rerank` images that it finds best; they
         are kept to be compared with. Raises BadInput as `check_index` does, and for places that are not one for each
@@ -86,18 +83,12 @@ class Search:
                 f"references {references.shape} came with places {places.shape}: wanted (n_images, n_dimensions) of an "
                 "image or more, and a place for each"
             )
-        if isinstance(references, np.ndarray):
-            references = Shards.of(np.ascontiguousarray(references, np.float32))
-        self.references = references
+        self.references = references = np.ascontiguousarray(references, np.float32)
         self.places = places
         self.kind = kind
         self._n_places = int(places.max()) + 1
         self._neighbours = min(rerank or neighbours, len(references))
         self.rerank = 0 if kind == "exact" else rerank
-        if self.rerank:
-            from vprbench.api.rows import Rows  # here, for it needs PyTorch
-
-            self._rows = Rows(references)
         started = perf_counter()
         self._index = _INDEXES[kind](references, probes)
         self.build_seconds = perf_counter() - started
@@ -140,10 +131,9 @@ class Search:
         if self.rerank or isinstance(self._index, Retrieving):
             best = best_places(*self._retrieved(codes), len(codes), n)
         elif self.kind == "exact":
-            parts = parts_of_map(self.references, self._shown)
-            best = reduce(merged, (best_of_part(codes, n, part) for part in parts))
+            best = find_best(codes, n, replace(self._compare(self._index, self._shown), exactly=self._multiply_pairs))
         else:
-            best = best_of_part(codes, n, self._whole(self._index, self._shown))
+            best = find_best(codes, n, self._compare(self._index, self._shown))
         return best.similarity, best.places
 
     def audit(self, exact: Search, codes: Vectors) -> Audit:
@@ -168,10 +158,14 @@ class Search:
         for queries in parts(len(codes), max(1, CELLS // self._n_places)):
             yield codes[queries]
 
-    def _whole(self, index: Flat, places: Numbers | None) -> Part:
-        """Return what an index that compares all images searches; without `places`, images are found."""
-        n_images, n_dimensions = self.references.shape
-        return Part(0, n_images, max(1, CELLS // n_dimensions), places, index.similarity, None)
+    def _compare(self, index: Flat, places: Numbers | None) -> Compared:
+        """Return how an index compares all images; without `places`, images are found."""
+        return Compared(len(self.references), rows_together(self.references), places, index.similarity, None)
+
+    def _multiply_pairs(self, codes: Vectors, queries: Numbers, images: Numbers) -> Vectors:
+        from vprbench.api.pairs import multiply_pairs  # here, for it needs PyTorch
+
+        return multiply_pairs(self.references, codes, queries, images)
 
     def _best_of_retrieved(self, codes: Vectors) -> Vectors:
         scores = np.full((len(codes), self._n_places), -np.inf, np.float32)
@@ -184,11 +178,11 @@ class Search:
         if isinstance(self._index, Retrieving):
             similarity, images = self._index.retrieve(codes, self._neighbours)
         else:
-            found = best_of_part(codes, self._neighbours, self._whole(self._index, None))
+            found = find_best(codes, self._neighbours, self._compare(self._index, None))
             similarity, images = found.similarity, found.places
         rows, columns = np.nonzero(images >= 0)
         chosen = images[rows, columns]
-        values = self._rows.products(codes, rows, chosen) if self.rerank else similarity[rows, columns]
+        values = self._multiply_pairs(codes, rows, chosen) if self.rerank else similarity[rows, columns]
         return rows, values, self.places[chosen]
 
     def _checked(self, codes: Vectors) -> Vectors:

@@ -12,7 +12,6 @@ import numpy as np
 import numpy.typing as npt
 
 from vprbench.api.nearest import CELLS, Numbers, Vectors, inner_products, parts, rows_together
-from vprbench.storage.shards import Shards
 
 Kind = Literal["exact", "sq8", "hnsw", "ivfpq", "rabitq", "binary", "binary_hnsw"]
 _SAMPLED = 1 << 27  # numbers that an index learns from, at most
@@ -52,19 +51,13 @@ class Flat(ABC):
 class Exact(Flat):
     """The vectors themselves."""
 
-    def __init__(self, references: Shards) -> None:
+    def __init__(self, references: Vectors) -> None:
         self._references = references
         self.n_bytes = references.nbytes
 
     def similarity(self, codes: Vectors, first: int, last: int) -> Vectors:
         """Return the inner products with images `first` to `last`, (n_queries, last - first)."""
-        together = last - first if self._references.array is not None else rows_together(self._references)
-        if last - first <= together:
-            return inner_products(self._references, first, codes, 0, last - first)
-        similarity = np.empty((len(codes), last - first), np.float32)
-        for images in parts(last - first, together):
-            similarity[:, images] = inner_products(self._references, first, codes, images.start, images.stop)
-        return similarity
+        return inner_products(self._references[first:last], codes)
 
 
 class EightBits(Flat):
@@ -75,7 +68,7 @@ class EightBits(Flat):
     for many queries at once.
     """
 
-    def __init__(self, references: Shards) -> None:
+    def __init__(self, references: Vectors) -> None:
         faiss = faiss_module()
         n_images, n_dimensions = references.shape
         quantiser = faiss.ScalarQuantizer(n_dimensions, faiss.ScalarQuantizer.QT_8bit)
@@ -128,7 +121,7 @@ class Retrieving(ABC):
 class Graph(Retrieving):
     """A graph of near images, climbed from layer to layer (Malkov and Yashunin 2018); it holds the vectors."""
 
-    def __init__(self, references: Shards) -> None:
+    def __init__(self, references: Vectors) -> None:
         faiss = faiss_module()
         n_images, n_dimensions = references.shape
         self._index = faiss.IndexHNSWFlat(n_dimensions, _LINKS, faiss.METRIC_INNER_PRODUCT)
@@ -146,7 +139,7 @@ class ProductCodes(Retrieving):
     A part is stored as the number of one of 256 centroids. A query looks at a quarter of the lists.
     """
 
-    def __init__(self, references: Shards, probes: int = 0) -> None:
+    def __init__(self, references: Vectors, probes: int = 0) -> None:
         faiss = faiss_module()
         n_images, n_dimensions = references.shape
         n_centroids = 1 << BITS
@@ -176,11 +169,11 @@ class ProductCodes(Retrieving):
         return np.pad(vectors, ((0, 0), (0, missing))) if missing else np.ascontiguousarray(vectors)
 
 
-def sample(references: Shards, wanted: int) -> Vectors:
+def sample(references: Vectors, wanted: int) -> Vectors:
     """Return up to `wanted` of the references, drawn without replacement, in their order: 512 MiB at most."""
     n_images, n_dimensions = references.shape
     drawn = np.random.default_rng(0).permutation(n_images)[: max(1, min(wanted, _SAMPLED // n_dimensions))]
-    return references.take(np.sort(drawn))
+    return references[np.sort(drawn)]
 
 
 def bytes_of_links(hnsw: Any) -> int:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from vprbench.api.arrays import Scores
 from vprbench.errors import BadInput
-from vprbench.storage.bounds import HIGHEST_SCORE, INTEGERS, NUMBERS, Array, Places
+from vprbench.metrics.bounds import HIGHEST_SCORE, INTEGERS, NUMBERS, Array, Places
 
 PlacesPerQuery = Sequence[npt.NDArray[np.int64]]  # per query some places; empty if there are none
 Counts = npt.NDArray[np.int64]  # (n_queries,)

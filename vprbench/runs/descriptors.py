@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.api.descriptor import DescriptorMethod, encoded
+from vprbench.api.arrays import Descriptors
+from vprbench.api.descriptor import DescriptorMethod, encode_stretches
 from vprbench.api.images import Images
 from vprbench.api.method import Method
 from vprbench.api.weights import Weights
@@ -17,7 +18,7 @@ from vprbench.runs import machine
 from vprbench.runs.run_files import content_key
 from vprbench.runs.scorers import LARGE_MAP
 from vprbench.runs.sources import hash_class
-from vprbench.storage.shards import Shards, Writer
+from vprbench.storage.row_files import keep_rows
 
 
 class DescriptorCache:
@@ -56,14 +57,16 @@ class DescriptorCache:
 
     def descriptors(
         self, images: Images, encode: Callable[[Images], npt.NDArray[np.float32]], done: Callable[[int], None]
-    ) -> tuple[Shards, int]:
+    ) -> tuple[Descriptors, int]:
         """Return the descriptors of a traverse, (n_images, n_dimensions), and how many were kept already.
 
-        `encode` describes a block of images, `done` is told how many are described. What a killed run described stays,
-        but for up to 1024 images or a 256th of all. Descriptors that the disk refuses are returned all the same, in
-        memory.
+        `encode` describes a block of images; `done` is called with the number of images described so far. A killed run
+        is continued but for up to 1024 images. Descriptors that the disk refuses are returned in memory.
         """
-        origin = {**self._origin, "images": images.content_hash()}
-        writer = Writer(self._folder / content_key(origin), len(images), "descriptors")
-        new = encoded(images, encode, writer, done)
-        return writer.shards(origin if new else None), len(images) - new
+        key = content_key({**self._origin, "images": images.content_hash()})
+        return keep_rows(
+            self._folder / f"{key}.npy",
+            len(images),
+            lambda first: encode_stretches(images, encode, done, first),
+            "descriptors",
+        )

@@ -17,7 +17,6 @@ from vprbench.runs.descriptors import DescriptorCache
 from vprbench.runs.experiment import Experiment
 from vprbench.runs.notes import Note, make_notes
 from vprbench.runs.stopwatch import Stopwatch
-from vprbench.storage.shards import LARGE_BYTES
 
 
 @dataclass(frozen=True)
@@ -109,7 +108,7 @@ def _fit(method: Method, dataset: Dataset, described: DescriptorCache | None) ->
     assert isinstance(method, DescriptorMethod)
     method.require_index(total)
     descriptors, from_cache = described.descriptors(dataset.references, method.encode, report)
-    method.fit_encoded(descriptors if descriptors.nbytes > LARGE_BYTES else descriptors[:], places)
+    method.fit_encoded(descriptors, places)
     return from_cache
 
 

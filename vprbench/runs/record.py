@@ -11,12 +11,7 @@ import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, PlainValidator, ValidationInfo, with_config
 
 from vprbench.api.dataset import has_ground_truth
-from vprbench.metrics.ranking import Outcome
-from vprbench.runs.notes import Note
-from vprbench.runs.stopwatch import Timing
-from vprbench.runs.timing_protocol import Protocol
-from vprbench.runs.views import View
-from vprbench.storage.bounds import (
+from vprbench.metrics.bounds import (
     HIGHEST_SCORE,
     INTEGERS,
     NUMBERS,
@@ -30,6 +25,11 @@ from vprbench.storage.bounds import (
     Seconds,
     Text,
 )
+from vprbench.metrics.ranking import Outcome
+from vprbench.runs.notes import Note
+from vprbench.runs.stopwatch import Timing
+from vprbench.runs.timing_protocol import Protocol
+from vprbench.runs.views import View
 
 
 class _Part(BaseModel):

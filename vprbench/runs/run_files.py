@@ -7,6 +7,7 @@ import json
 import logging
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, TypeVar
@@ -23,7 +24,7 @@ Record = TypeVar("Record")
 logger = logging.getLogger(__name__)
 
 SCHEMA = 11
-SUMMARY, _ARRAYS, _FAILURE = "run.json", "arrays.safetensors", "failure.json"
+SUMMARY, _FAILURE = "run.json", "failure.json"
 _SHOWN = 60  # characters of a value in a message
 _RUN, _FAILED = TypeAdapter(Run), TypeAdapter(Failure)
 
@@ -52,8 +53,11 @@ def write(run: Run, folder: Path) -> None:
     arrays: dict[str, npt.NDArray[Any]] = {}
     text = json.dumps(_take_arrays(_RUN.dump_python(run, warnings=False), "", arrays))
     _build_run(json.loads(text), arrays)
-    write_arrays(folder / _ARRAYS, arrays)
-    summary = json.loads(text) | {"schema": SCHEMA, "sha256": _digest(folder / _ARRAYS)}
+    partial = folder / "arrays.safetensors"
+    write_arrays(partial, arrays)
+    sha256 = _digest(partial)
+    partial.rename(_arrays_file(folder, sha256))
+    summary = json.loads(text) | {"schema": SCHEMA, "sha256": sha256}
     _write_json(folder / SUMMARY, {**summary, "content_key": content_key(summary)})
 
 
@@ -64,13 +68,22 @@ def load(folder: Path) -> Run:
     """
     try:
         summary = _read_summary((folder / SUMMARY).read_bytes())
-        if _digest(folder / _ARRAYS) != summary.pop("sha256"):
-            raise DamagedRunError(f"{_ARRAYS} is not what was written")
-        return _build_run(summary, mapped_arrays(folder / _ARRAYS))
+        sha256 = summary.pop("sha256")
+        path = _arrays_file(folder, sha256)
+        if _digest(path) != sha256:
+            raise DamagedRunError(f"{path.name} is not what was written")
+        return _build_run(summary, mapped_arrays(path))
     except (DamagedRunError, OtherLayoutError):
         raise
     except Exception as error:  # a damaged file may upset its reader in any way
         raise DamagedRunError(f"{type(error).__name__}: {error}") from error
+
+
+def find_arrays(folder: Path) -> Path | None:
+    """Return the file of arrays that the summary of a folder names; None if there is no such summary."""
+    with suppress(Exception):  # a damaged summary may upset its reader in any way
+        return _arrays_file(folder, json.loads((folder / SUMMARY).read_bytes())["sha256"])
+    return None
 
 
 def write_failure(failure: Failure, folder: Path) -> None:
@@ -136,6 +149,10 @@ def _validate(adapter: TypeAdapter[Record], content: Any, lengths: dict[str, int
         first = error.errors(include_url=False, include_context=False)[0]
         where, value = ".".join(map(str, first["loc"])), repr(first["input"])
         raise ValueError(f"{where} is {value[:_SHOWN]}: {first['msg']}") from None
+
+
+def _arrays_file(folder: Path, sha256: str) -> Path:
+    return folder / f"arrays-{sha256[:16]}.safetensors"
 
 
 def _write_json(path: Path, content: Mapping[str, Any]) -> None:

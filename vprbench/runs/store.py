@@ -18,6 +18,7 @@ from vprbench.runs.run_files import (
     DamagedRunError,
     OtherLayoutError,
     content_key,
+    find_arrays,
     load,
     read_failure,
     write,
@@ -124,21 +125,20 @@ class Store:
         run_lock.remove_leftovers(self.root)
         atomic.remove_leftovers(self.root)
         with contextlib.suppress(OSError):
-            for dataset in atomic.final_folders(self.root):
+            for dataset in _list_folders(self.root):
                 atomic.remove_leftovers(dataset)
-                atomic.remove_replaced(dataset)
 
     def _folders(self) -> Iterator[Path]:
         """Yield the folders of all datasets, by dataset and name; a warning names each that cannot be read."""
         try:
-            datasets = atomic.final_folders(self.root)
+            datasets = _list_folders(self.root)
         except FileNotFoundError:
             return
         except OSError as error:
             raise BadInput(f"results={self.root} cannot be read ({error.strerror or error})") from error
         for dataset in datasets:
             try:
-                yield from atomic.final_folders(dataset)
+                yield from _list_folders(dataset)
             except OSError as error:
                 logger.warning("%s cannot be read (%s): its runs are left out", dataset, error.strerror or error)
 
@@ -150,10 +150,7 @@ class Store:
         reason = ""
         for _ in range(2):
             try:
-                for place in atomic.folder_versions(folder):
-                    if (place / SUMMARY).exists():
-                        return load(place)
-                return None
+                return load(folder) if (folder / SUMMARY).exists() else None
             except (DamagedRunError, OSError) as error:
                 reason = str(error)
         if folder not in self._damaged:
@@ -170,11 +167,25 @@ class Store:
 
 
 def _place(folder: Path, fill: Callable[[Path], None]) -> None:
-    """Let `fill` write into a folder beside `folder`, and put that in its place."""
+    """Let `fill` write files into a folder beside `folder`, and move them there, the summary last.
+
+    A reader finds the earlier run until the summary is replaced, and the new one from then on.
+    """
     partial = atomic.unfinished(folder.parent)
+    earlier = find_arrays(folder)
     try:
         partial.mkdir(parents=True)
         fill(partial)
-        atomic.replace_folder(partial, folder)
+        folder.mkdir(exist_ok=True)
+        for path in sorted(partial.iterdir(), key=lambda path: path.name == SUMMARY):
+            path.replace(folder / path.name)
     finally:
         shutil.rmtree(partial, ignore_errors=True)
+    if earlier is not None and earlier != find_arrays(folder):
+        with contextlib.suppress(OSError):  # under Windows, a process reads it
+            earlier.unlink()
+
+
+def _list_folders(parent: Path) -> list[Path]:
+    """Return the folders in a folder, sorted; names that begin with a dot are no datasets or runs."""
+    return sorted(path for path in parent.iterdir() if not path.name.startswith(".") and path.is_dir())

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from pydantic import ConfigDict, Field, with_config
 
 from vprbench.errors import BadInput
-from vprbench.storage.bounds import Count, Flag, Positive, Seconds
+from vprbench.metrics.bounds import Count, Flag, Positive, Seconds
 
 
 @with_config(ConfigDict(extra="forbid", strict=False))

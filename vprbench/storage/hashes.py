@@ -6,13 +6,11 @@ import hashlib
 import json
 import logging
 import os
-import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -29,20 +27,13 @@ logger = logging.getLogger(__name__)
 _FOLDER = "VPRBENCH_HASHES"  # environment variable
 _SHA256_BYTES = 32
 _REPORT_EVERY = 256  # files that are read
-_TOGETHER = 4096  # files whose hashes are joined at once
-_ENTRY = re.compile(r"(\d+) -?\d+ -?\d+ ([0-9a-f]{64})")  # size, mtime_ns and ctime_ns, hash
 
-
-class FileHash(NamedTuple):
-    """What a file holds, in short."""
-
-    size_bytes: int
-    sha256: bytes  # 32 of them
+Entry = list[int | str]  # of a file: size in bytes, times of modification and of change in ns, SHA-256
 
 
 @dataclass(frozen=True, eq=False)
 class HashedFiles:
-    """What files hold, in short, in little memory."""
+    """Sizes and hashes of files, in little memory."""
 
     sizes: npt.NDArray[np.int64]  # (n,), bytes
     sha256: bytes  # of all files, joined
@@ -51,18 +42,15 @@ class HashedFiles:
         """Return the number of files."""
         return len(self.sizes)
 
-    def __getitem__(self, index: int) -> FileHash:
-        """Return the hash of one file."""
+    def __getitem__(self, index: int) -> bytes:
+        """Return the SHA-256 of one file, 32 bytes."""
         at = range(len(self))[index] * _SHA256_BYTES
-        return FileHash(int(self.sizes[index]), self.sha256[at : at + _SHA256_BYTES])
+        return self.sha256[at : at + _SHA256_BYTES]
 
     def digest_parts(self) -> Iterator[bytes]:
-        """Yield what changes with the size or the content of any of the files, in parts."""
-        for first in range(0, len(self), _TOGETHER):
-            sizes = self.sizes[first : first + _TOGETHER].tolist()
-            starts = range(first * _SHA256_BYTES, len(self.sha256), _SHA256_BYTES)
-            hashes = (self.sha256[start : start + _SHA256_BYTES] for start in starts)
-            yield b"".join([b"%d%b" % each for each in zip(sizes, hashes, strict=False)])
+        """Yield bytes that change with the size or the content of any of the files."""
+        for number, size in enumerate(self.sizes.tolist()):
+            yield b"%d%b" % (size, self[number])
 
 
 def file_hashes(paths: Sequence[Path]) -> HashedFiles:
@@ -72,16 +60,16 @@ def file_hashes(paths: Sequence[Path]) -> HashedFiles:
     lie in the folder that VPRBENCH_HASHES names, or in one in the user's cache. Where that cannot be written, files are
     read each time. Raises BadInput if a file cannot be read, or changes while it is read.
     """
-    files = Paths.of(paths).absolute()
+    files = Paths.of(paths)
     sizes, hashes = np.zeros(len(files), np.int64), np.zeros((len(files), _SHA256_BYTES), np.uint8)
     done = 0
     readers = ThreadPoolExecutor(core_count())
     try:
         for folder, positions in files.in_folders():
             names = [files.names[position] for position in positions.tolist()]
-            entries = _entries(folder, names, readers, partial(_report, len(files), done))
-            sizes[positions] = [int(entry.partition(" ")[0]) for entry in entries]
-            joined = bytes.fromhex("".join(entry.rpartition(" ")[2] for entry in entries))
+            entries = _hash_folder(folder.absolute(), names, readers, done, len(files))
+            sizes[positions] = [entry[0] for entry in entries]
+            joined = bytes.fromhex("".join(str(entry[-1]) for entry in entries))
             hashes[positions] = np.frombuffer(joined, np.uint8).reshape(-1, _SHA256_BYTES)
             done += len(names)
     finally:
@@ -90,8 +78,8 @@ def file_hashes(paths: Sequence[Path]) -> HashedFiles:
 
 
 def content_hash(path: Path) -> str:
-    """Return the SHA-256 of one file as hexadecimal digits; raises what `file_hashes` raises."""
-    return file_hashes([path])[0].sha256.hex()
+    """Return the SHA-256 of one file as hexadecimal digits; raises BadInput as `file_hashes`."""
+    return file_hashes([path])[0].hex()
 
 
 def hashes_folder() -> Path:
@@ -99,39 +87,34 @@ def hashes_folder() -> Path:
     return cache_folder(_FOLDER, "hashes")
 
 
-def _entries(
-    folder: Path, names: Sequence[str], readers: ThreadPoolExecutor, report: Callable[[int], None]
-) -> list[str]:
-    """Return for each file of a folder its size, its times and its hash, as they are kept."""
+def _hash_folder(
+    folder: Path, names: Sequence[str], readers: ThreadPoolExecutor, n_done: int, n_files: int
+) -> list[Entry]:
+    """Return the entry of each of these files of a folder; the first `n_done` of all `n_files` are hashed already."""
     index = hashes_folder() / f"{hashlib.sha256(os.fsencode(folder)).hexdigest()[:32]}.json"
-    kept = _read_index(index)
-    unknown = [name for name, state in _file_states(folder, names).items() if not _is_known(kept.get(name), state)]
-    for number, entry in enumerate(readers.map(lambda name: _read_file(folder, name), unknown)):
-        kept[unknown[number]] = entry
-        if (number + 1) % _REPORT_EVERY == 0:  # fewer take no time
-            report(number + 1)
+    kept = _load_index(index)
+    unknown = [name for name, state in _look_at(folder, names).items() if kept.get(name, [])[:-1] != state]
+    for number, entry in enumerate(readers.map(lambda name: _read_file(folder / name), unknown), start=1):
+        kept[unknown[number - 1]] = entry
+        if number % _REPORT_EVERY == 0:  # fewer take no time
+            progress.report("hashing frames", (n_done + number) / n_files)
     if unknown:
-        _write_index(index, folder, kept)
+        _save_index(index, folder, kept)
     return [kept[name] for name in names]
 
 
-def _is_known(entry: object, state: str) -> bool:
-    return isinstance(entry, str) and entry.startswith(f"{state} ") and _ENTRY.fullmatch(entry) is not None
-
-
-def _read_index(path: Path) -> dict[str, str]:
+def _load_index(path: Path) -> dict[str, Entry]:
     """Return the entries of a folder by the names of its files; none if there are none, or if the file is damaged."""
     try:
-        files = json.loads(path.read_bytes())["files"]
-        return dict(files)
+        return dict(json.loads(path.read_bytes())["files"])
     except OSError:
         return {}
-    except (ValueError, TypeError, KeyError, RecursionError) as error:
+    except (ValueError, TypeError, KeyError) as error:
         logger.warning("%s cannot be used (%s): the files of that folder are hashed anew", path, error)
         return {}
 
 
-def _write_index(path: Path, folder: Path, entries: dict[str, str]) -> None:
+def _save_index(path: Path, folder: Path, entries: dict[str, Entry]) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         replace_text(path, json.dumps({"folder": str(folder), "files": entries}))
@@ -144,37 +127,31 @@ def _warn_once(folder: Path, reason: str) -> None:
     logger.warning("no hashes of files are kept in %s (%s): files are read each time", folder, reason)
 
 
-def _file_states(folder: Path, names: Sequence[str]) -> dict[str, str]:
+def _look_at(folder: Path, names: Sequence[str]) -> dict[str, Entry]:
     """Return the state of each file by its name; raises BadInput if there is none."""
     start = os.path.join(folder, "")  # noqa: PTH118 - a Path for each file takes longer than the look
     try:
-        return {name: _file_state(os.stat(start + name)) for name in names}  # noqa: PTH116
+        return {name: _state(os.stat(start + name)) for name in names}  # noqa: PTH116
     except OSError as error:
         raise _unreadable(error.filename, error) from error
 
 
-def _file_state(found: os.stat_result) -> str:
-    """Return the size of a file and its times of modification and of change, which nobody can set back."""
-    return f"{found.st_size} {found.st_mtime_ns} {found.st_ctime_ns}"
+def _state(found: os.stat_result) -> Entry:
+    return [found.st_size, found.st_mtime_ns, found.st_ctime_ns]
 
 
-def _read_file(folder: Path, name: str) -> str:
+def _read_file(path: Path) -> Entry:
     """Return the entry of a file; raises BadInput if it cannot be read, or changes meanwhile."""
-    path = folder / name
     try:
         with path.open("rb", buffering=0) as file:
-            before = _file_state(os.fstat(file.fileno()))
+            before = _state(os.fstat(file.fileno()))
             sha256 = hashlib.file_digest(file, "sha256").hexdigest()
-            after = _file_state(os.fstat(file.fileno()))
+            after = _state(os.fstat(file.fileno()))
     except OSError as error:
         raise _unreadable(path, error) from error
     if after != before:
         raise BadInput(f"{path} changes while it is read: wait until it is written, then run again")
-    return f"{before} {sha256}"
-
-
-def _report(total: int, done: int, read: int) -> None:
-    progress.report("hashing frames", (done + read) / total)
+    return [*before, sha256]
 
 
 def _unreadable(path: Path | str, error: OSError) -> BadInput:

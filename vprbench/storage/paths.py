@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import os
 import re
-import sys
 from array import array
 from collections.abc import Iterable, Iterator, Sequence
-from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any, overload
 
@@ -16,11 +14,10 @@ import numpy.typing as npt
 from natsort import natsort_keygen
 
 _DIGITS = re.compile("0*([0-9]+)")
-_FILE_SYSTEM = sys.getfilesystemencoding(), sys.getfilesystemencodeerrors()
 
 
 class Paths(Sequence[Path]):
-    """File paths, of which every folder is held once, and of each file its name and the number of its folder.
+    """File paths: each folder is held once, and of each file its name and the number of its folder.
 
     An integer index gives a path, a slice or an index array gives paths.
     """
@@ -34,47 +31,41 @@ class Paths(Sequence[Path]):
     @classmethod
     def of(cls, paths: Iterable[Path]) -> Paths:
         """Return these paths, in their order."""
-        if isinstance(paths, Paths):
-            return paths
-        paths = list(paths)
-        return cls.grouped([path.parent for path in paths], [path.name for path in paths])
-
-    @classmethod
-    def grouped(cls, parents: Sequence[Path], names: Sequence[str]) -> Paths:
-        """Return paths by the folder and the name of each."""
-        known: dict[Path, int] = {}
-        numbers = np.fromiter((known.setdefault(parent, len(known)) for parent in parents), np.int32, len(names))
-        return cls([*known], numbers, names)
+        return paths if isinstance(paths, Paths) else cls._grouped((path.parent, path.name) for path in paths)
 
     @classmethod
     def below(cls, top: Path, texts: Sequence[str]) -> Paths:
         """Return the paths `top / text`."""
-        folders: dict[Path, int] = {}
-        known: dict[str, int] = {}  # by their texts
-        numbers, names = array("i"), []
-        for text in texts:
+        known: dict[str, Path] = {}
+
+        def split(text: str) -> tuple[Path, str]:
             folder, _, name = text.rpartition("/")
-            number = known.get(folder)
-            if number is None or name in ("", "."):
-                whole = top / text
-                number, name = folders.setdefault(whole.parent, len(folders)), whole.name
-                if folder and os.sep == "/" and text.endswith(f"/{name}"):
-                    known[folder] = number
-            numbers.append(number)
-            names.append(name)
-        return cls([*folders], np.array(numbers, np.int32), names)
+            if os.sep != "/" or not folder or name in ("", "."):
+                return (top / text).parent, (top / text).name
+            if folder not in known:
+                known[folder] = top / folder
+            return known[folder], name
+
+        return cls._grouped(map(split, texts))
 
     @classmethod
     def joined(cls, parts: Iterable[Paths]) -> Paths:
         """Return the paths of all parts, one part after the other."""
-        parts = list(parts)
+        return cls._grouped(
+            (part.folders[number], name)
+            for part in parts
+            for number, name in zip(part.numbers.tolist(), part.names, strict=True)
+        )
+
+    @classmethod
+    def _grouped(cls, files: Iterable[tuple[Path, str]]) -> Paths:
+        """Return paths by the folder and the name of each."""
         known: dict[Path, int] = {}
-        places = [
-            np.array([known.setdefault(folder, len(known)) for folder in part.folders], np.int32) for part in parts
-        ]
-        numbers = [place[part.numbers] for place, part in zip(places, parts, strict=True)]
-        names = tuple(chain.from_iterable(part.names for part in parts))
-        return cls([*known], np.concatenate([np.empty(0, np.int32), *numbers]), names)
+        numbers, names = array("i"), []
+        for folder, name in files:
+            numbers.append(known.setdefault(folder, len(known)))
+            names.append(name)
+        return cls([*known], np.array(numbers, np.int32), names)
 
     def __len__(self) -> int:
         """Return the number of paths."""
@@ -90,28 +81,11 @@ class Paths(Sequence[Path]):
             return self.folders[int(self.numbers[index])] / self.names[index]
         return Paths(self.folders, self.numbers[index], chosen_names(self.names, index))
 
-    def absolute(self) -> Paths:
-        """Return the same paths from the root of the file system."""
-        return Paths.joined([Paths([folder.absolute() for folder in self.folders], self.numbers, self.names)])
-
-    def encoded(self, positions: npt.NDArray[np.int64]) -> list[bytes]:
-        """Return some of the paths as the file system is told them."""
-        prefixes = {
-            number: os.fsencode(self.folders[number] / "_")[:-1] for number in set(self.numbers[positions].tolist())
-        }
-        which = zip(self.numbers[positions].tolist(), positions.tolist(), strict=True)
-        return [prefixes[number] + self.names[at].encode(*_FILE_SYSTEM) for number, at in which]
-
-    def distinct(self) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-        """Return the positions of all different paths, sorted by folder and name, and where among them each path is."""
-        name = self.names.__getitem__
-        groups = sorted(self.in_folders(), key=lambda group: group[0])
-        order = np.fromiter(chain.from_iterable(sorted(group.tolist(), key=name) for _, group in groups), np.int64)
-        differs = np.fromiter((name(one) != name(next) for one, next in pairwise(order.tolist())), bool)
-        is_first = np.append(True, differs | (np.diff(self.numbers[order]) != 0))[: len(self)]
-        which = np.empty(len(self), np.int64)
-        which[order] = np.cumsum(is_first) - 1
-        return order[is_first], which
+    def distinct(self) -> Paths:
+        """Return each different path once, in the order of the first."""
+        files = zip(self.numbers.tolist(), self.names, strict=True)
+        numbers, names = zip(*dict.fromkeys(files), strict=True) if len(self) else ((), ())
+        return Paths(self.folders, np.array(numbers, np.int32), names)
 
     def in_folders(self) -> Iterator[tuple[Path, npt.NDArray[np.int64]]]:
         """Yield each folder that holds any of the files, and their positions, ascending; in order of the first."""

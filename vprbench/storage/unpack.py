@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import bz2
+import gzip
 import lzma
 import re
 import shutil
 import stat
 import struct
+import sys
 import tarfile
 import uuid
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from functools import partial
@@ -26,11 +30,7 @@ UNFINISHED = ".unpacking-"  # how the names of folders begin whose files are not
 _CHUNK = 1 << 20  # bytes read at once
 _HEADER_BYTES = 1 << 20  # of one member in a tar, far more than any honest header has
 _XZ_BYTES = 1 << 27  # of memory; a file that the strongest preset of xz made takes half of them
-_ZIP, _XZ = (b"PK\x03\x04", b"PK\x05\x06"), b"\xfd7zXZ\0"
-_LONG_HEADERS = (
-    *(tarfile.GNUTYPE_LONGNAME, tarfile.GNUTYPE_LONGLINK),
-    *(tarfile.XHDTYPE, tarfile.XGLTYPE, tarfile.SOLARIS_XHDTYPE),
-)
+_ZIP, _GZIP, _BZ2, _XZ = (b"PK\x03\x04", b"PK\x05\x06"), b"\x1f\x8b", b"BZh", b"\xfd7zXZ\0"
 _DAMAGE = (  # the errors by which the libraries report damage
     *(zipfile.BadZipFile, tarfile.TarError, zlib.error, lzma.LZMAError, struct.error),
     *(EOFError, ValueError, OverflowError, IndexError, RuntimeError),
@@ -114,7 +114,7 @@ def _fill(folder: Path, archive: Path, wanted: Wanted) -> int:
     stage = f"unpacking {archive.name}"
     report(stage, 0.0)
     plain = _Member(archive.name, "file", archive.stat().st_size, lambda: archive.open("rb"))
-    for n_seen, member in enumerate([plain] if wanted.plain else _members(archive), start=1):
+    for n_seen, member in enumerate([plain] if wanted.plain else _list_members(archive), start=1):
         if n_seen > wanted.most_files:
             raise BadInput(f"holds more than {wanted.most_files} files, the most expected")
         path = _place_of(member, wanted)
@@ -139,68 +139,62 @@ def _fill(folder: Path, archive: Path, wanted: Wanted) -> int:
     return n_files
 
 
-def _members(archive: Path) -> Iterator[_Member]:
-    with archive.open("rb") as file:
-        start = file.read(_HEADER_BYTES)
-    if start.startswith(_XZ):  # whose header may ask for gigabytes
-        lzma.LZMADecompressor(lzma.FORMAT_XZ, memlimit=_XZ_BYTES).decompress(start, 1)
-    return _members_of_zip(archive) if start.startswith(_ZIP) else _members_of_tar(archive)
+def _list_members(archive: Path) -> Iterator[_Member]:
+    with ExitStack() as stack:
+        file: IO[bytes] = stack.enter_context(archive.open("rb"))
+        start = file.read(_CHUNK)
+        file.seek(0)
+        if start.startswith(_ZIP):
+            yield from _list_zip(file)
+            return
+        if start.startswith(_GZIP):
+            file = cast(IO[bytes], stack.enter_context(gzip.open(file)))
+        elif start.startswith(_BZ2):
+            file = stack.enter_context(bz2.open(file))
+        elif start.startswith(_XZ):
+            lzma.LZMADecompressor(lzma.FORMAT_XZ, memlimit=_XZ_BYTES).decompress(start, 1)  # as its header asks for
+            file = stack.enter_context(lzma.open(file))
+        yield from _list_tar(file)
 
 
-def _members_of_zip(archive: Path) -> Iterator[_Member]:
-    with zipfile.ZipFile(archive) as opened:
+def _list_zip(file: IO[bytes]) -> Iterator[_Member]:
+    with zipfile.ZipFile(file) as opened:
         for info in opened.infolist():
-            yield _Member(info.orig_filename, _kind_in_zip(info), info.file_size, partial(opened.open, info))
+            mode = stat.S_IFMT(info.external_attr >> 16)  # 0 if the archive was not made under Unix
+            kind = "file" if mode in (0, stat.S_IFREG) else "no plain file"
+            if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+                kind = "compressed in a way that may fill the memory"  # zipfile bounds no other way
+            kind = "folder" if info.is_dir() else kind
+            yield _Member(info.orig_filename, kind, info.file_size, partial(opened.open, info))
 
 
-def _members_of_tar(archive: Path) -> Iterator[_Member]:
-    with tarfile.open(archive, tarinfo=_Header) as opened:
-        for info in opened:
+def _list_tar(file: IO[bytes]) -> Iterator[_Member]:
+    bounded = _BoundedHeaders(file)
+    with tarfile.open(fileobj=cast(IO[bytes], bounded), mode="r:") as opened:
+        while info := opened.next():
+            kind = "file" if info.isreg() and not info.issparse() else "no plain file"
             content = cast(Callable[[], IO[bytes]], partial(opened.extractfile, info))
-            yield _Member(info.name, _kind_in_tar(info), info.size, content)
-        while opened.fileobj and opened.fileobj.read(_CHUNK):  # gzip compares its checksum at the very end
+            bounded.left = sys.maxsize
+            yield _Member(info.name, "folder" if info.isdir() else kind, info.size, content)
+            bounded.left = _HEADER_BYTES
+        while file.read(_CHUNK):  # gzip compares its checksum at the very end
             pass
 
 
-def _kind_in_zip(info: zipfile.ZipInfo) -> str:
-    mode = stat.S_IFMT(info.external_attr >> 16)  # 0 if the archive was not made under Unix
-    if info.is_dir():
-        return "folder"
-    if info.flag_bits & 1:
-        return "encrypted"
-    if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-        return "compressed in a way that may fill the memory"  # zipfile bounds no other way
-    return "file" if mode in (0, stat.S_IFREG) else "no plain file"
+class _BoundedHeaders:
+    """A tar whose headers are read to 1 MiB: a name or a map of a sparse file may state gigabytes."""
 
+    def __init__(self, file: IO[bytes]) -> None:
+        self.tell, self.seek = file.tell, file.seek
+        self._file = file
+        self.left = _HEADER_BYTES  # bytes that may be read
 
-def _kind_in_tar(info: tarfile.TarInfo) -> str:
-    if info.isdir():
-        return "folder"
-    return "file" if info.isreg() and not info.issparse() else "no plain file"
-
-
-class _Header(tarfile.TarInfo):
-    """The header of a member: a damaged one is no end of the archive, and none fills the memory."""
-
-    @classmethod
-    def frombuf(cls, buf: bytes | bytearray, encoding: str, errors: str) -> _Header:
-        """Read 512 bytes; raises ReadError if they are neither a header nor the zeros that end an archive."""
-        try:
-            return super().frombuf(buf, encoding, errors)
-        except tarfile.EOFHeaderError:  # type: ignore[attr-defined]
-            raise
-        except tarfile.HeaderError as error:
-            raise tarfile.ReadError(f"it ends early: {error}") from error
-
-    def _proc_member(self, tar: tarfile.TarFile) -> Any:
-        if self.type in _LONG_HEADERS and self.size > _HEADER_BYTES:
+    def read(self, n_bytes: int) -> bytes:
+        """Read some bytes; raises ReadError if the header of a member takes more than 1 MiB."""
+        self.left -= n_bytes
+        if self.left < 0:
             raise tarfile.ReadError(f"a header takes more than {_HEADER_BYTES} bytes")
-        if self.type == tarfile.GNUTYPE_SPARSE:
-            self._proc_gnusparse_10()
-        return super()._proc_member(tar)  # type: ignore[misc]
-
-    def _proc_gnusparse_10(self, *_: Any) -> None:
-        raise tarfile.ReadError("it holds a sparse file, whose map may fill the memory")
+        return self._file.read(n_bytes)
 
 
 def _place_of(member: _Member, wanted: Wanted) -> Path | None:

@@ -9,7 +9,7 @@ from typing import Any
 
 import pandas as pd
 
-from vprbench.runs.machine import format_machine
+from vprbench.runs.machine import format_software
 from vprbench.storage.atomic import replace_text
 from vprbench.text import format_percent, format_signed_percent
 from vprbench.tuning.comparison import AGREE, SEEDS, Comparison, Repeated, Verdict
@@ -74,7 +74,7 @@ def format_report(found: Found) -> str:
         f"{_journey(found)}. This call tried {found.tried_now} settings in {found.minutes:.1f} minutes. "
         f"All trials lie in {found.folder}; the same command goes on there.",
         f"{here['processor']}, {found.jobs} processes of one thread on {here['cores']} cores, "
-        f"{here['memory_bytes'] / 1e9:.0f} GB, {here['platform']}. {format_machine({**here})[1]}",
+        f"{here['memory_bytes'] / 1e9:.0f} GB, {here['platform']}. {format_software(here)}",
     ]
     return "\n\n".join(parts) + "\n"
 

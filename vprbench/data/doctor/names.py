@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
 
-from vprbench.storage.decimal_names import decimals_in
+from vprbench.api.decimal_names import find_decimals
 from vprbench.storage.paths import natural_keys
 from vprbench.text import be, plural, some
 
@@ -96,7 +96,7 @@ def step_in_dictionary_order(names: Sequence[str], numbers: str | None = None) -
     first = next(as_wide, "")
     if all(name == first for name in as_wide) or any(one > two for one, two in pairwise(names)):
         return ""
-    decimals = decimals_in(names)
+    decimals = find_decimals(names)
     if decimals and "decimal" in (decimals.reading, numbers) and decimals.order == sorted(decimals.order):
         return ""
     for start in range(0, len(names), _AT_ONCE):

@@ -33,7 +33,7 @@ Share = Annotated[float, Field(strict=True, ge=0, le=1)]
 class Array:
     """An array's types, the names of its axes, and its lowest and highest value, a name standing for a length.
 
-    The validation context maps names to lengths; the first array that has an axis tells its length to the others.
+    The validation context maps names to lengths; the first array that has an axis sets its length for the others.
     """
 
     kinds: tuple[str, ...]
@@ -46,9 +46,9 @@ class Array:
         """Check an array by this, whatever its annotation says."""
         from pydantic_core import core_schema
 
-        return core_schema.with_info_plain_validator_function(self._checked)
+        return core_schema.with_info_plain_validator_function(self._check_array)
 
-    def _checked(self, array: Any, info: ValidationInfo) -> Any:
+    def _check_array(self, array: Any, info: ValidationInfo) -> Any:
         lengths: dict[str, int] = {} if info.context is None else info.context
         if not isinstance(array, np.ndarray) or array.dtype.name not in self.kinds:
             came = array.dtype if isinstance(array, np.ndarray) else type(array).__name__
@@ -76,11 +76,11 @@ class Fits:
         """Check a value by the model."""
         from pydantic_core import core_schema
 
-        def unchanged(value: Any, check: Callable[[Any], Any]) -> Any:
+        def check_value(value: Any, check: Callable[[Any], Any]) -> Any:
             check(value)
             return value
 
         as_it_is = core_schema.plain_serializer_function_ser_schema(lambda value: value)
         return core_schema.no_info_wrap_validator_function(
-            unchanged, handler.generate_schema(self.model), serialization=as_it_is
+            check_value, handler.generate_schema(self.model), serialization=as_it_is
         )
