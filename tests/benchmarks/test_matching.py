@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.distance import cdist
 
 from vprbench.api import Search
-from vprbench.api.hamming import in_blocks, packed, similarity
+from vprbench.api.hamming import packed, similarity
 from vprbench.api.search_indexes import faiss_module
 from vprbench.metrics.ranking import best_places
 
@@ -39,9 +39,9 @@ def test_bits(queries, measure, size):
     codes = packed(np.random.default_rng(0).integers(0, 2, (n + queries, bits)))
     library = faiss_module().IndexBinaryFlat(bits)
     library.add(codes[:n].view(np.uint8))
-    blocks, asked = in_blocks(codes[:n]), codes[n:]
+    references, asked = codes[:n], codes[n:]
     beside = {f"faiss.IndexBinaryFlat, best {BEST}": lambda: library.search(asked.view(np.uint8), BEST)}
-    measure(f"{queries} against {n:,} x {bits:,} bits", lambda: similarity(asked, blocks), queries, beside)
+    measure(f"{queries} against {n:,} x {bits:,} bits", lambda: similarity(asked, references), queries, beside)
 
 
 def test_images_by_absolute_differences(measure, size, route, build):

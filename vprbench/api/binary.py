@@ -7,30 +7,26 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
-import numpy.typing as npt
 
 from vprbench.api.arithmetic import takes
 from vprbench.api.arrays import Places, Scores
 from vprbench.api.descriptor import best_image_of_place, encoded_blocks
+from vprbench.api.hamming import Words, similarity
 from vprbench.api.method import Method, require_codes
 from vprbench.errors import BadInput, NotFittedError
 
 if TYPE_CHECKING:
     from vprbench.api.images import Images
 
-Words = npt.NDArray[np.uint64]  # (n_images, n_words)
-
 
 class BinaryMap:
     """The bits of a map's references."""
 
     def __init__(self, codes: Words, places: Places) -> None:
-        """Rearrange a copy of the codes, (n_references, n_words), with the place of each.
+        """Keep the codes, (n_references, n_words), with the place of each.
 
         Raises BadInput for anything but words of one image or more.
         """
-        from vprbench.api.hamming import in_blocks  # here, for it needs PyTorch
-
         if codes.dtype != np.uint64 or codes.ndim != 2 or places.shape != (len(codes),) or not codes.size:
             raise BadInput(
                 f"references of {codes.dtype} {codes.shape} came with places {places.shape}: wanted uint64 "
@@ -38,7 +34,7 @@ class BinaryMap:
             )
         self._n_references, self._n_words = map(int, codes.shape)
         self._places = places
-        self._blocks = in_blocks(codes)
+        self._references = np.ascontiguousarray(codes)
 
     @property
     def bytes_per_place(self) -> int:
@@ -50,14 +46,12 @@ class BinaryMap:
 
         Raises ValueError for codes that are not words, or not as many as the references have.
         """
-        from vprbench.api.hamming import similarity
-
         if codes.dtype != np.uint64 or codes.ndim != 2 or codes.shape[1] != self._n_words:
             raise ValueError(
                 f"codes of {codes.dtype} {codes.shape} came; this map compares uint64 (n_queries, {self._n_words})"
             )
         takes(single=3 * len(codes) * self._n_references * self._n_words, kind="int64")  # differ, count, add
-        return best_image_of_place(similarity(codes, self._blocks)[:, : self._n_references], self._places)
+        return best_image_of_place(similarity(codes, self._references), self._places)
 
 
 @dataclass(kw_only=True, eq=False)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from vprbench.api.hamming import packed, similarity
 from vprbench.api.nearest import Compared, Numbers, Vectors, find_best, parts, rows_together
 from vprbench.api.search_indexes import (
     TRAINED_PER_CENTROID,
@@ -41,8 +42,6 @@ class _Binary(Retrieving):
         self._thresholds: Vectors = np.median(sample(references, _SAMPLED // references.shape[1]), axis=0)
 
     def _bits(self, vectors: Vectors) -> npt.NDArray[np.uint64]:
-        from vprbench.api.hamming import packed  # here, for it needs PyTorch
-
         return packed(vectors > self._thresholds)
 
     def _similarity(self, differing: npt.NDArray[Any]) -> Vectors:
@@ -50,18 +49,16 @@ class _Binary(Retrieving):
 
 
 class Bits(_Binary):
-    """All images compared, by this project's own kernel: faster than faiss.IndexBinaryFlat."""
+    """All images compared: faiss's distances, all of them, faster than its IndexBinaryFlat."""
 
     def __init__(self, references: Vectors) -> None:
         """Keep the bits of the references, read part by part."""
-        from vprbench.api.hamming import in_blocks
-
         super().__init__(references)
         self._n_images, n_dimensions = references.shape
-        self._blocks = np.empty((-(-self._n_images // 8), -(-n_dimensions // 64), 8), np.uint64)
-        for rows in parts(self._n_images, -(-rows_together(references) // 8) * 8):
-            self._blocks[rows.start // 8 : -(-rows.stop // 8)] = in_blocks(self._bits(references[rows]))
-        self.n_bytes = self._blocks.nbytes + self._thresholds.nbytes
+        self._words = np.empty((self._n_images, -(-n_dimensions // 64)), np.uint64)
+        for rows in parts(self._n_images, rows_together(references)):
+            self._words[rows] = self._bits(references[rows])
+        self.n_bytes = self._words.nbytes + self._thresholds.nbytes
 
     def retrieve(self, codes: Vectors, n: int) -> tuple[Vectors, Numbers]:
         """Return similarities and images, (n_queries, n) each, best first; of equals the lower image."""
@@ -69,10 +66,7 @@ class Bits(_Binary):
         return np.where(best.places >= 0, self._similarity(-best.similarity), -np.inf), best.places
 
     def _compared(self, bits: npt.NDArray[np.uint64], first: int, last: int) -> Vectors:
-        """Return minus the differing bits; `first` is a multiple of 8."""
-        from vprbench.api.hamming import similarity
-
-        return similarity(bits, self._blocks[first // 8 : -(-last // 8)])[:, : last - first]
+        return similarity(bits, self._words[first:last])
 
 
 class BitGraph(_Binary):
