@@ -8,7 +8,10 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.api import BadInput, BinaryMethod, GaborBank, Images, OrientedEdges, packed
+from vprbench.api import BadInput, BinaryMethod, Images, packed
+
+from .parts.filters.gabor import GaborBank
+from .parts.filters.oriented import OrientedEdges
 
 Within = Literal["map", "cell"]
 

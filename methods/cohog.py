@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Self
 
@@ -14,13 +14,13 @@ import torch
 
 from vprbench.api import BadInput, Image, Images, Method, NotFittedError, Places, Scores, best_image_of_place, takes
 
-from .parts.best_cosine import TILE, Regions, Tiles, from_tiles, in_tiles, mean_best_cosine, mean_best_cosine_in_tiles
 from .parts.stored import State, require_map
 
 Grey = npt.NDArray[np.uint8]  # (height, width)
 
 _ENTROPY_BITS = 8  # of a pixel of 256 levels, which the entropy is given in shares of
 _GRADIENT_UNITS = 2.0**24  # of the brightest pixel
+_PRODUCT_BYTES = 8 << 20  # of the cosines that are held at a time, so that they stay in a cache
 
 
 @dataclass
@@ -47,11 +47,14 @@ class CoHOG(Method):
     conformance_arguments: ClassVar[Mapping[str, Any]] = {"size": 128, "entropy_size": 40}
     query_arguments: ClassVar[frozenset[str]] = frozenset({"entropy_size", "entropy_radius", "entropy_threshold"})
 
-    _references: Tiles | torch.Tensor | None = field(default=None, init=False, repr=False, compare=False)
+    _references: torch.Tensor | None = field(default=None, init=False, repr=False, compare=False)
 
     def fit(self, references: Images, places: Places) -> Self:
         """Keep the regions of the references; their goodness does not count."""
-        self._keep(len(references), (self._describe(self._grey(image)) for image in references))
+        regions = np.empty((len(references), *self._region_shape()), np.float32)
+        for own, image in zip(regions, references, strict=True):
+            own[:] = self._describe(self._grey(image))
+        self._references = torch.from_numpy(regions).to(self.device)
         self._places = places.copy()
         return self
 
@@ -75,11 +78,7 @@ class CoHOG(Method):
         similarity = np.zeros((len(codes), len(self._references)), np.float32)
         for code, own in zip(codes, similarity, strict=True):
             good = code[code[:, -1] > 0, :-1]
-            if not len(good):
-                continue
-            if isinstance(self._references, np.ndarray):
-                own[:] = mean_best_cosine_in_tiles(good, self._references)
-            else:
+            if len(good):
                 own[:] = mean_best_cosine(torch.from_numpy(good).to(self.device), self._references).cpu().numpy()
         return best_image_of_place(similarity, self._places)
 
@@ -87,9 +86,7 @@ class CoHOG(Method):
         """Return the regions of the references and their places."""
         if self._references is None:
             raise NotFittedError("CoHOG has no map yet: call fit(references, places) first")
-        if isinstance(self._references, torch.Tensor):
-            return {"references": self._references.cpu().numpy(), "places": self._places}
-        return {"references": from_tiles(self._references, self._region_shape()[0]), "places": self._places}
+        return {"references": self._references.cpu().numpy(), "places": self._places}
 
     def restore(self, state: State) -> Self:
         """Take over stored regions and their places."""
@@ -97,19 +94,9 @@ class CoHOG(Method):
         n_references = np.size(state.get("places", ()))
         shape = (n_references, *self._region_shape())
         require_map(state, {"references": (np.float32, shape), "places": (np.int64, (n_references,))})
-        self._keep(n_references, state["references"])
+        self._references = torch.from_numpy(state["references"].copy()).to(self.device)
         self._places = state["places"].copy()
         return self
-
-    def _keep(self, n_references: int, regions: Iterable[Regions]) -> None:
-        """Keep the regions of each reference in the layout of the device; one copy of them all."""
-        on_cpu = torch.device(self.device).type == "cpu"
-        n_regions, n_dimensions = self._region_shape()
-        shape = (-(-n_regions // TILE), n_dimensions, TILE) if on_cpu else (n_regions, n_dimensions)
-        kept = np.empty((n_references, *shape), np.float32)
-        for number, own in enumerate(regions):
-            kept[number] = in_tiles(own) if on_cpu else own
-        self._references = kept if on_cpu else torch.from_numpy(kept).to(self.device)
 
     def _grey(self, image: Image) -> Grey:
         return _resized(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), self.size).astype(np.uint8, copy=False)
@@ -146,6 +133,16 @@ class CoHOG(Method):
             )
         along = self.size // self.cell - self.region_cells + 1
         return along**2, self.region_cells**2 * self.bins
+
+
+def mean_best_cosine(query: torch.Tensor, references: torch.Tensor) -> torch.Tensor:
+    """Return for each reference (n_references, n_regions, d) the mean over the query's regions (n, d) of the best dot.
+
+    The references are taken in blocks, so that memory stays bounded.
+    """
+    takes(float(len(query)) * references.numel())
+    block = max(1, _PRODUCT_BYTES // (4 * references.shape[1] * len(query)))
+    return torch.cat([(own @ query.T).amax(1).mean(1) for own in torch.split(references, block)])
 
 
 def gradient_histograms(grey: Grey, cell: int, bins: int, sobel: int) -> npt.NDArray[np.float64]:

@@ -10,18 +10,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy import sparse
 
-from vprbench.api import (
-    BadInput,
-    Images,
-    Method,
-    NotFittedError,
-    PatchNormalisation,
-    Places,
-    Scores,
-    Variant,
-    best_image_of_place,
-    takes,
-)
+from vprbench.api import BadInput, Images, Method, NotFittedError, Places, Scores, best_image_of_place, takes
+
+from .parts.filters.patches import PatchNormalisation, Variant
 
 Winners = npt.NDArray[np.int32]  # (n_images, winners): numbers of units, ascending; -1 where fewer units fire
 

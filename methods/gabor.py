@@ -7,7 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.api import DescriptorMethod, GaborBank, Images
+from vprbench.api import DescriptorMethod, Images
+
+from .parts.filters.gabor import GaborBank
 
 
 @dataclass

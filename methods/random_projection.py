@@ -9,8 +9,9 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.api import BadInput, DescriptorMethod, Images, PatchNormalisation, Variant, takes
+from vprbench.api import BadInput, DescriptorMethod, Images, takes
 
+from .parts.filters.patches import PatchNormalisation, Variant
 from .parts.pixels import MEAN_LEVEL
 from .parts.vectors import unit
 

@@ -8,7 +8,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.api import BadInput, Images, PatchNormalisation
+from vprbench.api import BadInput, Images
+
+from .filters.patches import PatchNormalisation
 
 MEAN_LEVEL = 127  # of a patch-normalised pixel: its window's mean
 

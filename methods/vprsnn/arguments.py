@@ -9,7 +9,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from vprbench.api import BadInput, Variant
+from vprbench.api import BadInput
+
+from ..parts.filters.patches import Variant
 
 # More than 0, as all time constants
 _POSITIVE = {"places_per_module", "n_excitatory", "epochs", "recorded_presentations", "levels_per_hz"}

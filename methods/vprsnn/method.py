@@ -12,18 +12,9 @@ from typing import Any, ClassVar, Self
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.api import (
-    BadInput,
-    HeldOut,
-    Images,
-    LayerSpikes,
-    Method,
-    NotFittedError,
-    PatchNormalisation,
-    Places,
-    Scores,
-)
+from vprbench.api import BadInput, HeldOut, Images, LayerSpikes, Method, NotFittedError, Places, Scores
 
+from ..parts.filters.patches import PatchNormalisation
 from . import published, scoring
 from .arguments import Arguments
 from .checkpoints import Checkpoints

@@ -6,8 +6,11 @@ import math
 from dataclasses import dataclass, fields, replace
 from typing import Literal
 
-from vprbench.api import Adapt, BadInput, GaborBank, OrientedEdges, PatchNormalisation, Variant
+from vprbench.api import Adapt, BadInput
 
+from ..parts.filters.gabor import GaborBank
+from ..parts.filters.oriented import OrientedEdges
+from ..parts.filters.patches import PatchNormalisation, Variant
 from .encoding import Encoder, Patches
 from .rules import RULES, FeatureRule, OutputRule, QueryRule, Rules, RuleSet, ThresholdRule
 
@@ -67,13 +70,12 @@ class Arguments:
 
     def encoder(self) -> Encoder:
         """Return what makes input spikes of frames; raises BadInput for sizes under which there are none."""
-        engine = self.engine or "fused"
         if self.encoding == "oriented":
             cells = (self.rows, self.columns, self.orientations)
-            return OrientedEdges(self.height, self.width, *cells, power=self.contrast_power, engine=engine)
+            return OrientedEdges(self.height, self.width, *cells, power=self.contrast_power)
         if self.encoding == "gabor":
-            return GaborBank(self.height, self.width, self.patch, engine=engine)
-        return Patches(PatchNormalisation(self.preprocessing, self.height, self.width, self.patch, engine))
+            return GaborBank(self.height, self.width, self.patch)
+        return Patches(PatchNormalisation(self.preprocessing, self.height, self.width, self.patch))
 
     def chosen_rules(self) -> Rules:
         """Return the rules, single choices replaced by arguments; raises BadInput if two exclude each other."""

@@ -8,8 +8,9 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.api import Images, PatchNormalisation
+from vprbench.api import Images
 
+from ..parts.filters.patches import PatchNormalisation
 from .compiled import compiled
 
 _SPREADS = 6.0  # of an image's values between the amplitudes 0 and 1

@@ -181,7 +181,7 @@ def test_each_name_is_there_and_an_unknown_name_raises():
 
 
 def test_what_needs_no_torch_does_not_wait_for_it():
-    with_torch = {"GaborBank", "NeuralDescriptor", "OrientedEdges", "PatchNormalisation", "Variant", "packed"}
+    with_torch = {"NeuralDescriptor", "encode_blocks", "in_shares"}
     free = sorted({*api.__all__} - with_torch - {"Interpolation", "Resize"})
     code = f"""
 import sys, vprbench.api as api

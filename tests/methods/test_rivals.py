@@ -5,13 +5,14 @@ import pytest
 from described_images import drawn_images
 from preprocess_frames import smooth_frame
 
-from vprbench.api import BadInput, GaborBank
+from vprbench.api import BadInput
 from vprbench.api.images import Images
-from vprbench.api.oriented import OrientedEdges
 from vprbench.methods.binary import GaborBinary, OrientedBinary, strongest
 from vprbench.methods.flyhash import FlyHash
 from vprbench.methods.gabor import Gabor
 from vprbench.methods.hyperdimensional import HyperDimensional
+from vprbench.methods.parts.filters.gabor import GaborBank
+from vprbench.methods.parts.filters.oriented import OrientedEdges
 from vprbench.methods.random_projection import RandomProjection
 from vprbench.methods.sad import SAD
 

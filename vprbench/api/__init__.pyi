@@ -33,7 +33,6 @@ from .events import event_frames as event_frames
 from .events import hot_pixels as hot_pixels
 from .frame_cache import cached_frames as cached_frames
 from .frame_cache import frames_kept as frames_kept
-from .gabor import GaborBank as GaborBank
 from .hamming import packed as packed
 from .heads import open_image as open_image
 from .images import Images as Images
@@ -45,7 +44,6 @@ from .method import Method as Method
 from .neural import Interpolation as Interpolation
 from .neural import NeuralDescriptor as NeuralDescriptor
 from .neural import Resize as Resize
-from .oriented import OrientedEdges as OrientedEdges
 from .other_rooms import BadInput as BadInput
 from .other_rooms import MatFileError as MatFileError
 from .other_rooms import NotFittedError as NotFittedError
@@ -59,11 +57,11 @@ from .other_rooms import natural_keys as natural_keys
 from .other_rooms import progress as progress
 from .other_rooms import read_mat as read_mat
 from .other_rooms import replace_bytes as replace_bytes
-from .preprocess import PatchNormalisation as PatchNormalisation
-from .preprocess import Variant as Variant
 from .search import Audit as Audit
 from .search import Search as Search
 from .search_indexes import faiss_module as faiss_module
+from .threads import encode_blocks as encode_blocks
+from .threads import in_shares as in_shares
 from .weight_files import read_tensor as read_tensor
 from .weight_files import read_weights as read_weights
 from .weight_files import state_dict as state_dict

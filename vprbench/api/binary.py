@@ -7,18 +7,16 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
-import numpy.typing as npt
 
 from vprbench.api.arithmetic import takes
 from vprbench.api.arrays import Places, Scores
 from vprbench.api.descriptor import best_image_of_place, encoded_blocks
+from vprbench.api.hamming import Words, similarity
 from vprbench.api.method import Method, require_codes
 from vprbench.errors import BadInput, NotFittedError
 
 if TYPE_CHECKING:
     from vprbench.api.images import Images
-
-Words = npt.NDArray[np.uint64]  # (n_images, n_words)
 
 
 class BinaryMap:
@@ -47,8 +45,6 @@ class BinaryMap:
 
         Raises ValueError for codes that are not words, or not as many as the references have.
         """
-        from vprbench.api.hamming import similarity  # here, for it needs PyTorch
-
         n_words = self._codes.shape[1]
         if codes.dtype != np.uint64 or codes.ndim != 2 or codes.shape[1] != n_words:
             raise ValueError(

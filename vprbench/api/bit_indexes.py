@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from vprbench.api.hamming import packed, similarity
 from vprbench.api.nearest import Compared, Numbers, Vectors, find_best, parts, rows_together
 from vprbench.api.search_indexes import (
     TRAINED_PER_CENTROID,
@@ -41,8 +42,6 @@ class _Binary(Retrieving):
         self._thresholds: Vectors = np.median(sample(references, _SAMPLED // references.shape[1]), axis=0)
 
     def _bits(self, vectors: Vectors) -> npt.NDArray[np.uint64]:
-        from vprbench.api.hamming import packed  # here, for it needs PyTorch
-
         return packed(vectors > self._thresholds)
 
     def _similarity(self, differing: npt.NDArray[Any]) -> Vectors:
@@ -69,8 +68,6 @@ class Bits(_Binary):
 
     def _compare(self, bits: npt.NDArray[np.uint64], first: int, last: int) -> Vectors:
         """Return minus the differing bits, (n_queries, last - first)."""
-        from vprbench.api.hamming import similarity
-
         return similarity(bits, self._codes[first:last])
 
 

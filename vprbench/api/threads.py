@@ -39,13 +39,12 @@ def encode_blocks(
     images: Images,
     codes: npt.NDArray[Any],
     encode: Callable[[Sequence[Image], npt.NDArray[Any]], None],
-    threaded: bool,
 ) -> None:
     """Fill `codes` (n_images, ...) by `encode(images, codes)`, a block of images after the other, read in order.
 
-    If `threaded`, all threads that PyTorch may use encode: the one that reads does so if the others are busy.
+    All threads that PyTorch may use encode: the one that reads does so if the others are busy.
     """
-    threads = torch.get_num_threads() if threaded and len(images) >= _FEWEST else 1
+    threads = torch.get_num_threads() if len(images) >= _FEWEST else 1
     size, n_bytes = min(_BLOCK, -(-len(images) // threads)), _BLOCKS_BYTES // (threads + 1)  # one is being gathered
     if threads == 1:
         for start, block in _blocks(images, size, n_bytes):

@@ -17,7 +17,7 @@ from pydantic import ConfigDict, Field, with_config
 from vprbench import progress
 from vprbench.api.images import Images
 from vprbench.api.method import batch_size_for, require_codes
-from vprbench.metrics.bounds import INTEGERS, NUMBERS, Array, Count, Flag, Positive
+from vprbench.metrics.bounds import INTEGERS, NUMBERS, Array, Count, Flag, Number, Positive
 from vprbench.runs.scorers import Answer, Scorer, best_place
 from vprbench.runs.timing_protocol import Protocol as Protocol  # callers ask the stopwatch
 

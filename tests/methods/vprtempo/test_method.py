@@ -11,13 +11,12 @@ import yaml
 from checkout import ROOT
 from tempo_networks import QUERIES, REFERENCES, RULE_SETS, SMALL, WORLD, fitted
 
-from vprbench.api.gabor import GaborBank
 from vprbench.api.images import Images
-from vprbench.api.oriented import OrientedEdges
-from vprbench.api.preprocess import PatchNormalisation
 from vprbench.config import make_request
 from vprbench.errors import BadInput, NotFittedError, TrainingDivergedError
-from vprbench.methods.vprtempo.arguments import Encoding
+from vprbench.methods.parts.filters.gabor import GaborBank
+from vprbench.methods.parts.filters.oriented import OrientedEdges
+from vprbench.methods.parts.filters.patches import PatchNormalisation
 from vprbench.methods.vprtempo.encoding import spikes_of
 from vprbench.methods.vprtempo.ensemble import VPRTempoEnsemble
 from vprbench.methods.vprtempo.int8 import VPRTempoInt8
@@ -199,13 +198,6 @@ def test_input_spikes_are_the_codes_of_the_encoder():
     assert np.array_equal(oriented.encode(QUERIES), OrientedEdges(**sizes, power=0.5)(QUERIES))
     gabor = VPRTempo(encoding="gabor", height=20, width=24, patch=9)
     assert np.array_equal(gabor.encode(QUERIES), GaborBank(20, 24, 9)(QUERIES))
-
-
-@pytest.mark.parametrize("encoding", get_args(Encoding))
-def test_the_encoder_runs_by_the_engine_that_trains(encoding):
-    for engine, expected in (("fused", "fused"), ("readable", "readable"), (None, "fused")):
-        encoder = VPRTempo(encoding=encoding, engine=engine).encoder()
-        assert getattr(encoder, "levels", encoder).engine == expected
 
 
 @pytest.mark.parametrize(

@@ -104,7 +104,8 @@ def similarity(run: Run, name: str | None = None) -> Drawn:
 
 
 def _normalised(images: Sequence[Image]) -> list[Image]:
-    from vprbench.api.preprocess import PatchNormalisation  # brings PyTorch
+    # A plug-in of this project, which type checkers find as `methods`; it brings PyTorch.
+    from vprbench.methods.parts.filters.patches import PatchNormalisation  # type: ignore[import-not-found]
 
     levels = PatchNormalisation("C", _SIDE, _SIDE, _PATCH)(Images.from_arrays(images))
     return list(levels.reshape(-1, _SIDE, _SIDE))

@@ -1,6 +1,6 @@
-"""The compiled half of `preprocess`: taps of the resize, their blend and patch normalisation, an image at a time.
+"""The compiled half of `patches`: taps of the resize, their blend and patch normalisation, an image at a time.
 
-The float32 operations and their order are those of PyTorch, which the readable version calls: in windows that are
+The float32 operations and their order are those of PyTorch, which the public code calls: in windows that are
 flat but for rounding noise the noise decides the level, and methods of this kind see it.
 """
 
@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import types
 
-from vprbench.api.compiling import compiled
+from vprbench.api import compiled
 
 _NEARLY_FLAT = np.float32(1e-4)  # deviation over mean, below which a window is looked at for being constant
 _CASCADE = 16  # terms that PyTorch adds up before it adds them to its sum

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import types
 
-from vprbench.api.compiling import compiled
+from vprbench.api import compiled
 
 _FRAMES = types.Array(types.uint8, 3, "C", readonly=True)
 _MAPS, _TAPS = types.float32[:, :, :, ::1], types.Array(types.float32, 3, "C", readonly=True)

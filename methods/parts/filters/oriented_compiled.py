@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import types
 
-from vprbench.api.compiling import compiled
+from vprbench.api import compiled
 
 _IMAGE = types.Array(types.uint8, 3, "C", readonly=True)
 _EIGHTH = np.float32(np.tan(np.pi / 8))

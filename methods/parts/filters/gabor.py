@@ -12,14 +12,11 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 import torch
-from torch.nn import functional
 
-from vprbench.api import gabor_compiled
-from vprbench.api.arithmetic import takes
-from vprbench.api.images import Images
-from vprbench.api.preprocess import Engine, PatchNormalisation
-from vprbench.api.threads import in_shares
-from vprbench.errors import BadInput
+from vprbench.api import BadInput, Images, in_shares, takes
+
+from . import gabor_compiled
+from .patches import PatchNormalisation
 
 SIZE = 5  # pixels, of a filter
 POOL = 2  # pixels, of a cell
@@ -56,7 +53,7 @@ class GaborBank:
     A frame is patch-normalised (variant C), filtered, and the strongest response of each filter in 2x2 pixels is kept,
     with its sign. A code is what of it exceeds the filter's threshold (none: 0), divided by the root of the responses'
     energy, averaged over `block` x `block` cells (borders reflected), plus `epsilon`, times 4.
-    The fused engine is compiled and takes all threads that PyTorch may use; the readable one is what it is judged by.
+    All threads that PyTorch may use share the frames.
     Filters as in lrp-666/VPRTempo (30635ee), `B5`, but for its shorter wavelength of 2 pixels, under which a sine is
     rounding noise; the normalisation is this project's. Raises BadInput for sizes under which there is no code.
     """
@@ -67,7 +64,6 @@ class GaborBank:
     block: int = 5  # cells
     epsilon: float = 0.1  # in shares of the grey levels
     thresholds: tuple[float, ...] = ()  # one a filter, in shares of the grey levels
-    engine: Engine = "fused"
 
     def __post_init__(self) -> None:
         """Check the sizes."""
@@ -100,8 +96,7 @@ class GaborBank:
     def __call__(self, images: Images) -> npt.NDArray[np.float32]:
         """Return (n_images, rows * columns * 32): the filters of a cell side by side."""
         maps = self.responses(images)
-        normalise = self._normalise if self.engine == "fused" else self._normalise_readably
-        self._by(lambda own: normalise(maps[own]), len(images))
+        self._share(lambda own: self._normalise(maps[own]), len(images))
         return maps.reshape(len(images), self.n_inputs)
 
     def responses(self, images: Images) -> Maps:
@@ -110,8 +105,7 @@ class GaborBank:
         maps = np.empty((len(images), self.rows * self.columns, N_FILTERS), np.float32)
         filtered = len(images) * (self.height - SIZE + 1) * (self.width - SIZE + 1) * N_FILTERS
         takes(SIZE**2 * filtered + maps.size, filtered + 4 * maps.size)  # the largest of four; energies, divisions
-        respond = self._filter if self.engine == "fused" else self._filter_readably
-        self._by(lambda own: respond(levels[own], maps[own]), len(images))
+        self._share(lambda own: self._filter(levels[own], maps[own]), len(images))
         return maps
 
     def adapted(self, images: Images, rate_min: float = 0.2, rate_max: float = 0.9) -> Self:
@@ -125,32 +119,19 @@ class GaborBank:
         return replace(self, thresholds=tuple(thresholds))
 
     def _normalisation(self) -> PatchNormalisation:
-        return PatchNormalisation("C", self.height, self.width, self.patch, self.engine)
+        return PatchNormalisation("C", self.height, self.width, self.patch)
 
-    def _by(self, work: Callable[[slice], None], n: int) -> None:
-        in_shares(work, n, torch.get_num_threads() if self.engine == "fused" else 1)
+    def _share(self, work: Callable[[slice], None], n: int) -> None:
+        in_shares(work, n, torch.get_num_threads())
 
     def _filter(self, levels: npt.NDArray[np.uint8], maps: Maps) -> None:
         frames = levels.reshape(-1, self.height, self.width)
         gabor_compiled.filter_frames(frames, _MEAN_LEVEL, _taps(), maps.reshape(-1, self.rows, self.columns, N_FILTERS))
 
-    def _filter_readably(self, levels: npt.NDArray[np.uint8], maps: Maps) -> None:
-        frames = torch.from_numpy(levels.astype(np.float32) - _MEAN_LEVEL).reshape(-1, 1, self.height, self.width)
-        waves = functional.conv2d(frames / 255, torch.from_numpy(gabor_filters())[:, None])
-        maps[:] = functional.max_pool2d(waves, POOL).permute(0, 2, 3, 1).flatten(1, 2).numpy()
-
     def _normalise(self, maps: Maps) -> None:
         beside = [np.pad(np.arange(n), self.block // 2, mode="symmetric") for n in (self.rows, self.columns)]
         cells = maps.reshape(-1, self.rows, self.columns, N_FILTERS)
         gabor_compiled.normalise(cells, *beside, self.block, self.epsilon, self._thresholds(), _GAIN)
-
-    def _normalise_readably(self, maps: Maps) -> None:
-        energy = np.square(maps).sum(2).reshape(-1, self.rows, self.columns)
-        padding = self.block // 2
-        padded = np.pad(energy, ((0, 0), (padding, padding), (padding, padding)), mode="symmetric")
-        windows = np.lib.stride_tricks.sliding_window_view(padded, (self.block, self.block), axis=(1, 2))
-        spread = np.sqrt(windows.mean((3, 4))).reshape(len(maps), -1, 1) + self.epsilon
-        maps[:] = (_GAIN * (maps - self._thresholds()) / spread).clip(0, 1)
 
     def _thresholds(self) -> npt.NDArray[np.float32]:
         return np.array(self.thresholds or np.zeros(N_FILTERS), np.float32)

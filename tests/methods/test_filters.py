@@ -1,4 +1,4 @@
-"""Encoders of frames by hand, by a float64 oracle and by two engines: patch normalisation, Gabor filters, edges."""
+"""Filters of frames by hand, by a float64 oracle and by readable twins: patch normalisation, Gabor filters, edges."""
 
 import itertools
 import math
@@ -6,14 +6,15 @@ import math
 import numpy as np
 import preprocess_oracle as oracle
 import pytest
+import readable_encoders as readable
 import torch
 from preprocess_frames import saturated_frame, smooth_frame
 
-from vprbench.api.gabor import GaborBank, gabor_filters
 from vprbench.api.images import Images
-from vprbench.api.oriented import OrientedEdges
-from vprbench.api.preprocess import PatchNormalisation
 from vprbench.errors import BadInput
+from vprbench.methods.parts.filters.gabor import GaborBank, gabor_filters
+from vprbench.methods.parts.filters.oriented import OrientedEdges
+from vprbench.methods.parts.filters.patches import PatchNormalisation
 
 VARIANTS = ("A", "B", "C")
 SIZES = [(28, 28), (32, 64), (90, 160), (20, 17), (53, 37), (1, 9)]
@@ -32,8 +33,8 @@ def test_a_constant_frame_is_127_everywhere(variant):
     colours = [(0, 0, 0), (1, 1, 1), (2, 2, 2), (100,) * 3, (255,) * 3, (10, 200, 30)]
     frames = [np.full((56, 56, 3), colour, np.uint8) for colour in colours]
     frames += [np.full((*size, 3), 7, np.uint8) for size in (*SIZES, (360, 640))]
-    for engine in ("fused", "readable"):
-        assert (preprocess(variant, *frames, engine=engine) == 127).all()
+    assert (preprocess(variant, *frames) == 127).all()
+    assert (readable.encode_patches(PatchNormalisation(variant), frames) == 127).all()
 
 
 BRIGHT = np.zeros((20, 20), np.uint8)
@@ -93,23 +94,20 @@ def structured(frames, patch, **arguments):
     return np.stack(found)
 
 
-def both_engines(frames, variant, **sizes):
-    """Levels of the fused and of the readable engine, as (n, height * width) of int."""
-    return [preprocess(variant, *frames, **sizes, engine=engine).astype(int) for engine in ("fused", "readable")]
-
-
 @pytest.mark.parametrize("variant", VARIANTS)
 @pytest.mark.parametrize("size", SIZES, ids=str)
-def test_engines_differ_by_at_most_one_level_outside_flat_windows(variant, size):
+def test_levels_are_those_of_the_readable_twin_but_for_one_outside_flat_windows(variant, size):
+    def compare(frames, **sizes):
+        found = preprocess(variant, *frames, **sizes).astype(int)
+        return np.abs(found - readable.encode_patches(PatchNormalisation(variant, **sizes), frames))
+
     frames = [smooth_frame(*size, seed) for seed in range(3)] + [saturated_frame(*size, seed) for seed in range(3)]
     frames.append(grey_frame((np.indices(size).sum(axis=0) % 2) * 2))  # its mean is 1
-    fused, readable = both_engines(frames, variant=variant)
-    away = np.abs(fused - readable)
+    away = compare(frames)
     assert away[structured(frames, 7, variant=variant)].max() <= 1
     assert (away > 1).mean() < 0.02  # in flat windows the rounding of the processor decides
     for height, width, patch in ((12, 40, 5), (56, 56, 15), (5, 4, 7), (1, 1, 3)):
-        fused, readable = both_engines([smooth_frame(90, 160)], variant, height=height, width=width, patch=patch)
-        assert np.abs(fused - readable).max() <= 1
+        assert compare([smooth_frame(90, 160)], height=height, width=width, patch=patch).max() <= 1
 
 
 ENCODERS = [*map(PatchNormalisation, "ABC"), GaborBank(), OrientedEdges()]
@@ -206,15 +204,15 @@ def test_the_filters_are_32_different_waves_and_adapted_thresholds_give_each_its
     np.testing.assert_allclose(active, np.linspace(0.2, 0.9, 32), atol=0.01)
 
 
-@pytest.mark.parametrize("engine", ["fused", "readable"])
 @pytest.mark.parametrize(("block", "epsilon"), [(1, 0.3), (3, 0.1), (7, 0.01)])
-def test_codes_are_those_of_the_formula_within_0_and_1(engine, block, epsilon):
+def test_codes_are_those_of_the_formula_within_0_and_1(block, epsilon):
     images = Images.from_arrays([*FRAMES[2:5], np.full((48, 64, 3), 97, np.uint8)])
     thresholds = np.linspace(0, 0.01, 32)
-    bank = GaborBank(10, 13, 5, block, epsilon, tuple(thresholds), engine=engine)
-    levels = PatchNormalisation("C", 10, 13, 5, engine)(images).reshape(4, 10, 13)
-    wanted = by_hand(levels.astype(float), block, epsilon, thresholds)
-    np.testing.assert_allclose(bank(images), np.clip(wanted, 0, 1), atol=2e-5)
+    bank = GaborBank(10, 13, 5, block, epsilon, tuple(thresholds))
+    levels = PatchNormalisation("C", 10, 13, 5)(images)
+    wanted = by_hand(levels.reshape(4, 10, 13).astype(float), block, epsilon, thresholds)
+    for found in (bank(images), readable.encode_gabor(bank, levels)):
+        np.testing.assert_allclose(found, np.clip(wanted, 0, 1), atol=2e-5)
     assert 0.05 < np.mean(np.clip(wanted, 0, 1) != wanted) < 0.95  # some are clipped
 
 
@@ -222,15 +220,17 @@ EDGE_SIZES = [(32, 64), (53, 37), (20, 17), (1, 9), (7, 1), (1, 1), (2, 9000), (
 
 
 def both(frames, **sizes):
-    """The codes of both engines."""
-    return [OrientedEdges(**sizes, engine=engine)(Images.from_arrays(frames)) for engine in ("fused", "readable")]
+    """The codes of the compiled filter and of its readable twin."""
+    edges = OrientedEdges(**sizes)
+    twins = [readable.encode_edges(edges, frame).ravel() for frame in frames]
+    return edges(Images.from_arrays(frames)), np.array(twins, np.float32)
 
 
 @pytest.mark.parametrize("size", EDGE_SIZES, ids=str)
-def test_both_engines_give_the_same_codes_and_zeros_for_one_level(size):
-    fused, readable = both([smooth_frame(*size, 4), saturated_frame(*size, 5)])
-    assert fused.dtype == readable.dtype == np.float32
-    assert np.abs(fused - readable).max() < 1e-6
+def test_edges_are_those_of_the_readable_twin_and_zeros_for_one_level(size):
+    found, twins = both([smooth_frame(*size, 4), saturated_frame(*size, 5)])
+    assert found.dtype == np.float32
+    assert np.abs(found - twins).max() < 1e-6
     flat = [np.full((*size, 3), level, np.uint8) for level in (0, 1, 77, 255)]
     flat.append(np.broadcast_to(np.uint8([10, 200, 30]), (*size, 3)))
     assert not np.any(both(flat))
@@ -241,11 +241,11 @@ def test_both_engines_give_the_same_codes_and_zeros_for_one_level(size):
     "sizes",
     [(33, 61, 8, 16, 8, 3, 16.0), (12, 40, 5, 7, 3, 5, 1.0), (5, 4, 8, 2, 2, 7, 0.1), (1, 30, 1, 5, 9, 1, 40.0)],
 )
-def test_both_engines_agree_on_any_sizes(sizes, power):
+def test_edges_of_any_sizes_are_those_of_the_readable_twin(sizes, power):
     names = ("height", "width", "rows", "columns", "orientations", "block", "epsilon")
-    fused, readable = both([smooth_frame(45, 70, 3)], **dict(zip(names, sizes, strict=True)), power=power)
-    assert fused.shape == (1, sizes[2] * sizes[3] * sizes[4])
-    assert np.abs(fused - readable).max() < (1e-6 if power == 1 else 1e-5)
+    found, twins = both([smooth_frame(45, 70, 3)], **dict(zip(names, sizes, strict=True)), power=power)
+    assert found.shape == (1, sizes[2] * sizes[3] * sizes[4])
+    assert np.abs(found - twins).max() < (1e-6 if power == 1 else 1e-5)
 
 
 @pytest.mark.parametrize("power", [1.0, 0.75])
