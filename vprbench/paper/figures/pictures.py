@@ -13,7 +13,7 @@ from vprbench.api.images import Images
 from vprbench.errors import BadInput
 from vprbench.metrics.ranking import PlacesPerQuery
 from vprbench.paper.figures.captions import describe_runs
-from vprbench.paper.figures.style import DOUBLE_MM, Drawn, new, styled
+from vprbench.paper.figures.style import DOUBLE_MM, Drawing, new_figure, use_style
 from vprbench.paper.selection import Series
 from vprbench.runs.record import Run
 from vprbench.runs.thumbnails import Thumbnails
@@ -28,8 +28,8 @@ _FLATTEST = 0.4  # shorter over longer side of one
 _MARGIN_MM = 12.0  # for titles and labels
 
 
-@styled
-def frames(thumbnails: Thumbnails, title: str) -> Drawn:
+@use_style
+def draw_frames(thumbnails: Thumbnails, title: str) -> Drawing:
     """Draw the kept examples, right place and query, as they are and patch-normalised (Figure 3A of the paper).
 
     `title` names the dataset. The right half is VPRTempo's input: 28 x 28 pixels, patches of 7 x 7 (its public code,
@@ -43,13 +43,13 @@ def frames(thumbnails: Thumbnails, title: str) -> Drawn:
     columns = {
         "Reference": references,
         "Query": queries,
-        "Reference,\nnormalised": _normalised(references),
-        "Query,\nnormalised": _normalised(queries),
+        "Reference,\nnormalised": _normalise_patches(references),
+        "Query,\nnormalised": _normalise_patches(queries),
     }
     widths = [max(_NARROWEST, *(image.shape[1] / image.shape[0] for image in images)) for images in columns.values()]
     height = min(_FRAME_MM, (DOUBLE_MM - _MARGIN_MM) / sum(widths))
     width = min(DOUBLE_MM, height * sum(widths) + 2 * _MARGIN_MM)
-    figure, axes = new(width, height * len(examples) + _MARGIN_MM, len(examples), len(columns))
+    figure, axes = new_figure(width, height * len(examples) + _MARGIN_MM, len(examples), len(columns))
     grid = axes[0].get_gridspec()
     assert grid is not None  # subplots always have one
     grid.set_width_ratios(widths)
@@ -68,11 +68,11 @@ def frames(thumbnails: Thumbnails, title: str) -> Drawn:
         f"gamma-corrected, {_SIDE} x {_SIDE} pixels, normalised in patches of {_PATCH} x {_PATCH}. "
         f"From top to bottom: {'; '.join(pairs)}."
     )
-    return Drawn(figure, caption)
+    return Drawing(figure, caption)
 
 
-@styled
-def similarity(run: Run, name: str | None = None) -> Drawn:
+@use_style
+def draw_similarity(run: Run, name: str | None = None) -> Drawing:
     """Draw the ground truth beside the scores of all places for all queries (Figure 3B of the paper).
 
     `name` is the row's, as in the table; without it the figure names the method. The scores of each query are
@@ -89,9 +89,9 @@ def similarity(run: Run, name: str | None = None) -> Drawn:
     block = -(-max(n_queries, n_places) // _MOST_CELLS)
     longest = _PANEL_MM / max(n_queries, n_places)
     height = max(n_queries * longest, _FLATTEST * _PANEL_MM)
-    figure, axes = new(DOUBLE_MM, height + _MARGIN_MM, columns=2)
+    figure, axes = new_figure(DOUBLE_MM, height + _MARGIN_MM, columns=2)
     _draw_matrix(axes[0], _block_maxima(_ground_truth(run.positives, n_places), block), block, run.scores.shape)
-    drawn = _draw_matrix(axes[1], _block_maxima(_stretched(run.scores), block), block, run.scores.shape)
+    drawn = _draw_matrix(axes[1], _block_maxima(_stretch_scores(run.scores), block), block, run.scores.shape)
     axes[0].set_title("Ground truth")
     axes[1].set_title(f"Similarity, {name}")
     figure.colorbar(drawn, ax=axes[1], label="Score within its query", ticks=[0, 0.5, 1], aspect=30)
@@ -100,10 +100,10 @@ def similarity(run: Run, name: str | None = None) -> Drawn:
         "places. Scores of each query run from 0, its worst place, to 1, its best. "
         f"{f'A cell is the maximum of {block} x {block} scores. ' if block > 1 else ''}"
     )
-    return Drawn(figure, caption + describe_runs([Series(name, False, (run,))], ""))
+    return Drawing(figure, caption + describe_runs([Series(name, False, (run,))], ""))
 
 
-def _normalised(images: Sequence[Image]) -> list[Image]:
+def _normalise_patches(images: Sequence[Image]) -> list[Image]:
     from vprbench.api.preprocess import PatchNormalisation  # brings PyTorch
 
     levels = PatchNormalisation("C", _SIDE, _SIDE, _PATCH)(Images.from_arrays(images))
@@ -118,7 +118,7 @@ def _ground_truth(positives: PlacesPerQuery, n_places: int) -> Scores:
     return truth
 
 
-def _stretched(scores: Scores) -> Scores:
+def _stretch_scores(scores: Scores) -> Scores:
     """Return scores from 0 to 1 within each query; 0 if a place is no candidate or all scores are alike."""
     candidate = scores > -np.inf
     best = scores.max(axis=1, keepdims=True)
