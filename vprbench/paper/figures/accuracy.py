@@ -167,8 +167,9 @@ def draw_metric(series: Sequence[Series], metric: Metric) -> Drawing:
     figure, (axes,) = new_figure(style.SINGLE_MM, 15 + 8 * len(known))
     for place, row in enumerate(known):
         look, found = looks[row.name], values[row.name]
-        axes.plot([min(found), max(found)], [place, place], color=look.colour)
-        axes.plot([mean(found)], [place], color=look.colour, marker=look.marker)
+        axes.plot(
+            [min(found), mean(found), max(found)], [place] * 3, color=look.colour, marker=look.marker, markevery=[1]
+        )
     axes.set(yticks=range(len(known)), yticklabels=[fill(row.name, _LETTERS) for row in known], xlabel=metric.head)
     axes.invert_yaxis()
     return Drawing(figure, f"{metric.explained} {describe_runs(known, 'mean, and a line from lowest to highest')}")

@@ -115,11 +115,11 @@ def _rows_of_growth(found: ReportData) -> list[Row]:
 
 def _collect_growth(found: ReportData, runs: Sequence[Run], growth: Sequence[ResolvedColumn]) -> list[GrowthSamples]:
     """Return the samples of each row of the growth that has runs."""
-    found_samples = []
-    for row in _rows_of_growth(found):
-        if there := [run for group in groups(runs, (), growth, [row]) for run in of_row(group, row, "cpu").runs]:
-            found_samples.append(samples(row, there))
-    return found_samples
+    rows = _rows_of_growth(found)
+    stored_runs = (
+        [run for group in groups(runs, (), growth, [row]) for run in of_row(group, row, "cpu").runs] for row in rows
+    )
+    return [samples(row, there) for row, there in zip(rows, stored_runs, strict=True) if there]
 
 
 def _list_speed(found: ReportData, runs: Sequence[Run], growth: Sequence[ResolvedColumn]) -> Iterator[FigureCall]:

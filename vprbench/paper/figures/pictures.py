@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.image import AxesImage
 
 from vprbench.api.arrays import Image, Scores
 from vprbench.api.images import Images
@@ -61,8 +59,8 @@ def draw_frames(thumbnails: Thumbnails, title: str) -> Drawing:
         axes[column].set_title(name)
     for panel, example in zip(axes[:: len(columns)], examples, strict=True):
         panel.set_ylabel(f"Place {example.place}\nquery {example.query}")
-    names = thumbnails.reference_names, thumbnails.query_names
-    pairs = [f"{names[0][example.place]} and {names[1][example.query]}" for example in examples]
+    places, asked = thumbnails.reference_names, thumbnails.query_names
+    pairs = [f"{places[example.place]} and {asked[example.query]}" for example in examples]
     caption = (
         f"Places of {title}, each with a query that shows it. Left: as stored. Right: VPRTempo's input, grey, "
         f"gamma-corrected, {_SIDE} x {_SIDE} pixels, normalised in patches of {_PATCH} x {_PATCH}. "
@@ -87,20 +85,33 @@ def draw_similarity(run: Run, name: str | None = None) -> Drawing:
     name = name or run.method
     n_queries, n_places = run.scores.shape
     block = -(-max(n_queries, n_places) // _MOST_CELLS)
-    longest = _PANEL_MM / max(n_queries, n_places)
-    height = max(n_queries * longest, _FLATTEST * _PANEL_MM)
-    figure, axes = new_figure(DOUBLE_MM, height + _MARGIN_MM, columns=2)
-    _draw_matrix(axes[0], _block_maxima(_ground_truth(run.positives, n_places), block), block, run.scores.shape)
-    drawn = _draw_matrix(axes[1], _block_maxima(_stretch_scores(run.scores), block), block, run.scores.shape)
-    axes[0].set_title("Ground truth")
-    axes[1].set_title(f"Similarity, {name}")
-    figure.colorbar(drawn, ax=axes[1], label="Score within its query", ticks=[0, 0.5, 1], aspect=30)
+    height = max(n_queries * _PANEL_MM / max(n_queries, n_places), _FLATTEST * _PANEL_MM)
+    flat = not _FLATTEST <= n_queries / n_places <= 1 / _FLATTEST
+    figure, panels = new_figure(DOUBLE_MM, height + _MARGIN_MM, columns=2)
+    matrices = _ground_truth(run.positives, n_places), _stretch_scores(run.scores)
+    for axes, matrix, heading in zip(panels, matrices, ("Ground truth", f"Similarity, {name}"), strict=True):
+        cells = _block_maxima(matrix, block)
+        bottom, right = (block * count - 0.5 for count in cells.shape)
+        image = axes.imshow(
+            cells,
+            cmap="gray_r",
+            vmin=0,
+            vmax=1,
+            interpolation="none",  # the cells themselves go into a PDF, whatever its resolution
+            extent=(-0.5, right, bottom, -0.5),  # ticks are numbers of queries and places
+            aspect="auto" if flat else "equal",
+        )
+        axes.set(xlabel="Place", ylabel="Query", xlim=(-0.5, n_places - 0.5), ylim=(n_queries - 0.5, -0.5))
+        axes.set_title(heading)
+        axes.spines[:].set_visible(True)
+    figure.colorbar(image, ax=panels[1], label="Score within its query", ticks=[0, 0.5, 1], aspect=30)
     caption = (
         f"Ground truth (left) and scores of {name}, seed {run.config['seed']} (right); rows are queries, columns are "
         "places. Scores of each query run from 0, its worst place, to 1, its best. "
         f"{f'A cell is the maximum of {block} x {block} scores. ' if block > 1 else ''}"
+        f"{describe_runs([Series(name, False, (run,))], '')}"
     )
-    return Drawing(figure, caption + describe_runs([Series(name, False, (run,))], ""))
+    return Drawing(figure, caption)
 
 
 def _normalise_patches(images: Sequence[Image]) -> list[Image]:
@@ -132,22 +143,3 @@ def _block_maxima(matrix: Scores, block: int) -> Scores:
     """Return the maximum of each block of `block` x `block` cells; those at the end may be smaller."""
     rows, columns = (np.arange(0, count, block) for count in matrix.shape)
     return np.maximum.reduceat(np.maximum.reduceat(matrix, rows, axis=0), columns, axis=1)
-
-
-def _draw_matrix(axes: Axes, cells: Scores, block: int, shape: tuple[int, ...]) -> AxesImage:
-    """Draw cells of `block` x `block` scores so that the ticks are numbers of queries and places."""
-    n_queries, n_places = shape
-    height, width = (block * count - 0.5 for count in cells.shape)
-    flat = not _FLATTEST <= n_queries / n_places <= 1 / _FLATTEST
-    image = axes.imshow(
-        cells,
-        cmap="gray_r",
-        vmin=0,
-        vmax=1,
-        interpolation="none",  # the cells themselves go into a PDF, whatever its resolution
-        extent=(-0.5, width, height, -0.5),
-        aspect="auto" if flat else "equal",
-    )
-    axes.set(xlabel="Place", ylabel="Query", xlim=(-0.5, n_places - 0.5), ylim=(n_queries - 0.5, -0.5))
-    axes.spines[:].set_visible(True)
-    return image

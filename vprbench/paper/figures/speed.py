@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from matplotlib.patheffects import withStroke
 
 from vprbench.errors import BadInput
 from vprbench.paper.figures import style
@@ -30,6 +31,13 @@ _ROOM = 5.0  # times the shortest and the longest bar, for the numbers beside th
 _PUBLISHED, _QUOTED = "//////", "......"  # hatches
 _WORDS: dict[str, Any] = {"color": style.GREY, "style": "italic", "fontsize": 7, "va": "center"}
 
+_READING = "with reading the images"
+_LINES: dict[str, Any] = {  # seen on a dark bar too
+    "color": "black",
+    "solid_capstyle": "butt",
+    "path_effects": [withStroke(linewidth=3, foreground="white")],
+}
+
 Marks = Mapping[tuple[str, str], str]  # the words of the table's cells, by row and quantity
 
 
@@ -47,6 +55,7 @@ class _Quantity(NamedTuple):
 
     name: str  # in the paper's table and in marks, before the device
     label: str
+    published: str  # the legend's text for the paper's bars
     unit: float  # of the paper's numbers
     measure: Callable[[Row, Sequence[Run], str], _Bar | str]  # a word where no run has the number
 
@@ -60,7 +69,7 @@ def draw_training_time(
     A bar is the time without waiting for images, a tick the wall time. `marks` stand in the place of missing bars.
     Raises BadInput if nothing is stored.
     """
-    quantity = _Quantity("train", "Training time (s)", 60.0, _measure_training)
+    quantity = _Quantity("train", "Training time (s)", "published", 60.0, _measure_training)
     quoted = ", ".join(row.name for row in rows if row.training == "pretrained")
     caption = join_facts(
         f"Training time on {column.title}. Bars: without waiting for images to be read; ticks and brackets: with it.",
@@ -80,7 +89,8 @@ def draw_query_rate(
     that was not timed counts as none.
     """
     cpu, gpu = split_timed(cpu)[0], split_timed(gpu)[0]
-    quantity = _Quantity("query", "Queries per second, encode and match", 1.0, _measure_rate)
+    label = "Queries per second, encode and match"
+    quantity = _Quantity("query", label, "published, of one step alone", 1.0, _measure_rate)
     steps = ", ".join(f"{row.name} {row.boundary}" for row in rows if row.boundary)
     caption = join_facts(
         f"Queries per second on {column.title}, one query from memory, encode and match: 1 / median.",
@@ -145,48 +155,46 @@ def _draw(
                 ends += [bar.low, bar.high, bar.wall]
             if number := published().get((row.name, column.published or ""), {}).get(name):
                 hatch = _QUOTED if quantity.name == "train" and row.training == "pretrained" else _PUBLISHED
-                _draw_published(axes, place + _BAR / 2, quantity.unit * number, looks[row.name], hatch)
-                ends.append(quantity.unit * number)
+                printed = quantity.unit * number
+                axes.barh(place + _BAR / 2, printed, _BAR, linewidth=0.8, **{**looks[row.name].of_bar, "hatch": hatch})
+                _write(axes, printed, place + _BAR / 2, format_three_digits(printed), style.GREY)
+                ends.append(printed)
         axes.set(xlabel=quantity.label, ylim=(len(rows) - 0.4, -0.6), title=device.upper())
         axes.set_yticks(range(len(rows)), [fill(row.name, _LETTERS) for row in rows] if axes is panels[0] else [])
         axes.tick_params(axis="y", length=0)
     for axes in panels:
         style.scale_log(axes, "x", ends or [1.0], _ROOM)
-    style.add_legend(figure, _list_keys(panels), column.title)
+    style.add_legend(figure, _list_keys(panels, quantity.published), column.title)
     return figure
 
 
 def _draw_measured(axes: Axes, place: float, bar: _Bar, look: Look) -> None:
     axes.barh(place, bar.value, _BAR, color=look.colour, edgecolor="black", linewidth=0.5)
-    lines = [([bar.low, bar.high], [place, place], 1.0)] if bar.low < bar.high else []
+    if bar.low < bar.high:
+        axes.plot([bar.low, bar.high], [place, place], linewidth=1.0, **_LINES)
     if bar.wall:
-        lines.append(([bar.wall] * 2, [place - _BAR / 2, place + _BAR / 2], 1.8))
-    for x, y, width in lines:
-        axes.plot(x, y, color="white", linewidth=width + 1.4, solid_capstyle="butt")  # to be seen on a dark bar
-        axes.plot(x, y, color="black", linewidth=width, solid_capstyle="butt", gid="wall" if x[0] == x[1] else None)
+        ends = [place - _BAR / 2, place + _BAR / 2]
+        axes.plot([bar.wall, bar.wall], ends, linewidth=1.8, label=_READING, **_LINES)
     text = format_three_digits(bar.value) + (f" ({format_three_digits(bar.wall)})" if bar.wall > bar.high else "")
     _write(axes, max(bar.wall, bar.high), place, text)
 
 
-def _draw_published(axes: Axes, place: float, number: float, look: Look, hatch: str) -> None:
-    axes.barh(place, number, _BAR, color="white", edgecolor=look.colour, hatch=hatch, linewidth=0.8)
-    _write(axes, number, place, format_three_digits(number), color=style.GREY)
+def _write(axes: Axes, x: float, y: float, text: str, colour: str = "black") -> None:
+    axes.annotate(text, (x, y), (4, 0), textcoords="offset points", va="center", fontsize=7, color=colour)
 
 
-def _write(axes: Axes, x: float, y: float, text: str, **looking: Any) -> None:
-    axes.annotate(text, (x, y), (4, 0), textcoords="offset points", va="center", fontsize=7, **looking)
-
-
-def _list_keys(panels: Sequence[Axes]) -> list[Patch | Line2D]:
+def _list_keys(panels: Sequence[Axes], published_label: str) -> list[Patch | Line2D]:
     """Return the keys of a legend: only of what is drawn."""
     hatches = {bar.get_hatch() for axes in panels for bar in axes.patches}
     keys: list[Patch | Line2D] = [
         Patch(facecolor="white" if hatch else style.GREY, edgecolor=style.GREY, hatch=hatch, label=label)
-        for hatch, label in ((None, "measured here"), (_PUBLISHED, "published"), (_QUOTED, "published, quoted there"))
+        for hatch, label in (
+            (None, "measured here"),
+            (_PUBLISHED, published_label),
+            (_QUOTED, "published, quoted there"),
+        )
         if hatch in hatches
     ]
-    if any(line.get_gid() for axes in panels for line in axes.lines):
-        mark = Line2D([], [], color="black", marker="|", linestyle="none", markersize=8, markeredgewidth=1.6)
-        mark.set_label("with reading the images")
-        keys.append(mark)
+    if any(line.get_label() == _READING for axes in panels for line in axes.lines):
+        keys.append(Line2D([], [], color="black", marker="|", linestyle="none", markersize=8, label=_READING))
     return keys

@@ -32,36 +32,7 @@ BAND_OPACITY = 0.15
 Dash = tuple[int, tuple[float, ...]]  # offset, then lengths of lines and gaps in line widths; () is a solid line
 Arguments = ParamSpec("Arguments")
 
-_SETTINGS: dict[str, Any] = {
-    "font.family": "sans-serif",
-    "font.sans-serif": ["DejaVu Sans"],  # comes with matplotlib: the same glyphs on every machine
-    "font.size": 8,
-    "axes.labelsize": 8,
-    "axes.titlesize": 8,
-    "axes.titlelocation": "left",
-    "xtick.labelsize": 7,
-    "ytick.labelsize": 7,
-    "legend.fontsize": 7,
-    "legend.frameon": False,
-    "legend.handlelength": 2.8,  # long enough for a whole dash
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.linewidth": 0.6,
-    "axes.axisbelow": True,
-    "xtick.major.width": 0.6,
-    "ytick.major.width": 0.6,
-    "xtick.minor.width": 0.4,
-    "ytick.minor.width": 0.4,
-    "grid.color": "#DDDDDD",
-    "grid.linewidth": 0.5,
-    "lines.linewidth": 1.2,
-    "lines.markersize": 4,
-    "errorbar.capsize": 2,
-    "hatch.linewidth": 0.6,
-    "image.cmap": "gray",
-    "pdf.fonttype": 42,  # TrueType: publishers refuse Type 3
-    "savefig.dpi": 300,
-}
+_SETTINGS = Path(__file__).with_name("figures.mplstyle")
 
 
 class NotebookFigure(Figure):
