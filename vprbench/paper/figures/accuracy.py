@@ -181,17 +181,17 @@ _MOST_BANDS = 3  # more would hide one another
 
 
 @use_style
-def draw_robustness(found: Robustness) -> Drawing:
+def draw_robustness(robustness: Robustness) -> Drawing:
     """Draw R@1 of each row from clean frames to the strongest corruption, of few rows with its 95 % interval."""
-    columns = min(_COLUMNS, len(found.kinds))
-    n_lines = ceil(len(found.kinds) / columns)
+    columns = min(_COLUMNS, len(robustness.kinds))
+    n_lines = ceil(len(robustness.kinds) / columns)
     figure, panels = new_figure(style.DOUBLE_MM * columns / _COLUMNS, _PANEL_ROW_MM * n_lines, n_lines, columns)
-    looks = choose_looks(row.name for row in found.clean)
-    bands = len(found.clean) <= _MOST_BANDS
-    highest = 10 * ceil(10 * max(found.points["high"]))
-    for axes, (kind, strengths) in zip(panels, found.kinds.items(), strict=False):
+    looks = choose_looks(row.name for row in robustness.clean)
+    bands = len(robustness.clean) <= _MOST_BANDS
+    highest = 10 * ceil(10 * max(robustness.points["high"]))
+    for axes, (kind, strengths) in zip(panels, robustness.kinds.items(), strict=False):
         for name, look in looks.items():
-            points = found.of(name, kind)
+            points = robustness.of(name, kind)
             shares = 100 * points[["recall_at_1", "low", "high"]].astype(float).to_numpy().T
             _draw_curve(axes, look, name, [*points["strength"]], *shares[: 3 if bands else 1])
         ticks = {0: "clean", **{each: KINDS[kind].short([each]) for each in strengths}}
@@ -200,14 +200,14 @@ def draw_robustness(found: Robustness) -> Drawing:
         axes.grid(True)
     for axes in panels[::columns]:
         axes.set_ylabel("Recall at 1 (%)")
-    for axes in panels[len(found.kinds) :]:
+    for axes in panels[len(robustness.kinds) :]:
         axes.set_visible(False)
     style.add_legend(figure, panels[0].get_legend_handles_labels()[0])
     caption = join_facts(
         "Recall at 1 over all queries against the strength of corruptions of the queries; references are clean.",
-        *(f"{kind.capitalize()}: queries {effect}." for kind, effect in found.words.items()),
+        *(f"{kind.capitalize()}: queries {effect}." for kind, effect in robustness.words.items()),
         f"Bands: {INTERVALS}." if bands else "",
-        describe_runs(found.clean, "means"),
+        describe_runs(robustness.clean, "means"),
     )
     return Drawing(figure, caption)
 
