@@ -24,9 +24,9 @@ from vprbench.paper.table.quantities import QUANTITIES, quantities
 from vprbench.runs.energy import count_synops, estimate_joules
 
 
-def unanswerable(outcome):
+def unanswerable(answers):
     """Return the share of queries without a right place, of which fewer are better."""
-    return 1 - float(outcome.answerable.mean())
+    return 1 - float(answers.outcome.answerable.mean())
 
 
 @pytest.fixture
