@@ -11,8 +11,9 @@ from figure_runs import series
 from matplotlib.colors import to_hex
 from stored_runs import answers
 
+from vprbench.errors import BadInput
 from vprbench.metrics.intervals import share_interval
-from vprbench.paper.figures.growth import draw_growth
+from vprbench.paper.figures.growth import draw_growing_map, draw_growth
 from vprbench.paper.figures.speed import draw_query_rate, draw_training_time
 from vprbench.paper.figures.tradeoff import draw_memory_tradeoff, draw_rate_tradeoff, find_front
 from vprbench.paper.growth import samples
@@ -255,3 +256,18 @@ def test_seeds_are_several_points_disturbed_sizes_hollow_and_the_bar_of_a_query_
     laps = np.sort(1e3 * run.timing.streaming.total_seconds)
     _, right = draw_growth([grown([run])]).figure.axes
     assert bar_ends(right) == approx((laps[40], laps[60]))
+
+
+def test_a_growing_map_has_the_recall_of_all_its_places_and_of_the_first_and_the_milliseconds_of_a_new_one():
+    stops = (
+        {"places": 2, "hits": [1.0, 0.0], "seconds": []},
+        {"places": 4, "hits": [1.0, 1.0, 1.0, 0.0], "seconds": [0.001, 0.002, 0.004]},
+    )
+    grown_map = series("SAD", figure_runs.run("sad", n_queries=4), figure_runs.run("sad", n_queries=4, stream=stops))
+    drawn = draw_growing_map([grown_map, method("GCL", 0.5)])
+    left, right = drawn.figure.axes
+    assert [line.get_xydata().tolist() for line in left.lines] == [[[2, 50], [4, 75]], [[2, 50], [4, 100]]]
+    assert [line.get_xydata().tolist() for line in right.lines] == [[[4, approx(2)]]]
+    assert legend(drawn) == ["SAD", "SAD, of the first 2"]
+    with pytest.raises(BadInput, match="stream=true"):
+        draw_growing_map([method("GCL", 0.5)])

@@ -80,14 +80,14 @@ def draw_growing_map(series: Sequence[Series]) -> Drawing:
     for name, look in choose_looks(grown).items():
         stops = list_stops(grown[name])
         places = [stop["places"] for stop in stops]
-        kind = look.of_points
-        for of, kind["linestyle"], label in (
-            ("_of_first", ":", f"{name}, of the first {places[0]:,}"),
-            ("", "-", name),
-        ):
-            shares = np.array([stop[f"recall_at_1{of}"] for stop in stops], np.float64)  # NaN where nothing was asked
-            left.plot(places, 100 * shares, label=label, **kind)
-        right.plot(places[1:], [_MS * stop["seconds_a_place"] for stop in stops[1:]], **kind)
+        of_all, of_first = (
+            100 * np.array([stop[recall] for stop in stops], np.float64)  # NaN where nothing was asked
+            for recall in ("recall_at_1", "recall_at_1_of_first")
+        )
+        left.plot(places, of_all, label=name, **{**look.of_points, "linestyle": "-"})
+        left.plot(places, of_first, label=f"{name}, of the first {places[0]:,}", **{**look.of_points, "linestyle": ":"})
+        seconds = [stop["seconds_a_place"] for stop in stops[1:]]
+        right.plot(places[1:], _MS * np.array(seconds), **{**look.of_points, "linestyle": "-"})
     left.set(xlabel="Places in the map", ylabel="Recall at 1 (%)", ylim=(0, 102))
     right.set(xlabel="Places in the map", ylabel="Time of a new place (ms)", yscale="log")
     style.add_legend(figure, left.get_legend_handles_labels()[0])
