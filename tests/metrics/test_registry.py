@@ -17,16 +17,16 @@ from vprbench.api.arithmetic import Arithmetic
 from vprbench.cli import main
 from vprbench.metrics.accuracy import average_precision, pr_curve_multi
 from vprbench.metrics.registry import METRICS, Metric
-from vprbench.paper.figures.accuracy import of_rows
+from vprbench.paper.figures.accuracy import draw_metric
 from vprbench.paper.selection import groups, series
 from vprbench.paper.table import formats
 from vprbench.paper.table.quantities import QUANTITIES, quantities
 from vprbench.runs.energy import count_synops, estimate_joules
 
 
-def unanswerable(outcome):
+def unanswerable(answers):
     """Return the share of queries without a right place, of which fewer are better."""
-    return 1 - float(outcome.answerable.mean())
+    return 1 - float(answers.outcome.answerable.mean())
 
 
 @pytest.fixture
@@ -101,7 +101,7 @@ def test_an_unknown_metric_is_told_with_its_neighbours(capfd):
 
 def test_the_figure_of_a_metric_shows_its_rows():
     (group,) = groups([run(), run("vprsnn")], (), [RAIL], ROWS)
-    drawn = of_rows(series(group, ROWS), METRICS["r100p"])
+    drawn = draw_metric(series(group, ROWS), METRICS["r100p"])
     (axes,) = drawn.figure.axes
     assert [label.get_text() for label in axes.get_yticklabels()] == ["SAD", "VPRSNN"]
     assert axes.get_xlabel() == "R@100P %"

@@ -11,7 +11,7 @@ from little import unanswerable_run
 
 from vprbench.errors import BadInput
 from vprbench.paper import robustness as text
-from vprbench.paper.figures.accuracy import robustness as drawn
+from vprbench.paper.figures.accuracy import draw_robustness
 from vprbench.paper.robustness import robustness
 from vprbench.runs.corruption import Corruption
 from vprbench.runs.frame import iterate_rows
@@ -67,7 +67,7 @@ def test_the_table_brackets_what_no_test_separates_from_clean_frames_and_dashes_
 
 
 def test_the_figure_has_a_panel_for_each_kind_begins_on_clean_frames_and_has_few_bands(found):
-    figure = drawn(found)
+    figure = draw_robustness(found)
     panels = [axes for axes in figure.figure.axes if axes.get_visible()]
     assert [axes.get_title(loc="left") for axes in panels] == ["Shift", "Blur"]
     curves = [{line.get_label(): np.round(line.get_xydata(), 6).tolist() for line in axes.lines} for axes in panels]
@@ -79,5 +79,5 @@ def test_the_figure_has_a_panel_for_each_kind_begins_on_clean_frames_and_has_few
     assert "Shift: queries moved left or right by 1, 8 px, borders repeated." in figure.caption
     many = robustness([row(name, 0.5) for name in "abcde"], {WEAK: [row("a", 0.4)]})
     for each, n_bands in ((many, 0), (found, 2)):
-        told = len(drawn(each).figure.axes[0].collections), "interval" in drawn(each).caption
+        told = len(draw_robustness(each).figure.axes[0].collections), "interval" in draw_robustness(each).caption
         assert told == (n_bands, n_bands > 0)

@@ -77,7 +77,7 @@ def quick_figures(monkeypatch):
         Image.new("L", (len(drawn.figure.axes), 1)).save(written, "PNG")
         return written.getvalue()
 
-    for kind in ("png", "pdf"):
+    for kind in ("render_png", "render_pdf"):
         monkeypatch.setattr(style, kind, rendered)
 
 

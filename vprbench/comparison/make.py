@@ -261,7 +261,7 @@ def written(
     `best` holds the best places of each query.
     If `beside_others`, files of this name that are of other frames stay: the new ones get the frames' hash.
     """
-    from vprbench.paper.figures.accuracy import robustness as drawn_robustness
+    from vprbench.paper.figures.accuracy import draw_robustness
 
     folder, name = Path(found.chosen.results).expanduser(), found.chosen.columns[0].planned.name
     name += "-views" * (found.chosen.columns[0].views is not None) + name_views(found.chosen.views)
@@ -279,7 +279,7 @@ def written(
     with progress_shown("compare, figures"):
         drawings = list(draw_all(found, found.runs, report=absent.append))
         if robust is not None:
-            drawings.append((f"robustness-{found.chosen.columns[0].planned.name}", drawn_robustness(robust)))
+            drawings.append((f"robustness-{found.chosen.columns[0].planned.name}", draw_robustness(robust)))
         *_, captions = write_figures(drawings, folder / "figures" / name)
         for path in captions.parent.glob("*.p[dn][fg]"):  # of an earlier comparison of this name
             if path.stem not in dict(drawings):

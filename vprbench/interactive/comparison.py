@@ -78,9 +78,9 @@ class Comparison:
 
     def plot_pr(self) -> Figure:
         """Return the figure of precision and recall of all methods; raises BadInput if no query has a right place."""
-        from vprbench.paper.figures.accuracy import precision_recall
+        from vprbench.paper.figures.accuracy import draw_precision_recall
 
-        return precision_recall(self._series()).figure
+        return draw_precision_recall(self._series()).figure
 
     def to_markdown(self) -> str:
         """Return the table in Markdown."""

@@ -154,15 +154,15 @@ class Result:
 
     def plot_pr(self) -> Figure:
         """Return the figure of precision and recall; raises BadInput if no query has a right place."""
-        from vprbench.paper.figures.accuracy import precision_recall
+        from vprbench.paper.figures.accuracy import draw_precision_recall
 
-        return precision_recall([self.series()]).figure
+        return draw_precision_recall([self.series()]).figure
 
     def plot_matrix(self) -> Figure:
         """Return the figure of ground truth and scores; raises BadInput if there were too many scores to keep."""
-        from vprbench.paper.figures.pictures import similarity
+        from vprbench.paper.figures.pictures import draw_similarity
 
-        return similarity(self.run, self.name).figure
+        return draw_similarity(self.run, self.name).figure
 
     def series(self) -> Series:
         """Return the run as figures and rankings take it."""

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vprbench.metrics.accuracy import (
+    PRCurve,
     auc,
     auc_roc,
     average_precision,
@@ -52,25 +53,21 @@ class StoredAnswers(Protocol):
         """What a query and a place cost; None: nobody asked."""
 
 
+Value = Callable[[StoredAnswers], float | None]
+
+
 @dataclass(frozen=True)
 class Metric:
-    """A share or an area, 0 to 1, of the answers of one run."""
+    """A number of the answers of one run: a share or an area, 0 to 1, or a cost."""
 
     name: str  # in options, JSON and CSV
     words: str  # at the head of a column, without the unit
-    function: Callable[[Outcome], float | None]  # None if it is undefined
+    of: Value  # what JSON and the CSV of runs hold; None if it is undefined
     meaning: str  # in a few words, after the head
     digits: int = 1  # behind the point
-    percent: bool = True  # how people read it; JSON and the CSV of runs hold 0 to 1
+    unit: str = "%"  # for people
     higher_is_better: bool = True
-    cost: tuple[str, float] | None = None  # of no accuracy: the unit that people read, and the stored value of one
-
-    @property
-    def unit(self) -> str:
-        """Return the sign of the unit, empty if there is none."""
-        if self.cost is not None:
-            return self.cost[0]
-        return "%" if self.percent else ""
+    cost: float | None = None  # the stored value of one unit, printed with three digits; None: an accuracy
 
     @property
     def head(self) -> str:
@@ -82,42 +79,34 @@ class Metric:
         """Return what it is and which way is better, in one sentence."""
         return f"{self.words}: {self.meaning}; {'higher' if self.higher_is_better else 'lower'} is better."
 
-    def of(self, answers: StoredAnswers) -> float | None:
-        """Return the value of a run, of an accuracy 0 to 1; None if it is undefined."""
-        if self.cost is not None:
-            return None if answers.energy is None else answers.energy["values"].get(self.name)
-        return self.function(answers.outcome)
-
     def shown(self, value: float) -> float:
-        """Return a value in the unit that people read."""
+        """Return a stored value in the unit that people read."""
         if self.cost is not None:
-            return value / self.cost[1]
-        return 100 * value if self.percent else value
+            return value / self.cost
+        return 100 * value if self.unit == "%" else value
 
     def text(self, value: float | None) -> str:
-        """Return a value for people, without its unit."""
+        """Return a stored value for people, without its unit."""
         return "-" if value is None else self.rounded_text(self.shown(value))
 
     def rounded_text(self, shown: float) -> str:
         """Return a value that `shown` gave, rounded: of a cost to three digits, or to all before the point."""
-        if self.cost is not None:
-            return format_cost(shown)
-        return f"{shown:.{self.digits}f}"
+        return f"{shown:.{self.digits}f}" if self.cost is None else format_cost(shown)
 
 
-@dataclass(frozen=True)
-class PairMetric(Metric):
-    """A metric of all pairs of a query and a place, which an `Outcome` does not hold."""
+def _share(name: str, words: str, function: Callable[[Outcome], float | None], meaning: str) -> Metric:
+    return Metric(name, words, lambda answers: function(answers.outcome), meaning)
 
-    def of(self, answers: StoredAnswers) -> float | None:
-        """Return the value of a run that kept every place of its map (`depth`); None if it kept fewer."""
-        n_queries, depth = answers.top_scores.shape
-        if depth < answers.outcome.n_places:
-            return None
-        scores = np.empty((n_queries, depth), np.float32)
-        np.put_along_axis(scores, answers.top_places.astype(np.int64), answers.top_scores, axis=1)
-        curve = pr_curve_multi(scores, answers.positives)
-        return None if curve is None else average_precision(curve)
+
+def _area(name: str, words: str, function: Callable[[Outcome], float | None], meaning: str) -> Metric:
+    return Metric(name, words, lambda answers: function(answers.outcome), meaning, digits=3, unit="")
+
+
+def _cost(name: str, words: str, unit: str, one: float, meaning: str) -> Metric:
+    def read_energy(answers: StoredAnswers) -> float | None:
+        return None if answers.energy is None else answers.energy["values"].get(name)
+
+    return Metric(name, words, read_energy, meaning, unit=unit, higher_is_better=False, cost=one)
 
 
 def _recall(outcome: Outcome, n: int) -> float | None:
@@ -125,37 +114,34 @@ def _recall(outcome: Outcome, n: int) -> float | None:
     return None if recall is None else recall.expected
 
 
-def _area(outcome: Outcome, area: Callable[..., float]) -> float | None:
+def _area_under_a(outcome: Outcome, area: Callable[[PRCurve], float]) -> float | None:
     curve = pr_curve(outcome, "A")
     return None if curve is None else area(curve)
 
 
-def _area_metric(name: str, words: str, function: Callable[[Outcome], float | None], meaning: str) -> Metric:
-    return Metric(name, words, function, meaning, 3, percent=False)
-
-
-def _cost(name: str, words: str, unit: str, one: float, meaning: str) -> Metric:
-    return Metric(name, words, lambda outcome: None, meaning, higher_is_better=False, cost=(unit, one))
+def _step_sum_under_c(answers: StoredAnswers) -> float | None:
+    """Return the average precision over all pairs of a query and a place; None if a run kept few of its places."""
+    n_queries, depth = answers.top_scores.shape
+    if depth < answers.outcome.n_places:
+        return None
+    scores = np.empty((n_queries, depth), np.float32)
+    np.put_along_axis(scores, answers.top_places.astype(np.int64), answers.top_scores, axis=1)
+    curve = pr_curve_multi(scores, answers.positives)
+    return None if curve is None else average_precision(curve)
 
 
 _BEST = "the share of queries with a right place among the best"
-_ALL = (
-    *(Metric(f"recall_at_{n}", f"R@{n}", partial(_recall, n=n), f"{_BEST} {n}") for n in RECALLS),
-    _area_metric("auc_pr_a", "AUC-PR (A)", partial(_area, area=auc), "trapezoids under curve A"),
-    _area_metric("average_precision_a", "AP (A)", partial(_area, area=average_precision), "step sum under curve A"),
-    Metric("r100p", "R@100P", recall_at_full_precision, "the share answered before the first error"),
-    Metric("p100r", "P@100R", precision_at_full_recall, "precision where every query is answered"),
-    _area_metric("auc_roc", "AUC-ROC", auc_roc, "the chance that a right match outscores a wrong one"),
-    _area_metric("ep", "EP", extended_precision, "extended precision, (P_R0 + R_P100) / 2"),
-    _area_metric("f1_max", "F1-max", f1_max, "the highest F1 on curve A"),
-    PairMetric(
-        "ap_c",
-        "AP (C)",
-        lambda outcome: None,  # of an outcome alone it is undefined
-        "step sum under curve C, over all pairs, of runs that keep the whole map (depth)",
-        3,
-        percent=False,
-    ),
+_PAIRS = "step sum under curve C, over all pairs, of runs that keep the whole map (depth)"
+_ACCURACIES = (
+    *(_share(f"recall_at_{n}", f"R@{n}", partial(_recall, n=n), f"{_BEST} {n}") for n in RECALLS),
+    _area("auc_pr_a", "AUC-PR (A)", partial(_area_under_a, area=auc), "trapezoids under curve A"),
+    _area("average_precision_a", "AP (A)", partial(_area_under_a, area=average_precision), "step sum under curve A"),
+    _share("r100p", "R@100P", recall_at_full_precision, "the share answered before the first error"),
+    _share("p100r", "P@100R", precision_at_full_recall, "precision where every query is answered"),
+    _area("auc_roc", "AUC-ROC", auc_roc, "the chance that a right match outscores a wrong one"),
+    _area("ep", "EP", extended_precision, "extended precision, (P_R0 + R_P100) / 2"),
+    _area("f1_max", "F1-max", f1_max, "the highest F1 on curve A"),
+    Metric("ap_c", "AP (C)", _step_sum_under_c, _PAIRS, digits=3, unit=""),
 )
 _COSTS = (
     _cost("synops_ac", "ACs", "k", 1e3, "accumulates a query, spikes that are all alike x existing synapses"),
@@ -170,4 +156,4 @@ _COSTS = (
 GROUPS: Mapping[str, tuple[str, ...]] = {"energy": tuple(cost.name for cost in _COSTS)}
 
 #: By name, in the order of a list for people.
-METRICS: dict[str, Metric] = {metric.name: metric for metric in (*_ALL, *_COSTS)}
+METRICS: dict[str, Metric] = {metric.name: metric for metric in (*_ACCURACIES, *_COSTS)}

@@ -11,7 +11,7 @@ from vprbench.errors import BadInput
 from vprbench.methods.vprtempo.latencies import LatencyQuery, VPRTempoLatencies
 from vprbench.methods.vprtempo.query import SpikingQuery
 from vprbench.methods.vprtempo.rules import PAPER
-from vprbench.paper.figures.spikes import in_time, raster
+from vprbench.paper.figures.spikes import draw_raster, select_spike_times
 from vprbench.paper.selection import Series
 from vprbench.runs.store import Store
 
@@ -101,8 +101,8 @@ def test_a_run_keeps_spike_times_which_a_raster_draws(tmp_path, monkeypatch):
     options = ["method.max_module=12", "method.steps=8", "dataset.places=12", "dataset.first_query_place=0", *RUN]
     assert main(["method=vprtempo_latencies", *options]) == 0
     (run,) = Store(tmp_path / "results").runs()
-    rows = in_time([Series("in time", True, (run,)), Series("without", True, (little_run(),))])
+    rows = select_spike_times([Series("in time", True, (run,)), Series("without", True, (little_run(),))])
     assert [row.name for row in rows] == ["in time"]
-    dots = [panel.collections[0].get_offsets() for panel in raster(rows).figure.axes]
+    dots = [panel.collections[0].get_offsets() for panel in draw_raster(rows).figure.axes]
     cycles = [np.ceil(np.asarray(each)[:, 0] / 8) for each in dots]
     assert [set(cycle.tolist()) for cycle in cycles] == [{1}, {2}, {3}]

@@ -8,10 +8,15 @@ from figure_runs import run, series
 from vprbench.errors import BadInput
 from vprbench.metrics.intervals import share_interval
 from vprbench.metrics.ranking import outcome, ranked_places
-from vprbench.paper.figures.accuracy import precision_recall, recall_at_length, recall_at_n, recall_at_tolerance
+from vprbench.paper.figures.accuracy import (
+    draw_precision_recall,
+    draw_recall_at_length,
+    draw_recall_at_n,
+    draw_recall_at_tolerance,
+)
 from vprbench.runs.sequences import parse_views
 
-RECALLS = (recall_at_n, recall_at_tolerance)
+RECALLS = (draw_recall_at_n, draw_recall_at_tolerance)
 
 
 def panel(drawn):
@@ -55,20 +60,20 @@ def answering(scores, right):
 
 
 def test_precision_and_recall_of_four_queries_are_those_worked_by_hand():
-    (line,) = named_lines(precision_recall([series("SAD", little.a_run())]))
+    (line,) = named_lines(draw_precision_recall([series("SAD", little.a_run())]))
     assert points(line) == [(0, 1), (0.25, 1), (0.5, 1), (0.5, pytest.approx(2 / 3)), (0.5, 0.5)]
     assert line.get_drawstyle() == "steps-pre"  # a step has the height of its right end
     assert line.get_label() == "SAD, AP 0.500"
     alone = answering(
         np.eye(100, 10) / np.arange(1, 101)[:, None], [[0], *[[]] * 99]
     )  # too few answerable queries for a band
-    assert points(named_lines(precision_recall([series("SAD", alone)]))[0])[1] == (1, 1)
+    assert points(named_lines(draw_precision_recall([series("SAD", alone)]))[0])[1] == (1, 1)
 
 
 def test_the_curve_of_several_seeds_is_their_mean_as_far_as_all_reach():
     first = answers([0.9, 0.8, 0.7, 0.6], [True, True, False, True])  # precision 1, 1, 3/4 at recall 1/4, 1/2, 3/4
     second = answers([0.9, 0.8, 0.7, 0.6], [False, True, True, False])  # precision 1/2, 2/3 at recall 1/4, 1/2
-    drawn = precision_recall([series("VPRTempo", first, second)])
+    drawn = draw_precision_recall([series("VPRTempo", first, second)])
     (mean,) = named_lines(drawn)
     assert points(mean) == [(0, 1), (0.25, pytest.approx(3 / 4)), (0.5, pytest.approx(5 / 6))]
     assert [points(line)[-1] for line in panel(drawn).lines if line is not mean] == [(0.75, 0.75), (0.5, 0.5)]
@@ -79,13 +84,13 @@ def test_the_curve_of_several_seeds_is_their_mean_as_far_as_all_reach():
 
 def test_the_band_of_one_run_holds_its_curve_and_ends_before_it():
     """The share of right answers is 60 % of 400 queries: some resamples have fewer."""
-    drawn = precision_recall([series("SAD", run("sad", share=0.6, n_queries=400))])
+    drawn = draw_precision_recall([series("SAD", run("sad", share=0.6, n_queries=400))])
     recall, precision = np.array(points(named_lines(drawn)[0])).T
     edges = band(drawn)
     assert 0.5 < max(edges) < recall[-1] == pytest.approx(0.6)
     for x, (low, high) in edges.items():
         assert low - 1e-9 <= precision[np.argmax(recall >= x - 1e-12)] <= high + 1e-9
-    without_an_error = band(precision_recall([series("SAD", run("sad", share=1.0))]))
+    without_an_error = band(draw_precision_recall([series("SAD", run("sad", share=1.0))]))
     assert (max(without_an_error), {*without_an_error.values()}) == (1, {(1, 1)})
 
 
@@ -93,24 +98,31 @@ def test_the_band_of_independent_queries_is_as_wide_as_95_percent_of_their_waiti
     """One in two is right, so r n right ones take 2 r n answers, give or take the root of 2 r n (negative binomial)."""
     random, n = np.random.default_rng(0), 800
     made = answers(random.random(n).tolist(), (random.random(n) < 0.5).tolist())
-    edges = band(precision_recall([series("SAD", made)]))
+    edges = band(draw_precision_recall([series("SAD", made)]))
     ratios = [(high - low) / (0.5 / (2 * x * n) ** 0.5) for x, (low, high) in edges.items() if 0.1 < x < 0.4]
     assert np.mean(ratios) == pytest.approx(2 * 1.96, rel=0.12)
 
 
 def test_recalls_are_those_worked_by_hand_with_wilsons_interval_and_count_ties_by_their_expected_value():
-    drawn = recall_at_n([series("SAD", little.a_run())])
+    drawn = draw_recall_at_n([series("SAD", little.a_run())])
     (line,) = named_lines(drawn)
     assert points(line) == list(zip(range(1, 11), [50, 50, 75, 75, 75, 75, 75, 100, 100, 100], strict=True))
     edges = band(drawn)
     assert edges[1] == pytest.approx((15.00, 85.00), abs=0.01)  # Wilson's interval of 2 of 4
     assert edges[10] == pytest.approx((51.01, 100), abs=0.01)  # and of 4 of 4
-    (line,) = named_lines(recall_at_tolerance([series("SAD", little.a_run())]))
+    (line,) = named_lines(draw_recall_at_tolerance([series("SAD", little.a_run())]))
     assert points(line) == list(zip(range(11), [50] * 4 + [75] * 3 + [100] * 4, strict=True))
     """All 50 places tie and one is right, so that it is among the N best with a chance of N / 50."""
     made = answering(np.zeros((8, 50), np.float32), [[query] for query in range(8)])
-    (line,) = named_lines(recall_at_n([series("SAD", made)]))
+    (line,) = named_lines(draw_recall_at_n([series("SAD", made)]))
     assert points(line) == [(n, pytest.approx(2 * n)) for n in range(1, 26)]
+
+
+def test_tolerances_begin_at_that_of_the_protocol_in_places_and_otherwise_count_from_it():
+    for protocol, first in (({"tolerance_places": 2}, 2), ({"tolerance_metres": 5.0}, 0), ({"radius_metres": 5.0}, 0)):
+        (line,) = named_lines(draw_recall_at_tolerance([series("SAD", little.a_run(protocol=protocol))]))
+        assert [x for x, _ in points(line)] == list(range(first, first + 11))
+        assert points(line)[0][1] == 50
 
 
 @pytest.mark.parametrize("draw", RECALLS)
@@ -138,7 +150,7 @@ def test_sequences_have_their_recall_at_each_length_and_the_caption_counts_the_q
     runs = [answering(scores.astype(np.float32), [[i] for i in range(n)]) for scores in noisy]
     rows = {"first": runs[:2], "second": runs[2:]}
     seen = [[series(name, *map(view, of_row)) for name, of_row in rows.items()] for view in parse_views([*lengths])]
-    drawn = recall_at_length(seen[::-1])
+    drawn = draw_recall_at_length(seen[::-1])
     lines = {line.get_label(): line for line in panel(drawn).lines}
     for name, of_row in rows.items():
         for point, length in zip(points(lines[name]), lengths, strict=True):
@@ -149,4 +161,4 @@ def test_sequences_have_their_recall_at_each_length_and_the_caption_counts_the_q
             assert point == (length, pytest.approx(100 * np.mean(right)))
     assert "30 at 1, 29 at 2, 26 at 5" in drawn.caption
     with pytest.raises(BadInput, match="two lengths"):
-        recall_at_length([[series("first", parse_views(2)[0](runs[0]))]])
+        draw_recall_at_length([[series("first", parse_views(2)[0](runs[0]))]])

@@ -1,12 +1,7 @@
-"""What every figure keeps: captions, whole ones are stored; and what it refuses to draw.
+"""Captions name data, seeds and machines; a figure without anything to draw is refused by name."""
 
-The stored captions are written anew, to be read before they are committed, where VPRBENCH_STORE_DOCUMENTS is set.
-"""
-
-import os
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 
 import little
 import numpy as np
@@ -16,26 +11,23 @@ from figure_runs import five_rows, run, series, sized
 
 from vprbench.errors import BadInput
 from vprbench.metrics.ranking import outcome
-from vprbench.metrics.registry import METRICS
-from vprbench.paper.figures.accuracy import of_rows, precision_recall, recall_at_n, recall_at_tolerance
-from vprbench.paper.figures.growth import growth
-from vprbench.paper.figures.pictures import frames, similarity
-from vprbench.paper.figures.speed import query_rate, training_time
-from vprbench.paper.figures.spikes import spike_statistics
-from vprbench.paper.figures.tradeoff import against_memory, against_rate
+from vprbench.paper.figures.accuracy import draw_precision_recall, draw_recall_at_n, draw_recall_at_tolerance
+from vprbench.paper.figures.growth import draw_growth
+from vprbench.paper.figures.pictures import draw_frames, draw_similarity
+from vprbench.paper.figures.speed import draw_query_rate, draw_training_time
+from vprbench.paper.figures.spikes import draw_spikes
+from vprbench.paper.figures.tradeoff import draw_memory_tradeoff, draw_rate_tradeoff
 from vprbench.paper.growth import samples
 from vprbench.paper.plan import Row, read_plan
 from vprbench.runs.notes import Note
-from vprbench.runs.thumbnails import Example, Thumbnails
+from vprbench.runs.thumbnails import Thumbnails
 
-STORED = Path(__file__).parent / "stored" / "captions.md"
 PLAN = read_plan(ROOT / "conf" / "table.yaml")
 ROWS = list(PLAN.rows.values())
 NORDLAND, WINTER = PLAN.columns["nordland"], PLAN.columns["railway_winter"]
 UNPUBLISHED = replace(PLAN.columns["railway"], title="Railway (rendered), 225 places", published=None)
-SIZES = (100, 300, 1000, 3000, 9000, 27000)
 NOISY = (Note("noisy", "two carts passed"),)
-ACCURACY = (precision_recall, recall_at_n, recall_at_tolerance, against_rate, against_memory)
+ACCURACY = (draw_precision_recall, draw_recall_at_n, draw_recall_at_tolerance, draw_rate_tradeoff, draw_memory_tradeoff)
 
 
 def troubled():
@@ -55,65 +47,35 @@ def unanswered():
     return series("VPRTempo", *(replace(r, positives=positives, outcome=outcome(scores, positives)) for r in runs))
 
 
-def grown(name, training, query, *more):
-    made = []
-    for n, wobble in zip(SIZES, (1.01, 0.99) * 3, strict=True):
-        fit = training(n)
-        made.append(sized(n, None if fit is None else fit * wobble, query(n) * wobble, encode_seconds=0.002))
-    return samples(Row(name, name.lower(), None if name == "CosPlace" else "match"), [*made, *more])
-
-
-def of_growth():
-    claimed = grown("VPRTempo", lambda n: 0.4 + 0.004 * n, lambda n: 0.001 * float(np.log(n)))
-    yield "of one row", [claimed]
-    old = sized(300, 9.0, 0.009, code="older", time_utc="2024-01-01T00:00:00Z")
-    seeds = [replace(sized(n, 0.01 * n, 0.001, seed=1), notes=NOISY) for n in (300, 9000)]
-    constant = grown("VPRTempo", lambda n: 2.0, lambda n: 1e-6 * n, old, *seeds)
-    yield "of two rows", [constant, grown("CosPlace", lambda n: None, lambda n: 1e-6 * n)]
-    yield "of two sizes", [samples(Row("VPRTempo", "vprtempo", "match"), claimed.runs[:2])]
-
-
-def spiking(name, n_queries, *layers):
-    random = np.random.default_rng(0)
-    made = [little.a_layer(layer, n, list(random.poisson(n / 2, n_queries)), 0.4, None) for layer, n in layers]
-    return series(name, *(little.a_run(spikes={"queries": n_queries, "layers": made}) for _ in range(2)))
-
-
-def thumbnails():
-    frame, names = np.zeros((30, 90, 3), np.uint8), tuple(f"{i}.png" for i in range(9))
-    return Thumbnails(names, names, tuple(Example(i, i + 1, frame, frame) for i in range(4)), (b"",) * 9, (b"",) * 9)
-
-
-def every_kind():
-    five = five_rows(n_places=50)
+def test_a_caption_names_data_seeds_and_tuned_rows_and_that_of_costs_machines_and_disturbed_rows_too():
     for draw in ACCURACY:
-        rows = {"five rows": five, "one seed": five[:1], "troubled rows": troubled(), "two seeds": [unanswered()]}
-        for kind, given in rows.items():
-            yield f"{draw.__name__} of {kind}", draw(given)
-    words = dict.fromkeys(((name, "query_cpu") for name in PLAN.rows), "not applicable")
-    for bars in (training_time, query_rate):
-        yield f"{bars.__name__} on two devices", bars(five, five_rows("cuda", n_places=50), ROWS, NORDLAND, {})
-        yield f"{bars.__name__} of one row", bars(five[:1], (), ROWS, PLAN.columns["railway_vprsnn"], words)
-        yield f"{bars.__name__} of what stands in", bars(five[-1:], (), ROWS, WINTER, {})
-        yield f"{bars.__name__} outside of the paper", bars(troubled()[2:], (), [Row("GCL", "gcl")], UNPUBLISHED, {})
-    yield "metric", of_rows(five, METRICS["recall_at_5"])
-    for kind, grew in of_growth():
-        yield f"growth {kind}", growth(grew)
-    yield "frames", frames(thumbnails(), "Railway")
-    yield "similarity", similarity(five[-1].runs[1], "VPRTempo (public code)")
-    yield "similarity of 5", similarity(run(n_queries=5, n_places=1000))
-    tempo = spiking("VPRTempo", 1200, ("input", 784), ("feature", 1568), ("output", 3300))
-    snn = spiking("VPRSNN", 1200, ("input", 784), ("excitatory", 13200), ("inhibitory", 13200))
-    yield "spikes of one", spike_statistics([series("SAD", little.a_run(spikes=None)), tempo])
-    yield "spikes of two", spike_statistics([tempo, snn])
+        of_costs = draw in (draw_rate_tradeoff, draw_memory_tradeoff)
+        caption = draw(troubled()).caption
+        assert "railway (40 queries, 50 places)" in caption
+        assert "Mine: tuned on the first 9 places of railway" in caption
+        assert ("Abacus 9" in caption, "Loom 7" in caption, "laps: GCL." in caption) == (of_costs,) * 3
+        caption = draw([unanswered()]).caption
+        assert "journey (4 queries, 10 places, 1 without a right place)" in caption
+        assert "VPRTempo 2." in caption
 
 
-@pytest.mark.extended
-def test_captions_are_the_stored_ones():
-    text = "\n".join(f"## {name}\n\n{drawn.caption}\n" for name, drawn in every_kind())
-    if "VPRBENCH_STORE_DOCUMENTS" in os.environ:
-        STORED.write_text(text, encoding="utf-8")
-    assert text == STORED.read_text(encoding="utf-8")
+def test_a_caption_of_speed_names_the_paper_s_machines_where_it_has_bars_and_the_data_that_stand_in():
+    five = five_rows(n_places=50)
+    for draw in (draw_training_time, draw_query_rate):
+        assert "Intel i7-9700K" in draw(five, (), ROWS, NORDLAND, {}).caption
+        assert "Table II on Oxford RobotCar" in draw(five[-1:], (), ROWS, WINTER, {}).caption
+        assert "i7-9700K" not in draw(troubled()[2:], (), [Row("GCL", "gcl")], UNPUBLISHED, {}).caption
+    assert "quoted there: NetVLAD, GCL." in draw_training_time(five, (), ROWS, NORDLAND, {}).caption
+    assert "VPRSNN match, VPRTempo match." in draw_query_rate(five, (), ROWS, NORDLAND, {}).caption
+
+
+def test_a_caption_of_growth_counts_the_runs_of_other_code():
+    older = sized(300, 9.0, 0.009, code="older", time_utc="2024-01-01T00:00:00Z")
+    row = samples(Row("VPRTempo", "vprtempo", "match"), [older, *(sized(n, 0.01 * n, 0.001) for n in (300, 9000))])
+    caption = draw_growth([row]).caption
+    assert "2 maps of 300 to 9,000 places" in caption
+    assert "Not drawn: 1 run " in caption
+    assert "O(log n) query" in caption
 
 
 SPIKING = {"spikes": {"queries": 4, "layers": [little.a_layer("output", 100, [1, 2, 3, 4], 0.5, None)]}}
@@ -127,18 +89,18 @@ BARS = {"gpu": (), "rows": ROWS, "column": NORDLAND, "marks": {}}
     [
         *(
             (draw, [FIRST, series("GCL", little.a_run(**SPIKING, **other))], "different data")
-            for draw in (*ACCURACY, spike_statistics)
+            for draw in (*ACCURACY, draw_spikes)
             for other in ({"fingerprint": "e" * 64}, {"protocol": {"tolerance_places": 1}})
         ),
         *((draw, [], "no stored runs") for draw in ACCURACY),
         *((draw, [series("SAD", little.unanswerable_run())], "journey has a right place") for draw in ACCURACY),
-        (spike_statistics, [series("SAD", little.a_run(spikes=None))], "holds spikes"),
-        (growth, [], "no growth"),
-        (partial(training_time, **BARS), (), "Nordland"),
-        (against_rate, UNTIMED, "no timed runs .*timing=quick"),
-        (partial(query_rate, **BARS), UNTIMED, "Nordland"),
-        (partial(frames, title="Railway"), Thumbnails((), (), (), (), ()), "Railway"),
-        (similarity, little.a_run(scores=None), "0123456789abcdef of little on journey .*4 queries x 10 places"),
+        (draw_spikes, [series("SAD", little.a_run(spikes=None))], "holds spikes"),
+        (draw_growth, [], "no growth"),
+        (partial(draw_training_time, **BARS), (), "Nordland"),
+        (draw_rate_tradeoff, UNTIMED, "no timed runs .*timing=quick"),
+        (partial(draw_query_rate, **BARS), UNTIMED, "Nordland"),
+        (partial(draw_frames, title="Railway"), Thumbnails((), (), (), (), ()), "Railway"),
+        (draw_similarity, little.a_run(scores=None), "0123456789abcdef of little on journey .*4 queries x 10 places"),
     ],
 )
 def test_what_cannot_be_drawn_is_refused_by_name(draw, given, culprit):

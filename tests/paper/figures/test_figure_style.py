@@ -9,7 +9,15 @@ from matplotlib.colors import to_rgb
 from PIL import Image
 
 from vprbench.errors import BadInput
-from vprbench.paper.figures.style import SINGLE_MM, Drawn, looks, new, plain_log, styled, write
+from vprbench.paper.figures.style import (
+    SINGLE_MM,
+    Drawing,
+    choose_looks,
+    new_figure,
+    scale_log,
+    use_style,
+    write_figure,
+)
 from vprbench.text import format_three_digits
 
 PAPER = ["SAD", "NetVLAD", "GCL", "VPRSNN", "VPRTempo"]
@@ -21,31 +29,31 @@ def lightness(colour):
     return 116 * float(np.cbrt(np.dot(linear, [0.2126, 0.7152, 0.0722]))) - 16
 
 
-@styled
+@use_style
 def drawing():
-    figure, (axes,) = new(SINGLE_MM, 60)
+    figure, (axes,) = new_figure(SINGLE_MM, 60)
     axes.plot([1, 2, 3], [4, 6, 5], label="ünïcode")
     axes.bar([1, 2], [1, 2], hatch="//")
     axes.set(xlabel="Places", ylabel="Recall")
     axes.legend()
-    return Drawn(figure, "Three points of a made-up method, with “quotes”.")
+    return Drawing(figure, "Three points of a made-up method, with “quotes”.")
 
 
 def test_any_two_methods_of_a_figure_look_different_and_those_of_the_paper_the_same_everywhere():
-    rows = [*looks(PAPER).values()]
+    rows = [*choose_looks(PAPER).values()]
     assert min(abs(lightness(a.colour) - lightness(b.colour)) for a, b in itertools.pairwise(rows)) > 12
-    many = [*looks([f"method {i}" for i in range(360)]).values()]
+    many = [*choose_looks([f"method {i}" for i in range(360)]).values()]
     assert len({(look.colour, look.marker, look.dash) for look in many}) == 360
     for part in ("colour", "marker", "dash", "hatch"):
         assert len({getattr(look, part) for look in many[:8]}) == 8
         assert len({getattr(look, part) for look in rows}) == len(PAPER)
-    assert looks(["mixvpr", "VPRTempo"])["VPRTempo"] == looks(PAPER)["VPRTempo"]
-    assert looks([*PAPER, "cosplace", "mixvpr"])["mixvpr"] == looks(["cosplace", "mixvpr"])["mixvpr"]
+    assert choose_looks(["mixvpr", "VPRTempo"])["VPRTempo"] == choose_looks(PAPER)["VPRTempo"]
+    assert choose_looks([*PAPER, "cosplace", "mixvpr"])["mixvpr"] == choose_looks(["cosplace", "mixvpr"])["mixvpr"]
 
 
 @pytest.mark.extended
 def test_a_figure_has_its_width_and_the_same_bytes_whatever_a_reader_set_and_a_file_in_the_way_is_named(tmp_path):
-    paths = write(drawing(), tmp_path / "new" / "folder", "three")
+    paths = write_figure(drawing(), tmp_path / "new" / "folder", "three")
     assert sorted((tmp_path / "new" / "folder").iterdir()) == list(paths)
     pdf, picture = (path.read_bytes() for path in paths)
     assert b"Date" not in pdf
@@ -57,7 +65,7 @@ def test_a_figure_has_its_width_and_the_same_bytes_whatever_a_reader_set_and_a_f
     assert float(box[2]) == pytest.approx(88 / 25.4 * 72, abs=1)
     settings = dict(matplotlib.rcParams)
     with matplotlib.rc_context({"font.size": 20, "axes.facecolor": "black", "savefig.dpi": 50}):
-        again = write(drawing(), tmp_path, "three")
+        again = write_figure(drawing(), tmp_path, "three")
     assert [path.read_bytes() for path in again] == [pdf, picture]
     assert dict(matplotlib.rcParams) == settings
     there = tmp_path / "there"
@@ -65,7 +73,7 @@ def test_a_figure_has_its_width_and_the_same_bytes_whatever_a_reader_set_and_a_f
     (there / "file").write_text("in the way")
     for folder in (there, there / "file"):
         with pytest.raises(BadInput, match=rf"three .*{folder.name}"):
-            write(drawing(), folder, "three")
+            write_figure(drawing(), folder, "three")
     assert sorted(path.name for path in there.iterdir()) == ["file", "three.pdf"]
 
 
@@ -73,8 +81,8 @@ def test_numbers_are_written_to_three_digits_without_powers_of_ten_on_an_axis_th
     numbers = {15120: "15,120", 353: "353", 99.96: "100", 0.5: "0.5", 1.666: "1.67", 0.00123: "0.00123", 20: "20"}
     assert {value: format_three_digits(value) for value in numbers} == numbers
     for values in ([0.01, 3e6], [3.0, 3.1], [0.02, 0.9]):
-        figure, (axes,) = new(SINGLE_MM, 60)
-        plain_log(axes, "x", values)
+        figure, (axes,) = new_figure(SINGLE_MM, 60)
+        scale_log(axes, "x", values)
         figure.draw_without_rendering()
         low, high = axes.get_xlim()
         assert low < min(values) <= max(values) < high

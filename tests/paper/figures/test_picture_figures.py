@@ -8,9 +8,9 @@ from figure_runs import run, series
 from matplotlib.patches import Rectangle
 
 from vprbench.metrics.ranking import outcome
-from vprbench.paper.figures.pictures import frames, similarity
-from vprbench.paper.figures.spikes import spike_statistics
-from vprbench.paper.figures.style import pdf
+from vprbench.paper.figures.pictures import draw_frames, draw_similarity
+from vprbench.paper.figures.spikes import draw_spikes
+from vprbench.paper.figures.style import render_pdf
 from vprbench.runs.thumbnails import Example, Thumbnails
 
 
@@ -33,7 +33,7 @@ def shown(axes):
 
 def test_a_row_shows_the_right_place_and_the_query_as_they_are_and_patch_normalised():
     two = kept(Example(0, 5, picture(1), picture(2)), Example(3, 8, picture(3), picture(4)))
-    axes = frames(two, "Railway").figure.axes
+    axes = draw_frames(two, "Railway").figure.axes
     assert len(axes) == 8
     for row, example in enumerate(two.examples):
         images = example.reference_image, example.query_image
@@ -65,7 +65,7 @@ def test_right_places_are_dark_and_the_scores_of_each_query_run_from_0_to_1():
     no = -np.inf
     given = np.array([[10, 20, 30, 15], [-5, -4, -1, -5], [7, 7, 7, 7], [no, 2, 4, 3], [no] * 4], np.float32)
     made = with_scores(given, [1], [0, 3], [], [0], [1])
-    truth, scores = matrices(similarity(made, "VPRTempo, five networks"))
+    truth, scores = matrices(draw_similarity(made, "VPRTempo, five networks"))
     assert shown(truth).tolist() == [[0, 1, 0, 0], [1, 0, 0, 1], [0, 0, 0, 0], [1, 0, 0, 0], [0, 1, 0, 0]]
     stretched = [[0, 0.5, 1, 0.25], [0, 0.25, 1, 0], [0, 0, 0, 0], [0, 0, 1, 0.5], [0, 0, 0, 0]]
     np.testing.assert_allclose(shown(scores), stretched)
@@ -77,7 +77,7 @@ def test_right_places_are_dark_and_the_scores_of_each_query_run_from_0_to_1():
 def test_cells_of_a_large_matrix_are_the_maxima_of_blocks_so_that_no_right_place_vanishes_and_files_stay_small():
     """1000 places need blocks of 3, and neither 1000 nor 20 is a multiple of 3."""
     made = run(n_queries=20, n_places=1000)
-    truth, scores = matrices(similarity(made))
+    truth, scores = matrices(draw_similarity(made))
     assert made.scores is not None
     low, high = made.scores.min(1, keepdims=True), made.scores.max(1, keepdims=True)
     padded = np.zeros((21, 1002))
@@ -88,12 +88,12 @@ def test_cells_of_a_large_matrix_are_the_maxima_of_blocks_so_that_no_right_place
         assert panel.images[0].get_extent() == [-0.5, 1001.5, 20.5, -0.5]  # 334 x 3 places, 7 x 3 queries
         assert panel.get_xlim() == (-0.5, 999.5)
         assert panel.get_ylim() == (19.5, -0.5)  # the first query on top
-    drawn = similarity(with_scores(np.eye(2700, 3300, 600), *([query + 600] for query in range(2700))))
+    drawn = draw_similarity(with_scores(np.eye(2700, 3300, 600), *([query + 600] for query in range(2700))))
     rows, columns = np.arange(2700) // 8, (np.arange(2700) + 600) // 8
     for panel in matrices(drawn):
         assert shown(panel)[rows, columns].min() == 1
         assert shown(panel).sum() == len({*zip(rows.tolist(), columns.tolist(), strict=True)})
-    assert len(pdf(drawn)) < 500_000
+    assert len(render_pdf(drawn)) < 500_000
 
 
 def spiking(name, *seeds):
@@ -107,7 +107,7 @@ def layer(name, spikes, active_share=0.5, neurons=100):
 
 
 def panels(*rows):
-    return spike_statistics(rows).figure.axes
+    return draw_spikes(rows).figure.axes
 
 
 def medians(axes):
@@ -144,7 +144,7 @@ def test_seeds_share_a_box_with_a_dot_each_at_the_bar_and_rows_with_spikes_stand
     (dots,) = active.lines
     assert np.asarray(dots.get_ydata()).tolist() == [20, 40]
     other = spiking("VPRSNN", [layer("inhibitory", [5, 6, 7]), layer("output", [50, 60, 70], 0.75)])
-    drawn = spike_statistics([series("SAD", little.a_run(spikes=None)), other, TEMPO])
+    drawn = draw_spikes([series("SAD", little.a_run(spikes=None)), other, TEMPO])
     *layers, active = drawn.figure.axes
     titles = [axes.get_title(loc="left") for axes in layers]
     assert titles == ["inhibitory,\n100 neurons", "output", "input,\n784 neurons"]  # the number that all rows have

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from vprbench.errors import BadInput
-from vprbench.paper.growth import GrowthSamples
 from vprbench.paper.selection import Series
 from vprbench.paper.table.best import describe_machine, is_disturbed
 from vprbench.runs.record import Run
@@ -36,22 +35,22 @@ def describe_runs(series: Sequence[Series], seeds: str, of_times: bool = False) 
         seeds: How the figure draws several seeds of a row.
         of_times: Whether the figure draws times.
     """
-    datasets = dict.fromkeys(_describe_dataset(run) for one in series for run in one.runs)
-    several = dict.fromkeys(f"{one.name} {len(one.runs)}" for one in series if len(one.runs) > 1)
-    noisy = dict.fromkeys(one.name for one in series if any(map(is_disturbed, one.runs)))
-    tuned = dict.fromkeys(f"{one.name}: {note}." for one in series if (note := describe_tuning(one.runs)))
+    runs = [run for row in series for run in row.runs]
+    several = dict.fromkeys(f"{row.name} {len(row.runs)}" for row in series if len(row.runs) > 1)
+    noisy = dict.fromkeys(row.name for row in series if any(map(is_disturbed, row.runs)))
+    tuned = dict.fromkeys(f"{row.name}: {note}." for row in series if (note := describe_tuning(row.runs)))
     return join_facts(
-        f"Dataset: {'; '.join(datasets)}.",
+        f"Dataset: {'; '.join(dict.fromkeys(map(_describe_dataset, runs)))}.",
         list_names(f"Seeds ({seeds})", several),
-        describe_machines(series) if of_times else "",
+        describe_machines(runs) if of_times else "",
         list_names("Disturbed machine or too few laps", noisy if of_times else ()),
         *tuned,
     )
 
 
-def describe_machines(series: Sequence[Series | GrowthSamples]) -> str:
+def describe_machines(runs: Iterable[Run]) -> str:
     """Return a sentence that names the machines on which runs were timed."""
-    return f"Measured on {'; '.join(dict.fromkeys(describe_machine(run) for one in series for run in one.runs))}."
+    return f"Measured on {'; '.join(dict.fromkeys(map(describe_machine, runs)))}."
 
 
 def _describe_dataset(run: Run) -> str:
@@ -62,13 +61,13 @@ def _describe_dataset(run: Run) -> str:
 
 def split_timed(series: Sequence[Series]) -> tuple[list[Series], list[str]]:
     """Return the rows that were timed, without runs that were not, and the names of the other rows."""
-    runs = [(one, tuple(run for run in one.runs if run.timing is not None)) for one in series]
-    return [replace(one, runs=kept) for one, kept in runs if kept], [one.name for one, kept in runs if not kept]
+    timed = [replace(row, runs=tuple(run for run in row.runs if run.timing is not None)) for row in series]
+    return [row for row in timed if row.runs], [row.name for row in timed if not row.runs]
 
 
 def require_one_dataset(series: Sequence[Series], figure: str) -> Run:
     """Return a run that stands for the data of all; raises BadInput for no run and for runs on different data."""
-    runs = [run for one in series for run in one.runs]
+    runs = [run for row in series for run in row.runs]
     if not runs:
         raise BadInput(f"the figure of {figure} has no stored runs to draw: run a method first")
     first = runs[0]
@@ -79,3 +78,11 @@ def require_one_dataset(series: Sequence[Series], figure: str) -> Run:
                 f"{dict(first.protocol)}, {run.method} on {run.dataset} under {dict(run.protocol)}): draw one at a time"
             )
     return first
+
+
+def require_answerable(series: Sequence[Series], figure: str) -> Run:
+    """Return what `require_one_dataset` does; raises BadInput too if no query has a right place."""
+    run = require_one_dataset(series, figure)
+    if not run.outcome.answerable.any():
+        raise BadInput(f"no query of dataset {run.dataset} has a right place: there is no figure of {figure}")
+    return run

@@ -6,9 +6,8 @@ import logging
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from vprbench import progress
 from vprbench.config import make_request
@@ -30,9 +29,11 @@ from vprbench.runs.thumbnails import Thumbnails, load_thumbnails
 from vprbench.storage.atomic import remove_leftovers, replace_text
 
 if TYPE_CHECKING:
-    from vprbench.paper.figures.style import Drawn
+    from vprbench.paper.figures.style import Drawing
 
 logger = logging.getLogger(__name__)
+
+FigureCall = tuple[Any, ...]  # the name of the files, the function that draws, and its arguments
 
 
 def make_figures(request: TableRequest, options: Sequence[str]) -> int:
@@ -42,7 +43,7 @@ def make_figures(request: TableRequest, options: Sequence[str]) -> int:
         growth = growth_columns(found)
         once = replace(found.chosen, devices=("cpu",))
         options = [*options, "frames=false"]  # nobody looks at theirs
-        sizes = [cell for column in growth for cell in runs_of(once, column, _growing(found), options)]
+        sizes = [cell for column in growth for cell in runs_of(once, column, _rows_of_growth(found), options)]
         results = run_missing(found.chosen, sizes, executor)
     runs = stored(found.chosen)[0] if sizes else found.runs
     folder = Path(request.results).expanduser() / "figures"
@@ -51,16 +52,16 @@ def make_figures(request: TableRequest, options: Sequence[str]) -> int:
     return exit_code([*found.job_results, *results])
 
 
-def write_figures(drawings: Iterable[tuple[str, Drawn]], folder: Path) -> Iterator[Path]:
+def write_figures(drawings: Iterable[tuple[str, Drawing]], folder: Path) -> Iterator[Path]:
     """Write figures as PDF and PNG into a folder, and at last their captions; yields each PDF, then the captions."""
-    from vprbench.paper.figures.style import write
+    from vprbench.paper.figures.style import write_figure
 
     folder.mkdir(parents=True, exist_ok=True)
     remove_leftovers(folder)
     captions: list[tuple[str, str]] = []
-    for name, drawn in drawings:
-        captions.append((name, drawn.caption))
-        yield write(drawn, folder, name)[0]
+    for name, drawing in drawings:
+        captions.append((name, drawing.caption))
+        yield write_figure(drawing, folder, name)[0]
     replace_text(folder / "captions.md", list_captions(captions))
     yield folder / "captions.md"
 
@@ -76,17 +77,17 @@ def draw_all(
     runs: Sequence[Run],
     growth: Sequence[ResolvedColumn] = (),
     report: Callable[[str], None] = logger.info,
-) -> Iterator[tuple[str, Drawn]]:
-    """Yield each figure with the name of its files; `report` is told which have nothing to show, and why.
+) -> Iterator[tuple[str, Drawing]]:
+    """Yield each figure with the name of its files; `report` gets a line for each that has nothing to show.
 
     Without `growth` none is drawn. Names hold the paper's numbers of figures if the table is Table II.
     """
-    every = [*_speed(found, runs, growth), *_of_columns(found)]
-    for number, (numbered, draw) in enumerate(every):
-        progress.report("drawing figures", number / len(every))
+    calls = [*_list_speed(found, runs, growth), *_list_by_dataset(found)]
+    for number, (numbered, draw, *given) in enumerate(calls):
+        progress.report("drawing figures", number / len(calls))
         name = numbered if found.table.title is None else re.sub(r"^fig\d\w-", "", numbered)
         try:
-            yield name, draw()
+            yield name, draw(*given)
         except BadInput as error:
             report(f"{name} is not drawn: {error}")
 
@@ -106,89 +107,76 @@ def growth_columns(found: ReportData) -> list[ResolvedColumn]:
     return [ResolvedColumn(column, make_request(column.options).dataset) for column in planned]
 
 
-Draw = Callable[[], "Drawn"]
-
-
-def _speed(found: ReportData, runs: Sequence[Run], growth: Sequence[ResolvedColumn]) -> Iterator[tuple[str, Draw]]:
-    """Yield Figure 2: training time, query rate, and both against the number of places."""
-    from vprbench.paper.figures import growth as growing
-    from vprbench.paper.figures import speed
-
-    group = next((group for group in found.groups if group.runs), None)
-    if group is not None:
-        rows = found.chosen.rows
-        parts = series(group, rows), series(group, rows, "cuda"), rows, group.column.planned, _marks(found, group)
-        yield "fig2a-training-time", partial(speed.training_time, *parts)
-        yield "fig2b-query-rate", partial(speed.query_rate, *parts)
-    if growth:
-        yield "fig2c-growth", lambda: growing.growth(_growth(found, runs, growth))
-
-
-def _growth(found: ReportData, runs: Sequence[Run], growth: Sequence[ResolvedColumn]) -> list[GrowthSamples]:
-    """Return the samples of each row of the growth that has runs; raises BadInput if none has."""
-    chosen = []
-    for row in _growing(found):
-        there = [run for group in groups(runs, (), growth, [row]) for run in of_row(group, row, "cpu").runs]
-        if there:
-            chosen.append(samples(row, there))
-    if not chosen:
-        raise BadInput("no run at other numbers of places is stored: make figures makes them")
-    return chosen
-
-
-def _marks(found: ReportData, group: Group) -> dict[tuple[str, str], str]:
-    """Return the table's word for each cell of a group, by row and quantity."""
-    cells = found.table.cells[found.table.cells["column"] == group.name]
-    return {(cell.row, cell.quantity): cell.mark for cell in iterate_rows(cells)}
-
-
-def _growing(found: ReportData) -> list[Row]:
+def _rows_of_growth(found: ReportData) -> list[Row]:
     """Return the rows whose growth is drawn, with their first seed."""
     plan = found.chosen.plan
     return [replace(plan.rows[name], seeds=plan.rows[name].seeds[:1]) for name in plan.growth.rows]
 
 
-def _of_columns(found: ReportData) -> Iterator[tuple[str, Draw]]:
+def _collect_growth(found: ReportData, runs: Sequence[Run], growth: Sequence[ResolvedColumn]) -> list[GrowthSamples]:
+    """Return the samples of each row of the growth that has runs."""
+    rows = _rows_of_growth(found)
+    stored_runs = (
+        [run for group in groups(runs, (), growth, [row]) for run in of_row(group, row, "cpu").runs] for row in rows
+    )
+    return [samples(row, there) for row, there in zip(rows, stored_runs, strict=True) if there]
+
+
+def _list_speed(found: ReportData, runs: Sequence[Run], growth: Sequence[ResolvedColumn]) -> Iterator[FigureCall]:
+    """Yield Figure 2: training time, query rate, and both against the number of places."""
+    from vprbench.paper.figures.growth import draw_growth
+    from vprbench.paper.figures.speed import draw_query_rate, draw_training_time
+
+    group = next((group for group in found.groups if group.runs), None)
+    if group is not None:
+        rows, cells = found.chosen.rows, found.table.cells[found.table.cells["column"] == group.name]
+        marks = {(cell.row, cell.quantity): cell.mark for cell in iterate_rows(cells)}
+        given = series(group, rows), series(group, rows, "cuda"), rows, group.column.planned, marks
+        yield "fig2a-training-time", draw_training_time, *given
+        yield "fig2b-query-rate", draw_query_rate, *given
+    if growth:
+        yield "fig2c-growth", draw_growth, _collect_growth(found, runs, growth)
+
+
+def _list_by_dataset(found: ReportData) -> Iterator[FigureCall]:
     """Yield the figures that each dataset has: Figure 3, and those beyond the paper; without ground truth few."""
     from vprbench.paper.figures import accuracy, spikes
 
+    sequences: dict[str, list[list[Series]]] = {}
     for group in found.groups:
         shown = accuracy_series(group, found.chosen.rows)
         if not shown:
             continue
-        name = group.name
         if shown[0].runs[0].is_judged:
-            yield from _of_accuracy(found, group, shown)
-        yield f"spikes-{name}", partial(spikes.spike_statistics, shown)
-        if in_time := spikes.in_time(shown):
-            yield f"raster-{name}", partial(spikes.raster, in_time)
-    for column in found.chosen.columns:
-        groups_of = [g for g in found.groups if g.column is column and g.runs and g.runs[0].is_judged]
-        lengths = [accuracy_series(g, found.chosen.rows) for g in groups_of if "sequence" in g.runs[0].protocol]
-        if len(lengths) > 1:
-            yield f"sequences-{column.planned.name}", partial(accuracy.recall_at_length, lengths)
+            yield from _list_accuracy(found, group, shown)
+            if "sequence" in shown[0].runs[0].protocol:
+                sequences.setdefault(group.column.planned.name, []).append(shown)
+        yield f"spikes-{group.name}", spikes.draw_spikes, shown
+        if timed := spikes.select_spike_times(shown):
+            yield f"raster-{group.name}", spikes.draw_raster, timed
+    for name, views in sequences.items():
+        if len(views) > 1:
+            yield f"sequences-{name}", accuracy.draw_recall_at_length, views
 
 
-def _of_accuracy(found: ReportData, group: Group, shown: Sequence[Series]) -> Iterator[tuple[str, Draw]]:
+def _list_accuracy(found: ReportData, group: Group, shown: Sequence[Series]) -> Iterator[FigureCall]:
     """Yield the figures of a group that need to know which places are right."""
     from vprbench.paper.figures import accuracy, growth, pictures, tradeoff
 
-    timed = series(group, found.chosen.rows)
-    name = group.name
-    thumbnails = thumbnails_of(group, found.chosen)
+    name, timed, thumbnails = group.name, series(group, found.chosen.rows), thumbnails_of(group, found.chosen)
     if thumbnails is not None:
-        yield f"fig3a-frames-{name}", partial(pictures.frames, thumbnails, title(group, found.groups))
-    papers = [one for one in shown if one.name in found.chosen.plan.rows]
-    best = max(shown, key=lambda one: average_recall(one.runs) or 0.0)
-    one = papers[-1] if papers else best  # VPRTempo, as in the paper, where it has runs
-    if one.runs[0].view is None or one.runs[0].scores is not None:  # of several views none keeps its scores
-        yield f"fig3b-similarity-{name}", partial(pictures.similarity, one.runs[0], one.name)
-    yield f"fig3c-precision-recall-{name}", partial(accuracy.precision_recall, shown)
-    yield f"fig3d-recall-at-n-{name}", partial(accuracy.recall_at_n, shown)
-    yield f"tolerance-{name}", partial(accuracy.recall_at_tolerance, shown)
+        yield f"fig3a-frames-{name}", pictures.draw_frames, thumbnails, title(group, found.groups)
+    papers = [row for row in shown if row.name in found.chosen.plan.rows]
+    best = max(shown, key=lambda row: average_recall(row.runs) or 0.0)
+    row = papers[-1] if papers else best  # VPRTempo, as in the paper, where it has runs
+    if row.runs[0].view is None or row.runs[0].scores is not None:  # of several views none keeps its scores
+        yield f"fig3b-similarity-{name}", pictures.draw_similarity, row.runs[0], row.name
+    yield f"fig3c-precision-recall-{name}", accuracy.draw_precision_recall, shown
+    yield f"fig3d-recall-at-n-{name}", accuracy.draw_recall_at_n, shown
+    yield f"tolerance-{name}", accuracy.draw_recall_at_tolerance, shown
     for metric in found.chosen.metrics:
-        yield f"{metric.replace('_', '-')}-{name}", partial(accuracy.of_rows, shown, METRICS[metric])
-    yield f"rate-{name}", partial(tradeoff.against_rate, timed)
-    yield f"memory-{name}", partial(tradeoff.against_memory, timed)
-    if any(run.stream for one in shown for run in one.runs):
-        yield f"growing-map-{name}", partial(growth.growing_map, shown)
+        yield f"{metric.replace('_', '-')}-{name}", accuracy.draw_metric, shown, METRICS[metric]
+    yield f"rate-{name}", tradeoff.draw_rate_tradeoff, timed
+    yield f"memory-{name}", tradeoff.draw_memory_tradeoff, timed
+    if any(run.stream for row in shown for run in row.runs):
+        yield f"growing-map-{name}", growth.draw_growing_map, shown

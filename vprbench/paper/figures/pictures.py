@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.image import AxesImage
 
 from vprbench.api.arrays import Image, Scores
 from vprbench.api.images import Images
 from vprbench.errors import BadInput
 from vprbench.metrics.ranking import PlacesPerQuery
 from vprbench.paper.figures.captions import describe_runs
-from vprbench.paper.figures.style import DOUBLE_MM, Drawn, new, styled
+from vprbench.paper.figures.style import DOUBLE_MM, Drawing, new_figure, use_style
 from vprbench.paper.selection import Series
 from vprbench.runs.record import Run
 from vprbench.runs.thumbnails import Thumbnails
@@ -28,8 +26,8 @@ _FLATTEST = 0.4  # shorter over longer side of one
 _MARGIN_MM = 12.0  # for titles and labels
 
 
-@styled
-def frames(thumbnails: Thumbnails, title: str) -> Drawn:
+@use_style
+def draw_frames(thumbnails: Thumbnails, title: str) -> Drawing:
     """Draw the kept examples, right place and query, as they are and patch-normalised (Figure 3A of the paper).
 
     `title` names the dataset. The right half is VPRTempo's input: 28 x 28 pixels, patches of 7 x 7 (its public code,
@@ -43,13 +41,13 @@ def frames(thumbnails: Thumbnails, title: str) -> Drawn:
     columns = {
         "Reference": references,
         "Query": queries,
-        "Reference,\nnormalised": _normalised(references),
-        "Query,\nnormalised": _normalised(queries),
+        "Reference,\nnormalised": _normalise_patches(references),
+        "Query,\nnormalised": _normalise_patches(queries),
     }
     widths = [max(_NARROWEST, *(image.shape[1] / image.shape[0] for image in images)) for images in columns.values()]
     height = min(_FRAME_MM, (DOUBLE_MM - _MARGIN_MM) / sum(widths))
     width = min(DOUBLE_MM, height * sum(widths) + 2 * _MARGIN_MM)
-    figure, axes = new(width, height * len(examples) + _MARGIN_MM, len(examples), len(columns))
+    figure, axes = new_figure(width, height * len(examples) + _MARGIN_MM, len(examples), len(columns))
     grid = axes[0].get_gridspec()
     assert grid is not None  # subplots always have one
     grid.set_width_ratios(widths)
@@ -61,18 +59,18 @@ def frames(thumbnails: Thumbnails, title: str) -> Drawn:
         axes[column].set_title(name)
     for panel, example in zip(axes[:: len(columns)], examples, strict=True):
         panel.set_ylabel(f"Place {example.place}\nquery {example.query}")
-    names = thumbnails.reference_names, thumbnails.query_names
-    pairs = [f"{names[0][example.place]} and {names[1][example.query]}" for example in examples]
+    places, asked = thumbnails.reference_names, thumbnails.query_names
+    pairs = [f"{places[example.place]} and {asked[example.query]}" for example in examples]
     caption = (
         f"Places of {title}, each with a query that shows it. Left: as stored. Right: VPRTempo's input, grey, "
         f"gamma-corrected, {_SIDE} x {_SIDE} pixels, normalised in patches of {_PATCH} x {_PATCH}. "
         f"From top to bottom: {'; '.join(pairs)}."
     )
-    return Drawn(figure, caption)
+    return Drawing(figure, caption)
 
 
-@styled
-def similarity(run: Run, name: str | None = None) -> Drawn:
+@use_style
+def draw_similarity(run: Run, name: str | None = None) -> Drawing:
     """Draw the ground truth beside the scores of all places for all queries (Figure 3B of the paper).
 
     `name` is the row's, as in the table; without it the figure names the method. The scores of each query are
@@ -87,23 +85,36 @@ def similarity(run: Run, name: str | None = None) -> Drawn:
     name = name or run.method
     n_queries, n_places = run.scores.shape
     block = -(-max(n_queries, n_places) // _MOST_CELLS)
-    longest = _PANEL_MM / max(n_queries, n_places)
-    height = max(n_queries * longest, _FLATTEST * _PANEL_MM)
-    figure, axes = new(DOUBLE_MM, height + _MARGIN_MM, columns=2)
-    _draw_matrix(axes[0], _block_maxima(_ground_truth(run.positives, n_places), block), block, run.scores.shape)
-    drawn = _draw_matrix(axes[1], _block_maxima(_stretched(run.scores), block), block, run.scores.shape)
-    axes[0].set_title("Ground truth")
-    axes[1].set_title(f"Similarity, {name}")
-    figure.colorbar(drawn, ax=axes[1], label="Score within its query", ticks=[0, 0.5, 1], aspect=30)
+    height = max(n_queries * _PANEL_MM / max(n_queries, n_places), _FLATTEST * _PANEL_MM)
+    flat = not _FLATTEST <= n_queries / n_places <= 1 / _FLATTEST
+    figure, panels = new_figure(DOUBLE_MM, height + _MARGIN_MM, columns=2)
+    matrices = _ground_truth(run.positives, n_places), _stretch_scores(run.scores)
+    for axes, matrix, heading in zip(panels, matrices, ("Ground truth", f"Similarity, {name}"), strict=True):
+        cells = _block_maxima(matrix, block)
+        bottom, right = (block * count - 0.5 for count in cells.shape)
+        image = axes.imshow(
+            cells,
+            cmap="gray_r",
+            vmin=0,
+            vmax=1,
+            interpolation="none",  # the cells themselves go into a PDF, whatever its resolution
+            extent=(-0.5, right, bottom, -0.5),  # ticks are numbers of queries and places
+            aspect="auto" if flat else "equal",
+        )
+        axes.set(xlabel="Place", ylabel="Query", xlim=(-0.5, n_places - 0.5), ylim=(n_queries - 0.5, -0.5))
+        axes.set_title(heading)
+        axes.spines[:].set_visible(True)
+    figure.colorbar(image, ax=panels[1], label="Score within its query", ticks=[0, 0.5, 1], aspect=30)
     caption = (
         f"Ground truth (left) and scores of {name}, seed {run.config['seed']} (right); rows are queries, columns are "
         "places. Scores of each query run from 0, its worst place, to 1, its best. "
         f"{f'A cell is the maximum of {block} x {block} scores. ' if block > 1 else ''}"
+        f"{describe_runs([Series(name, False, (run,))], '')}"
     )
-    return Drawn(figure, caption + describe_runs([Series(name, False, (run,))], ""))
+    return Drawing(figure, caption)
 
 
-def _normalised(images: Sequence[Image]) -> list[Image]:
+def _normalise_patches(images: Sequence[Image]) -> list[Image]:
     # A plug-in of this project, which type checkers find as `methods`; it brings PyTorch.
     from vprbench.methods.parts.filters.patches import PatchNormalisation  # type: ignore[import-not-found]
 
@@ -119,7 +130,7 @@ def _ground_truth(positives: PlacesPerQuery, n_places: int) -> Scores:
     return truth
 
 
-def _stretched(scores: Scores) -> Scores:
+def _stretch_scores(scores: Scores) -> Scores:
     """Return scores from 0 to 1 within each query; 0 if a place is no candidate or all scores are alike."""
     candidate = scores > -np.inf
     best = scores.max(axis=1, keepdims=True)
@@ -133,22 +144,3 @@ def _block_maxima(matrix: Scores, block: int) -> Scores:
     """Return the maximum of each block of `block` x `block` cells; those at the end may be smaller."""
     rows, columns = (np.arange(0, count, block) for count in matrix.shape)
     return np.maximum.reduceat(np.maximum.reduceat(matrix, rows, axis=0), columns, axis=1)
-
-
-def _draw_matrix(axes: Axes, cells: Scores, block: int, shape: tuple[int, ...]) -> AxesImage:
-    """Draw cells of `block` x `block` scores so that the ticks are numbers of queries and places."""
-    n_queries, n_places = shape
-    height, width = (block * count - 0.5 for count in cells.shape)
-    flat = not _FLATTEST <= n_queries / n_places <= 1 / _FLATTEST
-    image = axes.imshow(
-        cells,
-        cmap="gray_r",
-        vmin=0,
-        vmax=1,
-        interpolation="none",  # the cells themselves go into a PDF, whatever its resolution
-        extent=(-0.5, width, height, -0.5),
-        aspect="auto" if flat else "equal",
-    )
-    axes.set(xlabel="Place", ylabel="Query", xlim=(-0.5, n_places - 0.5), ylim=(n_queries - 0.5, -0.5))
-    axes.spines[:].set_visible(True)
-    return image

@@ -3,30 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from statistics import mean, median
-from typing import Any
+from textwrap import fill
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from matplotlib.patheffects import withStroke
 
 from vprbench.errors import BadInput
+from vprbench.paper.figures import style
 from vprbench.paper.figures.captions import describe_runs, join_facts, split_timed
-from vprbench.paper.figures.style import (
-    DOUBLE_MM,
-    GREY,
-    SINGLE_MM,
-    Drawn,
-    Look,
-    looks,
-    new,
-    plain_log,
-    styled,
-    wrapped,
-)
+from vprbench.paper.figures.style import Drawing, Look, choose_looks, new_figure, use_style
 from vprbench.paper.plan import PlannedColumn, Row
 from vprbench.paper.published import PAPER, PAPER_CPU, PAPER_GPU, published
 from vprbench.paper.selection import Series
@@ -34,106 +25,103 @@ from vprbench.paper.table import best
 from vprbench.runs.record import Run
 from vprbench.text import format_three_digits
 
-_PUBLISHED, _QUOTED = "//////", "......"  # hatches
 _BAR = 0.38  # of the distance between rows
 _LETTERS = 22  # of a line of a row's name
+_ROOM = 5.0  # times the shortest and the longest bar, for the numbers beside them
+_PUBLISHED, _QUOTED = "//////", "......"  # hatches
+_WORDS: dict[str, Any] = {"color": style.GREY, "style": "italic", "fontsize": 7, "va": "center"}
+
+_READING = "with reading the images"
+_LINES: dict[str, Any] = {  # seen on a dark bar too
+    "color": "black",
+    "solid_capstyle": "butt",
+    "path_effects": [withStroke(linewidth=3, foreground="white")],
+}
+
+Marks = Mapping[tuple[str, str], str]  # the words of the table's cells, by row and quantity
 
 
-@dataclass(frozen=True)
-class _Bar:
-    """What was measured of one row on one kind of device, or the word that stands in its place."""
+class _Bar(NamedTuple):
+    """What was measured of one row on one kind of device."""
 
-    value: float | None = None
-    low: float | None = None
-    high: float | None = None
-    more: float | None = None  # where the tick stands: of training with reading the images
-    word: str = ""
+    value: float
+    low: float
+    high: float
+    wall: float = 0.0  # of training, with reading the images; 0: none
 
 
-@dataclass(frozen=True)
-class _Panel:
-    """One kind of device."""
+class _Quantity(NamedTuple):
+    """What the bars of a figure show."""
 
-    title: str
-    measured: Mapping[str, _Bar]  # by row
-    published: Mapping[str, float]  # those that the paper has
+    name: str  # in the paper's table and in marks, before the device
+    label: str
+    published: str  # the legend's text for the paper's bars
+    unit: float  # of the paper's numbers
+    measure: Callable[[Row, Sequence[Run], str], _Bar | str]  # a word where no run has the number
 
 
-@styled
-def training_time(
-    cpu: Sequence[Series],
-    gpu: Sequence[Series],
-    rows: Sequence[Row],
-    column: PlannedColumn,
-    marks: Mapping[tuple[str, str], str],
-) -> Drawn:
-    """Draw the minutes of training of each row, measured above published, a panel for each kind of device with runs.
+@use_style
+def draw_training_time(
+    cpu: Sequence[Series], gpu: Sequence[Series], rows: Sequence[Row], column: PlannedColumn, marks: Marks
+) -> Drawing:
+    """Draw the seconds of training of each row, measured above published, a panel for each kind of device with runs.
 
-    A bar is the time without waiting for images, a tick the wall time. `marks` are the words of the table's cells, by
-    row and quantity, which stand in the place of a missing bar. Raises BadInput if nothing is stored.
+    A bar is the time without waiting for images, a tick the wall time. `marks` stand in the place of missing bars.
+    Raises BadInput if nothing is stored.
     """
-    quantities: tuple[str, str] = ("train_cpu", "train_gpu")
-    panels = _panels(cpu, gpu, rows, column, quantities, marks, _minutes)
-    quoted = [row.name for row in rows if row.training == "pretrained"]
-    figure = _draw(panels, rows, "Training time (min)", _keys(panels, quoted), quoted)
-    printed = _describe_published(column, panels, f"; quoted there: {', '.join(quoted)}" if quoted else "")
+    quantity = _Quantity("train", "Training time (s)", "published", 60.0, _measure_training)
+    quoted = ", ".join(row.name for row in rows if row.training == "pretrained")
     caption = join_facts(
         f"Training time on {column.title}. Bars: without waiting for images to be read; ticks and brackets: with it.",
-        printed,
+        _describe_published(rows, column, f"; quoted there: {quoted}" if quoted else ""),
         describe_runs([*cpu, *gpu], "median, and a line from lowest to highest", of_times=True),
     )
-    return Drawn(figure, caption)
+    return Drawing(_draw(quantity, cpu, gpu, rows, column, marks), caption)
 
 
-@styled
-def query_rate(
-    cpu: Sequence[Series],
-    gpu: Sequence[Series],
-    rows: Sequence[Row],
-    column: PlannedColumn,
-    marks: Mapping[tuple[str, str], str],
-) -> Drawn:
+@use_style
+def draw_query_rate(
+    cpu: Sequence[Series], gpu: Sequence[Series], rows: Sequence[Row], column: PlannedColumn, marks: Marks
+) -> Drawing:
     """Draw the queries per second of each row, measured above published, a panel for each kind of device with runs.
 
-    A measured bar is of encode and match together. `marks` and what is raised are those of `training_time`; a run that
-    was not timed counts as none.
+    A measured bar is of encode and match together. `marks` and what is raised are those of `draw_training_time`; a run
+    that was not timed counts as none.
     """
-    quantities: tuple[str, str] = ("query_cpu", "query_gpu")
-    (cpu, _), (gpu, _) = split_timed(cpu), split_timed(gpu)
-    panels = _panels(cpu, gpu, rows, column, quantities, marks, _hertz)
-    figure = _draw(panels, rows, "Queries per second, encode and match", _keys(panels, (), ", of one step alone"), ())
-    printed = {name for panel in panels for name in panel.published}
-    steps = [f"{row.name} {row.boundary}" for row in rows if row.boundary and row.name in printed]
+    cpu, gpu = split_timed(cpu)[0], split_timed(gpu)[0]
+    label = "Queries per second, encode and match"
+    quantity = _Quantity("query", label, "published, of one step alone", 1.0, _measure_rate)
+    steps = ", ".join(f"{row.name} {row.boundary}" for row in rows if row.boundary)
     caption = join_facts(
         f"Queries per second on {column.title}, one query from memory, encode and match: 1 / median.",
-        _describe_published(column, panels, f"; of one step: {', '.join(steps)}"),
+        _describe_published(rows, column, f"; of one step: {steps}"),
         "Line over a bar of one seed: the middle 80 % of its queries.",
         describe_runs([*cpu, *gpu], "mean, and a line from lowest to highest", of_times=True),
     )
-    return Drawn(figure, caption)
+    return Drawing(_draw(quantity, cpu, gpu, rows, column, marks), caption)
 
 
-def _describe_published(column: PlannedColumn, panels: Sequence[_Panel], more: str) -> str:
-    """Return a sentence on the paper's bars, where there are any."""
-    if not any(panel.published for panel in panels):
+def _describe_published(rows: Sequence[Row], column: PlannedColumn, more: str) -> str:
+    """Return a sentence on the paper's bars; empty where it has none of these rows."""
+    if not any((row.name, column.published) in published() for row in rows):
         return ""
     real = f" on {column.published}, for which this dataset stands in" if column.stand_in_for else ""
     return f"Hatched bars: {PAPER}{real}, measured on {PAPER_CPU} and {PAPER_GPU}{more}."
 
 
-def _minutes(row: Row, runs: Sequence[Run], word: str) -> _Bar:
+def _measure_training(row: Row, runs: Sequence[Run], mark: str) -> _Bar | str:
     if not row.learns_here:
-        return _Bar(word="no training" if row.training == "none" else "comes trained")
-    minutes = [run.fit_compute_seconds / 60 for run in runs if run.fit_compute_seconds is not None]
-    if not minutes:
-        return _Bar(word="network loaded" if any(run.network is not None for run in runs) else word)
-    wall = median(run.fit_seconds / 60 for run in runs if run.fit_seconds is not None)
-    return _Bar(median(minutes), min(minutes), max(minutes), wall)
+        return "no training" if row.training == "none" else "comes trained"
+    seconds = [run.fit_compute_seconds for run in runs if run.fit_compute_seconds is not None]
+    if not seconds:
+        return "network loaded" if any(run.network is not None for run in runs) else mark
+    wall = median(run.fit_seconds for run in runs if run.fit_seconds is not None)
+    return _Bar(median(seconds), min(seconds), max(seconds), wall)
 
 
-def _hertz(row: Row, runs: Sequence[Run], word: str) -> _Bar:
+def _measure_rate(row: Row, runs: Sequence[Run], mark: str) -> _Bar | str:
     if not runs:
-        return _Bar(word=word)
+        return mark
     rates = list(map(best.compute_rate, runs))
     low, high = min(rates), max(rates)
     if len(runs) == 1:
@@ -141,99 +129,72 @@ def _hertz(row: Row, runs: Sequence[Run], word: str) -> _Bar:
     return _Bar(mean(rates), low, high)
 
 
-def _panels(
+def _draw(
+    quantity: _Quantity,
     cpu: Sequence[Series],
     gpu: Sequence[Series],
     rows: Sequence[Row],
     column: PlannedColumn,
-    quantities: tuple[str, str],
-    marks: Mapping[tuple[str, str], str],
-    measure: Callable[[Row, Sequence[Run], str], _Bar],
-) -> list[_Panel]:
-    if not cpu and not gpu:
-        raise BadInput(f"no run on {column.title} is stored that has these times: there is no speed to draw")
-    printed = published()
-    panels = []
-    for title, series, quantity in zip(("CPU", "GPU"), (cpu, gpu), quantities, strict=True):
-        runs = {one.name: one.runs for one in series}
-        theirs = {row.name: printed.get((row.name, column.published or ""), {}).get(quantity) for row in rows}
-        if runs:
-            words = {row.name: marks.get((row.name, quantity), "not run") for row in rows}
-            measured = {row.name: measure(row, runs.get(row.name, ()), words[row.name]) for row in rows}
-            panels.append(_Panel(title, measured, {name: value for name, value in theirs.items() if value}))
-    return panels
-
-
-def _draw(
-    panels: Sequence[_Panel], rows: Sequence[Row], label: str, keys: Sequence[Patch | Line2D], quoted: Sequence[str]
+    marks: Marks,
 ) -> Figure:
-    width_mm, key_rows = (SINGLE_MM, len(keys)) if len(panels) == 1 else (DOUBLE_MM, 1)
-    figure, all_axes = new(width_mm, 19 + 9 * len(rows) + 4.2 * key_rows, 1, len(panels))
-    drawn = looks([row.name for row in rows])
-    measured = [bar for panel in panels for bar in panel.measured.values()]
-    ends = [end for bar in measured for end in (bar.value, bar.low, bar.high, bar.more) if end]
-    ends += [printed for panel in panels for printed in panel.published.values()]
-    span = max(ends, default=1) / min(ends, default=1)
-    for axes, panel in zip(all_axes, panels, strict=True):
-        plain_log(axes, "x", ends or [1], below=2.5, above=1.6 * span**0.3)
-        for i, row in enumerate(rows):
-            _draw_measured(axes, i - _BAR / 2, panel.measured[row.name], drawn[row.name])
-            if row.name in panel.published:
-                hatch = _QUOTED if row.name in quoted else _PUBLISHED
-                _draw_published(axes, i + _BAR / 2, panel.published[row.name], drawn[row.name], hatch)
-        axes.set(xlabel=label, ylim=(len(rows) - 0.4, -0.6), yticks=range(len(rows)), title=panel.title)
-        axes.set_yticklabels([wrapped(row.name, _LETTERS) for row in rows] if axes is all_axes[0] else [])
+    devices = {name: {one.name: one.runs for one in shown} for name, shown in (("cpu", cpu), ("gpu", gpu)) if shown}
+    if not devices:
+        raise BadInput(f"no run on {column.title} is stored that has these times: there is no speed to draw")
+    width = style.SINGLE_MM if len(devices) == 1 else style.DOUBLE_MM
+    figure, panels = new_figure(width, 19 + 9 * len(rows), 1, len(devices))
+    looks = choose_looks(row.name for row in rows)
+    ends: list[float] = []
+    for axes, (device, runs) in zip(panels, devices.items(), strict=True):
+        name = f"{quantity.name}_{device}"
+        for place, row in enumerate(rows):
+            bar = quantity.measure(row, runs.get(row.name, ()), marks.get((row.name, name), "not run"))
+            if isinstance(bar, str):
+                axes.text(0.02, place - _BAR / 2, bar, transform=axes.get_yaxis_transform(), **_WORDS)
+            else:
+                _draw_measured(axes, place - _BAR / 2, bar, looks[row.name])
+                ends += [bar.low, bar.high, bar.wall]
+            if number := published().get((row.name, column.published or ""), {}).get(name):
+                hatch = _QUOTED if quantity.name == "train" and row.training == "pretrained" else _PUBLISHED
+                printed = quantity.unit * number
+                axes.barh(place + _BAR / 2, printed, _BAR, linewidth=0.8, **{**looks[row.name].of_bar, "hatch": hatch})
+                _write(axes, printed, place + _BAR / 2, format_three_digits(printed), style.GREY)
+                ends.append(printed)
+        axes.set(xlabel=quantity.label, ylim=(len(rows) - 0.4, -0.6), title=device.upper())
+        axes.set_yticks(range(len(rows)), [fill(row.name, _LETTERS) for row in rows] if axes is panels[0] else [])
         axes.tick_params(axis="y", length=0)
-    figure.legend(handles=keys, loc="outside lower left", ncols=-(-len(keys) // key_rows))
+    for axes in panels:
+        style.scale_log(axes, "x", ends or [1.0], _ROOM)
+    style.add_legend(figure, _list_keys(panels, quantity.published), column.title)
     return figure
 
 
-def _draw_measured(axes: Axes, at: float, bar: _Bar, look: Look) -> None:
-    start = axes.get_xlim()[0]
-    if bar.value is None:
-        _write(axes, start, at, bar.word, color=GREY, style="italic")
-        return
-    axes.barh(at, bar.value - start, _BAR, start, color=look.colour, edgecolor="black", linewidth=0.5)
-    low, high = bar.low or bar.value, bar.high or bar.value
-    lines = [([low, high], [at, at], 1.0)] if low < high else []
-    if bar.more is not None:
-        lines.append(([bar.more] * 2, [at - _BAR / 2, at + _BAR / 2], 1.8))
-    for x, y, width in lines:
-        axes.plot(x, y, color="white", linewidth=width + 1.4, solid_capstyle="butt")  # to be seen on a dark bar
-        axes.plot(x, y, color="black", linewidth=width, solid_capstyle="butt")
-    beyond = bar.more if bar.more is not None and bar.more > high else None
-    _write(
-        axes,
-        beyond or high,
-        at,
-        format_three_digits(bar.value) + (f" ({format_three_digits(beyond)})" if beyond else ""),
-    )
+def _draw_measured(axes: Axes, place: float, bar: _Bar, look: Look) -> None:
+    axes.barh(place, bar.value, _BAR, color=look.colour, edgecolor="black", linewidth=0.5)
+    if bar.low < bar.high:
+        axes.plot([bar.low, bar.high], [place, place], linewidth=1.0, **_LINES)
+    if bar.wall:
+        ends = [place - _BAR / 2, place + _BAR / 2]
+        axes.plot([bar.wall, bar.wall], ends, linewidth=1.8, label=_READING, **_LINES)
+    text = format_three_digits(bar.value) + (f" ({format_three_digits(bar.wall)})" if bar.wall > bar.high else "")
+    _write(axes, max(bar.wall, bar.high), place, text)
 
 
-def _draw_published(axes: Axes, at: float, printed: float, look: Look, hatch: str) -> None:
-    start = axes.get_xlim()[0]
-    axes.barh(at, printed - start, _BAR, start, color="white", edgecolor=look.colour, hatch=hatch, linewidth=0.8)
-    _write(axes, printed, at, format_three_digits(printed), color=GREY)
+def _write(axes: Axes, x: float, y: float, text: str, colour: str = "black") -> None:
+    axes.annotate(text, (x, y), (4, 0), textcoords="offset points", va="center", fontsize=7, color=colour)
 
 
-def _write(axes: Axes, x: float, y: float, text: str, **looking: Any) -> None:
-    axes.annotate(text, (x, y), (4, 0), textcoords="offset points", va="center", fontsize=7, **looking)
-
-
-def _keys(panels: Sequence[_Panel], quoted: Sequence[str], of_what: str = "") -> list[Patch | Line2D]:
-    """Return what the legend shows: only what is drawn."""
-    printed = {name for panel in panels for name in panel.published}
-    keys: list[Patch | Line2D] = [Patch(facecolor=GREY, edgecolor="black", linewidth=0.5, label="measured here")]
-    if printed - set(quoted):
-        keys.append(Patch(facecolor="white", edgecolor=GREY, hatch=_PUBLISHED, label=f"published{of_what}"))
-    if printed & set(quoted):
-        keys.append(Patch(facecolor="white", edgecolor=GREY, hatch=_QUOTED, label="published, quoted there"))
-    if _has_ticks(panels):
-        mark = Line2D([], [], color="black", marker="|", linestyle="none", markersize=8, markeredgewidth=1.6)
-        mark.set_label("with reading the images")
-        keys.append(mark)
+def _list_keys(panels: Sequence[Axes], published_label: str) -> list[Patch | Line2D]:
+    """Return the keys of a legend: only of what is drawn."""
+    hatches = {bar.get_hatch() for axes in panels for bar in axes.patches}
+    keys: list[Patch | Line2D] = [
+        Patch(facecolor="white" if hatch else style.GREY, edgecolor=style.GREY, hatch=hatch, label=label)
+        for hatch, label in (
+            (None, "measured here"),
+            (_PUBLISHED, published_label),
+            (_QUOTED, "published, quoted there"),
+        )
+        if hatch in hatches
+    ]
+    if any(line.get_label() == _READING for axes in panels for line in axes.lines):
+        keys.append(Line2D([], [], color="black", marker="|", linestyle="none", markersize=8, label=_READING))
     return keys
-
-
-def _has_ticks(panels: Sequence[_Panel]) -> bool:
-    return any(bar.more is not None for panel in panels for bar in panel.measured.values())

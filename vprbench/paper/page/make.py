@@ -23,7 +23,7 @@ from vprbench.storage.atomic import replace_text
 from vprbench.text import format_bytes
 
 if TYPE_CHECKING:
-    from vprbench.paper.figures.style import Drawn
+    from vprbench.paper.figures.style import Drawing
 
 
 def make_report(request: TableRequest, options: Sequence[str]) -> int:
@@ -53,17 +53,17 @@ def _frames_of(group: Group, found: ReportData) -> Thumbnails | None:
 
 
 def write_page(
-    found: ReportData, drawings: Iterable[tuple[str, Drawn]], path: Path, absent: Sequence[str] = ()
+    found: ReportData, drawings: Iterable[tuple[str, Drawing]], path: Path, absent: Sequence[str] = ()
 ) -> Path:
     """Write the page of a table, titled as the table if that is not the paper's, with these figures; returns `path`.
 
     `absent` says of each figure that is not drawn why.
     """
-    from vprbench.paper.figures.style import png
+    from vprbench.paper.figures.style import render_png
     from vprbench.paper.page.page import TITLE, Picture, Section, page
 
     with progress_shown("report"):
-        pictures = [Picture(name, drawn.caption, png(drawn)) for name, drawn in drawings]
+        pictures = [Picture(name, drawing.caption, render_png(drawing)) for name, drawing in drawings]
     rows = found.chosen.rows
     groups = [(title(group, found.groups), group) for group in found.groups if group.runs]
     sections = [
