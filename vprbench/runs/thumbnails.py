@@ -29,6 +29,7 @@ _SIDE, _QUALITY = 96, 50  # of a thumbnail: its longest side in pixels, and WebP
 _EFFORT = 4  # of WebP, 0 to 6
 _OF_RUN = 2000  # frames of a large dataset that are kept for one run ...
 _MOST = 6000  # ... and for all; a dataset of no more is kept whole
+_AT_LEAST = 60  # frames that are kept for each run all the same: of the queries that the page opens with
 
 
 @dataclass(frozen=True)
@@ -84,7 +85,8 @@ def save_thumbnails(root: Path, fingerprint: str, dataset: Dataset, shown: Shown
     )
     chosen: tuple[Collection[int], Collection[int]] = range(len(queries)), range(len(references))
     if len(queries) + len(references) > _MOST:
-        chosen = choose_frames(shown, min(_OF_RUN, _MOST - sum(map(bool, frames[0] + frames[1]))))
+        room = _MOST - sum(map(bool, frames[0] + frames[1]))
+        chosen = choose_frames(shown, max(_AT_LEAST, min(_OF_RUN, room)))
     missing = [[n for n in sorted(wanted) if not kept[n]] for wanted, kept in zip(chosen, frames, strict=True)]
     if found is not None and not any(missing):
         return
