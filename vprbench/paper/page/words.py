@@ -34,14 +34,14 @@ def list_findings(series: Sequence[Series], answers: Iterable[Answers]) -> list[
     return found[:_FINDINGS]
 
 
-def list_machines(series: Iterable[Series]) -> Facts:
+def list_machines(series: Iterable[Series]) -> list[tuple[str, str, str]]:
     """Return each machine with its versions, and the runs made there, in the order of the runs."""
-    found: dict[str, dict[str, None]] = {}
+    found: dict[tuple[str, str], dict[str, None]] = {}
     for one in series:
         for run in one.runs:
-            made_on = f"{Machine.of(run.environment).line}; {_list_versions(run.environment)}"
+            made_on = Machine.of(run.environment).line, _list_versions(run.environment)
             found.setdefault(made_on, {})[f"{one.name} ({run.dataset})"] = None
-    return tuple((made_on, ", ".join(runs)) for made_on, runs in found.items())
+    return [(*made_on, ", ".join(runs)) for made_on, runs in found.items()]
 
 
 def list_run_notes(measured: Iterable[tuple[str, Series]]) -> Facts:
