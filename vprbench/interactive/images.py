@@ -19,7 +19,6 @@ from vprbench.api.images import Images
 from vprbench.api.levels import decoding_of
 from vprbench.errors import BadInput
 from vprbench.interactive.choices import as_plain
-from vprbench.interactive.positives import read_positives
 from vprbench.plugins import registry
 from vprbench.plugins.values import check_value
 from vprbench.storage.paths import Paths
@@ -83,7 +82,7 @@ def dataset_of(
         raise BadInput(f"tolerance={tolerance}: leave it out with positives= and with ground_truth=none")
     if positives is not None and ground_truth == "none":
         raise BadInput("ground_truth=none: leave positives out, which say what is right")
-    folders = _reader()
+    folders = _reader("folders")
     given = _split_traverses(references)
     traverses = [*(_read_traverse(each, "references") for each in given), _read_traverse(queries, "queries")]
     of_folders = [number for number, each in enumerate(traverses) if isinstance(each, Paths)]
@@ -102,7 +101,7 @@ def dataset_of(
     else:
         folders.check_by_order(several, names[:-1], breaks, "", _REMEDY)
         n_places = len(several[0])
-        right = read_positives(positives, len(asked), n_places)
+        right = _reader("readers.positives").read_positives(positives, len(asked), n_places)
         truth = folders.GroundTruth(np.tile(np.arange(n_places), len(several)), right, "no right place")
     protocol = {
         "protocol": "images",
@@ -117,9 +116,9 @@ def dataset_of(
     return dataset.with_shared_frames(shared_frames)
 
 
-def _reader() -> Any:
-    """Return the module of the dataset `folders`."""
-    return registry.module_beside(registry.entries("dataset")["folders"], "folders")
+def _reader(module: str) -> Any:
+    """Return a module of the package that reads the dataset `folders`."""
+    return registry.module_beside(registry.entries("dataset")["folders"], module)
 
 
 def _split_traverses(references: Any) -> list[Any]:
@@ -136,7 +135,7 @@ def _split_traverses(references: Any) -> list[Any]:
 def _read_traverse(traverse: Any, option: str) -> _Read:
     """Return the files or the images of one traverse; raises what `dataset_of` raises, naming the `option`."""
     if isinstance(traverse, str | Path):
-        found: Paths = _reader().images_in(traverse, option, "give a folder of images")
+        found: Paths = _reader("folders").images_in(traverse, option, "give a folder of images")
         return found
     if not isinstance(traverse, Sequence | np.ndarray):
         raise BadInput(f"{option} is of type {type(traverse).__name__}; wanted a folder, a list of images or an array")

@@ -1,4 +1,4 @@
-"""What a run gave, for Python programs and notebooks: numbers, tables of its queries, and figures."""
+"""The result of a run, for Python programs and notebooks: numbers, tables of its queries, and figures."""
 
 from __future__ import annotations
 
@@ -50,18 +50,18 @@ class Result:
 
     @property
     def name(self) -> str:
-        """The name of the method, with the arguments that were asked for."""
+        """The name of the method, with the arguments given."""
         return frame.format_label(self.run)
 
     @property
     def metrics(self) -> dict[str, float]:
-        """Every accuracy by its name, 0 to 1, and every cost; NaN where it is undefined or was not asked for."""
+        """Every accuracy by its name, 0 to 1, and every cost; NaN where it is undefined or not measured."""
         found = {name: metric.of(self.run) for name, metric in METRICS.items()}
         return {name: NAN if value is None else value for name, value in found.items()}
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What a reader of the numbers has to know, a line each."""
+        """Remarks on the run that its numbers need, a line each."""
         return tuple(note.text for note in list_notes(self.run))
 
     @property
@@ -73,8 +73,9 @@ class Result:
     def recall(self, n: int = 1, tolerance: int = 0) -> float:
         """Return the share of queries with a right place among the best `n`, 0 to 1; NaN if none has a right place.
 
-        With a `tolerance` all places so many from a right place, along the journey, are right too. Raises BadInput for
-        n below 1, a tolerance below 0, and with a tolerance for more places than the run keeps (`depth`).
+        With a `tolerance` the places at most so many from a right one, along the journey, are right too; the best
+        places that the run keeps (`depth`) decide. Raises BadInput for n below 1, a tolerance below 0, and with a
+        tolerance for more places than the run keeps.
         """
         run, answers = self.run, self.run.outcome
         if tolerance:

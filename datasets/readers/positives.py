@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.sparse import csr_array, issparse
 
-from vprbench.errors import BadInput
+from vprbench.api import BadInput
 
 Positives = tuple[npt.NDArray[np.int64], ...]
 
@@ -50,17 +50,25 @@ def read_positives(positives: Any, n_queries: int, n_places: int) -> Positives:
     return tuple(found)
 
 
-def _read_matrix(matrix: Any, n_queries: int, n_places: int) -> Positives:
-    if matrix.shape != (n_queries, n_places):
-        turned = ", places by queries: pass positives.T" if matrix.shape == (n_places, n_queries) else ""
+def check_matrix(
+    named: str, matrix: npt.NDArray[Any] | csr_array, shape: tuple[int, int], axes: tuple[str, str]
+) -> None:
+    """Raise BadInput, for the matrix `named`, unless it has that shape and holds nothing but 0 and 1."""
+    if matrix.shape != shape:
+        turned = " (it is transposed)" if matrix.shape == shape[::-1] else ""
         raise BadInput(
-            f"positives: a matrix of shape {matrix.shape} came{turned}; wanted are booleans, or 0 and 1, of shape "
-            f"{(n_queries, n_places)}, queries by places"
+            f"{named} has the shape {matrix.shape}{turned}; wanted is {shape}, {axes[0]} by {axes[1]}, for the images "
+            "that are there"
         )
+    values = matrix.data if issparse(matrix) else matrix
+    if matrix.dtype.kind not in "buif" or not np.isin(values, (0, 1)).all():
+        raise BadInput(f"{named} holds {matrix.dtype} values other than 0 and 1: yes and no are wanted")
+
+
+def _read_matrix(matrix: Any, n_queries: int, n_places: int) -> Positives:
     rows = csr_array(matrix, copy=True)
     rows.sum_duplicates()
-    if not np.isin(rows.data, (0, 1)).all():
-        raise BadInput(f"positives holds {rows.dtype} values other than 0 and 1")
+    check_matrix("positives", rows, (n_queries, n_places), ("queries", "places"))
     rows.eliminate_zeros()
     return tuple(np.split(rows.indices.astype(np.int64), rows.indptr[1:-1]))
 
