@@ -89,19 +89,19 @@ def dataset_of(
     ordered, read, notes = folders.by_numbers([traverses[number] for number in of_folders], numbers, "numbers")
     for number, files in zip(of_folders, ordered, strict=True):
         traverses[number] = files
-    *several, asked = traverses
+    *several, query_images = traverses
     mapped = _join(several, exif, levels)
     names = [*(f"references[{number}]" for number in range(len(several))), "queries"]
     if by_order:
         folders.check_by_order(traverses, names, breaks, "", _REMEDY)
-        truth = folders.match_by_order(several, names[:-1], mapped, asked, int(tolerance), breaks)
+        truth = folders.match_by_order(several, names[:-1], mapped, query_images, int(tolerance), breaks)
         read = {"tolerance_places": int(tolerance), **read}
     elif ground_truth == "none":
-        truth = folders.unknown(len(mapped), len(asked))
+        truth = folders.unknown(len(mapped), len(query_images))
     else:
         folders.check_by_order(several, names[:-1], breaks, "", _REMEDY)
         n_places = len(several[0])
-        right = _reader("readers.positives").read_positives(positives, len(asked), n_places)
+        right = _reader("readers.positives").read_positives(positives, len(query_images), n_places)
         truth = folders.GroundTruth(np.tile(np.arange(n_places), len(several)), right, "no right place")
     protocol = {
         "protocol": "images",
@@ -111,7 +111,7 @@ def dataset_of(
         **read,
     }
     dataset: Dataset = folders.dataset_of_files(
-        name, mapped, asked, truth, "keep", protocol, notes, breaks, exif=exif, levels=levels
+        name, mapped, query_images, truth, "keep", protocol, notes, breaks, exif=exif, levels=levels
     )
     return dataset.with_shared_frames(shared_frames)
 
