@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vprbench.api import BadInput, Dataset, Exif, NotThere, Paths
+from vprbench.api import BadInput, Dataset, Exif, Images, NotThere, Paths
 
 from .readers.coordinates import Positions, WithoutPosition, are_metres
 from .readers.drives import Breaks, check_by_order, drive_starts, right_in_drive
@@ -71,9 +71,7 @@ def folders(
     chosen: dict[str, float] = {}
     if ground_truth == "index":
         check_by_order(found, [*references, queries], breaks, "dataset.", _WAYS_OUT)
-        truth = by_index(traverses, references, len(asked), tolerance)
-        starts = drive_starts((), asked, breaks)
-        truth = replace(truth, positives=right_in_drive(truth.positives, starts.queries))
+        truth = match_by_order(traverses, references, mapped, asked, tolerance, breaks)
         chosen = {"tolerance_places": tolerance}
     elif ground_truth == "utm":
         chosen = {"radius_metres": radius_metres}
@@ -107,6 +105,21 @@ def folders(
         exif=exif,
         levels=levels,
     )
+
+
+def match_by_order(
+    traverses: Sequence[Sized],
+    names: list[str],
+    references: Sequence[Path] | Images,
+    queries: Sequence[Path] | Images,
+    tolerance: int,
+    breaks: Breaks,
+) -> GroundTruth:
+    """Return the ground truth of `by_index`, within the drive of each query; `references` are all traverses in turn."""
+    truth = by_index(traverses, names, len(queries), tolerance)
+    starts = drive_starts(references, queries, breaks)
+    drives = np.union1d(starts.of_places(truth.places), starts.queries)
+    return replace(truth, positives=right_in_drive(truth.positives, drives))
 
 
 def by_index(traverses: Sequence[Sized], names: list[str], n_queries: int, tolerance: int) -> GroundTruth:

@@ -38,6 +38,12 @@ def printable(text: str, but: str = "") -> str:
     return "".join(c if c.isprintable() or c in but else c.encode("unicode_escape").decode() for c in text)
 
 
+def shorten(text: str) -> str:
+    """Return text in one line of at most 100 letters; of a longer one the middle is left out."""
+    line = printable(" ".join(text.split()))
+    return line if len(line) <= 100 else f"{line[:48]} ... {line[-47:]}"
+
+
 def near(name: str, known: Iterable[str]) -> str:
     """Return the part of an error message that names the known names nearest to `name`, or all if none is near."""
     known = list(known)

@@ -13,6 +13,8 @@ import numpy.typing as npt
 
 from vprbench.api import BadInput, NotThere
 
+from .positives import check_matrix
+
 # RuntimeError of zipfile: encrypted, or compressed in a way that it does not know.
 _ZIP_ERRORS = (zipfile.BadZipFile, zlib.error, lzma.LZMAError)
 _SHOWN = 10  # names in a message
@@ -66,14 +68,7 @@ def matrix_in(
     """
     wanted = f"a matrix {key} of yes and no, {shape[0]} {axes[0]} by {shape[1]} {axes[1]}"
     matrix = array_in(file, key, shape[0] * shape[1], wanted, advice)
-    if matrix.shape != shape:
-        turned = " (it is transposed)" if matrix.shape == shape[::-1] else ""
-        raise BadInput(
-            f"{key} in {file} has the shape {matrix.shape}{turned}; wanted is {shape}, {axes[0]} by {axes[1]}, for "
-            "the images that are there"
-        )
-    if matrix.dtype.kind not in "buif" or not np.isin(matrix, (0, 1)).all():
-        raise BadInput(f"{key} in {file} holds {matrix.dtype} values other than 0 and 1: yes and no are wanted")
+    check_matrix(f"{key} in {file}", matrix, shape, axes)
     return np.asarray(matrix, dtype=np.bool_)
 
 

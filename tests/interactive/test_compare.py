@@ -8,8 +8,6 @@ from little import Lookup, Prototypes, journey
 
 import vprbench
 from vprbench.api import BadInput, NotThere
-from vprbench.paper.ranking import rank_rows
-from vprbench.paper.selection import Series
 
 
 @pytest.fixture(autouse=True)
@@ -38,18 +36,20 @@ def test_methods_are_ranked_with_their_metrics_and_a_sentence():
     assert (given.to_markdown().count("\n"), "80.0" in given._repr_html_()) == (4, True)
     assert len(given.plot_pr().axes) == 1
     assert (repr(given).count("\n"), len(repr(given)) <= 100) == (0, True)
-    timed = given.ranking.table[:2].assign(low=None, high=None, fit_seconds=[0.0312, 312.0])
-    shown = replace(given, ranking=replace(given.ranking, table=timed)).to_markdown()
-    assert [line.split("|")[-2].strip() for line in shown.splitlines()[2:]] == ["0.031", "312"]
+    printed = str(given).splitlines()
+    assert (len(printed), "100.0" in printed[1], printed[4]) == (6, True, given.sentence)
+    pairs = given.in_sequences(2)
+    assert (len(pairs.results[0].queries), pairs.table["recall_at_1"].tolist()[0]) == (29, 1.0)
 
 
-def test_a_method_that_was_tuned_on_places_asked_for_has_its_recall_on_the_others_beside_it():
+def test_a_method_that_was_tuned_on_places_of_the_dataset_has_its_recall_on_the_others_beside_it():
     given = vprbench.compare([answering(3), answering(24)], journey(30, 30), timing="none")
     assert given.table["elsewhere"].isna().all()
     assert "Elsewhere" not in given.to_markdown()
-    best, other = (replace(runs[0], dataset="synthetic") for runs in given.ranking.table["runs"])
+    other, best = (replace(result.run, dataset="synthetic") for result in given.results)
     tuned = replace(best, tuned_on={"dataset": "synthetic", "places": "0-9"})  # 14 of 24 hits are on 20 other places
-    shown = replace(given, ranking=rank_rows([Series(run.method, False, (run,)) for run in (tuned, other)]))
+    results = (replace(result, run=run) for result, run in zip(given.results, (other, tuned), strict=True))
+    shown = replace(given, methods=tuple((result,) for result in results))
     assert shown.table["elsewhere"].tolist() == [pytest.approx(0.7), pytest.approx(np.nan, nan_ok=True)]
     assert shown.table["elsewhere_low"][0] < 0.7 < shown.table["elsewhere_high"][0]
     assert shown.to_markdown().count(" 70.0 [") == 1
@@ -75,7 +75,7 @@ def test_a_method_without_weights_stands_last_with_the_reason(caplog):
     assert [record.levelname for record in caplog.records if str(alone.value) in record.getMessage()] == ["WARNING"]
 
 
-def test_all_errors_are_told_at_once():
+def test_all_errors_come_at_once():
     methods = ["nobody", Prototypes(), vprbench.method("sad", patch="wide"), "netvlad", Prototypes()]
     with pytest.raises(BadInput) as raised:
         vprbench.compare(methods, journey(4, 4), timing="none")
@@ -92,7 +92,7 @@ OPTIONS = [{"metrics": ["r200p"]}, {"seeds": 0}, {"seeds": [0, 0]}, {"seeds": [0
 @pytest.mark.parametrize(
     ("methods", "more"), [*((each, {}) for each in METHODS), *(([Prototypes()], each) for each in OPTIONS)]
 )
-def test_what_does_not_fit_is_told_before_anything_runs(tmp_path, methods, more):
+def test_an_argument_that_does_not_fit_is_an_error_before_anything_runs(tmp_path, methods, more):
     with pytest.raises(NotThere if methods == ["netvlad"] else BadInput):
         vprbench.compare(methods, journey(4, 4), timing="none", **more)
     assert list(tmp_path.rglob("run.json")) == []

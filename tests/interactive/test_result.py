@@ -33,6 +33,23 @@ def test_recalls_rates_metrics_and_intervals_wider_for_more_confidence_and_of_di
     assert result().interval(result()) is None  # four queries are too few
 
 
+def test_best_places_curves_wider_tolerances_and_scores_are_arrays():
+    """The best places of `a_run` are 0, 1, 9 and 7, its right ones 0, 1 and 5, 2, 3."""
+    shown = result()
+    assert shown.top(1).tolist() == [[0], [1], [9], [7]]
+    assert [shown.recall(tolerance=k) for k in (0, 3, 4, 7)] == [0.5, 0.5, 0.75, 1.0]
+    curve = shown.pr()
+    assert (curve.precision[0], curve.recall[0], curve.recall[-1]) == (1.0, 0.0, 0.5)
+    scored = result(scores=np.eye(4, 10, dtype=np.float32))
+    assert (scored.similarity().shape, scored.similarity()[2].argmax()) == ((4, 10), 2)
+    nothing = Result(unanswerable_run(), None, NAMES)
+    refused = [(shown.top, 0), (shown.top, 3), (shown.recall, 3, 1), (shown.recall, 1, -1), (nothing.pr,)]
+    refused += [(result(scores=None).similarity,)]
+    for function, *arguments in refused:
+        with pytest.raises(BadInput):
+            function(*arguments)
+
+
 def test_the_frame_has_a_row_a_query_and_failures_come_by_their_margin():
     run = a_run(scores=np.full((4, 10), 0.1, np.float32))
     for query, (right, wrong) in enumerate([(0.9, 0.1), (0.8, 0.2), (0.5, 0.7), (0.2, 0.6)]):

@@ -75,8 +75,8 @@ def test_the_longest_side_has_at_most_96_pixels_and_none_is_enlarged(tmp_path, s
 
 @pytest.fixture
 def large(monkeypatch):
-    """Return a dataset of 30 places and 20 queries, of which 8 frames are kept for a run and 12 for all."""
-    for name, number in (("_OF_RUN", 8), ("_MOST", 12)):
+    """Return a dataset of 30 places and 20 queries, of which 8 frames are kept for a run and 12 for all, 2 at least."""
+    for name, number in (("_OF_RUN", 8), ("_MOST", 12), ("_AT_LEAST", 2)):
         monkeypatch.setattr(thumbnails, name, number)
     return world(map(plain, range(30)), range(30), [plain(9)] * 20, [[i] for i in range(20)])
 
@@ -99,6 +99,7 @@ def test_of_a_large_dataset_a_run_keeps_what_it_shows_first_and_others_add_to_it
         ([(7, {1, 2}), (3, {2, 5})], ([3, 7], [1, 2, 5])),
         ([(7, {1, 20}), (8, {21, 22}), (9, {22, 23})], ([3, 7, 8], [1, 2, 5, 20, 21, 22])),
         ([(10, {11}), (11, {12})], ([3, 7, 8, 10], [1, 2, 5, 11, 20, 21, 22])),
+        ([(12, {13}), (14, {15})], ([3, 7, 8, 10, 12], [1, 2, 5, 11, 13, 20, 21, 22])),
     ):
         thumbnails.save_thumbnails(tmp_path, FINGERPRINT, large, shown)
         assert there(tmp_path) == frames

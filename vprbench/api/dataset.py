@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from vprbench.api.arrays import Places
 from vprbench.errors import BadInput
+from vprbench.text import plural, shorten
 
 if TYPE_CHECKING:
     from vprbench.api.events import Recording
@@ -75,7 +76,7 @@ class FrameFolder:
     wrong_counts: Mapping[int, str] = field(default_factory=dict)  # what another count is known to mean
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Dataset:
     """Reference and query traverses with their ground truth.
 
@@ -124,6 +125,11 @@ class Dataset:
                     f"dataset {self.name}: the ground truth of query {query} ({self.queries.names[query]}) names "
                     f"place {wrong}, but places run from 0 to {self.n_places - 1}"
                 )
+
+    def __repr__(self) -> str:
+        """Return name and sizes in one line."""
+        sizes = zip((self.n_places, len(self.references), len(self.queries)), ("place", "image", "query"), strict=True)
+        return shorten(f"<dataset {self.name}: {', '.join(plural(*size) for size in sizes)}>")
 
     def with_shared_frames(self, given: SharedFrames) -> Self:
         """Return a dataset whose protocol says that its queries may be among its references, if that is `allow`."""

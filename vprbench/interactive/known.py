@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import pandas as pd
@@ -12,14 +13,12 @@ from vprbench.plugins.entries import Group, entries
 
 def methods() -> pd.DataFrame:
     """Return the registered methods, a row each; imports none of them."""
-    more = {name: (entry.spiking, entry.needs_weights) for name, entry in entries("method").items()}
-    told = pd.DataFrame.from_dict(more, orient="index", columns=["spiking", "needs_weights"])
-    return _described("method").join(told, on="name")
+    return _tabulate_entries("method", ("name", "description", "provider", "spiking", "needs_weights"))
 
 
 def datasets() -> pd.DataFrame:
     """Return the registered datasets, a row each; looks for no frames."""
-    return _described("dataset")
+    return _tabulate_entries("dataset", ("name", "description", "provider"))
 
 
 def results(folder: str | Path = "results") -> pd.DataFrame:
@@ -42,6 +41,5 @@ def results(folder: str | Path = "results") -> pd.DataFrame:
     return found.astype(dict.fromkeys(numbers, float)).assign(hz=found["streaming_total_hz"].astype(float))
 
 
-def _described(group: Group) -> pd.DataFrame:
-    columns = ("name", "description", "provider")
+def _tabulate_entries(group: Group, columns: Sequence[str]) -> pd.DataFrame:
     return pd.DataFrame([{column: getattr(entry, column) for column in columns} for entry in entries(group).values()])

@@ -1,4 +1,4 @@
-"""What a run gave, for Python programs and notebooks: numbers, tables of its queries, and figures."""
+"""The result of a run, for Python programs and notebooks: numbers, tables of its queries, and figures."""
 
 from __future__ import annotations
 
@@ -8,17 +8,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 import pandas as pd
 
+from vprbench.api.arrays import Scores
 from vprbench.api.dataset import Dataset
 from vprbench.data.doctor import step_in_dictionary_order
 from vprbench.errors import BadInput
-from vprbench.interactive import short
-from vprbench.metrics.accuracy import hits_at, recall_at
+from vprbench.metrics.accuracy import PRCurve, hits_at, pr_curve, recall_at
 from vprbench.metrics.intervals import WiderInterval
+from vprbench.metrics.ranking import outcome_of_best
 from vprbench.metrics.registry import METRICS
 from vprbench.runs import frame, rows
-from vprbench.runs.predictions import tabulate_predictions
+from vprbench.runs.predictions import require_depth, tabulate_predictions
 from vprbench.runs.query_results import RIGHT, UNANSWERABLE, UNJUDGED, judge_answers
 from vprbench.runs.recall_intervals import difference_of_recalls, recall_interval
 from vprbench.runs.record import Run
@@ -26,10 +28,10 @@ from vprbench.runs.sequences import Views, parse_views
 from vprbench.runs.stopwatch import Timing, streaming_rate
 from vprbench.runs.tuned import list_notes
 from vprbench.runs.views import queries_shown
+from vprbench.text import shorten
 
 if TYPE_CHECKING:
     from vprbench.paper.figures.style import Figure
-    from vprbench.paper.selection import Series
 
 NAN = float("nan")
 
@@ -48,18 +50,18 @@ class Result:
 
     @property
     def name(self) -> str:
-        """The name of the method, with the arguments that were asked for."""
+        """The name of the method, with the arguments given."""
         return frame.format_label(self.run)
 
     @property
     def metrics(self) -> dict[str, float]:
-        """Every accuracy by its name, 0 to 1, and every cost; NaN where it is undefined or was not asked for."""
+        """Every accuracy by its name, 0 to 1, and every cost; NaN where it is undefined or not measured."""
         found = {name: metric.of(self.run) for name, metric in METRICS.items()}
         return {name: NAN if value is None else value for name, value in found.items()}
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What a reader of the numbers has to know, a line each."""
+        """Remarks on the run that its numbers need, a line each."""
         return tuple(note.text for note in list_notes(self.run))
 
     @property
@@ -68,10 +70,47 @@ class Result:
         timing: Timing | None = self.run.timing
         return NAN if timing is None else streaming_rate(timing.streaming.total_seconds)
 
-    def recall(self, n: int = 1) -> float:
-        """Return the share of queries with a right place among the best `n`, 0 to 1; NaN if none has a right place."""
-        found = recall_at(self.run.outcome, n)
+    def recall(self, n: int = 1, tolerance: int = 0) -> float:
+        """Return the share of queries with a right place among the best `n`, 0 to 1; NaN if none has a right place.
+
+        With a `tolerance` the places at most so many from a right one, along the journey, are right too; the best
+        places that the run keeps (`depth`) decide. Raises BadInput for n below 1, a tolerance below 0, and with a
+        tolerance for more places than the run keeps.
+        """
+        run, answers = self.run, self.run.outcome
+        if tolerance:
+            require_depth(n, run.top_places.shape[1], answers.n_places)
+            wider = _widen_positives(run, tolerance)
+            answers = outcome_of_best(run.top_scores, run.top_places.astype(np.int64), wider, answers.n_places)
+        found = recall_at(answers, n)
         return NAN if found is None else found.expected
+
+    def top(self, n: int = 5) -> npt.NDArray[np.int64]:
+        """Return the best `n` places of each query, (n_queries, n), best first; -1 where there is no candidate.
+
+        Raises BadInput below 1, and for more places than the run keeps (`depth`).
+        """
+        require_depth(n, self.run.top_places.shape[1], self.run.outcome.n_places)
+        return np.where(self.run.top_scores > -np.inf, self.run.top_places, -1)[:, :n].astype(np.int64)
+
+    def pr(self) -> PRCurve:
+        """Return precision and recall over the best place of each query, (n_points,) each, 0 to 1, and the thresholds.
+
+        Raises BadInput if no query has a right place.
+        """
+        curve = pr_curve(self.run.outcome, "A")
+        if curve is None:
+            raise BadInput(f"{self.name}: precision and recall are undefined, for no query has a right place")
+        return curve
+
+    def similarity(self) -> Scores:
+        """Return the scores of all places for all queries, (n_queries, n_places) float32; -inf: no candidate.
+
+        Raises BadInput if the run kept none.
+        """
+        if self.run.scores is None:
+            raise BadInput(f"{self.name} on {self.run.dataset} kept no scores: run it with scores=True")
+        return np.asarray(self.run.scores)
 
     def interval(self, other: Result | None = None, confidence: float = 0.95) -> WiderInterval | None:
         """Return the interval of R@1, or of R@1 less that of another result on the same queries (-1 to 1).
@@ -155,8 +194,9 @@ class Result:
     def plot_pr(self) -> Figure:
         """Return the figure of precision and recall; raises BadInput if no query has a right place."""
         from vprbench.paper.figures.accuracy import draw_precision_recall
+        from vprbench.paper.selection import Series
 
-        return draw_precision_recall([self.series()]).figure
+        return draw_precision_recall([Series(self.name, self.run.spikes is not None, (self.run,))]).figure
 
     def plot_matrix(self) -> Figure:
         """Return the figure of ground truth and scores; raises BadInput if there were too many scores to keep."""
@@ -164,20 +204,27 @@ class Result:
 
         return draw_similarity(self.run, self.name).figure
 
-    def series(self) -> Series:
-        """Return the run as figures and rankings take it."""
-        from vprbench.paper.selection import Series
-
-        return Series(self.name, self.run.spikes is not None, (self.run,))
-
     def __repr__(self) -> str:
         recall = rows.format_row(self.run).get(rows.RECALL)
         found = "no ground truth" if recall is None else f"R@1 {recall} %"
-        of = ", ".join(filter(None, [self.run.dataset, rows.describe_view(self.run)]))
-        return short(f"<{self.name} on {of}: {found}, {len(self.queries):,} queries>")
+        where = ", ".join(filter(None, [self.run.dataset, rows.describe_view(self.run)]))
+        return shorten(f"<{self.name} on {where}: {found}, {len(self.queries):,} queries>")
 
     def _repr_html_(self) -> str:
-        row = {"dataset": self.run.dataset, **rows.format_row(self.run)}
-        notes: list[Any] = [{"notes": note} for note in self.notes]
-        tables = [pd.DataFrame([row]), *([pd.DataFrame(notes)] if notes else [])]
-        return "".join(table.to_html(index=False, border=0) for table in tables)
+        row = pd.DataFrame([{"dataset": self.run.dataset, **rows.format_row(self.run)}])
+        notes = pd.DataFrame({"notes": self.notes}, dtype=object)
+        return "".join(table.to_html(index=False, border=0) for table in (row, notes) if len(table))
+
+
+def _widen_positives(run: Run, tolerance: int) -> list[npt.NDArray[np.int64]]:
+    """Return per query the places that lie at most so many places, along the journey, from a right one, ascending."""
+    if tolerance < 0:
+        raise BadInput(f"tolerance={tolerance}: give 0 or more places")
+    numbers = np.arange(run.outcome.n_places) if run.place_numbers is None else run.place_numbers
+    wider = []
+    for right in run.positives:
+        first = np.searchsorted(numbers, numbers[right] - tolerance, side="left")
+        end = np.searchsorted(numbers, numbers[right] + tolerance, side="right")
+        near = [np.arange(*each) for each in zip(first, end, strict=True)]
+        wider.append(np.unique(np.concatenate([np.empty(0, np.int64), *near])))
+    return wider

@@ -8,20 +8,14 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, TypedDict, Unpack
 
+from vprbench.api.dataset import Dataset
 from vprbench.config import make_request
 from vprbench.errors import BadInput
-from vprbench.interactive.choices import (
-    AnyDataset,
-    AnyMethod,
-    DatasetChoice,
-    MethodChoice,
-    choose_dataset,
-    choose_method,
-)
+from vprbench.interactive.choices import AnyDataset, AnyMethod, Choice, choose_dataset, choose_method
 from vprbench.interactive.result import Result
 from vprbench.runs.experiment import Experiment, build_experiment
 from vprbench.runs.get_or_run import get_or_run
-from vprbench.runs.request import OPTIONS, RunRequest
+from vprbench.runs.request import OPTIONS
 from vprbench.runs.store import Store
 from vprbench.text import near
 
@@ -58,7 +52,7 @@ def run(method: AnyMethod, dataset: AnyDataset, **options: Unpack[Options]) -> R
     return finish(prepare(method, choose_dataset(dataset), options))
 
 
-def prepare(method: AnyMethod, where: DatasetChoice, options: Options) -> Experiment:
+def prepare(method: AnyMethod, data: tuple[Choice, Dataset], options: Options) -> Experiment:
     """Build and check a run whose results folder is empty if nothing is stored; raises BadInput, NotThere."""
     for name in options:
         if name in OPTIONS and name not in Options.__annotations__:
@@ -68,11 +62,21 @@ def prepare(method: AnyMethod, where: DatasetChoice, options: Options) -> Experi
     if not isinstance(options.get("corruption"), str | None):
         raise BadInput(f"corruption={options['corruption']}: give one name, as in corruption='shift-1'")
     chosen = choose_method(method, options.get("seed"), options.get("device"))
-    stored = options.get("results", "results") is not None
-    if stored and chosen.unstored_reason is not None:
+    where, dataset = data
+    values: dict[str, Any] = {name: str(each) if isinstance(each, Path) else each for name, each in options.items()}
+    timing = values.pop("timing", "quick")
+    if isinstance(timing, Mapping):
+        values |= {f"timing.{name}": value for name, value in timing.items()}
+    if chosen.unstored_reason is not None and values.get("results", "results") is not None:
         logger.warning("the run of %s will not be stored: %s", chosen.name, chosen.unstored_reason)
-        stored = False
-    return build_experiment(_request(chosen, where, options, stored), where.dataset, chosen.make)
+        values["results"] = None
+    if values.get("results", "results") is None:
+        values |= {"results": "", "cache": False, "frames": False}
+    values |= {**chosen.values, **where.values}
+    named = [*chosen.options, *where.options, *([f"timing={timing}"] if isinstance(timing, str) else [])]
+    per_run = [f"{name}={values[name]}" for name in ("corruption", "seed") if values.get(name) is not None]
+    described = {**chosen.described, **where.described, "overrides": [*chosen.overrides, *where.overrides, *per_run]}
+    return build_experiment(make_request(named, values, described), dataset, chosen.make)
 
 
 def finish(experiment: Experiment) -> Result:
@@ -84,21 +88,3 @@ def finish(experiment: Experiment) -> Result:
     with TemporaryDirectory(prefix="vprbench-") as folder:
         found = get_or_run(experiment, Store(Path(folder)))
     return Result(found.run, None, dataset.queries.names, dataset=dataset)
-
-
-def _request(chosen: MethodChoice, where: DatasetChoice, options: Options, stored: bool) -> RunRequest:
-    timing = options.get("timing", "quick")
-    values: dict[str, Any] = {name: _plain(value) for name, value in options.items() if name != "timing"}
-    if isinstance(timing, Mapping):
-        values |= {f"timing.{name}": value for name, value in timing.items()}
-    if not stored:
-        values |= {"results": "", "cache": False, "frames": False}
-    values |= {**chosen.values, **where.values}
-    named = [*chosen.options, *where.options, *([f"timing={timing}"] if isinstance(timing, str) else [])]
-    corruption = [f"corruption={values['corruption']}"] if values.get("corruption") is not None else []
-    overrides = [*chosen.overrides, *where.overrides, *corruption, f"seed={values.get('seed', 0)}"]
-    return make_request(named, values, {**chosen.described, **where.described, "overrides": overrides})
-
-
-def _plain(value: Any) -> Any:
-    return str(value) if isinstance(value, Path) else value

@@ -14,6 +14,7 @@ from vprbench.runs.record import Run
 
 SHOWN = 3  # best places of a query
 SHOWN_UNJUDGED = 5  # the same without a ground truth
+FIRST_PAGE = 10  # queries that a page opens with
 NOWHERE = -1  # in the place of a place
 RIGHT, WRONG, TIED, UNANSWERABLE, UNJUDGED = "rwtun"
 EXACT, AT_MOST, AT_LEAST, UNDEFINED = "=<>?"
@@ -125,10 +126,15 @@ def _find_best_places(run: Run, n: int) -> tuple[npt.NDArray[np.int64], npt.NDAr
 
 
 def order_by_interest(answers: Answers) -> Iterator[tuple[int, set[int]]]:
-    """Yield the queries of a run with the places shown beside each, wrong answers first.
+    """Yield the queries of a run with the places shown beside each: those that a page opens with, then wrong answers.
 
-    Otherwise they come in an order that is the same for all runs, from all over the journey.
+    A page opens with the wrong answers of the lowest margins, without a ground truth with the lowest margins of all.
+    Otherwise queries come in an order that is the same for all runs, from all over the journey.
     """
+    wrong = np.isin([*answers.verdicts], (WRONG, TIED, UNJUDGED))
+    by_margin = np.argsort(np.where(wrong, answers.margins, np.nan), kind="stable")  # NaN comes last
+    first = [query for query in by_margin[:FIRST_PAGE].tolist() if wrong[query]]
     order = np.random.default_rng(0).permutation(len(answers.verdicts)).tolist()
-    for query in sorted(order, key=lambda query: answers.verdicts[query] == RIGHT):
+    order.sort(key=lambda query: answers.verdicts[query] == RIGHT)
+    for query in dict.fromkeys([*first, *order]):
         yield query, {*answers.places[query].tolist(), int(answers.right_places[query])} - {NOWHERE}

@@ -28,6 +28,7 @@ _SIDE, _QUALITY = 96, 50  # of a thumbnail: its longest side in pixels, and WebP
 _EFFORT = 4  # of WebP, 0 to 6
 _OF_RUN = 2000  # frames of a large dataset that are kept for one run ...
 _MOST = 6000  # ... and for all; a dataset of no more is kept whole
+_AT_LEAST = 60  # frames that are kept for each run all the same: of the queries that the page opens with
 
 
 @dataclass(frozen=True)
@@ -81,7 +82,7 @@ def save_thumbnails(root: Path, fingerprint: str, dataset: Dataset, shown: Shown
     chosen: tuple[Collection[int], ...] = tuple(range(len(part)) for part in frames.values())
     if sum(map(len, frames.values())) > _MOST:
         n_kept = sum(bool(frame) for part in frames.values() for frame in part)
-        chosen = choose_frames(shown, min(_OF_RUN, _MOST - n_kept))
+        chosen = choose_frames(shown, max(_AT_LEAST, min(_OF_RUN, _MOST - n_kept)))
     missing = {
         part: [n for n in sorted(wanted) if not frames[part][n]] for part, wanted in zip(frames, chosen, strict=True)
     }

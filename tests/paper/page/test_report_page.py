@@ -5,7 +5,6 @@ import hashlib
 import io
 from dataclasses import replace
 
-import numpy as np
 import pytest
 import report_page as made
 from little import a_run
@@ -123,6 +122,18 @@ def test_a_frame_stands_in_the_page_once_if_a_query_shows_it_and_the_page_names_
     assert [query for query, frame in enumerate(kept["queries"]) if frame] == [10]
 
 
+def test_the_queries_that_a_page_opens_with_have_their_frames_however_few_it_holds(monkeypatch):
+    wrong = {query: 0.01 * query for query in range(5, 45)}
+    monkeypatch.setattr(report, "MOST_FRAMES", 45)
+    text = report.page("", [], [section(journey_run(wrong), thumbnails=made.journey_thumbnails())])
+    run, kept = answers(text)["runs"][0], embedded(text)
+    opening = sorted(wrong, key=lambda query: run["margins"][query])[:10]
+    assert opening == [*range(44, 34, -1)]
+    assert all(kept["queries"][query] for query in opening)
+    shown = {place for query in opening for place in (run["places"][3 * query], run["right"][query])}
+    assert {*map(str, shown)} <= {*kept["places"]}
+
+
 def test_a_page_shows_so_many_frames_at_most_and_those_of_wrong_answers_first(monkeypatch):
     sections = [journey_section(title=title, thumbnails=made.journey_thumbnails()) for title in ("one", "other")]
     monkeypatch.setattr(report, "MOST_FRAMES", 24)
@@ -154,75 +165,27 @@ def test_the_last_finding_counts_what_all_and_what_some_missed(wrong, seeds, sen
     assert (found[-1] == sentence) is (sentence is not None)
 
 
-def timed(**changes):
-    run = journey_run({})
-    return replace(run, config={**run.config, "timing": {**run.config["timing"], **changes}})
-
-
-JOURNEY = {"references": ["spring", "fall"], "query": "summer", "tolerance_places": 2, "places": 9}
-JOURNEY |= {"first_query_place": 4, "repeated_images": {"spring": 1, "fall": 0}, "unmatched": None}
-WITHIN = answered(np.eye(2, 3), [[0, 1], []], protocol={"queries": "rain", "radius_metres": 25.0})
-THREE = answered(
-    np.eye(3, 9), [[0, 1, 2], [0, 1, 2, 3], [0, 1, 2, 3, 4]], protocol=JOURNEY, n_references=18, fingerprint="abcd" * 16
-)
-
-
-@pytest.mark.parametrize(
-    ("run", "term", "told"),
-    [
-        (THREE, "Dataset", "journey, images abcdabcdabcdabcd"),
-        (THREE, "Map", "9 places, from 18 reference images (spring and fall)"),
-        (THREE, "Queries", "3 images (summer)"),
-        (THREE, "Right places", "within 2 places; 3 to 5 of a query"),
-        (THREE, "Also recorded", "first query place: 4; repeated images: spring 1, fall 0"),
-        (timed(minimum_seconds=3.0), "Timing", "at least 3 s and 64 queries from a sample of 256 images"),
-        (timed(rates=False), "Timing", "no query rates"),
-        (timed(total_seconds=5.0), "Timing", "at most 5 s for all batch sizes"),
-        (WITHIN, "Right places", "within 25 m; 2 of a query; none of 1 query"),
-        (answered(np.eye(2, 3), [[0], [1]], protocol={}), "Right places", "1 of a query"),
-    ],
-)
-def test_the_protocol_is_told_in_words(run, term, told):
-    assert told in dict(words.list_protocol([run]))[term]
-
-
 def on(run, **changes):
     return replace(run, environment={**run.environment, **changes})
 
 
-def test_each_machine_is_told_once_with_what_ran_on_it_and_notes_are_of_everything_measured():
-    git = {"commit": "0123456789abcdef0123", "changed": True}
-    first = on(a_run(), memory_bytes=16e9, python="3.11.2", git=git)
-    later = on(first, load_average=[1.75, 0, 0], time_utc="2025-02-03T00:00:00Z", libraries={"torch": "2.7.0"})
-    other = on(a_run(dataset="street"), processor="Difference Engine", accelerator="Mill", accelerator_memory_bytes=8e9)
-    little = a_run(environment={"processor": "Abacus 1"})
-    given = {"SAD": first, "GCL": later, "VPRTempo": other, "HOG": little}
+def test_the_page_lists_the_protocol_each_machine_once_with_versions_and_runs_and_the_notes_of_all_runs():
+    first = on(a_run(), python="3.11.2", git={"commit": "0123456789abcdef0123", "changed": True})
+    given = {"SAD": first, "GCL": first, "HOG": on(first, processor="Difference Engine", accelerator="Mill")}
     found = words.list_machines([Series(name, False, (run,)) for name, run in given.items()])
-    assert [name for name, _ in found] == ["Machine 1", "Machine 2", "Machine 3"]
-    facts, second_facts, little_facts = (dict(each) for _, each in found)
-    expected = {
-        "Processor": "Abacus 9",
-        "Threads": "1 of 2 cores",
-        "Memory": "16 GB",
-        "Libraries": "torch 2.6.0; torch 2.7.0",
-        "Commit": "0123456789ab with changes",
-        "Load before a run": "0.5 to 1.8 processes on average over a minute",
-        "Dates": "2025-01-31 to 2025-02-03",
-        "Runs": "SAD (journey); GCL (journey)",
-    }
-    assert {name: facts[name] for name in expected} == expected
-    assert "Accelerator" not in facts
-    assert (second_facts["Accelerator memory"], second_facts["Commit"]) == ("8 GB", "not recorded")
-    assert little_facts == {"Processor": "Abacus 1", "Commit": "not recorded", "Runs": "HOG (journey)"}
+    versions = "commit 0123456789ab with changes, Python 3.11.2, torch 2.6.0"
+    machines = "Abacus 9, 1 of 2 cores, torch 2.6.0", "Difference Engine, 1 of 2 cores, Mill, torch 2.6.0"
+    runs = "SAD (journey), GCL (journey)", "HOG (journey)"
+    assert found == [(machine, versions, of) for machine, of in zip(machines, runs, strict=True)]
     run = journey_run({}, notes=(Note("dataset", "the clock was not locked"),))
     on_gpu = on(replace(run, config={**run.config, "device": "cuda"}), processor="Difference Engine")
     browsed = journey_section()
     seeds = (journey_run({}, 0, notes=(Note("answers", "other answers"),)), journey_run({}, 1))
     measured = [("Journey", Series("VPRTempo", True, runs)) for runs in ((on_gpu,), seeds)]
     text = Parsed(report.page(TABLE, [], [browsed], measured=[("Journey", browsed.series[0]), *measured])).text
-    machines = "Difference Engine", "Abacus 9"
     notes = "VPRTempo, on cuda", "the clock was not locked", "two carts passed", "VPRTempo, seed 0", "other answers"
-    assert [told for told in (*machines, *notes) if told not in text] == []
+    protocol = "journey: 50 queries, 60 places"
+    assert [shown for shown in (machines[0], "Difference Engine", *notes, protocol) if shown not in text] == []
     assert "Difference Engine" not in Parsed(report.page(TABLE, [], [browsed])).text
 
 

@@ -1,6 +1,6 @@
 "use strict";
-// How one query is told and drawn: its verdict, its frames and its best places, by one method or by two.
-// A `view` holds what is looked at: `section`, its runs `a` and `b` (null: none), `open` queries, `picture(kind, i)`.
+// One query as words and elements: its verdict, its frames and its best places, by one method or by two.
+// A `view` holds `section`, its runs `a` and `b` (null: none), `open` queries and `picture(kind, i)`.
 const Queries = (() => {
   const KINDS = { r: "right", w: "wrong", t: "tied", u: "unanswerable" }; // without a ground truth all are "n"
   const VERDICTS = { r: "right", w: "wrong", t: "tied", u: "no right place" };
@@ -55,20 +55,19 @@ const Queries = (() => {
     return [`best score ${number(run.scores[first])}`, apart];
   }
 
+  function judgedFacts(view, run, query) {
+    return [marginWords(run, query), rankWords(view, run, query), distanceWords(view, run, query)].filter(Boolean);
+  }
+
+  // One line a fact of one method, or one line a method of two.
   function facts(view, query) {
-    if (!view.section.judged) {
-      if (!view.b) return unjudgedFacts(view, view.a, query);
-      return [["A", view.a], ["B", view.b]].map(
-        ([letter, run]) => `${letter}: ${unjudgedFacts(view, run, query).join(", ")}`,
-      );
-    }
-    const told = [["A", view.a], ["B", view.b]]
-      .filter(([, run]) => run)
-      .map(([letter, run]) => {
-        const parts = [marginWords(run, query), rankWords(view, run, query), distanceWords(view, run, query)];
-        return [`${letter} ${VERDICTS[run.verdicts[query]]}: `, parts.filter(Boolean)];
-      });
-    return view.b ? told.map(([verdict, parts]) => verdict + parts.join(", ")) : told[0][1];
+    const { judged } = view.section;
+    const ofRun = judged ? judgedFacts : unjudgedFacts;
+    if (!view.b) return ofRun(view, view.a, query);
+    return [["A", view.a], ["B", view.b]].map(([letter, run]) => {
+      const verdict = judged ? ` ${VERDICTS[run.verdicts[query]]}` : "";
+      return `${letter}${verdict}: ${ofRun(view, run, query).join(", ")}`;
+    });
   }
 
   function rightScore(run, query) {
@@ -142,37 +141,29 @@ const Queries = (() => {
     return [make("h4", "", `Best places of ${letter}, ${run.name}`), best];
   }
 
-  function unjudgedRow(view, query) {
-    const { a, b } = view;
-    const button = make("button", "", `Query ${query}`);
-    button.type = "button";
-    button.id = `query-${query}`;
-    const listed = make("ul", "facts", ...facts(view, query).map((fact) => make("li", "", fact)));
-    const shown = make("div", "frames", frame(view, "Query", "queries", query, []), ...places(view, a, query));
-    const made = make("li", "query wide", make("div", "", button, listed), shown);
-    if (b) made.append(make("div", "more", ...bestPlaces(view, "B", b, query)));
-    made.dataset.query = query;
-    return made;
-  }
-
   function row(view, query) {
-    if (!view.section.judged) return unjudgedRow(view, query);
-    const { a, b } = view;
-    const verdict = make("span", `verdict ${KINDS[a.verdicts[query]]}`, VERDICTS[a.verdicts[query]]);
-    const button = make("button", "", verdict, ` Query ${query} `, make("span", "toggle"));
+    const { a, b, section } = view;
+    const { judged } = section;
+    const button = make("button", "", ` Query ${query} `);
     button.type = "button";
     button.id = `query-${query}`;
+    if (judged) {
+      button.prepend(make("span", `verdict ${KINDS[a.verdicts[query]]}`, VERDICTS[a.verdicts[query]]));
+      button.append(make("span", "toggle"));
+    }
     const listed = make("ul", "facts", ...facts(view, query).map((fact) => make("li", "", fact)));
-    const shownFrames = [
-      frame(view, "Query", "queries", query, []),
-      retrieved(view, b ? "Retrieved by A" : "Retrieved", a, query),
-      ...(b ? [retrieved(view, "Retrieved by B", b, query)] : []),
-      truth(view, query),
-    ];
-    const side = make("div", `frames${b ? " four" : ""}`, ...shownFrames);
-    const made = make("li", "query", make("div", "", button, listed), side);
+    const shown = make("div", `frames${judged && b ? " four" : ""}`, frame(view, "Query", "queries", query, []));
+    const made = make("li", `query${judged ? "" : " wide"}`, make("div", "", button, listed), shown);
     made.dataset.query = query;
-    unfold(view, made, query);
+    if (judged) {
+      shown.append(retrieved(view, b ? "Retrieved by A" : "Retrieved", a, query));
+      if (b) shown.append(retrieved(view, "Retrieved by B", b, query));
+      shown.append(truth(view, query));
+      unfold(view, made, query);
+    } else {
+      shown.append(...places(view, a, query));
+      if (b) made.append(make("div", "more", ...bestPlaces(view, "B", b, query)));
+    }
     return made;
   }
 
@@ -261,7 +252,7 @@ function Tabs(list, panel, turn) {
 // The browser of single queries: reads the answers of the stored runs from this page and shows ten at a time.
 (() => {
   const PAGE = 10;
-  const PAUSE = 250; // milliseconds after a choice before the address tells it: browsers refuse many changes at once
+  const PAUSE = 250; // milliseconds after a choice before the address changes: browsers refuse many changes at once
   const { KINDS, VERDICTS, counted, depth, make, row, unfold } = Queries;
   const { bars, lane } = Strip;
   const HEIGHTS = { r: 45, w: 100, t: 75, u: 15 }; // of the bars, so that they differ in grey too
@@ -286,7 +277,7 @@ function Tabs(list, panel, turn) {
     ["method-a", "method-b", "kind", "order"].map((id) => [id, element(id)]),
   );
   const tabs = Tabs(element("datasets"), element("dataset"), (number) => {
-    const wanted = told();
+    const wanted = choicesShown();
     wanted.set("dataset", sections[number].title);
     wanted.delete("query");
     show(wanted);
@@ -300,7 +291,7 @@ function Tabs(list, panel, turn) {
   let b = null;
   let shown = []; // queries that pass the filter, in the order of the list
   let at = 0; // which of them is the current one
-  let telling = null; // what will write the address
+  let writing = null; // the timer that writes the address
   const open = new Set(); // queries whose best places are unfolded
 
   function picture(kind, index) {
@@ -354,24 +345,24 @@ function Tabs(list, panel, turn) {
     select.value = chosen;
   }
 
-  // What is shown as the fragment of the address, in names, so that a link outlives the page it was copied from
+  // The choices as the fragment of the address, in names, so that a link outlives the page it was copied from
 
-  function told() {
+  function choicesShown() {
     const chosen = { dataset: section.title, a: a.name, show: chosenFilter().id, sort: choices.order.value };
     if (b) chosen.b = b.name;
     if (shown.length) chosen.query = shown[at];
     return new URLSearchParams(chosen);
   }
 
-  function tell() {
-    clearTimeout(telling);
-    telling = setTimeout(() => history.replaceState(null, "", `#${told()}`), PAUSE);
+  function writeAddress() {
+    clearTimeout(writing);
+    writing = setTimeout(() => history.replaceState(null, "", `#${choicesShown()}`), PAUSE);
   }
 
   function follow() {
     if (!location.hash.includes("=")) return;
     show(new URLSearchParams(location.hash.slice(1)));
-    clearTimeout(telling);
+    clearTimeout(writing);
     if (shown.length) go(at, false);
   }
 
@@ -437,7 +428,7 @@ function Tabs(list, panel, turn) {
   }
 
   function mark() {
-    tell();
+    writeAddress();
     for (const made of list.children) {
       const current = Number(made.dataset.query) === shown[at];
       made.classList.toggle("current", current);
@@ -473,20 +464,20 @@ function Tabs(list, panel, turn) {
 
   // The strip
 
-  const drawnLane = (...told) => lane(section.nQueries, ...told, (query) => go(nearest(query)));
+  const drawLane = (...parts) => lane(section.nQueries, ...parts, (query) => go(nearest(query)));
 
   function drawLanes() {
     const judged = section.judged ? [["A", a], ...(b ? [["B", b]] : [])] : [];
     const lanes = judged.map(([letter, run]) => {
       const counts = Object.keys(KINDS).map((kind) => [run.verdicts.split(kind).length - 1, VERDICTS[kind]]);
-      const told = counts.filter(([count]) => count).map(([count, verdict]) => `${counted(count)} ${verdict}`);
+      const words = counts.filter(([count]) => count).map(([count, verdict]) => `${counted(count)} ${verdict}`);
       const paths = Object.keys(KINDS).map((kind) =>
         bars(section.nQueries, KINDS[kind], (query) => run.verdicts[query] === kind, HEIGHTS[kind]),
       );
-      return drawnLane("", `${letter}, ${run.name}: ${told.join(", ")}`, paths);
+      return drawLane("", `${letter}, ${run.name}: ${words.join(", ")}`, paths);
     });
     const kept = new Set(shown);
-    lanes.push(drawnLane("shown", "Shown below", [bars(section.nQueries, "shown", (query) => kept.has(query), 100)]));
+    lanes.push(drawLane("shown", "Shown below", [bars(section.nQueries, "shown", (query) => kept.has(query), 100)]));
     element("lanes").replaceChildren(...lanes);
     element("legend").hidden = !section.judged;
     along.max = section.nQueries - 1;
@@ -541,7 +532,7 @@ function Tabs(list, panel, turn) {
 
   element("browsing").hidden = false;
   show(new URLSearchParams());
-  clearTimeout(telling);
+  clearTimeout(writing);
   follow();
 })();
 
@@ -595,38 +586,38 @@ function Tabs(list, panel, turn) {
   const EDGE = 8; // pixels to the border of the window
   const note = document.getElementById("footnote");
 
-  let told = null; // the link whose footnote is shown
+  let shownFor = null; // the link whose footnote is shown
 
   function place() {
-    if (!told) return;
-    const mark = told.getBoundingClientRect();
+    if (!shownFor) return;
+    const mark = shownFor.getBoundingClientRect();
     const below = mark.bottom + note.offsetHeight + EDGE < innerHeight;
     note.style.left = `${Math.max(EDGE, Math.min(mark.left, innerWidth - note.offsetWidth - EDGE))}px`;
     note.style.top = `${below ? mark.bottom : mark.top - note.offsetHeight}px`;
   }
 
-  function tell(link) {
-    told = link;
+  function showNote(link) {
+    shownFor = link;
     note.textContent = document.getElementById(link.hash.slice(1)).textContent;
     note.showPopover();
     place();
   }
 
   function hide() {
-    told = null;
+    shownFor = null;
     note.hidePopover();
   }
 
   for (const link of table.querySelectorAll("sup a")) {
     link.setAttribute("aria-describedby", link.hash.slice(1));
-    link.addEventListener("mouseenter", () => tell(link));
-    link.addEventListener("focus", () => tell(link));
+    link.addEventListener("mouseenter", () => showNote(link));
+    link.addEventListener("focus", () => showNote(link));
     link.addEventListener("mouseleave", (event) => event.relatedTarget === note || hide());
     link.addEventListener("blur", hide);
     link.addEventListener("click", (event) => {
       if (event.pointerType !== "touch") return; // a mouse has read it already, and follows the link
       event.preventDefault();
-      tell(link);
+      showNote(link);
     });
   }
   note.addEventListener("mouseleave", hide);

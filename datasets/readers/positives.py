@@ -1,0 +1,91 @@
+"""The right places of each query, read from lists of places or from a matrix."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.sparse import csr_array, issparse
+
+from vprbench.api import BadInput
+
+Positives = tuple[npt.NDArray[np.int64], ...]
+
+
+def read_positives(positives: Any, n_queries: int, n_places: int) -> Positives:
+    """Return the right places of each query, ascending.
+
+    Args:
+        positives: a place or a list of places for each query, or a matrix (n_queries, n_places) of booleans or of 0
+            and 1, dense or sparse.
+        n_queries: the number of queries.
+        n_places: the number of places.
+
+    Raises:
+        BadInput: the positives fit neither form, or both.
+    """
+    if issparse(positives):
+        return _read_matrix(positives, n_queries, n_places)
+    try:
+        table = np.asarray(positives)
+    except ValueError:  # lists of unequal length
+        table = np.empty(0, object)
+    if _is_matrix(table, n_queries, n_places):
+        return _read_matrix(table, n_queries, n_places)
+    rows = table if table.ndim == 2 else positives
+    if isinstance(positives, Mapping) or len(rows) != n_queries:
+        raise BadInput(f"positives: right places of {len(rows)} queries came, and there are {n_queries}: give a list")
+    found = []
+    for query, right in enumerate(rows):
+        row = np.asarray(right)
+        if row.dtype == bool and row.shape == (n_places,):
+            row = np.flatnonzero(row)
+        elif row.size and row.dtype.kind not in "iu":
+            raise BadInput(
+                f"positives of query {query}: {right!r} came; wanted numbers of places, or {n_places} booleans"
+            )
+        found.append(np.unique(row.reshape(-1).astype(np.int64)))
+    return tuple(found)
+
+
+def check_matrix(
+    named: str, matrix: npt.NDArray[Any] | csr_array, shape: tuple[int, int], axes: tuple[str, str]
+) -> None:
+    """Raise BadInput, for the matrix `named`, unless it has that shape and holds nothing but 0 and 1."""
+    if matrix.shape != shape:
+        turned = " (it is transposed)" if matrix.shape == shape[::-1] else ""
+        raise BadInput(
+            f"{named} has the shape {matrix.shape}{turned}; wanted is {shape}, {axes[0]} by {axes[1]}, for the images "
+            "that are there"
+        )
+    values = matrix.data if issparse(matrix) else matrix
+    if matrix.dtype.kind not in "buif" or not np.isin(values, (0, 1)).all():
+        raise BadInput(f"{named} holds {matrix.dtype} values other than 0 and 1: yes and no are wanted")
+
+
+def _read_matrix(matrix: Any, n_queries: int, n_places: int) -> Positives:
+    rows = csr_array(matrix, copy=True)
+    rows.sum_duplicates()
+    check_matrix("positives", rows, (n_queries, n_places), ("queries", "places"))
+    rows.eliminate_zeros()
+    return tuple(np.split(rows.indices.astype(np.int64), rows.indptr[1:-1]))
+
+
+def _is_matrix(table: npt.NDArray[Any], n_queries: int, n_places: int) -> bool:
+    """Tell whether a table is a matrix of 0 and 1 over all places; raises BadInput where it may also list places.
+
+    Integers are a matrix where, as lists of places, they name a place twice or one that does not exist.
+    """
+    if table.ndim != 2 or not table.size or table.dtype.kind not in "buif" or not np.isin(table, (0, 1)).all():
+        return False
+    names_one_twice = table.shape[1] > 2 or bool((table[:, 1:] == table[:, :-1]).any())
+    if table.dtype.kind in "bf" or names_one_twice or table.max() >= n_places:
+        return True
+    if table.shape != (n_queries, n_places):
+        return False
+    raise BadInput(
+        f"positives={table.tolist()[:2]} and so on may be a matrix of 0 and 1, or lists of places: give "
+        f"np.array(positives, bool) for the matrix, np.ones({table.shape}, bool) for the lists"
+    )
