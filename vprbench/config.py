@@ -15,18 +15,21 @@ import hydra
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
-from omegaconf import OmegaConf
+from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from vprbench.errors import BadInput
-from vprbench.plugins import registry
-from vprbench.plugins.registry import Group
+from vprbench.plugins import entries, registry
+from vprbench.plugins.entries import Group
+from vprbench.plugins.tuned_places import parse_tuned_on
 from vprbench.plugins.values import check_value
 from vprbench.runs.request import OPTIONS, RunRequest
 from vprbench.runs.timing_protocol import Protocol
 from vprbench.storage.folders import require_homes
 from vprbench.text import near
 
+_CONF = "vprbench.conf"
+_OF_RUN = ("_target_", "seed", "device")  # arguments of a method that every run sets for itself
 _DEFAULTS = {"method": "sad", "dataset": "synthetic"}  # of conf/run.yaml
 
 
@@ -46,18 +49,17 @@ def make_request(
         BadInput: an option is unknown or does not fit.
     """
     options = quote_options(options)
-    config = compose_config(options, values)
+    composed = _compose(options, values)
+    config = _resolve(composed)
     names = {group: _choose(group, options) for group in get_args(Group)}
-    method, tuned_on = registry.declared(names["method"], config["method"])
-    entry = registry.entries("method").get(names["method"])
     fields = {
         "method_name": names["method"],
-        "method": method,
+        "method": registry.arguments(config["method"]),
         "dataset_name": str(config["dataset"].get("name") or names["dataset"]),
         "dataset": config["dataset"],
-        "changed": {} if entry is None else entry.changed(method),
-        "tuned_on": tuned_on,
-        "overrides": [*map(registry.with_plugin_paths, options), *_as_options(values or {})],
+        "changed": _find_changed(options, values or {}, composed),
+        "tuned_on": parse_tuned_on(config["method"].get("tuned_on"), f"method {names['method']}"),
+        "overrides": [*map(entries.with_plugin_paths, options), *_as_options(values or {})],
         **_check_options(config),
     }
     return RunRequest(**{**fields, **(objects or {})})
@@ -78,28 +80,9 @@ def split_sweep(options: Sequence[str]) -> list[list[str]]:
     return [list(run) for run in itertools.product(*swept)]
 
 
-def compose_config(options: Sequence[str], values: Mapping[str, Any] | None = None) -> dict[str, Any]:
-    """Return what Hydra makes of conf/run.yaml and these options, as plain values; raises BadInput."""
-    _require_options(options)
-    _require_names(options)
-    registry.register_search_path()
-    kept, GlobalHydra.instance().hydra = GlobalHydra.instance().hydra, None  # a program may use Hydra itself
-    try:
-        with (
-            _explaining([*options, *(values or {})]),
-            hydra.initialize_config_module("vprbench.conf", version_base="1.3"),
-        ):
-            config = hydra.compose("run", overrides=list(options))
-            for name, value in (values or {}).items():
-                OmegaConf.update(config, name, value)
-            return cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
-    finally:
-        GlobalHydra.instance().hydra = kept
-
-
 def show_config(options: Sequence[str]) -> str:
-    """Return the configuration that options make, as YAML."""
-    return OmegaConf.to_yaml(OmegaConf.create(compose_config(quote_options(options))))
+    """Return the configuration that options make, as YAML; raises BadInput."""
+    return OmegaConf.to_yaml(OmegaConf.create(_resolve(_compose(quote_options(options)))))
 
 
 def quote_options(options: Sequence[str]) -> list[str]:
@@ -126,7 +109,60 @@ def quote_options(options: Sequence[str]) -> list[str]:
 
 def list_timings() -> list[str]:
     """Return the names of the timing protocols in conf/timing."""
-    return sorted(path.stem for path in (registry.conf_folders()["vprbench"] / "timing").glob("*.yaml"))
+    return sorted(path.stem for path in (entries.conf_folders()["vprbench"] / "timing").glob("*.yaml"))
+
+
+def _compose(options: Sequence[str], values: Mapping[str, Any] | None = None) -> DictConfig:
+    """Return the composition of conf/run.yaml and these options by Hydra; raises BadInput."""
+    _require_options(options)
+    for option in (*options, *(values or {})):
+        if option.lstrip("+~").startswith("method.tuned_on"):
+            raise BadInput(f"{option}: the yaml of a method alone says method.tuned_on=, give no other")
+    for option in options:
+        group, _, name = option.partition("=")
+        if group in ("method", "dataset", "timing") and re.fullmatch(r"[\w.-]*", name) and name not in _known(group):
+            raise BadInput(f"{option} is unknown: {near(name, _known(group))}")
+    for kind in get_args(Group):
+        if (entry := entries.entries(kind).get(_choose(kind, options))) is not None:
+            entry.values()  # raises BadInput, with the line, for a yaml that cannot be read
+    folders = [_quote(f"file://{folder}") for name, folder in entries.conf_folders().items() if name != "vprbench"]
+    kept, GlobalHydra.instance().hydra = GlobalHydra.instance().hydra, None  # a program may use Hydra itself
+    try:
+        with _explaining([*options, *(values or {})]), hydra.initialize_config_module(_CONF, version_base="1.3"):
+            config = hydra.compose("run", overrides=[f"hydra.searchpath=[{','.join(folders)}]", *options])
+            for name, value in (values or {}).items():
+                OmegaConf.update(config, name, value)
+            return config
+    finally:
+        GlobalHydra.instance().hydra = kept
+
+
+def _resolve(config: DictConfig, resolve: bool = True) -> dict[str, Any]:
+    """Return a configuration as plain values; raises BadInput for an interpolation that names nothing."""
+    with _explaining([]):
+        return cast(dict[str, Any], OmegaConf.to_container(config, resolve=resolve))
+
+
+def _find_changed(options: Sequence[str], values: Mapping[str, Any], given: DictConfig) -> dict[str, Any]:
+    """Return the arguments of the method that differ from its yaml, with their values; seed and device do not count."""
+    plain = [option for option in options if not option.lstrip("+~").startswith("method.")]
+    if len(plain) == len(options) and not any(name.startswith("method.") for name in values):
+        return {}
+    own, changed = (_resolve(each, resolve=False)["method"] for each in (_compose(plain), given))
+    arguments = registry.arguments(_resolve(given)["method"])
+    return _find_different({name: arguments[name] for name in arguments if name not in _OF_RUN}, changed, own)
+
+
+def _find_different(values: Mapping[str, Any], given: Mapping[Any, Any], own: Mapping[Any, Any]) -> dict[str, Any]:
+    """Return the values whose given text, interpolations as they stand, differs from the own one."""
+    found = {}
+    for name, value in values.items():
+        if isinstance(value, Mapping) and isinstance(own.get(name), Mapping):
+            if inner := _find_different(value, given[name], own[name]):
+                found[name] = inner
+        elif name not in own or given[name] != own[name]:
+            found[name] = value
+    return found
 
 
 def _check_options(config: Mapping[str, Any]) -> dict[str, Any]:
@@ -212,26 +248,8 @@ def _quote(value: str) -> str:
     return "'" + value.replace("\\", "\\\\").replace("'", "\\'") + "'"
 
 
-def _require_names(options: Sequence[str]) -> None:
-    """Raise BadInput, with near names, for a method, dataset or timing that is not there or has no readable yaml."""
-    for option in options:
-        group, _, given = option.partition("=")
-        if group not in ("method", "dataset", "timing"):
-            continue
-        if given.startswith("["):
-            raise BadInput(f"{option}: give one name, or with -m several between commas")
-        known, given = _known(group), given.strip("'\"")
-        for name in given.split(",") if re.fullmatch(r"[\w,.-]*", given) else ():
-            if group != "timing":
-                registry.require_one(cast(Group, group), name)
-            if name not in known:
-                raise BadInput(f"{group}={name} is unknown: {near(name, known)}")
-            if group != "timing":
-                registry.entries(cast(Group, group))[name].values()
-
-
 def _known(group: str) -> list[str]:
-    return list_timings() if group == "timing" else list(registry.entries(cast(Group, group)))
+    return list_timings() if group == "timing" else list(entries.entries(cast(Group, group)))
 
 
 @contextmanager
@@ -268,7 +286,7 @@ def _explain(error: Exception, options: Sequence[str]) -> str:
     above, _, name = option.group(1).partition(".")
     if above in _DEFAULTS and name:
         chosen = _choose(cast(Group, above), options)
-        entry = registry.entries(cast(Group, above)).get(chosen)
+        entry = entries.entries(cast(Group, above)).get(chosen)
         return f"option {above}.{name} is unknown to {chosen}: {near(name, entry.options if entry else [])}"
     near_names = near(name, Protocol.__dataclass_fields__) if above == "timing" and name else near(above, OPTIONS)
     return f"option {option.group(1)} is unknown: {near_names}"

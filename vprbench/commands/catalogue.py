@@ -59,12 +59,12 @@ def compare(options: list[str]) -> int:
 def show_list(words: list[str]) -> int:
     """Show the methods and datasets, or those that fit: list spiking, list weights=none, list datasets."""
     from vprbench.plugins.entries import broken_plugins
-    from vprbench.plugins.listing import Listing, listed
+    from vprbench.plugins.listing import Listing, list_entries
     from vprbench.plugins.options import chosen
     from vprbench.terminal.console import console, show_table
 
     asked = chosen(Listing, [word for word in words if "=" in word], {})
-    found = listed([word for word in words if "=" not in word], asked.weights)
+    found = list_entries([word for word in words if "=" not in word], asked.weights)
     if asked.output == "json":
         print(json.dumps([asdict(each) for each in found]))
         return 0

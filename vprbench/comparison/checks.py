@@ -162,7 +162,6 @@ def _cell(
 ) -> Cell:
     """Look at one method with its `given` options; raises BadInput for what is wrong with it."""
     known = registry.entries("method")
-    registry.require_one("method", name)
     if unknown := _unknown("method", name, given):
         raise BadInput(unknown)
     request = make_request([*options, f"method={name}", *given])

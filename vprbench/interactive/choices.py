@@ -20,7 +20,7 @@ from vprbench.config import make_request
 from vprbench.errors import BadInput
 from vprbench.interactive import short
 from vprbench.plugins import registry
-from vprbench.plugins.entries import Group, entries, require_one
+from vprbench.plugins.entries import Group, entries
 from vprbench.runs.sources import hash_class
 from vprbench.text import near
 
@@ -228,7 +228,6 @@ def _equals_default(recorded: Any, default: Any) -> bool:
 def _require_entry(group: Group, text: str, options: Mapping[str, Any]) -> str:
     """Return the name of an entry, which may be in a loose file; raises BadInput."""
     name = registry.named(group, text)
-    require_one(group, name)
     known = entries(group)
     if name not in known:
         raise BadInput(f"{group} {name} is unknown: {near(name, known)}")

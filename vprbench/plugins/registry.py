@@ -11,10 +11,7 @@ from dataclasses import is_dataclass
 from types import ModuleType
 from typing import Any, get_type_hints
 
-from hydra.core.config_search_path import ConfigSearchPath
 from hydra.core.config_store import ConfigStore
-from hydra.core.plugins import Plugins
-from hydra.plugins.search_path_plugin import SearchPathPlugin
 from hydra.utils import get_object
 
 from vprbench.api.dataset import Dataset, SharedFrames
@@ -27,10 +24,8 @@ from vprbench.plugins.entries import Group as Group
 from vprbench.plugins.entries import broken_plugins as broken_plugins
 from vprbench.plugins.entries import conf_folders as conf_folders
 from vprbench.plugins.entries import entries as entries
-from vprbench.plugins.entries import require_one as require_one
 from vprbench.plugins.entries import with_plugin_paths as with_plugin_paths
 from vprbench.plugins.local_plugins import describe_error
-from vprbench.plugins.tuned_places import parse_tuned_on
 from vprbench.plugins.values import check_value as check_value
 from vprbench.text import near as near  # for the commands too
 
@@ -70,18 +65,6 @@ def require_dataset(made: Any, target: str) -> Dataset:
 
 def _shortened(text: str) -> str:
     return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
-
-
-def declared(name: str, config: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the arguments in a method's configuration, and apart from them on what its settings were chosen.
-
-    Raises BadInput if a registered method was asked for with another `tuned_on` than its yaml has.
-    """
-    entry = entries("method").get(name)
-    asked = parse_tuned_on(config.get("tuned_on"), f"method {name}")
-    if entry is not None and asked != entry.tuned_on:
-        raise BadInput(f"method.tuned_on={asked or None}: what {name} was tuned on is told by {entry.path} alone")
-    return arguments(config), asked
 
 
 def arguments(config: Mapping[str, Any]) -> dict[str, Any]:
@@ -129,18 +112,6 @@ def register_loose_file(option: str) -> None:
         named("method", name)
     elif group == "dataset":
         named("dataset", name)
-
-
-def register_search_path() -> None:
-    """Let Hydra find the yaml files of installed plug-ins."""
-    Plugins.instance().register(_PluginSearchPath)
-
-
-class _PluginSearchPath(SearchPathPlugin):
-    def manipulate_search_path(self, search_path: ConfigSearchPath) -> None:
-        for provider, folder in yamls.conf_folders().items():
-            if provider != "vprbench":
-                search_path.append(provider=provider, path=f"file://{folder}")
 
 
 def located(group: Group, config: Mapping[str, Any], where: object) -> Callable[..., Any]:
