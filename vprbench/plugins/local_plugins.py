@@ -8,6 +8,7 @@ import inspect
 import json
 import re
 import sys
+import sysconfig
 import traceback
 from collections.abc import Mapping
 from contextlib import suppress
@@ -21,6 +22,7 @@ from vprbench.plugins.entries import Entry, Group
 from vprbench.text import near
 
 _OURS = str(Path(__file__).parents[1])
+_LIBRARIES = tuple(sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib"))
 _IMPORTERS = ("importlib", "hydra", "<frozen")  # their frames lie between ours and those of the plug-in
 _LOOSE_FILE = re.compile(r"(?P<file>[^][,()'\"]+\.py)(?::(?P<name>\w+))?")
 _RUN_ARGUMENTS = ("seed", "device")  # parameters of a method that take the values of the run
@@ -71,20 +73,29 @@ def load_loose_file(group: Group, text: str) -> LooseEntry:
 def describe_error(error: BaseException, file: str | None = None) -> str:
     """Return an error in one line, with the place that raised it: the innermost in `file`, else in any plug-in."""
     if isinstance(error, SyntaxError):
-        return f"SyntaxError: {error.msg}{_describe_place(error.filename, error.lineno)}"
+        return f"SyntaxError: {error.msg}{_format_place(error.filename, error.lineno)}"
     text = (str(error).splitlines() or [""])[0]
     if not isinstance(error, ImportError) or not text:
         text = ": ".join(filter(None, [type(error).__name__, text]))
+    return text + describe_place(error, file)
+
+
+def describe_place(error: BaseException, file: str | None = None) -> str:
+    """Return the place that raised an error as " (mine.py, line 3)": the innermost in `file`, else in any plug-in.
+
+    A library that the plug-in calls counts only if nothing else does. Empty if the error comes from this project alone.
+    """
     places = [(frame.filename, frame.lineno) for frame in traceback.extract_tb(error.__traceback__)]
     own = [place for place in places if (place[0] == file if file else _is_of_a_plugin(place[0]))]
-    return text + (_describe_place(*own[-1]) if own else "")
+    own = [place for place in own if not place[0].startswith(_LIBRARIES)] or own
+    return _format_place(*own[-1]) if own else ""
 
 
 def _is_of_a_plugin(file: str) -> bool:
     return not file.startswith(_OURS) and not any(part in file for part in _IMPORTERS)
 
 
-def _describe_place(file: str | None, line: int | None) -> str:
+def _format_place(file: str | None, line: int | None) -> str:
     if file is None:
         return ""
     path = Path(file)
