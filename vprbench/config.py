@@ -20,7 +20,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from vprbench.errors import BadInput
 from vprbench.plugins import entries, registry
-from vprbench.plugins.entries import Group
+from vprbench.plugins.entries import Folder, Group
 from vprbench.plugins.tuned_places import parse_tuned_on
 from vprbench.plugins.values import check_value
 from vprbench.runs.request import OPTIONS, RunRequest
@@ -30,7 +30,7 @@ from vprbench.text import near
 
 _CONF = "vprbench.conf"
 _OF_RUN = ("_target_", "seed", "device")  # arguments of a method that every run sets for itself
-_DEFAULTS = {"method": "sad", "dataset": "synthetic"}  # of conf/run.yaml
+_GROUPS: tuple[Folder, ...] = ("method", "dataset", "timing")  # options that name a yaml
 
 
 def make_request(
@@ -51,14 +51,13 @@ def make_request(
     options = quote_options(options)
     composed = _compose(options, values)
     config = _resolve(composed)
-    names = {group: _choose(group, options) for group in get_args(Group)}
     fields = {
-        "method_name": names["method"],
+        "method_name": _choose("method", options),
         "method": registry.arguments(config["method"]),
-        "dataset_name": str(config["dataset"].get("name") or names["dataset"]),
+        "dataset_name": str(config["dataset"].get("name") or _choose("dataset", options)),
         "dataset": config["dataset"],
         "changed": _find_changed(options, values or {}, composed),
-        "tuned_on": parse_tuned_on(config["method"].get("tuned_on"), f"method {names['method']}"),
+        "tuned_on": parse_tuned_on(config["method"].get("tuned_on"), f"method {_choose('method', options)}"),
         "overrides": [*map(entries.with_plugin_paths, options), *_as_options(values or {})],
         **_check_options(config),
     }
@@ -107,24 +106,18 @@ def quote_options(options: Sequence[str]) -> list[str]:
     return quoted
 
 
-def list_timings() -> list[str]:
-    """Return the names of the timing protocols in conf/timing."""
-    return sorted(path.stem for path in (entries.conf_folders()["vprbench"] / "timing").glob("*.yaml"))
-
-
 def _compose(options: Sequence[str], values: Mapping[str, Any] | None = None) -> DictConfig:
     """Return the composition of conf/run.yaml and these options by Hydra; raises BadInput."""
     _require_options(options)
     for option in (*options, *(values or {})):
         if option.lstrip("+~").startswith("method.tuned_on"):
             raise BadInput(f"{option}: the yaml of a method alone says method.tuned_on=, give no other")
-    for option in options:
-        group, _, name = option.partition("=")
-        if group in ("method", "dataset", "timing") and re.fullmatch(r"[\w.-]*", name) and name not in _known(group):
-            raise BadInput(f"{option} is unknown: {near(name, _known(group))}")
-    for kind in get_args(Group):
-        if (entry := entries.entries(kind).get(_choose(kind, options))) is not None:
-            entry.values()  # raises BadInput, with the line, for a yaml that cannot be read
+    for group in _GROUPS:
+        known, name = entries.entries(group), _choose(group, options)
+        if name in known:
+            known[name].values()  # raises BadInput, with the line, for a yaml that cannot be read
+        elif re.fullmatch(r"[\w.-]*", name):
+            raise BadInput(f"{group}={name} is unknown: {near(name, known)}")
     folders = [_quote(f"file://{folder}") for name, folder in entries.conf_folders().items() if name != "vprbench"]
     kept, GlobalHydra.instance().hydra = GlobalHydra.instance().hydra, None  # a program may use Hydra itself
     try:
@@ -180,7 +173,7 @@ def _check_options(config: Mapping[str, Any]) -> dict[str, Any]:
 
 def _timing(config: Any) -> Protocol:
     if not isinstance(config, Mapping):
-        known = ", ".join(list_timings())
+        known = ", ".join(entries.entries("timing"))
         raise BadInput(f"timing={config}: give {known}, or one option, as in timing.minimum_seconds=10")
     hints = get_type_hints(Protocol, include_extras=True)
     for name in config:
@@ -195,10 +188,10 @@ def _as_options(values: Mapping[str, Any]) -> Iterator[str]:
         yield f"{name}={value if isinstance(value, str) else json.dumps(value)}"
 
 
-def _choose(group: Group, options: Sequence[str]) -> str:
-    """Return the name of the method or dataset that options choose, the last one if there are several."""
+def _choose(group: Folder, options: Sequence[str]) -> str:
+    """Return the name of the method, dataset or timing that options choose, the last one if there are several."""
     given = [option.partition("=")[2].strip("'\"") for option in options if option.startswith(f"{group}=")]
-    return given[-1] if given else _DEFAULTS[group]
+    return given[-1] if given else entries.find_default(group)
 
 
 def _register_names(group: Group, names: str) -> str:
@@ -248,10 +241,6 @@ def _quote(value: str) -> str:
     return "'" + value.replace("\\", "\\\\").replace("'", "\\'") + "'"
 
 
-def _known(group: str) -> list[str]:
-    return list_timings() if group == "timing" else list(entries.entries(cast(Group, group)))
-
-
 @contextmanager
 def _explaining(options: Sequence[str]) -> Iterator[None]:
     try:
@@ -267,12 +256,12 @@ def _explain(error: Exception, options: Sequence[str]) -> str:
         name, _, values = several[1].partition("=")
         return f"{several[1]}: give -m too, to run with each, or {name}=[{values}], for a list"
     if sought := re.search(r"Could not find '(method|dataset|timing)/(.*?)'\s+Available", str(error), re.DOTALL):
-        return f"{sought[1]}={sought[2]} is unknown: {near(sought[2], _known(sought[1]))}"
+        return f"{sought[1]}={sought[2]} is unknown: {near(sought[2], entries.entries(cast(Folder, sought[1])))}"
     if (unresolved := re.match(r"(.+) full_key: (\S+) object_type=", text)) and not text.startswith("Key '"):
         return f"{unresolved[2]}: {unresolved[1]}"
     if group := re.match(r"Multiple values for (\w+)\.|Could not override '(method|dataset|timing)'", text):
         name = group[1] or group[2]
-        return f"option {name} takes one name, as in {name}={_known(name)[0]}, or with -m several between commas"
+        return f"option {name} takes one name, as in {name}=NAME, or with -m several between commas"
     named = (
         r"Could not override '([^']+)'",
         r"Key '[^']+' is not in struct full_key: (\S+)",
@@ -284,7 +273,7 @@ def _explain(error: Exception, options: Sequence[str]) -> str:
         found = re.search(r"Could not find '([^']+)'", text)
         return f"{found[1]} is unknown" if found else text.split(" See https://hydra.cc")[0]
     above, _, name = option.group(1).partition(".")
-    if above in _DEFAULTS and name:
+    if above in get_args(Group) and name:
         chosen = _choose(cast(Group, above), options)
         entry = entries.entries(cast(Group, above)).get(chosen)
         return f"option {above}.{name} is unknown to {chosen}: {near(name, entry.options if entry else [])}"

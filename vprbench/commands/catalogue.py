@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import pkgutil
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
@@ -14,6 +14,7 @@ from vprbench.text import near, printable
 
 if TYPE_CHECKING:
     from vprbench.paper.run_options import TableRequest
+    from vprbench.plugins.entries import Folder
 
 
 COMPLETE = "__complete"  # the hidden command of completion scripts: a line -> the words that its last may become
@@ -25,10 +26,10 @@ class Command:
 
     call: Callable[[list[str]], int]  # its docstring says in the first sentence what it does
     options: str = ""  # module:Class, whose fields are its options
-    groups: tuple[str, ...] = ()  # configurations that it takes, with their options: method, dataset, timing
+    groups: tuple[Folder, ...] = ()  # configurations that it takes, with their options: method, dataset, timing
     run: tuple[str, ...] | None = ()  # options of a run that it takes too; None: all that the class does not refuse
     words: str = ""  # before the options: NAME
-    usual: Mapping[str, str] = field(default_factory=dict)  # by group, where it has another default than a run
+    usual: Mapping[Folder, str] = field(default_factory=dict)  # by group, where it has another default than a run
 
     @property
     def meaning(self) -> str:
@@ -225,12 +226,11 @@ def search(options: list[str]) -> int:
 
 def print_completion(words: list[str]) -> int:
     """Print a script by which TAB completes commands, names and options: eval "$(vprbench completion bash)"."""
-    from vprbench.commands.help import SCRIPTS
-
+    scripts = {path.name: path for path in Path(__file__).with_name("completion").iterdir()}
     shell = " ".join(words)
-    if shell not in SCRIPTS:
-        raise BadInput(f"completion {shell}: {near(shell, SCRIPTS)}, as in vprbench completion bash")
-    print(SCRIPTS[shell], end="")
+    if shell not in scripts:
+        raise BadInput(f"completion {shell}: {near(shell, sorted(scripts))}, as in vprbench completion bash")
+    print(scripts[shell].read_text(encoding="utf-8"), end="")
     return 0
 
 
@@ -257,7 +257,7 @@ def _request_table(options: list[str]) -> tuple[TableRequest, list[str]]:
     return request, rest
 
 
-_TABLE = ("vprbench.paper.run_options:TableRequest", ("timing",), None)
+_TABLE = Command(table, "vprbench.paper.run_options:TableRequest", ("timing",), None)
 
 #: By name, in the order of the help.
 COMMANDS: dict[str, Command] = {
@@ -271,9 +271,9 @@ COMMANDS: dict[str, Command] = {
     "doctor": Command(doctor, groups=("dataset",), run=("output",)),
     "status": Command(show_status, "vprbench.runs.run_lock:StatusOptions"),
     "fetch": Command(fetch, "vprbench.data.fetch.command:Settings", words="[NAME]"),
-    "table": Command(table, *_TABLE),
-    "figures": Command(figures, *_TABLE),
-    "report": Command(report, *_TABLE),
+    "table": _TABLE,
+    "figures": replace(_TABLE, call=figures),
+    "report": replace(_TABLE, call=report),
     "search": Command(search, "vprbench.tuning.settings:Settings"),
     "completion": Command(print_completion, words="bash|zsh|fish"),
 }

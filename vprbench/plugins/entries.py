@@ -16,6 +16,7 @@ import yaml
 from vprbench.errors import BadInput
 
 Group = Literal["method", "dataset"]
+Folder = Literal["method", "dataset", "timing", "cluster"]
 
 ENTRY_POINTS = "vprbench.conf"
 
@@ -24,14 +25,14 @@ DECLARED = ("tuned_on", "tags")
 _NO_ARGUMENTS = ("_target_", *DECLARED)
 
 
-_LOOSE: dict[Group, dict[str, Entry]] = {"method": {}, "dataset": {}}  # of loose files, by name
+_LOOSE: dict[Folder, dict[str, Entry]] = {"method": {}, "dataset": {}}  # of loose files, by name
 
 
 @dataclass(frozen=True)
 class Entry:
-    """One registered method or dataset: its yaml and who provides it."""
+    """One registered method or dataset, or the yaml of a timing protocol or batch system, and who provides it."""
 
-    group: Group
+    group: Folder
     name: str
     path: Path
     provider: str
@@ -111,18 +112,21 @@ class Entry:
         return None
 
 
-def entries(group: Group) -> dict[str, Entry]:
-    """Return the registered methods or datasets by name; imports none of them."""
+def entries(group: Folder) -> dict[str, Entry]:
+    """Return the registered methods or datasets, timing protocols or batch systems by name; imports none of them."""
     found: dict[str, Entry] = {}
     for provider, folder in conf_folders().items():
         for path in (folder / group).glob("*.yaml"):
-            first = found.get(path.stem)
-            found[path.stem] = (
-                Entry(group, path.stem, path, provider)
-                if first is None
-                else replace(first, rivals=(*first.rivals, provider))
-            )
-    return dict(sorted({**found, **_LOOSE[group]}.items()))
+            first = found.setdefault(path.stem, Entry(group, path.stem, path, provider))
+            if first.path != path:
+                found[path.stem] = replace(first, rivals=(*first.rivals, provider))
+    return dict(sorted({**found, **_LOOSE.get(group, {})}.items()))
+
+
+def find_default(group: Folder) -> str:
+    """Return the name of the method, dataset or timing that a run has unless it names another one."""
+    run = read((conf_folders()["vprbench"] / "run.yaml").read_text(encoding="utf-8"))
+    return str(next(each[group] for each in run["defaults"] if isinstance(each, Mapping) and group in each))
 
 
 def add(entry: Entry) -> None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from vprbench.errors import BadInput
-from vprbench.plugins.entries import Entry, Group, entries
+from vprbench.plugins.entries import Entry, Folder, Group, entries
 from vprbench.plugins.options import option
 
 
@@ -25,7 +25,7 @@ class Listing:
 class Listed:
     """One method or dataset, as its yaml describes it."""
 
-    kind: Group
+    kind: Folder
     name: str
     description: str
     provider: str  # vprbench or the plug-in that brings it

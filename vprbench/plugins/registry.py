@@ -114,7 +114,7 @@ def register_loose_file(option: str) -> None:
         named("dataset", name)
 
 
-def located(group: Group, config: Mapping[str, Any], where: object) -> Callable[..., Any]:
+def located(group: str, config: Mapping[str, Any], where: object) -> Callable[..., Any]:
     """Import and return the class or function of a configuration; raises BadInput that says `where` none is named."""
     if not isinstance(config.get("_target_"), str):
         raise BadInput(f"{where} is no {group} (it has no _target_): name its class or function there")
