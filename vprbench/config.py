@@ -9,7 +9,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, cast, get_args, get_type_hints
+from typing import Any, cast, get_type_hints
 
 import hydra
 from hydra.core.global_hydra import GlobalHydra
@@ -69,7 +69,7 @@ def split_sweep(options: Sequence[str]) -> list[list[str]]:
     options = quote_options(options)
     _require_options(options)
     swept = []
-    with _explaining(options):
+    with _explaining():
         for parsed in OverridesParser.create().parse_overrides(list(options)):
             key = parsed.get_key_element()
             if parsed.is_discrete_sweep():
@@ -118,10 +118,12 @@ def _compose(options: Sequence[str], values: Mapping[str, Any] | None = None) ->
             known[name].values()  # raises BadInput, with the line, for a yaml that cannot be read
         elif re.fullmatch(r"[\w.-]*", name):
             raise BadInput(f"{group}={name} is unknown: {near(name, known)}")
+    for option in (*options, *(values or {})):
+        _require_known(option, options)
     folders = [_quote(f"file://{folder}") for name, folder in entries.conf_folders().items() if name != "vprbench"]
     kept, GlobalHydra.instance().hydra = GlobalHydra.instance().hydra, None  # a program may use Hydra itself
     try:
-        with _explaining([*options, *(values or {})]), hydra.initialize_config_module(_CONF, version_base="1.3"):
+        with _explaining(), hydra.initialize_config_module(_CONF, version_base="1.3"):
             config = hydra.compose("run", overrides=[f"hydra.searchpath=[{','.join(folders)}]", *options])
             for name, value in (values or {}).items():
                 OmegaConf.update(config, name, value)
@@ -132,7 +134,7 @@ def _compose(options: Sequence[str], values: Mapping[str, Any] | None = None) ->
 
 def _resolve(config: DictConfig, resolve: bool = True) -> dict[str, Any]:
     """Return a configuration as plain values; raises BadInput for an interpolation that names nothing."""
-    with _explaining([]):
+    with _explaining():
         return cast(dict[str, Any], OmegaConf.to_container(config, resolve=resolve))
 
 
@@ -159,10 +161,8 @@ def _find_different(values: Mapping[str, Any], given: Mapping[Any, Any], own: Ma
 
 
 def _check_options(config: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the options of a run; raises BadInput that names the first one that is unknown or of another type."""
-    for name in (*config, *OPTIONS):
-        if name not in OPTIONS:
-            raise BadInput(f"option {name} is unknown: {near(name, OPTIONS)}")
+    """Return the options of a run; raises BadInput that names the first one that is missing or of another type."""
+    for name in OPTIONS:
         if name not in config:
             raise BadInput(f"option {name} is missing: leave its default in place")
     require_homes(config)
@@ -197,7 +197,7 @@ def _choose(group: Folder, options: Sequence[str]) -> str:
 def _register_names(group: Group, names: str) -> str:
     """Return names between commas; a loose file is registered and replaced by the name of its method or dataset."""
     bare = names.removeprefix("[").removesuffix("]")
-    found = ",".join(registry.named(group, name) for name in bare.split(","))
+    found = ",".join(registry.resolve_name(group, name) for name in bare.split(","))
     return names.replace(bare, found) if bare else names
 
 
@@ -218,6 +218,20 @@ def _require_options(options: Sequence[str]) -> None:
         if not name or not _is_override(option):
             wanted = f"give {name}=value" if name in OPTIONS or "." in name else near(name, OPTIONS)
             raise BadInput(f"{option or 'an empty argument'} is no option=value: {wanted}")
+
+
+def _require_known(option: str, options: Sequence[str]) -> None:
+    """Raise BadInput, with near names, for an option that neither a run nor its method, dataset or timing has."""
+    name = option.partition("=")[0].lstrip("+~")
+    group, _, inner = name.partition(".")
+    if group not in OPTIONS:
+        raise BadInput(f"option {name} is unknown: {near(group, OPTIONS)}")
+    if not inner or group not in _GROUPS or option.startswith("+"):
+        return
+    chosen = _choose(group, options)
+    entry = entries.entries(group).get(chosen)
+    if entry is not None and inner.partition(".")[0] not in entry.values():
+        raise BadInput(f"option {name} is unknown to {chosen}: {near(inner, entry.options)}")
 
 
 def _require_quotes(option: str) -> None:
@@ -242,14 +256,15 @@ def _quote(value: str) -> str:
 
 
 @contextmanager
-def _explaining(options: Sequence[str]) -> Iterator[None]:
+def _explaining() -> Iterator[None]:
+    """Turn an error of Hydra into BadInput."""
     try:
         yield
     except (HydraException, OmegaConfBaseException) as error:
-        raise BadInput(_explain(error, options)) from error
+        raise BadInput(_explain(error)) from error
 
 
-def _explain(error: Exception, options: Sequence[str]) -> str:
+def _explain(error: Exception) -> str:
     """Return an error of Hydra as one line that names the option and the remedy."""
     text = " ".join(str(error).split())
     if several := re.match(r"Ambiguous value for argument '(.+?)' 1\.", text):
@@ -262,20 +277,6 @@ def _explain(error: Exception, options: Sequence[str]) -> str:
     if group := re.match(r"Multiple values for (\w+)\.|Could not override '(method|dataset|timing)'", text):
         name = group[1] or group[2]
         return f"option {name} takes one name, as in {name}=NAME, or with -m several between commas"
-    named = (
-        r"Could not override '([^']+)'",
-        r"Key '[^']+' is not in struct full_key: (\S+)",
-        r"Key '([^']+)' is not in struct",
-        r"Could not delete .*?'([^']+)' does",
-    )
-    option = next(filter(None, (re.match(pattern, text) for pattern in named)), None)
-    if option is None:
-        found = re.search(r"Could not find '([^']+)'", text)
-        return f"{found[1]} is unknown" if found else text.split(" See https://hydra.cc")[0]
-    above, _, name = option.group(1).partition(".")
-    if above in get_args(Group) and name:
-        chosen = _choose(cast(Group, above), options)
-        entry = entries.entries(cast(Group, above)).get(chosen)
-        return f"option {above}.{name} is unknown to {chosen}: {near(name, entry.options if entry else [])}"
-    near_names = near(name, Protocol.__dataclass_fields__) if above == "timing" and name else near(above, OPTIONS)
-    return f"option {option.group(1)} is unknown: {near_names}"
+    if nested := re.match(r"Key '[^']+' is not in struct full_key: (\S+)", text):
+        return f"option {nested[1]} is unknown"
+    return text.split(" See https://hydra.cc")[0]

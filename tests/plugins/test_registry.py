@@ -23,7 +23,7 @@ from vprbench.errors import BadInput
 from vprbench.methods.sad import SAD
 from vprbench.plugins import registry
 from vprbench.plugins.entries import Entry, entries
-from vprbench.plugins.options import chosen
+from vprbench.plugins.options import parse_options
 from vprbench.plugins.values import check_value
 from vprbench.runs.store import Store
 
@@ -171,13 +171,13 @@ def test_a_list_is_given_with_or_without_brackets():
         ("frames=[[2,3]]", [[2, 3]]),
         ("name=a,b", "a,b"),
     ):
-        assert getattr(chosen(Asked, [option], {}), option.split("=")[0]) == value
+        assert getattr(parse_options(Asked, [option], {}), option.split("=")[0]) == value
 
 
 def test_an_option_that_does_not_fit_is_refused_by_its_name_and_what_json_cannot_say_otherwise_is_taken():
     for option in ("sizes=1,two", "name", "nmae=x", "sizes=[[1]]"):
         with pytest.raises(BadInput, match=option.split("=")[0]):
-            chosen(Asked, [option], {})
+            parse_options(Asked, [option], {})
     for value, hint in (("4", int), (1, bool), (4.5, int), ("x", Literal["y"]), ({"a": 1}, list[str])):
         with pytest.raises(BadInput, match=rf"^method\.cells={re.escape(str(value))}: "):
             check_value("method.cells", value, hint)

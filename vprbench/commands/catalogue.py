@@ -61,10 +61,10 @@ def show_list(words: list[str]) -> int:
     """Show the methods and datasets, or those that fit: list spiking, list weights=none, list datasets."""
     from vprbench.plugins.entries import broken_plugins
     from vprbench.plugins.listing import Listing, list_entries
-    from vprbench.plugins.options import chosen
+    from vprbench.plugins.options import parse_options
     from vprbench.terminal.console import console, show_table
 
-    asked = chosen(Listing, [word for word in words if "=" in word], {})
+    asked = parse_options(Listing, [word for word in words if "=" in word], {})
     found = list_entries([word for word in words if "=" not in word], asked.weights)
     if asked.output == "json":
         print(json.dumps([asdict(each) for each in found]))
@@ -143,11 +143,11 @@ def doctor(options: list[str]) -> int:
 
 def show_status(words: list[str]) -> int:
     """Show which runs of a results folder are made now, by whom and how far, and how many are stored."""
-    from vprbench.plugins.options import chosen
+    from vprbench.plugins.options import parse_options
     from vprbench.runs.run_lock import StatusOptions, row, status
     from vprbench.terminal.console import console, show_table
 
-    asked = chosen(StatusOptions, words, {})
+    asked = parse_options(StatusOptions, words, {})
     found = status(asked.results)
     if asked.output == "json":
         print(json.dumps(found))
@@ -206,14 +206,14 @@ def report(options: list[str]) -> int:
 def search(options: list[str]) -> int:
     """Search the best settings of the method in conf/search.yaml, on places that no result uses."""
     from vprbench.config import make_request
-    from vprbench.plugins.options import chosen
+    from vprbench.plugins.options import parse_options
     from vprbench.progress import progress_shown
     from vprbench.runs.store import Store
     from vprbench.tuning import space, text
     from vprbench.tuning.search import search as search_settings
     from vprbench.tuning.settings import QUICK, Settings
 
-    settings = chosen(Settings, options, QUICK)
+    settings = parse_options(Settings, options, QUICK)
     root = {} if settings.root is None else {"dataset.root": settings.root}
     request = make_request([f"method={space.METHOD}", f"dataset={settings.dataset}"], root)
     folder = Path(settings.results).expanduser()
@@ -238,7 +238,7 @@ def _request_table(options: list[str]) -> tuple[TableRequest, list[str]]:
     """Return the rows and columns of a table, and the options of their runs."""
     from vprbench.config import make_request, quote_options
     from vprbench.paper.run_options import TableRequest
-    from vprbench.plugins.options import chosen
+    from vprbench.plugins.options import parse_options
 
     own = [option for option in options if TableRequest.has(option)]
     rest = quote_options([option for option in options if option not in own])
@@ -249,7 +249,7 @@ def _request_table(options: list[str]) -> tuple[TableRequest, list[str]]:
                 f"{option}: rows, methods, columns, seeds and devices say what the table holds; "
                 "conf/table.yaml has what they are, and all of it is of clean frames"
             )
-    request = chosen(TableRequest, own, {})
+    request = parse_options(TableRequest, own, {})
     rest += request.threads(rest)
     run = make_request(rest, {"results": request.results})
     if not request.is_distributed:

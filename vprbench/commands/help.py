@@ -15,7 +15,7 @@ from vprbench import __version__
 from vprbench.commands.catalogue import COMMANDS
 from vprbench.plugins.entries import Entry, conf_folders, entries, find_default
 from vprbench.plugins.options import MEANING
-from vprbench.terminal.console import console, drawn
+from vprbench.terminal.console import console, format_table
 
 _NO_OPTIONS = ("_target_", "defaults", "hydra", "tuned_on", "tags")
 _LINE = re.compile(r"( *)(\w+):(?: +(.*?))?(?: +# (.*))?")  # of a yaml: name, default and meaning
@@ -114,7 +114,7 @@ def print_commands() -> None:
     table = _make_table("", "")
     for name, command in COMMANDS.items():
         table.add_row(Text(f"vprbench {name} {command.words}".rstrip(), style="bold"), Text(command.meaning))
-    print(f"vprbench {__version__} - {_INTRODUCTION}\n\n{drawn(table, console())}\n{_MORE}")
+    print(f"vprbench {__version__} - {_INTRODUCTION}\n\n{format_table(table, console())}\n{_MORE}")
 
 
 def print_options(name: str, given: Sequence[str]) -> None:
@@ -125,7 +125,7 @@ def print_options(name: str, given: Sequence[str]) -> None:
     for option in options:
         table.add_row(Text(option.name, style="bold"), Text(option.default, style="dim"), Text(option.meaning))
     usage = " ".join(filter(None, ["vprbench", name, command.words, "[option=value ...]" * bool(options)]))
-    print(f"{usage}\n{command.meaning}", *(["", drawn(table, page)] if options else []), sep="\n")
+    print(f"{usage}\n{command.meaning}", *(["", format_table(table, page)] if options else []), sep="\n")
 
 
 def _make_table(*heads: str) -> Table:

@@ -227,7 +227,7 @@ def _equals_default(recorded: Any, default: Any) -> bool:
 
 def _require_entry(group: Group, text: str, options: Mapping[str, Any]) -> str:
     """Return the name of an entry, which may be in a loose file; raises BadInput."""
-    name = registry.named(group, text)
+    name = registry.resolve_name(group, text)
     known = entries(group)
     if name not in known:
         raise BadInput(f"{group} {name} is unknown: {near(name, known)}")

@@ -68,9 +68,9 @@ class Entry:
 
     def target(self) -> Callable[..., Any]:
         """Import and return the class or function; raises BadInput with the reason if the import fails."""
-        from vprbench.plugins.registry import located
+        from vprbench.plugins.registry import find_target
 
-        return located(self.group, self.values(), self.path)
+        return find_target(self.group, self.values(), self.path)
 
     def values(self) -> dict[str, Any]:
         """Return the values of the yaml over those of the yamls it builds on; interpolations and mappings stay whole.

@@ -39,8 +39,8 @@ def _explaining_disk_errors(name: str) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        told = f"{_shortened(str(error.filename))}: {error.strerror}" if error.filename and error.strerror else error
-        raise BadInput(f"dataset {_shortened(name)} cannot be read ({told}): correct the path") from error
+        reason = f"{_shorten(str(error.filename))}: {error.strerror}" if error.filename and error.strerror else error
+        raise BadInput(f"dataset {_shorten(name)} cannot be read ({reason}): correct the path") from error
 
 
 def require_dataset(made: Any, target: str) -> Dataset:
@@ -49,7 +49,7 @@ def require_dataset(made: Any, target: str) -> Dataset:
         raise BadInput(f"{target} gave {type(made).__name__}; it has to return a Dataset")
     if len(os.fsencode(made.name)) > _MOST_NAME_BYTES:
         raise BadInput(
-            f"dataset.name={_shortened(made.name)} has more than {_MOST_NAME_BYTES} bytes: give a shorter one, for its "
+            f"dataset.name={_shorten(made.name)} has more than {_MOST_NAME_BYTES} bytes: give a shorter one, for its "
             "runs are stored in a folder of that name"
         )
     from vprbench.api.images import Images  # a list of names needs none
@@ -63,7 +63,7 @@ def require_dataset(made: Any, target: str) -> Dataset:
     return made
 
 
-def _shortened(text: str) -> str:
+def _shorten(text: str) -> str:
     return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
 
 
@@ -92,7 +92,7 @@ def make_dataset(config: Mapping[str, Any]) -> Dataset:
     return require_dataset(dataset, config["_target_"]).with_shared_frames(shared)
 
 
-def named(group: Group, text: str) -> str:
+def resolve_name(group: Group, text: str) -> str:
     """Return the name of a method or dataset; one in a loose file, ./mine.py:MyMethod, is registered by it first.
 
     Raises BadInput if the file cannot be imported, or if the name is another's.
@@ -109,12 +109,12 @@ def register_loose_file(option: str) -> None:
     """Register what method=./mine.py:MyMethod or dataset=./mine.py:my_dataset names; any other option is ignored."""
     group, _, name = option.partition("=")
     if group == "method":
-        named("method", name)
+        resolve_name("method", name)
     elif group == "dataset":
-        named("dataset", name)
+        resolve_name("dataset", name)
 
 
-def located(group: str, config: Mapping[str, Any], where: object) -> Callable[..., Any]:
+def find_target(group: str, config: Mapping[str, Any], where: object) -> Callable[..., Any]:
     """Import and return the class or function of a configuration; raises BadInput that says `where` none is named."""
     if not isinstance(config.get("_target_"), str):
         raise BadInput(f"{where} is no {group} (it has no _target_): name its class or function there")
@@ -138,9 +138,9 @@ def _locate(target: str) -> Callable[..., Any]:
 
 
 def _build(group: Group, config: Mapping[str, Any]) -> Any:
-    target = located(group, config, f"the yaml of {group} {config.get('name', '')}")
+    target = find_target(group, config, f"the yaml of {group} {config.get('name', '')}")
     arguments = {name: value for name, value in config.items() if name != "_target_" and value != "???"}
-    known, hints = _parameters(target, config["_target_"])
+    known, hints = _read_signature(target, config["_target_"])
     for name, value in arguments.items():
         if name not in known:
             raise BadInput(f"{group}.{name} is unknown to {config['_target_']}: {near(name, known)}")
@@ -156,7 +156,7 @@ def _build(group: Group, config: Mapping[str, Any]) -> Any:
         raise BadInput(f"{config['_target_']} fails when it is made: {describe_error(error)}") from error
 
 
-def _parameters(target: Callable[..., Any], name: str) -> tuple[Mapping[str, inspect.Parameter], dict[str, Any]]:
+def _read_signature(target: Callable[..., Any], name: str) -> tuple[Mapping[str, inspect.Parameter], dict[str, Any]]:
     """Return the parameters of a class or function and their type hints; raises BadInput if it has none to be read."""
     plain_class = inspect.isclass(target) and not is_dataclass(target)
     try:

@@ -166,7 +166,7 @@ def _changed(run: Run, known: Mapping[str, Entry]) -> Mapping[str, Any]:
     name = next((text.partition("=")[2] for text in asked if text.startswith("dataset=")), run.dataset)
     arguments = {key: value for key, value in run.config["dataset"].items() if key not in ("_target_", "name")}
     entry = known.get(name)
-    own = {} if entry is None else entry.values()
+    own = {} if entry is None or entry.rivals else entry.values()
     kept = {key for key in own if key in arguments and (own[key] == arguments[key] or "${" in str(own[key]))}
     return {key: value for key, value in arguments.items() if key not in kept}
 
