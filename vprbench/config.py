@@ -98,10 +98,9 @@ def quote_options(options: Sequence[str]) -> list[str]:
             value = _register_names("dataset" if key == "dataset" else "method", value)
             option = f"{key}{equals}{value}"
         if equals and not option.startswith("-") and not _is_override(option):
-            parts = (
-                [f"{key}=[{','.join(map(_quote, value[1:-1].split(',')))}]"] if value[:1] + value[-1:] == "[]" else []
-            )
-            option = next(filter(_is_override, parts), f"{key}={_quote(value)}")
+            listed = f"{key}=[{','.join(map(_quote, value[1:-1].split(',')))}]"
+            is_list = value[:1] + value[-1:] == "[]" and _is_override(listed)
+            option = listed if is_list else f"{key}={_quote(value)}"
         quoted.append(option)
     return quoted
 

@@ -15,7 +15,7 @@ from small_plan import RUN, Apart
 from vprbench.cli import main
 from vprbench.errors import BadInput
 from vprbench.jobs import executors
-from vprbench.plugins import registry
+from vprbench.plugins import entries, registry
 from vprbench.runs.frame import tabulate_runs
 from vprbench.runs.store import Store
 
@@ -29,9 +29,13 @@ def here(tmp_path, monkeypatch):
     methods = {name: f"_target_: hostile.{name.capitalize()}" for name in METHODS} | {"dying": "_target_: dying.Method"}
     plugin(tmp_path / "plugins", "hostile", "hostile", methods)
     (tmp_path / "plugins" / "dying.py").write_text("import os\nos._exit(0)\n")
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    monkeypatch.setattr(entries, "_LOOSE", {"method": {}, "dataset": {}})
     see_plugins(tmp_path / "plugins", monkeypatch)
     monkeypatch.chdir(tmp_path)
-    return tmp_path
+    yield tmp_path
+    for name in ("needy", "wild"):
+        sys.modules.pop(name, None)
 
 
 @pytest.mark.extended

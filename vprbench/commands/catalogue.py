@@ -64,15 +64,15 @@ def show_list(words: list[str]) -> int:
     from vprbench.plugins.options import parse_options
     from vprbench.terminal.console import console, show_table
 
-    asked = parse_options(Listing, [word for word in words if "=" in word], {})
-    found = list_entries([word for word in words if "=" not in word], asked.weights)
-    if asked.output == "json":
+    settings = parse_options(Listing, [word for word in words if "=" in word], {})
+    found = list_entries([word for word in words if "=" not in word], settings.weights)
+    if settings.output == "json":
         print(json.dumps([asdict(each) for each in found]))
         return 0
     for group in ("method", "dataset"):
         rows = [(each.name, each.summary) for each in found if each.kind == group]
         if rows:
-            show_table([f"{group}s", ""], rows, asked.wide or not console().is_terminal)
+            show_table([f"{group}s", ""], rows, settings.wide or not console().is_terminal)
     for provider, reason in broken_plugins() if not words else ():
         print(printable(f"plug-in {provider} BROKEN: {reason}"))
     return 0

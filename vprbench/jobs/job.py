@@ -66,9 +66,8 @@ def _describe_failure(error: BaseException, request: RunRequest) -> JobResult:
 
     environment = machine.describe_machine(request.device, request.n_threads)
     if isinstance(error, BadInput):
-        words = str(error).strip() or "invalid input; the plug-in gave no reason"
-        complain(words)
-        return JobResult(2, words, isinstance(error, NotThere), environment=environment)
+        complain(format_error(error))
+        return JobResult(2, format_error(error), isinstance(error, NotThere), environment=environment)
     words = hide_home(format_error(error).splitlines()[0])
     hint = "" if request.debug or isinstance(error, TrainingDivergedError) else "; debug=true shows the traceback"
     complain(f"{request.method_name} failed: {words}{describe_place(error)}{hint}")

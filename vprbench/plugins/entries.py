@@ -139,9 +139,10 @@ def add(entry: Entry) -> None:
 
 def with_plugin_paths(option: str) -> str:
     """Return an option method=NAME or dataset=NAME as another process understands it: with a loose file's path."""
-    group, equals, names = option.partition("=")
-    loose = {name: entry.plugin_path for known in _LOOSE for name, entry in _LOOSE[known].items() if known == group}
-    return f"{group}=" + ",".join(loose.get(name, name) for name in names.split(",")) if equals and loose else option
+    group, _, names = option.partition("=")
+    loose = {name: entry for known in _LOOSE if known == group for name, entry in _LOOSE[known].items()}
+    paths = (loose[name].plugin_path if name in loose else name for name in names.split(","))
+    return f"{group}={','.join(paths)}" if loose else option
 
 
 def conf_folders() -> dict[str, Path]:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import is_dataclass
 from types import ModuleType
-from typing import Any, get_type_hints
+from typing import Any, get_args, get_type_hints
 
 from hydra.core.config_store import ConfigStore
 from hydra.utils import get_object
@@ -107,11 +107,9 @@ def resolve_name(group: Group, text: str) -> str:
 
 def register_loose_file(option: str) -> None:
     """Register what method=./mine.py:MyMethod or dataset=./mine.py:my_dataset names; any other option is ignored."""
-    group, _, name = option.partition("=")
-    if group == "method":
-        resolve_name("method", name)
-    elif group == "dataset":
-        resolve_name("dataset", name)
+    for group in get_args(Group):
+        if option.startswith(f"{group}="):
+            resolve_name(group, option.partition("=")[2])
 
 
 def find_target(group: str, config: Mapping[str, Any], where: object) -> Callable[..., Any]:
