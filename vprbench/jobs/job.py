@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from vprbench.errors import BadInput, NotThere, TrainingDivergedError, format_error, hide_home
-from vprbench.plugins.local_plugins import describe_place
+from vprbench.plugins.local_plugins import locate_error
 from vprbench.runs.record import Failure
 from vprbench.runs.request import RunRequest
 from vprbench.terminal.streams import complain
@@ -70,7 +70,7 @@ def _describe_failure(error: BaseException, request: RunRequest) -> JobResult:
         return JobResult(2, format_error(error), isinstance(error, NotThere), environment=environment)
     words = hide_home(format_error(error).splitlines()[0])
     hint = "" if request.debug or isinstance(error, TrainingDivergedError) else "; debug=true shows the traceback"
-    complain(f"{request.method_name} failed: {words}{describe_place(error)}{hint}")
+    complain(f"{request.method_name} failed: {words}{locate_error(error)}{hint}")
     return JobResult(1, words, environment=environment)
 
 

@@ -6,9 +6,9 @@ import dataclasses
 import importlib
 import inspect
 import json
+import os
 import re
 import sys
-import sysconfig
 import traceback
 from collections.abc import Mapping
 from contextlib import suppress
@@ -21,9 +21,8 @@ from vprbench.errors import BadInput
 from vprbench.plugins.entries import Entry, Group
 from vprbench.text import near
 
-_OURS = str(Path(__file__).parents[1])
-_LIBRARIES = tuple(sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib"))
-_IMPORTERS = ("importlib", "hydra", "<frozen")  # their frames lie between ours and those of the plug-in
+#: Parts of the file names of frames that lie between the harness and a plug-in.
+_NO_PLUGINS = (str(Path(__file__).parents[1]), "importlib", "hydra", "<frozen")
 _LOOSE_FILE = re.compile(r"(?P<file>[^][,()'\"]+\.py)(?::(?P<name>\w+))?")
 _RUN_ARGUMENTS = ("seed", "device")  # parameters of a method that take the values of the run
 
@@ -70,32 +69,25 @@ def load_loose_file(group: Group, text: str) -> LooseEntry:
     return LooseEntry(group, name, file.absolute(), str(file), f"{file}:{name}", config)
 
 
-def describe_error(error: BaseException, file: str | None = None) -> str:
-    """Return an error in one line, with the place that raised it: the innermost in `file`, else in any plug-in."""
+def describe_error(error: BaseException) -> str:
+    """Return an error in one line, with the innermost place in the folder of the plug-in that raised it."""
     if isinstance(error, SyntaxError):
-        return f"SyntaxError: {error.msg}{_format_place(error.filename, error.lineno)}"
+        return f"SyntaxError: {error.msg}{_describe_place(error.filename, error.lineno)}"
     text = (str(error).splitlines() or [""])[0]
     if not isinstance(error, ImportError) or not text:
-        text = ": ".join(filter(None, [type(error).__name__, text]))
-    return text + describe_place(error, file)
+        text = f"{type(error).__name__}: {text}".removesuffix(": ")
+    return text + locate_error(error)
 
 
-def describe_place(error: BaseException, file: str | None = None) -> str:
-    """Return the place that raised an error as " (mine.py, line 3)": the innermost in `file`, else in any plug-in.
-
-    A library that the plug-in calls counts only if nothing else does. Empty if the error comes from this project alone.
-    """
+def locate_error(error: BaseException) -> str:
+    """Return the innermost place of an error in the folder of the plug-in, " (mine.py, line 3)"; empty if there is none."""
     places = [(frame.filename, frame.lineno) for frame in traceback.extract_tb(error.__traceback__)]
-    own = [place for place in places if (place[0] == file if file else _is_of_a_plugin(place[0]))]
-    own = [place for place in own if not place[0].startswith(_LIBRARIES)] or own
-    return _format_place(*own[-1]) if own else ""
+    others = [place for place in places if not any(part in place[0] for part in _NO_PLUGINS)]
+    own = [place for place in others if place[0].startswith(os.path.dirname(others[0][0]))]  # noqa: PTH120 (also <string>)
+    return _describe_place(*own[-1]) if own else ""
 
 
-def _is_of_a_plugin(file: str) -> bool:
-    return not file.startswith(_OURS) and not any(part in file for part in _IMPORTERS)
-
-
-def _format_place(file: str | None, line: int | None) -> str:
+def _describe_place(file: str | None, line: int | None) -> str:
     if file is None:
         return ""
     path = Path(file)
@@ -112,7 +104,7 @@ def _import_file(file: Path) -> ModuleType:
     try:
         module = importlib.import_module(path.stem)  # noqa: TID251 (the user names the file)
     except (Exception, SystemExit) as error:
-        raise BadInput(f"{file} cannot be imported: {describe_error(error, str(path))}") from error
+        raise BadInput(f"{file} cannot be imported: {describe_error(error)}") from error
     if Path(module.__file__ or "").resolve() != path.resolve():
         raise BadInput(f"{file}: another module has the name {path.stem} ({module.__file__}): rename the file")
     return module
