@@ -80,7 +80,7 @@ def describe_error(error: BaseException) -> str:
 
 
 def locate_error(error: BaseException) -> str:
-    """Return the innermost place of an error in the folder of the plug-in, " (mine.py, line 3)"; empty if there is none."""
+    """Return the innermost place of an error in the folder of the plug-in, " (mine.py, line 3)"; empty for none."""
     places = [(frame.filename, frame.lineno) for frame in traceback.extract_tb(error.__traceback__)]
     others = [place for place in places if not any(part in place[0] for part in _NO_PLUGINS)]
     own = [place for place in others if place[0].startswith(os.path.dirname(others[0][0]))]  # noqa: PTH120 (also <string>)
