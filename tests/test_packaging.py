@@ -66,8 +66,9 @@ def test_the_wheel_runs_from_another_folder_with_a_plug_in_and_holds_no_top_leve
     top = {name.split("/")[0] for name in zipfile.ZipFile(wheel).namelist()}
     assert {name for name in top if not name.endswith(".dist-info")} == {"vprbench"}
     printed = " ".join(run(installed, "-m", "vprbench", "list", cwd=tmp_path).split())
-    assert "thumbnail Colours of a coarse grid of cells [example]" in printed
-    assert "panorama Views all around a made-up panorama, by day and at dusk [example]" in printed
+    assert "thumbnail Colours of a coarse grid of cells [vprbench_example]" in printed
+    assert "panorama Views all around a made-up panorama, by day and at dusk [vprbench_example]" in printed
+    assert "compdef _vprbench" in run(installed, "-m", "vprbench", "completion", "zsh", cwd=tmp_path)
     names = ("method=thumbnail", "method.cells=6", "dataset=panorama", "dataset.places=12")
     told = json.loads(run(installed, "-m", "vprbench", *names, *RUN, "output=json", cwd=tmp_path))
     assert (told["method"], told["dataset"]) == ("thumbnail", "panorama")

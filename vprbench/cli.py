@@ -30,7 +30,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stdout.flush()
         return code
     except BadInput as error:
-        return _fail(str(error).strip() or "invalid input; the plug-in gave no reason")
+        return _fail(format_error(error))
     except ClusterLostError as error:
         return _fail(str(error), 1)
     except BrokenPipeError:

@@ -9,25 +9,28 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, cast, get_args, get_type_hints
+from typing import Any, cast, get_type_hints
 
 import hydra
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
-from omegaconf import OmegaConf
+from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from vprbench.errors import BadInput
-from vprbench.plugins import registry
-from vprbench.plugins.registry import Group
+from vprbench.plugins import entries, registry
+from vprbench.plugins.entries import Folder, Group
+from vprbench.plugins.tuned_places import parse_tuned_on
 from vprbench.plugins.values import check_value
 from vprbench.runs.request import OPTIONS, RunRequest
 from vprbench.runs.timing_protocol import Protocol
 from vprbench.storage.folders import require_homes
 from vprbench.text import near
 
-_DEFAULTS = {"method": "sad", "dataset": "synthetic"}  # of conf/run.yaml
+_CONF = "vprbench.conf"
+_OF_RUN = ("_target_", "seed", "device")  # arguments of a method that every run sets for itself
+_GROUPS: tuple[Folder, ...] = ("method", "dataset", "timing")  # options that name a yaml
 
 
 def make_request(
@@ -46,18 +49,16 @@ def make_request(
         BadInput: an option is unknown or does not fit.
     """
     options = quote_options(options)
-    config = compose_config(options, values)
-    names = {group: _choose(group, options) for group in get_args(Group)}
-    method, tuned_on = registry.declared(names["method"], config["method"])
-    entry = registry.entries("method").get(names["method"])
+    composed = _compose(options, values)
+    config = _resolve(composed)
     fields = {
-        "method_name": names["method"],
-        "method": method,
-        "dataset_name": str(config["dataset"].get("name") or names["dataset"]),
+        "method_name": _choose("method", options),
+        "method": registry.arguments(config["method"]),
+        "dataset_name": str(config["dataset"].get("name") or _choose("dataset", options)),
         "dataset": config["dataset"],
-        "changed": {} if entry is None else entry.changed(method),
-        "tuned_on": tuned_on,
-        "overrides": [*map(registry.with_plugin_paths, options), *_as_options(values or {})],
+        "changed": _find_changed(options, values or {}, composed),
+        "tuned_on": parse_tuned_on(config["method"].get("tuned_on"), f"method {_choose('method', options)}"),
+        "overrides": [*map(entries.with_plugin_paths, options), *_as_options(values or {})],
         **_check_options(config),
     }
     return RunRequest(**{**fields, **(objects or {})})
@@ -68,7 +69,7 @@ def split_sweep(options: Sequence[str]) -> list[list[str]]:
     options = quote_options(options)
     _require_options(options)
     swept = []
-    with _explaining(options):
+    with _explaining():
         for parsed in OverridesParser.create().parse_overrides(list(options)):
             key = parsed.get_key_element()
             if parsed.is_discrete_sweep():
@@ -78,28 +79,9 @@ def split_sweep(options: Sequence[str]) -> list[list[str]]:
     return [list(run) for run in itertools.product(*swept)]
 
 
-def compose_config(options: Sequence[str], values: Mapping[str, Any] | None = None) -> dict[str, Any]:
-    """Return what Hydra makes of conf/run.yaml and these options, as plain values; raises BadInput."""
-    _require_options(options)
-    _require_names(options)
-    registry.register_search_path()
-    kept, GlobalHydra.instance().hydra = GlobalHydra.instance().hydra, None  # a program may use Hydra itself
-    try:
-        with (
-            _explaining([*options, *(values or {})]),
-            hydra.initialize_config_module("vprbench.conf", version_base="1.3"),
-        ):
-            config = hydra.compose("run", overrides=list(options))
-            for name, value in (values or {}).items():
-                OmegaConf.update(config, name, value)
-            return cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
-    finally:
-        GlobalHydra.instance().hydra = kept
-
-
 def show_config(options: Sequence[str]) -> str:
-    """Return the configuration that options make, as YAML."""
-    return OmegaConf.to_yaml(OmegaConf.create(compose_config(quote_options(options))))
+    """Return the configuration that options make, as YAML; raises BadInput."""
+    return OmegaConf.to_yaml(OmegaConf.create(_resolve(_compose(quote_options(options)))))
 
 
 def quote_options(options: Sequence[str]) -> list[str]:
@@ -116,24 +98,70 @@ def quote_options(options: Sequence[str]) -> list[str]:
             value = _register_names("dataset" if key == "dataset" else "method", value)
             option = f"{key}{equals}{value}"
         if equals and not option.startswith("-") and not _is_override(option):
-            parts = (
-                [f"{key}=[{','.join(map(_quote, value[1:-1].split(',')))}]"] if value[:1] + value[-1:] == "[]" else []
-            )
-            option = next(filter(_is_override, parts), f"{key}={_quote(value)}")
+            listed = f"{key}=[{','.join(map(_quote, value[1:-1].split(',')))}]"
+            is_list = value[:1] + value[-1:] == "[]" and _is_override(listed)
+            option = listed if is_list else f"{key}={_quote(value)}"
         quoted.append(option)
     return quoted
 
 
-def list_timings() -> list[str]:
-    """Return the names of the timing protocols in conf/timing."""
-    return sorted(path.stem for path in (registry.conf_folders()["vprbench"] / "timing").glob("*.yaml"))
+def _compose(options: Sequence[str], values: Mapping[str, Any] | None = None) -> DictConfig:
+    """Return the composition of conf/run.yaml and these options by Hydra; raises BadInput."""
+    _require_options(options)
+    for option in (*options, *(values or {})):
+        if option.lstrip("+~").startswith("method.tuned_on"):
+            raise BadInput(f"{option}: the yaml of a method alone says method.tuned_on=, give no other")
+    for group in _GROUPS:
+        known, name = entries.entries(group), _choose(group, options)
+        if name in known:
+            known[name].values()  # raises BadInput, with the line, for a yaml that cannot be read
+        elif re.fullmatch(r"[\w.-]*", name):
+            raise BadInput(f"{group}={name} is unknown: {near(name, known)}")
+    for option in (*options, *(values or {})):
+        _require_known(option, options)
+    folders = [_quote(f"file://{folder}") for name, folder in entries.conf_folders().items() if name != "vprbench"]
+    kept, GlobalHydra.instance().hydra = GlobalHydra.instance().hydra, None  # a program may use Hydra itself
+    try:
+        with _explaining(), hydra.initialize_config_module(_CONF, version_base="1.3"):
+            config = hydra.compose("run", overrides=[f"hydra.searchpath=[{','.join(folders)}]", *options])
+            for name, value in (values or {}).items():
+                OmegaConf.update(config, name, value)
+            return config
+    finally:
+        GlobalHydra.instance().hydra = kept
+
+
+def _resolve(config: DictConfig, resolve: bool = True) -> dict[str, Any]:
+    """Return a configuration as plain values; raises BadInput for an interpolation that names nothing."""
+    with _explaining():
+        return cast(dict[str, Any], OmegaConf.to_container(config, resolve=resolve))
+
+
+def _find_changed(options: Sequence[str], values: Mapping[str, Any], given: DictConfig) -> dict[str, Any]:
+    """Return the arguments of the method that differ from its yaml, with their values; seed and device do not count."""
+    plain = [option for option in options if not option.lstrip("+~").startswith("method.")]
+    if len(plain) == len(options) and not any(name.startswith("method.") for name in values):
+        return {}
+    own, changed = (_resolve(each, resolve=False)["method"] for each in (_compose(plain), given))
+    arguments = registry.arguments(_resolve(given)["method"])
+    return _find_different({name: arguments[name] for name in arguments if name not in _OF_RUN}, changed, own)
+
+
+def _find_different(values: Mapping[str, Any], given: Mapping[Any, Any], own: Mapping[Any, Any]) -> dict[str, Any]:
+    """Return the values whose given text, interpolations as they stand, differs from the own one."""
+    found = {}
+    for name, value in values.items():
+        if isinstance(value, Mapping) and isinstance(own.get(name), Mapping):
+            if inner := _find_different(value, given[name], own[name]):
+                found[name] = inner
+        elif name not in own or given[name] != own[name]:
+            found[name] = value
+    return found
 
 
 def _check_options(config: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the options of a run; raises BadInput that names the first one that is unknown or of another type."""
-    for name in (*config, *OPTIONS):
-        if name not in OPTIONS:
-            raise BadInput(f"option {name} is unknown: {near(name, OPTIONS)}")
+    """Return the options of a run; raises BadInput that names the first one that is missing or of another type."""
+    for name in OPTIONS:
         if name not in config:
             raise BadInput(f"option {name} is missing: leave its default in place")
     require_homes(config)
@@ -144,7 +172,7 @@ def _check_options(config: Mapping[str, Any]) -> dict[str, Any]:
 
 def _timing(config: Any) -> Protocol:
     if not isinstance(config, Mapping):
-        known = ", ".join(list_timings())
+        known = ", ".join(entries.entries("timing"))
         raise BadInput(f"timing={config}: give {known}, or one option, as in timing.minimum_seconds=10")
     hints = get_type_hints(Protocol, include_extras=True)
     for name in config:
@@ -159,16 +187,16 @@ def _as_options(values: Mapping[str, Any]) -> Iterator[str]:
         yield f"{name}={value if isinstance(value, str) else json.dumps(value)}"
 
 
-def _choose(group: Group, options: Sequence[str]) -> str:
-    """Return the name of the method or dataset that options choose, the last one if there are several."""
+def _choose(group: Folder, options: Sequence[str]) -> str:
+    """Return the name of the method, dataset or timing that options choose, the last one if there are several."""
     given = [option.partition("=")[2].strip("'\"") for option in options if option.startswith(f"{group}=")]
-    return given[-1] if given else _DEFAULTS[group]
+    return given[-1] if given else entries.find_default(group)
 
 
 def _register_names(group: Group, names: str) -> str:
     """Return names between commas; a loose file is registered and replaced by the name of its method or dataset."""
     bare = names.removeprefix("[").removesuffix("]")
-    found = ",".join(registry.named(group, name) for name in bare.split(","))
+    found = ",".join(registry.resolve_name(group, name) for name in bare.split(","))
     return names.replace(bare, found) if bare else names
 
 
@@ -189,6 +217,20 @@ def _require_options(options: Sequence[str]) -> None:
         if not name or not _is_override(option):
             wanted = f"give {name}=value" if name in OPTIONS or "." in name else near(name, OPTIONS)
             raise BadInput(f"{option or 'an empty argument'} is no option=value: {wanted}")
+
+
+def _require_known(option: str, options: Sequence[str]) -> None:
+    """Raise BadInput, with near names, for an option that neither a run nor its method, dataset or timing has."""
+    name = option.partition("=")[0].lstrip("+~")
+    group, _, inner = name.partition(".")
+    if group not in OPTIONS:
+        raise BadInput(f"option {name} is unknown: {near(group, OPTIONS)}")
+    if not inner or group not in _GROUPS or option.startswith("+"):
+        return
+    chosen = _choose(group, options)
+    entry = entries.entries(group).get(chosen)
+    if entry is not None and inner.partition(".")[0] not in entry.values():
+        raise BadInput(f"option {name} is unknown to {chosen}: {near(inner, entry.options)}")
 
 
 def _require_quotes(option: str) -> None:
@@ -212,63 +254,28 @@ def _quote(value: str) -> str:
     return "'" + value.replace("\\", "\\\\").replace("'", "\\'") + "'"
 
 
-def _require_names(options: Sequence[str]) -> None:
-    """Raise BadInput, with near names, for a method, dataset or timing that is not there or has no readable yaml."""
-    for option in options:
-        group, _, given = option.partition("=")
-        if group not in ("method", "dataset", "timing"):
-            continue
-        if given.startswith("["):
-            raise BadInput(f"{option}: give one name, or with -m several between commas")
-        known, given = _known(group), given.strip("'\"")
-        for name in given.split(",") if re.fullmatch(r"[\w,.-]*", given) else ():
-            if group != "timing":
-                registry.require_one(cast(Group, group), name)
-            if name not in known:
-                raise BadInput(f"{group}={name} is unknown: {near(name, known)}")
-            if group != "timing":
-                registry.entries(cast(Group, group))[name].values()
-
-
-def _known(group: str) -> list[str]:
-    return list_timings() if group == "timing" else list(registry.entries(cast(Group, group)))
-
-
 @contextmanager
-def _explaining(options: Sequence[str]) -> Iterator[None]:
+def _explaining() -> Iterator[None]:
+    """Turn an error of Hydra into BadInput."""
     try:
         yield
     except (HydraException, OmegaConfBaseException) as error:
-        raise BadInput(_explain(error, options)) from error
+        raise BadInput(_explain(error)) from error
 
 
-def _explain(error: Exception, options: Sequence[str]) -> str:
+def _explain(error: Exception) -> str:
     """Return an error of Hydra as one line that names the option and the remedy."""
     text = " ".join(str(error).split())
     if several := re.match(r"Ambiguous value for argument '(.+?)' 1\.", text):
         name, _, values = several[1].partition("=")
         return f"{several[1]}: give -m too, to run with each, or {name}=[{values}], for a list"
     if sought := re.search(r"Could not find '(method|dataset|timing)/(.*?)'\s+Available", str(error), re.DOTALL):
-        return f"{sought[1]}={sought[2]} is unknown: {near(sought[2], _known(sought[1]))}"
+        return f"{sought[1]}={sought[2]} is unknown: {near(sought[2], entries.entries(cast(Folder, sought[1])))}"
     if (unresolved := re.match(r"(.+) full_key: (\S+) object_type=", text)) and not text.startswith("Key '"):
         return f"{unresolved[2]}: {unresolved[1]}"
     if group := re.match(r"Multiple values for (\w+)\.|Could not override '(method|dataset|timing)'", text):
         name = group[1] or group[2]
-        return f"option {name} takes one name, as in {name}={_known(name)[0]}, or with -m several between commas"
-    named = (
-        r"Could not override '([^']+)'",
-        r"Key '[^']+' is not in struct full_key: (\S+)",
-        r"Key '([^']+)' is not in struct",
-        r"Could not delete .*?'([^']+)' does",
-    )
-    option = next(filter(None, (re.match(pattern, text) for pattern in named)), None)
-    if option is None:
-        found = re.search(r"Could not find '([^']+)'", text)
-        return f"{found[1]} is unknown" if found else text.split(" See https://hydra.cc")[0]
-    above, _, name = option.group(1).partition(".")
-    if above in _DEFAULTS and name:
-        chosen = _choose(cast(Group, above), options)
-        entry = registry.entries(cast(Group, above)).get(chosen)
-        return f"option {above}.{name} is unknown to {chosen}: {near(name, entry.options if entry else [])}"
-    near_names = near(name, Protocol.__dataclass_fields__) if above == "timing" and name else near(above, OPTIONS)
-    return f"option {option.group(1)} is unknown: {near_names}"
+        return f"option {name} takes one name, as in {name}=NAME, or with -m several between commas"
+    if nested := re.match(r"Key '[^']+' is not in struct full_key: (\S+)", text):
+        return f"option {nested[1]} is unknown"
+    return text.split(" See https://hydra.cc")[0]

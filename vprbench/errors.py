@@ -31,7 +31,9 @@ def format_error(error: BaseException) -> str:
         text = str(error)
     except Exception as unsaid:
         text = f"(its text fails: {type(unsaid).__name__})"
-    return (text if isinstance(error, BadInput) else f"{type(error).__name__}: {text}") or type(error).__name__
+    if isinstance(error, BadInput):
+        return text.strip() or "invalid input; the plug-in gave no reason"
+    return f"{type(error).__name__}: {text}"
 
 
 def hide_home(text: str) -> str:

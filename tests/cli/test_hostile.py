@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -9,11 +10,13 @@ from pathlib import Path
 import pytest
 from checkout import ROOT
 from plugged_in import plugin, see_plugins
-from small_plan import RUN
+from small_plan import RUN, Apart
 
 from vprbench.cli import main
 from vprbench.errors import BadInput
-from vprbench.plugins import registry
+from vprbench.jobs import executors
+from vprbench.plugins import entries, registry
+from vprbench.runs.frame import tabulate_runs
 from vprbench.runs.store import Store
 
 METHODS = ("crashing", "leaving", "hanging", "silent", "colourful", "rootless", "unruly", "moving")
@@ -26,9 +29,13 @@ def here(tmp_path, monkeypatch):
     methods = {name: f"_target_: hostile.{name.capitalize()}" for name in METHODS} | {"dying": "_target_: dying.Method"}
     plugin(tmp_path / "plugins", "hostile", "hostile", methods)
     (tmp_path / "plugins" / "dying.py").write_text("import os\nos._exit(0)\n")
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    monkeypatch.setattr(entries, "_LOOSE", {"method": {}, "dataset": {}})
     see_plugins(tmp_path / "plugins", monkeypatch)
     monkeypatch.chdir(tmp_path)
-    return tmp_path
+    yield tmp_path
+    for name in ("needy", "wild"):
+        sys.modules.pop(name, None)
 
 
 @pytest.mark.extended
@@ -63,6 +70,47 @@ def test_a_run_that_nobody_watches_is_stored(tmp_path):
     assert len(list(Store(tmp_path / "results").runs())) == 1
 
 
+NEEDY = """import numpy as np
+from vprbench.api import DescriptorMethod
+class Needy(DescriptorMethod):
+    def __init__(self):
+        self.weights = np.load("weights.npy")
+    def encode(self, images): return self.weights
+"""
+WILD = """import numpy as np
+from vprbench.api import Method
+class Wild(Method):
+    def fit(self, references, places=None): return self
+    def encode(self, images): return np.zeros((len(images), 1), np.float32)
+    def match(self, queries): return np.full((len(queries), 12), np.nan, np.float32)
+"""
+
+
+def test_a_file_that_a_method_lacks_is_one_line_with_the_traceback_in_the_record_and_with_debug(here, capsys):
+    (here / "needy.py").write_text(NEEDY)
+    asked = ["method=./needy.py:Needy", *QUICK]
+    assert main(asked) == 1
+    printed = capsys.readouterr().err.splitlines()
+    (line,) = (line for line in printed if line.startswith("vprbench: "))
+    assert [part for part in ("weights.npy", "(needy.py, line 5)", "debug=true") if part not in line] == []
+    (failure,) = Store(Path("results")).failures()
+    last = failure.traceback.splitlines()[-1]
+    assert ("FileNotFoundError" in last, last.strip() in "\n".join(printed[:-1])) == (True, False)
+    assert main([*asked, "debug=true"]) == 1
+    assert last in capsys.readouterr().err
+
+
+def test_a_cell_whose_scores_are_nan_is_stored_as_a_failure_with_code_2_and_the_others_go_on(here, capsys, monkeypatch):
+    monkeypatch.setattr(executors, "run_in_child", Apart())
+    (here / "wild.py").write_text(WILD)
+    assert main(["-m", "method=./wild.py:Wild,sad", *QUICK]) == 2
+    (failure,) = Store(Path("results")).failures()
+    assert (failure.method, "NaN" in failure.error, failure.missing, failure.traceback) == ("Wild", True, False, "")
+    assert [run.method for run in Store(Path("results")).runs()] == ["sad"]
+    frame = tabulate_runs([*Store(Path("results")).runs(), failure])
+    assert [*frame["error"]] == ["", failure.error]
+
+
 @pytest.mark.parametrize(("method", "code"), [("leaving", 1), ("silent", 2), ("colourful", 1), ("rootless", 1)])
 def test_whatever_a_method_raises_ends_in_one_line_that_no_terminal_obeys(method, code, capsys, here):
     assert main([f"method={method}", *QUICK]) == code
@@ -79,23 +127,23 @@ def test_a_method_that_changes_the_folder_moves_nothing_that_is_stored(here):
     assert [run.method for run in Store(here / "results").runs()] == ["moving"]
 
 
-def test_of_plug_ins_that_share_a_name_none_is_used_all_are_named_and_the_built_ins_stay(here, capsys):
-    twins = ("twin", "twins", "left"), ("gemini", "twins", "right")
-    poles = ("north", "north", "pole"), ("south", "south", "pole")
-    others = ("usurper", "vprbench", "throne"), ("shadow", "shadow", "sad"), ("leaver", "leaver", "gone")
-    for package, point, method in (*twins, *poles, *others):
-        plugin(here / "plugins", package, point, {method: "_target_: leaving_at_import.Method"})
+def test_a_name_of_several_plug_ins_is_one_error_that_names_them_and_a_package_without_its_folder_is_named(
+    here, capsys
+):
+    others = ("north", "pole"), ("south", "pole"), ("shadow", "sad"), ("leaver", "gone")
+    for package, method in others:
+        plugin(here / "plugins", package, package, {method: "_target_: leaving_at_import.Method"})
+    plugin(here / "plugins", "empty", "empty", {})
+    shutil.rmtree(here / "plugins" / "empty_conf")
     (here / "plugins" / "leaving_at_import.py").write_text("raise SystemExit\n")
-    shown = registry.entries("method")
-    assert {"sad", "hanging", "gone"} <= set(shown)
-    assert shown["sad"].provider == "vprbench"
-    assert not {"throne", "left", "right", "pole"} & set(shown)
-    reasons = [f"{name}: {reason}" for name, reason in registry.broken_plugins()]
-    for words in [("vprbench", "usurper"), ("twins", "twin", "gemini"), ("north", "south"), ("shadow", "sad")]:
-        assert any(all(word in reason for word in words) for reason in reasons), words
+    assert [package for package, _ in registry.broken_plugins()] == ["empty_conf"]
     with pytest.raises(BadInput, match="SystemExit"):
-        shown["gone"].target()
-    for asked_for in ("method=pole", "method='pole'"):
-        assert main([asked_for, *QUICK]) == 2
+        registry.entries("method")["gone"].target()
+    for asked_for, owners in (("pole", "north south"), ("'pole'", "north south"), ("sad", "vprbench shadow")):
+        assert main([f"method={asked_for}", *QUICK]) == 2
         printed = capsys.readouterr().err
-        assert ("north" in printed, "south" in printed) == (True, True)
+        assert [owner for owner in owners.split() if owner not in printed] == []
+    assert main(["list"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert {line.split()[0] for line in lines if "BROKEN" in line} >= {"pole", "sad", "plug-in"}
+    assert main(["method=hog", *QUICK]) == 0

@@ -19,7 +19,7 @@ from vprbench.jobs.executors import SerialExecutor, run_all
 from vprbench.jobs.job import JobResult
 from vprbench.jobs.options import ClusterOptions
 from vprbench.plugins import entries
-from vprbench.plugins.options import chosen
+from vprbench.plugins.options import parse_options
 from vprbench.runs.request import RunRequest
 from vprbench.runs.store import Store
 from vprbench.tuning.workers import Answer, Workers
@@ -66,7 +66,7 @@ def test_a_run_is_taken_when_there_is_room_and_a_run_that_another_sweep_makes_is
 )
 def test_options_of_a_cluster_that_cannot_be_are_refused_by_name_and_a_single_run_takes_none(given, told, capsys):
     with pytest.raises(BadInput, match=told):
-        chosen(ClusterOptions, given, {})
+        parse_options(ClusterOptions, given, {})
     assert cli.main([*RUN, "workers=2"]) == 2
     assert "workers=2: " in capsys.readouterr().err
 
@@ -84,13 +84,13 @@ def test_options_of_a_cluster_that_cannot_be_are_refused_by_name_and_a_single_ru
 )
 def test_each_cell_gets_its_share_of_the_cores_unless_threads_are_asked_for(given, options, threads, monkeypatch):
     monkeypatch.setattr(cluster_options, "core_count", lambda: 8)
-    assert chosen(ClusterOptions, given, {}).threads(options) == threads
+    assert parse_options(ClusterOptions, given, {}).threads(options) == threads
 
 
 def test_a_yaml_of_ones_own_and_the_command_line_say_what_a_job_is(tmp_path):
     path = tmp_path / "ours.yaml"
     path.write_text("system: pbs\nqueue: long\ncores: 2\nmaximum: 30\n")
-    job = chosen(ClusterOptions, [f"cluster={path}", "cluster.cores=8", "workers=5"], {}).job()
+    job = parse_options(ClusterOptions, [f"cluster={path}", "cluster.cores=8", "workers=5"], {}).job()
     assert (job.system, job.queue, job.cores, job.maximum) == ("pbs", "long", 8, 5)
 
 

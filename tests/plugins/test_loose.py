@@ -132,11 +132,11 @@ def test_a_name_that_is_taken_is_refused_of_a_class_as_of_a_file(here):
     (here / "mine.py").write_text("def Sad(): pass\n")
     (here / "more.py").write_text("def Means(): pass\n")
     (here / "json.py").write_text(METHOD)
-    registry.named("method", "./means.py:Means")
+    registry.resolve_name("method", "./means.py:Means")
     for text in ("mine.py:Sad", "more.py:Means", "json.py:Means"):
         with pytest.raises(BadInput, match=r"name.*rename"):
-            registry.named("method", text)
-    assert registry.named("method", "./means.py:Means") == "Means"
+            registry.resolve_name("method", text)
+    assert registry.resolve_name("method", "./means.py:Means") == "Means"
     assert json.loads("1") == 1
 
 

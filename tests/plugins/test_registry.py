@@ -18,11 +18,12 @@ from omegaconf import OmegaConf
 
 from vprbench.api.method import Method
 from vprbench.cli import main
+from vprbench.config import make_request
 from vprbench.errors import BadInput
 from vprbench.methods.sad import SAD
 from vprbench.plugins import registry
 from vprbench.plugins.entries import Entry, entries
-from vprbench.plugins.options import chosen
+from vprbench.plugins.options import parse_options
 from vprbench.plugins.values import check_value
 from vprbench.runs.store import Store
 
@@ -31,7 +32,8 @@ from vprbench.runs.store import Store
 def method(tmp_path, monkeypatch):
     """Return what registers a yaml under a name and gives its entry."""
     (tmp_path / "method").mkdir()
-    monkeypatch.setattr("vprbench.plugins.entries.conf_folders", lambda: {"little": tmp_path})
+    folders = {**registry.conf_folders(), "little": tmp_path}
+    monkeypatch.setattr("vprbench.plugins.entries.conf_folders", lambda: folders)
 
     def written(name, text):
         (tmp_path / "method" / f"{name}.yaml").write_text(text)
@@ -86,41 +88,54 @@ def test_a_yaml_that_names_no_class_or_tags_that_are_no_list_is_named(method, tm
 
 # Changed arguments
 
-NESTED = "defaults: [lower]\nweights: {file: b.pth}\n"
-LOWER = "# Lower\n_target_: a.B\nwidth: 2\nrate: 1e-3\nsizes: [1, 2]\nnothing: null\nseed: ${seed}\ndevice: ${device}\n"
-
-
-def test_what_differs_from_the_yaml_is_changed_but_never_seed_and_device(method):
-    given = {"_target_": "a.B", "width": 2, "rate": 0.001, "sizes": [1, 2], "nothing": None}
-    lower = method("lower", LOWER)
-    for changed in ({}, {"width": 3}, {"rate": 0.01}, {"sizes": [1]}, {"nothing": 0}, {"width": None}, {"more": 1}):
-        assert lower.changed({**given, **changed}) == changed
-    for entry in (lower, method("fixed", "_target_: a.B\nseed: 1\ndevice: cpu\n")):
-        assert entry.changed({"seed": 7, "device": "cuda"}) == {}
+NESTED = "defaults: [lower, _self_]\nweights: {file: b.pth}\n"
+UPPER = "defaults: [lower, _self_]\nwidth: 3\n"
+LOWER = """# Lower
+_target_: a.B
+width: 2
+rate: 1e-3
+sizes: [1, 2]
+nothing: null
+size: 4
+file: n_${.size}
+weights: {file: a.pth, url: 'http://${.file}', path: null}
+seed: ${seed}
+device: ${device}
+"""
 
 
 @pytest.mark.parametrize(
-    ("text", "given", "changed"),
+    ("text", "options", "changed"),
     [
-        ("size: 4\nfile: n_${.size}\nall: ['${seed}']\n", {"size": 5, "file": "n_5", "all": [3]}, {"size": 5}),
-        ("defaults: [lower, _self_]\nwidth: 3\n", {"width": 3, "rate": 0.001}, {}),
-        ("defaults: [lower, _self_]\nwidth: 3\n", {"width": 2, "rate": 0.001}, {"width": 2}),
-        (NESTED, {"weights": {"file": "b.pth", "url": "http://b", "path": None}}, {}),
-        (NESTED, {"weights": {"file": "b.pth", "url": "http://b", "path": "/b"}}, {"weights": {"path": "/b"}}),
-        ("", {"_target_": "a.B", "width": 1}, {"width": 1}),
+        (LOWER, ["width=2", "rate=0.001", "sizes=[1,2]", "seed=7", "device=cpu"], {}),
+        (
+            LOWER,
+            ["width=3", "rate=0.01", "sizes=[1]", "nothing=0"],
+            {"width": 3, "rate": 0.01, "sizes": [1], "nothing": 0},
+        ),
+        (LOWER, ["width=null", "size=5"], {"width": None, "size": 5}),  # and the file that it names
+        (UPPER, ["rate=0.001"], {}),
+        (UPPER, ["width=3"], {}),
+        (UPPER, ["width=2"], {"width": 2}),
+        (NESTED, ["width=2"], {}),
+        (NESTED, ["weights.path=/b"], {"weights": {"path": "/b"}}),
     ],
-    ids=["interpolated", "as the upper", "as the lower", "a mapping", "within a mapping", "nothing there"],
 )
-def test_what_differs_from_the_yaml_and_those_below_is_changed(method, text, given, changed):
-    method("lower", LOWER + "weights: {file: a.pth, url: 'http://${.file}', path: null}\n")
-    assert method("upper", text).changed(given) == changed
+def test_arguments_that_differ_from_the_yaml_and_those_below_are_changed_but_never_seed_and_device(
+    method, text, options, changed
+):
+    method("lower", LOWER)
+    method("upper", text)
+    asked = ["method=upper", *(f"method.{option}" for option in options)]
+    assert make_request(asked).changed == changed
+    assert make_request(["method=upper"]).changed == {}
+    assert make_request(["method=upper", "+method.more=1"]).changed == {"more": 1}
 
 
 @pytest.mark.parametrize("name", registry.entries("method"))
-def test_a_method_has_the_options_of_its_class_and_is_built_unchanged_and_without_weights(name):
+def test_a_method_has_the_options_of_its_class_and_is_built_without_weights(name):
     entry, config = registry.entries("method")[name], composed(f"method={name}", "seed=5", "device=cuda:1")
     assert {*entry.options} == {one.name for one in fields(entry.target()) if one.init and one.name[0] != "_"}
-    assert entry.changed(config) == {}
     assert isinstance(registry.make_method({**config, "device": "cpu"} if "device" in config else config), Method)
 
 
@@ -156,13 +171,13 @@ def test_a_list_is_given_with_or_without_brackets():
         ("frames=[[2,3]]", [[2, 3]]),
         ("name=a,b", "a,b"),
     ):
-        assert getattr(chosen(Asked, [option], {}), option.split("=")[0]) == value
+        assert getattr(parse_options(Asked, [option], {}), option.split("=")[0]) == value
 
 
 def test_an_option_that_does_not_fit_is_refused_by_its_name_and_what_json_cannot_say_otherwise_is_taken():
     for option in ("sizes=1,two", "name", "nmae=x", "sizes=[[1]]"):
         with pytest.raises(BadInput, match=option.split("=")[0]):
-            chosen(Asked, [option], {})
+            parse_options(Asked, [option], {})
     for value, hint in (("4", int), (1, bool), (4.5, int), ("x", Literal["y"]), ({"a": 1}, list[str])):
         with pytest.raises(BadInput, match=rf"^method\.cells={re.escape(str(value))}: "):
             check_value("method.cells", value, hint)

@@ -12,7 +12,8 @@ from held_memory import fall_in_a_new_window, in_a_new_process, peaks_of_runs, r
 from little import Lookup, a_run, journey
 from little_runs import QUICK, asked_for, kinds, table
 
-from vprbench.config import list_timings, make_request
+from vprbench.config import make_request
+from vprbench.plugins.entries import entries
 from vprbench.runs import machine
 from vprbench.runs.get_or_run import get_or_run
 from vprbench.runs.machine import Machine
@@ -50,7 +51,7 @@ def test_a_protocol_that_measures_less_falls_short_by_name_and_the_named_ones_an
     assert not QUICK.shortfalls(QUICK)
     assert not QUICK.shortfalls(UNTIMED)
     order = ["none", "quick", "standard", "publish"]
-    assert list_timings() == sorted(order)
+    assert [*entries("timing")] == sorted(order)
     named = {name: make_request([f"timing={name}"]).timing for name in order}
     for number, name in enumerate(order):
         assert [bool(named[name].shortfalls(named[other])) for other in order] == [i > number for i in range(4)]

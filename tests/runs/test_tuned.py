@@ -13,6 +13,7 @@ from PIL import Image as PillowImage
 
 import vprbench
 from vprbench.cli import main
+from vprbench.config import make_request
 from vprbench.datasets.nordland import published_frames
 from vprbench.plugins import registry
 from vprbench.runs.store import Store
@@ -239,6 +240,6 @@ def test_tuned_settings_say_where_they_were_found():
         *(f"vprtempo_{kind}{size}" for kind in ("tuned", "oriented") for size in ("", "_ensemble")),
         *("hyperdimensional_oriented", "gabor", "gabor_binary", "oriented_binary"),
     ):
-        declared = registry.entries("method")[name].tuned_on
+        declared = make_request([f"method={name}"]).tuned_on
         assert declared == {"dataset": "nordland_64x32", "places": "0-999", "also_in": also}
-    assert registry.entries("method")["vprtempo"].tuned_on == {}
+    assert make_request(["method=vprtempo"]).tuned_on == {}

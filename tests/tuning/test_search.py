@@ -10,7 +10,7 @@ from search_stub import Here, Stub, recall
 
 from vprbench.errors import BadInput
 from vprbench.plugins import registry
-from vprbench.plugins.options import chosen
+from vprbench.plugins.options import parse_options
 from vprbench.runs import machine
 from vprbench.runs.store import Store
 from vprbench.tuning import objective, places, space
@@ -98,7 +98,7 @@ def test_importance_names_the_parameters_that_matter_and_needs_a_recall_that_var
 def test_settings_under_which_nothing_is_searched_are_refused_by_name():
     for option in ("places=9", "trials=0", "jobs=0", "seed=-1"):
         with pytest.raises(BadInput, match=f"^{option}: give at least"):
-            chosen(Settings, [option], QUICK)
+            parse_options(Settings, [option], QUICK)
 
 
 METHOD = {**registry.entries("method")["vprtempo"].values(), "height": 12, "width": 12, "epochs": 1}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import pkgutil
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
@@ -14,6 +14,7 @@ from vprbench.text import near, printable
 
 if TYPE_CHECKING:
     from vprbench.paper.run_options import TableRequest
+    from vprbench.plugins.entries import Folder
 
 
 COMPLETE = "__complete"  # the hidden command of completion scripts: a line -> the words that its last may become
@@ -25,10 +26,10 @@ class Command:
 
     call: Callable[[list[str]], int]  # its docstring says in the first sentence what it does
     options: str = ""  # module:Class, whose fields are its options
-    groups: tuple[str, ...] = ()  # configurations that it takes, with their options: method, dataset, timing
+    groups: tuple[Folder, ...] = ()  # configurations that it takes, with their options: method, dataset, timing
     run: tuple[str, ...] | None = ()  # options of a run that it takes too; None: all that the class does not refuse
     words: str = ""  # before the options: NAME
-    usual: Mapping[str, str] = field(default_factory=dict)  # by group, where it has another default than a run
+    usual: Mapping[Folder, str] = field(default_factory=dict)  # by group, where it has another default than a run
 
     @property
     def meaning(self) -> str:
@@ -59,19 +60,19 @@ def compare(options: list[str]) -> int:
 def show_list(words: list[str]) -> int:
     """Show the methods and datasets, or those that fit: list spiking, list weights=none, list datasets."""
     from vprbench.plugins.entries import broken_plugins
-    from vprbench.plugins.listing import Listing, listed
-    from vprbench.plugins.options import chosen
+    from vprbench.plugins.listing import Listing, list_entries
+    from vprbench.plugins.options import parse_options
     from vprbench.terminal.console import console, show_table
 
-    asked = chosen(Listing, [word for word in words if "=" in word], {})
-    found = listed([word for word in words if "=" not in word], asked.weights)
-    if asked.output == "json":
+    settings = parse_options(Listing, [word for word in words if "=" in word], {})
+    found = list_entries([word for word in words if "=" not in word], settings.weights)
+    if settings.output == "json":
         print(json.dumps([asdict(each) for each in found]))
         return 0
     for group in ("method", "dataset"):
         rows = [(each.name, each.summary) for each in found if each.kind == group]
         if rows:
-            show_table([f"{group}s", ""], rows, asked.wide or not console().is_terminal)
+            show_table([f"{group}s", ""], rows, settings.wide or not console().is_terminal)
     for provider, reason in broken_plugins() if not words else ():
         print(printable(f"plug-in {provider} BROKEN: {reason}"))
     return 0
@@ -142,11 +143,11 @@ def doctor(options: list[str]) -> int:
 
 def show_status(words: list[str]) -> int:
     """Show which runs of a results folder are made now and by whom, and how many are stored."""
-    from vprbench.plugins.options import chosen
+    from vprbench.plugins.options import parse_options
     from vprbench.runs.run_lock import StatusOptions, row, status
     from vprbench.terminal.console import console, show_table
 
-    asked = chosen(StatusOptions, words, {})
+    asked = parse_options(StatusOptions, words, {})
     found = status(asked.results)
     if asked.output == "json":
         print(json.dumps(found))
@@ -205,14 +206,14 @@ def report(options: list[str]) -> int:
 def search(options: list[str]) -> int:
     """Search the best settings of the method in conf/search.yaml, on places that no result uses."""
     from vprbench.config import make_request
-    from vprbench.plugins.options import chosen
+    from vprbench.plugins.options import parse_options
     from vprbench.progress import progress_shown
     from vprbench.runs.store import Store
     from vprbench.tuning import space, text
     from vprbench.tuning.search import search as search_settings
     from vprbench.tuning.settings import QUICK, Settings
 
-    settings = chosen(Settings, options, QUICK)
+    settings = parse_options(Settings, options, QUICK)
     root = {} if settings.root is None else {"dataset.root": settings.root}
     request = make_request([f"method={space.METHOD}", f"dataset={settings.dataset}"], root)
     folder = Path(settings.results).expanduser()
@@ -225,12 +226,11 @@ def search(options: list[str]) -> int:
 
 def print_completion(words: list[str]) -> int:
     """Print a script by which TAB completes commands, names and options: eval "$(vprbench completion bash)"."""
-    from vprbench.commands.help import SCRIPTS
-
+    scripts = {path.name: path for path in Path(__file__).with_name("completion").iterdir()}
     shell = " ".join(words)
-    if shell not in SCRIPTS:
-        raise BadInput(f"completion {shell}: {near(shell, SCRIPTS)}, as in vprbench completion bash")
-    print(SCRIPTS[shell], end="")
+    if shell not in scripts:
+        raise BadInput(f"completion {shell}: {near(shell, sorted(scripts))}, as in vprbench completion bash")
+    print(scripts[shell].read_text(encoding="utf-8"), end="")
     return 0
 
 
@@ -238,7 +238,7 @@ def _request_table(options: list[str]) -> tuple[TableRequest, list[str]]:
     """Return the rows and columns of a table, and the options of their runs."""
     from vprbench.config import make_request, quote_options
     from vprbench.paper.run_options import TableRequest
-    from vprbench.plugins.options import chosen
+    from vprbench.plugins.options import parse_options
 
     own = [option for option in options if TableRequest.has(option)]
     rest = quote_options([option for option in options if option not in own])
@@ -249,7 +249,7 @@ def _request_table(options: list[str]) -> tuple[TableRequest, list[str]]:
                 f"{option}: rows, methods, columns, seeds and devices say what the table holds; "
                 "conf/table.yaml has what they are, and all of it is of clean frames"
             )
-    request = chosen(TableRequest, own, {})
+    request = parse_options(TableRequest, own, {})
     rest += request.threads(rest)
     run = make_request(rest, {"results": request.results})
     if not request.is_distributed:
@@ -257,7 +257,7 @@ def _request_table(options: list[str]) -> tuple[TableRequest, list[str]]:
     return request, rest
 
 
-_TABLE = ("vprbench.paper.run_options:TableRequest", ("timing",), None)
+_TABLE = Command(table, "vprbench.paper.run_options:TableRequest", ("timing",), None)
 
 #: By name, in the order of the help.
 COMMANDS: dict[str, Command] = {
@@ -271,9 +271,9 @@ COMMANDS: dict[str, Command] = {
     "doctor": Command(doctor, groups=("dataset",), run=("output",)),
     "status": Command(show_status, "vprbench.runs.run_lock:StatusOptions"),
     "fetch": Command(fetch, "vprbench.data.fetch.command:Settings", words="[NAME]"),
-    "table": Command(table, *_TABLE),
-    "figures": Command(figures, *_TABLE),
-    "report": Command(report, *_TABLE),
+    "table": _TABLE,
+    "figures": replace(_TABLE, call=figures),
+    "report": replace(_TABLE, call=report),
     "search": Command(search, "vprbench.tuning.settings:Settings"),
     "completion": Command(print_completion, words="bash|zsh|fish"),
 }

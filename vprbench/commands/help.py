@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import MISSING, Field, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -12,10 +12,10 @@ from rich.table import Table
 from rich.text import Text
 
 from vprbench import __version__
-from vprbench.commands.catalogue import COMMANDS, COMPLETE
-from vprbench.plugins.entries import Entry, conf_folders, entries, read
+from vprbench.commands.catalogue import COMMANDS
+from vprbench.plugins.entries import Entry, conf_folders, entries, find_default
 from vprbench.plugins.options import MEANING
-from vprbench.terminal.console import console, drawn
+from vprbench.terminal.console import console, format_table
 
 _NO_OPTIONS = ("_target_", "defaults", "hydra", "tuned_on", "tags")
 _LINE = re.compile(r"( *)(\w+):(?: +(.*?))?(?: +# (.*))?")  # of a yaml: name, default and meaning
@@ -33,51 +33,35 @@ class Option:
 
 def list_options(name: str, given: Sequence[str]) -> list[Option]:
     """Return the options of a command; `given` ones choose the method, dataset, timing and cluster among them."""
-    command, conf = COMMANDS[name], conf_folders()["vprbench"]
+    command = COMMANDS[name]
     choices = dict(option.split("=", 1) for option in given if "=" in option)
-    of_run = {option.name: option for option in _read_options(conf / "run.yaml")}
-    found: dict[str, Option] = {}
+    of_run = {option.name: option for option in _read_options(conf_folders()["vprbench"] / "run.yaml")}
     kind = command.option_class()
-    for one in () if kind is None else map(_describe_field, _sort_fields(kind)):
-        found[one.name] = replace(one, meaning=one.meaning or of_run.get(one.name, one).meaning)
+    found = {one.name: one for one in (map(_describe_field, _sort_fields(kind)) if kind else ())}
     for group in command.groups:
-        own, known = command.usual.get(group), _find_entries(group, conf)
-        usual = own or _choose_by_default(group, conf)
+        known, usual = entries(group), command.usual.get(group) or find_default(group)
+        shown = usual if name == "run" or group in command.usual else ""
         meaning = f"one of {', '.join(known)}" if group == "timing" else f"one of vprbench list {group}s"
-        found[group] = Option(group, usual if own or name == "run" else "", meaning, tuple(known))
-        found |= _describe_entry(group, known.get(choices.get(group, usual).split(",")[0]))
+        found[group] = Option(group, shown, meaning, tuple(known))
+        found |= _describe_entry(known.get(choices.get(group, usual).split(",")[0]))
     if "cluster" in found:
-        known = _find_entries("cluster", conf)
+        known = entries("cluster")
         found["cluster"] = replace(found["cluster"], values=tuple(known))
-        found |= _describe_entry("cluster", known.get(choices.get("cluster", "")))
+        found |= _describe_entry(known.get(choices.get("cluster", "")))
     if "methods" in found:
-        found["methods"] = replace(found["methods"], values=tuple(_find_entries("method", conf)))
+        found["methods"] = replace(found["methods"], values=tuple(entries("method")))
     refused = getattr(kind, "refused", ())
-    for option in of_run.values():
-        if option.name in command.run if command.run is not None else option.name not in refused:
-            found.setdefault(option.name, option)
-    return list(found.values())
+    taken = [one for one in of_run if one not in refused] if command.run is None else command.run
+    found |= {one: of_run[one] for one in taken if one not in found}
+    return [replace(one, meaning=one.meaning or of_run.get(one.name, one).meaning) for one in found.values()]
 
 
-def _choose_by_default(group: str, conf: Path) -> str:
-    """Return the configuration of a group that a run has unless another one is chosen."""
-    defaults = read((conf / "run.yaml").read_text(encoding="utf-8"))["defaults"]
-    return str(next(each[group] for each in defaults if isinstance(each, Mapping) and group in each))
-
-
-def _find_entries(group: str, conf: Path) -> Mapping[str, Entry]:
-    """Return the yaml files of a group by their names."""
-    if group in ("method", "dataset"):
-        return entries("method" if group == "method" else "dataset")
-    return {path.stem: Entry("method", path.stem, path, "vprbench") for path in sorted((conf / group).glob("*.yaml"))}
-
-
-def _describe_entry(group: str, entry: Entry | None) -> dict[str, Option]:
+def _describe_entry(entry: Entry | None) -> dict[str, Option]:
     """Return the options in an entry's yaml, and in those that it builds on, by their names `group.option`."""
     if entry is None or entry.path.suffix != ".yaml":
         return {}
-    below = {name: option for base in entry.bases() for name, option in _describe_entry(group, base).items()}
-    own = [replace(option, name=f"{group}.{option.name}") for option in _read_options(entry.path)]
+    below = {name: option for base in entry.bases() for name, option in _describe_entry(base).items()}
+    own = [replace(option, name=f"{entry.group}.{option.name}") for option in _read_options(entry.path)]
     return below | {one.name: replace(one, meaning=one.meaning or below.get(one.name, one).meaning) for one in own}
 
 
@@ -98,9 +82,8 @@ def _sort_fields(kind: type) -> list[Field[Any]]:
 
 def _describe_field(one: Field[Any]) -> Option:
     """Return a field of a dataclass as an option."""
-    factory = one.default_factory
-    value = one.default if factory is MISSING else factory()
-    default = "" if value is MISSING else _write(value)
+    value = one.default if one.default_factory is MISSING else one.default_factory()
+    default = "" if value is MISSING else _format_default(value)
     return Option(one.name, default, one.metadata.get(MEANING, ""), _list_values(default))
 
 
@@ -108,11 +91,11 @@ def _list_values(default: str) -> tuple[str, ...]:
     return ("true", "false") if default in ("true", "false") else ()
 
 
-def _write(value: Any) -> str:
+def _format_default(value: Any) -> str:
     """Return a value as the command line is given it."""
     if value is None or isinstance(value, bool):
         return {None: "null", True: "true", False: "false"}[value]
-    return f"[{','.join(map(_write, value))}]" if isinstance(value, list) else str(value)
+    return f"[{','.join(map(_format_default, value))}]" if isinstance(value, list) else str(value)
 
 
 _INTRODUCTION = """\
@@ -131,18 +114,18 @@ def print_commands() -> None:
     table = _make_table("", "")
     for name, command in COMMANDS.items():
         table.add_row(Text(f"vprbench {name} {command.words}".rstrip(), style="bold"), Text(command.meaning))
-    print(f"vprbench {__version__} - {_INTRODUCTION}\n\n{drawn(table, console())}\n{_MORE}")
+    print(f"vprbench {__version__} - {_INTRODUCTION}\n\n{format_table(table, console())}\n{_MORE}")
 
 
 def print_options(name: str, given: Sequence[str]) -> None:
-    """Print what a command does, and its options."""
+    """Print the meaning of a command and its options."""
     command, options = COMMANDS[name], list_options(name, given)
     page, table = console(), _make_table("option", "default", "meaning")
     table.columns[1].max_width, table.columns[1].overflow = page.width // 5, "fold"
     for option in options:
         table.add_row(Text(option.name, style="bold"), Text(option.default, style="dim"), Text(option.meaning))
     usage = " ".join(filter(None, ["vprbench", name, command.words, "[option=value ...]" * bool(options)]))
-    print(f"{usage}\n{command.meaning}", *(["", drawn(table, page)] if options else []), sep="\n")
+    print(f"{usage}\n{command.meaning}", *(["", format_table(table, page)] if options else []), sep="\n")
 
 
 def _make_table(*heads: str) -> Table:
@@ -150,33 +133,6 @@ def _make_table(*heads: str) -> Table:
     table = Table(*heads, box=None, pad_edge=False, padding=(0, 2, 0, 0), show_header=any(heads))
     table.columns[0].no_wrap = True
     return table
-
-
-_BASH = f"""\
-_vprbench() {{
-    local IFS=$'\\n' line="${{COMP_LINE:0:COMP_POINT}}" word
-    word="${{line##*[[:space:]]}}"
-    COMPREPLY=($("$1" {COMPLETE} "$line" 2>/dev/null))
-    [[ ${{#COMPREPLY[@]}} == 1 && ${{COMPREPLY[0]}} == *= ]] && compopt -o nospace
-    COMPREPLY=("${{COMPREPLY[@]#"${{word%"${{word##*[=:]}}"}}"}}")  # for bash a word begins after = and :
-}}
-complete -o default -F _vprbench vprbench
-"""
-_ZSH = f"""\
-#compdef vprbench
-_vprbench() {{
-    local -a found
-    found=(${{(f)"$($words[1] {COMPLETE} "${{(j: :)words[1,CURRENT-1]}} $PREFIX" 2>/dev/null)"}})
-    compadd -Q -S '' -- ${{(M)found:#*=}}
-    compadd -Q -- ${{found:#*=}}
-    (( $#found )) || {{ compset -P '*='; _files }}
-}}
-compdef _vprbench vprbench
-"""
-_FISH = f"""\
-complete -c vprbench -f -a '(vprbench {COMPLETE} (commandline -cp | string collect) 2>/dev/null)'
-"""
-SCRIPTS = {"bash": _BASH, "zsh": _ZSH, "fish": _FISH}
 
 
 def complete(line: str) -> list[str]:

@@ -11,7 +11,7 @@ from vprbench.jobs.child import run_in_child
 from vprbench.jobs.job import failure_of, make_run
 from vprbench.jobs.options import ClusterOptions
 from vprbench.jobs.sweep import run_sweep
-from vprbench.plugins.options import chosen
+from vprbench.plugins.options import parse_options
 from vprbench.runs.request import RunRequest
 from vprbench.terminal.streams import results_only_on_stdout
 
@@ -37,7 +37,7 @@ def run_or_sweep(arguments: Sequence[str]) -> int:
     own = [option for option in options if ClusterOptions.has(option)]
     if own and not sweep:
         raise BadInput(f"{own[0]}: a single run is made here: give -m for several, or compare, table, figures, report")
-    cluster = chosen(ClusterOptions, own, {})
+    cluster = parse_options(ClusterOptions, own, {})
     options = [option for option in options if option not in own]
     if not sweep:
         return _run_alone(config.make_request(options))

@@ -16,7 +16,7 @@ from vprbench.paper.plan import PlannedColumn, Row
 from vprbench.paper.run_options import CompareRequest
 from vprbench.paper.selection import ResolvedColumn
 from vprbench.plugins import registry
-from vprbench.plugins.options import chosen
+from vprbench.plugins.options import parse_options
 from vprbench.progress import progress_shown, report
 from vprbench.runs.identity import fingerprint
 from vprbench.runs.predictions import require_depth
@@ -65,7 +65,7 @@ def sort_options(options: Sequence[str]) -> SortedOptions:
         raise BadInput("methods= is missing: name what is compared, as in methods=sad,hog; see vprbench list")
     if not any(option.startswith("dataset=") for option in of_dataset):
         raise BadInput("dataset= is missing: name the data, as in dataset=folders; see vprbench list")
-    request = chosen(CompareRequest, own, {})
+    request = parse_options(CompareRequest, own, {})
     methods = {name: [f"method{o.removeprefix(name)}" for o in rest if _is_of(o, name)] for name in request.methods}
     for name, given in methods.items():
         if run_wide := [o for o in given if o.partition("=")[0] in ("method.seed", "method.device")]:
@@ -162,7 +162,6 @@ def _cell(
 ) -> Cell:
     """Look at one method with its `given` options; raises BadInput for what is wrong with it."""
     known = registry.entries("method")
-    registry.require_one("method", name)
     if unknown := _unknown("method", name, given):
         raise BadInput(unknown)
     request = make_request([*options, f"method={name}", *given])

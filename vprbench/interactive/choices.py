@@ -77,7 +77,7 @@ def method(name: str, /, **options: Any) -> NamedMethod:
 
     Raises BadInput, with the near names, for an unknown method or option.
     """
-    chosen = NamedMethod(registry.named("method", name), options)
+    chosen = NamedMethod(registry.resolve_name("method", name), options)
     make_request(chosen.overrides()[:1], chosen.values())
     return chosen
 
@@ -87,7 +87,7 @@ def dataset(name: str, /, **options: Any) -> NamedDataset:
 
     Raises BadInput, with the near names, for an unknown dataset or option.
     """
-    chosen = NamedDataset(registry.named("dataset", name), options)
+    chosen = NamedDataset(registry.resolve_name("dataset", name), options)
     make_request(chosen.overrides()[:1], chosen.values())
     return chosen
 

@@ -8,17 +8,20 @@ from pathlib import Path
 import pandas as pd
 
 from vprbench.errors import BadInput
-from vprbench.plugins.entries import Group, entries
+from vprbench.plugins.entries import entries
+from vprbench.plugins.listing import Listed, describe_entry
 
 
 def methods() -> pd.DataFrame:
     """Return the registered methods, a row each; imports none of them."""
-    return _tabulate_entries("method", ("name", "description", "provider", "spiking", "needs_weights"))
+    shown = [describe_entry(entry) for entry in entries("method").values()]
+    spiking = ["spiking" in each.tags for each in shown]
+    return _tabulate(shown).assign(spiking=spiking, needs_weights=[each.needs_weights for each in shown])
 
 
 def datasets() -> pd.DataFrame:
     """Return the registered datasets, a row each; looks for no frames."""
-    return _tabulate_entries("dataset", ("name", "description", "provider"))
+    return _tabulate([describe_entry(entry) for entry in entries("dataset").values()])
 
 
 def results(folder: str | Path = "results") -> pd.DataFrame:
@@ -41,5 +44,6 @@ def results(folder: str | Path = "results") -> pd.DataFrame:
     return found.astype(dict.fromkeys(numbers, float)).assign(hz=found["streaming_total_hz"].astype(float))
 
 
-def _tabulate_entries(group: Group, columns: Sequence[str]) -> pd.DataFrame:
-    return pd.DataFrame([{column: getattr(entry, column) for column in columns} for entry in entries(group).values()])
+def _tabulate(shown: Sequence[Listed]) -> pd.DataFrame:
+    columns = ("name", "description", "provider")
+    return pd.DataFrame([{column: getattr(each, column) for column in columns} for each in shown])

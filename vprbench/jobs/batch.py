@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_type_hints
 
 from vprbench.errors import BadInput
-from vprbench.plugins.entries import conf_folders, read
+from vprbench.plugins.entries import entries, read
 from vprbench.plugins.values import check_value
 from vprbench.storage.folders import checkout_folder
 from vprbench.text import near
@@ -46,7 +46,7 @@ def job(given: Mapping[str, Any], workers: int | None) -> Job:
 
     Raises BadInput for what is not known.
     """
-    known = {path.stem: path for folder in conf_folders().values() for path in (folder / "cluster").glob("*.yaml")}
+    known = {name: entry.path for name, entry in entries("cluster").items()}
     name = str(given.get("name") or "")
     path = Path(name).expanduser() if name.endswith(".yaml") else known.get(name)
     if path is None or not path.is_file():

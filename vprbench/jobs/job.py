@@ -8,11 +8,12 @@ import sys
 import textwrap
 import traceback
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from vprbench.errors import BadInput, NotThere, TrainingDivergedError, format_error, hide_home
+from vprbench.plugins.local_plugins import locate_error
 from vprbench.runs.record import Failure
 from vprbench.runs.request import RunRequest
 from vprbench.terminal.streams import complain
@@ -29,6 +30,7 @@ class JobResult:
     key: str = ""  # of the run that is stored
     printed: str = ""  # the row or JSON of the run
     environment: dict[str, Any] = field(default_factory=dict)  # the machine of a run that failed
+    traceback: str = ""  # of an error that is no BadInput
     held: str = ""  # the lock of another process that makes the run now: ask again once it is free
 
     def to_json(self) -> str:
@@ -41,7 +43,6 @@ def make_run(request: RunRequest, say: Callable[[str], None], wait: bool = True)
 
     Without `wait` a run that another process makes is left to that. Raises KeyboardInterrupt alone.
     """
-    from vprbench.runs import machine
     from vprbench.runs.run_lock import HeldElsewhereError
 
     try:
@@ -51,16 +52,26 @@ def make_run(request: RunRequest, say: Callable[[str], None], wait: bool = True)
         return JobResult(0, held=str(error.path))
     except KeyboardInterrupt:
         raise
-    except BadInput as error:
-        code, words = 2, str(error).strip() or "invalid input; the plug-in gave no reason"
-        missing = isinstance(error, NotThere)
-        complain(words)
     except BaseException as error:  # whatever a plug-in raises
-        code, words, missing = 1, hide_home(format_error(error).splitlines()[0]), False
-        if not isinstance(error, TrainingDivergedError):
-            print(textwrap.indent(printable(traceback.format_exc(), but="\n"), "  "), file=sys.stderr)
-        complain(f"{request.method_name} failed: {words}")
-    return JobResult(code, words, missing, environment=machine.describe_machine(request.device, request.n_threads))
+        trace = hide_home(printable(traceback.format_exc(), but="\n"))
+        if request.debug:
+            print(textwrap.indent(trace, "  "), file=sys.stderr)
+        result = _describe_failure(error, request)
+        return replace(result, traceback="" if isinstance(error, BadInput) else trace)
+
+
+def _describe_failure(error: BaseException, request: RunRequest) -> JobResult:
+    """Return the outcome of a run that raised an error, and print the error as one line on standard error."""
+    from vprbench.runs import machine
+
+    environment = machine.describe_machine(request.device, request.n_threads)
+    if isinstance(error, BadInput):
+        complain(format_error(error))
+        return JobResult(2, format_error(error), isinstance(error, NotThere), environment=environment)
+    words = hide_home(format_error(error).splitlines()[0])
+    hint = "" if request.debug or isinstance(error, TrainingDivergedError) else "; debug=true shows the traceback"
+    complain(f"{request.method_name} failed: {words}{locate_error(error)}{hint}")
+    return JobResult(1, words, environment=environment)
 
 
 def failure_of(request: RunRequest, result: JobResult) -> Failure:
@@ -74,6 +85,7 @@ def failure_of(request: RunRequest, result: JobResult) -> Failure:
         hide_home(result.error.partition("\n")[0]),
         result.environment or machine.describe_machine("cpu", 1),
         result.missing,
+        result.traceback,
     )
 
 

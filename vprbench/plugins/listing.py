@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
 from vprbench.errors import BadInput
-from vprbench.plugins.entries import Entry, Group, entries
+from vprbench.plugins.entries import Entry, Folder, Group, entries
 from vprbench.plugins.options import option
 
 
@@ -25,7 +25,7 @@ class Listing:
 class Listed:
     """One method or dataset, as its yaml describes it."""
 
-    kind: Group
+    kind: Folder
     name: str
     description: str
     provider: str  # vprbench or the plug-in that brings it
@@ -42,15 +42,18 @@ class Listed:
         return self.description if self.provider == "vprbench" else f"{self.description}  [{self.provider}]"
 
 
-def listed(words: Sequence[str], weights: str = "any") -> list[Listed]:
+def list_entries(words: Sequence[str], weights: str = "any") -> list[Listed]:
     """Return the methods and datasets, of `methods` or `datasets` alone, that each of the other words fits.
 
     A word is a tag, as in spiking, or a part of a name or a description. Raises BadInput if nothing fits.
     """
     groups: dict[str, Group] = {"methods": "method", "datasets": "dataset"}
-    asked = [groups[word] for word in words if word in groups] or list(groups.values())
+    wanted = [groups[word] for word in words if word in groups] or list(groups.values())
     found = [
-        each for group in asked if weights == "any" or group == "method" for each in map(_listed_entry, _entries(group))
+        describe_entry(entry)
+        for group in wanted
+        if weights == "any" or group == "method"
+        for entry in entries(group).values()
     ]
     for word in (word.lower() for word in words if word not in groups):
         found = [each for each in found if word in each.tags or word in f"{each.name} {each.description}".lower()]
@@ -61,26 +64,25 @@ def listed(words: Sequence[str], weights: str = "any") -> list[Listed]:
     return found
 
 
-def _entries(group: Group) -> Iterator[Entry]:
-    yield from entries(group).values()
-
-
-def _listed_entry(entry: Entry) -> Listed:
-    given: dict[str, Any] = {"kind": entry.group, "name": entry.name, "provider": entry.provider}
+def describe_entry(entry: Entry) -> Listed:
+    """Return what the yaml of an entry says of it, or why it cannot be used, as far as that shows without an import."""
     try:
-        given |= {"description": entry.description, "tags": entry.tags, "needs_weights": entry.needs_weights}
-        given |= {"options": tuple(entry.options), "broken": _broken(entry)}
+        known: dict[str, Any] = {
+            "tags": entry.tags,
+            "needs_weights": entry.needs_weights,
+            "options": tuple(entry.options),
+        }
+        known |= {"description": entry.description, "broken": _find_fault(entry)}
     except (BadInput, OSError, UnicodeDecodeError) as error:
-        given |= {"description": "", "broken": str(error)}
-    return Listed(**given)
+        known = {"description": "", "broken": str(error)}
+    return Listed(kind=entry.group, name=entry.name, provider=entry.provider, **known)
 
 
-def _broken(entry: Entry) -> str:
-    """Return why the class or function behind an entry is not there, as far as that shows without an import."""
+def _find_fault(entry: Entry) -> str:
     target = entry.values().get("_target_")
     if not isinstance(target, str):
         return f"{entry.path} is no {entry.group}: a yaml with _target_ is wanted"
-    package = target.split(".")[0]
-    return (
-        "" if importlib.util.find_spec(package) else f"{target} cannot be imported: no package {package} is installed"
-    )
+    package = target.partition(".")[0]
+    if importlib.util.find_spec(package) is None:
+        return f"{target} cannot be imported: no package {package} is installed"
+    return ""

@@ -76,10 +76,15 @@ def describe_error(error: BaseException) -> str:
     text = (str(error).splitlines() or [""])[0]
     if not isinstance(error, ImportError) or not text:
         text = f"{type(error).__name__}: {text}".removesuffix(": ")
+    return text + locate_error(error)
+
+
+def locate_error(error: BaseException) -> str:
+    """Return the innermost place of an error in the folder of the plug-in, " (mine.py, line 3)"; empty for none."""
     places = [(frame.filename, frame.lineno) for frame in traceback.extract_tb(error.__traceback__)]
     others = [place for place in places if not any(part in place[0] for part in _NO_PLUGINS)]
     own = [place for place in others if place[0].startswith(os.path.dirname(others[0][0]))]  # noqa: PTH120 (also <string>)
-    return text + (_describe_place(*own[-1]) if own else "")
+    return _describe_place(*own[-1]) if own else ""
 
 
 def _describe_place(file: str | None, line: int | None) -> str:

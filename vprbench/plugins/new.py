@@ -13,7 +13,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from vprbench.errors import BadInput
 from vprbench.plugins.entries import Group, entries
-from vprbench.plugins.options import chosen, option
+from vprbench.plugins.options import option, parse_options
 from vprbench.text import some
 
 _TEMPLATES = Environment(
@@ -44,7 +44,7 @@ def write_plugin(words: Sequence[str]) -> str:
     Raises:
         BadInput: the name cannot be used, or a file is there already.
     """
-    settings = chosen(Settings, [word for word in words if "=" in word], {})
+    settings = parse_options(Settings, [word for word in words if "=" in word], {})
     kind, *names = [word for word in words if "=" not in word] or [""]
     if kind not in get_args(Group) or len(names) != 1:
         raise BadInput("new needs a kind and a name: vprbench new method NAME or vprbench new dataset NAME")

@@ -27,7 +27,7 @@ def option(default: Any = MISSING, meaning: str = "") -> Any:
     return field(default=default, metadata=metadata)
 
 
-def chosen(kind: Callable[..., Given], options: Sequence[str], quick: Mapping[str, Any]) -> Given:
+def parse_options(kind: Callable[..., Given], options: Sequence[str], quick: Mapping[str, Any]) -> Given:
     """Return the settings that `option=value` ask for, after those of `quick` if quick=true is among them.
 
     Raises BadInput that names the option that is unknown or does not fit.

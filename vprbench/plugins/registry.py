@@ -9,12 +9,9 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import is_dataclass
 from types import ModuleType
-from typing import Any, get_type_hints
+from typing import Any, get_args, get_type_hints
 
-from hydra.core.config_search_path import ConfigSearchPath
 from hydra.core.config_store import ConfigStore
-from hydra.core.plugins import Plugins
-from hydra.plugins.search_path_plugin import SearchPathPlugin
 from hydra.utils import get_object
 
 from vprbench.api.dataset import Dataset, SharedFrames
@@ -27,10 +24,8 @@ from vprbench.plugins.entries import Group as Group
 from vprbench.plugins.entries import broken_plugins as broken_plugins
 from vprbench.plugins.entries import conf_folders as conf_folders
 from vprbench.plugins.entries import entries as entries
-from vprbench.plugins.entries import require_one as require_one
 from vprbench.plugins.entries import with_plugin_paths as with_plugin_paths
 from vprbench.plugins.local_plugins import describe_error
-from vprbench.plugins.tuned_places import parse_tuned_on
 from vprbench.plugins.values import check_value as check_value
 from vprbench.text import near as near  # for the commands too
 
@@ -44,8 +39,8 @@ def _explaining_disk_errors(name: str) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        told = f"{_shortened(str(error.filename))}: {error.strerror}" if error.filename and error.strerror else error
-        raise BadInput(f"dataset {_shortened(name)} cannot be read ({told}): correct the path") from error
+        reason = f"{_shorten(str(error.filename))}: {error.strerror}" if error.filename and error.strerror else error
+        raise BadInput(f"dataset {_shorten(name)} cannot be read ({reason}): correct the path") from error
 
 
 def require_dataset(made: Any, target: str) -> Dataset:
@@ -54,7 +49,7 @@ def require_dataset(made: Any, target: str) -> Dataset:
         raise BadInput(f"{target} gave {type(made).__name__}; it has to return a Dataset")
     if len(os.fsencode(made.name)) > _MOST_NAME_BYTES:
         raise BadInput(
-            f"dataset.name={_shortened(made.name)} has more than {_MOST_NAME_BYTES} bytes: give a shorter one, for its "
+            f"dataset.name={_shorten(made.name)} has more than {_MOST_NAME_BYTES} bytes: give a shorter one, for its "
             "runs are stored in a folder of that name"
         )
     from vprbench.api.images import Images  # a list of names needs none
@@ -68,20 +63,8 @@ def require_dataset(made: Any, target: str) -> Dataset:
     return made
 
 
-def _shortened(text: str) -> str:
+def _shorten(text: str) -> str:
     return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
-
-
-def declared(name: str, config: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the arguments in a method's configuration, and apart from them on what its settings were chosen.
-
-    Raises BadInput if a registered method was asked for with another `tuned_on` than its yaml has.
-    """
-    entry = entries("method").get(name)
-    asked = parse_tuned_on(config.get("tuned_on"), f"method {name}")
-    if entry is not None and asked != entry.tuned_on:
-        raise BadInput(f"method.tuned_on={asked or None}: what {name} was tuned on is told by {entry.path} alone")
-    return arguments(config), asked
 
 
 def arguments(config: Mapping[str, Any]) -> dict[str, Any]:
@@ -109,7 +92,7 @@ def make_dataset(config: Mapping[str, Any]) -> Dataset:
     return require_dataset(dataset, config["_target_"]).with_shared_frames(shared)
 
 
-def named(group: Group, text: str) -> str:
+def resolve_name(group: Group, text: str) -> str:
     """Return the name of a method or dataset; one in a loose file, ./mine.py:MyMethod, is registered by it first.
 
     Raises BadInput if the file cannot be imported, or if the name is another's.
@@ -124,26 +107,12 @@ def named(group: Group, text: str) -> str:
 
 def register_loose_file(option: str) -> None:
     """Register what method=./mine.py:MyMethod or dataset=./mine.py:my_dataset names; any other option is ignored."""
-    group, _, name = option.partition("=")
-    if group == "method":
-        named("method", name)
-    elif group == "dataset":
-        named("dataset", name)
+    for group in get_args(Group):
+        if option.startswith(f"{group}="):
+            resolve_name(group, option.partition("=")[2])
 
 
-def register_search_path() -> None:
-    """Let Hydra find the yaml files of installed plug-ins."""
-    Plugins.instance().register(_PluginSearchPath)
-
-
-class _PluginSearchPath(SearchPathPlugin):
-    def manipulate_search_path(self, search_path: ConfigSearchPath) -> None:
-        for provider, folder in yamls.conf_folders().items():
-            if provider != "vprbench":
-                search_path.append(provider=provider, path=f"file://{folder}")
-
-
-def located(group: Group, config: Mapping[str, Any], where: object) -> Callable[..., Any]:
+def find_target(group: str, config: Mapping[str, Any], where: object) -> Callable[..., Any]:
     """Import and return the class or function of a configuration; raises BadInput that says `where` none is named."""
     if not isinstance(config.get("_target_"), str):
         raise BadInput(f"{where} is no {group} (it has no _target_): name its class or function there")
@@ -167,9 +136,9 @@ def _locate(target: str) -> Callable[..., Any]:
 
 
 def _build(group: Group, config: Mapping[str, Any]) -> Any:
-    target = located(group, config, f"the yaml of {group} {config.get('name', '')}")
+    target = find_target(group, config, f"the yaml of {group} {config.get('name', '')}")
     arguments = {name: value for name, value in config.items() if name != "_target_" and value != "???"}
-    known, hints = _parameters(target, config["_target_"])
+    known, hints = _read_signature(target, config["_target_"])
     for name, value in arguments.items():
         if name not in known:
             raise BadInput(f"{group}.{name} is unknown to {config['_target_']}: {near(name, known)}")
@@ -185,7 +154,7 @@ def _build(group: Group, config: Mapping[str, Any]) -> Any:
         raise BadInput(f"{config['_target_']} fails when it is made: {describe_error(error)}") from error
 
 
-def _parameters(target: Callable[..., Any], name: str) -> tuple[Mapping[str, inspect.Parameter], dict[str, Any]]:
+def _read_signature(target: Callable[..., Any], name: str) -> tuple[Mapping[str, inspect.Parameter], dict[str, Any]]:
     """Return the parameters of a class or function and their type hints; raises BadInput if it has none to be read."""
     plain_class = inspect.isclass(target) and not is_dataclass(target)
     try:

@@ -170,7 +170,9 @@ def _find_changed_arguments(run: Run, known: Mapping[str, Entry]) -> Mapping[str
     name = next((text.partition("=")[2] for text in overrides if text.startswith("dataset=")), run.dataset)
     arguments = {key: value for key, value in run.config["dataset"].items() if key not in ("_target_", "name")}
     entry = known.get(name)
-    return arguments if entry is None else entry.changed(arguments)
+    own = {} if entry is None or entry.rivals else entry.values()
+    kept = {key for key in own if key in arguments and (own[key] == arguments[key] or "${" in str(own[key]))}
+    return {key: value for key, value in arguments.items() if key not in kept}
 
 
 def _format_arguments(values: Mapping[str, Any]) -> str:

@@ -180,3 +180,4 @@ class Failure:
     error: Text
     environment: Annotated[Mapping[str, Any], Fits(Environment)] = field(default_factory=dict)
     missing: Flag = False  # weights, frames or the method itself are not there: nothing was tried
+    traceback: Text = ""  # of an error that the method or the dataset raised

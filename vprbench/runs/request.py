@@ -58,6 +58,7 @@ class RunRequest:
     stream: bool | int = False  # grow the map place by place, and ask at each so many places; true: ten times
     predictions: int | None = None  # best places of each query that are written as CSV; None: no file
     energy: bool = False  # count operations and joules of a query, and bytes of a place
+    debug: bool = False  # print the traceback of an error
     timing: Protocol = field(default_factory=Protocol)
 
     def __post_init__(self) -> None:

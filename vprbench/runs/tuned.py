@@ -47,7 +47,7 @@ def find_tuned_queries(run: Run) -> npt.NDArray[np.bool_] | None:
 def _show_declared_places(run: Run) -> npt.NDArray[np.bool_] | None:
     """Return which queries have a right place of the declared numbers, (n_queries,); None: the numbers do not tell."""
     known, entry = parse_places(_format_declared_places(run)), entries("dataset").get(run.dataset)
-    if known is None or entry is None:
+    if known is None or entry is None or entry.rivals:
         return None
     listed = entry.values()
     if not all(name in _CHOOSING or (name, value) in listed.items() for name, value in run.config["dataset"].items()):

@@ -25,8 +25,8 @@ def console(stream: TextIO | None = None) -> Console:
     It is as wide as the terminal; what is no terminal has 100 columns, or more if COLUMNS says so.
     """
     stream = result_stream() if stream is None else stream
-    told = os.environ.get("COLUMNS", "")
-    width = None if stream.isatty() else max(LEAST_WIDTH, int(told) if told.isdecimal() else 0)
+    columns = os.environ.get("COLUMNS", "")
+    width = None if stream.isatty() else max(LEAST_WIDTH, int(columns) if columns.isdecimal() else 0)
     return Console(file=stream, width=width, markup=False, emoji=False, highlight=False, force_jupyter=False)
 
 
@@ -65,7 +65,7 @@ def table_text(
         table.add_column(Text(cells[0][at]), width=widths[at], no_wrap=True, overflow="ellipsis")
     for row in cells[1:]:
         table.add_row(*(Text(row[at]) for at in kept))
-    lines = drawn(table, room, width() + _GAP)
+    lines = format_table(table, room, width() + _GAP)
     if len(kept) < len(columns):
         names = ", ".join(name for at, name in enumerate(columns) if at not in kept)
         lines += "\n" + line_text(f"left out: {names} (wide=true shows them)", "dim")
@@ -82,7 +82,7 @@ def line_text(line: str, style: str = "", fits: bool = False) -> str:
     return "\n".join(line.rstrip() for line in lines.get().splitlines())
 
 
-def drawn(table: Table, room: Console, width: int | None = None) -> str:
+def format_table(table: Table, room: Console, width: int | None = None) -> str:
     """Return a table as lines, so wide or as `room` is, in its colours and without blanks at their ends."""
     page = Console(
         file=StringIO(),

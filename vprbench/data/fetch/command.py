@@ -24,7 +24,7 @@ from vprbench.data.fetch.entries import (
 )
 from vprbench.errors import BadInput, NotThere
 from vprbench.plugins import registry
-from vprbench.plugins.options import chosen, option
+from vprbench.plugins.options import option, parse_options
 from vprbench.progress import progress_shown
 from vprbench.storage import download
 from vprbench.storage.folders import data_folder
@@ -61,7 +61,7 @@ def fetch_command(arguments: Sequence[str], check: Check | None = None) -> int:
     name, *options = arguments
     entry = known.get(name) or next((entry for entry in known.values() if name in entry.datasets), None)
     if entry is not None:
-        return fetch(entry, chosen(Settings, options, {}), check)
+        return fetch(entry, parse_options(Settings, options, {}), check)
     if name in registry.entries("dataset"):
         raise BadInput(f"fetch {name}: there is nothing to download, it is rendered or reads what you have")
     raise BadInput(f"fetch {name}: nothing of that name can be fetched; {registry.near(name, known)}")
