@@ -175,7 +175,7 @@ def test_on_a_terminal_a_table_fills_with_what_is_stored_and_leaves_it_clean_if_
     store = Store(tmp_path / "results")
     shutil.copytree(made[0] / "results", store.root)
     assert [ending.code for ending in fill(cells, store)] == [0, 1]
-    for text in ("note: a warning", "\x1b[31mvprbench: it failed", " %  ", " Hz", "1 of 2, 1 running, 0 waiting"):
+    for text in ("note: a warning", "\x1b[31mvprbench: it failed", "done", "1 of 2, 1 running, 0 waiting"):
         assert text in screen.getvalue()
     monkeypatch.setattr(executors, "run_in_child", interrupted)
     with pytest.raises(KeyboardInterrupt):

@@ -15,7 +15,7 @@ from vprbench.errors import BadInput
 from vprbench.jobs.executors import Executor
 from vprbench.jobs.job import JobResult
 from vprbench.metrics.registry import GROUPS
-from vprbench.paper.missing_runs import Cell, Watch, fill, make_cell, results_folder
+from vprbench.paper.missing_runs import Cell, fill, make_cell, results_folder
 from vprbench.paper.plan import Plan, PlannedColumn, Row, read_plan, with_plug_ins
 from vprbench.paper.run_options import TableRequest
 from vprbench.paper.selection import Group, ResolvedColumn, groups, seen
@@ -100,27 +100,26 @@ def choose(request: TableRequest) -> TablePlan:
 def gather(chosen: TablePlan, options: Sequence[str], executor: Executor | None = None) -> ReportData:
     """Make the runs that are wanted and not stored, unless `stored` was asked for, and put the stored ones together.
 
-    `options` of the command line are those of all runs. Raises BadInput if there is no run at all.
+    The smallest datasets come first, and rows that are slow at full size last. `options` of the command line are those
+    of all runs. Raises BadInput if there is no run at all.
     """
-    cells = [cell for cells in all_runs(chosen, options) for cell in cells]
+    columns = sorted(chosen.columns, key=lambda column: column.dataset.get("places") or 0)
+    cells = [
+        cell
+        for row in sorted(chosen.rows, key=lambda row: row.most_places is not None)
+        for column in columns
+        if not chosen.stored and not chosen.slow(column, row)
+        for cell in runs_of(chosen, column, [row], options)
+    ]
     results = run_missing(chosen, cells, executor)
     runs, failures = stored(chosen)
-    return material(chosen, runs, failures, tuple(results))
-
-
-def run_missing(
-    chosen: TablePlan, cells: Sequence[Cell], executor: Executor | None = None, watch: Watch | None = None
-) -> list[JobResult]:
-    """Make those of some runs that are not stored, none if `stored` was asked for; returns how each ended."""
-    return [] if chosen.stored else fill(cells, Store(results_folder(chosen.results)), executor, watch)
-
-
-def material(
-    chosen: TablePlan, runs: Sequence[Run], failures: Sequence[Failure], results: tuple[JobResult, ...] = ()
-) -> ReportData:
-    """Put stored runs and failures into the rows and columns that were chosen; raises BadInput if no run is theirs."""
     found = seen(groups(runs, failures, chosen.columns, chosen.rows), chosen.rows, chosen.views)
-    return assembled(chosen, found, runs, results)
+    return assembled(chosen, found, runs, tuple(results))
+
+
+def run_missing(chosen: TablePlan, cells: Sequence[Cell], executor: Executor | None = None) -> list[JobResult]:
+    """Make those of some runs that are not stored, none if `stored` was asked for; returns the outcome of each."""
+    return [] if chosen.stored else fill(cells, Store(results_folder(chosen.results)), executor)
 
 
 def assembled(
@@ -163,22 +162,6 @@ def runs_of(chosen: TablePlan, column: ResolvedColumn, rows: Sequence[Row], opti
             yield make_cell(
                 row, planned.title, [*planned.options, *options], {**values, "seed": seed, "device": device}
             )
-
-
-def all_runs(chosen: TablePlan, options: Sequence[str]) -> tuple[list[Cell], list[Cell]]:
-    """Return the runs of rows that run at any size, and those of slow rows where they are not too slow.
-
-    Both row by row, the smallest datasets first; none if `stored` was asked for.
-    """
-    if chosen.stored:
-        return [], []
-    columns = sorted(chosen.columns, key=lambda column: column.dataset.get("places") or 0)
-    runs: tuple[list[Cell], list[Cell]] = [], []
-    for row in chosen.rows:
-        for column in columns:
-            if not chosen.slow(column, row):
-                runs[row.most_places is not None].extend(runs_of(chosen, column, [row], options))
-    return runs
 
 
 def _with_seeds(row: Row, request: TableRequest) -> Row:
