@@ -17,7 +17,7 @@ from vprbench.paper.selection import (
 )
 
 ROWS = (SAD, VPRTEMPO, PUBLIC)
-FOGGY = ResolvedColumn(RAIL.planned, {**RAILWAY, "fog": 0.5, "root": None})
+FOGGY = ResolvedColumn(RAIL.planned, {**RAILWAY, "fog": 0.5})
 
 
 def lost(seed=0, *more, **changes):

@@ -17,19 +17,27 @@ from vprbench.runs.viewpoints import viewpoints
 Device = Literal["cpu", "cuda"]
 DEVICES: tuple[Device, ...] = ("cpu", "cuda")
 
-#: Arguments of a dataset that say where code and frames lie, not which they are.
-_WHERE = frozenset({"_target_", "root", "default_root", "source", "download", "calibration", "processed", "lists"})
 _PER_RUN = frozenset({"_target_", "seed", "device"})  # arguments of a method in which the runs of a row differ
 
 
 @dataclass(frozen=True)
+class Frames:
+    """The frames, places and threads of the runs of a column whose dataset was built."""
+
+    fingerprint: str
+    protocol: Mapping[str, Any]
+    threads: int
+
+
+@dataclass(frozen=True)
 class ResolvedColumn:
-    """A column of the table and what its options make of the dataset."""
+    """A column of the table and the arguments of its dataset."""
 
     planned: PlannedColumn
     dataset: Mapping[str, Any]  # the resolved arguments of the dataset, as a run's configuration holds them
     corruption: str | list[str] | None = None  # of the query frames; None: they are clean
     views: Any = None  # the option that says from which viewpoints queries are asked
+    frames: Frames | None = None  # runs of these frames alone belong to it; None: runs with these arguments
 
 
 @dataclass(frozen=True)
@@ -105,7 +113,7 @@ def of_row(group: Group, row: Row, device: Device) -> RowRuns:
     of_seeds = [run for run in there if run.config["seed"] in row.seeds]
     sets: dict[str, list[Run]] = defaultdict(list)
     for run in of_seeds:
-        sets[as_text(_setup(run))].append(run)
+        sets[as_text([conditions(run), run.network is None])].append(run)
     ranked = sorted(sets.values(), key=lambda members: _rank(members, row), reverse=True)
     chosen = {run.config["seed"]: run for run in sorted(ranked[0], key=age)} if ranked else {}
     newest: dict[int, Failure] = {}
@@ -152,17 +160,21 @@ def accuracy_series(group: Group, rows: Sequence[Row]) -> list[Series]:
 
 
 def _in_column(result: Run | Failure, column: ResolvedColumn) -> bool:
-    """Tell whether a run was asked for the same dataset, by the options that both have, wherever its frames lay.
+    """Tell whether a run has the dataset, corruption and viewpoints of a column.
 
-    Frames that were corrupted in the same way, or not at all, are the same; so are viewpoints.
+    A run has its dataset by the frames of the column, or by the options that both have, but for those that the dataset
+    declares to be places on disk (`on_disk` in its yaml). A failure, which has no frames, is compared by the options.
     """
-    if result.config.get("corruption") != column.corruption:
+    given = result.config
+    if given.get("corruption") != column.corruption or viewpoints(given.get("views")) != viewpoints(column.views):
         return False
-    if viewpoints(result.config.get("views")) != viewpoints(column.views):
-        return False
-    wanted, given = column.dataset, result.config.get("dataset", {})
-    both = wanted.keys() & given.keys() - _WHERE
-    return "name" in both and all(as_text(wanted[name]) == as_text(given[name]) for name in both)
+    if isinstance(result, Run) and (frames := column.frames) is not None:
+        alike = result.fingerprint == frames.fingerprint and as_text(result.protocol) == as_text(frames.protocol)
+        return alike and result.environment.get("threads") == frames.threads
+    wanted, theirs = column.dataset, given.get("dataset", {})
+    ignored = {"_target_", "on_disk", *wanted.get("on_disk", ()), *theirs.get("on_disk", ())}
+    both = wanted.keys() & theirs.keys() - ignored
+    return "name" in both and all(as_text(wanted[name]) == as_text(theirs[name]) for name in both)
 
 
 def _in_row(result: Run | Failure, row: Row) -> bool:
@@ -193,27 +205,19 @@ def _when(result: Run | Failure) -> str:
 
 
 def age(run: Run) -> tuple[str, str]:
-    """Return what sorts runs from the oldest to the newest."""
+    """Return the key that sorts runs from the oldest to the newest."""
     return _when(run), run.key
 
 
 def conditions(run: Run) -> dict[str, Any]:
-    """Return the conditions that must be equal for times to be put together, keyed by the word for a difference."""
-    surroundings, arguments = run.environment, run.config["method"]
+    """Return the conditions that must be equal for the runs of a row to be put together."""
+    given, surroundings = run.config, run.environment
     return {
-        "code": run.config.get("code"),
-        "arguments of the method": {k: v for k, v in arguments.items() if k not in _PER_RUN},
-        "weights": run.config.get("files", []),
-        "timing": run.config.get("timing"),
-        "libraries": surroundings.get("libraries"),
-        "threads": surroundings.get("threads"),
+        **{name: given.get(name) for name in ("code", "files")},
+        **{name: surroundings.get(name) for name in ("libraries", "threads")},
+        "method": {name: value for name, value in given["method"].items() if name not in _PER_RUN},
         "machine": _machine(run),
     }
-
-
-def _setup(run: Run) -> dict[str, Any]:
-    network = "trained" if run.network is None else "loaded"
-    return {**{name: value for name, value in conditions(run).items() if name != "timing"}, "network": network}
 
 
 def _rank(members: Sequence[Run], row: Row) -> tuple[bool, bool, tuple[str, str]]:

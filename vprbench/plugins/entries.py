@@ -21,8 +21,8 @@ Group = Literal["method", "dataset"]
 
 ENTRY_POINTS = "vprbench.conf"
 
-#: What the yaml of a method says of it beside its arguments.
-DECLARED = ("tuned_on", "tags")
+#: What the yaml of a method or dataset says of it beside its arguments.
+DECLARED = ("tuned_on", "tags", "on_disk")
 _NO_ARGUMENTS = ("_target_", *DECLARED)
 _NO_CHOICE = (*_NO_ARGUMENTS, "seed", "device")  # what every run sets for itself
 
