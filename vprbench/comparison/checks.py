@@ -14,7 +14,7 @@ from vprbench.data.doctor import check_dataset, look_at_some
 from vprbench.errors import BadInput, NotFittedError, NotThere
 from vprbench.paper.plan import PlannedColumn, Row
 from vprbench.paper.run_options import CompareRequest
-from vprbench.paper.selection import ResolvedColumn
+from vprbench.paper.selection import Frames, ResolvedColumn
 from vprbench.plugins import registry
 from vprbench.plugins.options import chosen
 from vprbench.progress import progress_shown, report
@@ -104,7 +104,6 @@ class Checked:
     cells: tuple[Cell, ...]
     request: RunRequest  # of its dataset, with the options of all runs
     dataset: Dataset | None  # None: it cannot be built, and only stored runs are asked for
-    images: str  # fingerprint of its frames
     looked: str | None = None  # what a quick look at some frames found, and which command says more
 
 
@@ -125,12 +124,12 @@ def check_comparison(command: SortedOptions) -> tuple[Checked | None, list[str]]
     if wanted := command.request.predictions:
         require_depth(wanted, request.depth, wanted)
     dataset: Dataset | None = None
-    images, looked = "", None
+    frames, looked = None, None
     with progress_shown("compare"):
         try:
             dataset = seen_from(registry.make_dataset(request.dataset), viewpoints(command.request.views))
             check_dataset(dataset, bool(parse_views(command.request.sequence, command.request.filter)))
-            images = fingerprint(dataset)
+            frames = frames_of(dataset, request)
             looked = None if stored else _looked(dataset, command.of_dataset)
         except BadInput as error:
             wrong += [] if stored else [str(error)]
@@ -147,8 +146,13 @@ def check_comparison(command: SortedOptions) -> tuple[Checked | None, list[str]]
         return None, wrong
     title = command.request.name or request.dataset_name
     planned = PlannedColumn(title, title, command.of_dataset)
-    column = ResolvedColumn(planned, request.dataset, views=command.request.views)
-    return Checked(column, tuple(cells), request, dataset, images, looked), []
+    column = ResolvedColumn(planned, request.dataset, views=command.request.views, frames=frames)
+    return Checked(column, tuple(cells), request, dataset, looked), []
+
+
+def frames_of(dataset: Dataset, request: RunRequest) -> Frames:
+    """Return the frames, places and threads by which runs on a dataset are known."""
+    return Frames(fingerprint(dataset), dataset.protocol, request.n_threads)
 
 
 def _looked(dataset: Dataset, options: Sequence[str]) -> str | None:
