@@ -184,8 +184,8 @@ def _list_texts(cells: pd.DataFrame) -> Iterator[str]:
     for _, of_column in cells.groupby("column", sort=False):
         first = of_column["absence"].iloc[0]
         for number, cell in enumerate(iterate_rows(of_column)):
-            absence = cell.absence if number == 0 or cell.value or cell.absence != first else ""
-            yield " ".join(filter(None, [absence, cell.value, cell.extent]))
+            absence = cell.absence if number == 0 or cell.text or cell.absence != first else ""
+            yield " ".join(filter(None, [absence, cell.text, cell.extent]))
 
 
 def predict_places(compared: ReportData, found: Checked, n: int | None) -> pd.DataFrame | None:

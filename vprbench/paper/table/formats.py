@@ -132,42 +132,43 @@ def lay_out(table: Table, columns: Sequence[Column], markup: _Markup) -> pd.Data
 
     The columns have two levels, the title of the dataset and the heading of the quantity.
     """
-    cells: dict[tuple[str, str], list[Any]] = {}
-    for cell in iterate_rows(words.describe_cells(table)):
-        cells.setdefault((cell.row, cell.column), []).append(cell)
+    described = words.describe_cells(table)
+    several = len(table.machines) > 1
     heads = [(column.title, quantity.heading) for column in columns for quantity in table.quantities]
     names: list[str] = []
     lines: list[list[str]] = []
     apart = table.title is None and not all(row.spiking for row in table.rows)
     for row in table.rows:
-        of_row = [cell for column in columns for cell in cells[row.name, column.name]]
+        of_row = described[described["row"] == row.name].set_index("column")
+        cells = [cell for column in columns for cell in iterate_rows(of_row.loc[[column.name]])]
         if apart and row.spiking and not markup.spiking:
             names.append(markup.italic.format("spiking"))
             lines.append([""] * len(heads))
             apart = False
         names.append(markup.name.format(markup.escape(row.name)) + (markup.spiking if apart and row.spiking else ""))
-        lines.append([_write_cell(cell, markup) for cell in of_row])
-        if any(cell.in_paper for cell in of_row) and not markup.published:
+        lines.append([_write_cell(cell, markup, several) for cell in cells])
+        if any(cell.published_mark != "none" for cell in cells) and not markup.published:
             names.append(markup.paper)
-            lines.append([_write_published(cell, markup) for cell in of_row])
+            lines.append([_write_published(cell, markup) for cell in cells])
     levels = [(markup.escape(title), markup.escape(heading)) for title, heading in heads]
     labels = pd.MultiIndex.from_tuples(levels, names=["", "method"]) if levels else pd.Index([])
     return pd.DataFrame(lines, pd.Index(names, dtype=object), labels, dtype=object)
 
 
-def _write_cell(cell: Any, markup: _Markup) -> str:
-    marked = markup.bold if cell.best else markup.italic if cell.kind == "quoted" else "{}"
-    value = marked.format(markup.number(cell.value)) if cell.value else ""
-    notes = markup.mark(cell.machine, cell.notes) if cell.machine or cell.notes else ""
+def _write_cell(cell: Any, markup: _Markup, several_machines: bool) -> str:
+    marked = markup.bold if cell.best else markup.italic if cell.mark == "quoted" else "{}"
+    text = marked.format(markup.number(cell.text)) if cell.text else ""
+    machine = cell.machine + 1 if several_machines and cell.machine is not None else 0
+    notes = markup.mark(machine, cell.notes) if machine or cell.notes else ""
     absence = markup.absence.format(markup.number(cell.absence)) if cell.absence else ""
-    below = markup.published.format(_write_published(cell, markup)) if cell.in_paper else ""
-    return " ".join(filter(None, [absence, value, markup.number(cell.extent), notes])) + below
+    below = markup.published.format(_write_published(cell, markup)) if cell.published_mark != "none" else ""
+    return " ".join(filter(None, [absence, text, markup.number(cell.extent), notes])) + below
 
 
 def _write_published(cell: Any, markup: _Markup) -> str:
-    marked = markup.italic if cell.published_quoted else "{}"
-    value = marked.format(markup.number(cell.published))
-    return f"{value} ({markup.number(cell.beside)})" if cell.beside else value
+    marked = markup.italic if cell.published_mark == "quoted" else "{}"
+    printed = marked.format(markup.number(cell.printed))
+    return f"{printed} ({markup.number(cell.beside)})" if cell.beside else printed
 
 
 def to_markdown(table: Table) -> str:

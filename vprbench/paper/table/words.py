@@ -19,45 +19,28 @@ _ELSEWHERE = "elsewhere"
 
 
 def describe_cells(table: Table) -> pd.DataFrame:
-    """Return the text of each cell, a line each.
+    """Return the cells with their text in more columns.
 
-    - `row`, `column`; `kind`: "measured", "quoted" or "absent"; `absence`: "failed", "-" ..., empty for a number
-    - `value`: empty for none; `extent`: spread, interval, and in brackets with waiting for images
-    - `best`; `machine`: its number from 1, 0 if the table has one machine; `notes`: their numbers
-    - `in_paper`: the paper has any cell of the row in the column; `published`: never empty; `published_quoted`
-    - `beside`: behind the published number: the rate of the same step here, and the difference
+    - `absence`: "failed", "-" ..., empty for a number
+    - `text`: the number, empty for none; `extent`: its spread, interval, and in brackets with waiting for images
+    - `printed`: the paper's number, "none" for none; `beside`: the rate of the same step here, and the difference
     """
     by_name = {quantity.name: quantity for quantity in table.quantities}
     boundaries = {row.name: row.boundary for row in table.rows}
-    printed = table.cells[table.cells["published_mark"] != "none"]
-    in_paper = {*zip(printed["row"], printed["column"], strict=True)}
-    several = len(table.machines) > 1
     lines = []
     for cell in iterate_rows(table.cells):
         quantity = by_name[cell.quantity]
         absence = {"measured": "", "quoted": "", "not applicable": INAPPLICABLE}.get(cell.mark, cell.mark)
-        value = _format_published(cell.value) if cell.mark == "quoted" else ""
+        text, extent, beside = _format_published(cell.value) if cell.mark == "quoted" else "", "", ""
+        printed = "none" if cell.published_mark == "none" else INAPPLICABLE
         if cell.seeds is not None:
-            value = ("~" if cell.disturbed else "") + quantity.text(cell.value)
-        nothing = "none" if cell.published_mark == "none" else INAPPLICABLE
-        lines.append(
-            {
-                "row": cell.row,
-                "column": cell.column,
-                "kind": "quoted" if cell.mark == "quoted" else "absent" if absence else "measured",
-                "absence": f"{absence}:" if absence and value else absence,
-                "value": value,
-                "extent": "" if cell.seeds is None else _describe_extent(cell, quantity),
-                "best": cell.best,
-                "machine": cell.machine + 1 if several and cell.machine is not None else 0,
-                "notes": cell.notes,
-                "in_paper": (cell.row, cell.column) in in_paper,
-                "published": nothing if cell.published is None else _format_published(cell.published),
-                "published_quoted": cell.published_mark == "quoted",
-                "beside": "" if cell.published is None else _describe_beside(cell, boundaries[cell.row], quantity),
-            }
-        )
-    return pd.DataFrame(lines, dtype=object)
+            text, extent = ("~" if cell.disturbed else "") + quantity.text(cell.value), _describe_extent(cell, quantity)
+        if cell.published is not None:
+            printed = _format_published(cell.published)
+            beside = _describe_beside(cell, boundaries[cell.row], quantity)
+        lines.append((f"{absence}:" if absence and text else absence, text, extent, printed, beside))
+    texts = pd.DataFrame(lines, columns=["absence", "text", "extent", "printed", "beside"], dtype=object)
+    return table.cells.join(texts)
 
 
 def describe_data(column: Column) -> str:
