@@ -110,20 +110,19 @@ def of_row(group: Group, row: Row, device: Device) -> RowRuns:
     failures of seeds that have a run.
     """
     there = [run for run in group.runs if _in_row(run, row) and _on(run) == device]
-    of_seeds = [run for run in there if run.config["seed"] in row.seeds]
     sets: dict[str, list[Run]] = defaultdict(list)
-    for run in of_seeds:
-        sets[as_text([conditions(run), run.network is None])].append(run)
-    ranked = sorted(sets.values(), key=lambda members: _rank(members, row), reverse=True)
-    chosen = {run.config["seed"]: run for run in sorted(ranked[0], key=age)} if ranked else {}
+    for run in there:
+        if run.config["seed"] in row.seeds:
+            sets[as_text([conditions(run), run.network is None])].append(run)
+    members = max(sets.values(), key=lambda members: _rank(members, row), default=[])
+    chosen = {run.config["seed"]: run for run in sorted(members, key=age)}
     newest: dict[int, Failure] = {}
     for failure in group.failures:
-        if not _in_row(failure, row) or _on(failure) != device:
+        seed = failure.config["seed"]
+        if seed not in row.seeds or not _in_row(failure, row) or _on(failure) != device:
             continue
-        seed = failure.config.get("seed")
-        elsewhere = bool(chosen) and not _same_machine(failure, ranked[0][0])
-        told = seed in chosen and (failure.missing or _when(failure) <= _when(chosen[seed]))
-        if seed in row.seeds and not elsewhere and not told:
+        is_mended = seed in chosen and (failure.missing or _when(failure) <= _when(chosen[seed]))
+        if not is_mended and (not members or _machine(failure) == _machine(members[0])):
             newest[seed] = failure
     return RowRuns(
         runs=tuple(run for _, run in sorted(chosen.items())),
@@ -181,19 +180,11 @@ def _in_row(result: Run | Failure, row: Row) -> bool:
     """Tell whether a run's method has a row's arguments and otherwise its defaults."""
     if result.method != row.method:
         return False
-    wanted = row.arguments
-    given = {**result.config.get("method", {}), **result.config.get("changed", {})}
-    return _changed(result) <= wanted.keys() and all(
+    wanted, changed = row.arguments, result.config["changed"]
+    given = {**result.config["method"], **changed}
+    return changed.keys() <= wanted.keys() and all(
         name in given and as_text(given[name]) == as_text(value) for name, value in wanted.items()
     )
-
-
-def _changed(result: Run | Failure) -> set[str]:
-    """Return the arguments of the method that were asked for; an early failure names them in the words of the user."""
-    if "changed" in result.config:
-        return set(result.config["changed"])
-    asked = (text.lstrip("+").partition("=")[0] for text in result.config.get("overrides", []))
-    return {name.removeprefix("method.") for name in asked if name.startswith("method.")} - _PER_RUN
 
 
 def _on(result: Run | Failure) -> str:
@@ -227,11 +218,6 @@ def _rank(members: Sequence[Run], row: Row) -> tuple[bool, bool, tuple[str, str]
 
 def _machine(result: Run | Failure) -> tuple[Any, ...]:
     return Machine.of(result.environment).hardware
-
-
-def _same_machine(failure: Failure, run: Run) -> bool:
-    """Tell whether a failure is of a run's machine, or may be: older ones do not say."""
-    return "processor" not in failure.environment or _machine(failure) == _machine(run)
 
 
 def as_text(value: Any) -> str:
