@@ -119,7 +119,7 @@ def check_comparison(command: SortedOptions) -> tuple[Checked | None, list[str]]
             dataset = seen_from(registry.make_dataset(request.dataset), viewpoints(command.request.views))
             check_dataset(dataset, bool(parse_views(command.request.sequence, command.request.filter)))
             frames = frames_of(dataset, request)
-            looked = None if stored else _looked(dataset, command.of_dataset)
+            looked = None if stored else _look_at_frames(dataset, command.of_dataset)
         except BadInput as error:
             wrong += [] if stored else [str(error)]
         cells = []
@@ -127,7 +127,7 @@ def check_comparison(command: SortedOptions) -> tuple[Checked | None, list[str]]
             report(f"looking at {name}", number / len(command.of_methods))
             try:
                 settings = split_sweep(command.of_methods[name])
-                cells += [_cell(name, given, command, options, dataset) for given in settings]
+                cells += [_check_method(name, given, command, options, dataset) for given in settings]
             except BadInput as error:
                 told = str(error).removeprefix(f"{name}: ").replace("method.", f"{name}.")
                 wrong.append(f"{name}: {told}")
@@ -144,13 +144,13 @@ def frames_of(dataset: Dataset, request: RunRequest) -> Frames:
     return Frames(fingerprint(dataset), dataset.protocol, request.n_threads)
 
 
-def _looked(dataset: Dataset, options: Sequence[str]) -> str | None:
+def _look_at_frames(dataset: Dataset, options: Sequence[str]) -> str | None:
     """Return what a look at some frames found, and the command that looks at all of them; None: nothing."""
     found = look_at_some(dataset)
     return f"{'; '.join(found)}: {shlex.join(['vprbench', 'doctor', *options])} says more" if found else None
 
 
-def _cell(
+def _check_method(
     name: str, given: Sequence[str], command: SortedOptions, options: Sequence[str], dataset: Dataset | None
 ) -> Cell:
     """Look at one method with its `given` options; raises BadInput for what is wrong with it."""

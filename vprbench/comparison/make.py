@@ -14,12 +14,12 @@ from vprbench.errors import BadInput
 from vprbench.jobs.executors import executor_for
 from vprbench.jobs.job import JobResult, failure_of
 from vprbench.paper.figures.make import draw_all, write_figures
-from vprbench.paper.gather import ReportData, TablePlan, assembled, run_missing, runs_of, stored
+from vprbench.paper.gather import ReportData, TablePlan, assemble_report, run_missing, runs_of, stored
 from vprbench.paper.page.make import write_page
 from vprbench.paper.plan import Growth, Plan
 from vprbench.paper.ranking import Ranking, rank_rows
-from vprbench.paper.robustness import Robustness, csv, lines, markdown, robustness
-from vprbench.paper.selection import ResolvedColumn, accuracy_series, groups, seen
+from vprbench.paper.robustness import Robustness, format_csv, format_markdown, list_lines, measure_robustness
+from vprbench.paper.selection import ResolvedColumn, accuracy_series, apply_views, groups
 from vprbench.paper.table import words
 from vprbench.paper.table.make import exit_code, write
 from vprbench.paper.table.quantities import RECALL, comparison_quantities, without_accuracies
@@ -64,12 +64,12 @@ def make_comparison(command: SortedOptions) -> int:
             accuracy_series(groups(known, (), [column], chosen.rows)[0], compared.chosen.rows)
             for column in (found.column, *spoilt.values())
         )
-        robust = robustness(clean, dict(zip(spoilt, of_each, strict=True)))
-        table = lines(robust)
+        robust = measure_robustness(clean, dict(zip(spoilt, of_each, strict=True)))
+        table = list_lines(robust)
         print()
         show_table([*table[0]], [[*line.values()] for line in table], command.request.wide)
     best = predict_places(compared, found, command.request.predictions)
-    print("\nwritten to", *written(compared, command.request.name is None, robust, best), sep="\n  ")
+    print("\nwritten to", *write_comparison(compared, command.request.name is None, robust, best), sep="\n  ")
     return exit_code(results)
 
 
@@ -149,11 +149,11 @@ def rank_stored(
     newest = groups(known, [*failures, *left_out], [found.column], chosen.rows)[0]
     if newest.runs and not newest.runs[0].is_judged:
         chosen = replace(chosen, quantities=without_accuracies(chosen.quantities))
-    shown = seen([newest], chosen.rows, chosen.views)
+    shown = apply_views([newest], chosen.rows, chosen.views)
     rankings = [rank_rows(accuracy_series(group, chosen.rows)) for group in shown]
     order = [*rankings[0].table["method"]]
     ordered = sorted(chosen.rows, key=lambda row: order.index(row.name) if row.name in order else len(order))
-    return assembled(replace(chosen, rows=tuple(ordered)), shown, newest.runs, tuple(results)), rankings
+    return assemble_report(replace(chosen, rows=tuple(ordered)), shown, newest.runs, tuple(results)), rankings
 
 
 def show(found: ReportData, rankings: Sequence[Ranking], wide: bool = False) -> None:
@@ -205,7 +205,7 @@ def predict_places(compared: ReportData, found: Checked, n: int | None) -> pd.Da
     return pd.concat(tables, ignore_index=True)
 
 
-def written(
+def write_comparison(
     found: ReportData, beside_others: bool, robust: Robustness | None = None, best: pd.DataFrame | None = None
 ) -> list[Path]:
     """Write the table, its runs, figures and page of a comparison into the results folder; returns the files.
@@ -224,7 +224,7 @@ def written(
         files.append(write_csv(best, folder / f"{name}-predictions.csv"))
     if robust is not None:
         title = str(found.table.title)
-        for ending, text in (("md", markdown(robust, title)), ("csv", csv(robust))):
+        for ending, text in (("md", format_markdown(robust, title)), ("csv", format_csv(robust))):
             files.append(folder / f"{name}-robustness.{ending}")
             replace_text(files[-1], text)
     absent: list[str] = []

@@ -77,7 +77,7 @@ def _flatten(arguments: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
             yield name, value
 
 
-def fill(wanted: Sequence[Cell], store: Store, executor: Executor | None = None) -> list[JobResult]:
+def make_missing_runs(wanted: Sequence[Cell], store: Store, executor: Executor | None = None) -> list[JobResult]:
     """Make the runs that are not stored yet, by an executor or one after the other; returns the outcome of each.
 
     For a run that is stored no process is started, nor for one whose published weights cannot be had, nor for a seed

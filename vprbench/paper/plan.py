@@ -92,7 +92,7 @@ def read_plan(path: Path) -> Plan:
     return Plan(rows, more, columns, growth, (first, *more_seeds))
 
 
-def with_plug_ins(plan: Plan, folders: Mapping[str, Path]) -> Plan:
+def add_plug_ins(plan: Plan, folders: Mapping[str, Path]) -> Plan:
     """Return our plan with the rows and columns that plug-ins bring; `folders` are those of yaml files, by provider.
 
     A plug-in's `table/*.yaml` may hold `rows` and `columns` as ours does; both are shown where they are asked for by
@@ -101,8 +101,8 @@ def with_plug_ins(plan: Plan, folders: Mapping[str, Path]) -> Plan:
     rows, columns = dict(plan.more_rows), dict(plan.columns)
     ours = [*plan.rows, *rows, *columns, *(row.name for row in rows.values())]
     owners = dict.fromkeys(ours, "vprbench")
-    for provider, path in _of_plug_ins(folders):
-        more_rows, more_columns = _brought(path)
+    for provider, path in _list_plug_in_files(folders):
+        more_rows, more_columns = _read_plug_in(path)
         for name in dict.fromkeys([*more_rows, *more_columns, *(row.name for row in more_rows.values())]):
             if name in owners:
                 raise BadInput(f"{path}: {name} of {provider} has the name of one of {owners[name]}: rename it")
@@ -113,7 +113,7 @@ def with_plug_ins(plan: Plan, folders: Mapping[str, Path]) -> Plan:
     return replace(plan, more_rows=rows, columns=columns)
 
 
-def _of_plug_ins(folders: Mapping[str, Path]) -> list[tuple[str, Path]]:
+def _list_plug_in_files(folders: Mapping[str, Path]) -> list[tuple[str, Path]]:
     return [
         (provider, path)
         for provider, folder in folders.items()
@@ -122,7 +122,7 @@ def _of_plug_ins(folders: Mapping[str, Path]) -> list[tuple[str, Path]]:
     ]
 
 
-def _brought(path: Path) -> tuple[dict[str, Row], dict[str, PlannedColumn]]:
+def _read_plug_in(path: Path) -> tuple[dict[str, Row], dict[str, PlannedColumn]]:
     """Read the rows and columns of a plug-in's file."""
     with _explaining_plan_errors(path):
         content = yaml.safe_load(path.read_text(encoding="utf-8"))

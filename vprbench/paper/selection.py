@@ -84,16 +84,16 @@ def groups(
     empty group where it has no run. A dataset gains and loses options over time: runs are taken by the options that
     both have, and what else they differ in shows in their protocol. The order of `runs` changes nothing.
     """
-    ordered = sorted(runs, key=lambda run: (run.dataset, run.method, _when(run), run.key))
-    failed = sorted(failures, key=lambda failure: (failure.method, _when(failure), failure.error))
+    ordered = sorted(runs, key=lambda run: (run.dataset, run.method, _get_time(run), run.key))
+    failed = sorted(failures, key=lambda failure: (failure.method, _get_time(failure), failure.error))
     found: list[Group] = []
     for column in columns:
         alike: dict[str, list[Run]] = defaultdict(list)
         for run in ordered:
-            if _in_column(run, column) and any(_in_row(run, row) for row in rows):
+            if _belongs_to_column(run, column) and any(_belongs_to_row(run, row) for row in rows):
                 alike[f"{as_text(run.protocol)} {run.fingerprint}"].append(run)
-        newest_first = sorted(alike.items(), key=lambda item: (max(map(_when, item[1])), item[0]), reverse=True)
-        there = tuple(f for f in failed if _in_column(f, column) and any(_in_row(f, r) for r in rows))
+        newest_first = sorted(alike.items(), key=lambda item: (max(map(_get_time, item[1])), item[0]), reverse=True)
+        there = tuple(f for f in failed if _belongs_to_column(f, column) and any(_belongs_to_row(f, r) for r in rows))
         found += [
             Group(column, number, tuple(members), there if number == 1 else ())
             for number, (_, members) in enumerate(newest_first or [("", [])], 1)
@@ -109,7 +109,7 @@ def of_row(group: Group, row: Row, device: Device) -> RowRuns:
     run; all other runs are counted. Of a row with runs, failures from other machines are ignored, and "missing"
     failures of seeds that have a run.
     """
-    there = [run for run in group.runs if _in_row(run, row) and _on(run) == device]
+    there = [run for run in group.runs if _belongs_to_row(run, row) and _get_device(run) == device]
     sets: dict[str, list[Run]] = defaultdict(list)
     for run in there:
         if run.config["seed"] in row.seeds:
@@ -119,9 +119,9 @@ def of_row(group: Group, row: Row, device: Device) -> RowRuns:
     newest: dict[int, Failure] = {}
     for failure in group.failures:
         seed = failure.config["seed"]
-        if seed not in row.seeds or not _in_row(failure, row) or _on(failure) != device:
+        if seed not in row.seeds or not _belongs_to_row(failure, row) or _get_device(failure) != device:
             continue
-        is_mended = seed in chosen and (failure.missing or _when(failure) <= _when(chosen[seed]))
+        is_mended = seed in chosen and (failure.missing or _get_time(failure) <= _get_time(chosen[seed]))
         if not is_mended and (not members or _machine(failure) == _machine(members[0])):
             newest[seed] = failure
     return RowRuns(
@@ -158,7 +158,7 @@ def accuracy_series(group: Group, rows: Sequence[Row]) -> list[Series]:
     return [Series(row.name, row.spiking, runs) for row, runs in taken if runs]
 
 
-def _in_column(result: Run | Failure, column: ResolvedColumn) -> bool:
+def _belongs_to_column(result: Run | Failure, column: ResolvedColumn) -> bool:
     """Tell whether a run has the dataset, corruption and viewpoints of a column.
 
     A run has its dataset by the frames of the column, or by the options that both have, but for those that the dataset
@@ -176,7 +176,7 @@ def _in_column(result: Run | Failure, column: ResolvedColumn) -> bool:
     return "name" in both and all(as_text(wanted[name]) == as_text(theirs[name]) for name in both)
 
 
-def _in_row(result: Run | Failure, row: Row) -> bool:
+def _belongs_to_row(result: Run | Failure, row: Row) -> bool:
     """Tell whether a run's method has a row's arguments and otherwise its defaults."""
     if result.method != row.method:
         return False
@@ -187,17 +187,17 @@ def _in_row(result: Run | Failure, row: Row) -> bool:
     )
 
 
-def _on(result: Run | Failure) -> str:
+def _get_device(result: Run | Failure) -> str:
     return str(result.config.get("device", "cpu")).partition(":")[0]
 
 
-def _when(result: Run | Failure) -> str:
+def _get_time(result: Run | Failure) -> str:
     return str(result.environment.get("time_utc") or "")
 
 
 def age(run: Run) -> tuple[str, str]:
     """Return the key that sorts runs from the oldest to the newest."""
-    return _when(run), run.key
+    return _get_time(run), run.key
 
 
 def conditions(run: Run) -> dict[str, Any]:
@@ -222,18 +222,18 @@ def _machine(result: Run | Failure) -> tuple[Any, ...]:
 
 def as_text(value: Any) -> str:
     """Return plain values as text that is the same for equal ones: order, tuples and 2.0 for 2 make no difference."""
-    return json.dumps(_plain(value), sort_keys=True)
+    return json.dumps(_simplify(value), sort_keys=True)
 
 
-def _plain(value: Any) -> Any:
+def _simplify(value: Any) -> Any:
     if isinstance(value, Mapping):
-        return {str(name): _plain(inner) for name, inner in value.items()}
+        return {str(name): _simplify(inner) for name, inner in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(inner) for inner in value]
+        return [_simplify(inner) for inner in value]
     return int(value) if isinstance(value, float) and value.is_integer() else value
 
 
-def seen(groups: Sequence[Group], rows: Sequence[Row], views: Sequence[Views]) -> list[Group]:
+def apply_views(groups: Sequence[Group], rows: Sequence[Row], views: Sequence[Views]) -> list[Group]:
     """Return a group for each view of each group, of the runs that its rows show; without views the groups themselves.
 
     A run that kept no scores is a failure there, which says what to do; where no run of any group did, NoScoresError is
@@ -272,7 +272,7 @@ def title(group: Group, among: Sequence[Group]) -> str:
     protocols = [_stated_protocol(other.runs[0]) for other in versions]
     names = dict.fromkeys(n for p in protocols for n in p if not n.startswith(("sequence_", "filter_")))  # as of views
     differing = [name for name in names if any(p.get(name) != protocols[0].get(name) for p in protocols)]
-    parts = [_words({name: p[name] for name in differing if name in p}) for p in protocols]
+    parts = [_describe_parts({name: p[name] for name in differing if name in p}) for p in protocols]
     mine = parts[next(i for i, other in enumerate(versions) if other is group)]
     images = "" if mine and parts.count(mine) == 1 else f"images {group.runs[0].fingerprint[:8]}"
     return ", ".join(filter(None, [planned.title, mine, images]))
@@ -280,7 +280,7 @@ def title(group: Group, among: Sequence[Group]) -> str:
 
 def describe_protocol(run: Run) -> str:
     """Return what a run's dataset selected and how, without the numbers of its places and queries."""
-    return _words(
+    return _describe_parts(
         {name: value for name, value in _stated_protocol(run).items() if name not in ("places", "query_places")}
     )
 
@@ -291,11 +291,11 @@ def _stated_protocol(run: Run) -> dict[str, Any]:
     return {name: value for name, value in run.protocol.items() if name not in follows}
 
 
-def _words(protocol: Mapping[str, Any]) -> str:
-    return ", ".join(f"{name.replace('_', ' ')} {_word(value)}" for name, value in protocol.items())
+def _describe_parts(protocol: Mapping[str, Any]) -> str:
+    return ", ".join(f"{name.replace('_', ' ')} {_format_part(value)}" for name, value in protocol.items())
 
 
-def _word(value: Any) -> str:
+def _format_part(value: Any) -> str:
     if isinstance(value, Mapping):
         return "+".join(f"{inner} in {name}" for name, inner in value.items())
     return "+".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
