@@ -58,18 +58,6 @@ def _escape_sign(sign: str) -> str:
 
 _SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 _MACHINE, _NOTE = "table-machine", "table-note"  # ids in HTML
-_TABLES_SIDE_BY_SIDE = 2  # datasets in one table of LaTeX: more would be too small to read
-_PREAMBLE = r"""\documentclass{article}
-\usepackage[landscape,a4paper,margin=12mm]{geometry}
-\usepackage[T1]{fontenc}
-\usepackage[utf8]{inputenc}
-\usepackage{lmodern,textcomp}
-\usepackage{booktabs,graphicx} % these two are all that the tables need
-\pagestyle{empty}
-\setlength{\parindent}{0pt}
-\setlength{\parskip}{4pt}
-\raggedright
-\begin{document}"""
 
 
 @dataclass(frozen=True)
@@ -114,7 +102,6 @@ _LATEX = _Markup(
     name="{{{}}}",
     paper=r"{\quad paper}",
 )
-_FRAGMENT = replace(_LATEX, mark=lambda machine, notes: "")
 _HTML = _Markup(
     lambda text: escape(one_line(text)),
     escape,
@@ -199,37 +186,22 @@ def to_terminal(table: Table, wide: bool = False) -> str:
     return "\n".join([*parts, "", *notes, *words.list_machines(table), ""])
 
 
-def to_latex(table: Table, fragment: bool = False) -> str:
-    r"""Return a table as a LaTeX document of landscape pages, for booktabs and graphicx; any text is escaped.
+def to_latex(table: Table) -> str:
+    r"""Return a table as LaTeX for \input and booktabs, a tabular for each dataset; any text is escaped.
 
-    Two datasets stand in one table. A fragment holds the tables alone, for \input and booktabs, and the facts about
-    its numbers in comments.
+    The facts about its numbers stand in comments. The cells of Table II carry the numbers of machines and notes.
     """
-    starts = range(0, len(table.columns), _TABLES_SIDE_BY_SIDE)
-    batches = [table.columns[start : start + _TABLES_SIDE_BY_SIDE] for start in starts]
-    tabulars = [_write_tabular(lay_out(table, batch, _FRAGMENT if fragment else _LATEX)) for batch in batches]
-    units, *facts = words.list_facts(table)
-    if fragment:
-        comments = [f"{table.heading}. It needs \\usepackage{{booktabs}}.", units, *facts, *words.list_machines(table)]
-        return "\n".join([*(f"% {one_line(line)}" for line in comments), *tabulars])
-    parts = [_PREAMBLE, rf"\textbf{{{escape_latex(table.heading)}.}} {escape_latex(units)}"]
-    for batch, tabular in zip(batches, tabulars if table.rows else (), strict=bool(table.rows)):
-        for column in batch:
-            title, data = escape_latex(column.title), escape_latex(words.describe_data(column))
-            parts.append(rf"{{\footnotesize \textbf{{{title}:}} {data}\par}}")
-        fit = r"\resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}{%"
-        parts.append(f"{fit}\n\\setlength{{\\tabcolsep}}{{4pt}}{tabular}}}")
-    notes = [rf"\textsuperscript{{{n}}} {escape_latex(note)}\quad" for n, note in enumerate(table.notes, 1)]
-    machines = [rf"{escape_latex(machine)}\quad" for machine in words.list_machines(table)]
-    parts += [r"\footnotesize", "\n".join(notes), "\n".join(machines), escape_latex(" ".join(facts))]
-    return "\n\n".join(filter(None, [*parts, r"\end{document}"])) + "\n"
-
-
-def _write_tabular(frame: pd.DataFrame) -> str:
-    if frame.empty:
-        return ""
-    layout = f"@{{}}l{'l' * len(frame.columns)}@{{}}"
-    return str(frame.to_latex(column_format=layout, multicolumn_format="c")).rstrip()
+    markup = _LATEX if table.title is None else replace(_LATEX, mark=lambda machine, notes: "")
+    notes = [f"{number} {note}" for number, note in enumerate(table.notes, 1)] if table.title is None else []
+    needs = f"{table.heading}. It needs \\usepackage{{booktabs}}."
+    data = [f"{column.title}: {words.describe_data(column)}" for column in table.columns]
+    comments = [needs, *data, *words.list_facts(table), *notes, *words.list_machines(table)]
+    tabulars = []
+    for column in table.columns if table.rows else ():
+        frame = lay_out(table, [column], markup)
+        layout = f"@{{}}l{'l' * len(frame.columns)}@{{}}"
+        tabulars.append(str(frame.to_latex(column_format=layout, multicolumn_format="c")).rstrip())
+    return "\n".join([*(f"% {one_line(line)}" for line in comments), *tabulars])
 
 
 def to_html(table: Table) -> str:

@@ -30,16 +30,13 @@ def make_table(request: TableRequest, options: Sequence[str]) -> int:
 
 
 def write(found: ReportData, folder: Path, name: str) -> list[Path]:
-    """Write the table in its three formats, and all numbers of the runs behind it; returns the files.
-
-    The LaTeX of a table with a title of its own is a fragment.
-    """
+    """Write the table in its three formats, and all numbers of the runs behind it; returns the files."""
     Store(folder).prepare()
     runs = [run for group in found.groups for run in group.runs]
     texts = {
         f"{name}.md": formats.to_markdown(found.table),
         f"{name}.csv": formats.to_csv(found.table),
-        f"{name}.tex": formats.to_latex(found.table, fragment=found.table.title is not None),
+        f"{name}.tex": formats.to_latex(found.table),
         f"{name}-runs.csv": frame.format_csv(runs, found.chosen.metrics),
     }
     for file, text in texts.items():
