@@ -33,7 +33,7 @@ _ACCELERATORS = ("/dev/nvidiactl", "/dev/kfd", "/dev/dxg")  # of NVIDIA, of AMD,
 
 @dataclass(frozen=True)
 class TablePlan:
-    """The rows and columns that were asked for, resolved."""
+    """The rows and columns of a request, resolved."""
 
     plan: Plan
     rows: tuple[Row, ...]
@@ -46,7 +46,7 @@ class TablePlan:
     stored: bool = False  # nothing is run
     title: str | None = None  # of a table that is not the paper's
     quantities: tuple[Quantity, ...] = QUANTITIES
-    views: tuple[Views, ...] = ()  # what is shown of the stored runs; none: the runs themselves
+    views: tuple[Views, ...] = ()  # views of the stored runs that are shown; none: the runs themselves
 
     def slow(self, column: ResolvedColumn, row: Row) -> bool:
         """Tell whether a row takes too long in a column for the time that a table has."""
@@ -57,17 +57,17 @@ class TablePlan:
 
 @dataclass(frozen=True)
 class ReportData:
-    """What a table, figures and a report are made from."""
+    """The data of a table, of figures and of a report."""
 
     chosen: TablePlan
     groups: tuple[Group, ...]
     table: Table
     runs: tuple[Run, ...]  # all that are stored
-    job_results: tuple[JobResult, ...]  # of what was tried now
+    job_results: tuple[JobResult, ...]  # of the runs that were tried now
 
 
 def choose(request: TableRequest) -> TablePlan:
-    """Resolve what was asked for against conf/table.yaml; raises BadInput for rows or columns that are unknown."""
+    """Resolve a request against conf/table.yaml; raises BadInput for rows or columns that are unknown."""
     folders = registry.conf_folders()
     plan = add_plug_ins(read_plan(folders["vprbench"] / "table.yaml"), folders)
     rows = {name: _require_known("rows", name, plan.rows) for name in request.rows or plan.rows}
@@ -99,10 +99,10 @@ def choose(request: TableRequest) -> TablePlan:
 
 
 def gather(chosen: TablePlan, options: Sequence[str], executor: Executor | None = None) -> ReportData:
-    """Make the runs that are wanted and not stored, unless `stored` was asked for, and put the stored ones together.
+    """Make the runs that are not stored, unless `chosen.stored` is set, and put the stored ones together.
 
-    The smallest datasets come first, and rows that are slow at full size last. `options` of the command line are those
-    of all runs. Raises BadInput if there is no run at all.
+    The smallest datasets come first, and rows that are slow at full size last. `options` of the command line hold
+    for all runs. Raises BadInput if there is no run at all.
     """
     columns = sorted(chosen.columns, key=lambda column: column.dataset.get("places") or 0)
     cells = [
@@ -119,7 +119,7 @@ def gather(chosen: TablePlan, options: Sequence[str], executor: Executor | None 
 
 
 def run_missing(chosen: TablePlan, cells: Sequence[Cell], executor: Executor | None = None) -> list[JobResult]:
-    """Make those of some runs that are not stored, none if `stored` was asked for; returns the outcome of each."""
+    """Make the runs that are not stored, none if `chosen.stored` is set; returns the outcome of each."""
     return [] if chosen.stored else make_missing_runs(cells, Store(results_folder(chosen.results)), executor)
 
 
@@ -149,7 +149,7 @@ def stored(request: TableRequest | TablePlan) -> tuple[list[Run], list[Failure]]
 
 
 def runs_of(chosen: TablePlan, column: ResolvedColumn, rows: Sequence[Row], options: Sequence[str]) -> Iterator[Cell]:
-    """Yield the runs of some rows in one column; `options` of the command line are those of all runs."""
+    """Yield the runs of some rows in one column; `options` of the command line hold for all runs."""
     planned = column.planned
     values: dict[str, Any] = {"results": str(results_folder(chosen.results))}
     if {*chosen.metrics} & {*GROUPS["energy"]}:
@@ -166,13 +166,13 @@ def runs_of(chosen: TablePlan, column: ResolvedColumn, rows: Sequence[Row], opti
 
 
 def _choose_seeds(row: Row, request: TableRequest) -> Row:
-    """Return a row with the seeds that were asked for, or with as many as there is time for."""
+    """Return a row with the seeds of the request, or with as many as there is time for."""
     most = request.seeds if request.full or request.seeds is not None else row.seeds_unless_full
     return replace(row, seeds=row.seeds[:most])
 
 
 def _make_row(plan: Plan, name: str, request: TableRequest) -> Row:
-    """Return a row of the plan, or one for a method; raises BadInput for what is neither known here nor stored.
+    """Return a row of the plan, or one for a method; raises BadInput for a name that is neither known here nor stored.
 
     A method that the plan has under its own name, and no arguments, is that row. Another one that takes a seed learns
     from it: it trains, and gets the plan's seeds.
@@ -205,13 +205,13 @@ def _choose_columns(plan: Plan, request: TableRequest) -> list[str]:
 
 
 def _format_root(column: PlannedColumn, request: TableRequest) -> tuple[str, ...]:
-    """Return the option that says where the frames of a column lie, where that was asked for."""
+    """Return the option with the folder of a column's frames, where the request has one."""
     folder = None if column.frames is None else getattr(request, column.frames, None)
     return () if folder is None else (f"dataset.root={Path(folder).expanduser().absolute()}",)
 
 
 def _list_devices() -> list[str]:
-    """Return the CPU, and the GPU where torch sees one; torch is asked only where the system names an accelerator."""
+    """Return the CPU, and the GPU where torch sees one; torch is imported only where an accelerator is known."""
     if shutil.which("nvidia-smi") is None and not any(map(os.path.exists, _ACCELERATORS)):
         return ["cpu"]
     import torch  # takes long

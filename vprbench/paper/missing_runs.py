@@ -52,7 +52,7 @@ def make_cell(row: Row, title: str, options: Sequence[str], values: Mapping[str,
     Args:
         row: the method and its arguments.
         title: the title of the dataset.
-        options: of the command line, those of the dataset among them.
+        options: of the command line, with the dataset's.
         values: more options by their dotted names, as seed and device.
     """
     arguments = {f"method.{name}": value for name, value in _flatten(row.arguments)}
@@ -69,7 +69,7 @@ def make_cell(row: Row, title: str, options: Sequence[str], values: Mapping[str,
 
 
 def _flatten(arguments: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-    """Yield arguments, those of mappings by dotted names."""
+    """Yield arguments; a value inside a mapping has a dotted name."""
     for name, value in arguments.items():
         if isinstance(value, Mapping) and value:
             yield from ((f"{name}.{inner}", given) for inner, given in _flatten(value))

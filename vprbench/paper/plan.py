@@ -1,4 +1,4 @@
-"""What Table II and the figures are made of: rows, columns and sizes of the growth."""
+"""The parts of Table II and of the figures: rows, columns and sizes of the growth."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ import yaml
 
 from vprbench.errors import BadInput
 
-Boundary = Literal["encode", "match"]  # what the paper's query rate of a row covers
-Training = Literal["own", "none", "pretrained", "map"]  # map: it learns which place looks like what, and nothing else
+Boundary = Literal["encode", "match"]  # the step that the paper's query rate of a row covers
+Training = Literal["own", "none", "pretrained", "map"]  # map: it builds the map and trains nothing
 
 
 @dataclass(frozen=True)
 class Row:
-    """A row of the table: a method with the arguments that set it apart, and what the paper timed of it."""
+    """A row of the table: a method with the arguments that set it apart, and the step that the paper timed."""
 
     name: str
     method: str
@@ -27,7 +27,7 @@ class Row:
     spiking: bool = False  # stands below the rule that ends the conventional methods
     arguments: Mapping[str, Any] = field(default_factory=dict)
     seeds: tuple[int, ...] = (0,)
-    rate_remark: str | None = None  # what is known of how the paper timed its queries
+    rate_remark: str | None = None  # fixed words on how the paper timed its queries
     most_places: int | None = None  # with more it takes too long for a table; None: any number
     seeds_unless_full: int | None = None  # the first so many of `seeds` unless slow rows are to run in full; None: all
 
@@ -46,9 +46,9 @@ class PlannedColumn:
     options: tuple[str, ...]  # of the command line
     published: str | None = None  # the dataset of the paper's table
     stand_in_for: str | None = None  # the column of real frames that a rendered one stands in for
-    on_request: bool = False  # shown where it is asked for by name alone
+    on_request: bool = False  # shown only where columns= names it
     frames: str | None = None  # the option of a table that gives the root of its dataset
-    remark: str | None = None  # what a reader of the table has to know of the data
+    remark: str | None = None  # fixed words on the data
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class Plan:
     more_rows: Mapping[str, Row]  # on request
     columns: Mapping[str, PlannedColumn]
     growth: Growth
-    seeds: tuple[int, ...] = (0,)  # of rows that are asked for by their method's name and learn from a seed
+    seeds: tuple[int, ...] = (0,)  # of rows that methods= names by their method and that learn from a seed
 
 
 def read_plan(path: Path) -> Plan:

@@ -17,7 +17,7 @@ PROTOCOLS = {
 
 
 def published() -> dict[tuple[str, str], dict[str, float | None]]:
-    """Return what the paper printed in Table II, by row and dataset: R@1 in %, training in minutes, queries in Hz.
+    """Return the numbers of the paper's Table II, by row and dataset: R@1 in %, training in minutes, queries in Hz.
 
     None is its "-". Source: VPRTempo (ICRA 2024), Table II.
     """

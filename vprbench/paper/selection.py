@@ -47,7 +47,7 @@ class Group:
     column: ResolvedColumn
     number: int  # 1 holds the newest run of the column; older protocols and images are numbered on
     runs: tuple[Run, ...]  # of all rows, devices and seeds
-    failures: tuple[Failure, ...]  # all in number 1: what failed has no images
+    failures: tuple[Failure, ...]  # all in number 1, for a failure has no images
     view: str = ""  # in the names of files, where runs are shown in a view
 
     @property
@@ -82,7 +82,7 @@ def groups(
 
     A column gives one group for each protocol and version of its images, the one with the newest run first, and an
     empty group where it has no run. A dataset gains and loses options over time: runs are taken by the options that
-    both have, and what else they differ in shows in their protocol. The order of `runs` changes nothing.
+    both have, and other differences show in their protocol. The order of `runs` changes nothing.
     """
     ordered = sorted(runs, key=lambda run: (run.dataset, run.method, _get_time(run), run.key))
     failed = sorted(failures, key=lambda failure: (failure.method, _get_time(failure), failure.error))
@@ -105,7 +105,7 @@ def of_row(group: Group, row: Row, device: Device) -> RowRuns:
     """Return one run per seed, all made by the same code, settings and machine.
 
     Runs that differ in code, defaults, weights, libraries, threads or machine are never put together.
-    Of such sets the complete ones come first, then those that trained instead of loading, then the one with the newest
+    Of such sets the complete ones come first, then sets that trained instead of loading, then the one with the newest
     run; all other runs are counted. Of a row with runs, failures from other machines are ignored, and "missing"
     failures of seeds that have a run.
     """
@@ -161,8 +161,8 @@ def accuracy_series(group: Group, rows: Sequence[Row]) -> list[Series]:
 def _belongs_to_column(result: Run | Failure, column: ResolvedColumn) -> bool:
     """Tell whether a run has the dataset, corruption and viewpoints of a column.
 
-    A run has its dataset by the frames of the column, or by the options that both have, but for those that the dataset
-    declares to be places on disk (`on_disk` in its yaml). A failure, which has no frames, is compared by the options.
+    A run is compared by the frames of the column. Without these, and for a failure, all options count that both have,
+    except places on disk (`on_disk` in the dataset's yaml).
     """
     given = result.config
     if given.get("corruption") != column.corruption or viewpoints(given.get("views")) != viewpoints(column.views):
@@ -236,8 +236,8 @@ def _simplify(value: Any) -> Any:
 def apply_views(groups: Sequence[Group], rows: Sequence[Row], views: Sequence[Views]) -> list[Group]:
     """Return a group for each view of each group, of the runs that its rows show; without views the groups themselves.
 
-    A run that kept no scores is a failure there, which says what to do; where no run of any group did, NoScoresError is
-    raised. Of several views none keeps its scores, which may fill the memory.
+    A run that kept no scores is a failure there, which names the remedy. Of several views none keeps its scores, which
+    may fill the memory. Raises NoScoresError where no run of any group kept scores.
     """
     if not views:
         return list(groups)
@@ -279,7 +279,7 @@ def title(group: Group, among: Sequence[Group]) -> str:
 
 
 def describe_protocol(run: Run) -> str:
-    """Return what a run's dataset selected and how, without the numbers of its places and queries."""
+    """Return the protocol of a run in words, without the numbers of its places and queries."""
     return _describe_parts(
         {name: value for name, value in _stated_protocol(run).items() if name not in ("places", "query_places")}
     )
