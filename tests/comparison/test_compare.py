@@ -46,7 +46,7 @@ def compared(tmp_path_factory):
 @pytest.fixture
 def apart(compared, monkeypatch):
     """Stand in the folder of the comparison, with nothing to be written; returns what stands in for processes."""
-    monkeypatch.setattr(make, "written", lambda *_: [])
+    monkeypatch.setattr(make, "write_comparison", lambda *_: [])
     return install(monkeypatch, compared[0])
 
 
@@ -90,7 +90,7 @@ def test_the_best_ten_places_of_each_query_are_written_for_every_run_or_as_many_
     assert names[1::2] == [(f"{place}.png", f"{place}.png") for place in range(1, 24, 2)]  # the others are noise
     assert {line["right"] for line in of_sad[1::2]} == {"True"}
     given = []
-    monkeypatch.setattr(make, "written", lambda *each: given.append(each[-1]) or [])
+    monkeypatch.setattr(make, "write_comparison", lambda *each: given.append(each[-1]) or [])
     for number in ("0", "2"):
         assert main([*ASKED, *METHODS, *dataset(Path()), "stored=true", f"predictions={number}"]) == 0
     assert (given[0], len(given[1])) == (None, 3 * 24 * 2)

@@ -76,7 +76,7 @@ def test_what_is_stored_is_found_by_all_commands_and_clean_frames_are_compared_a
     apart, monkeypatch, capsys
 ):
     shown = []
-    monkeypatch.setattr(make, "written", lambda one, *_: shown.append(one) or [])
+    monkeypatch.setattr(make, "write_comparison", lambda one, *_: shown.append(one) or [])
     for more in [], ["stored=true"]:
         assert main([*ASKED, UNDER, *more]) == 0
         assert "noise ±5" in capsys.readouterr().out
@@ -98,7 +98,7 @@ def test_what_is_stored_is_found_by_all_commands_and_clean_frames_are_compared_a
     ("options", "word"),
     [
         ([*ASKED, "corruptions=[shfit]"], "shift"),
-        ([*ASKED, "corruption=shift-1"], "corruptions=shift-1"),
+        ([*ASKED, "corruption=shift-1"], "corruptions=NAME"),
         (["table", "corruption=shift-1"], "clean"),
         (["corruption=shift-9"], "1 to 3"),
     ],

@@ -116,7 +116,7 @@ def test_a_run_retrieves_and_shows_no_accuracy_and_its_json_holds_null(drives, c
 def test_a_comparison_ranks_nothing_and_draws_no_accuracy(drives, capsys, monkeypatch, tmp_path):
     given = []
     install(monkeypatch, tmp_path)
-    monkeypatch.setattr(make, "written", lambda *each: given.append(each) or [])
+    monkeypatch.setattr(make, "write_comparison", lambda *each: given.append(each) or [])
     assert main(["compare", "methods=sad,hog", "metrics=[f1_max]", *drives]) == 0
     shown = capsys.readouterr().out
     assert all(word not in shown for word in ("R@", "AUC", "F1", "wrong", "miss"))

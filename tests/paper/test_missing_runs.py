@@ -14,7 +14,7 @@ from vprbench.cli import main
 from vprbench.jobs import executors
 from vprbench.jobs.job import JobResult
 from vprbench.paper import missing_runs, stored_runs
-from vprbench.paper.missing_runs import fill, make_cell
+from vprbench.paper.missing_runs import make_cell, make_missing_runs
 from vprbench.paper.plan import Row
 from vprbench.runs.request import RunRequest
 from vprbench.runs.store import Store
@@ -50,18 +50,18 @@ def test_a_run_is_asked_for_by_its_request_and_one_without_its_method_is_a_failu
     asked = children(JobResult(0))
     row = Row("Big patches", "sad", arguments={"patch": 14, "preprocessing": "A"})
     cell = a_cell(row, seed=3)
-    assert fill([cell], store) == [JobResult(0)]
+    assert make_missing_runs([cell], store) == [JobResult(0)]
     assert asked == [cell.request]
     assert (asked[0].changed, asked[0].seed, asked[0].dataset["places"]) == (row.arguments, 3, 20)
     asked = children()
     row = Row("Nothing", "no_such_method", seeds=(0, 1))
-    endings = fill([a_cell(row, 0), a_cell(row, 1)], store)
+    endings = make_missing_runs([a_cell(row, 0), a_cell(row, 1)], store)
     assert [(ending.code, ending.missing) for ending in endings] == [(2, True), (2, True)]
     (failure,) = store.failures()
     assert (failure.method, failure.dataset, failure.missing) == ("no_such_method", "synthetic", True)
     assert "no_such_method" in failure.error
-    assert fill([a_cell(Row("HOG", "hog"), device="cuda")], store) == [JobResult(0)]  # it knows no device
-    (ending,) = fill([a_cell(Row("SAD of colours", "sad", arguments={"colours": 3}))], store)
+    assert make_missing_runs([a_cell(Row("HOG", "hog"), device="cuda")], store) == [JobResult(0)]  # it knows no device
+    (ending,) = make_missing_runs([a_cell(Row("SAD of colours", "sad", arguments={"colours": 3}))], store)
     assert (ending.code, ending.missing, "method.colours is unknown to sad" in ending.error) == (2, False, True)
     assert asked == []
 
@@ -71,16 +71,16 @@ def test_weights_that_are_missing_are_looked_for_once_and_without_a_process(monk
     asked = children(JobResult(0))
     row = Row("GCL", "gcl", arguments={"backbone": "vgg16"}, training="pretrained")
     cells = [a_cell(row), a_cell(row, title="Route", options=["dataset.name=route"])]
-    assert [(ending.code, ending.missing) for ending in fill(cells, store)] == [(2, True)] * 2
+    assert [(ending.code, ending.missing) for ending in make_missing_runs(cells, store)] == [(2, True)] * 2
     told = {(each.dataset, each.missing, "MSLS_vgg16_GeM_480_GCL.pth" in each.error) for each in store.failures()}
     assert told == {("synthetic", True, True), ("route", True, True)}
     assert asked == []
     (tmp_path / "MSLS_vgg16_GeM_480_GCL.pth").write_bytes(b"what is in it is for the process to see")
-    assert fill(cells[:1], store) == [JobResult(0)]
+    assert make_missing_runs(cells[:1], store) == [JobResult(0)]
     assert len(asked) == 1
     missing = JobResult(2, "weights are missing", True)  # as a process tells of its first seed
     asked = children(missing, JobResult(0))
-    endings = fill([a_cell(seed=0), a_cell(seed=1), a_cell(Row("PCA", "pca"))], store)
+    endings = make_missing_runs([a_cell(seed=0), a_cell(seed=1), a_cell(Row("PCA", "pca"))], store)
     assert (endings, len(asked)) == ([missing, missing, JobResult(0)], 2)
 
 
@@ -88,7 +88,7 @@ def test_a_failure_of_one_seed_is_stored_and_does_not_stop_the_next(children, st
     killed = JobResult(1, "was ended by signal 9")
     children(killed, JobResult(0))
     cells = [a_cell(seed=seed, results=str(store.root)) for seed in range(2)]
-    assert [ending.code for ending in fill(cells, store)] == [1, 0]
+    assert [ending.code for ending in make_missing_runs(cells, store)] == [1, 0]
     (failure,) = store.failures()
     assert (failure.error, failure.missing, failure.config["seed"]) == ("was ended by signal 9", False, 0)
     assert main(["method=sad", *ROUTE, "seed=0", "timing=none", f"results={store.root}"]) == 0
@@ -119,7 +119,7 @@ def test_a_process_is_started_only_for_what_is_not_stored_as_it_would_be_made_no
     asked = children(JobResult(0))
     for name, value in patched.items():
         monkeypatch.setattr(stored_runs, name, lambda _, value=value: value)
-    assert fill([cell], Store(made[0] / "results")) == [JobResult(0)]
+    assert make_missing_runs([cell], Store(made[0] / "results")) == [JobResult(0)]
     assert len(asked) == n_processes
 
 
@@ -128,9 +128,9 @@ def test_frames_that_were_removed_are_kept_again_by_a_process(copied, children):
     assert missing_runs.results_folder("mine") == Path.cwd() / "mine"  # which a process elsewhere finds, too
     asked = children(JobResult(0))
     without = replace(STORED, request=replace(STORED.request, frames=False))
-    fill([without], Store(Path("results")))
+    make_missing_runs([without], Store(Path("results")))
     assert asked == []
-    fill([STORED], Store(Path("results")))
+    make_missing_runs([STORED], Store(Path("results")))
     assert len(asked) == 1
 
 
@@ -174,10 +174,10 @@ def test_on_a_terminal_a_table_fills_with_what_is_stored_and_leaves_it_clean_if_
     monkeypatch.setattr(executors, "run_in_child", failing)
     store = Store(tmp_path / "results")
     shutil.copytree(made[0] / "results", store.root)
-    assert [ending.code for ending in fill(cells, store)] == [0, 1]
-    for text in ("note: a warning", "\x1b[31mvprbench: it failed", " %  ", " Hz", "1 of 2, 1 running, 0 waiting"):
+    assert [ending.code for ending in make_missing_runs(cells, store)] == [0, 1]
+    for text in ("note: a warning", "\x1b[31mvprbench: it failed", "done", "1 of 2, 1 running, 0 waiting"):
         assert text in screen.getvalue()
     monkeypatch.setattr(executors, "run_in_child", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        fill(cells, store)
+        make_missing_runs(cells, store)
     assert screen.getvalue().rindex("\x1b[?25h") > screen.getvalue().rindex("\x1b[?25l")  # the cursor is there again

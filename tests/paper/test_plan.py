@@ -8,7 +8,7 @@ from checkout import ROOT
 from vprbench.config import make_request
 from vprbench.errors import BadInput
 from vprbench.paper.gather import TableRequest, choose, runs_of
-from vprbench.paper.plan import read_plan, with_plug_ins
+from vprbench.paper.plan import add_plug_ins, read_plan
 from vprbench.paper.published import published
 from vprbench.plugins import registry
 
@@ -156,7 +156,7 @@ def test_a_plug_in_brings_rows_and_columns_that_are_asked_for_by_name_and_others
 )
 def test_a_plug_in_that_takes_a_name_or_means_nothing_is_refused(content, names, plan, tmp_path):
     with pytest.raises(BadInput) as refused:
-        with_plug_ins(plan, plugged_in(tmp_path, drawer=PLUG_IN, shelf=content))
+        add_plug_ins(plan, plugged_in(tmp_path, drawer=PLUG_IN, shelf=content))
     assert [name for name in names if name not in str(refused.value)] == []
 
 

@@ -12,7 +12,7 @@ from little import unanswerable_run
 from vprbench.errors import BadInput
 from vprbench.paper import robustness as text
 from vprbench.paper.figures.accuracy import draw_robustness
-from vprbench.paper.robustness import robustness
+from vprbench.paper.robustness import measure_robustness
 from vprbench.runs.corruption import Corruption
 from vprbench.runs.frame import iterate_rows
 
@@ -31,7 +31,7 @@ def found():
         STRONG: [row("sad", 0.1), row("tempo", 0.2, 0.3)],
         BLUR: [row("tempo", 0.8, 0.9), row("other", 0.3)],
     }
-    return robustness([row("sad", 0.5), row("tempo", 0.8, 0.9)], spoilt)
+    return measure_robustness([row("sad", 0.5), row("tempo", 0.8, 0.9)], spoilt)
 
 
 def test_a_drop_is_the_clean_mean_over_the_seeds_less_that_under_the_corruption(found):
@@ -50,19 +50,19 @@ def test_a_drop_is_the_clean_mean_over_the_seeds_less_that_under_the_corruption(
     assert strong.low < 0.1 < strong.high
     assert 0 < (strong.drop_low or 0) < 0.4 < (strong.drop_high or 0)
     with pytest.raises(BadInput, match="right place"):
-        robustness([series("little", unanswerable_run())], {})
+        measure_robustness([series("little", unanswerable_run())], {})
 
 
 def test_the_table_brackets_what_no_test_separates_from_clean_frames_and_dashes_what_was_not_run(found):
-    assert [[*line.values()] for line in text.lines(found)] == [
+    assert [[*line.values()] for line in text.list_lines(found)] == [
         ["clean", "50.0", "85.0"],
         ["shift 1/8 px", "(2.5)/40.0", "(5.0)/60.0"],
         ["blur 2 %", "-", "(0.0)"],
     ]
-    document = text.markdown(found, "a_route")
+    document = text.format_markdown(found, "a_route")
     assert re.search(r"^\| shift 1/8 px +\| \(2.5\)/40.0 +\| \(5.0\)/60.0 +\|$", document, re.MULTILINE)
     assert "- shift: queries moved left or right by 1, 8 px" in document
-    rows = list(csv.DictReader(StringIO(text.csv(found))))
+    rows = list(csv.DictReader(StringIO(text.format_csv(found))))
     assert [(line["method"], line["kind"], line["amount"]) for line in rows][2] == ("sad", "shift", "1 px")
 
 
@@ -77,7 +77,7 @@ def test_the_figure_has_a_panel_for_each_kind_begins_on_clean_frames_and_has_few
     ]
     assert [tick.get_text() for tick in panels[0].get_xticklabels()] == ["clean", "1 px", "8 px"]
     assert "Shift: queries moved left or right by 1, 8 px, borders repeated." in figure.caption
-    many = robustness([row(name, 0.5) for name in "abcde"], {WEAK: [row("a", 0.4)]})
+    many = measure_robustness([row(name, 0.5) for name in "abcde"], {WEAK: [row("a", 0.4)]})
     for each, n_bands in ((many, 0), (found, 2)):
         told = len(draw_robustness(each).figure.axes[0].collections), "interval" in draw_robustness(each).caption
         assert told == (n_bands, n_bands > 0)

@@ -14,7 +14,7 @@ from vprbench.data.doctor import check_dataset, look_at_some
 from vprbench.errors import BadInput, NotFittedError, NotThere
 from vprbench.paper.plan import PlannedColumn, Row
 from vprbench.paper.run_options import CompareRequest
-from vprbench.paper.selection import ResolvedColumn
+from vprbench.paper.selection import Frames, ResolvedColumn
 from vprbench.plugins import registry
 from vprbench.plugins.options import parse_options
 from vprbench.progress import progress_shown, report
@@ -44,48 +44,40 @@ def sort_options(options: Sequence[str]) -> SortedOptions:
     known = (*CompareRequest.__dataclass_fields__, "dataset", "device", *OPTIONS)
     for option in options:
         name = option.partition("=")[0]
+        above = name.partition(".")[0]
+        if above in CompareRequest.refused:
+            raise BadInput(
+                f"{option}: a comparison takes methods=NAME,NAME, seeds=NUMBER, corruptions=NAME,NAME, and "
+                "NAME.option=value for an option of one of the methods"
+            )
         if "." not in name and name not in known:
             raise BadInput(f"option {name} is unknown: {near(name, known)}")
-        if name == "corruption":
-            raise BadInput(
-                f"{option}: give corruptions{option.removeprefix(name)}, beside which clean frames are asked"
-            )
-        if name.partition(".")[0] in CompareRequest.refused:
-            raise BadInput(
-                f"{option}: a comparison takes methods=NAME,NAME and seeds=NUMBER, and NAME.option=value for an "
-                "option of one of the methods"
-            )
         if name == "device":
             own.append(f"devices{option.removeprefix('device')}")
         elif CompareRequest.has(option):
             own.append(option)
         else:
-            (of_dataset if name.partition(".")[0] == "dataset" else rest).append(option)
-    if not any(option.startswith("methods=") for option in own):
-        raise BadInput("methods= is missing: name what is compared, as in methods=sad,hog; see vprbench list")
-    if not any(option.startswith("dataset=") for option in of_dataset):
-        raise BadInput("dataset= is missing: name the data, as in dataset=folders; see vprbench list")
+            (of_dataset if above == "dataset" else rest).append(option)
+    for name, given in (("methods", own), ("dataset", of_dataset)):
+        if not any(option.startswith(f"{name}=") for option in given):
+            raise BadInput(f"{name}= is missing: give names, as in methods=sad,hog dataset=folders; see vprbench list")
     request = parse_options(CompareRequest, own, {})
-    methods = {name: [f"method{o.removeprefix(name)}" for o in rest if _is_of(o, name)] for name in request.methods}
-    for name, given in methods.items():
-        if run_wide := [o for o in given if o.partition("=")[0] in ("method.seed", "method.device")]:
-            raise BadInput(
-                f"{name}.{run_wide[0].removeprefix('method.')}: give seeds=NUMBER and device=, for all methods"
-            )
-    of_runs = [option for option in rest if not any(_is_of(option, name) for name in methods)]
-    for option in of_runs:
+    methods: dict[str, list[str]] = {name: [] for name in request.methods}
+    of_runs: list[str] = []
+    for option in rest:
         above, dot, argument = option.partition("=")[0].partition(".")
-        if dot and above not in OPTIONS:
+        if dot and above in methods:
+            if argument in ("seed", "device"):
+                raise BadInput(f"{option}: give seeds=NUMBER and device=, for all methods")
+            methods[above].append(f"method{option.removeprefix(above)}")
+        elif dot and above not in OPTIONS:
             wanted = ", ".join(f"{name}.{argument}" for name in methods)
             raise BadInput(f"option {above}.{argument} is of no method here: give {wanted}")
+        else:
+            of_runs.append(option)
     if not any(option.startswith("timing=") for option in of_runs):
         of_runs = ["timing=quick", *of_runs]
-    of_runs += request.threads(of_runs)
-    return SortedOptions(request, methods, tuple(of_dataset), tuple(of_runs))
-
-
-def _is_of(option: str, name: str) -> bool:
-    return option.partition("=")[0].startswith(f"{name}.")
+    return SortedOptions(request, methods, tuple(of_dataset), (*of_runs, *request.threads(of_runs)))
 
 
 @dataclass(frozen=True)
@@ -104,7 +96,6 @@ class Checked:
     cells: tuple[Cell, ...]
     request: RunRequest  # of its dataset, with the options of all runs
     dataset: Dataset | None  # None: it cannot be built, and only stored runs are asked for
-    images: str  # fingerprint of its frames
     looked: str | None = None  # what a quick look at some frames found, and which command says more
 
 
@@ -116,22 +107,19 @@ def check_comparison(command: SortedOptions) -> tuple[Checked | None, list[str]]
     wrong: list[str] = []
     stored = command.request.stored
     options = [*command.of_dataset, *command.of_runs, f"device={command.request.devices[0]}"]
-    unknown = _unknown("dataset", _choice(command.of_dataset, "dataset"), command.of_dataset)
-    if unknown:
-        raise BadInput(unknown)
     request = make_request(options, {"results": command.request.results})
     if not command.request.is_distributed and not stored:
         request.require_machine()
     if wanted := command.request.predictions:
         require_depth(wanted, request.depth, wanted)
     dataset: Dataset | None = None
-    images, looked = "", None
+    frames, looked = None, None
     with progress_shown("compare"):
         try:
             dataset = record_viewpoints(registry.make_dataset(request.dataset), parse_viewpoints(command.request.views))
             check_dataset(dataset, bool(parse_views(command.request.sequence, command.request.filter)))
-            images = fingerprint(dataset)
-            looked = None if stored else _looked(dataset, command.of_dataset)
+            frames = frames_of(dataset, request)
+            looked = None if stored else _look_at_frames(dataset, command.of_dataset)
         except BadInput as error:
             wrong += [] if stored else [str(error)]
         cells = []
@@ -139,7 +127,7 @@ def check_comparison(command: SortedOptions) -> tuple[Checked | None, list[str]]
             report(f"looking at {name}", number / len(command.of_methods))
             try:
                 settings = split_sweep(command.of_methods[name])
-                cells += [_cell(name, given, command, options, dataset) for given in settings]
+                cells += [_check_method(name, given, command, options, dataset) for given in settings]
             except BadInput as error:
                 told = str(error).removeprefix(f"{name}: ").replace("method.", f"{name}.")
                 wrong.append(f"{name}: {told}")
@@ -147,25 +135,27 @@ def check_comparison(command: SortedOptions) -> tuple[Checked | None, list[str]]
         return None, wrong
     title = command.request.name or request.dataset_name
     planned = PlannedColumn(title, title, command.of_dataset)
-    column = ResolvedColumn(planned, request.dataset, views=command.request.views)
-    return Checked(column, tuple(cells), request, dataset, images, looked), []
+    column = ResolvedColumn(planned, request.dataset, views=command.request.views, frames=frames)
+    return Checked(column, tuple(cells), request, dataset, looked), []
 
 
-def _looked(dataset: Dataset, options: Sequence[str]) -> str | None:
+def frames_of(dataset: Dataset, request: RunRequest) -> Frames:
+    """Return the frames, places and threads by which runs on a dataset are known."""
+    return Frames(fingerprint(dataset), dataset.protocol, request.n_threads)
+
+
+def _look_at_frames(dataset: Dataset, options: Sequence[str]) -> str | None:
     """Return what a look at some frames found, and the command that looks at all of them; None: nothing."""
     found = look_at_some(dataset)
     return f"{'; '.join(found)}: {shlex.join(['vprbench', 'doctor', *options])} says more" if found else None
 
 
-def _cell(
+def _check_method(
     name: str, given: Sequence[str], command: SortedOptions, options: Sequence[str], dataset: Dataset | None
 ) -> Cell:
     """Look at one method with its `given` options; raises BadInput for what is wrong with it."""
-    known = registry.entries("method")
-    if unknown := _unknown("method", name, given):
-        raise BadInput(unknown)
     request = make_request([*options, f"method={name}", *given])
-    entry = known.get(name)
+    entry = registry.entries("method").get(name)
     seeded = "seed" in (request.method if entry is None else entry.options)
     row = Row(
         " ".join([name, *(option.removeprefix("method.") for option in given)]),
@@ -191,19 +181,3 @@ def _cell(
     except Exception as error:  # whatever a plug-in raises
         raise BadInput(f"{type(error).__name__}: {error}") from error
     return Cell(row)
-
-
-def _unknown(group: registry.Group, name: str, options: Sequence[str]) -> str | None:
-    """Return what is to be said of a name, or of an option, that is unknown."""
-    known = registry.entries(group)
-    if name not in known:
-        return None if ":" in name else f"{group}={name} is unknown: {registry.near(name, known)}"
-    for option in options:
-        above, _, argument = option.partition("=")[0].partition(".")
-        if above == group and argument and argument.split(".")[0] not in known[name].options:
-            return f"option {argument} is unknown to {name}: {registry.near(argument, known[name].options)}"
-    return None
-
-
-def _choice(options: Sequence[str], group: str) -> str:
-    return next((option.partition("=")[2] for option in options if option.startswith(f"{group}=")), "")

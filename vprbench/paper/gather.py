@@ -15,10 +15,10 @@ from vprbench.errors import BadInput
 from vprbench.jobs.executors import Executor
 from vprbench.jobs.job import JobResult
 from vprbench.metrics.registry import GROUPS
-from vprbench.paper.missing_runs import Cell, Watch, fill, make_cell, results_folder
-from vprbench.paper.plan import Plan, PlannedColumn, Row, read_plan, with_plug_ins
+from vprbench.paper.missing_runs import Cell, make_cell, make_missing_runs, results_folder
+from vprbench.paper.plan import Plan, PlannedColumn, Row, add_plug_ins, read_plan
 from vprbench.paper.run_options import TableRequest
-from vprbench.paper.selection import Group, ResolvedColumn, groups, seen
+from vprbench.paper.selection import Group, ResolvedColumn, apply_views, groups
 from vprbench.paper.table.cells import Table, assemble
 from vprbench.paper.table.quantities import QUANTITIES, Quantity, quantities
 from vprbench.plugins import registry
@@ -33,7 +33,7 @@ _ACCELERATORS = ("/dev/nvidiactl", "/dev/kfd", "/dev/dxg")  # of NVIDIA, of AMD,
 
 @dataclass(frozen=True)
 class TablePlan:
-    """The rows and columns that were asked for, resolved."""
+    """The rows and columns of a request, resolved."""
 
     plan: Plan
     rows: tuple[Row, ...]
@@ -46,7 +46,7 @@ class TablePlan:
     stored: bool = False  # nothing is run
     title: str | None = None  # of a table that is not the paper's
     quantities: tuple[Quantity, ...] = QUANTITIES
-    views: tuple[Views, ...] = ()  # what is shown of the stored runs; none: the runs themselves
+    views: tuple[Views, ...] = ()  # views of the stored runs that are shown; none: the runs themselves
 
     def slow(self, column: ResolvedColumn, row: Row) -> bool:
         """Tell whether a row takes too long in a column for the time that a table has."""
@@ -57,36 +57,37 @@ class TablePlan:
 
 @dataclass(frozen=True)
 class ReportData:
-    """What a table, figures and a report are made from."""
+    """The data of a table, of figures and of a report."""
 
     chosen: TablePlan
     groups: tuple[Group, ...]
     table: Table
     runs: tuple[Run, ...]  # all that are stored
-    job_results: tuple[JobResult, ...]  # of what was tried now
+    job_results: tuple[JobResult, ...]  # of the runs that were tried now
 
 
 def choose(request: TableRequest) -> TablePlan:
-    """Resolve what was asked for against conf/table.yaml; raises BadInput for rows or columns that are unknown."""
+    """Resolve a request against conf/table.yaml; raises BadInput for rows or columns that are unknown."""
     folders = registry.conf_folders()
-    plan = with_plug_ins(read_plan(folders["vprbench"] / "table.yaml"), folders)
-    rows = {name: _known("rows", name, plan.rows) for name in request.rows or plan.rows}
+    plan = add_plug_ins(read_plan(folders["vprbench"] / "table.yaml"), folders)
+    rows = {name: _require_known("rows", name, plan.rows) for name in request.rows or plan.rows}
     for name in request.methods:
-        row = _on_request(plan, name, request)
+        row = _make_row(plan, name, request)
         rows.setdefault(row.name, row)
     columns = {
-        name: _known("columns", name, plan.columns) for name in request.columns or _default_columns(plan, request)
+        name: _require_known("columns", name, plan.columns)
+        for name in request.columns or _choose_columns(plan, request)
     }
 
     def resolved(column: PlannedColumn) -> ResolvedColumn:
-        options = (*column.options, *_root(column, request))
+        options = (*column.options, *_format_root(column, request))
         return ResolvedColumn(replace(column, options=options), make_request(options).dataset, views=request.views)
 
     return TablePlan(
         plan,
-        tuple(_with_seeds(row, request) for row in rows.values()),
+        tuple(_choose_seeds(row, request) for row in rows.values()),
         tuple(map(resolved, columns.values())),
-        tuple(request.devices or (["cpu"] if request.stored else _devices())),
+        tuple(request.devices or (["cpu"] if request.stored else _list_devices())),
         request.full,
         tuple(request.metrics),
         request.results,
@@ -98,32 +99,31 @@ def choose(request: TableRequest) -> TablePlan:
 
 
 def gather(chosen: TablePlan, options: Sequence[str], executor: Executor | None = None) -> ReportData:
-    """Make the runs that are wanted and not stored, unless `stored` was asked for, and put the stored ones together.
+    """Make the runs that are not stored, unless `chosen.stored` is set, and put the stored ones together.
 
-    `options` of the command line are those of all runs. Raises BadInput if there is no run at all.
+    The smallest datasets come first, and rows that are slow at full size last. `options` of the command line hold
+    for all runs. Raises BadInput if there is no run at all.
     """
-    cells = [cell for cells in all_runs(chosen, options) for cell in cells]
+    columns = sorted(chosen.columns, key=lambda column: column.dataset.get("places") or 0)
+    cells = [
+        cell
+        for row in sorted(chosen.rows, key=lambda row: row.most_places is not None)
+        for column in columns
+        if not chosen.stored and not chosen.slow(column, row)
+        for cell in runs_of(chosen, column, [row], options)
+    ]
     results = run_missing(chosen, cells, executor)
     runs, failures = stored(chosen)
-    return material(chosen, runs, failures, tuple(results))
+    found = apply_views(groups(runs, failures, chosen.columns, chosen.rows), chosen.rows, chosen.views)
+    return assemble_report(chosen, found, runs, tuple(results))
 
 
-def run_missing(
-    chosen: TablePlan, cells: Sequence[Cell], executor: Executor | None = None, watch: Watch | None = None
-) -> list[JobResult]:
-    """Make those of some runs that are not stored, none if `stored` was asked for; returns how each ended."""
-    return [] if chosen.stored else fill(cells, Store(results_folder(chosen.results)), executor, watch)
+def run_missing(chosen: TablePlan, cells: Sequence[Cell], executor: Executor | None = None) -> list[JobResult]:
+    """Make the runs that are not stored, none if `chosen.stored` is set; returns the outcome of each."""
+    return [] if chosen.stored else make_missing_runs(cells, Store(results_folder(chosen.results)), executor)
 
 
-def material(
-    chosen: TablePlan, runs: Sequence[Run], failures: Sequence[Failure], results: tuple[JobResult, ...] = ()
-) -> ReportData:
-    """Put stored runs and failures into the rows and columns that were chosen; raises BadInput if no run is theirs."""
-    found = seen(groups(runs, failures, chosen.columns, chosen.rows), chosen.rows, chosen.views)
-    return assembled(chosen, found, runs, results)
-
-
-def assembled(
+def assemble_report(
     chosen: TablePlan, found: Sequence[Group], runs: Sequence[Run], results: tuple[JobResult, ...] = ()
 ) -> ReportData:
     """Put groups of runs, or of views of them, into the table; raises BadInput if they hold none."""
@@ -149,7 +149,7 @@ def stored(request: TableRequest | TablePlan) -> tuple[list[Run], list[Failure]]
 
 
 def runs_of(chosen: TablePlan, column: ResolvedColumn, rows: Sequence[Row], options: Sequence[str]) -> Iterator[Cell]:
-    """Yield the runs of some rows in one column; `options` of the command line are those of all runs."""
+    """Yield the runs of some rows in one column; `options` of the command line hold for all runs."""
     planned = column.planned
     values: dict[str, Any] = {"results": str(results_folder(chosen.results))}
     if {*chosen.metrics} & {*GROUPS["energy"]}:
@@ -165,30 +165,14 @@ def runs_of(chosen: TablePlan, column: ResolvedColumn, rows: Sequence[Row], opti
             )
 
 
-def all_runs(chosen: TablePlan, options: Sequence[str]) -> tuple[list[Cell], list[Cell]]:
-    """Return the runs of rows that run at any size, and those of slow rows where they are not too slow.
-
-    Both row by row, the smallest datasets first; none if `stored` was asked for.
-    """
-    if chosen.stored:
-        return [], []
-    columns = sorted(chosen.columns, key=lambda column: column.dataset.get("places") or 0)
-    runs: tuple[list[Cell], list[Cell]] = [], []
-    for row in chosen.rows:
-        for column in columns:
-            if not chosen.slow(column, row):
-                runs[row.most_places is not None].extend(runs_of(chosen, column, [row], options))
-    return runs
-
-
-def _with_seeds(row: Row, request: TableRequest) -> Row:
-    """Return a row with the seeds that were asked for, or with as many as there is time for."""
+def _choose_seeds(row: Row, request: TableRequest) -> Row:
+    """Return a row with the seeds of the request, or with as many as there is time for."""
     most = request.seeds if request.full or request.seeds is not None else row.seeds_unless_full
     return replace(row, seeds=row.seeds[:most])
 
 
-def _on_request(plan: Plan, name: str, request: TableRequest) -> Row:
-    """Return a row of the plan, or one for a method; raises BadInput for what is neither known here nor stored.
+def _make_row(plan: Plan, name: str, request: TableRequest) -> Row:
+    """Return a row of the plan, or one for a method; raises BadInput for a name that is neither known here nor stored.
 
     A method that the plan has under its own name, and no arguments, is that row. Another one that takes a seed learns
     from it: it trains, and gets the plan's seeds.
@@ -210,24 +194,24 @@ def _on_request(plan: Plan, name: str, request: TableRequest) -> Row:
     return Row(name, name, training="own", seeds=plan.seeds) if seeded else Row(name, name, training="map")
 
 
-def _default_columns(plan: Plan, request: TableRequest) -> list[str]:
+def _choose_columns(plan: Plan, request: TableRequest) -> list[str]:
     """Return each dataset of the paper if its frames are given, else the rendered column that stands in for it."""
     chosen = []
     for column in plan.columns.values():
         if column.stand_in_for is not None and not column.on_request:
             real = plan.columns[column.stand_in_for]
-            chosen.append(real.name if _root(real, request) else column.name)
+            chosen.append(real.name if _format_root(real, request) else column.name)
     return chosen
 
 
-def _root(column: PlannedColumn, request: TableRequest) -> tuple[str, ...]:
-    """Return the option that says where the frames of a column lie, where that was asked for."""
+def _format_root(column: PlannedColumn, request: TableRequest) -> tuple[str, ...]:
+    """Return the option with the folder of a column's frames, where the request has one."""
     folder = None if column.frames is None else getattr(request, column.frames, None)
     return () if folder is None else (f"dataset.root={Path(folder).expanduser().absolute()}",)
 
 
-def _devices() -> list[str]:
-    """Return the CPU, and the GPU where torch sees one; torch is asked only where the system names an accelerator."""
+def _list_devices() -> list[str]:
+    """Return the CPU, and the GPU where torch sees one; torch is imported only where an accelerator is known."""
     if shutil.which("nvidia-smi") is None and not any(map(os.path.exists, _ACCELERATORS)):
         return ["cpu"]
     import torch  # takes long
@@ -235,7 +219,7 @@ def _devices() -> list[str]:
     return ["cpu", "cuda"] if torch.cuda.is_available() else ["cpu"]
 
 
-def _known(option: str, name: str, known: Mapping[str, Part]) -> Part:
+def _require_known(option: str, name: str, known: Mapping[str, Part]) -> Part:
     if name not in known:
         raise BadInput(f"{option}={name} is unknown: {registry.near(name, known)}")
     return known[name]

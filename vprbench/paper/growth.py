@@ -82,6 +82,11 @@ def _query_times(run: Run) -> tuple[float | None, ...]:
 
 
 def _conditions(run: Run) -> dict[str, Any]:
-    """Return the conditions that must be equal for times to compare, keyed by the word for a difference."""
+    """Return the conditions that must be equal for times to compare."""
     protocol = {name: value for name, value in run.protocol.items() if name not in _PER_SIZE}
-    return {**conditions(run), "dataset": [run.dataset, protocol], "device": run.config["device"]}
+    return {
+        **conditions(run),
+        "timing": run.config.get("timing"),
+        "dataset": [run.dataset, protocol],
+        "device": run.config["device"],
+    }

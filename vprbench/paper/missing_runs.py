@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import itertools
 import logging
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
-from statistics import mean
 from typing import Any
 
 from vprbench.api.weights import Weights, find_weights
@@ -17,17 +15,13 @@ from vprbench.config import make_request
 from vprbench.errors import BadInput, NotThere
 from vprbench.jobs.executors import Executor, Numbered, SerialExecutor, run_all
 from vprbench.jobs.job import JobResult, failure_of
-from vprbench.metrics.accuracy import recall_at
 from vprbench.paper.plan import Row
 from vprbench.paper.stored_runs import StoredRuns
 from vprbench.plugins import registry
-from vprbench.runs.record import Run
 from vprbench.runs.request import RunRequest
 from vprbench.runs.run_files import content_key
-from vprbench.runs.stopwatch import StageRates, best_batch
 from vprbench.runs.store import Store
 from vprbench.terminal.live import LiveTable
-from vprbench.text import format_percent, format_rate
 
 logger = logging.getLogger(__name__)
 
@@ -42,6 +36,11 @@ class Cell:
     error: str = ""  # why no process can make it
     missing: bool = False  # whether that is because its method is not there
 
+    @property
+    def column(self) -> str:
+        """The title of its dataset, with the device if that is not the CPU."""
+        return self.title if self.request.device == "cpu" else f"{self.title}, {self.request.device}"
+
     def each(self) -> list[Cell]:
         """Return a cell for each of its corruptions."""
         return [replace(self, request=self.request.with_corruption(name)) for name in self.request.corruptions]
@@ -53,7 +52,7 @@ def make_cell(row: Row, title: str, options: Sequence[str], values: Mapping[str,
     Args:
         row: the method and its arguments.
         title: the title of the dataset.
-        options: of the command line, those of the dataset among them.
+        options: of the command line, with the dataset's.
         values: more options by their dotted names, as seed and device.
     """
     arguments = {f"method.{name}": value for name, value in _flatten(row.arguments)}
@@ -70,7 +69,7 @@ def make_cell(row: Row, title: str, options: Sequence[str], values: Mapping[str,
 
 
 def _flatten(arguments: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-    """Yield arguments, those of mappings by dotted names."""
+    """Yield arguments; a value inside a mapping has a dotted name."""
     for name, value in arguments.items():
         if isinstance(value, Mapping) and value:
             yield from ((f"{name}.{inner}", given) for inner, given in _flatten(value))
@@ -78,182 +77,95 @@ def _flatten(arguments: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
             yield name, value
 
 
-def fill(
-    wanted: Sequence[Cell], store: Store, executor: Executor | None = None, watch: Watch | None = None
-) -> list[JobResult]:
-    """Make the runs that are not stored yet, by an executor or one after the other; returns how each ended.
+def make_missing_runs(wanted: Sequence[Cell], store: Store, executor: Executor | None = None) -> list[JobResult]:
+    """Make the runs that are not stored yet, by an executor or one after the other; returns the outcome of each.
 
-    For a run that is stored no process is started, nor for one whose published weights cannot be had. What is missing
-    for the first seed of a row is missing for the others, which are not tried if it is known by then. A failure is
-    stored, never raised. `watch` is told how it goes.
+    For a run that is stored no process is started, nor for one whose published weights cannot be had, nor for a seed
+    once something is missing for another seed of the row. A failure is stored, never raised.
     """
-    executor, watch = executor or SerialExecutor(), watch or Watch()
-    shown = _Shown(wanted, executor.name) if sys.stderr.isatty() and len(wanted) > 1 else None
-    filling = _Filling(wanted, store, shown, executor.is_distributed)
-    cells = filling.cells()
-    first = list(itertools.islice(cells, 1))
-    if first:
-        watch.before_first(wanted[first[0][0]])
-    hear = shown.hear if shown else None
-    with shown.table if shown else nullcontext():
-        for number, result in run_all(executor, itertools.chain(first, cells), filling.begin, hear):
-            filling.end(number, result)
-            watch.after_each()
-    return [filling.results[number] for number in range(len(wanted))]
+    executor = executor or SerialExecutor()
+    stored = StoredRuns(store)
+    weights: dict[tuple[str, str], str] = {}
+    missing: dict[tuple[str, str], JobResult] = {}  # by row and column
+    results: dict[int, JobResult] = {}
+    rows, columns = dict.fromkeys(cell.row.name for cell in wanted), dict.fromkeys(cell.column for cell in wanted)
+    is_shown = sys.stderr.isatty() and len(wanted) > 1
+    table = LiveTable([*rows], [*columns], len(wanted)) if is_shown else None
 
+    def begin(number: int) -> None:
+        cell = wanted[number]
+        title = f"{cell.row.name} on {cell.title}, seed {cell.request.seed}, {cell.request.device}"
+        if table is None:
+            logger.info("[%d/%d] %s", number + 1, len(wanted), title)
+        else:
+            table.show(cell.row.name, cell.column, "runs", "cyan")
+            table.begin(number, title, executor.name)
 
-@dataclass(frozen=True)
-class Watch:
-    """Functions that are called while runs are made: before the first process starts, and after each that has ended."""
+    def hear(_: int, line: str) -> None:
+        if line and table is not None:
+            table.line(line, "red" if line.startswith("vprbench: ") else "")
 
-    before_first: Callable[[Cell], None] = lambda _: None
-    after_each: Callable[[], None] = lambda: None
+    def end(number: int, result: JobResult) -> None:
+        cell = wanted[number]
+        results[number] = result
+        is_known = (cell.row.name, cell.column) in missing
+        if result.code and not is_known and not isinstance(cell.request.corruption, list):  # of several each is retried
+            store.prepare()
+            store.save_failure(failure_of(cell.request, result))
+        if result.missing:
+            missing[cell.row.name, cell.column] = result
+        if table is not None:
+            word = ("not there", "dim") if result.missing else ("failed", "red") if result.code else ("done", "")
+            table.show(cell.row.name, cell.column, *word)
+            table.end(number, bool(result.code and not result.missing))
+        elif executor.is_distributed:
+            logger.info("%d of %d done", len(results), len(wanted))
 
-
-class _Weights:
-    """The published weights that rows need, looked for once, and fetched if that is possible."""
-
-    def __init__(self) -> None:
-        """Look for none yet."""
-        self._errors: dict[tuple[str, str], str] = {}
-
-    def lacking(self, cell: Cell) -> str:
-        """Return why those of a run cannot be had; nothing if they are there, or if its process has to tell."""
-        arguments = cell.request.method
-        known = (cell.row.method, content_key(cell.row.arguments))
-        if known not in self._errors:
-            self._errors[known] = ""
-            try:
-                wanted = registry.check_value("method.weights", arguments["weights"], Weights)
-                find_weights(wanted, arguments["_target_"].rpartition(".")[2])
-            except NotThere as error:
-                logger.warning("%s: %s", cell.row.name, error)
-                self._errors[known] = str(error)
-            except (Exception, SystemExit) as error:  # whatever a plug-in raises, or an option that does not fit
-                logger.debug("the weights of %s are left to a process: %s", cell.row.name, error)
-        return self._errors[known]
-
-
-class _Filling:
-    """Which of the wanted runs a process has to make, and how all of them end."""
-
-    def __init__(self, wanted: Sequence[Cell], store: Store, shown: _Shown | None, elsewhere: bool) -> None:
-        """Compare with the store as it is when the first run is asked for."""
-        self._wanted, self._store = wanted, store
-        self._shelf, self._weights = StoredRuns(store), _Weights()
-        self._shown, self._elsewhere = shown, elsewhere
-        self._missing: dict[tuple[str, str, str], JobResult] = {}
-        self.results: dict[int, JobResult] = {}
-
-    def cells(self) -> Iterator[Numbered]:
-        """Yield the runs that a process has to make, by their numbers; the others end at once."""
-        for number, cell in enumerate(self._wanted):
-            result, found = self._missing.get(_known(cell)), None
-            if result is None and not cell.error:
-                found = self._shelf.find(cell.request)
-                result = JobResult(0) if found else None
-            if result is None:
-                result = self._end_without_process(cell)
+    def list_missing() -> Iterator[Numbered]:
+        for number, cell in enumerate(wanted):
+            result = missing.get((cell.row.name, cell.column)) or _end_without_process(cell, stored, weights)
             if result is None:
                 yield number, cell.request
             else:
-                self._end(number, result, found)
+                end(number, result)
 
-    def begin(self, number: int) -> None:
-        """Tell that a process makes a run."""
-        if self._shown is not None:
-            self._shown.begin(number)
-        else:
-            logger.info("[%d/%d] %s", number + 1, len(self._wanted), _title(self._wanted[number]))
-
-    def end(self, number: int, result: JobResult) -> None:
-        """Take how a process ended, and store its failure."""
-        request, found = self._wanted[number].request, None
-        if result.code and not isinstance(request.corruption, list):  # of several each is tried again alone
-            self._save_failure(request, result)
-        if self._shown is not None and result.key:
-            found = self._store.find(request.dataset_name, request.method_name, result.key)
-        self._end(number, result, found)
-        if self._shown is None and self._elsewhere:
-            logger.info("%d of %d done", len(self.results), len(self._wanted))
-
-    def _end(self, number: int, result: JobResult, found: Run | None) -> None:
-        self.results[number] = result
-        if result.missing:
-            self._missing[_known(self._wanted[number])] = result
-        if self._shown is not None:
-            self._shown.end(number, result, found)
-
-    def _end_without_process(self, cell: Cell) -> JobResult | None:
-        """Return how a run ends that no process can make; None if one has to tell."""
-        entry = registry.entries("method").get(cell.row.method)
-        if entry is not None and cell.request.device != "cpu" and "device" not in entry.options:
-            return JobResult(0)
-        lacking = cell.error
-        if not lacking and entry is not None and entry.needs_weights:
-            lacking = self._weights.lacking(cell)
-        if not lacking:
-            return None
-        result = JobResult(2, lacking, missing=cell.missing or not cell.error)
-        self._save_failure(cell.request, result)
-        return result
-
-    def _save_failure(self, request: RunRequest, result: JobResult) -> None:
-        self._store.prepare()
-        self._store.save_failure(failure_of(request, result))
+    with table or nullcontext():
+        for number, result in run_all(executor, list_missing(), begin, hear if table else None):
+            end(number, result)
+    return [results[number] for number in range(len(wanted))]
 
 
-def _known(cell: Cell) -> tuple[str, str, str]:
-    return cell.row.name, cell.title, cell.request.device
+def _end_without_process(cell: Cell, stored: StoredRuns, weights: dict[tuple[str, str], str]) -> JobResult | None:
+    """Return the outcome of a run that is stored or that no process can make; None for a run to be made."""
+    entry = registry.entries("method").get(cell.row.method)
+    if entry is not None and cell.request.device != "cpu" and "device" not in entry.options:
+        return JobResult(0)
+    if cell.error:
+        return JobResult(2, cell.error, missing=cell.missing)
+    if stored.holds(cell.request):
+        return JobResult(0)
+    lacking = _find_missing_weights(cell, weights) if entry is not None and entry.needs_weights else ""
+    return JobResult(2, lacking, missing=True) if lacking else None
 
 
-def _title(cell: Cell) -> str:
-    return f"{cell.row.name} on {cell.title}, seed {cell.request.seed}, {cell.request.device}"
+def _find_missing_weights(cell: Cell, known: dict[tuple[str, str], str]) -> str:
+    """Return why the published weights of a run cannot be had; empty if they are there, or if its process has to tell.
 
-
-class _Shown:
-    """The live table of what is filled: recall and query rate of each row and dataset, as they are stored."""
-
-    def __init__(self, wanted: Sequence[Cell], host: str) -> None:
-        """Show a row and a column for each that is wanted; runs are made on `host`."""
-        rows, columns = (dict.fromkeys(cell.row.name for cell in wanted), dict.fromkeys(map(_column, wanted)))
-        self.table = LiveTable([*rows], [*columns], len(wanted))
-        self._wanted, self._host = wanted, host
-        self._numbers: dict[tuple[str, str], list[tuple[float | None, float | None]]] = {}
-
-    def begin(self, number: int) -> None:
-        """Show that a run has begun."""
-        cell = self._wanted[number]
-        self.table.show(cell.row.name, _column(cell), "runs", "cyan")
-        self.table.begin(number, _title(cell), self._host)
-
-    def hear(self, _: int, line: str) -> None:
-        """Show a line of a process above the table."""
-        if line:
-            self.table.line(line, "red" if line.startswith("vprbench: ") else "")
-
-    def end(self, number: int, result: JobResult, found: Run | None) -> None:
-        """Show what a run has come to."""
-        at = (self._wanted[number].row.name, _column(self._wanted[number]))
-        if result.code:
-            self.table.show(*at, *(("not there", "dim") if result.missing else ("failed", "red")))
-        elif found is not None:
-            numbers = self._numbers.setdefault(at, [])
-            first = recall_at(found.outcome, 1)
-            batch = best_batch(found.timing.offline) if found.timing else None
-            rate = StageRates.offline(batch).total if batch else None
-            numbers.append((first.expected if first else None, rate))
-            recalls, rates = ([each for each in column if each is not None] for column in zip(*numbers, strict=True))
-            words = [f"{format_percent(mean(recalls))} %" if recalls else "undefined"]
-            words.append(f"{format_rate(mean(rates))} Hz" if rates else "not timed")
-            self.table.show(*at, "  ".join(words))
-        else:
-            self.table.show(*at, "-", "dim")
-        self.table.end(number, bool(result.code and not result.missing))
-
-
-def _column(cell: Cell) -> str:
-    return cell.title if cell.request.device == "cpu" else f"{cell.title}, {cell.request.device}"
+    They are looked for once for each row, and fetched if that is possible; `known` remembers it.
+    """
+    arguments = cell.request.method
+    key = cell.row.method, content_key(cell.row.arguments)
+    if key not in known:
+        known[key] = ""
+        try:
+            wanted = registry.check_value("method.weights", arguments["weights"], Weights)
+            find_weights(wanted, arguments["_target_"].rpartition(".")[2])
+        except NotThere as error:
+            logger.warning("%s: %s", cell.row.name, error)
+            known[key] = str(error)
+        except (Exception, SystemExit) as error:  # whatever a plug-in raises, or an option that does not fit
+            logger.debug("the weights of %s are left to a process: %s", cell.row.name, error)
+    return known[key]
 
 
 def results_folder(results: str) -> Path:

@@ -1,4 +1,4 @@
-"""What Table II and the figures are made of: rows, columns and sizes of the growth."""
+"""The parts of Table II and of the figures: rows, columns and sizes of the growth."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ import yaml
 
 from vprbench.errors import BadInput
 
-Boundary = Literal["encode", "match"]  # what the paper's query rate of a row covers
-Training = Literal["own", "none", "pretrained", "map"]  # map: it learns which place looks like what, and nothing else
+Boundary = Literal["encode", "match"]  # the step that the paper's query rate of a row covers
+Training = Literal["own", "none", "pretrained", "map"]  # map: it builds the map and trains nothing
 
 
 @dataclass(frozen=True)
 class Row:
-    """A row of the table: a method with the arguments that set it apart, and what the paper timed of it."""
+    """A row of the table: a method with the arguments that set it apart, and the step that the paper timed."""
 
     name: str
     method: str
@@ -27,7 +27,7 @@ class Row:
     spiking: bool = False  # stands below the rule that ends the conventional methods
     arguments: Mapping[str, Any] = field(default_factory=dict)
     seeds: tuple[int, ...] = (0,)
-    rate_remark: str | None = None  # what is known of how the paper timed its queries
+    rate_remark: str | None = None  # fixed words on how the paper timed its queries
     most_places: int | None = None  # with more it takes too long for a table; None: any number
     seeds_unless_full: int | None = None  # the first so many of `seeds` unless slow rows are to run in full; None: all
 
@@ -46,9 +46,9 @@ class PlannedColumn:
     options: tuple[str, ...]  # of the command line
     published: str | None = None  # the dataset of the paper's table
     stand_in_for: str | None = None  # the column of real frames that a rendered one stands in for
-    on_request: bool = False  # shown where it is asked for by name alone
+    on_request: bool = False  # shown only where columns= names it
     frames: str | None = None  # the option of a table that gives the root of its dataset
-    remark: str | None = None  # what a reader of the table has to know of the data
+    remark: str | None = None  # fixed words on the data
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class Plan:
     more_rows: Mapping[str, Row]  # on request
     columns: Mapping[str, PlannedColumn]
     growth: Growth
-    seeds: tuple[int, ...] = (0,)  # of rows that are asked for by their method's name and learn from a seed
+    seeds: tuple[int, ...] = (0,)  # of rows that methods= names by their method and that learn from a seed
 
 
 def read_plan(path: Path) -> Plan:
@@ -92,7 +92,7 @@ def read_plan(path: Path) -> Plan:
     return Plan(rows, more, columns, growth, (first, *more_seeds))
 
 
-def with_plug_ins(plan: Plan, folders: Mapping[str, Path]) -> Plan:
+def add_plug_ins(plan: Plan, folders: Mapping[str, Path]) -> Plan:
     """Return our plan with the rows and columns that plug-ins bring; `folders` are those of yaml files, by provider.
 
     A plug-in's `table/*.yaml` may hold `rows` and `columns` as ours does; both are shown where they are asked for by
@@ -101,8 +101,8 @@ def with_plug_ins(plan: Plan, folders: Mapping[str, Path]) -> Plan:
     rows, columns = dict(plan.more_rows), dict(plan.columns)
     ours = [*plan.rows, *rows, *columns, *(row.name for row in rows.values())]
     owners = dict.fromkeys(ours, "vprbench")
-    for provider, path in _of_plug_ins(folders):
-        more_rows, more_columns = _brought(path)
+    for provider, path in _list_plug_in_files(folders):
+        more_rows, more_columns = _read_plug_in(path)
         for name in dict.fromkeys([*more_rows, *more_columns, *(row.name for row in more_rows.values())]):
             if name in owners:
                 raise BadInput(f"{path}: {name} of {provider} has the name of one of {owners[name]}: rename it")
@@ -113,7 +113,7 @@ def with_plug_ins(plan: Plan, folders: Mapping[str, Path]) -> Plan:
     return replace(plan, more_rows=rows, columns=columns)
 
 
-def _of_plug_ins(folders: Mapping[str, Path]) -> list[tuple[str, Path]]:
+def _list_plug_in_files(folders: Mapping[str, Path]) -> list[tuple[str, Path]]:
     return [
         (provider, path)
         for provider, folder in folders.items()
@@ -122,7 +122,7 @@ def _of_plug_ins(folders: Mapping[str, Path]) -> list[tuple[str, Path]]:
     ]
 
 
-def _brought(path: Path) -> tuple[dict[str, Row], dict[str, PlannedColumn]]:
+def _read_plug_in(path: Path) -> tuple[dict[str, Row], dict[str, PlannedColumn]]:
     """Read the rows and columns of a plug-in's file."""
     with _explaining_plan_errors(path):
         content = yaml.safe_load(path.read_text(encoding="utf-8"))

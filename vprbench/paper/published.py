@@ -3,32 +3,21 @@
 from __future__ import annotations
 
 import csv
-from dataclasses import dataclass
 from pathlib import Path
 
 PAPER = "VPRTempo (ICRA 2024), Table II"
 PAPER_CPU, PAPER_GPU = "Intel i7-9700K", "Nvidia RTX 2080"
 
 
-@dataclass(frozen=True)
-class PaperProtocol:
-    """The places and queries of a dataset in the paper, which allows no tolerance."""
-
-    places: int
-    queries: int
-    references: frozenset[str]
-    query: str
-
-
-#: By the name of the dataset in the paper.
+#: The places and queries of each dataset of the paper, by its name.
 PROTOCOLS = {
-    "Nordland": PaperProtocol(3300, 2700, frozenset({"spring", "fall"}), "summer"),
-    "Oxford RobotCar": PaperProtocol(450, 360, frozenset({"sun", "rain"}), "dusk"),
+    "Nordland": "2,700 queries of 3,300 places, fall+spring against summer, no tolerance",
+    "Oxford RobotCar": "360 queries of 450 places, rain+sun against dusk, no tolerance",
 }
 
 
 def published() -> dict[tuple[str, str], dict[str, float | None]]:
-    """Return what the paper printed in Table II, by row and dataset: R@1 in %, training in minutes, queries in Hz.
+    """Return the numbers of the paper's Table II, by row and dataset: R@1 in %, training in minutes, queries in Hz.
 
     None is its "-". Source: VPRTempo (ICRA 2024), Table II.
     """

@@ -1,4 +1,4 @@
-"""Rows of one dataset from the best to the worst, and what tests say of the first ones in sentences."""
+"""Rows of one dataset from the best to the worst, and the results of tests on the first ones in sentences."""
 
 from __future__ import annotations
 
@@ -25,7 +25,11 @@ from vprbench.text import format_interval, format_percent
 #: The columns of a ranking; numbers are of all seeds of a row, and None where there is none.
 NUMBERS = (
     *("recall_at_1", "low", "high"),  # mean, 0 to 1, and its 95 % interval; None: no query has a right place
-    *("elsewhere", "elsewhere_low", "elsewhere_high"),  # on the other queries, where some show what it was tuned on
+    *(
+        "elsewhere",
+        "elsewhere_low",
+        "elsewhere_high",
+    ),  # on the other queries, where some show places that it was tuned on
     "hz",  # queries per second, encode and match together; None: not timed
     "fit_seconds",  # median, reading the images included; None: nothing was fitted
 )
@@ -33,14 +37,14 @@ NUMBERS = (
 
 @dataclass(frozen=True)
 class Ranking:
-    """Rows of one dataset, the best first, and what a test says of them."""
+    """Rows of one dataset, the best first, and the results of tests on them."""
 
     table: pd.DataFrame  # a line a row: `method`, `NUMBERS`, `seeds` and `runs`, one a seed
     sentences: tuple[str, ...]  # the first is about the best row
 
 
 def rank_rows(series: Sequence[Series]) -> Ranking:
-    """Rank rows that answered the same queries by R@1, those of equal R@1 as they came, and say what tests separate.
+    """Rank rows that answered the same queries by R@1, equal ones in their order, and test their differences.
 
     A row that was tuned on these places is ranked, and in no contest.
     """
@@ -75,7 +79,7 @@ def _accuracy(runs: Sequence[Run]) -> tuple[float | None, float | None, float | 
 
 
 def _describe_first(rows: Sequence[Any]) -> list[str]:
-    """Return what tests say of the best and of the fastest row; `rows` are those in the contest, best first."""
+    """Return the results of tests on the best and on the fastest row; `rows` are those in the contest, best first."""
     if not rows:
         return []
     first = rows[0]

@@ -32,7 +32,7 @@ COLUMNS = (
     "amount",  # with its unit; empty on clean frames
     *("seeds", "recall_at_1", "low", "high"),  # with its 95 % interval
     *("drop", "drop_low", "drop_high"),  # from clean frames, with the 95 % interval of the paired difference
-    "tuned_on",  # what there is to say of places that the method was tuned on; empty: nothing
+    "tuned_on",  # remark on places that the method was tuned on; empty for none
 )
 
 
@@ -52,15 +52,15 @@ class Robustness:
 
     @property
     def words(self) -> dict[str, str]:
-        """What each of these kinds does to query frames."""
+        """The change of query frames by each of these kinds."""
         return {kind: KINDS[kind].describe(strengths) for kind, strengths in self.kinds.items()}
 
     def of(self, method: str, kind: str) -> pd.DataFrame:
-        """Return the points of a row from clean to strong; those without a run are missing."""
+        """Return the points of a row from clean to strong; a point without a run is missing."""
         return self.points[(self.points["method"] == method) & self.points["kind"].isin([kind, "clean"])]
 
 
-def robustness(clean: Sequence[Series], corrupted: Mapping[Corruption, Sequence[Series]]) -> Robustness:
+def measure_robustness(clean: Sequence[Series], corrupted: Mapping[Corruption, Sequence[Series]]) -> Robustness:
     """Set rows under corruptions beside themselves on clean frames; a row without clean runs is left out.
 
     All answer the same queries. Raises BadInput if none of these has a right place.
@@ -92,21 +92,21 @@ def _hits(runs: Sequence[Run]) -> Values:
     return np.asarray(np.mean([hits_at(run.outcome, 1) for run in runs], axis=0))
 
 
-def lines(found: Robustness) -> list[dict[str, str]]:
+def list_lines(found: Robustness) -> list[dict[str, str]]:
     """Return the table as text: R@1 on clean frames, then for each kind the points that it costs each row.
 
     A drop whose interval holds 0 stands in brackets.
     """
     head = "R@1 %, less by"
-    told = [{head: "clean"}]
+    table = [{head: "clean"}]
     for point in iterate_rows(found.points[found.points["strength"] == 0]):
-        told[0][point.method] = _percent(point.recall_at_1)
+        table[0][point.method] = _percent(point.recall_at_1)
     for kind, strengths in found.kinds.items():
-        told.append({head: f"{kind} {KINDS[kind].short(strengths)}"})
+        table.append({head: f"{kind} {KINDS[kind].short(strengths)}"})
         for row in found.clean:
             there = {point.strength: point for point in iterate_rows(found.of(row.name, kind))}
-            told[-1][row.name] = "/".join(_drop(there.get(each)) for each in strengths)
-    return told
+            table[-1][row.name] = "/".join(_drop(there.get(each)) for each in strengths)
+    return table
 
 
 def _drop(point: Any | None) -> str:
@@ -120,14 +120,14 @@ def _percent(share: float) -> str:
     return METRICS["recall_at_1"].text(share + 0.0)
 
 
-def markdown(found: Robustness, title: str) -> str:
-    """Return the table as a document that says what each corruption is."""
+def format_markdown(found: Robustness, title: str) -> str:
+    """Return the table as a document that describes each corruption."""
     effects = [f"- {kind}: queries {effect}" for kind, effect in found.words.items()]
     tuned = [f"- {escape_markdown(row.name)}: {note}" for row in found.clean if (note := describe_tuning(row.runs))]
     return "\n".join(
         [
             f"# {escape_markdown(title)}: corrupted queries\n",
-            f"{rows.format_markdown(lines(found))}\n",
+            f"{rows.format_markdown(list_lines(found))}\n",
             "R@1 over all queries on clean frames, in percent; below it the points that weak, medium and strong",
             "corruptions cost. In brackets: the 95 % interval of the paired difference holds 0, or there are too few",
             "queries for one. References are clean.\n",
@@ -138,6 +138,6 @@ def markdown(found: Robustness, title: str) -> str:
     )
 
 
-def csv(found: Robustness) -> str:
+def format_csv(found: Robustness) -> str:
     """Return a line for each row and corruption, unrounded."""
     return str(found.points.to_csv(index=False, lineterminator="\n"))

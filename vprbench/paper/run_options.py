@@ -14,7 +14,7 @@ from vprbench.plugins.options import option
 
 @dataclass(frozen=True, kw_only=True)
 class RunOptions(ClusterOptions):
-    """Which numbers of which runs are shown, and where they are made; raises BadInput for what cannot be."""
+    """The runs that are shown, their numbers, and where they are made; raises BadInput for impossible options."""
 
     metrics: list[str] = option([], "more quantities, as r100p, auc_roc, ap_c or energy")
     seeds: int | None = option(None, "at most so many a row")
@@ -29,7 +29,7 @@ class RunOptions(ClusterOptions):
     results: str = option("results")
 
     def __post_init__(self) -> None:
-        """Check what can be checked before a plan is read, or a method or dataset built."""
+        """Check the options that need no plan, method or dataset."""
         from vprbench.runs.request import spell_out_metrics
         from vprbench.runs.sequences import parse_views
         from vprbench.runs.viewpoints import parse_viewpoints
@@ -55,9 +55,9 @@ class RunOptions(ClusterOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class TableRequest(RunOptions):
-    """Which rows and columns, from which stores; raises BadInput for what cannot be."""
+    """Rows, columns and stores of a table; raises BadInput for impossible options."""
 
-    #: Options of a run that a table does not take: rows, methods, columns, seeds and devices say what it holds.
+    #: Options of a run that a table does not take: rows, methods, columns, seeds and devices take their place.
     refused: ClassVar[tuple[str, ...]] = (
         *("method", "dataset", "corruption", "seed", "device", "output", "save", "load", "predictions"),
     )
@@ -70,7 +70,7 @@ class TableRequest(RunOptions):
     robotcar: str | None = option(None, "folder of the real frames")
 
     def __post_init__(self) -> None:
-        """Check what can be checked before a plan is read."""
+        """Check the options that need no plan."""
         super().__post_init__()
         self._require_folders("nordland", self.nordland)
         self._require_folders("robotcar", self.robotcar)
@@ -78,7 +78,7 @@ class TableRequest(RunOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class CompareRequest(RunOptions):
-    """Which methods are compared, and how; raises BadInput for what cannot be."""
+    """The methods of a comparison and its options; raises BadInput for impossible ones."""
 
     #: Options of a run that a comparison does not take.
     refused: ClassVar[tuple[str, ...]] = (*("method", "corruption", "seed", "output", "save", "load", "stream"),)
@@ -91,7 +91,7 @@ class CompareRequest(RunOptions):
     name: str | None = option(None, "of the files that are written, and the title; null: the dataset's")
 
     def __post_init__(self) -> None:
-        """Check what can be checked before a method or the dataset is built."""
+        """Check the options that need no method or dataset."""
         from vprbench.runs.corruption import parse_corruptions
 
         super().__post_init__()

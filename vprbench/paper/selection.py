@@ -17,19 +17,27 @@ from vprbench.runs.viewpoints import parse_viewpoints
 Device = Literal["cpu", "cuda"]
 DEVICES: tuple[Device, ...] = ("cpu", "cuda")
 
-#: Arguments of a dataset that say where code and frames lie, not which they are.
-_WHERE = frozenset({"_target_", "root", "default_root", "source", "download", "calibration", "processed", "lists"})
 _PER_RUN = frozenset({"_target_", "seed", "device"})  # arguments of a method in which the runs of a row differ
 
 
 @dataclass(frozen=True)
+class Frames:
+    """The frames, places and threads of the runs of a column whose dataset was built."""
+
+    fingerprint: str
+    protocol: Mapping[str, Any]
+    threads: int
+
+
+@dataclass(frozen=True)
 class ResolvedColumn:
-    """A column of the table and what its options make of the dataset."""
+    """A column of the table and the arguments of its dataset."""
 
     planned: PlannedColumn
     dataset: Mapping[str, Any]  # the resolved arguments of the dataset, as a run's configuration holds them
     corruption: str | list[str] | None = None  # of the query frames; None: they are clean
     views: Any = None  # the option that says from which viewpoints queries are asked
+    frames: Frames | None = None  # runs of these frames alone belong to it; None: runs with these arguments
 
 
 @dataclass(frozen=True)
@@ -39,7 +47,7 @@ class Group:
     column: ResolvedColumn
     number: int  # 1 holds the newest run of the column; older protocols and images are numbered on
     runs: tuple[Run, ...]  # of all rows, devices and seeds
-    failures: tuple[Failure, ...]  # all in number 1: what failed has no images
+    failures: tuple[Failure, ...]  # all in number 1, for a failure has no images
     view: str = ""  # in the names of files, where runs are shown in a view
 
     @property
@@ -74,18 +82,18 @@ def groups(
 
     A column gives one group for each protocol and version of its images, the one with the newest run first, and an
     empty group where it has no run. A dataset gains and loses options over time: runs are taken by the options that
-    both have, and what else they differ in shows in their protocol. The order of `runs` changes nothing.
+    both have, and other differences show in their protocol. The order of `runs` changes nothing.
     """
-    ordered = sorted(runs, key=lambda run: (run.dataset, run.method, _when(run), run.key))
-    failed = sorted(failures, key=lambda failure: (failure.method, _when(failure), failure.error))
+    ordered = sorted(runs, key=lambda run: (run.dataset, run.method, _get_time(run), run.key))
+    failed = sorted(failures, key=lambda failure: (failure.method, _get_time(failure), failure.error))
     found: list[Group] = []
     for column in columns:
         alike: dict[str, list[Run]] = defaultdict(list)
         for run in ordered:
-            if _in_column(run, column) and any(_in_row(run, row) for row in rows):
+            if _belongs_to_column(run, column) and any(_belongs_to_row(run, row) for row in rows):
                 alike[f"{as_text(run.protocol)} {run.fingerprint}"].append(run)
-        newest_first = sorted(alike.items(), key=lambda item: (max(map(_when, item[1])), item[0]), reverse=True)
-        there = tuple(f for f in failed if _in_column(f, column) and any(_in_row(f, r) for r in rows))
+        newest_first = sorted(alike.items(), key=lambda item: (max(map(_get_time, item[1])), item[0]), reverse=True)
+        there = tuple(f for f in failed if _belongs_to_column(f, column) and any(_belongs_to_row(f, r) for r in rows))
         found += [
             Group(column, number, tuple(members), there if number == 1 else ())
             for number, (_, members) in enumerate(newest_first or [("", [])], 1)
@@ -97,25 +105,24 @@ def of_row(group: Group, row: Row, device: Device) -> RowRuns:
     """Return one run per seed, all made by the same code, settings and machine.
 
     Runs that differ in code, defaults, weights, libraries, threads or machine are never put together.
-    Of such sets the complete ones come first, then those that trained instead of loading, then the one with the newest
+    Of such sets the complete ones come first, then sets that trained instead of loading, then the one with the newest
     run; all other runs are counted. Of a row with runs, failures from other machines are ignored, and "missing"
     failures of seeds that have a run.
     """
-    there = [run for run in group.runs if _in_row(run, row) and _on(run) == device]
-    of_seeds = [run for run in there if run.config["seed"] in row.seeds]
+    there = [run for run in group.runs if _belongs_to_row(run, row) and _get_device(run) == device]
     sets: dict[str, list[Run]] = defaultdict(list)
-    for run in of_seeds:
-        sets[as_text(_setup(run))].append(run)
-    ranked = sorted(sets.values(), key=lambda members: _rank(members, row), reverse=True)
-    chosen = {run.config["seed"]: run for run in sorted(ranked[0], key=age)} if ranked else {}
+    for run in there:
+        if run.config["seed"] in row.seeds:
+            sets[as_text([conditions(run), run.network is None])].append(run)
+    members = max(sets.values(), key=lambda members: _rank(members, row), default=[])
+    chosen = {run.config["seed"]: run for run in sorted(members, key=age)}
     newest: dict[int, Failure] = {}
     for failure in group.failures:
-        if not _in_row(failure, row) or _on(failure) != device:
+        seed = failure.config["seed"]
+        if seed not in row.seeds or not _belongs_to_row(failure, row) or _get_device(failure) != device:
             continue
-        seed = failure.config.get("seed")
-        elsewhere = bool(chosen) and not _same_machine(failure, ranked[0][0])
-        told = seed in chosen and (failure.missing or _when(failure) <= _when(chosen[seed]))
-        if seed in row.seeds and not elsewhere and not told:
+        is_mended = seed in chosen and (failure.missing or _get_time(failure) <= _get_time(chosen[seed]))
+        if not is_mended and (not members or _machine(failure) == _machine(members[0])):
             newest[seed] = failure
     return RowRuns(
         runs=tuple(run for _, run in sorted(chosen.items())),
@@ -151,69 +158,59 @@ def accuracy_series(group: Group, rows: Sequence[Row]) -> list[Series]:
     return [Series(row.name, row.spiking, runs) for row, runs in taken if runs]
 
 
-def _in_column(result: Run | Failure, column: ResolvedColumn) -> bool:
-    """Tell whether a run was asked for the same dataset, by the options that both have, wherever its frames lay.
+def _belongs_to_column(result: Run | Failure, column: ResolvedColumn) -> bool:
+    """Tell whether a run has the dataset, corruption and viewpoints of a column.
 
-    Frames that were corrupted in the same way, or not at all, are the same; so are viewpoints.
+    A run is compared by the frames of the column. Without these, and for a failure, all options count that both have,
+    except places on disk (`on_disk` in the dataset's yaml).
     """
-    if result.config.get("corruption") != column.corruption:
+    given = result.config
+    if given.get("corruption") != column.corruption or parse_viewpoints(given.get("views")) != parse_viewpoints(
+        column.views
+    ):
         return False
-    if parse_viewpoints(result.config.get("views")) != parse_viewpoints(column.views):
-        return False
-    wanted, given = column.dataset, result.config.get("dataset", {})
-    both = wanted.keys() & given.keys() - _WHERE
-    return "name" in both and all(as_text(wanted[name]) == as_text(given[name]) for name in both)
+    if isinstance(result, Run) and (frames := column.frames) is not None:
+        alike = result.fingerprint == frames.fingerprint and as_text(result.protocol) == as_text(frames.protocol)
+        return alike and result.environment.get("threads") == frames.threads
+    wanted, theirs = column.dataset, given.get("dataset", {})
+    ignored = {"_target_", "on_disk", *wanted.get("on_disk", ()), *theirs.get("on_disk", ())}
+    both = wanted.keys() & theirs.keys() - ignored
+    return "name" in both and all(as_text(wanted[name]) == as_text(theirs[name]) for name in both)
 
 
-def _in_row(result: Run | Failure, row: Row) -> bool:
+def _belongs_to_row(result: Run | Failure, row: Row) -> bool:
     """Tell whether a run's method has a row's arguments and otherwise its defaults."""
     if result.method != row.method:
         return False
-    wanted = row.arguments
-    given = {**result.config.get("method", {}), **result.config.get("changed", {})}
-    return _changed(result) <= wanted.keys() and all(
+    wanted, changed = row.arguments, result.config["changed"]
+    given = {**result.config["method"], **changed}
+    return changed.keys() <= wanted.keys() and all(
         name in given and as_text(given[name]) == as_text(value) for name, value in wanted.items()
     )
 
 
-def _changed(result: Run | Failure) -> set[str]:
-    """Return the arguments of the method that were asked for; an early failure names them in the words of the user."""
-    if "changed" in result.config:
-        return set(result.config["changed"])
-    asked = (text.lstrip("+").partition("=")[0] for text in result.config.get("overrides", []))
-    return {name.removeprefix("method.") for name in asked if name.startswith("method.")} - _PER_RUN
-
-
-def _on(result: Run | Failure) -> str:
+def _get_device(result: Run | Failure) -> str:
     return str(result.config.get("device", "cpu")).partition(":")[0]
 
 
-def _when(result: Run | Failure) -> str:
+def _get_time(result: Run | Failure) -> str:
     return str(result.environment.get("time_utc") or "")
 
 
 def age(run: Run) -> tuple[str, str]:
-    """Return what sorts runs from the oldest to the newest."""
-    return _when(run), run.key
+    """Return the key that sorts runs from the oldest to the newest."""
+    return _get_time(run), run.key
 
 
 def conditions(run: Run) -> dict[str, Any]:
-    """Return the conditions that must be equal for times to be put together, keyed by the word for a difference."""
-    surroundings, arguments = run.environment, run.config["method"]
+    """Return the conditions that must be equal for the runs of a row to be put together."""
+    given, surroundings = run.config, run.environment
     return {
-        "code": run.config.get("code"),
-        "arguments of the method": {k: v for k, v in arguments.items() if k not in _PER_RUN},
-        "weights": run.config.get("files", []),
-        "timing": run.config.get("timing"),
-        "libraries": surroundings.get("libraries"),
-        "threads": surroundings.get("threads"),
+        **{name: given.get(name) for name in ("code", "files")},
+        **{name: surroundings.get(name) for name in ("libraries", "threads")},
+        "method": {name: value for name, value in given["method"].items() if name not in _PER_RUN},
         "machine": _machine(run),
     }
-
-
-def _setup(run: Run) -> dict[str, Any]:
-    network = "trained" if run.network is None else "loaded"
-    return {**{name: value for name, value in conditions(run).items() if name != "timing"}, "network": network}
 
 
 def _rank(members: Sequence[Run], row: Row) -> tuple[bool, bool, tuple[str, str]]:
@@ -225,29 +222,24 @@ def _machine(result: Run | Failure) -> tuple[Any, ...]:
     return Machine.of(result.environment).hardware
 
 
-def _same_machine(failure: Failure, run: Run) -> bool:
-    """Tell whether a failure is of a run's machine, or may be: older ones do not say."""
-    return "processor" not in failure.environment or _machine(failure) == _machine(run)
-
-
 def as_text(value: Any) -> str:
     """Return plain values as text that is the same for equal ones: order, tuples and 2.0 for 2 make no difference."""
-    return json.dumps(_plain(value), sort_keys=True)
+    return json.dumps(_simplify(value), sort_keys=True)
 
 
-def _plain(value: Any) -> Any:
+def _simplify(value: Any) -> Any:
     if isinstance(value, Mapping):
-        return {str(name): _plain(inner) for name, inner in value.items()}
+        return {str(name): _simplify(inner) for name, inner in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(inner) for inner in value]
+        return [_simplify(inner) for inner in value]
     return int(value) if isinstance(value, float) and value.is_integer() else value
 
 
-def seen(groups: Sequence[Group], rows: Sequence[Row], views: Sequence[Views]) -> list[Group]:
+def apply_views(groups: Sequence[Group], rows: Sequence[Row], views: Sequence[Views]) -> list[Group]:
     """Return a group for each view of each group, of the runs that its rows show; without views the groups themselves.
 
-    A run that kept no scores is a failure there, which says what to do; where no run of any group did, NoScoresError is
-    raised. Of several views none keeps its scores, which may fill the memory.
+    A run that kept no scores is a failure there, which names the remedy. Of several views none keeps its scores, which
+    may fill the memory. Raises NoScoresError where no run of any group kept scores.
     """
     if not views:
         return list(groups)
@@ -282,15 +274,15 @@ def title(group: Group, among: Sequence[Group]) -> str:
     protocols = [_stated_protocol(other.runs[0]) for other in versions]
     names = dict.fromkeys(n for p in protocols for n in p if not n.startswith(("sequence_", "filter_")))  # as of views
     differing = [name for name in names if any(p.get(name) != protocols[0].get(name) for p in protocols)]
-    parts = [_words({name: p[name] for name in differing if name in p}) for p in protocols]
+    parts = [_describe_parts({name: p[name] for name in differing if name in p}) for p in protocols]
     mine = parts[next(i for i, other in enumerate(versions) if other is group)]
     images = "" if mine and parts.count(mine) == 1 else f"images {group.runs[0].fingerprint[:8]}"
     return ", ".join(filter(None, [planned.title, mine, images]))
 
 
 def describe_protocol(run: Run) -> str:
-    """Return what a run's dataset selected and how, without the numbers of its places and queries."""
-    return _words(
+    """Return the protocol of a run in words, without the numbers of its places and queries."""
+    return _describe_parts(
         {name: value for name, value in _stated_protocol(run).items() if name not in ("places", "query_places")}
     )
 
@@ -301,11 +293,11 @@ def _stated_protocol(run: Run) -> dict[str, Any]:
     return {name: value for name, value in run.protocol.items() if name not in follows}
 
 
-def _words(protocol: Mapping[str, Any]) -> str:
-    return ", ".join(f"{name.replace('_', ' ')} {_word(value)}" for name, value in protocol.items())
+def _describe_parts(protocol: Mapping[str, Any]) -> str:
+    return ", ".join(f"{name.replace('_', ' ')} {_format_part(value)}" for name, value in protocol.items())
 
 
-def _word(value: Any) -> str:
+def _format_part(value: Any) -> str:
     if isinstance(value, Mapping):
         return "+".join(f"{inner} in {name}" for name, inner in value.items())
     return "+".join(map(str, value)) if isinstance(value, list | tuple) else str(value)

@@ -35,40 +35,36 @@ class StoredRuns:
         self._store = store
         self._datasets: dict[str, tuple[Dataset, str]] = {}
 
-    def find(self, request: RunRequest) -> Run | None:
-        """Return the stored run that a process would find and have nothing to add to; None if there is none.
+    def holds(self, request: RunRequest) -> bool:
+        """Tell whether a process would find the run of a request, for each of its corruptions, with nothing to add.
 
-        Of several corruptions it is the run of the last, if all are there. It has the key of a stored run; the frames
-        behind the key are looked at only if the arguments are those of one. None for whatever raises an error here, so
-        that a process tells it.
+        The frames behind a key are looked at only if the arguments are those of a stored run. False for whatever
+        raises an error here, so that a process tells it.
         """
         if not self._runs or request.force:
-            return None
-        several = isinstance(request.corruption, list)
-        wanted = [request.with_corruption(name) for name in request.corruptions] if several else [request]
-        found: Run | None = None
+            return False
+        wanted = [request]
+        if isinstance(request.corruption, list):
+            wanted = [request.with_corruption(name) for name in request.corruptions]
         try:
             with contextlib.redirect_stdout(io.StringIO()):
-                for one in wanted:
-                    if (found := self._find_one(one)) is None:
-                        break
+                return all(map(self._holds_one, wanted))
         except (Exception, SystemExit) as error:  # whatever a plug-in raises
             logger.debug("whether %s is stored is left to a process: %s", request.method_name, error)
-            return None
-        return found
+            return False
 
     @cached_property
     def _runs(self) -> list[Run]:
         return list(self._store.runs())
 
-    def _find_one(self, request: RunRequest) -> Run | None:
+    def _holds_one(self, request: RunRequest) -> bool:
         wanted = _hash_arguments(request.record())
         alike = [
             run for run in self._runs if run.method == request.method_name and _hash_arguments(run.config) == wanted
         ]
         code = code_hash_of(request.method["_target_"])
         if not alike or code is None:
-            return None
+            return False
         dataset, images = self._dataset(request.dataset, request.corruption)
         dataset = record_viewpoints(dataset, parse_viewpoints(request.views))
         keys = {
@@ -85,9 +81,9 @@ class StoredRuns:
             for held_out in (None, *([dataset.held_out.fingerprint()] if dataset.held_out else []))
         }
         if request.frames and thumbnails.load_thumbnails(self._store.root, images) is None:
-            return None
+            return False
         there = (run for run in alike if run.dataset == dataset.name and run.key in keys)
-        return next((run for run in there if not list_missing_parts(run, request, dataset)), None)
+        return any(not list_missing_parts(run, request, dataset) for run in there)
 
     def _dataset(self, config: Mapping[str, Any], corruption: Any) -> tuple[Dataset, str]:
         """Return a dataset and the fingerprint of its frames, which may have to be hashed."""

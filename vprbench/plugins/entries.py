@@ -20,8 +20,8 @@ Folder = Literal["method", "dataset", "timing", "cluster"]
 
 ENTRY_POINTS = "vprbench.conf"
 
-#: Keys in the yaml of a method that are no arguments of its class.
-DECLARED = ("tuned_on", "tags")
+#: What the yaml of a method or dataset says of it beside its arguments.
+DECLARED = ("tuned_on", "tags", "on_disk")
 _NO_ARGUMENTS = ("_target_", *DECLARED)
 
 

@@ -68,7 +68,7 @@ def _shorten(text: str) -> str:
 
 
 def arguments(config: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a method's configuration without what its yaml declares beside the arguments."""
+    """Return a configuration without the declarations of its yaml beside the arguments."""
     return {name: value for name, value in config.items() if name not in yamls.DECLARED}
 
 
@@ -85,7 +85,7 @@ def make_dataset(config: Mapping[str, Any]) -> Dataset:
 
     `shared_frames` is an option of every dataset, and no argument of the function that makes it.
     """
-    own = {name: value for name, value in config.items() if name != "shared_frames"}
+    own = {name: value for name, value in arguments(config).items() if name != "shared_frames"}
     shared = check_value("dataset.shared_frames", config.get("shared_frames", "error"), SharedFrames)
     with _explaining_disk_errors(str(config.get("name", ""))):
         dataset = _build("dataset", own)

@@ -18,11 +18,10 @@ from vprbench.runs.recall_intervals import recall_interval
 from vprbench.runs.record import Run
 from vprbench.runs.views import queries_shown, select_queries, window_of
 
-#: Arguments of a dataset that choose among its places, or say where its frames lie: the places keep their numbers.
+#: Arguments of a dataset that choose among its places, which keep their numbers.
 _CHOOSING = {
-    *("_target_", "name", "root", "default_root", "source", "download", "suffix", "calibration", "processed", "lists"),
-    *("references", "query", "protocol", "shared_frames", "places", "query_places", "query_stride", "tolerance"),
-    *("first_place", "first_query_place"),
+    *("_target_", "name", "suffix", "on_disk", "references", "query", "protocol", "shared_frames"),
+    *("places", "query_places", "query_stride", "tolerance", "first_place", "first_query_place"),
 }
 
 ONE_SEED = "one seed of a method that draws at random: seeds=3 of vprbench compare says how far seeds differ"
@@ -50,7 +49,9 @@ def _show_declared_places(run: Run) -> npt.NDArray[np.bool_] | None:
     if known is None or entry is None or entry.rivals:
         return None
     listed = entry.values()
-    if not all(name in _CHOOSING or (name, value) in listed.items() for name, value in run.config["dataset"].items()):
+    given = run.config["dataset"]
+    ignored = {*_CHOOSING, *given.get("on_disk", ())}
+    if not all(name in ignored or (name, value) in listed.items() for name, value in given.items()):
         return None
     numbers = np.arange(run.outcome.n_places) if run.place_numbers is None else run.place_numbers
     tuned = np.any([(numbers >= first) & (numbers <= last) for first, last in known], axis=0)

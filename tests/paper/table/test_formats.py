@@ -48,7 +48,7 @@ def comparison():
         ("whole.tex", lambda: formats.to_latex(whole())),
         ("whole.html", lambda: formats.to_html(whole())),
         ("comparison.md", lambda: formats.to_markdown(comparison())),
-        ("comparison.tex", lambda: formats.to_latex(comparison(), fragment=True)),
+        ("comparison.tex", lambda: formats.to_latex(comparison())),
     ],
 )
 def test_a_document_is_the_stored_one(file, text):
@@ -165,15 +165,26 @@ def test_lines_within_text_end_neither_a_row_nor_a_line_of_csv():
     assert Parsed(formats.to_html(made)).rows[2][0] == "a b c d"
 
 
+DOCUMENT = r"""\documentclass{{article}}
+\usepackage[landscape,a4paper,margin=12mm]{{geometry}}
+\usepackage[T1]{{fontenc}}
+\usepackage{{lmodern,textcomp,booktabs}}
+\begin{{document}}
+\tiny
+{}
+\end{{document}}
+"""
+
+
 def compiled(source, folder):
-    """Return what pdflatex says of a document; skips where it or what reads its pages is missing."""
+    """Return the log of pdflatex for a document of some tables; skips where a program is missing."""
     missing = [program for program in ("pdflatex", "pdftotext", "pdfinfo") if shutil.which(program) is None]
     if missing:
         reason = f"{' and '.join(missing)} not installed"
         if "VPRBENCH_INSIST_ON_LATEX" in os.environ:
             pytest.fail(reason)
         pytest.skip(reason)
-    (folder / "table.tex").write_text(source, encoding="utf-8")
+    (folder / "table.tex").write_text(DOCUMENT.format(source), encoding="utf-8")
     command = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "-no-shell-escape", "table.tex"]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, errors="replace", timeout=120)
     assert done.returncode == 0, done.stdout[-2000:]
@@ -185,31 +196,15 @@ def read(folder, *command):
     return subprocess.run(command, cwd=folder, capture_output=True, check=True, encoding="utf-8").stdout
 
 
-def test_four_datasets_are_two_tables_and_a_name_in_brackets_is_no_argument_of_the_line_above():
+def test_a_dataset_is_a_table_and_a_name_in_brackets_is_no_argument_of_the_line_above():
     asked = [ResolvedColumn(PlannedColumn(name, name.upper(), ()), STREET) for name in "abcd"]
     source = formats.to_latex(table(rows=[SAD, Row("[2cm]", "other")], asked=asked))
-    assert source.count(r"\begin{tabular}") == 2
+    assert source.count(r"\begin{tabular}") == 4
     lines = re.findall(r"^\{SAD\}.*", source, re.MULTILINE)
-    assert [line.count(" & ") for line in lines] == [10, 10]
+    assert [line.count(" & ") for line in lines] == [5, 5, 5, 5]
     assert not re.search(r"\\\\(\\addlinespace|\s)*\[", source)
     assert r"{a-{}-b ,{},c '{}'d \textless{} [U+5730] é}" in formats.to_latex(named("a--b ,,c ''d < 地 e\u0301"))
     assert r"{\{x\} 50\% \& \#1 \$2}" in formats.to_latex(named("{x} 50% & #1 $2"))
-
-
-@pytest.mark.extended
-def test_five_rows_and_two_datasets_fit_on_one_landscape_page_and_what_is_narrower_does_not_grow(tmp_path):
-    assert not re.search(r"Overfull|Warning", compiled(formats.to_latex(whole()), tmp_path))
-    pages = read(tmp_path, "pdfinfo", "table.pdf")
-    assert re.search(r"Pages: +1\n", pages)
-    assert re.search(r"Page size: +841.89 x 595.276", pages)
-    text = read(tmp_path, "pdftotext", "-layout", "-enc", "UTF-8", "table.pdf", "-")
-    numbers = ("95.0 ± 1.7 [", "1.0 ± 0.02 (4.1)", "48 (\u22121.3)", "1 (\u22120.99)")
-    for told in (*numbers, "10 (match alone here: 11; +1.1)", "M2: Loom 3, 1 of 8 cores"):
-        assert told in text
-    compiled(formats.to_latex(table([run()], rows=[SAD])), tmp_path)
-    boxes = read(tmp_path, "pdftotext", "-bbox", "table.pdf", "-")
-    left = [float(x) for x in re.findall(r'xMin="([\d.]+)".*>Hz<', boxes)]
-    assert 0 < max(left) < 600  # of 842
 
 
 PRINTED = 'A&B %c $d #e _f {g} ~h ^i \\j <k> |l "m" n\'s `o` --p ,,q é ± η µ ß \u2212 \u2013 “r” Ł'
@@ -222,9 +217,8 @@ def test_any_text_is_printed_as_it_is_or_by_plain_letters_or_numbers(tmp_path):
     source = formats.to_latex(named(PRINTED, "[x]", "*", COMMANDS, LACKING))
     assert "Missing character" not in compiled(source, tmp_path)
     text = " ".join(read(tmp_path, "pdftotext", "-layout", "-enc", "UTF-8", "table.pdf", "-").split())
-    assert text.count(PRINTED.replace("'", "\u2019")) >= 4  # a straight apostrophe is set as a curved one
+    assert text.count(PRINTED.replace("'", "\u2019")) >= 2  # a straight apostrophe is set as a curved one
     assert COMMANDS in text
     assert "Ť [U+0167] [U+5730] é fi °C" in text
     assert "[U+1F642] a b" in text
-    for made in (table(rows=[]), replace(table(), columns=())):
-        compiled(formats.to_latex(made), tmp_path)
+    compiled(formats.to_latex(whole()), tmp_path)

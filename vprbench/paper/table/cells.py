@@ -1,44 +1,58 @@
 """The cells of Table II, before any format: measured and published numbers, with remarks.
 
 They are one frame: the frame of the runs that rows show (`vprbench.runs.frame`), grouped by row, column and device, and
-put beside the numbers that the paper printed.
+put beside the numbers that the paper printed. Remarks are short codes, or fixed words of the plan.
 """
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Collection, Mapping, Sequence
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from statistics import stdev
-from typing import Any
+from statistics import mean, stdev
+from typing import Any, Literal
 
 import pandas as pd
 
-from vprbench.metrics.intervals import WiderInterval
+from vprbench.metrics.accuracy import recall_at
 from vprbench.paper.plan import Plan, Row
 from vprbench.paper.published import published
-from vprbench.paper.selection import DEVICES, Device, Group, RowRuns, accuracy_device, describe_protocol, of_row
+from vprbench.paper.selection import (
+    DEVICES,
+    Device,
+    Group,
+    RowRuns,
+    accuracy_device,
+    as_text,
+    describe_protocol,
+    of_row,
+)
 from vprbench.paper.selection import title as title_of
 from vprbench.paper.table.best import Contestant
 from vprbench.paper.table.quantities import QUANTITIES, RECALL, Quantity
-from vprbench.paper.table.remarks import (
-    Mark,
-    describe_failure,
-    explain_absence,
-    explain_undefined,
-    find_other_timing,
-    list_differences,
-    list_remarks,
-)
 from vprbench.runs.frame import tabulate_with_records
+from vprbench.runs.notes import DISTURBED, NoteKind
 from vprbench.runs.recall_intervals import recall_interval
-from vprbench.runs.record import Run
+from vprbench.runs.record import Failure, Run
 from vprbench.runs.tuned import all_without_tuning_places, describe_tuning, overlaps_tuning_places
+
+Mark = Literal[
+    "measured",  # by this harness, on the machine that the cell names
+    "quoted",  # copied from a publication: in italics, in no contest
+    "not applicable",  # there is no such step: printed as -
+    "not there",  # the method, its weights or the frames are missing; the row fills by itself once they are there
+    "failed",
+    "left out",  # too many places for this row within the time of the table
+    "unfinished",  # some of the seeds are not stored yet, or none
+    "not timed",  # answers are stored, and no rates with them
+    "not run",  # no run of this kind is stored, as on a machine without a GPU
+]
+_HIDDEN: frozenset[NoteKind] = DISTURBED | {"offline", "described", "fitted"}  # a tilde, or another cell, shows them
 
 #: The columns of the frame of cells. Numbers are in the unit of the quantity; what there is not is None.
 FACTS = (
     *("row", "column", "quantity"),  # their names
-    "mark",  # "measured", or the word for a cell without a number (`remarks.Mark`)
+    "mark",  # "measured", or the word for a cell without a number (`Mark`)
     "value",  # over the seeds: the mean, of minutes and seconds of a fit the median; where mark is "quoted" the paper's
     *("low", "high", "interval", "block"),  # of R@1: 95 % over the queries, of which kind, and queries a block
     *("elsewhere", "elsewhere_low", "elsewhere_high", "elsewhere_spread"),  # of an accuracy, on places not tuned on
@@ -90,7 +104,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Entry:
-    """What is stored of one row in one column."""
+    """The stored runs of one row in one column."""
 
     row: Row
     group: Group
@@ -109,6 +123,10 @@ class Entry:
             return facts[:0]
         return facts if quantity.required is None else facts[facts[quantity.required].notna()]
 
+    def runs(self, quantity: Quantity) -> tuple[Run, ...]:
+        """Return the runs that measured a quantity."""
+        return tuple(self.shown(quantity)["record"])
+
 
 def assemble(
     groups: Sequence[Group],
@@ -124,21 +142,28 @@ def assemble(
     the paper's the rows stay in their order. Looks at runs, failures and plan alone.
     """
     columns = tuple(_describe_column(group, groups, plan) for group in groups)
-    ordered = sorted(rows, key=lambda row: title is None and row.spiking)
-    entries = _list_entries(ordered, groups, columns, [quantity.name for quantity in quantities if quantity.metric])
-    contests = {
-        (column.name, quantity.name): _find_best([each for each in entries if each.column is column], quantity)
-        for column, quantity in itertools.product(columns, quantities)
-    }
+    ordered = tuple(sorted(rows, key=lambda row: title is None and row.spiking))
+    metrics = [quantity.name for quantity in quantities if quantity.metric]
     printed = published()
-    made = [
-        _make_cell(entry, quantity, printed, *contests[entry.column.name, quantity.name], slow)
-        for entry, quantity in itertools.product(entries, quantities)
-    ]
+    cells: dict[tuple[str, str, str], dict[str, Any]] = {}
+    n_aside = 0
+    for group, column in zip(groups, columns, strict=True):
+        entries = []
+        for row in ordered:
+            found = {device: of_row(group, row, device) for device in DEVICES}
+            facts = {device: tabulate_with_records(found[device].runs, metrics) for device in DEVICES}
+            entries.append(Entry(row, group, column, found, facts))
+        n_aside += sum(found.n_aside for entry in entries for found in entry.found.values())
+        for quantity in quantities:
+            best, timing = _find_best(entries, quantity), _find_usual_timing(entries, quantity)
+            for entry in entries:
+                cell = _make_cell(entry, quantity, printed, timing, (column.name, entry.row.name) in slow)
+                cell["best"] = best == entry.row.name
+                cells[entry.row.name, column.name, quantity.name] = cell
+    made = [cells[row.name, column.name, one.name] for row in ordered for column in columns for one in quantities]
     notes, machines = _number_notes_and_machines(made)
-    cells = pd.DataFrame(made, columns=[*FACTS], dtype=object)
-    n_aside = sum(found.n_aside for entry in entries for found in entry.found.values())
-    return Table(cells, columns, tuple(ordered), notes, machines, quantities, title, n_aside)
+    frame = pd.DataFrame(made, columns=[*FACTS], dtype=object)
+    return Table(frame, columns, ordered, notes, machines, quantities, title, n_aside)
 
 
 def _describe_column(group: Group, groups: Sequence[Group], plan: Plan) -> Column:
@@ -159,87 +184,70 @@ def _describe_column(group: Group, groups: Sequence[Group], plan: Plan) -> Colum
     )
 
 
-def _list_entries(
-    rows: Sequence[Row], groups: Sequence[Group], columns: Sequence[Column], metrics: Sequence[str]
-) -> list[Entry]:
-    """Return the stored runs of each row in each column, row by row."""
-    entries = []
-    for row in rows:
-        for group, column in zip(groups, columns, strict=True):
-            found = {device: of_row(group, row, device) for device in DEVICES}
-            facts = {device: tabulate_with_records(found[device].runs, metrics) for device in DEVICES}
-            entries.append(Entry(row, group, column, found, facts))
-    return entries
-
-
-def _find_best(entries: Sequence[Entry], quantity: Quantity) -> tuple[str | None, Mapping[str, str]]:
-    """Return which row of a column is best by a test, and by row how it was timed otherwise than the others.
-
-    What was tuned on the places of the column is in no contest.
-    """
-    there = {entry.row.name: (entry, runs) for entry in entries if (runs := _list_records(entry.shown(quantity)))}
+def _find_best(entries: Sequence[Entry], quantity: Quantity) -> str | None:
+    """Return the row of a column that is best by a test; rows tuned on places of the column are in no contest."""
     contest = [
-        Contestant(name, runs, not entry.found[entry.device(quantity)].missing_seeds)
-        for name, (entry, runs) in there.items()
-        if quantity.contends(entry.row) and not any(map(overlaps_tuning_places, runs))
+        Contestant(entry.row.name, runs, not entry.found[entry.device(quantity)].missing_seeds)
+        for entry in entries
+        if (runs := entry.runs(quantity))
+        and quantity.contends(entry.row)
+        and not any(map(overlaps_tuning_places, runs))
     ]
-    timed = {name: runs for name, (_, runs) in there.items()} if quantity.kind == "rate" else {}
-    return quantity.best(contest), find_other_timing(timed)
+    return quantity.best(contest)
 
 
-def _list_records(facts: pd.DataFrame) -> tuple[Run, ...]:
-    return tuple(facts["record"])
+def _find_usual_timing(entries: Sequence[Entry], quantity: Quantity) -> str:
+    """Return the timing options of most rows of a column, as text."""
+    rows = [{as_text(run.config.get("timing")) for run in entry.runs(quantity)} for entry in entries]
+    return next((timing for timing, _ in Counter(one for each in rows for one in each).most_common(1)), "")
 
 
 def _make_cell(
     entry: Entry,
     quantity: Quantity,
     printed: Mapping[tuple[str, str], Mapping[str, float | None]],
-    best: str | None,
-    other_timing: Mapping[str, str],
-    slow: Collection[tuple[str, str]],
+    timing: str,
+    is_slow: bool,
 ) -> dict[str, Any]:
-    """Return one cell, its notes as text and its machine by name."""
+    """Return one cell, its notes as text and its machine by name; `timing` holds the usual options of the column."""
     row, column = entry.row, entry.column
     dataset = "" if entry.group.view else entry.group.column.planned.published or ""  # the paper has no views
     paper = printed.get((row.name, dataset), {})
     value = paper.get(quantity.name)
     mark = "none" if quantity.name not in paper else "not applicable" if value is None else "measured"
     cell: dict[str, Any] = {**dict.fromkeys(FACTS), "row": row.name, "column": column.name, "quantity": quantity.name}
-    cell |= {"mark": "not applicable", "published": value, "published_mark": mark, "best": False, "disturbed": False}
-    cell["notes"] = []
+    cell |= {"mark": "not applicable", "published": value, "published_mark": mark, "disturbed": False, "notes": []}
     source = quantity.source(row)
     if source != "measured":
         return cell if source == "none" else cell | _quote(row, quantity, value, printed)
-    facts = entry.shown(quantity)
-    runs = _list_records(facts)
+    facts, runs = entry.shown(quantity), entry.runs(quantity)
+    found = entry.found[entry.device(quantity)]
     if not runs:
-        mark, remark = _explain_absence(entry, quantity, slow)
-        return cell | {"mark": mark, "notes": [remark] if remark else []}
+        absence = _find_absence(entry, quantity, is_slow)
+        first = next((one for one in found.failures if one.missing == (absence == "not there")), None)
+        return cell | {"mark": absence, "notes": [_describe_failure(first)] if first else []}
     numbers = _compute_numbers(facts, quantity)
     if numbers is None:
-        return cell | {"notes": [explain_undefined(quantity, runs)]}
-    found = entry.found[entry.device(quantity)]
-    notes = [f"seeds: {len(runs)} of {len(row.seeds)}"] if len(runs) < len(row.seeds) else []
-    notes += [describe_failure(failure, with_seed=True) for failure in found.failures]
-    notes += filter(None, [describe_tuning(_list_records(entry.shown(RECALL)))])
-    notes += list_remarks(quantity, row, runs)
-    notes += filter(None, [other_timing.get(row.name)])
+        return cell | {"notes": [_explain_undefined(quantity, runs)]}
     if quantity.kind == "rate" and row.boundary is not None:
         numbers["at_boundary"] = quantity.over_seeds([*facts[f"streaming_{row.boundary}_hz"]])
-    if value is not None:
-        notes += list_differences(quantity, row, entry.group.column.planned, column.stand_in_for, runs[0])
-        ours = numbers.get("at_boundary", numbers["value"])
-        numbers["difference"] = None if column.stand_in_for else ours - value
+    if value is not None and not column.stand_in_for:
+        numbers["difference"] = numbers.get("at_boundary", numbers["value"]) - value
     if others := all_without_tuning_places(runs) if quantity.kind == "accuracy" else ():
         names = [quantity.name] if quantity.metric else []
         elsewhere = _compute_numbers(tabulate_with_records(others, names), quantity) or {}
         numbers |= {"elsewhere": elsewhere.pop("value", None)}
         numbers |= {f"elsewhere_{name}": elsewhere.get(name) for name in ("low", "high", "spread")}
+    notes = [f"seeds: {len(runs)} of {len(row.seeds)}"] if len(runs) < len(row.seeds) else []
+    notes += [_describe_failure(failure, f" seed {failure.config['seed']}") for failure in found.failures]
+    notes += filter(None, [describe_tuning(entry.runs(RECALL))])
+    notes += _list_remarks(quantity, row, runs)
+    if quantity.kind == "rate":
+        notes += ["other timing"] * any(as_text(run.config.get("timing")) != timing for run in runs)
+        notes += [row.rate_remark] if value is not None and row.rate_remark is not None else []
     return cell | {
         **numbers,
         "mark": "unfinished" if found.missing_seeds else "measured",
-        "best": best == row.name,
         "seeds": tuple(facts["seed"]),
         "disturbed": quantity.kind in ("training", "fit", "rate") and any(facts["disturbed"]),
         "machine": (facts["machine"].iloc[0], max(facts["time_utc"])[:10]),
@@ -248,25 +256,19 @@ def _make_cell(
 
 
 def _compute_numbers(facts: pd.DataFrame, quantity: Quantity) -> dict[str, Any] | None:
-    """Return what runs gave over their seeds, with its interval and spread; None if it is undefined."""
+    """Return the value of runs over their seeds, with its interval and spread; None if it is undefined."""
     values = [quantity.in_unit(value) for value in facts[quantity.fact].dropna()]
     if not values:
         return None
     found: dict[str, Any] = {"value": quantity.over_seeds(values)}
     found["spread"] = stdev(values) if len(values) > 1 else None
     if quantity.total is not None:
-        totals = [quantity.in_unit(value) for value in facts[quantity.total].dropna()]
-        found["total"] = quantity.over_seeds(totals)
-    if quantity.fact == RECALL.fact:
-        found |= _describe_interval(recall_interval(_list_records(facts)))
+        found["total"] = quantity.over_seeds([quantity.in_unit(value) for value in facts[quantity.total].dropna()])
+    interval = recall_interval(tuple(facts["record"])) if quantity.fact == RECALL.fact else None
+    if interval is not None:
+        ends = {"low": 100 * interval.low, "high": 100 * interval.high}
+        found |= {**ends, "interval": interval.kind, "block": interval.block}
     return found
-
-
-def _describe_interval(interval: WiderInterval | None) -> dict[str, Any]:
-    if interval is None:
-        return {}
-    ends = {"low": 100 * interval.low, "high": 100 * interval.high}
-    return {**ends, "interval": interval.kind, "block": interval.block}
 
 
 def _quote(
@@ -275,7 +277,7 @@ def _quote(
     value: float | None,
     printed: Mapping[tuple[str, str], Mapping[str, float | None]],
 ) -> dict[str, Any]:
-    """Return what the paper says of the pre-training, which is the same whatever is recognised afterwards."""
+    """Return the paper's time of a pre-training, which is the same on every dataset."""
     said = [cells.get(quantity.name) for (name, _), cells in printed.items() if name == row.name]
     known = next((each for each in [value, *said] if each is not None), None)
     if known is None:
@@ -283,13 +285,48 @@ def _quote(
     return {"mark": "quoted", "value": known, "published_mark": "none" if value is None else "quoted"}
 
 
-def _explain_absence(entry: Entry, quantity: Quantity, slow: Collection[tuple[str, str]]) -> tuple[Mark, str]:
+def _find_absence(entry: Entry, quantity: Quantity, is_slow: bool) -> Mark:
+    """Return the word in a cell that no run measured."""
     device = entry.device(quantity)
     found = entry.found[device]
-    if entry.group.number > 1 and not found.runs and not found.failures:
-        return "not run", ""
-    elsewhere = any(entry.found[other].runs for other in DEVICES if other != device)
-    return explain_absence(found, quantity, elsewhere, (entry.group.column.planned.name, entry.row.name) in slow)
+    if found.failures:
+        return "not there" if all(failure.missing for failure in found.failures) else "failed"
+    if found.runs:
+        return "not timed" if quantity.kind == "rate" else "not run"
+    has_other_device = any(entry.found[other].runs for other in DEVICES if other != device)
+    if quantity.device == "cuda" or has_other_device or entry.group.number > 1:
+        return "not run"
+    return "left out" if is_slow else "unfinished"
+
+
+def _describe_failure(failure: Failure, seed: str = "") -> str:
+    """Return the code of a failure and the first line of its error."""
+    line = next(iter(failure.error.strip().splitlines()), "")
+    return f"{'missing' if failure.missing else 'failed'}{seed}: {line}"
+
+
+def _explain_undefined(quantity: Quantity, runs: Sequence[Run]) -> str:
+    """Return the remark on a quantity that is undefined in all runs of a row."""
+    reasons = (run.energy["how"].get(quantity.name) for run in runs if run.energy is not None)
+    reason = next(filter(None, reasons), None) if quantity.metric is not None and quantity.metric.cost else None
+    return f"undefined: {reason or 'no query has a right place'}"
+
+
+def _list_remarks(quantity: Quantity, row: Row, runs: Sequence[Run]) -> Iterator[str]:
+    """Yield the notes of runs that belong to a quantity, and the codes `ties` and `time to build the map`."""
+    notes = [note for run in runs for note in run.notes]
+    if quantity.kind == "training" and row.training == "map":
+        yield "time to build the map"
+    if quantity.kind in ("training", "fit"):
+        yield from (note.text for note in notes if note.kind == "fitted")
+    elif quantity.kind != "memory":  # whose notes stand with the accuracy
+        recalls = [recall_at(run.outcome, 1) for run in runs] if quantity.fact == RECALL.fact else []
+        known = [recall for recall in recalls if recall is not None]
+        if any(recall.hangs_on_ties for recall in known):
+            low, high = mean(each.pessimistic for each in known), mean(each.optimistic for each in known)
+            yield f"ties: R@1 {100 * low:.1f} to {100 * high:.1f} %"
+        of_rate = quantity.kind == "rate"
+        yield from (n.text for n in notes if n.kind not in _HIDDEN and (n.kind == "answers") == of_rate)
 
 
 def _number_notes_and_machines(cells: Sequence[dict[str, Any]]) -> tuple[tuple[str, ...], tuple[str, ...]]:

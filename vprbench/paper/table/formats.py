@@ -58,18 +58,6 @@ def _escape_sign(sign: str) -> str:
 
 _SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 _MACHINE, _NOTE = "table-machine", "table-note"  # ids in HTML
-_TABLES_SIDE_BY_SIDE = 2  # datasets in one table of LaTeX: more would be too small to read
-_PREAMBLE = r"""\documentclass{article}
-\usepackage[landscape,a4paper,margin=12mm]{geometry}
-\usepackage[T1]{fontenc}
-\usepackage[utf8]{inputenc}
-\usepackage{lmodern,textcomp}
-\usepackage{booktabs,graphicx} % these two are all that the tables need
-\pagestyle{empty}
-\setlength{\parindent}{0pt}
-\setlength{\parskip}{4pt}
-\raggedright
-\begin{document}"""
 
 
 @dataclass(frozen=True)
@@ -114,7 +102,6 @@ _LATEX = _Markup(
     name="{{{}}}",
     paper=r"{\quad paper}",
 )
-_FRAGMENT = replace(_LATEX, mark=lambda machine, notes: "")
 _HTML = _Markup(
     lambda text: escape(one_line(text)),
     escape,
@@ -132,42 +119,43 @@ def lay_out(table: Table, columns: Sequence[Column], markup: _Markup) -> pd.Data
 
     The columns have two levels, the title of the dataset and the heading of the quantity.
     """
-    cells: dict[tuple[str, str], list[Any]] = {}
-    for cell in iterate_rows(words.describe_cells(table)):
-        cells.setdefault((cell.row, cell.column), []).append(cell)
+    described = words.describe_cells(table)
+    several = len(table.machines) > 1
     heads = [(column.title, quantity.heading) for column in columns for quantity in table.quantities]
     names: list[str] = []
     lines: list[list[str]] = []
     apart = table.title is None and not all(row.spiking for row in table.rows)
     for row in table.rows:
-        of_row = [cell for column in columns for cell in cells[row.name, column.name]]
+        of_row = described[described["row"] == row.name].set_index("column")
+        cells = [cell for column in columns for cell in iterate_rows(of_row.loc[[column.name]])]
         if apart and row.spiking and not markup.spiking:
             names.append(markup.italic.format("spiking"))
             lines.append([""] * len(heads))
             apart = False
         names.append(markup.name.format(markup.escape(row.name)) + (markup.spiking if apart and row.spiking else ""))
-        lines.append([_write_cell(cell, markup) for cell in of_row])
-        if any(cell.in_paper for cell in of_row) and not markup.published:
+        lines.append([_write_cell(cell, markup, several) for cell in cells])
+        if any(cell.published_mark != "none" for cell in cells) and not markup.published:
             names.append(markup.paper)
-            lines.append([_write_published(cell, markup) for cell in of_row])
+            lines.append([_write_published(cell, markup) for cell in cells])
     levels = [(markup.escape(title), markup.escape(heading)) for title, heading in heads]
     labels = pd.MultiIndex.from_tuples(levels, names=["", "method"]) if levels else pd.Index([])
     return pd.DataFrame(lines, pd.Index(names, dtype=object), labels, dtype=object)
 
 
-def _write_cell(cell: Any, markup: _Markup) -> str:
-    marked = markup.bold if cell.best else markup.italic if cell.kind == "quoted" else "{}"
-    value = marked.format(markup.number(cell.value)) if cell.value else ""
-    notes = markup.mark(cell.machine, cell.notes) if cell.machine or cell.notes else ""
+def _write_cell(cell: Any, markup: _Markup, several_machines: bool) -> str:
+    marked = markup.bold if cell.best else markup.italic if cell.mark == "quoted" else "{}"
+    text = marked.format(markup.number(cell.text)) if cell.text else ""
+    machine = cell.machine + 1 if several_machines and cell.machine is not None else 0
+    notes = markup.mark(machine, cell.notes) if machine or cell.notes else ""
     absence = markup.absence.format(markup.number(cell.absence)) if cell.absence else ""
-    below = markup.published.format(_write_published(cell, markup)) if cell.in_paper else ""
-    return " ".join(filter(None, [absence, value, markup.number(cell.extent), notes])) + below
+    below = markup.published.format(_write_published(cell, markup)) if cell.published_mark != "none" else ""
+    return " ".join(filter(None, [absence, text, markup.number(cell.extent), notes])) + below
 
 
 def _write_published(cell: Any, markup: _Markup) -> str:
-    marked = markup.italic if cell.published_quoted else "{}"
-    value = marked.format(markup.number(cell.published))
-    return f"{value} ({markup.number(cell.beside)})" if cell.beside else value
+    marked = markup.italic if cell.published_mark == "quoted" else "{}"
+    printed = marked.format(markup.number(cell.printed))
+    return f"{printed} ({markup.number(cell.beside)})" if cell.beside else printed
 
 
 def to_markdown(table: Table) -> str:
@@ -198,37 +186,22 @@ def to_terminal(table: Table, wide: bool = False) -> str:
     return "\n".join([*parts, "", *notes, *words.list_machines(table), ""])
 
 
-def to_latex(table: Table, fragment: bool = False) -> str:
-    r"""Return a table as a LaTeX document of landscape pages, for booktabs and graphicx; any text is escaped.
+def to_latex(table: Table) -> str:
+    r"""Return a table as LaTeX for \input and booktabs, a tabular for each dataset; any text is escaped.
 
-    Two datasets stand in one table. A fragment holds the tables alone, for \input and booktabs, and the facts about
-    its numbers in comments.
+    The facts about its numbers stand in comments. The cells of Table II carry the numbers of machines and notes.
     """
-    starts = range(0, len(table.columns), _TABLES_SIDE_BY_SIDE)
-    batches = [table.columns[start : start + _TABLES_SIDE_BY_SIDE] for start in starts]
-    tabulars = [_write_tabular(lay_out(table, batch, _FRAGMENT if fragment else _LATEX)) for batch in batches]
-    units, *facts = words.list_facts(table)
-    if fragment:
-        comments = [f"{table.heading}. It needs \\usepackage{{booktabs}}.", units, *facts, *words.list_machines(table)]
-        return "\n".join([*(f"% {one_line(line)}" for line in comments), *tabulars])
-    parts = [_PREAMBLE, rf"\textbf{{{escape_latex(table.heading)}.}} {escape_latex(units)}"]
-    for batch, tabular in zip(batches, tabulars if table.rows else (), strict=bool(table.rows)):
-        for column in batch:
-            title, data = escape_latex(column.title), escape_latex(words.describe_data(column))
-            parts.append(rf"{{\footnotesize \textbf{{{title}:}} {data}\par}}")
-        fit = r"\resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}{%"
-        parts.append(f"{fit}\n\\setlength{{\\tabcolsep}}{{4pt}}{tabular}}}")
-    notes = [rf"\textsuperscript{{{n}}} {escape_latex(note)}\quad" for n, note in enumerate(table.notes, 1)]
-    machines = [rf"{escape_latex(machine)}\quad" for machine in words.list_machines(table)]
-    parts += [r"\footnotesize", "\n".join(notes), "\n".join(machines), escape_latex(" ".join(facts))]
-    return "\n\n".join(filter(None, [*parts, r"\end{document}"])) + "\n"
-
-
-def _write_tabular(frame: pd.DataFrame) -> str:
-    if frame.empty:
-        return ""
-    layout = f"@{{}}l{'l' * len(frame.columns)}@{{}}"
-    return str(frame.to_latex(column_format=layout, multicolumn_format="c")).rstrip()
+    markup = _LATEX if table.title is None else replace(_LATEX, mark=lambda machine, notes: "")
+    notes = [f"{number} {note}" for number, note in enumerate(table.notes, 1)] if table.title is None else []
+    needs = f"{table.heading}. It needs \\usepackage{{booktabs}}."
+    data = [f"{column.title}: {words.describe_data(column)}" for column in table.columns]
+    comments = [needs, *data, *words.list_facts(table), *notes, *words.list_machines(table)]
+    tabulars = []
+    for column in table.columns if table.rows else ():
+        frame = lay_out(table, [column], markup)
+        layout = f"@{{}}l{'l' * len(frame.columns)}@{{}}"
+        tabulars.append(str(frame.to_latex(column_format=layout, multicolumn_format="c")).rstrip())
+    return "\n".join([*(f"% {one_line(line)}" for line in comments), *tabulars])
 
 
 def to_html(table: Table) -> str:

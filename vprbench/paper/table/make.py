@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import suppress
 from pathlib import Path
 
-from vprbench.errors import BadInput
 from vprbench.jobs.executors import executor_for
 from vprbench.jobs.job import JobResult
-from vprbench.paper.gather import ReportData, TablePlan, all_runs, choose, material, run_missing, stored
-from vprbench.paper.missing_runs import Cell, Watch
+from vprbench.paper.gather import ReportData, choose, gather
 from vprbench.paper.run_options import TableRequest
 from vprbench.paper.table import formats
 from vprbench.runs import frame
@@ -21,60 +18,25 @@ from vprbench.terminal.console import console
 
 
 def make_table(request: TableRequest, options: Sequence[str]) -> int:
-    """Print the table and write it as Markdown, CSV and LaTeX; returns the exit code, 1 where a cell failed.
-
-    Where slow rows have to run, the table is printed and written without them first, and written again after each of
-    their runs.
-    """
-    chosen = choose(request)
-    quick, slow = all_runs(chosen, options)
+    """Print the table and write it as Markdown, CSV and LaTeX; returns the exit code, 1 where a cell failed."""
     with executor_for(request) as executor:
-        results = run_missing(chosen, quick, executor)
-
-        def before_slow(cell: Cell) -> None:
-            with suppress(BadInput):  # no run is there yet
-                _show(_put_together(chosen, results), request)
-                print(f"{cell.row.name} follows and takes longest: interrupt it, and what is done is kept", flush=True)
-
-        def after_slow() -> None:
-            with suppress(BadInput):  # no run is there yet
-                write(_put_together(chosen, results), _folder(request), file_name(request))
-
-        results += run_missing(chosen, slow, executor, Watch(before_slow, after_slow))
-    found = _put_together(chosen, results)
-    _show(found, request)
+        found = gather(choose(request), options, executor)
+    is_narrow = console().is_terminal
+    printed = formats.to_terminal(found.table, request.wide) if is_narrow else formats.to_markdown(found.table)
+    print(printed, end="", flush=True)  # first: it is there to be read even where nothing is written
+    written = write(found, Path(request.results).expanduser(), file_name(request))
+    print(f"\nwritten to {', '.join(str(path) for path in written)}", flush=True)
     return exit_code(found.job_results)
 
 
-def _put_together(chosen: TablePlan, results: Sequence[JobResult]) -> ReportData:
-    """Return what is stored now as the table."""
-    return material(chosen, *stored(chosen), tuple(results))
-
-
-def _show(found: ReportData, request: TableRequest) -> None:
-    """Print the table, then write its files."""
-    narrow = console().is_terminal
-    printed = formats.to_terminal(found.table, request.wide) if narrow else formats.to_markdown(found.table)
-    print(printed, end="", flush=True)  # first: it is there to be read even where nothing is written
-    written = write(found, _folder(request), file_name(request))
-    print(f"\nwritten to {', '.join(str(path) for path in written)}", flush=True)
-
-
-def _folder(request: TableRequest) -> Path:
-    return Path(request.results).expanduser()
-
-
 def write(found: ReportData, folder: Path, name: str) -> list[Path]:
-    """Write the table in its three formats, and all numbers of the runs behind it; returns the files.
-
-    The LaTeX of a table with a title of its own is a fragment.
-    """
+    """Write the table in its three formats, and all numbers of the runs behind it; returns the files."""
     Store(folder).prepare()
     runs = [run for group in found.groups for run in group.runs]
     texts = {
         f"{name}.md": formats.to_markdown(found.table),
         f"{name}.csv": formats.to_csv(found.table),
-        f"{name}.tex": formats.to_latex(found.table, fragment=found.table.title is not None),
+        f"{name}.tex": formats.to_latex(found.table),
         f"{name}-runs.csv": frame.format_csv(runs, found.chosen.metrics),
     }
     for file, text in texts.items():
