@@ -15,7 +15,7 @@ from typing import Any
 from vprbench.api.weights import Weights, find_weights
 from vprbench.config import make_request
 from vprbench.errors import BadInput, NotThere
-from vprbench.jobs.executors import Executor, Numbered, SerialExecutor, run_all
+from vprbench.jobs.executors import Executor, Numbered, run_all
 from vprbench.jobs.job import JobResult, failure_of
 from vprbench.metrics.accuracy import recall_at
 from vprbench.paper.plan import Row
@@ -87,7 +87,7 @@ def fill(
     for the first seed of a row is missing for the others, which are not tried if it is known by then. A failure is
     stored, never raised. `watch` is told how it goes.
     """
-    executor, watch = executor or SerialExecutor(), watch or Watch()
+    executor, watch = executor or Executor(), watch or Watch()
     shown = _Shown(wanted, executor.name) if sys.stderr.isatty() and len(wanted) > 1 else None
     filling = _Filling(wanted, store, shown, executor.is_distributed)
     cells = filling.cells()
