@@ -91,9 +91,12 @@ def make_job(place: Path, folder: str | None, environment: Mapping[str, str]) ->
 
     A plug-in may have started threads and processes, which the interpreter would wait for.
     """
-    with (place / _STDERR).open("ab") as stderr:
-        os.dup2(stderr.fileno(), 1)
-        os.dup2(stderr.fileno(), 2)
+    try:
+        stderr = os.open(place / _STDERR, os.O_WRONLY | os.O_APPEND)
+    except FileNotFoundError:  # the process that wanted the run was interrupted before it knew of this one
+        os._exit(1)
+    os.dup2(stderr, 1)
+    os.dup2(stderr, 2)
     os.setpgid(0, 0)  # the processes that a plug-in starts end with this one
     Thread(target=_end_with_parent, daemon=True).start()
     multiprocessing.current_process().daemon = False  # a plug-in may start processes
