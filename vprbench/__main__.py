@@ -1,4 +1,4 @@
-"""The process of the command line, by `python -m vprbench` or `vprbench`: its signals, its streams, and jobs."""
+"""The process of the command line, by `python -m vprbench` or `vprbench`: its signals and its streams."""
 
 from __future__ import annotations
 
@@ -10,14 +10,11 @@ from contextlib import suppress
 from types import FrameType
 from typing import NoReturn
 
-_IS_JOB = sys.argv[1:2] == ["--job"]  # another process asks for one run (jobs/child.py)
-
 
 def _end_at_once(number: int, _: FrameType | None) -> None:
     """End the process in one line: nothing has begun that would have to be undone."""
     with suppress(OSError):
-        if not _IS_JOB:  # the process that asked says it
-            os.write(2, b"vprbench: interrupted\n")
+        os.write(2, b"vprbench: interrupted\n")
     os._exit(128 + number)
 
 
@@ -25,15 +22,9 @@ def _interrupt(number: int, _: FrameType | None) -> NoReturn:
     raise KeyboardInterrupt(number)
 
 
-def _interrupt_once(number: int, _: FrameType | None) -> NoReturn:
-    """Interrupt once: a terminal interrupts this process, and so does the one that asked."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    raise KeyboardInterrupt(number)
-
-
 def _on_signals(handler: Callable[[int, FrameType | None], None]) -> None:
-    """Let a handler take interruptions; a job's process, which ends with another one, keeps the usual SIGTERM."""
-    for number in (signal.SIGINT,) if _IS_JOB else (signal.SIGINT, signal.SIGTERM):
+    """Let a handler take interruptions, but for a signal that the process was started to ignore."""
+    for number in (signal.SIGINT, signal.SIGTERM):
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, handler)
 
@@ -53,8 +44,6 @@ def main() -> int:
     from vprbench.terminal import streams
 
     streams.own_process = True
-    if _IS_JOB:
-        _make_job(sys.argv[2], int(sys.argv[3]))
     try:
         _on_signals(_interrupt)
         return cli.main()
@@ -65,32 +54,6 @@ def main() -> int:
         _on_signals(_end_at_once)
         _end_children()
         exec("")  # or Python, which keeps in mind that code of another exec() was interrupted, ends by SIGINT
-
-
-def _make_job(folder: str, parent: int) -> NoReturn:
-    """Make the run of a folder in this process, and end at once: a plug-in may have left threads and children."""
-    from pathlib import Path
-
-    from vprbench.runs import timing_lock
-
-    if sys.platform == "linux":
-        import ctypes
-
-        ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG: this process ends with the one that asked
-        if os.getppid() != parent:  # which has died before
-            os._exit(1)
-    _on_signals(_interrupt_once)
-    try:
-        with timing_lock.computing():
-            from vprbench.jobs.child import make_job
-
-            code = make_job(Path(folder))
-    except KeyboardInterrupt as error:  # the process that asked says it
-        code = 128 + int((error.args or (signal.SIGINT,))[0])
-    for stream in (sys.stdout, sys.stderr):
-        with suppress(OSError):
-            stream.flush()
-    os._exit(code)
 
 
 def _end_children() -> None:

@@ -191,7 +191,7 @@ def _temporary(path):
     """
     first = path.parts[0]
     if first == "tmp":
-        return len(path.parts) == 2 and not path.name.startswith(("vprbench-", "dask-"))
+        return len(path.parts) == 2 and not path.name.startswith(("vprbench-", "dask-", "pymp-"))
     return first not in ("dask", "watch", "logs") and (path.name.startswith(".") or path.suffix == ".tmp")
 
 

@@ -2,9 +2,7 @@
 
 import fcntl
 import hashlib
-import json
 import os
-import sys
 from pathlib import Path
 
 from vprbench.methods import flyhash, hyperdimensional, pca, random_projection
@@ -12,12 +10,11 @@ from vprbench.methods import flyhash, hyperdimensional, pca, random_projection
 _locks = []  # held until the process ends, however it does
 
 
-def _watch():
+def _watch(method):
     if _locks or not (folder := os.environ.get("CHAOS_WATCH")):
         return
-    asked = Path(sys.argv[2], "request.json") if sys.argv[1:2] == ["--job"] else None
-    options = sys.argv[1:] if asked is None else json.loads(asked.read_text())["overrides"]
-    cell = " ".join(sorted(each for each in options if each.startswith(("method", "corruption=", "seed="))))
+    options = {name: value for name, value in vars(method).items() if isinstance(value, str | int | float)}
+    cell = f"{type(method).__name__} {sorted(options.items())}"
     _locks.append((Path(folder) / hashlib.sha256(cell.encode()).hexdigest()[:16]).open("a"))
     try:
         fcntl.flock(_locks[0], fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -28,11 +25,11 @@ def _watch():
 
 class _Watched:
     def fit(self, *given):
-        _watch()
+        _watch(self)
         return super().fit(*given)
 
     def match(self, *given):
-        _watch()  # a map may come from a file
+        _watch(self)  # a map may come from a file
         return super().match(*given)
 
 

@@ -1,101 +1,131 @@
-"""A run in a process of its own: its request and its result are files, and each death is named."""
+"""A run in a process of its own: it leaves nothing behind, and each death is a failure that names it."""
 
 import json
+import os
 import signal
 import sys
 import tempfile
-from dataclasses import replace
+import threading
+import time
+from pathlib import Path
 
+import psutil
 import pytest
 
 from vprbench import cli
+from vprbench.config import make_request
 from vprbench.jobs import child, executors
 from vprbench.jobs.job import JobResult
+from vprbench.plugins import entries
 from vprbench.runs.request import RunRequest
 from vprbench.runs.store import Store
 
-GOOD = json.dumps({"code": 0, "key": "abc"})
-LEAVE = """echo '%s' > "$place/result.json" """
-LINE = '  File "mine.py", line 3 in fit'
-SAD = RunRequest("sad", {}, "journey", {"name": "journey"})
+RUN = ["dataset=synthetic", "dataset.places=12", "timing=none", "frames=false", "threads=1"]
+HEAD = """import ctypes, os, pathlib, signal, subprocess, sys, time
+from vprbench.methods.sad import SAD
+
+class Mine(SAD):
+    def fit(self, *given):
+"""
+SLEEPER = "pathlib.Path('sleeper').write_text(str(subprocess.Popen(['sleep', '60']).pid)); "
 
 
 @pytest.fixture
-def ends(tmp_path, monkeypatch):
-    """Return a function that runs a script in place of the command line, and says how it ended."""
+def run(tmp_path, monkeypatch):
+    """Return a function that makes a run of SAD in a child whose `fit` executes a statement first."""
+    monkeypatch.setattr(entries, "_LOOSE", {"method": {}, "dataset": {}})
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    monkeypatch.delitem(sys.modules, "mine", raising=False)
+    monkeypatch.chdir(tmp_path)
 
-    def run(script, *arguments, **changes):
-        program = tmp_path / "program"
-        program.write_text(f"#!/bin/sh\nfor last; do place=$before; before=$last; done\n{script}\n")
-        program.chmod(0o700)
-        monkeypatch.setattr(sys, "executable", str(program))
-        request = replace(SAD, results=str(tmp_path / "results"), **changes)
+    def run(statement, *arguments, **options):
+        Path("mine.py").write_text(f"{HEAD}        {statement}\n        return super().fit(*given)\n")
+        request = make_request([*RUN, "method=./mine.py:Mine"], {"results": str(tmp_path / "results"), **options})
         return child.run_in_child(request.to_json(), *arguments)
 
     return run
 
 
-def test_a_request_and_a_result_are_files_lines_are_passed_on_and_no_temporary_file_stays(ends, tmp_path, monkeypatch):
-    temporary, said = tmp_path / "temporary", []
+def is_running(pid_file):
+    """Tell whether the process of a file still runs; it has a moment to end."""
+    until = time.monotonic() + 5
+    while psutil.pid_exists(pid := int(Path(pid_file).read_text())) and time.monotonic() < until:
+        if psutil.Process(pid).status() == psutil.STATUS_ZOMBIE:
+            return False
+        time.sleep(0.05)
+    return psutil.pid_exists(pid)
+
+
+def test_a_run_is_stored_its_prints_are_passed_on_and_nothing_of_its_process_stays(run, tmp_path, monkeypatch):
+    temporary, heard = tmp_path / "temporary", []
     temporary.mkdir()
+    child._warm_context()  # whose socket lies in the usual folder
     monkeypatch.setattr(tempfile, "tempdir", str(temporary))
-    script = f'cp "$place/request.json" {tmp_path}/asked; echo one >&2; printf two >&2; {LEAVE % GOOD}'
-    assert ends(script, said.append, seed=1) == JobResult(0, key="abc")
-    asked = RunRequest.from_json((tmp_path / "asked").read_text())
-    assert (asked.method_name, asked.seed, said) == ("sad", 1, ["one", "two"])
+    monkeypatch.setenv("HEARD", "by environment")
+    prints = "print('one', os.environ['HEARD']); os.write(1, b'compiled\\n'); os.write(2, b'rest\\n'); "
+    result = run(prints + SLEEPER + "os.fork() or time.sleep(60)", heard.append, seed=3)
+    assert result.code == 0
+    (stored,) = Store(tmp_path / "results").runs()
+    assert (stored.key, stored.config["seed"]) == (result.key, 3)
+    assert {"one by environment", "compiled", "rest"} <= {*heard}
     assert [*temporary.iterdir()] == []
+    assert not is_running("sleeper")
 
 
 @pytest.mark.parametrize(
-    ("script", "code", "words"),
+    ("statement", "words"),
     [
-        ("exit 0", 1, "with exit code 0"),
-        ("echo no room >&2; exit 3", 1, "with exit code 3: no room"),
-        (f"echo '{LINE}' >&2; echo more >&2; kill -SEGV $$", 1, f"by signal 11 (SIGSEGV): {LINE.strip()}"),
-        ("kill -KILL $$", 1, "for want of memory"),
-        (f"{LEAVE % GOOD}; kill -SEGV $$", 0, ""),  # died after all was done
-        (LEAVE % json.dumps({"code": 2, "error": "no frames", "missing": True}), 2, "no frames"),
+        ("print('no room'); sys.stdout.flush(); os._exit(3)", "exit code 3: no room"),
+        ("sys.exit('enough')", "SystemExit"),
+        ("ctypes.string_at(0)", "signal 11 (SIGSEGV): File"),
+        ("os.kill(os.getpid(), signal.SIGKILL)", "signal 9 (SIGKILL)"),
+        ("raise ValueError('no')", "ValueError: no"),
     ],
 )
-def test_the_result_of_a_process_counts_and_a_process_without_one_has_failed(ends, script, code, words, capfd):
-    result = ends(script)
-    assert (result.code, result.missing, words in result.error) == (code, code == 2, True)
-    assert capfd.readouterr().err.count("vprbench: sad ") == (code == 1)
+def test_a_process_that_dies_is_one_failure_with_its_exit_code_or_signal_and_its_last_line(
+    run, statement, words, tmp_path, capfd
+):
+    result = run(statement)
+    assert (result.code, result.key, words in result.error) == (1, "", True), result.error
+    assert capfd.readouterr().err.count("\nvprbench: ") == 1
+    assert [*Store(tmp_path / "results").runs()] == []
 
 
-def test_a_process_is_ended_at_its_limit_or_soon_after_its_result(ends, monkeypatch):
-    monkeypatch.setattr(child, "_PATIENCE", 0.2)
-    assert "limit_minutes=0.005" in ends("exec sleep 20", limit_minutes=0.005).error
-    assert ends(f"{LEAVE % GOOD}; exec sleep 20").key == "abc"  # as one that waits for children of a plug-in
-    assert ends(f"(sleep 20; echo late >&2) & {LEAVE % GOOD}").key == "abc"
+def test_a_process_is_ended_at_its_limit_with_its_children_and_frees_its_lock(run, tmp_path):
+    assert "limit_minutes=0.05" in run(SLEEPER + "time.sleep(60)", limit_minutes=0.05).error
+    assert not is_running("sleeper")
+    assert not (tmp_path / "results" / ".locks").exists()
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_an_interruption_of_the_one_who_asked_ends_the_process_too(ends, number, monkeypatch):
+def test_an_interruption_of_this_process_ends_the_child_too(run, number):
     def interrupt(*_):
         raise KeyboardInterrupt(number)
 
-    monkeypatch.setattr(child, "_PATIENCE", 1.0)
+    def kill_once_begun():
+        while not Path("sleeper").exists():
+            time.sleep(0.05)
+        os.kill(os.getpid(), number)
+
     before = signal.signal(number, interrupt)
+    threading.Thread(target=kill_once_begun, daemon=True).start()
     try:
         with pytest.raises(KeyboardInterrupt) as ended:
-            ends(f"sleep 0.5; kill -{number.name.removeprefix('SIG')} $PPID; exec sleep 20")
+            run(SLEEPER + "time.sleep(60)")
     finally:
         signal.signal(number, before)
     assert ended.value.args == (number,)
+    assert not is_running("sleeper")
 
 
-@pytest.mark.parametrize(("script", "words"), [("", "SIGINT"), ("trap '' INT", "SIGKILL")])
-def test_a_job_that_is_stopped_is_interrupted_and_ended_if_it_does_not_listen(
-    ends, script, words, monkeypatch, tmp_path
-):
-    monkeypatch.setattr(child, "_PATIENCE", 0.5)
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # the script inherits no deafness
-    try:
-        script = f"{script}\ntouch {tmp_path}/ready; exec sleep 20"
-        assert words in ends(script, None, (tmp_path / "ready").exists).error
-    finally:
-        signal.signal(signal.SIGINT, before)
+@pytest.mark.parametrize(
+    ("statement", "words"), [("", "exit code 130"), ("signal.signal(2, signal.SIG_IGN); ", "(SIGKILL)")]
+)
+def test_a_run_that_is_stopped_is_interrupted_and_killed_if_it_does_not_end(run, statement, words, monkeypatch):
+    monkeypatch.setattr(child, "_PATIENCE", 2.0)
+    result = run(statement + SLEEPER + "time.sleep(60)", print, Path("sleeper").exists)
+    assert words in result.error
+    assert not is_running("sleeper")
 
 
 def test_a_sweep_makes_a_request_for_each_combination_and_stores_a_run_whose_process_dies_as_a_failure(

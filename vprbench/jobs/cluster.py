@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import concurrent.futures
 import contextlib
 import importlib.util
-import io
 import logging
+import multiprocessing
 import os
 import shutil
 import signal
@@ -15,14 +16,12 @@ import subprocess
 import sys
 import tempfile
 import time
-import zipfile
 from collections.abc import Callable
-from concurrent.futures import CancelledError, Executor, Future
+from concurrent.futures import CancelledError, Future
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
-from typing import Self
 
 import dask
 from distributed import Client, KilledWorker, LocalCluster, Worker, get_worker
@@ -30,8 +29,9 @@ from distributed.deploy.cluster import Cluster
 
 from vprbench import __version__
 from vprbench.errors import BadInput, ClusterLostError
-from vprbench.jobs.batch import started
+from vprbench.jobs.batch import start_jobs
 from vprbench.jobs.child import run_in_child
+from vprbench.jobs.executors import Executor
 from vprbench.jobs.job import JobResult
 from vprbench.jobs.options import ClusterOptions
 from vprbench.runs.request import RunRequest
@@ -44,19 +44,17 @@ logger = logging.getLogger(__name__)
 
 _ATTEMPTS = 4  # at a run whose worker dies
 _PATIENCE = 20.0  # seconds that interrupted runs have to end
-_LET_START = 1.0  # seconds until a worker that dask starts again is there
 _SETTINGS = {
     "distributed.scheduler.allowed-failures": _ATTEMPTS - 1,
     "distributed.scheduler.default-task-durations": {"run_on_worker": "1h"},  # a job for each run, if there may be
     "distributed.nanny.pre-spawn-environ": {},  # a run pins its own threads
     "distributed.worker.profile.enabled": False,  # a worker only waits
 }
-_FRAMES, _DESCRIPTORS = "frames", "descriptors"  # folders of a results folder that hold no runs
 
 Outcome = tuple[JobResult, list[str], bytes]  # with the lines of standard error, and the stored runs if disks differ
 
 
-class DaskExecutor:
+class DaskExecutor(Executor):
     """Makes runs side by side, each in a process of its own that a worker waits for."""
 
     is_distributed = True
@@ -68,10 +66,6 @@ class DaskExecutor:
         self._opened = contextlib.ExitStack()
         self._submitted: list[Future[Outcome]] = []
         self._probes: dict[Path, str] = {}  # by results folder: a file that workers see if they share it
-
-    def __enter__(self) -> Self:
-        """Start nothing yet."""
-        return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         """End what was begun: runs are interrupted first, so that they leave nothing behind."""
@@ -98,13 +92,13 @@ class DaskExecutor:
     def room(self) -> int:
         """Return how many runs or tasks may run at a time."""
         if self._options.cluster:
-            return self._options.job().maximum
+            return self._options.most_jobs
         threads: dict[str, int] = self._client.nthreads()
         return max(1, sum(threads.values()))
 
-    def of_functions(self) -> Executor:
+    def of_functions(self) -> concurrent.futures.Executor:
         """Return an executor of functions on the same workers."""
-        executor: Executor = self._client.get_executor(pure=False)
+        executor: concurrent.futures.Executor = self._client.get_executor(pure=False)
         return executor
 
     def submit(self, request: RunRequest, hear: Callable[[str], None] | None) -> Future[Outcome]:
@@ -143,7 +137,7 @@ class DaskExecutor:
         for line in lines:
             (hear or _echo)(line)
         if runs:
-            unpack_runs(runs, Store(Path(request.results).expanduser().absolute()))
+            unpack_results(runs, Store(Path(request.results).expanduser().absolute()))
         return result
 
     def require_cluster(self) -> None:
@@ -170,6 +164,7 @@ def run_on_worker(request_json: str, folder: str, probe: str, version: str) -> O
     if version != __version__:
         host = socket.gethostname()
         raise BadInput(f"the worker on {host} has vprbench {__version__}, this is {version}: install the same on both")
+    multiprocessing.current_process().daemon = False  # as dask starts it, and a daemon may have no children
     worker, shared = get_worker(), Path(probe).exists()
     key = worker.get_current_task()
     own = Path(worker.local_directory) / "results"  # removed with the worker
@@ -183,7 +178,7 @@ def run_on_worker(request_json: str, folder: str, probe: str, version: str) -> O
         folder=folder if Path(folder).is_dir() else None,
         environment=_gpu_of(worker) if request.device == "cuda" else {},
     )
-    return result, lines, b"" if shared else pack_runs(own)
+    return result, lines, b"" if shared else pack_results(own)
 
 
 async def wait_until_idle(dask_worker: Worker) -> None:
@@ -193,25 +188,23 @@ async def wait_until_idle(dask_worker: Worker) -> None:
         await asyncio.sleep(0.1)
 
 
-def pack_runs(results: Path) -> bytes:
-    """Return the runs and frames of a worker's own results folder as a ZIP file, and remove the runs."""
-    folders = [each for each in results.glob("[!.]*/[!.]*") if each.is_dir()]
-    folders = [each for each in folders if each.parent.name not in (_FRAMES, _DESCRIPTORS)]
-    content = io.BytesIO()
-    with zipfile.ZipFile(content, "w") as packed:
-        for path in [*(each for folder in folders for each in folder.rglob("*")), *results.glob(f"{_FRAMES}/[!.]*")]:
-            packed.write(path, path.relative_to(results))
-    for folder in folders:
-        shutil.rmtree(folder)
-    return content.getvalue()
+def pack_results(results: Path) -> bytes:
+    """Return a results folder without its descriptors as a ZIP file, and remove all but the descriptors."""
+    with scratch() as folder:
+        (folder / "results").mkdir()
+        for part in results.iterdir():
+            if part.name != "descriptors" and not part.name.startswith("."):
+                shutil.move(part, folder / "results")
+        return Path(shutil.make_archive(str(folder / "packed"), "zip", folder / "results")).read_bytes()
 
 
-def unpack_runs(content: bytes, store: Store) -> None:
-    """Store the runs and frames that a worker has packed."""
+def unpack_results(content: bytes, store: Store) -> None:
+    """Store the runs and small pictures of a results folder that a worker has packed."""
     store.prepare()
-    with scratch() as folder, zipfile.ZipFile(io.BytesIO(content)) as packed:
-        packed.extractall(folder)
-        for frames in folder.glob(f"{_FRAMES}/*"):
+    with scratch() as folder:
+        (folder / "packed").write_bytes(content)
+        shutil.unpack_archive(folder / "packed", folder, "zip")
+        for frames in folder.glob("frames/*"):
             kept = store.root / frames.relative_to(folder)
             if not kept.exists():
                 kept.parent.mkdir(exist_ok=True)
@@ -239,30 +232,28 @@ def _gpu_of(worker: Worker) -> dict[str, str]:
 
 
 def _connect(options: ClusterOptions, opened: contextlib.ExitStack) -> Client:
-    """Return a client of the cluster that is asked for, started if need be; `opened` ends what was started.
+    """Return a client of the cluster that options name, started if need be; `opened` ends what was started.
 
-    Raises BadInput where nobody answers.
+    Raises BadInput where no scheduler answers.
     """
-    if options.scheduler is None:
-        cluster = started(options.job()) if options.cluster else _start_workers(options.workers or 1)
+    if options.scheduler is not None:
+        try:
+            client = Client(options.scheduler, timeout="20s")
+        except (OSError, ValueError) as error:
+            remedy = "start one with dask scheduler"
+            raise BadInput(f"scheduler={options.scheduler}: no dask scheduler answers ({error}); {remedy}") from error
+    else:
+        cluster = start_jobs(options.job_arguments(), options.most_jobs) if options.cluster else _start_workers(options)
         opened.callback(_close, cluster)
         client = Client(cluster)
-        opened.push(client)
-        return client
-    try:
-        client = Client(options.scheduler, timeout="20s")
-        opened.push(client)
-        return client
-    except (OSError, ValueError) as error:
-        raise BadInput(
-            f"scheduler={options.scheduler}: no dask scheduler answers there ({error}); start one with dask scheduler"
-        ) from error
+    opened.push(client)
+    return client
 
 
-def _start_workers(workers: int) -> LocalCluster:
-    """Return so many processes of this machine, each of which waits for one run at a time."""
+def _start_workers(options: ClusterOptions) -> LocalCluster:
+    """Return processes of this machine, each of which waits for one run at a time."""
     return LocalCluster(
-        n_workers=workers,
+        n_workers=options.workers,
         threads_per_worker=1,
         memory_limit=0,  # the memory of a run is not the worker's
         dashboard_address="127.0.0.1:0",
@@ -272,13 +263,8 @@ def _start_workers(workers: int) -> LocalCluster:
 
 
 def _close(cluster: Cluster) -> None:
-    """End a cluster, once more if dask was just about to start a worker again that had died."""
-    for _ in range(_ATTEMPTS):
-        try:
-            cluster.close()
-            return
-        except AssertionError:  # of distributed: it joins a process that has not started yet
-            time.sleep(_LET_START)
+    with contextlib.suppress(AssertionError):  # of distributed: it joins a worker that has not started again yet
+        cluster.close()
 
 
 def _echo(line: str) -> None:

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from types import TracebackType
-from typing import Any, Protocol, Self
+from typing import Any, Self
 
 from vprbench.jobs.child import run_in_child
 from vprbench.jobs.job import JobResult
@@ -22,60 +22,36 @@ Numbered = tuple[int, RunRequest]
 Hear = Callable[[int, str], None]  # takes a run's number and a line of its standard error
 
 
-class Executor(Protocol):
-    """Makes runs; a context, which ends what was started."""
+class Executor:
+    """Makes runs here, one after the other; a context, which ends what it has started."""
 
-    is_distributed: bool  # whether several runs go on at a time
-    name: str  # where the runs are made, for people
-
-    def __enter__(self) -> Self:
-        """Begin."""
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        """End what was started."""
-
-    def room(self) -> int:
-        """Return how many runs may be made at a time."""
-
-    def submit(self, request: RunRequest, hear: Callable[[str], None] | None) -> Future[Any]:
-        """Begin to make a run; `hear` takes the lines of its standard error, None prints them."""
-
-    def collect(self, request: RunRequest, made: Future[Any], hear: Callable[[str], None] | None) -> JobResult:
-        """Return the outcome of a run that has ended; raises BadInput for a cluster that can make none."""
-
-    def require_cluster(self) -> None:
-        """Raise ClusterLostError if no run will ever end."""
-
-
-class SerialExecutor:
-    """Makes runs here, one after the other."""
-
-    is_distributed = False
-    name = socket.gethostname()
+    is_distributed = False  # whether several runs go on at a time
+    name = socket.gethostname()  # where the runs are made, for people
 
     def __enter__(self) -> Self:
         """Start nothing."""
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        """Nothing is left."""
+        """End what was started."""
 
     def room(self) -> int:
-        """Return 1."""
+        """Return how many runs may be made at a time."""
         return 1
 
-    def submit(self, request: RunRequest, hear: Callable[[str], None] | None) -> Future[JobResult]:
-        """Make a run; its future is done."""
+    def submit(self, request: RunRequest, hear: Callable[[str], None] | None) -> Future[Any]:
+        """Begin to make a run; `hear` takes the lines of its standard error, None prints them."""
         future: Future[JobResult] = Future()
         future.set_result(run_in_child(request.to_json(), hear))
         return future
 
-    def collect(self, request: RunRequest, made: Future[JobResult], hear: Callable[[str], None] | None) -> JobResult:
-        """Return the outcome of a run."""
-        return made.result()
+    def collect(self, request: RunRequest, made: Future[Any], hear: Callable[[str], None] | None) -> JobResult:
+        """Return the outcome of a run that has ended; raises BadInput for a cluster that can make none."""
+        result: JobResult = made.result()
+        return result
 
     def require_cluster(self) -> None:
-        """There is no cluster."""
+        """Raise ClusterLostError if no run will ever end."""
 
 
 def run_all(
@@ -98,7 +74,7 @@ def run_all(
 
     while True:
         while len(running) < (executor.room() if running or held else 1):
-            found = next(coming, None) or _free_run(held, wait=not running)
+            found = next(coming, None) or _take_free_run(held, wait=not running)
             if found is None:
                 break
             begin(found[0])
@@ -115,8 +91,8 @@ def run_all(
                 yield number, result
 
 
-def _free_run(held: list[tuple[Numbered, str]], wait: bool) -> Numbered | None:
-    """Return a run that nobody else makes any more; if there is none, wait for one or return None."""
+def _take_free_run(held: list[tuple[Numbered, str]], wait: bool) -> Numbered | None:
+    """Take and return a run that no other command makes any more; if there is none, wait for one or return None."""
     while held:
         for at, (run, lock) in enumerate(held):
             if not run_lock.is_held(lock):
@@ -129,9 +105,9 @@ def _free_run(held: list[tuple[Numbered, str]], wait: bool) -> Numbered | None:
 
 
 def executor_for(options: ClusterOptions) -> Executor:
-    """Return the executor that options ask for; nothing of dask is imported without one."""
+    """Return the executor that options name; nothing of dask is imported without one."""
     if not options.is_distributed:
-        return SerialExecutor()
+        return Executor()
     from vprbench.jobs.cluster import DaskExecutor
 
     return DaskExecutor(options)

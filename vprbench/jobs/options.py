@@ -9,11 +9,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from vprbench.errors import BadInput
-from vprbench.jobs.batch import Job, job
+from vprbench.jobs.batch import read_arguments
 from vprbench.plugins.options import option
 from vprbench.storage.cores import core_count
 
 logger = logging.getLogger(__name__)
+
+_MOST_JOBS = 16
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,7 +38,7 @@ class ClusterOptions:
                     f"{library} is not installed, which makes runs side by side: pip install vprbench[cluster]"
                 )
         if self.cluster:
-            self.job()
+            self.job_arguments()
 
     @classmethod
     def has(cls, option: str) -> bool:
@@ -49,9 +51,14 @@ class ClusterOptions:
         """Whether runs are made in other processes, side by side."""
         return self.workers is not None or self.scheduler is not None or bool(self.cluster)
 
-    def job(self) -> Job:
-        """Return what is asked of the batch system; raises BadInput for what it does not know."""
-        return job(self.cluster, self.workers)
+    @property
+    def most_jobs(self) -> int:
+        """How many jobs of a batch system there may be at a time."""
+        return self.workers or _MOST_JOBS
+
+    def job_arguments(self) -> dict[str, Any]:
+        """Return the class of dask-jobqueue that makes the jobs, as `_target_`, and its arguments."""
+        return read_arguments(self.cluster)
 
     def threads(self, options: Sequence[str]) -> list[str]:
         """Return the option that gives each run its share of the cores, where runs are made side by side.
@@ -60,6 +67,12 @@ class ClusterOptions:
         """
         if not self.is_distributed or any(option.startswith("threads=") for option in options):
             return []
-        share = self.job().cores if self.cluster else max(1, core_count() // self.workers) if self.workers else 1
+        share = (
+            self.job_arguments()["cores"]
+            if self.cluster
+            else max(1, core_count() // self.workers)
+            if self.workers
+            else 1
+        )
         logger.info("threads=%d: the threads of each cell, as none were asked for", share)
         return [f"threads={share}"]

@@ -13,7 +13,7 @@ from typing import Any
 from vprbench.api.weights import Weights, find_weights
 from vprbench.config import make_request
 from vprbench.errors import BadInput, NotThere
-from vprbench.jobs.executors import Executor, Numbered, SerialExecutor, run_all
+from vprbench.jobs.executors import Executor, Numbered, run_all
 from vprbench.jobs.job import JobResult, failure_of
 from vprbench.paper.plan import Row
 from vprbench.paper.stored_runs import StoredRuns
@@ -83,7 +83,7 @@ def make_missing_runs(wanted: Sequence[Cell], store: Store, executor: Executor |
     For a run that is stored no process is started, nor for one whose published weights cannot be had, nor for a seed
     once something is missing for another seed of the row. A failure is stored, never raised.
     """
-    executor = executor or SerialExecutor()
+    executor = executor or Executor()
     stored = StoredRuns(store)
     weights: dict[tuple[str, str], str] = {}
     missing: dict[tuple[str, str], JobResult] = {}  # by row and column
