@@ -12,7 +12,7 @@ from vprbench.paper.selection import ResolvedColumn
 from vprbench.runs.record import Failure
 
 RAILWAY = {"name": "railway", "places": 10, "seed": 0}
-STREET = {"name": "street", "root": "/here/street", "source": "a shelf", "on_disk": ["root", "source"]}
+STREET = {"name": "oxford_robotcar", "root": "/here/street", "source": "a shelf", "on_disk": ["root", "source"]}
 
 LOOP = "the paper's rate looks like a loop over the references; ours compares all at once"
 SAD = Row("SAD", "sad", boundary="match", training="none", rate_remark=LOOP)

@@ -6,7 +6,7 @@ import hashlib
 import json
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
@@ -36,6 +36,7 @@ class Files:
     sha256: str | None = None  # of the file to load
     save: Path | None = None
     replace: bool = False  # a file that is there already
+    folder: Path = field(default_factory=Path.cwd)  # of relative paths, for a method may change the working folder
 
 
 class Origin(BaseModel):
@@ -119,8 +120,8 @@ def save_network(files: Files, method: Method, origin: Origin, references: Image
         BadInput: the disk refuses, or another run has stored a network there meanwhile.
         TypeError: `state` holds anything but arrays of numbers.
     """
-    path = files.save
-    assert path is not None
+    assert files.save is not None
+    path = files.folder / files.save
     state = {name: plain(array, f"{type(method).__name__}.state()[{name!r}]") for name, array in method.state().items()}
     content = save(state, {_METADATA: json.dumps(origin.model_dump())})
     if path.suffix == nir_files.SUFFIX:
