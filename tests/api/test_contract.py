@@ -172,14 +172,6 @@ def test_parts_of_a_dataset_that_do_not_fit_are_refused_with_their_numbers(parts
     assert dataset(positives=(np.array([0, 3]), np.array([], np.int64))).n_places == 4
 
 
-def test_each_name_is_there_and_an_unknown_name_raises():
-    for name in api.__all__:
-        assert getattr(api, name) is not None
-    assert api.Images is Images
-    with pytest.raises(AttributeError, match="Imags"):
-        _ = api.Imags
-
-
 def test_what_needs_no_torch_does_not_wait_for_it():
     with_torch = {"NeuralDescriptor", "encode_blocks", "in_shares"}
     free = sorted({*api.__all__} - with_torch - {"Interpolation", "Resize"})

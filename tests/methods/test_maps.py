@@ -9,7 +9,6 @@ from described_images import drawn_images
 from vprbench.api.images import Images
 from vprbench.errors import BadInput, NotFittedError
 from vprbench.methods.hog import HOG
-from vprbench.methods.pca import PCA
 from vprbench.methods.sad import SAD
 from vprbench.methods.vprtempo.ensemble import VPRTempoEnsemble
 from vprbench.methods.vprtempo.method import VPRTempo
@@ -60,21 +59,6 @@ def test_arguments_that_do_not_fit_are_named(name, arguments):
     argument, value = next(iter(arguments.items()))
     with pytest.raises(BadInput, match=rf"method\.{argument}={value}\b"):
         registry.entries("method")[name].target()(**arguments).fit(IMAGES, np.arange(12))
-
-
-@pytest.mark.parametrize("make", METHODS.values(), ids=METHODS)
-def test_the_most_similar_image_of_a_place_counts_and_fit_keeps_its_own_copy_of_the_places(make):
-    places = np.array([3, 0, 1, 2, 0, 1, 3, 2, 2, 0, 1, 3])
-    method = make().fit(IMAGES, np.arange(12))
-    each = method.query(IMAGES)
-    best = np.stack([each[:, places == place].max(1) for place in range(4)], axis=1)
-    assert np.array_equal(best.argmax(1), places)
-    method.fit(IMAGES, places)
-    places[:] = 0
-    assert method.query(IMAGES) == pytest.approx(best, abs=1e-6)
-    assert method.query(IMAGES[:0]).shape == (0, 4)
-    with pytest.raises(NotFittedError, match=r"call fit\(references, places\) first"):
-        make().match(method.encode(IMAGES))
 
 
 @pytest.mark.parametrize("name", ["cohog", "densevlad", "pca"])
@@ -130,13 +114,6 @@ def test_new_places_follow_the_known_ones_without_a_gap_and_after_a_fit(make):
         with pytest.raises(BadInput):
             method.extend(TRAVERSES[new], wrong)
     assert method.query(QUERIES).shape[1] == 15
-
-
-@pytest.mark.parametrize("method", [PCA(), HOG(index="sq8"), VPRTempo(**TEMPO, silent_winner=True)])
-def test_what_learns_its_places_together_says_so(method):
-    assert not method.extends
-    with pytest.raises(BadInput):
-        learnt(method, 15, 16)
 
 
 @pytest.mark.parametrize(

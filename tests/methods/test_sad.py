@@ -67,15 +67,6 @@ def test_black_against_white_is_255_levels_at_any_length(n_pixels):
     assert fitted(levels).match(levels) == pytest.approx(np.array([[0, -255], [-255, 0]]), rel=1e-6)
 
 
-def test_chunks_and_tiles_leave_nothing_out(monkeypatch):
-    monkeypatch.setattr(sad, "_TILE", 700)
-    monkeypatch.setattr(sad, "_CHUNK", 60)
-    references, queries = codes(31, 200, seed=1), codes(5, 200, seed=2)
-    similarity = np.full((5, 31), np.nan, np.float32)
-    sad._compare.py_func(queries, references, 0, 31, similarity)
-    assert similarity == pytest.approx(oracle(queries, references), rel=1e-6)
-
-
 def test_codes_may_lie_anyhow_but_have_to_fit_the_map():
     references, queries = codes(18, 65, 1), np.asfortranarray(codes(36, 130, 2)[:18, :65])
     queries.flags.writeable = False

@@ -177,18 +177,3 @@ def test_the_files_of_published_weights_are_told_or_missed_and_others_have_none(
         for ask in (method.files, lambda: files_of(folder), lambda: read(folder)):
             with pytest.raises(NotThere, match=rf"offset605/{name}"):
                 ask()
-
-
-@pytest.mark.parametrize(
-    ("n_places", "change", "culprit"),
-    [
-        (5, {}, "holds 2 modules, but the places make 1"),
-        (11, {}, "holds 2 modules, but the places make 3"),
-        (10, {"n_excitatory": 23}, "XeAe.npy"),
-        (10, {"height": 11}, "XeAe.npy"),
-    ],
-)
-def test_published_weights_of_another_size_are_refused(folder, n_places, change, culprit):
-    with pytest.raises(BadInput) as error:
-        fitted(n_places, published_weights=str(folder), **change)
-    assert culprit in str(error.value)

@@ -2,18 +2,11 @@
 
 import numpy as np
 import pytest
-from little import a_run as little_run
-from small_plan import RUN
 from tempo_networks import QUERIES, SIZES, SMALL, double, fitted, network, one_layer, shown
 
-from vprbench.cli import main
 from vprbench.errors import BadInput
 from vprbench.methods.vprtempo.latencies import LatencyQuery, VPRTempoLatencies
-from vprbench.methods.vprtempo.query import SpikingQuery
 from vprbench.methods.vprtempo.rules import PAPER
-from vprbench.paper.figures.spikes import in_time, raster
-from vprbench.paper.selection import Series
-from vprbench.runs.store import Store
 
 
 def simulated(asked, pixels, steps):
@@ -43,14 +36,6 @@ def test_an_answer_is_that_of_a_simulation_of_single_neurons_where_the_query_end
         second, first = np.sort(np.pad(states, ((0, 0), (1, 0))), axis=1)[:, -2:].T
         ends = [*np.flatnonzero(first - second > (lead or 1.0) * first), 7]
         assert found == pytest.approx(states[ends[0]], abs=1e-5)
-
-
-def test_with_many_steps_the_answer_is_that_of_amplitudes():
-    asked, spikes = network([5, 3]), shown(6)
-    exact = SpikingQuery(asked, PAPER).scores(spikes)
-    assert exact.max() > 0.5
-    assert LatencyQuery(asked, PAPER, 1000, None).scores(spikes) == pytest.approx(exact, abs=0.01)
-    assert np.abs(LatencyQuery(asked, PAPER, 4, None).scores(spikes) - exact).max() > 0.05
 
 
 # Features repeat two pixels; the first leads to places 0 and 2, the second to place 1.
@@ -93,16 +78,3 @@ def test_a_network_of_vprtempo_answers_in_time_with_larger_amplitudes_earlier_in
     answered = outputs.values.any(1)
     assert answered.any()
     assert (outputs.times[answered, outputs.values.argmax(1)[answered]] == 21).all()  # the first step of its cycle
-
-
-@pytest.mark.extended
-def test_a_run_keeps_spike_times_which_a_raster_draws(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    options = ["method.max_module=12", "method.steps=8", "dataset.places=12", "dataset.first_query_place=0", *RUN]
-    assert main(["method=vprtempo_latencies", *options]) == 0
-    (run,) = Store(tmp_path / "results").runs()
-    rows = in_time([Series("in time", True, (run,)), Series("without", True, (little_run(),))])
-    assert [row.name for row in rows] == ["in time"]
-    dots = [panel.collections[0].get_offsets() for panel in raster(rows).figure.axes]
-    cycles = [np.ceil(np.asarray(each)[:, 0] / 8) for each in dots]
-    assert [set(cycle.tolist()) for cycle in cycles] == [{1}, {2}, {3}]
