@@ -1,14 +1,15 @@
 """What every method without a published network does with its arguments and its map, and with places learnt later."""
 
-from functools import partial
-
 import numpy as np
 import pytest
 from described_images import drawn_images
 
 from vprbench.api.images import Images
 from vprbench.errors import BadInput, NotFittedError
+from vprbench.methods.cohog import CoHOG
+from vprbench.methods.densevlad.method import DenseVLAD
 from vprbench.methods.hog import HOG
+from vprbench.methods.pca import PCA
 from vprbench.methods.sad import SAD
 from vprbench.methods.vprtempo.ensemble import VPRTempoEnsemble
 from vprbench.methods.vprtempo.method import VPRTempo
@@ -16,13 +17,7 @@ from vprbench.plugins import registry
 from vprbench.plugins.rules import Journey
 
 IMAGES = Images.from_arrays(drawn_images(*[(40, 48)] * 12))
-SMALL = {
-    "cohog": {"size": 64, "cell": 8, "entropy_size": 20, "entropy_radius": 3},
-    "densevlad": {"words": 6, "n_components": 0},
-    "hog": {"height": 32, "width": 40},
-}
-NAMES = [*SMALL, "flyhash", "hyperdimensional", "pca", "random_projection", "sad"]
-METHODS = {name: partial(registry.entries("method")[name].target(), **SMALL.get(name, {})) for name in NAMES}
+STORING = [CoHOG(size=64, cell=8, entropy_size=20, entropy_radius=3), DenseVLAD(words=6, n_components=0), PCA()]
 
 #: Arguments of which each does not fit.
 REFUSED = {
@@ -61,11 +56,9 @@ def test_arguments_that_do_not_fit_are_named(name, arguments):
         registry.entries("method")[name].target()(**arguments).fit(IMAGES, np.arange(12))
 
 
-@pytest.mark.parametrize("name", ["cohog", "densevlad", "pca"])
-def test_a_stored_map_answers_as_the_learnt_one_and_arrays_that_are_none_are_refused_by_name(name):
-    method = METHODS[name]().fit(IMAGES, np.arange(12))
-    state = dict(method.state())
-    assert np.array_equal(METHODS[name]().restore(state).query(IMAGES), method.query(IMAGES))
+@pytest.mark.parametrize("method", STORING)
+def test_arrays_that_are_no_map_are_refused_by_name(method):
+    state = dict(method.fit(IMAGES, np.arange(12)).state())
     broken = [
         ("weights", state | {"weights": np.zeros(3)}),
         ("places", state | {"places": state["places"] + 1}),

@@ -83,13 +83,10 @@ def held_out(in_map=False):
 
 @pytest.fixture
 def calibrated(monkeypatch):
-    """What calibrates a map of three places: its network, too, is as good as `ASIDE`, or as is said."""
+    """Return a function that calibrates a map of three places by the network `ASIDE`."""
+    monkeypatch.setattr(training.Training, "network", lambda *_, **__: Network.from_state(ASIDE, PIXELS, 7))
 
-    def calibrate(held_out, of_map=ASIDE, **arguments):
-        def network(self, lessons, stage, given=None):
-            return Network.from_state(ASIDE if stage.startswith("calibration") else of_map, PIXELS, 7)
-
-        monkeypatch.setattr(training.Training, "network", network)
+    def calibrate(held_out, **arguments):
         given = {"height": 1, "width": PIXELS, "n_excitatory": 7, "hyperactive_candidates": CANDIDATES, **arguments}
         return Raw(**given).fit(sights([], [], []), np.arange(3)).calibrate(held_out)
 

@@ -3,7 +3,6 @@
 import os
 import subprocess
 import sys
-import threading
 import time
 from types import SimpleNamespace
 
@@ -155,32 +154,6 @@ def test_two_threads_train_and_answer_what_one_does():
     assert same(alone.state(), together.state())
     assert np.array_equal(together.match(codes), expected)
     assert for_each_module(lambda module, tell: module**2, 20, Stage("squares")) == [n**2 for n in range(20)]
-
-
-@pytest.mark.parametrize("end", ["a module that fails", "an interruption"])
-def test_a_failure_and_an_interruption_end_all_modules(end):
-    torch.set_num_threads(2)
-    others_began, running = threading.Event(), []
-
-    def work(module, tell):
-        if module == 0 and end == "a module that fails":
-            others_began.wait()
-            raise Interrupted
-        running.append(module)
-        others_began.set()
-        try:
-            while True:  # until somebody says that it is over
-                tell(0.5)
-        finally:
-            running.remove(module)
-
-    def interrupt(stage, done):
-        if running and end == "an interruption":
-            raise KeyboardInterrupt
-
-    with progress.listening(interrupt), pytest.raises((Interrupted, KeyboardInterrupt)):
-        for_each_module(work, 6, Stage("training"))
-    assert not running
 
 
 def test_the_progress_rises_from_nothing_to_all_and_a_part_goes_on_where_the_one_before_ended():
