@@ -118,15 +118,6 @@ def test_a_run_answers_as_plain_loops_do_and_never_sees_what_is_right(adapt):
     assert other.outcome.above.tolist() != found.outcome.above.tolist()
 
 
-@ADAPTED
-def test_the_order_of_queries_matters_to_the_mean_of_those_so_far_alone(adapt):
-    turned = replace(RIDE, queries=RIDE.queries[np.arange(N_QUERIES)[::-1]])
-    forwards, backwards = (run(Table(adapt=adapt), data).scores for data in (RIDE, turned))
-    assert (np.abs(forwards - backwards[::-1]).max() > 0.01) == (adapt == "running")
-    if adapt != "running":
-        assert backwards[::-1] == pytest.approx(forwards, abs=1e-6)
-
-
 @dataclass
 class Adamant(Prototypes):
     """Has the argument, and codes of which no mean is taken."""

@@ -250,7 +250,7 @@ def test_a_method_keeps_every_rule_under_a_mean_that_is_taken_off(method, adapt)
 # VPRTempo
 
 WORLD = Journey.draw(0)
-REFERENCES, QUERIES = Images.from_arrays(WORLD.references), Images.from_arrays(WORLD.queries)
+QUERIES = Images.from_arrays(WORLD.queries)
 
 
 def tempo(**arguments):
@@ -278,16 +278,3 @@ def test_spikes_without_a_mean_are_scaled_anew_and_are_all_one_half_where_they_a
     assert found == pytest.approx(amplitudes(spikes - mean), abs=1e-5)
     assert np.array_equal(tempo().centre(spikes[:, None], mean)[:, 0], found)
     assert np.array_equal(tempo().centre(spikes[:1], spikes[0]), np.full_like(spikes[:1], 0.5))
-
-
-def test_places_learnt_at_once_and_later_lose_the_mean_of_the_first_references_as_queries_do():
-    old, new = (np.flatnonzero(which) for which in (WORLD.places < 15, WORLD.places >= 15))
-    mean = tempo().encode(REFERENCES[old]).mean(0)
-    plain, scaled = tempo(), tempo()
-    vars(plain)["encode"] = lambda images: amplitudes(scaled.encode(images) - mean).astype(np.float32)
-    answers = []
-    for method in (tempo(adapt="references"), plain):
-        method.fit(REFERENCES[old], WORLD.places[old]).extend(REFERENCES[new], WORLD.places[new])
-        answers.append(method.query(QUERIES))
-    assert answers[0] == pytest.approx(answers[1], abs=1e-4)
-    assert answers[0].argmax(1).tolist() == WORLD.right.tolist()

@@ -218,24 +218,6 @@ def test_scores_are_those_of_direct_loops(configuration, n_candidates, monkeypat
     assert np.count_nonzero(scores >= 2, axis=1).tolist() == [n_candidates] * 3
 
 
-def cosines(world):
-    """Of each query with the best image of each place."""
-    whole = unit(world.codes.reshape(len(world.codes), -1, COMPONENTS)[:, 0])
-    return np.stack([(whole[-3:] @ whole[:-3][world.places == p].T).max(1) for p in range(N_PLACES)], axis=1)
-
-
-def test_candidates_are_taken_from_what_an_approximate_index_retrieves(monkeypatch):
-    method = fitted(world := made_up(), monkeypatch, index="hnsw", neighbours=3)
-    scores = method.query(world.queries)
-    shown = np.isfinite(scores)
-    assert ((scores >= 2) == shown).all()
-    assert (shown.sum(1) <= 3).all()
-    assert shown[np.arange(3), cosines(world).argmax(1)].all()
-    assert (scores[~shown] == -np.inf).all()
-    audit = fitted(world, monkeypatch, index="hnsw").audit(world.codes[-3:])
-    assert audit.recall_at_1 == audit.recall_at_10 == 1
-
-
 @pytest.mark.parametrize(
     ("call", "patches", "needed", "advice"),
     [

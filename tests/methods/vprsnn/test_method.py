@@ -65,19 +65,6 @@ def test_an_asked_module_starts_as_published_and_relaxes_in_the_first_silence():
     assert not state.gi.any()
 
 
-def test_the_start_acts_on_the_first_query_only_where_potentials_are_carried():
-    low = {**SMALL, **SHORT, "excitatory_start_mv": -105.0, "first_rest_ms": 50.0}
-    stored = fitted(**low).state()
-    codes = VPRSNN(**low).encode(QUERIES)
-    for carried in (True, False):
-        from_low, from_rest = (
-            layers(VPRSNN(**low | start, carried_potentials=carried).restore(stored), codes)["excitatory"]
-            for start in ({}, {"excitatory_start_mv": -65.0})
-        )
-        assert bool(from_low[0].sum() < from_rest[0].sum()) is carried  # it takes longer from there
-        assert np.array_equal(from_low, from_rest) is not carried
-
-
 def test_new_delays_are_not_those_of_the_training_and_fast_leaves_them_out_and_nothing_else(trained):
     same_again = VPRSNN(**SMALL, delays_at_query="trained").restore(trained.state())
     codes = trained.encode(QUERIES)

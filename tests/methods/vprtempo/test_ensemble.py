@@ -105,15 +105,3 @@ def test_a_place_that_hardly_answers_is_divided_by_a_hundredth_of_the_mean_sprea
         found = asking([calibrated], PAPER).scores(np.array([[0.5]], np.float32))
         assert np.isfinite(found).all()
         assert found[0, 0] == pytest.approx(0.25 / least)
-
-
-def test_the_calibration_is_stored_and_holds_for_the_way_of_asking_that_it_was_made_with():
-    trained = fitted(calibrated_scores=True)
-    assert set(trained.state()) - set(fitted().state()) == {"score_mean", "score_spread"}
-    restored = VPRTempo(**SMALL, calibrated_scores=True).restore(trained.state())
-    assert np.array_equal(restored.query(QUERIES), scores(calibrated_scores=True))
-    for calibrated in (False, True):
-        with pytest.raises(BadInput, match=f"set method.calibrated_scores={str(calibrated).lower()}"):
-            VPRTempo(**SMALL, calibrated_scores=not calibrated).restore(fitted(calibrated_scores=calibrated).state())
-    assert VPRTempo().query_arguments == {"engine", "query_rule", "silent_winner"}
-    assert VPRTempo(calibrated_scores=True).query_arguments == {"engine"}
