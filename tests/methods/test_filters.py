@@ -1,4 +1,4 @@
-"""Filters of frames by hand, by a float64 oracle and by readable twins: patch normalisation, Gabor filters, edges."""
+"""Filters of frames by hand and by float64 oracles: patch normalisation, Gabor filters, edges."""
 
 import itertools
 import math

@@ -1,4 +1,4 @@
-"""What every method without a published network does with its arguments and its map, and with places learnt later."""
+"""What methods without a published network refuse of arguments and stored maps, and how they learn places later."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""VPRSNN as a method: how it answers queries against a direct simulation, and what it recognises."""
+"""VPRSNN as a method: how it answers queries against a direct simulation."""
 
 import direct_vprsnn as direct
 import numpy as np

@@ -1,4 +1,4 @@
-"""VPRTempo in time: its steps against a simulation of single neurons, where queries end, and what a run keeps."""
+"""VPRTempo in time: its steps against a simulation of single neurons, and where queries end."""
 
 import numpy as np
 import pytest
