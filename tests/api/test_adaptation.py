@@ -1,33 +1,22 @@
 """Codes adapted to the condition that they are seen in: every mean as plain loops take it, and runs of such codes."""
 
-import gc
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
 import numpy as np
 import pytest
 from little import Prototypes, journey, numbers_in, pictures
-from little_runs import asked_for, kinds, quiet_surroundings
+from little_runs import asked_for
 from published_networks import unit
 from quick_runs import quick_runs
 
 import vprbench
-from vprbench.api import descriptor
 from vprbench.api.adaptation import Adaptation, adapt_traverse
 from vprbench.api.dataset import Dataset
 from vprbench.api.descriptor import DescriptorMethod
 from vprbench.api.images import Images
-from vprbench.cli import main
 from vprbench.errors import BadInput
-from vprbench.methods.densevlad.method import DenseVLAD
 from vprbench.methods.hog import HOG
-from vprbench.metrics.sequences import Sequences
 from vprbench.plugins.rules import Journey
-from vprbench.runs import scorers
-from vprbench.runs.corruption import corrupt_queries
-from vprbench.runs.rows import describe_protocol
-from vprbench.runs.run import execute
-from vprbench.runs.sequences import apply_sequences
 from vprbench.runs.stream import grow_map
 from vprbench.runs.viewpoints import Viewpoint, render_view
 
@@ -39,32 +28,24 @@ SEEN = PLACES[np.arange(N_QUERIES) % N_PLACES] + 0.5 * DRAW.normal(size=(N_QUERI
 REFERENCES, QUERIES = (unit(codes).astype(np.float32) for codes in (PLACES + MORNING, SEEN + 2 * EVENING))
 TABLE = np.concatenate([REFERENCES, QUERIES])
 RIDE = replace(journey(N_QUERIES, N_PLACES), queries=pictures(range(N_PLACES, len(TABLE))))
-KINDS = ("none", "references", "running", "traverse")
-ADAPTED = pytest.mark.parametrize("adapt", KINDS[1:])
+ADAPTED = pytest.mark.parametrize("adapt", ["references", "running", "traverse"])
 
 
 @dataclass(kw_only=True, eq=False)
 class Table(DescriptorMethod):
     """Describes image number i by row i of the table."""
 
-    keeps: bool = False
-
-    asked: ClassVar[list[int]] = []  # the numbers of the images that any of them was shown
-
     def encode(self, images):
-        numbers = numbers_in(images)
-        self.asked.extend(numbers)
-        return TABLE[np.array(numbers, int)]
+        return TABLE[np.array(numbers_in(images), int)]
 
     def keeps_descriptors(self):
-        return self.keeps
+        return False
 
 
 @pytest.fixture(autouse=True)
 def _quick(tmp_path, monkeypatch):
     quick_runs(monkeypatch)
     monkeypatch.chdir(tmp_path)
-    Table.asked.clear()
 
 
 def run(method, data=RIDE, **options):
@@ -112,14 +93,6 @@ def test_codes_are_without_the_mean_that_plain_loops_take_and_the_views_of_a_que
     assert np.array_equal(codes, kept)
 
 
-def test_codes_and_references_stay_what_they_are_where_no_mean_is_taken_off_and_have_no_length_where_all_are_the_mean():
-    method = Table().fit(RIDE.references, RIDE.places)
-    assert np.array_equal(adapt_traverse(method, QUERIES), QUERIES)
-    assert np.array_equal(method.searched.references[:], REFERENCES)
-    alike = Table(adapt="references").fit(pictures([3, 3, 3]), np.arange(3))
-    assert np.array_equal(alike.query(pictures([3])), np.zeros((1, 3), np.float32))
-
-
 @ADAPTED
 @pytest.mark.parametrize("n_views", [None, 3])
 @pytest.mark.parametrize("sizes", [[1] * 150, [64, 0, 1, 63, 22], [149, 1], [7] * 21 + [3]], ids=len)
@@ -134,13 +107,6 @@ def test_batches_of_any_split_give_the_same_bits_as_all_queries_at_once(adapt, n
     assert np.array_equal(found, adapt_traverse(method, codes))
 
 
-@pytest.mark.parametrize("adapt", ["none", "references", "running", "traverse"])
-def test_no_queries_have_no_codes(adapt):
-    method = Table(adapt=adapt).fit(RIDE.references, RIDE.places)
-    assert method.query(RIDE.queries[:0]).shape == (0, N_PLACES)
-    assert adapt_traverse(method, QUERIES[:0].reshape(0, 3, N_DIMENSIONS)).shape == (0, 3, N_DIMENSIONS)
-
-
 @ADAPTED
 def test_a_run_answers_as_plain_loops_do_and_never_sees_what_is_right(adapt):
     found = run(Table(adapt=adapt))
@@ -150,74 +116,6 @@ def test_a_run_answers_as_plain_loops_do_and_never_sees_what_is_right(adapt):
     assert np.array_equal(other.scores, found.scores)
     assert np.array_equal(other.top_places, found.top_places)
     assert other.outcome.above.tolist() != found.outcome.above.tolist()
-
-
-@ADAPTED
-def test_the_order_of_queries_matters_to_the_mean_of_those_so_far_alone(adapt):
-    turned = replace(RIDE, queries=RIDE.queries[np.arange(N_QUERIES)[::-1]])
-    forwards, backwards = (run(Table(adapt=adapt), data).scores for data in (RIDE, turned))
-    assert (np.abs(forwards - backwards[::-1]).max() > 0.01) == (adapt == "running")
-    if adapt != "running":
-        assert backwards[::-1] == pytest.approx(forwards, abs=1e-6)
-
-
-@ADAPTED
-def test_a_run_on_a_large_map_or_by_an_index_has_the_same_best_places(adapt, monkeypatch):
-    usual, by_index = (run(Table(adapt=adapt, index=index)) for index in ("exact", "sq8"))
-    monkeypatch.setattr(scorers, "LARGE_MAP", N_PLACES - 1)
-    large = run(Table(adapt=adapt), depth=6)
-    assert large.scores is None
-    assert np.array_equal(large.top_places, usual.top_places[:, :6])
-    assert np.mean(by_index.top_places[:, 0] == usual.top_places[:, 0]) > 0.95
-
-
-@ADAPTED
-@pytest.mark.parametrize("keeps", [False, True])
-def test_descriptors_that_fill_the_memory_answer_from_a_file_as_from_an_array(adapt, keeps, tmp_path, monkeypatch):
-    wanted = run(Table(adapt=adapt)).scores
-    monkeypatch.setenv("VPRBENCH_SCRATCH", str(tmp_path / "scratch"))
-    monkeypatch.setattr(descriptor, "_MEAN_ROWS", 32)
-    monkeypatch.setattr(descriptor, "LARGE_BYTES", 1000)
-    method = Table(adapt=adapt, keeps=keeps)
-    with quiet_surroundings():
-        found = execute(asked_for(method, RIDE, cache=tmp_path / "cache"), "key")
-    assert isinstance(method.searched.references.base, np.memmap)
-    assert found.scores == pytest.approx(wanted, abs=1e-6)
-    del method
-    gc.collect()
-    assert not [*(tmp_path / "scratch").rglob("*.npy")]
-
-
-@ADAPTED
-def test_descriptors_kept_by_a_run_without_a_mean_serve_one_with_it(adapt):
-    run(Table(keeps=True), results="kept")
-    Table.asked.clear()
-    again = run(Table(keeps=True, adapt=adapt), results="kept")
-    assert len(Table.asked) == 1  # the first query, which is timed
-    assert [note.text for note in again.notes if note.kind == "described"] != []
-    assert np.array_equal(again.scores, run(Table(keeps=True, adapt=adapt)).scores)
-
-
-@pytest.mark.parametrize("adapt", ["running", "traverse"])
-def test_a_first_run_tells_of_no_earlier_one(adapt):
-    found = run(Table(keeps=True, adapt=adapt), results="kept")
-    assert [note.text for note in found.notes if note.kind == "described"] == []
-
-
-def test_what_is_taken_off_is_part_of_the_key_and_stands_in_the_printed_protocol_and_in_a_note():
-    runs = {adapt: run(Table(adapt=adapt)) for adapt in KINDS}
-    assert len({found.key for found in runs.values()}) == len(KINDS)
-    for adapt, found in runs.items():
-        assert ("adapted" in kinds(found)) == (f", adapt {adapt})" in describe_protocol(found)) == (adapt != "none")
-    assert "adapt" not in describe_protocol(runs["none"])
-
-
-def test_a_timed_run_gives_the_answers_of_the_scored_one():
-    quick = {"minimum_seconds": 0, "minimum_queries": 5, "sample": 16, "warmup_queries": 2, "batch_sizes": [1, 4]}
-    for adapt in KINDS:
-        found = run(Table(adapt=adapt), timing=quick)
-        assert found.timing is not None
-        assert "answers" not in kinds(found)
 
 
 @dataclass
@@ -245,14 +143,6 @@ def test_what_knows_no_mean_is_refused_before_an_image_is_read(method, named):
     with pytest.raises(BadInput, match=named) as error:
         run(method, data)
     assert "\n" not in str(error.value)
-
-
-def test_a_method_that_has_no_such_argument_says_so():
-    with pytest.raises(BadInput, match="adapt"):
-        vprbench.method("sad", adapt="running")
-    assert run(Adamant()).scores.shape == (N_QUERIES, N_PLACES)
-    with pytest.raises(BadInput, match="Adamant"):
-        Adamant().centre(QUERIES, QUERIES[0])
 
 
 # Beside other options
@@ -285,22 +175,6 @@ def test_a_place_has_the_score_of_the_view_that_shows_it_best_whose_query_loses_
 
 
 @ADAPTED
-def test_the_mean_of_corrupted_queries_is_that_of_the_frames_as_they_are_seen(adapt):
-    queries = described(corrupt_queries(JOURNEY, "noise-2").queries)
-    wanted = scores_of(adapt, described(JOURNEY.references), queries, WORLD.places)
-    assert run(HOG(**SMALL, adapt=adapt), JOURNEY, corruption="noise-2").scores == pytest.approx(wanted, abs=1e-5)
-
-
-@ADAPTED
-def test_sequences_are_those_of_scores_without_the_mean(adapt):
-    found = run(Table(adapt=adapt))
-    by_loops = replace(found, scores=scores_of(adapt).astype(np.float32))
-    seen, wanted = (apply_sequences(one, Sequences(4)) for one in (found, by_loops))
-    assert np.array_equal(seen.top_places[:, 0], wanted.top_places[:, 0])
-    assert not np.array_equal(seen.top_places[:, 0], apply_sequences(run(Table()), Sequences(4)).top_places[:, 0])
-
-
-@ADAPTED
 def test_places_of_a_growing_map_lose_the_mean_of_its_first_ones(adapt):
     stops = grow_map(replace(asked_for(Table(adapt=adapt), RIDE), stream=30))
     first, mean = REFERENCES[:30], REFERENCES[:30].astype(np.float64).mean(0)
@@ -311,26 +185,3 @@ def test_places_of_a_growing_map_lose_the_mean_of_its_first_ones(adapt):
         hits = ((asked @ known.T).argmax(1) == right)[right < stop["places"]]
         assert stop["hits"] == hits.astype(float).tolist()
     assert [stop["places"] for stop in stops] == [30, 60, 80]
-
-
-@pytest.mark.parametrize("option", ["stream=4", "sequence=4", "views=[-0.1,0,0.1]", "corruption=noise-1"])
-def test_the_command_line_takes_it_beside_other_options_and_prints_it(option, capsys):
-    small = [f"method.{name}={value}" for name, value in SMALL.items()]
-    data = ["dataset=synthetic", "dataset.places=12", "dataset.first_query_place=0"]
-    asked = ["method=hog", *small, "method.adapt=running", *data, "timing=none", "threads=1", option]
-    assert main(asked) == 0
-    printed = capsys.readouterr().out
-    assert "adapt running" in printed
-    assert "adapted" in printed
-
-
-@ADAPTED
-def test_a_stored_map_answers_as_the_learnt_one(adapt):
-    small = {"words": 4, "n_components": 8, "halve": True, "adapt": adapt}
-    method = DenseVLAD(**small).fit(JOURNEY.references, JOURNEY.places)
-    restored = DenseVLAD(**small).restore(dict(method.state()))
-    assert np.array_equal(restored.query(JOURNEY.queries), method.query(JOURNEY.queries))
-    for there, here in (("none", adapt), (adapt, "none")):
-        state = DenseVLAD(**small | {"adapt": there}).fit(JOURNEY.references, JOURNEY.places).state()
-        with pytest.raises(BadInput, match="reference_mean"):
-            DenseVLAD(**small | {"adapt": here}).restore(dict(state))

@@ -16,7 +16,6 @@ from vprbench.api.dataset import Dataset
 from vprbench.api.descriptor import DescriptorMethod
 from vprbench.api.images import Images
 from vprbench.api.method import batch_size_for
-from vprbench.api.search import Audit
 from vprbench.errors import BadInput, NotFittedError
 
 
@@ -123,33 +122,6 @@ def test_large_references_are_encoded_in_smaller_blocks_and_large_codes_held_in_
         assert batch_size_for(SimpleNamespace(code_bytes=code_bytes), 100) == together
 
 
-class Halved(Drawn):
-    """Searches by every second number."""
-
-    def fit_descriptors(self, descriptors, places):
-        return super().fit_descriptors(descriptors[:, ::2], places)
-
-    def match(self, codes):
-        return super().match(codes[:, ::2])
-
-
-@pytest.mark.parametrize(("kind", "step"), [(Drawn, 1), (Halved, 2)])
-def test_an_audit_counts_what_an_index_finds_of_the_best_through_a_methods_own_matching(kind, step, monkeypatch):
-    monkeypatch.setattr("vprbench.api.search.CELLS", 600 * 7)  # seven queries at a time
-    method = kind(32, index="ivfpq", neighbours=20).fit(drawn(600), np.arange(600))
-    index, codes = method.searched, method.encode(drawn(660)[600:])
-    exact = np.argsort(-(codes[:, ::step] @ index.references[:].T), axis=1)
-    own = np.argsort(-method.match(codes), axis=1, kind="stable")
-    audit = method.audit(codes)
-    for n, found in ((1, audit.recall_at_1), (10, audit.recall_at_10)):
-        shares = [len({*mine[:n]} & {*theirs[:n]}) / n for mine, theirs in zip(own, exact, strict=True)]
-        assert found == pytest.approx(np.mean(shares), abs=1e-9)
-    assert 0.05 < audit.recall_at_10 < 0.95
-    assert method.searched is index
-    exact = Drawn(32).fit(drawn(30), np.arange(30))
-    assert exact.audit(exact.encode(drawn(3))) == Audit(1, 1)
-
-
 @pytest.mark.parametrize(
     ("parts", "wanted"),
     [
@@ -170,14 +142,6 @@ def test_parts_of_a_dataset_that_do_not_fit_are_refused_with_their_numbers(parts
         dataset(**parts)
     assert dataset(places=np.array([0, 1, 0, 1])).n_places == 2
     assert dataset(positives=(np.array([0, 3]), np.array([], np.int64))).n_places == 4
-
-
-def test_each_name_is_there_and_an_unknown_name_raises():
-    for name in api.__all__:
-        assert getattr(api, name) is not None
-    assert api.Images is Images
-    with pytest.raises(AttributeError, match="Imags"):
-        _ = api.Imags
 
 
 def test_what_needs_no_torch_does_not_wait_for_it():

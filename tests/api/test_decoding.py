@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 from image_folders import answer
-from PIL import EpsImagePlugin, PngImagePlugin
+from PIL import EpsImagePlugin
 from PIL import Image as PillowImage
 
 from vprbench.api.decoding import read_image
@@ -33,25 +33,6 @@ def noise(*shape, seed=0):
 
 
 COLOUR = noise(HEIGHT, WIDTH, 3)
-
-
-@pytest.mark.parametrize(
-    ("content", "wanted"),
-    [
-        (saved(COLOUR, pnginfo=PngImagePlugin.PngInfo(), dpi=(72, 72)), COLOUR),
-        (saved(COLOUR) + b"more after its end", COLOUR),
-        (saved(COLOUR, icc_profile=b"no profile"), COLOUR),
-        (saved(COLOUR, save_all=True, append_images=[PillowImage.new("RGB", (WIDTH, HEIGHT))]), COLOUR),
-        (saved(COLOUR[..., 0], "LA"), COLOUR[..., [0, 0, 0]]),
-        (saved(COLOUR[..., 0] > 127), np.where(COLOUR[..., [0, 0, 0]] > 127, 255, 0)),
-    ],
-    ids=["resolution", "more after its end", "a colour profile", "two frames", "grey with alpha", "single bits"],
-)
-def test_a_png_gives_the_pixels_that_were_saved(path, content, wanted):
-    path.write_bytes(content)
-    image = read_image(path)
-    assert (image.dtype, image.flags["WRITEABLE"]) == (np.uint8, True)
-    np.testing.assert_array_equal(image, wanted)
 
 
 @pytest.mark.filterwarnings("ignore::PIL.Image.DecompressionBombWarning")
@@ -170,10 +151,3 @@ def test_areas_are_means_that_are_not_rounded_or_bilinear_where_a_side_grows(siz
         np.testing.assert_allclose(found, image.reshape(10, 4, 13, 4, 3).mean((1, 3)), atol=1e-3)
     else:
         assert np.abs(found - filtered_exactly(image, *size, "bilinear", False)).max() < 1e-2
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_what_has_the_size_already_is_returned_itself(kind):
-    image, batch = random_image((12, 20)), as_batch(random_image((12, 20)))
-    assert all(resize_image(image, 12, 20, how, kind) is image for how in ("pillow", "opencv", "area"))
-    assert resize_batch(batch, 12, 20, kind) is batch

@@ -142,12 +142,3 @@ def test_a_damaged_or_missing_frame_is_made_anew(frames_folder, damage):
     for _ in range(2):
         painter.check()
     assert painter.made == N + 1
-
-
-def test_nothing_is_kept_where_that_was_not_asked_for_or_the_folder_refuses(frames_folder, monkeypatch):
-    with frames_kept(False):
-        list(Painter().shown())
-    assert not frames_folder.exists()
-    (frames_folder.parent / "file").write_text("no folder")
-    monkeypatch.setenv("VPRBENCH_FRAMES", str(frames_folder.parent / "file"))
-    Painter().check()

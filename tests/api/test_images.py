@@ -4,7 +4,6 @@ import tempfile
 import threading
 from concurrent import futures
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -198,61 +197,3 @@ def test_the_fingerprint_changes_with_images_names_and_order_and_else_stays(kind
 ARRAYS = [noise(64, 64, seed) for seed in range(3)]
 ALTERED = ARRAYS[1].copy()
 ALTERED[32, 32, 0] ^= 1
-
-
-FRAME = 300 * 400 * 3  # bytes
-NOW, SEEN = set(), []  # images that were asked for and not yet given, now and each time more were asked for
-
-
-class Waiting(ReadersThatWait):
-    """Reads images when somebody waits for them."""
-
-    def submit(self, call, start, size):
-        NOW.update(range(start, start + size))
-        SEEN.append(frozenset(NOW))
-
-        def result():
-            NOW.difference_update(range(start, start + size))
-            return call(start, size)
-
-        return SimpleNamespace(result=result)
-
-
-@pytest.fixture
-def seen(monkeypatch):
-    monkeypatch.setattr(images, "ThreadPoolExecutor", Waiting)
-    monkeypatch.setattr(images, "_READERS", 8)
-    NOW.clear()
-    SEEN.clear()
-    return SEEN
-
-
-def frame_files(folder, *sizes):
-    paths = [folder / f"{number:03}.png" for number in range(len(sizes))]
-    for path, (height, width) in zip(paths, sizes, strict=True):
-        PillowImage.new("RGB", (width, height)).save(path)
-    return paths
-
-
-@pytest.mark.parametrize(("room", "together"), [(10, 10), (5, 5), (0.5, 4)])
-def test_large_frames_are_bounded_by_bytes_and_small_ones_by_number(seen, tmp_path, monkeypatch, room, together):
-    list(Images.from_files(frame_files(tmp_path, (3, 4)) * 400))
-    assert 2 * 8 <= max(map(len, seen)) <= 128
-    seen.clear()
-    monkeypatch.setattr(images, "_BYTES", int(room * FRAME) + 1)
-    assert len(list(Images.from_files(frame_files(tmp_path, (300, 400)) * 50))) == 50
-    assert max(map(len, seen)) == together
-
-
-def test_frames_are_held_by_the_size_of_each_whatever_the_first_was(seen, tmp_path, monkeypatch):
-    monkeypatch.setattr(images, "_BYTES", 5 * FRAME)
-    monkeypatch.setattr(images, "_MOST_BYTES", 8 * FRAME)
-    sizes = [(3, 4), (300, 400), (900, 800), (1500, 1600)]
-    kinds, n_bytes = frame_files(tmp_path, *sizes), [36, FRAME, 6 * FRAME, 20 * FRAME]
-    order = [0, *np.random.default_rng(3).choice(4, 80, p=[0.5, 0.3, 0.15, 0.05]).tolist(), 1, 1, 1, 1, 1, 1, 1]
-    shapes = [image.shape for image in Images.from_files([kinds[kind] for kind in order])]
-    assert shapes == [(*sizes[kind], 3) for kind in order]
-    totals = [(sum(n_bytes[order[number]] for number in under_way), len(under_way)) for under_way in seen]
-    for held, count in totals:
-        assert held <= 5 * FRAME or count == 1 or (held <= 8 * FRAME and count <= 4)
-    assert max(held for held, count in totals if count > 4) > 4 * FRAME

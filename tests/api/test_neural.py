@@ -201,18 +201,6 @@ def test_the_network_sees_images_in_the_size_and_resized_in_the_way_asked_for(ho
 
 
 @pytest.mark.parametrize(
-    ("given", "size", "wanted"),
-    [({}, (100, 150), (98, 154)), ({}, (5, 3), (14, 14)), ({"height": 224}, (100, 150), (224, 154))],
-)
-def test_sides_are_those_given_or_the_nearest_multiples(given, size, wanted):
-    for how in ("pillow", "tensor"):
-        method, network = watching(Fourteen, resize=how, **given)
-        assert method.target(*size) == wanted
-        method.encode(Images.from_arrays(noise(1, size)))
-        assert network.seen[0].shape == (1, 3, *wanted)
-
-
-@pytest.mark.parametrize(
     ("kind", "arguments", "message"),
     [
         (Tiny, {"batch_size": 0}, r"method\.batch_size=0: give at least 1"),
@@ -261,35 +249,6 @@ def test_pinned_batches_give_nearly_what_the_cpu_gives(how, precision, least, mo
         assert tensor.is_contiguous(memory_format=torch.channels_last)
     assert codes.dtype == np.float32
     assert np.abs(np.linalg.norm(codes.astype(np.float64), axis=1) - 1).max() < 1e-6
-
-
-def test_on_a_gpu_the_next_batch_and_no_more_is_made_in_one_thread_meanwhile(pinned):
-    made, counts, fifth = [], [], threading.Event()
-
-    class Slow(Tiny):
-        def _sized(self, image):
-            made.append((int(image[0, 0, 0]) // 10, threading.current_thread().name))
-            if made[-1][0] == 4:
-                fifth.set()
-            return super()._sized(image)
-
-    class Waiting(nn.Module):
-        def forward(self, images):
-            assert counts or fifth.wait(30)  # batches 1 and 2, and the look at batch 3 that ends batch 2
-            counts.append(len(made))
-            return images.mean((2, 3))
-
-    method = Slow(weights=NOWHERE, batch_size=2, device=GPU)
-    method.use(Waiting())
-    method.encode(Images.from_arrays(numbered(9)))
-    assert counts[0] == 5
-    assert [number for number, _ in made] == list(range(9))
-    here, (there,) = threading.current_thread().name, {name for _, name in made}
-    assert here != there
-    made.clear()
-    method.device = "cpu"  # where another thread would take the cores from the network
-    method.encode(Images.from_arrays(numbered(9)))
-    assert {name for _, name in made} == {here}
 
 
 def test_the_network_evaluates_with_exact_convolutions_left_as_they_were(monkeypatch, pinned, no_thread_stays):

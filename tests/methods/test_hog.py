@@ -91,12 +91,6 @@ def test_a_large_frame_is_resized_without_antialiasing_as_published_or_by_area()
     assert encoded(image, **ONE_CELL, interpolation="area").any()
 
 
-def test_a_black_image_has_the_zero_vector_and_scores_0():
-    references = Images.from_arrays([noise(30, 40), np.zeros((30, 40, 3), np.uint8)])
-    scores = HOG(height=32, width=32).fit(references, np.arange(2)).query(references)
-    assert scores == pytest.approx(np.array([[1, 0], [0, 0]]), abs=1e-6)
-
-
 @needs_corridor
 def test_corridor_scores_are_those_that_vpr_bench_stored():
     # 53 right stored; another OpenCV and JPEG decoder move descriptors by thousandths. A resize by area is 0.13 off.

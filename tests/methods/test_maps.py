@@ -1,6 +1,4 @@
-"""What every method without a published network does with its arguments and its map, and with places learnt later."""
-
-from functools import partial
+"""What methods without a published network refuse of arguments and stored maps, and how they learn places later."""
 
 import numpy as np
 import pytest
@@ -8,6 +6,8 @@ from described_images import drawn_images
 
 from vprbench.api.images import Images
 from vprbench.errors import BadInput, NotFittedError
+from vprbench.methods.cohog import CoHOG
+from vprbench.methods.densevlad.method import DenseVLAD
 from vprbench.methods.hog import HOG
 from vprbench.methods.pca import PCA
 from vprbench.methods.sad import SAD
@@ -17,13 +17,7 @@ from vprbench.plugins import registry
 from vprbench.plugins.rules import Journey
 
 IMAGES = Images.from_arrays(drawn_images(*[(40, 48)] * 12))
-SMALL = {
-    "cohog": {"size": 64, "cell": 8, "entropy_size": 20, "entropy_radius": 3},
-    "densevlad": {"words": 6, "n_components": 0},
-    "hog": {"height": 32, "width": 40},
-}
-NAMES = [*SMALL, "flyhash", "hyperdimensional", "pca", "random_projection", "sad"]
-METHODS = {name: partial(registry.entries("method")[name].target(), **SMALL.get(name, {})) for name in NAMES}
+STORING = [CoHOG(size=64, cell=8, entropy_size=20, entropy_radius=3), DenseVLAD(words=6, n_components=0), PCA()]
 
 #: Arguments of which each does not fit.
 REFUSED = {
@@ -62,26 +56,9 @@ def test_arguments_that_do_not_fit_are_named(name, arguments):
         registry.entries("method")[name].target()(**arguments).fit(IMAGES, np.arange(12))
 
 
-@pytest.mark.parametrize("make", METHODS.values(), ids=METHODS)
-def test_the_most_similar_image_of_a_place_counts_and_fit_keeps_its_own_copy_of_the_places(make):
-    places = np.array([3, 0, 1, 2, 0, 1, 3, 2, 2, 0, 1, 3])
-    method = make().fit(IMAGES, np.arange(12))
-    each = method.query(IMAGES)
-    best = np.stack([each[:, places == place].max(1) for place in range(4)], axis=1)
-    assert np.array_equal(best.argmax(1), places)
-    method.fit(IMAGES, places)
-    places[:] = 0
-    assert method.query(IMAGES) == pytest.approx(best, abs=1e-6)
-    assert method.query(IMAGES[:0]).shape == (0, 4)
-    with pytest.raises(NotFittedError, match=r"call fit\(references, places\) first"):
-        make().match(method.encode(IMAGES))
-
-
-@pytest.mark.parametrize("name", ["cohog", "densevlad", "pca"])
-def test_a_stored_map_answers_as_the_learnt_one_and_arrays_that_are_none_are_refused_by_name(name):
-    method = METHODS[name]().fit(IMAGES, np.arange(12))
-    state = dict(method.state())
-    assert np.array_equal(METHODS[name]().restore(state).query(IMAGES), method.query(IMAGES))
+@pytest.mark.parametrize("method", STORING)
+def test_arrays_that_are_no_map_are_refused_by_name(method):
+    state = dict(method.fit(IMAGES, np.arange(12)).state())
     broken = [
         ("weights", state | {"weights": np.zeros(3)}),
         ("places", state | {"places": state["places"] + 1}),
@@ -130,13 +107,6 @@ def test_new_places_follow_the_known_ones_without_a_gap_and_after_a_fit(make):
         with pytest.raises(BadInput):
             method.extend(TRAVERSES[new], wrong)
     assert method.query(QUERIES).shape[1] == 15
-
-
-@pytest.mark.parametrize("method", [PCA(), HOG(index="sq8"), VPRTempo(**TEMPO, silent_winner=True)])
-def test_what_learns_its_places_together_says_so(method):
-    assert not method.extends
-    with pytest.raises(BadInput):
-        learnt(method, 15, 16)
 
 
 @pytest.mark.parametrize(

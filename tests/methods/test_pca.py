@@ -58,16 +58,6 @@ def test_scores_equal_those_of_the_covariances_eigenvectors(arguments, tolerance
     assert np.abs(scores - expected).max() < tolerance
 
 
-def test_the_randomized_solver_draws_from_the_seed_and_the_mean_scores_0():
-    references, queries = (frames(n, seed=1, height=12, width=12) for n in (60, 5))
-    how = {"components": 10, "solver": "randomized"}
-    first, again, other = (fitted(references, **how, seed=seed).query(images(queries)) for seed in (0, 0, 1))
-    assert np.array_equal(first, again)
-    assert not np.array_equal(first, other)
-    cross = np.array([[[100, 140]], [[100, 60]], [[110, 100]], [[90, 100]]])  # its mean has no direction
-    assert not any(fitted(cross, whiten=whiten).query(images([[[100, 100]]])).any() for whiten in (False, True))
-
-
 @pytest.mark.parametrize(
     ("levels", "found"),
     [

@@ -124,7 +124,11 @@ def test_the_network_without_values_has_the_published_dimensions(words):
 
 #: The number of values of a network.
 VALUES = {
-    "dinov2": 86_580_480 - 768,  # but for the mask token
+    # But for the mask token
+    "dinov2 method.backbone=vits14": 22_056_576 - 384,
+    "dinov2": 86_580_480 - 768,
+    "dinov2 method.backbone=vitl14": 304_368_640 - 1024,
+    "dinov2 method.backbone=vitg14": 1_136_480_768 - 1536,
     "netvlad": 149_002_048,
     "netvlad_pytorch": 14_714_688 + 2 * 64 * 512,
     "netvlad_msls": 14_714_688 + 2 * 16 * 512 + 4096 * 8192 + 4096,

@@ -20,7 +20,6 @@ from vprbench.api.weights import Weights
 from vprbench.errors import BadInput
 from vprbench.methods.cosplace import CosPlace, EigenPlaces
 from vprbench.methods.indoor import EigenPlacesIndoor
-from vprbench.methods.mixvpr import MixVPR
 
 pytestmark = pytest.mark.extended  # published networks at full size
 
@@ -63,7 +62,6 @@ COSPLACE = PublishedNetwork(
     described_by_cosplace,
     arguments={"backbone": "VGG16", "n_dimensions": 64},
     tolerance=1e-4,
-    wrong={"aggregation.3.weight": None, "backbone.30.weight": (3, 3), "aggregation.1.p": (512,)},
     options={
         "resized": ({"height": 48, "width": 80}, drawn_images((131, 187))[0], {"size": (48, 80)}),
         "black": ({}, np.zeros((32, 48, 3), np.uint8), {}),
@@ -138,15 +136,9 @@ GCL = PublishedNetwork(
     saved_training,
     arguments={"height": 64, "width": 96, "backbone": "vgg16"},
     tolerance=1e-4,
-    wrong={"pool.p": None, "backbone.30.weight": (3, 3), "backbone.0.weight": (64, 3, 5, 5)},
     options={
         f"shorter side of {size}": (SHORTER_SIDE, drawn_images(size)[0], {"size": seen})
         for size, seen in [((80, 121), (48, 72)), ((121, 80), (72, 48))]
-    },
-    forms={
-        "under state_dict": lambda tensors: {"state_dict": dict(tensors)},
-        "of several devices": lambda tensors: {"model_state_dict": prefixed("module.", tensors)},
-        "bare": partial(prefixed, "module."),
     },
     refused=[
         *(("method.shorter_side=48", {"shorter_side": 48, side: None}, (64, 96)) for side in ("height", "width")),
@@ -208,28 +200,11 @@ MIXVPR = PublishedNetwork(
     described_by_mixvpr,
     arguments={"height": 64, "width": 96, "n_dimensions": 48},
     tolerance=1e-4,
-    wrong={
-        "aggregator.row_proj.weight": None,
-        "backbone.model.layer4.0.conv1.weight": (3, 3),
-        "aggregator.channel_proj.weight": (16, 2048),
-        "aggregator.mix.0.mix.0.weight": (25,),
-    },
     refused=[
         ("n_dimensions=48", {"n_dimensions": 4096}, (64, 96)),
         *(("weights are for 24", {side: None}, (90, 120)) for side in ("height", "width")),
     ],
 )
-
-
-def test_weights_for_images_of_320x320_ask_for_their_size(folder):
-    path = saved(folder / "large.ckpt", draw_mixvpr(400, 64, 2))
-    (image,) = drawn_images((90, 120))
-    method = MixVPR(weights=Weights("", "", "", path=str(path)), n_dimensions=128)
-    assert encoded(method, image).shape == (1, 128)
-    with pytest.raises(BadInput, match=r"24 positions, .* 400: .*method.height=320"):
-        encoded(MIXVPR.method(path, n_dimensions=128), image)
-    with pytest.raises(BadInput, match="4096, 512, 128"):  # of other dimensions there is no blank network
-        MIXVPR.method(path, n_dimensions=64).blank()
 
 
 # Conv-AP, of 3x5 positions, of which the middle ones count in two quarters
@@ -260,18 +235,7 @@ CONV_AP = PublishedNetwork(
     described_by_conv_ap,
     arguments={"channels": CHANNELS, "height": 96, "width": 160},
     tolerance=1e-4,
-    forms={
-        "of Lightning": lambda tensors: {"epoch": 3, "state_dict": prefixed("model.", tensors)},
-        "of several devices": lambda tensors: {"model_state_dict": prefixed("module.", tensors)},
-        "compiled": partial(prefixed, "_orig_mod."),
-    },
 )
-
-
-def test_a_file_of_other_channels_or_of_another_network_is_refused_with_what_is_wanted(folder):
-    path = saved(folder / "changed", {**CONV_AP.tensors, "aggregator.channel_pool.bias": torch.zeros(7)})
-    assert "method.channels=7" in CONV_AP.refusal(path)
-    assert "n_dimensions=64" in INDOOR.refusal(saved(folder / "other.pth", draw_cosplace("resnet18")))
 
 
 # AP-GeM, whose PCA is a pickled object of a module of 2019, which is there while a file is written alone

@@ -7,7 +7,7 @@ from preprocess_frames import smooth_frame
 
 from vprbench.api import BadInput
 from vprbench.api.images import Images
-from vprbench.methods.binary import GaborBinary, OrientedBinary, strongest
+from vprbench.methods.binary import strongest
 from vprbench.methods.flyhash import FlyHash
 from vprbench.methods.gabor import Gabor
 from vprbench.methods.hyperdimensional import HyperDimensional
@@ -88,20 +88,7 @@ def test_cosines_of_bundles_are_those_of_cells_weighed_by_how_near_they_are(feat
     assert method.fit(FRAMES, np.arange(12)).query(FRAMES) == pytest.approx(expected, abs=0.02)
 
 
-@pytest.mark.parametrize("make", [FlyHash, HyperDimensional, RandomProjection])
-def test_everything_random_is_drawn_by_the_seed_and_a_frame_without_contrast_scores_0(make):
-    first, again, other = (make(seed=seed).encode(FRAMES) for seed in (0, 0, 1))
-    assert np.array_equal(first, again)
-    assert not np.array_equal(first, other)
-    grey = Images.from_arrays([np.full((40, 48, 3), 90, np.uint8)])
-    assert not make().fit(FRAMES, np.arange(12)).query(grey).any()
-    black = Images.from_arrays([np.zeros((32, 64, 3), np.uint8)])
-    assert not GaborBinary().encode(black).any()
-    assert not Gabor().fit(SMOOTH_FRAMES, np.arange(6)).query(black).any()
-
-
 SMOOTH_FRAMES = Images.from_arrays([smooth_frame(32, 64, seed) for seed in range(6)])
-BY_CELL = GaborBinary(height=28, width=28, patch=7, within="cell", shares=[0.25])
 
 VALUES = np.array([[[0.9, 0.1], [0.5, 0.0], [0.7, 0.3], [0.0, 0.2]]], np.float32)  # 4 cells of 2 maps
 
@@ -121,23 +108,6 @@ def test_bits_are_the_strongest_of_a_map_or_of_a_cell(within, shares, wanted):
     for nothing in ([], [0.0], [0.5, 1.2]):
         with pytest.raises(BadInput, match=r"method\.shares=\["):
             strongest(VALUES, within, nothing)
-
-
-@pytest.mark.parametrize(("method", "n_bits"), [(GaborBinary(), 13440), (BY_CELL, 4608), (OrientedBinary(), 4608)])
-def test_a_map_holds_one_bit_for_each_value_and_says_so(method, n_bits):
-    method.fit(SMOOTH_FRAMES, np.arange(6))
-    assert method.encode(SMOOTH_FRAMES).shape == (6, n_bits / 64)
-    assert method.notes() == [f"binary codes: {n_bits // 8:,} bytes a place"]
-    assert method.query(SMOOTH_FRAMES).argmax(1).tolist() == [*range(6)]
-    assert np.diag(method.query(SMOOTH_FRAMES)).tolist() == [0] * 6
-
-
-def test_bits_of_a_cell_are_those_of_its_8_strongest_filters():
-    bits = np.unpackbits(BY_CELL.encode(SMOOTH_FRAMES).view(np.uint8), axis=1).reshape(-1, 32).astype(bool)
-    codes = GaborBank(28, 28, 7)(SMOOTH_FRAMES).reshape(-1, 32)
-    weakest, strongest_other = np.where(bits, codes, np.inf).min(1), np.where(bits, -np.inf, codes).max(1)
-    assert (weakest >= strongest_other).all()
-    assert np.median(bits.sum(1)) == 8
 
 
 def test_gabor_scores_are_cosines_of_codes_or_of_the_responses_as_they_are():

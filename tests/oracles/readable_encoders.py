@@ -4,7 +4,6 @@ import numpy as np
 import torch
 from torch.nn import functional
 
-from vprbench.methods.parts.filters.gabor import POOL, gabor_filters
 from vprbench.methods.parts.filters.oriented_compiled import GREY
 
 MEAN_LEVEL, GAIN = 127, 4
@@ -51,20 +50,6 @@ def encode_patches(encoder, images):
     is_c = encoder.variant == "C"
     small = [shrink_c(image, encoder.height, encoder.width) if is_c else encoder.shrink(image) for image in images]
     return normalise_patches(np.stack(small), encoder.patch, int(is_c))
-
-
-def encode_gabor(bank, levels):
-    """Return the code of `GaborBank` of patch-normalised levels (n_images, height * width)."""
-    frames = torch.from_numpy(levels.astype(np.float32) - MEAN_LEVEL).reshape(-1, 1, bank.height, bank.width)
-    waves = functional.conv2d(frames / 255, torch.from_numpy(gabor_filters())[:, None])
-    maps = functional.max_pool2d(waves, POOL).permute(0, 2, 3, 1).flatten(1, 2).numpy()
-    energy = np.square(maps).sum(2).reshape(-1, bank.rows, bank.columns)
-    padding = bank.block // 2
-    padded = np.pad(energy, ((0, 0), (padding, padding), (padding, padding)), mode="symmetric")
-    windows = np.lib.stride_tricks.sliding_window_view(padded, (bank.block, bank.block), axis=(1, 2))
-    spread = np.sqrt(windows.mean((3, 4))).reshape(len(maps), -1, 1) + bank.epsilon
-    thresholds = np.array(bank.thresholds or np.zeros(32), np.float32)
-    return (GAIN * (maps - thresholds) / spread).clip(0, 1).reshape(len(maps), -1)
 
 
 def encode_edges(edges, image):

@@ -129,12 +129,6 @@ def test_an_argument_without_a_network_is_refused_by_name(change):
     assert "\n" not in str(error.value)
 
 
-def test_whether_it_calibrates_can_be_asked_before_its_arguments_are_checked():
-    assert VPRSNN(time_step_ms=0.0, excitatory_tau_ms=0.0).calibrates
-    assert VPRSNNEnsemble(member_epochs=[1]).calibrates
-    assert not VPRSNNEnsemble(member_thresholds=[1, 2]).calibrates
-
-
 OTHERS = [
     *({name: other} for name, (_, other) in NUMBERS.items() if other is not None),
     {"excitatory_start_mv": -95.0, "first_rest_ms": 50.0},

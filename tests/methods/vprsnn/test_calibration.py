@@ -4,12 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from little_vprsnn import SMALL, WORLD, fitted, images, layers, lit, made, member, references, same
+from little_vprsnn import WORLD, fitted, images, layers, lit, made, same
 from little_vprsnn import held_out as others
 
 from vprbench.api.dataset import HeldOut
 from vprbench.methods.vprsnn import query, training
-from vprbench.methods.vprsnn.ensemble import VPRSNNEnsemble
 from vprbench.methods.vprsnn.method import VPRSNN
 from vprbench.methods.vprsnn.model import Model
 from vprbench.methods.vprsnn.network import Network, ReadyNetwork
@@ -84,13 +83,10 @@ def held_out(in_map=False):
 
 @pytest.fixture
 def calibrated(monkeypatch):
-    """What calibrates a map of three places: its network, too, is as good as `ASIDE`, or as is said."""
+    """Return a function that calibrates a map of three places by the network `ASIDE`."""
+    monkeypatch.setattr(training.Training, "network", lambda *_, **__: Network.from_state(ASIDE, PIXELS, 7))
 
-    def calibrate(held_out, of_map=ASIDE, **arguments):
-        def network(self, lessons, stage, given=None):
-            return Network.from_state(ASIDE if stage.startswith("calibration") else of_map, PIXELS, 7)
-
-        monkeypatch.setattr(training.Training, "network", network)
+    def calibrate(held_out, **arguments):
         given = {"height": 1, "width": PIXELS, "n_excitatory": 7, "hyperactive_candidates": CANDIDATES, **arguments}
         return Raw(**given).fit(sights([], [], []), np.arange(3)).calibrate(held_out)
 
@@ -121,19 +117,6 @@ def test_the_first_threshold_with_the_best_recall_of_held_out_queries_is_chosen(
     assert ("reactions" in found.state()) == (best > 0)
 
 
-def test_what_was_chosen_and_whom_it_silences_is_noted(calibrated):
-    # of the map's seven neurons those fire for 3 images or more that hear the background alone: one
-    found = calibrated(held_out())
-    (note,) = found.notes()
-    assert "3 references" in note
-    assert "(chosen by" in note
-    assert "1 of 7" in note
-    found.hyperactive_threshold = 3
-    assert found.notes() == [note.replace("chosen by held-out places", "given")]
-    found.state()  # or the next training would go on with its modules
-    assert "no neuron" in calibrated(held_out(), hyperactive_candidates=[0]).notes()[0]
-
-
 @pytest.mark.parametrize(("in_map", "hyperactive"), [(False, 5), (True, 3)])
 def test_reactions_are_counted_over_all_places_once_whether_or_not_the_map_has_the_held_out_ones(
     calibrated, in_map, hyperactive
@@ -144,15 +127,6 @@ def test_reactions_are_counted_over_all_places_once_whether_or_not_the_map_has_t
     alone = [0, 0] if in_map else [1, 1]
     assert found.state()["reactions"].tolist() == [[*alone, hyperactive, 0, 0, 0, 0]]
     assert chosen(calibrated(held_out(in_map), hyperactive_candidates=[0, hyperactive + 1])) == 0
-
-
-def test_the_network_of_the_map_has_no_say_in_the_choice_but_counts_its_own_reactions(calibrated):
-    # In the map's network the neuron that hears the background is number 4 and the only one for its place.
-    of_map = made([[0], [1], [], [], [*BACKGROUND], [], []], [0, 1, 1, 1, 2, 1, 1], PIXELS)
-    found = calibrated(held_out(), of_map)
-    assert chosen(found) == 3
-    assert found.state()["reactions"].tolist() == [[1, 1, 0, 0, 5, 0, 0]]
-    assert np.isneginf(found.query(sights([]))).all()
 
 
 def test_calibration_changes_the_threshold_alone_by_reactions_to_first_traverse_and_held_out_places(monkeypatch):
@@ -175,29 +149,3 @@ def test_calibration_changes_the_threshold_alone_by_reactions_to_first_traverse_
     assert all(np.array_equal(counts, spikes[name]) for name, counts in layers(after, codes).items())
     after.hyperactive_candidates = [0]
     assert same(after.calibrate(others()).state(), state)  # it forgets the one before
-
-
-@pytest.mark.parametrize("threshold", [0, 4])
-def test_a_threshold_that_is_given_stays_and_counts_reactions_to_the_first_traverse(threshold, monkeypatch):
-    found = fitted(hyperactive_threshold=threshold)
-    state = dict(found.state())
-    assert chosen(found) == threshold
-    fires = layers(found, found.encode(images(WORLD.references[:5])))["excitatory"] > 0
-    assert len(set(fires.sum(axis=0).tolist())) > 1
-    assert ("reactions" in state) == (threshold > 0)
-    assert threshold == 0 or state["reactions"].ravel().tolist() == fires.sum(axis=0).tolist()
-
-    def train(*_):
-        raise AssertionError("there is nothing to choose")
-
-    monkeypatch.setattr(training, "train", train)
-    assert same(found.calibrate(others()).state(), state)
-
-
-def test_each_member_of_an_ensemble_is_calibrated_as_it_would_be_alone():
-    given = {**SMALL, "epochs": 2, "hyperactive_candidates": [5, 10]}
-    together = VPRSNNEnsemble(**given, seeds=[0, 10]).fit(*references(5)).calibrate(others()).state()
-    for number, seed in enumerate((0, 10)):
-        alone = VPRSNN(**given, seed=seed).fit(*references(5)).calibrate(others()).state()
-        assert same(member(together, number), alone)
-        assert alone["threshold"] > 0

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from little_vprsnn import SMALL, WORLD, fitted, images, layers, lit, made, member, references, same
 
-from vprbench.errors import BadInput, NotFittedError
+from vprbench.errors import BadInput
 from vprbench.methods.vprsnn.ensemble import VPRSNNEnsemble
-from vprbench.methods.vprsnn.method import VPRSNN
 
 QUERIES = images(WORLD.queries)
 
@@ -38,14 +37,6 @@ def test_each_member_is_the_network_of_its_own_seed_epochs_and_threshold(togethe
     assert same(member(state, 0), alone(**first).state())
     assert same(member(state, 1), alone(**second).state())
     assert not same(member(state, 0), member(state, 1))
-
-
-def test_members_shuffle_their_places_by_their_own_seeds_and_agree_on_them_in_the_end():
-    found = ensemble(module_order="shuffled", epochs=10)
-    first, second = (member(found.state(), number)["places"] for number in (0, 1))
-    assert first.tolist() != second.tolist()
-    shown, places = references(7)
-    assert np.mean(found.query(shown).argmax(1) == places) > 0.8
 
 
 @pytest.mark.parametrize("change", [{}, {"assignment": "weighted", "hyperactive_threshold": 6}], ids=str)
@@ -85,30 +76,6 @@ def test_a_query_is_no_match_only_where_all_members_are_silent():
     assert (scores > 0).tolist() == [[True, False], [False, True], [True, True], [False, False]]
     assert scores[:2].min(axis=1).tolist() == [0, 0]
     assert np.isneginf(scores[3]).all()
-
-
-def test_members_see_input_of_their_own():
-    # Two networks of the same weights: were their input the same, all scores would be twice those of one.
-    twice = by_hand([[0], [1]], [[0], [1]])
-    once = VPRSNN(height=2, width=2, n_excitatory=2).restore(made([[0], [1]], [0, 1], 4))
-    codes = np.random.default_rng(0).integers(30, 256, (20, 4)).astype(np.uint8)
-    assert not np.array_equal(twice.match(codes), 2 * once.match(codes))
-
-
-def stored(*numbers):
-    """Return the arrays of members so numbered."""
-    return {f"member_{number}.{name}": array for number in numbers for name, array in alone().state().items()}
-
-
-def test_other_arrays_than_those_of_the_members_are_refused():
-    for numbers, more in (((0,), ()), ((0, 1, 2), ()), ((1, 2), ()), ((), ("theta", "sums")), ((0, 1), ("theta",))):
-        method = VPRSNNEnsemble(**SMALL, seeds=[0, 10]).restore(stored(0, 1))
-        with pytest.raises(BadInput):
-            method.restore({**stored(*numbers), **{name: alone().state()[name] for name in more}})
-        with pytest.raises(NotFittedError):
-            method.state()
-    with pytest.raises(BadInput):
-        VPRSNN(**SMALL).restore(stored(0, 1))
 
 
 def test_what_does_not_fit_the_members_is_refused_by_name():

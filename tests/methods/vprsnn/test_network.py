@@ -81,13 +81,3 @@ def spoilt(name, at, value):
 )
 def test_values_that_no_network_has_are_refused(state, culprit):
     assert culprit in refusal(state)
-
-
-def test_what_the_network_does_not_have_is_refused_with_the_argument():
-    uncounted = {**{key: array for key, array in little().items() if key != "reactions"}, "threshold": np.array(0)}
-    for state, name, value in (
-        (little(), "height", 3),
-        (little(), "n_excitatory", 4),
-        (uncounted, "hyperactive_threshold", 3),
-    ):
-        assert f"method.{name}" in refusal(state, **{name: value})

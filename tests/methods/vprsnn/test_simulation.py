@@ -134,11 +134,6 @@ def test_neurons_that_all_fire_in_the_same_step_give_the_same():
     assert run.excitatory[:, 0].sum() >= 8
 
 
-def test_weights_of_0_and_of_1_give_the_same():
-    given = Given.drawn(12)
-    assert agreed(replace(given, weights=(given.weights > 0.4).astype(float))).weights.max() == 1
-
-
 def test_the_last_step_of_a_presentation_and_of_its_rest_may_bring_a_spike():
     # Neurons below rest fire in steps 0, 501, 1002: the image ends after step 501, its rest after step 1002.
     values = Arguments(presentation_ms=50.2, rest_ms=50.1, theta_plus_mv=0.0)

@@ -1,11 +1,8 @@
 """VPRSNN's training: what a module is shown and learns, in how many threads, and how an interrupted one goes on."""
 
-import errno
-import itertools
 import os
 import subprocess
 import sys
-import threading
 import time
 from types import SimpleNamespace
 
@@ -17,7 +14,7 @@ from checkout import ROOT
 from little_vprsnn import SMALL, WORLD, fitted, held_out, images, recorded_trains, references, same
 
 from vprbench import progress
-from vprbench.methods.vprsnn import checkpoints, training
+from vprbench.methods.vprsnn import training
 from vprbench.methods.vprsnn.arrays import unpadded
 from vprbench.methods.vprsnn.ensemble import VPRSNNEnsemble
 from vprbench.methods.vprsnn.method import VPRSNN
@@ -131,13 +128,6 @@ def test_initial_weights_are_uniform_from_the_offset_on_and_delays_rounded_to_th
     assert times[[0, 100]] == pytest.approx(1500, abs=200)  # half a step is nearest to each of them
 
 
-def test_delays_differ_between_modules_seeds_and_between_training_and_queries():
-    model, other_seed = (Model(height=1, width=50, n_excitatory=20, seed=seed) for seed in (0, 1))
-    drawn = [model.delays(0), model.delays(1), model.delays(0, new=True), other_seed.delays(0)]
-    for one, other in itertools.combinations(drawn, 2):
-        assert np.mean(one == other) < 0.05
-
-
 def test_a_module_learns_the_same_whether_or_not_others_follow_and_each_draws_differently():
     alone, first = fitted(5).state(), fitted(10).state()
     for name in ("weights", "theta", "sums", "shown", "places"):
@@ -164,32 +154,6 @@ def test_two_threads_train_and_answer_what_one_does():
     assert same(alone.state(), together.state())
     assert np.array_equal(together.match(codes), expected)
     assert for_each_module(lambda module, tell: module**2, 20, Stage("squares")) == [n**2 for n in range(20)]
-
-
-@pytest.mark.parametrize("end", ["a module that fails", "an interruption"])
-def test_a_failure_and_an_interruption_end_all_modules(end):
-    torch.set_num_threads(2)
-    others_began, running = threading.Event(), []
-
-    def work(module, tell):
-        if module == 0 and end == "a module that fails":
-            others_began.wait()
-            raise Interrupted
-        running.append(module)
-        others_began.set()
-        try:
-            while True:  # until somebody says that it is over
-                tell(0.5)
-        finally:
-            running.remove(module)
-
-    def interrupt(stage, done):
-        if running and end == "an interruption":
-            raise KeyboardInterrupt
-
-    with progress.listening(interrupt), pytest.raises((Interrupted, KeyboardInterrupt)):
-        for_each_module(work, 6, Stage("training"))
-    assert not running
 
 
 def test_the_progress_rises_from_nothing_to_all_and_a_part_goes_on_where_the_one_before_ended():
@@ -272,28 +236,6 @@ def test_a_training_goes_on_with_modules_of_the_same_training_alone(trained, cha
     assert trained.numbers == ([1] if change == {"assignment": "weighted"} else [0, 1])
 
 
-def test_a_training_that_is_interrupted_when_all_modules_are_trained_trains_none_again(trainings, trained, monkeypatch):
-    expected = fitted(10, hyperactive_threshold=9).state()
-    with monkeypatch.context() as patch:
-        patch.setattr(training, "reactions", interrupted)
-        with pytest.raises(Interrupted):
-            fitted(10, hyperactive_threshold=9)
-    trained.numbers = []
-    assert same(fitted(10, hyperactive_threshold=9).state(), expected)
-    assert trained.numbers == []
-
-
-def test_an_interrupted_calibration_belongs_to_its_map(trainings, trained):
-    def calibrated(second):  # the second traverse shows other images; the first, for which reactions count, is the same
-        rows = [*range(5), *range(second, second + 5)]
-        shown = images([WORLD.references[row] for row in rows])
-        return VPRSNN(**SMALL | {"epochs": 1}).fit(shown, np.tile(range(5), 2)).calibrate(held_out())
-
-    interrupt(trained, 2, lambda: calibrated(10))
-    calibrated(20)
-    assert len(trained.numbers) == 3  # the module of the map and both of the held-out places
-
-
 def test_a_training_whose_process_is_killed_goes_on_with_its_modules_and_says_so(trainings, trained):
     code = f"""
 import sys, time
@@ -322,34 +264,3 @@ VPRSNN(**SMALL).fit(*references(10))
     again = fitted(10)
     assert same(again.state(), state)
     assert len(again.notes()) == len(method.notes()) - 1
-
-
-@pytest.mark.parametrize("damage", [lambda whole: whole[:-1], lambda whole: b"", lambda whole: bytes(len(whole))])
-def test_a_damaged_module_is_trained_anew_and_the_others_are_not(trainings, trained, damage):
-    expected = fitted(10).state()
-    trained.numbers = []
-    interrupt(trained, 1, lambda: fitted(10))
-    (path,) = trainings.glob("*/*")
-    path.write_bytes(damage(path.read_bytes()))
-    assert same(fitted(10).state(), expected)
-    assert trained.numbers == [0, 1]
-
-
-def test_a_training_is_kept_for_thirty_days_and_a_full_disk_costs_one_line(trainings, trained, monkeypatch, caplog):
-    interrupt(trained, 1, lambda: fitted(10))
-    (kept,) = trainings.iterdir()
-    for days, is_kept in ((29, True), (31, False)):
-        os.utime(kept, (time.time() - days * 86400.0,) * 2)
-        with monkeypatch.context() as patch:
-            patch.setattr(checkpoints, "replace_bytes", full_disk)
-            fitted(10, seed=1)
-        assert kept.exists() == is_kept
-    assert [record.getMessage().count("No space left") for record in caplog.records] == [1, 1]
-
-
-def full_disk(*_):
-    raise OSError(errno.ENOSPC, "No space left on device")
-
-
-def interrupted(*_):
-    raise Interrupted

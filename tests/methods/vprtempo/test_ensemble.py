@@ -7,14 +7,14 @@ import pytest
 import torch
 from tempo_networks import QUERIES, REFERENCES, RULE_SETS, SMALL, WORLD, fitted
 
-from vprbench.errors import BadInput, NotFittedError
+from vprbench.errors import BadInput
 from vprbench.methods.vprtempo.arguments import Engine
 from vprbench.methods.vprtempo.ensemble import VPRTempoEnsemble
 from vprbench.methods.vprtempo.int8 import VPRTempoInt8
 from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.methods.vprtempo.network import Network
 from vprbench.methods.vprtempo.query import asking
-from vprbench.methods.vprtempo.rules import PAPER, QueryRule, RuleSet
+from vprbench.methods.vprtempo.rules import PAPER, RuleSet
 
 
 def empty(members, **arguments):
@@ -78,25 +78,6 @@ def test_another_number_of_members_is_refused_with_both_numbers(stored, wanted):
     assert same(empty(12).restore(many).state(), many)
 
 
-def test_members_that_lack_an_array_or_know_other_places_are_refused_and_leave_no_network():
-    whole = ensemble(2).state()
-    for lacking in ("member_0.features", "member_1.outputs_1", "member_1.output_thresholds_2"):
-        with pytest.raises(BadInput, match=lacking.split(".")[1]):
-            empty(2).restore({name: array for name, array in whole.items() if name != lacking})
-    fewer = {name: whole[name][:-1] for name in ("member_1.outputs_1", "member_1.output_thresholds_1")}
-    method = empty(2).restore(whole)
-    with pytest.raises(BadInput, match="different numbers of places"):
-        method.restore({**whole, **fewer})
-    with pytest.raises(NotFittedError):
-        method.query(QUERIES)
-
-
-@pytest.mark.parametrize(("name", "value"), [("members", 0), ("epochs", 0)])
-def test_arguments_under_which_there_is_no_ensemble_are_refused_by_name(name, value):
-    with pytest.raises(BadInput, match=rf"method\.{name}={value}: give at least 1"):
-        ensemble(**{"members": 2, name: value})
-
-
 def scores(kind=VPRTempo, **arguments):
     return np.asarray(fitted(kind, **arguments).query(QUERIES))
 
@@ -124,22 +105,3 @@ def test_a_place_that_hardly_answers_is_divided_by_a_hundredth_of_the_mean_sprea
         found = asking([calibrated], PAPER).scores(np.array([[0.5]], np.float32))
         assert np.isfinite(found).all()
         assert found[0, 0] == pytest.approx(0.25 / least)
-
-
-@pytest.mark.parametrize("query_rule", get_args(QueryRule))
-def test_an_ensemble_averages_scores_calibrated_member_by_member(query_rule):
-    how = {"calibrated_scores": True, "query_rule": query_rule}
-    expected = np.mean([scores(**how, seed=seed) for seed in (3, 4)], axis=0)
-    assert scores(VPRTempoEnsemble, members=2, seed=3, **how) == pytest.approx(expected, rel=1e-4, abs=1e-4)
-
-
-def test_the_calibration_is_stored_and_holds_for_the_way_of_asking_that_it_was_made_with():
-    trained = fitted(calibrated_scores=True)
-    assert set(trained.state()) - set(fitted().state()) == {"score_mean", "score_spread"}
-    restored = VPRTempo(**SMALL, calibrated_scores=True).restore(trained.state())
-    assert np.array_equal(restored.query(QUERIES), scores(calibrated_scores=True))
-    for calibrated in (False, True):
-        with pytest.raises(BadInput, match=f"set method.calibrated_scores={str(calibrated).lower()}"):
-            VPRTempo(**SMALL, calibrated_scores=not calibrated).restore(fitted(calibrated_scores=calibrated).state())
-    assert VPRTempo().query_arguments == {"engine", "query_rule", "silent_winner"}
-    assert VPRTempo(calibrated_scores=True).query_arguments == {"engine"}

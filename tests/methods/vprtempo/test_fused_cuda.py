@@ -175,24 +175,6 @@ def test_weights_that_are_no_numbers_stay_visible(engine, name):
             training.check_weights(whole, layer)
 
 
-def test_the_number_of_threads_changes_nothing_and_progress_is_reported_up_to_the_end_of_each_layer():
-    before, found, seen = torch.get_num_threads(), [], []
-    try:
-        for threads in (1, 2):
-            torch.set_num_threads(threads)
-            found.append(trained(ALL[MANY], fused, "cpu"))
-    finally:
-        torch.set_num_threads(before)
-    assert all(torch.equal(found[0][part], found[1][part]) for part in PARTS)
-    trained(Case(sizes=(4,)), fused, "cpu", seen.append)
-    end = seen.index(1.0) + 1
-    assert seen == sorted(seen[:end]) + sorted(seen[end:])
-    assert seen[end:][-1:] == [1.0]
-    seen.clear()
-    trained(Case(sizes=(4,), epochs=32), training, "cpu", seen.append)  # every 100 of 256 steps
-    assert seen == [0, 100 / 256, 200 / 256, 100 / 256, 200 / 256, 1.0]  # features before them, places after them
-
-
 @pytest.mark.parametrize("one_sign", [False, True])
 def test_inhibition_that_a_step_took_away_comes_back_at_its_least(one_sign):
     rules = replace(RULES["paper"], one_sign_per_synapse=one_sign, homeostasis_gain=1000.0)

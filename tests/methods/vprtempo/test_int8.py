@@ -24,7 +24,7 @@ from tempo_networks import (
 
 from vprbench.errors import BadInput
 from vprbench.methods.vprtempo import quantised, vnni
-from vprbench.methods.vprtempo.int8 import VPRTempoEnsembleInt8, VPRTempoInt8
+from vprbench.methods.vprtempo.int8 import VPRTempoInt8
 from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.methods.vprtempo.network import Network
 from vprbench.methods.vprtempo.quantised import Int8LinearQuery, Int8SpikingQuery
@@ -108,12 +108,6 @@ def test_activations_halfway_between_two_levels_go_to_the_even_one_and_end_at_th
     assert found == pytest.approx(np.array([[0, 2, 2, 3, 254, 255, 0]] * 9), abs=1e-4)
 
 
-@WAYS
-def test_where_no_place_is_above_its_threshold_the_first_of_the_best_answers(ask):
-    silent = Network(torch.zeros(1, 7, 2), *[torch.zeros(1, 7)] * 2, (torch.zeros(7, 3),), (torch.zeros(3),))
-    assert ask(Int8SpikingQuery(silent, V1), np.ones((9, 2), np.float32)).tolist() == [[0.5, 0, 0]] * 9
-
-
 KINDS = pytest.mark.parametrize(
     "make",
     [lambda n: Int8SpikingQuery(n, PAPER), lambda n: Int8SpikingQuery(n, V1), lambda n: Int8LinearQuery([n])],
@@ -161,30 +155,6 @@ def test_each_way_to_multiply_gives_the_same_scores(by, ask, monkeypatch):
     assert ask(linear(rows), spikes) == pytest.approx(expected, abs=1e-4)
 
 
-def test_a_product_that_saturates_in_16_bits_as_on_a_processor_without_vnni_is_used_with_half_steps_alone(monkeypatch):
-    def in_16_bits(steps, factor, bias, parts):
-        halves = np.concatenate([steps] if parts == 1 else [steps // 2, steps - steps // 2], axis=1).astype(int)
-
-        def product(levels, net):
-            read = np.tile(levels.astype(int), parts).reshape(len(levels), 1, -1, 2)
-            pairs = (halves.reshape(1, len(steps), -1, 2) * read).sum(3)
-            net[:] = np.clip(pairs, -(2**15), 2**15 - 1).sum(2)
-
-        return product
-
-    monkeypatch.setattr(quantised, "_by_onednn", in_16_bits)
-    quantised._is_exact.cache_clear()
-    assert [quantised._is_exact(parts) for parts in (1, 2)] == [False, True]
-    quantised._is_exact.cache_clear()
-
-
-@WAYS
-@pytest.mark.parametrize("size", [0.0, 1e-45, 1e-40])
-def test_places_of_no_or_hardly_any_weight_score_nothing(size, ask):
-    found = ask(linear([[size, -size, size], [1, 0, 0]]), np.ones((9, 3), np.float32))
-    assert found == pytest.approx(np.array([[0.0, 1.0]] * 9), abs=1e-6)
-
-
 @RULE_SETS
 def test_the_trained_network_is_that_of_vprtempo_and_scores_nearly_alike(rules):
     exact, rounded = fitted(rules=rules), fitted(VPRTempoInt8, rules=rules)
@@ -204,12 +174,6 @@ def test_a_map_weighs_a_byte_a_weight_and_8_bytes_a_neuron():
     paper = 3 * 288 * 144 + 20 * 288 + 8 * (3 * 288 + 20)
     assert fitted(VPRTempoInt8).map_bytes() == paper
     assert fitted(VPRTempoInt8, rules="reference").map_bytes() == 20 * (144 + 8)
-
-
-def test_several_networks_in_8_bits_score_the_mean_of_each():
-    seeds = [fitted(VPRTempoInt8, seed=seed).query(QUERIES) for seed in (3, 4)]
-    together = fitted(VPRTempoEnsembleInt8, seed=3, members=2).query(QUERIES)
-    assert together == pytest.approx(np.mean(seeds, axis=0), abs=1e-6)
 
 
 def test_more_inputs_than_32_bits_can_sum_are_refused_before_the_training():

@@ -12,18 +12,13 @@ from checkout import ROOT
 from tempo_networks import QUERIES, REFERENCES, RULE_SETS, SMALL, WORLD, fitted
 
 from vprbench.api.images import Images
-from vprbench.config import make_request
 from vprbench.errors import BadInput, NotFittedError, TrainingDivergedError
 from vprbench.methods.parts.filters.gabor import GaborBank
 from vprbench.methods.parts.filters.oriented import OrientedEdges
 from vprbench.methods.parts.filters.patches import PatchNormalisation
 from vprbench.methods.vprtempo.encoding import spikes_of
-from vprbench.methods.vprtempo.ensemble import VPRTempoEnsemble
-from vprbench.methods.vprtempo.int8 import VPRTempoInt8
 from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.methods.vprtempo.rules import PAPER, RULES, V1, QueryRule, Rules, RuleSet
-from vprbench.plugins.conformance import check_method
-from vprbench.plugins.registry import make_method
 
 
 @cache
@@ -158,25 +153,6 @@ def test_spikes_are_the_levels_over_255_in_variant_c_by_the_8_bit_step(variant):
     assert found == pytest.approx(expected, abs=1e-6)
 
 
-@pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device that PyTorch can use")
-@RULE_SETS
-def test_a_network_trained_on_cuda_ranks_places_as_one_trained_on_the_cpu(rules):
-    # The CPU learns module after module, a GPU all of them at once; what rounding parts is no difference in rank.
-    on_cpu, on_cuda = (scores_of(rules=rules, device=device) for device in ("cpu", "cuda"))
-    in_order_of_cuda = np.take_along_axis(on_cpu, on_cuda.argsort(1), axis=1)
-    assert np.diff(in_order_of_cuda, axis=1).min() > -1e-4
-
-
-def test_without_learning_output_weights_of_each_sign_have_the_norm_asked_for(monkeypatch):
-    # Nothing is learnt at rate 0, so equal weights of both signs cancel and leave no score at all; drawn ones scale.
-    monkeypatch.setattr("vprbench.methods.vprtempo.method.check_winners", lambda *_: None)
-    still = {"stdp_rate": 0.0, "itp_rate": 0.0, "rules": "paper", "query_rule": "linear"}
-    unit, double = (fitted(**still, output_norm=norm).state()["outputs_0"] for norm in (1.0, 2.0))
-    assert double == pytest.approx(2 * unit, rel=1e-5, abs=2.1e-6)  # the smallest weight is 1e-6
-    assert np.abs(unit).sum(1).max() <= 2.0
-    assert not fitted(**still, output_norm=2.0, equal_output_weights=True).state()["outputs_0"].any()
-
-
 INPUTS = {
     "oriented": {"encoding": "oriented", "height": 16, "width": 20, "rows": 4, "columns": 5, "max_module": 20},
     # At the paper's fan-in so many inputs that are active at once leave nearly all features silent.
@@ -200,14 +176,6 @@ def test_input_spikes_are_the_codes_of_the_encoder():
     assert np.array_equal(gabor.encode(QUERIES), GaborBank(20, 24, 9)(QUERIES))
 
 
-@pytest.mark.parametrize(
-    ("encoding", "kind"), [("oriented", VPRTempoInt8), ("gabor", VPRTempo), ("gabor", VPRTempoEnsemble)]
-)
-def test_the_contract_is_kept_with_any_input(encoding, kind):
-    config = {"_target_": f"{kind.__module__}.{kind.__name__}", **INPUTS[encoding]}
-    assert [str(result) for result in check_method(config) if result.state != "kept"] == []
-
-
 @ENCODINGS
 @pytest.mark.parametrize("query_rule", get_args(QueryRule))
 def test_both_engines_learn_the_same_and_find_the_places(encoding, query_rule):
@@ -228,9 +196,3 @@ def test_spikes_begin_with_the_input_and_another_input_is_refused_on_restoring(e
     assert np.array_equal(restored.query(QUERIES), method.query(QUERIES))
     with pytest.raises(BadInput, match=rf"reads {n_inputs} inputs, not the 144 of method\.encoding=patches"):
         VPRTempo(**SMALL).restore(method.state())
-
-
-@pytest.mark.parametrize(("name", "n_inputs"), [("vprtempo_oriented", 2048), ("vprtempo_oriented_ensemble", 3072)])
-def test_the_methods_of_oriented_edges_read_as_many_as_they_say(name, n_inputs):
-    method = make_method(make_request([f"method={name}"]).method)
-    assert method.encode(QUERIES).shape == (len(QUERIES), n_inputs)

@@ -1,15 +1,14 @@
 """Asking a trained VPRTempo network: a single query, a batch and several networks against Eq. 1 in float64."""
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
-from tempo_networks import SIZES, WAYS, double, network, one_by_one, one_matrix, shown
+from tempo_networks import SIZES, WAYS, double, network, one_matrix, shown
 
 from vprbench.methods.vprtempo.network import Network
-from vprbench.methods.vprtempo.quantised import Int8LinearQuery, Int8SpikingQuery
+from vprbench.methods.vprtempo.quantised import Int8SpikingQuery
 from vprbench.methods.vprtempo.query import SpikingQuery, asking
 from vprbench.methods.vprtempo.rules import PAPER, REFERENCE, V1
 
@@ -64,16 +63,6 @@ def test_several_networks_answer_every_query_of_a_batch_with_their_mean_score(si
     assert ask(asking(members, rules), spikes) == pytest.approx(np.mean(expected, axis=0), abs=2e-6)
 
 
-def test_a_single_query_reads_no_output_weights_of_silent_features():
-    asked, spikes = network([5, 3]), shown(1)
-    expected = eq_1(asked, spikes, PAPER)
-    spiking = feature_spikes(asked, spikes[0].astype(np.float64), 0.9)
-    for weights, active in zip(asked.outputs, spiking, strict=True):
-        assert (active == 0).any()
-        weights[torch.from_numpy(active == 0)] = torch.nan
-    assert SpikingQuery(asked, PAPER).scores(spikes) == pytest.approx(expected, abs=1e-6)
-
-
 @WAYS
 @pytest.mark.parametrize("kind", [SpikingQuery, Int8SpikingQuery])
 def test_v1_lets_the_least_inhibited_place_of_module_0_answer_a_silent_query_and_paper_none(kind, ask):
@@ -92,58 +81,3 @@ def test_v1_lets_the_least_inhibited_place_of_module_0_answer_a_silent_query_and
     assert found[silent].tolist() == [[0.5, 0, 0]] * 8
     assert found[1] == pytest.approx([0, 0, 0.2], abs=0.01)
     assert not ask(kind(inhibited, PAPER), spikes)[silent].any()
-
-
-QUERIES = {
-    "v1": lambda: asking([network([5, 5, 3])], V1),
-    "paper of two": lambda: asking([network([5, 5, 3], seed=seed) for seed in range(2)], PAPER),
-    "reference of two": lambda: asking([network([5, 5, 3], seed=seed) for seed in range(2)], REFERENCE),
-    "8 bits, v1": lambda: asking([network([5, 5, 3])], V1, spiking=Int8SpikingQuery),
-    "8 bits, reference": lambda: asking([network([5, 5, 3])], REFERENCE, linear=Int8LinearQuery),
-}
-
-
-@pytest.mark.parametrize("count", [0, 1, 9, 300])
-@pytest.mark.parametrize("name", QUERIES)
-def test_input_stays_as_it_was_and_may_lie_apart_and_an_answer_belongs_to_whoever_asked(name, count):
-    query, spikes = QUERIES[name](), shown(count)
-    before = spikes.copy()
-    answer = query.scores(spikes)
-    assert (answer.dtype, answer.shape) == (np.float32, (count, 13))
-    assert np.isfinite(answer).all()
-    assert np.array_equal(spikes, before)
-    kept = answer.copy()
-    apart = np.repeat(np.repeat(spikes, 2, axis=0), 3, axis=1)[::2, ::3]
-    spikes.flags.writeable = apart.flags.writeable = False
-    assert query.scores(spikes) == pytest.approx(kept, abs=1e-6)
-    assert query.scores(apart) == pytest.approx(kept, abs=1e-6)
-    for later in (1, 2, 9):
-        query.scores(shown(later, seed=2))
-    assert np.array_equal(answer, kept)
-    answer[:] = 7
-    assert np.array_equal(query.scores(before), kept)
-
-
-@WAYS
-@KINDS
-def test_neither_the_number_of_threads_nor_onednn_change_a_score(rules, ask, monkeypatch):
-    asked, spikes = network([30, 30, 10], n_features=100, n_pixels=80), shown(40, 80)
-    found, before = ask(asking([asked], rules), spikes), torch.get_num_threads()
-    expected = pytest.approx(found, abs=1e-6 * max(1.0, float(np.abs(found).max())))
-    torch.set_num_threads(3 - min(before, 2))
-    try:
-        assert ask(asking([asked], rules), spikes) == expected
-    finally:
-        torch.set_num_threads(before)
-    monkeypatch.setattr(torch.backends.mkldnn, "is_available", lambda: False)
-    monkeypatch.setattr(torch.Tensor, "to_mkldnn", lambda _: pytest.fail("oneDNN was used"))
-    assert ask(asking([asked], rules), spikes) == expected
-
-
-def test_several_threads_may_ask_one_network_at_once():
-    query, spikes = SpikingQuery(network([40, 40, 7]), PAPER), shown(64)
-    expected = one_by_one(query, spikes)
-    with ThreadPoolExecutor(4) as threads:
-        for _ in range(20):
-            found = np.concatenate(list(threads.map(lambda one: query.scores(one[None]), spikes)))
-            assert np.array_equal(found, expected)

@@ -6,9 +6,8 @@ import torch
 import vprtempo_oracle as oracle
 
 from vprbench.errors import TrainingDivergedError
-from vprbench.methods.vprtempo.layer import Layer
 from vprbench.methods.vprtempo.rules import PAPER, REFERENCE, V1
-from vprbench.methods.vprtempo.training import check_weights, check_winners, draw_schedule, module_sizes
+from vprbench.methods.vprtempo.training import check_winners, draw_schedule, module_sizes
 
 SIZES = [12, 12, 5]  # places of each module
 TRAVERSES = np.tile(np.arange(29), 2)  # the place of each of 58 reference images
@@ -64,36 +63,6 @@ def test_a_smaller_module_anneals_over_its_own_steps_and_ends_with_a_factor_of_0
     assert factor.shape == (24 * EPOCHS, 3)
     assert not factor[10 * EPOCHS :, 2].any()
     assert (factor[:, 0] > 0).all()
-
-
-def weights_with(value, count, sign):
-    """A layer of 1000 excitatory and 1000 inhibitory weights of 0.1, `count` of one sign replaced."""
-    weights, nothing = torch.full((1, 10, 100), 0.1), torch.zeros(1, 10)
-    layer = Layer(weights, weights.clone(), None, None, nothing, nothing)
-    getattr(layer, sign).view(-1)[500 : 500 + count] = value
-    return layer
-
-
-@pytest.mark.parametrize("sign", ["excitation", "inhibition"])
-def test_weights_that_are_no_numbers_or_above_1_percent_at_their_limit_are_divergence(sign):
-    for value, count, wanted in (
-        (float("nan"), 1, "output layer .*not finite"),
-        (float("inf"), 1, "not finite"),
-        (10, 40, r"\b2 % .*limit of 10"),
-    ):
-        with pytest.raises(TrainingDivergedError, match=wanted):
-            check_weights(weights_with(value, count, sign), "output")
-    check_weights(weights_with(10, 20, sign), "output")
-    with pytest.raises(TrainingDivergedError):
-        check_weights(weights_with(10, 21, sign), "output")
-
-
-def test_only_weights_that_exist_count_for_the_share_at_the_limit():
-    layer = weights_with(10, 10, "excitation")
-    layer.inhibition.zero_()
-    layer.excitation[0, :5] = 0  # 500 weights are left, 10 of them at the limit
-    with pytest.raises(TrainingDivergedError, match="2 %"):
-        check_weights(layer, "output")
 
 
 PLACES = 40
