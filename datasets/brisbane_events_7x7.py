@@ -19,7 +19,8 @@ def brisbane_events_7x7(
 ) -> Dataset:
     """Return sunset2 as places and sunset1 as queries, all frames, with the ground truth of AdamDHines/LENS (f44a08c).
 
-    `default_root` is relative to the checkout. Raises NotThere for what is missing, BadInput for another ground truth.
+    `default_root` is relative to the checkout. Raises MissingData where files are missing, BadInput for another
+    ground truth.
     """
     layout = f"run python -m vprbench fetch brisbane_events_7x7, or set dataset.root to what holds {_HOLDING}"
     top = root_folder(name, root, _HOLDING, layout, default_root=default_root)

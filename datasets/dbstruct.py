@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from vprbench.api import BadInput, Dataset, Exif, MatFileError, NotThere, read_mat
+from vprbench.api import BadInput, Dataset, Exif, MatFileError, MissingData, read_mat
 
 from .readers.coordinates import Metres, Positions, WithoutPosition, are_metres
 from .readers.drives import Breaks
@@ -36,7 +36,7 @@ class DbStruct:
     database image is a place; right is what lies within `radius_metres` of a query, the radius included. Images whose
     position is none are an error, left out (`without_position` drop), or count where they say (`keep`). Under the
     `breaks` auto another folder, or a position that jumps, begins another drive. `exif` and `levels` say how files are
-    decoded (`decoding_of`). Raises NotThere for missing files, BadInput for a file without such a structure.
+    decoded (`decoding_of`). Raises MissingData for missing files, BadInput for a file without such a structure.
     """
 
     name: str = "dbstruct"
@@ -56,7 +56,7 @@ class DbStruct:
         """Return the dataset of these options, after a check that every image is there."""
         top = root_folder(self.name, self.root, "the images that the .mat file names", _LAYOUT)
         if self.mat is None:
-            raise NotThere(f"dataset.mat is not set: {_LAYOUT}")
+            raise MissingData(f"dataset.mat is not set: {_LAYOUT}")
         file = top / Path(self.mat).expanduser()
         fields = _read(file)
         database = [top / self.database_folder / entry for entry in _names(file, fields, _NAMES)]
@@ -103,9 +103,9 @@ dbstruct = function_of(DbStruct)
 
 
 def _read(file: Path) -> tuple[Any, ...]:
-    """Return the fields of dbStruct, by position; raises NotThere or BadInput."""
+    """Return the fields of dbStruct, by position; raises MissingData or BadInput."""
     if not file.is_file():
-        raise NotThere(f"dataset.mat: {file} is no file; {_LAYOUT}")
+        raise MissingData(f"dataset.mat: {file} is no file; {_LAYOUT}")
     try:
         content = read_mat(file)
     except MatFileError as error:

@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from vprbench.api import BadInput, Dataset, Images, NotThere, Recording, event_frames
+from vprbench.api import BadInput, Dataset, Images, MissingData, Recording, event_frames
 
 from .folders import by_index
 from .readers.coordinates import Metres
@@ -29,7 +29,8 @@ class EventFolders:
     `gps` a table beside each recording, of its name and .csv, or a GPS log, .nmea, says where the camera was; every
     reference frame is a place, right is what lies within `radius_metres`, and frames of other times are left out.
     With `none` every reference frame is a place, and no answer is judged.
-    Pixels with more than `hot_factor` times the events of those around them count nothing. Raises NotThere, BadInput.
+    Pixels with more than `hot_factor` times the events of those around them count nothing. Raises
+    MissingData, BadInput.
     """
 
     name: str = "event_folders"
@@ -48,7 +49,7 @@ class EventFolders:
     def build(self) -> Dataset:
         """Return the dataset of these options, after every recording was counted."""
         if not self.references or self.queries is None:
-            raise NotThere(
+            raise MissingData(
                 "dataset.references and dataset.queries are not set: "
                 "pass dataset.references=[/path/to/first.h5] dataset.queries=/path/to/queries.h5"
             )
@@ -82,7 +83,7 @@ class EventFolders:
         """Return the file of a recording that the options name."""
         file = Path(name).expanduser()
         if not file.is_file():
-            raise NotThere(f"{file} is no file: dataset.references and dataset.queries name a recording each")
+            raise MissingData(f"{file} is no file: dataset.references and dataset.queries name a recording each")
         return file
 
     def _track(self, name: str, file: Path) -> Track:

@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from scipy.spatial import KDTree
 
-from vprbench.api import BadInput, NotThere
+from vprbench.api import BadInput, MissingData
 
 from .event_folders import EventFolders
 from .readers.coordinates import Metres
@@ -37,12 +37,12 @@ class _Published(EventFolders):
         return self._found(name, *(f"*{self.drives[name][0]}*{suffix}" for suffix in READERS))
 
     def _found(self, name: str, *patterns: str) -> Path:
-        """Return the first file by name that fits a pattern; raises NotThere without any."""
+        """Return the first file by name that fits a pattern; raises MissingData without any."""
         layout = f"run python -m vprbench fetch {self.name}, or set dataset.root"
         root = root_folder(self.name, self.root, "its recordings", layout)
         files = sorted(chain.from_iterable(root.rglob(pattern) for pattern in patterns))
         if not files:
-            raise NotThere(f"{root} holds no file of {name} ({' or '.join(patterns)}): {layout}")
+            raise MissingData(f"{root} holds no file of {name} ({' or '.join(patterns)}): {layout}")
         return files[0]
 
 
@@ -51,7 +51,7 @@ class BrisbaneEventVPR(_Published):
     """Drives of Brisbane-Event-VPR (Fischer and Milford, RA-L 2020), right within 70 m by the GPS log of each.
 
     Below `root` lie `*<date>*` (HDF5 or parquet) and `*<name>*.nmea`. Options besides are those of `EventFolders`.
-    Raises NotThere for files that are missing, BadInput for unknown drives.
+    Raises MissingData for files that are missing, BadInput for unknown drives.
     """
 
     name: str = "brisbane_event_vpr"
@@ -82,7 +82,7 @@ class QCREventVPR(_Published):
 
     Below `root` lie `*<date>*` (HDF5 or parquet). A drive passes the same 11 points at times that are known; between
     them its speed is even. The way is measured in per cent of the time that the first reference takes. Options besides
-    are those of `EventFolders`. Raises NotThere for files that are missing, BadInput for unknown drives.
+    are those of `EventFolders`. Raises MissingData for files that are missing, BadInput for unknown drives.
     """
 
     name: str = "qcr_event_vpr"

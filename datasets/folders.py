@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vprbench.api import BadInput, Dataset, Exif, Images, NotThere, Paths
+from vprbench.api import BadInput, Dataset, Exif, Images, MissingData, Paths
 
 from .readers.coordinates import Positions, WithoutPosition, are_metres
 from .readers.drives import Breaks, check_by_order, drive_starts, right_in_drive
@@ -56,11 +56,11 @@ def folders(
     (n_queries, n_references), says, or what lies within the radius by its `utmQ` and `utmDb`, (n, 2) metres. With
     `none` every reference image is a place, nobody knows which are right, and no answer is judged. A query without a
     right place is an error, kept as a miss, or dropped. An image whose position is none is an error, dropped, or kept
-    where its position says (`without_position`). Raises NotThere for folders that are missing or hold no images,
+    where its position says (`without_position`). Raises MissingData for folders that are missing or hold no images,
     BadInput for bad names, arguments and matrices.
     """
     if not references or queries is None:
-        raise NotThere(
+        raise MissingData(
             "dataset.references and dataset.queries are not set: "
             "pass dataset.references=[/path/to/first,/path/to/second] dataset.queries=/path/to/queries"
         )

@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.api import BadInput, Dataset, Exif, NotThere, Paths
+from vprbench.api import BadInput, Dataset, Exif, MissingData, Paths
 
 from .readers.coordinates import MOST_METRES, Positions, WithoutPosition
 from .readers.csv_tables import read_csv
@@ -71,10 +71,10 @@ def image_list(
     Another folder, or a position that jumps, begins another drive unless `breaks` is none. `exif` and `levels` say how
     files are decoded (`decoding_of`).
 
-    Raises NotThere for missing files, BadInput for tables that do not fit.
+    Raises MissingData for missing files, BadInput for tables that do not fit.
     """
     if not references or queries is None:
-        raise NotThere(
+        raise MissingData(
             "dataset.references and dataset.queries are not set: "
             "pass dataset.references=[/path/to/first.csv,/path/to/second.csv] dataset.queries=/path/to/queries.csv"
         )
@@ -159,7 +159,7 @@ class _Table:
 def _table(file: Path, root: str | None) -> _Table:
     """Read a CSV and check that its images are there."""
     if not file.is_file():
-        raise NotThere(f"{file} is no file: give a CSV with the columns {_WANTED}")
+        raise MissingData(f"{file} is no file: give a CSV with the columns {_WANTED}")
     table = read_csv(file, _WANTED)
     plain = [column.strip().lower() for column in table.header]
     columns = [_ALIASES.get(column, column) for column in plain]

@@ -40,7 +40,7 @@ class Nordland:
     neither map nor queries instead. `frame_multiple` keeps only names whose number it divides. The first `first_place`
     places are left out of everything, and the others counted from 0. A `root` of None is `default_root` (relative to
     the checkout) if it exists, else the folder of the `download`; `source` says in messages where frames are to be had;
-    `exif` and `levels` say how files are decoded (`decoding_of`). Raises NotThere for a missing root or frames,
+    `exif` and `levels` say how files are decoded (`decoding_of`). Raises MissingData for a missing root or frames,
     BadInput for other arguments.
     """
 
@@ -104,7 +104,7 @@ class Nordland:
         return replace(dataset, place_numbers=self.first_place + parts.mapped) if self.first_place else dataset
 
     def _folders(self, used: Mapping[str, Sequence[str]], first: str) -> dict[str, FrameFolder]:
-        """Return the folder of each season, with the names used of it; raises NotThere if some frames are missing."""
+        """Return the folder of each season, with the names used of it; raises MissingData if frames are missing."""
         layout = (
             f"get the frames from {self.source}, and set dataset.root so that <root>/{first}/{used[first][0]} is the "
             "first"

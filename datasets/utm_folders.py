@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from vprbench.api import BadInput, Dataset, Exif, NotThere, Paths
+from vprbench.api import BadInput, Dataset, Exif, MissingData, Paths
 
 from .readers.coordinates import WithoutPosition
 from .readers.csv_tables import encoding_of
@@ -35,7 +35,7 @@ class UtmFolders:
     place (`zones` apart), and images whose position is none (0, 0 far from all others; a fix that stood still), unless
     they are left out (`without_position` drop) or count where they say (`keep`). With `ground_truth` none any name is
     taken, and no answer is judged. Another sub-folder, or a position that jumps, begins another drive unless `breaks`
-    is none. `exif` and `levels` say how files are decoded (`decoding_of`). Raises NotThere for what is missing,
+    is none. `exif` and `levels` say how files are decoded (`decoding_of`). Raises MissingData for what is missing,
     BadInput for names without a position and for a list that is no text.
     """
 
@@ -97,7 +97,7 @@ def _holding(top: Path, split: str, wanted: tuple[str, str], layout: str) -> tup
             holding = [folder for folder in (each.joinpath(*way) for each in outer) if _has_both(folder, wanted)]
             if len(holding) == 1:
                 return found, holding[0]
-    raise NotThere(
+    raise MissingData(
         f"{' and '.join(f'{part}/' for part in wanted)} are neither in {top / 'images' / split} nor in {top / split} "
         f"nor in {top}: {layout}"
     )
@@ -117,7 +117,7 @@ def _images(folder: Path, layout: str) -> Paths:
     except UnicodeError as error:
         raise BadInput(f"{beside} is no text in UTF-8 ({error}): save it as such, or delete it") from error
     if not named:
-        raise NotThere(f"{beside} names no image: delete it to use all images of {folder}")
+        raise MissingData(f"{beside} names no image: delete it to use all images of {folder}")
     advice = f"restore them, or delete {beside} to use all images of the folder"
     return find_listed(Paths.below(folder, named), beside.name, advice)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Literal
 
-from vprbench.api import BadInput, Dataset, Exif, NotThere
+from vprbench.api import BadInput, Dataset, Exif, MissingData
 
 from .readers.csv_tables import read_csv
 from .readers.file_dataset import Unmatched, dataset_of_files, each_a_place, unknown
@@ -45,7 +45,7 @@ def vpr_bench(
     and matching_refs, numbers with spaces between them. Numbers without an image are an error, or are left out with
     `clip`; how many queries that concerns is noted. With `ground_truth` none no file is read, and no answer is judged.
     `default_root` (relative to the checkout) stands in for a `root` of None if it exists. `exif` and `levels` say how
-    files are decoded (`decoding_of`). Raises NotThere for what is missing, BadInput for a ground truth that does not
+    files are decoded (`decoding_of`). Raises MissingData for what is missing, BadInput for a ground truth that does not
     fit.
     """
     top = root_folder(name, root, "query/ and ref/", _LAYOUT, default_root=default_root, parts=("query", "ref"))
@@ -125,7 +125,7 @@ def _ground_truth_file(top: Path, name: str | None) -> Path:
     wanted = [name] if name else GROUND_TRUTHS
     found = next((top / file for file in wanted if (top / file).is_file()), None)
     if found is None:
-        raise NotThere(f"{top} holds no {' and no '.join(wanted)}: {_LAYOUT}")
+        raise MissingData(f"{top} holds no {' and no '.join(wanted)}: {_LAYOUT}")
     return found
 
 

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from vprbench.api import BadInput, Dataset, Exif, NotThere, Paths
+from vprbench.api import BadInput, Dataset, Exif, MissingData, Paths
 
 from .readers.file_dataset import GroundTruth, Unmatched, dataset_of_files, each_a_place
 from .readers.frame_folders import find_folder, root_folder
@@ -36,7 +36,7 @@ def gardens_point(
 
     `references` are the folders of the map (day_right if None). Right is the place of the same number; with `soft` also
     the 8 to either side. A `tolerance` in places stands in for both. `exif` and `levels` say how files are decoded
-    (`decoding_of`). Raises NotThere for missing folders or images.
+    (`decoding_of`). Raises MissingData for missing folders or images.
     """
     traverses = ["day_right"] if references is None else references
     check_references(traverses, "folder")
@@ -86,7 +86,7 @@ def with_matrix(
 
     Every reference is a place. The matrix is (n_references, n_queries), true if both show the same place. Queries
     without any are left out (`drop`, as VPR_Tutorial's recall does), count as misses or are an error. `source` says in
-    messages where the data are to be had, `exif` and `levels` how files are decoded (`decoding_of`). Raises NotThere
+    messages where the data are to be had, `exif` and `levels` how files are decoded (`decoding_of`). Raises MissingData
     for what is missing, BadInput for a matrix that does not fit.
     """
     layout = f"{source} and set dataset.root to the folder that holds {reference}, {query} and GT.npz"
@@ -110,10 +110,10 @@ def with_matrix(
 
 
 def _first(folder: Path, count: int, layout: str) -> Paths:
-    """Return the first images of a folder; raises NotThere if there are fewer."""
+    """Return the first images of a folder; raises MissingData if there are fewer."""
     files = images_in(folder, "dataset.root", layout, deep=False)
     if len(files) < count:
-        raise NotThere(
+        raise MissingData(
             f"{folder} holds {len(files)} of {count} images: restore the others, or pass dataset.images={len(files)} "
             "for the first of them"
         )

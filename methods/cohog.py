@@ -12,7 +12,17 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from vprbench.api import BadInput, Image, Images, Method, NotFittedError, Places, Scores, best_image_of_place, takes
+from vprbench.api import (
+    BadInput,
+    Image,
+    Images,
+    Method,
+    NotFittedError,
+    Places,
+    Scores,
+    best_image_of_place,
+    count_operations,
+)
 
 from .parts.stored import State, require_map
 
@@ -140,7 +150,7 @@ def mean_best_cosine(query: torch.Tensor, references: torch.Tensor) -> torch.Ten
 
     The references are taken in blocks, so that memory stays bounded.
     """
-    takes(float(len(query)) * references.numel())
+    count_operations(float(len(query)) * references.numel())
     block = max(1, _PRODUCT_BYTES // (4 * references.shape[1] * len(query)))
     return torch.cat([(own @ query.T).amax(1).mean(1) for own in torch.split(references, block)])
 
@@ -153,7 +163,7 @@ def gradient_histograms(grey: Grey, cell: int, bins: int, sobel: int) -> npt.NDA
     b begins at b * 360 / bins degrees; angles run from right (0) to down (90). Height and width are multiples of
     `cell`; beyond the border the image is mirrored without its last pixel.
     """
-    takes(2 * sobel**2 * grey.size, 15 * grey.size, "float64")
+    count_operations(2 * sobel**2 * grey.size, 15 * grey.size, "float64")
     peak = max(int(grey.max()), 1)
     # Whole numbers leave no rounding in the gradient: normalised, it would turn flat regions into unit vectors.
     root = np.rint(np.sqrt(np.arange(256) / peak) * _GRADIENT_UNITS)[grey]
@@ -190,7 +200,7 @@ def local_entropy(levels: Grey, radius: int) -> npt.NDArray[np.float64]:
     padded = np.pad(levels.astype(np.int64), radius, constant_values=outside)
     offsets = np.arange(-radius, radius + 1)
     down, across = np.nonzero(offsets[:, None] ** 2 + offsets[None, :] ** 2 <= radius**2)
-    takes(single=levels.size * (len(down) + 256), kind="int64")
+    count_operations(single=levels.size * (len(down) + 256), kind="int64")
     weight = np.arange(len(down) + 1, dtype=np.float64)
     weight[2:] *= np.log2(weight[2:])
     weight[:2] = 0

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from vprbench.api import BadInput, NeuralDescriptor, Resize, load_strictly, state_dict, takes
+from vprbench.api import BadInput, NeuralDescriptor, Resize, count_operations, load_strictly, state_dict
 
 from .parts.backbones.compiled_blocks import CompiledBlocks
 from .parts.backbones.efficientnet_lite import (
@@ -107,7 +107,7 @@ class EfficientNet(NeuralDescriptor):
 
     def _described(self, batch: npt.NDArray[Any]) -> Tensor:
         size = self.target(*batch.shape[1:3])
-        takes(len(batch) * count_multiply_adds(self.variant, self.blocks[-1], *size))
+        count_operations(len(batch) * count_multiply_adds(self.variant, self.blocks[-1], *size))
         return super()._described(batch)
 
     def _at_most(self, image: npt.NDArray[Any]) -> int:

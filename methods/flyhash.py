@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import sparse
 
-from vprbench.api import BadInput, Images, Method, NotFittedError, Places, Scores, best_image_of_place, takes
+from vprbench.api import BadInput, Images, Method, NotFittedError, Places, Scores, best_image_of_place, count_operations
 
 from .parts.filters.patches import PatchNormalisation, Variant
 
@@ -61,7 +61,7 @@ class FlyHash(Method):
         return winners
 
     def _winners(self, levels: npt.NDArray[np.uint8], sampling: sparse.csr_array) -> Winners:
-        takes(single=len(levels) * self.units * self.summed, kind="int64")
+        count_operations(single=len(levels) * self.units * self.summed, kind="int64")
         pixels = np.ascontiguousarray(levels.T, np.int64)  # whole numbers: no rounding decides between two units
         above = (sampling @ pixels).T * len(pixels) - self.summed * pixels.sum(0)[:, None]  # (n_images, units)
         ranked = above * self.units + np.arange(self.units)[::-1]  # all differ: of equal units the first is larger
@@ -74,7 +74,8 @@ class FlyHash(Method):
         if self._map is None:
             raise NotFittedError("FlyHash has no map yet: call fit(references, places) first")
         references, places = self._map
-        takes(single=np.diff(references.indptr)[codes[codes >= 0]].sum())  # a unit has won in so many references
+        # A unit has won in so many references.
+        count_operations(single=np.diff(references.indptr)[codes[codes >= 0]].sum())
         common = (self._firing(codes) @ references).toarray() / np.float32(self.winners)
         return best_image_of_place(common, places)
 

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.api import BadInput, DescriptorMethod, Images, takes
+from vprbench.api import BadInput, DescriptorMethod, Images, count_operations
 
 _INTERPOLATIONS = {"linear": cv2.INTER_LINEAR, "area": cv2.INTER_AREA}
 
@@ -53,7 +53,9 @@ class HOG(DescriptorMethod):
         # A pixel: resized, lengths in each channel, votes for two bins in up to four cells of each block that it is in.
         votes = 2 * min(4, (self.block // self.cell) ** 2) * (self.block / self.stride) ** 2
         pixels = len(images) * self.height * self.width
-        takes(pixels * (3 * 4 + 3 * 2 + votes) + 3 * codes.size, pixels * 10 + 4 * codes.size)  # normalised three times
+        count_operations(
+            pixels * (3 * 4 + 3 * 2 + votes) + 3 * codes.size, pixels * 10 + 4 * codes.size
+        )  # normalised three times
         for code, image in zip(codes, images, strict=True):
             resized = cv2.resize(image, size, interpolation=interpolation)
             code[:] = hog.compute(cv2.cvtColor(resized, cv2.COLOR_RGB2BGR))

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.api import BadInput, DescriptorMethod, Images, takes
+from vprbench.api import BadInput, DescriptorMethod, Images, count_operations
 
 from .parts.filters.oriented import OrientedEdges
 from .parts.filters.patches import PatchNormalisation, Variant
@@ -55,7 +55,7 @@ class HyperDimensional(DescriptorMethod):
         cells = self._oriented(images) if self.features == "oriented" else self._patches(images)
         n_images, rows, columns, n_features = cells.shape
         signs, positions = _drawn(rows, columns, n_features, self.components, self.reach, self.seed)
-        takes(cells.size * self.components, cells.size)
+        count_operations(cells.size * self.components, cells.size)
         bundles = np.zeros((n_images, self.components), np.float32)
         for number, sign in enumerate(signs):  # one feature of all cells: their sum comes before its projection
             bundles += (cells[..., number].reshape(n_images, rows * columns) @ positions) * sign

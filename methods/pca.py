@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from sklearn import decomposition
 
-from vprbench.api import BadInput, Images, Method, NotFittedError, Places, Scores, best_image_of_place, takes
+from vprbench.api import BadInput, Images, Method, NotFittedError, Places, Scores, best_image_of_place, count_operations
 
 from .parts.pixels import Preprocessing, pixels
 from .parts.stored import State, require_map
@@ -66,7 +66,7 @@ class PCA(Method):
     def match(self, codes: npt.NDArray[np.uint8]) -> Scores:
         """Project the pixels and return their cosines with the best reference image of each place."""
         known = self._fitted()
-        takes(len(codes) * (known.projection.size + known.references.size))
+        count_operations(len(codes) * (known.projection.size + known.references.size))
         similarity = _project(codes, known.mean, known.projection) @ known.references.T
         return best_image_of_place(similarity, known.places)
 

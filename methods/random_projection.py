@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.api import BadInput, DescriptorMethod, Images, takes
+from vprbench.api import BadInput, DescriptorMethod, Images, count_operations
 
 from .parts.filters.patches import PatchNormalisation, Variant
 from .parts.pixels import MEAN_LEVEL
@@ -41,7 +41,7 @@ class RandomProjection(DescriptorMethod):
             raise BadInput(f"method.components={self.components}: give at least 1")
         levels = PatchNormalisation(self.preprocessing, self.height, self.width, self.patch)(images)
         contrasts = levels.astype(np.float32) - MEAN_LEVEL
-        takes(levels.size * self.components)
+        count_operations(levels.size * self.components)
         return unit(contrasts @ _directions(self.directions, levels.shape[1], self.components, self.seed))
 
 

@@ -23,8 +23,8 @@ from vprbench.api import (
     Scores,
     best_image_of_place,
     compiled,
+    count_operations,
     require_new_places,
-    takes,
 )
 
 from .parts.pixels import Preprocessing, pixels
@@ -80,7 +80,7 @@ class SAD(Method):
         """Return (n_queries, n_places) in grey levels, -255 to 0."""
         known = self._fitted()
         shape = known.rows.shape if isinstance(known, Growing) else known.shape
-        takes(single=3.0 * len(codes) * np.prod(shape), kind="int8")  # subtract, drop the sign, add
+        count_operations(single=3.0 * len(codes) * np.prod(shape), kind="int8")  # subtract, drop the sign, add
         if isinstance(known, Growing):
             return best_image_of_place(_similarity(codes, known.rows), self._places.rows)
         # Sums of up to 65,793 whole levels are exact in float32, so neither batch nor order can change them.

@@ -11,9 +11,9 @@ import pytest
 from checkout import ROOT
 
 from vprbench.cli import main
-from vprbench.paper.plan import read_plan
-from vprbench.paper.table.quantities import TRAINING_TIME
 from vprbench.plugins import registry
+from vprbench.report.plan import read_plan
+from vprbench.report.table.quantities import TRAINING_TIME
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 PLUG_INS = (ROOT / "docs" / "plug-ins.md").read_text(encoding="utf-8")

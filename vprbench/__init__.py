@@ -34,7 +34,7 @@ class _Room(ModuleType):
     """A package that shares its name with a function: `vprbench.methods` is both, and is called as the function."""
 
     def __call__(self) -> object:
-        from vprbench.interactive import known
+        from vprbench.python import known
 
         return getattr(known, self.__name__.rpartition(".")[2])()
 

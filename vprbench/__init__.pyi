@@ -1,24 +1,24 @@
 """The names of `vprbench`, each imported when a program asks for it."""
 
-from .interactive.choices import (
+from .python.choices import (
     NamedDataset as NamedDataset,
 )
-from .interactive.choices import (
+from .python.choices import (
     NamedMethod as NamedMethod,
 )
-from .interactive.choices import (
+from .python.choices import (
     dataset as dataset,
 )
-from .interactive.choices import (
+from .python.choices import (
     method as method,
 )
-from .interactive.comparison import Comparison as Comparison
-from .interactive.comparison import compare as compare
-from .interactive.images import dataset_of as dataset_of
-from .interactive.known import datasets as datasets
-from .interactive.known import methods as methods
-from .interactive.known import results as results
-from .interactive.result import Result as Result
-from .interactive.running import run as run
+from .python.comparison import Comparison as Comparison
+from .python.comparison import compare as compare
+from .python.images import dataset_of as dataset_of
+from .python.known import datasets as datasets
+from .python.known import methods as methods
+from .python.known import results as results
+from .python.result import Result as Result
+from .python.running import run as run
 
 __version__: str

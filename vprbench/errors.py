@@ -7,7 +7,7 @@ class BadInput(ValueError):
     """An error that the user can fix: one line names the option or file, its value and the remedy."""
 
 
-class NotThere(BadInput):
+class MissingData(BadInput):
     """Weights or frames that a run needs are missing; it can run once somebody has fetched them or put them there."""
 
 

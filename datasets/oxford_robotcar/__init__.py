@@ -36,8 +36,8 @@ class OxfordRobotcar:
     Raw frames, at `<root>/<recording>/stereo/left/<timestamp>.png`, are demosaiced and undistorted when they are looked
     at, with the distortion table of robotcar-dataset-sdk (`calibration`, or `<root>/models`), and kept in
     `<root>/<recording>/demosaiced`, or below the folder `processed`. Frames that somebody processed are taken from
-    there or from `<root>/<traverse>`. Raises NotThere for a missing root, frames, lists or distortion table, BadInput
-    for other arguments and for files that are not what they should be.
+    there or from `<root>/<traverse>`. Raises MissingData for a missing root, frames, lists or distortion table,
+    BadInput for other arguments and for files that are not what they should be.
     """
 
     name: str = "oxford_robotcar"
@@ -94,7 +94,7 @@ class OxfordRobotcar:
         )
 
     def _stamps(self, traverses: Sequence[str], layout: str) -> tuple[Path, dict[str, list[int]]]:
-        """Return the root, and the timestamps of each traverse, one a place; raises NotThere and BadInput."""
+        """Return the root, and the timestamps of each traverse, one a place; raises MissingData and BadInput."""
         if self.image_list == "vprtempo":  # arguments that its lists do not fit are refused before a look at the root
             stamps = self._one_a_place({traverse: published_timestamps(traverse) for traverse in traverses})
             return root_folder(self.name, self.root, "the traverses", layout, _DOWNLOAD), stamps

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image as PillowImage
 
-from vprbench.api import BadInput, Image, NotThere, open_image
+from vprbench.api import BadInput, Image, MissingData, open_image
 
 from .undistortion import undistort
 
@@ -52,14 +52,14 @@ class Calibration:
 def find_calibration(root: Path, given: str | None) -> Path:
     """Return the file of the distortion table: `given`, a file or its folder, or else the file in a root.
 
-    Raises NotThere if there is none.
+    Raises MissingData if there is none.
     """
     path = Path(given or "").expanduser()
     named = [path / _TABLE if path.is_dir() else path]
     candidates = [root / folder / _TABLE for folder in _FOLDERS] if given is None else named
     found = next(filter(Path.is_file, candidates), None)
     if found is None:
-        raise NotThere(
+        raise MissingData(
             f"raw frames are there, but the distortion table is not ({' and '.join(map(str, candidates))}): {_WHENCE} "
             f"to {root / _FOLDERS[0]}, or set dataset.calibration to it"
         )

@@ -7,7 +7,7 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from vprbench.api import BadInput, NotThere
+from vprbench.api import BadInput, MissingData
 
 from ..readers.traverses import every
 
@@ -28,12 +28,12 @@ def published_timestamps(traverse: str) -> list[int]:
 def lists_folder(given: str | None, roots: Sequence[Path]) -> Path:
     """Return the folder of VPRSNN's lists: `given`, or else the first of its name in `roots`.
 
-    Raises NotThere if there is none.
+    Raises MissingData if there is none.
     """
     candidates = [root / _FOLDER for root in roots] if given is None else [Path(given).expanduser()]
     found = next(filter(Path.is_dir, candidates), None)
     if found is None:
-        raise NotThere(
+        raise MissingData(
             f"VPRSNN's image lists are not there ({' and '.join(map(str, candidates))}): {_WHENCE} to {candidates[0]}, "
             "or set dataset.lists to the folder that holds them"
         )
@@ -44,14 +44,14 @@ def vprsnn_timestamps(folder: Path, traverse: str) -> list[int]:
     """Return the 3876 timestamps of a traverse in place order, as VPRSNN's authors list them (QVPR/VPRSNN d38f30c).
 
     Of the file's columns the column with the cameras' own names counts, with or without `.png`; lines before the first
-    such name are its head. Raises NotThere if the file is missing, BadInput for another list.
+    such name are its head. Raises MissingData if the file is missing, BadInput for another list.
     """
     path = folder / f"ORC_{traverse.capitalize()}_timestamps.csv"
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
             rows = [(number, row) for number, row in enumerate(csv.reader(file), 1) if any(map(str.strip, row))]
     except FileNotFoundError as error:
-        raise NotThere(f"{path} does not exist: {_WHENCE} to {folder}") from error
+        raise MissingData(f"{path} does not exist: {_WHENCE} to {folder}") from error
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise BadInput(f"{path} cannot be read as a list ({error}): {_WHENCE}") from error
     stamps = _stamps(path, rows)

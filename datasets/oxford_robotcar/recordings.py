@@ -44,7 +44,7 @@ class Recordings:
 
         `processed` is a folder for processed frames outside the root, `calibration` the distortion table or its
         folder. Preference: complete third-party frames, then raw frames, then frames processed by an earlier run.
-        Raises NotThere, with `layout`, for missing frames and for raw frames without a distortion table, BadInput if
+        Raises MissingData, with `layout`, for missing frames and for raw frames without a distortion table, BadInput if
         the first frame of a traverse is not what it should be.
         """
         outside = None if processed is None else Path(processed).expanduser()

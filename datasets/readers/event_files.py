@@ -10,7 +10,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from vprbench.api import BadInput, Events, NotThere, compiled
+from vprbench.api import BadInput, Events, MissingData, compiled
 
 _CHUNK = 1 << 20  # events
 _NAMES = {
@@ -27,12 +27,12 @@ def events_in(file: Path) -> Iterator[Events]:
     """Yield the events of a file in chunks of about a million at most; its suffix chooses the reader.
 
     Times become microseconds: numbers with a fraction are seconds, and numbers as large as micro- or nanoseconds since
-    1970 are those. Rows and columns are as stored. Raises NotThere without the file, BadInput for a file that is not
+    1970 are those. Rows and columns are as stored. Raises MissingData without the file, BadInput for a file that is not
     what its suffix says, and where a library is missing.
     """
     reader = READERS.get(file.suffix.lower())
     if reader is None or not file.is_file():
-        raise (NotThere if reader else BadInput)(f"{file} is no recording: give a file, {', '.join(READERS)}")
+        raise (MissingData if reader else BadInput)(f"{file} is no recording: give a file, {', '.join(READERS)}")
     try:
         yield from reader(file)
     except BadInput:

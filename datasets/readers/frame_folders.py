@@ -8,7 +8,7 @@ from collections.abc import Collection, Sequence
 from itertools import chain
 from pathlib import Path
 
-from vprbench.api import FrameFolder, NotThere, checkout_folder, data_folder, is_folder_beside
+from vprbench.api import FrameFolder, MissingData, checkout_folder, data_folder, is_folder_beside
 
 _SUFFIXES = (".png", ".jpg", ".jpeg")
 _PACKED = (".zip", ".tar", ".gz", ".tgz", ".bz2", ".xz", ".rar", ".7z")
@@ -24,7 +24,7 @@ def root_folder(
     default_root: str | None = None,
     parts: Collection[str] = (),
 ) -> Path:
-    """Return the folder of dataset `name` that holds what `holding` says; raises NotThere with `layout`, what to do.
+    """Return the folder of dataset `name` that holds what `holding` says; raises MissingData with `layout`, what to do.
 
     Where that has not the folders `parts`, it is the only folder in it that has them, as a zip is unpacked.
 
@@ -39,13 +39,13 @@ def root_folder(
         if default_root is not None and is_readable_folder(default):
             return default
         unfinished = " (which holds no frames yet: a download was not finished)" if is_readable_folder(kept) else ""
-        raise NotThere(
+        raise MissingData(
             f"dataset.root is not set: {name} needs the folder that holds {holding}; {layout}, "
             f"or call that folder {kept}{unfinished}"
         )
     folder = Path(root).expanduser()
     if not is_readable_folder(folder):
-        raise NotThere(
+        raise MissingData(
             f"dataset.root={root} is no folder that can be read: {name} needs the one that holds {holding}; {layout}"
             + ", unpacked" * (folder.suffix.lower() in _PACKED)
         )
@@ -117,19 +117,19 @@ def files_in(folder: Path) -> set[str]:
 
 
 def check_folders(folders: Sequence[FrameFolder], layout: str, suffix_option: str | None = None) -> None:
-    """Raise NotThere, with `layout`, for a folder that is missing or lacks some of the file names used of it.
+    """Raise MissingData, with `layout`, for a folder that is missing or lacks some of the file names used of it.
 
     The message tells where so many images are known to be a wrong copy, and where the frames are there under another
     suffix, which the option `suffix_option` chooses.
     """
     for folder in folders:
         if not is_readable_folder(folder.path):
-            raise NotThere(f"{folder.path} does not exist or cannot be read: {nearest_folder(folder.path)}{layout}")
+            raise MissingData(f"{folder.path} does not exist or cannot be read: {nearest_folder(folder.path)}{layout}")
         present = files_in(folder.path)
         missing = [name for name in folder.used if name not in present]
         if missing:
             told = _what_to_do(folder, missing, present, layout, suffix_option)
-            raise NotThere(
+            raise MissingData(
                 f"{missing[0]} is missing from {folder.path} ({len(missing)} of {len(folder.used)} expected frames are "
                 f"missing, {len(present)} files are there): {told}"
             )

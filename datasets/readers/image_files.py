@@ -12,7 +12,7 @@ from typing import Literal
 from vprbench.api import (
     IMAGE_SUFFIXES,
     BadInput,
-    NotThere,
+    MissingData,
     Paths,
     is_beside,
     is_folder_beside,
@@ -37,16 +37,16 @@ def images_in(
 
     Left out are lists and what systems put beside frames, such as names that begin with a dot (._1.jpg). A link to a
     file that is gone is returned, so that nothing moves up in its place. In natural order 2.jpg stands before 10.jpg,
-    in plain order (that of Python's `sorted` on whole paths) after it. Raises NotThere, with the `option` that named
+    in plain order (that of Python's `sorted` on whole paths) after it. Raises MissingData, with the `option` that named
     the folder and `advice`, if it is none or holds no images, and for a folder that cannot be read; BadInput for
     anything else that may stand for a frame, and for a folder that links lead to a second time.
     """
     top = Path(folder).expanduser()
     if not str(folder) or not top.is_dir():
-        raise NotThere(f"{option}: {folder or 'nothing'} is no folder: {nearest_folder(top)}{advice}")
+        raise MissingData(f"{option}: {folder or 'nothing'} is no folder: {nearest_folder(top)}{advice}")
     frames, strangers = _entries(top, deep)
     if not frames:
-        raise NotThere(f"{option}: {folder} holds no images ({', '.join(IMAGE_SUFFIXES)}): {advice}")
+        raise MissingData(f"{option}: {folder} holds no images ({', '.join(IMAGE_SUFFIXES)}): {advice}")
     if strangers:
         raise _stranger(option, min(strangers), len(strangers))
     if order == "plain":
@@ -64,7 +64,7 @@ def find_listed(files: Sequence[Path], listed_in: str, advice: str) -> Paths:
     """Return the files that a list names, as the folders have them.
 
     A file that is missing is the one under slashes for backslashes, or the only one whose name differs in capitals
-    alone. Raises NotThere, with the first row, the names nearest to its name and `advice`, if none is there.
+    alone. Raises MissingData, with the first row, the names nearest to its name and `advice`, if none is there.
     """
     files = Paths.of(files)
     missing = [number for number, path in enumerate(files) if not path.is_file()]
@@ -78,7 +78,7 @@ def find_listed(files: Sequence[Path], listed_in: str, advice: str) -> Paths:
         slashed = Path(str(path).replace("\\", "/"))
         close = difflib.get_close_matches(slashed.name, in_folder(slashed.parent)[:_MOST_NAMES])
         near = f"did you mean {' or '.join(close)}? else " * bool(close)
-        raise NotThere(
+        raise MissingData(
             f"{path} does not exist ({len(gone)} of {len(files)} images in {listed_in} are missing), named in row "
             f"{gone[0] + 1}: {near}{advice}"
         )
@@ -118,9 +118,9 @@ def _stranger(option: str, first: Path, count: int) -> BadInput:
 def _entries(top: Path, deep: bool) -> tuple[list[str], list[Path]]:
     """Return the frames in a folder, by their paths from it, and what is none and not known to lie beside frames.
 
-    With `deep` those of its sub-folders too; one under the name of an image stands for what it holds. Raises NotThere
-    for a folder that cannot be read, BadInput if links lead to one folder twice; a link to a folder that it lies in, by
-    other links too, ends there.
+    With `deep` those of its sub-folders too; one under the name of an image stands for what it holds. Raises
+    MissingData for a folder that cannot be read, BadInput if links lead to one folder twice; a link to a folder that
+    it lies in, by other links too, ends there.
     """
     frames: list[str] = []
     strangers: list[Path] = []
@@ -150,7 +150,7 @@ def _entries(top: Path, deep: bool) -> tuple[list[str], list[Path]]:
                     elif not is_beside(name):
                         strangers.append(here / name)
         except OSError as error:
-            raise NotThere(
+            raise MissingData(
                 f"{error.filename} cannot be read ({error.strerror}): make it readable; none is skipped"
             ) from error
         inner = [name for name in inner if not is_folder_beside(name)]

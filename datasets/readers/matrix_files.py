@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.api import BadInput, NotThere
+from vprbench.api import BadInput, MissingData
 
 from .positives import check_matrix
 
@@ -21,9 +21,9 @@ _SHOWN = 10  # names in a message
 
 
 def names_in(file: Path, advice: str) -> tuple[str, ...]:
-    """Return the names of the arrays in an .npz file; raises NotThere, with `advice`, without one, or BadInput."""
+    """Return the names of the arrays in an .npz file; raises MissingData, with `advice`, without one, or BadInput."""
     if not file.is_file():
-        raise NotThere(f"{file} is no file: {advice}")
+        raise MissingData(f"{file} is no file: {advice}")
     try:
         with zipfile.ZipFile(file) as members:
             return tuple(name.removesuffix(".npy") for name in members.namelist())
@@ -34,7 +34,7 @@ def names_in(file: Path, advice: str) -> tuple[str, ...]:
 def array_in(file: Path, key: str, most_values: int, wanted: str, advice: str) -> npt.NDArray[Any]:
     """Return an array of plain numbers from an .npz file.
 
-    `wanted` is what the file has to hold, and how many values. Raises NotThere, with `advice`, without a file,
+    `wanted` is what the file has to hold, and how many values. Raises MissingData, with `advice`, without a file,
     BadInput for one that cannot be read, lacks the array or holds more.
     """
     names = names_in(file, advice)
@@ -63,7 +63,7 @@ def matrix_in(
 ) -> npt.NDArray[np.bool_]:
     """Return a matrix of yes and no of that shape from an .npz file, which may hold plain numbers alone.
 
-    `axes` are what its rows and columns stand for. Raises NotThere, with `advice`, without a file, BadInput for any
+    `axes` are what its rows and columns stand for. Raises MissingData, with `advice`, without a file, BadInput for any
     other matrix.
     """
     wanted = f"a matrix {key} of yes and no, {shape[0]} {axes[0]} by {shape[1]} {axes[1]}"

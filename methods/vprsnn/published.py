@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.api import BadInput, NotThere
+from vprbench.api import BadInput, MissingData
 
 _NAME = re.compile(r"(?P<size>weights_ne\d+_L(?P<places>\d+))_offset(?P<offset>\d+)(?P<seed>_S\d+)?")
 _WEIGHTS, _THETA = "XeAe.npy", "theta_A.npy"
@@ -28,11 +28,11 @@ class PublishedModule:
 
 
 def files_of(folder: Path) -> list[Path]:
-    """Return the files that `read_modules` reads, module by module; raises NotThere where one is missing."""
+    """Return the files that `read_modules` reads, module by module; raises MissingData where one is missing."""
     files = [module / name for module in _modules(folder) for name in (_WEIGHTS, _THETA)]
     for path in files:
         if not path.is_file():
-            raise NotThere(f"{path} is missing: put the authors' file there")
+            raise MissingData(f"{path} is missing: put the authors' file there")
     return files
 
 
@@ -41,7 +41,7 @@ def read_modules(folder: Path, n_inputs: int, n_neurons: int) -> list[PublishedM
 
     `XeAe.npy` holds a row (input, neuron, weight) for each synapse, in any order, or all weights as
     (n_inputs, n_neurons); `theta_A.npy` the thresholds (n_neurons,) in volts. Pickled objects are refused.
-    Raises NotThere where a file or a module is missing, and BadInput for a file that is not what is wanted.
+    Raises MissingData where a file or a module is missing, and BadInput for a file that is not what is wanted.
     Source: what VPRSNN (QVPR/VPRSNN) stores after training.
     """
     files = files_of(folder)
@@ -56,11 +56,11 @@ def _modules(folder: Path) -> list[Path]:
     try:
         found = [match for path in sorted(folder.iterdir()) if path.is_dir() and (match := _NAME.fullmatch(path.name))]
     except OSError as error:
-        raise NotThere(
+        raise MissingData(
             f"{folder} cannot be read ({error.strerror}): give the folder of the authors' weights"
         ) from error
     if not found:
-        raise NotThere(f"{folder} holds no folder such as weights_ne400_L25_offset0: give the one that holds them")
+        raise MissingData(f"{folder} holds no folder such as weights_ne400_L25_offset0: give the one that holds them")
     kinds = sorted({match["size"] + (match["seed"] or "") for match in found})
     if len(kinds) > 1:
         raise BadInput(
@@ -72,7 +72,9 @@ def _modules(folder: Path) -> list[Path]:
         if int(after["offset"]) < next_offset:
             raise BadInput(f"{folder}: {before[0]} and {after[0]} hold the same places: leave one of them there")
         if int(after["offset"]) > next_offset:
-            raise NotThere(f"{folder} lacks the module from place {next_offset}, before {after[0]}: put it there too")
+            raise MissingData(
+                f"{folder} lacks the module from place {next_offset}, before {after[0]}: put it there too"
+            )
     return [folder / match[0] for match in found]
 
 
@@ -133,7 +135,7 @@ def _array(path: Path) -> npt.NDArray[Any]:
     try:
         stored: npt.NDArray[Any] = np.lib.format.open_memmap(path, mode="r")
     except FileNotFoundError as error:
-        raise NotThere(f"{path} is missing: put the authors' file there") from error
+        raise MissingData(f"{path} is missing: put the authors' file there") from error
     except OSError as error:
         raise BadInput(f"{path} cannot be read ({error.strerror}): mend that") from error
     except Exception as error:  # numpy raises whatever a damaged header leads it to

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.api import takes
+from vprbench.api import count_operations
 
 from .arrays import Scratch, State
 from .module import show
@@ -36,7 +36,7 @@ def ask(ready: ReadyNetwork, levels: Levels, stage: Stage) -> Answers:
     # Each neuron takes three multiply-adds and six other operations a step, each arrival of a spike an addition.
     steps = len(trains) * (model.physics.shown + carried * model.physics.rest)
     neurons, arrivals = ready.labels.size, sum(len(train.step) for train in trains)
-    takes(3 * steps * neurons, (6 * steps + arrivals) * neurons, kind="float64")
+    count_operations(3 * steps * neurons, (6 * steps + arrivals) * neurons, kind="float64")
     shape = (len(trains), len(ready.synapses), model.n_excitatory)
     answers = Answers(np.empty(shape, np.int32), np.empty(shape, np.int32))
     free: list[Scratch] = []  # that no thread works in

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from vprbench.api import Scores, takes
+from vprbench.api import Scores, count_operations
 
 from . import vnni
 from .compiled import compiled
@@ -123,7 +123,7 @@ class Int8LinearQuery:
 
     def scores(self, spikes: npt.NDArray[np.float32]) -> Scores:
         """Return the state of every place's output neuron."""
-        takes(len(spikes) * self._layer.n_weights, kind="int8")
+        count_operations(len(spikes) * self._layer.n_weights, kind="int8")
         scores = np.empty((len(spikes), self._layer.n_out), np.float32)
         _in_threads(lambda own, written: self._layer(_levels(own, np.float32(1)), written), spikes, scores)
         return scores
@@ -147,7 +147,7 @@ class Int8SpikingQuery:
     def scores(self, spikes: npt.NDArray[np.float32]) -> Scores:
         """Return the state of every place's output neuron."""
         weights = sum(layer.n_weights for layer in (self._features, *self._outputs))
-        takes(len(spikes) * weights, kind="int8")
+        count_operations(len(spikes) * weights, kind="int8")
         scores = np.empty((len(spikes), self._n_places), np.float32)
         _in_threads(lambda own, written: self._fire(self._feature_levels(own), written), spikes, scores)
         return scores

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from vprbench.api import Scores, takes
+from vprbench.api import Scores, count_operations
 
 from .compiled import compiled
 from .network import Network
@@ -42,7 +42,7 @@ class LinearQuery:
 
     def scores(self, spikes: npt.NDArray[np.float32]) -> Scores:
         """Return the state of every place's output neuron."""
-        takes(len(spikes) * self._matrix.numel())
+        count_operations(len(spikes) * self._matrix.numel())
         x = torch.tensor(spikes, device=self._matrix.device)
         scores = torch.addmv(self._bias, self._matrix, x[0])[None] if len(x) == 1 else self._layer(x)
         return np.asarray(scores.cpu().numpy(), np.float32)
@@ -103,7 +103,7 @@ class SpikingQuery:
 
     def scores(self, spikes: npt.NDArray[np.float32]) -> Scores:
         """Return the state of every place's output neuron."""
-        takes(len(spikes) * self._weights)
+        count_operations(len(spikes) * self._weights)
         if len(spikes) == 1 and self._device.type == "cpu":
             return self._fired(self._one(np.ascontiguousarray(spikes[0]))).numpy()
         scores = np.empty((len(spikes), self._ends[-1]), np.float32)

@@ -19,7 +19,7 @@ from weight_packages import install
 from vprbench.api import weights as module_under_test
 from vprbench.api.weight_files import read_tensor, read_weights, state_dict
 from vprbench.api.weights import Stated, Weights, find_weights, load_strictly, weights_folder, without_prefix
-from vprbench.errors import BadInput, NotThere
+from vprbench.errors import BadInput, MissingData
 
 CONTENT = b"published"
 SHA256 = hashlib.sha256(CONTENT).hexdigest()
@@ -62,7 +62,7 @@ def test_an_own_copy_comes_first_then_a_right_file_in_the_folder(folder, tmp_pat
     (folder / "net.pth").write_bytes(CONTENT)
     assert find_weights(replace(of_content(sha256=SHA256), path="~/own.pth"), "gcl") == own
     for path in ("/nowhere/net.pth", "."):
-        with pytest.raises(NotThere, match=rf"^method\.net\.path={re.escape(path)} is no file .*gcl"):
+        with pytest.raises(MissingData, match=rf"^method\.net\.path={re.escape(path)} is no file .*gcl"):
             find_weights(replace(LINKED, path=path), "gcl", "net")
     for name in ("../net.pth", "a/net.pth", "", ".."):
         with pytest.raises(BadInput, match=r"method\.weights\.file="):
@@ -104,7 +104,7 @@ def test_a_missing_file_is_downloaded_with_what_is_stated_of_it(folder, download
 )
 def test_what_no_program_may_or_can_fetch_is_said_to_a_person(wanted, said, folder, downloads, monkeypatch):
     monkeypatch.setenv("VPRBENCH_OFFLINE", "1")
-    with pytest.raises(NotThere, match=f"gcl needs net.pth, .*{folder}.*{said}.*method.weights.path=FILE"):
+    with pytest.raises(MissingData, match=f"gcl needs net.pth, .*{folder}.*{said}.*method.weights.path=FILE"):
         find_weights(wanted, "gcl")
     assert downloads == []
 

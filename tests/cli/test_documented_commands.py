@@ -22,9 +22,9 @@ from vprbench import cli
 from vprbench.datasets.nordland import chosen_names
 from vprbench.datasets.synthetic_events import EventJourney, write_recording
 from vprbench.jobs import executors
-from vprbench.paper import gather
-from vprbench.paper.plan import read_plan
 from vprbench.plugins import registry
+from vprbench.report import gather
+from vprbench.report.plan import read_plan
 from vprbench.runs.request import RunRequest
 
 DOCUMENTS = (

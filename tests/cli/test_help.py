@@ -94,8 +94,8 @@ def test_every_option_in_the_help_is_taken_and_no_other_one_of_a_run(name, capsy
     def stop(*_):
         raise BadInput("it would run")
 
-    monkeypatch.setattr("vprbench.comparison.make.make_comparison", stop)
-    monkeypatch.setattr("vprbench.paper.table.make.make_table", stop)
+    monkeypatch.setattr("vprbench.report.comparison.make.make_comparison", stop)
+    monkeypatch.setattr("vprbench.report.table.make.make_table", stop)
     asked = {"compare": ["methods=sad", "dataset=synthetic"]}.get(name, [])
     options = {option for option in helped(capsys, name) if re.fullmatch(r"[a-z_]+(\.[a-z_]+)?", option)} - {"vprbench"}
     options &= {*(field.name for field in fields(COMMANDS[name].option_class()))} | OF_RUNS

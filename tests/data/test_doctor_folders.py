@@ -13,7 +13,7 @@ from PIL import Image as PillowImage
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
 from vprbench.data.doctor import as_text, check_dataset, command, examine, look_at_some, quick
-from vprbench.errors import BadInput, NotThere
+from vprbench.errors import BadInput, MissingData
 from vprbench.progress import listening
 
 PAGE = b"<!DOCTYPE html><html><body>Sign in to download</body></html>"
@@ -234,7 +234,7 @@ def test_a_run_is_refused_with_one_line_for_the_first_error_and_given_warnings_b
 
 def test_sound_frames_exit_with_0_and_a_dataset_that_cannot_be_built_with_1(spoilt):
     def nothing():
-        raise NotThere("winter/000.png is missing: get the frames")
+        raise MissingData("winter/000.png is missing: get the frames")
 
     for build, code, said in ((lambda: spoilt(lambda *_: {}), 0, "note alignment"), (nothing, 1, "error dataset")):
         lines = []

@@ -18,7 +18,7 @@ from image_folders import answer
 from vprbench.data.fetch import command
 from vprbench.data.fetch.command import Settings, fetch, fetch_command
 from vprbench.data.fetch.entries import Download, FetchedFile, Part, content_sha256, count_files, downloads, read
-from vprbench.errors import BadInput, NotThere
+from vprbench.errors import BadInput, MissingData
 from vprbench.plugins import registry
 from vprbench.progress import listening
 from vprbench.storage.unpack import Wanted, unpack
@@ -132,11 +132,11 @@ def test_the_next_address_is_tried_where_a_file_is_gone_or_wrong_or_its_server_s
 def test_a_person_is_told_what_to_do_where_all_fail_or_downloads_are_forbidden(server, root, monkeypatch):
     entry = little(f"{server.url}/one", f"{server.url}/two")
     by_hand = f"/two gives no file .404 .* get the file by hand and store it as {root / 'archives' / 'spring.zip'}$"
-    refused(entry, root, by_hand, NotThere)
+    refused(entry, root, by_hand, MissingData)
     assert [asked.path for asked in server.asked] == ["/one", "/two"]
     assert not (root / "spring").exists()
     monkeypatch.setenv("VPRBENCH_OFFLINE", "1")
-    refused(entry, root, r"VPRBENCH_OFFLINE forbids downloads: get http.*/two elsewhere and store it", NotThere)
+    refused(entry, root, r"VPRBENCH_OFFLINE forbids downloads: get http.*/two elsewhere and store it", MissingData)
     assert len(server.asked) == 2
 
 
@@ -233,7 +233,7 @@ def test_the_first_dataset_that_has_its_frames_is_checked(url, root, capsys, mis
     def check(name, folder):
         assert folder == root
         if name in missing:
-            raise NotThere("summer is missing")
+            raise MissingData("summer is missing")
         return (f"{name} is fine", "no black frame")
 
     assert get(little(url, datasets=("little", "less")), root, check) == 0
@@ -244,7 +244,7 @@ def test_a_person_is_told_what_to_do_and_what_the_person_put_there_is_checked(se
     entry = little(url, register="Register at https://example.org, and put frames/ into {folder}.\n")
 
     def missing(name, folder):
-        raise NotThere("1.png is missing")
+        raise MissingData("1.png is missing")
 
     assert get(little(register=entry.register), root) == 2
     assert f"Register at https://example.org, and put frames/ into {root}.\n" in capsys.readouterr().out

@@ -14,7 +14,7 @@ from vprbench.datasets.event_folders import event_folders
 from vprbench.datasets.event_vpr import brisbane_event_vpr, qcr_event_vpr
 from vprbench.datasets.readers import event_files
 from vprbench.datasets.readers.event_files import events_in
-from vprbench.errors import NotThere
+from vprbench.errors import MissingData
 from vprbench.methods.sad import SAD
 
 EVENTS = by_chance(500, seconds=40.0)
@@ -167,12 +167,12 @@ def test_tables_that_do_not_fit_are_refused_by_name(options, tmp_path, rows, tol
 
 
 def test_recordings_that_are_missing_are_named(options, tmp_path):
-    assert "dataset.references" in answer(event_folders, kind=NotThere)
-    assert "gone.h5" in answer(event_folders, kind=NotThere, **options | {"queries": "gone.h5"})
-    assert "fetch brisbane_event_vpr" in answer(brisbane_event_vpr, kind=NotThere, root=str(tmp_path))
+    assert "dataset.references" in answer(event_folders, kind=MissingData)
+    assert "gone.h5" in answer(event_folders, kind=MissingData, **options | {"queries": "gone.h5"})
+    assert "fetch brisbane_event_vpr" in answer(brisbane_event_vpr, kind=MissingData, root=str(tmp_path))
     write_aedat2(tmp_path / "dvs_vpr_2020-04-22-17-24-21.aedat", by_chance(40))
     write_aedat2(tmp_path / "dvs_vpr_2020-04-21-17-03-03.aedat", by_chance(40))
-    assert "nmea" in answer(brisbane_event_vpr, kind=NotThere, root=str(tmp_path))
+    assert "nmea" in answer(brisbane_event_vpr, kind=MissingData, root=str(tmp_path))
     assert "sunset" in answer(brisbane_event_vpr, root=str(tmp_path), queries="sunset3")
 
 

@@ -20,7 +20,7 @@ from vprbench.datasets.image_list import image_list
 from vprbench.datasets.utm_folders import utm_folders
 from vprbench.datasets.vpr_bench import vpr_bench
 from vprbench.datasets.vpr_tutorial import gardens_point, with_matrix
-from vprbench.errors import BadInput, NotThere
+from vprbench.errors import BadInput, MissingData
 from vprbench.plugins import registry
 from vprbench.storage import mat_files
 
@@ -350,7 +350,7 @@ MISSING = {
     ("source", "files", "options", "told", "kind"),
     [
         pytest.param(source, *case, kind, id=f"{source} {case[2]}")
-        for kind, refused in ((BadInput, REFUSED), (NotThere, MISSING))
+        for kind, refused in ((BadInput, REFUSED), (MissingData, MISSING))
         for source, cases in refused.items()
         for case in cases
     ],
@@ -489,14 +489,14 @@ def test_of_two_folders_that_may_be_meant_none_is_taken_and_the_nearest_is_named
     for city in ("london", "paris"):
         fill(Path(city) / "test" / "database", at((0, 0)))
         fill(Path(city) / "test" / "queries", at((1, 1)))
-    answer(utm_folders, kind=NotThere, root=".")
+    answer(utm_folders, kind=MissingData, root=".")
     assert rights(utm_folders(root="london")) == [[0]]
     nearest = {
         "London/test/database": "london",
         **dict.fromkeys(("london/databases", "london/test/DATABASE"), "london/test/database"),
     }
     for given, meant in nearest.items():
-        assert f"did you mean {meant}?" in answer(folders, kind=NotThere, references=[given], queries="x")
+        assert f"did you mean {meant}?" in answer(folders, kind=MissingData, references=[given], queries="x")
 
 
 # A thousandth of a degree near Brisbane (27.5 degrees south): 110.80 m north, 98.83 m east (tables of WGS 84).

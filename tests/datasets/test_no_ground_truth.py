@@ -17,7 +17,6 @@ from textures import textures
 
 import vprbench
 from vprbench.cli import main
-from vprbench.comparison import make
 from vprbench.data.doctor import quick
 from vprbench.datasets.event_folders import event_folders
 from vprbench.datasets.folders import folders
@@ -26,6 +25,7 @@ from vprbench.datasets.utm_folders import utm_folders
 from vprbench.datasets.vpr_bench import vpr_bench
 from vprbench.errors import BadInput
 from vprbench.plugins import conformance, registry
+from vprbench.report.comparison import make
 
 PLACES, QUERIES = 7, 5
 NONE = {"ground_truth": "none"}

@@ -16,7 +16,7 @@ from PIL import Image as PillowImage
 from vprbench.config import make_request
 from vprbench.datasets.nordland import chosen_names, nordland, published_frames
 from vprbench.datasets.readers import frame_folders
-from vprbench.errors import NotThere
+from vprbench.errors import MissingData
 from vprbench.plugins import registry
 
 TINY = {"stride": 2, "places": 6, "query_places": 4, "first_query_place": 2}
@@ -70,7 +70,7 @@ def test_only_frames_that_some_method_needs_have_to_be_there(tiny_root, options,
     asked = {"root": str(tiny_root), **TINY, **options}
     if lacking:
         told = f"images-00202.png is missing from {tiny_root / lacking} (1 of 6 "
-        assert told in refusal(kind=NotThere, **asked)
+        assert told in refusal(kind=MissingData, **asked)
     else:
         assert [len(folder.used) for folder in nordland(**asked).folders] == [4, 6, 6]
 
@@ -93,7 +93,7 @@ def test_missing_frames_are_counted_with_what_to_do(tiny_root, monkeypatch, fram
         (tiny_root / "fall").rmdir()
     elif not others:  # a folder under the name of a frame is no frame
         (tiny_root / "fall" / f"images-{frames[0]:05d}.png").mkdir()
-    assert told.format(tiny_root / "fall") in refusal(kind=NotThere, root=str(tiny_root), **TINY)
+    assert told.format(tiny_root / "fall") in refusal(kind=MissingData, root=str(tiny_root), **TINY)
 
 
 @pytest.mark.parametrize("way", ["{season}/{season}", "{Season}", "Nordland/{season}", "Nordland/{Season}/frames"])
@@ -112,8 +112,8 @@ def test_seasons_are_found_in_capitals_or_one_folder_deeper(tiny_root, tmp_path,
 
 def test_of_a_season_under_another_name_the_nearest_folder_is_named(tiny_root):
     (tiny_root / "winter").rename(tiny_root / "winter_2")
-    assert str(tiny_root / "winter_2") in refusal(kind=NotThere, root=str(tiny_root), query="winter", **TINY)
-    assert "unpacked" in refusal(kind=NotThere, root=str(tiny_root / "nordland.zip"), **TINY)
+    assert str(tiny_root / "winter_2") in refusal(kind=MissingData, root=str(tiny_root), query="winter", **TINY)
+    assert "unpacked" in refusal(kind=MissingData, root=str(tiny_root / "nordland.zip"), **TINY)
 
 
 def test_places_before_the_first_one_are_left_out_and_converted_frames_answered_with_the_suffix_to_set(tiny_root):
@@ -125,7 +125,9 @@ def test_places_before_the_first_one_are_left_out_and_converted_frames_answered_
     assert "dataset.first_place=-1" in refusal(root=str(tiny_root), **{**TINY, "first_place": -1})
     for path in [*tiny_root.rglob("*.png")]:
         path.rename(path.with_suffix(".jpg"))
-    assert "images-00206.jpg is there: pass dataset.suffix=.jpg" in refusal(kind=NotThere, root=str(tiny_root), **TINY)
+    assert "images-00206.jpg is there: pass dataset.suffix=.jpg" in refusal(
+        kind=MissingData, root=str(tiny_root), **TINY
+    )
     assert nordland(root=str(tiny_root), suffix=".jpg", **TINY).queries.names[0] == "images-00206.jpg"
 
 
@@ -166,7 +168,7 @@ def test_a_bad_option_is_named_in_one_line(arguments, message):
 def test_no_root_is_answered_with_where_the_frames_are(no_downloads, options, told):
     (no_downloads / "nordland" / "archives").mkdir(parents=True)
     (no_downloads / "nordland" / ".fetch.lock").touch()
-    message = refusal(kind=NotThere, **options)
+    message = refusal(kind=MissingData, **options)
     assert told.format(no_downloads) in message
     assert "Somayeh-h/Nordland" in message
 
@@ -273,8 +275,8 @@ def test_frames_that_may_not_be_read_are_frames_that_are_not_there(tmp_path, mon
             (seasons / season / name).touch()
     with closed((seasons / which).resolve()):
         assert not is_readable(seasons / which / "winter")
-        with pytest.raises(NotThere, match="winter"):
+        with pytest.raises(MissingData, match="winter"):
             ask(**{option: str(seasons)})
     ask(**{option: str(seasons)})
-    with pytest.raises(NotThere):
+    with pytest.raises(MissingData):
         ask(root=f"{seasons}\0")

@@ -14,7 +14,7 @@ from image_folders import answer, fill
 from vprbench.datasets.readers.image_files import images_in
 from vprbench.datasets.readers.positions import by_names
 from vprbench.datasets.readers.traverses import Traverses, right_places, split
-from vprbench.errors import NotThere
+from vprbench.errors import MissingData
 
 quickly = settings(derandomize=True, deadline=None, max_examples=60, database=None)
 
@@ -145,7 +145,7 @@ def test_a_folder_that_cannot_be_read_is_refused_and_linked_ones_are_included(tm
         return listed(folder)
 
     monkeypatch.setattr(os, "scandir", scandir)
-    assert f"{top / 'closed'} cannot be read (Permission denied)" in answer(names_in, top, kind=NotThere)
+    assert f"{top / 'closed'} cannot be read (Permission denied)" in answer(names_in, top, kind=MissingData)
 
 
 @pytest.mark.parametrize("kind", ["2.heic", "2.png~", "2", "a folder", "a pipe", "a linked folder"])

@@ -26,7 +26,7 @@ from vprbench.datasets.oxford_robotcar.calibration import (
 )
 from vprbench.datasets.oxford_robotcar.lists import published_timestamps, vprsnn_timestamps
 from vprbench.datasets.oxford_robotcar.repeats import ceiling
-from vprbench.errors import BadInput, NotThere
+from vprbench.errors import BadInput, MissingData
 from vprbench.plugins import registry
 from vprbench.runs.identity import fingerprint
 
@@ -92,7 +92,7 @@ def test_a_table_that_is_none_is_refused(tmp_path, spoil, told):
 )
 def test_the_table_is_found_in_the_root_or_where_the_option_says(tmp_path, folder, given):
     asked = given and str(tmp_path / given)
-    told = answer(find_calibration, tmp_path, asked, kind=NotThere)
+    told = answer(find_calibration, tmp_path, asked, kind=MissingData)
     assert str(tmp_path / (given or f"robotcar-dataset-sdk/models/{frames.TABLE}")) in told
     assert "https://github.com/ori-mrg/robotcar-dataset-sdk" in told
     if given:
@@ -337,7 +337,7 @@ def test_the_queries_of_the_paper_are_places_90_to_449_and_it_is_told_what_is_od
     ],
 )
 def test_a_bad_option_is_named_in_one_line(arguments, message):
-    assert message in answer(oxford_robotcar, kind=BadInput if arguments else NotThere, **arguments)
+    assert message in answer(oxford_robotcar, kind=BadInput if arguments else MissingData, **arguments)
 
 
 START = {"sun": 1439388276045321, "rain": 1446121117630140, "dusk": 1416586027583964}
@@ -391,7 +391,7 @@ def test_the_column_of_timestamps_is_found_whatever_stands_beside_and_above_it(t
 def test_another_list_is_refused_with_where_to_get_the_right_one(tmp_path, lines, told):
     if lines:
         write_list(tmp_path, "sun", lines)
-    message = answer(vprsnn_timestamps, tmp_path, "sun", kind=BadInput if lines else NotThere)
+    message = answer(vprsnn_timestamps, tmp_path, "sun", kind=BadInput if lines else MissingData)
     assert f"{tmp_path / 'ORC_Sun_timestamps.csv'}" in message
     assert told in message
     assert "https://github.com/QVPR/VPRSNN" in message
@@ -420,7 +420,7 @@ def test_the_places_are_every_eighth_row_without_those_set_aside_and_lists_may_l
     assert len(asked().queries) == 375
     named = download.rename(tmp_path / "named")
     assert len(asked(lists=str(named)).queries) == 375
-    assert "dataset.lists" in answer(asked, kind=NotThere)
+    assert "dataset.lists" in answer(asked, kind=MissingData)
 
 
 @pytest.mark.parametrize(

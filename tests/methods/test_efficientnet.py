@@ -13,7 +13,7 @@ from published_networks import saved, unit
 from torch.nn import functional
 from torch.utils.flop_counter import FlopCounterMode
 
-from vprbench.api.arithmetic import tallied
+from vprbench.api.arithmetic import counting_operations
 from vprbench.api.images import Images
 from vprbench.errors import BadInput
 from vprbench.methods.parts.backbones.compiled_blocks import CompiledBlocks, compile_blocks
@@ -223,7 +223,7 @@ def test_multiply_adds_are_those_that_pytorch_counts_and_are_told_of_every_image
     assert 2 * count_multiply_adds(variant, last, *size) == counter.get_total_flops()
     for sides, shown in ((size, (40, 60)), ((None, None), size)):
         method = made(variant, blocks=[last], grid=[[1, 1]], height=sides[0], width=sides[1])
-        with tallied() as told:
+        with counting_operations() as told:
             encoded(method, *drawn_images(shown, shown, shown))
         assert sum(each.multiply_adds for each in told) == 3 * counter.get_total_flops() / 2
 

@@ -8,8 +8,8 @@ import pytest
 
 from vprbench.errors import BadInput
 from vprbench.metrics.growth import fit_power
-from vprbench.paper.growth import interval_of_median, samples
-from vprbench.paper.plan import Row
+from vprbench.report.growth import interval_of_median, samples
+from vprbench.report.plan import Row
 from vprbench.runs.notes import Note
 
 SIZES = np.array([100.0, 300, 1000, 3000, 9000, 27000])

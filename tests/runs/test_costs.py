@@ -13,7 +13,7 @@ from little_vprsnn import fitted as fitted_vprsnn
 from little_vprsnn import references
 from torch.utils.flop_counter import FlopCounterMode
 
-from vprbench.api.arithmetic import tallied
+from vprbench.api.arithmetic import counting_operations
 from vprbench.api.binary import BinaryMap
 from vprbench.api.images import Images
 from vprbench.api.search import Search
@@ -30,7 +30,7 @@ pytestmark = pytest.mark.usefixtures("surroundings")
 
 def told(work):
     """Return the multiply-adds, the single operations and the kinds of numbers that are told of some work."""
-    with tallied() as found:
+    with counting_operations() as found:
         work()
     return sum(each.multiply_adds for each in found), sum(each.single for each in found), {each.kind for each in found}
 

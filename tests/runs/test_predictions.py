@@ -15,7 +15,7 @@ from textures import textures
 import vprbench
 from vprbench.cli import main
 from vprbench.errors import BadInput
-from vprbench.interactive.result import Result
+from vprbench.python.result import Result
 
 PLACES = 8
 

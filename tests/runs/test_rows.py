@@ -17,8 +17,8 @@ import stored_runs
 from checkout import ROOT
 from little import a_run, laps, unanswerable_run
 
+from vprbench.metrics.catalogue import METRICS
 from vprbench.metrics.intervals import block_length, share_interval
-from vprbench.metrics.registry import METRICS
 from vprbench.runs import frame, rows
 from vprbench.runs.frame import list_numbers
 from vprbench.runs.recall_intervals import order_along_journey, recall_interval

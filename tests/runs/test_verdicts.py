@@ -7,7 +7,7 @@ import numpy as np
 from little import a_run
 from report_page import SAD_WRONG, TEMPO_WRONG, UNANSWERABLE, answered, journey_run, right_place
 
-from vprbench.paper.page.columns import format_place_ranges, list_columns, list_places_shown
+from vprbench.report.page.columns import format_place_ranges, list_columns, list_places_shown
 from vprbench.runs.query_results import judge_answers, order_by_interest
 
 NO = -np.inf  # the score of a place that is no candidate

@@ -11,8 +11,8 @@ from vprbench.api.images import Images
 from vprbench.config import make_request
 from vprbench.errors import BadInput
 from vprbench.methods.sad import SAD
-from vprbench.paper.plan import PlannedColumn, Row
-from vprbench.paper.selection import ResolvedColumn, groups
+from vprbench.report.plan import PlannedColumn, Row
+from vprbench.report.selection import ResolvedColumn, groups
 from vprbench.runs.run import execute
 from vprbench.runs.scorers import ViewsScorer
 from vprbench.runs.viewpoints import AS_IT_IS, Viewpoint, Viewpoints, parse_viewpoints, record_viewpoints, render_view

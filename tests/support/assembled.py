@@ -2,9 +2,9 @@
 
 from stored_runs import PLAN, RAIL, ROWS, run
 
-from vprbench.paper.selection import groups
-from vprbench.paper.table.cells import assemble
-from vprbench.paper.table.quantities import QUANTITIES
+from vprbench.report.selection import groups
+from vprbench.report.table.cells import assemble
+from vprbench.report.table.quantities import QUANTITIES
 
 NAMES = ("recall_at_1", "train_cpu", "query_cpu", "train_gpu", "query_gpu")
 

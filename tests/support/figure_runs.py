@@ -9,7 +9,7 @@ import little
 import numpy as np
 
 from vprbench.metrics.ranking import best_places, outcome
-from vprbench.paper.selection import Series
+from vprbench.report.selection import Series
 from vprbench.runs.stopwatch import Laps
 
 

@@ -6,8 +6,8 @@ import assembled
 import numpy as np
 from stored_runs import ABACUS, CITY, NETVLAD, NORDLAND, RAILWAY, SAD, STREET, VPRSNN, VPRTEMPO, failure, run
 
-from vprbench.paper.plan import Row
-from vprbench.paper.selection import ResolvedColumn
+from vprbench.report.plan import Row
+from vprbench.report.selection import ResolvedColumn
 from vprbench.runs.notes import Note
 
 REMARK = "How hard it is was set by hand."

@@ -7,8 +7,8 @@ from little import a_run
 from PIL import Image
 
 from vprbench.metrics.ranking import best_places, outcome
-from vprbench.paper.page.page import Picture, Section, page
-from vprbench.paper.selection import Series
+from vprbench.report.page.page import Picture, Section, page
+from vprbench.report.selection import Series
 from vprbench.runs.notes import Note
 from vprbench.runs.thumbnails import Thumbnails
 

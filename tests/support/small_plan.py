@@ -9,8 +9,8 @@ from PIL import Image
 from vprbench.config import make_request
 from vprbench.jobs import executors
 from vprbench.jobs.job import make_run
-from vprbench.paper import gather
-from vprbench.paper.plan import read_plan
+from vprbench.report import gather
+from vprbench.report.plan import read_plan
 from vprbench.runs.request import RunRequest
 
 PLAN = """
@@ -70,7 +70,7 @@ def run_apart(options):
 
 def quick_figures(monkeypatch):
     """Let figures be drawn and not rendered, which takes long: their files hold a pixel for each panel."""
-    from vprbench.paper.figures import style  # brings matplotlib
+    from vprbench.report.figures import style  # brings matplotlib
 
     def rendered(drawn):
         written = io.BytesIO()

@@ -7,8 +7,8 @@ import little
 import numpy as np
 
 from vprbench.metrics.ranking import Outcome
-from vprbench.paper.plan import Growth, Plan, PlannedColumn, Row
-from vprbench.paper.selection import ResolvedColumn
+from vprbench.report.plan import Growth, Plan, PlannedColumn, Row
+from vprbench.report.selection import ResolvedColumn
 from vprbench.runs.record import Failure
 
 RAILWAY = {"name": "railway", "places": 10, "seed": 0}

@@ -8,8 +8,8 @@ from little import a_run, pictures
 
 from vprbench.api.dataset import Dataset
 from vprbench.errors import BadInput
-from vprbench.paper.plan import PlannedColumn
 from vprbench.plugins import registry
+from vprbench.report.plan import PlannedColumn
 from vprbench.tuning.places import Searchable, cut, querying, searchable
 
 

@@ -2,7 +2,7 @@
 
 from .adaptation import Adapt as Adapt
 from .adaptation import adapt_traverse as adapt_traverse
-from .arithmetic import takes as takes
+from .arithmetic import count_operations as count_operations
 from .arrays import Descriptors as Descriptors
 from .arrays import Image as Image
 from .arrays import Places as Places
@@ -46,8 +46,8 @@ from .neural import NeuralDescriptor as NeuralDescriptor
 from .neural import Resize as Resize
 from .other_rooms import BadInput as BadInput
 from .other_rooms import MatFileError as MatFileError
+from .other_rooms import MissingData as MissingData
 from .other_rooms import NotFittedError as NotFittedError
-from .other_rooms import NotThere as NotThere
 from .other_rooms import Paths as Paths
 from .other_rooms import TrainingDivergedError as TrainingDivergedError
 from .other_rooms import cache_folder as cache_folder

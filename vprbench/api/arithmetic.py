@@ -1,4 +1,4 @@
-"""How much arithmetic a query takes: each computation tells its own by a formula, and `tallied` adds them up."""
+"""Operations of a query: each computation counts its own by a formula, and `counting_operations` adds them up."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ class Arithmetic(NamedTuple):
 _tally: ContextVar[list[Arithmetic] | None] = ContextVar("arithmetic", default=None)
 
 
-def takes(multiply_adds: float = 0.0, single: float = 0.0, kind: Kind = "float32") -> None:
-    """Tell the arithmetic of this call, PyTorch's included; costs nothing outside of `tallied`."""
+def count_operations(multiply_adds: float = 0.0, single: float = 0.0, kind: Kind = "float32") -> None:
+    """Tell the arithmetic of this call, PyTorch's included; costs nothing outside of `counting_operations`."""
     tally = _tally.get()
     if tally is not None:
         tally.append(Arithmetic(multiply_adds, single, kind))
 
 
 @contextmanager
-def tallied() -> Iterator[list[Arithmetic]]:
+def counting_operations() -> Iterator[list[Arithmetic]]:
     """Yield a list of what is told inside the block, by this thread."""
     tally = list[Arithmetic]()
     token = _tally.set(tally)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
-from vprbench.api.arithmetic import takes
+from vprbench.api.arithmetic import count_operations
 from vprbench.api.arrays import Places, Scores
 from vprbench.api.descriptor import best_image_of_place, encoded_blocks
 from vprbench.api.hamming import Words, similarity
@@ -50,7 +50,7 @@ class BinaryMap:
             raise ValueError(
                 f"codes of {codes.dtype} {codes.shape} came; this map compares uint64 (n_queries, {n_words})"
             )
-        takes(single=3 * len(codes) * self._codes.size, kind="int64")  # differ, count, add
+        count_operations(single=3 * len(codes) * self._codes.size, kind="int64")  # differ, count, add
         return best_image_of_place(similarity(codes, self._codes), self._places)
 
 

@@ -2,8 +2,8 @@
 
 from vprbench import progress as progress
 from vprbench.errors import BadInput as BadInput
+from vprbench.errors import MissingData as MissingData
 from vprbench.errors import NotFittedError as NotFittedError
-from vprbench.errors import NotThere as NotThere
 from vprbench.errors import TrainingDivergedError as TrainingDivergedError
 from vprbench.storage.atomic import replace_bytes as replace_bytes
 from vprbench.storage.folders import cache_folder as cache_folder

@@ -10,7 +10,7 @@ from typing import get_args
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.api.arithmetic import takes
+from vprbench.api.arithmetic import count_operations
 from vprbench.api.bit_indexes import BitGraph, Bits, RaBitQ
 from vprbench.api.nearest import (
     CELLS,
@@ -109,7 +109,7 @@ class Search:
         codes = self._checked(codes)
         if self.rerank or isinstance(self._index, Retrieving):
             return self._best_of_retrieved(codes)
-        takes(float(len(codes)) * self.references.shape[0] * self.references.shape[1])
+        count_operations(float(len(codes)) * self.references.shape[0] * self.references.shape[1])
         if self._blocks is None:
             return self._index.similarity(codes, 0, len(self.references))
         scores = np.full((len(codes), self._n_places), -np.inf, np.float32)

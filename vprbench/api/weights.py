@@ -10,7 +10,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from vprbench.errors import BadInput, NotThere
+from vprbench.errors import BadInput, MissingData
 from vprbench.storage.download import fetch
 from vprbench.storage.folders import cache_folder
 from vprbench.storage.hashes import content_hash
@@ -62,13 +62,13 @@ def find_weights(weights: Weights, subject: str, option: str = "weights") -> Pat
     """Return the file with the weights that `subject`, a method, needs; downloads it if that is possible.
 
     `option` is the method's argument that holds `weights`, for the message.
-    Raises NotThere if there is none, with what a person has to do, and BadInput if the file differs from the statement.
+    Raises MissingData if there is none, with what a person has to do, and BadInput if the file differs from it.
     """
     if weights.path is not None:
         own = Path(weights.path).expanduser()
         if not (os.access(own, os.R_OK) and own.is_file()):
             given = f"method.{option}.path={weights.path}"
-            raise NotThere(f"{given} is no file that can be read: give one with the weights of {subject}")
+            raise MissingData(f"{given} is no file that can be read: give one with the weights of {subject}")
         return own
     if weights.package:
         path = _find_in_package(weights, subject, option)
@@ -94,7 +94,7 @@ def find_weights(weights: Weights, subject: str, option: str = "weights") -> Pat
 
 
 def _find_in_package(weights: Weights, subject: str, option: str) -> Path:
-    """Return the file that an installed package brings, whose code is never imported; raises NotThere without it."""
+    """Return the file that an installed package brings, whose code is never imported; raises MissingData without it."""
     from importlib.metadata import PackageNotFoundError, files
 
     package = str(weights.package)
@@ -102,11 +102,11 @@ def _find_in_package(weights: Weights, subject: str, option: str) -> Path:
     try:
         listed = files(package) or []
     except PackageNotFoundError as error:
-        raise NotThere(f"{subject} needs {weights.file}, which the package {package} brings: {instead}") from error
+        raise MissingData(f"{subject} needs {weights.file}, which the package {package} brings: {instead}") from error
     found = [Path(str(each.locate())) for each in listed if fnmatchcase(each.name, weights.file)]
     there = [path for path in found if path.is_file()]
     if not there:
-        raise NotThere(f"{subject} needs {weights.file}, which the installed package {package} lacks: {instead}")
+        raise MissingData(f"{subject} needs {weights.file}, which the installed package {package} lacks: {instead}")
     return there[0]
 
 
@@ -172,13 +172,13 @@ def without_prefix(tensors: Mapping[str, Tensor], *prefixes: str) -> dict[str, T
 
 
 def _obtain(weights: Weights, subject: str, path: Path, stated: Stated, option: str) -> None:
-    """Download a file that the folder lacks; raises NotThere, with what to do instead, if that cannot be."""
+    """Download a file that the folder lacks; raises MissingData, with what to do instead, if that cannot be."""
     missing = f"{subject} needs {weights.file}, which is not in {path.parent}"
     instead = f"put it there under that name, or give method.{option}.path=FILE"
     if weights.url is None:
-        raise NotThere(f"{missing}: {weights.by_hand or 'get it from its authors'}; {instead}")
+        raise MissingData(f"{missing}: {weights.by_hand or 'get it from its authors'}; {instead}")
     if os.environ.get(_OFFLINE, "0") not in ("", "0"):
-        raise NotThere(f"{missing}, and {_OFFLINE} forbids downloads: get it from {weights.url}; {instead}")
+        raise MissingData(f"{missing}, and {_OFFLINE} forbids downloads: get it from {weights.url}; {instead}")
     logger.info("downloading %s (licence: %s) from %s", weights.file, weights.licence, weights.url)
     known = stated if stated.certain else Stated()
     try:

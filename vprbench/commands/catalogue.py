@@ -13,8 +13,8 @@ from vprbench.errors import BadInput
 from vprbench.text import near, printable
 
 if TYPE_CHECKING:
-    from vprbench.paper.run_options import TableRequest
     from vprbench.plugins.entries import Folder
+    from vprbench.report.run_options import TableRequest
 
 
 COMPLETE = "__complete"  # the hidden command of completion scripts: a line -> the words that its last may become
@@ -50,9 +50,9 @@ def run(options: list[str]) -> int:
 
 def compare(options: list[str]) -> int:
     """Run methods on one dataset, rank them in a table, draw figures and write a page."""
-    from vprbench.comparison.checks import sort_options
-    from vprbench.comparison.make import make_comparison
     from vprbench.config import quote_options
+    from vprbench.report.comparison.checks import sort_options
+    from vprbench.report.comparison.make import make_comparison
 
     return make_comparison(sort_options(quote_options(options)))
 
@@ -184,21 +184,21 @@ def fetch(options: list[str]) -> int:
 
 def table(options: list[str]) -> int:
     """Make what Table II lacks, and write it."""
-    from vprbench.paper.table.make import make_table
+    from vprbench.report.table.make import make_table
 
     return make_table(*_request_table(options))
 
 
 def figures(options: list[str]) -> int:
     """Make what the figures lack, and draw them."""
-    from vprbench.paper.figures.make import make_figures
+    from vprbench.report.figures.make import make_figures
 
     return make_figures(*_request_table(options))
 
 
 def report(options: list[str]) -> int:
     """Make what the table lacks, and write the page."""
-    from vprbench.paper.page.make import make_report
+    from vprbench.report.page.make import make_report
 
     return make_report(*_request_table(options))
 
@@ -237,8 +237,8 @@ def print_completion(words: list[str]) -> int:
 def _request_table(options: list[str]) -> tuple[TableRequest, list[str]]:
     """Return the rows and columns of a table, and the options of their runs."""
     from vprbench.config import make_request, quote_options
-    from vprbench.paper.run_options import TableRequest
     from vprbench.plugins.options import parse_options
+    from vprbench.report.run_options import TableRequest
 
     own = [option for option in options if TableRequest.has(option)]
     rest = quote_options([option for option in options if option not in own])
@@ -257,13 +257,13 @@ def _request_table(options: list[str]) -> tuple[TableRequest, list[str]]:
     return request, rest
 
 
-_TABLE = Command(table, "vprbench.paper.run_options:TableRequest", ("timing",), None)
+_TABLE = Command(table, "vprbench.report.run_options:TableRequest", ("timing",), None)
 
 #: By name, in the order of the help.
 COMMANDS: dict[str, Command] = {
     "run": Command(run, "vprbench.jobs.options:ClusterOptions", ("method", "dataset", "timing"), None),
     "compare": Command(
-        compare, "vprbench.paper.run_options:CompareRequest", ("dataset", "timing"), None, usual={"timing": "quick"}
+        compare, "vprbench.report.run_options:CompareRequest", ("dataset", "timing"), None, usual={"timing": "quick"}
     ),
     "list": Command(show_list, "vprbench.plugins.listing:Listing", words="[methods|datasets] [WORD]"),
     "check": Command(check, groups=("method", "dataset"), run=("device", "threads", "seed")),

@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from vprbench.errors import BadInput, NotThere, TrainingDivergedError, format_error, hide_home
+from vprbench.errors import BadInput, MissingData, TrainingDivergedError, format_error, hide_home
 from vprbench.plugins.local_plugins import locate_error
 from vprbench.runs.record import Failure
 from vprbench.runs.request import RunRequest
@@ -67,7 +67,7 @@ def _describe_failure(error: BaseException, request: RunRequest) -> JobResult:
     environment = machine.describe_machine(request.device, request.n_threads)
     if isinstance(error, BadInput):
         complain(format_error(error))
-        return JobResult(2, format_error(error), isinstance(error, NotThere), environment=environment)
+        return JobResult(2, format_error(error), isinstance(error, MissingData), environment=environment)
     words = hide_home(format_error(error).splitlines()[0])
     hint = "" if request.debug or isinstance(error, TrainingDivergedError) else "; debug=true shows the traceback"
     complain(f"{request.method_name} failed: {words}{locate_error(error)}{hint}")

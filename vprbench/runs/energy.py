@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from vprbench.api.arithmetic import Arithmetic, Kind, tallied
+from vprbench.api.arithmetic import Arithmetic, Kind, counting_operations
 from vprbench.api.images import Images
 from vprbench.api.method import Method
 from vprbench.errors import BadInput
-from vprbench.metrics.registry import METRICS
+from vprbench.metrics.catalogue import METRICS
 from vprbench.runs import timing_lock
 from vprbench.runs.experiment import Experiment
 from vprbench.runs.record import Run
@@ -191,7 +191,7 @@ def _count_call(work: Callable[[], Any]) -> tuple[Any, Sequence[Arithmetic]]:
     """Return the result of `work` and its arithmetic: by the method's formulas, or PyTorch's count if that is more."""
     from torch.utils.flop_counter import FlopCounterMode
 
-    with tallied() as by_formulas, FlopCounterMode(display=False) as counter:
+    with counting_operations() as by_formulas, FlopCounterMode(display=False) as counter:
         result = work()
     by_torch = Arithmetic(counter.get_total_flops() / 2)
     return result, by_formulas if sum(one.operations for one in by_formulas) >= by_torch.operations else [by_torch]

@@ -81,7 +81,7 @@ def build_experiment(
         make: makes the method from its arguments; None: its registered class.
 
     Raises:
-        BadInput: an option, the data or this machine does not fit; NotThere where weights or frames are missing.
+        BadInput: an option, the data or this machine does not fit; MissingData where weights or frames are missing.
     """
     for option in request.overrides:
         registry.register_loose_file(option)

@@ -7,7 +7,7 @@ from dataclasses import astuple
 from typing import TYPE_CHECKING, Any
 
 from vprbench.metrics.accuracy import hits_within, recall_at
-from vprbench.metrics.registry import METRICS, RECALLS
+from vprbench.metrics.catalogue import METRICS, RECALLS
 from vprbench.plugins.entries import Entry, entries
 from vprbench.runs.machine import Machine
 from vprbench.runs.notes import DISTURBED

@@ -11,7 +11,7 @@ from typing import Any
 from vprbench.api.dataset import Dataset
 from vprbench.errors import BadInput
 from vprbench.metrics.accuracy import recall_at
-from vprbench.metrics.registry import METRICS
+from vprbench.metrics.catalogue import METRICS
 from vprbench.plugins import networks
 from vprbench.progress import progress_shown
 from vprbench.runs import energy, stream, thumbnails

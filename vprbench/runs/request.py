@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal
 
 from vprbench.errors import BadInput
-from vprbench.metrics.registry import GROUPS, METRICS
+from vprbench.metrics.catalogue import GROUPS, METRICS
 from vprbench.runs.corruption import parse_corruptions
 from vprbench.runs.predictions import require_depth
 from vprbench.runs.sequences import parse_views

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from vprbench.metrics.accuracy import recall_at
-from vprbench.metrics.registry import METRICS, RECALLS
+from vprbench.metrics.catalogue import METRICS, RECALLS
 from vprbench.runs.frame import format_label, recall_at_1_within
 from vprbench.runs.recall_intervals import recall_interval
 from vprbench.runs.record import Run

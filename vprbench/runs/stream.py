@@ -14,9 +14,9 @@ from vprbench.api.images import Images
 from vprbench.api.method import Method
 from vprbench.errors import BadInput
 from vprbench.metrics.accuracy import hits_at
+from vprbench.metrics.catalogue import METRICS
 from vprbench.metrics.intervals import share_interval
 from vprbench.metrics.ranking import PlacesPerQuery, concatenate, outcome
-from vprbench.metrics.registry import METRICS
 from vprbench.runs.record import Run
 from vprbench.runs.scorers import block_size
 from vprbench.runs.stopwatch import Stopwatch, make_synchroniser

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vprbench.metrics.accuracy import recall_at
-from vprbench.metrics.registry import METRICS
+from vprbench.metrics.catalogue import METRICS
 from vprbench.plugins.entries import entries
 from vprbench.plugins.tuned_places import parse_places
 from vprbench.runs.notes import Note, make_notes

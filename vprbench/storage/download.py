@@ -6,7 +6,7 @@ import hashlib
 import shutil
 from pathlib import Path
 
-from vprbench.errors import BadInput, NotThere
+from vprbench.errors import BadInput, MissingData
 from vprbench.progress import report
 
 _RETRIES = 5  # in one call; after that the part stays for the next call
@@ -33,7 +33,7 @@ def fetch(
         timeout_seconds: How long a server may be silent.
 
     Raises:
-        NotThere: The server gives no file, a web page, or a file of another size or SHA-256. No file is left.
+        MissingData: The server gives no file, a web page, or a file of another size or SHA-256. No file is left.
         BadInput: The disk refuses.
     """
     from filelock import FileLock
@@ -52,7 +52,7 @@ def fetch(
             if problem is None and (problem := _find_difference(whole, size_bytes, sha256)):
                 shutil.rmtree(folder)
             if problem:
-                raise NotThere(
+                raise MissingData(
                     f"{url} {problem}: run again later, or get the file by hand and store it as {destination}"
                 )
             whole.replace(destination)

@@ -12,7 +12,7 @@ import yaml
 
 from vprbench.api.dataset import Dataset
 from vprbench.errors import BadInput
-from vprbench.paper.plan import PlannedColumn
+from vprbench.report.plan import PlannedColumn
 from vprbench.runs.record import Run
 from vprbench.tuning.settings import FEWEST_PLACES
 from vprbench.tuning.space import SCATTERING

@@ -19,8 +19,8 @@ from optuna.trial import FrozenTrial, TrialState
 from vprbench import progress
 from vprbench.api.dataset import Dataset
 from vprbench.api.method import Method
-from vprbench.paper.plan import read_plan
 from vprbench.plugins import registry
+from vprbench.report.plan import read_plan
 from vprbench.runs import machine
 from vprbench.runs.identity import code_hash, fingerprint
 from vprbench.runs.run_files import content_key

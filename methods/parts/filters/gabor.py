@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from vprbench.api import BadInput, Images, in_shares, takes
+from vprbench.api import BadInput, Images, count_operations, in_shares
 
 from . import gabor_compiled
 from .patches import PatchNormalisation
@@ -104,7 +104,9 @@ class GaborBank:
         levels = self._normalisation()(images)
         maps = np.empty((len(images), self.rows * self.columns, N_FILTERS), np.float32)
         filtered = len(images) * (self.height - SIZE + 1) * (self.width - SIZE + 1) * N_FILTERS
-        takes(SIZE**2 * filtered + maps.size, filtered + 4 * maps.size)  # the largest of four; energies, divisions
+        count_operations(
+            SIZE**2 * filtered + maps.size, filtered + 4 * maps.size
+        )  # the largest of four; energies, divisions
         self._share(lambda own: self._filter(levels[own], maps[own]), len(images))
         return maps
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.api import BadInput, Image, Images, encode_blocks, takes
+from vprbench.api import BadInput, Image, Images, count_operations, encode_blocks
 
 from . import oriented_compiled
 
@@ -63,8 +63,10 @@ class OrientedEdges:
         cells = codes.reshape(-1, self.rows, self.columns, self.orientations)
         small, n_cells = len(images) * self.height * self.width, len(images) * self.rows * self.columns
         # Grey and means of the frame; differences, length, angle and votes of a small pixel; energies and divisions.
-        takes(4 * sum(image.size // 3 for image in images) + 6 * small + codes.size, 10 * small + 3 * codes.size)
-        takes(single=n_cells * (self.block**2 + 2))
+        count_operations(
+            4 * sum(image.size // 3 for image in images) + 6 * small + codes.size, 10 * small + 3 * codes.size
+        )
+        count_operations(single=n_cells * (self.block**2 + 2))
         for image, code in zip(images, cells, strict=True):
             pixels = np.ascontiguousarray(image)
             oriented_compiled.encode(pixels, self.height, self.width, self.block, self.epsilon, code)

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.api import BadInput, Image, Images, encode_blocks, takes
+from vprbench.api import BadInput, Image, Images, count_operations, encode_blocks
 
 from . import patches_compiled
 
@@ -48,7 +48,7 @@ class PatchNormalisation:
         """Return (n_images, height * width)."""
         levels, window = np.empty((len(images), self.height * self.width), np.uint8), self.patch**2
         # A pixel blends four, each made grey, gamma-corrected and clipped; then comes its window's mean and deviation.
-        takes(levels.size * (4 * 3 + 4 + window), levels.size * (4 * 3 + 2 * window + 7))
+        count_operations(levels.size * (4 * 3 + 4 + window), levels.size * (4 * 3 + 2 * window + 7))
         encode_blocks(images, levels, self._normalise)
         return levels
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from little_vprsnn import SMALL, fitted, references
 
-from vprbench.errors import BadInput, NotThere
+from vprbench.errors import BadInput, MissingData
 from vprbench.methods.vprsnn.method import VPRSNN
 from vprbench.methods.vprsnn.published import files_of, read_modules
 
@@ -74,9 +74,9 @@ def test_modules_are_read_in_the_order_of_their_first_places(tmp_path, offsets, 
 @pytest.mark.parametrize(
     ("modules", "folder", "kind", "culprit"),
     [
-        ([], "nowhere", NotThere, "nowhere"),
-        ([], "", NotThere, "weights_ne400_L25_offset0"),
-        ([{}, {"offset": 25}, {"offset": 75}], "", NotThere, "place 50, before weights_ne4_L25_offset75"),
+        ([], "nowhere", MissingData, "nowhere"),
+        ([], "", MissingData, "weights_ne400_L25_offset0"),
+        ([{}, {"offset": 25}, {"offset": 75}], "", MissingData, "place 50, before weights_ne4_L25_offset75"),
         # two modules of the same places, or two networks
         ([{}, {"offset": 10}], "", BadInput, "weights_ne4_L25_offset0 and weights_ne4_L25_offset10"),
         ([{}, {"offset": 25, "kind": "ne8_L25"}], "", BadInput, "(weights_ne4_L25, weights_ne8_L25)"),
@@ -166,5 +166,5 @@ def test_the_files_of_published_weights_are_told_or_missed_and_others_have_none(
     for name in ("theta_A.npy", "XeAe.npy"):
         (folder / "weights_ne24_L5_offset605" / name).unlink()
         for ask in (method.files, lambda: files_of(folder), lambda: read(folder)):
-            with pytest.raises(NotThere, match=rf"offset605/{name}"):
+            with pytest.raises(MissingData, match=rf"offset605/{name}"):
                 ask()

@@ -10,8 +10,8 @@ from vprbench.cli import main
 from vprbench.errors import BadInput
 from vprbench.methods.vprtempo.latencies import LatencyQuery, VPRTempoLatencies
 from vprbench.methods.vprtempo.rules import PAPER
-from vprbench.paper.figures.spikes import draw_raster, select_spike_times
-from vprbench.paper.selection import Series
+from vprbench.report.figures.spikes import draw_raster, select_spike_times
+from vprbench.report.selection import Series
 from vprbench.runs.store import Store
 
 

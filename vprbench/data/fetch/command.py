@@ -22,7 +22,7 @@ from vprbench.data.fetch.entries import (
     downloads,
     load_record,
 )
-from vprbench.errors import BadInput, NotThere
+from vprbench.errors import BadInput, MissingData
 from vprbench.plugins import registry
 from vprbench.plugins.options import option, parse_options
 from vprbench.progress import progress_shown
@@ -81,8 +81,8 @@ def fetch(entry: Download, settings: Settings, check: Check | None = None, *, ti
     """Get the missing parts of an entry; returns the exit code.
 
     The code is 2 if a person has to get the dataset and has not yet. An interrupted download is continued by the next
-    call. Raises NotThere if no address gives a part, and BadInput if a part is not as the entry states or other files
-    are in the way.
+    call. Raises MissingData if no address gives a part, and BadInput if a part is not as the entry states or other
+    files are in the way.
     """
     root = Path(settings.root).expanduser() if settings.root else data_folder(entry.folder)
     print(f"{entry.name}: {entry.description}\nLicence: {entry.licence}\nSource: {entry.source}\nFolder: {root}")
@@ -91,7 +91,7 @@ def fetch(entry: Download, settings: Settings, check: Check | None = None, *, ti
             print(text.replace("{folder}", str(root)).rstrip())
     try:
         is_new = _fetch_missing(entry, root, settings, timeout_seconds)
-    except NotThere as error:
+    except MissingData as error:
         if not entry.register:
             raise
         is_new = False
@@ -135,7 +135,7 @@ def _print_check(entry: Download, root: Path, check: Check | None) -> bool:
     for name in entry.datasets:
         try:
             lines = check(name, root)
-        except NotThere as error:
+        except MissingData as error:
             reasons.append(f"dataset={name} cannot run yet: {error}")
             continue
         print("\n".join([f"Checked as dataset={name}:", *lines]))
@@ -196,7 +196,7 @@ def _fetch_part(
                 came = check_archive(part, archive)
                 unpack(archive, root, part.unpack, lambda folder: check_folders(part, folder))
             break
-        except (NotThere, DamagedArchive) as error:
+        except (MissingData, DamagedArchive) as error:
             if isinstance(error, DamagedArchive):
                 archive.unlink()
             if url == sources[-1]:
@@ -216,7 +216,7 @@ def _fetch_part(
 
 def _download(part: Part, archive: Path, url: str, timeout_seconds: float) -> None:
     if os.environ.get(_OFFLINE, "0") not in ("", "0"):
-        raise NotThere(f"{_OFFLINE} forbids downloads: get {url} elsewhere and store it as {archive}")
+        raise MissingData(f"{_OFFLINE} forbids downloads: get {url} elsewhere and store it as {archive}")
     download.fetch(
         url,
         archive,

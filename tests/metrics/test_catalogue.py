@@ -1,0 +1,122 @@
+"""Every metric is reached by its name, and one that is added is everywhere at once."""
+
+import csv
+import io
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from assembled import measured, table
+from little import a_run, unanswerable_run
+from little_runs import quiet_surroundings
+from small_plan import RUN, install, run_apart
+from stored_runs import RAIL, ROWS, SAD, run
+
+from vprbench.api.arithmetic import Arithmetic
+from vprbench.cli import main
+from vprbench.metrics.accuracy import average_precision, pr_curve_multi
+from vprbench.metrics.catalogue import METRICS, Metric
+from vprbench.report.figures.accuracy import draw_metric
+from vprbench.report.selection import groups, series
+from vprbench.report.table import formats
+from vprbench.report.table.quantities import QUANTITIES, quantities
+from vprbench.runs.energy import count_synops, estimate_joules
+
+
+def unanswerable(answers):
+    """Return the share of queries without a right place, of which fewer are better."""
+    return 1 - float(answers.outcome.answerable.mean())
+
+
+@pytest.fixture
+def lost():
+    """A metric that this project does not have."""
+    made = Metric("lost", "Lost", unanswerable, "queries without a right place", 2, higher_is_better=False)
+    METRICS[made.name] = made
+    with quiet_surroundings():
+        yield made
+    del METRICS[made.name]
+
+
+def test_each_metric_of_four_queries_is_the_one_worked_by_hand_and_undefined_without_a_right_place():
+    # right, right, wrong, wrong in falling order of confidence, the right places of the last two 3rd and 8th
+    found = {name: METRICS[name].of(a_run()) for name, each in METRICS.items() if each.cost is None and name != "ap_c"}
+    assert found == pytest.approx(
+        {
+            **{"recall_at_1": 0.5, "recall_at_5": 0.75, "recall_at_10": 1, "recall_at_25": 1},
+            **{"auc_pr_a": 0.5, "average_precision_a": 0.5, "r100p": 0.5, "p100r": 0.5},
+            **{"auc_roc": 1, "ep": 1, "f1_max": 2 / 3},
+        }
+    )
+    assert {name: METRICS[name].of(unanswerable_run()) for name in METRICS} == dict.fromkeys(METRICS)
+
+
+def test_all_pairs_are_judged_where_a_run_keeps_the_whole_map():
+    scores = np.random.default_rng(3).random((4, 10)).astype(np.float32)
+    best = np.argsort(-scores, axis=1).astype(np.int32)
+    kept = run(top_places=best, top_scores=np.take_along_axis(scores, best, axis=1))
+    wanted = average_precision(pr_curve_multi(scores, kept.positives))
+    assert METRICS["ap_c"].of(kept) == pytest.approx(wanted)
+    fewer = run(top_places=best[:, :9], top_scores=kept.top_scores[:, :9])
+    assert METRICS["ap_c"].of(fewer) is None
+
+
+ONE = ["method=sad", "dataset=synthetic", "dataset.places=20", "dataset.first_query_place=4", *RUN]
+
+
+def test_an_added_metric_is_in_row_json_csv_and_table(lost, tmp_path, monkeypatch, capfd):
+    install(monkeypatch, tmp_path)
+    row = run_apart([*ONE, "metrics=[lost,r100p]"]).printed
+    assert {"Lost %", "R@100P %"} <= {*row.replace("  ", "\n").split("\n")}
+    said = json.loads(run_apart([*ONE, "metrics=lost", "output=json"]).printed)
+    assert (said["from_store"], said["lost"]) == (True, 0)
+    assert main(["table", "rows=[SAD]", "metrics=[lost]", "stored=true"]) == 0
+    assert "| Lost % " in capfd.readouterr().out
+    cells = list(csv.DictReader(Path("results/table.csv").read_text().splitlines()))
+    assert ("0.0", "%") in [(line["value"], line["unit"]) for line in cells if line["quantity"] == "lost"]
+    assert next(csv.DictReader(Path("results/table-runs.csv").read_text().splitlines()))["lost"] == "0.0"
+
+
+def test_a_metric_of_the_table_is_the_mean_of_its_seeds_in_its_unit_and_never_bold(lost):
+    made = table([run(hits=[1] * 40), run("vprsnn", hits=[0] * 40)], quantities=quantities(["r100p", "ep", "lost"]))
+    assert [measured(made, "SAD", name).value for name in ("r100p", "ep", "lost")] == [100, 1, 0]
+    assert not any(measured(made, "SAD", name).best for name in ("r100p", "ep", "lost"))
+    (line, *_) = [line for line in csv.DictReader(io.StringIO(formats.to_csv(made))) if line["quantity"] == "ep"]
+    assert (line["unit"], line["value"]) == ("", "1.0")
+    text = formats.to_markdown(made)
+    assert all(sentence in text for sentence in (lost.explained, METRICS["ep"].explained))
+    assert lost.explained.endswith("lower is better.")
+    unasked = table([run()], rows=[SAD])
+    assert unasked.quantities == QUANTITIES == quantities([]) == quantities(["recall_at_1"])
+    for form in ("to_markdown", "to_csv", "to_latex", "to_html"):
+        assert "lost" not in getattr(formats, form)(unasked).lower()
+
+
+def test_an_unknown_metric_is_told_with_its_neighbours(capfd):
+    for options in (["method=sad"], ["table"]):
+        assert main([*options, "metrics=[r100]"]) == 2
+        assert "did you mean r100p" in capfd.readouterr().err
+
+
+def test_the_figure_of_a_metric_shows_its_rows():
+    (group,) = groups([run(), run("vprsnn")], (), [RAIL], ROWS)
+    drawn = draw_metric(series(group, ROWS), METRICS["r100p"])
+    (axes,) = drawn.figure.axes
+    assert [label.get_text() for label in axes.get_yticklabels()] == ["SAD", "VPRSNN"]
+    assert axes.get_xlabel() == "R@100P %"
+    assert METRICS["r100p"].explained in drawn.caption
+
+
+def test_arithmetic_costs_what_the_table_says_and_synaptic_operations_add_up_by_their_kind():
+    for arithmetic, picojoules in (
+        ([Arithmetic(1000, 0)], 4600),  # Horowitz: 3.7 + 0.9
+        ([Arithmetic(0, 1000)], 900),
+        ([Arithmetic(1000, 1000, "int8")], 330),  # 0.2 + 0.1 of a sum in 32 bits; 0.03
+        ([Arithmetic(10, 0), Arithmetic(10, 10, "int64")], 79),  # 0.1 + 3.1; 0.1
+    ):
+        assert 1e12 * estimate_joules(arithmetic) == pytest.approx(picojoules)
+    layers = [{"synops": n, "operation": kind} for n, kind in ((5.0, "AC"), (7.0, "MAC"), (1.5, "AC"))]
+    assert count_synops({"layers": [*layers, {"name": "output"}]}) == (6.5, 7.0)
+    assert count_synops({"layers": [{"name": "output"}]}) is None
+    assert count_synops(None) is None

@@ -1,0 +1,162 @@
+"""`vprbench.run`: names and objects run in this process, are found again, and what does not fit is an error."""
+
+import json
+import logging
+from pathlib import Path
+
+import numpy as np
+import pytest
+from little import Lookup, Prototypes, journey
+
+import vprbench
+from vprbench.api import BadInput, BinaryMethod, DescriptorMethod, Method, MissingData
+from vprbench.cli import main
+from vprbench.runs.frame import COLUMNS
+
+SMALL = {"places": 12, "first_query_place": 0}
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+def untimed(method, data, **options):
+    return vprbench.run(method, data, timing="none", **options)
+
+
+class Plain(Method):
+    """No dataclass; keeps its argument under another name if asked to."""
+
+    def __init__(self, weight=1.0, hidden=False):
+        setattr(self, "secret" if hidden else "weight", weight)
+        self.hidden = hidden
+
+    def fit(self, references, places):
+        self.n_places = int(places.max()) + 1
+        return self
+
+    def encode(self, images):
+        return np.stack([image.ravel() for image in images])
+
+    def match(self, codes):
+        return np.zeros((len(codes), self.n_places), np.float32)
+
+
+def test_a_named_run_is_the_one_that_the_command_line_stores(capsys):
+    result = untimed("pca", vprbench.dataset("synthetic", **SMALL))
+    assert (result.from_store, result.folder is not None and result.folder.is_dir()) == (False, True)
+    options = [f"dataset.{name}={value}" for name, value in SMALL.items()]
+    assert main(["method=pca", *options, "timing=none", "output=json"]) == 0
+    printed = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert (printed["from_store"], printed["recall_at_1"]) == (True, result.recall(1))
+
+
+def test_an_object_runs_as_it_is_is_not_fitted_and_is_found_by_its_arguments():
+    data, method = journey(6, 6), Prototypes(noise=0.0)
+    first, again = untimed(method, data), untimed(method, data)
+    assert (first.recall(1), first.from_store, again.from_store) == (1.0, False, True)
+    assert (method._means, first.run.method, first.run.config["changed"]) == (None, "Prototypes", {"noise": 0.0})
+    assert not untimed(Prototypes(noise=0.25), data).from_store
+    assert untimed(Prototypes(0.0), data).from_store
+    seeds = [untimed(Prototypes(seed=5), data, **more).run.config["seed"] for more in ({}, {"seed": 2})]
+    assert seeds == [5, 2]
+    assert untimed(Prototypes, data, seed=3).run.config["method"]["seed"] == 3
+
+
+def test_a_class_is_known_by_its_attributes_and_nothing_is_stored_without_them_or_a_folder(caplog, tmp_path):
+    stored = untimed(Plain(weight=2.0), journey(4, 4))
+    assert stored.run.config["method"]["weight"] == 2.0
+    with caplog.at_level(logging.WARNING):
+        hidden = untimed(Plain(weight=2.0, hidden=True), journey(4, 4))
+    assert hidden.folder is None
+    assert any("weight" in record.getMessage() for record in caplog.records)
+    assert hidden.recall(1) == stored.recall(1) == 0.25
+    there = list(tmp_path.rglob("*"))
+    for _ in range(2):
+        result = untimed(Lookup(np.eye(4, dtype=np.float32)), journey(4, 4), results=None)
+        assert (result.folder, result.from_store, result.run.scores.shape) == (None, False, (4, 4))
+    assert list(tmp_path.rglob("*")) == there
+
+
+class Vectors(DescriptorMethod):
+    encode = Plain.encode
+
+
+class Bits(BinaryMethod):
+    encode = Plain.encode
+
+
+@pytest.mark.parametrize(("kind", "given"), [(Plain, None), (Vectors, [[1.0]] * 4), (Bits, np.ones(7, np.float32))])
+def test_codes_that_are_no_array_with_a_row_for_each_image_are_one_line_and_fit_need_not_return(kind, given):
+    class Odd(kind):
+        def encode(self, images):
+            return given
+
+    class Forgetful(Plain):
+        def fit(self, references, places):
+            super().fit(references, places)
+
+    with pytest.raises(BadInput, match="encode") as error:
+        untimed(Odd(), journey(4, 4), results=None)
+    assert "\n" not in str(error.value)
+    assert untimed(Forgetful(), journey(4, 4), results=None).recall(1) == 0.25
+
+
+@pytest.mark.extended
+def test_results_is_a_row_for_each_stored_run_and_tells_data_of_one_name_apart():
+    with pytest.raises(BadInput, match="there"):
+        vprbench.results("there")
+    Path("there").mkdir()
+    empty = vprbench.results("there")
+    for noise in (0.0, 0.25):
+        untimed(Prototypes(noise), journey(4, 6), results="there", seed=1)
+    for more in ({}, {"places": 14}, {"tolerance": 1}):
+        untimed("sad", vprbench.dataset("synthetic", **{**SMALL, **more}), results="there")
+    table = vprbench.results("there").set_index("dataset")
+    assert (len(empty), [*empty]) == (0, [*vprbench.results("there")])
+    assert {*COLUMNS} <= {*empty}
+    assert not table["error"].any()
+    assert table["training_seconds"].tolist() == table["fit_seconds"].tolist()
+    own = table.loc["journey"].sort_values("arguments")
+    told = ["method", "seed", "arguments", "places", "queries", "dataset_arguments"]
+    assert own[told].to_numpy().tolist() == [["Prototypes", 1, f"noise={noise}", 6, 4, ""] for noise in (0.0, 0.25)]
+    assert own["recall_at_1"].iloc[0] == 1.0
+    assert own["hz"].isna().all()
+    assert "queries=dusk" in own["protocol"].iloc[0]
+    of_name = table.loc["synthetic"].set_index("dataset_arguments")
+    places = {"places=12 {}": 12, "places=14 {}": 14, "places=12 {} tolerance=1": 12}
+    assert of_name["places"].to_dict() == {text.format("first_query_place=0"): n for text, n in places.items()}
+    assert of_name["fingerprint"].nunique() == of_name["protocol"].nunique() == 3
+
+
+@pytest.mark.parametrize(
+    ("method", "dataset", "options", "error", "named"),
+    [
+        ("sadd", "synthetic", {}, BadInput, "sad"),
+        ("sad", "synthetik", {}, BadInput, "synthetic"),
+        (3, "synthetic", {}, BadInput, "int"),
+        ("sad", 3, {}, BadInput, "int"),
+        ("sad", "synthetic", {"sed": 1}, BadInput, "seed"),
+        ("sad", "synthetic", {"limit_minutes": 1}, BadInput, "limit_minutes is the command line's"),
+        ("sad", "synthetic", {"timing": {"minimum_second": 1}}, BadInput, "minimum_second"),
+        ("sad", "folders", {}, MissingData, "references"),
+        (Prototypes(), "synthetic", {"device": "gpu"}, BadInput, "gpu"),
+    ],
+)
+def test_what_does_not_fit_is_an_error_that_names_it(method, dataset, options, error, named):
+    with pytest.raises(error, match=named):
+        vprbench.run(method, dataset, **options)
+
+
+def test_options_of_methods_and_datasets_are_checked_and_build_what_they_say():
+    with pytest.raises(BadInput, match="patch"):
+        vprbench.method("sad", patsh=3)
+    for wrong, named in (({"places": "ten"}, r"dataset\.places"), ({**SMALL, "name": "it's [a, b]=\\c"}, "name")):
+        with pytest.raises(BadInput, match=named):
+            vprbench.dataset("synthetic", **wrong).build()
+    assert repr(vprbench.dataset("synthetic", **SMALL)) == "dataset('synthetic', places=12, first_query_place=0)"
+    many = vprbench.dataset("synthetic", references=["spring"] * 99, name="line\nbreak")
+    assert (len(repr(many)), repr(many).count("\n")) == (100, 0)
+    assert vprbench.dataset("synthetic", references=("spring",), **SMALL).build().n_places == 12
+    assert vprbench.method("vprtempo", max_module=np.int64(50)).build(seed=4).max_module == 50

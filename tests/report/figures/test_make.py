@@ -1,0 +1,116 @@
+"""`make figures` and `make report`: all is drawn once what is missing was run, and again from the store alone."""
+
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+from quick_runs import quick_runs
+from small_plan import PLAN, RUN, install, quick_figures
+
+from vprbench.cli import main
+from vprbench.report.figures.make import list_captions
+
+pytestmark = pytest.mark.extended
+
+SMALL = ["rows=[SAD,VPRTempo]", "seeds=1"]
+ONE = [*SMALL, "columns=[route_12]"]
+OF_A_COLUMN = (
+    *("fig3a-frames", "fig3b-similarity", "fig3c-precision-recall", "fig3d-recall-at-n"),
+    *("tolerance", "rate", "memory", "spikes"),
+)
+SPEED = {"fig2a-training-time", "fig2b-query-rate", "fig2c-growth"}
+NAMES = {*SPEED, *(f"{name}-route_12" for name in OF_A_COLUMN)}
+
+
+def grown(folder, monkeypatch, quick=True):
+    """Let the small plan hold in a folder, of only two sizes of the growth, and files of figures be quickly written."""
+    if quick:
+        quick_figures(monkeypatch)
+    quick_runs(monkeypatch)
+    return install(monkeypatch, folder, PLAN.replace("[10, 12, 14, 16]", "[10, 14]"))
+
+
+@pytest.fixture(scope="module")
+def drawn(made, tmp_path_factory):
+    """A folder in which the figures were drawn once from stored runs, and what was run for them."""
+    folder = tmp_path_factory.mktemp("drawn")
+    shutil.copytree(made[0] / "results", folder / "results")
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        apart = grown(folder, monkeypatch)
+        assert main(["figures", *ONE, *RUN]) == 0
+    yield folder, apart
+    shutil.rmtree(folder)
+
+
+@pytest.fixture
+def elsewhere(drawn, tmp_path, monkeypatch):
+    shutil.copytree(drawn[0] / "results", tmp_path / "results")
+    return grown(tmp_path, monkeypatch)
+
+
+def pictured(page):
+    return set(re.findall(r'id="large-([^"]+)"', page.read_text()))
+
+
+def test_every_figure_is_there_with_its_caption_and_what_was_missing_was_run_with_few_queries_for_the_growth(drawn):
+    figures = drawn[0] / "results" / "figures"
+    files = {path.name for path in figures.iterdir()}
+    assert files == {f"{name}{ending}" for name in NAMES for ending in (".pdf", ".png")} | {"captions.md"}
+    captions = (figures / "captions.md").read_text().splitlines()
+    assert {line.split("**")[1].rstrip(".") for line in captions if line.startswith("**")} == NAMES
+    tempo, *growth = drawn[1].asked
+    assert (tempo.method_name, tempo.changed) == ("vprtempo", {"height": 12, "width": 12, "epochs": 1})
+    assert [(each.dataset["places"], each.dataset["query_places"]) for each in growth] == [(10, 6), (14, 6)]
+    assert [tempo.frames, *(each.frames for each in growth)] == [True, False, False]
+
+
+def test_a_name_in_a_caption_is_no_markup():
+    text = list_captions([("rate-<b>", "R@1 of <script>alert(1)</script> & [here](javascript:go) with *stars*.")])
+    assert text == (
+        "# Captions\n\n**rate-&lt;b&gt;.** R@1 of &lt;script&gt;alert(1)&lt;/script&gt; &amp; "
+        "\\[here\\](javascript:go) with \\*stars\\*.\n"
+    )
+
+
+def test_the_page_holds_table_figures_and_queries(elsewhere):
+    assert main(["report", *ONE, "stored=true"]) == 0
+    assert elsewhere.asked == []
+    (page,) = Path("results").glob("report*.html")
+    assert page.name == "report-route_12.html"
+    assert pictured(page) == NAMES
+    assert page.read_text().count("data:image/png;base64,") >= len(NAMES)
+    assert "Made from 2 stored runs, the newest of " in page.read_text()
+    assert ">SAD</th>" in page.read_text()
+
+
+def test_what_cannot_be_drawn_is_absent_alone_and_told_in_the_page(elsewhere):
+    shutil.rmtree("results/frames")
+    for folder in Path("results/synthetic").glob("sad-*"):
+        if '"query_places": 6' in (folder / "run.json").read_text():
+            shutil.rmtree(folder)
+    assert main(["report", *ONE, "stored=true", "name=less"]) == 0
+    page = Path("results/report-less.html")
+    assert pictured(page) == NAMES - {"fig2c-growth", "fig3a-frames-route_12"}
+    assert "fig2c-growth is not drawn" in page.read_text()
+
+
+def test_a_report_of_columns_without_runs_is_one_line(elsewhere, capsys):
+    assert main(["report", *SMALL, "columns=[nordland]", "stored=true"]) == 2
+    assert "holds no run of these rows and columns" in capsys.readouterr().err
+    assert not list(Path("results").glob("report*.html"))
+
+
+def test_from_the_store_alone_figures_and_page_are_the_same_to_the_byte(drawn, tmp_path, monkeypatch):
+    shutil.copytree(drawn[0] / "results", tmp_path / "results")
+    apart = grown(tmp_path, monkeypatch, quick=False)
+    files = []
+    for more in (RUN, ["stored=true"]):
+        shutil.rmtree("results/figures")
+        for command in ("figures", "report"):
+            assert main([command, *ONE, *more]) == 0
+        written = [*Path("results/figures").iterdir(), Path("results/report-route_12.html")]
+        files.append({path.name: path.read_bytes() for path in written})
+    assert apart.asked == []
+    assert files[0] == files[1]
+    assert len(files[0]) == 2 * len(NAMES) + 2

@@ -1,0 +1,161 @@
+"""Frames, matrices and spikes are drawn as they were stored, none of them lost."""
+
+import little
+import numpy as np
+import preprocess_oracle
+import pytest
+from figure_runs import run, series
+from matplotlib.patches import Rectangle
+
+from vprbench.metrics.ranking import outcome
+from vprbench.report.figures.pictures import draw_frames, draw_similarity
+from vprbench.report.figures.spikes import draw_spikes
+from vprbench.report.figures.style import render_pdf
+from vprbench.runs.thumbnails import Example, Thumbnails
+
+
+def picture(seed, height=45, width=80):
+    """A frame with structure on the scale of patches, so that no window is flat."""
+    random = np.random.default_rng(seed)
+    coarse = random.integers(0, 256, (height // 5, width // 5, 3)).repeat(5, axis=0).repeat(5, axis=1)
+    return np.clip(coarse + random.integers(-20, 21, coarse.shape), 0, 255).astype(np.uint8)
+
+
+def kept(*examples):
+    queries, references = (tuple(f"{name}/{i}.png" for i in range(n)) for name, n in (("summer", 10), ("spring", 20)))
+    return Thumbnails(queries, references, examples, (b"",) * 10, (b"",) * 20)
+
+
+def shown(axes):
+    (image,) = axes.images
+    return np.asarray(image.get_array())
+
+
+def test_a_row_shows_the_right_place_and_the_query_as_they_are_and_patch_normalised():
+    two = kept(Example(0, 5, picture(1), picture(2)), Example(3, 8, picture(3), picture(4)))
+    axes = draw_frames(two, "Railway").figure.axes
+    assert len(axes) == 8
+    for row, example in enumerate(two.examples):
+        images = example.reference_image, example.query_image
+        for panel, normalised, image in zip(axes[4 * row :], axes[4 * row + 2 :], images, strict=False):
+            assert np.array_equal(shown(panel), image)
+            grey = preprocess_oracle.gamma_c(preprocess_oracle.grey_c(image))
+            slow = preprocess_oracle.patch_normalise(preprocess_oracle.resize_bilinear(grey, 28, 28), 7, 1)
+            np.testing.assert_allclose(shown(normalised), slow, atol=1)  # float32 moves a truncated level
+            assert normalised.images[0].get_clim() == (0, 255)
+    titles = [panel.get_title(loc="left").replace("\n", " ") for panel in axes[:4]]
+    assert titles == ["Reference", "Query", "Reference, normalised", "Query, normalised"]
+    assert [axes[0].get_ylabel(), axes[4].get_ylabel()] == ["Place 5\nquery 0", "Place 8\nquery 3"]
+
+
+def matrices(drawn):
+    """The panels of the ground truth and of the scores, without the colour bar."""
+    truth, scores, _ = drawn.figure.axes
+    return truth, scores
+
+
+def with_scores(scores, *right):
+    matrix = np.asarray(scores, np.float32)
+    positives = tuple(np.array(row, np.int64) for row in right)
+    return little.a_run(scores=matrix, positives=positives, outcome=outcome(matrix, positives))
+
+
+def test_right_places_are_dark_and_the_scores_of_each_query_run_from_0_to_1():
+    """A place that is no candidate is drawn as the worst."""
+    no = -np.inf
+    given = np.array([[10, 20, 30, 15], [-5, -4, -1, -5], [7, 7, 7, 7], [no, 2, 4, 3], [no] * 4], np.float32)
+    made = with_scores(given, [1], [0, 3], [], [0], [1])
+    truth, scores = matrices(draw_similarity(made, "VPRTempo, five networks"))
+    assert shown(truth).tolist() == [[0, 1, 0, 0], [1, 0, 0, 1], [0, 0, 0, 0], [1, 0, 0, 0], [0, 1, 0, 0]]
+    stretched = [[0, 0.5, 1, 0.25], [0, 0.25, 1, 0], [0, 0, 0, 0], [0, 0, 1, 0.5], [0, 0, 0, 0]]
+    np.testing.assert_allclose(shown(scores), stretched)
+    np.testing.assert_array_equal(made.scores, given)
+    assert (truth.get_xlabel(), truth.get_ylabel()) == ("Place", "Query")
+    assert scores.get_title(loc="left") == "Similarity, VPRTempo, five networks"
+
+
+def test_cells_of_a_large_matrix_are_the_maxima_of_blocks_so_that_no_right_place_vanishes_and_files_stay_small():
+    """1000 places need blocks of 3, and neither 1000 nor 20 is a multiple of 3."""
+    made = run(n_queries=20, n_places=1000)
+    truth, scores = matrices(draw_similarity(made))
+    assert made.scores is not None
+    low, high = made.scores.min(1, keepdims=True), made.scores.max(1, keepdims=True)
+    padded = np.zeros((21, 1002))
+    padded[:20, :1000] = (made.scores - low) / (high - low)
+    np.testing.assert_allclose(shown(scores), padded.reshape(7, 3, 334, 3).max((1, 3)))
+    assert shown(truth).tolist() == np.eye(7, 334).tolist()  # query q is of place q
+    for panel in (truth, scores):
+        assert panel.images[0].get_extent() == [-0.5, 1001.5, 20.5, -0.5]  # 334 x 3 places, 7 x 3 queries
+        assert panel.get_xlim() == (-0.5, 999.5)
+        assert panel.get_ylim() == (19.5, -0.5)  # the first query on top
+    drawn = draw_similarity(with_scores(np.eye(2700, 3300, 600), *([query + 600] for query in range(2700))))
+    rows, columns = np.arange(2700) // 8, (np.arange(2700) + 600) // 8
+    for panel in matrices(drawn):
+        assert shown(panel)[rows, columns].min() == 1
+        assert shown(panel).sum() == len({*zip(rows.tolist(), columns.tolist(), strict=True)})
+    assert len(render_pdf(drawn)) < 500_000
+
+
+def spiking(name, *seeds):
+    """Return a row with a run for each seed, of the layers of its network."""
+    kept = [{"queries": len(layers[0]["spikes_per_query"]), "layers": list(layers)} for layers in seeds]
+    return series(name, *(little.a_run(spikes=spikes) for spikes in kept), spiking=True)
+
+
+def layer(name, spikes, active_share=0.5, neurons=100):
+    return little.a_layer(name, neurons, list(spikes), active_share, None)
+
+
+def panels(*rows):
+    return draw_spikes(rows).figure.axes
+
+
+def medians(axes):
+    """The heights of black lines: a box has one, at its median."""
+    return [float(np.asarray(line.get_ydata())[0]) for line in axes.lines if line.get_color() == "black"]
+
+
+def bars(axes):
+    return [patch.get_height() for patch in axes.patches if isinstance(patch, Rectangle)]
+
+
+TEMPO = spiking("VPRTempo", [layer("input", [700, 710, 690], 1.0, 784), layer("output", [20, 30, 25], 0.25, 300)])
+
+
+def test_each_layer_has_a_box_of_the_middle_half_of_its_queries_with_whiskers_and_a_bar_of_its_active_neurons():
+    first, output, active = panels(TEMPO)
+    assert (medians(first), medians(output), bars(active)) == ([700], [25], [100, 25])
+    assert [tick.get_text() for tick in active.get_xticklabels()] == ["input", "output"]
+    axes, active = panels(spiking("VPRTempo", [layer("output", [0, 0, 0], 0.0)]))
+    assert (medians(axes), bars(active)) == ([0], [0])  # a silent layer is drawn
+    axes, _ = panels(spiking("VPRTempo", [layer("output", range(100, 201))]))
+    (box,) = axes.patches
+    heights = box.get_path().vertices[:, 1]
+    assert (heights[:4].min(), heights[:4].max()) == (125, 175)
+    ends = np.concatenate([np.asarray(line.get_ydata()) for line in axes.lines])
+    assert (ends.min(), ends.max()) == (105, 195)
+
+
+def test_seeds_share_a_box_with_a_dot_each_at_the_bar_and_rows_with_spikes_stand_side_by_side():
+    seeds = [layer("output", [10, 10], 0.2)], [layer("output", [14, 16], 0.4)]
+    axes, active = panels(spiking("VPRTempo", *seeds))
+    assert medians(axes) == [12]  # of 10, 10, 14, 16
+    assert bars(active) == pytest.approx([30])
+    (dots,) = active.lines
+    assert np.asarray(dots.get_ydata()).tolist() == [20, 40]
+    other = spiking("VPRSNN", [layer("inhibitory", [5, 6, 7]), layer("output", [50, 60, 70], 0.75)])
+    drawn = draw_spikes([series("SAD", little.a_run(spikes=None)), other, TEMPO])
+    *layers, active = drawn.figure.axes
+    titles = [axes.get_title(loc="left") for axes in layers]
+    assert titles == ["inhibitory,\n100 neurons", "output", "input,\n784 neurons"]  # the number that all rows have
+    assert [medians(axes) for axes in layers] == [[6], [60, 25], [700]]
+    assert sorted(bars(active)) == [25, 50, 75, 100]
+    assert [text.get_text() for text in drawn.figure.legends[0].get_texts()] == ["VPRSNN", "VPRTempo"]
+    assert len({patch.get_hatch() for patch in layers[1].patches}) == 2
+
+
+@pytest.mark.parametrize(("spikes", "scale"), [([0, 0, 5000], "symlog"), ([0, 29], "linear")])
+def test_rows_that_differ_by_far_share_a_logarithmic_axis_that_has_room_for_silence(spikes, scale):
+    axes, _ = panels(spiking("VPRSNN", [layer("output", spikes)]))
+    assert axes.get_yscale() == scale
+    assert axes.get_ylim()[0] == 0 or scale == "linear"

@@ -1,0 +1,220 @@
+"""Cells say what was measured, what was printed and why they differ, or which word stands for nothing."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from assembled import NAMES, absences, cell, measured, notes, table, tempo
+from pandas.testing import assert_frame_equal
+from stored_runs import NETVLAD, NORDLAND, PLAN, RAIL, RAILWAY, SAD, STREET, TOWN, VPRSNN, VPRTEMPO, failure, run
+
+from vprbench.report.plan import PlannedColumn, Row
+from vprbench.report.selection import ResolvedColumn, groups
+from vprbench.report.table.cells import assemble
+from vprbench.report.table.quantities import quantities
+from vprbench.report.table.words import list_facts
+from vprbench.runs.notes import Note
+
+approx = pytest.approx
+WILSON = (approx(15.00, abs=0.005), approx(85.00, abs=0.005))  # 95 % of 2 hits of 4
+LOST = failure("vprtempo", 0, "lost: find it; then go on", missing=True)
+HOG = Row("hog", "hog", training="map")  # outside the plan
+FAST = [0.0010, 0.0011, 0.0012, 0.0013, 0.0014]
+SLOW = [10 * each for each in FAST]
+
+
+def test_the_numbers_of_one_run_and_of_several_seeds_are_those_worked_by_hand():
+    made = table([run(), run("netvlad")])  # 2 of 4 right; 10 ms to encode and 2.5 ms to match
+    recall = measured(made, "SAD", "recall_at_1")
+    assert (recall.value, recall.spread, recall.total, recall.seeds) == (50.0, None, None, (0,))
+    assert (recall.low, recall.high) == WILSON
+    for row, alone in (("SAD", 400), ("NetVLAD", 100)):
+        query = measured(made, row, "query_cpu")
+        assert (query.value, query.at_boundary, query.low) == (approx(80), approx(alone), None)
+    (column,) = made.columns
+    assert (column.n_places, column.n_queries, column.stand_in_for) == (10, 4, "Nordland")
+    assert column.protocol == "references spring+fall, query summer, tolerance places 0"
+    # R@1 75, 50 and 25 %: mean 50, sample deviation 25, 2 of 4 hits in the mean; rates 80, 66.7 and 50 Hz, to match
+    # alone 400, 200 and 100; 1, 9 and 2 minutes, with the images 11, 10 and 3
+    runs = [
+        tempo(0, hits=[1, 1, 1, 0], match_seconds=[0.0025] * 5, fit_compute_seconds=60, fit_seconds=660),
+        tempo(1, hits=[1, 1, 0, 0], match_seconds=[0.005] * 5, fit_compute_seconds=540, fit_seconds=600),
+        tempo(2, hits=[1, 0, 0, 0], match_seconds=[0.010] * 5, fit_compute_seconds=120, fit_seconds=180),
+    ]
+    made = table(runs, rows=[VPRTEMPO])
+    recall, train, query = (measured(made, "VPRTempo", quantity) for quantity in NAMES[:3])
+    assert (recall.value, recall.spread, recall.seeds) == (approx(50), approx(25), (0, 1, 2))
+    assert (recall.low, recall.high) == WILSON
+    assert (query.value, query.spread, query.at_boundary) == approx((590 / 9, 15.0308, 700 / 3), abs=1e-3)
+    assert (train.value, train.spread, train.total) == (approx(2), approx(19**0.5), approx(10))
+
+
+def test_a_difference_to_the_paper_is_given_on_its_own_frames_alone_and_a_comparison_has_no_published_numbers():
+    runs = [run(), *(tempo(seed, fit_compute_seconds=120) for seed in (0, 1, 2))]
+    cells = [("SAD", "recall_at_1"), ("SAD", "query_cpu"), ("VPRTempo", "train_cpu")]
+    real = table(runs, asked=[ResolvedColumn(NORDLAND, RAILWAY)])
+    assert [cell(real, row, q, "nordland").difference for row, q in cells] == approx([50 - 48, 400 - 10, 2 - 60])
+    rendered = table(runs)
+    assert [cell(rendered, row, q).published for row, q in cells] == [48, 10, 60]
+    assert {*rendered.cells["difference"]} == {None}
+    mine = PlannedColumn("mine", "My street", ("dataset=street",))
+    asked, rows = [ResolvedColumn(mine, STREET)], [replace(VPRTEMPO, seeds=(0,)), SAD]
+    found = groups([run(dataset=STREET), tempo(dataset=STREET)], (), asked, rows)
+    made = assemble(found, rows, PLAN, (), quantities(["recall_at_5"], ("cpu",)), "My street")
+    assert (made.heading, [row.name for row in made.rows]) == ("My street", ["VPRTempo", "SAD"])
+    assert [q.name for q in made.quantities] == ["recall_at_1", "train_cpu", "query_cpu", "recall_at_5"]
+    assert {*made.cells["published_mark"]} == {"none"}
+    assert list_facts(made)[0] == "R@1 in %, train CPU in min, query CPU in Hz, R@5 in %."
+
+
+def test_an_empty_store_shows_words_in_every_cell_and_without_runs_on_a_cpu_accuracy_is_of_the_gpu():
+    made = table()
+    (column,) = made.columns
+    assert (column.n_places, column.n_queries, made.machines) == (None, None, ())
+    assert absences(made, "SAD") == ["unfinished", "not applicable", "unfinished", "not applicable", "not run"]
+    assert absences(made, "VPRTempo") == ["unfinished", "unfinished", "unfinished", "not run", "not run"]
+    assert made.notes == ()
+    made = table([run(device="cuda", day="2025-03-04"), run("vprsnn", device="cuda", day="2025-03-01")])
+    assert absences(made, "SAD") == ["measured", "not applicable", "not run", "not applicable", "measured"]
+    assert made.machines == ("Loom 3, 1 of 8 cores, Spindle 80GB, torch 2.6.0, 2025-03-04",)
+
+
+@pytest.mark.parametrize("runs", [[], [run("netvlad")]])
+def test_the_training_of_a_pretrained_row_is_quoted_whether_it_runs_or_not(runs):
+    made = table(runs, [failure("netvlad", missing=True)], rows=[NETVLAD], asked=[RAIL, TOWN])
+    for column, published, mark in (("railway", 15120, "quoted"), ("street", None, "none")):
+        found = cell(made, "NetVLAD", "train_gpu", column)
+        assert (found.mark, found.value, found.published, found.published_mark) == ("quoted", 15120, published, mark)
+        assert found.difference is None
+    known = table(runs, rows=[NETVLAD], slow=[("railway", "NetVLAD")])
+    assert absences(known, "NetVLAD")[0] == ("measured" if runs else "left out")
+    unknown = table(runs, rows=[replace(NETVLAD, name="MegaLoc")])
+    assert notes(unknown, "MegaLoc", "train_cpu") == ["pre-trained: no time is published"]
+
+
+@pytest.mark.parametrize(
+    ("failures", "mark", "note"),
+    [
+        ([LOST], "not there", "missing: lost: find it; then go on"),
+        ([LOST, failure("vprtempo", 1, "broke\nin two")], "failed", "failed: broke"),
+        ([failure("vprtempo", error="x" + " thread" * 40)], "failed", "failed: x" + " thread" * 40),
+    ],
+)
+def test_a_row_that_failed_or_lacks_its_weights_says_so_with_the_first_line_of_the_error(failures, mark, note):
+    made = table([], failures, rows=[VPRTEMPO])
+    assert absences(made, "VPRTempo") == [mark, mark, mark, "not run", "not run"]
+    assert notes(made, "VPRTempo", "recall_at_1") == [note]
+
+
+def test_a_seed_that_failed_is_named_beside_the_numbers_of_the_others():
+    made = table([tempo(0), tempo(1)], [failure("vprtempo", 2, "broke")], rows=[VPRTEMPO])
+    assert notes(made, "VPRTempo", "recall_at_1")[:2] == ["seeds: 2 of 3", "failed seed 2: broke"]
+
+
+@pytest.mark.parametrize("changes", [{"network": "5a" * 32}, {}])
+def test_what_was_loaded_or_kept_is_no_training(changes):
+    made = table([run("vprsnn", fit_seconds=None, fit_compute_seconds=None, **changes)], rows=[VPRSNN])
+    assert absences(made, "VPRSNN")[:3] == ["measured", "not run", "measured"]
+    assert notes(made, "VPRSNN", "train_cpu") == []
+
+
+def test_a_run_that_was_not_timed_has_a_recall_and_a_training_but_no_rate_and_no_bold_time():
+    mute = {"timing": None, "hits": [1] * 60, "fit_compute_seconds": 60}
+    slow = run("vprsnn", hits=[0] * 60, fit_compute_seconds=600)
+    made = table([*(tempo(seed, **mute) for seed in (0, 1, 2)), slow], rows=[VPRSNN, VPRTEMPO])
+    assert absences(made, "VPRTempo")[:3] == ["measured", "measured", "not timed"]
+    assert measured(made, "VPRTempo", "recall_at_1").best
+    assert measured(made, "VPRTempo", "train_cpu").value == approx(1)
+    assert not any(measured(made, name, "train_cpu").best for name in ("VPRTempo", "VPRSNN"))
+    assert "Seeds (mean; of training the median): VPRTempo 0 1 2." in list_facts(made)
+    one = table([tempo(0), tempo(1, timing=None), tempo(2, timing=None)], rows=[VPRTEMPO])
+    assert measured(one, "VPRTempo", "query_cpu").seeds == (0,)
+    assert "seeds: 1 of 3" in notes(one, "VPRTempo", "query_cpu")
+
+
+def test_recall_tells_its_ties_its_notes_and_that_it_is_undefined_and_a_cost_that_is_not_known_why():
+    # the right place shares the highest score with a wrong one for two of four queries
+    outcome, two, nothing = run(hits=[1, 0, 1, 1]).outcome, np.array([1, 1, 2, 2]), np.zeros(4, np.int64)
+    tied = run(outcome=replace(outcome, top_tied=two, tied=two))
+    undefined = replace(outcome, above=nothing + 10, tied=nothing, tied_correct=nothing, n_positives=nothing)
+    kinds = tuple(Note(kind, kind) for kind in ("answers", "index", "noisy"))
+    made = table([tied, run("hog", outcome=undefined), run("vprsnn", notes=kinds)], rows=[SAD, HOG, VPRSNN])
+    assert measured(made, "SAD", "recall_at_1").value == approx(50)
+    assert "ties: R@1 25.0 to 75.0 %" in notes(made, "SAD", "recall_at_1")
+    undefined = "undefined: no query has a right place"
+    assert (absences(made, "hog")[0], notes(made, "hog", "recall_at_1")) == ("not applicable", [undefined])
+    query = measured(made, "hog", "query_cpu")  # of a row that the paper does not have
+    assert (query.value, query.at_boundary, notes(made, "hog", "query_cpu")) == (approx(80), None, [])
+    for quantity, shown, hidden in (("recall_at_1", "index", "answers"), ("query_cpu", "answers", "index")):
+        found = notes(made, "VPRSNN", quantity)
+        assert (shown in found, hidden in found, "noisy" in found) == (True, False, False)
+    energy = {"values": {"operations": 2e6, "joules_measured": None}, "how": {"joules_measured": "no counter here"}}
+    costs = quantities(["operations", "joules_measured"], ("cpu",))
+    made = table([run(energy=energy)], rows=[SAD], quantities=costs)
+    assert measured(made, "SAD", "operations").value == 2
+    assert notes(made, "SAD", "joules_measured") == ["undefined: no counter here"]
+
+
+def test_a_method_outside_the_plan_shows_the_time_to_build_its_map_in_no_contest():
+    made = table([run("hog", fit_compute_seconds=6), run("vprsnn", fit_compute_seconds=600)], rows=[HOG, VPRSNN])
+    assert measured(made, "hog", "train_cpu").value == approx(0.1)
+    assert notes(made, "hog", "train_cpu") == ["time to build the map"]
+    assert not measured(made, "hog", "train_cpu").best
+    mine = Row("mine", "mine", seeds=(0, 1))
+    trained = [run("mine", seed, fit_compute_seconds=6) for seed in (0, 1)]
+    made = table([*trained, run("vprsnn", fit_compute_seconds=600)], rows=[mine, VPRSNN])
+    assert (measured(made, "mine", "train_cpu").best, notes(made, "mine", "train_cpu")) == (True, [])
+
+
+@pytest.mark.parametrize(
+    ("tuned_on", "best"),
+    [
+        ({"dataset": "railway", "places": "half of the places"}, False),
+        ({"dataset": "rails", "places": "half of the places", "also_in": {"railway": "unknown"}}, False),
+        ({"dataset": "street", "places": "half of the places"}, True),
+    ],
+)
+def test_a_row_that_was_tuned_on_a_columns_places_says_so_and_is_in_no_contest_there(tuned_on, best):
+    tuned = [tempo(s, hits=[1] * 60, match_seconds=FAST, fit_compute_seconds=6, tuned_on=tuned_on) for s in (0, 1, 2)]
+    slow = {"match_seconds": SLOW, "fit_compute_seconds": 600}
+    made = table([*tuned, run("vprsnn", hits=[0] * 60, **slow)], rows=[VPRSNN, VPRTEMPO])
+    for quantity in NAMES[:3]:
+        assert measured(made, "VPRTempo", quantity).best == best
+        for row, tuned_here in (("VPRTempo", not best), ("VPRSNN", False)):
+            assert any(note.startswith("tuned on") for note in notes(made, row, quantity)) == tuned_here
+    others = table([*tuned, run("vprsnn", hits=[1, 0] * 30, **slow), run(hits=[0] * 60)])
+    assert measured(others, "VPRSNN", "recall_at_1").best == (not best)  # it beats the others that are in the contest
+
+
+@pytest.mark.parametrize(("kind", "marked"), [("noisy", True), ("invalid", True), ("answers", False)])
+def test_times_of_a_busy_machine_or_of_too_few_laps_are_marked_and_recall_is_not(kind, marked):
+    made = table([tempo(0), tempo(1, notes=(Note(kind, "noisy: carts"),)), tempo(2)], rows=[VPRTEMPO])
+    assert [measured(made, "VPRTempo", quantity).disturbed for quantity in NAMES[:3]] == [False, marked, marked]
+
+
+def test_two_protocols_are_two_columns_with_titles_that_tell_them_apart():
+    old = run(protocol={"query": "summer", "renderer": 1}, day="2025-01-01", hits=[1, 1, 1, 1])
+    made = table([run(protocol={"query": "summer", "renderer": 2}), old], rows=[SAD, VPRSNN])
+    titles = {"railway": "Railway (rendered), renderer 2", "railway-2": "Railway (rendered), renderer 1"}
+    assert {column.name: column.title for column in made.columns} == titles
+    assert measured(made, "SAD", "recall_at_1", "railway-2").value == approx(100)
+    assert cell(made, "VPRSNN", "recall_at_1", "railway-2").mark == "not run"
+
+
+def test_a_rate_carries_the_plans_words_on_the_papers_and_a_code_where_most_rows_were_timed_otherwise():
+    quick = run("vprsnn", config={"timing": {"minimum_seconds": 0.1}})
+    made = table([run(), run("netvlad"), quick])
+    assert notes(made, "SAD", "query_cpu") == [SAD.rate_remark]
+    assert notes(made, "SAD", "recall_at_1") == []
+    assert notes(made, "VPRSNN", "query_cpu") == ["other timing"]
+
+
+def test_the_order_of_a_store_changes_nothing():
+    sads = [run(), run(day="2025-01-01"), run(device="cuda"), run(protocol={"query": "night"}, day="2025-02-01")]
+    runs = [*sads, *map(tempo, (0, 1, 2)), tempo(config={"code": "beef"}, day="2025-04-01"), run("netvlad")]
+    failures = [failure("vprsnn"), failure("vprtempo", 2, day="2025-05-01")]
+    first = table(runs, failures)
+    for order in (runs[::-1], runs[4:] + runs[:4]):
+        other = table(order, failures[::-1])
+        assert_frame_equal(other.cells, first.cells)
+        assert replace(other, cells=None) == replace(first, cells=None)

@@ -1,0 +1,224 @@
+"""A table as Markdown, CSV, LaTeX and HTML: whole documents are those stored, and any number and text comes out whole.
+
+A stored document is written anew, to be read before it is committed, where VPRBENCH_STORE_DOCUMENTS is set.
+"""
+
+import csv
+import io
+import os
+import re
+import shutil
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from assembled import NAMES, table
+from made_table import table as whole
+from parsed_page import Parsed
+from stored_runs import ABACUS, NORDLAND, PLAN, RAILWAY, SAD, STREET, failure, run
+
+from vprbench.report.plan import PlannedColumn, Row
+from vprbench.report.selection import ResolvedColumn, groups
+from vprbench.report.table import formats
+from vprbench.report.table.cells import assemble
+from vprbench.report.table.quantities import quantities
+from vprbench.runs.notes import Note
+from vprbench.terminal import console
+
+STORED = Path(__file__).parent / "stored"
+HOSTILE = "<script>alert(1)</script> a|b *c* _d_ `e` [f](g) \\ &amp; ~h~ $i$ é η"
+REAL = [ResolvedColumn(NORDLAND, RAILWAY)]
+
+
+def comparison():
+    """Return a table with a title of its own, a column for another metric, and rows that stay in their order."""
+    asked = [ResolvedColumn(PlannedColumn("mine", "Corridor_1", ("dataset=street",)), STREET)]
+    rows = [Row("VPRTempo", "vprtempo", spiking=True), Row("SAD", "sad", training="none")]
+    runs = [run("vprtempo", dataset=STREET, timing=None), run(dataset=STREET, hits=[1, 0, 0, 0], timing=None)]
+    found = groups(runs, [failure("vprtempo", dataset=STREET)], asked, rows)
+    return assemble(found, rows, PLAN, (), quantities(["recall_at_5"], ("cpu",)), "Corridor_1")
+
+
+@pytest.mark.parametrize(
+    ("file", "text"),
+    [
+        ("whole.md", lambda: formats.to_markdown(whole())),
+        ("whole.csv", lambda: formats.to_csv(whole())),
+        ("whole.tex", lambda: formats.to_latex(whole())),
+        ("whole.html", lambda: formats.to_html(whole())),
+        ("comparison.md", lambda: formats.to_markdown(comparison())),
+        ("comparison.tex", lambda: formats.to_latex(comparison())),
+    ],
+)
+def test_a_document_is_the_stored_one(file, text):
+    if "VPRBENCH_STORE_DOCUMENTS" in os.environ:
+        (STORED / file).write_text(text(), encoding="utf-8")
+    assert text() == (STORED / file).read_text(encoding="utf-8")
+
+
+def markdown_table(made):
+    """Return the cells of the first Markdown table, without the line under its head: an escaped pipe ends none."""
+    lines = [line for line in formats.to_markdown(made).partition("\n\n|")[2].split("\n\n")[0].splitlines() if line]
+    cells = [[part.strip() for part in re.split(r"(?<!\\)\|", line.lstrip("|"))[:-1]] for line in lines]
+    return [cells[0], *cells[2:]]
+
+
+def shown(quantity, *runs, row=SAD):
+    """Return the one or two lines of a cell of a row on the paper's frames, without notes."""
+    lines = markdown_table(table(runs, rows=[row], asked=REAL))[1:]
+    return [re.sub(" [⁰¹²³⁴⁵⁶⁷⁸⁹,]+$", "", line[1 + NAMES.index(quantity)]) for line in lines]
+
+
+def minutes(value, spread=0, **changes):
+    """Return runs of two seeds, or one of no spread, whose trainings take so long, twice as long with the images."""
+    each = [value - spread / 2**0.5, value + spread / 2**0.5] if spread else [value]
+    return [run("new", seed, fit_compute_seconds=60 * m, fit_seconds=120 * m, **changes) for seed, m in enumerate(each)]
+
+
+@pytest.mark.parametrize(
+    ("runs", "told"),
+    [
+        (minutes(1614.96), "1,615 (3,230)"),
+        (minutes(10.4), "10 (21)"),
+        (minutes(9.96), "10 (20)"),
+        (minutes(9.94), "9.9 (20)"),
+        (minutes(0.996), "1.0 (2.0)"),
+        (minutes(0.3149), "0.31 (0.63)"),
+        (minutes(0.0000123), "0.000012 (0.000025)"),
+        (minutes(0.0), "0 (0)"),
+        (minutes(1615.0, 9.3), "1,615 ± 9 (3,230)"),
+        (minutes(1615.0, 0.04), "1,615 ± 0.04 (3,230)"),
+        (minutes(1615.0, 1234.0), "1,615 ± 1,234 (3,230)"),
+        (minutes(0.31, notes=(Note("noisy", "noisy: carts"),)), "~0.31 (0.62)"),
+    ],
+)
+def test_a_time_shows_as_many_digits_as_it_has(runs, told):
+    assert shown("train_cpu", *runs, row=Row("new", "new", seeds=tuple(range(len(runs))))) == [told]
+
+
+def test_a_recall_shows_a_decimal_and_stands_above_the_printed_one_with_the_difference():
+    for right, told in ((48, "48 (0.0)"), (47, "48 (-1.0)"), (100, "48 (+52.0)")):
+        above, below = shown("recall_at_1", run(hits=[1] * right + [0] * (100 - right)))
+        assert (above.startswith(f"{right}.0 ["), below) == (True, told)
+    same = shown("recall_at_1", run("new", 0), run("new", 1), row=Row("new", "new", seeds=(0, 1)))
+    assert same == ["50.0 ± 0 [15.0, 85.0]"]
+    assert shown("query_cpu", run(match_seconds=[0.1] * 5))[1] == "10 (match alone here: 10; 0)"
+    assert shown("query_cpu", run(match_seconds=[0.0012] * 5))[1] == "10 (match alone here: 833; +823)"
+
+
+def test_links_of_notes_lead_to_their_anchors_and_no_style_is_in_the_html():
+    tags = Parsed(formats.to_html(whole())).elements
+    anchors = {attributes["id"] for _, attributes in tags if "id" in attributes}
+    links = {str(attributes["href"]).removeprefix("#") for tag, attributes in tags if tag == "a"}
+    assert {f"table-note-{n}" for n in range(1, 1 + len(whole().notes))} <= links <= anchors
+    assert not any("style" in attributes or tag == "style" for tag, attributes in tags)
+
+
+@pytest.mark.parametrize("columns", [100, 30])
+def test_a_terminal_shows_each_row_and_note_in_its_columns(columns, monkeypatch):
+    monkeypatch.setattr(console, "LEAST_WIDTH", columns)
+    monkeypatch.delenv("COLUMNS", raising=False)
+    made = replace(whole(), columns=whole().columns[:1])
+    lines = formats.to_terminal(made).splitlines()
+    table = [line for line in lines if "  " in line]
+    assert max(map(len, table)) <= columns
+    if columns == 100:
+        assert {row.name for row in made.rows} <= {line.split("  ")[0] for line in lines}
+    assert {*map(str, range(1, 1 + len(made.notes)))} <= {line.split(" ")[0] for line in lines}
+    assert max(map(len, formats.to_terminal(made, wide=True).splitlines())) > 100
+
+
+def named(text, *more):
+    """Return a table that holds a text wherever it holds any, and more rows."""
+    column = PlannedColumn("rail", text, (), remark=text)
+    note = Note("dataset", text)
+    rows = [Row(name, f"m{i}", rate_remark=text) for i, name in enumerate((text, "second", *more))]
+    runs = [run(row.method, notes=(note,), machine={**ABACUS, "processor": text}) for row in rows]
+    return table(runs, [failure("m0", error=text, day="2025-04-01")], rows, [ResolvedColumn(column, RAILWAY)])
+
+
+def test_hostile_text_is_only_text():
+    harmless, hostile = (Parsed(formats.to_html(named(text))) for text in ("harmless", HOSTILE))
+    assert (hostile.elements, hostile.rows[2][0]) == (harmless.elements, HOSTILE)
+    lines = markdown_table(named(HOSTILE))
+    assert [len(line) for line in lines] == [6, 6, 6]
+    assert lines[1][0] == (
+        r"&lt;script&gt;alert(1)&lt;/script&gt; a\|b \*c\* \_d\_ \`e\` \[f\](g) \\ &amp;amp; \~h\~ \$i\$ é η"
+    )
+    assert "<" not in formats.to_markdown(named(HOSTILE))
+
+
+def test_harmless_text_stands_in_markdown_as_it_is_and_none_begins_a_list_or_a_head():
+    for text in ("vprtempo_ensemble", "SAD [43.3, 50.1], weights not in ~/.cache"):
+        assert text in formats.to_markdown(named(text)).split("\n\n|")[0]
+    for text in ("- a", "+ a", "1. a", "23) a", "= a", "# a"):
+        lines = formats.to_markdown(named(text)).splitlines()
+        assert any(line.replace("\\", "") == text and "\\" in line for line in lines)
+
+
+def test_lines_within_text_end_neither_a_row_nor_a_line_of_csv():
+    made = named("a\nb\r\n\tc\x00d")
+    assert markdown_table(made)[1][0] == "a b c d"
+    assert len(formats.to_csv(made).splitlines()) == 1 + 2 * len(NAMES)
+    assert "a b c d" in next(csv.DictReader(io.StringIO(formats.to_csv(made))))["notes"]
+    assert Parsed(formats.to_html(made)).rows[2][0] == "a b c d"
+
+
+DOCUMENT = r"""\documentclass{{article}}
+\usepackage[landscape,a4paper,margin=12mm]{{geometry}}
+\usepackage[T1]{{fontenc}}
+\usepackage{{lmodern,textcomp,booktabs}}
+\begin{{document}}
+\tiny
+{}
+\end{{document}}
+"""
+
+
+def compiled(source, folder):
+    """Return the log of pdflatex for a document of some tables; skips where a program is missing."""
+    missing = [program for program in ("pdflatex", "pdftotext", "pdfinfo") if shutil.which(program) is None]
+    if missing:
+        reason = f"{' and '.join(missing)} not installed"
+        if "VPRBENCH_INSIST_ON_LATEX" in os.environ:
+            pytest.fail(reason)
+        pytest.skip(reason)
+    (folder / "table.tex").write_text(DOCUMENT.format(source), encoding="utf-8")
+    command = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "-no-shell-escape", "table.tex"]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, errors="replace", timeout=120)
+    assert done.returncode == 0, done.stdout[-2000:]
+    return done.stdout
+
+
+def read(folder, *command):
+    """Return what a program says of the document that was compiled."""
+    return subprocess.run(command, cwd=folder, capture_output=True, check=True, encoding="utf-8").stdout
+
+
+def test_a_dataset_is_a_table_and_a_name_in_brackets_is_no_argument_of_the_line_above():
+    asked = [ResolvedColumn(PlannedColumn(name, name.upper(), ()), STREET) for name in "abcd"]
+    source = formats.to_latex(table(rows=[SAD, Row("[2cm]", "other")], asked=asked))
+    assert source.count(r"\begin{tabular}") == 4
+    lines = re.findall(r"^\{SAD\}.*", source, re.MULTILINE)
+    assert [line.count(" & ") for line in lines] == [5, 5, 5, 5]
+    assert not re.search(r"\\\\(\\addlinespace|\s)*\[", source)
+    assert r"{a-{}-b ,{},c '{}'d \textless{} [U+5730] é}" in formats.to_latex(named("a--b ,,c ''d < 地 e\u0301"))
+    assert r"{\{x\} 50\% \& \#1 \$2}" in formats.to_latex(named("{x} 50% & #1 $2"))
+
+
+PRINTED = 'A&B %c $d #e _f {g} ~h ^i \\j <k> |l "m" n\'s `o` --p ,,q é ± η µ ß \u2212 \u2013 “r” Ł'
+COMMANDS = r"\input{/etc/hostname} \end{document} ^^5cbye %"
+LACKING = "Ť ŧ 地 e\u0301 ﬁ ℃ \u0301 🙂 a\ud800b"  # in the fonts; the last is half of a pair
+
+
+@pytest.mark.extended
+def test_any_text_is_printed_as_it_is_or_by_plain_letters_or_numbers(tmp_path):
+    source = formats.to_latex(named(PRINTED, "[x]", "*", COMMANDS, LACKING))
+    assert "Missing character" not in compiled(source, tmp_path)
+    text = " ".join(read(tmp_path, "pdftotext", "-layout", "-enc", "UTF-8", "table.pdf", "-").split())
+    assert text.count(PRINTED.replace("'", "\u2019")) >= 2  # a straight apostrophe is set as a curved one
+    assert COMMANDS in text
+    assert "Ť [U+0167] [U+5730] é fi °C" in text
+    assert "[U+1F642] a b" in text
+    compiled(formats.to_latex(whole()), tmp_path)

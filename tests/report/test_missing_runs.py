@@ -1,0 +1,183 @@
+"""Runs that are wanted and not stored are made apart, and whatever happens to them is stored."""
+
+import io
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from small_plan import RUN
+
+from vprbench.cli import main
+from vprbench.jobs import executors
+from vprbench.jobs.job import JobResult
+from vprbench.report import missing_runs, stored_runs
+from vprbench.report.missing_runs import make_cell, make_missing_runs
+from vprbench.report.plan import Row
+from vprbench.runs.request import RunRequest
+from vprbench.runs.store import Store
+
+SAD = Row("SAD", "sad", training="none")
+ROUTE = ["dataset=synthetic", "dataset.places=20", "dataset.first_query_place=4"]
+
+
+def a_cell(row=SAD, seed=0, options=(), title="Journey", **values):
+    return make_cell(row, title, [*ROUTE, *RUN, *options], {"seed": seed, "device": "cpu", **values})
+
+
+@pytest.fixture
+def children(monkeypatch):
+    """Let processes end in these ways, one after the other; returns the requests that they are asked."""
+
+    def ending(*answers):
+        asked = []
+        left = list(answers)
+        run = lambda text, *_: asked.append(RunRequest.from_json(text)) or left.pop(0)  # noqa: E731 - as short as it is
+        monkeypatch.setattr(executors, "run_in_child", run)
+        return asked
+
+    return ending
+
+
+@pytest.fixture
+def store(tmp_path):
+    return Store(tmp_path / "results")
+
+
+def test_a_run_is_asked_for_by_its_request_and_one_without_its_method_is_a_failure_without_a_process(children, store):
+    asked = children(JobResult(0))
+    row = Row("Big patches", "sad", arguments={"patch": 14, "preprocessing": "A"})
+    cell = a_cell(row, seed=3)
+    assert make_missing_runs([cell], store) == [JobResult(0)]
+    assert asked == [cell.request]
+    assert (asked[0].changed, asked[0].seed, asked[0].dataset["places"]) == (row.arguments, 3, 20)
+    asked = children()
+    row = Row("Nothing", "no_such_method", seeds=(0, 1))
+    endings = make_missing_runs([a_cell(row, 0), a_cell(row, 1)], store)
+    assert [(ending.code, ending.missing) for ending in endings] == [(2, True), (2, True)]
+    (failure,) = store.failures()
+    assert (failure.method, failure.dataset, failure.missing) == ("no_such_method", "synthetic", True)
+    assert "no_such_method" in failure.error
+    assert make_missing_runs([a_cell(Row("HOG", "hog"), device="cuda")], store) == [JobResult(0)]  # it knows no device
+    (ending,) = make_missing_runs([a_cell(Row("SAD of colours", "sad", arguments={"colours": 3}))], store)
+    assert (ending.code, ending.missing, "method.colours is unknown to sad" in ending.error) == (2, False, True)
+    assert asked == []
+
+
+def test_weights_that_are_missing_are_looked_for_once_and_without_a_process(monkeypatch, children, store, tmp_path):
+    monkeypatch.setenv("VPRBENCH_WEIGHTS", str(tmp_path))
+    asked = children(JobResult(0))
+    row = Row("GCL", "gcl", arguments={"backbone": "vgg16"}, training="pretrained")
+    cells = [a_cell(row), a_cell(row, title="Route", options=["dataset.name=route"])]
+    assert [(ending.code, ending.missing) for ending in make_missing_runs(cells, store)] == [(2, True)] * 2
+    told = {(each.dataset, each.missing, "MSLS_vgg16_GeM_480_GCL.pth" in each.error) for each in store.failures()}
+    assert told == {("synthetic", True, True), ("route", True, True)}
+    assert asked == []
+    (tmp_path / "MSLS_vgg16_GeM_480_GCL.pth").write_bytes(b"what is in it is for the process to see")
+    assert make_missing_runs(cells[:1], store) == [JobResult(0)]
+    assert len(asked) == 1
+    missing = JobResult(2, "weights are missing", True)  # as a process tells of its first seed
+    asked = children(missing, JobResult(0))
+    endings = make_missing_runs([a_cell(seed=0), a_cell(seed=1), a_cell(Row("PCA", "pca"))], store)
+    assert (endings, len(asked)) == ([missing, missing, JobResult(0)], 2)
+
+
+def test_a_failure_of_one_seed_is_stored_and_does_not_stop_the_next(children, store):
+    killed = JobResult(1, "was ended by signal 9")
+    children(killed, JobResult(0))
+    cells = [a_cell(seed=seed, results=str(store.root)) for seed in range(2)]
+    assert [ending.code for ending in make_missing_runs(cells, store)] == [1, 0]
+    (failure,) = store.failures()
+    assert (failure.error, failure.missing, failure.config["seed"]) == ("was ended by signal 9", False, 0)
+    assert main(["method=sad", *ROUTE, "seed=0", "timing=none", f"results={store.root}"]) == 0
+    assert not [*store.failures()]  # the run takes its place
+
+
+STORED = a_cell()
+
+
+@pytest.mark.parametrize(
+    ("cell", "patched", "n_processes"),
+    [
+        (STORED, {}, 0),
+        (a_cell(seed=1), {}, 1),
+        (a_cell(Row("SAD", "sad", arguments={"patch": 14})), {}, 1),
+        (a_cell(options=["dataset.query_places=5"]), {}, 1),
+        (a_cell(options=["dataset.protocol=nobody"]), {}, 1),
+        (a_cell(options=["timing.minimum_seconds=0.01"]), {}, 1),
+        (a_cell(options=["force=true"]), {}, 1),
+        (STORED, {"code_hash_of": "other code"}, 1),
+        (STORED, {"code_hash_of": None}, 1),
+        (STORED, {"fingerprint": "other frames"}, 1),
+    ],
+)
+def test_a_process_is_started_only_for_what_is_not_stored_as_it_would_be_made_now(
+    made, monkeypatch, children, cell, patched, n_processes
+):
+    asked = children(JobResult(0))
+    for name, value in patched.items():
+        monkeypatch.setattr(stored_runs, name, lambda _, value=value: value)
+    assert make_missing_runs([cell], Store(made[0] / "results")) == [JobResult(0)]
+    assert len(asked) == n_processes
+
+
+def test_frames_that_were_removed_are_kept_again_by_a_process(copied, children):
+    shutil.rmtree("results/frames")
+    assert missing_runs.results_folder("mine") == Path.cwd() / "mine"  # which a process elsewhere finds, too
+    asked = children(JobResult(0))
+    without = replace(STORED, request=replace(STORED.request, frames=False))
+    make_missing_runs([without], Store(Path("results")))
+    assert asked == []
+    make_missing_runs([STORED], Store(Path("results")))
+    assert len(asked) == 1
+
+
+@pytest.mark.extended
+def test_a_table_of_stored_runs_imports_no_torch(copied):
+    code = """
+import sys
+from pathlib import Path
+from vprbench.jobs import executors
+from vprbench.report import gather
+from vprbench.report.plan import read_plan
+from vprbench.cli import main
+gather.read_plan = lambda _: read_plan(Path("plan.yaml"))
+executors.run_in_child = None
+code = main(["table", "rows=[SAD]", "devices=[cpu]", *sys.argv[1:]])
+sys.exit("torch" if "torch" in sys.modules else code)
+"""
+    done = subprocess.run([sys.executable, "-c", code, *RUN], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_on_a_terminal_a_table_fills_with_what_is_stored_and_leaves_it_clean_if_it_is_interrupted(
+    made, monkeypatch, tmp_path
+):
+    screen = io.StringIO()
+    monkeypatch.setattr(screen, "isatty", lambda: True)
+    monkeypatch.setattr(sys, "stderr", screen)
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    for name, value in (("TERM", "xterm-256color"), ("COLUMNS", "100"), ("LINES", "30")):
+        monkeypatch.setenv(name, value)
+
+    def failing(_, hear):
+        for line in ("note: a warning", "vprbench: it failed"):
+            hear(line)
+        return JobResult(1, "it failed")
+
+    def interrupted(*_):
+        raise KeyboardInterrupt(2)
+
+    cells = [STORED, a_cell(Row("A row with a name that is longer than its column may be", "sad"), seed=1)]
+    monkeypatch.setattr(executors, "run_in_child", failing)
+    store = Store(tmp_path / "results")
+    shutil.copytree(made[0] / "results", store.root)
+    assert [ending.code for ending in make_missing_runs(cells, store)] == [0, 1]
+    for text in ("note: a warning", "\x1b[31mvprbench: it failed", "done", "1 of 2, 1 running, 0 waiting"):
+        assert text in screen.getvalue()
+    monkeypatch.setattr(executors, "run_in_child", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        make_missing_runs(cells, store)
+    assert screen.getvalue().rindex("\x1b[?25h") > screen.getvalue().rindex("\x1b[?25l")  # the cursor is there again

@@ -1,0 +1,182 @@
+"""Runs belong to the column and row they were asked for, and only equals stand together."""
+
+from dataclasses import replace
+
+import pytest
+from assembled import tempo
+from stored_runs import ABACUS, LOOM, PUBLIC, RAIL, RAILWAY, SAD, STREET, TOWN, VPRTEMPO, failure, run
+
+from vprbench.report.selection import (
+    Group,
+    ResolvedColumn,
+    accuracy_series,
+    describe_protocol,
+    groups,
+    of_row,
+    series,
+)
+
+ROWS = (SAD, VPRTEMPO, PUBLIC)
+FOGGY = ResolvedColumn(RAIL.planned, {**RAILWAY, "fog": 0.5})
+
+
+def lost(seed=0, *more, **changes):
+    return failure("vprtempo", seed, *more, **changes)
+
+
+def grouped(runs, failures=(), *asked):
+    return groups(runs, failures, asked or [RAIL], ROWS)
+
+
+def stored_of(row, *runs, failures=(), column=RAIL):
+    return of_row(Group(column, 1, runs, tuple(failures)), row, "cpu")
+
+
+MINE = run()
+ELSEWHERE = run(dataset={**STREET, "root": "/there", "source": "a shop", "_target_": "moved.street"}, fingerprint="s")
+LISTED = ResolvedColumn(RAIL.planned, {"name": "r", "references": ("a", "b"), "places": 10})
+SAME = run(dataset={"places": 10.0, "references": ["a", "b"], "name": "r"})
+FOG = tempo(dataset={**RAILWAY, "fog": 0.5})
+OTHER_NAME = replace(failure(), config={**failure().config, "dataset": {}})
+
+
+@pytest.mark.parametrize(
+    ("runs", "failures", "asked", "found"),
+    [
+        # by the dataset and its options, wherever its frames lay
+        ([run(dataset={**RAILWAY, "places": 20}), ELSEWHERE, MINE], [], [RAIL, TOWN], [[MINE], [ELSEWHERE]]),
+        ([SAME], [], [LISTED], [[SAME]]),
+        # options that the dataset gained or lost keep no run away, but their other values do
+        ([MINE, FOG, run(dataset={**RAILWAY, "fog": 0.9})], [], [FOGGY], [[MINE, FOG]]),
+        ([MINE, FOG], [failure()], [RAIL], [[MINE, FOG]]),
+        # another name is another dataset
+        ([run(dataset={"name": "river"}), run(dataset={**RAILWAY, "name": "river"})], [OTHER_NAME], [RAIL], [[]]),
+    ],
+)
+def test_runs_belong_to_the_column_with_their_dataset(runs, failures, asked, found):
+    told = grouped(runs, failures, *asked)
+    assert [list(group.runs) for group in told] == found
+    assert [len(group.failures) for group in told] == [failures.count(failure())] + [0] * (len(asked) - 1)
+
+
+def test_two_protocols_are_two_groups_the_newest_first_and_corrupted_queries_stand_in_columns_of_their_own():
+    shift, noise = (replace(RAIL, corruption=name) for name in ("shift-1", "noise-2"))
+    clean, moved = run(config={"corruption": None}), run(config={"corruption": "shift-1"}, day="2025-09-09")
+    failed = lost(config={"corruption": "noise-2"})
+    found = grouped([clean, moved], [failed], RAIL, shift, noise)
+    assert [(group.runs, group.failures) for group in found] == [((clean,), ()), ((moved,), ()), ((), (failed,))]
+    old = run(protocol={"query": "summer", "renderer": 1}, day="2025-02-01")
+    new = tempo(protocol={"query": "summer", "renderer": 2}, day="2025-02-02")
+    no_row = run("hog", protocol={"query": "night"}, day="2025-06-01")
+    found = grouped([old, no_row, new], [failure()])
+    assert found == [Group(RAIL, 1, (new,), (failure(),)), Group(RAIL, 2, (old,), ())]
+    images = run(), run(fingerprint="0" * 64)
+    assert [group.runs for group in grouped(images)] == [(images[0],), (images[1],)]
+
+
+@pytest.mark.parametrize(
+    ("changed", "row"),
+    [({}, VPRTEMPO), ({"rules": "reference"}, PUBLIC), ({"rules": "v1"}, None), ({"epochs": 9}, None)],
+)
+def test_a_run_belongs_to_the_row_with_its_arguments(changed, row):
+    group = Group(RAIL, 1, (tempo(changed=changed),), ())
+    assert [each for each in ROWS if of_row(group, each, "cpu").runs] == ([row] if row else [])
+
+
+def test_a_failure_belongs_where_its_options_say():
+    failed = lost(), lost(seed=1), lost(changed={"rules": "reference"})
+    assert [stored_of(row, failures=failed).failures for row in (VPRTEMPO, PUBLIC)] == [failed[:2], failed[2:]]
+    elsewhere = lost(dataset=STREET)
+    assert of_row(*grouped([], [elsewhere], TOWN), VPRTEMPO, "cpu").failures == (elsewhere,)
+
+
+OTHERS = {
+    "code": {"config": {"code": "beef"}},
+    "weights": {"config": {"files": [["net.pth", "a1"]]}},
+    "arguments of the method": {"config": {"method": {"rules": "paper", "max_module": 1100, "epochs": 3}}},
+    "libraries": {"machine": {**ABACUS, "libraries": {"torch": "2.7.0"}}},
+    "threads": {"machine": {**ABACUS, "threads": 2}},
+    "machine": {"machine": {**ABACUS, "processor": "Loom 3"}},
+    "network": {"network": "5a" * 32, "fit_seconds": None},
+}
+OLD = [tempo(seed, day="2025-03-03") for seed in (0, 1, 2)]
+TIMED_OTHERWISE = tempo(2, config={"timing": {"minimum_seconds": 10.0}})
+NEWER = tempo(0, day="2025-03-04", config={"code": "beef"})
+TRAINED = run(day="2025-01-01")
+LOADED = run(day="2025-03-01", network="5a" * 32, fit_seconds=None)
+
+
+@pytest.mark.parametrize(
+    ("row", "stored", "runs", "missing", "n_aside"),
+    [
+        (VPRTEMPO, [OLD[2], OLD[0]], [OLD[0], OLD[2]], (1,), 0),
+        (VPRTEMPO, [*OLD[:2], TIMED_OTHERWISE], [*OLD[:2], TIMED_OTHERWISE], (), 0),
+        (SAD, [TRAINED, run(seed=7)], [TRAINED], (), 1),
+        (SAD, [TRAINED, run(device="cuda:1")], [TRAINED], (), 0),
+        *((VPRTEMPO, [*OLD[:2], tempo(2, **changes)], OLD[:2], (2,), 1) for changes in OTHERS.values()),
+        # of incomplete sets the one with the newest run, but first a complete one, and a network that was trained
+        (VPRTEMPO, [*OLD[:2], NEWER], [NEWER], (1, 2), 2),
+        (VPRTEMPO, [*OLD, NEWER], OLD, (), 1),
+        (SAD, [LOADED, TRAINED], [TRAINED], (), 1),
+        (
+            SAD,
+            [run(day="2025-01-02"), TRAINED],
+            [run(day="2025-01-02")],
+            (),
+            1,
+        ),
+    ],
+)
+def test_runs_that_differ_in_more_than_their_seed_are_never_put_together(row, stored, runs, missing, n_aside):
+    found = stored_of(row, *stored)
+    assert [each.key for each in found.runs] == [each.key for each in runs]
+    assert (found.missing_seeds, found.n_aside) == (missing, n_aside)
+
+
+STORED = tempo(0), tempo(1)
+LATER = [lost(seed, "lost", day="2025-04-01", missing=True) for seed in (0, 2)]
+BROKE = lost(0, "broke", day="2025-03-20")
+THERE = [lost(seed, day="2025-04-01", machine=LOOM) for seed in (0, 2)]
+LAST = lost(1, day="2025-04-01"), lost(2, "last", day="2025-01-02")
+MENDED = lost(0, day="2025-02-01"), lost(2, "first", day="2025-01-01")
+OF_OTHERS = lost(2, device="cuda"), lost(2, changed={"rules": "v1"}), failure("sad", 2)
+
+
+@pytest.mark.parametrize(
+    ("stored", "failures", "told"),
+    [
+        # of missing seeds the last one, and later errors of stored ones
+        (STORED, [*MENDED, *LAST, *OF_OTHERS], [*LAST]),
+        # what was missing later says nothing of a seed that is stored
+        (STORED, LATER, LATER[1:]),
+        (STORED, [BROKE, *LATER], [BROKE, LATER[1]]),
+        # failures of another machine count only where no run is stored
+        (STORED, THERE, []),
+        ((), THERE, THERE),
+    ],
+)
+def test_failures_are_told_that_no_run_has_mended(stored, failures, told):
+    (group,) = grouped(stored, failures)
+    assert list(of_row(group, VPRTEMPO, "cpu").failures) == told
+
+
+def test_series_are_the_rows_with_runs_under_the_names_of_the_table_and_a_protocol_is_told_without_its_numbers():
+    group = Group(RAIL, 1, (tempo(1), tempo(0), run(device="cuda:1")), ())
+    (cpu,) = series(group, ROWS)
+    assert (cpu.name, cpu.spiking) == ("VPRTempo", True)
+    assert [stored.config["seed"] for stored in cpu.runs] == [0, 1]
+    assert [one.name for one in series(group, ROWS, "cuda")] == ["SAD"]
+    protocol = {"references": ("sun", "rain"), "places": 450, "query_places": 360}
+    made = run(protocol=protocol | {"repeated_images": {"sun": 5, "rain": 2}})
+    assert describe_protocol(made) == "references sun+rain, repeated images 5 in sun+2 in rain"
+
+
+def test_accuracy_is_taken_from_the_device_with_more_seeds_and_of_equals_the_cpu():
+    cpu, gpu = ([tempo(seed, device=device) for seed in (0, 1, 2)] for device in ("cpu", "cuda"))
+    failed = tuple(lost(day="2025-04-01", device=device) for device in ("cpu", "cuda"))
+    two = cpu[:2]
+    for runs, taken in (cpu + gpu, cpu), (two + gpu, gpu), ([*two, gpu[0]], two), (gpu[1:2], gpu[1:2]):
+        for failures in ((), failed[:1], failed[1:]):
+            (one,) = accuracy_series(Group(RAIL, 1, tuple(runs), failures), ROWS)
+            assert (one.name, list(one.runs)) == ("VPRTempo", taken)
+    assert accuracy_series(Group(RAIL, 1, (), (lost(),)), ROWS) == []

@@ -1,0 +1,247 @@
+"""`vprbench compare`: what is missing is made, and all of it ends in one ranked table, with figures and a page."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import pandas as pd
+
+from vprbench.errors import BadInput
+from vprbench.jobs.executors import executor_for
+from vprbench.jobs.job import JobResult, failure_of
+from vprbench.progress import progress_shown
+from vprbench.report.comparison.checks import Checked, SortedOptions, check_comparison, frames_of
+from vprbench.report.figures.make import draw_all, write_figures
+from vprbench.report.gather import ReportData, TablePlan, assemble_report, run_missing, runs_of, stored
+from vprbench.report.page.make import write_page
+from vprbench.report.plan import Growth, Plan
+from vprbench.report.ranking import Ranking, rank_rows
+from vprbench.report.robustness import Robustness, format_csv, format_markdown, list_lines, measure_robustness
+from vprbench.report.selection import ResolvedColumn, accuracy_series, apply_views, groups
+from vprbench.report.table import words
+from vprbench.report.table.make import exit_code, write
+from vprbench.report.table.quantities import RECALL, comparison_quantities, without_accuracies
+from vprbench.runs import rows
+from vprbench.runs.corruption import Corruption, corrupt_queries, parse_corruptions
+from vprbench.runs.frame import iterate_rows
+from vprbench.runs.predictions import tabulate_predictions, write_csv
+from vprbench.runs.record import Failure, Run
+from vprbench.runs.sequences import name_views, parse_views
+from vprbench.storage.atomic import replace_text
+from vprbench.terminal.console import line_text, show_table
+from vprbench.text import printable
+
+_UNTIMED = ("timing=none", "frames=false")
+_NO_PLAN = Plan({}, {}, {}, Growth((), (), (), 0))
+_LEAST = ("peak MB", "AUC-PR (A)", "R@5 %")  # columns that a narrow terminal lacks first
+
+
+def make_comparison(command: SortedOptions) -> int:
+    """Compare methods on one dataset; returns the exit code: 1 where a run failed, 2 for input to be mended."""
+    found, wrong = check_comparison(command)
+    if found is None:
+        for line in wrong:
+            print(printable(f"vprbench: {line}"), file=sys.stderr)
+        return 2
+    if found.looked is not None:
+        print(line_text(f"note: {found.looked}", "yellow"), flush=True)
+    for cell in found.cells:
+        if cell.missing is not None:
+            print(printable(f"vprbench: {cell.row.name} is left out: {cell.missing}"), file=sys.stderr)
+    chosen = choose_rows(found, command)
+    spoilt = corrupt_column(found, command.request.corruptions)
+    results = [] if chosen.stored else make_missing(chosen, found, spoilt, command)
+    known, failures = stored(chosen)
+    compared, rankings = rank_stored(chosen, found, known, failures, results)
+    show(compared, rankings, command.request.wide)
+    robust = None
+    if spoilt:
+        clean, *of_each = (
+            accuracy_series(groups(known, (), [column], chosen.rows)[0], compared.chosen.rows)
+            for column in (found.column, *spoilt.values())
+        )
+        robust = measure_robustness(clean, dict(zip(spoilt, of_each, strict=True)))
+        table = list_lines(robust)
+        print()
+        show_table([*table[0]], [[*line.values()] for line in table], command.request.wide)
+    best = predict_places(compared, found, command.request.predictions)
+    print("\nwritten to", *write_comparison(compared, command.request.name is None, robust, best), sep="\n  ")
+    return exit_code(results)
+
+
+def corrupt_column(found: Checked, names: Sequence[str]) -> dict[Corruption, ResolvedColumn]:
+    """Return the column of a comparison under each corruption; raises BadInput if it has no accuracy to lower."""
+    if names and found.dataset is not None and not any(map(len, found.dataset.positives)):
+        raise BadInput(f"corruptions={','.join(names)}: no query of {found.dataset.name} has a right place to lose")
+    every = {}
+    for one in parse_corruptions(names):
+        column = replace(found.column, corruption=one.name)
+        if found.dataset is not None:
+            with progress_shown(one.name):
+                frames = frames_of(corrupt_queries(found.dataset, one.name), found.request)
+            column = replace(column, frames=frames)
+        every[one] = column
+    return every
+
+
+def make_missing(
+    chosen: TablePlan, found: Checked, spoilt: Mapping[Corruption, ResolvedColumn], command: SortedOptions
+) -> list[JobResult]:
+    """Make the runs that are not stored, those of corrupted queries on the first device and untimed.
+
+    A process fits a row's method once for all corruptions. If it fails, each of them has a process.
+    """
+    rows = [cell.row for cell in found.cells if cell.missing is None]
+    options = [*command.of_runs, *["scores=true"] * bool(chosen.views)]
+    once = replace(chosen, devices=chosen.devices[:1])
+    names = [each.name for each in spoilt]
+    planned = replace(found.column.planned, title=f"{found.column.planned.title}, {len(names)} corruptions")
+    column = replace(found.column, planned=planned, corruption=names)
+    untimed = [*(option for option in command.of_runs if not option.startswith("timing")), *_UNTIMED]
+    with executor_for(command.request) as executor:
+        results = run_missing(chosen, [*runs_of(chosen, found.column, rows, options)], executor)
+        together = [*runs_of(once, column, rows, untimed)] if names else []
+        ended = run_missing(once, together, executor)
+        failed = [cell for cell, result in zip(together, ended, strict=True) if result.code == 1]
+        alone = run_missing(once, [one for cell in failed for one in cell.each()], executor)
+    return [*results, *(result for result in ended if result.code != 1), *alone]
+
+
+def choose_rows(found: Checked, command: SortedOptions) -> TablePlan:
+    """Return the rows and the one column of a comparison, as a table has them."""
+    request = command.request
+    return TablePlan(
+        _NO_PLAN,
+        tuple(cell.row for cell in found.cells),
+        (found.column,),
+        tuple(request.devices),
+        metrics=tuple(request.metrics),
+        results=request.results,
+        stores=tuple(request.stores),
+        stored=request.stored,
+        title=found.column.planned.title,
+        quantities=comparison_quantities(request.metrics, request.devices),
+        views=parse_views(request.sequence, request.filter),
+    )
+
+
+def rank_stored(
+    chosen: TablePlan,
+    found: Checked,
+    known: Sequence[Run],
+    failures: Sequence[Failure],
+    results: Sequence[JobResult] = (),
+) -> tuple[ReportData, list[Ranking]]:
+    """Put the stored runs of a comparison into one table, best first, rows without runs last.
+
+    There is a ranking for each view of the runs; the first orders the rows. Raises BadInput if there is no run.
+    """
+    left_out = [
+        failure_of(cell.request, JobResult(2, left.missing, missing=True))
+        for left in found.cells
+        if left.missing is not None
+        for cell in runs_of(chosen, found.column, [left.row], ())
+    ]
+    newest = groups(known, [*failures, *left_out], [found.column], chosen.rows)[0]
+    if newest.runs and not newest.runs[0].is_judged:
+        chosen = replace(chosen, quantities=without_accuracies(chosen.quantities))
+    shown = apply_views([newest], chosen.rows, chosen.views)
+    rankings = [rank_rows(accuracy_series(group, chosen.rows)) for group in shown]
+    order = [*rankings[0].table["method"]]
+    ordered = sorted(chosen.rows, key=lambda row: order.index(row.name) if row.name in order else len(order))
+    return assemble_report(replace(chosen, rows=tuple(ordered)), shown, newest.runs, tuple(results)), rankings
+
+
+def show(found: ReportData, rankings: Sequence[Ranking], wide: bool = False) -> None:
+    """Print notes, the ranked table and the results of tests; of several views R@1 alone, side by side."""
+    table, groups_shown = found.table, [group for group in found.groups if group.runs]
+    heads = ["method", *(quantity.heading for quantity in table.quantities)]
+    cells = words.describe_cells(table)
+    print(line_text(f"{table.title}: {words.describe_data(table.columns[0])}", fits=True))
+    if len(table.columns) > 1:
+        for run in (group.runs[0] for group in groups_shown):
+            print(line_text(f"{rows.describe_view(run, whole=True)}: {len(run.outcome):,} queries"))
+        heads = ["R@1 %", *(rows.describe_view(group.runs[0]) for group in groups_shown)]
+        cells = cells[(table.cells["quantity"] == RECALL.name).to_numpy()]
+    for row, of_row in table.cells.groupby("row", sort=False):
+        for number in sorted({number for notes in of_row["notes"] for number in notes}):
+            print(line_text(f"note: {row}: {table.notes[number - 1]}", "yellow"))
+    print()
+    texts = [[str(name), *_list_texts(of_row)] for name, of_row in cells.groupby("row", sort=False)]
+    show_table(heads, texts, wide, _LEAST)
+    print()
+    for group, ranking in zip(found.groups, rankings, strict=True):
+        above = f"{rows.describe_view(group.runs[0])}: " if len(rankings) > 1 else ""
+        print(*(line_text(f"{above}{sentence}", "bold") for sentence in ranking.sentences), sep="\n")
+
+
+def _list_texts(cells: pd.DataFrame) -> Iterator[str]:
+    """Yield the text of a row's cells, the word for an absent number once in a column."""
+    for _, of_column in cells.groupby("column", sort=False):
+        first = of_column["absence"].iloc[0]
+        for number, cell in enumerate(iterate_rows(of_column)):
+            absence = cell.absence if number == 0 or cell.text or cell.absence != first else ""
+            yield " ".join(filter(None, [absence, cell.text, cell.extent]))
+
+
+def predict_places(compared: ReportData, found: Checked, n: int | None) -> pd.DataFrame | None:
+    """Return the best `n` places of each query by every run that is shown, 10 if None; None if `n` is 0.
+
+    `method`, `seed` and `answers` (the view that is shown, or empty) stand before the columns of `predictions`.
+    """
+    if n == 0:
+        return None
+    tables = []
+    for group in compared.groups:
+        for one in accuracy_series(group, compared.chosen.rows):
+            for run in one.runs:
+                table = tabulate_predictions(run, min(n or 10, run.top_places.shape[1]), found.dataset)
+                about = {"method": one.name, "seed": run.config["seed"], "answers": rows.describe_view(run)}
+                tables.append(pd.concat([pd.DataFrame(about, index=table.index), table], axis=1))
+    return pd.concat(tables, ignore_index=True)
+
+
+def write_comparison(
+    found: ReportData, beside_others: bool, robust: Robustness | None = None, best: pd.DataFrame | None = None
+) -> list[Path]:
+    """Write the table, its runs, figures and page of a comparison into the results folder; returns the files.
+
+    `best` holds the best places of each query.
+    If `beside_others`, files of this name that are of other frames stay: the new ones get the frames' hash.
+    """
+    from vprbench.report.figures.accuracy import draw_robustness
+
+    folder, name = Path(found.chosen.results).expanduser(), found.chosen.columns[0].planned.name
+    name += "-views" * (found.chosen.columns[0].views is not None) + name_views(found.chosen.views)
+    if beside_others and _of_other_frames(folder / f"{name}-runs.csv", found.runs):
+        name = f"{name}-{found.runs[0].fingerprint[:6]}"
+    files = write(found, folder, name)
+    if best is not None:
+        files.append(write_csv(best, folder / f"{name}-predictions.csv"))
+    if robust is not None:
+        title = str(found.table.title)
+        for ending, text in (("md", format_markdown(robust, title)), ("csv", format_csv(robust))):
+            files.append(folder / f"{name}-robustness.{ending}")
+            replace_text(files[-1], text)
+    absent: list[str] = []
+    with progress_shown("compare, figures"):
+        drawings = list(draw_all(found, found.runs, report=absent.append))
+        if robust is not None:
+            drawings.append((f"robustness-{found.chosen.columns[0].planned.name}", draw_robustness(robust)))
+        *_, captions = write_figures(drawings, folder / "figures" / name)
+        for path in captions.parent.glob("*.p[dn][fg]"):  # of an earlier comparison of this name
+            if path.stem not in dict(drawings):
+                path.unlink()
+    return [*files, captions, write_page(found, drawings, folder / f"{name}.html", absent)]
+
+
+def _of_other_frames(path: Path, runs: Sequence[Run]) -> bool:
+    """Tell whether the runs of an earlier comparison are of other frames."""
+    if not path.is_file():
+        return False
+    frames = ["names_sha256", "content_sha256"]
+    earlier = pd.read_csv(path, dtype=str).reindex(columns=frames).fillna("").drop_duplicates().to_numpy().tolist()
+    return earlier != [[str(runs[0].data.get(part) or "") for part in frames]]

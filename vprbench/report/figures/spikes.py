@@ -1,0 +1,142 @@
+"""How much spiking networks spike: in each layer for a query, and when each neuron spikes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.patches import Patch
+from matplotlib.ticker import FuncFormatter
+
+from vprbench.errors import BadInput
+from vprbench.report.figures import style
+from vprbench.report.figures.captions import describe_runs, require_one_dataset
+from vprbench.report.figures.style import Drawing, Look, choose_looks, new_figure, use_style
+from vprbench.report.selection import Series
+from vprbench.text import plural
+
+_HEIGHT_MM = 52.0  # of a line of panels, without the legend
+_COLUMNS = 2  # of panels: their type is as large as that of other figures
+_UPRIGHT = 3  # from more layers on, their names stand upright
+_GROUP = 0.8  # of the distance of two layers, filled by the rows
+_FILLED = 0.85  # of the room of a row
+_WHISKERS = (5, 95)  # percentiles
+_WIDE = 30  # from this ratio of the most to the fewest spikes on, a layer's axis is logarithmic
+
+Layer = Mapping[str, Any]
+
+
+@use_style
+def draw_spikes(series: Sequence[Series]) -> Drawing:
+    """Draw, layer by layer, the spikes of a query in each row, and the share of neurons that spike.
+
+    A box holds the sampled queries of all seeds; a bar is the mean over the seeds, its dots are the seeds. Rows
+    without stored spikes are left out; raises BadInput if none has any, and for rows on different data.
+    """
+    looks = choose_looks(row.name for row in series)
+    rows = [row for each in series if (row := replace(each, runs=tuple(r for r in each.runs if r.spikes))).runs]
+    if not rows:
+        raise BadInput("no stored run holds spikes: run a spiking method such as method=vprtempo, with force=true")
+    dataset = require_one_dataset(rows, "spikes").dataset
+    layers = {row.name: _layers_of(row) for row in rows}
+    names = list(dict.fromkeys(name for of_row in layers.values() for name in of_row))
+    n_lines = len(names) // _COLUMNS + 1
+    figure, cells = new_figure(style.SINGLE_MM, _HEIGHT_MM * n_lines, n_lines, _COLUMNS)
+    *panels, active = cells[: len(names) + 1]
+    for empty in cells[len(names) + 1 :]:
+        empty.remove()
+    room = _GROUP / len(rows)
+    for position, (panel, name) in enumerate(zip(panels, names, strict=True)):
+        drawn = [of_row.get(name, []) for of_row in layers.values()]
+        for number, (row, found) in enumerate(zip(rows, drawn, strict=True)):
+            if found:
+                _draw_box(panel, number, found, looks[row.name])
+                x = position + (number - (len(rows) - 1) / 2) * room
+                _draw_bar(active, x, room * _FILLED, found, looks[row.name])
+        _finish(panel, name, [layer for found in drawn for layer in found])
+        panel.set(xticks=[], xlim=(-0.5, len(rows) - 0.5))
+    for panel in panels[::_COLUMNS]:
+        panel.set_ylabel("Spikes of a query")
+    active.set(title="Neurons that\nspike (%)", ylim=(0, 103), xlim=(-0.5, len(names) - 0.5))
+    active.set_xticks(range(len(names)), names, rotation=90 if len(names) > _UPRIGHT else 0)
+    active.grid(True, axis="y")
+    style.add_legend(figure, [Patch(label=row.name, **looks[row.name].of_bar) for row in rows], dataset)
+    queries = ", ".join(dict.fromkeys(f"{run.spikes['queries']:,}" for row in rows for run in row.runs if run.spikes))
+    caption = (
+        "Spikes of a query in each layer: box from quartile to quartile with the median, whiskers from the "
+        f"{_WHISKERS[0]}th to the {_WHISKERS[1]}th percentile. Last panel: share of neurons that spike in any sampled "
+        f"query, {queries} of a seed. "
+        f"{describe_runs(rows, 'a box holds all; bars are means, dots the seeds')}"
+    )
+    return Drawing(figure, caption)
+
+
+def select_spike_times(series: Sequence[Series]) -> list[Series]:
+    """Return the rows, and of them the runs, that hold spike times."""
+    runs = [(row, [run for run in row.runs if run.spikes and "times" in run.spikes["layers"][0]]) for row in series]
+    return [replace(row, runs=tuple(timed)) for row, timed in runs if timed]
+
+
+@use_style
+def draw_raster(rows: Sequence[Series]) -> Drawing:
+    """Draw when the neurons of each layer spike for one query, of the first run of rows that hold spike times."""
+    layers = (rows[0].runs[0].spikes or {})["layers"]
+    figure, panels = new_figure(style.DOUBLE_MM, 30 * len(layers), len(layers))
+    for panel, layer in zip(panels, layers, strict=True):
+        neurons = np.flatnonzero(layer["times"])
+        panel.scatter(np.array(layer["times"])[neurons], neurons, 1.5, color="black", linewidths=0)
+        panel.set(title=f"{layer['name']}: {len(neurons):,} of {layer['neurons']:,} neurons spike", ylabel="Neuron")
+        panel.set(xlim=(0, 1 + max(max(each["times"]) for each in layers)), ylim=(-1, layer["neurons"]))
+    panels[-1].set_xlabel("Time step since the query was shown")
+    caption = (
+        f"Spikes of {rows[0].name} for one query, a dot a neuron; an earlier spike is a larger amplitude. "
+        f"{describe_runs(rows[:1], 'the first is drawn')}"
+    )
+    return Drawing(figure, caption)
+
+
+def _layers_of(row: Series) -> dict[str, list[Layer]]:
+    """Return the layers of all runs of a row, by name."""
+    layers: dict[str, list[Layer]] = {}
+    for run in row.runs:
+        for layer in (run.spikes or {})["layers"]:
+            layers.setdefault(layer["name"], []).append(layer)
+    return layers
+
+
+def _draw_box(axes: Axes, x: float, layers: Sequence[Layer], look: Look) -> None:
+    axes.boxplot(
+        np.concatenate([layer["spikes_per_query"] for layer in layers]),
+        positions=[x],
+        widths=_GROUP * _FILLED,
+        whis=_WHISKERS,
+        showfliers=False,
+        manage_ticks=False,
+        patch_artist=True,
+        boxprops=look.of_bar,
+        medianprops={"color": "black", "linewidth": 1.2},
+        whiskerprops={"color": look.colour},
+        capprops={"color": look.colour},
+    )
+
+
+def _draw_bar(axes: Axes, x: float, width: float, layers: Sequence[Layer], look: Look) -> None:
+    shares = [100 * layer["active_share"] for layer in layers]
+    axes.bar(x, np.mean(shares), width, **look.of_bar)
+    if len(shares) > 1:
+        axes.plot([x] * len(shares), shares, linestyle="", marker=look.marker, color="black", markersize=2.5)
+
+
+def _finish(axes: Axes, name: str, layers: Sequence[Layer]) -> None:
+    """Add the title of a layer, with its neurons if all rows have as many; if rows differ by far, the axis is a log."""
+    neurons = {layer["neurons"] for layer in layers}
+    counts = np.concatenate([layer["spikes_per_query"] for layer in layers])
+    axes.set_title(f"{name},\n{plural(neurons.pop(), 'neuron')}" if len(neurons) == 1 else name)
+    if counts.max() >= _WIDE * max(counts.min(), 1):
+        axes.set_yscale("symlog", linthresh=1)
+        axes.set_ylim(0, 2 * counts.max())
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda spikes, _: f"{spikes:,g}"))
+    axes.grid(True, axis="y")

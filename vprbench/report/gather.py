@@ -1,0 +1,225 @@
+"""The data of a table, of figures and of a report: the rows and columns of the request, and their stored runs."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+from vprbench.config import make_request
+from vprbench.errors import BadInput
+from vprbench.jobs.executors import Executor
+from vprbench.jobs.job import JobResult
+from vprbench.metrics.catalogue import GROUPS
+from vprbench.plugins import registry
+from vprbench.report.missing_runs import Cell, make_cell, make_missing_runs, results_folder
+from vprbench.report.plan import Plan, PlannedColumn, Row, add_plug_ins, read_plan
+from vprbench.report.run_options import TableRequest
+from vprbench.report.selection import Group, ResolvedColumn, apply_views, groups
+from vprbench.report.table.cells import Table, assemble
+from vprbench.report.table.quantities import QUANTITIES, Quantity, quantities
+from vprbench.runs.record import Failure, Run
+from vprbench.runs.sequences import Views, parse_views
+from vprbench.runs.store import Store
+
+Part = TypeVar("Part")
+
+_ACCELERATORS = ("/dev/nvidiactl", "/dev/kfd", "/dev/dxg")  # of NVIDIA, of AMD, and of either on Windows
+
+
+@dataclass(frozen=True)
+class TablePlan:
+    """The rows and columns of a request, resolved."""
+
+    plan: Plan
+    rows: tuple[Row, ...]
+    columns: tuple[ResolvedColumn, ...]
+    devices: tuple[str, ...]
+    full: bool = True
+    metrics: tuple[str, ...] = ()
+    results: str = "results"
+    stores: tuple[str, ...] = ()  # results folders of other machines
+    stored: bool = False  # nothing is run
+    title: str | None = None  # of a table that is not the paper's
+    quantities: tuple[Quantity, ...] = QUANTITIES
+    views: tuple[Views, ...] = ()  # views of the stored runs that are shown; none: the runs themselves
+
+    def slow(self, column: ResolvedColumn, row: Row) -> bool:
+        """Tell whether a row takes too long in a column for the time that a table has."""
+        places = column.dataset.get("places")
+        too_many = row.most_places is not None and isinstance(places, int) and places > row.most_places
+        return too_many and not self.full
+
+
+@dataclass(frozen=True)
+class ReportData:
+    """The data of a table, of figures and of a report."""
+
+    chosen: TablePlan
+    groups: tuple[Group, ...]
+    table: Table
+    runs: tuple[Run, ...]  # all that are stored
+    job_results: tuple[JobResult, ...]  # of the runs that were tried now
+
+
+def choose(request: TableRequest) -> TablePlan:
+    """Resolve a request against conf/table.yaml; raises BadInput for rows or columns that are unknown."""
+    folders = registry.conf_folders()
+    plan = add_plug_ins(read_plan(folders["vprbench"] / "table.yaml"), folders)
+    rows = {name: _require_known("rows", name, plan.rows) for name in request.rows or plan.rows}
+    for name in request.methods:
+        row = _make_row(plan, name, request)
+        rows.setdefault(row.name, row)
+    columns = {
+        name: _require_known("columns", name, plan.columns)
+        for name in request.columns or _choose_columns(plan, request)
+    }
+
+    def resolved(column: PlannedColumn) -> ResolvedColumn:
+        options = (*column.options, *_format_root(column, request))
+        return ResolvedColumn(replace(column, options=options), make_request(options).dataset, views=request.views)
+
+    return TablePlan(
+        plan,
+        tuple(_choose_seeds(row, request) for row in rows.values()),
+        tuple(map(resolved, columns.values())),
+        tuple(request.devices or (["cpu"] if request.stored else _list_devices())),
+        request.full,
+        tuple(request.metrics),
+        request.results,
+        tuple(request.stores),
+        request.stored,
+        quantities=quantities(request.metrics),
+        views=parse_views(request.sequence, request.filter),
+    )
+
+
+def gather(chosen: TablePlan, options: Sequence[str], executor: Executor | None = None) -> ReportData:
+    """Make the runs that are not stored, unless `chosen.stored` is set, and put the stored ones together.
+
+    The smallest datasets come first, and rows that are slow at full size last. `options` of the command line hold
+    for all runs. Raises BadInput if there is no run at all.
+    """
+    columns = sorted(chosen.columns, key=lambda column: column.dataset.get("places") or 0)
+    cells = [
+        cell
+        for row in sorted(chosen.rows, key=lambda row: row.most_places is not None)
+        for column in columns
+        if not chosen.stored and not chosen.slow(column, row)
+        for cell in runs_of(chosen, column, [row], options)
+    ]
+    results = run_missing(chosen, cells, executor)
+    runs, failures = stored(chosen)
+    found = apply_views(groups(runs, failures, chosen.columns, chosen.rows), chosen.rows, chosen.views)
+    return assemble_report(chosen, found, runs, tuple(results))
+
+
+def run_missing(chosen: TablePlan, cells: Sequence[Cell], executor: Executor | None = None) -> list[JobResult]:
+    """Make the runs that are not stored, none if `chosen.stored` is set; returns the outcome of each."""
+    return [] if chosen.stored else make_missing_runs(cells, Store(results_folder(chosen.results)), executor)
+
+
+def assemble_report(
+    chosen: TablePlan, found: Sequence[Group], runs: Sequence[Run], results: tuple[JobResult, ...] = ()
+) -> ReportData:
+    """Put groups of runs, or of views of them, into the table; raises BadInput if they hold none."""
+    slow = {
+        (column.planned.name, row.name)
+        for column, row in itertools.product(chosen.columns, chosen.rows)
+        if chosen.slow(column, row)
+    }
+    if not any(group.runs for group in found):
+        raise BadInput(
+            f"results={chosen.results} holds no run of these rows and columns: "
+            + ("leave stored=true out, so that some are made" if chosen.stored else "see above why none could be made")
+        )
+    table = assemble(found, chosen.rows, chosen.plan, slow, chosen.quantities, chosen.title)
+    return ReportData(chosen, tuple(found), table, tuple(runs), results)
+
+
+def stored(request: TableRequest | TablePlan) -> tuple[list[Run], list[Failure]]:
+    """Return the runs and failures of the store and of the stores of other machines, each once."""
+    stores = [Store(results_folder(folder)) for folder in (request.results, *request.stores)]
+    runs = {(run.dataset, run.method, run.key): run for store in reversed(stores) for run in store.runs()}
+    return [*runs.values()], [failure for store in stores for failure in store.failures()]
+
+
+def runs_of(chosen: TablePlan, column: ResolvedColumn, rows: Sequence[Row], options: Sequence[str]) -> Iterator[Cell]:
+    """Yield the runs of some rows in one column; `options` of the command line hold for all runs."""
+    planned = column.planned
+    values: dict[str, Any] = {"results": str(results_folder(chosen.results))}
+    if {*chosen.metrics} & {*GROUPS["energy"]}:
+        values["energy"] = True
+    if column.corruption is not None:
+        values["corruption"] = column.corruption
+    if column.views is not None:
+        values["views"] = column.views
+    for row in rows:
+        for device, seed in itertools.product(chosen.devices, row.seeds):
+            yield make_cell(
+                row, planned.title, [*planned.options, *options], {**values, "seed": seed, "device": device}
+            )
+
+
+def _choose_seeds(row: Row, request: TableRequest) -> Row:
+    """Return a row with the seeds of the request, or with as many as there is time for."""
+    most = request.seeds if request.full or request.seeds is not None else row.seeds_unless_full
+    return replace(row, seeds=row.seeds[:most])
+
+
+def _make_row(plan: Plan, name: str, request: TableRequest) -> Row:
+    """Return a row of the plan, or one for a method; raises BadInput for a name that is neither known here nor stored.
+
+    A method that the plan has under its own name, and no arguments, is that row. Another one that takes a seed learns
+    from it: it trains, and gets the plan's seeds.
+    """
+    planned = {**plan.rows, **plan.more_rows}
+    if name in planned:
+        return planned[name]
+    for row in planned.values():
+        if row.method == name and not row.arguments:
+            return row
+    entries, runs = registry.entries("method"), stored(request)[0]
+    known = {*entries, *(run.method for run in runs)}
+    if name not in known:
+        raise BadInput(f"methods={name} is unknown: {registry.near(name, [*plan.more_rows, *sorted(known)])}")
+    if name in entries:
+        seeded = "seed" in entries[name].options
+    else:
+        seeded = any("seed" in run.config.get("method", {}) for run in runs if run.method == name)
+    return Row(name, name, training="own", seeds=plan.seeds) if seeded else Row(name, name, training="map")
+
+
+def _choose_columns(plan: Plan, request: TableRequest) -> list[str]:
+    """Return each dataset of the paper if its frames are given, else the rendered column that stands in for it."""
+    chosen = []
+    for column in plan.columns.values():
+        if column.stand_in_for is not None and not column.on_request:
+            real = plan.columns[column.stand_in_for]
+            chosen.append(real.name if _format_root(real, request) else column.name)
+    return chosen
+
+
+def _format_root(column: PlannedColumn, request: TableRequest) -> tuple[str, ...]:
+    """Return the option with the folder of a column's frames, where the request has one."""
+    folder = None if column.frames is None else getattr(request, column.frames, None)
+    return () if folder is None else (f"dataset.root={Path(folder).expanduser().absolute()}",)
+
+
+def _list_devices() -> list[str]:
+    """Return the CPU, and the GPU where torch sees one; torch is imported only where an accelerator is known."""
+    if shutil.which("nvidia-smi") is None and not any(map(os.path.exists, _ACCELERATORS)):
+        return ["cpu"]
+    import torch  # takes long
+
+    return ["cpu", "cuda"] if torch.cuda.is_available() else ["cpu"]
+
+
+def _require_known(option: str, name: str, known: Mapping[str, Part]) -> Part:
+    if name not in known:
+        raise BadInput(f"{option}={name} is unknown: {registry.near(name, known)}")
+    return known[name]

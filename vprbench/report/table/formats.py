@@ -1,0 +1,275 @@
+"""A table as Markdown, LaTeX, HTML, CSV and text for a terminal: one frame of cells, marked up for each of them."""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from html import escape
+from typing import Any
+
+import pandas as pd
+
+from vprbench.report.table import words
+from vprbench.report.table.cells import FACTS, Column, Table
+from vprbench.report.table.quantities import TRAINING
+from vprbench.runs.frame import iterate_rows
+from vprbench.terminal.console import line_text, table_text
+
+_GREEK = "αβγδεζηθικλμνξπρστυφχψωΓΔΘΛΞΠΣΥΦΨΩ"
+_GREEK_NAMES = (
+    "alpha beta gamma delta epsilon zeta eta theta iota kappa lambda mu nu xi pi rho sigma tau upsilon phi chi psi "
+    "omega Gamma Delta Theta Lambda Xi Pi Sigma Upsilon Phi Psi Omega"
+)
+_SIGNS = {
+    **{sign: f"\\{sign}" for sign in "&%$#{}"},
+    **{"_": r"\_\allowbreak{}", "/": r"/\allowbreak{}"},  # names and paths may be long
+    **{"~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "\\": r"\textbackslash{}", "`": r"\textasciigrave{}"},
+    **{"<": r"\textless{}", ">": r"\textgreater{}", "|": r"\textbar{}", '"': r"\textquotedbl{}"},
+    **{"\u2018": r"\textquoteleft{}", "\u2019": r"\textquoteright{}", "€": r"\texteuro{}"},
+    **{"\u201c": r"\textquotedblleft{}", "\u201d": r"\textquotedblright{}", "…": "..."},
+    **{"\u2013": r"\textendash{}", "\u2014": r"\textemdash{}", "\u2212": "$-$"},
+    **{"≤": r"$\leq$", "≥": r"$\geq$", "≈": r"$\approx$", "→": r"$\to$", "∞": r"$\infty$"},
+    **{letter: rf"$\{name}$" for letter, name in zip(_GREEK, _GREEK_NAMES.split(), strict=True)},
+}
+_NOT_IN_T1 = "ĦħĸĿŀŉŦŧſ"  # of the letters up to ž
+
+
+def one_line(text: str) -> str:
+    """Return text on one line, without control characters."""
+    return " ".join("".join(sign if sign.isprintable() else " " for sign in text).split())
+
+
+def escape_latex(text: str) -> str:
+    """Return text that LaTeX prints as it is; a sign that its fonts lack gives its plain letters or its number."""
+    escaped = "".join(map(_escape_sign, unicodedata.normalize("NFC", one_line(text))))
+    return re.sub(r"([-,'])(?=\1)", r"\1{}", escaped)  # pairs of these would melt into one sign
+
+
+def _escape_sign(sign: str) -> str:
+    if sign in _SIGNS:
+        return _SIGNS[sign]
+    if sign <= "ž" and sign not in _NOT_IN_T1:
+        return sign
+    plain = [part for part in unicodedata.normalize("NFKD", sign) if not unicodedata.combining(part)]
+    return f"[U+{ord(sign):04X}]" if plain in ([], [sign]) else "".join(map(_escape_sign, plain))
+
+
+_SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
+_MACHINE, _NOTE = "table-machine", "table-note"  # ids in HTML
+
+
+@dataclass(frozen=True)
+class _Markup:
+    """The marks of one format."""
+
+    escape: Callable[[str], str]  # of names
+    number: Callable[[str], str]  # the same of numbers and of the words in their place
+    bold: str
+    italic: str
+    mark: Callable[[int, Sequence[int]], str]  # the machine, 0 for none, and the notes of a cell
+    name: str = "{}"  # of a row
+    spiking: str = ""  # behind the name of a spiking row; empty: a line above these rows
+    paper: str = "↳ paper"  # the name of the line below a row
+    published: str = ""  # below a number in its cell; empty: a line below the row
+    absence: str = "{}"  # the word for an absent number
+
+
+def _mark_in_text(machine: int, notes: Sequence[int]) -> str:
+    numbers = ",".join(map(str, notes)).translate(_SUPERSCRIPTS)
+    return " ".join(filter(None, [f"M{machine}" if machine else "", numbers]))
+
+
+def _mark_in_latex(machine: int, notes: Sequence[int]) -> str:
+    return rf"\textsuperscript{{{', '.join([f'M{machine}'] * bool(machine) + [*map(str, notes)])}}}"
+
+
+def _mark_in_html(machine: int, notes: Sequence[int]) -> str:
+    links = [f'<a href="#{_MACHINE}-{machine}">M{machine}</a>'] if machine else []
+    links += [f'<a href="#{_NOTE}-{note}">{note}</a>' for note in notes]
+    return f"<sup>{', '.join(links)}</sup>"
+
+
+_TEXT = _Markup(one_line, str, "{}", "{}", _mark_in_text)
+_MARKDOWN = _Markup(lambda text: escape_markdown(text).replace("|", r"\|"), str, "**{}**", "*{}*", _mark_in_text)
+_LATEX = _Markup(
+    escape_latex,
+    lambda text: escape_latex(text).replace("-", "$-$"),
+    r"\textbf{{{}}}",
+    r"\textit{{{}}}",
+    _mark_in_latex,
+    name="{{{}}}",
+    paper=r"{\quad paper}",
+)
+_HTML = _Markup(
+    lambda text: escape(one_line(text)),
+    escape,
+    '<b class="best">{}</b>',
+    "<i>{}</i>",
+    _mark_in_html,
+    spiking=" <small>spiking</small>",
+    published='<br><span class="published">paper {}</span>',
+    absence='<span class="absent">{}</span>',
+)
+
+
+def lay_out(table: Table, columns: Sequence[Column], markup: _Markup) -> pd.DataFrame:
+    """Return the cells of some columns as text, a line for each row, the paper's numbers below those measured.
+
+    The columns have two levels, the title of the dataset and the heading of the quantity.
+    """
+    described = words.describe_cells(table)
+    several = len(table.machines) > 1
+    heads = [(column.title, quantity.heading) for column in columns for quantity in table.quantities]
+    names: list[str] = []
+    lines: list[list[str]] = []
+    apart = table.title is None and not all(row.spiking for row in table.rows)
+    for row in table.rows:
+        of_row = described[described["row"] == row.name].set_index("column")
+        cells = [cell for column in columns for cell in iterate_rows(of_row.loc[[column.name]])]
+        if apart and row.spiking and not markup.spiking:
+            names.append(markup.italic.format("spiking"))
+            lines.append([""] * len(heads))
+            apart = False
+        names.append(markup.name.format(markup.escape(row.name)) + (markup.spiking if apart and row.spiking else ""))
+        lines.append([_write_cell(cell, markup, several) for cell in cells])
+        if any(cell.published_mark != "none" for cell in cells) and not markup.published:
+            names.append(markup.paper)
+            lines.append([_write_published(cell, markup) for cell in cells])
+    levels = [(markup.escape(title), markup.escape(heading)) for title, heading in heads]
+    labels = pd.MultiIndex.from_tuples(levels, names=["", "method"]) if levels else pd.Index([])
+    return pd.DataFrame(lines, pd.Index(names, dtype=object), labels, dtype=object)
+
+
+def _write_cell(cell: Any, markup: _Markup, several_machines: bool) -> str:
+    marked = markup.bold if cell.best else markup.italic if cell.mark == "quoted" else "{}"
+    text = marked.format(markup.number(cell.text)) if cell.text else ""
+    machine = cell.machine + 1 if several_machines and cell.machine is not None else 0
+    notes = markup.mark(machine, cell.notes) if machine or cell.notes else ""
+    absence = markup.absence.format(markup.number(cell.absence)) if cell.absence else ""
+    below = markup.published.format(_write_published(cell, markup)) if cell.published_mark != "none" else ""
+    return " ".join(filter(None, [absence, text, markup.number(cell.extent), notes])) + below
+
+
+def _write_published(cell: Any, markup: _Markup) -> str:
+    marked = markup.italic if cell.published_mark == "quoted" else "{}"
+    printed = marked.format(markup.number(cell.printed))
+    return f"{printed} ({markup.number(cell.beside)})" if cell.beside else printed
+
+
+def to_markdown(table: Table) -> str:
+    """Return a table as Markdown: one table for each dataset, the paper's line below each row."""
+    units, *facts = map(escape_markdown, words.list_facts(table))
+    parts = [f"# {escape_markdown(table.heading)}", units]
+    for column in table.columns:
+        parts += [f"## {escape_markdown(column.title)}"] if column.title != table.heading else []
+        frame = lay_out(table, [column], _MARKDOWN).droplevel(0, axis=1)
+        text = frame.rename_axis("method").to_markdown(disable_numparse=True) if table.rows else ""
+        parts += [escape_markdown(words.describe_data(column)), text]
+    parts.append("\n".join(f"{number}. {escape_markdown(note)}" for number, note in enumerate(table.notes, 1)))
+    parts.append("\n".join(f"- {escape_markdown(machine)}" for machine in words.list_machines(table)))
+    return "\n\n".join(filter(None, [*parts, "\n".join(facts)])) + "\n"
+
+
+def to_terminal(table: Table, wide: bool = False) -> str:
+    """Return a table as text that fits the terminal, unless `wide`, with its notes; the legend is in the files."""
+    of_gpu = [quantity.heading for quantity in table.quantities if quantity.device == "cuda"]
+    least = [*dict.fromkeys([*of_gpu, *(quantity.heading for quantity in TRAINING)])]
+    parts = [line_text(table.heading, "bold")]
+    for column in table.columns:
+        frame = lay_out(table, [column], _TEXT)
+        lines = [[name, *line] for name, line in zip(frame.index, frame.to_numpy().tolist(), strict=True)]
+        parts += ["", line_text(column.title, "bold"), line_text(words.describe_data(column), "dim")]
+        parts.append(table_text(["method", *frame.columns.get_level_values(1)], lines, wide, least))
+    notes = [line_text(f"{number} {note}", "dim") for number, note in enumerate(table.notes, 1)]
+    return "\n".join([*parts, "", *notes, *words.list_machines(table), ""])
+
+
+def to_latex(table: Table) -> str:
+    r"""Return a table as LaTeX for \input and booktabs, a tabular for each dataset; any text is escaped.
+
+    The facts about its numbers stand in comments. The cells of Table II carry the numbers of machines and notes.
+    """
+    markup = _LATEX if table.title is None else replace(_LATEX, mark=lambda machine, notes: "")
+    notes = [f"{number} {note}" for number, note in enumerate(table.notes, 1)] if table.title is None else []
+    needs = f"{table.heading}. It needs \\usepackage{{booktabs}}."
+    data = [f"{column.title}: {words.describe_data(column)}" for column in table.columns]
+    comments = [needs, *data, *words.list_facts(table), *notes, *words.list_machines(table)]
+    tabulars = []
+    for column in table.columns if table.rows else ():
+        frame = lay_out(table, [column], markup)
+        layout = f"@{{}}l{'l' * len(frame.columns)}@{{}}"
+        tabulars.append(str(frame.to_latex(column_format=layout, multicolumn_format="c")).rstrip())
+    return "\n".join([*(f"% {one_line(line)}" for line in comments), *tabulars])
+
+
+def to_html(table: Table) -> str:
+    """Return a table as a fragment of HTML: the table in a frame that scrolls, then notes, machines and facts.
+
+    All text is escaped. The classes of parts of a cell are best, absent and published. A page has room for
+    one such fragment: its notes have fixed anchors.
+    """
+    units, *facts = (escape(one_line(fact)) for fact in words.list_facts(table))
+    heading = escape(one_line(table.heading))
+    notes = [f'<li id="{_NOTE}-{n}">{escape(one_line(note))}</li>' for n, note in enumerate(table.notes, 1)]
+    machines = [
+        f'<li id="{_MACHINE}-{n}">{escape(one_line(machine))}</li>'
+        for n, machine in enumerate(words.list_machines(table), 1)
+    ]
+    with pd.option_context("display.max_colwidth", None):
+        text = lay_out(table, table.columns, _HTML).to_html(escape=False, border=False, classes="results")
+    head, found, body = text.replace('halign="left"', 'scope="colgroup"').partition("<tbody>")
+    body = head.replace("<th>", '<th scope="col">') + found + body.replace("<th>", '<th scope="row">')
+    data = [
+        f'<p class="legend">{escape(one_line(f"{column.title}: {words.describe_data(column)}"))}</p>'
+        for column in table.columns
+    ]
+    parts = [
+        f'<p class="caption"><b>{heading}.</b> {units}</p>',
+        *data,
+        f'<div class="scroll" tabindex="0" role="region" aria-label="{heading}">\n{body}\n</div>',
+        f'<ol class="notes">\n{chr(10).join(notes)}\n</ol>' if notes else "",
+        f'<ul class="machines legend">\n{chr(10).join(machines)}\n</ul>' if machines else "",
+        f'<p class="legend">{" ".join(facts)}</p>',
+    ]
+    return "\n".join(filter(None, parts)) + "\n"
+
+
+def to_csv(table: Table) -> str:
+    """Return a table as CSV: one line for each row, dataset and quantity, with unrounded numbers.
+
+    `value` is the quoted one where `mark` says so, `elsewhere` that on places that the row was not tuned on. `total`,
+    of training, takes in the reading of the images, `at_boundary`, of rates, is of the step alone that the paper timed.
+    Seeds are separated by spaces, notes by "; ".
+    """
+    titles = {column.name: one_line(column.title) for column in table.columns}
+    units = {quantity.name: quantity.unit for quantity in table.quantities}
+    texts: dict[str, list[str | None]] = {
+        "row": [one_line(name) for name in table.cells["row"]],
+        "title": [titles[name] for name in table.cells["column"]],
+        "unit": [units[name] for name in table.cells["quantity"]],
+        "seeds": [None if seeds is None else " ".join(map(str, seeds)) for seeds in table.cells["seeds"]],
+        "machine": [None if at is None else one_line(table.machines[at]) for at in table.cells["machine"]],
+        "notes": ["; ".join(one_line(table.notes[n - 1]) for n in notes) for notes in table.cells["notes"]],
+    }
+    cells = table.cells.assign(**{name: pd.Series(values, dtype=object) for name, values in texts.items()})
+    return str(cells[[*_CSV_COLUMNS]].to_csv(index=False, lineterminator="\n"))
+
+
+def escape_markdown(text: str) -> str:
+    """Return text that Markdown shows as it is: no markup, no HTML, no list."""
+    text = escape(one_line(text), quote=False)
+    text = re.sub(r"([\\`*#$])", r"\\\1", text)
+    if re.search(r"\][\[(:]|\[\^", text):  # a link or a footnote; an interval is neither
+        text = re.sub(r"([\[\]])", r"\\\1", text)
+    if text.count("~") > 1:  # one alone strikes nothing out
+        text = text.replace("~", r"\~")
+    text = re.sub(r"^(\d*)([-+=.)])", r"\1\\\2", text)
+    return re.sub(r"(?<!\w)_|_(?!\w)", r"\\_", text)  # inside of words it is no markup
+
+
+_CSV_COLUMNS = (
+    *("row", "column", "title", "quantity", "unit"),
+    *(name for name in FACTS if name not in ("row", "column", "quantity", "elsewhere_spread")),
+)

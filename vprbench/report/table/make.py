@@ -1,0 +1,56 @@
+"""`make table`: Table II from stored runs, those that are missing made first."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from vprbench.jobs.executors import executor_for
+from vprbench.jobs.job import JobResult
+from vprbench.report.gather import ReportData, choose, gather
+from vprbench.report.run_options import TableRequest
+from vprbench.report.table import formats
+from vprbench.runs import frame
+from vprbench.runs.sequences import name_views, parse_views
+from vprbench.runs.store import Store
+from vprbench.storage.atomic import replace_text
+from vprbench.terminal.console import console
+
+
+def make_table(request: TableRequest, options: Sequence[str]) -> int:
+    """Print the table and write it as Markdown, CSV and LaTeX; returns the exit code, 1 where a cell failed."""
+    with executor_for(request) as executor:
+        found = gather(choose(request), options, executor)
+    is_narrow = console().is_terminal
+    printed = formats.to_terminal(found.table, request.wide) if is_narrow else formats.to_markdown(found.table)
+    print(printed, end="", flush=True)  # first: it is there to be read even where nothing is written
+    written = write(found, Path(request.results).expanduser(), file_name(request))
+    print(f"\nwritten to {', '.join(str(path) for path in written)}", flush=True)
+    return exit_code(found.job_results)
+
+
+def write(found: ReportData, folder: Path, name: str) -> list[Path]:
+    """Write the table in its three formats, and all numbers of the runs behind it; returns the files."""
+    Store(folder).prepare()
+    runs = [run for group in found.groups for run in group.runs]
+    texts = {
+        f"{name}.md": formats.to_markdown(found.table),
+        f"{name}.csv": formats.to_csv(found.table),
+        f"{name}.tex": formats.to_latex(found.table),
+        f"{name}-runs.csv": frame.format_csv(runs, found.chosen.metrics),
+    }
+    for file, text in texts.items():
+        replace_text(folder / file, text)
+    return [folder / file for file in texts]
+
+
+def file_name(request: TableRequest) -> str:
+    """Return what the files are called: the columns, where some were asked for."""
+    default = "-".join(request.columns) if request.columns else "table"
+    seen = "-views" * (request.views is not None) + name_views(parse_views(request.sequence, request.filter))
+    return request.name or default + seen
+
+
+def exit_code(results: Sequence[JobResult]) -> int:
+    """Return 1 where a run failed that could have been made."""
+    return int(any(result.code and not result.missing for result in results))
