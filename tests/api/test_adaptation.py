@@ -1,15 +1,17 @@
 """Codes adapted to the condition that they are seen in: every mean as plain loops take it, and runs of such codes."""
 
+import gc
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 from little import Prototypes, journey, numbers_in, pictures
-from little_runs import asked_for
+from little_runs import asked_for, quiet_surroundings
 from published_networks import unit
 from quick_runs import quick_runs
 
 import vprbench
+from vprbench.api import descriptor
 from vprbench.api.adaptation import Adaptation, adapt_traverse
 from vprbench.api.dataset import Dataset
 from vprbench.api.descriptor import DescriptorMethod
@@ -17,6 +19,7 @@ from vprbench.api.images import Images
 from vprbench.errors import BadInput
 from vprbench.methods.hog import HOG
 from vprbench.plugins.rules import Journey
+from vprbench.runs.run import execute
 from vprbench.runs.stream import grow_map
 from vprbench.runs.viewpoints import Viewpoint, render_view
 
@@ -116,6 +119,22 @@ def test_a_run_answers_as_plain_loops_do_and_never_sees_what_is_right(adapt):
     assert np.array_equal(other.scores, found.scores)
     assert np.array_equal(other.top_places, found.top_places)
     assert other.outcome.above.tolist() != found.outcome.above.tolist()
+
+
+@ADAPTED
+def test_descriptors_that_fill_the_memory_answer_from_a_file_as_from_an_array(adapt, tmp_path, monkeypatch):
+    wanted = run(Table(adapt=adapt)).scores
+    monkeypatch.setenv("VPRBENCH_SCRATCH", str(tmp_path / "scratch"))
+    monkeypatch.setattr(descriptor, "_MEAN_ROWS", 32)
+    monkeypatch.setattr(descriptor, "LARGE_BYTES", 1000)
+    method = Table(adapt=adapt)
+    with quiet_surroundings():
+        found = execute(asked_for(method, RIDE), "key")
+    assert isinstance(method.searched.references.base, np.memmap)
+    assert found.scores == pytest.approx(wanted, abs=1e-6)
+    del method
+    gc.collect()
+    assert not [*(tmp_path / "scratch").rglob("*.npy")]
 
 
 @dataclass
