@@ -11,7 +11,6 @@ from search_stub import Here, Stub, recall
 from vprbench.errors import BadInput
 from vprbench.plugins import registry
 from vprbench.plugins.options import parse_options
-from vprbench.runs import machine
 from vprbench.runs.store import Store
 from vprbench.tuning import objective, places, space
 from vprbench.tuning.objective import Task, Training
@@ -140,7 +139,7 @@ def test_a_training_that_diverges_answers_nothing_and_says_why(tmp_path):
 @pytest.mark.extended
 def test_a_real_search_compares_its_best_with_the_paper_and_the_same_again_only_compares(tmp_path, monkeypatch, caplog):
     monkeypatch.setattr("vprbench.tuning.search.ProcessPoolExecutor", lambda *_: Here())
-    monkeypatch.setattr(machine, "cores", lambda: [0, 1])
+    monkeypatch.setattr("vprbench.tuning.search.core_count", lambda: 2)
     mine = {"places": 12, "results": str(tmp_path)}
     found = search(Settings(trials=3, jobs=2, **mine), METHOD, DATASET)
     assert (len(found.trials), found.tried_now, found.jobs) == (3, 3, 2)
@@ -151,8 +150,8 @@ def test_a_real_search_compares_its_best_with_the_paper_and_the_same_again_only_
     assert (again.tried_now, again.folder, again.trials) == (0, found.folder, found.trials)
     assert again.compared == found.compared
     caplog.set_level("INFO")
-    monkeypatch.setattr(machine, "cores", lambda: [0])
-    queried = {**a_run().config, "dataset": {**DATASET, "seed": 1, "places": 10}}
+    monkeypatch.setattr("vprbench.tuning.search.core_count", lambda: 1)
+    queried = {**a_run().config, "dataset": {**DATASET, "seed": 3, "places": 10}}
     there = a_run(config=queried, dataset="synthetic", method="sad")
     Store(tmp_path).save(there)
     other = search(Settings(trials=1, jobs=64, **mine), {**METHOD, "rules": "v1"}, DATASET)
