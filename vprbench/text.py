@@ -93,11 +93,6 @@ def format_bytes(size: int) -> str:
     return f"{size} bytes"
 
 
-def format_gigabytes(size: float) -> str:
-    """Return a number of bytes as whole GB: "64 GB"."""
-    return f"{size / 1e9:.0f} GB"
-
-
 def format_megabytes(size: float) -> str:
     """Return a number of bytes as whole MB without the unit: "353"."""
     return f"{size / 1e6:.0f}"

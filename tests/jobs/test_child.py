@@ -1,5 +1,6 @@
 """A run in a process of its own: it leaves nothing behind, and each death is a failure that names it."""
 
+import importlib.util
 import json
 import os
 import signal
@@ -151,3 +152,8 @@ def test_of_several_runs_a_bad_one_is_refused_before_any_is_made(monkeypatch, ca
     monkeypatch.setattr(executors, "run_in_child", lambda *_: pytest.fail("it ran"))
     assert cli.main(["-m", "method=vprtempo,sad", "method.rules=paper"]) == 2
     assert "method.rules is unknown to sad" in capsys.readouterr().err
+
+
+def test_every_module_that_the_warm_process_imports_is_there():
+    # The server passes over a module that cannot be imported, and each run would import it again.
+    assert [name for name in child._PRELOADED if importlib.util.find_spec(name) is None] == []

@@ -44,7 +44,7 @@ _PRELOADED = [
     "hydra.utils",
     "vprbench.jobs.child",
     "vprbench.runs.get_or_run",
-    "vprbench.api.preprocess_compiled",
+    "vprbench.methods.parts.filters.patches_compiled",
 ]
 
 

@@ -130,7 +130,7 @@ class DaskExecutor(Executor):
             return JobResult(1, f"its worker died each of the {_ATTEMPTS} times it was tried")
         except BadInput:
             raise
-        except Exception as error:
+        except Exception as error:  # of the worker, which may run another version or lack a library
             if isinstance(error, ImportError) or isinstance(error.__cause__, ImportError):
                 raise BadInput(f"a worker cannot make runs ({error}): install vprbench {__version__} there") from error
             return JobResult(1, f"{type(error).__name__}: {error}")

@@ -150,7 +150,7 @@ def _build(group: Group, config: Mapping[str, Any]) -> Any:
         return target(**arguments)
     except (BadInput, OSError):
         raise
-    except Exception as error:
+    except Exception as error:  # a plug-in may raise anything
         raise BadInput(f"{config['_target_']} fails when it is made: {describe_error(error)}") from error
 
 
@@ -159,5 +159,5 @@ def _read_signature(target: Callable[..., Any], name: str) -> tuple[Mapping[str,
     plain_class = inspect.isclass(target) and not is_dataclass(target)
     try:
         return inspect.signature(target).parameters, get_type_hints(target.__init__ if plain_class else target)
-    except Exception as error:
+    except Exception as error:  # hints are evaluated, and may raise anything
         raise BadInput(f"the type hints of {name} cannot be read ({error}): import what they name") from error

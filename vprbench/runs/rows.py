@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import Any
 
 from vprbench.metrics.accuracy import recall_at
 from vprbench.metrics.catalogue import METRICS, RECALLS
@@ -103,16 +100,3 @@ def _format_value(value: object) -> str:
     if isinstance(value, Mapping):
         return "+".join(f"{inner} in {name}" for name, inner in value.items())
     return "+".join(map(str, value)) if isinstance(value, list) else str(value)
-
-
-def render_template(template: Path, **values: Any) -> str:
-    """Return a Jinja template with its values; `rows | table` makes a table, and absent parts leave no gap.
-
-    Raises jinja2.UndefinedError for a name without a value.
-    """
-    from jinja2 import Environment, StrictUndefined
-
-    environment = Environment(undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    environment.filters["table"] = format_markdown
-    text = environment.from_string(template.read_text(encoding="utf-8")).render(**values)
-    return re.sub(r"\n{3,}", "\n\n", text).strip() + "\n"

@@ -31,7 +31,7 @@ class Paths(Sequence[Path]):
     @classmethod
     def of(cls, paths: Iterable[Path]) -> Paths:
         """Return these paths, in their order."""
-        return paths if isinstance(paths, Paths) else cls._grouped((path.parent, path.name) for path in paths)
+        return paths if isinstance(paths, Paths) else cls._group_files((path.parent, path.name) for path in paths)
 
     @classmethod
     def below(cls, top: Path, texts: Sequence[str]) -> Paths:
@@ -46,19 +46,19 @@ class Paths(Sequence[Path]):
                 known[folder] = top / folder
             return known[folder], name
 
-        return cls._grouped(map(split, texts))
+        return cls._group_files(map(split, texts))
 
     @classmethod
     def joined(cls, parts: Iterable[Paths]) -> Paths:
         """Return the paths of all parts, one part after the other."""
-        return cls._grouped(
+        return cls._group_files(
             (part.folders[number], name)
             for part in parts
             for number, name in zip(part.numbers.tolist(), part.names, strict=True)
         )
 
     @classmethod
-    def _grouped(cls, files: Iterable[tuple[Path, str]]) -> Paths:
+    def _group_files(cls, files: Iterable[tuple[Path, str]]) -> Paths:
         """Return paths by the folder and the name of each."""
         known: dict[Path, int] = {}
         numbers, names = array("i"), []

@@ -158,7 +158,7 @@ def _try_stage(
         values = {each.name: trial.suggest_float(each.name, each.low, each.high, log=each.log) for each in PARAMETERS}
         try:
             answer = executor.submit(attempt, Task("searched", values)).result()
-        except Exception as error:
+        except Exception as error:  # whatever a method raises costs its own trial
             trial.set_user_attr("failed", f"{type(error).__name__}: {error}")
             raise
         if answer.diverged is not None:

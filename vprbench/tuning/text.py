@@ -5,11 +5,11 @@ from __future__ import annotations
 import shlex
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
 
 from vprbench.runs.machine import format_software
+from vprbench.runs.rows import format_markdown
 from vprbench.storage.atomic import replace_text
 from vprbench.text import format_percent, format_signed_percent
 from vprbench.tuning.comparison import AGREE, SEEDS, Comparison, Repeated, Verdict
@@ -56,22 +56,22 @@ def format_report(found: Found) -> str:
         "places and scores all queries there. No column of the table queries these places; stored runs that query "
         f"them: {', '.join(found.queried_by) or 'none'}.",
         "## Best settings",
-        _table(_parameter_rows(found)),
+        format_markdown(_tabulate_parameters(found)),
         f"R@1 {format_percent(found.best.recall_at_1)} %, the highest of {len(done)} trials on the queries that chose "
         "it: luck raises it, the comparison below does not use it. Importance is a parameter's share in how R@1 varies "
         f"over the random trials (fANOVA).{' R@1 did not vary.' * (not found.importance)}",
         "## Best against paper",
-        _table([_comparison_row(name, compared) for name, compared in found.compared.items()]),
+        format_markdown([_summarise_comparison(name, compared) for name, compared in found.compared.items()]),
         f"Held out: {_VERDICTS[found.compared['checked'].verdict]}. Both are trained with the same {SEEDS} seeds, none "
         "of which chose the best; R@1 is mean ± standard deviation over them, the interval that of the difference of "
         f"the per-query means. Better needs an interval without 0 and {AGREE} of {SEEDS} seeds.",
-        *_divergences(found),
-        _table([row for name, compared in found.compared.items() for row in _seed_rows(name, compared)]),
+        *_list_divergences(found),
+        format_markdown([row for name, compared in found.compared.items() for row in _tabulate_seeds(name, compared)]),
         "## Run the best settings",
         f"```\n{format_command(found)}\n```",
         "## Origin",
         f"Places {stretches[0][0]} to {stretches[0][1]} were searched, {stretches[1][0]} to {stretches[1][1]} held out"
-        f"{_journey(found)}. This call tried {found.tried_now} settings in {found.minutes:.1f} minutes. "
+        f"{_name_journey(found)}. This call tried {found.tried_now} settings in {found.minutes:.1f} minutes. "
         f"All trials lie in {found.folder}; the same command goes on there.",
         f"{here['processor']}, {found.jobs} processes of one thread on {here['cores']} cores, "
         f"{here['memory_bytes'] / 1e9:.0f} GB, {here['platform']}. {format_software(here)}",
@@ -104,16 +104,12 @@ def format_trials(found: Found) -> str:
     ).to_csv(index=False)
 
 
-def _table(rows: list[dict[str, Any]]) -> str:
-    return str(pd.DataFrame(rows).to_markdown(index=False, disable_numparse=True))
-
-
-def _journey(found: Found) -> str:
+def _name_journey(found: Found) -> str:
     seed = found.protocols["searched"].get("seed")
     return "" if seed is None else f" (journey {seed})"
 
 
-def _parameter_rows(found: Found) -> list[dict[str, Any]]:
+def _tabulate_parameters(found: Found) -> list[dict[str, str]]:
     return [
         {
             "parameter": parameter.symbol,
@@ -127,14 +123,14 @@ def _parameter_rows(found: Found) -> list[dict[str, Any]]:
     ]
 
 
-def _comparison_row(name: StretchName, compared: Comparison) -> dict[str, Any]:
+def _summarise_comparison(name: StretchName, compared: Comparison) -> dict[str, str]:
     ends = compared.interval
     interval = "-" if ends is None else f"{format_signed_percent(ends.low)}, {format_signed_percent(ends.high)}"
     difference = compared.best.recall_at_1 - compared.paper.recall_at_1
     return {
         "places": _PLACES[name],
-        "number": compared.n_places,
-        "queries": compared.n_queries,
+        "number": str(compared.n_places),
+        "queries": str(compared.n_queries),
         "best R@1 %": _format_repeated(compared.best),
         "paper R@1 %": _format_repeated(compared.paper),
         "difference [95 %]": f"{format_signed_percent(difference)} [{interval}]",
@@ -142,21 +138,21 @@ def _comparison_row(name: StretchName, compared: Comparison) -> dict[str, Any]:
     }
 
 
-def _seed_rows(name: StretchName, compared: Comparison) -> Iterator[dict[str, Any]]:
+def _tabulate_seeds(name: StretchName, compared: Comparison) -> Iterator[dict[str, str]]:
     for n, (seed, test) in enumerate(zip(compared.seeds, compared.tests, strict=True)):
         yield {
             "places": name,
-            "seed": seed,
+            "seed": str(seed),
             "best R@1 %": format_percent(compared.best.recalls_at_1[n]),
             "paper R@1 %": format_percent(compared.paper.recalls_at_1[n]),
             "difference": format_signed_percent(compared.differences[n]),
-            "only best right": test.b,
-            "only paper right": test.c,
+            "only best right": str(test.b),
+            "only paper right": str(test.c),
             "p (McNemar, exact)": f"{test.p_value:.2g}",
         }
 
 
-def _divergences(found: Found) -> Iterator[str]:
+def _list_divergences(found: Found) -> Iterator[str]:
     """Yield a line for each training of the comparison that diverged."""
     for name, compared in found.compared.items():
         for settings, repeated in (("best", compared.best), ("paper", compared.paper)):
