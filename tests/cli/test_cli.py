@@ -142,6 +142,7 @@ PLACES = "dataset.places=12 dataset.first_query_place=0"
     [
         *("method=vprtempoo", "dataset=nordlnd", "timing=quik", "timing=null", "timing=3", "method=[sad,hog]"),
         *("method.patch=seven", "method.preprocessing=D", "force=perhaps", "output=xml", "device=tpu", "threads=9999"),
+        "method=vprtempo device=cuda:99",
         *("seed=-1", "depth=0", "limit_minutes=0", "timing.sample=0", "timing.minimum_second=5", "dataset.places=5"),
         *("method=vprtempo method.max_modul=5", "+timing.foo=3", "+seeds=3", "+method=hog", "~seed", "~seeds"),
         *("method", "method=sad force", "check method=sad seed", "-p x method=sad --package", "--resolve", "--colour"),

@@ -176,6 +176,8 @@ def _describe_accelerator(device: str) -> dict[str, Any]:
         return {}
     import torch
 
+    if torch.cuda.device_count() <= int(device.partition(":")[2] or 0):
+        return {}  # of a run that failed for want of it
     return {
         "accelerator": torch.cuda.get_device_name(device),
         "accelerator_memory_bytes": torch.cuda.get_device_properties(device).total_memory,
