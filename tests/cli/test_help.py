@@ -70,7 +70,7 @@ TAKEN = {  # of commands whose options are no fields of a class
 def test_help_and_completion_name_every_option_that_a_command_takes_with_its_meaning(name, capsys):
     kind = COMMANDS[name].option_class()
     taken = TAKEN[name] if kind is None else {field.name for field in fields(kind)}
-    if name in ("run", "compare", "table", "figures", "report"):
+    if name in ("run", "compare", "table"):
         taken |= OF_RUNS - {*getattr(kind, "refused", ())}
     lines = helped(capsys, name)
     assert taken - lines.keys() == set()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import pkgutil
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
@@ -183,24 +183,33 @@ def fetch(options: list[str]) -> int:
 
 
 def table(options: list[str]) -> int:
-    """Make what Table II lacks, and write it."""
+    """Make the runs that Table II lacks, and write it; figures=true page=true draw its figures and write its page."""
     from vprbench.report.table.make import make_table
 
     return make_table(*_request_table(options))
 
 
 def figures(options: list[str]) -> int:
-    """Make what the figures lack, and draw them."""
-    from vprbench.report.figures.make import make_figures
+    """Draw the figures of the runs that a results folder holds; nothing is run."""
+    from vprbench.plugins.options import parse_options
+    from vprbench.report.figures.make import print_figures
+    from vprbench.report.folder import read_report
+    from vprbench.report.run_options import FolderRequest
 
-    return make_figures(*_request_table(options))
+    print_figures(read_report(parse_options(FolderRequest, options, {})))
+    return 0
 
 
 def report(options: list[str]) -> int:
-    """Make what the table lacks, and write the page."""
-    from vprbench.report.page.make import make_report
+    """Write one page on the runs that a results folder holds, with a browser of failures; nothing is run."""
+    from vprbench.plugins.options import parse_options
+    from vprbench.report.folder import read_report
+    from vprbench.report.page.make import print_page
+    from vprbench.report.run_options import FolderRequest
 
-    return make_report(*_request_table(options))
+    request = parse_options(FolderRequest, options, {})
+    print_page(read_report(request), request.name or "report")
+    return 0
 
 
 def search(options: list[str]) -> int:
@@ -257,7 +266,7 @@ def _request_table(options: list[str]) -> tuple[TableRequest, list[str]]:
     return request, rest
 
 
-_TABLE = Command(table, "vprbench.report.run_options:TableRequest", ("timing",), None)
+_FOLDER = "vprbench.report.run_options:FolderRequest"
 
 #: By name, in the order of the help.
 COMMANDS: dict[str, Command] = {
@@ -271,9 +280,9 @@ COMMANDS: dict[str, Command] = {
     "doctor": Command(doctor, groups=("dataset",), run=("output",)),
     "status": Command(show_status, "vprbench.runs.run_lock:StatusOptions"),
     "fetch": Command(fetch, "vprbench.data.fetch.command:Settings", words="[NAME]"),
-    "table": _TABLE,
-    "figures": replace(_TABLE, call=figures),
-    "report": replace(_TABLE, call=report),
+    "table": Command(table, "vprbench.report.run_options:TableRequest", ("timing",), None),
+    "figures": Command(figures, _FOLDER),
+    "report": Command(report, _FOLDER),
     "search": Command(search, "vprbench.tuning.settings:Settings"),
     "completion": Command(print_completion, words="bash|zsh|fish"),
 }

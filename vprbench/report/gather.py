@@ -18,7 +18,7 @@ from vprbench.metrics.catalogue import GROUPS
 from vprbench.plugins import registry
 from vprbench.report.missing_runs import Cell, make_cell, make_missing_runs, results_folder
 from vprbench.report.plan import Plan, PlannedColumn, Row, add_plug_ins, read_plan
-from vprbench.report.run_options import TableRequest
+from vprbench.report.run_options import ShowOptions, TableRequest
 from vprbench.report.selection import Group, ResolvedColumn, apply_views, groups
 from vprbench.report.table.cells import Table, assemble
 from vprbench.report.table.quantities import QUANTITIES, Quantity, quantities
@@ -141,7 +141,7 @@ def assemble_report(
     return ReportData(chosen, tuple(found), table, tuple(runs), results)
 
 
-def stored(request: TableRequest | TablePlan) -> tuple[list[Run], list[Failure]]:
+def stored(request: ShowOptions | TablePlan) -> tuple[list[Run], list[Failure]]:
     """Return the runs and failures of the store and of the stores of other machines, each once."""
     stores = [Store(results_folder(folder)) for folder in (request.results, *request.stores)]
     runs = {(run.dataset, run.method, run.key): run for store in reversed(stores) for run in store.runs()}

@@ -17,7 +17,7 @@ from vprbench.report.comparison.checks import Checked, SortedOptions, check_comp
 from vprbench.report.figures.make import draw_all, write_figures
 from vprbench.report.gather import ReportData, TablePlan, assemble_report, run_missing, runs_of, stored
 from vprbench.report.page.make import write_page
-from vprbench.report.plan import Growth, Plan
+from vprbench.report.plan import NO_PLAN
 from vprbench.report.ranking import Ranking, rank_rows
 from vprbench.report.robustness import Robustness, format_csv, format_markdown, list_lines, measure_robustness
 from vprbench.report.selection import ResolvedColumn, accuracy_series, apply_views, groups
@@ -35,7 +35,6 @@ from vprbench.terminal.console import line_text, show_table
 from vprbench.text import printable
 
 _UNTIMED = ("timing=none", "frames=false")
-_NO_PLAN = Plan({}, {}, {}, Growth((), (), (), 0))
 _LEAST = ("peak MB", "AUC-PR (A)", "R@5 %")  # columns that a narrow terminal lacks first
 
 
@@ -114,7 +113,7 @@ def choose_rows(found: Checked, command: SortedOptions) -> TablePlan:
     """Return the rows and the one column of a comparison, as a table has them."""
     request = command.request
     return TablePlan(
-        _NO_PLAN,
+        NO_PLAN,
         tuple(cell.row for cell in found.cells),
         (found.column,),
         tuple(request.devices),

@@ -1,4 +1,4 @@
-"""`make figures`: every figure of the paper and some beyond it, from stored runs, those that are missing made first."""
+"""Every figure of a report, drawn from its runs and written as PDF and PNG with captions."""
 
 from __future__ import annotations
 
@@ -12,17 +12,16 @@ from typing import TYPE_CHECKING, Any
 from vprbench import progress
 from vprbench.config import make_request
 from vprbench.errors import BadInput
-from vprbench.jobs.executors import executor_for
+from vprbench.jobs.executors import Executor
+from vprbench.jobs.job import JobResult
 from vprbench.metrics.catalogue import METRICS
-from vprbench.report.gather import ReportData, TablePlan, choose, gather, run_missing, runs_of, stored
+from vprbench.report.gather import ReportData, TablePlan, run_missing, runs_of
 from vprbench.report.growth import GrowthSamples, samples
 from vprbench.report.missing_runs import results_folder
 from vprbench.report.plan import Row
-from vprbench.report.run_options import TableRequest
 from vprbench.report.selection import Group, ResolvedColumn, Series, accuracy_series, groups, of_row, series, title
 from vprbench.report.table.best import average_recall
 from vprbench.report.table.formats import escape_markdown
-from vprbench.report.table.make import exit_code
 from vprbench.runs.frame import iterate_rows
 from vprbench.runs.record import Run
 from vprbench.runs.thumbnails import Thumbnails, load_thumbnails
@@ -36,20 +35,25 @@ logger = logging.getLogger(__name__)
 FigureCall = tuple[Any, ...]  # the name of the files, the function that draws, and its arguments
 
 
-def make_figures(request: TableRequest, options: Sequence[str]) -> int:
-    """Draw all figures as PDF and PNG under results/figures; returns the exit code, 1 where a run failed."""
-    with executor_for(request) as executor:
-        found = gather(choose(request), options, executor)
-        growth = growth_columns(found)
-        once = replace(found.chosen, devices=("cpu",))
-        options = [*options, "frames=false"]  # nobody looks at theirs
-        sizes = [cell for column in growth for cell in runs_of(once, column, _rows_of_growth(found), options)]
-        results = run_missing(found.chosen, sizes, executor)
-    runs = stored(found.chosen)[0] if sizes else found.runs
-    folder = Path(request.results).expanduser() / "figures"
-    for path in write_figures(draw_all(found, runs, growth), folder):
+def print_figures(found: ReportData, growth: Sequence[ResolvedColumn] = ()) -> None:
+    """Draw all figures of a report under its results folder, and print the files."""
+    folder = Path(found.chosen.results).expanduser() / "figures"
+    for path in write_figures(draw_all(found, found.runs, growth), folder):
         print(f"{path} and .png" if path.suffix == ".pdf" else f"what each shows: {path}")
-    return exit_code([*found.job_results, *results])
+
+
+def run_growth(
+    found: ReportData, growth: Sequence[ResolvedColumn], options: Sequence[str], executor: Executor
+) -> list[JobResult]:
+    """Make the runs of Figure 2c that are not stored, one after the other; `options` of the command line hold for all.
+
+    Their frames are not kept.
+    """
+    once = replace(found.chosen, devices=("cpu",))
+    cells = [
+        cell for column in growth for cell in runs_of(once, column, _rows_of_growth(found), [*options, "frames=false"])
+    ]
+    return run_missing(found.chosen, cells, executor)
 
 
 def write_figures(drawings: Iterable[tuple[str, Drawing]], folder: Path) -> Iterator[Path]:
@@ -127,7 +131,8 @@ def _list_speed(found: ReportData, runs: Sequence[Run], growth: Sequence[Resolve
     from vprbench.report.figures.growth import draw_growth
     from vprbench.report.figures.speed import draw_query_rate, draw_training_time
 
-    group = next((group for group in found.groups if group.runs), None)
+    there = [group for group in found.groups if group.runs]
+    group = next((group for group in there if any(run.timing for run in group.runs)), there[0] if there else None)
     if group is not None:
         rows, cells = found.chosen.rows, found.table.cells[found.table.cells["column"] == group.name]
         marks = {(cell.row, cell.quantity): cell.mark for cell in iterate_rows(cells)}
