@@ -74,7 +74,7 @@ def report_runs(
     chosen = TablePlan(
         NO_PLAN,
         tuple(sorted(rows, key=lambda row: ranks.get(row.name, len(ranks)))),
-        (),
+        tuple(group.column for group in found),
         (),
         metrics=tuple(metrics),
         results=results,

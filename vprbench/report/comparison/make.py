@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pandas as pd
 
+from vprbench.api.dataset import Dataset
 from vprbench.errors import BadInput
 from vprbench.jobs.executors import executor_for
 from vprbench.jobs.job import JobResult, failure_of
@@ -66,8 +67,10 @@ def make_comparison(command: SortedOptions) -> int:
         table = list_lines(robust)
         print()
         show_table([*table[0]], [[*line.values()] for line in table], command.request.wide)
-    best = predict_places(compared, found, command.request.predictions)
-    print("\nwritten to", *write_comparison(compared, command.request.name is None, robust, best), sep="\n  ")
+    best = predict_places(compared, found.dataset, command.request.predictions)
+    folder = Path(compared.chosen.results).expanduser()
+    files = write_comparison(compared, folder, command.request.name or "", robust, best)
+    print("\nwritten to", *files, sep="\n  ")
     return exit_code(results)
 
 
@@ -186,10 +189,11 @@ def _list_texts(cells: pd.DataFrame) -> Iterator[str]:
             yield " ".join(filter(None, [absence, cell.text, cell.extent]))
 
 
-def predict_places(compared: ReportData, found: Checked, n: int | None) -> pd.DataFrame | None:
+def predict_places(compared: ReportData, dataset: Dataset | None, n: int | None) -> pd.DataFrame | None:
     """Return the best `n` places of each query by every run that is shown, 10 if None; None if `n` is 0.
 
-    `method`, `seed` and `answers` (the view that is shown, or empty) stand before the columns of `predictions`.
+    The `dataset` names the images, None leaves them out. `method`, `seed` and `answers` (the view that is shown, or
+    empty) stand before the columns of `predictions`.
     """
     if n == 0:
         return None
@@ -197,23 +201,31 @@ def predict_places(compared: ReportData, found: Checked, n: int | None) -> pd.Da
     for group in compared.groups:
         for one in accuracy_series(group, compared.chosen.rows):
             for run in one.runs:
-                table = tabulate_predictions(run, min(n or 10, run.top_places.shape[1]), found.dataset)
+                table = tabulate_predictions(run, min(n or 10, run.top_places.shape[1]), dataset)
                 about = {"method": one.name, "seed": run.config["seed"], "answers": rows.describe_view(run)}
                 tables.append(pd.concat([pd.DataFrame(about, index=table.index), table], axis=1))
     return pd.concat(tables, ignore_index=True)
 
 
 def write_comparison(
-    found: ReportData, beside_others: bool, robust: Robustness | None = None, best: pd.DataFrame | None = None
+    found: ReportData,
+    folder: Path,
+    name: str = "",
+    robust: Robustness | None = None,
+    best: pd.DataFrame | None = None,
 ) -> list[Path]:
-    """Write the table, its runs, figures and page of a comparison into the results folder; returns the files.
+    """Write the table, its runs, figures and page of a comparison into a folder; returns the files.
 
-    `best` holds the best places of each query.
-    If `beside_others`, files of this name that are of other frames stay: the new ones get the frames' hash.
+    Args:
+        found: the report of the comparison.
+        folder: made if need be.
+        name: of the files; empty: that of the dataset, with the hash of the frames if files of other frames have it.
+        robust: R@1 under corruptions.
+        best: the best places of each query.
     """
     from vprbench.report.figures.accuracy import draw_robustness
 
-    folder, name = Path(found.chosen.results).expanduser(), found.chosen.columns[0].planned.name
+    beside_others, name = not name, name or found.chosen.columns[0].planned.name
     name += "-views" * (found.chosen.columns[0].views is not None) + name_views(found.chosen.views)
     if beside_others and _of_other_frames(folder / f"{name}-runs.csv", found.runs):
         name = f"{name}-{found.runs[0].fingerprint[:6]}"
