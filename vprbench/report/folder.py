@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from vprbench.errors import BadInput
+from vprbench.jobs.job import JobResult
 from vprbench.report.gather import ReportData, TablePlan, assemble_report, stored
 from vprbench.report.plan import NO_PLAN, PlannedColumn, Row
 from vprbench.report.ranking import rank_rows
@@ -57,34 +59,47 @@ def report_runs(
 ) -> ReportData:
     """Return the report of runs: a column for each dataset and protocol, a row for each method with its arguments.
 
-    Runs of corrupted queries are no columns. Rows come by their R@1 in the first column that has them. Raises BadInput
-    if there is no run.
+    Runs of corrupted queries are no columns. Raises BadInput if there is no run.
     """
     runs = [run for run in runs if run.config.get("corruption") is None]
     failures = [failure for failure in failures if failure.config.get("corruption") is None]
-    rows = describe_rows([*runs, *failures])
-    found = apply_views(group_runs(runs, failures), rows, views)
-    ranks: dict[str, int] = {}
-    for group in found:
-        for row in rank_rows(accuracy_series(group, rows)).table["method"]:
-            ranks.setdefault(row, len(ranks))
-    quantities = comparison_quantities(metrics, sorted({str(run.config["device"]) for run in runs}))
-    if runs and not any(run.is_judged for run in runs):
-        quantities = without_accuracies(quantities)
+    devices = sorted({str(run.config["device"]) for run in runs})
     chosen = TablePlan(
         NO_PLAN,
-        tuple(sorted(rows, key=lambda row: ranks.get(row.name, len(ranks)))),
-        tuple(group.column for group in found),
+        describe_rows([*runs, *failures]),
         (),
+        tuple(devices),
         metrics=tuple(metrics),
         results=results,
         stores=tuple(stores),
         stored=True,
         title=title,
-        quantities=quantities,
+        quantities=comparison_quantities(metrics, devices),
         views=tuple(views),
     )
-    return assemble_report(chosen, found, runs)
+    return assemble_groups(chosen, group_runs(runs, failures))
+
+
+def assemble_groups(chosen: TablePlan, groups: Sequence[Group], job_results: Sequence[JobResult] = ()) -> ReportData:
+    """Return the report of groups of runs, in the views that `chosen` names.
+
+    Rows come by their R@1 in the first group that has them, rows without runs last. Without a ground truth there is no
+    accuracy. Raises BadInput if there is no run.
+    """
+    shown = apply_views(groups, chosen.rows, chosen.views)
+    ranks: dict[str, int] = {}
+    for group in shown:
+        for name in rank_rows(accuracy_series(group, chosen.rows)).table["method"]:
+            ranks.setdefault(name, len(ranks))
+    runs = [run for group in groups for run in group.runs]
+    chosen = replace(
+        chosen,
+        rows=tuple(sorted(chosen.rows, key=lambda row: ranks.get(row.name, len(ranks)))),
+        columns=tuple(group.column for group in groups),
+    )
+    if runs and not any(run.is_judged for run in runs):
+        chosen = replace(chosen, quantities=without_accuracies(chosen.quantities))
+    return assemble_report(chosen, shown, runs, tuple(job_results))
 
 
 def describe_rows(results: Iterable[Run | Failure]) -> tuple[Row, ...]:

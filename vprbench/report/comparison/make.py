@@ -16,15 +16,15 @@ from vprbench.jobs.job import JobResult, failure_of
 from vprbench.progress import progress_shown
 from vprbench.report.comparison.checks import Checked, SortedOptions, check_comparison, frames_of
 from vprbench.report.figures.make import draw_all, write_figures
-from vprbench.report.gather import ReportData, TablePlan, assemble_report, run_missing, runs_of, stored
+from vprbench.report.folder import assemble_groups
+from vprbench.report.gather import ReportData, TablePlan, run_missing, runs_of, stored
 from vprbench.report.page.make import write_page
 from vprbench.report.plan import NO_PLAN
-from vprbench.report.ranking import Ranking, rank_rows
 from vprbench.report.robustness import Robustness, format_csv, format_markdown, list_lines, measure_robustness
-from vprbench.report.selection import ResolvedColumn, accuracy_series, apply_views, groups
+from vprbench.report.selection import ResolvedColumn, accuracy_series, groups
 from vprbench.report.table import words
 from vprbench.report.table.make import exit_code, write
-from vprbench.report.table.quantities import RECALL, comparison_quantities, without_accuracies
+from vprbench.report.table.quantities import RECALL, comparison_quantities
 from vprbench.runs import rows
 from vprbench.runs.corruption import Corruption, corrupt_queries, parse_corruptions
 from vprbench.runs.frame import iterate_rows
@@ -51,12 +51,12 @@ def make_comparison(command: SortedOptions) -> int:
     for cell in found.cells:
         if cell.missing is not None:
             print(printable(f"vprbench: {cell.row.name} is left out: {cell.missing}"), file=sys.stderr)
-    chosen = choose_rows(found, command)
+    chosen = plan_table(found, command)
     spoilt = corrupt_column(found, command.request.corruptions)
     results = [] if chosen.stored else make_missing(chosen, found, spoilt, command)
     known, failures = stored(chosen)
-    compared, rankings = rank_stored(chosen, found, known, failures, results)
-    show(compared, rankings, command.request.wide)
+    compared = report_comparison(chosen, found, known, failures, results)
+    show(compared, command.request.wide)
     robust = None
     if spoilt:
         clean, *of_each = (
@@ -112,7 +112,7 @@ def make_missing(
     return [*results, *(result for result in ended if result.code != 1), *alone]
 
 
-def choose_rows(found: Checked, command: SortedOptions) -> TablePlan:
+def plan_table(found: Checked, command: SortedOptions) -> TablePlan:
     """Return the rows and the one column of a comparison, as a table has them."""
     request = command.request
     return TablePlan(
@@ -130,17 +130,14 @@ def choose_rows(found: Checked, command: SortedOptions) -> TablePlan:
     )
 
 
-def rank_stored(
+def report_comparison(
     chosen: TablePlan,
     found: Checked,
     known: Sequence[Run],
     failures: Sequence[Failure],
     results: Sequence[JobResult] = (),
-) -> tuple[ReportData, list[Ranking]]:
-    """Put the stored runs of a comparison into one table, best first, rows without runs last.
-
-    There is a ranking for each view of the runs; the first orders the rows. Raises BadInput if there is no run.
-    """
+) -> ReportData:
+    """Return the report of the stored runs of a comparison, best first; raises BadInput if there is no run."""
     left_out = [
         failure_of(cell.request, JobResult(2, left.missing, missing=True))
         for left in found.cells
@@ -148,16 +145,10 @@ def rank_stored(
         for cell in runs_of(chosen, found.column, [left.row], ())
     ]
     newest = groups(known, [*failures, *left_out], [found.column], chosen.rows)[0]
-    if newest.runs and not newest.runs[0].is_judged:
-        chosen = replace(chosen, quantities=without_accuracies(chosen.quantities))
-    shown = apply_views([newest], chosen.rows, chosen.views)
-    rankings = [rank_rows(accuracy_series(group, chosen.rows)) for group in shown]
-    order = [*rankings[0].table["method"]]
-    ordered = sorted(chosen.rows, key=lambda row: order.index(row.name) if row.name in order else len(order))
-    return assemble_report(replace(chosen, rows=tuple(ordered)), shown, newest.runs, tuple(results)), rankings
+    return assemble_groups(chosen, [newest], results)
 
 
-def show(found: ReportData, rankings: Sequence[Ranking], wide: bool = False) -> None:
+def show(found: ReportData, wide: bool = False) -> None:
     """Print notes, the ranked table and the results of tests; of several views R@1 alone, side by side."""
     table, groups_shown = found.table, [group for group in found.groups if group.runs]
     heads = ["method", *(quantity.heading for quantity in table.quantities)]
@@ -175,8 +166,8 @@ def show(found: ReportData, rankings: Sequence[Ranking], wide: bool = False) -> 
     texts = [[str(name), *_list_texts(of_row)] for name, of_row in cells.groupby("row", sort=False)]
     show_table(heads, texts, wide, _LEAST)
     print()
-    for group, ranking in zip(found.groups, rankings, strict=True):
-        above = f"{rows.describe_view(group.runs[0])}: " if len(rankings) > 1 else ""
+    for group, ranking in zip(groups_shown, found.rankings, strict=True):
+        above = f"{rows.describe_view(group.runs[0])}: " if len(groups_shown) > 1 else ""
         print(*(line_text(f"{above}{sentence}", "bold") for sentence in ranking.sentences), sep="\n")
 
 
