@@ -48,9 +48,8 @@ def make_comparison(command: SortedOptions) -> int:
         return 2
     if found.looked is not None:
         print(line_text(f"note: {found.looked}", "yellow"), flush=True)
-    for cell in found.cells:
-        if cell.missing is not None:
-            print(printable(f"vprbench: {cell.row.name} is left out: {cell.missing}"), file=sys.stderr)
+    for name, reason in found.left_out.items():
+        print(printable(f"vprbench: {name} is left out: {reason}"), file=sys.stderr)
     chosen = plan_table(found, command)
     spoilt = corrupt_column(found, command.request.corruptions)
     results = [] if chosen.stored else make_missing(chosen, found, spoilt, command)
@@ -96,7 +95,7 @@ def make_missing(
 
     A process fits a row's method once for all corruptions. If it fails, each of them has a process.
     """
-    rows = [cell.row for cell in found.cells if cell.missing is None]
+    rows = [row for row in found.rows if row.name not in found.left_out]
     options = [*command.of_runs, *["scores=true"] * bool(chosen.views)]
     once = replace(chosen, devices=chosen.devices[:1])
     names = [each.name for each in spoilt]
@@ -117,7 +116,7 @@ def plan_table(found: Checked, command: SortedOptions) -> TablePlan:
     request = command.request
     return TablePlan(
         NO_PLAN,
-        tuple(cell.row for cell in found.cells),
+        found.rows,
         (found.column,),
         tuple(request.devices),
         metrics=tuple(request.metrics),
@@ -139,10 +138,10 @@ def report_comparison(
 ) -> ReportData:
     """Return the report of the stored runs of a comparison, best first; raises BadInput if there is no run."""
     left_out = [
-        failure_of(cell.request, JobResult(2, left.missing, missing=True))
-        for left in found.cells
-        if left.missing is not None
-        for cell in runs_of(chosen, found.column, [left.row], ())
+        failure_of(cell.request, JobResult(2, found.left_out[row.name], missing=True))
+        for row in found.rows
+        if row.name in found.left_out
+        for cell in runs_of(chosen, found.column, [row], ())
     ]
     newest = groups(known, [*failures, *left_out], [found.column], chosen.rows)[0]
     return assemble_groups(chosen, [newest], results)
