@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -27,13 +28,15 @@ from vprbench.report.table.make import exit_code, write
 from vprbench.report.table.quantities import RECALL, comparison_quantities
 from vprbench.runs import rows
 from vprbench.runs.corruption import Corruption, corrupt_queries, parse_corruptions
-from vprbench.runs.frame import iterate_rows
+from vprbench.runs.frame import format_label, iterate_rows
 from vprbench.runs.predictions import tabulate_predictions, write_csv
 from vprbench.runs.record import Failure, Run
 from vprbench.runs.sequences import name_views, parse_views
 from vprbench.storage.atomic import replace_text
 from vprbench.terminal.console import line_text, show_table
-from vprbench.text import printable
+from vprbench.text import printable, some
+
+logger = logging.getLogger(__name__)
 
 _UNTIMED = ("timing=none", "frames=false")
 _LEAST = ("peak MB", "AUC-PR (A)", "R@5 %")  # columns that a narrow terminal lacks first
@@ -163,7 +166,10 @@ def show(found: ReportData, wide: bool = False) -> None:
             print(line_text(f"note: {row}: {table.notes[number - 1]}", "yellow"))
     print()
     texts = [[str(name), *_list_texts(of_row)] for name, of_row in cells.groupby("row", sort=False)]
-    show_table(heads, texts, wide, _LEAST)
+    usual = [one.heading for one in table.quantities if one.metric is None or one.name not in found.chosen.metrics]
+    show_table(heads, texts, wide, [*dict.fromkeys([*_LEAST, *usual[:0:-1]])])
+    if any(table.cells["disturbed"]):
+        print(line_text("~ a busy machine or too few laps", "dim"))
     print()
     for group, ranking in zip(groups_shown, found.rankings, strict=True):
         above = f"{rows.describe_view(group.runs[0])}: " if len(groups_shown) > 1 else ""
@@ -209,7 +215,8 @@ def write_comparison(
     Args:
         found: the report of the comparison.
         folder: made if need be.
-        name: of the files; empty: that of the dataset, with the hash of the frames if files of other frames have it.
+        name: of the files; empty: that of the dataset, with the hash of frames and ground truth if files of others
+            have it.
         robust: R@1 under corruptions.
         best: the best places of each query.
     """
@@ -217,8 +224,12 @@ def write_comparison(
 
     beside_others, name = not name, name or found.chosen.columns[0].planned.name
     name += "-views" * (found.chosen.columns[0].views is not None) + name_views(found.chosen.views)
-    if beside_others and _of_other_frames(folder / f"{name}-runs.csv", found.runs):
-        name = f"{name}-{found.runs[0].fingerprint[:6]}"
+    images = found.runs[0].fingerprint
+    if beside_others and not _read_earlier(folder / f"{name}-runs.csv")["fingerprint"].map(images.startswith).all():
+        name = f"{name}-{images[:6]}"
+    replaced = {*_read_earlier(folder / f"{name}-runs.csv")["method"]} - {format_label(run) for run in found.runs}
+    if replaced:
+        logger.warning("%s: the earlier comparison with %s makes room: name=NAME keeps both", name, some(replaced))
     files = write(found, folder, name)
     if best is not None:
         files.append(write_csv(best, folder / f"{name}-predictions.csv"))
@@ -239,10 +250,6 @@ def write_comparison(
     return [*files, captions, write_page(found, drawings, folder / f"{name}.html", absent)]
 
 
-def _of_other_frames(path: Path, runs: Sequence[Run]) -> bool:
-    """Tell whether the runs of an earlier comparison are of other frames."""
-    if not path.is_file():
-        return False
-    frames = ["names_sha256", "content_sha256"]
-    earlier = pd.read_csv(path, dtype=str).reindex(columns=frames).fillna("").drop_duplicates().to_numpy().tolist()
-    return earlier != [[str(runs[0].data.get(part) or "") for part in frames]]
+def _read_earlier(path: Path) -> pd.DataFrame:
+    """Return the runs of an earlier comparison whose files have this name; without any no line."""
+    return pd.read_csv(path, dtype=str) if path.is_file() else pd.DataFrame(columns=["method", "fingerprint"])
