@@ -201,16 +201,6 @@ def disk(monkeypatch):
     return changes
 
 
-@pytest.mark.parametrize("folder", ["file", "full"])
-def test_a_folder_that_takes_nothing_leaves_the_descriptors_in_memory(tmp_path, caplog, disk, folder):
-    (tmp_path / "file").write_text("")
-    disk["free"] = 0
-    made, kept, _ = describe(tmp_path / folder)
-    assert (made.tolist(), kept) == (some(pictures(range(N))).tolist(), 0)
-    assert "no descriptors are kept" in caplog.text
-    assert not [*tmp_path.rglob("*.npy")]
-
-
 def interrupted(after):
     """Return an `encode` that fails once it has been shown more images than these."""
     shown = []
@@ -256,10 +246,10 @@ def test_descriptors_go_through_memory_block_by_block(tmp_path):
     assert peak < 2000 * 10_000 * 4 / 3
 
 
-def test_more_than_fits_into_memory_is_refused_where_the_disk_is_full_and_goes_on_when_there_is_room(
-    tmp_path, monkeypatch, disk
-):
-    monkeypatch.setattr(row_files, "LARGE_BYTES", 1000)
+def test_a_full_disk_and_no_folder_are_refused_and_the_encoding_goes_on_when_there_is_room(tmp_path, disk):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(BadInput, match=r"10 descriptors cannot be kept in .*file"):
+        describe(tmp_path / "file")
     with pytest.raises(ZeroDivisionError):
         describe(tmp_path, interrupted(1100), MANY)
     disk["free"] = 0

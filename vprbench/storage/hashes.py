@@ -44,8 +44,8 @@ class HashedFiles:
 
     def digest_parts(self) -> Iterator[bytes]:
         """Yield bytes that change with the size or the content of any of the files."""
-        for size, sha256 in zip(self.sizes.tolist(), self, strict=True):
-            yield b"%d%b" % (size, sha256)
+        for number, size in enumerate(self.sizes.tolist()):
+            yield b"%d%b" % (size, self[number])
 
 
 def file_hashes(paths: Sequence[Path]) -> HashedFiles:
