@@ -42,17 +42,13 @@ def mapped_arrays(path: Path) -> dict[str, Array]:
     try:
         with safe_open(path, framework="np") as file:  # it checks types, shapes and places against the file's length
             names = list(file.keys())
-    except SafetensorError as error:
-        raise ValueError(str(error)) from error
-    content = np.memmap(path, np.uint8, "r")
-    start = 8 + int.from_bytes(content[:8].tobytes(), "little")
-    header = json.loads(content[8:start].tobytes())
-    return {name: _mapped(content[start:], header[name]) for name in names}
-
-
-def _mapped(content: Array, entry: Mapping[str, Any]) -> Array:
-    first, end = entry["data_offsets"]
-    kind = _KINDS.get(entry["dtype"])
-    if kind is None:
-        raise ValueError(f"an array is of {entry['dtype']}; wanted {', '.join(_KINDS)}")
-    return np.asarray(content[first:end]).view(kind).reshape(entry["shape"])
+        content = np.memmap(path, np.uint8, "r").view(np.ndarray)
+        start = 8 + int.from_bytes(content[:8].tobytes(), "little")
+        header = json.loads(content[8:start].tobytes())
+        entries = {name: header[name] for name in names}
+        return {
+            name: np.ndarray(entry["shape"], _KINDS[entry["dtype"]], content.data, start + entry["data_offsets"][0])
+            for name, entry in entries.items()
+        }
+    except (SafetensorError, KeyError) as error:
+        raise ValueError(f"{error}; wanted arrays of {', '.join(_KINDS)}") from error
