@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import logging
 import os
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -21,8 +20,6 @@ from vprbench.storage.atomic import replace_text
 from vprbench.storage.cores import core_count
 from vprbench.storage.folders import cache_folder
 from vprbench.storage.paths import Paths
-
-logger = logging.getLogger(__name__)
 
 _SHA256_BYTES = 32
 _REPORT_EVERY = 256  # files that are read
@@ -97,11 +94,9 @@ def _hash_folder(folder: Path, names: Sequence[str], n_done: int, n_files: int) 
         path = error.filename or folder
         raise BadInput(f"{path} cannot be read ({error.strerror}): restore the file") from error
     if unknown:
-        try:
+        with suppress(OSError):  # files are read each time then
             index.parent.mkdir(parents=True, exist_ok=True)
             replace_text(index, json.dumps({"folder": str(folder), "files": kept}))
-        except OSError as error:
-            logger.info("hashes of files are not kept in %s: %s", index.parent, error.strerror)
     return [kept[name] for name in names]
 
 

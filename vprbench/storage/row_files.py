@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import logging
 import os
 import shutil
 from collections.abc import Callable, Iterable
@@ -15,8 +14,6 @@ import numpy.typing as npt
 from filelock import FileLock
 
 from vprbench.errors import BadInput
-
-logger = logging.getLogger(__name__)
 
 Rows = npt.NDArray[np.float32]  # (n_rows, n_columns)
 
@@ -46,29 +43,20 @@ def keep_rows(
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with FileLock(path.with_name(f".{path.name}.lock")):
-            kept = n_rows
-            if not _is_whole(path, n_rows):
-                kept = _write_missing_rows(part, n_rows, make_blocks)
-                part.replace(path)
-            return np.load(path, mmap_mode="r", allow_pickle=False).view(np.ndarray), kept
+            with suppress(FileNotFoundError, ValueError, EOFError):  # missing or damaged
+                return _map_rows(path), n_rows
+            kept = _write_missing_rows(part, n_rows, make_blocks)
+            part.replace(path)
+            return _map_rows(path), kept
     except OSError as error:
         raise BadInput(
             f"{n_rows} {name} cannot be kept in {path.parent} ({error}): make room there; finished rows stay"
         ) from error
 
 
-def _is_whole(path: Path, n_rows: int) -> bool:
-    """Tell whether a file holds so many rows; another file in its place is logged."""
-    try:
-        rows = np.load(path, mmap_mode="r", allow_pickle=False)
-        if rows.dtype != np.float32 or rows.ndim != 2 or len(rows) != n_rows:
-            raise ValueError(f"{rows.dtype} of shape {rows.shape}; wanted float32 of {n_rows} rows")
-    except FileNotFoundError:
-        return False
-    except (ValueError, EOFError) as error:
-        logger.warning("%s cannot be used (%s): making it anew", path, error)
-        return False
-    return True
+def _map_rows(path: Path) -> Rows:
+    rows: Rows = np.load(path, mmap_mode="r", allow_pickle=False)
+    return rows.view(np.ndarray)
 
 
 def _write_missing_rows(part: Path, n_rows: int, make_blocks: Callable[[int], Iterable[Rows]]) -> int:
@@ -92,13 +80,12 @@ def _write_missing_rows(part: Path, n_rows: int, make_blocks: Callable[[int], It
 def _cut_to_stretches(part: Path) -> int:
     """Cut an unfinished file after its last whole stretch; returns how many rows are left."""
     n_rows = 0
-    if part.exists():
-        with suppress(ValueError), part.open("r+b") as file:  # killed before its header was written
-            np.lib.format.read_magic(file)
-            (_, n_columns), _, _ = np.lib.format.read_array_header_1_0(file)
-            start = file.tell()
-            n_rows = (file.seek(0, os.SEEK_END) - start) // (4 * n_columns) // STRETCH * STRETCH
-            file.truncate(start + 4 * n_columns * n_rows)
+    with suppress(FileNotFoundError, ValueError), part.open("r+b") as file:  # missing, or killed in its header
+        np.lib.format.read_magic(file)
+        (_, n_columns), _, _ = np.lib.format.read_array_header_1_0(file)
+        start = file.tell()
+        n_rows = (file.seek(0, os.SEEK_END) - start) // (4 * n_columns) // STRETCH * STRETCH
+        file.truncate(start + 4 * n_columns * n_rows)
     if not n_rows:
         part.unlink(missing_ok=True)
     return n_rows
