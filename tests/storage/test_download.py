@@ -7,7 +7,6 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-import requests
 from file_limit import no_file_may_exceed
 
 from vprbench.errors import BadInput
@@ -134,22 +133,13 @@ def test_a_server_that_is_not_there_or_refuses_costs_no_part(server, to):
     with socket.socket() as nobody:
         nobody.bind(("127.0.0.1", 0))  # and does not listen
         refused(f"http://127.0.0.1:{nobody.getsockname()[1]}/net.pth", to, "gives no file .*refused")
-    for status in (403, 404, 503):
-        server.statuses = [status]
-        refused(server, to, rf"net\.pth gives no file \({status} .* store it as .*weights.net\.pth")
-    assert len(server.net.asked) == 3
+    refused("file:///etc/hostname", to, "gives no file")
+    server.statuses = [404]
+    refused(server, to, r"net\.pth gives no file \(404 .* store it as .*weights.net\.pth")
+    assert len(server.net.asked) == 1
     get(server, to)
     assert to.read_bytes() == CONTENT
     assert server.net.ranges() == [f"bytes={CHUNK}-"]
-
-
-def test_redirects_are_followed_within_the_web_alone(server, to):
-    for target in ("/old", "file:///etc/hostname", "ftp://127.0.0.1/net.pth"):
-        refused(target, to, "gives no file")
-        refused(server.net.serve("/old", location=target), to, "gives no file")
-    server.breaks_after = 2 * CHUNK
-    get(server.net.serve("/old", location=server.url), to)
-    assert to.read_bytes() == CONTENT
 
 
 @pytest.mark.parametrize(
@@ -177,23 +167,3 @@ def test_a_full_disk_or_no_folder_is_named_and_two_that_want_one_file_download_i
     get(server, to, sha256=SHA256)
     assert to.read_bytes() == CONTENT
     refused(server, tmp_path / "shared.pth" / "net.pth", "cannot be written")
-
-
-def test_google_drives_confirmation_is_passed_and_a_file_that_is_not_public_named(server, to, monkeypatch):
-    request = requests.Session.request
-
-    def elsewhere(session, method, url, **options):
-        here = server.url.replace("/net.pth", "/page") if url.startswith("https://drive.google.com/") else url
-        return request(session, method, here, **options)
-
-    monkeypatch.setattr(requests.Session, "request", elsewhere)
-    drive = "https://drive.google.com/uc?id=1vuz3PvnR7vxnDDLQrdHJaOA04SQrtk5L"
-    page = b'<p class="uc-error-subcaption">Too many users have viewed it.</p>'
-    server.net.serve("/page", page, kind="text/html; charset=utf-8")
-    refused(drive, to, r"\(.*Too.*users")
-    form = f'<form id="download-form" action="{server.url}"><input type="hidden" name="confirm" value="t"></form>'
-    server.net.serve("/page", f"<html>{form}</html>".encode(), kind="text/html; charset=utf-8")
-    server.attached, server.breaks_after = True, 2 * CHUNK
-    get(drive, to, sha256=SHA256)
-    assert to.read_bytes() == CONTENT
-    assert server.net.ranges() == [f"bytes={2 * CHUNK}-"]

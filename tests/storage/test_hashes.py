@@ -12,7 +12,6 @@ import platformdirs
 import pytest
 
 from vprbench.errors import BadInput
-from vprbench.progress import listening
 from vprbench.storage import hashes
 from vprbench.storage.hashes import file_hashes, hashes_folder
 
@@ -120,16 +119,6 @@ def test_threads_that_hash_the_same_folder_at_once_get_the_right_hashes(tmp_path
     read.clear()
     assert are_right(paths)
     assert not read
-
-
-def test_progress_counts_all_files_of_all_folders(tmp_path, monkeypatch):
-    monkeypatch.setattr(hashes, "_REPORT_EVERY", 4)
-    paths = [*files(tmp_path, 8), *(write(tmp_path / "others" / f"{i}.png", b"%d" % i) for i in range(8))]
-    file_hashes(paths[:4])
-    heard = []
-    with listening(lambda stage, done: heard.append((stage, done))):
-        file_hashes(paths)
-    assert heard == [("hashing frames", share) for share in (4 / 16, 12 / 16, 1.0)]
 
 
 def test_the_folder_is_in_the_users_cache_and_a_user_without_name_and_home_has_to_name_it(tmp_path, monkeypatch):

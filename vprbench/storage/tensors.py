@@ -21,8 +21,7 @@ _KINDS = {"F32": "<f4", "F64": "<f8", "I32": "<i4", "I64": "<i8"}
 def plain(array: Array, name: str) -> Array:
     """Return an array as safetensors writes it, byte after byte; raises TypeError for anything but numbers."""
     if not isinstance(array, np.ndarray) or array.dtype.kind not in "biuf":
-        kind = array.dtype if isinstance(array, np.ndarray) else type(array).__name__
-        raise TypeError(f"{name} is {kind}; wanted a numpy array of numbers")
+        raise TypeError(f"{name} is {getattr(array, 'dtype', type(array).__name__)}; wanted a numpy array of numbers")
     return array.astype(array.dtype.newbyteorder("<"), order="C", copy=False)
 
 
@@ -44,11 +43,12 @@ def mapped_arrays(path: Path) -> dict[str, Array]:
             names = list(file.keys())
         content = np.memmap(path, np.uint8, "r").view(np.ndarray)
         start = 8 + int.from_bytes(content[:8].tobytes(), "little")
-        header = json.loads(content[8:start].tobytes())
-        entries = {name: header[name] for name in names}
-        return {
-            name: np.ndarray(entry["shape"], _KINDS[entry["dtype"]], content.data, start + entry["data_offsets"][0])
-            for name, entry in entries.items()
-        }
+        entries = json.loads(content[8:start].tobytes())
+        return {name: _map_array(content[start:], entries[name]) for name in names}
     except (SafetensorError, KeyError) as error:
         raise ValueError(f"{error}; wanted arrays of {', '.join(_KINDS)}") from error
+
+
+def _map_array(content: Array, entry: Mapping[str, Any]) -> Array:
+    first, end = entry["data_offsets"]
+    return content[first:end].view(_KINDS[entry["dtype"]]).reshape(entry["shape"])

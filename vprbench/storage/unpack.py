@@ -37,7 +37,7 @@ class Wanted:
 
     unpacked_bytes: int  # of the wanted files together, at most
     only: str = "*"  # pattern (`fnmatch`) of their paths in the archive; "*" matches "/" too
-    strip: int | Literal["all"] = 0  # leading folders that are left out
+    strip: int | Literal["all"] = 0  # leading folders that are left out, with the files in fewer folders
     into: str = "."  # folder below the destination
     most_files: int = 200_000  # of the archive, wanted or not
     plain: bool = False  # the file is no archive: it is wanted itself
@@ -98,7 +98,7 @@ def _fill(folder: Path, archive: Path, wanted: Wanted) -> int:
 
 
 def _list_members(archive: Path, plain: bool) -> Iterator[tuple[str, bool, int, Callable[[], IO[bytes]]]]:
-    """Yield name, whether it is a plain file, stated size and how to open it for all but the folders of an archive."""
+    """Yield the name, whether it is a plain file, the stated bytes and a way to open it of each member but folders."""
     with archive.open("rb") as start:
         is_zip = start.read(2) == b"PK"
     if plain:
@@ -124,15 +124,13 @@ def _find_place(name: str, is_file: bool, wanted: Wanted) -> Path | None:
     if _FORBIDDEN.search(name):
         raise BadInput(f"holds {name!a}, which leads out of its folder or is no name of a file: do not use it")
     parts = [part for part in name.split("/") if part not in ("", ".")]
+    kept = parts[-1:] if wanted.strip == "all" else parts[wanted.strip :]
     hidden = any(part.startswith(".") or part == "__MACOSX" for part in parts)
-    if hidden or not fnmatchcase("/".join(parts), wanted.only):
+    if hidden or not kept or not fnmatchcase("/".join(parts), wanted.only):
         return None
     if not is_file:
         raise BadInput(f"holds {name!a}, which is no plain file: do not use it")
-    strip = len(parts) - 1 if wanted.strip == "all" else wanted.strip
-    if strip >= len(parts):
-        raise BadInput(f"holds {name!a}, expected in {strip} folders: it is another archive")
-    return Path(wanted.into, *parts[strip:])
+    return Path(wanted.into, *kept)
 
 
 def _move(folder: Path, destination: Path) -> None:
