@@ -97,26 +97,16 @@ def test_a_broken_connection_is_continued_and_so_is_the_part_of_an_earlier_call(
     assert server.net.ranges() == [f"bytes={CHUNK}-"]
 
 
-def test_a_part_that_the_server_does_not_continue_or_that_is_not_wanted_comes_anew(server, to):
+@pytest.mark.parametrize("trouble", ["no ranges", "another file", "another file, no resuming"])
+def test_a_part_that_cannot_be_continued_comes_anew_at_the_latest_at_the_next_call(server, to, trouble):
     interrupt(server, to)
-    server.honours_ranges = False
-    refused(server, to, "did not honor")
-    get(server, to)
-    assert to.read_bytes() == CONTENT
-    interrupt(server, to)
-    server.content = OTHER
-    get(server, to, resume=False)
-    assert to.read_bytes() == OTHER
-    assert server.net.ranges() == []
-
-
-def test_a_file_that_changed_beside_its_part_is_refused_by_its_hash_and_right_the_next_time(server, to):
-    interrupt(server, to)
-    server.content = OTHER
-    sha256 = hashlib.sha256(OTHER).hexdigest()
-    refused(server, to, "SHA-256", sha256=sha256)
-    get(server, to, sha256=sha256)
-    assert to.read_bytes() == OTHER
+    server.honours_ranges = trouble != "no ranges"
+    server.content = CONTENT if trouble == "no ranges" else OTHER
+    stated = {"sha256": hashlib.sha256(server.content).hexdigest(), "resume": trouble != "another file, no resuming"}
+    if stated["resume"]:
+        refused(server, to, "did not honor|SHA-256", **stated)
+    get(server, to, **stated)
+    assert to.read_bytes() == server.content
 
 
 def test_a_stalled_server_is_asked_again_and_a_silent_one_is_given_up(server, to):

@@ -52,7 +52,7 @@ def refused(archive, to, wanted, message, kind=BadInput):
     assert "\n" not in str(caught.value)
     assert type(caught.value) is kind
     assert everything(archive.parent) == before
-    assert [path.name for path in to.iterdir()] == ["winter"]
+    assert [path.name for path in to.iterdir()] == ["winter"]  # no empty folder is left
 
 
 @pytest.mark.parametrize("maker", MAKERS)
@@ -116,7 +116,6 @@ def test_a_zip_that_states_fewer_bytes_than_it_holds_is_damaged(archive, to):
         ({"a/1.png": b"one", "b/1.png": b"two"}, Wanted(unpacked_bytes=9, strip="all"), "1.png twice"),
         ({"set/a.png": b"one", "set/a.png/1.png": b"two"}, WANTED, "twice"),  # a file that is a folder too
         ({"set/1.jpg": b"one"}, WANTED, r"no file like \*\.png"),
-        ({"1.png": b"one"}, WANTED, "no file like"),
     ],
 )
 def test_other_files_than_expected_are_refused(archive, to, files, wanted, message):

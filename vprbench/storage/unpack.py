@@ -67,8 +67,8 @@ def unpack(
         raise type(error)(f"{archive} {error}; nothing was unpacked") from error
     except Exception as error:  # a damaged archive fails in many ways, by an OSError without a number too
         if isinstance(error, OSError) and error.errno is not None:
-            remedy = "nothing was unpacked: free some space, or choose another folder"
-            raise BadInput(f"{archive} does not fit into {destination} ({error.strerror}), {remedy}") from error
+            refusal = f"{archive} cannot be unpacked into {destination} ({error.strerror}), and nothing was"
+            raise BadInput(f"{refusal}: free some space, or choose another folder") from error
         reason = " ".join(str(error).split()) or type(error).__name__
         raise DamagedArchive(f"{archive} is damaged, or no archive ({reason}): download it anew") from error
 
