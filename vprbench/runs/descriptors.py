@@ -61,7 +61,7 @@ class DescriptorCache:
         """Return the descriptors of a traverse, (n_images, n_dimensions), and how many were kept already.
 
         `encode` describes a block of images; `done` is called with the number of images described so far. A killed run
-        is continued but for up to 1024 images. Descriptors that the disk refuses are returned in memory.
+        is continued but for up to 1024 images. Raises BadInput if the disk refuses the descriptors.
         """
         key = content_key({**self._origin, "images": images.content_hash()})
         return keep_rows(
