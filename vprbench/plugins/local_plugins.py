@@ -22,7 +22,7 @@ from vprbench.plugins.entries import Entry, Group
 from vprbench.text import near
 
 #: Parts of the file names of frames that lie between the harness and a plug-in.
-_NO_PLUGINS = (str(Path(__file__).parents[1]), "importlib", "hydra", "<frozen")
+_NO_PLUGINS = (str(Path(__file__).parents[1]), "importlib", "<frozen")
 _LOOSE_FILE = re.compile(r"(?P<file>[^][,()'\"]+\.py)(?::(?P<name>\w+))?")
 _RUN_ARGUMENTS = ("seed", "device")  # parameters of a method that take the values of the run
 
@@ -57,26 +57,25 @@ def load_loose_file(group: Group, text: str) -> LooseEntry:
     """
     parts = _LOOSE_FILE.fullmatch(text)
     assert parts is not None
-    file = Path(parts["file"]).expanduser()
+    file, name = Path(parts["file"]).expanduser(), parts["name"]
+    if name is None:
+        raise BadInput(f"{group}={text}: name its class or function, as in {group}={file}:Mine")
     module = _import_file(file)
-    own = {name: each for name, each in vars(module).items() if getattr(each, "__module__", "") == module.__name__}
-    name = parts["name"] or _find_only_one(group, own, file)
     target = getattr(module, name, None)
     if not callable(target):
+        own = [one for one, value in vars(module).items() if getattr(value, "__module__", "") == module.__name__]
         hint = f": {near(name, own)}" if own else ""
         raise BadInput(f"{group}={text}: {file} defines no class or function {name}{hint}")
     config = {"_target_": f"{module.__name__}.{name}", **_list_defaults(group, target)}
-    return LooseEntry(group, name, file.absolute(), str(file), f"{file}:{name}", config)
+    return LooseEntry(group, name, file.absolute(), str(file), config=config)
 
 
 def describe_error(error: BaseException) -> str:
     """Return an error in one line, with the innermost place in the folder of the plug-in that raised it."""
     if isinstance(error, SyntaxError):
-        return f"SyntaxError: {error.msg}{_describe_place(error.filename, error.lineno)}"
+        return f"SyntaxError: {error.msg}{_format_place(error.filename, error.lineno)}"
     text = (str(error).splitlines() or [""])[0]
-    if not isinstance(error, ImportError) or not text:
-        text = f"{type(error).__name__}: {text}".removesuffix(": ")
-    return text + locate_error(error)
+    return f"{type(error).__name__}: {text}".removesuffix(": ") + locate_error(error)
 
 
 def locate_error(error: BaseException) -> str:
@@ -84,14 +83,13 @@ def locate_error(error: BaseException) -> str:
     places = [(frame.filename, frame.lineno) for frame in traceback.extract_tb(error.__traceback__)]
     others = [place for place in places if not any(part in place[0] for part in _NO_PLUGINS)]
     own = [place for place in others if place[0].startswith(os.path.dirname(others[0][0]))]  # noqa: PTH120 (also <string>)
-    return _describe_place(*own[-1]) if own else ""
+    return _format_place(*own[-1]) if own else ""
 
 
-def _describe_place(file: str | None, line: int | None) -> str:
-    if file is None:
-        return ""
-    path = Path(file)
-    return f" ({path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path}, line {line})"
+def _format_place(file: str | None, line: int | None) -> str:
+    path = Path(file or "")
+    shown = path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
+    return f" ({shown}, line {line})" if file else ""
 
 
 def _import_file(file: Path) -> ModuleType:
@@ -110,21 +108,6 @@ def _import_file(file: Path) -> ModuleType:
     return module
 
 
-def _find_only_one(group: Group, own: Mapping[str, Any], file: Path) -> str:
-    """Return the name of the only method or dataset among the names that a file defines."""
-    from vprbench.api.method import Method
-
-    if group == "method":
-        found = [name for name, value in own.items() if inspect.isclass(value) and issubclass(value, Method)]
-    else:
-        returned = {name: getattr(value, "__annotations__", {}).get("return") for name, value in own.items()}
-        found = [name for name, kind in returned.items() if getattr(kind, "__name__", kind) == "Dataset"]
-    if len(found) != 1:
-        defined = ", ".join(found) or f"no {group}"
-        raise BadInput(f"{group}={file}: it defines {defined}; name one, as in {group}={file}:{(found or ['name'])[0]}")
-    return found[0]
-
-
 def _list_defaults(group: Group, target: Any) -> dict[str, Any]:
     """Return the parameters of a class or function with their defaults; ??? stands for none, as Hydra has it.
 
@@ -134,14 +117,11 @@ def _list_defaults(group: Group, target: Any) -> dict[str, Any]:
     factories = {field.name: field.default_factory for field in fields if callable(field.default_factory)}
     defaults: dict[str, Any] = {}
     for name, parameter in inspect.signature(target).parameters.items():
-        if parameter.kind in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
-            continue
         value = factories[name]() if name in factories else parameter.default
         if group == "method" and name in _RUN_ARGUMENTS:
             defaults[name] = f"${{{name}}}"
-        elif value is parameter.empty:
-            defaults[name] = "???"
-        else:
+        elif parameter.kind < parameter.VAR_POSITIONAL or parameter.kind == parameter.KEYWORD_ONLY:
             with suppress(TypeError, ValueError):
-                defaults[name] = json.loads(json.dumps(str(value) if isinstance(value, Path) else value))
+                plain = "???" if value is parameter.empty else str(value) if isinstance(value, Path) else value
+                defaults[name] = json.loads(json.dumps(plain))
     return defaults

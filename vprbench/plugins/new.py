@@ -7,7 +7,6 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import get_args
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
@@ -16,11 +15,6 @@ from vprbench.plugins.entries import Group, entries
 from vprbench.plugins.options import option, parse_options
 from vprbench.text import some
 
-_TEMPLATES = Environment(
-    loader=FileSystemLoader(Path(__file__).with_name("templates")),
-    undefined=StrictUndefined,
-    keep_trailing_newline=True,
-)
 _EXAMPLES = {"method": "dataset=synthetic dataset.places=100", "dataset": "method=sad"}
 
 
@@ -46,33 +40,33 @@ def write_plugin(words: Sequence[str]) -> str:
     """
     settings = parse_options(Settings, [word for word in words if "=" in word], {})
     kind, *names = [word for word in words if "=" not in word] or [""]
-    if kind not in get_args(Group) or len(names) != 1:
+    if kind not in _EXAMPLES or len(names) != 1:
         raise BadInput("new needs a kind and a name: vprbench new method NAME or vprbench new dataset NAME")
     group: Group = "method" if kind == "method" else "dataset"
     name = _parse_name(group, names[0])
     target = "".join(part.capitalize() for part in name.split("_")) if group == "method" else name
     package, folder = f"vprbench_{name}", Path(settings.folder).expanduser()
-    top = folder / package.replace("_", "-")
-    loose = folder / f"{name}.py"
+    top, loose = folder / package.replace("_", "-"), folder / f"{name}.py"
+    files = {loose: f"{group}.py"}
+    install, selected = [], f"{group}={loose if loose.is_absolute() else f'./{loose}'}:{target}"
     if settings.package:
-        templates = {
+        files = {
             top / "pyproject.toml": "pyproject.toml",
             top / package / "__init__.py": "package.py",
             top / package / f"{name}.py": f"{group}.py",
             top / package / "conf" / group / f"{name}.yaml": f"{group}.yaml",
         }
         install, selected = [f"pip install -e {top}"], f"{group}={name}"
-    else:
-        templates = {loose: f"{group}.py"}
-        install, selected = [], f"{group}={loose if loose.is_absolute() else f'./{loose}'}:{target}"
-    if there := [str(path) for path in templates if path.exists()]:
+    if there := [str(path) for path in files if path.exists()]:
         raise BadInput(f"{some(there)} is there already: choose another name or folder=")
-    values = {"group": group, "name": name, "kind": target, "package": package}
-    for path, template in templates.items():
+    loader = FileSystemLoader(Path(__file__).with_name("templates"))
+    templates = Environment(loader=loader, undefined=StrictUndefined, keep_trailing_newline=True)
+    for path, template in files.items():
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(_TEMPLATES.get_template(f"{template}.j2").render(values), encoding="utf-8")
+        text = templates.get_template(f"{template}.j2").render(group=group, name=name, kind=target, package=package)
+        path.write_text(text, encoding="utf-8")
     commands = (*install, f"vprbench check {selected}", f"vprbench {selected} {_EXAMPLES[group]}")
-    return "\n".join([*(f"wrote {path}" for path in templates), "next:", *(f"  {line}" for line in commands)])
+    return "\n".join([*(f"wrote {path}" for path in files), "next:", *(f"  {line}" for line in commands)])
 
 
 def _parse_name(group: Group, given: str) -> str:
