@@ -367,7 +367,7 @@ def test_a_run_is_answered_from_the_store_where_its_network_was_kept_and_else_ma
     Path(made["run_folder"], "run.json").unlink()  # as where the run was killed when its network was stored
     assert [ask("save=net.safetensors")["from_store"] for _ in range(2)] == [False, True]
     ask("seed=1")
-    assert "save=net.safetensors is there already" in run("save=net.safetensors", "seed=1", code=2)[1]
+    assert "net.safetensors is there already" in run("save=net.safetensors", "seed=1", code=2)[1]
 
 
 @pytest.mark.extended
@@ -386,6 +386,6 @@ def test_cells_of_a_sweep_store_networks_under_their_own_names_and_none_replaces
     run("-m", "seed=0,1", "save=nets/net-${seed}.safetensors")
     assert sorted(path.name for path in Path("nets").iterdir()) == ["net-0.safetensors", "net-1.safetensors"]
     errors = run("-m", "seed=2,3", "save=nets/net.safetensors", code=2)[1]
-    assert "save=nets/net.safetensors is there already: give another name" in errors
+    assert "nets/net.safetensors is there already: give another name" in errors
     keys = {record.parent.name for record in Path("results").rglob("run.json")}
     assert keys == {f"prototypes-{networks.read_run_key(path)}" for path in Path("nets").iterdir()}

@@ -193,8 +193,8 @@ def test_what_is_no_dataset_is_refused(monkeypatch):
     for given, said in (
         (WHOLE, None),
         (5, "mine.noise gave int; it has to return a Dataset"),
-        (replace(WHOLE, references=list(WHOLE.references)), "mine.noise gave images of type list; wanted is"),
-        (replace(WHOLE, queries=list(WHOLE.queries)), "mine.noise gave images of type list; wanted is"),
+        (replace(WHOLE, references=list(WHOLE.references)), "mine.noise gave no Images"),
+        (replace(WHOLE, queries=list(WHOLE.queries)), "mine.noise gave no Images"),
     ):
         monkeypatch.setattr(registry, "find_target", lambda *_, given=given: lambda: given)
         if said is None:

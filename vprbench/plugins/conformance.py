@@ -85,8 +85,7 @@ def _apply(rule: str, test: Callable[[], None]) -> Result:
         test()
     except RuleExceptedError as error:
         return Result(rule, "excepted", str(error))
-    except (RuleBrokenError, BadInput) as error:
-        return Result(rule, "broken", str(error))
     except Exception as error:
-        return Result(rule, "broken", describe_error(error))
+        explained = isinstance(error, RuleBrokenError | BadInput)
+        return Result(rule, "broken", str(error) if explained else describe_error(error))
     return Result(rule, "kept")

@@ -33,6 +33,7 @@ class Entry:
     path: Path
     provider: str  # the package that brings it, or the path of a loose file
     rivals: tuple[str, ...] = ()  # other packages that bring the name
+    config: Mapping[str, Any] | None = None  # of a loose file, as a yaml would hold it
 
     @property
     def description(self) -> str:
@@ -74,6 +75,8 @@ class Entry:
         Hydra alone composes the values of a run. Raises BadInput for a name of two packages, and for a yaml that
         cannot be read.
         """
+        if self.config is not None:
+            return dict(self.config)
         below = {name: value for base in self.bases() for name, value in base.values().items()}
         return {**below, **{name: value for name, value in self._read().items() if name != "defaults"}}
 
@@ -165,7 +168,7 @@ def read(text: str) -> Any:
     return yaml.load(text, _Loader)
 
 
-class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
+class _Loader(yaml.CSafeLoader):
     """Reads numbers as Hydra does: 1e-3 is one."""
 
 

@@ -5,17 +5,16 @@ from __future__ import annotations
 import dataclasses
 import importlib
 import inspect
-import json
 import os
 import re
 import sys
 import traceback
-from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType
 from typing import Any
+
+from pydantic_core import PydanticSerializationError, to_jsonable_python
 
 from vprbench.errors import BadInput
 from vprbench.plugins.entries import Entry, Group
@@ -27,28 +26,12 @@ _LOOSE_FILE = re.compile(r"(?P<file>[^][,()'\"]+\.py)(?::(?P<name>\w+))?")
 _RUN_ARGUMENTS = ("seed", "device")  # parameters of a method that take the values of the run
 
 
-@dataclass(frozen=True)
-class LooseEntry(Entry):
-    """A method or dataset in a loose file; `path` is that file."""
-
-    config: Mapping[str, Any] = field(default_factory=dict)  # as a yaml would hold it
-
-    @property
-    def description(self) -> str:
-        """The first line of its docstring."""
-        return (inspect.getdoc(self.target()) or "").partition("\n")[0]
-
-    def values(self) -> dict[str, Any]:
-        """Return its class or function and the defaults of its options."""
-        return dict(self.config)
-
-
 def is_loose_file(text: str) -> bool:
     """Tell whether a method or dataset is named by its file and class, as in ./mine.py:MyMethod."""
     return _LOOSE_FILE.fullmatch(text) is not None
 
 
-def load_loose_file(group: Group, text: str) -> LooseEntry:
+def load_loose_file(group: Group, text: str) -> Entry:
     """Import a file and return the method or dataset that `text` names in it.
 
     Raises:
@@ -67,7 +50,7 @@ def load_loose_file(group: Group, text: str) -> LooseEntry:
         hint = f": {near(name, own)}" if own else ""
         raise BadInput(f"{group}={text}: {file} defines no class or function {name}{hint}")
     config = {"_target_": f"{module.__name__}.{name}", **_list_defaults(group, target)}
-    return LooseEntry(group, name, file.absolute(), str(file), config=config)
+    return Entry(group, name, file.absolute(), str(file), config=config)
 
 
 def describe_error(error: BaseException) -> str:
@@ -118,10 +101,6 @@ def _list_defaults(group: Group, target: Any) -> dict[str, Any]:
     defaults: dict[str, Any] = {}
     for name, parameter in inspect.signature(target).parameters.items():
         value = factories[name]() if name in factories else parameter.default
-        if group == "method" and name in _RUN_ARGUMENTS:
-            defaults[name] = f"${{{name}}}"
-        elif parameter.kind < parameter.VAR_POSITIONAL or parameter.kind == parameter.KEYWORD_ONLY:
-            with suppress(TypeError, ValueError):
-                plain = "???" if value is parameter.empty else str(value) if isinstance(value, Path) else value
-                defaults[name] = json.loads(json.dumps(plain))
-    return defaults
+        with suppress(PydanticSerializationError):
+            defaults[name] = "???" if value is parameter.empty else to_jsonable_python(value)
+    return defaults | {name: f"${{{name}}}" for name in _RUN_ARGUMENTS if group == "method" and name in defaults}

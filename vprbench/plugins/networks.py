@@ -6,7 +6,7 @@ import hashlib
 import json
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -37,7 +37,6 @@ class Files:
     sha256: str | None = None  # of the file to load
     save: Path | None = None
     replace: bool = False  # a file that is there already
-    folder: Path = field(default_factory=Path.cwd)  # of relative paths, for a method may change the working folder
 
 
 class Origin(BaseModel):
@@ -58,7 +57,7 @@ class Origin(BaseModel):
 
 def find_network_files(save: str | None, load: str | None, replace: bool) -> Files:
     """Return the files that the options of a run name; raises BadInput if the one to load cannot be read."""
-    target = None if save is None else Path(save).expanduser()
+    target = None if save is None else Path(save).expanduser().absolute()  # a method may change the working folder
     if load is None:
         return Files(save=target, replace=replace)
     source = Path(load).expanduser()
@@ -125,16 +124,17 @@ def save_network(files: Files, method: Method, origin: Origin, references: Image
         TypeError: `state` holds anything but arrays of numbers.
     """
     assert files.save is not None
-    path = files.folder / files.save
     state = {name: plain(array, f"{type(method).__name__}.state()[{name!r}]") for name, array in method.state().items()}
     content = save(state, {_METADATA: json.dumps(origin.model_dump())})
-    if path.suffix == nir_files.SUFFIX:
+    if files.save.suffix == nir_files.SUFFIX:
         content = nir_files.format_network(method, references, content)
     try:
-        _refuse_to_replace(path, files.replace)
-        replace_bytes(path, content)
+        _refuse_to_replace(files.save, files.replace)
+        replace_bytes(files.save, content)
     except OSError as error:
-        raise BadInput(f"the network could not be stored in {path} ({error}): nothing was changed there") from error
+        raise BadInput(
+            f"the network could not be stored in {files.save} ({error}): nothing was changed there"
+        ) from error
 
 
 def read_run_key(path: Path) -> str | None:

@@ -14,6 +14,7 @@ from typing import Any, get_args, get_type_hints
 from hydra.core.config_store import ConfigStore
 
 from vprbench.api.dataset import Dataset, SharedFrames
+from vprbench.api.images import Images
 from vprbench.api.method import Method
 from vprbench.errors import BadInput
 from vprbench.plugins import entries as yamls
@@ -50,21 +51,16 @@ def make_dataset(config: Mapping[str, Any]) -> Dataset:
         raise BadInput(f"dataset {config.get('name', '')} cannot be read ({error}): correct the path") from error
     if not isinstance(dataset, Dataset):
         raise BadInput(f"{config['_target_']} gave {type(dataset).__name__}; it has to return a Dataset")
-    from vprbench.api.images import Images  # slow to import
-
-    for images in (dataset.references, dataset.queries):
-        if not isinstance(images, Images):
-            raise BadInput(
-                f"{config['_target_']} gave images of type {type(images).__name__}; wanted is "
-                "vprbench.api.images.Images, by Images.from_files(paths) or Images.from_arrays(arrays)"
-            )
+    if not isinstance(dataset.references, Images) or not isinstance(dataset.queries, Images):
+        wanted = "make references and queries by Images.from_files(paths) or Images.from_arrays(arrays)"
+        raise BadInput(f"{config['_target_']} gave no Images: {wanted}")
     return dataset.with_shared_frames(shared)
 
 
 def check_arguments(group: Group, config: Mapping[str, Any]) -> tuple[Callable[..., Any], dict[str, Any]]:
     """Return the class or function of a configuration, and its arguments as it is given them.
 
-    Raises BadInput for an argument that is unknown, missing or not of the type that the type hint names.
+    Raises BadInput for an argument that is unknown or not of the type that the type hint names.
     """
     target = find_target(group, config, f"the yaml of {group} {config.get('name', '')}")
     name = config["_target_"]
@@ -78,9 +74,6 @@ def check_arguments(group: Group, config: Mapping[str, Any]) -> tuple[Callable[.
     for option in given:
         if option not in known:
             raise BadInput(f"{group}.{option} is unknown to {name}: {near(option, known)}")
-    for option, parameter in known.items():
-        if option not in given and parameter.default is parameter.empty and parameter.kind < parameter.VAR_POSITIONAL:
-            raise BadInput(f"{group}.{option} is missing: {name} has no default for it")
     return target, {one: check_value(f"{group}.{one}", value, hints.get(one, Any)) for one, value in given.items()}
 
 
