@@ -53,11 +53,6 @@ class Entry:
         return tuple(map(str, tags)) if isinstance(tags, list) else (str(tags),)
 
     @property
-    def spiking(self) -> bool:
-        """Whether the method declares that it computes by spikes."""
-        return "spiking" in self.tags
-
-    @property
     def needs_weights(self) -> bool:
         """Whether weights have to be fetched: the yaml has a mapping `weights` that names no package."""
         weights = self.values().get("weights")

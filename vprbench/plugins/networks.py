@@ -111,17 +111,10 @@ def require_destination(files: Files, method: Method) -> None:
 
 
 def save_network(files: Files, method: Method, origin: Origin, references: Images) -> None:
-    """Store the state of a method; a reader sees the old file or the whole new one, never a part.
+    """Store the state of a method in `files.save`; a reader sees the old file or the whole new one, never a part.
 
-    Args:
-        files: the file to store it in, under `save`.
-        method: the trained method.
-        origin: the origin of its network.
-        references: images, of which some become a check of a file of NIR.
-
-    Raises:
-        BadInput: the disk refuses, or another run has stored a network there meanwhile.
-        TypeError: `state` holds anything but arrays of numbers.
+    Some of the `references` become the check vector of a file of NIR. Raises BadInput if the disk refuses or another
+    run has stored a network there meanwhile, TypeError if `state` holds anything but arrays of numbers.
     """
     assert files.save is not None
     state = {name: plain(array, f"{type(method).__name__}.state()[{name!r}]") for name, array in method.state().items()}
@@ -148,8 +141,7 @@ def read_run_key(path: Path) -> str | None:
 def load_network(path: Path, method: Method, wanted: Origin) -> tuple[str, ...]:
     """Give a method the state in a file; returns notes that a reader of its results needs.
 
-    Raises:
-        BadInput: the file is damaged, or its origin is not the `wanted` one.
+    Raises BadInput if the file is damaged, or its origin is not the `wanted` one.
     """
     _require_network(method)
     if path.suffix == _PUBLISHED:
@@ -193,7 +185,7 @@ def _read_network(path: Path) -> tuple[Origin, Arrays]:
         state = load(content)
         header = json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")])
         return Origin.model_validate_json(header.get("__metadata__", {}).get(_METADATA, "{}")), state
-    except (OSError, ValueError, LookupError, TypeError, AttributeError, SafetensorError) as error:
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, RuntimeError, SafetensorError) as error:
         reason = str(error).partition("\n")[0]
         wanted = "restore the file, or train anew"
         raise BadInput(f"{path} is no network that this version stored, or is damaged ({reason}): {wanted}") from error
@@ -219,10 +211,8 @@ def _require_network(method: Method) -> None:
 
 
 def _refuse_to_replace(path: Path, replace: bool) -> None:
-    if path.is_dir():
-        raise BadInput(f"save={path} is a folder: give the name of a file in it")
-    if path.exists() and not replace:
+    if path.is_dir() or (path.exists() and not replace):
         raise BadInput(
             f"save={path} is there already: give another name, in a sweep one for each cell "
-            "(save='nets/vprtempo-${seed}.safetensors'), or force=true to replace it"
+            "(save='nets/vprtempo-${seed}.safetensors'), or force=true to replace a file"
         )

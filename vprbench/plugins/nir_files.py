@@ -55,21 +55,15 @@ def format_network(method: Method, references: Images, content: bytes) -> bytes:
 
 
 def read_content(path: Path) -> bytes:
-    """Return the `content` of a file that `format_network` made.
-
-    Raises OSError for a file that cannot be read, ValueError for one of another kind or program.
-    """
+    """Return the `content` of a file that `format_network` made; raises what h5py raises of any other file."""
     _require_nir(path)
     import h5py
 
-    try:
-        with h5py.File(path) as file:
-            array = file[_CONTENT]
-            if array.dtype != np.uint8 or array.nbytes > path.stat().st_size:
-                raise ValueError(f"it declares {array.nbytes} bytes of {array.dtype}")
-            return bytes(array[()].tobytes())
-    except (AttributeError, KeyError, RuntimeError, TypeError) as error:
-        raise ValueError(str(error)) from error
+    with h5py.File(path) as file:
+        array = file[_CONTENT]
+        if array.dtype != np.uint8 or array.nbytes > path.stat().st_size:
+            raise ValueError(f"it declares {array.nbytes} bytes of {array.dtype}")
+        return bytes(array[()].tobytes())
 
 
 def _require_nir(path: Path) -> None:

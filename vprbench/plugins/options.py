@@ -46,6 +46,17 @@ def check_value(option: str, value: Any, hint: Any) -> Any:
         raise BadInput(f"{option}={value}: {'; '.join(wanted)}") from error
 
 
+def check_values(prefix: str, given: Mapping[str, Any], hints: Mapping[str, Any]) -> dict[str, Any]:
+    """Return values by name, each of the type of its hint; raises BadInput for an unknown name too.
+
+    Messages name an option by `prefix` and its name.
+    """
+    for name in given:
+        if name not in hints:
+            raise BadInput(f"option {prefix}{name} is unknown: {near(name, hints)}")
+    return {name: check_value(f"{prefix}{name}", value, hints[name]) for name, value in given.items()}
+
+
 def parse_options(kind: Callable[..., Options], options: Sequence[str], quick: Mapping[str, Any]) -> Options:
     """Return the settings that `option=value` ask for, over those of `quick` if quick=true is among them.
 
@@ -62,7 +73,7 @@ def parse_options(kind: Callable[..., Options], options: Sequence[str], quick: M
             given.setdefault(above, {})[inner or "name"] = _parse_text(text, Any)
         else:
             given[name] = _parse_text(text, hints.get(name))
-    values = _check_values("", given, hints)
+    values = check_values("", given, hints)
     require_homes(values)
     return kind(**{**(quick if values.get("quick") else {}), **values})
 
@@ -72,7 +83,7 @@ def build_options(option: str, kind: type[Options], given: Mapping[str, Any]) ->
 
     Raises BadInput that names the option, for an unknown name, a value of another type, and one that `kind` refuses.
     """
-    values = _check_values(f"{option}.", given, get_type_hints(kind))
+    values = check_values(f"{option}.", given, get_type_hints(kind))
     try:
         return kind(**values)
     except ValueError as error:
@@ -89,14 +100,6 @@ def parse_mapping(value: Any, short: str) -> dict[str, Any] | None:
     if value is None or isinstance(value, Mapping):
         return None if value is None else dict(value)
     return {short: value}
-
-
-def _check_values(prefix: str, given: Mapping[str, Any], hints: Mapping[str, Any]) -> dict[str, Any]:
-    """Return checked values by name; raises BadInput for an unknown name or a value of another type."""
-    for name in given:
-        if name not in hints:
-            raise BadInput(f"option {prefix}{name} is unknown: {near(name, hints)}")
-    return {name: check_value(f"{prefix}{name}", value, hints[name]) for name, value in given.items()}
 
 
 def _is_list(hint: Any) -> bool:

@@ -20,7 +20,7 @@ from vprbench.errors import BadInput
 from vprbench.plugins import entries as yamls
 from vprbench.plugins import local_plugins
 from vprbench.plugins.entries import Entry, Group, broken_plugins, conf_folders, entries, with_plugin_paths
-from vprbench.plugins.options import check_value
+from vprbench.plugins.options import check_value, check_values
 from vprbench.text import near
 
 __all__ = ["Entry", "Group", "broken_plugins", "check_value", "conf_folders", "entries", "near", "with_plugin_paths"]
@@ -63,18 +63,14 @@ def check_arguments(group: Group, config: Mapping[str, Any]) -> tuple[Callable[.
     Raises BadInput for an argument that is unknown or not of the type that the type hint names.
     """
     target = find_target(group, config, f"the yaml of {group} {config.get('name', '')}")
-    name = config["_target_"]
     plain_class = inspect.isclass(target) and not is_dataclass(target)
     try:
-        known = inspect.signature(target).parameters
         hints = get_type_hints(target.__init__ if plain_class else target)
+        known = {name: hints.get(name, Any) for name in inspect.signature(target).parameters}
     except Exception as error:  # hints are evaluated, and may raise anything
-        raise BadInput(f"the type hints of {name} cannot be read ({error}): import what they name") from error
+        raise BadInput(f"the type hints of {target} cannot be read ({error}): import what they name") from error
     given = {name: value for name, value in arguments(config).items() if name != "_target_" and value != "???"}
-    for option in given:
-        if option not in known:
-            raise BadInput(f"{group}.{option} is unknown to {name}: {near(option, known)}")
-    return target, {one: check_value(f"{group}.{one}", value, hints.get(one, Any)) for one, value in given.items()}
+    return target, check_values(f"{group}.", given, known)
 
 
 def list_data_files(method: Method, config: Mapping[str, Any]) -> list[Path]:
