@@ -41,10 +41,9 @@ def other(places: int, seed: int = 3, root: str | None = None):
 """
 FILES = """
 class Filed(Means):
-    '''Means, times a factor in a file.'''
     def files(self):
         from pathlib import Path
-        return [Path("factors.txt")]
+        return [Path("weights.txt")]
 """
 DATASET = """
 import numpy as np
@@ -147,26 +146,32 @@ def test_a_name_that_is_taken_is_refused_of_a_class_as_of_a_file(here):
 
 
 def test_a_path_among_names_is_read_as_a_name():
-    for asked, read in (
-        ("methods=[means.py:Means,sad]", "methods=[Means,sad]"),
-        ("methods=sad,pca", "methods=sad,pca"),
-        ("method=", "method="),
+    assert quote_options(["methods=[means.py:Means,sad]", "method="]) == ["methods=[Means,sad]", "method="]
+
+
+def test_another_source_or_another_file_that_it_reads_makes_another_run(here, capsys):
+    (here / "factors.txt").write_text("1")
+
+    def is_stored(name="Means"):
+        for module in ("means", "beside"):
+            sys.modules.pop(module, None)
+        capsys.readouterr()
+        named = "method.names=[factors.txt]"
+        assert main([f"method=./means.py:{name}", "dataset=./walk.py:walk", named, *QUICK, "output=json"]) == 0
+        return json.loads(capsys.readouterr().out)["from_store"]
+
+    assert [is_stored(), is_stored()] == [False, True]
+    for file, text in (
+        ("factors.txt", "2"),  # which an argument names
+        ("beside.py", "TINY = 1e-5\n"),
+        ("means.py", METHOD.replace("axis=(0, 1)", "axis=(1, 0)")),
     ):
-        assert quote_options([asked]) == [read]
-
-
-def test_the_source_of_the_file_and_of_what_lies_beside_it_counts(here):
-    def key():
-        for name in ("means", "beside"):
-            sys.modules.pop(name, None)
-        assert main(["method=./means.py:Means", "dataset=./walk.py:walk", *QUICK]) == 0
-        return max((here / "results/walk").glob("Means-*"), key=lambda folder: folder.stat().st_mtime_ns).name
-
-    first = key()
-    (here / "beside.py").write_text("TINY = 1e-5\n")
-    second = key()
-    (here / "means.py").write_text(METHOD.replace("axis=(0, 1)", "axis=(1, 0)"))
-    assert len({first, second, key()}) == 3
+        (here / file).write_text(text)
+        assert not is_stored()
+    (here / "means.py").write_text(METHOD + FILES)
+    for text in ("3", "4"):  # of the file that files() names
+        (here / "weights.txt").write_text(text)
+        assert not is_stored("Filed")
 
 
 def test_a_sweep_over_loose_files_stores_their_runs_by_name_and_another_process_gets_the_path(here, monkeypatch):
@@ -180,25 +185,12 @@ def test_a_sweep_over_loose_files_stores_their_runs_by_name_and_another_process_
     assert [*map(registry.with_plugin_paths, options)] == ["method=sad,means.py:Means", "dataset=Means", "seed=1"]
 
 
-def test_other_content_of_a_file_that_files_or_an_argument_names_is_another_run(here, capsys):
-    for named, built in ((METHOD, "means.py:Means"), (METHOD + FILES, "means.py:Filed")):
-        (here / "means.py").write_text(named)
-        for content, same in (("1", False), ("1", True), ("2", False)):
-            (here / "factors.txt").write_text(content)
-            sys.modules.pop("means", None)
-            capsys.readouterr()
-            option = ["method.names=[factors.txt]"] * (built == "means.py:Means")
-            assert main([f"method={built}", "dataset=./walk.py:walk", *option, *QUICK, "output=json"]) == 0
-            assert json.loads(capsys.readouterr().out)["from_store"] == same
-
-
 # What `new` writes keeps every rule at once, and nothing is overwritten.
 
 
 @pytest.mark.parametrize(
     ("words", "asked"),
     [
-        (["method", "MyMeans"], "method=./my_means.py:MyMeans"),
         (["method", "my-means", "folder=below"], "method=./below/my_means.py:MyMeans"),
         (["dataset", "my_walk"], "dataset=./my_walk.py:my_walk"),
     ],
@@ -212,12 +204,12 @@ def test_a_new_file_keeps_every_rule_by_the_option_that_is_printed(here, words, 
     before = {path: path.read_text() for path in here.rglob("*.py")}
     assert main(["new", *words]) == 2
     assert {path: path.read_text() for path in here.rglob("*.py")} == before
+    for part in ("references", "queries"):
+        (here / part).mkdir()
+        for number in range(3):
+            Image.new("RGB", (8, 8), (len(part), number, 0)).save(here / part / f"{number}.png")
     if words[0] == "dataset":
-        for part in ("references", "queries"):
-            (here / part).mkdir()
-            for number in range(3):
-                Image.new("RGB", (8, 8), (len(part), number, 0)).save(here / part / f"{number}.png")
-        assert main(["method=sad", "dataset=./my_walk.py:my_walk", "dataset.root=.", *QUICK]) == 0
+        assert main(["method=sad", asked, "dataset.root=.", *QUICK]) == 0
 
 
 def test_names_that_cannot_be_used_are_refused(here):
@@ -239,17 +231,16 @@ TARGET = "# Broken\n_target_: broken_code.Made\n"
     ("group", "yaml", "code", "named"),
     [
         ("method", "# Broken\ncells: 3\n", "", "_target_"),
-        ("method", "# Broken\n_target_: [\n", "", "broken.yaml"),
+        ("method", "# Broken\n_target_: [\n", "", "broken.yaml is no method"),
         ("method", TARGET, "import no_such_module\n", "no_such_module"),
         ("method", TARGET, "\n\nclass Made(\n", "(broken_code.py, line 3)"),
         ("dataset", TARGET, "x = 1\nx.y = 2\n", "(broken_code.py, line 2)"),
-        ("method", TARGET, CODE + "    pass\n", "abstract"),
         ("method", TARGET, CODE + "    encode = 1\n    def __init__(self): [][0]\n", "(broken_code.py, line 4)"),
         ("dataset", TARGET, DRAWN + "    return {}[places]\n", "(broken_code.py, line 3)"),
         ("dataset", TARGET, DRAWN + "    return places\n", "gave int"),
         ("method", TARGET, "def Made(cells: int = 2): return cells\n", "made a int"),
         ("method", TARGET + "cells: 2\n", "def Made(cells: 'Unknown'): pass\n", "type hints"),
-        ("method", TARGET, "Made = 5\n", "is a int"),
+        ("method", TARGET, "Made = 5\n", "5 is not"),
     ],
 )
 def test_a_broken_plug_in_is_told_in_a_line_and_the_others_are_listed(here, install, group, yaml, code, named, capsys):

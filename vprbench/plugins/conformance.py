@@ -10,8 +10,7 @@ from typing import Any, Literal
 from vprbench.errors import BadInput
 from vprbench.plugins.dataset_rules import DATASET_RULES, BuiltDataset
 from vprbench.plugins.entries import entries
-from vprbench.plugins.local_plugins import describe_error
-from vprbench.plugins.registry import arguments, check_arguments, make_dataset, make_method
+from vprbench.plugins.registry import arguments, check_arguments, describe_error, make_dataset, make_method
 from vprbench.plugins.rules import ENCODE_RULE, RULES, RuleBrokenError, RuleExceptedError, Subject, require
 from vprbench.plugins.tuned_places import UNKNOWN, parse_places, parse_tuned_on
 from vprbench.text import near

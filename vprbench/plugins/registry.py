@@ -2,28 +2,37 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib
 import inspect
 import os
+import re
+import sys
+import traceback
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import is_dataclass
+from contextlib import suppress
 from pathlib import Path
 from types import ModuleType
 from typing import Any, get_args, get_type_hints
 
 from hydra.core.config_store import ConfigStore
+from pydantic_core import PydanticSerializationError, to_jsonable_python
 
 from vprbench.api.dataset import Dataset, SharedFrames
 from vprbench.api.images import Images
 from vprbench.api.method import Method
 from vprbench.errors import BadInput
 from vprbench.plugins import entries as yamls
-from vprbench.plugins import local_plugins
 from vprbench.plugins.entries import Entry, Group, broken_plugins, conf_folders, entries, with_plugin_paths
 from vprbench.plugins.options import check_value, check_values
 from vprbench.text import near
 
 __all__ = ["Entry", "Group", "broken_plugins", "check_value", "conf_folders", "entries", "near", "with_plugin_paths"]
+
+#: Parts of the file names of frames that lie between the harness and a plug-in.
+_NO_PLUGINS = (str(Path(__file__).parents[1]), "importlib", "<frozen")
+_LOOSE_FILE = re.compile(r"(?P<file>[^][,()'\"]+\.py)(?::(?P<name>\w+))?")
+_RUN_ARGUMENTS = ("seed", "device")  # parameters of a method that take the values of the run
 
 
 def arguments(config: Mapping[str, Any]) -> dict[str, Any]:
@@ -63,12 +72,12 @@ def check_arguments(group: Group, config: Mapping[str, Any]) -> tuple[Callable[.
     Raises BadInput for an argument that is unknown or not of the type that the type hint names.
     """
     target = find_target(group, config, f"the yaml of {group} {config.get('name', '')}")
-    plain_class = inspect.isclass(target) and not is_dataclass(target)
+    plain_class = inspect.isclass(target) and not dataclasses.is_dataclass(target)
     try:
         hints = get_type_hints(target.__init__ if plain_class else target)
         known = {name: hints.get(name, Any) for name in inspect.signature(target).parameters}
     except Exception as error:  # hints are evaluated, and may raise anything
-        raise BadInput(f"the type hints of {target} cannot be read ({error}): import what they name") from error
+        raise BadInput(f"{config['_target_']}: its type hints cannot be read ({error}): import their names") from error
     given = {name: value for name, value in arguments(config).items() if name != "_target_" and value != "???"}
     return target, check_values(f"{group}.", given, known)
 
@@ -85,14 +94,25 @@ def list_data_files(method: Method, config: Mapping[str, Any]) -> list[Path]:
 def resolve_name(group: Group, text: str) -> str:
     """Return the name of a method or dataset; one in a loose file, ./mine.py:MyMethod, is registered by it first.
 
-    Raises BadInput if the file cannot be imported, or if the name is another's.
+    Raises BadInput if the file cannot be imported (with file and line of the error), has the name of another module or
+    has no such class or function, or if the name is another's.
     """
-    if not local_plugins.is_loose_file(text):
+    parts = _LOOSE_FILE.fullmatch(text)
+    if parts is None:
         return text
-    entry = local_plugins.load_loose_file(group, text)
-    yamls.add(entry)
-    ConfigStore.instance().store(group=group, name=entry.name, node=entry.values())
-    return entry.name
+    file, name = Path(parts["file"]).expanduser(), parts["name"]
+    if name is None:
+        raise BadInput(f"{group}={text}: name its class or function, as in {group}={file}:Mine")
+    module = _import_file(file)
+    target = getattr(module, name, None)
+    if not callable(target):
+        own = [one for one, value in vars(module).items() if getattr(value, "__module__", "") == module.__name__]
+        hint = f": {near(name, own)}" if own else ""
+        raise BadInput(f"{group}={text}: {file} defines no class or function {name}{hint}")
+    config = {"_target_": f"{module.__name__}.{name}", **_list_defaults(group, target)}
+    yamls.add(Entry(group, name, file.absolute(), str(file), config=config))
+    ConfigStore.instance().store(group=group, name=name, node=config)
+    return name
 
 
 def register_loose_file(option: str) -> None:
@@ -114,15 +134,29 @@ def find_target(group: str, config: Mapping[str, Any], where: object) -> Callabl
     try:
         found = getattr(importlib.import_module(module), name)
     except (Exception, SystemExit) as error:  # a plug-in may fail in any way, and must hurt only itself
-        raise BadInput(f"{target} cannot be imported: {local_plugins.describe_error(error)}") from error
-    if not callable(found):
-        raise BadInput(f"{target} is a {type(found).__name__}, not a class or function")
+        raise BadInput(f"{target} cannot be imported: {describe_error(error)}") from error
     return found  # type: ignore[no-any-return]
 
 
 def module_beside(entry: Entry, module: str) -> ModuleType:
     """Import and return a module of the package of a method or dataset, such as the readers of `folders`."""
     return importlib.import_module(f"{entry.target().__module__.rpartition('.')[0]}.{module}")
+
+
+def describe_error(error: BaseException) -> str:
+    """Return an error in one line, with the innermost place in the folder of the plug-in that raised it."""
+    if isinstance(error, SyntaxError):
+        return f"SyntaxError: {error.msg}{_format_place(error.filename, error.lineno)}"
+    text = (str(error).splitlines() or [""])[0]
+    return f"{type(error).__name__}: {text}".removesuffix(": ") + locate_error(error)
+
+
+def locate_error(error: BaseException) -> str:
+    """Return the innermost place of an error in the folder of the plug-in, " (mine.py, line 3)"; empty for none."""
+    places = [(frame.filename, frame.lineno) for frame in traceback.extract_tb(error.__traceback__)]
+    others = [place for place in places if not any(part in place[0] for part in _NO_PLUGINS)]
+    own = [place for place in others if place[0].startswith(os.path.dirname(others[0][0]))]  # noqa: PTH120 (also <string>)
+    return _format_place(*own[-1]) if own else ""
 
 
 def _build(group: Group, config: Mapping[str, Any]) -> Any:
@@ -132,7 +166,7 @@ def _build(group: Group, config: Mapping[str, Any]) -> Any:
     except (BadInput, OSError):
         raise
     except Exception as error:  # a plug-in may raise anything
-        reason = local_plugins.describe_error(error)
+        reason = describe_error(error)
         raise BadInput(f"{config['_target_']} fails when it is made: {reason}") from error
 
 
@@ -144,3 +178,40 @@ def _list_texts(value: Any) -> Iterator[str]:
         value = [inner for name, inner in value.items() if name != "_target_"]
     for inner in value if isinstance(value, list | tuple) else ():
         yield from _list_texts(inner)
+
+
+def _format_place(file: str | None, line: int | None) -> str:
+    path = Path(file or "")
+    shown = path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
+    return f" ({shown}, line {line})" if file else ""
+
+
+def _import_file(file: Path) -> ModuleType:
+    path = file.absolute()
+    if not path.is_file():
+        raise BadInput(f"{file} is not there: give the path of the Python file, as in ./mine.py:MyMethod")
+    if str(path.parent) not in sys.path:
+        sys.path.append(str(path.parent))  # also for its imports from beside itself
+    importlib.invalidate_caches()
+    try:
+        module = importlib.import_module(path.stem)
+    except (Exception, SystemExit) as error:
+        raise BadInput(f"{file} cannot be imported: {describe_error(error)}") from error
+    if Path(module.__file__ or "").resolve() != path.resolve():
+        raise BadInput(f"{file}: another module has the name {path.stem} ({module.__file__}): rename the file")
+    return module
+
+
+def _list_defaults(group: Group, target: Any) -> dict[str, Any]:
+    """Return the parameters of a class or function with their defaults; ??? stands for none, as Hydra has it.
+
+    A default that JSON cannot hold is left to the class or function.
+    """
+    fields = dataclasses.fields(target) if dataclasses.is_dataclass(target) else ()
+    factories = {field.name: field.default_factory for field in fields if callable(field.default_factory)}
+    defaults: dict[str, Any] = {}
+    for name, parameter in inspect.signature(target).parameters.items():
+        value = factories[name]() if name in factories else parameter.default
+        with suppress(PydanticSerializationError):
+            defaults[name] = "???" if value is parameter.empty else to_jsonable_python(value)
+    return defaults | {name: f"${{{name}}}" for name in _RUN_ARGUMENTS if group == "method" and name in defaults}
