@@ -182,7 +182,7 @@ def test_a_sweep_over_loose_files_stores_their_runs_by_name_and_another_process_
     asked = next(run for run in runs if run.method == "Means").config["overrides"]
     assert {"method=means.py:Means", "dataset=walk.py:walk"} <= {*asked}
     options = ["method=sad,Means", "dataset=Means", "seed=1"]
-    assert [*map(registry.with_plugin_paths, options)] == ["method=sad,means.py:Means", "dataset=Means", "seed=1"]
+    assert [*map(entries.with_plugin_paths, options)] == ["method=sad,means.py:Means", "dataset=Means", "seed=1"]
 
 
 # What `new` writes keeps every rule at once, and nothing is overwritten.

@@ -113,7 +113,7 @@ def find_default(group: Folder) -> str:
     return str(next(each[group] for each in run["defaults"] if isinstance(each, Mapping) and group in each))
 
 
-def add(entry: Entry) -> None:
+def register_entry(entry: Entry) -> None:
     """Register the method or dataset of a loose file in this process; raises BadInput if its name is another's."""
     for name, other in entries(entry.group).items():
         if name.casefold() == entry.name.casefold() and other.path != entry.path:

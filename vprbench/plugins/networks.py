@@ -25,7 +25,7 @@ from vprbench.storage.hashes import content_hash
 from vprbench.storage.tensors import Arrays, plain
 from vprbench.text import some
 
-_OURS, _PUBLISHED = (".safetensors", nir_files.SUFFIX), ".pth"
+_SUFFIXES, _PUBLISHED = (".safetensors", nir_files.SUFFIX), ".pth"  # of stored networks, of published ones
 _METADATA = "vprbench"  # the entry of a file's metadata that holds the origin of its network, as JSON
 
 
@@ -61,8 +61,8 @@ def find_network_files(save: str | None, load: str | None, replace: bool) -> Fil
     if load is None:
         return Files(save=target, replace=replace)
     source = Path(load).expanduser()
-    if source.suffix not in (*_OURS, _PUBLISHED) or not source.is_file():
-        raise BadInput(f"load={load}: give a stored network ({', '.join(_OURS)}) or a published one ({_PUBLISHED})")
+    if source.suffix not in (*_SUFFIXES, _PUBLISHED) or not source.is_file():
+        raise BadInput(f"load={load}: give a stored network ({', '.join(_SUFFIXES)}) or a published one ({_PUBLISHED})")
     return Files(source, content_hash(source), target, replace)
 
 
@@ -97,8 +97,8 @@ def require_destination(files: Files, method: Method) -> None:
     if path is None:
         return
     _require_network(method)
-    if path.suffix not in _OURS:
-        raise BadInput(f"save={path}: give a file that ends in {' or '.join(_OURS)}")
+    if path.suffix not in _SUFFIXES:
+        raise BadInput(f"save={path}: give a file that ends in {' or '.join(_SUFFIXES)}")
     if path.suffix == nir_files.SUFFIX:
         nir_files.require_circuit(path, method)
     try:

@@ -22,22 +22,21 @@ from vprbench.api.dataset import Dataset, SharedFrames
 from vprbench.api.images import Images
 from vprbench.api.method import Method
 from vprbench.errors import BadInput
-from vprbench.plugins import entries as yamls
-from vprbench.plugins.entries import Entry, Group, broken_plugins, conf_folders, entries, with_plugin_paths
+from vprbench.plugins.entries import DECLARED, Entry, Group, conf_folders, entries, register_entry
 from vprbench.plugins.options import check_value, check_values
 from vprbench.text import near
 
-__all__ = ["Entry", "Group", "broken_plugins", "check_value", "conf_folders", "entries", "near", "with_plugin_paths"]
+__all__ = ["check_value", "conf_folders", "entries", "near"]  # of other modules, for callers of this one
 
-#: Parts of the file names of frames that lie between the harness and a plug-in.
-_NO_PLUGINS = (str(Path(__file__).parents[1]), "importlib", "<frozen")
+#: Parts of the names of source files that lie between the harness and a plug-in.
+_HARNESS_FILES = (str(Path(__file__).parents[1]), "importlib", "<frozen")
 _LOOSE_FILE = re.compile(r"(?P<file>[^][,()'\"]+\.py)(?::(?P<name>\w+))?")
 _RUN_ARGUMENTS = ("seed", "device")  # parameters of a method that take the values of the run
 
 
 def arguments(config: Mapping[str, Any]) -> dict[str, Any]:
     """Return a configuration without the declarations of its yaml beside the arguments."""
-    return {name: value for name, value in config.items() if name not in yamls.DECLARED}
+    return {name: value for name, value in config.items() if name not in DECLARED}
 
 
 def make_method(config: Mapping[str, Any]) -> Method:
@@ -110,7 +109,7 @@ def resolve_name(group: Group, text: str) -> str:
         hint = f": {near(name, own)}" if own else ""
         raise BadInput(f"{group}={text}: {file} defines no class or function {name}{hint}")
     config = {"_target_": f"{module.__name__}.{name}", **_list_defaults(group, target)}
-    yamls.add(Entry(group, name, file.absolute(), str(file), config=config))
+    register_entry(Entry(group, name, file.absolute(), str(file), config=config))
     ConfigStore.instance().store(group=group, name=name, node=config)
     return name
 
@@ -154,7 +153,7 @@ def describe_error(error: BaseException) -> str:
 def locate_error(error: BaseException) -> str:
     """Return the innermost place of an error in the folder of the plug-in, " (mine.py, line 3)"; empty for none."""
     places = [(frame.filename, frame.lineno) for frame in traceback.extract_tb(error.__traceback__)]
-    others = [place for place in places if not any(part in place[0] for part in _NO_PLUGINS)]
+    others = [place for place in places if not any(part in place[0] for part in _HARNESS_FILES)]
     own = [place for place in others if place[0].startswith(os.path.dirname(others[0][0]))]  # noqa: PTH120 (also <string>)
     return _format_place(*own[-1]) if own else ""
 
