@@ -21,7 +21,7 @@ Folder = Literal["method", "dataset", "timing", "cluster"]
 #: What the yaml of a method or dataset says of it beside its arguments.
 DECLARED = ("tuned_on", "tags", "on_disk")
 
-_LOOSE: dict[Folder, dict[str, Entry]] = {"method": {}, "dataset": {}}  # of loose files, by name
+_LOOSE: dict[str, dict[str, Entry]] = {"method": {}, "dataset": {}}  # of loose files, by name
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ def register_entry(entry: Entry) -> None:
 def with_plugin_paths(option: str) -> str:
     """Return an option method=NAME or dataset=NAME as another process understands it: with a loose file's path."""
     group, equals, names = option.partition("=")
-    loose = {name: entry for known in _LOOSE if known == group for name, entry in _LOOSE[known].items()}
+    loose = _LOOSE.get(group, {})
     paths = (f"{loose[name].provider}:{name}" if name in loose else name for name in names.split(","))
     return f"{group}{equals}{','.join(paths)}"
 

@@ -125,9 +125,7 @@ def save_network(files: Files, method: Method, origin: Origin, references: Image
         _refuse_to_replace(files.save, files.replace)
         replace_bytes(files.save, content)
     except OSError as error:
-        raise BadInput(
-            f"the network could not be stored in {files.save} ({error}): nothing was changed there"
-        ) from error
+        raise BadInput(f"the network could not be stored in {files.save} ({error}): choose another file") from error
 
 
 def read_run_key(path: Path) -> str | None:
