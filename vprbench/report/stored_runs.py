@@ -11,7 +11,6 @@ from typing import Any
 
 from vprbench.api.dataset import Dataset
 from vprbench.plugins import registry
-from vprbench.plugins.opened_files import list_data_files, record_opened_files
 from vprbench.progress import progress_shown
 from vprbench.runs import thumbnails
 from vprbench.runs.corruption import corrupt_queries
@@ -105,6 +104,5 @@ def _hash_files(arguments: Mapping[str, Any], stored: Sequence[Run]) -> list[tup
     """Return name and hash of each data file behind a method; one whose stored runs used none is not imported."""
     if not any(run.config["files"] for run in stored):
         return []
-    with record_opened_files() as opened:
-        method = registry.make_method(arguments)
-    return [(path.name, content_hash(path)) for path in list_data_files(method, arguments, opened)]
+    method = registry.make_method(arguments)
+    return [(path.name, content_hash(path)) for path in registry.list_data_files(method, arguments)]

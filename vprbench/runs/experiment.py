@@ -15,8 +15,7 @@ from vprbench.api.method import Method, calibration
 from vprbench.data.doctor import check_dataset
 from vprbench.errors import BadInput
 from vprbench.plugins import networks, registry
-from vprbench.plugins.opened_files import list_data_files, record_opened_files
-from vprbench.plugins.tuned_frames import find_tuned_queries
+from vprbench.plugins.tuned_places import find_tuned_queries
 from vprbench.progress import progress_shown
 from vprbench.runs import machine, sequences, stream
 from vprbench.runs.corruption import corrupt_queries
@@ -91,8 +90,7 @@ def build_experiment(
         with frames_kept(request.cache):
             dataset = registry.make_dataset(request.dataset)
     files = networks.find_network_files(request.save, request.load, request.force)
-    with record_opened_files() as opened:
-        method = (make or registry.make_method)(request.method)
+    method = (make or registry.make_method)(request.method)
     _require_adaptable(method)
     # warnings of the cheap checks are among the dataset's notes
     in_sequences = bool(sequences.parse_views(request.sequence, request.filter))
@@ -103,7 +101,7 @@ def build_experiment(
     dataset = record_viewpoints(dataset, parse_viewpoints(request.views))
     with progress_shown(request.method_name):  # frames may have to be hashed, and a file be downloaded
         dataset_hash, data = hash_frames(dataset)
-        behind = [(path.name, content_hash(path)) for path in list_data_files(method, request.method, opened)]
+        behind = [(path.name, content_hash(path)) for path in registry.list_data_files(method, request.method)]
         return Experiment(
             request,
             method,

@@ -11,7 +11,7 @@ import numpy as np
 
 from vprbench.api.arrays import Image
 from vprbench.api.dataset import Dataset
-from vprbench.plugins.values import build_options, parse_mapping
+from vprbench.plugins.options import build_options, parse_mapping
 
 _EXAMPLE = "as in views=[-0.1,0,0.1] or views={vertical:[-0.1,0,0.1],zoom:[1,1.1]}"
 

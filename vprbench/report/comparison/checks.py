@@ -157,7 +157,7 @@ def _check_method(
         " ".join([name, *(option.removeprefix("method.") for option in given)]),
         name,
         training="own" if seeded else "map",
-        spiking=entry is not None and entry.spiking,
+        spiking=entry is not None and "spiking" in entry.tags,
         arguments=request.changed,
         seeds=tuple(range(command.request.seeds)) if seeded else (0,),
     )
