@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, get_args
 from vprbench.api.adaptation import Adapt
 from vprbench.api.dataset import Dataset
 from vprbench.api.frame_cache import frames_kept
-from vprbench.api.method import Method, calibration
+from vprbench.api.method import Method
 from vprbench.data.doctor import check_dataset
 from vprbench.errors import BadInput
 from vprbench.plugins import networks, registry
@@ -42,8 +42,8 @@ class Experiment:
     files: Sequence[tuple[str, str]] = ()  # name and hash of each data file behind the method
     cache: Path | None = None  # a folder for descriptors worth keeping
     stream: int = 0  # places from one stop of a growing map to the next; 0: the map does not grow
-    tuned_queries: Sequence[int] = ()  # which show places that the method was tuned on, by their frames' content
-    shared_fit: list[FitResult] | None = None  # of runs that share the method: the result of its fit, once it is fitted
+    tuned_queries: list[int] = field(default_factory=list)  # that show frames which the method was tuned on
+    fits: list[FitResult] = field(default_factory=list)  # of runs that share the method: the fit of the first
 
     @property
     def views(self) -> Viewpoints | None:
@@ -57,7 +57,6 @@ class Experiment:
 
     def key(self) -> str:
         """Return the hash of all that can change the outcome of the run."""
-        held_out = calibration(self.method, self.dataset)
         return run_key(
             self.request,
             self.dataset,
@@ -65,7 +64,6 @@ class Experiment:
             method_class=type(self.method).__qualname__,
             code=code_hash(type(self.method)),
             files=self.files,
-            held_out=None if held_out is None else held_out.fingerprint(),
             network=self.networks.sha256,
         )
 
@@ -115,12 +113,11 @@ def build_experiment(
             cache=Path(request.results).expanduser().absolute() / "descriptors" if request.cache else None,
             stream=stream.parse_step(request.stream, method, dataset.n_places),
             tuned_queries=tuned_queries,
-            shared_fit=[] if isinstance(request.corruption, list) else None,
         )
 
 
 def corrupt_experiment(clean: Experiment, corruption: str) -> Experiment:
-    """Return the same experiment on corrupted query frames; its method is fitted once if it has a `shared_fit`."""
+    """Return the same experiment on corrupted query frames; the method of both is fitted once."""
     dataset = corrupt_queries(clean.dataset, corruption)
     dataset_hash, data = hash_frames(dataset)
     request = clean.request.with_corruption(corruption)
@@ -129,11 +126,7 @@ def corrupt_experiment(clean: Experiment, corruption: str) -> Experiment:
 
 def _require_adaptable(method: Method) -> None:
     """Raise BadInput for an argument `adapt` that is unknown, and for one of a method without centred codes."""
-    if method.adapt == "none":
-        return
     if method.adapt not in get_args(Adapt):
         raise BadInput(f"method.adapt={method.adapt}: give {', '.join(get_args(Adapt))}")
-    if not method.adapts:
-        raise BadInput(
-            f"method.adapt={method.adapt}: {type(method).__name__} has no codes that a mean can be taken off"
-        )
+    if method.adapt != "none" and not method.adapts:
+        raise BadInput(f"method.adapt={method.adapt}: {type(method).__name__} has no codes with a mean; use none")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 from vprbench import progress
 from vprbench.api.arrays import Places
@@ -28,49 +29,44 @@ class FitResult:
     load_seconds: float | None = None
     notes: tuple[Note, ...] = ()
     from_cache: int = 0  # descriptors of references that were kept already
-    of_earlier_run: bool = False  # whose method this run takes over: none of the time is its own
-
-    @property
-    def seconds(self) -> float:
-        """Return the wall time of this run."""
-        return 0.0 if self.of_earlier_run else (self.fit_seconds or 0.0) + (self.load_seconds or 0.0)
-
-    @property
-    def method_seconds(self) -> float:
-        """Return the time of this run that went into the method."""
-        own = (self.fit_compute_seconds or 0.0) + (self.load_seconds or 0.0)
-        return 0.0 if self.of_earlier_run else max(0.0, own)
+    seconds: float = 0.0  # of this run; none if it takes over the fit of an earlier one
+    method_seconds: float = 0.0  # of these, the time that went into the method
 
 
 def fit_or_load(experiment: Experiment, key: str, stopwatch: Stopwatch, described: DescriptorCache | None) -> FitResult:
     """Load the method's network, or fit and calibrate the method and store its network if the request says where.
 
-    A method that an earlier run of the experiment's `shared_fit` has fitted stays as it is.
+    A method that an earlier run of the experiment has fitted stays as it is.
     """
-    if experiment.shared_fit:
-        return replace(experiment.shared_fit[0], of_earlier_run=True)
-    fitted = _fit_or_load(experiment, key, stopwatch, described)
-    if experiment.shared_fit is not None:
-        experiment.shared_fit.append(fitted)
+    if experiment.fits:
+        return replace(experiment.fits[0], seconds=0.0, method_seconds=0.0)
+    if experiment.networks.load is not None:
+        fitted = _load(experiment, experiment.networks.load, stopwatch)
+    else:
+        fitted = _fit_and_calibrate(experiment, key, stopwatch, described)
+    experiment.fits.append(fitted)
     return fitted
 
 
-def _fit_or_load(
+def _load(experiment: Experiment, file: Path, stopwatch: Stopwatch) -> FitResult:
+    method = experiment.method
+    progress.report("load", 0.0)
+    wanted = networks.describe_origin(method, experiment.request.method, experiment.dataset)
+    with stopwatch.lap() as load:
+        notes = tuple(make_notes("loaded", networks.load_network(file, method, wanted)))
+    return FitResult(load_seconds=load[0], notes=notes, seconds=load[0], method_seconds=load[0])
+
+
+def _fit_and_calibrate(
     experiment: Experiment, key: str, stopwatch: Stopwatch, described: DescriptorCache | None
 ) -> FitResult:
     method, dataset, files = experiment.method, experiment.dataset, experiment.networks
-    arguments = experiment.request.method
-    if files.load is not None:
-        progress.report("load", 0.0)
-        wanted = networks.describe_origin(method, arguments, dataset)
-        with stopwatch.lap() as load:
-            notes = tuple(make_notes("loaded", networks.load_network(files.load, method, wanted)))
-        return FitResult(load_seconds=load[0], notes=notes)
     networks.require_destination(files, method)
     given = calibration(method, dataset)
     held_out = None if given is None else _hide_names(given)
-    read = [dataset.references, *([held_out.references, held_out.queries] if held_out else [])]
+    read = [dataset.references, *([] if held_out is None else [held_out.references, held_out.queries])]
     before = _sum_reading_seconds(read)
+    notes: tuple[Note, ...] = ()
     progress.report("fit", 0.0)
     with stopwatch.lap() as fit:
         from_cache = _fit(method, dataset, described)
@@ -80,18 +76,16 @@ def _fit_or_load(
                 method.calibrate(held_out)
             except BadInput as error:
                 raise BadInput(f"choosing settings by held-out places: {error}") from error
+            text = f"calibrated on {len(held_out.queries)} held-out queries of {held_out.n_places} places"
+            notes = (Note("calibrated", text),)
     seconds = fit[0]
     computing = seconds - (_sum_reading_seconds(read) - before)
     if files.save is not None:
-        origin = networks.describe_origin(method, arguments, dataset, key, seconds)
+        origin = networks.describe_origin(method, experiment.request.method, dataset, key, seconds)
         networks.save_network(files, method, origin, dataset.references)
-    calibrated: tuple[Note, ...] = ()
-    if held_out is not None:
-        text = f"calibrated on {len(held_out.queries)} held-out queries of {held_out.n_places} places"
-        calibrated = (Note("calibrated", text),)
     if from_cache:
-        return FitResult(load_seconds=seconds, notes=calibrated, from_cache=from_cache)
-    return FitResult(fit_seconds=seconds, fit_compute_seconds=computing, notes=calibrated)
+        return FitResult(None, None, seconds, notes, from_cache, seconds, seconds)
+    return FitResult(seconds, computing, None, notes, 0, seconds, max(0.0, computing))
 
 
 def _fit(method: Method, dataset: Dataset, described: DescriptorCache | None) -> int:
@@ -125,7 +119,7 @@ def _hide_names(held_out: HeldOut) -> HeldOut:
 
 def _sum_reading_seconds(read: Iterable[Images]) -> float:
     """Return how long somebody waited for images; views of one sequence share their waiting, which counts once."""
-    return sum(waiting.seconds for waiting in {id(images.reading): images.reading for images in read}.values())
+    return sum(reading.seconds for reading in {images.reading for images in read})
 
 
 def _lock_places(places: Places) -> Places:

@@ -34,10 +34,9 @@ def run_key(
     method_class: str,
     code: str,
     files: Sequence[tuple[str, str]],
-    held_out: str | None,
     network: str | None,
 ) -> str:
-    """Return the hash of all that can change the outcome of a run, or the times it measures by one timing protocol.
+    """Return the hash of all that can change the record of a run, but for its timing protocol.
 
     Args:
         request: the run to be made; the place of its method's file does not count.
@@ -46,7 +45,6 @@ def run_key(
         method_class: the name of the method's class.
         code: the hash of that class's code.
         files: name and hash of each data file behind the method.
-        held_out: the fingerprint of the places that the method chooses its settings by; None if there are none.
         network: the hash of the file that the run loads; None for a run that trains.
     """
     arguments = {name: value for name, value in request.method.items() if name not in ("_target_", "device")}
@@ -57,7 +55,9 @@ def run_key(
             "dataset": dataset.name,
             "protocol": dict(dataset.protocol),
             "images": images,
-            "held_out": held_out,
+            "breaks": [None if at is None else at.tolist() for at in (dataset.query_breaks, dataset.place_breaks)],
+            "held_out": None if dataset.held_out is None else dataset.held_out.fingerprint(),
+            "tuned_on": request.tuned_on,
             "files": [[*each] for each in files],
             "seed": request.seed,
             "device": machine.device_class(request.device),
@@ -101,20 +101,20 @@ def hash_frames(dataset: Dataset) -> tuple[str, DataRecord]:
     The record lets others tell whether they used the same frames. Raises BadInput if a file cannot be read.
     """
     traverses = dataset.references, dataset.queries
-    files = [images.file_hashes() for images in traverses]  # None: images that are no files
+    hashes = [images.file_hashes() for images in traverses]  # None: images that are no files
     digest = hashlib.sha256()
-    for images, hashes in zip(traverses, files, strict=True):
-        digest.update(images.fingerprint(hashes).encode())
+    for images, files in zip(traverses, hashes, strict=True):
+        digest.update(images.fingerprint(files).encode())
     digest.update(dataset.places.tobytes())
     for right in dataset.positives:
         digest.update(right.tobytes() + b";")
-    known = [hashes for hashes in files if hashes is not None]
-    whole = len(known) == len(files)
+    known = [files for files in hashes if files is not None]
+    are_files = len(known) == len(hashes)
     return digest.hexdigest(), {
         "names_sha256": names_hash(*(images.names for images in traverses)).hexdigest(),
-        "content_sha256": hashlib.sha256(b"".join(part.sha256 for part in known)).hexdigest() if whole else None,
+        "content_sha256": hashlib.sha256(b"".join(files.sha256 for files in known)).hexdigest() if are_files else None,
         "images": sum(map(len, traverses)),
-        "bytes": sum(int(part.sizes.sum()) for part in known) if whole else None,
+        "bytes": sum(int(files.sizes.sum()) for files in known) if are_files else None,
     }
 
 

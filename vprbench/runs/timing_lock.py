@@ -53,17 +53,15 @@ def alone() -> Iterator[None]:
 
 
 def is_only_run() -> bool:
-    """Tell whether no other run of this host computes or is timed now."""
-    with contextlib.ExitStack() as opened:
-        file = _computing[0] if _computing else opened.enter_context(_open_lock())
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            only = True
-        except BlockingIOError:
-            only = False
-        if _computing:  # the system has taken back the shared lock in either case
-            fcntl.flock(file, fcntl.LOCK_SH)
-        return only
+    """Tell whether no other run of this host computes or is timed now; for a process that computes."""
+    (own,) = _computing
+    only = True
+    try:
+        fcntl.flock(own, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        only = False
+    fcntl.flock(own, fcntl.LOCK_SH)  # the system has taken back the shared lock in either case
+    return only
 
 
 def folder() -> Path:
