@@ -6,9 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Any
 
-from vprbench.api.adaptation import Adapt
 from vprbench.api.dataset import Dataset
 from vprbench.api.frame_cache import frames_kept
 from vprbench.api.method import Method
@@ -31,7 +30,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Experiment:
-    """What a run is made of."""
+    """The parts of a run, built and checked."""
 
     request: RunRequest
     method: Method
@@ -52,7 +51,7 @@ class Experiment:
 
     @cached_property
     def config(self) -> dict[str, Any]:
-        """What a stored run holds of the request, and the files behind its method."""
+        """The fields of the request that a stored run holds, and the files behind its method."""
         return {**self.request.record(), "files": [[*each] for each in self.files]}
 
     def key(self) -> str:
@@ -91,10 +90,10 @@ def build_experiment(
     files = networks.find_network_files(request.save, request.load, request.force)
     with record_opened_files() as opened:
         method = (make or registry.make_method)(request.method)
-    _require_adaptable(method)
-    # warnings of the cheap checks are among the dataset's notes
-    in_sequences = bool(sequences.parse_views(request.sequence, request.filter))
-    dataset = replace(dataset, notes=(*dataset.notes, *check_dataset(dataset, in_sequences)))
+    if method.adapt != "none" and not method.adapts:
+        raise BadInput(f"method.adapt={method.adapt}: {type(method).__name__} has no codes with a mean; use none")
+    warnings = check_dataset(dataset, bool(sequences.parse_views(request.sequence, request.filter)))
+    dataset = replace(dataset, notes=(*dataset.notes, *warnings))
     tuned_queries = find_tuned_queries(dataset, request.tuned_on)
     if isinstance(request.corruption, str):
         dataset = corrupt_queries(dataset, request.corruption)
@@ -122,11 +121,3 @@ def corrupt_experiment(clean: Experiment, corruption: str) -> Experiment:
     dataset_hash, data = hash_frames(dataset)
     request = clean.request.with_corruption(corruption)
     return replace(clean, request=request, dataset=dataset, fingerprint=dataset_hash, data=data)
-
-
-def _require_adaptable(method: Method) -> None:
-    """Raise BadInput for an argument `adapt` that is unknown, and for one of a method without centred codes."""
-    if method.adapt not in get_args(Adapt):
-        raise BadInput(f"method.adapt={method.adapt}: give {', '.join(get_args(Adapt))}")
-    if method.adapt != "none" and not method.adapts:
-        raise BadInput(f"method.adapt={method.adapt}: {type(method).__name__} has no codes with a mean; use none")

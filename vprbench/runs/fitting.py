@@ -12,7 +12,6 @@ from vprbench.api.dataset import Dataset, HeldOut
 from vprbench.api.descriptor import DescriptorMethod
 from vprbench.api.images import Images
 from vprbench.api.method import Method, calibration
-from vprbench.errors import BadInput
 from vprbench.plugins import networks
 from vprbench.runs.descriptors import DescriptorCache
 from vprbench.runs.experiment import Experiment
@@ -24,10 +23,10 @@ from vprbench.runs.stopwatch import Stopwatch
 class FitResult:
     """How a method came to its map, and how long that took."""
 
-    fit_seconds: float | None = None
-    fit_compute_seconds: float | None = None
-    load_seconds: float | None = None
-    notes: tuple[Note, ...] = ()
+    fit_seconds: float | None
+    fit_compute_seconds: float | None
+    load_seconds: float | None
+    notes: tuple[Note, ...]
     from_cache: int = 0  # descriptors of references that were kept already
     seconds: float = 0.0  # of this run; none if it takes over the fit of an earlier one
     method_seconds: float = 0.0  # of these, the time that went into the method
@@ -53,8 +52,8 @@ def _load(experiment: Experiment, file: Path, stopwatch: Stopwatch) -> FitResult
     progress.report("load", 0.0)
     wanted = networks.describe_origin(method, experiment.request.method, experiment.dataset)
     with stopwatch.lap() as load:
-        notes = tuple(make_notes("loaded", networks.load_network(file, method, wanted)))
-    return FitResult(load_seconds=load[0], notes=notes, seconds=load[0], method_seconds=load[0])
+        notes = make_notes("loaded", networks.load_network(file, method, wanted))
+    return FitResult(None, None, load[0], tuple(notes), seconds=load[0], method_seconds=load[0])
 
 
 def _fit_and_calibrate(
@@ -72,10 +71,7 @@ def _fit_and_calibrate(
         from_cache = _fit(method, dataset, described)
         if held_out is not None:
             progress.report("calibrate", 0.0)
-            try:
-                method.calibrate(held_out)
-            except BadInput as error:
-                raise BadInput(f"choosing settings by held-out places: {error}") from error
+            method.calibrate(held_out)
             text = f"calibrated on {len(held_out.queries)} held-out queries of {held_out.n_places} places"
             notes = (Note("calibrated", text),)
     seconds = fit[0]
@@ -90,31 +86,25 @@ def _fit_and_calibrate(
 
 def _fit(method: Method, dataset: Dataset, described: DescriptorCache | None) -> int:
     """Fit a method; returns of how many references `described` had kept the descriptors already."""
-    total = len(dataset.references)
+    references, places = dataset.references, _lock_places(dataset.places)
 
     def report(done: int) -> None:
-        progress.report("fit, reading images", done / total)
+        progress.report("fit, reading images", done / len(references))
 
-    places = _lock_places(dataset.places)
     if described is None:
-        method.fit(dataset.references.watched(report), places)
+        method.fit(references.watched(report), places)
         return 0
     assert isinstance(method, DescriptorMethod)
-    method.require_index(total)
-    descriptors, from_cache = described.descriptors(dataset.references, method.encode, report)
+    method.require_index(len(references))
+    descriptors, from_cache = described.descriptors(references, method.encode, report)
     method.fit_encoded(descriptors, places)
     return from_cache
 
 
 def _hide_names(held_out: HeldOut) -> HeldOut:
     """Return the same places as a method may see them: under names that say nothing, not to be written to."""
-    return HeldOut(
-        references=held_out.references.unnamed(),
-        places=_lock_places(held_out.places),
-        queries=held_out.queries.unnamed(),
-        right=_lock_places(held_out.right),
-        in_map=held_out.in_map,
-    )
+    images = {part: getattr(held_out, part).unnamed() for part in ("references", "queries")}
+    return replace(held_out, places=_lock_places(held_out.places), right=_lock_places(held_out.right), **images)
 
 
 def _sum_reading_seconds(read: Iterable[Images]) -> float:

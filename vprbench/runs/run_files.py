@@ -6,7 +6,6 @@ import hashlib
 import json
 import logging
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -74,13 +73,6 @@ def load(folder: Path) -> Run:
         raise
     except Exception as error:  # a damaged file may upset its reader in any way
         raise DamagedRunError(f"{type(error).__name__}: {error}") from error
-
-
-def find_arrays(folder: Path) -> Path | None:
-    """Return the file of arrays that the summary of a folder names; None if there is no such summary."""
-    with suppress(Exception):  # a damaged summary may upset its reader in any way
-        return _arrays_file(folder, json.loads((folder / SUMMARY).read_bytes())["sha256"])
-    return None
 
 
 def write_failure(failure: Failure, folder: Path) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
-import getpass
 import hashlib
 import json
 import logging
@@ -58,9 +57,10 @@ def lock_run(root: Path, run: str, about: Mapping[str, Any], wait: bool = True) 
                 raise error from None
             logger.info("%s: waiting for it", error)
             lock.acquire(poll_interval=_LOOK_EVERY)
+        holder = {"owner": os.environ.get("USER") or str(os.getuid()), "host": socket.gethostname()}
         since = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
-        claim = {"owner": _read_user(), "host": socket.gethostname(), "process": os.getpid(), "since": since}
-        path.write_text(json.dumps({**about, **claim}), encoding="utf-8")
+        claim = {**about, **holder, "process": os.getpid(), "since": since}
+        path.write_text(json.dumps(claim), encoding="utf-8")
     except OSError as error:
         logger.warning("%s cannot be locked (%s): another process may make it too", run, error.strerror or error)
     try:
@@ -93,13 +93,6 @@ def _read_claim(path: Path) -> dict[str, Any]:
     with contextlib.suppress(OSError, ValueError):
         claim = json.loads(path.read_bytes())
     return {name: claim.get(name) if isinstance(claim, dict) else None for name in _CLAIM}
-
-
-def _read_user() -> str:
-    try:
-        return getpass.getuser()
-    except (OSError, KeyError):  # a container may know no name
-        return str(os.getuid())
 
 
 @dataclass(frozen=True)

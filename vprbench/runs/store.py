@@ -129,9 +129,8 @@ def _place(folder: Path, fill: Callable[[Path], None]) -> None:
         partial.mkdir(parents=True)
         fill(partial)
         folder.mkdir(exist_ok=True)
-        earlier = run_files.find_arrays(folder)
         moved = [path.replace(folder / path.name) for path in sorted(partial.iterdir())]  # arrays before run.json
-        if earlier is not None and earlier not in moved:
+        for earlier in {*folder.glob("arrays-*")} - {*moved}:
             earlier.unlink(missing_ok=True)
     except ValueError as error:
         raise BadInput(f"the run cannot be stored: {error}; mend the method or dataset that gave it") from error

@@ -24,7 +24,7 @@ def computing() -> Iterator[None]:
     if _computing:
         yield
         return
-    with _open_lock() as file:
+    with (folder() / "computing").open("ab") as file:
         fcntl.flock(file, fcntl.LOCK_SH)
         _computing.append(file)
         try:
@@ -40,15 +40,11 @@ def alone() -> Iterator[None]:
 
     A run that computes goes on computing afterwards.
     """
-    for own in _computing:
-        fcntl.flock(own, fcntl.LOCK_UN)
-    with _open_lock() as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
-        try:
-            yield
-        finally:
-            fcntl.flock(file, fcntl.LOCK_UN)
-    for own in _computing:  # a run that was interrupted waits for nothing more
+    with computing():
+        (own,) = _computing
+        fcntl.flock(own, fcntl.LOCK_UN)  # two runs that wait for each other would wait for ever
+        fcntl.flock(own, fcntl.LOCK_EX)
+        yield
         fcntl.flock(own, fcntl.LOCK_SH)
 
 
@@ -69,7 +65,3 @@ def folder() -> Path:
     path = Path(os.environ.get(FOLDER) or Path(tempfile.gettempdir()) / f"vprbench-slot-{os.getuid()}")
     path.mkdir(mode=0o700, parents=True, exist_ok=True)
     return path
-
-
-def _open_lock() -> IO[bytes]:
-    return (folder() / "computing").open("ab")
