@@ -38,7 +38,7 @@ def key(dataset=None, protocol=QUICK, threads=1, **changes):
     "changes",
     [
         {"method": {"_target_": "little.Lookup", "window": 6}},
-        *({name: value} for name, value in (("seed", 1), ("depth", 4), ("threads", 2))),
+        *({name: value} for name, value in (("seed", 1), ("depth", 4), ("threads", 2), ("tuned_on", {"dataset": "a"}))),
         {"dataset": journey(6, 4, [[0], [1], [2], [3], [0, 1], [1]])},
         {"dataset": corrupt_queries(LITTLE, "shift-1")},
         *(
@@ -50,6 +50,7 @@ def key(dataset=None, protocol=QUICK, threads=1, **changes):
                 ("queries", pictures([1, 0, 2, 3, 4, 5])),
                 ("references", pictures([0, 1, 2, 4])),
                 ("places", np.array([0, 1, 3, 2])),
+                ("query_breaks", np.array([2])),
             )
         ),
     ],

@@ -30,7 +30,7 @@ class DamagedRunError(Exception):
     """A folder of the store holds no whole run, or the system does not let it be read; the message says why."""
 
 
-class OtherLayoutError(Exception):
+class OtherLayoutError(DamagedRunError):
     """A folder of the store holds a run of an earlier or later version of this program; the message names both."""
 
 

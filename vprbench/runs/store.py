@@ -50,11 +50,9 @@ class Store:
         """Return the stored run with this key; a damaged one is named in a warning and counts as absent."""
         folder = self.folder(dataset, method, key)
         try:
-            return self._load(folder) if (folder / SUMMARY).exists() else None
-        except OSError:  # no disk takes this name
-            return None
-        except OtherLayoutError as error:
-            logger.warning("%s is left as it is: %s", folder, error)
+            return run_files.load(folder) if (folder / SUMMARY).exists() else None
+        except (DamagedRunError, OSError) as error:
+            self._warn(folder, error)
             return None
 
     def runs(self) -> Iterator[Run]:
@@ -62,12 +60,11 @@ class Store:
         others = 0  # of earlier and later versions
         for summary in self._find_files(SUMMARY):
             try:
-                run = self._load(summary.parent)
+                yield run_files.load(summary.parent)
             except OtherLayoutError:
                 others += 1
-                continue
-            if run is not None:
-                yield run
+            except DamagedRunError as error:
+                self._warn(summary.parent, error)
         if others:
             logger.warning("%s: %d runs of another version of vprbench are left as they are", self.root, others)
 
@@ -103,15 +100,10 @@ class Store:
         """Return the files of this name of all runs and failures, by dataset and folder."""
         return sorted(self.root.glob(f"[!.]*/[!.]*/{name}"))
 
-    def _load(self, folder: Path) -> Run | None:
-        """Read the run of a folder; None, with a warning, if it is damaged. Raises OtherLayoutError."""
-        try:
-            return run_files.load(folder)
-        except DamagedRunError as error:
-            if folder not in self._damaged:
-                logger.warning("%s cannot be used and is left out: %s", folder, error)
-            self._damaged.add(folder)
-            return None
+    def _warn(self, folder: Path, error: Exception) -> None:
+        if folder not in self._damaged:
+            logger.warning("%s cannot be used and is left out: %s", folder, error)
+        self._damaged.add(folder)
 
     def _failure_folder(self, method: str, dataset: str, config: Mapping[str, Any]) -> Path:
         names = ("method", "dataset", "seed", "device", "load", "corruption", "views")

@@ -30,9 +30,6 @@ class Viewpoint:
         return f"{self.horizontal:g}{vertical}" + ("" if self.zoom == 1 else f" zoom {self.zoom:.3g}")
 
 
-AS_IT_IS = Viewpoint()
-
-
 @dataclass(frozen=True)
 class Viewpoints:
     """The views of each query; raises ValueError for impossible ones."""
@@ -78,7 +75,7 @@ def render_view(image: Image, viewpoint: Viewpoint) -> Image:
 
     Shifts are by whole pixels; an enlargement about the middle interpolates between pixels.
     """
-    if viewpoint == AS_IT_IS:
+    if viewpoint == Viewpoint():
         return image
     (height, width), zoom = image.shape[:2], viewpoint.zoom
     left, up = -round(viewpoint.horizontal * width), -round(viewpoint.vertical * height)
