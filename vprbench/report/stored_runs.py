@@ -71,7 +71,6 @@ class StoredRuns:
             request,
             dataset,
             images=images,
-            method_class=request.method["_target_"].rpartition(".")[2],
             code=code,
             files=_hash_files(request.method, alike),
             network=None,

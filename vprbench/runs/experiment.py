@@ -60,7 +60,6 @@ class Experiment:
             self.request,
             self.dataset,
             images=self.fingerprint,
-            method_class=type(self.method).__qualname__,
             code=code_hash(type(self.method)),
             files=self.files,
             network=self.networks.sha256,

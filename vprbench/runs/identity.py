@@ -31,7 +31,6 @@ def run_key(
     dataset: Dataset,
     *,
     images: str,
-    method_class: str,
     code: str,
     files: Sequence[tuple[str, str]],
     network: str | None,
@@ -42,15 +41,14 @@ def run_key(
         request: the run to be made; the place of its method's file does not count.
         dataset: its dataset, built.
         images: the fingerprint of the dataset.
-        method_class: the name of the method's class.
-        code: the hash of that class's code.
+        code: the `code_hash` of the method's class.
         files: name and hash of each data file behind the method.
         network: the hash of the file that the run loads; None for a run that trains.
     """
     arguments = {name: value for name, value in request.method.items() if name not in ("_target_", "device")}
     return content_key(
         {
-            "method": {"class": method_class, **arguments},
+            "method": arguments,
             "code": code,
             "dataset": dataset.name,
             "protocol": dict(dataset.protocol),
@@ -79,12 +77,12 @@ class DataRecord(TypedDict):
 
 
 def code_hash(method: type[Method]) -> str:
-    """Return the hash of the code that computes a method's answers, and of the version of the harness around it.
+    """Return the hash of the code that computes a method's answers, its class, and the version of the harness.
 
     Of a class without source it is another one each time: its runs are never found again.
     """
     try:
-        return _add_harness(sources.hash_class(method))
+        return _add_harness(sources.hash_class(method), method.__qualname__)
     except OSError:
         return uuid.uuid4().hex
 
@@ -92,7 +90,7 @@ def code_hash(method: type[Method]) -> str:
 def code_hash_of(target: str) -> str | None:
     """Return the `code_hash` of a class by its full name, without importing it; None where its file is unknown."""
     code = sources.hash_target(target)
-    return None if code is None else _add_harness(code)
+    return None if code is None else _add_harness(code, target.rpartition(".")[2])
 
 
 def hash_frames(dataset: Dataset) -> tuple[str, DataRecord]:
@@ -123,5 +121,5 @@ def fingerprint(dataset: Dataset) -> str:
     return hash_frames(dataset)[0]
 
 
-def _add_harness(code: str) -> str:
-    return hashlib.sha256(f"{code} {VERSION}".encode()).hexdigest()
+def _add_harness(code: str, name: str) -> str:
+    return hashlib.sha256(f"{code} {name} {VERSION}".encode()).hexdigest()
