@@ -21,7 +21,6 @@ from vprbench.storage.atomic import replace_bytes
 
 logger = logging.getLogger(__name__)
 
-_FOLDER, _ABOUT = "frames", "about.json"
 _EXAMPLES, _EXAMPLE_SIDE = 4, 640  # pairs of pictures without loss, and their longest side in pixels
 _SIDE = 96  # of a thumbnail: its longest side in pixels, which makes about 1 kB
 _MOST = 6000  # thumbnails of a dataset; a dataset of no more frames is kept whole
@@ -89,36 +88,30 @@ def save_thumbnails(root: Path, fingerprint: str, dataset: Dataset, shown: Shown
     about = {"examples": examples, **{part: [*images[part].names] for part in images}}
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w") as archive:
-        for name, content in {**files, _ABOUT: json.dumps(about).encode()}.items():
+        for name, content in {**files, "about.json": json.dumps(about).encode()}.items():
             archive.writestr(name, content)
-    path = _locate(root, fingerprint)
-    path.parent.mkdir(exist_ok=True)
-    replace_bytes(path, packed.getvalue())
+    (root / "frames").mkdir(exist_ok=True)
+    replace_bytes(root / "frames" / f"{fingerprint}.zip", packed.getvalue())
 
 
 def load_thumbnails(root: Path, fingerprint: str) -> Thumbnails | None:
     """Return the pictures kept of a dataset; None if there are none or, with a warning, if they are damaged."""
-    path = _locate(root, fingerprint)
+    path = root / "frames" / f"{fingerprint}.zip"
     try:
         with zipfile.ZipFile(path) as archive:
             files = {name: archive.read(name) for name in archive.namelist()}
-        about = json.loads(files[_ABOUT])
+        about = json.loads(files["about.json"])
         parts = ("queries", "references")
-        frames = (tuple(files.get(f"{part}/{n}", b"") for n in range(len(about[part]))) for part in parts)
-        examples = tuple(
-            Example(*pair, *(_decode(files[f"examples/{number}-{part}"]) for part in parts))
-            for number, pair in enumerate(about["examples"])
-        )
-        return Thumbnails(tuple(about["queries"]), tuple(about["references"]), examples, *frames)
+        names = [tuple(about[part]) for part in parts]
+        frames = [tuple(files.get(f"{part}/{n}", b"") for n in range(len(about[part]))) for part in parts]
+        pairs = [[_decode(files[f"examples/{n}-{part}"]) for part in parts] for n in range(len(about["examples"]))]
+        examples = tuple(Example(*numbers, *pair) for numbers, pair in zip(about["examples"], pairs, strict=True))
+        return Thumbnails(*names, examples, *frames)
     except FileNotFoundError:
         return None
     except Exception as error:  # a damaged file fails in many ways
         logger.warning("%s cannot be used (%s): the next run on that dataset makes it anew", path, error)
         return None
-
-
-def _locate(root: Path, fingerprint: str) -> Path:
-    return root / _FOLDER / f"{fingerprint}.zip"
 
 
 def _choose_examples(dataset: Dataset) -> list[tuple[int, int]]:
