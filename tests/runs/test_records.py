@@ -25,6 +25,7 @@ from vprbench.runs import run_files
 from vprbench.runs.notes import Note
 from vprbench.runs.run_files import SCHEMA, OtherLayoutError, content_key, load
 from vprbench.runs.store import Store
+from vprbench.runs.views import select_queries
 from vprbench.storage import tensors
 
 KEY = "0123456789abcdef"
@@ -214,6 +215,9 @@ def test_a_run_that_would_not_be_read_is_not_stored(store, three):
             store.save(a_run(**{"key": "b", part: value}))
     with pytest.raises(ValueError, match=r"top_places is .*: Value error, is object"):
         store.save(a_run(top_places=np.array([[None]])))
+    untimed = a_run(timing=None, config={**a_run().config, "timing": None})
+    with pytest.raises(BadInput, match="view"):
+        store.save(select_queries(untimed, np.arange(2), {}))
     assert keys(store) == ["a", "b", "c"]
     assert [path.name for path in store.root.iterdir()] == ["journey"]
 

@@ -40,14 +40,14 @@ def fit_or_load(experiment: Experiment, key: str, stopwatch: Stopwatch, describe
     if experiment.fits:
         return replace(experiment.fits[0], seconds=0.0, method_seconds=0.0)
     if experiment.networks.load is not None:
-        fitted = _load(experiment, experiment.networks.load, stopwatch)
+        fitted = _load_network(experiment, experiment.networks.load, stopwatch)
     else:
         fitted = _fit_and_calibrate(experiment, key, stopwatch, described)
     experiment.fits.append(fitted)
     return fitted
 
 
-def _load(experiment: Experiment, file: Path, stopwatch: Stopwatch) -> FitResult:
+def _load_network(experiment: Experiment, file: Path, stopwatch: Stopwatch) -> FitResult:
     method = experiment.method
     progress.report("load", 0.0)
     wanted = networks.describe_origin(method, experiment.request.method, experiment.dataset)
@@ -68,7 +68,7 @@ def _fit_and_calibrate(
     notes: tuple[Note, ...] = ()
     progress.report("fit", 0.0)
     with stopwatch.lap() as fit:
-        from_cache = _fit(method, dataset, described)
+        from_cache = _fit_references(method, dataset, described)
         if held_out is not None:
             progress.report("calibrate", 0.0)
             method.calibrate(held_out)
@@ -84,7 +84,7 @@ def _fit_and_calibrate(
     return FitResult(seconds, computing, None, notes, 0, seconds, max(0.0, computing))
 
 
-def _fit(method: Method, dataset: Dataset, described: DescriptorCache | None) -> int:
+def _fit_references(method: Method, dataset: Dataset, described: DescriptorCache | None) -> int:
     """Fit a method; returns of how many references `described` had kept the descriptors already."""
     references, places = dataset.references, _lock_places(dataset.places)
 

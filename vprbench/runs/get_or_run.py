@@ -72,7 +72,7 @@ def get_or_run(experiment: Experiment, store: Store, wait: bool = True) -> RunRe
         with lock_run(store.root, f"{dataset.name}/{folder.name}", about, wait):
             run = find()  # another process may have made it meanwhile
             if run is None:
-                run, from_store = _make(experiment, key, store), False
+                run, from_store = _make_run(experiment, key, store), False
     if from_store:
         run = replace(run, config={**run.config, "overrides": request.overrides})  # under the names of this request
     if request.frames:
@@ -99,7 +99,7 @@ def list_missing_parts(run: Run, request: RunRequest) -> list[str]:
     return [part for part, is_missing in lacks.items() if is_missing]
 
 
-def _make(experiment: Experiment, key: str, store: Store) -> Run:
+def _make_run(experiment: Experiment, key: str, store: Store) -> Run:
     """Make and store a run; parts of a stored one that this request does not ask for stay."""
     request, files = experiment.request, experiment.networks
     stored = store.find(experiment.dataset.name, request.method_name, key)

@@ -52,7 +52,7 @@ class Store:
         try:
             return run_files.load(folder) if (folder / SUMMARY).exists() else None
         except (DamagedRunError, OSError) as error:
-            self._warn(folder, error)
+            self._warn_of_damage(folder, error)
             return None
 
     def runs(self) -> Iterator[Run]:
@@ -64,7 +64,7 @@ class Store:
             except OtherLayoutError:
                 others += 1
             except DamagedRunError as error:
-                self._warn(summary.parent, error)
+                self._warn_of_damage(summary.parent, error)
         if others:
             logger.warning("%s: %d runs of another version of vprbench are left as they are", self.root, others)
 
@@ -76,14 +76,14 @@ class Store:
     def save(self, run: Run) -> Path:
         """Store a run, replacing one with the same key; raises BadInput if the disk refuses, or a run cannot be."""
         folder = self.folder(run.dataset, run.method, run.key)
-        _place(folder, lambda partial: run_files.write(run, partial))
+        _write_folder(folder, lambda partial: run_files.write(run, partial))
         shutil.rmtree(self._failure_folder(run.method, run.dataset, run.config), ignore_errors=True)
         return folder
 
     def save_failure(self, failure: Failure) -> Path:
         """Store that a run ended in an error, until a run of the same configuration succeeds; raises BadInput."""
         folder = self._failure_folder(failure.method, failure.dataset, failure.config)
-        _place(folder, lambda partial: run_files.write_failure(failure, partial))
+        _write_folder(folder, lambda partial: run_files.write_failure(failure, partial))
         return folder
 
     def try_to_save_failure(self, failure: Failure) -> None:
@@ -100,7 +100,7 @@ class Store:
         """Return the files of this name of all runs and failures, by dataset and folder."""
         return sorted(self.root.glob(f"[!.]*/[!.]*/{name}"))
 
-    def _warn(self, folder: Path, error: Exception) -> None:
+    def _warn_of_damage(self, folder: Path, error: Exception) -> None:
         if folder not in self._damaged:
             logger.warning("%s cannot be used and is left out: %s", folder, error)
         self._damaged.add(folder)
@@ -111,7 +111,7 @@ class Store:
         return self.root / dataset / f"{method}-failed-{key}"
 
 
-def _place(folder: Path, fill: Callable[[Path], None]) -> None:
+def _write_folder(folder: Path, fill: Callable[[Path], None]) -> None:
     """Let `fill` write files into a folder beside `folder`, and move them there, the summary last.
 
     A reader finds the earlier run until the summary is replaced, and the new one from then on. Raises BadInput.

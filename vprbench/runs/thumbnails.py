@@ -80,11 +80,11 @@ def save_thumbnails(root: Path, fingerprint: str, dataset: Dataset, shown: Shown
     for part, numbers in zip(images, chosen, strict=True):
         for done, image in enumerate(images[part][np.array(numbers, np.int64)]):
             progress.report(f"keeping small {part}", done / len(numbers))
-            files[f"{part}/{numbers[done]}"] = _encode(image, _SIDE, quality=50)
+            files[f"{part}/{numbers[done]}"] = _encode_webp(image, _SIDE, quality=50)
     examples = _choose_examples(dataset)
     for number, pair in enumerate(examples):
         for part, n in zip(images, pair, strict=True):
-            files[f"examples/{number}-{part}"] = _encode(images[part][n], _EXAMPLE_SIDE, lossless=True)
+            files[f"examples/{number}-{part}"] = _encode_webp(images[part][n], _EXAMPLE_SIDE, lossless=True)
     about = {"examples": examples, **{part: [*images[part].names] for part in images}}
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w") as archive:
@@ -104,7 +104,7 @@ def load_thumbnails(root: Path, fingerprint: str) -> Thumbnails | None:
         parts = ("queries", "references")
         names = [tuple(about[part]) for part in parts]
         frames = [tuple(files.get(f"{part}/{n}", b"") for n in range(len(about[part]))) for part in parts]
-        pairs = [[_decode(files[f"examples/{n}-{part}"]) for part in parts] for n in range(len(about["examples"]))]
+        pairs = [[_decode_webp(files[f"examples/{n}-{part}"]) for part in parts] for n in range(len(about["examples"]))]
         examples = tuple(Example(*numbers, *pair) for numbers, pair in zip(about["examples"], pairs, strict=True))
         return Thumbnails(*names, examples, *frames)
     except FileNotFoundError:
@@ -122,7 +122,7 @@ def _choose_examples(dataset: Dataset) -> list[tuple[int, int]]:
     return [(query, int(right[len(right) // 2])) for query, right in rights]
 
 
-def _encode(image: Image, side: int, **options: Any) -> bytes:
+def _encode_webp(image: Image, side: int, **options: Any) -> bytes:
     """Return an image as WebP, its longest side at most `side` pixels."""
     picture, buffer = PillowImage.fromarray(image), io.BytesIO()
     picture.thumbnail((side, side))
@@ -130,6 +130,6 @@ def _encode(image: Image, side: int, **options: Any) -> bytes:
     return buffer.getvalue()
 
 
-def _decode(webp: bytes) -> Image:
+def _decode_webp(webp: bytes) -> Image:
     with PillowImage.open(io.BytesIO(webp), formats=["WEBP"]) as picture:
         return np.asarray(picture.convert("RGB"))
