@@ -106,7 +106,7 @@ def load_thumbnails(root: Path, fingerprint: str) -> Thumbnails | None:
         frames = [tuple(files.get(f"{part}/{n}", b"") for n in range(len(about[part]))) for part in parts]
         pairs = [[_decode_webp(files[f"examples/{n}-{part}"]) for part in parts] for n in range(len(about["examples"]))]
         examples = tuple(Example(*numbers, *pair) for numbers, pair in zip(about["examples"], pairs, strict=True))
-        return Thumbnails(*names, examples, *frames)
+        return Thumbnails(names[0], names[1], examples, frames[0], frames[1])
     except FileNotFoundError:
         return None
     except Exception as error:  # a damaged file fails in many ways
