@@ -165,7 +165,7 @@ def _check_options(config: Mapping[str, Any]) -> dict[str, Any]:
         if name not in config:
             raise BadInput(f"option {name} is missing: leave its default in place")
     require_homes(config)
-    hints = get_type_hints(RunRequest)
+    hints = get_type_hints(RunRequest, include_extras=True)
     own = [name for name in OPTIONS if name not in ("method", "dataset", "timing")]
     return {**{name: check_value(name, config[name], hints[name]) for name in own}, "timing": _timing(config["timing"])}
 

@@ -66,23 +66,18 @@ class StoredRuns:
             return False
         dataset, images = self._dataset(request.dataset, request.corruption)
         dataset = record_viewpoints(dataset, parse_viewpoints(request.views))
-        keys = {
-            run_key(
-                request,
-                dataset,
-                images=images,
-                method_class=request.method["_target_"].rpartition(".")[2],
-                code=code,
-                files=_hash_files(request.method, alike),
-                held_out=held_out,
-                network=None,
-            )
-            for held_out in (None, *([dataset.held_out.fingerprint()] if dataset.held_out else []))
-        }
+        key = run_key(
+            request,
+            dataset,
+            images=images,
+            code=code,
+            files=_hash_files(request.method, alike),
+            network=None,
+        )
         if request.frames and thumbnails.load_thumbnails(self._store.root, images) is None:
             return False
-        there = (run for run in alike if run.dataset == dataset.name and run.key in keys)
-        return any(not list_missing_parts(run, request, dataset) for run in there)
+        there = (run for run in alike if run.dataset == dataset.name and run.key == key)
+        return any(not list_missing_parts(run, request) for run in there)
 
     def _dataset(self, config: Mapping[str, Any], corruption: Any) -> tuple[Dataset, str]:
         """Return a dataset and the fingerprint of its frames, which may have to be hashed."""

@@ -108,6 +108,8 @@ def _make_record(
         place_numbers=dataset.place_numbers,
         query_breaks=dataset.query_breaks,
         place_breaks=dataset.place_breaks,
+        tuned_on=experiment.request.tuned_on,
+        tuned_queries=experiment.tuned_queries,
         top_places=scoring.top_places,
         top_scores=scoring.top_scores,
         scores=scoring.scores,
