@@ -73,15 +73,19 @@ def test_the_longest_side_has_at_most_96_pixels_and_none_is_enlarged(tmp_path, s
     assert decoded(found.queries[0]).mean((0, 1)) == pytest.approx([200, 0, 0], abs=8)
 
 
-def test_of_a_large_dataset_the_frames_are_kept_that_a_run_shows_first(tmp_path, monkeypatch):
+def test_of_a_large_dataset_the_frames_are_kept_that_a_run_shows_first_and_a_few_of_each_further_one(
+    tmp_path, monkeypatch
+):
     monkeypatch.setattr(thumbnails, "_MOST", 8)
+    monkeypatch.setattr(thumbnails, "_OF_FURTHER_RUN", 3)
     large = world(map(plain, range(30)), range(30), [plain(9)] * 20, [[i] for i in range(20)])
     shown = [(7, {1, 2}), (3, {2, 5}), (4, {1}), (0, {8, 9}), (1, {1})]
     thumbnails.save_thumbnails(tmp_path, FINGERPRINT, large, shown)
+    thumbnails.save_thumbnails(tmp_path, FINGERPRINT, large, [(8, {1, 20}), (9, {21})])
     found = thumbnails.load_thumbnails(tmp_path, FINGERPRINT)
     assert (len(found.query_names), len(found.reference_names)) == (20, 30)
     kept = tuple([i for i, frame in enumerate(frames) if frame] for frames in (found.queries, found.references))
-    assert kept == ([3, 4, 7], [1, 2, 5])
+    assert kept == ([3, 4, 7, 8], [1, 2, 5, 20])
     assert decoded(found.references[5]).mean() == pytest.approx(5, abs=2)
 
 

@@ -6,7 +6,7 @@ import io
 import json
 import logging
 import zipfile
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,7 @@ logger = logging.getLogger(__name__)
 _EXAMPLES, _EXAMPLE_SIDE = 4, 640  # pairs of pictures without loss, and their longest side in pixels
 _SIDE = 96  # of a thumbnail: its longest side in pixels, which makes about 1 kB
 _MOST = 6000  # thumbnails of a dataset; a dataset of no more frames is kept whole
+_OF_FURTHER_RUN = 60  # that a further run adds: of the queries that its page opens with
 
 
 @dataclass(frozen=True)
@@ -64,20 +65,24 @@ def choose_frames(shown: Shown, most: int) -> tuple[set[int], set[int]]:
 
 
 def save_thumbnails(root: Path, fingerprint: str, dataset: Dataset, shown: Shown = ()) -> None:
-    """Keep small pictures of a dataset below a results folder, unless it has some.
+    """Keep small pictures of a dataset below a results folder, beside those of earlier runs.
 
-    Of a large dataset only the frames that `shown` names first are kept. A reader finds a whole file or none. Raises
-    OSError if the disk refuses and BadInput if a frame cannot be read.
+    Of a large dataset only the frames that `shown` names first are kept, of each further run a few. A reader finds a
+    whole file or none. Raises OSError if the disk refuses and BadInput if a frame cannot be read.
     """
-    if load_thumbnails(root, fingerprint) is not None:
-        return
+    kept = load_thumbnails(root, fingerprint)
     first_of_place = np.unique(dataset.places, return_index=True)[1]
     images = {"queries": dataset.queries, "references": dataset.references[first_of_place]}
-    chosen = [[*range(len(part))] for part in images.values()]
-    if sum(map(len, chosen)) > _MOST:
-        chosen = [sorted(numbers) for numbers in choose_frames(shown, _MOST)]
-    files = {}
-    for part, numbers in zip(images, chosen, strict=True):
+    wanted: Sequence[Iterable[int]] = [range(len(part)) for part in images.values()]
+    if sum(map(len, images.values())) > _MOST:
+        wanted = choose_frames(shown, _MOST if kept is None else _OF_FURTHER_RUN)
+    files = {f"{part}/{n}": frame for part in images for n, frame in enumerate(getattr(kept, part, ())) if frame}
+    missing = [
+        sorted(n for n in numbers if f"{part}/{n}" not in files) for part, numbers in zip(images, wanted, strict=True)
+    ]
+    if kept is not None and not any(missing):
+        return
+    for part, numbers in zip(images, missing, strict=True):
         for done, image in enumerate(images[part][np.array(numbers, np.int64)]):
             progress.report(f"keeping small {part}", done / len(numbers))
             files[f"{part}/{numbers[done]}"] = _encode_webp(image, _SIDE, quality=50)
