@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 from figure_runs import run, series
 
-from vprbench.errors import BadInput
 from vprbench.metrics.intervals import share_interval
 from vprbench.metrics.ranking import outcome, ranked_places
 from vprbench.report.figures.accuracy import (
@@ -64,9 +63,7 @@ def test_precision_and_recall_of_four_queries_are_those_worked_by_hand():
     assert points(line) == [(0, 1), (0.25, 1), (0.5, 1), (0.5, pytest.approx(2 / 3)), (0.5, 0.5)]
     assert line.get_drawstyle() == "steps-pre"  # a step has the height of its right end
     assert line.get_label() == "SAD, AP 0.500"
-    alone = answering(
-        np.eye(100, 10) / np.arange(1, 101)[:, None], [[0], *[[]] * 99]
-    )  # too few answerable queries for a band
+    alone = answering(np.eye(100, 10) / np.arange(1, 101)[:, None], [[0], *[[]] * 99])  # too few queries for a band
     assert points(named_lines(draw_precision_recall([series("SAD", alone)]))[0])[1] == (1, 1)
 
 
@@ -112,8 +109,7 @@ def test_recalls_are_those_worked_by_hand_with_wilsons_interval_and_count_ties_b
     assert edges[10] == pytest.approx((51.01, 100), abs=0.01)  # and of 4 of 4
     (line,) = named_lines(draw_recall_at_tolerance([series("SAD", little.a_run())]))
     assert points(line) == list(zip(range(11), [50] * 4 + [75] * 3 + [100] * 4, strict=True))
-    """All 50 places tie and one is right, so that it is among the N best with a chance of N / 50."""
-    made = answering(np.zeros((8, 50), np.float32), [[query] for query in range(8)])
+    made = answering(np.zeros((8, 50), np.float32), [[query] for query in range(8)])  # 50 places tie, one is right
     (line,) = named_lines(draw_recall_at_n([series("SAD", made)]))
     assert points(line) == [(n, pytest.approx(2 * n)) for n in range(1, 26)]
 
@@ -160,5 +156,3 @@ def test_sequences_have_their_recall_at_each_length_and_the_caption_counts_the_q
                 right.append(sums.argmax(axis=1) == np.arange(len(sums)))
             assert point == (length, pytest.approx(100 * np.mean(right)))
     assert "30 at 1, 29 at 2, 26 at 5" in drawn.caption
-    with pytest.raises(BadInput, match="two lengths"):
-        draw_recall_at_length([[series("first", parse_views(2)[0](runs[0]))]])
