@@ -31,7 +31,6 @@ LARGEST_WIDENING = 10  # places to either side
 
 _HEIGHT_MM = 64.0  # without the legend
 _THIN: dict[str, Any] = {"linewidth": 0.4, "alpha": 0.6}  # of a single seed
-_MANY = LARGEST_WIDENING + 1  # with more points only some have a marker
 _SEEDS = "thin lines, their mean is thick"
 _LETTERS = 26  # of a line of a row's name
 _COLUMNS = 4  # of panels of corruptions
@@ -212,8 +211,8 @@ def _measure_recalls(runs: Sequence[Run], hits: Callable[[Run], Values]) -> tupl
 def _draw_curve(axes: Axes, look: Look, name: str, xs: Sequence[int], ys: Values, *band: Values) -> None:
     """Draw a row's curve with the two ends of its band, none where an end is NaN; of many points few have a marker."""
     if band and not np.isnan(band).any():
-        axes.fill_between(xs, *band, color=look.colour, alpha=0.15, linewidth=0)
-    marked = [i for i, x in enumerate(xs) if len(xs) <= _MANY or x == 1 or x % 5 == 0]
+        axes.fill_between(xs, band[0], band[1], color=look.colour, alpha=0.15, linewidth=0)
+    marked = [i for i, x in enumerate(xs) if len(xs) <= LARGEST_WIDENING + 1 or x == 1 or x % 5 == 0]
     axes.plot(xs, ys, label=name, markevery=marked, **look.of_line)
 
 

@@ -28,23 +28,25 @@ _HEIGHT_MM = 74.0  # without the legend
 def draw_growth(rows: Sequence[GrowthSamples]) -> Drawing:
     """Draw training time (left) and the time of a query (right) against the number of places, with fitted powers.
 
-    Raises BadInput if there is no row.
+    A panel without times is not shown. Raises BadInput if there is no row.
     """
     if not rows:
         raise BadInput("no run with different numbers of places is stored: there is no growth to draw")
     figure, (left, right) = new_figure(style.DOUBLE_MM, _HEIGHT_MM, 1, 2, grid=True)
-    keys: list[Line2D] = []
-    for name, look in choose_looks(row.name for row in rows).items():
-        (table,) = (row.table for row in rows if row.name == name)
-        training = _draw_times(left, table, _TRAINING, 1.0, look, "training")
-        query = _draw_times(right, table, _QUERY, _MS, look, "query")
-        keys.append(Line2D([], [], **look.of_line, label=f"{name}{training}{query}"))
-    table = pd.concat([row.table for row in rows])
-    _finish_axes(left, table, _TRAINING[0], 1.0, "nothing was trained")
-    _finish_axes(right, table, _QUERY[0], _MS, "nothing was timed")
-    style.add_legend(figure, keys)
     left.set(xlabel="Places", ylabel="Training time (s)", title="Training")
     right.set(xlabel="Places", ylabel="Time of a query (ms)", title="Query")
+    table = pd.concat([row.table for row in rows])
+    labels = {row.name: row.name for row in rows}
+    looks = choose_looks(labels)
+    for axes, step, columns, unit in ((left, "training", _TRAINING, 1.0), (right, "query", _QUERY, _MS)):
+        for row in rows:
+            labels[row.name] += _draw_times(axes, row.table, columns, unit, looks[row.name], step)
+        times = table.dropna(subset=columns[0])
+        axes.set_visible(len(times) > 0)
+        if len(times):
+            style.scale_log(axes, "x", times["places"])
+            style.scale_log(axes, "y", unit * times[columns[0]].astype(float))
+    style.add_legend(figure, [Line2D([], [], **looks[name].of_line, label=label) for name, label in labels.items()])
     places = sorted({*table["places"]})
     caption = (
         f"Time against places on {', '.join(dict.fromkeys(table['dataset']))}: {len(places)} maps of {places[0]:,} to "
@@ -102,15 +104,3 @@ def _draw_times(axes: Axes, table: pd.DataFrame, columns: Sequence[str], unit: f
     places = np.array([known["places"].min(), known["places"].max()])
     axes.plot(places, unit * power.at(places), color=look.colour, linewidth=1.8, zorder=2)
     return f", {step} exponent {power.exponent:.2f} [{power.low:.2f}, {power.high:.2f}]"
-
-
-def _finish_axes(axes: Axes, table: pd.DataFrame, column: str, unit: float, nothing: str) -> None:
-    """Scale the axes around the times; without any, the panel says so."""
-    times = table.dropna(subset=column)
-    if times.empty:
-        axes.text(0.5, 0.5, nothing, transform=axes.transAxes, ha="center", color=style.GREY, style="italic")
-        axes.set(xticks=[], yticks=[])
-        return
-    style.scale_log(axes, "x", times["places"])
-    style.scale_log(axes, "y", unit * times[column].astype(float))
-    axes.grid(True)

@@ -41,10 +41,7 @@ def print_figures(found: ReportData, columns: Sequence[ResolvedColumn] = ()) -> 
 
 
 def write_figures(drawings: Iterable[tuple[str, Drawing]], folder: Path) -> Iterator[Path]:
-    """Write figures as PDF and PNG into a folder, and at last their captions; yields each PDF, then the captions.
-
-    Raises OSError if the disk refuses.
-    """
+    """Write figures as PDF and PNG into a folder, and at last their captions; yields each PDF, then the captions."""
     folder.mkdir(parents=True, exist_ok=True)
     remove_leftovers(folder)
     captions = ["# Captions\n"]

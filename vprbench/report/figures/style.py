@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable, Sequence
-from functools import wraps
+from collections.abc import Iterable, Sequence
 from io import BytesIO
 from itertools import cycle
 from math import log10, sqrt
 from pathlib import Path
 from textwrap import fill
-from typing import Any, Literal, NamedTuple, ParamSpec
+from typing import Any, Literal, NamedTuple
 
 import matplotlib.style
 from matplotlib.axes import Axes
@@ -26,10 +25,8 @@ SINGLE_MM = 88.0  # one column of a two-column page
 DOUBLE_MM = 180.0  # both columns
 GREY = "#6E6E6E"  # of what is no method: fronts, chance, annotations
 
-Dash = tuple[int, tuple[float, ...]]  # offset, then lengths of lines and gaps in line widths; () is a solid line
-Arguments = ParamSpec("Arguments")
-
-_SETTINGS = Path(__file__).with_name("figures.mplstyle")
+#: A decorator of every function that draws: the type and lines of all figures, whatever matplotlib's settings are.
+use_style = matplotlib.style.context(Path(__file__).with_name("figures.mplstyle"), after_reset=True)
 
 
 class NotebookFigure(Figure):
@@ -51,7 +48,7 @@ class Look(NamedTuple):
 
     colour: str
     marker: str
-    dash: Dash
+    dash: tuple[int, tuple[float, ...]]  # offset, then lengths of lines and gaps in line widths; () is a solid line
     hatch: str
 
     @property
@@ -76,7 +73,7 @@ _PAPER = {
 }
 _COLOURS = ("#009E73", "#CC79A7", "#332288", "#999999", "#882255", "#999933", "#117733", "#AA4499")
 _MARKERS = ("P", "X", "<", ">", "h", "p", "d", "*", "8")
-_DASHES: tuple[Dash, ...] = (
+_DASHES: tuple[tuple[int, tuple[float, ...]], ...] = (
     *((0, (3, 1, 1, 1, 1, 1)), (0, (7, 2, 2, 2)), (0, (1, 2.5)), (0, (3, 3)), (0, ())),
     *((0, (12, 2, 1, 2)), (0, (2, 1)), (0, (6, 1, 1, 1, 1, 1, 1, 1)), (0, (10, 4)), (0, (4, 1, 4, 1, 1, 1))),
 )
@@ -99,17 +96,6 @@ def choose_looks(names: Iterable[str]) -> dict[str, Look]:
     """
     further = map(Look, cycle(_COLOURS), cycle(_MARKERS), cycle(_DASHES), cycle(_HATCHES))
     return {name: _PAPER.get(name) or next(further) for name in dict.fromkeys(names)}
-
-
-def use_style(draw: Callable[Arguments, Drawing]) -> Callable[Arguments, Drawing]:
-    """Draw in the type and lines of this module, whatever matplotlib's own settings are; for every figure function."""
-
-    @wraps(draw)
-    def draw_in_style(*given: Arguments.args, **named: Arguments.kwargs) -> Drawing:
-        with matplotlib.style.context(_SETTINGS, after_reset=True):
-            return draw(*given, **named)
-
-    return draw_in_style
 
 
 def new_figure(
@@ -163,8 +149,8 @@ def render_pdf(drawing: Drawing) -> bytes:
     return _render(drawing.figure, "pdf", {"CreationDate": None, "Subject": drawing.caption})
 
 
+@use_style
 def _render(figure: Figure, kind: str, metadata: dict[str, Any]) -> bytes:
     content = BytesIO()
-    with matplotlib.style.context(_SETTINGS, after_reset=True):
-        figure.savefig(content, format=kind, metadata=metadata)
+    figure.savefig(content, format=kind, metadata=metadata)
     return content.getvalue()

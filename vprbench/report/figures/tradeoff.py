@@ -8,7 +8,6 @@ from statistics import mean
 import numpy as np
 from matplotlib.axes import Axes
 
-from vprbench.metrics.intervals import Interval
 from vprbench.report.figures import style
 from vprbench.report.figures.captions import INTERVALS, choose_answerable, choose_runs, describe_runs, list_names
 from vprbench.report.figures.style import Drawing, choose_looks, new_figure, use_style
@@ -19,7 +18,6 @@ from vprbench.runs.record import Run
 
 _HEIGHT_MM = 60.0  # of a panel, without the legend
 _ROOM = 3.0  # times the costs, to either side
-_MB = 1e6
 
 
 @use_style
@@ -50,7 +48,7 @@ def draw_memory_tradeoff(series: Sequence[Series]) -> Drawing:
     maps = [row for row in series if all(map(_measure_map, row.runs))]
     n_panels = 1 + bool(maps)
     figure, panels = new_figure(style.SINGLE_MM, _HEIGHT_MM * n_panels, n_panels, grid=True)
-    best = _draw_points(panels[0], series, lambda run: run.peak_memory_bytes / _MB, "Peak memory (MB)")
+    best = _draw_points(panels[0], series, lambda run: run.peak_memory_bytes / 1e6, "Peak memory (MB)")
     if maps:
         _draw_points(panels[1], maps, _measure_map, "Map (bytes per place)")
     style.add_legend(figure, title=series[0].runs[0].dataset)
@@ -90,8 +88,8 @@ def _draw_points(
     """Draw R@1 with its interval over a cost of each row, and their front; returns the names on the front."""
     costs = [mean(map(measure, row.runs)) for row in series]
     recalls = [100 * (average_recall(row.runs) or 0.0) for row in series]
-    intervals = [recall_interval(row.runs) or Interval(float("nan"), float("nan")) for row in series]
-    lows, highs = np.array([(100 * each.low, 100 * each.high) for each in intervals]).T
+    intervals = [recall_interval(row.runs) for row in series]
+    lows, highs = 100 * np.array([(each.low, each.high) if each else (np.nan, np.nan) for each in intervals]).T
     lowest, highest = np.nanmin([*recalls, *lows]), np.nanmax([*recalls, *highs])
     room = 0.08 * (highest - lowest)
     style.scale_log(axes, "x", costs, _ROOM)
