@@ -2,10 +2,10 @@
 
 import little
 import numpy as np
+import pandas as pd
 import pytest
 from figure_runs import run, series
 
-from vprbench.metrics.intervals import share_interval
 from vprbench.metrics.ranking import outcome, ranked_places
 from vprbench.report.figures.accuracy import (
     draw_precision_recall,
@@ -14,8 +14,6 @@ from vprbench.report.figures.accuracy import (
     draw_recall_at_tolerance,
 )
 from vprbench.runs.sequences import parse_views
-
-RECALLS = (draw_recall_at_n, draw_recall_at_tolerance)
 
 
 def panel(drawn):
@@ -32,12 +30,11 @@ def points(line):
     return [(x, y) for x, y in line.get_xydata().tolist()]
 
 
-def band(drawn, number=0):
-    """The lowest and highest edge of a band, by x."""
-    edges = {}
-    for x, y in np.asarray(panel(drawn).collections[number].get_paths()[0].vertices).tolist():
-        edges.setdefault(x, []).append(y)
-    return {x: (min(ys), max(ys)) for x, ys in edges.items()}
+def band(drawn):
+    """The lowest and highest edge of the only band, by x."""
+    (edges,) = panel(drawn).collections
+    table = pd.DataFrame(np.asarray(edges.get_paths()[0].vertices)).groupby(0)[1].agg(["min", "max"])
+    return {x: (low, high) for x, low, high in table.itertuples()}
 
 
 def answers(best, right):
@@ -97,16 +94,7 @@ def test_tolerances_begin_at_that_of_the_protocol_in_places_and_otherwise_count_
         assert points(line)[0][1] == 50
 
 
-@pytest.mark.parametrize("draw", RECALLS)
-def test_where_neighbouring_queries_are_alike_the_band_is_that_of_blocks(draw):
-    hits = np.repeat([1, 0, 1, 1, 0, 0, 1, 0, 1, 1], 20)
-    drawn = draw([series("SAD", answers([0.5] * 200, (hits == 1).tolist()))])
-    expected = share_interval(hits)
-    assert expected.kind == "blocks"
-    assert band(drawn)[points(named_lines(drawn)[0])[0][0]] == pytest.approx((100 * expected.low, 100 * expected.high))
-
-
-@pytest.mark.parametrize("draw", RECALLS)
+@pytest.mark.parametrize("draw", [draw_recall_at_n, draw_recall_at_tolerance])
 def test_several_seeds_are_thin_lines_around_their_mean_with_the_interval_of_the_mean_hits(draw):
     drawn = draw([series("VPRTempo", *(run(share=share, seed=i) for i, share in enumerate((0.25, 0.55, 0.7))))])
     (mean,) = named_lines(drawn)
@@ -117,18 +105,13 @@ def test_several_seeds_are_thin_lines_around_their_mean_with_the_interval_of_the
 
 
 def test_sequences_have_their_recall_at_each_length_and_the_caption_counts_the_queries():
-    n, lengths = 30, (1, 2, 5)
-    noisy = np.random.default_rng(0).normal(size=(3, n, n)) + np.eye(n)
-    runs = [answering(scores.astype(np.float32), [[i] for i in range(n)]) for scores in noisy]
-    rows = {"first": runs[:2], "second": runs[2:]}
-    seen = [[series(name, *map(view, of_row)) for name, of_row in rows.items()] for view in parse_views([*lengths])]
+    noisy = np.random.default_rng(0).normal(size=(3, 30, 30)) + np.eye(30)
+    runs = [answering(scores.astype(np.float32), [[i] for i in range(30)]) for scores in noisy]
+    views = {view(runs[0]).view.window: [view(made) for made in runs] for view in parse_views([1, 2, 5])}
+    seen = [[series("first", *runs[:2]), series("second", runs[2])] for runs in views.values()]
     drawn = draw_recall_at_length(seen[::-1])
-    lines = {line.get_label(): line for line in panel(drawn).lines}
-    for name, of_row in rows.items():
-        for point, length in zip(points(lines[name]), lengths, strict=True):
-            right = []  # the window's last query, of sums along the diagonal
-            for made in of_row:
-                sums = sum(made.scores[k : n - length + 1 + k, k : n - length + 1 + k] for k in range(length))
-                right.append(sums.argmax(axis=1) == np.arange(len(sums)))
-            assert point == (length, pytest.approx(100 * np.mean(right)))
+    first, second = (dict(points(line)) for line in panel(drawn).lines)
+    for length, runs in views.items():
+        recalls = [100 * np.mean(made.scores.argmax(1) == np.concatenate(made.positives)) for made in runs]
+        assert (first[length], second[length]) == pytest.approx((np.mean(recalls[:2]), recalls[2]))
     assert "30 at 1, 29 at 2, 26 at 5" in drawn.caption
