@@ -17,7 +17,7 @@ INTERVALS = "95 % intervals over the queries, the wider of Wilson's and a block 
 
 
 def choose_runs(series: Sequence[Series], fits: Callable[[Run], object], wanted: str) -> list[Series]:
-    """Return the rows with their runs that fit; raises BadInput, which says that no run `wanted`, if none does."""
+    """Return the rows with their runs that fit; raises BadInput, "no stored run" and `wanted`, if there is none."""
     chosen = [Series(row.name, row.spiking, runs) for row in series if (runs := tuple(filter(fits, row.runs)))]
     if not chosen:
         raise BadInput(f"no stored run {wanted}")
