@@ -2,6 +2,7 @@
 
 import little
 import numpy as np
+import preprocess_oracle
 import pytest
 from figure_runs import run, series
 from matplotlib.patches import Rectangle
@@ -12,8 +13,11 @@ from vprbench.report.figures.spikes import draw_spikes
 from vprbench.runs.thumbnails import Example, Thumbnails
 
 
-def picture(seed):
-    return np.random.default_rng(seed).integers(0, 256, (45, 80, 3)).astype(np.uint8)
+def picture(seed, height=45, width=80):
+    """A frame with structure on the scale of patches, so that no window is flat."""
+    random = np.random.default_rng(seed)
+    coarse = random.integers(0, 256, (height // 5, width // 5, 3)).repeat(5, axis=0).repeat(5, axis=1)
+    return np.clip(coarse + random.integers(-20, 21, coarse.shape), 0, 255).astype(np.uint8)
 
 
 def shown(axes):
@@ -21,14 +25,19 @@ def shown(axes):
     return np.asarray(image.get_array())
 
 
-def test_a_row_shows_the_right_place_and_the_query_as_they_are():
+def test_a_row_shows_the_right_place_and_the_query_as_they_are_and_patch_normalised():
     first, second = Example(0, 1, picture(1), picture(2)), Example(1, 0, picture(3), picture(4))
     names = {"query_names": ("q0.png", "q1.png"), "reference_names": ("r0.png", "r1.png")}
     drawn = draw_frames(Thumbnails(**names, examples=(first, second), queries=(), references=()), "Railway")
-    images = [first.reference_image, first.query_image, second.reference_image, second.query_image]
-    for panel, image in zip(drawn.figure.axes, images, strict=True):
-        assert np.array_equal(shown(panel), image)
-    assert [drawn.figure.axes[i].get_ylabel() for i in (0, 2)] == ["Place 1\nquery 0", "Place 0\nquery 1"]
+    axes = drawn.figure.axes
+    for row, example in enumerate((first, second)):
+        images = example.reference_image, example.query_image
+        for panel, normalised, image in zip(axes[4 * row :], axes[4 * row + 2 :], images, strict=False):
+            assert np.array_equal(shown(panel), image)
+            grey = preprocess_oracle.gamma_c(preprocess_oracle.grey_c(image))
+            slow = preprocess_oracle.patch_normalise(preprocess_oracle.resize_bilinear(grey, 28, 28), 7, 1)
+            np.testing.assert_allclose(shown(normalised), slow, atol=1)  # float32 moves a truncated level
+    assert [axes[0].get_ylabel(), axes[4].get_ylabel()] == ["Place 1\nquery 0", "Place 0\nquery 1"]
     assert "r1.png and q0.png; r0.png and q1.png" in drawn.caption
 
 

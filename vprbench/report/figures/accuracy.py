@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from math import ceil
 from statistics import mean
 from textwrap import fill
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from vprbench.metrics.accuracy import PRCurve, Values, average_precision, hits_at, hits_within, pr_curve
 from vprbench.metrics.catalogue import Metric
-from vprbench.metrics.intervals import share_interval
+from vprbench.metrics.intervals import block_length, share_interval
 from vprbench.report.figures import style
 from vprbench.report.figures.captions import INTERVALS, choose_answerable, choose_runs, describe_runs
 from vprbench.report.figures.style import Drawing, Look, add_legend, choose_looks, new_figure, use_style
@@ -24,12 +26,15 @@ from vprbench.runs.corruption import KINDS
 from vprbench.runs.recall_intervals import order_along_journey
 from vprbench.runs.record import Run
 from vprbench.runs.rows import describe_view
-from vprbench.runs.views import window_of
+from vprbench.runs.views import select_queries, window_of
 
 LARGEST_N = 25
 LARGEST_WIDENING = 10  # places to either side
 
 _HEIGHT_MM = 64.0  # without the legend
+_RESAMPLES = 500
+_GRID_POINTS = 200  # recalls at which resampled curves are compared
+_ENDED = 0.05  # of the resampled curves; beyond, only the better ones would be left
 _THIN: dict[str, Any] = {"linewidth": 0.4, "alpha": 0.6}  # of a single seed
 _SEEDS = "thin lines, their mean is thick"
 _LETTERS = 26  # of a line of a row's name
@@ -41,8 +46,9 @@ _MOST_BANDS = 3  # more would hide one another
 def draw_precision_recall(series: Sequence[Series]) -> Drawing:
     """Draw the precision-recall curves over the answerable queries (curve A), Figure 3C of the paper.
 
-    The area under a drawn curve, which goes in steps, is its average precision. Several seeds are thin lines around
-    their mean, which ends where the first of them does. Raises BadInput if no query has a right place.
+    The area under a drawn curve, which goes in steps, is its average precision. A single seed has a band from the
+    block bootstrap of its queries; several seeds are thin lines around their mean, which ends where the first of
+    them does. Raises BadInput if no query has a right place.
     """
     series = choose_answerable(series)
     figure, (axes,) = new_figure(style.SINGLE_MM, _HEIGHT_MM, grid=True)
@@ -50,9 +56,12 @@ def draw_precision_recall(series: Sequence[Series]) -> Drawing:
     for row in series:
         look = looks[row.name]
         curves = [curve for run in row.runs if (curve := pr_curve(run.outcome, "A"))]
-        for curve in curves if len(curves) > 1 else ():
-            axes.step(curve.recall, curve.precision, color=look.colour, **_THIN)
         recall, precision = _average_curves(curves)
+        if len(curves) > 1:
+            for curve in curves:
+                axes.step(curve.recall, curve.precision, color=look.colour, **_THIN)
+        else:
+            _fill_band(axes, look, *_resample_precision(row.runs[0], float(recall[-1])))
         areas = [average_precision(curve) for curve in curves]
         spread = f" ± {np.std(areas, ddof=1):.3f}" if len(areas) > 1 else ""
         label = f"{row.name}, AP {np.mean(areas):.3f}{spread}"
@@ -61,7 +70,8 @@ def draw_precision_recall(series: Sequence[Series]) -> Drawing:
     add_legend(figure)
     caption = (
         "Precision-recall curves of the best match of each query; recall is over the queries with a right place (curve "
-        f"A). AP: the area under the steps. {describe_runs(series, f'{_SEEDS}; AP ± standard deviation')}"
+        "A). AP: the area under the steps. Band of a single run: 95 % interval of precision, block bootstrap of "
+        f"{_RESAMPLES} resamples. {describe_runs(series, f'{_SEEDS}; AP ± standard deviation')}"
     )
     return Drawing(figure, caption)
 
@@ -211,9 +221,13 @@ def _measure_recalls(runs: Sequence[Run], hits: Callable[[Run], Values]) -> tupl
 def _draw_curve(axes: Axes, look: Look, name: str, xs: Sequence[int], ys: Values, *band: Values) -> None:
     """Draw a row's curve with the two ends of its band, none where an end is NaN; of many points few have a marker."""
     if band and not np.isnan(band).any():
-        axes.fill_between(xs, band[0], band[1], color=look.colour, alpha=0.15, linewidth=0)
+        _fill_band(axes, look, xs, *band)
     marked = [i for i, x in enumerate(xs) if len(xs) <= LARGEST_WIDENING + 1 or x == 1 or x % 5 == 0]
     axes.plot(xs, ys, label=name, markevery=marked, **look.of_line)
+
+
+def _fill_band(axes: Axes, look: Look, xs: npt.ArrayLike, low: npt.ArrayLike, high: npt.ArrayLike) -> None:
+    axes.fill_between(xs, low, high, color=look.colour, alpha=0.15, linewidth=0)
 
 
 def _average_curves(curves: Sequence[PRCurve]) -> tuple[Values, Values]:
@@ -222,4 +236,26 @@ def _average_curves(curves: Sequence[PRCurve]) -> tuple[Values, Values]:
         return curves[0].recall, curves[0].precision
     recall = np.unique(np.concatenate([curve.recall for curve in curves]))
     recall = recall[recall <= min(curve.recall[-1] for curve in curves)]
-    return recall, np.mean([curve.precision[np.searchsorted(curve.recall, recall)] for curve in curves], axis=0)
+    return recall, np.mean([_precision_at(curve, recall) for curve in curves], axis=0)
+
+
+def _precision_at(curve: PRCurve, recall: Values) -> Values:
+    """Return the precision of a curve, in steps, at each of these recalls; NaN beyond its end."""
+    return np.append(curve.precision, np.nan)[np.searchsorted(curve.recall, recall)]
+
+
+def _resample_precision(run: Run, end: float) -> tuple[Values, Values, Values]:
+    """Return recalls up to `end` and the 95 % interval of precision there, by a circular block bootstrap."""
+    run = replace(run, scores=None)
+    random, order = np.random.default_rng(0), order_along_journey(run)
+    n, block = len(order), max(block_length(hits_at(run.outcome, 1)[order]), window_of(run))
+    grid = np.linspace(0, end, _GRID_POINTS)
+    precisions = np.full((_RESAMPLES, _GRID_POINTS), np.nan)
+    for precision in precisions:
+        starts = random.integers(n, size=(-(-n // block), 1))
+        queries = order[((starts + np.arange(block)) % n).ravel()[:n]]
+        if (curve := pr_curve(select_queries(run, queries, {}).outcome, "A")) is not None:
+            precision[:] = _precision_at(curve, grid)
+    reached = (grid == 0) | (np.isnan(precisions).mean(axis=0) <= _ENDED)
+    low, high = np.nanquantile(precisions[:, reached], [0.025, 0.975], axis=0)
+    return grid[reached], low, high

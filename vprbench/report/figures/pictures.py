@@ -1,17 +1,23 @@
-"""What methods see and what they answer: frames of places, and a similarity matrix."""
+"""What methods see and what they answer: frames with their patch-normalised versions, and a similarity matrix."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from vprbench.api.arrays import Scores
+from vprbench.api.arrays import Image, Scores
+from vprbench.api.images import Images
 from vprbench.errors import BadInput
 from vprbench.report.figures.captions import describe_runs
-from vprbench.report.figures.style import DOUBLE_MM, SINGLE_MM, Drawing, new_figure, use_style
+from vprbench.report.figures.style import DOUBLE_MM, Drawing, new_figure, use_style
 from vprbench.report.selection import Series
 from vprbench.runs.record import Run
 from vprbench.runs.thumbnails import Thumbnails
 
+_SIDE = 28  # pixels of a patch-normalised frame
+_PATCH = 7
+_NARROWEST = 0.7  # of a frame's height, for the title of its column
 _FRAME_MM = 28.0  # highest row of frames
 _MARGIN_MM = 12.0  # for titles and labels
 _MOST_CELLS = 450  # along a side of a drawn matrix: each is still visible in print
@@ -21,27 +27,44 @@ _FLATTEST = 0.4  # shorter over longer side of one
 
 @use_style
 def draw_frames(thumbnails: Thumbnails, title: str) -> Drawing:
-    """Draw the kept examples, right place and query, of the dataset that `title` names (Figure 3A of the paper).
+    """Draw the kept examples, right place and query, as they are and patch-normalised (Figure 3A of the paper).
 
-    Raises BadInput if no example is kept.
+    `title` names the dataset. The right half is VPRTempo's input: 28 x 28 pixels, patches of 7 x 7 (its public code,
+    64154e5). Raises BadInput if no example is kept.
     """
     examples = thumbnails.examples
     if not examples:
         raise BadInput(f"no example frames of {title} are kept: a query needs a right place to be shown beside it")
-    rows, columns, _ = examples[0].query_image.shape
-    height = min(_FRAME_MM, (SINGLE_MM - _MARGIN_MM) / 2 * rows / columns)
-    figure, axes = new_figure(SINGLE_MM, height * len(examples) + _MARGIN_MM, len(examples), 2)
-    for i, example in enumerate(examples):
-        for panel, image in zip(axes[2 * i :], (example.reference_image, example.query_image), strict=False):
-            panel.imshow(image)
+    references = [example.reference_image for example in examples]
+    queries = [example.query_image for example in examples]
+    columns = {
+        "Reference": references,
+        "Query": queries,
+        "Reference,\nnormalised": _normalise_patches(references),
+        "Query,\nnormalised": _normalise_patches(queries),
+    }
+    widths = [max(_NARROWEST, *(image.shape[1] / image.shape[0] for image in images)) for images in columns.values()]
+    height = min(_FRAME_MM, (DOUBLE_MM - _MARGIN_MM) / sum(widths))
+    width = min(DOUBLE_MM, height * sum(widths) + 2 * _MARGIN_MM)
+    figure, axes = new_figure(width, height * len(examples) + _MARGIN_MM, len(examples), len(columns))
+    grid = axes[0].get_gridspec()
+    assert grid is not None  # subplots always have one
+    grid.set_width_ratios(widths)
+    for column, (name, images) in enumerate(columns.items()):
+        for panel, image in zip(axes[column :: len(columns)], images, strict=True):
+            panel.imshow(image, cmap="gray", vmin=0, vmax=255, interpolation="nearest" if column > 1 else "antialiased")
             panel.set(xticks=[], yticks=[])
             panel.spines[:].set_visible(False)
-        axes[2 * i].set_ylabel(f"Place {example.place}\nquery {example.query}")
-    axes[0].set_title("Reference")
-    axes[1].set_title("Query")
-    places, queries = thumbnails.reference_names, thumbnails.query_names
-    pairs = [f"{places[example.place]} and {queries[example.query]}" for example in examples]
-    caption = f"Places of {title}, each with a query that shows it, as stored. From top to bottom: {'; '.join(pairs)}."
+        axes[column].set_title(name)
+    for panel, example in zip(axes[:: len(columns)], examples, strict=True):
+        panel.set_ylabel(f"Place {example.place}\nquery {example.query}")
+    places, asked = thumbnails.reference_names, thumbnails.query_names
+    pairs = [f"{places[example.place]} and {asked[example.query]}" for example in examples]
+    caption = (
+        f"Places of {title}, each with a query that shows it. Left: as stored. Right: VPRTempo's input, grey, "
+        f"gamma-corrected, {_SIDE} x {_SIDE} pixels, normalised in patches of {_PATCH} x {_PATCH}. "
+        f"From top to bottom: {'; '.join(pairs)}."
+    )
     return Drawing(figure, caption)
 
 
@@ -106,3 +129,11 @@ def _compute_block_maxima(matrix: Scores, block: int) -> Scores:
     """Return the maximum of each block of `block` x `block` cells; those at the end may be smaller."""
     rows, columns = (np.arange(0, count, block) for count in matrix.shape)
     return np.maximum.reduceat(np.maximum.reduceat(matrix, rows, axis=0), columns, axis=1)
+
+
+def _normalise_patches(images: Sequence[Image]) -> list[Image]:
+    # A plug-in of this project, which type checkers find as `methods`; it brings PyTorch.
+    from vprbench.methods.parts.filters.patches import PatchNormalisation  # type: ignore[import-not-found]
+
+    levels = PatchNormalisation("C", _SIDE, _SIDE, _PATCH)(Images.from_arrays(images))
+    return list(levels.reshape(-1, _SIDE, _SIDE))
