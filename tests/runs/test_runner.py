@@ -21,7 +21,7 @@ from vprbench.api.method import LayerSpikes
 from vprbench.errors import BadInput
 from vprbench.metrics import ranking
 from vprbench.metrics.ranking import outcome
-from vprbench.runs import answers, frame, machine, rows, scorers, timing_lock
+from vprbench.runs import answers, frame, rows, scorers, timing_lock
 from vprbench.runs.run import execute
 
 pytestmark = pytest.mark.usefixtures("surroundings")
@@ -359,8 +359,8 @@ def test_a_run_is_noisy_if_processes_waited_for_a_core_or_a_fixed_computation_dr
     pressures = iter(range(9))
     monkeypatch.setattr(
         surroundings,
-        "read_cpu_pressure",
-        lambda: None if waited is None else machine.CpuPressure(0.0, waited * next(pressures)),
+        "read_cpu_wait_seconds",
+        lambda: None if waited is None else waited * next(pressures),
     )
     monkeypatch.setattr(surroundings, "canary_seconds", lambda: next(canaries))
     assert ("noisy" in kinds(run_of(Lookup(table(12, 4)), journey(12, 4)))) is noisy
