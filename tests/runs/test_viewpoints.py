@@ -14,7 +14,7 @@ from vprbench.methods.sad import SAD
 from vprbench.report.plan import PlannedColumn, Row
 from vprbench.report.selection import ResolvedColumn, groups
 from vprbench.runs.run import execute
-from vprbench.runs.scorers import ViewsScorer
+from vprbench.runs.scorers import choose_scorer
 from vprbench.runs.viewpoints import AS_IT_IS, Viewpoint, Viewpoints, parse_viewpoints, record_viewpoints, render_view
 
 pytestmark = pytest.mark.usefixtures("surroundings")
@@ -88,7 +88,7 @@ def test_a_place_has_the_score_of_the_view_that_shows_it_best_whatever_the_batch
     method = SAD(height=16, width=64).fit(seen, np.arange(6))
     views = [Viewpoint(-0.25), AS_IT_IS, Viewpoint(0.25)]
     asked = Images.from_arrays([render_view(seen[i], view) for i, view in enumerate([*views, *views])])
-    viewed = ViewsScorer(method, views)
+    viewed = choose_scorer(method, 6, 6, views=views)
     scores = viewed.match(viewed.encode(asked))
     alone = [method.query(Images.from_arrays([render_view(image, view) for image in asked])) for view in views]
     assert np.array_equal(scores, np.max(alone, axis=0))
