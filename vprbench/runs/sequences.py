@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import MISSING, fields, replace
+from dataclasses import fields, replace
 from functools import partial
 from typing import Any
 
@@ -24,6 +24,8 @@ from vprbench.plugins.values import build_options, parse_mapping
 from vprbench.runs.record import Run
 from vprbench.runs.views import queries_shown, replace_scores, select_queries
 
+_MEMORY = 10  # queries that a belief of a filter is taken to rest on: blocks of an interval are no shorter
+
 Views = Callable[[Run], Run]  # raises NoScoresError for a run without scores, BadInput for an impossible view
 
 
@@ -34,7 +36,8 @@ class NoScoresError(BadInput):
 def apply_sequences(run: Run, options: Sequences) -> Run:
     """Return a run whose queries are answered by the sequences of queries that they are in.
 
-    A query keeps its own right places. It ends a causal window and is in the middle of a centred one.
+    A query keeps its own right places. It ends a causal window and is in the middle of a centred one. Raises
+    NoScoresError for a run without scores, BadInput where no query has a full window.
     """
     if options.window == "lens":
         return _apply_lens(run, options)
@@ -53,7 +56,7 @@ def apply_sequences(run: Run, options: Sequences) -> Run:
     if (short := len(counts) - len(full)) > 0:
         protocol["sequence_incomplete"] = f"{short} of {len(counts)} queries {options.incomplete.replace('_', ' ')}"
     view = replace_scores(run, found, protocol, options.length)
-    if not short or options.incomplete == "shortened":
+    if options.incomplete == "shortened":
         return view
     if not len(full):
         raise BadInput(
@@ -92,9 +95,6 @@ def apply_filter(run: Run, options: Filter) -> Run:
     return replace_scores(run, filtered_scores(_require_scores(run), options, queries), protocol, window=_MEMORY)
 
 
-_MEMORY = 10  # queries that a belief is taken to rest on: blocks of an interval are no shorter
-
-
 def parse_views(sequence: Any, filter: Any = None) -> tuple[Views, ...]:
     """Return the views that options ask for, one for each length of sequences; none for null and null.
 
@@ -110,7 +110,7 @@ def parse_views(sequence: Any, filter: Any = None) -> tuple[Views, ...]:
         each = (build_options("sequence", Sequences, {**given, "length": length}) for length in lengths)
         found += [partial(apply_sequences, options=options) for options in each]
     if filter not in (None, False):
-        given = parse_mapping({} if filter is True else filter, "") or {}
+        given = {} if filter is True else parse_mapping(filter, "") or {}
         if "" in given:
             raise BadInput(f"filter={filter}: give true, or a mapping of its options, as in filter={{back:0,ahead:2}}")
         found.append(partial(apply_filter, options=build_options("filter", Filter, given)))
@@ -121,18 +121,15 @@ def name_views(views: Iterable[Views]) -> str:
     """Return the ending of names of files of some views: -sequence-2-4, -sequence-4-centred, -filter-ahead3."""
     options = [view.keywords["options"] for view in views if isinstance(view, partial)]
     lengths = [str(one.length) for one in options if isinstance(one, Sequences)]
-    words = dict.fromkeys(word for one in options for word in _name_options(one))
-    kinds = ["", *(["sequence", *lengths] if lengths else []), *["filter"] * (len(lengths) < len(options))]
-    return "-".join([*kinds, *words])
-
-
-def _name_options(options: Sequences | Filter) -> Iterable[str]:
-    """Yield a word for each option beside the length that is not its default."""
-    for option in fields(options):
-        value = getattr(options, option.name)
-        if option.default not in (MISSING, value):
-            text = "" if isinstance(value, tuple) else str(value)
-            yield text if isinstance(value, str) else option.name + text
+    words = ["", "sequence", *lengths] if lengths else [""]
+    words += ["filter"] * (len(options) > len(lengths))
+    for one in options:
+        for option in fields(one):
+            value = getattr(one, option.name)
+            if option.name != "length" and value != option.default:
+                text = "" if isinstance(value, tuple) else str(value)
+                words.append(text if isinstance(value, str) else option.name + text)
+    return "-".join(dict.fromkeys(words))
 
 
 def _require_scores(run: Run) -> Scores:
