@@ -167,32 +167,20 @@ def test_idle_power_is_subtracted_from_the_joules_of_queries_over_a_wrap(query, 
 
 
 @pytest.mark.parametrize("counters", [{}, {"core": 5}, {"package": "denied"}])
-def test_counters_of_a_processor_that_cannot_be_read_are_an_error(tmp_path, counters):
-    with pytest.raises(energy.UnreadableError, match=str(tmp_path)):
-        energy.read_rapl(powercap(tmp_path, **counters))
+def test_a_counter_that_cannot_be_read_is_a_reason(tmp_path, counters, monkeypatch):
+    monkeypatch.setattr(energy, "POWERCAP", powercap(tmp_path, **counters))
+    request = asked_for(Lookup(np.eye(6, dtype=np.float32)), journey(6, 6))
+    found = energy.find_costs(request, run_of(request.method, request.dataset))
+    assert found["values"]["joules_measured"] is None
+    assert "RAPL" in found["how"]["joules_measured"]
 
 
-def test_the_counter_of_a_gpu_is_found_by_its_uuid_and_where_there_is_none_the_cost_is_an_error(monkeypatch):
-    def consumed(gpu):
-        if gpu is None:
-            raise OSError("Not Supported")
-        return 1234
-
+def test_the_counter_of_a_gpu_is_found_by_its_uuid(monkeypatch):
     stand_in = SimpleNamespace(
         nvmlInit=lambda: None,
         nvmlDeviceGetHandleByUUID={"GPU-abc": 7}.get,
-        nvmlDeviceGetTotalEnergyConsumption=consumed,
-        NVMLError=OSError,
+        nvmlDeviceGetTotalEnergyConsumption={7: 1234}.get,
     )
-    for module, uuid, culprit in (
-        (None, "abc", "nvidia-ml-py"),
-        (stand_in, "def", "Not Supported"),
-        (stand_in, "abc", ""),
-    ):
-        monkeypatch.setitem(sys.modules, "pynvml", module)
-        monkeypatch.setattr(torch.cuda, "get_device_properties", lambda _, uuid=uuid: SimpleNamespace(uuid=uuid))
-        if culprit:
-            with pytest.raises(energy.UnreadableError, match=culprit):
-                energy.read_nvml("cuda")
-        else:
-            assert energy.read_nvml("cuda") == [(1_234_000, 1 << 64)]
+    monkeypatch.setitem(sys.modules, "pynvml", stand_in)
+    monkeypatch.setattr(torch.cuda, "get_device_properties", lambda _: SimpleNamespace(uuid="abc"))
+    assert energy.read_nvml("cuda") == [(1_234_000, 1 << 64)]

@@ -54,41 +54,24 @@ def count_synops(spikes: Mapping[str, Any] | None) -> tuple[float, float] | None
     return (alike, graded) if layers else None
 
 
-class UnreadableError(Exception):
-    """No counter of energy can be read; the message says why."""
-
-
 def read_rapl(root: Path) -> Counters:
-    """Return the counters of processor and memory in Linux's powercap.
-
-    Raises UnreadableError where there is none, or where they may not be read.
-    """
-    try:  # the domains package and dram do not lie within one another
-        zones = [each for each in root.glob("*-rapl*:*") if (each / "name").read_text().startswith(("package", "dram"))]
-        files = [(zone / "energy_uj", zone / "max_energy_range_uj") for zone in zones]
-        found = [(int(energy.read_text()), int(most.read_text())) for energy, most in files]
-    except (OSError, ValueError) as error:
-        raise UnreadableError(f"RAPL cannot be read in {root} ({getattr(error, 'strerror', error)})") from None
-    if not found:
-        raise UnreadableError(f"{root} has no RAPL counter")
-    return found
+    """Return the counters of processor and memory in Linux's powercap; raises OSError if none can be read."""
+    zones = [each for each in root.glob("*-rapl*:*") if (each / "name").read_text().startswith(("package", "dram"))]
+    if not zones:  # which do not lie within one another
+        raise FileNotFoundError(f"no counter in {root}")
+    files = [(zone / "energy_uj", zone / "max_energy_range_uj") for zone in zones]
+    return [(int(energy.read_text()), int(most.read_text())) for energy, most in files]
 
 
 def read_nvml(device: str) -> Counters:
-    """Return the counter of an NVIDIA GPU (Volta and later); raises UnreadableError where it has none."""
+    """Return the counter of an NVIDIA GPU, Volta and later; raises what pynvml raises if it cannot be read."""
+    import pynvml
     import torch
 
-    try:
-        import pynvml
-
-        pynvml.nvmlInit()
-        uuid = torch.cuda.get_device_properties(device).uuid  # numbers of devices may differ from the driver's
-        gpu = pynvml.nvmlDeviceGetHandleByUUID(f"GPU-{uuid}")
-        return [(1000 * pynvml.nvmlDeviceGetTotalEnergyConsumption(gpu), 1 << 64)]
-    except ImportError:
-        raise UnreadableError("NVML is read by pynvml: pip install nvidia-ml-py") from None
-    except pynvml.NVMLError as error:
-        raise UnreadableError(f"NVML cannot be read ({error})") from None
+    pynvml.nvmlInit()
+    uuid = torch.cuda.get_device_properties(device).uuid  # numbers of devices may differ from the driver's
+    gpu = pynvml.nvmlDeviceGetHandleByUUID(f"GPU-{uuid}")
+    return [(1000 * pynvml.nvmlDeviceGetTotalEnergyConsumption(gpu), 1 << 64)]
 
 
 def measure_joules(read: Callable[[], Counters], ask: Callable[[], Any]) -> float:
@@ -194,17 +177,19 @@ def _find_map_bytes(method: Method, run: Run) -> Cost:
 
 
 def _measure_query(method: Method, device: str, singles: Sequence[Images]) -> Cost:
-    turns, wait, on_gpu = itertools.cycle(singles), make_synchroniser(device), device.startswith("cuda")
-    read = partial(read_nvml, device) if on_gpu else partial(read_rapl, POWERCAP)
+    turns, wait = itertools.cycle(singles), make_synchroniser(device)
+    name, read = ("RAPL", partial(read_rapl, POWERCAP))
+    if device.startswith("cuda"):
+        name, read = "NVML (nvidia-ml-py)", partial(read_nvml, device)
 
     def ask() -> None:
         method.query(next(turns))
         wait()
 
     try:
-        read()  # before anything is measured
-        with timing_lock.alone():
-            found = measure_joules(read, ask)
-    except UnreadableError as error:
-        return None, str(error)
-    return (found if found > 0 else None), f"{'NVML' if on_gpu else 'RAPL'}, less the idle machine"
+        read()
+    except Exception as error:  # there is no counter, no pynvml, or no right to read
+        return None, f"{name} cannot be read ({error})"
+    with timing_lock.alone():
+        found = measure_joules(read, ask)
+    return (found if found > 0 else None), f"{name}, less the idle machine"

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable, Iterator, Sequence
+from typing import TYPE_CHECKING, Any, Literal
 
 from vprbench.metrics.accuracy import hits_within, recall_at
 from vprbench.metrics.catalogue import METRICS, RECALLS
-from vprbench.plugins.entries import Entry, entries
 from vprbench.runs.machine import Machine
 from vprbench.runs.notes import DISTURBED
 from vprbench.runs.recall_intervals import recall_interval
@@ -54,8 +53,7 @@ def tabulate_runs(results: Iterable[Run | Failure], metrics: Sequence[str] = ())
     """
     import pandas as pd  # takes long to import, and a run needs none
 
-    known = entries("dataset")
-    rows = [_list_facts(each, metrics, known) for each in results]
+    rows = [_list_facts(each, metrics) for each in results]
     columns = dict.fromkeys(name for names in (COLUMNS, *rows, metrics) for name in names)
     return pd.DataFrame(rows, columns=[*columns], dtype=object)
 
@@ -80,13 +78,13 @@ def iterate_rows(table: pd.DataFrame) -> Iterator[Any]:
 
 def format_label(run: Run | Failure) -> str:
     """Return a method's name with the arguments of its command line."""
-    return " ".join([run.method, *_list_arguments(run)])
+    return f"{run.method} {_format_arguments(run, 'method')}".rstrip()
 
 
-def _list_facts(result: Run | Failure, metrics: Sequence[str], known: Mapping[str, Entry]) -> dict[str, Any]:
+def _list_facts(result: Run | Failure, metrics: Sequence[str]) -> dict[str, Any]:
     facts = {
         "method": result.method,
-        "arguments": " ".join(_list_arguments(result)),
+        "arguments": _format_arguments(result, "method"),
         "label": format_label(result),
         "dataset": result.dataset,
         **{name: result.config.get(name) for name in ("seed", "device")},
@@ -96,8 +94,8 @@ def _list_facts(result: Run | Failure, metrics: Sequence[str], known: Mapping[st
         return {**facts, "error": result.error}
     return {
         **facts,
-        "dataset_arguments": _format_arguments(_find_changed_arguments(result, known)),
-        "protocol": _format_arguments(result.protocol),
+        "dataset_arguments": _format_arguments(result, "dataset"),
+        "protocol": " ".join(f"{name}={value}" for name, value in result.protocol.items()),
         "protocol_name": result.protocol.get("protocol"),
         **{name: result.data.get(name) for name in ("names_sha256", "content_sha256")},
         "fingerprint": result.fingerprint[:_DIGITS],
@@ -166,26 +164,10 @@ def recall_at_1_within(run: Run) -> dict[int, float | None]:
     return {k: float(share) for k, share in zip(wider, hits.mean(axis=1), strict=True)}
 
 
-def _list_arguments(run: Run | Failure) -> list[str]:
-    """Return the arguments of a method's command line, as name=value."""
-    return [text.removeprefix("method.") for text in run.config.get("overrides", ()) if text.startswith("method.")]
-
-
-def _find_changed_arguments(run: Run, known: Mapping[str, Entry]) -> Mapping[str, Any]:
-    """Return the arguments of a run's dataset that differ from its yaml; all of one that is not registered here."""
-    overrides = (text.lstrip("+") for text in run.config.get("overrides", ()))
-    name = next((text.partition("=")[2] for text in overrides if text.startswith("dataset=")), run.dataset)
-    entry = known.get(name)
-    usual = {} if entry is None or entry.rivals else entry.values()
-    return {
-        key: value
-        for key, value in run.config["dataset"].items()
-        if key not in ("_target_", "name") and not (key in usual and (usual[key] == value or "${" in str(usual[key])))
-    }
-
-
-def _format_arguments(values: Mapping[str, Any]) -> str:
-    return " ".join(f"{name}={value}" for name, value in values.items())
+def _format_arguments(run: Run | Failure, of: Literal["method", "dataset"]) -> str:
+    """Return the arguments of the method or the dataset on the command line, as name=value."""
+    given = (option.lstrip("+") for option in run.config.get("overrides", ()))
+    return " ".join(option.removeprefix(f"{of}.") for option in given if option.startswith(f"{of}."))
 
 
 def _compute_metrics(run: Run, metrics: Sequence[str]) -> dict[str, float | None]:

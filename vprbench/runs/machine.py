@@ -32,7 +32,6 @@ def describe_machine(device: str, threads: int) -> dict[str, Any]:
         "cores": core_count(),
         "memory_bytes": psutil.virtual_memory().total,
         "threads": threads,
-        "device": device,
         "accelerator": _find_accelerator(device),
         "vprbench": _read_version("vprbench"),
         "libraries": library_versions(),
@@ -166,15 +165,12 @@ def _read_git_state() -> dict[str, Any] | None:
     root = checkout_folder()
     if not (root / ".git").exists():
         return None
-    git = ("git", "-C", str(root))
+    command = ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
     try:
-        commit, changes = (
-            subprocess.run([*git, *command], capture_output=True, text=True, timeout=10, check=False).stdout.strip()
-            for command in (["rev-parse", "HEAD"], ["status", "--porcelain", "--untracked-files=no"])
-        )
-    except (OSError, subprocess.TimeoutExpired):
+        state = subprocess.run(command, capture_output=True, text=True, timeout=10, check=True).stdout.strip()
+    except (OSError, subprocess.SubprocessError):
         return None
-    return {"commit": commit or None, "changed": bool(changes)}
+    return {"commit": state.removesuffix("-dirty"), "changed": state.endswith("-dirty")}
 
 
 def _find_in_file(pattern: str, path: str) -> str | None:

@@ -30,10 +30,6 @@ _LONG_BATCH = 2.0  # seconds of a batch; larger ones are left out
 _WARM_UP_SHARE, _STREAMING_SHARE = 0.15, 0.5  # of `total_seconds`, by which each has ended
 
 
-def _do_nothing() -> None:
-    """Synchronise a device that does nothing behind the caller's back."""
-
-
 _LAP = Array(NUMBERS, (None,), 0, 1e9, positive_median=True)
 
 
@@ -80,7 +76,7 @@ class Stopwatch:
         self,
         protocol: Protocol,
         clock: Clock = time.perf_counter_ns,
-        synchronise: Callable[[], None] = _do_nothing,
+        synchronise: Callable[[], None] = lambda: None,
         seed: int = 0,
     ) -> None:
         """Measure by `clock`, with `synchronise` at every boundary; `seed` draws the order of the queries."""
@@ -208,7 +204,7 @@ def _spread(n: int, wanted: int) -> npt.NDArray[np.int64]:
 def make_synchroniser(device: str) -> Callable[[], None]:
     """Return a function that waits until `device` is idle."""
     if not device.startswith("cuda"):
-        return _do_nothing
+        return lambda: None
     import torch
 
     return lambda: torch.cuda.synchronize(device)
