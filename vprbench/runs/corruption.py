@@ -109,11 +109,6 @@ class Corruption:
         """Its name in the option `corruption`."""
         return f"{self.kind}-{self.strength}" + (f"-{self.seed}" if self.seed else "")
 
-    @property
-    def short(self) -> str:
-        """The amount with its unit."""
-        return KINDS[self.kind].short([self.strength])
-
 
 def parse_corruption(name: str) -> Corruption:
     """Return the corruption of a name; raises BadInput for an unknown name."""

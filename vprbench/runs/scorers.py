@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -23,20 +23,6 @@ _BLOCK = 128  # queries scored together
 _BLOCK_CELLS = 1 << 25  # scores of such a block
 
 Answer = Scores | Nearest  # of several queries
-
-
-class Scorer(Protocol):
-    """Answers queries in two steps; every fitted method is one."""
-
-    @property
-    def code_bytes(self) -> int:
-        """Bytes of the codes of one query."""
-
-    def encode(self, images: Images) -> npt.NDArray[Any]:
-        """Turn queries into codes, (n_queries, ...)."""
-
-    def match(self, codes: npt.NDArray[Any]) -> Answer:
-        """Return the scores of all places, (n_queries, n_places), or the best places of each query."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +82,7 @@ def choose_scorer(
     return QueryScorer(method, Adaptation(method), views, n_best)
 
 
-def block_size(scorer: Scorer, n_places: int) -> int:
+def block_size(scorer: Method | QueryScorer, n_places: int) -> int:
     """Return how many queries are scored together at most, fewer if codes are large or scored places many."""
     if isinstance(scorer, QueryScorer) and scorer.n_best is not None:
         return batch_size_for(scorer, _TOGETHER)

@@ -17,7 +17,7 @@ from vprbench import progress
 from vprbench.api.images import Images
 from vprbench.api.method import batch_size_for, require_codes
 from vprbench.metrics.bounds import INTEGERS, NUMBERS, Array, Count, Flag, Number, Positive
-from vprbench.runs.scorers import Answer, Scorer, best_place
+from vprbench.runs.scorers import Answer, QueryScorer, best_place
 from vprbench.runs.timing_protocol import Protocol as Protocol  # callers ask the stopwatch
 
 Clock = Callable[[], int]  # nanoseconds, monotonic
@@ -95,14 +95,14 @@ class Stopwatch:
         self._synchronise()
         seconds.append((self._clock() - start) / 1e9)
 
-    def first_query(self, scorer: Scorer, images: Images) -> float:
+    def first_query(self, scorer: QueryScorer, images: Images) -> float:
         """Return the seconds of the first of `images`, decoded beforehand; raises BadInput if it is given no codes."""
         first = images[:1].in_memory()
         with self.lap() as lap:
             scorer.match(require_codes(scorer.encode(first), 1))
         return lap[0]
 
-    def measure(self, scorer: Scorer, images: Images, first_query_seconds: float = 0.0) -> Timing:
+    def measure(self, scorer: QueryScorer, images: Images, first_query_seconds: float = 0.0) -> Timing:
         """Measure a fitted method on a sample of `images`, decoded beforehand; batches of large codes are smaller.
 
         A pass takes 4 s at most, unless the minimum of queries takes more: the sample of a slow method is smaller.
@@ -128,7 +128,7 @@ class Stopwatch:
         """Return the clock in seconds."""
         return self._clock() / 1e9
 
-    def _call(self, scorer: Scorer, images: Images) -> tuple[float, float, Answer]:
+    def _call(self, scorer: QueryScorer, images: Images) -> tuple[float, float, Answer]:
         """Return the seconds of encode and match, and the scores or the best places."""
         self._synchronise()
         start = self._clock()
@@ -139,7 +139,7 @@ class Stopwatch:
         self._synchronise()
         return (encoded - start) / 1e9, (self._clock() - encoded) / 1e9, answer
 
-    def _warm_up(self, scorer: Scorer, sample: Images, end: float, expected: float) -> list[float]:
+    def _warm_up(self, scorer: QueryScorer, sample: Images, end: float, expected: float) -> list[float]:
         """Return the seconds of the calls; none begins that would end after `end`, `expected` being those of one."""
         laps: list[float] = []
         end = min(end, self._now() + self._protocol.maximum_seconds)
@@ -152,7 +152,7 @@ class Stopwatch:
                 break
         return laps
 
-    def _time_batches(self, scorer: Scorer, sample: Images, streaming: Laps, end: float) -> tuple[Laps, ...]:
+    def _time_batches(self, scorer: QueryScorer, sample: Images, streaming: Laps, end: float) -> tuple[Laps, ...]:
         """Return the laps of each batch size; the streaming ones for a size of one, and where no size is left.
 
         A size is left out whose call would be long, or longer than is left, at the rate of the size before. The first
@@ -173,7 +173,7 @@ class Stopwatch:
                 offline.append(last)
         return tuple(offline) or (streaming,)
 
-    def _time(self, scorer: Scorer, calls: Sequence[Images], end: float) -> tuple[Laps, npt.NDArray[np.int64]]:
+    def _time(self, scorer: QueryScorer, calls: Sequence[Images], end: float) -> tuple[Laps, npt.NDArray[np.int64]]:
         """Return the laps of `calls`, shuffled in each pass, and the best place of each one's first query.
 
         Laps end after a pass by which all minima are met, after `maximum_seconds`, and where another one would end
