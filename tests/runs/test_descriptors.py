@@ -107,7 +107,7 @@ def renamed(dataset):
 @pytest.mark.parametrize(
     ("method", "of", "changes", "encoded"),
     [
-        (Counting(index="binary"), None, {"arguments": {"index": "binary"}}, 0),
+        (Counting(index="binary"), None, {"arguments": {"index": "binary"}}, N_QUERIES),  # to audit the index
         (Counting(), None, {"arguments": {"turn": 0.02}}, ALL),
         (Counting(), None, {"files": [["weights.pth", "ab" * 32]]}, ALL),
         (Counting(), with_another_last_bit, {}, N_PLACES),

@@ -15,16 +15,15 @@ from vprbench.api.binary import BinaryMethod
 from vprbench.api.dataset import Dataset
 from vprbench.api.descriptor import DescriptorMethod
 from vprbench.api.images import Images
-from vprbench.api.method import Method, batch_size_for, require_codes
+from vprbench.api.method import Method, require_codes
 from vprbench.api.nearest import Nearest
 from vprbench.api.search import Audit
 from vprbench.errors import BadInput
 from vprbench.metrics.ranking import Outcome, checked_scores, concatenate, outcome, outcome_of_best, ranked_places
 from vprbench.runs.descriptors import DescriptorCache
-from vprbench.runs.scorers import Answer, QueryScorer, block_size
+from vprbench.runs.scorers import Answer, QueryScorer, block_size, encode_sample
 from vprbench.runs.stopwatch import Stopwatch
 
-_AUDITED = 256  # queries by which an approximate index is compared with exact search, at most
 _LARGEST_MATRIX = 10_000_000  # scores kept whole up to this number
 
 
@@ -46,9 +45,6 @@ class QueryScoring:
         kept = scorer.n_best is None and (whole or shape[0] * shape[1] <= _LARGEST_MATRIX)
         self.scores = np.empty(shape, np.float32) if kept else None  # the system gives memory as it is filled
         self.method_seconds = 0.0
-        audited = batch_size_for(scorer.method, min(_AUDITED, shape[0])) if _is_approximate(scorer.method) else 0
-        self._audited = np.linspace(0, shape[0] - 1, audited).astype(np.int64)
-        self.audited_codes: list[npt.NDArray[Any]] = []  # by which an approximate index is compared with exact search
 
     @property
     def outcome(self) -> Outcome:
@@ -85,11 +81,8 @@ class QueryScoring:
                 progress.report("looking at all queries", surveyed / n_queries)
         for codes in self._iterate_codes(kept):
             with self._stopwatch.lap() as lap:
-                adapted = self._scorer.adaptation.apply(codes)
-                answer = self._scorer.match_adapted(adapted)
+                answer = self._scorer.match(codes)
             self.method_seconds += lap[0]
-            rows = self._audited[(self._audited >= self._done) & (self._audited < self._done + len(codes))] - self._done
-            self.audited_codes.append(adapted[rows, 0] if self._scorer.views else adapted[rows])
             self._keep(len(codes), answer)
             progress.report("query" if kept is None else "search", self._done / n_queries)
         return from_cache
@@ -129,8 +122,8 @@ class QueryScoring:
         self._done += n_queries
 
 
-def describe_search(method: Method, codes: list[npt.NDArray[Any]]) -> dict[str, Any] | None:
-    """Return by which index a method searches, and the share of exact search's places that it finds for some codes."""
+def describe_search(method: Method, queries: Images) -> dict[str, Any] | None:
+    """Return by which index a method searches, and the share of exact search's places that it finds for a sample."""
     exact = asdict(Audit(1.0, 1.0))
     if isinstance(method, BinaryMethod) and method.known is not None:
         return {"index": "exact", "bytes_per_place": method.known.bytes_per_place, **exact}
@@ -138,15 +131,10 @@ def describe_search(method: Method, codes: list[npt.NDArray[Any]]) -> dict[str, 
         return None
     index = method.searched
     found = {"index": index.kind, "bytes_per_place": index.bytes_per_place}
-    if not _is_approximate(method):
+    if index.kind == "exact":
         return {**found, **exact}
-    audit = asdict(method.audit(np.concatenate(codes)))
+    audit = asdict(method.audit(encode_sample(method, queries)))
     return {**found, **audit, "rerank": index.rerank, "build_seconds": index.build_seconds}
-
-
-def _is_approximate(method: Method) -> bool:
-    """Return whether a fitted method searches by an approximate index."""
-    return isinstance(method, DescriptorMethod) and method.searched is not None and method.searched.kind != "exact"
 
 
 def _fill_missing(places: npt.NDArray[np.int64]) -> npt.NDArray[np.int32]:

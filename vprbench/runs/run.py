@@ -51,7 +51,7 @@ def execute(experiment: Experiment, key: str, keep: Callable[[Run], None] = lamb
     elsewhere = fitted.seconds + query_seconds + queries.reading.seconds - read
     watched = watch.record()
     with stopwatch.lap() as auditing:
-        search = describe_search(method, scoring.audited_codes)
+        search = describe_search(method, queries)
         counted, spike_notes = spikes.count_spikes(method, queries)
     scored = Run(
         method=request.method_name,

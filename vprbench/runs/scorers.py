@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.api.adaptation import Adaptation
+from vprbench.api.adaptation import Adaptation, adapt_traverse
 from vprbench.api.arrays import Scores
 from vprbench.api.descriptor import DescriptorMethod
 from vprbench.api.images import Images
@@ -21,6 +21,7 @@ LARGE_MAP = 1 << 18  # places: of more, a run keeps the best ones of each query 
 _TOGETHER = 1024  # queries compared with such a map at once
 _BLOCK = 128  # queries scored together
 _BLOCK_CELLS = 1 << 25  # scores of such a block
+_SAMPLE = 256  # queries that are encoded once more
 
 Answer = Scores | Nearest  # of several queries
 
@@ -53,10 +54,7 @@ class QueryScorer:
 
     def match(self, codes: npt.NDArray[Any]) -> Answer:
         """Return the answers to the next queries of the traverse."""
-        return self.match_adapted(self.adaptation.apply(codes))
-
-    def match_adapted(self, codes: npt.NDArray[Any]) -> Answer:
-        """Return the answers to queries whose codes are adapted."""
+        codes = self.adaptation.apply(codes)
         if self.n_best is not None:
             assert isinstance(self.method, DescriptorMethod)
             return Nearest(*self.method.nearest(codes, self.n_best))
@@ -87,6 +85,14 @@ def block_size(scorer: Method | QueryScorer, n_places: int) -> int:
     if isinstance(scorer, QueryScorer) and scorer.n_best is not None:
         return batch_size_for(scorer, _TOGETHER)
     return batch_size_for(scorer, max(1, min(_BLOCK, _BLOCK_CELLS // n_places)))
+
+
+def encode_sample(method: Method, queries: Images) -> npt.NDArray[Any]:
+    """Return the adapted codes of up to 256 queries spread over all, by which indexes and spikes are judged."""
+    wanted = batch_size_for(method, min(_SAMPLE, len(queries)))
+    sample = queries[np.linspace(0, len(queries) - 1, wanted).astype(np.int64)]
+    codes = [np.array(method.encode(block)) for block in sample.blocks(block_size(method, 1))]  # it may reuse its array
+    return np.asarray(adapt_traverse(method, np.concatenate(codes)))
 
 
 def best_place(answer: Answer) -> int:
