@@ -14,7 +14,6 @@ import numpy as np
 from vprbench.api.arithmetic import Arithmetic, Kind, counting_operations
 from vprbench.api.images import Images
 from vprbench.api.method import Method
-from vprbench.errors import BadInput
 from vprbench.metrics.catalogue import METRICS
 from vprbench.runs import timing_lock
 from vprbench.runs.experiment import Experiment
@@ -56,8 +55,9 @@ def count_synops(spikes: Mapping[str, Any] | None) -> tuple[float, float] | None
 
 def read_rapl(root: Path) -> Counters:
     """Return the counters of processor and memory in Linux's powercap; raises OSError if none can be read."""
+    # zones of these names do not lie within one another
     zones = [each for each in root.glob("*-rapl*:*") if (each / "name").read_text().startswith(("package", "dram"))]
-    if not zones:  # which do not lie within one another
+    if not zones:
         raise FileNotFoundError(f"no counter in {root}")
     files = [(zone / "energy_uj", zone / "max_energy_range_uj") for zone in zones]
     return [(int(energy.read_text()), int(most.read_text())) for energy, most in files]
@@ -100,20 +100,22 @@ def find_costs(experiment: Experiment, run: Run) -> dict[str, Any]:
 
     The estimate prices encode and match, in the place of match the synaptic operations of a network that spikes.
     """
-    queries = experiment.dataset.queries.unnamed()
+    method, queries = experiment.method, experiment.dataset.queries.unnamed()
     some = queries[np.linspace(0, len(queries) - 1, min(_QUERIES, len(queries))).astype(np.int64)].in_memory()
     singles = [some[n : n + 1] for n in range(len(some))]
     synops = count_synops(run.spikes)
     how = "no layer that spikes" if synops is None else "spikes x existing synapses"
-    operations, estimate = _count_operations(experiment.method, singles, synops)
-    found: dict[str, Cost] = {
-        "synops_ac": (synops and synops[0], how),
-        "synops_mac": (synops and synops[1], how),
-        "operations": operations,
-        "joules_estimated": estimate,
-        "joules_measured": _measure_query(experiment.method, experiment.request.device, singles),
-        "map_bytes": _find_map_bytes(experiment.method, run),
-    }
+    found = dict(zip(("synops_ac", "synops_mac"), ((count, how) for count in synops or (None, None)), strict=True))
+    for names, find in (
+        (("operations", "joules_estimated"), partial(_count_operations, method, singles, synops)),
+        (("joules_measured",), partial(_measure_query, method, singles, experiment.request.device)),
+        (("map_bytes",), partial(_find_map_bytes, method, run)),
+    ):
+        try:
+            costs = find()
+        except Exception as error:  # a plug-in or a counter may fail in any way, and answers and times still stand
+            costs = [(None, " ".join(f"{type(error).__name__}: {error}".split()))] * len(names)
+        found |= zip(names, costs, strict=True)
     return {part: {name: cost[at] for name, cost in found.items()} for at, part in enumerate(("values", "how"))}
 
 
@@ -125,25 +127,19 @@ def format_costs(run: Run, wide: bool = False) -> str:
     return table_text(("cost", "", "how"), rows, wide)
 
 
-def _count_operations(
-    method: Method, singles: Sequence[Images], synops: tuple[float, float] | None
-) -> tuple[Cost, Cost]:
+def _count_operations(method: Method, singles: Sequence[Images], synops: tuple[float, float] | None) -> list[Cost]:
     """Return the operations of a query and the joules that they would take."""
     encodes, matches = list[Arithmetic](), list[Arithmetic]()
-    try:
-        for single in singles:
-            codes, arithmetic = _count_call(partial(method.encode, single))
-            encodes += arithmetic
-            if method.reference_mean is not None:
-                codes = method.centre(codes, method.reference_mean)
-            matches += _count_call(partial(method.match, codes))[1]
-    except Exception as error:  # a plug-in may fail in any way, and its answers and times still stand
-        unknown = None, " ".join(f"not counted ({type(error).__name__}: {error})".split())
-        return unknown, unknown
+    for single in singles:
+        codes, arithmetic = _count_call(partial(method.encode, single))
+        encodes += arithmetic
+        if method.reference_mean is not None:
+            codes = method.centre(codes, method.reference_mean)
+        matches += _count_call(partial(method.match, codes))[1]
     encode, match = (sum(one.operations for one in stage) / len(singles) for stage in (encodes, matches))
     if not encode or not match:
-        unknown = None, f"{'match' if encode else 'encode'}: no formula, and no product of PyTorch"
-        return unknown, unknown
+        unknown = f"{'match' if encode else 'encode'}: no formula, and no product of PyTorch"
+        return [(None, unknown), (None, unknown)]
     kinds = "+".join(sorted({one.kind for one in encodes + matches}))
     stages = "encode and match"
     if synops is not None:
@@ -151,7 +147,7 @@ def _count_operations(
         matches = [Arithmetic(synops[1] * len(singles), synops[0] * len(singles), matches[0].kind)]
     joules = estimate_joules(encodes + matches) / len(singles)
     counted = encode + match, f"encode {encode:,.0f}, match {match:,.0f} ({kinds})"
-    return counted, (joules, f"{stages} in 45 nm, without memory")
+    return [counted, (joules, f"{stages} in 45 nm, without memory")]
 
 
 def _count_call(work: Callable[[], Any]) -> tuple[Any, Sequence[Arithmetic]]:
@@ -164,32 +160,26 @@ def _count_call(work: Callable[[], Any]) -> tuple[Any, Sequence[Arithmetic]]:
     return result, by_formulas if sum(one.operations for one in by_formulas) >= by_torch.operations else [by_torch]
 
 
-def _find_map_bytes(method: Method, run: Run) -> Cost:
-    n_places = run.outcome.n_places
-    if (stated := method.map_bytes()) is not None:
-        return stated / n_places, "references or weights, a place"
-    if run.search is not None:
-        return run.search["bytes_per_place"], f"index {run.search['index']}, a place"
-    try:
-        return sum(array.nbytes for array in method.state().values()) / n_places, "the arrays that save= keeps, a place"
-    except BadInput:
-        return None, "the method has no map_bytes() and no state()"
-
-
-def _measure_query(method: Method, device: str, singles: Sequence[Images]) -> Cost:
+def _measure_query(method: Method, singles: Sequence[Images], device: str) -> list[Cost]:
     turns, wait = itertools.cycle(singles), make_synchroniser(device)
-    name, read = ("RAPL", partial(read_rapl, POWERCAP))
-    if device.startswith("cuda"):
-        name, read = "NVML (nvidia-ml-py)", partial(read_nvml, device)
+    on_gpu = device.startswith("cuda")
+    read = partial(read_nvml, device) if on_gpu else partial(read_rapl, POWERCAP)
 
     def ask() -> None:
         method.query(next(turns))
         wait()
 
-    try:
-        read()
-    except Exception as error:  # there is no counter, no pynvml, or no right to read
-        return None, f"{name} cannot be read ({error})"
+    read()  # before anybody waits
     with timing_lock.alone():
-        found = measure_joules(read, ask)
-    return (found if found > 0 else None), f"{name}, less the idle machine"
+        joules = measure_joules(read, ask)
+    return [(joules if joules > 0 else None, f"{'NVML' if on_gpu else 'RAPL'}, less the idle machine")]
+
+
+def _find_map_bytes(method: Method, run: Run) -> list[Cost]:
+    n_places = run.outcome.n_places
+    if (stated := method.map_bytes()) is not None:
+        return [(stated / n_places, "references or weights, a place")]
+    if run.search is not None:
+        return [(run.search["bytes_per_place"], f"index {run.search['index']}, a place")]
+    n_bytes = sum(array.nbytes for array in method.state().values())
+    return [(n_bytes / n_places, "the arrays that save= keeps, a place")]
