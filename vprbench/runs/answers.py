@@ -61,14 +61,11 @@ class QueryScoring:
         """The scores of these places, (n_queries, depth)."""
         return np.concatenate(self._scores)
 
-    def score(self, described: DescriptorCache | None) -> int:
-        """Score all queries; returns of how many `described` had kept the descriptors already.
-
-        Raises BadInput for scores of a wrong shape or kind.
-        """
-        kept, from_cache, n_queries = None, 0, len(self._queries)
+    def score(self, described: DescriptorCache | None) -> None:
+        """Score all queries, from descriptors that are kept or encoded now; raises BadInput for impossible scores."""
+        kept, n_queries = None, len(self._queries)
         if described is not None:
-            kept, from_cache = described.descriptors(
+            kept, _ = described.descriptors(
                 self._queries,
                 lambda block: np.asarray(self._encode(block)),
                 lambda done: progress.report("query", done / n_queries),
@@ -85,7 +82,6 @@ class QueryScoring:
             self.method_seconds += lap[0]
             self._keep(len(codes), answer)
             progress.report("query" if kept is None else "search", self._done / n_queries)
-        return from_cache
 
     def _iterate_codes(self, kept: Any) -> Iterator[npt.NDArray[Any]]:
         """Yield the codes of all queries in blocks, from those that are kept or encoded now."""

@@ -1,4 +1,4 @@
-"""Notes that a reader of a run's numbers needs: on caches, scorers, disturbances and the stopwatch."""
+"""Notes that a reader of a run's numbers needs: on large maps, disturbances and the stopwatch."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from vprbench.api.dataset import Dataset
 from vprbench.runs.scorers import QueryScorer
 
 if TYPE_CHECKING:
@@ -18,20 +17,23 @@ if TYPE_CHECKING:
 _NOISE = 0.05  # drift of a fixed computation that marks a run as noisy
 _BUSY = 15.0  # percent of the time in which a process waits for a core, that marks a run as noisy
 _SAME_SCORE = 1e-4  # relative difference that counts as the same answer in the timed and in the scored run
-_ADAPTED = {
-    "references": "the mean of the references is taken off the descriptors of references and queries",
-    "running": "adapted to the queries so far: their mean is taken off each query, so the order of the queries counts",
-    "traverse": "adapted to all queries: their mean is taken off each query, which can be done only offline",
-}
 
-# "tuned": places of its settings; "seed": the only seed of a method that draws at random; "calibrated": held-out
-# places; "described": descriptors of an earlier run; "spikes": why none were counted; "noisy", "fitted": a machine that
-# did other things while it timed or fitted; "invalid", "offline": too few laps, of single queries or of a batch size;
-# "answers": other answers when it was timed.
 NoteKind = Literal[
-    "dataset", "method", "tuned", "seed", "loaded", "calibrated", "described", "adapted", "views", "shortlist", "index",
-    "spikes", "noisy", "fitted", "invalid", "offline", "answers",
-]  # fmt: skip
+    "dataset",  # a sentence of the dataset
+    "method",  # a sentence of the method
+    "tuned",  # the places on which its settings were chosen
+    "seed",  # the only seed of a method that draws at random
+    "loaded",  # the network that it did not train
+    "calibrated",  # the held-out places that chose its settings
+    "fitted",  # a fit beside other runs
+    "noisy",  # a machine that did other things too
+    "invalid",  # too few laps
+    "offline",  # too few laps of a batch size
+    "answers",  # other answers when it was timed
+    "index",  # an approximate search
+    "shortlist",  # a large map, of which the best places of a query alone are kept
+    "spikes",  # why no spikes were counted
+]
 
 #: Kinds of notes on a machine that was disturbed, or timed too shortly.
 DISTURBED: frozenset[NoteKind] = frozenset({"noisy", "invalid"})
@@ -50,23 +52,11 @@ def make_notes(kind: NoteKind, texts: Iterable[str]) -> Iterator[Note]:
     return (Note(kind, text) for text in texts)
 
 
-def note_cache(dataset: Dataset, references: int, queries: int) -> Iterator[Note]:
-    """Yield how many descriptors of references and queries were not encoded because they were kept."""
-    if references or queries:
-        text = f"{references} of {len(dataset.references)} references and {queries} of {len(dataset.queries)} queries"
-        yield Note("described", f"descriptors of {text} are of an earlier run; the timed sample was encoded anew")
-
-
-def note_scorer(scorer: QueryScorer, n_places: int) -> Iterator[Note]:
-    """Yield a note for shortlists of best places, for adaptation and for several viewpoints."""
+def note_shortlist(scorer: QueryScorer, n_places: int) -> Iterator[Note]:
+    """Yield a note for a map that is too large to score every place."""
     if scorer.n_best is not None:
         best = f"of {n_places:,} places the best {scorer.n_best} of each query are kept"
         yield Note("shortlist", f"large map: {best}, and a right place that is none of these is no candidate")
-    if scorer.method.adapt != "none":
-        yield Note("adapted", _ADAPTED[scorer.method.adapt])
-    if scorer.views:
-        shown = ", ".join(map(str, scorer.views))
-        yield Note("views", f"{len(scorer.views)} viewpoints, shifts in widths of the frame (/heights): {shown}")
 
 
 def note_measurements(run: Run) -> Iterator[Note]:

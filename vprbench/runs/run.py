@@ -13,7 +13,7 @@ from vprbench.runs.descriptors import DescriptorCache
 from vprbench.runs.experiment import Experiment
 from vprbench.runs.fitting import fit_or_load
 from vprbench.runs.identity import code_hash
-from vprbench.runs.notes import make_notes, note_cache, note_measurements, note_scorer
+from vprbench.runs.notes import make_notes, note_measurements, note_shortlist
 from vprbench.runs.record import Run
 from vprbench.runs.scorers import choose_scorer
 from vprbench.runs.stopwatch import Stopwatch, make_synchroniser
@@ -46,7 +46,7 @@ def execute(experiment: Experiment, key: str, keep: Callable[[Run], None] = lamb
     first_query_seconds = stopwatch.first_query(scorer.begin_traverse(), queries)
     watch.end_fit()
     scoring = QueryScoring(stopwatch, scorer, dataset, request.depth, request.scores)
-    from_cache = scoring.score(None if views else described)
+    scoring.score(None if views else described)
     query_seconds = first_query_seconds + scoring.method_seconds
     elsewhere = fitted.seconds + query_seconds + queries.reading.seconds - read
     watched = watch.record()
@@ -64,8 +64,7 @@ def execute(experiment: Experiment, key: str, keep: Callable[[Run], None] = lamb
             *make_notes("dataset", dataset.notes),
             *fitted.notes,
             *make_notes("method", method.notes()),
-            *note_cache(dataset, fitted.from_cache, from_cache),
-            *note_scorer(scorer, dataset.n_places),
+            *note_shortlist(scorer, dataset.n_places),
             *spike_notes,
         ),
         n_references=len(dataset.references),
