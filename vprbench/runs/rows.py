@@ -23,14 +23,14 @@ def format_row(run: Run, metrics: Sequence[str] = ()) -> dict[str, str]:
     shown = [METRICS[name] for name in (*(f"recall_at_{n}" for n in RECALLS[1:]), "auc_pr_a", *metrics)]
     fit = numbers["fit_seconds"]
     unfitted = "kept" if run.network is None else "loaded"
-    batch = f" (batch {numbers['offline_batch']})"
+    batch = "" if run.timing is None else f" (batch {numbers['offline_batch']})"
     return {
         "method": format_label(run),
         **({RECALL: _format_recall(run, numbers)} if run.is_judged else {}),
         **{metric.head: metric.text(numbers[metric.name]) for metric in shown if run.is_judged or metric.cost},
         "fit s": unfitted if fit is None else format_seconds(fit),
         "streaming Hz enc/match/total": _format_rates(numbers, "streaming"),
-        "offline Hz enc/match/total": _format_rates(numbers, "offline") + batch * (run.timing is not None),
+        "offline Hz enc/match/total": _format_rates(numbers, "offline") + batch,
         "peak MB": format_megabytes(run.peak_memory_bytes),
     }
 

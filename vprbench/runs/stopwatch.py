@@ -29,7 +29,6 @@ _LONG_PASS = 4.0  # seconds of a pass over the sample; that of a slower method i
 _LONG_BATCH = 2.0  # seconds of a batch; larger ones are left out
 _WARM_UP_SHARE, _STREAMING_SHARE = 0.15, 0.5  # of `total_seconds`, by which each has ended
 
-
 _LAP = Array(NUMBERS, (None,), 0, 1e9, positive_median=True)
 
 
