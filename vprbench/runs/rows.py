@@ -12,7 +12,6 @@ from vprbench.text import NOTHING, format_megabytes, format_rate, format_seconds
 
 RECALL = "R@1 % [95 %]"
 UNTIMED = "not timed"
-VIEWS = ("sequence", "filter")  # their names in a protocol
 LEAST = ("R@25 %", "R@10 %", "peak MB", "streaming Hz enc/match/total")  # left out first where a row is too wide
 _DIGITS = 12  # of a hash that people compare by eye
 
@@ -52,10 +51,9 @@ def describe_protocol(run: Run) -> str:
     return f"{run.dataset}: {len(run.outcome)} queries, {run.outcome.n_places} places ({chosen}){frames}"
 
 
-def describe_view(run: Run, whole: bool = False) -> str:
-    """Return the protocol of a view in a few words, or `whole`; empty for the run itself."""
-    names = [name for name in run.protocol if name.startswith(VIEWS) and (whole or name in VIEWS)]
-    return ", ".join(f"{name.replace('_', ' ')} {run.protocol[name]}" for name in names)
+def describe_view(run: Run) -> str:
+    """Return the protocol of a view in a few words; empty for the run itself."""
+    return ", ".join(f"{name} {run.protocol[name]}" for name in ("sequence", "filter") if name in run.protocol)
 
 
 def describe_tolerance(run: Run) -> str | None:

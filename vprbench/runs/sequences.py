@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import fields, replace
+from dataclasses import MISSING, fields, replace
 from functools import partial
 from typing import Any
 
@@ -41,27 +41,20 @@ def apply_sequences(run: Run, options: Sequences) -> Run:
     """
     if options.window == "lens":
         return _apply_lens(run, options)
-    queries, places, gaps = _number_parts(run, options.gaps)
-    protocol = {"sequence": f"{options.length} {options.window}"}
-    if options.velocities != (1.0,):
-        protocol["sequence_velocities"] = "+".join(f"{velocity:g}" for velocity in options.velocities)
+    queries, places = _number_parts(run, options.gaps)
     scores = _require_scores(run)
     if options.contrast:
-        protocol["sequence_contrast"] = str(options.contrast)
         scores = local_contrast(scores, options.contrast, places)
     found, counts = sequence_scores(scores, options, queries, places, float(run.protocol.get("query_stride", 1)))
-    if gaps and options.length > 1:
-        protocol["sequence_gaps"] = gaps
-    full = np.flatnonzero(counts >= options.length)
-    if (short := len(counts) - len(full)) > 0:
-        protocol["sequence_incomplete"] = f"{short} of {len(counts)} queries {options.incomplete.replace('_', ' ')}"
-    view = replace_scores(run, found, protocol, options.length)
+    text = ", ".join([f"{options.length} {options.window}", *_list_changes(replace(options, window="causal"))])
+    view = replace_scores(run, found, {"sequence": text}, options.length)
     if options.incomplete == "shortened":
         return view
+    full = np.flatnonzero(counts >= options.length)
     if not len(full):
         raise BadInput(
-            f"sequence={options.length}: no query of {run.dataset} has a full window (gaps: {gaps or 'none'}); "
-            "give fewer queries, or gaps:bridge or incomplete:shortened, as in sequence={length:4,gaps:bridge}"
+            f"sequence={options.length}: no query of {run.dataset} has a full window; give fewer queries, or gaps:bridge"
+            " or incomplete:shortened, as in sequence={length:4,gaps:bridge}"
         )
     return select_queries(view, full, {})
 
@@ -87,12 +80,11 @@ def apply_filter(run: Run, options: Filter) -> Run:
 
     Moves are multiples of the usual step, the places from one query to the next.
     """
-    queries, _, gaps = _number_parts(run, options.gaps)
+    queries, _ = _number_parts(run, options.gaps)
     step = int(run.protocol.get("query_stride", 1))
     options = replace(options, back=options.back * step, ahead=options.ahead * step)
-    protocol = {"filter": f"topological, moves {options.back} to {options.ahead}, ratio {options.ratio:g}"}
-    protocol |= {"filter_gaps": gaps} if gaps else {}
-    return replace_scores(run, filtered_scores(_require_scores(run), options, queries), protocol, window=_MEMORY)
+    text = f"topological, moves {options.back} to {options.ahead}, ratio {options.ratio:g}, gaps {options.gaps}"
+    return replace_scores(run, filtered_scores(_require_scores(run), options, queries), {"filter": text}, _MEMORY)
 
 
 def parse_views(sequence: Any, filter: Any = None) -> tuple[Views, ...]:
@@ -118,18 +110,22 @@ def parse_views(sequence: Any, filter: Any = None) -> tuple[Views, ...]:
 
 
 def name_views(views: Iterable[Views]) -> str:
-    """Return the ending of names of files of some views: -sequence-2-4, -sequence-4-centred, -filter-ahead3."""
+    """Return the ending of names of files of some views: -sequence-2-4, -sequence-4-window=centred, -filter-ahead=3."""
     options = [view.keywords["options"] for view in views if isinstance(view, partial)]
     lengths = [str(one.length) for one in options if isinstance(one, Sequences)]
-    words = ["", "sequence", *lengths] if lengths else [""]
-    words += ["filter"] * (len(options) > len(lengths))
-    for one in options:
-        for option in fields(one):
-            value = getattr(one, option.name)
-            if option.name != "length" and value != option.default:
-                text = "" if isinstance(value, tuple) else str(value)
-                words.append(text if isinstance(value, str) else option.name + text)
-    return "-".join(dict.fromkeys(words))
+    kinds = ["sequence"] * bool(lengths) + lengths + ["filter"] * (len(options) > len(lengths))
+    changes = dict.fromkeys(change for one in options for change in _list_changes(one))
+    return "".join(f"-{word.replace(' ', '=')}" for word in [*kinds, *changes])
+
+
+def _list_changes(options: Sequences | Filter) -> list[str]:
+    """Return name and value of each option beside the length that is not its default."""
+    values = [(option, getattr(options, option.name)) for option in fields(options)]
+    return [
+        f"{option.name} {'+'.join(map(str, value)) if isinstance(value, tuple) else value}"
+        for option, value in values
+        if option.default not in (MISSING, value)
+    ]
 
 
 def _require_scores(run: Run) -> Scores:
@@ -140,13 +136,11 @@ def _require_scores(run: Run) -> Scores:
     return run.scores
 
 
-def _number_parts(run: Run, gaps: str) -> tuple[Stretches, Stretches, str]:
-    """Return the number of the unbroken part that each query and each place is in, and a few words about the gaps."""
+def _number_parts(run: Run, gaps: str) -> tuple[Stretches, Stretches]:
+    """Return the number of the unbroken part that each query and each place is in."""
     shown, n_places = queries_shown(run), run.outcome.n_places
-    known = max(0 if breaks is None else len(breaks) for breaks in (run.query_breaks, run.place_breaks))
-    words = f"{known} {'bridged' if gaps == 'bridge' else 'break it'}" if known else ""
     if gaps == "bridge":
-        return np.zeros(len(shown), np.int64), np.zeros(n_places, np.int64), words
+        return np.zeros(len(shown), np.int64), np.zeros(n_places, np.int64)
     stored = stretches(int(shown[-1]) + 1, run.query_breaks)[shown]
     left_out = shown - np.arange(len(shown))  # grows where a view left queries out
-    return stored + left_out, stretches(n_places, run.place_breaks), words
+    return stored + left_out, stretches(n_places, run.place_breaks)

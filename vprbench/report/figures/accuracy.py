@@ -141,12 +141,10 @@ def draw_recall_at_length(views: Sequence[Sequence[Series]]) -> Drawing:
         _draw_curve(axes, look, name, [*runs], *(np.concatenate(part) for part in zip(*points, strict=True)))
     axes.set(xlabel="Queries in a sequence", ylabel="Recall at 1 (%)", xticks=[*map(_length_of, views)], ylim=(0, 102))
     _finish(figure, axes)
-    protocol = max((rows[0].runs[0].protocol for rows in views), key=len)
-    parts = {"sequence_velocities": "velocities", "sequence_contrast": "local contrast", "sequence_gaps": "gaps"}
+    _, _, window = views[-1][0].runs[0].protocol["sequence"].partition(" ")
     caption = (
         "Recall at 1 of sequences, whose scores are the mean of neighbouring queries' scores; the window "
-        f"{'ends with the query' if 'causal' in protocol['sequence'] else 'has the query in its middle'}"
-        f"{''.join(f', {words} {protocol[name]}' for name, words in parts.items() if name in protocol)}. Queries: "
+        f"{'ends with the query' if 'causal' in window else 'has the query in its middle'} ({window}). Queries: "
         f"{', '.join(f'{len(rows[0].runs[0].outcome):,} at {_length_of(rows)}' for rows in views)}. "
         f"{_describe_recalls(views[0])}"
     )
