@@ -55,7 +55,7 @@ def _format_json(
         "protocol": dict(run.protocol),
         "data": dict(run.data),
         **frame.list_numbers(run, request.metrics),
-        **({"stream": stream.list_stops(run)} if request.stream else {}),
+        **({"stream": run.stream} if request.stream else {}),
         **({"energy": run.energy} if request.energy else {}),
         "network": run.network,
         "tuned_on": run.tuned_on or None,

@@ -53,8 +53,8 @@ def apply_sequences(run: Run, options: Sequences) -> Run:
     full = np.flatnonzero(counts >= options.length)
     if not len(full):
         raise BadInput(
-            f"sequence={options.length}: no query of {run.dataset} has a full window; give fewer queries, or gaps:bridge"
-            " or incomplete:shortened, as in sequence={length:4,gaps:bridge}"
+            f"sequence={options.length}: no query has a full window; give fewer queries, or gaps:bridge "
+            "or incomplete:shortened, as in sequence={length:4,gaps:bridge}"
         )
     return select_queries(view, full, {})
 

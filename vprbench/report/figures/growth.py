@@ -16,7 +16,6 @@ from vprbench.report.figures.captions import describe_machines, describe_runs, j
 from vprbench.report.figures.style import Drawing, Look, choose_looks, new_figure, use_style
 from vprbench.report.growth import GrowthSamples
 from vprbench.report.selection import Series
-from vprbench.runs.stream import list_stops
 from vprbench.text import plural
 
 _CLAIMS = {"VPRTempo": "O(n) training, O(log n) query"}  # by the paper
@@ -78,7 +77,7 @@ def draw_growing_map(series: Sequence[Series]) -> Drawing:
         raise BadInput("no map grew while it was asked: give a run stream=true")
     figure, (left, right) = new_figure(style.DOUBLE_MM, _HEIGHT_MM, 1, 2)
     for name, look in choose_looks(grown).items():
-        stops = list_stops(grown[name])
+        stops = grown[name].stream or []
         places = [stop["places"] for stop in stops]
         of_all, of_first = (
             100 * np.array([stop[recall] for stop in stops], np.float64)  # NaN where nothing was asked
