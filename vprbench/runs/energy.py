@@ -64,7 +64,7 @@ def read_rapl(root: Path) -> Counters:
 
 
 def read_nvml(device: str) -> Counters:
-    """Return the counter of an NVIDIA GPU, Volta and later; raises what pynvml raises if it cannot be read."""
+    """Return the counter of an NVIDIA GPU, Volta and later; raises pynvml's errors if it cannot be read."""
     import pynvml
     import torch
 

@@ -69,12 +69,12 @@ def grow_map(experiment: Experiment) -> list[dict[str, Any]]:
             seconds.append(lap[0])
         progress.report("growing map", n / dataset.n_places)
         if n % first == 0 or n == dataset.n_places:
-            asked = np.flatnonzero(earliest < n)
-            blocks = np.split(asked, range(size, len(asked), size))
+            answerable = np.flatnonzero(earliest < n)
+            blocks = np.split(answerable, range(size, len(answerable), size))
             right = [[dataset.positives[query][dataset.positives[query] < n] for query in block] for block in blocks]
             found = concatenate([outcome(method.match(codes[b]), r) for b, r in zip(blocks, right, strict=True)])
             hits = hits_at(found, 1)
-            stops.append(_describe_stop(n, hits, hits[earliest[asked] < first], seconds))
+            stops.append(_describe_stop(n, hits, hits[earliest[answerable] < first], seconds))
             seconds = []
     return stops
 
