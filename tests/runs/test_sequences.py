@@ -97,7 +97,7 @@ def test_queries_without_a_full_window_are_left_out_or_scored_with_what_there_is
 def test_a_filter_follows_the_journey_and_no_block_of_an_interval_is_shorter_than_a_window():
     view = apply_filter(aligned(), Filter())
     assert mean_hits(view) > 0.7 > 0.5 > mean_hits(aligned())
-    assert (len(view.outcome), view.protocol["filter"]) == (N, "topological, moves 0 to 2, ratio 5, gaps break")
+    assert (len(view.outcome), view.protocol["filter"]) == (N, "topological, moves 0 to 2, ratio 5")
     view = apply_sequences(aligned(200), Sequences(12))
     assert window_of(view) == 12
     assert recall_interval([view]).block >= 12

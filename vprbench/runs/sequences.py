@@ -83,7 +83,8 @@ def apply_filter(run: Run, options: Filter) -> Run:
     queries, _ = _number_parts(run, options.gaps)
     step = int(run.protocol.get("query_stride", 1))
     options = replace(options, back=options.back * step, ahead=options.ahead * step)
-    text = f"topological, moves {options.back} to {options.ahead}, ratio {options.ratio:g}, gaps {options.gaps}"
+    gaps = "" if options.gaps == "break" else f", gaps {options.gaps}"
+    text = f"topological, moves {options.back} to {options.ahead}, ratio {options.ratio:g}{gaps}"
     return replace_scores(run, filtered_scores(_require_scores(run), options, queries), {"filter": text}, _MEMORY)
 
 
