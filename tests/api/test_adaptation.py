@@ -202,5 +202,5 @@ def test_places_of_a_growing_map_lose_the_mean_of_its_first_ones(adapt):
         known = unit(REFERENCES[: stop["places"]] - mean)
         right = np.arange(N_QUERIES) % N_PLACES
         hits = ((asked @ known.T).argmax(1) == right)[right < stop["places"]]
-        assert stop["hits"] == hits.astype(float).tolist()
+        assert (stop["queries"], stop["recall_at_1"]) == (len(hits), pytest.approx(hits.mean()))
     assert [stop["places"] for stop in stops] == [30, 60, 80]

@@ -8,6 +8,7 @@ from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
 from vprbench.api.method import Method
 from vprbench.runs.answers import QueryScoring
+from vprbench.runs.scorers import choose_scorer
 from vprbench.runs.stopwatch import Protocol, Stopwatch
 
 N_PLACES = 27_592  # Nordland, every frame
@@ -34,7 +35,7 @@ def peak_bytes(n_blocks):
     images = Images(lambda _: np.zeros((1, 1, 3), np.uint8), [f"image {i}" for i in range(N_PLACES)])
     queries, positives = images[: n_blocks * BLOCK], tuple(np.array([i]) for i in range(n_blocks * BLOCK))
     dataset, method = Dataset("large", images, np.arange(N_PLACES), queries, positives, {}), Fixed()
-    scoring = QueryScoring(Stopwatch(Protocol()), method, method, dataset, depth=100)
+    scoring = QueryScoring(Stopwatch(Protocol()), choose_scorer(method, N_PLACES, 100), dataset, depth=100)
     tracemalloc.start()
     scoring.score(None)
     peak = tracemalloc.get_traced_memory()[1]

@@ -1,7 +1,7 @@
 """Costs of a query: operations by formulas and by PyTorch, bytes, and joules of a made-up powercap."""
 
 import json
-from pathlib import Path
+import sys
 from types import SimpleNamespace
 
 import numpy as np
@@ -147,27 +147,39 @@ def powercap(root, **microjoules):
     return root
 
 
-def test_package_and_memory_are_added_over_a_wrap_and_what_lies_within_a_package_is_not(tmp_path):
-    read = energy.open_rapl(powercap(tmp_path, package=900_000, dram=10, core=5))
-    powercap(tmp_path, package=100_000, dram=50_010, core=400_000)
-    assert read() == pytest.approx(0.25)
-    powercap(tmp_path, package=50_000, dram=50_010, core=0)  # around once more
-    assert read() == pytest.approx(1.2)
+def test_package_and_memory_are_read_and_what_lies_within_a_package_is_not(tmp_path):
+    found = energy.read_rapl(powercap(tmp_path, package=900_000, dram=10, core=5))
+    assert sorted(found) == [(10, 1_000_000), (900_000, 1_000_000)]
 
 
 @pytest.mark.parametrize(("query", "watts", "known"), [(0.5, 30, 10), (7, 10, 0)])  # 7 s: longer than the window
-def test_idle_power_is_subtracted_from_the_joules_of_queries(query, watts, known, monkeypatch):
+def test_idle_power_is_subtracted_from_the_joules_of_queries_over_a_wrap(query, watts, known, monkeypatch):
     state = np.array([0.0, 100.0])  # seconds and joules
 
     def passes(seconds, watts=10):
         state[:] += seconds, seconds * watts
 
+    def read():
+        return [(round(1e6 * state[1]) % 130_000_000, 130_000_000)]  # 130 J are over in the middle
+
     monkeypatch.setattr(energy, "time", SimpleNamespace(perf_counter=lambda: state[0], sleep=passes))
-    assert energy.measure_joules(lambda: state[1], lambda: passes(query, watts)) == pytest.approx(known)
+    assert energy.measure_joules(read, lambda: passes(query, watts)) == pytest.approx(known)
 
 
-@pytest.mark.parametrize("counters", [{}, {"core": 5}, {"package": "denied"}, None])
-def test_counters_that_cannot_be_read_are_an_error(tmp_path, counters, monkeypatch):
-    monkeypatch.setattr(energy.ctypes, "CDLL", lambda name: Path(name).read_text())  # which is not there
-    with pytest.raises(energy.UnreadableError, match="NVML" if counters is None else str(tmp_path)):
-        energy.open_nvml("cuda") if counters is None else energy.open_rapl(powercap(tmp_path, **counters))
+@pytest.mark.parametrize("counters", [{}, {"core": 5}, {"package": "denied"}])
+def test_a_counter_that_cannot_be_read_is_a_reason(tmp_path, counters, monkeypatch):
+    monkeypatch.setattr(energy, "POWERCAP", powercap(tmp_path, **counters))
+    request = asked_for(Lookup(np.eye(6, dtype=np.float32)), journey(6, 6))
+    found = energy.find_costs(request, run_of(request.method, request.dataset))
+    assert (found["values"]["joules_measured"], "Error" in found["how"]["joules_measured"]) == (None, True)
+
+
+def test_the_counter_of_a_gpu_is_found_by_its_uuid(monkeypatch):
+    stand_in = SimpleNamespace(
+        nvmlInit=lambda: None,
+        nvmlDeviceGetHandleByUUID={"GPU-abc": 7}.get,
+        nvmlDeviceGetTotalEnergyConsumption={7: 1234}.get,
+    )
+    monkeypatch.setitem(sys.modules, "pynvml", stand_in)
+    monkeypatch.setattr(torch.cuda, "get_device_properties", lambda _: SimpleNamespace(uuid="abc"))
+    assert energy.read_nvml("cuda") == [(1_234_000, 1 << 64)]

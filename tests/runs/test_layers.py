@@ -179,11 +179,13 @@ def test_each_stop_of_a_growing_map_asks_the_queries_whose_place_is_known():
     table = np.array([[5, 0, 0, 9, 0], [0, 5, 0, 0, 0], [0, 3, 5, 0, 9], [0, 0, 0, 5, 0], [1, 1, 1, 1, 1]], np.float32)
     method = Growing(table)
     stops = grow_map(replace(asked_for(method, dataset), stream=2))
-    assert [(stop["places"], stop["hits"], len(stop["seconds"])) for stop in stops] == [
-        (2, [1.0, 1.0, 1.0], 0),
-        (4, [0.0, 1.0, 0.0, 1.0], 2),
-        (5, [0.0, 1.0, 1.0, 1.0], 1),
+    names = ("places", "queries", "recall_at_1", "recall_at_1_of_first")
+    assert [tuple(stop[name] for name in names) for stop in stops] == [
+        (2, 3, 1.0, 1.0),
+        (4, 4, 0.5, pytest.approx(1 / 3)),
+        (5, 4, 0.75, pytest.approx(2 / 3)),
     ]
+    assert [stop["seconds_a_place"] is None for stop in stops] == [True, False, False]
     given = [each for each in method.asked if each[0] < 0]
     assert given == [[-1, 0, 1, 1], [-2, 1, 2], [-2, 1, 3], [-2, 1, 4]]
     assert method.known == 0  # the run's own method is another

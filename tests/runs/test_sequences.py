@@ -79,10 +79,13 @@ def test_queries_without_a_full_window_are_left_out_or_scored_with_what_there_is
     assert len(shortened.outcome) == N
     assert np.array_equal(shortened.top_scores[wanted], left_out.top_scores)
     assert np.array_equal(shortened.top_scores[10], run.top_scores[10])  # it begins a new part
-    assert left_out.protocol["sequence_incomplete"] == "6 of 40 queries left out"
+    assert (left_out.protocol["sequence"], shortened.protocol["sequence"]) == (
+        "4 causal",
+        "4 causal, incomplete shortened",
+    )
     bridged = apply_sequences(run, Sequences(4, gaps="bridge"))
     assert queries_shown(bridged).tolist() == list(range(3, N))
-    assert [view.protocol["sequence_gaps"] for view in (left_out, bridged)] == ["1 break it", "1 bridged"]
+    assert bridged.protocol["sequence"] == "4 causal, gaps bridge"
     some = select_queries(aligned(), np.array([3, 4, 5, 9, 10, 11]), {"places": "other"})
     assert queries_shown(apply_sequences(some, Sequences(3))).tolist() == [5, 11]
     with pytest.raises(BadInput, match="gaps:bridge"):
@@ -133,14 +136,14 @@ BRIDGED = {"velocities": (0.8, 1), "gaps": "bridge"}
         (
             ({"length": 4, "window": "centred", "gaps": "bridge", "velocities": [0.8, 1], "contrast": 10},),
             [Sequences(4, "centred", contrast=10, **BRIDGED)],
-            "-sequence-4-centred-velocities-contrast10-bridge",
+            "-sequence-4-window=centred-velocities=0.8+1.0-contrast=10-gaps=bridge",
         ),
         (
             ("{length:[4,10],velocities:[0.8,1],gaps:bridge}",),
             [Sequences(4, **BRIDGED), Sequences(10, **BRIDGED)],
-            "-sequence-4-10-velocities-bridge",
+            "-sequence-4-10-velocities=0.8+1.0-gaps=bridge",
         ),
-        ((None, {"back": -2, "ahead": 10}), [Filter(-2, 10)], "-filter-back-2-ahead10"),
+        ((None, {"back": -2, "ahead": 10}), [Filter(-2, 10)], "-filter-back=-2-ahead=10"),
     ],
 )
 def test_options_in_words_and_the_names_of_their_files(options, wanted, name):

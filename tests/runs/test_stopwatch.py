@@ -100,7 +100,7 @@ def test_batches_are_whole_and_hold_no_more_than_the_sample_nor_than_a_gibibyte(
 def test_a_slow_method_is_asked_no_more_than_the_minima_take():
     for milliseconds, gain, sample, batches, at_most in (
         (66, 1, 64, [1, 8], 15),  # VPRSNN on a laptop
-        (66, 4, 64, [1, 8, 32], 15),  # once they gain no more
+        (66, 4, 64, [1, 8, 32, 64], 15),  # faster in batches
         (2, 1, 256, [1, 8, 32, 128], 10),
     ):
         clock, each = Clock(), milliseconds * MS
@@ -183,9 +183,9 @@ def test_warm_up_ends_after_ten_queries_within_ten_percent_or_at_the_maximum():
 
 def test_laps_go_on_for_each_minimum_and_offline_ones_count_images_and_end_at_the_maximum_in_the_middle_of_a_pass():
     for minimum, streaming, batch, calls in (
-        ({"minimum_seconds": 0.1}, 25, 5, 25),  # 0.1 s / 4 ms
+        ({"minimum_seconds": 0.099}, 25, 5, 25),  # 0.1 s / 4 ms
         ({"minimum_queries": 12}, 15, 5, 3),  # whole passes
-        ({"minimum_passes": 3}, 15, 2, 8),  # 15 images
+        ({"minimum_passes": 3}, 15, 2, 6),  # whole batches
     ):
         timing, _ = measured(short(**minimum, batch_sizes=[batch]))
         assert (len(timing.streaming.total_seconds), len(timing.offline[0].total_seconds)) == (streaming, calls)
@@ -276,6 +276,6 @@ def test_a_batch_whose_call_would_take_longer_than_is_left_is_left_out_and_a_fas
         (LIMITED, lambda n_images: 30, [1, 8, 32]),  # all at once
         (LIMITED, lambda n_images: 30 * n_images, [1, 8]),  # one after the other
         (LIMITED, lambda n_images: 900 * n_images, [1]),
-        (short(batch_sizes=[1, 32]), lambda n_images: 900 * n_images, [1, 32]),
+        (short(batch_sizes=[1, 32]), lambda n_images: 900 * n_images, [1]),  # 29 s a call
     ):
         assert sizes(measured(protocol, lambda images, call=call: MS * call(len(images)), images=64)[0]) == left

@@ -34,7 +34,7 @@ def test_a_query_is_judged():
         ([0.875, 0.75, 0.5, 0.25], [3], 2, ("w", -0.125, "<", [0, 1, -1], 3, 4)),  # known as a bound
         ([0.875, 0.75, 0.5, 0.25], [0, 1], 2, ("r", 0.125, ">", [0, 1, -1], 0, 1)),
         ([0.875, 0.75, 0.5, 0.25], [1], 2, ("w", -0.125, "=", [0, 1, -1], 1, 2)),
-        ([0.5, 0.5, 0.5, 0.0], [2], 2, ("t", 0.0, "=", [0, 1, -1], 2, 1)),  # the right place of the tie is not kept
+        ([0.5, 0.5, 0.5, 0.0], [2], 2, ("t", 0.0, "<", [0, 1, -1], 2, 1)),  # the right place of the tie is not kept
     ):
         answers = judged_alone(scores, right, depth)
         (margin,), places = answers.margins.tolist(), answers.places.tolist()

@@ -60,7 +60,7 @@ def quiet_surroundings():
     quick = {
         "describe_machine": lambda device, threads: {"processor": "Abacus 9", "time_utc": "2025-01-31T12:00:00Z"},
         "canary_seconds": lambda: 1.0,
-        "read_cpu_pressure": lambda: None,
+        "read_cpu_wait_seconds": lambda: None,
     }
     with pytest.MonkeyPatch.context() as patch:
         stand_in = SimpleNamespace(**{**vars(machine), **quick})

@@ -81,7 +81,7 @@ def _point(row: Series, clean: Series, one: Corruption | None) -> dict[str, Any]
     assert interval is not None
     order = order_along_journey(clean.runs[0])
     drop = None if one is None else difference_interval(_hits(clean.runs)[order], _hits(row.runs)[order])
-    of_corruption = ("clean", 0, "") if one is None else (one.kind, one.strength, one.short)
+    of_corruption = ("clean", 0, "") if one is None else (one.kind, one.strength, KINDS[one.kind].short([one.strength]))
     accuracy = (len(row.runs), recall, interval.low, interval.high)
     ends = (None, None) if drop is None else (drop.low, drop.high)
     values = (row.name, *of_corruption, *accuracy, before - recall, *ends, describe_tuning(row.runs))

@@ -273,7 +273,7 @@ def title(group: Group, among: Sequence[Group]) -> str:
     if len(versions) < 2:
         return planned.title
     protocols = [_stated_protocol(other.runs[0]) for other in versions]
-    names = dict.fromkeys(n for p in protocols for n in p if not n.startswith(("sequence_", "filter_")))  # as of views
+    names = dict.fromkeys(name for protocol in protocols for name in protocol)
     differing = [name for name in names if any(p.get(name) != protocols[0].get(name) for p in protocols)]
     parts = [_describe_parts({name: p[name] for name in differing if name in p}) for p in protocols]
     mine = parts[next(i for i, other in enumerate(versions) if other is group)]

@@ -10,37 +10,28 @@ import numpy as np
 import numpy.typing as npt
 
 from vprbench import progress
-from vprbench.api.adaptation import Adaptation
 from vprbench.api.arrays import Scores
 from vprbench.api.binary import BinaryMethod
 from vprbench.api.dataset import Dataset
 from vprbench.api.descriptor import DescriptorMethod
 from vprbench.api.images import Images
-from vprbench.api.method import Method, batch_size_for, require_codes
+from vprbench.api.method import Method, require_codes
 from vprbench.api.nearest import Nearest
-from vprbench.api.search import Audit, Search
+from vprbench.api.search import Audit
 from vprbench.errors import BadInput
-from vprbench.metrics.ranking import (
-    Outcome,
-    checked_scores,
-    concatenate,
-    outcome,
-    outcome_of_best,
-    ranked_places,
-)
+from vprbench.metrics.ranking import Outcome, checked_scores, concatenate, outcome, outcome_of_best, ranked_places
 from vprbench.runs.descriptors import DescriptorCache
-from vprbench.runs.scorers import Answer, Scorer, ViewsScorer, block_size
+from vprbench.runs.scorers import Answer, QueryScorer, block_size, encode_sample
 from vprbench.runs.stopwatch import Stopwatch
 
-_AUDITED = 256  # queries by which an approximate index is compared with exact search, at most
 _LARGEST_MATRIX = 10_000_000  # scores kept whole up to this number
 
 
 class QueryScoring:
-    """Scores the queries of a dataset in blocks, in bounded memory; codes are adapted in between as the method asks."""
+    """Scores the queries of a dataset in blocks, in bounded memory."""
 
     def __init__(
-        self, stopwatch: Stopwatch, method: Method, scorer: Scorer, dataset: Dataset, depth: int, whole: bool = False
+        self, stopwatch: Stopwatch, scorer: QueryScorer, dataset: Dataset, depth: int, whole: bool = False
     ) -> None:
         """Keep the best `depth` places of each query, and all scores if they are few or if `whole`."""
         self._stopwatch, self._scorer, self._depth = stopwatch, scorer, depth
@@ -48,17 +39,12 @@ class QueryScoring:
         self._size = block_size(scorer, dataset.n_places)
         self._done = 0
         self._outcomes: list[Outcome] = []
-        self._top: list[tuple[npt.NDArray[np.int32], Scores]] = []
+        self._places: list[npt.NDArray[np.int32]] = []
+        self._scores: list[Scores] = []
         shape = len(dataset.queries), dataset.n_places
-        kept = whole or shape[0] * shape[1] <= _LARGEST_MATRIX
+        kept = scorer.n_best is None and (whole or shape[0] * shape[1] <= _LARGEST_MATRIX)
         self.scores = np.empty(shape, np.float32) if kept else None  # the system gives memory as it is filled
         self.method_seconds = 0.0
-        self.adaptation = Adaptation(method)
-        index = _find_index(method)
-        wanted = 0 if index is None or index.kind == "exact" else min(_AUDITED, len(self._queries))
-        audited = batch_size_for(method, wanted) if wanted else 0
-        self._audited = np.linspace(0, len(self._queries) - 1, audited).astype(np.int64)
-        self.audited_codes: list[npt.NDArray[Any]] = []  # by which an approximate index is compared with exact search
 
     @property
     def outcome(self) -> Outcome:
@@ -68,35 +54,34 @@ class QueryScoring:
     @property
     def top_places(self) -> npt.NDArray[np.int32]:
         """The best places of each query, (n_queries, depth), best first."""
-        return np.concatenate([places for places, _ in self._top])
+        return np.concatenate(self._places)
 
     @property
     def top_scores(self) -> Scores:
         """The scores of these places, (n_queries, depth)."""
-        return np.concatenate([scores for _, scores in self._top])
+        return np.concatenate(self._scores)
 
-    def score(self, described: DescriptorCache | None) -> int:
-        """Score all queries; returns of how many `described` had kept the descriptors already.
-
-        Raises BadInput for scores of a wrong shape or kind.
-        """
-        kept, from_cache, n_queries = None, 0, len(self._queries)
+    def score(self, described: DescriptorCache | None) -> None:
+        """Score all queries, from descriptors that are kept or encoded now; raises BadInput for impossible scores."""
+        kept, n_queries = None, len(self._queries)
         if described is not None:
-            kept, from_cache = described.descriptors(
+            kept, _ = described.descriptors(
                 self._queries,
                 lambda block: np.asarray(self._encode(block)),
                 lambda done: progress.report("query", done / n_queries),
             )
-        if not self.adaptation.is_causal:
+        if not self._scorer.adaptation.is_causal:
             surveyed = 0
             for codes in self._iterate_codes(kept):
-                self.adaptation.survey(codes)
+                self._scorer.adaptation.survey(codes)
                 surveyed += len(codes)
                 progress.report("looking at all queries", surveyed / n_queries)
         for codes in self._iterate_codes(kept):
-            self._keep(len(codes), self._match(codes))
+            with self._stopwatch.lap() as lap:
+                answer = self._scorer.match(codes)
+            self.method_seconds += lap[0]
+            self._keep(len(codes), answer)
             progress.report("query" if kept is None else "search", self._done / n_queries)
-        return from_cache
 
     def _iterate_codes(self, kept: Any) -> Iterator[npt.NDArray[Any]]:
         """Yield the codes of all queries in blocks, from those that are kept or encoded now."""
@@ -113,58 +98,45 @@ class QueryScoring:
         self.method_seconds += lap[0]
         return codes
 
-    def _match(self, codes: npt.NDArray[Any]) -> Answer:
-        with self._stopwatch.lap() as lap:
-            codes = self.adaptation.apply(codes)
-            answer = self._scorer.match(codes)
-        self.method_seconds += lap[0]
-        rows = self._audited - self._done
-        rows = rows[(rows >= 0) & (rows < len(codes))]
-        if len(rows):
-            self.audited_codes.append(codes[rows, 0] if isinstance(self._scorer, ViewsScorer) else codes[rows])
-        return answer
-
     def _keep(self, n_queries: int, answer: Answer) -> None:
         """Keep the outcome, the best places and, of a small map, the scores of the next queries."""
         right = self._positives[self._done : self._done + n_queries]
         if isinstance(answer, Nearest):
-            scores, places = checked_scores(answer.similarity, self._done), answer.places
-            self._outcomes.append(outcome_of_best(scores, places, right, self._n_places))
-            self._top.append((_fill_missing(places).astype(np.int32), scores))
-            self.scores = None
+            scores, places = checked_scores(answer.similarity, self._done), _fill_missing(answer.places)
+            self._outcomes.append(outcome_of_best(scores, answer.places, right, self._n_places))
         else:
-            wanted = (n_queries, self._n_places)
-            if np.shape(answer) != wanted:
-                shape = np.shape(answer)
+            wanted, shape = (n_queries, self._n_places), np.shape(answer)
+            if shape != wanted:
                 raise BadInput(f"the method gave scores of shape {shape}; wanted {wanted}, one for each place")
-            scores = checked_scores(answer, self._done)
-            self._outcomes.append(outcome(scores, right))
-            self._top.append(ranked_places(scores, self._depth))
+            all_scores = checked_scores(answer, self._done)
+            self._outcomes.append(outcome(all_scores, right))
+            places, scores = ranked_places(all_scores, self._depth)
             if self.scores is not None:
-                self.scores[self._done : self._done + n_queries] = scores
+                self.scores[self._done : self._done + n_queries] = all_scores
+        self._places.append(places)
+        self._scores.append(scores)
         self._done += n_queries
 
 
-def describe_search(method: Method, codes: list[npt.NDArray[Any]]) -> dict[str, Any] | None:
-    """Return by which index a method searches, and the share of exact search's places that it finds for some codes."""
+def describe_search(method: Method, queries: Images) -> dict[str, Any] | None:
+    """Return by which index a method searches, and the share of exact search's places that it finds for a sample."""
+    exact = asdict(Audit(1.0, 1.0))
     if isinstance(method, BinaryMethod) and method.known is not None:
-        return {"index": "exact", "bytes_per_place": method.known.bytes_per_place, **asdict(Audit(1.0, 1.0))}
-    index = _find_index(method)
-    if index is None or not isinstance(method, DescriptorMethod):
+        return {"index": "exact", "bytes_per_place": method.known.bytes_per_place, **exact}
+    if not isinstance(method, DescriptorMethod) or method.searched is None:
         return None
-    audit = Audit(1.0, 1.0) if index.kind == "exact" else method.audit(np.concatenate(codes))
-    found = {"index": index.kind, "bytes_per_place": index.bytes_per_place, **asdict(audit)}
-    return found if index.kind == "exact" else {**found, "rerank": index.rerank, "build_seconds": index.build_seconds}
+    index = method.searched
+    found = {"index": index.kind, "bytes_per_place": index.bytes_per_place}
+    if index.kind == "exact":
+        return {**found, **exact}
+    audit = asdict(method.audit(encode_sample(method, queries)))
+    return {**found, **audit, "rerank": index.rerank, "build_seconds": index.build_seconds}
 
 
-def _fill_missing(places: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+def _fill_missing(places: npt.NDArray[np.int64]) -> npt.NDArray[np.int32]:
     """Return best places, (n_queries, n), with the lowest places that are not among them where there is none (-1)."""
-    named = places.copy()
+    named = places.astype(np.int32)
     for query in np.flatnonzero((places < 0).any(axis=1)):
         none = places[query] < 0
         named[query, none] = np.setdiff1d(np.arange(len(none)), places[query])[: np.count_nonzero(none)]
     return named
-
-
-def _find_index(method: Method) -> Search | None:
-    return method.searched if isinstance(method, DescriptorMethod) else None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -108,20 +109,6 @@ class Corruption:
         """Its name in the option `corruption`."""
         return f"{self.kind}-{self.strength}" + (f"-{self.seed}" if self.seed else "")
 
-    @property
-    def amount(self) -> float:
-        """How much, in the unit of the kind."""
-        return KINDS[self.kind].amounts[self.strength - 1]
-
-    @property
-    def short(self) -> str:
-        """The amount with its unit."""
-        return KINDS[self.kind].short([self.strength])
-
-    def protocol(self) -> str:
-        """Return its entry in the protocol of a run."""
-        return f"{self.name} (queries {KINDS[self.kind].describe([self.strength])}; seed {self.seed})"
-
 
 def parse_corruption(name: str) -> Corruption:
     """Return the corruption of a name; raises BadInput for an unknown name."""
@@ -138,17 +125,13 @@ def parse_corruptions(names: Sequence[str]) -> tuple[Corruption, ...]:
 
     Raises BadInput for a name that is unknown, and for one corruption with two seeds.
     """
-    wanted = {
-        one
-        for name in (KINDS if [*names] == ["all"] else names)
-        for one in (
-            [Corruption(name, strength) for strength in STRENGTHS] if name in KINDS else [parse_corruption(name)]
-        )
-    }
-    if len({(one.kind, one.strength) for one in wanted}) < len(wanted):
-        raise BadInput(f"corruptions={','.join(names)}: give each corruption once, with one seed")
-    order = [*KINDS]
-    return tuple(sorted(wanted, key=lambda one: (order.index(one.kind), one.strength)))
+    found: dict[tuple[str, int], Corruption] = {}
+    for name in KINDS if [*names] == ["all"] else names:
+        for spelled in [f"{name}-{strength}" for strength in STRENGTHS] if name in KINDS else [name]:
+            one = parse_corruption(spelled)
+            if found.setdefault((one.kind, one.strength), one) != one:
+                raise BadInput(f"corruptions={','.join(names)}: give each corruption once, with one seed")
+    return tuple(found[each] for each in itertools.product(KINDS, STRENGTHS) if each in found)
 
 
 def corrupt_queries(dataset: Dataset, name: str | None) -> Dataset:
@@ -160,7 +143,7 @@ def corrupt_queries(dataset: Dataset, name: str | None) -> Dataset:
     if name is None:
         return dataset
     wanted = parse_corruption(name)
-    text = wanted.protocol()
+    text = f"{wanted.name} (queries {KINDS[wanted.kind].describe([wanted.strength])}; seed {wanted.seed})"
     queries = dataset.queries.changed(lambda image, frame: corrupt_frame(image, wanted, frame), text)
     return replace(dataset, queries=queries, protocol={**dataset.protocol, "corruption": text})
 
@@ -171,4 +154,5 @@ def corrupt_frame(image: Image, wanted: Corruption, frame: str) -> Image:
     So it is the same in any order, process and batch, and all strengths of a kind go one way.
     """
     drawn = hashlib.sha256(f"{wanted.seed} {wanted.kind} {frame}".encode(errors="surrogateescape")).digest()
-    return KINDS[wanted.kind].change(image, wanted.amount, np.random.default_rng([*drawn]))
+    kind = KINDS[wanted.kind]
+    return kind.change(image, kind.amounts[wanted.strength - 1], np.random.default_rng([*drawn]))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import itertools
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -15,13 +14,19 @@ import numpy as np
 from vprbench.api.arithmetic import Arithmetic, Kind, counting_operations
 from vprbench.api.images import Images
 from vprbench.api.method import Method
-from vprbench.errors import BadInput
 from vprbench.metrics.catalogue import METRICS
 from vprbench.runs import timing_lock
 from vprbench.runs.experiment import Experiment
 from vprbench.runs.record import Run
 from vprbench.runs.stopwatch import make_synchroniser
 from vprbench.terminal.console import table_text
+
+Counters = list[tuple[int, int]]  # microjoules since an arbitrary moment, and at how many each begins anew
+Cost = tuple[float | None, str]  # the value, None: not known, and its source, or why it is not known
+
+POWERCAP = Path("/sys/class/powercap")
+_SECONDS = 2.0  # of rest, and at least of queries; counters move every 1 to 100 ms
+_QUERIES = 4  # over which arithmetic is averaged, at most
 
 #: Picojoules of a single operation and of a multiply-add in 45 nm (Horowitz, ISSCC 2014); 64 bits are priced as 32.
 PICOJOULES: Mapping[Kind, tuple[float, float]] = {
@@ -48,88 +53,46 @@ def count_synops(spikes: Mapping[str, Any] | None) -> tuple[float, float] | None
     return (alike, graded) if layers else None
 
 
-POWERCAP = Path("/sys/class/powercap")
-_SECONDS = 2.0  # of rest, and at least of queries; counters move every 1 to 100 ms
-
-Joules = Callable[[], float]  # since an arbitrary moment
-
-
-class UnreadableError(Exception):
-    """No counter of energy can be read; the message says why."""
-
-
-def open_rapl(root: Path) -> Joules:
-    """Return the sum of the counters of processor and memory in Linux's powercap, read before one wraps around twice.
-
-    Raises UnreadableError where there is none, or where they may not be read.
-    """
-    try:  # the domains package and dram do not lie within one another
-        names = {zone: (zone / "name").read_text() for zone in sorted(root.glob("*-rapl*:*"))}
-        zones = [zone for zone, name in names.items() if name.startswith(("package", "dram"))]
-        ranges = [int((zone / "max_energy_range_uj").read_text()) for zone in zones]
-        last = [int((zone / "energy_uj").read_text()) for zone in zones]
-    except (OSError, ValueError) as error:
-        raise UnreadableError(f"RAPL cannot be read in {root} ({getattr(error, 'strerror', error)})") from None
+def read_rapl(root: Path) -> Counters:
+    """Return the counters of processor and memory in Linux's powercap; raises OSError if none can be read."""
+    # zones of these names do not lie within one another
+    zones = [each for each in root.glob("*-rapl*:*") if (each / "name").read_text().startswith(("package", "dram"))]
     if not zones:
-        raise UnreadableError(f"{root} has no RAPL counter")
-    microjoules = 0
-
-    def joules() -> float:
-        nonlocal last, microjoules
-        now = [int((zone / "energy_uj").read_text()) for zone in zones]
-        microjoules += sum((new - old) % most for new, old, most in zip(now, last, ranges, strict=True))
-        last = now
-        return microjoules / 1e6
-
-    return joules
+        raise FileNotFoundError(f"no counter in {root}")
+    files = [(zone / "energy_uj", zone / "max_energy_range_uj") for zone in zones]
+    return [(int(energy.read_text()), int(most.read_text())) for energy, most in files]
 
 
-def open_nvml(device: str) -> Joules:
-    """Return the energy counter of an NVIDIA GPU (Volta and later); raises UnreadableError where it has none."""
+def read_nvml(device: str) -> Counters:
+    """Return the counter of an NVIDIA GPU, Volta and later; raises pynvml's errors if it cannot be read."""
+    import pynvml
     import torch
 
-    gpu, millijoules = ctypes.c_void_p(), ctypes.c_ulonglong()
-
-    def call(name: str, *arguments: object) -> None:
-        if code := getattr(library, f"nvml{name}")(*arguments):
-            raise OSError(f"nvml{name} gave {code}")
-
-    def joules() -> float:
-        call("DeviceGetTotalEnergyConsumption", gpu, ctypes.byref(millijoules))
-        return millijoules.value / 1e3
-
-    try:
-        library = ctypes.CDLL("libnvidia-ml.so.1")
-        call("Init_v2")
-        uuid = torch.cuda.get_device_properties(device).uuid  # numbers of devices may differ from the driver's
-        call("DeviceGetHandleByUUID", f"GPU-{uuid}".encode(), ctypes.byref(gpu))
-        joules()
-    except (OSError, AttributeError) as error:
-        raise UnreadableError(f"NVML cannot be read ({error})") from None
-    return joules
+    pynvml.nvmlInit()
+    uuid = torch.cuda.get_device_properties(device).uuid  # numbers of devices may differ from the driver's
+    gpu = pynvml.nvmlDeviceGetHandleByUUID(f"GPU-{uuid}")
+    return [(1000 * pynvml.nvmlDeviceGetTotalEnergyConsumption(gpu), 1 << 64)]
 
 
-def measure_joules(joules: Joules, ask: Callable[[], Any]) -> float:
+def measure_joules(read: Callable[[], Counters], ask: Callable[[], Any]) -> float:
     """Return the joules of a query beyond the idle machine; `ask` asks one and waits for the device.
 
     After a rest of 2 s queries follow one another for as long, or for as long as one takes.
     """
+
+    def subtract(first: Counters, last: Counters) -> float:
+        return 1e-6 * sum((new - old) % most for (old, _), (new, most) in zip(first, last, strict=True))
+
     ask()
-    began = time.perf_counter(), joules()
+    began, before = time.perf_counter(), read()
     time.sleep(_SECONDS)
-    rested, queries = (time.perf_counter(), joules()), 0
-    while time.perf_counter() - rested[0] < _SECONDS or not queries:
+    rested, idle, queries = time.perf_counter(), read(), 0
+    while time.perf_counter() - rested < _SECONDS or not queries:
         ask()
         queries += 1
-    ended = time.perf_counter(), joules()
-    idle_watts = (rested[1] - began[1]) / (rested[0] - began[0])
-    return (ended[1] - rested[1] - idle_watts * (ended[0] - rested[0])) / queries
-
-
-_QUERIES = 4  # over which arithmetic is averaged, at most
-_UNKNOWN = "no formula, and no product of PyTorch"
-
-Cost = tuple[float | None, str]  # the value, None: not known, and its source, or why it is not known
+    ended, after = time.perf_counter(), read()
+    idle_watts = subtract(before, idle) / (rested - began)
+    return (subtract(idle, after) - idle_watts * (ended - rested)) / queries
 
 
 def find_costs(experiment: Experiment, run: Run) -> dict[str, Any]:
@@ -137,19 +100,22 @@ def find_costs(experiment: Experiment, run: Run) -> dict[str, Any]:
 
     The estimate prices encode and match, in the place of match the synaptic operations of a network that spikes.
     """
-    queries = experiment.dataset.queries.unnamed()
+    method, queries = experiment.method, experiment.dataset.queries.unnamed()
     some = queries[np.linspace(0, len(queries) - 1, min(_QUERIES, len(queries))).astype(np.int64)].in_memory()
     singles = [some[n : n + 1] for n in range(len(some))]
     synops = count_synops(run.spikes)
     how = "no layer that spikes" if synops is None else "spikes x existing synapses"
-    found: dict[str, Cost] = {"synops_ac": (synops and synops[0], how), "synops_mac": (synops and synops[1], how)}
-    try:
-        found |= _count_operations(experiment.method, singles, synops)
-    except Exception as error:  # a plug-in may fail in any way, and its answers and times still stand
-        why = " ".join(f"not counted ({type(error).__name__}: {error})".split())
-        found |= dict.fromkeys(("operations", "joules_estimated"), (None, why))
-    found["joules_measured"] = _measure_query(experiment.method, experiment.request.device, singles)
-    found["map_bytes"] = _find_map_bytes(experiment.method, run)
+    found = dict(zip(("synops_ac", "synops_mac"), ((count, how) for count in synops or (None, None)), strict=True))
+    for names, find in (
+        (("operations", "joules_estimated"), partial(_count_operations, method, singles, synops)),
+        (("joules_measured",), partial(_measure_query, method, singles, experiment.request.device)),
+        (("map_bytes",), partial(_find_map_bytes, method, run)),
+    ):
+        try:
+            costs = find()
+        except Exception as error:  # a plug-in or a counter may fail in any way, and answers and times still stand
+            costs = [(None, " ".join(f"{type(error).__name__}: {error}".split()))] * len(names)
+        found |= zip(names, costs, strict=True)
     return {part: {name: cost[at] for name, cost in found.items()} for at, part in enumerate(("values", "how"))}
 
 
@@ -161,7 +127,7 @@ def format_costs(run: Run, wide: bool = False) -> str:
     return table_text(("cost", "", "how"), rows, wide)
 
 
-def _count_operations(method: Method, singles: Sequence[Images], synops: tuple[float, float] | None) -> dict[str, Cost]:
+def _count_operations(method: Method, singles: Sequence[Images], synops: tuple[float, float] | None) -> list[Cost]:
     """Return the operations of a query and the joules that they would take."""
     encodes, matches = list[Arithmetic](), list[Arithmetic]()
     for single in singles:
@@ -172,19 +138,16 @@ def _count_operations(method: Method, singles: Sequence[Images], synops: tuple[f
         matches += _count_call(partial(method.match, codes))[1]
     encode, match = (sum(one.operations for one in stage) / len(singles) for stage in (encodes, matches))
     if not encode or not match:
-        return dict.fromkeys(
-            ("operations", "joules_estimated"), (None, f"{'match' if encode else 'encode'}: {_UNKNOWN}")
-        )
+        unknown = f"{'match' if encode else 'encode'}: no formula, and no product of PyTorch"
+        return [(None, unknown), (None, unknown)]
     kinds = "+".join(sorted({one.kind for one in encodes + matches}))
     stages = "encode and match"
     if synops is not None:
         stages = "encode and synaptic operations"
         matches = [Arithmetic(synops[1] * len(singles), synops[0] * len(singles), matches[0].kind)]
     joules = estimate_joules(encodes + matches) / len(singles)
-    return {
-        "operations": (encode + match, f"encode {encode:,.0f}, match {match:,.0f} ({kinds})"),
-        "joules_estimated": (joules, f"{stages} in 45 nm, without memory"),
-    }
+    counted = encode + match, f"encode {encode:,.0f}, match {match:,.0f} ({kinds})"
+    return [counted, (joules, f"{stages} in 45 nm, without memory")]
 
 
 def _count_call(work: Callable[[], Any]) -> tuple[Any, Sequence[Arithmetic]]:
@@ -197,30 +160,26 @@ def _count_call(work: Callable[[], Any]) -> tuple[Any, Sequence[Arithmetic]]:
     return result, by_formulas if sum(one.operations for one in by_formulas) >= by_torch.operations else [by_torch]
 
 
-def _find_map_bytes(method: Method, run: Run) -> Cost:
-    n_places = run.outcome.n_places
-    if (stated := method.map_bytes()) is not None:
-        return stated / n_places, "references or weights, a place"
-    if run.search is not None:
-        return run.search["bytes_per_place"], f"index {run.search['index']}, a place"
-    try:
-        return sum(array.nbytes for array in method.state().values()) / n_places, "the arrays that save= keeps, a place"
-    except BadInput:
-        return None, "the method has no map_bytes() and no state()"
-
-
-def _measure_query(method: Method, device: str, singles: Sequence[Images]) -> Cost:
+def _measure_query(method: Method, singles: Sequence[Images], device: str) -> list[Cost]:
     turns, wait = itertools.cycle(singles), make_synchroniser(device)
+    on_gpu = device.startswith("cuda")
+    read = partial(read_nvml, device) if on_gpu else partial(read_rapl, POWERCAP)
 
     def ask() -> None:
         method.query(next(turns))
         wait()
 
-    on_gpu = device.startswith("cuda")
-    try:
-        joules = open_nvml(device) if on_gpu else open_rapl(POWERCAP)
-    except UnreadableError as error:
-        return None, str(error)
+    read()  # before anybody waits
     with timing_lock.alone():
-        found = measure_joules(joules, ask)
-    return (found if found > 0 else None), f"{'NVML' if on_gpu else 'RAPL'}, less the idle machine"
+        joules = measure_joules(read, ask)
+    return [(joules if joules > 0 else None, f"{'NVML' if on_gpu else 'RAPL'}, less the idle machine")]
+
+
+def _find_map_bytes(method: Method, run: Run) -> list[Cost]:
+    n_places = run.outcome.n_places
+    if (stated := method.map_bytes()) is not None:
+        return [(stated / n_places, "references or weights, a place")]
+    if run.search is not None:
+        return [(run.search["bytes_per_place"], f"index {run.search['index']}, a place")]
+    n_bytes = sum(array.nbytes for array in method.state().values())
+    return [(n_bytes / n_places, "the arrays that save= keeps, a place")]

@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import astuple
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable, Iterator, Sequence
+from typing import TYPE_CHECKING, Any, Literal
 
 from vprbench.metrics.accuracy import hits_within, recall_at
 from vprbench.metrics.catalogue import METRICS, RECALLS
-from vprbench.plugins.entries import Entry, entries
 from vprbench.runs.machine import Machine
 from vprbench.runs.notes import DISTURBED
 from vprbench.runs.recall_intervals import recall_interval
 from vprbench.runs.record import Failure, Run
-from vprbench.runs.stopwatch import StageRates, Timing, best_batch, percentile_bound
+from vprbench.runs.stopwatch import Timing, best_batch, offline_rate, percentile_bound, streaming_rate
 from vprbench.runs.tuned import describe_tuning, without_tuning_places
 
 if TYPE_CHECKING:
     import pandas as pd
 
-Facts = dict[str, Any]
+Numbers = dict[str, Any]  # float, int, str, or None if it is not known
 
+_AREAS = ("auc_pr_a", "average_precision_a")
 _TIMED = (
     *("streaming_encode_hz", "streaming_match_hz", "streaming_total_hz"),
     *("streaming_p90_seconds", "streaming_p99_seconds"),
@@ -35,7 +34,7 @@ COLUMNS = (
     *(f"recall_at_{n}" for n in RECALLS),
     *("recall_at_1_low", "recall_at_1_high", "recall_at_1_interval", "recall_at_1_block", "recall_at_1_answerable"),
     *("recall_at_1_pessimistic", "recall_at_1_optimistic", "recall_at_1_elsewhere", "recall_at_1_elsewhere_low"),
-    *("recall_at_1_elsewhere_high", "queries_elsewhere", "auc_pr_a", "average_precision_a"),
+    *("recall_at_1_elsewhere_high", "queries_elsewhere", *_AREAS),
     *("fit_seconds", "fit_compute_seconds", "first_query_seconds", "training_seconds", "training_compute_seconds"),
     *("load_seconds", "fitted_alone", "timed_alone", *_TIMED, *(f"index_{name}" for name in _OF_INDEX)),
     *("peak_memory_bytes", "harness_seconds", "method_seconds", "queries", "places", "network", "tuned_on"),
@@ -44,7 +43,6 @@ COLUMNS = (
 
 #: Columns of the frame under other names in CSV files, where `method` is the name with its arguments.
 _IN_CSV = {"label": "method", "protocol_name": "protocol"}
-_NOT_IN_CSV = ("method", "arguments", "protocol")
 _DIGITS = 12  # of a fingerprint that people compare by eye
 
 
@@ -55,10 +53,9 @@ def tabulate_runs(results: Iterable[Run | Failure], metrics: Sequence[str] = ())
     """
     import pandas as pd  # takes long to import, and a run needs none
 
-    known = entries("dataset")
-    rows = [_list_facts(each, metrics, known) for each in results]
-    more = [name for row in rows for name in row if name not in COLUMNS]
-    return pd.DataFrame(rows, columns=[*dict.fromkeys([*COLUMNS, *more, *metrics])], dtype=object)
+    rows = [_list_facts(each, metrics) for each in results]
+    columns = dict.fromkeys(name for names in (COLUMNS, *rows, metrics) for name in names)
+    return pd.DataFrame(rows, columns=[*columns], dtype=object)
 
 
 def tabulate_with_records(runs: Sequence[Run], metrics: Sequence[str] = ()) -> pd.DataFrame:
@@ -70,7 +67,8 @@ def tabulate_with_records(runs: Sequence[Run], metrics: Sequence[str] = ()) -> p
 
 def format_csv(results: Sequence[Run | Failure], metrics: Sequence[str] = ()) -> str:
     """Return the frame of runs as CSV, a line each, unrounded."""
-    return str(tabulate_runs(results, metrics).drop(columns=[*_NOT_IN_CSV]).rename(columns=_IN_CSV).to_csv(index=False))
+    table = tabulate_runs(results, metrics).drop(columns=["method", "arguments", "protocol"])
+    return str(table.rename(columns=_IN_CSV).to_csv(index=False))
 
 
 def iterate_rows(table: pd.DataFrame) -> Iterator[Any]:
@@ -80,23 +78,24 @@ def iterate_rows(table: pd.DataFrame) -> Iterator[Any]:
 
 def format_label(run: Run | Failure) -> str:
     """Return a method's name with the arguments of its command line."""
-    return " ".join([run.method, *_list_arguments(run)])
+    return f"{run.method} {_format_arguments(run, 'method')}".rstrip()
 
 
-def _list_facts(result: Run | Failure, metrics: Sequence[str], known: Mapping[str, Entry]) -> Facts:
-    about: Facts = {
+def _list_facts(result: Run | Failure, metrics: Sequence[str]) -> dict[str, Any]:
+    facts = {
         "method": result.method,
-        "arguments": " ".join(_list_arguments(result)),
+        "arguments": _format_arguments(result, "method"),
         "label": format_label(result),
-    }
-    about |= {"dataset": result.dataset, "seed": result.config.get("seed"), "device": result.config.get("device")}
-    if isinstance(result, Failure):
-        return {**about, "error": result.error}
-    return {
-        **about,
+        "dataset": result.dataset,
+        **{name: result.config.get(name) for name in ("seed", "device")},
         "error": "",
-        "dataset_arguments": _format_arguments(_find_changed_arguments(result, known)),
-        "protocol": _format_arguments(result.protocol),
+    }
+    if isinstance(result, Failure):
+        return {**facts, "error": result.error}
+    return {
+        **facts,
+        "dataset_arguments": _format_arguments(result, "dataset"),
+        "protocol": " ".join(f"{name}={value}" for name, value in result.protocol.items()),
         "protocol_name": result.protocol.get("protocol"),
         **{name: result.data.get(name) for name in ("names_sha256", "content_sha256")},
         "fingerprint": result.fingerprint[:_DIGITS],
@@ -111,12 +110,14 @@ def _list_facts(result: Run | Failure, metrics: Sequence[str], known: Mapping[st
     }
 
 
-def list_numbers(run: Run, metrics: Sequence[str] = ()) -> dict[str, float | int | str | None]:
+def list_numbers(run: Run, metrics: Sequence[str] = ()) -> Numbers:
     """Return one run as unrounded numbers, under names that hold their unit, with more `metrics` by their names."""
     first, answerable = recall_at(run.outcome, 1), recall_at(run.outcome, 1, "answerable")
-    interval, search = recall_interval([run]), run.search or {}
+    interval, others = recall_interval([run]), without_tuning_places(run)
+    elsewhere = None if others is None else recall_at(others.outcome, 1)
+    interval_elsewhere = None if others is None else recall_interval([others])
     return {
-        **_compute_accuracies(run, [f"recall_at_{n}" for n in RECALLS]),
+        **_compute_metrics(run, [f"recall_at_{n}" for n in RECALLS]),
         "recall_at_1_low": interval.low if interval else None,
         "recall_at_1_high": interval.high if interval else None,
         "recall_at_1_interval": interval.kind if interval else None,
@@ -125,20 +126,24 @@ def list_numbers(run: Run, metrics: Sequence[str] = ()) -> dict[str, float | int
         "recall_at_1_pessimistic": first.pessimistic if first else None,
         "recall_at_1_optimistic": first.optimistic if first else None,
         **{f"recall_at_1_within_{k}_places": share for k, share in recall_at_1_within(run).items()},
-        **_list_other_places(run),
-        **_compute_accuracies(run, ["auc_pr_a", "average_precision_a"]),
-        **{name: getattr(run, name) for name in ("fit_seconds", "fit_compute_seconds")},
+        "recall_at_1_elsewhere": elsewhere.expected if elsewhere else None,
+        "recall_at_1_elsewhere_low": interval_elsewhere.low if interval_elsewhere else None,
+        "recall_at_1_elsewhere_high": interval_elsewhere.high if interval_elsewhere else None,
+        "queries_elsewhere": None if others is None else len(others.outcome),
+        **_compute_metrics(run, _AREAS),
+        "fit_seconds": run.fit_seconds,
+        "fit_compute_seconds": run.fit_compute_seconds,
         "first_query_seconds": None if run.timing is None else run.timing.first_query_seconds,
         "training_seconds": run.fit_seconds,
         "training_compute_seconds": run.fit_compute_seconds,
         "load_seconds": run.load_seconds,
         **{name: run.environment.get(name) for name in ("fitted_alone", "timed_alone")},
         **_list_rates(run.timing),
-        **{f"index_{name}": search.get(name) for name in _OF_INDEX},
+        **{f"index_{name}": (run.search or {}).get(name) for name in _OF_INDEX},
         **{name: getattr(run, name) for name in ("peak_memory_bytes", "harness_seconds", "method_seconds")},
         "queries": len(run.outcome),
         "places": run.outcome.n_places,
-        **_compute_accuracies(run, metrics),
+        **_compute_metrics(run, metrics),
     }
 
 
@@ -159,39 +164,13 @@ def recall_at_1_within(run: Run) -> dict[int, float | None]:
     return {k: float(share) for k, share in zip(wider, hits.mean(axis=1), strict=True)}
 
 
-def _list_arguments(run: Run | Failure) -> list[str]:
-    """Return the arguments of a method's command line, as name=value."""
-    return [text.removeprefix("method.") for text in run.config.get("overrides", ()) if text.startswith("method.")]
+def _format_arguments(run: Run | Failure, of: Literal["method", "dataset"]) -> str:
+    """Return the arguments of the method or the dataset on the command line, as name=value."""
+    given = (option.lstrip("+") for option in run.config.get("overrides", ()))
+    return " ".join(option.removeprefix(f"{of}.") for option in given if option.startswith(f"{of}."))
 
 
-def _find_changed_arguments(run: Run, known: Mapping[str, Entry]) -> Mapping[str, Any]:
-    """Return the arguments of a run's dataset that differ from its yaml; all of one that is not registered here."""
-    overrides = (text.lstrip("+") for text in run.config.get("overrides", ()))
-    name = next((text.partition("=")[2] for text in overrides if text.startswith("dataset=")), run.dataset)
-    arguments = {key: value for key, value in run.config["dataset"].items() if key not in ("_target_", "name")}
-    entry = known.get(name)
-    own = {} if entry is None or entry.rivals else entry.values()
-    kept = {key for key in own if key in arguments and (own[key] == arguments[key] or "${" in str(own[key]))}
-    return {key: value for key, value in arguments.items() if key not in kept}
-
-
-def _format_arguments(values: Mapping[str, Any]) -> str:
-    return " ".join(f"{name}={value}" for name, value in values.items())
-
-
-def _list_other_places(run: Run) -> dict[str, float | int | None]:
-    """Return R@1 of the queries that show no place the method was tuned on; None each if that is not known or all."""
-    other = without_tuning_places(run)
-    first, interval = (None, None) if other is None else (recall_at(other.outcome, 1), recall_interval([other]))
-    return {
-        "recall_at_1_elsewhere": first.expected if first else None,
-        "recall_at_1_elsewhere_low": interval.low if interval else None,
-        "recall_at_1_elsewhere_high": interval.high if interval else None,
-        "queries_elsewhere": None if other is None else len(other.outcome),
-    }
-
-
-def _compute_accuracies(run: Run, metrics: Sequence[str]) -> dict[str, float | None]:
+def _compute_metrics(run: Run, metrics: Sequence[str]) -> dict[str, float | None]:
     return {name: METRICS[name].of(run) for name in metrics}
 
 
@@ -199,7 +178,11 @@ def _list_rates(timing: Timing | None) -> dict[str, float | int | None]:
     """Return rates and percentiles by their names; without a timing each is None."""
     if timing is None:
         return dict.fromkeys(_TIMED)
-    streaming, batch = timing.streaming, best_batch(timing.offline)
-    percentiles = (percentile_bound(streaming.total_seconds, share) for share in (0.9, 0.99))
-    rates = astuple(StageRates.streaming(streaming)), astuple(StageRates.offline(batch))
-    return dict(zip(_TIMED, (*rates[0], *percentiles, *rates[1], batch.images_per_call), strict=True))
+    single, batch = timing.streaming, best_batch(timing.offline)
+    rates = (
+        *(streaming_rate(seconds) for seconds in single.by_stage),
+        *(percentile_bound(single.total_seconds, share) for share in (0.9, 0.99)),
+        *(offline_rate(seconds, batch.images_per_call) for seconds in batch.by_stage),
+        batch.images_per_call,
+    )
+    return dict(zip(_TIMED, rates, strict=True))

@@ -8,12 +8,11 @@ import os
 import platform
 import re
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import psutil
@@ -26,24 +25,19 @@ _LIBRARIES = ("torch", "numpy", "scipy", "numba", "opencv-python-headless", "pil
 
 def describe_machine(device: str, threads: int) -> dict[str, Any]:
     """Return processor, memory, accelerator, libraries, git state and load, as plain values."""
-    pressure = read_cpu_pressure()
     return {
         "python": platform.python_version(),
         "platform": platform.platform(),
         "processor": processor(),
         "cores": core_count(),
-        "governor": _read("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor"),
         "memory_bytes": psutil.virtual_memory().total,
         "threads": threads,
-        "device": device,
-        **_describe_accelerator(device),
+        "accelerator": _find_accelerator(device),
         "vprbench": _read_version("vprbench"),
         "libraries": library_versions(),
         "git": _read_git_state(),
         "load_average": list(psutil.getloadavg()),
-        "cpu_pressure_avg10": None if pressure is None else pressure.percent,
         "time_utc": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
-        "command": sys.argv,
     }
 
 
@@ -95,16 +89,13 @@ def pin_threads(threads: int) -> None:
 
 def processor() -> str:
     """Return the processor's model name."""
-    for line in _read("/proc/cpuinfo").splitlines():
-        if line.startswith("model name"):
-            return line.split(":", 1)[1].strip()
-    return platform.processor() or platform.machine()
+    return _find_in_file(r"^model name\s*: *(.+)", "/proc/cpuinfo") or platform.processor() or platform.machine()
 
 
 def device_class(device: str) -> str:
     """Return the kind of device and its model, in which stored times are comparable."""
     kind = device.partition(":")[0]
-    return f"{kind} {processor() if kind == 'cpu' else _describe_accelerator(device)['accelerator']}"
+    return f"{kind} {processor() if kind == 'cpu' else _find_accelerator(device)}"
 
 
 def format_software(environment: Mapping[str, Any]) -> str:
@@ -118,17 +109,13 @@ def format_software(environment: Mapping[str, Any]) -> str:
     )
 
 
-class CpuPressure(NamedTuple):
-    """How long some process waited for a core."""
+def read_cpu_wait_seconds() -> float | None:
+    """Return the seconds since the system started in which some process waited for a core; None if not known.
 
-    percent: float  # of the last 10 s
-    seconds: float  # since the system started
-
-
-def read_cpu_pressure() -> CpuPressure | None:
-    """Return Linux's pressure stall information of the cores; None on a system without it."""
-    some = re.match(r"some avg10=(\S+) .*total=(\d+)", _read("/proc/pressure/cpu"))
-    return None if some is None else CpuPressure(float(some[1]), int(some[2]) / 1e6)
+    Source: Linux's pressure stall information.
+    """
+    microseconds = _find_in_file(r"^some .*total=(\d+)", "/proc/pressure/cpu")
+    return None if microseconds is None else int(microseconds) / 1e6
 
 
 def canary_seconds(clock: Callable[[], int] = time.perf_counter_ns) -> float:
@@ -144,46 +131,26 @@ def canary_seconds(clock: Callable[[], int] = time.perf_counter_ns) -> float:
     return float(np.median(laps[5:])) / 1e9  # the first ones warm up
 
 
-def reset_peak_memory(device: str = "cpu") -> None:
-    """Start a new window for the peaks of memory; where the system forbids it the process's start remains."""
+def reset_peak_memory() -> None:
+    """Start a new window for the peak of memory; where the system forbids it the process's start remains."""
     with contextlib.suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
-    if device.startswith("cuda"):
-        import torch
-
-        torch.cuda.reset_peak_memory_stats(device)
 
 
 def peak_memory_bytes() -> int:
     """Return the largest resident memory of this process in the window."""
-    for line in _read("/proc/self/status").splitlines():
-        if line.startswith("VmHWM"):
-            return int(line.split()[1]) * 1024
-    return int(psutil.Process().memory_info().rss)
+    kibibytes = _find_in_file(r"^VmHWM:\s*(\d+)", "/proc/self/status")
+    return int(psutil.Process().memory_info().rss) if kibibytes is None else int(kibibytes) * 1024
 
 
-def peak_device_memory_bytes(device: str) -> int | None:
-    """Return the most memory that was in use on an accelerator in the window, None on a CPU."""
+def _find_accelerator(device: str) -> str | None:
+    """Return the model of a GPU; None for a CPU, and for a GPU that is not there."""
     if not device.startswith("cuda"):
         return None
     import torch
 
-    return int(torch.cuda.max_memory_allocated(device))
-
-
-def _describe_accelerator(device: str) -> dict[str, Any]:
-    if not device.startswith("cuda"):
-        return {}
-    import torch
-
-    if torch.cuda.device_count() <= int(device.partition(":")[2] or 0):
-        return {}  # of a run that failed for want of it
-    return {
-        "accelerator": torch.cuda.get_device_name(device),
-        "accelerator_memory_bytes": torch.cuda.get_device_properties(device).total_memory,
-        "cuda": torch.version.cuda,
-        "driver": _run_command("nvidia-smi", "--query-gpu=driver_version", "--format=csv,noheader"),
-    }
+    there = int(device.partition(":")[2] or 0) < torch.cuda.device_count()
+    return torch.cuda.get_device_name(device) if there else None
 
 
 def _read_version(name: str) -> str | None:
@@ -198,20 +165,17 @@ def _read_git_state() -> dict[str, Any] | None:
     root = checkout_folder()
     if not (root / ".git").exists():
         return None
-    commit = _run_command("git", "-C", str(root), "rev-parse", "HEAD")
-    changed = _run_command("git", "-C", str(root), "status", "--porcelain", "--untracked-files=no")
-    return {"commit": commit or None, "changed": bool(changed)}
-
-
-def _run_command(*command: str) -> str:
+    command = ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
     try:
-        return subprocess.run(command, capture_output=True, text=True, timeout=10, check=False).stdout.strip()
-    except (OSError, subprocess.TimeoutExpired):
-        return ""
+        state = subprocess.run(command, capture_output=True, text=True, timeout=10, check=True).stdout.strip()
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return {"commit": state.removesuffix("-dirty"), "changed": state.endswith("-dirty")}
 
 
-def _read(path: str) -> str:
-    try:
-        return Path(path).read_text(encoding="utf-8").strip()
-    except OSError:
-        return ""
+def _find_in_file(pattern: str, path: str) -> str | None:
+    """Return the group of the first line of a file that a pattern matches; None without such a line or file."""
+    with contextlib.suppress(OSError):
+        found = re.search(pattern, Path(path).read_text(encoding="utf-8"), re.MULTILINE)
+        return None if found is None else found[1]
+    return None

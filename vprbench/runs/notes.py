@@ -1,4 +1,4 @@
-"""Notes that a reader of a run's numbers needs: on files, caches, scorers, disturbances and the stopwatch."""
+"""Notes that a reader of a run's numbers needs: on large maps, disturbances and the stopwatch."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from vprbench.api.dataset import Dataset
 from vprbench.api.method import Method
-from vprbench.runs.scorers import NearestScorer, Scorer, ViewsScorer
+from vprbench.runs.scorers import QueryScorer
 
 if TYPE_CHECKING:
     from vprbench.runs.record import Run
@@ -32,7 +31,6 @@ NoteKind = Literal[
     "seed",  # the only seed of a method that draws at random
     "loaded",  # the network that it did not train
     "calibrated",  # the held-out places that chose its settings
-    "described",  # descriptors that a run had from the cache
     "fitted",  # a fit beside other runs
     "noisy",  # a machine that did other things too
     "invalid",  # too few laps
@@ -41,7 +39,6 @@ NoteKind = Literal[
     "index",  # an approximate search
     "shortlist",  # a large map, of which the best places of a query alone are kept
     "adapted",  # the mean that is taken off descriptors
-    "views",  # the viewpoints of queries
     "spikes",  # why no spikes were counted
 ]
 
@@ -62,51 +59,32 @@ def make_notes(kind: NoteKind, texts: Iterable[str]) -> Iterator[Note]:
     return (Note(kind, text) for text in texts)
 
 
-def note_cache(dataset: Dataset, references: int, queries: int) -> Iterator[Note]:
-    """Yield how many descriptors were not encoded because they were kept."""
-    traverses = (("references", references, len(dataset.references)), ("queries", queries, len(dataset.queries)))
-    kept = [f"{n if n == of else f'{n} of {of}'} {images}" for images, n, of in traverses if n]
-    if kept:
-        everything = all(n == of for _, n, of in traverses)
-        nothing = "nothing was encoded" if everything else "none of these was encoded"
-        text = f"descriptors of {' and '.join(kept)} were kept from an earlier run: {nothing} but the timed sample"
-        yield Note("described", text)
-
-
-def note_scorer(scorer: Scorer, method: Method, n_places: int) -> Iterator[Note]:
-    """Yield a note for shortlists of best places, for adaptation and for several viewpoints."""
-    if isinstance(scorer, NearestScorer):
-        best = f"of {n_places:,} places the best {scorer.depth} of each query are kept"
+def note_scorer(scorer: QueryScorer, method: Method, n_places: int) -> Iterator[Note]:
+    """Yield a note for a map that is too large to score every place, and for descriptors that are adapted."""
+    if scorer.n_best is not None:
+        best = f"of {n_places:,} places the best {scorer.n_best} of each query are kept"
         yield Note("shortlist", f"large map: {best}, and a right place that is none of these is no candidate")
     if method.adapt != "none":
         yield Note("adapted", _ADAPTED[method.adapt])
-    if isinstance(scorer, ViewsScorer):
-        shown = ", ".join(map(str, scorer.views))
-        text = f"asked from {len(scorer.views)} viewpoints, shifts in widths of the frame (/heights): {shown}"
-        yield Note("views", text)
 
 
 def note_measurements(run: Run) -> Iterator[Note]:
     """Yield notes on a run's machine, rates and index."""
-    around = run.environment
-    slowdown, waited = around["canary_slowdown"], around["cpu_waited_percent"]
+    slowdown, waited = run.environment["canary_slowdown"], run.environment["cpu_waited_percent"]
     if abs(slowdown - 1) > _NOISE:
         yield Note("noisy", f"noisy: a fixed computation took {slowdown:.2f} times as long afterwards as before")
     if waited is not None and waited > _BUSY:
         yield Note("noisy", f"noisy: processes waited for a core in {waited:.0f} % of the time")
-    if not around.get("fitted_alone", True):
+    if not run.environment.get("fitted_alone", True):
         yield Note("fitted", "fitted beside other runs, which made it slower")
     if run.timing is not None:
         yield from _note_rates(run, run.timing)
     if run.search is not None and run.search["index"] != "exact":
-        found = run.search
-        again = f", the best {found['rerank']} compared again" if found["rerank"] else ""
-        yield Note(
-            "index",
-            f"index {found['index']}{again}: {100 * found['recall_at_1']:.1f} % of the exactly best places found, "
-            f"{100 * found['recall_at_10']:.1f} % of the best 10; {found['bytes_per_place']:,} bytes a place, "
-            f"built in {found['build_seconds']:.1f} s",
-        )
+        again = f", the best {run.search['rerank']} compared again" if run.search["rerank"] else ""
+        first, ten = (100 * run.search[f"recall_at_{n}"] for n in (1, 10))
+        text = f"{first:.1f} % of the exactly best places found, {ten:.1f} % of the best 10"
+        size = f"{run.search['bytes_per_place']:,} bytes a place, built in {run.search['build_seconds']:.1f} s"
+        yield Note("index", f"index {run.search['index']}{again}: {text}; {size}")
 
 
 def _note_rates(run: Run, timing: Timing) -> Iterator[Note]:

@@ -45,67 +45,47 @@ class Answers:
 
 def judge_answers(run: Run) -> Answers:
     """Judge the answers of a run by its ground truth."""
-    if not run.is_judged:
-        return _list_unjudged(run)
-    outcome = run.outcome
+    outcome, n_shown = run.outcome, SHOWN if run.is_judged else SHOWN_UNJUDGED
+    places, scores = _find_best_places(run, n_shown)
+    right_places, right_scores, margins, bounds = map(
+        np.array, zip(*(_find_margin(run, query) for query in range(len(outcome))), strict=True)
+    )
     verdicts = np.where(hits_at(outcome, 1, "optimistic") > 0, TIED, WRONG)
     verdicts[hits_at(outcome, 1, "pessimistic") > 0] = RIGHT
     verdicts[~outcome.answerable] = UNANSWERABLE
-    places, scores = _find_best_places(run, SHOWN)
-    right_places, right_scores, margins, bounds = zip(
-        *(_find_margin(run, query) for query in range(len(outcome))), strict=True
-    )
+    if not run.is_judged:
+        verdicts[:], margins = UNJUDGED, scores[:, 0] - scores[:, 1]
+        bounds = np.where(np.isnan(margins), UNDEFINED, EXACT)
     return Answers(
         verdicts="".join(verdicts),
         places=places,
         scores=scores,
-        right_places=np.array(right_places, np.int64),
-        right_scores=np.array(right_scores),
+        right_places=right_places,
+        right_scores=right_scores,
         ranks=np.where(outcome.tied > 0, outcome.above + 1, 0),
         equals=outcome.tied - outcome.tied_correct,
-        margins=np.array(margins),
-        bounds="".join(bounds),
-    )
-
-
-def _list_unjudged(run: Run) -> Answers:
-    """Return the answers of a run without a ground truth."""
-    places, scores = _find_best_places(run, SHOWN_UNJUDGED)
-    zeros, margins = np.zeros(len(places), np.int64), scores[:, 0] - scores[:, 1]
-    return Answers(
-        verdicts=UNJUDGED * len(places),
-        places=places,
-        scores=scores,
-        right_places=np.full(len(places), NOWHERE),
-        right_scores=np.full(len(places), np.nan),
-        ranks=zeros,
-        equals=zeros,
         margins=margins,
-        bounds="".join(np.where(np.isnan(margins), UNDEFINED, EXACT)),
+        bounds="".join(bounds),
     )
 
 
 def _find_margin(run: Run, query: int) -> tuple[int, float, float, str]:
     """Return the best right place of a query, its score, the margin and its bound, as `Answers` has them.
 
-    They come from all scores if the run keeps them, or else from those of the best places.
+    They come from all scores if the run keeps them, or else from those of the best places: all others score no more.
     """
     outcome, positives = run.outcome, run.positives[query]
     if not len(positives):
         return NOWHERE, np.nan, np.nan, UNDEFINED
+    places, scores = run.top_places[query], run.top_scores[query]
     if run.scores is not None:
-        places, scores = np.arange(outcome.n_places), np.asarray(run.scores[query])
-    else:
-        places, scores = run.top_places[query], run.top_scores[query]
-    is_right, top = np.isin(places, positives), float(outcome.best_score[query])
-    is_first, all_right = outcome.above[query] == 0, outcome.top_tied_correct[query] == outcome.top_tied[query]
-    right = top if is_first else float(scores[is_right].max(initial=-np.inf))
-    wrong = float(scores[~is_right].max(initial=-np.inf)) if all_right else top
-    ranked = places[is_right & (scores == right)]
-    place = int(ranked[0] if len(ranked) else positives[len(positives) // 2])
+        places, scores = np.arange(outcome.n_places), run.scores[query]
+    is_right, lowest = np.isin(places, positives), float(scores[-1])
+    right, wrong = (float(scores[side].max(initial=-np.inf)) for side in (is_right, ~is_right))
+    best = places[is_right & (scores == right)]
+    place, bound = int(best[0] if len(best) else positives[len(positives) // 2]), EXACT
     if not outcome.top_tied[query]:
         return place, np.nan, np.nan, UNDEFINED
-    bound, lowest = EXACT, float(scores[-1])  # where the best ones alone are kept, all others score no more
     if right == -np.inf and outcome.tied[query]:
         right, bound = lowest, AT_MOST
     elif wrong == -np.inf and len(scores) < outcome.n_places and lowest > -np.inf:
@@ -117,12 +97,13 @@ def _find_best_places(run: Run, n: int) -> tuple[npt.NDArray[np.int64], npt.NDAr
     """Return the `n` best places and their scores, (n_queries, n) each, of equals the wrong ones first."""
     right = np.array([np.isin(*row) for row in zip(run.top_places, run.positives, strict=True)])
     order = np.lexsort((right, -run.top_scores), axis=1)[:, :n]
-    places = np.take_along_axis(run.top_places, order, axis=1).astype(np.int64)
-    scores = np.take_along_axis(run.top_scores, order, axis=1).astype(np.float64)
+    places = np.full((len(order), n), NOWHERE)
+    scores = np.full((len(order), n), np.nan)
+    places[:, : order.shape[1]] = np.take_along_axis(run.top_places, order, axis=1)
+    scores[:, : order.shape[1]] = np.take_along_axis(run.top_scores, order, axis=1)
     places[scores == -np.inf] = NOWHERE
     scores[scores == -np.inf] = np.nan
-    missing = ((0, 0), (0, n - places.shape[1]))
-    return np.pad(places, missing, constant_values=NOWHERE), np.pad(scores, missing, constant_values=np.nan)
+    return places, scores
 
 
 def order_by_interest(answers: Answers) -> Iterator[tuple[int, set[int]]]:

@@ -6,49 +6,32 @@ from collections.abc import Mapping, Sequence
 
 from vprbench.metrics.accuracy import recall_at
 from vprbench.metrics.catalogue import METRICS, RECALLS
-from vprbench.runs.frame import format_label, recall_at_1_within
-from vprbench.runs.recall_intervals import recall_interval
+from vprbench.runs.frame import Numbers, format_label, list_numbers, recall_at_1_within
 from vprbench.runs.record import Run
-from vprbench.runs.stopwatch import StageRates, Timing, best_batch
-from vprbench.runs.tuned import describe_recalls, without_tuning_places
-from vprbench.text import NOTHING, format_interval, format_megabytes, format_rate, format_seconds
+from vprbench.text import NOTHING, format_megabytes, format_rate, format_seconds
 
 RECALL = "R@1 % [95 %]"
 UNTIMED = "not timed"
-VIEWS = ("sequence", "filter")  # their names in a protocol
 LEAST = ("R@25 %", "R@10 %", "peak MB", "streaming Hz enc/match/total")  # left out first where a row is too wide
 _DIGITS = 12  # of a hash that people compare by eye
 
 
 def format_row(run: Run, metrics: Sequence[str] = ()) -> dict[str, str]:
     """Return one run as a row of text, with more `metrics` by their names; without a ground truth no accuracy."""
+    numbers = list_numbers(run, metrics)
     shown = [METRICS[name] for name in (*(f"recall_at_{n}" for n in RECALLS[1:]), "auc_pr_a", *metrics)]
-    if not run.is_judged:
-        shown = [metric for metric in shown if metric.cost is not None]
+    fit = numbers["fit_seconds"]
+    unfitted = "kept" if run.network is None else "loaded"
+    batch = "" if run.timing is None else f" (batch {numbers['offline_batch']})"
     return {
         "method": format_label(run),
-        **({RECALL: _format_recall(run)} if run.is_judged else {}),
-        **{metric.head: metric.text(metric.of(run)) for metric in shown},
-        "fit s": _format_fit(run),
-        **_format_timing(run.timing),
+        **({RECALL: _format_recall(run, numbers)} if run.is_judged else {}),
+        **{metric.head: metric.text(numbers[metric.name]) for metric in shown if run.is_judged or metric.cost},
+        "fit s": unfitted if fit is None else format_seconds(fit),
+        "streaming Hz enc/match/total": _format_rates(numbers, "streaming"),
+        "offline Hz enc/match/total": _format_rates(numbers, "offline") + batch,
         "peak MB": format_megabytes(run.peak_memory_bytes),
     }
-
-
-def _format_timing(timing: Timing | None) -> dict[str, str]:
-    streaming = offline = UNTIMED
-    if timing is not None:
-        batch = best_batch(timing.offline)
-        streaming = _format_rates(StageRates.streaming(timing.streaming))
-        offline = f"{_format_rates(StageRates.offline(batch))} (batch {batch.images_per_call})"
-    return {"streaming Hz enc/match/total": streaming, "offline Hz enc/match/total": offline}
-
-
-def _format_fit(run: Run) -> str:
-    """Return the seconds of the fit, or a word for a run without one."""
-    if run.fit_seconds is not None:
-        return format_seconds(run.fit_seconds)
-    return "kept" if run.network is None else "loaded"
 
 
 def format_markdown(rows: Sequence[dict[str, str]]) -> str:
@@ -68,10 +51,9 @@ def describe_protocol(run: Run) -> str:
     return f"{run.dataset}: {len(run.outcome)} queries, {run.outcome.n_places} places ({chosen}){frames}"
 
 
-def describe_view(run: Run, whole: bool = False) -> str:
-    """Return the protocol of a view in a few words, or `whole`; empty for the run itself."""
-    names = [name for name in run.protocol if name.startswith(VIEWS) and (whole or name in VIEWS)]
-    return ", ".join(f"{name.replace('_', ' ')} {run.protocol[name]}" for name in names)
+def describe_view(run: Run) -> str:
+    """Return the protocol of a view in a few words; empty for the run itself."""
+    return ", ".join(f"{name} {run.protocol[name]}" for name in ("sequence", "filter") if name in run.protocol)
 
 
 def describe_tolerance(run: Run) -> str | None:
@@ -83,17 +65,24 @@ def describe_tolerance(run: Run) -> str | None:
     return f"R@1 within {', '.join(map(str, wider))} places: {shares} %"
 
 
-def _format_recall(run: Run) -> str:
-    first, interval = recall_at(run.outcome, 1), recall_interval([run])
-    if first is None or interval is None:
+def _format_recall(run: Run, numbers: Numbers) -> str:
+    recall = recall_at(run.outcome, 1)
+    if recall is None:
         return "undefined (no query has a right place)"
-    ends = format_interval(interval.low, interval.high)
-    others = f" elsewhere {describe_recalls([other])}" if (other := without_tuning_places(run)) else ""
-    return f"{METRICS['recall_at_1'].text(first.expected)} {ends}{' ties!' if first.hangs_on_ties else ''}{others}"
+    ties = " ties!" if recall.hangs_on_ties else ""
+    elsewhere = f" elsewhere {_format_interval(numbers, '_elsewhere')}" if numbers["queries_elsewhere"] else ""
+    return f"{_format_interval(numbers)}{ties}{elsewhere}"
 
 
-def _format_rates(rates: StageRates) -> str:
-    return " / ".join(map(format_rate, (rates.encode, rates.match, rates.total)))
+def _format_interval(numbers: Numbers, ending: str = "") -> str:
+    percent = METRICS["recall_at_1"].text
+    share, low, high = (percent(numbers[f"recall_at_1{ending}{end}"]) for end in ("", "_low", "_high"))
+    return f"{share} [{low}, {high}]"
+
+
+def _format_rates(numbers: Numbers, way: str) -> str:
+    rates = [numbers[f"{way}_{stage}_hz"] for stage in ("encode", "match", "total")]
+    return UNTIMED if None in rates else " / ".join(map(format_rate, rates))
 
 
 def _format_value(value: object) -> str:

@@ -6,7 +6,6 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 from vprbench.runs import energy, frame, rows, stream
 from vprbench.runs.record import Run
@@ -23,47 +22,50 @@ def format_run(
 
     `predictions` are the files that hold the best places of each query.
     """
-    seen = [view(run) for view in parse_views(request.sequence, request.filter)]
+    views = [view(run) for view in parse_views(request.sequence, request.filter)]
     if request.output == "json":
-        return json.dumps(
-            {
-                "method": run.method,
-                "dataset": run.dataset,
-                "protocol": dict(run.protocol),
-                "data": dict(run.data),
-                **frame.list_numbers(run, request.metrics),
-                **({"stream": stream.list_stops(run)} if request.stream else {}),
-                **({"energy": run.energy} if request.energy else {}),
-                "network": run.network,
-                "tuned_on": run.tuned_on or None,
-                "notes": [asdict(note) for note in list_notes(run)],
-                **({"views": [_describe_view(one, request) for one in seen]} if seen else {}),
-                **({"predictions": [*map(str, predictions)]} if predictions else {}),
-                "from_store": from_store,
-                "run_folder": None if folder is None else str(folder),
-            },
-            allow_nan=False,
-        )
-    shown = seen or [run]
+        return _format_json(run, views, folder, from_store, request, predictions)
+    shown = views or [run]
     table = [rows.format_row(one, request.metrics) for one in shown]
-    if seen:
-        table = [{"answers": rows.describe_view(one), **row} for one, row in zip(seen, table, strict=True)]
-    notes = [(f"note: {note.text}", "yellow", False) for note in list_notes(shown[0])]
-    said: list[tuple[str, str, bool]] = [*notes, (rows.describe_protocol(run), "", True)]
-    said += [(f"{rows.describe_view(one, whole=True)}: {len(one.outcome)} queries", "", False) for one in seen]
-    below = [line for one in shown if (line := rows.describe_tolerance(one)) is not None]
-    if from_store:
-        below.append(f"from the store: {folder} (force=true runs again)")
-    elif folder is not None:
-        below.append(f"stored in {folder}")
-    below += [f"best {request.predictions} places of each query: {file}" for file in predictions]
-    tables = [table_text([*table[0]], [[*row.values()] for row in table], request.wide, rows.LEAST)]
+    if views:
+        table = [{"answers": rows.describe_view(view), **row} for view, row in zip(views, table, strict=True)]
+    lines = [line_text(f"note: {note.text}", "yellow") for note in list_notes(shown[0])]
+    lines.append(line_text(rows.describe_protocol(run), fits=True))
+    lines += [line_text(f"{rows.describe_view(view)}: {len(view.outcome)} queries") for view in views]
+    lines.append(table_text([*table[0]], [[*row.values()] for row in table], request.wide, rows.LEAST))
     if request.stream:
-        tables.append(stream.format_stops(run))
+        lines.append(stream.format_stops(run))
     if request.energy:
-        tables.append(energy.format_costs(run, request.wide))
-    return "\n".join([*(line_text(*each) for each in said), *tables, *map(line_text, below)])
+        lines.append(energy.format_costs(run, request.wide))
+    lines += [line_text(text) for one in shown if (text := rows.describe_tolerance(one)) is not None]
+    if from_store:
+        lines.append(line_text(f"from the store: {folder} (force=true runs again)"))
+    elif folder is not None:
+        lines.append(line_text(f"stored in {folder}"))
+    lines += [line_text(f"best {request.predictions} places of each query: {file}") for file in predictions]
+    return "\n".join(lines)
 
 
-def _describe_view(view: Run, request: RunRequest) -> dict[str, Any]:
-    return {"protocol": dict(view.protocol), **frame.list_numbers(view, request.metrics)}
+def _format_json(
+    run: Run, views: Sequence[Run], folder: Path | None, from_store: bool, request: RunRequest, files: Sequence[Path]
+) -> str:
+    facts = {
+        "method": run.method,
+        "dataset": run.dataset,
+        "protocol": dict(run.protocol),
+        "data": dict(run.data),
+        **frame.list_numbers(run, request.metrics),
+        **({"stream": run.stream} if request.stream else {}),
+        **({"energy": run.energy} if request.energy else {}),
+        "network": run.network,
+        "tuned_on": run.tuned_on or None,
+        "notes": [asdict(note) for note in list_notes(run)],
+    }
+    if views:
+        facts["views"] = [
+            {"protocol": dict(view.protocol), **frame.list_numbers(view, request.metrics)} for view in views
+        ]
+    if files:
+        facts["predictions"] = [*map(str, files)]
+    place = None if folder is None else str(folder)
+    return json.dumps({**facts, "from_store": from_store, "run_folder": place}, allow_nan=False)

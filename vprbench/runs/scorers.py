@@ -1,15 +1,15 @@
-"""Scorers answer the queries of a run: a method itself, its best places alone, several views, or adapted codes."""
+"""Scorers answer the queries of a run in two steps, which are timed: encode and match."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, Protocol
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.api.adaptation import Adaptation
+from vprbench.api.adaptation import Adaptation, adapt_traverse
 from vprbench.api.arrays import Scores
 from vprbench.api.descriptor import DescriptorMethod
 from vprbench.api.images import Images
@@ -21,113 +21,78 @@ LARGE_MAP = 1 << 18  # places: of more, a run keeps the best ones of each query 
 _TOGETHER = 1024  # queries compared with such a map at once
 _BLOCK = 128  # queries scored together
 _BLOCK_CELLS = 1 << 25  # scores of such a block
+_SAMPLE = 256  # queries that are encoded once more
 
 Answer = Scores | Nearest  # of several queries
 
 
-class Scorer(Protocol):
-    """Answers queries in two steps, which are timed; every fitted method is one."""
-
-    @property
-    def code_bytes(self) -> int:
-        """Bytes of the codes of one query."""
-
-    def encode(self, images: Images) -> npt.NDArray[Any]:
-        """Turn queries into codes, (n_queries, ...)."""
-
-    def match(self, codes: npt.NDArray[Any]) -> Answer:
-        """Return the scores of all places, (n_queries, n_places), or the best places of each query."""
-
-
 @dataclass(frozen=True)
-class NearestScorer:
-    """Answers a query by its best `depth` places, for a map that is too large to score every place."""
-
-    method: DescriptorMethod
-    depth: int
-
-    @property
-    def code_bytes(self) -> int:
-        """Bytes of one image's code, as the method's."""
-        return self.method.code_bytes
-
-    def encode(self, images: Images) -> npt.NDArray[Any]:
-        """Turn images into codes, (n_images, ...)."""
-        return self.method.encode(images)
-
-    def match(self, codes: npt.NDArray[np.float32]) -> Nearest:
-        """Return the best places for every code, (n_queries, depth)."""
-        return Nearest(*self.method.nearest(codes, self.depth))
-
-
-@dataclass(frozen=True)
-class ViewsScorer:
-    """Answers a query from several viewpoints: a place's score is that of the view that shows it best."""
+class QueryScorer:
+    """Answers one traverse of queries by a fitted method, adapting codes in their order between encode and match."""
 
     method: Method
-    views: Sequence[Viewpoint]
+    adaptation: Adaptation
+    views: Sequence[Viewpoint] = ()  # of each query: a place's score is that of the view that shows it best
+    n_best: int | None = None  # places of each query on a map that is too large to score every place; None: all
+
+    def begin_traverse(self) -> QueryScorer:
+        """Return the scorer of another traverse; a mean of all queries that is known stays."""
+        return replace(self, adaptation=Adaptation(self.method)) if self.adaptation.is_causal else self
 
     @property
     def code_bytes(self) -> int:
         """Bytes of the codes of one query."""
-        return self.method.code_bytes * len(self.views)
+        return self.method.code_bytes * max(1, len(self.views))
 
     def encode(self, images: Images) -> npt.NDArray[Any]:
-        """Turn queries into the codes of their views, (n_queries, n_views, ...)."""
+        """Turn queries into codes that are not adapted, (n_queries, ...), or (n_queries, n_views, ...)."""
+        if not self.views:
+            return self.method.encode(images)
         frames = [render_view(image, view) for image in images for view in self.views]
         codes = self.method.encode(Images.from_arrays(frames))
         return codes.reshape(len(images), len(self.views), *codes.shape[1:])
 
-    def match(self, codes: npt.NDArray[Any]) -> Scores:
-        """Return the best score of every place among the views, (n_queries, n_places)."""
+    def match(self, codes: npt.NDArray[Any]) -> Answer:
+        """Return the answers to the next queries of the traverse."""
+        codes = self.adaptation.apply(codes)
+        if self.n_best is not None:
+            assert isinstance(self.method, DescriptorMethod)
+            return Nearest(*self.method.nearest(codes, self.n_best))
+        if not self.views:
+            return self.method.match(codes)
         scores = self.method.match(codes.reshape(-1, *codes.shape[2:]))
         return np.asarray(scores.reshape(*codes.shape[:2], -1).max(1), np.float32)
 
 
-@dataclass(frozen=True)
-class AdaptedScorer:
-    """Answers one traverse of queries, whose codes are adapted in their order between encode and match."""
-
-    scorer: Scorer
-    adaptation: Adaptation
-
-    @property
-    def code_bytes(self) -> int:
-        """Bytes of the codes of one query."""
-        return self.scorer.code_bytes
-
-    def encode(self, images: Images) -> npt.NDArray[Any]:
-        """Turn queries into codes that are not adapted, (n_queries, ...)."""
-        return self.scorer.encode(images)
-
-    def match(self, codes: npt.NDArray[Any]) -> Answer:
-        """Return the answers to the next queries of the traverse."""
-        return self.scorer.match(self.adaptation.apply(codes))
-
-
 def choose_scorer(
     method: Method, n_places: int, depth: int, whole: bool = False, views: Sequence[Viewpoint] = ()
-) -> Scorer:
+) -> QueryScorer:
     """Return the scorer of a fitted method.
 
-    A method scores all places of a small map, where all scores are wanted (`whole`), and where it overrides `match` but
-    not `nearest`. From several viewpoints all places are scored.
+    A method scores all places of a small map, where all scores are wanted (`whole`), where it overrides `match` but not
+    `nearest`, and where a query has several views.
     """
-    if views:
-        return ViewsScorer(method, views)
-    if whole or n_places <= LARGE_MAP or not isinstance(method, DescriptorMethod):
-        return method
-    match, nearest = (
-        next(kind for kind in type(method).__mro__ if name in vars(kind)) for name in ("match", "nearest")
-    )
-    return NearestScorer(method, min(depth, n_places)) if issubclass(nearest, match) else method
+    n_best = None
+    if n_places > LARGE_MAP and not (whole or views) and isinstance(method, DescriptorMethod):
+        kinds = type(method).__mro__
+        match, nearest = (next(kind for kind in kinds if name in vars(kind)) for name in ("match", "nearest"))
+        n_best = min(depth, n_places) if issubclass(nearest, match) else None
+    return QueryScorer(method, Adaptation(method), views, n_best)
 
 
-def block_size(scorer: Scorer, n_places: int) -> int:
+def block_size(scorer: Method | QueryScorer, n_places: int) -> int:
     """Return how many queries are scored together at most, fewer if codes are large or scored places many."""
-    if isinstance(scorer, NearestScorer):
+    if isinstance(scorer, QueryScorer) and scorer.n_best is not None:
         return batch_size_for(scorer, _TOGETHER)
     return batch_size_for(scorer, max(1, min(_BLOCK, _BLOCK_CELLS // n_places)))
+
+
+def encode_sample(method: Method, queries: Images) -> npt.NDArray[Any]:
+    """Return the adapted codes of up to 256 queries spread over all, by which indexes and spikes are judged."""
+    wanted = batch_size_for(method, min(_SAMPLE, len(queries)))
+    sample = queries[np.linspace(0, len(queries) - 1, wanted).astype(np.int64)]
+    codes = [np.array(method.encode(block)) for block in sample.blocks(block_size(method, 1))]  # it may reuse its array
+    return np.asarray(adapt_traverse(method, np.concatenate(codes)))
 
 
 def best_place(answer: Answer) -> int:

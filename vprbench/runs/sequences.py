@@ -24,6 +24,8 @@ from vprbench.plugins.options import build_options, parse_mapping
 from vprbench.runs.record import Run
 from vprbench.runs.views import queries_shown, replace_scores, select_queries
 
+_MEMORY = 10  # queries that a belief of a filter is taken to rest on: blocks of an interval are no shorter
+
 Views = Callable[[Run], Run]  # raises NoScoresError for a run without scores, BadInput for an impossible view
 
 
@@ -34,31 +36,25 @@ class NoScoresError(BadInput):
 def apply_sequences(run: Run, options: Sequences) -> Run:
     """Return a run whose queries are answered by the sequences of queries that they are in.
 
-    A query keeps its own right places. It ends a causal window and is in the middle of a centred one.
+    A query keeps its own right places. It ends a causal window and is in the middle of a centred one. Raises
+    NoScoresError for a run without scores, BadInput where no query has a full window.
     """
     if options.window == "lens":
         return _apply_lens(run, options)
-    queries, places, gaps = _number_parts(run, options.gaps)
-    protocol = {"sequence": f"{options.length} {options.window}"}
-    if options.velocities != (1.0,):
-        protocol["sequence_velocities"] = "+".join(f"{velocity:g}" for velocity in options.velocities)
+    queries, places = _number_parts(run, options.gaps)
     scores = _require_scores(run)
     if options.contrast:
-        protocol["sequence_contrast"] = str(options.contrast)
         scores = local_contrast(scores, options.contrast, places)
     found, counts = sequence_scores(scores, options, queries, places, float(run.protocol.get("query_stride", 1)))
-    if gaps and options.length > 1:
-        protocol["sequence_gaps"] = gaps
-    full = np.flatnonzero(counts >= options.length)
-    if (short := len(counts) - len(full)) > 0:
-        protocol["sequence_incomplete"] = f"{short} of {len(counts)} queries {options.incomplete.replace('_', ' ')}"
-    view = replace_scores(run, found, protocol, options.length)
-    if not short or options.incomplete == "shortened":
+    text = ", ".join([f"{options.length} {options.window}", *_list_changes(replace(options, window="causal"))])
+    view = replace_scores(run, found, {"sequence": text}, options.length)
+    if options.incomplete == "shortened":
         return view
+    full = np.flatnonzero(counts >= options.length)
     if not len(full):
         raise BadInput(
-            f"sequence={options.length}: no query of {run.dataset} has a full window (gaps: {gaps or 'none'}); "
-            "give fewer queries, or gaps:bridge or incomplete:shortened, as in sequence={length:4,gaps:bridge}"
+            f"sequence={options.length}: no query has a full window; give fewer queries, or gaps:bridge "
+            "or incomplete:shortened, as in sequence={length:4,gaps:bridge}"
         )
     return select_queries(view, full, {})
 
@@ -84,15 +80,12 @@ def apply_filter(run: Run, options: Filter) -> Run:
 
     Moves are multiples of the usual step, the places from one query to the next.
     """
-    queries, _, gaps = _number_parts(run, options.gaps)
+    queries, _ = _number_parts(run, options.gaps)
     step = int(run.protocol.get("query_stride", 1))
     options = replace(options, back=options.back * step, ahead=options.ahead * step)
-    protocol = {"filter": f"topological, moves {options.back} to {options.ahead}, ratio {options.ratio:g}"}
-    protocol |= {"filter_gaps": gaps} if gaps else {}
-    return replace_scores(run, filtered_scores(_require_scores(run), options, queries), protocol, window=_MEMORY)
-
-
-_MEMORY = 10  # queries that a belief is taken to rest on: blocks of an interval are no shorter
+    gaps = "" if options.gaps == "break" else f", gaps {options.gaps}"
+    text = f"topological, moves {options.back} to {options.ahead}, ratio {options.ratio:g}{gaps}"
+    return replace_scores(run, filtered_scores(_require_scores(run), options, queries), {"filter": text}, _MEMORY)
 
 
 def parse_views(sequence: Any, filter: Any = None) -> tuple[Views, ...]:
@@ -110,7 +103,7 @@ def parse_views(sequence: Any, filter: Any = None) -> tuple[Views, ...]:
         each = (build_options("sequence", Sequences, {**given, "length": length}) for length in lengths)
         found += [partial(apply_sequences, options=options) for options in each]
     if filter not in (None, False):
-        given = parse_mapping({} if filter is True else filter, "") or {}
+        given = {} if filter is True else parse_mapping(filter, "") or {}
         if "" in given:
             raise BadInput(f"filter={filter}: give true, or a mapping of its options, as in filter={{back:0,ahead:2}}")
         found.append(partial(apply_filter, options=build_options("filter", Filter, given)))
@@ -118,21 +111,22 @@ def parse_views(sequence: Any, filter: Any = None) -> tuple[Views, ...]:
 
 
 def name_views(views: Iterable[Views]) -> str:
-    """Return the ending of names of files of some views: -sequence-2-4, -sequence-4-centred, -filter-ahead3."""
+    """Return the ending of names of files of some views: -sequence-2-4, -sequence-4-window=centred, -filter-ahead=3."""
     options = [view.keywords["options"] for view in views if isinstance(view, partial)]
     lengths = [str(one.length) for one in options if isinstance(one, Sequences)]
-    words = dict.fromkeys(word for one in options for word in _name_options(one))
-    kinds = ["", *(["sequence", *lengths] if lengths else []), *["filter"] * (len(lengths) < len(options))]
-    return "-".join([*kinds, *words])
+    kinds = ["sequence"] * bool(lengths) + lengths + ["filter"] * (len(options) > len(lengths))
+    changes = dict.fromkeys(change for one in options for change in _list_changes(one))
+    return "".join(f"-{word.replace(' ', '=')}" for word in [*kinds, *changes])
 
 
-def _name_options(options: Sequences | Filter) -> Iterable[str]:
-    """Yield a word for each option beside the length that is not its default."""
-    for option in fields(options):
-        value = getattr(options, option.name)
-        if option.default not in (MISSING, value):
-            text = "" if isinstance(value, tuple) else str(value)
-            yield text if isinstance(value, str) else option.name + text
+def _list_changes(options: Sequences | Filter) -> list[str]:
+    """Return name and value of each option beside the length that is not its default."""
+    values = [(option, getattr(options, option.name)) for option in fields(options)]
+    return [
+        f"{option.name} {'+'.join(map(str, value)) if isinstance(value, tuple) else value}"
+        for option, value in values
+        if option.default not in (MISSING, value)
+    ]
 
 
 def _require_scores(run: Run) -> Scores:
@@ -143,13 +137,11 @@ def _require_scores(run: Run) -> Scores:
     return run.scores
 
 
-def _number_parts(run: Run, gaps: str) -> tuple[Stretches, Stretches, str]:
-    """Return the number of the unbroken part that each query and each place is in, and a few words about the gaps."""
+def _number_parts(run: Run, gaps: str) -> tuple[Stretches, Stretches]:
+    """Return the number of the unbroken part that each query and each place is in."""
     shown, n_places = queries_shown(run), run.outcome.n_places
-    known = max(0 if breaks is None else len(breaks) for breaks in (run.query_breaks, run.place_breaks))
-    words = f"{known} {'bridged' if gaps == 'bridge' else 'break it'}" if known else ""
     if gaps == "bridge":
-        return np.zeros(len(shown), np.int64), np.zeros(n_places, np.int64), words
+        return np.zeros(len(shown), np.int64), np.zeros(n_places, np.int64)
     stored = stretches(int(shown[-1]) + 1, run.query_breaks)[shown]
     left_out = shown - np.arange(len(shown))  # grows where a view left queries out
-    return stored + left_out, stretches(n_places, run.place_breaks), words
+    return stored + left_out, stretches(n_places, run.place_breaks)

@@ -7,26 +7,19 @@ from typing import Any
 
 import numpy as np
 
-from vprbench.api.adaptation import adapt_traverse
 from vprbench.api.images import Images
-from vprbench.api.method import LayerSpikes, Method, batch_size_for
+from vprbench.api.method import LayerSpikes, Method
 from vprbench.errors import BadInput
 from vprbench.runs.notes import Note
-from vprbench.runs.scorers import block_size
-
-_QUERIES = 256  # whose spikes are counted, at most
+from vprbench.runs.scorers import encode_sample
 
 
 def count_spikes(method: Method, queries: Images) -> tuple[dict[str, Any] | None, tuple[Note, ...]]:
     """Return the statistics of a spiking network over queries spread over all; None, and a note, if counting fails."""
     if type(method).spikes is Method.spikes:
         return None, ()
-    wanted = batch_size_for(method, min(_QUERIES, len(queries)))
-    chosen = queries[np.linspace(0, len(queries) - 1, wanted).astype(np.int64)]
     try:
-        blocks = chosen.blocks(block_size(method, 1))
-        codes = np.concatenate([np.array(method.encode(block)) for block in blocks])
-        return summarise_spikes(method.spikes(adapt_traverse(method, codes))), ()
+        return summarise_spikes(method.spikes(encode_sample(method, queries))), ()
     except Exception as error:  # a plug-in may fail in any way, and its answers and times still stand
         reason = " ".join(str(error).split())
         return None, (Note("spikes", f"no spikes were counted ({type(error).__name__}: {reason})"),)

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import gc
-import itertools
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
@@ -18,7 +17,7 @@ from vprbench import progress
 from vprbench.api.images import Images
 from vprbench.api.method import batch_size_for, require_codes
 from vprbench.metrics.bounds import INTEGERS, NUMBERS, Array, Count, Flag, Number, Positive
-from vprbench.runs.scorers import Answer, Scorer, best_place
+from vprbench.runs.scorers import Answer, QueryScorer, best_place
 from vprbench.runs.timing_protocol import Protocol as Protocol  # callers ask the stopwatch
 
 Clock = Callable[[], int]  # nanoseconds, monotonic
@@ -26,14 +25,9 @@ Seconds = npt.NDArray[np.float64]
 
 _SAMPLE_BYTES = 1 << 29  # of decoded images held at once
 _STEADY_QUERIES, _STEADY_SPREAD = 10, 0.1
-_LONG_PASS, _LONG_CALL = 4.0, 1.0  # seconds, at most, of a slow method
-_GAIN = 1.25  # times the rate: machines vary by less
-_SHARES = (0.15, 0.5)  # of `total_seconds`, by which warm-up and streaming have to end
-
-
-def _do_nothing() -> None:
-    """Synchronise a device that does nothing behind the caller's back."""
-
+_LONG_PASS = 4.0  # seconds of a pass over the sample; that of a slower method is smaller
+_LONG_BATCH = 2.0  # seconds of a batch; larger ones are left out
+_WARM_UP_SHARE, _STREAMING_SHARE = 0.15, 0.5  # of `total_seconds`, by which each has ended
 
 _LAP = Array(NUMBERS, (None,), 0, 1e9, positive_median=True)
 
@@ -52,10 +46,6 @@ class Laps:
     def total_seconds(self) -> Seconds:
         """Encode and match together, (n_calls,)."""
         return self.encode_seconds + self.match_seconds
-
-    def per_image(self) -> float:
-        """Return the median seconds."""
-        return float(np.median(self.total_seconds)) / self.images_per_call
 
     @property
     def by_stage(self) -> tuple[Seconds, Seconds, Seconds]:
@@ -85,7 +75,7 @@ class Stopwatch:
         self,
         protocol: Protocol,
         clock: Clock = time.perf_counter_ns,
-        synchronise: Callable[[], None] = _do_nothing,
+        synchronise: Callable[[], None] = lambda: None,
         seed: int = 0,
     ) -> None:
         """Measure by `clock`, with `synchronise` at every boundary; `seed` draws the order of the queries."""
@@ -93,7 +83,6 @@ class Stopwatch:
         self._clock = clock
         self._synchronise = synchronise
         self._generator = np.random.default_rng(seed)
-        self._end = float("inf")  # of the present measurement, by the clock
 
     @contextmanager
     def lap(self) -> Iterator[list[float]]:
@@ -105,149 +94,116 @@ class Stopwatch:
         self._synchronise()
         seconds.append((self._clock() - start) / 1e9)
 
-    def first_query(self, scorer: Scorer, images: Images) -> float:
+    def first_query(self, scorer: QueryScorer, images: Images) -> float:
         """Return the seconds of the first of `images`, decoded beforehand; raises BadInput if it is given no codes."""
         first = images[:1].in_memory()
-        try:
-            return sum(self._call(scorer, first)[:2])
-        except Exception:
-            require_codes(scorer.encode(first), 1)  # checked outside of timed calls
-            raise
+        with self.lap() as lap:
+            scorer.match(require_codes(scorer.encode(first), 1))
+        return lap[0]
 
-    def measure(self, scorer: Scorer, images: Images, first_query_seconds: float = 0.0) -> Timing:
+    def measure(self, scorer: QueryScorer, images: Images, first_query_seconds: float = 0.0) -> Timing:
         """Measure a fitted method on a sample of `images`, decoded beforehand; batches of large codes are smaller.
 
         A pass takes 4 s at most, unless the minimum of queries takes more: the sample of a slow method is smaller.
-        `first_query_seconds` are the seconds of its first query, asked before.
+        `first_query_seconds` are the seconds of its first query, which was measured before.
         """
-        chosen = _choose_sample(images, self._protocol.sample)
-        sample, count = images[chosen].in_memory(), len(chosen)
-        singles = [sample[np.array([i])] for i in range(count)]
+        chosen = _spread(len(images), self._protocol.sample)
+        chosen = chosen[_spread(len(chosen), len(chosen) * _SAMPLE_BYTES // max(1, images[chosen].decoded_bytes()))]
+        sample = images[chosen].in_memory()
         with _pause_garbage_collection():
             progress.report("timing", 0.0)
-            began = self._clock()
-            self._end_after(began, _SHARES[0])
-            warmup = self._warm_up(scorer, singles, first_query_seconds)
+            began, total = self._now(), self._protocol.total_seconds or float("inf")
+            warmup = self._warm_up(scorer, sample, began + _WARM_UP_SHARE * total, first_query_seconds)
             usual = float(np.median(warmup[-_STEADY_QUERIES:])) if warmup else 0.0
-            if usual and (few := max(self._protocol.minimum_queries, int(_LONG_PASS / usual))) < count:
-                some = np.linspace(0, count - 1, few).astype(np.int64)
-                chosen, sample, singles = chosen[some], sample[some], [singles[i] for i in some]
-            self._end_after(began, _SHARES[1])
-            streaming, answers = self._stream(scorer, singles)
-            progress.report("timing", 0.2)
-            offline = self._offline(scorer, sample, streaming, began)
+            if usual:
+                some = _spread(len(sample), max(self._protocol.minimum_queries, int(_LONG_PASS / usual)))
+                chosen, sample = chosen[some], sample[some]
+            singles = [sample[i : i + 1] for i in range(len(sample))]
+            streaming, answers = self._time(scorer, singles, began + _STREAMING_SHARE * total)
+            offline = self._time_batches(scorer, sample, streaming, began + total)
         return Timing(first_query_seconds, len(warmup), streaming, offline, chosen, answers)
 
-    def _call(self, scorer: Scorer, images: Images) -> tuple[float, float, Answer]:
+    def _now(self) -> float:
+        """Return the clock in seconds."""
+        return self._clock() / 1e9
+
+    def _call(self, scorer: QueryScorer, images: Images) -> tuple[float, float, Answer]:
         """Return the seconds of encode and match, and the scores or the best places."""
         self._synchronise()
         start = self._clock()
         codes = scorer.encode(images)
         self._synchronise()
         encoded = self._clock()
-        scores = scorer.match(codes)
+        answer = scorer.match(codes)
         self._synchronise()
-        matched = self._clock()
-        return (encoded - start) / 1e9, (matched - encoded) / 1e9, scores
+        return (encoded - start) / 1e9, (self._clock() - encoded) / 1e9, answer
 
-    def _warm_up(self, scorer: Scorer, singles: Sequence[Images], usual: float) -> list[float]:
-        """Return the seconds of the calls; `usual` is the expected time of one."""
+    def _warm_up(self, scorer: QueryScorer, sample: Images, end: float, expected: float) -> list[float]:
+        """Return the seconds of the calls; none begins that would end after `end`, `expected` being those of one."""
         laps: list[float] = []
-        started = self._clock()
-        while len(laps) < self._protocol.warmup_queries and not self._late(started, usual):
-            encode, match, _ = self._call(scorer, singles[len(laps) % len(singles)])
-            laps.append(usual := encode + match)
+        end = min(end, self._now() + self._protocol.maximum_seconds)
+        while len(laps) < self._protocol.warmup_queries and self._now() + expected <= end:
+            number = len(laps) % len(sample)
+            encode, match, _ = self._call(scorer, sample[number : number + 1])
+            laps.append(expected := encode + match)
             last = laps[-_STEADY_QUERIES:]
             if len(last) == _STEADY_QUERIES and max(last) - min(last) <= _STEADY_SPREAD * max(last):
                 break
         return laps
 
-    def _stream(self, scorer: Scorer, singles: Sequence[Images]) -> tuple[Laps, npt.NDArray[np.int64]]:
-        """Return the laps of single queries, shuffled in each pass, and the best place of each."""
-        passes = (self._generator.permutation(len(singles)).tolist() for _ in itertools.count())
-        return self._time(scorer, singles, passes, len(singles))
+    def _time_batches(self, scorer: QueryScorer, sample: Images, streaming: Laps, end: float) -> tuple[Laps, ...]:
+        """Return the laps of each batch size; the streaming ones for a size of one, and where no size is left.
 
-    def _time(
-        self, scorer: Scorer, calls: Sequence[Images], passes: Iterable[Sequence[int]], queries_a_pass: int
-    ) -> tuple[Laps, npt.NDArray[np.int64]]:
-        """Return the laps of `calls`, in the order of the numbers in `passes`, and the best place of each one's first.
-
-        Laps end after a pass by which all minima are met, and when they take too long.
+        A size is left out whose call would be long, or longer than is left, at the rate of the size before. The first
+        call of a size is not timed.
         """
-        laps: list[tuple[float, float]] = []
-        size, answers = len(calls[0]), np.full(len(calls), -1)
-        finished, late, started = False, False, self._clock()
-        for numbers in passes:
-            if (finished := self._finished(len(laps) * size, queries_a_pass, started)) or late:
-                break
-            for number in numbers:
+        sizes = sorted({batch_size_for(scorer, min(size, len(sample))) for size in self._protocol.batch_sizes})
+        offline: list[Laps] = []
+        last = streaming
+        for done, size in enumerate(sizes):
+            progress.report("timing", 0.2 + 0.8 * done / len(sizes))
+            call = float(np.median(last.total_seconds)) / last.images_per_call * size
+            if size == 1:
+                offline.append(streaming)
+            elif call <= _LONG_BATCH and self._now() + 2 * call <= end:
+                batches = [sample[start : start + size] for start in range(0, len(sample) - size + 1, size)]
+                self._call(scorer, batches[0])
+                last, _ = self._time(scorer, batches, end)
+                offline.append(last)
+        return tuple(offline) or (streaming,)
+
+    def _time(self, scorer: QueryScorer, calls: Sequence[Images], end: float) -> tuple[Laps, npt.NDArray[np.int64]]:
+        """Return the laps of `calls`, shuffled in each pass, and the best place of each one's first query.
+
+        Laps end after a pass by which all minima are met, after `maximum_seconds`, and where another one would end
+        after `end`.
+        """
+        protocol, size = self._protocol, len(calls[0])
+        minimum = max(protocol.minimum_queries, protocol.minimum_passes * len(calls) * size)
+        laps, answers = list[tuple[float, float]](), np.full(len(calls), -1)
+        is_enough, is_late, started = False, False, self._now()
+        while not (is_enough or is_late):
+            for number in self._generator.permutation(len(calls)).tolist():
                 encode, match, answer = self._call(scorer, calls[number])
                 laps.append((encode, match))
                 answers[number] = best_place(answer)
-                if late := self._late(started, encode + match):
+                now = self._now()
+                if is_late := now - started > protocol.maximum_seconds or now + encode + match > end:
                     break
-        encodes, matches = (np.array(seconds) for seconds in zip(*laps, strict=True))
-        return Laps(encodes, matches, size, finished), answers
-
-    def _offline(self, scorer: Scorer, sample: Images, streaming: Laps, began: int) -> tuple[Laps, ...]:
-        """Return the laps of each batch size whose calls fit into the time left; at least the streaming ones, of one.
-
-        Batches whose call is long are left out once larger ones no longer gain.
-        """
-        sizes = sorted({batch_size_for(scorer, min(size, len(sample))) for size in self._protocol.batch_sizes})
-        offline, last, gains = list[Laps](), streaming, True
-        for done, size in enumerate(sizes):
-            progress.report("timing", 0.3 + 0.7 * done / len(sizes))
-            self._end_after(began, _SHARES[1] + (1 - _SHARES[1]) * (done + 1) / len(sizes))
-            call = last.per_image() * size  # at most
-            if size == 1:
-                offline.append(streaming)
-            elif not self._over(2 * call) and (gains or call <= _LONG_CALL):  # one is not timed
-                before, last = last, self._batch(scorer, sample, size)
-                gains = before.per_image() >= _GAIN * last.per_image()
-                offline.append(last)
-        return tuple(offline) or (replace(streaming, valid=False),)
-
-    def _batch(self, scorer: Scorer, sample: Images, size: int) -> Laps:
-        """Return the laps of whole batches of a size; the first call is not timed."""
-        batches = [sample[start : start + size] for start in range(0, len(sample) - size + 1, size)]
-        self._call(scorer, batches[0])
-        one_by_one = ([number] for number in itertools.cycle(range(len(batches))))
-        return self._time(scorer, batches, one_by_one, len(sample))[0]
-
-    def _finished(self, queries: int, per_pass: int, started: int) -> bool:
-        protocol = self._protocol
-        long_enough = (self._clock() - started) / 1e9 >= protocol.minimum_seconds
-        return long_enough and queries >= max(protocol.minimum_queries, protocol.minimum_passes * per_pass)
-
-    def _end_after(self, began: int, share: float) -> None:
-        """Let the next measurement end before a share of `total_seconds` is over, but for a single call."""
-        total = self._protocol.total_seconds
-        self._end = float("inf") if total is None else began + share * total * 1e9
-
-    def _late(self, started: int, coming: float) -> bool:
-        """Tell whether no call that takes `coming` seconds may follow."""
-        return (self._clock() - started) / 1e9 > self._protocol.maximum_seconds or self._over(coming)
-
-    def _over(self, coming: float) -> bool:
-        return self._clock() + coming * 1e9 > self._end
+            is_enough = now - started >= protocol.minimum_seconds and len(laps) * size >= minimum
+        encodes, matches = np.array(laps).T
+        return Laps(encodes, matches, size, is_enough), answers
 
 
-def _choose_sample(images: Images, wanted: int) -> npt.NDArray[np.int64]:
-    """Return `wanted` images spread over all, fewer if these would fill more than the bytes that may be held."""
-    count = min(len(images), wanted)
-    while True:
-        chosen = np.linspace(0, len(images) - 1, count).astype(np.int64)
-        n_bytes = images[chosen].decoded_bytes()
-        if n_bytes <= _SAMPLE_BYTES or count == 1:
-            return chosen
-        count = max(1, min(count - 1, count * _SAMPLE_BYTES // n_bytes))
+def _spread(n: int, wanted: int) -> npt.NDArray[np.int64]:
+    """Return the numbers of `wanted` of `n` images, spread over all: at least one, and no more than there are."""
+    return np.linspace(0, n - 1, max(1, min(n, wanted))).astype(np.int64)
 
 
 def make_synchroniser(device: str) -> Callable[[], None]:
     """Return a function that waits until `device` is idle."""
     if not device.startswith("cuda"):
-        return _do_nothing
+        return lambda: None
     import torch
 
     return lambda: torch.cuda.synchronize(device)
@@ -276,25 +232,6 @@ def offline_rate(seconds: Seconds, images_per_call: int) -> float:
     return images_per_call * len(seconds) / float(seconds.sum())
 
 
-@dataclass(frozen=True)
-class StageRates:
-    """Images per second of each stage, and of both together."""
-
-    encode: float
-    match: float
-    total: float
-
-    @classmethod
-    def streaming(cls, laps: Laps) -> StageRates:
-        """Return 1 / median of single queries."""
-        return cls(*(streaming_rate(seconds) for seconds in laps.by_stage))
-
-    @classmethod
-    def offline(cls, laps: Laps) -> StageRates:
-        """Return images per second over all calls."""
-        return cls(*(offline_rate(seconds, laps.images_per_call) for seconds in laps.by_stage))
-
-
 def best_batch(offline: Sequence[Laps]) -> Laps:
     """Return the laps of the batch size with the highest total rate."""
     return max(offline, key=lambda laps: offline_rate(laps.total_seconds, laps.images_per_call))
@@ -308,9 +245,8 @@ def percentile_bound(seconds: Seconds, share: float, confidence: float = 0.99) -
     """
     from scipy.stats import binom  # slow to import, and not needed to complain about an option
 
-    allowed = int(binom.ppf(1 - confidence, len(seconds), 1 - share)) - 1 if len(seconds) else -1
-    if allowed >= -1 and binom.cdf(allowed + 1, len(seconds), 1 - share) <= 1 - confidence:
-        allowed += 1
-    if allowed < 1:
-        return None
-    return float(np.sort(seconds)[::-1][allowed])
+    laps_above = binom(len(seconds), 1 - share)
+    allowed = int(laps_above.ppf(1 - confidence)) if len(seconds) else 0
+    if laps_above.cdf(allowed) > 1 - confidence:
+        allowed -= 1
+    return float(np.sort(seconds)[-1 - allowed]) if allowed >= 1 else None

@@ -6,7 +6,6 @@ from copy import copy
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from vprbench import progress
 from vprbench.api.adaptation import adapt_traverse
@@ -15,8 +14,8 @@ from vprbench.api.method import Method
 from vprbench.errors import BadInput
 from vprbench.metrics.accuracy import hits_at
 from vprbench.metrics.catalogue import METRICS
-from vprbench.metrics.intervals import share_interval
-from vprbench.metrics.ranking import PlacesPerQuery, concatenate, outcome
+from vprbench.metrics.intervals import Values, share_interval
+from vprbench.metrics.ranking import concatenate, outcome
 from vprbench.runs.record import Run
 from vprbench.runs.scorers import block_size
 from vprbench.runs.stopwatch import Stopwatch, make_synchroniser
@@ -48,8 +47,9 @@ def count_step_places(step: bool | int, n_places: int) -> int:
 def grow_map(experiment: Experiment) -> list[dict[str, Any]]:
     """Fit the first places, add the others one by one, and ask at every stop; the method stays as it is.
 
-    Of each stop, as plain values: the `places` of the map, for each query with a right place among them the chance
-    `hits` that the best is right, and the `seconds` of each place since the stop before, its images read beforehand.
+    Of each stop, as plain values: the `places` of the map, how many `queries` have a right place among them, their R@1,
+    0 to 1, with its 95 % interval, `recall_at_1_of_first` over the queries of the first places, and the median and the
+    most seconds of a place since the stop before, its images read beforehand.
     """
     method, dataset, first = copy(experiment.method), experiment.dataset, experiment.stream
     references, size = dataset.references.unnamed(), block_size(method, dataset.n_places)
@@ -58,6 +58,7 @@ def grow_map(experiment: Experiment) -> list[dict[str, Any]]:
     codes = np.concatenate([method.encode(block) for block in dataset.queries.unnamed().blocks(size)])
     codes = adapt_traverse(method, codes)
     stopwatch = Stopwatch(experiment.request.timing, synchronise=make_synchroniser(experiment.request.device))
+    earliest = np.array([right.min(initial=dataset.n_places) for right in dataset.positives])  # right place of a query
     stops: list[dict[str, Any]] = []
     seconds: list[float] = []
     for n in range(first, dataset.n_places + 1):
@@ -68,48 +69,33 @@ def grow_map(experiment: Experiment) -> list[dict[str, Any]]:
             seconds.append(lap[0])
         progress.report("growing map", n / dataset.n_places)
         if n % first == 0 or n == dataset.n_places:
-            blocks = np.split(asked := _find_answerable(dataset.positives, n), range(size, len(asked), size))
+            answerable = np.flatnonzero(earliest < n)
+            blocks = np.split(answerable, range(size, len(answerable), size))
             right = [[dataset.positives[query][dataset.positives[query] < n] for query in block] for block in blocks]
             found = concatenate([outcome(method.match(codes[b]), r) for b, r in zip(blocks, right, strict=True)])
-            stops.append({"places": n, "hits": hits_at(found, 1).tolist(), "seconds": seconds})
+            hits = hits_at(found, 1)
+            stops.append(_describe_stop(n, hits, hits[earliest[answerable] < first], seconds))
             seconds = []
     return stops
 
 
-def _find_answerable(positives: PlacesPerQuery, n: int) -> npt.NDArray[np.int64]:
-    """Return the queries that have a right place among the first `n`."""
-    return np.flatnonzero([bool((right < n).any()) for right in positives])
-
-
-def list_stops(run: Run) -> list[dict[str, Any]]:
-    """Return of each stop of a growing map R@1, 0 to 1, with its 95 % interval, and the seconds of a place.
-
-    R@1 is of the queries with a place in the map; `recall_at_1_of_first` of the queries of its first places.
-    """
-    lines, stops = [], run.stream or ()
-    known = [_find_answerable(run.positives, stop["places"]) for stop in stops]
-    for stop, queries in zip(stops, known, strict=True):
-        hits, seconds = np.array(stop["hits"]), stop["seconds"]
-        first = hits[np.isin(queries, known[0])]
-        interval = share_interval(hits) if len(hits) else None
-        lines.append(
-            {
-                "places": stop["places"],
-                "queries": len(hits),
-                "recall_at_1": float(hits.mean()) if interval else None,
-                "recall_at_1_low": interval.low if interval else None,
-                "recall_at_1_high": interval.high if interval else None,
-                "recall_at_1_of_first": float(first.mean()) if len(first) else None,
-                "seconds_a_place": float(np.median(seconds)) if seconds else None,
-                "most_seconds_a_place": max(seconds, default=None),
-            }
-        )
-    return lines
+def _describe_stop(n_places: int, hits: Values, of_first: Values, seconds: list[float]) -> dict[str, Any]:
+    interval = share_interval(hits) if len(hits) else None
+    return {
+        "places": n_places,
+        "queries": len(hits),
+        "recall_at_1": float(hits.mean()) if interval else None,
+        "recall_at_1_low": interval.low if interval else None,
+        "recall_at_1_high": interval.high if interval else None,
+        "recall_at_1_of_first": float(of_first.mean()) if len(of_first) else None,
+        "seconds_a_place": float(np.median(seconds)) if seconds else None,
+        "most_seconds_a_place": max(seconds, default=None),
+    }
 
 
 def format_stops(run: Run) -> str:
     """Return a growing map as a small table, with a last line for the map that was learnt at once."""
-    stops, percent, rows = list_stops(run), METRICS["recall_at_1"].text, []
+    stops, percent, rows = run.stream or [], METRICS["recall_at_1"].text, []
     for stop in stops:
         recall, low, high, of_first = (percent(stop[f"recall_at_1{end}"]) for end in ("", "_low", "_high", "_of_first"))
         times = (stop["seconds_a_place"], stop["most_seconds_a_place"])

@@ -26,14 +26,12 @@ class Protocol:
     maximum_seconds: Annotated[Seconds, Field(gt=0)] = 120.0
     sample: Positive = 256  # query images held decoded in memory, at most
     warmup_queries: Count = 50  # at most; fewer once the last ten differ by less than 10 %
-    batch_sizes: Annotated[list[int], Field(min_length=1)] = field(default_factory=lambda: [1, 8, 32, 128])
+    batch_sizes: Annotated[list[Positive], Field(min_length=1)] = field(default_factory=lambda: [1, 8, 32, 128])
     total_seconds: Annotated[Seconds, Field(gt=0)] | None = None  # of all measurements together; None: no limit
     rates: Flag = True  # False: nothing is timed
 
     def __post_init__(self) -> None:
-        """Check that a measurement can end, and batches hold images."""
-        if min(self.batch_sizes, default=1) < 1:
-            raise BadInput(f"timing.batch_sizes={self.batch_sizes}: batches hold at least one image")
+        """Check that a measurement can end."""
         if self.minimum_seconds > self.maximum_seconds:
             raise BadInput(
                 f"timing.minimum_seconds={self.minimum_seconds}, timing.maximum_seconds={self.maximum_seconds}: the "

@@ -1,20 +1,16 @@
-"""Methods whose settings were chosen on places of a run's dataset: which queries show them, and R@1 of the others."""
+"""Methods whose settings were chosen on places of a run's dataset: which queries show them, and runs of the others."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from statistics import mean
 
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.metrics.accuracy import recall_at
-from vprbench.metrics.catalogue import METRICS
 from vprbench.plugins.entries import entries
 from vprbench.plugins.tuned_places import parse_places
 from vprbench.runs.notes import Note, make_notes
-from vprbench.runs.recall_intervals import recall_interval
 from vprbench.runs.record import Run
 from vprbench.runs.views import queries_shown, select_queries, window_of
 
@@ -32,26 +28,27 @@ def find_tuned_queries(run: Run) -> npt.NDArray[np.bool_] | None:
 
     In a view of sequences the queries near such a query are among them: their answers may rest on its scores.
     """
-    n_stored = int(queries_shown(run).max(initial=0)) + 1
-    if run.tuned_queries or not _format_declared_places(run):  # known by the content of their frames
-        tuned = np.isin(np.arange(n_stored), np.array(run.tuned_queries or (), np.int64))
-    elif (shown := _show_declared_places(run)) is not None:
-        tuned = np.bincount(queries_shown(run)[shown], minlength=n_stored) > 0
-    else:
-        return None
-    reach = window_of(run) - 1  # to either side: an answer may rest on their scores
-    return np.convolve(tuned, np.ones(2 * reach + 1))[reach:][:n_stored][queries_shown(run)] > 0
+    shown = queries_shown(run)
+    tuned = np.zeros(int(shown.max(initial=0)) + 1)  # of the stored queries
+    if run.tuned_queries:  # known by the content of their frames
+        tuned[[query for query in run.tuned_queries if query < len(tuned)]] = 1
+    elif places := _format_declared_places(run):
+        on_places = _find_queries_of_places(run, places)
+        if on_places is None:
+            return None
+        tuned[shown[on_places]] = 1
+    reach = window_of(run) - 1  # to either side
+    return np.convolve(tuned, np.ones(2 * reach + 1))[reach:][: len(tuned)][shown] > 0
 
 
-def _show_declared_places(run: Run) -> npt.NDArray[np.bool_] | None:
+def _find_queries_of_places(run: Run, places: str) -> npt.NDArray[np.bool_] | None:
     """Return which queries have a right place of the declared numbers, (n_queries,); None: the numbers do not tell."""
-    known, entry = parse_places(_format_declared_places(run)), entries("dataset").get(run.dataset)
+    known, entry = parse_places(places), entries("dataset").get(run.dataset)
     if known is None or entry is None or entry.rivals:
         return None
-    listed = entry.values()
-    given = run.config["dataset"]
+    given, usual = run.config["dataset"], entry.values()
     ignored = {*_CHOOSING, *given.get("on_disk", ())}
-    if not all(name in ignored or (name, value) in listed.items() for name, value in given.items()):
+    if any((name, value) not in usual.items() for name, value in given.items() if name not in ignored):
         return None
     numbers = np.arange(run.outcome.n_places) if run.place_numbers is None else run.place_numbers
     tuned = np.any([(numbers >= first) & (numbers <= last) for first, last in known], axis=0)
@@ -94,22 +91,10 @@ def describe_tuning(runs: Sequence[Run]) -> str:
     """
     if not any(map(overlaps_tuning_places, runs)):
         return ""
-    declared = runs[0].tuned_on
+    declared, tuned = runs[0].tuned_on, find_tuned_queries(runs[0])
     places = "places " * bool(parse_places(declared["places"]))
-    words = f"tuned on {places}{declared['places']} of {declared['dataset']}, in no contest"
-    if others := all_without_tuning_places(runs):
-        return f"{words}; {describe_recalls(others)} on the {len(others[0].outcome)} queries of other places"
-    unknown = find_tuned_queries(runs[0]) is None
-    return f"{words}; {'not known which queries show these' if unknown else 'all queries show these'}"
-
-
-def describe_recalls(runs: Sequence[Run]) -> str:
-    """Return R@1 in percent over the seeds, with its interval."""
-    metric = METRICS["recall_at_1"]
-    interval, recalls = recall_interval(runs), [recall_at(run.outcome, 1) for run in runs]
-    found = [recall.expected for recall in recalls if recall is not None]
-    ends = "" if interval is None else f" [{metric.text(interval.low)}, {metric.text(interval.high)}]"
-    return f"{metric.text(mean(found) if found else None)}{ends}"
+    others = "unknown" if tuned is None else f"{np.count_nonzero(~tuned)} of {len(tuned)}"
+    return f"tuned on {places}{declared['places']} of {declared['dataset']}, in no contest; queries elsewhere: {others}"
 
 
 def list_notes(run: Run) -> tuple[Note, ...]:

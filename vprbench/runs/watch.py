@@ -16,16 +16,15 @@ class MachineWatch:
 
     def __init__(self, device: str, threads: int) -> None:
         """Look for the first time; the peak of memory counts from now on."""
-        self._device = device
         self._was_alone = timing_lock.is_only_run()
         self._environment = machine.describe_machine(device, threads)
-        machine.reset_peak_memory(device)
+        machine.reset_peak_memory()
         self._begin()
 
     def _begin(self) -> None:
         """Look at the load from now on."""
         self._canary_seconds = machine.canary_seconds()
-        self._began, self._pressure = time.perf_counter(), machine.read_cpu_pressure()
+        self._began, self._pressure = time.perf_counter(), machine.read_cpu_wait_seconds()
 
     def end_fit(self) -> None:
         """Record whether another run went on here when this one began, or goes on now that its method is fitted."""
@@ -43,13 +42,12 @@ class MachineWatch:
 
     def record(self) -> dict[str, Any]:
         """Return the fields `environment` and `peak_memory_bytes` of a run that ends now."""
-        now, waited = machine.read_cpu_pressure(), None
+        now, waited = machine.read_cpu_wait_seconds(), None
         if now is not None and self._pressure is not None:
             seconds = max(time.perf_counter() - self._began, 1e-9)
-            waited = 100 * (now.seconds - self._pressure.seconds) / seconds
+            waited = 100 * (now - self._pressure) / seconds
         after = {
             "canary_slowdown": machine.canary_seconds() / self._canary_seconds,
             "cpu_waited_percent": waited,
-            "device_memory_bytes": machine.peak_device_memory_bytes(self._device),
         }
         return {"environment": {**self._environment, **after}, "peak_memory_bytes": machine.peak_memory_bytes()}

@@ -208,8 +208,8 @@ def test_seeds_are_several_points_disturbed_sizes_hollow_and_the_bar_of_a_query_
 
 def test_a_growing_map_has_the_recall_of_all_its_places_and_of_the_first_and_the_milliseconds_of_a_new_one():
     stops = (
-        {"places": 2, "hits": [1.0, 0.0], "seconds": []},
-        {"places": 4, "hits": [1.0, 1.0, 1.0, 0.0], "seconds": [0.001, 0.002, 0.004]},
+        {"places": 2, "recall_at_1": 0.5, "recall_at_1_of_first": 0.5, "seconds_a_place": None},
+        {"places": 4, "recall_at_1": 0.75, "recall_at_1_of_first": 1.0, "seconds_a_place": 0.002},
     )
     grown_map = series("SAD", figure_runs.run("sad", n_queries=4), figure_runs.run("sad", n_queries=4, stream=stops))
     drawn = draw_growing_map([grown_map, method("GCL", 0.5)])

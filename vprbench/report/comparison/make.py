@@ -158,7 +158,7 @@ def show(found: ReportData, wide: bool = False) -> None:
     print(line_text(f"{table.title}: {words.describe_data(table.columns[0])}", fits=True))
     if len(table.columns) > 1:
         for run in (group.runs[0] for group in groups_shown):
-            print(line_text(f"{rows.describe_view(run, whole=True)}: {len(run.outcome):,} queries"))
+            print(line_text(f"{rows.describe_view(run)}: {len(run.outcome):,} queries"))
         heads = ["R@1 %", *(rows.describe_view(group.runs[0]) for group in groups_shown)]
         cells = cells[(table.cells["quantity"] == RECALL.name).to_numpy()]
     for row, of_row in table.cells.groupby("row", sort=False):

@@ -139,7 +139,7 @@ def draw_recall_at_length(views: Iterable[Sequence[Series]]) -> Drawing:
     counts = (f"{len(of_length[length][0].runs[0].outcome):,} at {length}" for length in lengths)
     caption = (
         "Recall at 1 of sequences, whose scores are the mean of neighbouring queries' scores; the longest: "
-        f"{describe_view(of_length[lengths[-1]][0].runs[0], whole=True)}. Queries: {', '.join(counts)}. "
+        f"{describe_view(of_length[lengths[-1]][0].runs[0])}. Queries: {', '.join(counts)}. "
         f"{_describe_recalls(of_length[lengths[0]])}"
     )
     return Drawing(figure, caption)

@@ -16,7 +16,6 @@ from vprbench.report.figures.captions import choose_runs, describe_machines, des
 from vprbench.report.figures.style import Drawing, Look, choose_looks, new_figure, use_style
 from vprbench.report.growth import GrowthSamples
 from vprbench.report.selection import Series
-from vprbench.runs.stream import list_stops
 
 _TRAINING = ("fit_compute_seconds",) * 3  # columns of the samples: time, low and high; one fit has no interval
 _QUERY = ("query_seconds", "query_low", "query_high")
@@ -69,7 +68,7 @@ def draw_growing_map(series: Sequence[Series]) -> Drawing:
     looks = choose_looks(row.name for row in series)
     figure, (left, right) = new_figure(style.DOUBLE_MM, _HEIGHT_MM, 1, 2)
     for row in series:
-        stops = pd.DataFrame(list_stops(row.runs[0]))
+        stops = pd.DataFrame(row.runs[0].stream)
         solid, dotted = ({**looks[row.name].of_line, "linestyle": dash} for dash in "-:")
         percent = 100 * stops[["recall_at_1", "recall_at_1_of_first"]].astype(float)  # NaN without queries
         left.plot(stops["places"], percent["recall_at_1"], label=row.name, **solid)

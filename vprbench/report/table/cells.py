@@ -47,7 +47,7 @@ Mark = Literal[
     "not timed",  # answers are stored, and no rates with them
     "not run",  # no run of this kind is stored, as on a machine without a GPU
 ]
-_HIDDEN: frozenset[NoteKind] = DISTURBED | {"offline", "described", "fitted"}  # a tilde, or another cell, shows them
+_HIDDEN: frozenset[NoteKind] = DISTURBED | {"offline", "fitted"}  # a tilde, or another cell, shows them
 
 #: The columns of the frame of cells. Numbers are in the unit of the quantity; what there is not is None.
 FACTS = (
