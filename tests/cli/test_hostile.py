@@ -1,14 +1,12 @@
 """Plug-ins that crash, leave, hang, print, fork and move: a run is stored once and said alone, or is a failure."""
 
 import json
-import os
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-from checkout import ROOT
 from plugged_in import plugin, see_plugins
 from small_plan import RUN, Apart
 
@@ -60,14 +58,6 @@ def test_a_run_that_hangs_ends_at_its_limit_and_is_a_failure_that_names_it():
     (failure,) = Store(Path("results")).failures()
     assert (failure.method, failure.config["limit_minutes"]) == ("hanging", 0.02)
     assert "limit_minutes=0.02" in done.stderr.splitlines()[-1]
-
-
-@pytest.mark.extended
-def test_a_run_that_nobody_watches_is_stored(tmp_path):
-    command = " ".join([sys.executable, "-m vprbench", *QUICK, ">&- 2>&- <&-"])
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    assert subprocess.run(command, shell=True, cwd=tmp_path, env=environment, timeout=120, check=False).returncode == 0
-    assert len(list(Store(tmp_path / "results").runs())) == 1
 
 
 NEEDY = """import numpy as np
