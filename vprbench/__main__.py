@@ -18,21 +18,12 @@ def _handle_signal(number: int, _: FrameType | None) -> None:
     os._exit(128 + number)
 
 
-def _take_signals() -> None:
-    """Handle interruptions, but for a signal that the process was started to ignore."""
-    for number in (signal.SIGINT, signal.SIGTERM):
-        if signal.getsignal(number) is not signal.SIG_IGN:
-            signal.signal(number, _handle_signal)
-
-
-if __name__ == "__main__":  # before anything else is imported
-    _take_signals()
-
-
 def main() -> int:
     """Run the command line; returns the exit code, 0 only if every run or command that was asked for is done."""
     global _interruptible
-    _take_signals()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        if signal.getsignal(number) is not signal.SIG_IGN:  # of a process in the background
+            signal.signal(number, _handle_signal)
     import faulthandler
 
     faulthandler.enable(2)  # standard error: a crash names the line of the plug-in

@@ -5,15 +5,12 @@ import json
 import re
 from pathlib import Path
 
-import numpy as np
 import pytest
-from PIL import Image as PillowImage
 from quick_runs import quick_runs
 from served_files import serving
-from small_plan import RUN, Apart
+from small_plan import RUN
 
 from vprbench.cli import main
-from vprbench.jobs import executors
 from vprbench.plugins import registry
 from vprbench.storage import tensors
 
@@ -39,15 +36,6 @@ def refused(arguments, capsys):
     assert "Traceback" not in captured.err
     assert not [*Path().rglob("run.json"), *Path().rglob(".partial-*")]
     return lines[-1]
-
-
-def frames(folder, count, size=(16, 12), mode="RGB"):
-    folder.mkdir(parents=True)
-    generator = np.random.default_rng(len(str(folder)))
-    for number in range(count):
-        image = PillowImage.fromarray(generator.integers(0, 256, (size[1], size[0], 3), dtype=np.uint8))
-        image.convert(mode).save(folder / f"{number}.png")
-    return folder
 
 
 def test_a_run_prints_one_json_object_and_answers_from_the_store_unless_forced_where_nothing_can_be_written_too(
@@ -88,17 +76,6 @@ def test_a_row_names_its_numbers_and_its_folder_from_the_store_too_under_the_wor
     printed = capsys.readouterr()
     assert "from the store: results/synthetic/sad-" in printed.out
     assert "patch=7" not in printed.out
-
-
-@pytest.mark.extended
-def test_a_sweep_survives_failing_cells_and_says_in_a_line_each_which_weights_are_missing(capsys, monkeypatch):
-    monkeypatch.setattr(executors, "run_in_child", Apart())
-    assert main(["-m", "method=gcl,salad,sad", *QUICK]) == 2
-    assert [json.loads(path.read_text())["method"] for path in Path().rglob("run.json")] == ["sad"]
-    lines = [line for line in capsys.readouterr().err.splitlines() if " needs " in line]
-    for line, needed in zip(lines, ("MSLS_resnet152_GeM_480_GCL.pth", "dino_salad.ckpt"), strict=True):
-        assert needed in line
-    assert len(list(Path().rglob("failure.json"))) == 2
 
 
 @pytest.mark.parametrize("command", [["check"], []], ids=["check", "run"])
@@ -176,30 +153,6 @@ def test_a_bad_option_is_named_in_one_clear_line(command, capsys):
 )
 def test_a_bad_option_is_answered_with_its_value_and_the_remedy(arguments, wanted, capsys):
     assert wanted in refused(arguments, capsys)
-
-
-def test_frames_of_differing_sizes_grey_with_alpha_or_black_are_accepted_and_what_is_no_image_is_named(capsys):
-    references, queries = frames(Path("references"), 3), frames(Path("queries"), 5)
-    frames(Path("more"), 1, (30, 20), "L").joinpath("0.png").rename(references / "3.png")
-    frames(Path("alpha"), 1, (24, 24), "RGBA").joinpath("0.png").rename(references / "4.png")
-    for folder in (references, queries):
-        PillowImage.new("RGB", (16, 12)).save(folder / "1.png")
-    given = ["dataset=folders", f"dataset.references=[{references}]", f"dataset.queries={queries}", *RUN]
-    assert main([*given, "output=json"]) == 0
-    assert json.loads(capsys.readouterr().out)["queries"] == 5
-    bad = queries / "2.png"
-    bad.write_bytes(bad.read_bytes()[:100])
-    assert main(given) == 2
-    assert f"{bad} cannot be read as an image" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("where", ["results", "results/synthetic"])
-def test_results_that_cannot_be_written_are_named_before_the_run(capsys, monkeypatch, where):
-    place = Path(where)
-    place.parent.mkdir(exist_ok=True)
-    place.symlink_to("/nowhere/there")
-    monkeypatch.setattr("vprbench.runs.get_or_run.execute", lambda *_: pytest.fail("it ran"))
-    assert f"{place} cannot be written" in refused(["method=sad", *QUICK], capsys)
 
 
 def test_the_error_of_a_full_disk_is_shown_and_a_failure_is_recorded_without_the_name_of_a_home(capsys, monkeypatch):
