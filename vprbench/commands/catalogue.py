@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import pkgutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
@@ -96,15 +96,10 @@ def show_list(words: list[str]) -> int:
         return 0
     for group in ("method", "dataset"):
         if rows := [(each.name, each.summary) for each in found if each.kind == group]:
-            _show_whole_table([f"{group}s", ""], rows, settings.wide)
+            print(table_text([f"{group}s", ""], rows, settings.wide or not console().is_terminal))
     for provider, reason in broken_plugins() if not words else ():
         print(printable(f"plug-in {provider} BROKEN: {reason}"))
     return 0
-
-
-def _show_whole_table(columns: Sequence[str], rows: Sequence[Sequence[str]], wide: bool) -> None:
-    """Print a table that fits a terminal; a file gets all of it."""
-    print(table_text(columns, rows, wide or not console().is_terminal))
 
 
 def check(options: list[str]) -> int:
@@ -170,10 +165,10 @@ def show_status(words: list[str]) -> int:
         print(json.dumps(found))
         return 0
     print(printable("{results}: {runs} runs and {failures} failures are stored".format(**found)))
-    if lines := [row(claim) for claim in found["claims"]]:
-        _show_whole_table([*lines[0]], [[*line.values()] for line in lines], settings.wide)
-    else:
-        print("no run is being made")
+    lines = [row(claim) for claim in found["claims"]]
+    rows = [[*line.values()] for line in lines]
+    is_wide = settings.wide or not console().is_terminal
+    print(table_text([*lines[0]], rows, is_wide) if lines else "no run is being made")
     return 0
 
 
