@@ -106,9 +106,8 @@ def test_a_process_whose_progress_nobody_sees_and_an_inner_title_draw_nothing_an
     progress.report("fit", 0.7)
     assert outer.getvalue() == "outer: fit\n"
     heard = []
-    with progress.listening(lambda _, done: heard.append(("outer", done))):
-        progress.report("fit", 0.1)
-        with progress.listening(lambda _, done: heard.append(("inner", done))):
+    with progress.listening(lambda *report: heard.append(("outer", *report))):
+        with progress.listening(lambda *report: heard.append(("inner", *report))):
             progress.report("fit", 0.2)
         progress.report("fit", 0.3)
-    assert heard == [("outer", 0.1), ("inner", 0.2), ("outer", 0.3)]
+    assert heard == [("inner", "fit", 0.2), ("outer", "fit", 0.3)]
