@@ -59,7 +59,7 @@ def test_without_a_command_the_commands_are_named_and_nothing_runs(capsys):
 
 def refused(capsys, *arguments):
     """Tell whether the command line refuses an option as none of the command's."""
-    words = r"unknown|say what the table holds|takes methods=|give corruptions|alone"
+    words = r"unknown|say what the table|takes methods=|give corruptions|alone"
     return main(arguments) == 2 and re.search(words, capsys.readouterr().err) is not None
 
 

@@ -95,9 +95,9 @@ def test_a_run_prints_and_keeps_on_what_its_method_was_tuned_even_if_its_yaml_sa
 @pytest.mark.parametrize(
     ("options", "declared", "named"),
     [
-        (["method=upper", "method.tuned_on=null"], "{dataset: a, places: b}", "method.tuned_on="),
-        (["method=upper", "~method.tuned_on"], "{dataset: a, places: b}", "method.tuned_on="),
-        (["method=upper", "method.tuned_on.dataset=nordland"], "{dataset: a, places: b}", "method.tuned_on="),
+        (["method=upper", "method.tuned_on=null"], "{dataset: a, places: b}", "method.tuned_on"),
+        (["method=upper", "~method.tuned_on"], "{dataset: a, places: b}", "method.tuned_on"),
+        (["method=upper", "method.tuned_on.dataset=nordland"], "{dataset: a, places: b}", "method.tuned_on"),
         (["method=mine"], "nordland", "mine"),
         (["method=mine"], "{dataset: a, places: b, colour: red}", "mine"),
     ],

@@ -223,7 +223,8 @@ def _parse_table(options: list[str]) -> tuple[TableRequest, list[str]]:
     of_runs = quote_options([option for option in options if option not in own])
     for option in of_runs:
         if option.split("=")[0].split(".")[0] in TableRequest.refused:
-            raise BadInput(f"{option}: rows=, methods=, columns=, seeds= and devices= say what the table holds")
+            wanted = "rows=, methods=, columns=, seeds= and devices= say what the table of clean frames holds"
+            raise BadInput(f"{option}: {wanted}")
     own += quote_options([option for option in own if option.startswith("methods=")])  # loose files get their names
     request = parse_options(TableRequest, own, {})
     of_runs += request.threads(of_runs)
