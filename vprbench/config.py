@@ -37,7 +37,8 @@ def _refuse_hydra_errors() -> Iterator[None]:
     try:
         yield
     except (HydraException, OmegaConfBaseException) as error:
-        raise BadInput(" ".join(str(error).split()).partition(" See https://hydra.cc")[0]) from error
+        text = " ".join(str(error).split()).partition(" See https://hydra.cc")[0]
+        raise BadInput(text.replace("--multirun", "-m")) from error
 
 
 @_refuse_hydra_errors()
@@ -130,9 +131,12 @@ def _compose(options: Sequence[str], values: Mapping[str, Any]) -> DictConfig:
     """Return Hydra's composition of conf/run.yaml and these options; raises BadInput and Hydra's errors."""
     _require_known(options, values)
     folders = [_quote(f"file://{folder}") for name, folder in entries.conf_folders().items() if name != "vprbench"]
-    GlobalHydra.instance().clear()  # a program may use Hydra itself
-    with hydra.initialize_config_module(_CONF, version_base="1.3"):
-        config = hydra.compose("run", overrides=[f"hydra.searchpath=[{','.join(folders)}]", *options])
+    kept, GlobalHydra.instance().hydra = GlobalHydra.instance().hydra, None  # a program may use Hydra itself
+    try:
+        with hydra.initialize_config_module(_CONF, version_base="1.3"):
+            config = hydra.compose("run", overrides=[f"hydra.searchpath=[{','.join(folders)}]", *options])
+    finally:
+        GlobalHydra.instance().hydra = kept
     for name, value in values.items():
         OmegaConf.update(config, name, value)
     return config

@@ -142,6 +142,7 @@ def test_a_bad_option_is_named_in_one_clear_line(command, capsys):
         (["method=vprtempoo"], "method=vprtempoo is unknown: did you mean vprtempo or"),
         (["method=vprtempo", "method.max_modul=5"], "method.max_modul is unknown to vprtempo: did you mean max_module"),
         (["save=a.safetensors", "load=b.safetensors"], "save=a.safetensors and load=b.safetensors"),
+        (["method=sad,hog"], "add -m to your command line"),
         (["dataset=nordland"], "dataset.root is not set: nordland needs the folder that holds the seasons"),
         (["dataset=nordland_64x32", "dataset.root=/nowhere"], "TimQuelch/seqslam"),
         (["dataset=nordland", "dataset.root=/d\u00e5ta/a=b (1)"], "dataset.root=/d\u00e5ta/a=b (1) is no folder"),
