@@ -25,10 +25,10 @@ table: $(READY) ## Table II, measured beside published: NORDLAND= ROBOTCAR= DATA
 	$(RUN) -m vprbench table $(ASKED)
 
 figures: $(READY) ## The figures of the paper and more, as PDF and PNG in results/figures (the same options).
-	$(RUN) -m vprbench figures $(ASKED)
+	$(RUN) -m vprbench table figures=true $(ASKED)
 
 report: $(READY) ## One HTML page with table, figures and a browser of failures (the same options).
-	$(RUN) -m vprbench report $(ASKED)
+	$(RUN) -m vprbench table page=true $(ASKED)
 
 search: $(READY) ## Search VPRTempo's hyperparameters on places that no result uses: PLACES= TRIALS= JOBS= ARGS=
 	$(RUN) -m vprbench search $(if $(PLACES),places=$(PLACES)) $(if $(TRIALS),trials=$(TRIALS)) \

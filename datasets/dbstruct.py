@@ -90,6 +90,8 @@ class DbStruct:
     def _metres(self, file: Path, fields: tuple[Any, ...], position: int, count: int) -> Metres:
         """Return east and north in metres, (n, 2), of a field that holds them as (2, n)."""
         metres = np.asarray(fields[position])
+        if count == 1 and metres.ndim == 1:
+            metres = metres[:, None]
         fits = metres.shape == (2, count) and metres.dtype.kind in "fiu"
         if not fits or not are_metres(metres, self.without_position):
             raise BadInput(
@@ -110,8 +112,7 @@ def _read(file: Path) -> tuple[Any, ...]:
         content = read_mat(file)
     except MatFileError as error:
         raise BadInput(f"{file} cannot be read as a .mat file ({error}): get it from its source again") from error
-    structure = content.get("dbStruct")
-    fields = structure.item() if isinstance(structure, np.ndarray) and structure.size == 1 else None
+    fields = content.get("dbStruct")
     if not isinstance(fields, dict) or len(fields) <= _QUERY_UTM:
         held = ", ".join(sorted(content)) or "nothing"
         raise BadInput(

@@ -170,7 +170,7 @@ def read_struct(path: Path) -> tuple[dict[str, Tensor], tuple[float, ...]]:
     """
     wanted = "wanted a MatConvNet network converted to plain structs, such as Pitts30K_struct.mat"
     try:
-        net = read_mat(path, ["net"], squeeze=True)["net"]
+        net = read_mat(path, ["net"])["net"]
         mean = np.asarray(net["meta"]["normalization"]["averageImage"], np.float64).reshape(-1, 3)[0]
         tensors = _named(net["layers"])
     except OSError as error:

@@ -19,8 +19,8 @@ from omegaconf.errors import OmegaConfBaseException
 from vprbench.errors import BadInput
 from vprbench.plugins import entries, registry
 from vprbench.plugins.entries import Folder, Group
+from vprbench.plugins.options import check_value
 from vprbench.plugins.tuned_places import parse_tuned_on
-from vprbench.plugins.values import check_value
 from vprbench.runs.request import OPTIONS, RunRequest
 from vprbench.runs.timing_protocol import Protocol
 from vprbench.storage.folders import require_homes

@@ -192,7 +192,8 @@ def _temporary(path):
     first = path.parts[0]
     if first == "tmp":
         return len(path.parts) == 2 and not path.name.startswith(("vprbench-", "dask-", "pymp-"))
-    return first not in ("dask", "watch", "logs") and (path.name.startswith(".") or path.suffix == ".tmp")
+    is_unfinished = path.name.startswith(".") and path.name != ".locks"
+    return first not in ("dask", "watch", "logs") and (is_unfinished or path.suffix == ".tmp")
 
 
 def stored(results):

@@ -60,7 +60,7 @@ def test_a_run_prints_one_json_object_and_answers_from_the_store_unless_forced_w
     assert main(["method=sad", *QUICK, "output=json"]) == 0
     assert json.loads(capsys.readouterr().out)["from_store"] is True
     assert main(["method=sad", *QUICK, "seed=1"]) == 2
-    assert "results cannot be written (Read-only file system)" in capsys.readouterr().err
+    assert "cannot be written (Read-only file system)" in capsys.readouterr().err
 
 
 def test_a_row_names_its_numbers_and_its_folder_from_the_store_too_under_the_words_of_its_command(capsys):
@@ -104,7 +104,7 @@ def test_list_shows_methods_and_datasets_and_a_broken_one_with_its_reason_and_ch
         assert entry.description
         assert re.search(rf"^{entry.name} +{re.escape(entry.description)}$", printed, re.MULTILINE)
     assert main(["check", "method=sad"]) == 0
-    assert "17 rules: 16 kept, 1 excepted, 0 broken" in capsys.readouterr().out
+    assert "14 rules: 13 kept, 1 excepted, 0 broken" in capsys.readouterr().out
 
 
 PLACES = "dataset.places=12 dataset.first_query_place=0"
@@ -168,7 +168,7 @@ def test_the_error_of_a_full_disk_is_shown_and_a_failure_is_recorded_without_the
     captured = capsys.readouterr()
     assert json.loads(captured.out)["run_folder"] is None
     assert "No space left on device" in captured.err
-    assert not list(Path("results").rglob("*.*"))
+    assert not list(Path("results").rglob("*.json"))
     monkeypatch.setattr("vprbench.methods.sad.SAD.match", fail)
     assert main(["method=sad", *QUICK]) == 1
     assert "vprbench: sad failed: RuntimeError: ~/photos is strange" in capsys.readouterr().err

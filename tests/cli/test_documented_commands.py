@@ -196,7 +196,7 @@ def execute(options):
         with pytest.MonkeyPatch.context() as patch:
             patch.setenv("VPRBENCH_DATA", str(Path("downloads").absolute()))
             return cli.main(options)
-    if options[0] in ("table", "figures", "report"):
+    if options[0] == "table":
         options = [*options, "rows=[SAD]", "seeds=1", "columns=[railway]"]
     elif options[0] == "search":
         options = [*options, "dataset=synthetic", f"places={PLACES}", "trials=1", "jobs=1"]

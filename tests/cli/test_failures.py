@@ -22,7 +22,7 @@ def store(tmp_path):
 
 
 def test_of_two_failures_of_one_configuration_the_last_is_kept(store):
-    last, other = a_failure(error="ValueError: no", missing=True), a_failure(config={"seed": 4})
+    last, other = a_failure(error="ValueError: no", missing=True), a_failure(config={**a_run().config, "seed": 4})
     for failure in (a_failure(), other, last):
         store.save_failure(failure)
     assert sorted(store.failures(), key=lambda failure: failure.config["seed"]) == [last, other]

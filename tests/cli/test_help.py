@@ -76,7 +76,7 @@ def test_help_and_completion_name_every_option_that_a_command_takes_with_its_mea
 ):
     kind = COMMANDS[name].option_class()
     taken = TAKEN[name] if kind is None else {field.name for field in fields(kind)}
-    of_many_runs = name in ("compare", "table", "figures", "report")
+    of_many_runs = name in ("compare", "table")
     if of_many_runs or name == "run":
         taken |= OF_RUNS - {*getattr(kind, "refused", ())}
     lines = helped(capsys, name)
@@ -89,8 +89,8 @@ def test_help_and_completion_name_every_option_that_a_command_takes_with_its_mea
         def stop(*_):
             raise BadInput("it would run")
 
-        makers = {"compare": "comparison.make.make_comparison", "report": "page.make.make_report"}
-        monkeypatch.setattr(f"vprbench.report.{makers.get(name, f'{name}.make.make_{name}')}", stop)
+        maker = {"compare": "comparison.make.make_comparison", "table": "table.make.make_table"}[name]
+        monkeypatch.setattr(f"vprbench.report.{maker}", stop)
         given = [name, *(["methods=sad", "dataset=synthetic"] if name == "compare" else [])]
         shown = lines.keys() & (taken | OF_RUNS)
         assert [option for option in shown if refused(capsys, *given, f"{option}=null")] == []

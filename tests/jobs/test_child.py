@@ -19,6 +19,7 @@ from vprbench.jobs import child, executors
 from vprbench.jobs.job import JobResult
 from vprbench.plugins import entries
 from vprbench.runs.request import RunRequest
+from vprbench.runs.run_lock import read_claims
 from vprbench.runs.store import Store
 
 RUN = ["dataset=synthetic", "dataset.places=12", "timing=none", "frames=false", "threads=1"]
@@ -95,7 +96,7 @@ def test_a_process_that_dies_is_one_failure_with_its_exit_code_or_signal_and_its
 def test_a_process_is_ended_at_its_limit_with_its_children_and_frees_its_lock(run, tmp_path):
     assert "limit_minutes=0.05" in run(SLEEPER + "time.sleep(60)", limit_minutes=0.05).error
     assert not is_running("sleeper")
-    assert not (tmp_path / "results" / ".locks").exists()
+    assert read_claims(tmp_path / "results") == []
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])

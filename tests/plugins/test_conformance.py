@@ -63,89 +63,9 @@ class Pixels(Prototypes):
         return self
 
 
-class ChangesWhatItGave(Pixels):
-    def match(self, codes):
-        self.given = super().match(codes)
-        return self.given
-
-    def extend(self, references, places):
-        self.given += 1
-        return super().extend(references, places)
-
-
-def forget(method, references, places):
-    Pixels.extend(method, references, places).state()["means"][0] += 9
-    return method
-
-
-def learn_nothing(method, references, places):
-    Pixels.extend(method, references, places).state()["means"][places[0]] = 0
-    return method
-
-
-def wrong(name, **methods):
-    """Return a method that differs from Pixels in these, which the registry finds in this file."""
-    return globals().setdefault(name, type(name, (Pixels,), methods))
-
-
-def answering(name, alter):
-    return wrong(name, match=lambda self, codes: alter(Pixels.match(self, codes), codes))
-
-
-def encoding(name, alter):
-    return wrong(name, encode=lambda self, images: alter(Pixels.encode(self, images), images))
-
-
-def spiking(name, values):
-    return wrong(name, spikes=lambda self, codes: [LayerSpikes("grid", values(codes))])
-
-
 class ChangesArguments(Pixels):
     def __init__(self, bins=4):
         super().__init__(bins=bins + 1)
-
-
-def write_on(codes, images):
-    for image in images:
-        image[0, 0] = 0
-    return codes
-
-
-def fail_on_black(codes, images):
-    if (codes.max(1) == 0).any():
-        raise ValueError("log of zero")
-    return codes
-
-
-def lose(method):
-    own = Pixels.state(method)["means"]
-    kept = own.copy()
-    own[:] = 0
-    return {"means": kept}
-
-
-def answer_unfitted(method, codes):
-    return np.zeros((len(codes), 20), np.float32) if method._means is None else Pixels.match(method, codes)
-
-
-def count_on(codes):
-    codes += 1
-    return codes
-
-
-def count_on_the_map(method, codes):
-    method.state()["means"][:] += 1
-    return [LayerSpikes("grid", codes)]
-
-
-def spike(_, codes):
-    return [LayerSpikes("grid", codes.round()), LayerSpikes("bright", codes / 255, "amplitude")]
-
-
-class KeepsNoNetwork(DescriptorMethod):
-    def encode(self, images):
-        colours = np.array([image.mean(axis=(0, 1)) for image in images], np.float32).reshape(-1, 3)
-        return colours / np.maximum(np.linalg.norm(colours, axis=1, keepdims=True), 1e-12)
 
 
 class Overwrites(Pixels):
@@ -178,38 +98,90 @@ class OtherCandidatesInABatch(FewCandidates):
         return scores
 
 
+class KeepsNoNetwork(DescriptorMethod):
+    def encode(self, images):
+        colours = np.array([image.mean(axis=(0, 1)) for image in images], np.float32).reshape(-1, 3)
+        return colours / np.maximum(np.linalg.norm(colours, axis=1, keepdims=True), 1e-12)
+
+
+def wrong(name, **methods):
+    """Return a method that differs from Pixels in these, which the registry finds in this file."""
+    return globals().setdefault(name, type(name, (Pixels,), methods))
+
+
+def answering(name, alter):
+    return wrong(name, match=lambda self, codes: alter(Pixels.match(self, codes), codes))
+
+
+def encoding(name, alter):
+    return wrong(name, encode=lambda self, images: alter(Pixels.encode(self, images), images))
+
+
+def spiking(name, values):
+    return wrong(name, spikes=lambda self, codes: [LayerSpikes("grid", values(codes))])
+
+
+def growing(name, choose, added):
+    """Return a method that adds to the mean of one place when it learns others."""
+
+    def extend(method, references, places):
+        Pixels.extend(method, references, places).state()["means"][choose(places)] += added
+        return method
+
+    return wrong(name, extend=extend)
+
+
+def write_on(codes, images):
+    for image in images:
+        image[0, 0] = 0
+    return codes
+
+
+def fail_on_black(codes, images):
+    if (codes.max(1) == 0).any():
+        raise ValueError("log of zero")
+    return codes
+
+
+def answer_unfitted(method, codes):
+    return np.zeros((len(codes), 20), np.float32) if method._means is None else Pixels.match(method, codes)
+
+
+def count_on(codes):
+    codes += 1
+    return codes
+
+
 BATCH = "a batch gives what its single images give"
 ENCODES = "encode returns one array whose first axis is the image"
-RETURNS = "fit returns the method"
-STORED = "a stored network answers as the trained one"
-SPIKES = "spikes are counts or amplitudes by layer and query"
-Spikes = wrong("Spikes", spikes=spike)
+FORGETS = "fit forgets an earlier fit and returns the method"
 GROWN = "places learnt after fit are scored and change no score of known ones"
-NAMES = "the names of images do not matter"
 ORDER = "the order of queries does not matter"
 REPEATED = "the same seed gives the same scores"
-FORGETS = "fit forgets an earlier fit"
+SPIKES = "spikes are counts or amplitudes by layer and query"
+STORED = "a stored network answers as the trained one"
 Random = answering("Random", lambda scores, _: scores + np.random.default_rng().random(1, np.float32))
-EXCEPTIONS = dict.fromkeys((REPEATED, FORGETS, BATCH, ORDER, NAMES, STORED, GROWN), "it draws")
+EXCEPTIONS = dict.fromkeys((REPEATED, FORGETS, BATCH, ORDER, STORED, GROWN), "it draws")
 Excused = wrong("Excused", match=Random.match, conformance_exceptions=EXCEPTIONS)
 ExcusedForNothing = wrong("ExcusedForNothing", conformance_exceptions={"no such rule": "because"})
+Spikes = spiking("Spikes", np.round)
 
 WRONG: dict[str, list[type[Pixels]]] = {
     "the constructor only stores its arguments": [ChangesArguments],
     ENCODES: [
-        encoding("EncodesNothing", lambda codes, _: None),
         encoding("EncodesAList", lambda codes, _: list(codes)),
-        encoding("EncodesABatchAsOne", lambda codes, _: codes.mean(0)),
         wrong("FailsToFit", fit=lambda *given: Pixels.missing),
     ],
-    RETURNS: [wrong("ReturnsNothing", fit=lambda *given: Pixels.fit(*given) and None)],
-    FORGETS: [wrong("FitsOnce", fit=lambda self, *given: Pixels.fit(self, *given) if self._means is None else self)],
+    FORGETS: [
+        wrong("ReturnsNothing", fit=lambda *given: Pixels.fit(*given) and None),
+        wrong("FitsOnce", fit=lambda self, *given: Pixels.fit(self, *given) if self._means is None else self),
+    ],
     "query before fit raises NotFittedError": [wrong("AnswersUnfitted", match=answer_unfitted)],
-    "inputs are never modified": [
+    "arrays that were given or returned are never modified": [
         encoding("WritesOnImages", write_on),
         wrong("WritesOnCodes", match=lambda self, codes: Pixels.match(self, count_on(codes))),
+        Overwrites,
     ],
-    "what was returned is never modified": [Overwrites],
     REPEATED: [Random],
     BATCH: [
         wrong("LooksAtTheBatch", match=lambda self, codes: Pixels.match(self, codes - codes.mean(0))),
@@ -224,24 +196,18 @@ WRONG: dict[str, list[type[Pixels]]] = {
         answering("NoCandidateAtAll", lambda scores, _: np.full_like(scores, -np.inf)),
     ],
     "higher scores mean more alike": [answering("Distance", lambda scores, _: -scores)],
-    NAMES: [
-        encoding("ReadsNames", lambda codes, images: codes + np.array([[len(n)] for n in images.names], np.float32))
-    ],
     "black images and images of other sizes are accepted": [encoding("FailsOnBlack", fail_on_black)],
     STORED: [
         wrong("StoresRounded", state=lambda self: {name: a.round() for name, a in Pixels.state(self).items()}),
         wrong("StoresUnfitted", state=lambda self: {} if self._means is None else Pixels.state(self)),
         wrong("RestoresOnce", restore=lambda self, state: Pixels.restore(self, state) if self._means is None else self),
-        wrong("LosesWhatItStores", state=lose),
     ],
-    GROWN: [wrong("ForgetsThePast", extend=forget), wrong("LearnsNothing", extend=learn_nothing), ChangesWhatItGave],
+    GROWN: [growing("ForgetsThePast", lambda _: 0, 9), growing("LearnsNothing", min, -999)],
     SPIKES: [
         spiking("SpikesBelowZero", lambda codes: codes - 255),
-        spiking("SpikesWithoutANumber", lambda codes: codes * np.float32(np.nan)),
         spiking("SpikesOfTooFewQueries", lambda codes: codes[1:]),
         wrong("LayersOfOneName", spikes=lambda _, codes: [LayerSpikes("grid", codes), LayerSpikes("grid", codes)]),
         spiking("CountsOnTheCodes", count_on),
-        wrong("CountsOnItsMap", spikes=count_on_the_map),
     ],
 }
 
@@ -253,6 +219,8 @@ def broken(method, **arguments):
 
 def test_a_method_that_differs_in_nothing_that_matters_keeps_every_rule_and_each_rule_has_a_wrong_one():
     assert [broken(method) for method in (Pixels, FewCandidates, Spikes)] == [[]] * 3
+    for index, neighbours in (("sq8", 5), ("hnsw", 100)):
+        assert broken(KeepsNoNetwork, index=index, neighbours=neighbours) == []
     assert list(WRONG) == list(RULES)
 
 
@@ -262,15 +230,13 @@ def test_a_method_that_differs_in_nothing_that_matters_keeps_every_rule_and_each
 def test_the_rule_catches_what_breaks_it(rule, method):
     found = broken(method, **({"bins": 4} if method is ChangesArguments else {}))
     assert rule in found
-    if rule in (ENCODES, RETURNS, STORED, SPIKES) or method is OtherCandidatesInABatch:
+    if rule in (ENCODES, STORED, SPIKES) or method is OtherCandidatesInABatch:
         assert found == [rule]
 
 
-def test_an_approximate_index_breaks_no_rule_and_exceptions_are_counted_with_their_reasons():
-    for index, neighbours in (("sq8", 5), ("hnsw", 100)):
-        assert broken(KeepsNoNetwork, index=index, neighbours=neighbours) == []
+def test_exceptions_are_counted_with_their_reasons():
     excepted = [r for r in check_method({"_target_": f"{__name__}.Excused"}) if r.state == "excepted"]
-    assert [r.reason for r in excepted] == ["it draws"] * 7
+    assert [r.reason for r in excepted] == ["it draws"] * 6
     excepted = [r for r in check_method({"_target_": f"{__name__}.KeepsNoNetwork"}) if r.state == "excepted"]
     assert [(result.rule, result.reason) for result in excepted] == [(STORED, "it keeps no network")]
     assert broken(ExcusedForNothing) == ["no such rule"]  # an exception from a rule that does not exist
@@ -287,8 +253,6 @@ def test_a_method_that_replaces_query_is_refused():
         ({"places": "0-9, 30-39", "also_in": {"synthetic": "0-4", "nordland": "unknown"}}, "kept", ""),
         ({"places": "0-9", "also_in": ["synthetic"]}, "kept", ""),
         ({"dataset": "nordlant", "places": "0-9"}, "broken", "nordland"),
-        ({"places": "0-9", "also_in": {"nordland_vprsnn": "0-9"}}, "broken", "nordland_vprsnn"),
-        ({"places": "the first ten"}, "broken", "the first ten"),
         ({"places": "9-0"}, "broken", "9-0"),
         ({"places": "unknown"}, "broken", "unknown"),
         ({}, "broken", "tuned_on"),

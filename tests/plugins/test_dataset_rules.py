@@ -64,34 +64,19 @@ WRONG: dict[str, list[Callable[..., Dataset]]] = {
     ],
     "it has the name that was asked for": [lambda name="right": right(name="mine")],
     "right places are whole numbers, ascending, each once": [truth([0.0]), truth([0, 0]), truth([1, 0])],
-    "most queries have a right place": [truth([], [], [], [])],
-    "no query is right everywhere": [truth([*range(N)])],
     "images are uint8 (height, width, 3)": [
         lambda: right(queries=frames(lambda i: picture(i).astype(np.float32))),
         lambda: right(queries=frames(lambda i: picture(i)[:, :, :2])),
     ],
-    "images show something": [
-        lambda: right(queries=frames(lambda i: 0 * picture(i)), references=frames(lambda i: 0 * picture(i)))
-    ],
-    "images of a traverse have one size, or notes say so": [
-        lambda: right(queries=frames(lambda i: picture(i, 12 + i)))
-    ],
     "an image is the same however it is read": [
         lambda: right(queries=frames(drifting)),
-    ],
-    "every image of a traverse has a name of its own": [
-        lambda: right(queries=Images(picture, ["one"] * N, stamp=lambda i: b"")),
-        lambda: right(queries=Images(picture, ["", *"abcde"], stamp=lambda i: b"")),
     ],
     "the protocol holds plain values": [
         protocol(references=("day",), query="night"),
         protocol(references=Path("day"), query="night"),
         protocol(references="day", query=float("nan")),
     ],
-    "the protocol says what references and queries are": [protocol(), protocol(references="day")],
-    "place numbers ascend along the journey": [lambda: right(place_numbers=np.arange(N)[::-1])],
     "held-out queries are none of the queries": [held_out],
-    "notes are lines": [lambda: right(notes="one"), lambda: right(notes=("two\nlines",))],
 }
 
 
@@ -109,7 +94,7 @@ def test_the_rule_alone_catches_what_breaks_it(rule, make):
 
 
 def test_a_right_dataset_keeps_every_rule_and_each_rule_has_a_wrong_one():
-    assert broken(right) == broken(lambda: right(place_numbers=np.arange(N) * 2, notes=("a note",))) == {}
+    assert broken(right) == {}
     assert list(WRONG) == list(DATASET_RULES)
 
 
@@ -120,14 +105,11 @@ def test_rendered_datasets_keep_every_rule():
         assert {result.state for result in results} == {"kept"}
 
 
-@pytest.mark.parametrize("sizes", [(12, 12), (12, 14)])
-def test_written_folders_keep_every_rule(tmp_path, sizes):
+def test_written_folders_keep_every_rule(tmp_path):
     for number, traverse in enumerate(("monday", "tuesday", "friday")):
         (tmp_path / traverse).mkdir()
         for place in range(4):
-            shown = Pictures.fromarray(picture(10 * number + place, sizes[place % 2]))
-            shown.save(tmp_path / traverse / f"{place}.png")
+            Pictures.fromarray(picture(10 * number + place)).save(tmp_path / traverse / f"{place}.png")
     folders = {"references": [str(tmp_path / "monday"), str(tmp_path / "tuesday")], "queries": str(tmp_path / "friday")}
-    results = [*check_dataset({"_target_": "vprbench.datasets.folders.folders", **folders})]
-    assert [result.rule for result in results if result.state == "broken"] == []
-    assert sum(result.state == "excepted" for result in results) == 1 + (sizes[0] != sizes[1])  # two of a name; sizes
+    results = check_dataset({"_target_": "vprbench.datasets.folders.folders", **folders})
+    assert {result.state for result in results} == {"kept"}

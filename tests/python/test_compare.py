@@ -42,6 +42,18 @@ def test_methods_are_ranked_with_their_metrics_and_a_sentence():
     assert (len(pairs.results[0].queries), pairs.table["recall_at_1"].tolist()[0]) == (29, 1.0)
 
 
+def test_a_comparison_writes_the_files_of_the_command_line(tmp_path):
+    given = vprbench.compare([answering(3), answering(24)], journey(30, 30), timing="none")
+    written = given.in_sequences(2).write(tmp_path / "out", "pairs")
+    assert [path.name for path in written] == [
+        *("pairs.md", "pairs.csv", "pairs.tex", "pairs-runs.csv", "pairs-predictions.csv"),
+        *("captions.md", "pairs.html"),
+    ]
+    assert all(path.is_file() for path in written)
+    assert {"similarity-journey", "recall-at-n-journey"} <= given.figures().keys()
+    assert [group.view for group in given.report.groups] == [""]
+
+
 def test_a_method_that_was_tuned_on_places_of_the_dataset_has_its_recall_on_the_others_beside_it():
     given = vprbench.compare([answering(3), answering(24)], journey(30, 30), timing="none")
     assert given.table["elsewhere"].isna().all()

@@ -66,18 +66,7 @@ def test_a_run_is_asked_for_by_its_request_and_one_without_its_method_is_a_failu
     assert asked == []
 
 
-def test_weights_that_are_missing_are_looked_for_once_and_without_a_process(monkeypatch, children, store, tmp_path):
-    monkeypatch.setenv("VPRBENCH_WEIGHTS", str(tmp_path))
-    asked = children(JobResult(0))
-    row = Row("GCL", "gcl", arguments={"backbone": "vgg16"}, training="pretrained")
-    cells = [a_cell(row), a_cell(row, title="Route", options=["dataset.name=route"])]
-    assert [(ending.code, ending.missing) for ending in make_missing_runs(cells, store)] == [(2, True)] * 2
-    told = {(each.dataset, each.missing, "MSLS_vgg16_GeM_480_GCL.pth" in each.error) for each in store.failures()}
-    assert told == {("synthetic", True, True), ("route", True, True)}
-    assert asked == []
-    (tmp_path / "MSLS_vgg16_GeM_480_GCL.pth").write_bytes(b"what is in it is for the process to see")
-    assert make_missing_runs(cells[:1], store) == [JobResult(0)]
-    assert len(asked) == 1
+def test_what_is_missing_for_one_seed_is_sought_for_no_other(children, store):
     missing = JobResult(2, "weights are missing", True)  # as a process tells of its first seed
     asked = children(missing, JobResult(0))
     endings = make_missing_runs([a_cell(seed=0), a_cell(seed=1), a_cell(Row("PCA", "pca"))], store)

@@ -174,22 +174,13 @@ def test_what_was_kept_is_found_memory_mapped_and_read_only(tmp_path):
     assert (isinstance(found.base, np.memmap), found.flags.writeable) == (True, False)
 
 
-@pytest.mark.parametrize(
-    "damage",
-    [
-        lambda path: path.write_bytes(path.read_bytes()[:-20]),
-        lambda path: path.write_bytes(b"<html>"),
-        lambda path: np.save(path, np.zeros((9, 4), np.float32)),
-        lambda path: np.save(path, np.zeros((N, 4))),
-    ],
-    ids=["cut", "page", "other number", "other type"],
-)
-def test_a_damaged_file_is_named_and_made_anew(tmp_path, caplog, damage):
+@pytest.mark.parametrize("damage", [lambda whole: whole[:-20], lambda whole: b"<html>"], ids=["cut", "page"])
+def test_a_damaged_file_is_made_anew(tmp_path, damage):
     describe(tmp_path)
     (path,) = tmp_path.glob("*.npy")
-    damage(path)
+    path.write_bytes(damage(path.read_bytes()))
     again, kept, _ = describe(tmp_path)
-    assert (kept, path.name in caplog.text) == (0, True)
+    assert kept == 0
     assert np.array_equal(again, some(pictures(range(N))))
 
 
@@ -199,16 +190,6 @@ def disk(monkeypatch):
     changes, usage = {}, shutil.disk_usage
     monkeypatch.setattr(row_files.shutil, "disk_usage", lambda folder: usage(folder)._replace(**changes))
     return changes
-
-
-@pytest.mark.parametrize("folder", ["file", "full"])
-def test_a_folder_that_takes_nothing_leaves_the_descriptors_in_memory(tmp_path, caplog, disk, folder):
-    (tmp_path / "file").write_text("")
-    disk["free"] = 0
-    made, kept, _ = describe(tmp_path / folder)
-    assert (made.tolist(), kept) == (some(pictures(range(N))).tolist(), 0)
-    assert "no descriptors are kept" in caplog.text
-    assert not [*tmp_path.rglob("*.npy")]
 
 
 def interrupted(after):
@@ -240,7 +221,7 @@ def test_an_interrupted_encoding_goes_on_after_a_stretch_with_the_same_bits(tmp_
 def test_another_file_in_the_place_of_an_unfinished_one_is_written_anew(tmp_path):
     wanted, *_ = describe(tmp_path)
     (path,) = tmp_path.glob("*.npy")
-    for content in (b"", b"<html>", path.read_bytes().replace(b"(10, 4)", b"(11, 4)")):
+    for content in (b"", b"<html>", path.read_bytes()[:20]):
         path.unlink()
         path.with_name(f"{path.name}.part").write_bytes(content)
         found, kept, _ = describe(tmp_path)
@@ -256,10 +237,10 @@ def test_descriptors_go_through_memory_block_by_block(tmp_path):
     assert peak < 2000 * 10_000 * 4 / 3
 
 
-def test_more_than_fits_into_memory_is_refused_where_the_disk_is_full_and_goes_on_when_there_is_room(
-    tmp_path, monkeypatch, disk
-):
-    monkeypatch.setattr(row_files, "LARGE_BYTES", 1000)
+def test_a_full_disk_and_no_folder_are_refused_and_the_encoding_goes_on_when_there_is_room(tmp_path, disk):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(BadInput, match=r"10 descriptors cannot be kept in .*file"):
+        describe(tmp_path / "file")
     with pytest.raises(ZeroDivisionError):
         describe(tmp_path, interrupted(1100), MANY)
     disk["free"] = 0

@@ -17,9 +17,8 @@ from little import Lookup, a_failure, a_run, journey
 from little_runs import QUICK, asked_for, table
 
 from vprbench import cli
-from vprbench.runs import run_lock
 from vprbench.runs.get_or_run import get_or_run
-from vprbench.runs.run_lock import HeldElsewhereError, RunLock, read_claims
+from vprbench.runs.run_lock import HeldElsewhereError, is_held, lock_run, read_claims
 from vprbench.runs.store import Store
 
 pytestmark = pytest.mark.usefixtures("surroundings")
@@ -29,11 +28,10 @@ ABOUT = {"method": "little", "dataset": "journey", "seed": 3, "device": "cpu", "
 HOLDER = """
 import sys, time
 from pathlib import Path
-from vprbench.runs.run_lock import RunLock
-lock = RunLock(Path(sys.argv[1]), sys.argv[2], {})
-assert lock.acquire(wait=False)
-print(flush=True)
-time.sleep(60)
+from vprbench.runs.run_lock import lock_run
+with lock_run(Path(sys.argv[1]), sys.argv[2], {}):
+    print(flush=True)
+    time.sleep(60)
 """
 
 
@@ -47,33 +45,34 @@ def held_elsewhere(root, run=RUN):
         process.kill()
 
 
-@pytest.mark.parametrize("run", [RUN, "a/b", "a-b", "ü/\udcff " + 300 * "x", "../../up"])
-def test_of_all_who_want_a_run_of_any_name_one_gets_it_and_after_it_the_next_and_nothing_is_left(run, tmp_path):
+@pytest.mark.parametrize("run", [RUN, "a/b", "ü/\udcff " + 300 * "x", "../../up"])
+def test_of_all_who_want_a_run_of_any_name_one_gets_it_and_after_it_the_next(run, tmp_path):
     for _ in range(2):
-        lock = RunLock(tmp_path / "results", run, {})
-        assert lock.acquire()
-        with lock:
-            assert not RunLock(tmp_path / "results", run, {}).acquire(wait=False)
-            assert [*(tmp_path / "results" / ".locks").iterdir()] == [lock.path]
-            assert RunLock(tmp_path / "results", f"{run}0", {}).acquire(wait=False)
-        run_lock.remove_leftovers(tmp_path / "results")
-        assert [*(tmp_path / "results").iterdir()] == []
+        with lock_run(tmp_path, run, {}), lock_run(tmp_path, f"{run}0", {}):
+            with pytest.raises(HeldElsewhereError) as raised, lock_run(tmp_path, run, {}, wait=False):
+                pass
+            assert is_held(raised.value.path)
+            assert len(read_claims(tmp_path)) == 2
+        assert read_claims(tmp_path) == []
+    assert [path.name for path in tmp_path.iterdir()] == [".locks"]
 
 
 def test_the_lock_of_a_stopped_process_is_held_and_of_a_killed_one_free_at_once(tmp_path):
     with held_elsewhere(tmp_path) as process:
         process.send_signal(signal.SIGSTOP)
-        assert not RunLock(tmp_path, RUN, {}).acquire(wait=False)
         (claim,) = read_claims(tmp_path)
-        (path,) = (tmp_path / ".locks").iterdir()
-        assert (claim["process"], run_lock.is_held(path)) == (process.pid, True)
-        run_lock.remove_leftovers(tmp_path)
+        assert claim["process"] == process.pid
         process.kill()
         process.wait()
-        assert (read_claims(tmp_path), run_lock.is_held(path), path.exists()) == ([], False, True)
-        run_lock.remove_leftovers(tmp_path)
-        assert [*tmp_path.iterdir()] == []
-        assert not run_lock.is_held(path)
+        assert read_claims(tmp_path) == []
+        with lock_run(tmp_path, RUN, {}, wait=False):
+            assert len(read_claims(tmp_path)) == 1
+
+
+def test_where_nothing_can_be_locked_a_warning_says_so_and_the_work_is_done(tmp_path, caplog):
+    (tmp_path / ".locks").write_text("no folder")
+    with lock_run(tmp_path, RUN, {}):
+        assert RUN in caplog.text
 
 
 @dataclass
@@ -100,33 +99,30 @@ def made(method, store, *waiting):
 def lock_of_another(store):
     """Lock the run of `made` as another process would: it is known by what it would be stored as."""
     elsewhere = Store(store.root.with_name("elsewhere"))
-    made(busy(), elsewhere)
-    (folder,) = (elsewhere.root / "journey").iterdir()
+    folder = made(busy(), elsewhere).folder
     return held_elsewhere(store.root, f"journey/{folder.name}")
 
 
-def test_a_run_is_locked_while_it_is_made_and_nothing_is_left_of_the_lock_nor_is_a_stored_run_locked(
-    store, monkeypatch
-):
+def test_a_run_is_locked_while_it_is_made_and_a_stored_run_is_not(store, monkeypatch):
     seen = []
     made(busy(lambda: seen.extend(read_claims(store.root))), store)
     (claim,) = seen
     about = {"method": "little", "dataset": "journey", "seed": 0, "device": "cpu", "corruption": None}
     assert {name: claim[name] for name in about} == about
-    assert [path.name for path in store.root.iterdir()] == ["journey"]
-    monkeypatch.setattr(RunLock, "acquire", None)
+    assert read_claims(store.root) == []
+    monkeypatch.setattr("vprbench.runs.get_or_run.lock_run", None)
     assert made(busy(), store).from_store
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, ValueError])
-def test_of_a_run_that_fails_or_is_interrupted_nothing_is_left(error, store):
+def test_of_a_run_that_fails_or_is_interrupted_no_lock_and_no_file_is_left(error, store):
     def fail():
         assert len(read_claims(store.root)) == 1
         raise error
 
     with pytest.raises(error):
         made(busy(fail), store)
-    assert [*store.root.iterdir()] == []
+    assert (read_claims(store.root), [*(store.root / "journey").iterdir()]) == ([], [])
 
 
 def test_in_a_sweep_a_run_that_another_process_makes_is_left_to_it(store):
@@ -134,30 +130,11 @@ def test_in_a_sweep_a_run_that_another_process_makes_is_left_to_it(store):
     with lock_of_another(store) as process:
         with pytest.raises(HeldElsewhereError) as raised:
             made(method, store, False)
-        assert (run_lock.is_held(raised.value.path), method.fits) == (True, [])
+        assert (is_held(raised.value.path), method.fits) == (True, [])
         process.kill()
         process.wait()
     assert not made(method, store, False).from_store
     assert method.fits == [1]
-
-
-def test_alone_a_run_waits_for_the_process_that_makes_it_and_is_answered_from_the_store(store, caplog):
-    begun = threading.Event()
-
-    def wait_for_the_other():
-        begun.set()
-        while "waiting for it" not in caplog.text:
-            pass
-
-    caplog.set_level("INFO")
-    other = threading.Thread(target=made, args=(busy(wait_for_the_other), store))
-    other.start()
-    begun.wait(20)
-    method = busy()
-    assert made(method, store).from_store
-    other.join()
-    assert method.fits == []
-    assert [path.name for path in store.root.iterdir()] == ["journey"]
 
 
 def test_of_ten_processes_that_want_a_run_one_makes_it_and_the_others_find_it(store, tmp_path):
@@ -173,7 +150,6 @@ def test_of_ten_processes_that_want_a_run_one_makes_it_and_the_others_find_it(st
     for process in processes:
         process.join()
     assert (len(fits.read_text().split()), found.read_text().split().count("True")) == (1, 9)
-    assert [path.name for path in store.root.iterdir()] == ["journey"]
 
 
 def note(path, word="once"):
@@ -182,7 +158,7 @@ def note(path, word="once"):
         file.write(f"{word}\n")
 
 
-def test_a_run_that_another_process_could_not_make_meanwhile_is_tried_again(store):
+def test_a_run_that_another_process_could_not_make_meanwhile_is_waited_for_and_tried_again(store):
     with lock_of_another(store) as process:
         threading.Timer(0.3, process.kill).start()
         method = busy()
@@ -198,14 +174,12 @@ def printed(capsys, store, *options):
 def test_stored_runs_and_failures_are_counted_and_a_run_that_is_being_made_stands_there_with_its_process(store, capsys):
     for seed in range(3):
         store.save(a_run(key=f"{seed % 2}"))
-        store.save_failure(a_failure(config={"seed": seed}))
+        store.save_failure(a_failure(config={**a_run().config, "seed": seed}))
     for path in (".partial-1/run.json", "journey/.partial-2/run.json", "descriptors/1/2/run.json"):
         (store.root / path).parent.mkdir(parents=True)
         (store.root / path).write_text("{}")
     assert len(printed(capsys, store).splitlines()) == 2
-    lock = RunLock(store.root, "journey/little-1", ABOUT)
-    assert lock.acquire()
-    with lock:
+    with lock_run(store.root, "journey/little-1", ABOUT):
         (store.root / ".locks/of-a-killed-process").write_text('{"about": {"met')
         head, row = printed(capsys, store, "wide=true").splitlines()[1:]
         told = json.loads(printed(capsys, store, "output=json"))

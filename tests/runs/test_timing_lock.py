@@ -44,7 +44,7 @@ def test_a_run_is_timed_once_the_others_have_computed_and_none_begins_meanwhile(
             time.sleep(0.5)
             timed = time.time()
         assert float(begins.communicate()[0]) > timed
-    assert timing_lock.is_only_run()
+        assert timing_lock.is_only_run()
 
 
 def test_runs_that_compute_side_by_side_and_are_then_to_be_timed_are_timed_one_after_the_other():

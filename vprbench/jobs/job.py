@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from vprbench.errors import BadInput, MissingData, TrainingDivergedError, format_error, hide_home
-from vprbench.plugins.local_plugins import locate_error
+from vprbench.plugins.registry import locate_error
 from vprbench.runs.record import Failure
 from vprbench.runs.request import RunRequest
 from vprbench.terminal.streams import complain

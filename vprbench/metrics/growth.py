@@ -33,7 +33,7 @@ def fit_power(n_places: npt.ArrayLike, seconds: npt.ArrayLike) -> Power:
     at one number of places, such as those of seeds, the median counts as one. Raises BadInput for fewer than 3
     different sizes and for times that are not above 0.
     """
-    from scipy.stats import t  # count_operations long to import
+    from scipy.stats import t  # takes long to import
 
     given, all_times = np.asarray(n_places, np.float64), np.asarray(seconds, np.float64)
     sizes = np.unique(given)

@@ -213,7 +213,7 @@ def _expanded(confidence: float, n_blocks: float) -> float:
     A bootstrap of n values takes their spread as known and (n - 1) / n too small (Hesterberg 2015, expanded percentile
     interval); n is the number of blocks here.
     """
-    from scipy.special import stdtrit  # count_operations long to import
+    from scipy.special import stdtrit  # takes long to import
 
     score = math.sqrt(n_blocks / (n_blocks - 1)) * float(stdtrit(n_blocks - 1, (1 + confidence) / 2))
     return min(2 * NormalDist().cdf(score) - 1, 1 - 1e-9)
@@ -250,7 +250,7 @@ def mcnemar_exact(hits_a: npt.ArrayLike, hits_b: npt.ArrayLike, window: int = 1)
     ways to begin, which holds whatever these share (Vovk and Wang 2020), and b and c are of all queries. Raises
     ValueError for other values or different lengths.
     """
-    from scipy.special import bdtr  # count_operations long to import
+    from scipy.special import bdtr  # takes long to import
 
     first, second = np.asarray(hits_a, dtype=np.float64), np.asarray(hits_b, dtype=np.float64)
     if first.ndim != 1 or first.shape != second.shape:

@@ -9,14 +9,12 @@ from typing import Any, Literal
 
 from vprbench.errors import BadInput
 from vprbench.plugins.dataset_rules import DATASET_RULES, BuiltDataset
-from vprbench.plugins.local_plugins import describe_error
-from vprbench.plugins.opened_files import find_unnamed_files, record_opened_files
-from vprbench.plugins.registry import arguments, entries, make_dataset, make_method, near
+from vprbench.plugins.entries import entries
+from vprbench.plugins.registry import arguments, check_arguments, describe_error, make_dataset, make_method
 from vprbench.plugins.rules import ENCODE_RULE, RULES, RuleBrokenError, RuleExceptedError, Subject, require
 from vprbench.plugins.tuned_places import UNKNOWN, parse_places, parse_tuned_on
-from vprbench.text import some
+from vprbench.text import near
 
-FILES_RULE = "files() names the files that it reads"
 TUNED_RULE = "tuned_on names datasets and numbers of their places"
 
 
@@ -34,10 +32,7 @@ class Result:
 
 
 def check_method(config: Mapping[str, Any], given: Set[str] = frozenset()) -> Iterator[Result]:
-    """Put the method of a configuration to every rule.
-
-    A rule in the method's `conformance_exceptions` is excepted with its reason. The first fit and encode that fail are
-    the last result, for without codes every other rule would say the same.
+    """Put the method of a configuration to every rule; a first fit or encode that fails ends the rules.
 
     Args:
         config: `_target_` and arguments of the method, and what its yaml declares.
@@ -52,32 +47,26 @@ def check_method(config: Mapping[str, Any], given: Set[str] = frozenset()) -> It
     method.files()
     own = {name: value for name, value in method.conformance_arguments.items() if name not in given}
     config = {**arguments(config), **own}
+    subject = Subject(partial(make_method, config), check_arguments("method", config)[1])
     exceptions = dict(method.conformance_exceptions)
-    subject = Subject(partial(make_method, config), config)
-    with record_opened_files() as opened:
-        for rule, test in RULES.items():
-            if rule in exceptions:
-                yield Result(rule, "excepted", exceptions.pop(rule))
-                continue
-            result = _apply(rule, partial(test, subject))
-            yield result
-            if rule == ENCODE_RULE and result.state == "broken":
-                return
-    if unnamed := find_unnamed_files(opened, method):
-        remedy = "return it from files(), or runs are found again whatever it holds"
-        yield Result(FILES_RULE, "broken", f"it reads {some(unnamed)}: {remedy}")
+    for rule, test in RULES.items():
+        excepted = rule in exceptions
+        result = Result(rule, "excepted", exceptions.pop(rule)) if excepted else _apply(rule, partial(test, subject))
+        yield result
+        if rule == ENCODE_RULE and result.state == "broken":
+            return
     for rule in exceptions:
         yield Result(rule, "broken", "conformance_exceptions names a rule that does not exist")
 
 
 def check_dataset(config: Mapping[str, Any]) -> Iterator[Result]:
-    """Put the dataset of a configuration to every rule; of its images some are read.
+    """Put the dataset of a configuration to every rule; some of its images are read.
 
     Raises BadInput where it cannot be made, as for frames that are missing.
     """
-    made = BuiltDataset(make_dataset(config), partial(make_dataset, config), config)
+    built = BuiltDataset(make_dataset(config), partial(make_dataset, config), config)
     for rule, test in DATASET_RULES.items():
-        yield _apply(rule, partial(test, made))
+        yield _apply(rule, partial(test, built))
 
 
 def _check_tuned_on(tuned_on: Any) -> None:
@@ -95,8 +84,7 @@ def _apply(rule: str, test: Callable[[], None]) -> Result:
         test()
     except RuleExceptedError as error:
         return Result(rule, "excepted", str(error))
-    except (RuleBrokenError, BadInput) as error:
-        return Result(rule, "broken", str(error))
     except Exception as error:
-        return Result(rule, "broken", describe_error(error))
+        explained = isinstance(error, RuleBrokenError | BadInput)
+        return Result(rule, "broken", str(error) if explained else describe_error(error))
     return Result(rule, "kept")

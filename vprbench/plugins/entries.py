@@ -5,11 +5,11 @@ from __future__ import annotations
 import importlib.util
 import re
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import yaml
 
@@ -18,47 +18,39 @@ from vprbench.errors import BadInput
 Group = Literal["method", "dataset"]
 Folder = Literal["method", "dataset", "timing", "cluster"]
 
-ENTRY_POINTS = "vprbench.conf"
-
 #: What the yaml of a method or dataset says of it beside its arguments.
 DECLARED = ("tuned_on", "tags", "on_disk")
-_NO_ARGUMENTS = ("_target_", *DECLARED)
 
-
-_LOOSE: dict[Folder, dict[str, Entry]] = {"method": {}, "dataset": {}}  # of loose files, by name
+_LOOSE: dict[str, dict[str, Entry]] = {"method": {}, "dataset": {}}  # of loose files, by name
 
 
 @dataclass(frozen=True)
 class Entry:
-    """One registered method or dataset, or the yaml of a timing protocol or batch system, and who provides it."""
+    """One registered method or dataset, or the yaml of a timing protocol or batch system."""
 
     group: Folder
     name: str
     path: Path
-    provider: str
-    plugin_path: str = ""  # FILE:NAME of one in a loose file, by which another process registers it
-    rivals: tuple[str, ...] = field(default=(), kw_only=True)  # other providers of the same name
+    provider: str  # the package that brings it, or the path of a loose file
+    rivals: tuple[str, ...] = ()  # other packages that bring the name
+    config: Mapping[str, Any] | None = None  # of a loose file, as a yaml would hold it
 
     @property
     def description(self) -> str:
-        """The first comment line of the yaml."""
-        first = self.path.read_text(encoding="utf-8").splitlines()[:1]
-        return first[0].lstrip("# ").strip() if first and first[0].startswith("#") else ""
+        """The first line of the yaml, if it is a comment."""
+        first = self.path.read_text(encoding="utf-8").partition("\n")[0]
+        return first.lstrip("# ").strip() if first.startswith("#") else ""
 
     @property
     def options(self) -> list[str]:
         """The names of the arguments in the yaml and in the yamls it builds on."""
-        return [str(name) for name in self.values() if name not in _NO_ARGUMENTS]
+        return [str(name) for name in self.values() if name not in ("_target_", *DECLARED)]
 
     @property
     def tags(self) -> tuple[str, ...]:
-        """The words that the yaml declares, as `spiking`; raises BadInput if they are no list."""
-        return _parse_tags(self.values().get("tags"), self.path)
-
-    @property
-    def spiking(self) -> bool:
-        """Whether the method declares that it computes by spikes."""
-        return "spiking" in self.tags
+        """The words that the yaml declares, as `spiking`."""
+        tags = self.values().get("tags") or []
+        return tuple(map(str, tags)) if isinstance(tags, list) else (str(tags),)
 
     @property
     def needs_weights(self) -> bool:
@@ -75,51 +67,43 @@ class Entry:
     def values(self) -> dict[str, Any]:
         """Return the values of the yaml over those of the yamls it builds on; interpolations and mappings stay whole.
 
-        Hydra alone composes the values of a run. Raises BadInput for a name of two providers, and for a yaml that
+        Hydra alone composes the values of a run. Raises BadInput for a name of two packages, and for a yaml that
         cannot be read.
         """
+        if self.config is not None:
+            return dict(self.config)
         below = {name: value for base in self.bases() for name, value in base.values().items()}
-        return {**below, **{name: value for name, value in self._content().items() if name != "defaults"}}
+        return {**below, **{name: value for name, value in self._read().items() if name != "defaults"}}
 
     def bases(self) -> list[Entry]:
-        """Return the yamls that this one builds on, in their order; raises BadInput if it cannot be read."""
-        names = [base for base in self._content().get("defaults") or () if isinstance(base, str)]
-        return [base for base in map(self._find_base, names) if base is not None]
+        """Return the yamls that this one builds on: `/shared/index@_here_`, or a name in the folder of this yaml."""
+        given = self._read().get("defaults") or ()
+        names = [name for name in given if isinstance(name, str) and name not in ("_self_", self.name)]
+        above = self.path.parent.name
+        paths = [name[1:].partition("@")[0] if name.startswith("/") else f"{above}/{name}" for name in names]
+        found = [(package, folder / f"{path}.yaml") for path in paths for package, folder in conf_folders().items()]
+        return [Entry(self.group, path.stem, path, package) for package, path in found if path.is_file()]
 
-    def _content(self) -> dict[str, Any]:
+    def _read(self) -> dict[str, Any]:
         if self.rivals:
-            brought = f"{self.group}={self.name} comes from {' and from '.join((self.provider, *self.rivals))}"
-            raise BadInput(f"{brought}: rename it in one of them, or uninstall one")
+            packages = " and from ".join((self.provider, *self.rivals))
+            raise BadInput(f"{self.group}={self.name} comes from {packages}: rename it in one of them")
         try:
             content = read(self.path.read_text(encoding="utf-8"))
         except (yaml.YAMLError, OSError, UnicodeDecodeError) as error:
-            mark = getattr(error, "problem_mark", None)
-            where = f", line {mark.line + 1}" if mark else ""
-            reason = getattr(error, "problem", None) or str(error).splitlines()[0]
-            raise BadInput(
-                f"{self.path}{where} is no {self.group} ({reason}): a yaml with _target_ is wanted"
-            ) from error
+            reason = " ".join(str(error).split())
+            raise BadInput(f"{self.path} is no {self.group} ({reason}): a yaml with _target_ is wanted") from error
         return content if isinstance(content, dict) else {}
-
-    def _find_base(self, name: str) -> Entry | None:
-        """Return the yaml of a default: `/shared/index@_here_`, or a name in the folder of this yaml."""
-        path = name[1:].partition("@")[0] if name.startswith("/") else f"{self.path.parent.name}/{name}"
-        if name in ("_self_", self.name):
-            return None
-        for provider, folder in conf_folders().items():
-            if (found := folder / f"{path}.yaml").is_file():
-                return Entry(self.group, found.stem, found, provider)
-        return None
 
 
 def entries(group: Folder) -> dict[str, Entry]:
     """Return the registered methods or datasets, timing protocols or batch systems by name; imports none of them."""
     found: dict[str, Entry] = {}
-    for provider, folder in conf_folders().items():
+    for package, folder in conf_folders().items():
         for path in (folder / group).glob("*.yaml"):
-            first = found.setdefault(path.stem, Entry(group, path.stem, path, provider))
-            if first.path != path:
-                found[path.stem] = replace(first, rivals=(*first.rivals, provider))
+            other = found.get(path.stem)
+            new = Entry(group, path.stem, path, package)
+            found[path.stem] = replace(other, rivals=(*other.rivals, package)) if other else new
     return dict(sorted({**found, **_LOOSE.get(group, {})}.items()))
 
 
@@ -129,7 +113,7 @@ def find_default(group: Folder) -> str:
     return str(next(each[group] for each in run["defaults"] if isinstance(each, Mapping) and group in each))
 
 
-def add(entry: Entry) -> None:
+def register_entry(entry: Entry) -> None:
     """Register the method or dataset of a loose file in this process; raises BadInput if its name is another's."""
     for name, other in entries(entry.group).items():
         if name.casefold() == entry.name.casefold() and other.path != entry.path:
@@ -139,10 +123,10 @@ def add(entry: Entry) -> None:
 
 def with_plugin_paths(option: str) -> str:
     """Return an option method=NAME or dataset=NAME as another process understands it: with a loose file's path."""
-    group, _, names = option.partition("=")
-    loose = {name: entry for known in _LOOSE if known == group for name, entry in _LOOSE[known].items()}
-    paths = (loose[name].plugin_path if name in loose else name for name in names.split(","))
-    return f"{group}={','.join(paths)}" if loose else option
+    group, equals, names = option.partition("=")
+    loose = _LOOSE.get(group, {})
+    paths = (f"{loose[name].provider}:{name}" if name in loose else name for name in names.split(","))
+    return f"{group}{equals}{','.join(paths)}"
 
 
 def conf_folders() -> dict[str, Path]:
@@ -158,17 +142,10 @@ def broken_plugins() -> Iterator[tuple[str, str]]:
             yield package, "its folder of configurations is not there: install it anew"
 
 
-def _parse_tags(given: Any, where: object) -> tuple[str, ...]:
-    """Return declared `tags`; raises BadInput that names the yaml or method."""
-    if given is not None and not (isinstance(given, list) and all(isinstance(tag, str) for tag in given)):
-        raise BadInput(f"{where}: tags={given}: wanted a list of words, as in [spiking]")
-    return tuple(given or ())
-
-
 @cache
 def _find_plugins() -> dict[str, Path | None]:
     """Return the folder of each package that declares one as an entry point; None if it is missing."""
-    declared = sorted({point.value for point in entry_points(group=ENTRY_POINTS)})
+    declared = sorted({point.value for point in entry_points(group="vprbench.conf")})
     return {value.removesuffix(".conf"): _find_folder(value) for value in declared}
 
 
@@ -176,24 +153,18 @@ def _find_folder(package: str) -> Path | None:
     """Return the folder of a package without importing it; None if there is none."""
     top, *rest = package.split(".")
     spec = importlib.util.find_spec(top)
-    locations = (spec and spec.submodule_search_locations) or ()
-    folders = (Path(location).joinpath(*rest) for location in locations)  # of a checkout's conf/ the second
-    return next((folder for folder in folders if folder.is_dir()), None)
+    folders = [Path(part).joinpath(*rest) for part in (spec and spec.submodule_search_locations) or ()]
+    return next(filter(Path.is_dir, folders), None)
 
 
 @cache
 def read(text: str) -> Any:
-    """Return the content of a yaml as Hydra reads it; the same object for the same text."""
+    """Return the content of a yaml; the same object for the same text."""
     return yaml.load(text, _Loader)
 
 
-class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
-    """Reads a yaml as Hydra does: 1e-3 is a number, and a date is a text."""
-
-    yaml_implicit_resolvers: ClassVar[dict[str, Any]] = {
-        first: [(tag, rule) for tag, rule in rules if not tag.endswith(":timestamp")]
-        for first, rules in yaml.SafeLoader.yaml_implicit_resolvers.items()
-    }
+class _Loader(yaml.CSafeLoader):
+    """Reads numbers as Hydra does: 1e-3 is one."""
 
 
 _Loader.add_implicit_resolver(

@@ -1,11 +1,11 @@
-"""The methods and datasets that `list` shows: those that fit what a person asks for, found without importing any."""
+"""The methods and datasets that `list` shows: those that fit the words of a person, found without importing any."""
 
 from __future__ import annotations
 
 import importlib.util
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 from vprbench.errors import BadInput
 from vprbench.plugins.entries import Entry, Folder, Group, entries
@@ -49,16 +49,11 @@ def list_entries(words: Sequence[str], weights: str = "any") -> list[Listed]:
     """
     groups: dict[str, Group] = {"methods": "method", "datasets": "dataset"}
     wanted = [groups[word] for word in words if word in groups] or list(groups.values())
-    found = [
-        describe_entry(entry)
-        for group in wanted
-        if weights == "any" or group == "method"
-        for entry in entries(group).values()
-    ]
+    found = [describe_entry(entry) for group in wanted for entry in entries(group).values()]
     for word in (word.lower() for word in words if word not in groups):
         found = [each for each in found if word in each.tags or word in f"{each.name} {each.description}".lower()]
     if weights != "any":
-        found = [each for each in found if each.needs_weights == (weights == "needed")]
+        found = [each for each in found if each.kind == "method" and each.needs_weights == (weights == "needed")]
     if not found:
         raise BadInput(f"list {' '.join(words)}: no method and no dataset fits: vprbench list shows all")
     return found
@@ -67,22 +62,12 @@ def list_entries(words: Sequence[str], weights: str = "any") -> list[Listed]:
 def describe_entry(entry: Entry) -> Listed:
     """Return what the yaml of an entry says of it, or why it cannot be used, as far as that shows without an import."""
     try:
-        known: dict[str, Any] = {
-            "tags": entry.tags,
-            "needs_weights": entry.needs_weights,
-            "options": tuple(entry.options),
-        }
-        known |= {"description": entry.description, "broken": _find_fault(entry)}
-    except (BadInput, OSError, UnicodeDecodeError) as error:
-        known = {"description": "", "broken": str(error)}
-    return Listed(kind=entry.group, name=entry.name, provider=entry.provider, **known)
-
-
-def _find_fault(entry: Entry) -> str:
-    target = entry.values().get("_target_")
-    if not isinstance(target, str):
-        return f"{entry.path} is no {entry.group}: a yaml with _target_ is wanted"
-    package = target.partition(".")[0]
-    if importlib.util.find_spec(package) is None:
-        return f"{target} cannot be imported: no package {package} is installed"
-    return ""
+        target = str(entry.values().get("_target_", ""))
+        package = target.partition(".")[0]
+        fault = "" if target else f"{entry.path} is no {entry.group}: a yaml with _target_ is wanted"
+        if target and importlib.util.find_spec(package) is None:
+            fault = f"{target} cannot be imported: no package {package} is installed"
+        words = (entry.tags, entry.needs_weights, tuple(entry.options))
+        return Listed(entry.group, entry.name, entry.description, entry.provider, *words, broken=fault)
+    except BadInput as error:
+        return Listed(entry.group, entry.name, "", entry.provider, broken=str(error))

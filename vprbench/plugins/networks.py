@@ -6,11 +6,11 @@ import hashlib
 import json
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
@@ -21,22 +21,22 @@ from vprbench.api.weight_files import is_plain, read_weights
 from vprbench.errors import BadInput
 from vprbench.plugins import nir_files
 from vprbench.storage.atomic import remove_leftovers, replace_bytes
+from vprbench.storage.hashes import content_hash
 from vprbench.storage.tensors import Arrays, plain
+from vprbench.text import some
 
-_OURS, _PUBLISHED = ".safetensors", ".pth"
+_SUFFIXES, _PUBLISHED = (".safetensors", nir_files.SUFFIX), ".pth"  # of stored networks, of published ones
 _METADATA = "vprbench"  # the entry of a file's metadata that holds the origin of its network, as JSON
-_UNCHECKED = "published network: neither its arguments nor its training images could be checked"
 
 
 @dataclass(frozen=True)
 class Files:
-    """Where a run takes its network from, and where it leaves the network that it trained."""
+    """The file that a run takes its network from, and the file that it leaves a trained network in."""
 
     load: Path | None = None
     sha256: str | None = None  # of the file to load
     save: Path | None = None
     replace: bool = False  # a file that is there already
-    folder: Path = field(default_factory=Path.cwd)  # of relative paths, for a method may change the working folder
 
 
 class Origin(BaseModel):
@@ -57,9 +57,13 @@ class Origin(BaseModel):
 
 def find_network_files(save: str | None, load: str | None, replace: bool) -> Files:
     """Return the files that the options of a run name; raises BadInput if the one to load cannot be read."""
-    source = None if load is None else Path(load).expanduser()
-    target = None if save is None else Path(save).expanduser()
-    return Files(source, None if source is None else _hash_file(source), target, replace)
+    target = None if save is None else Path(save).expanduser().absolute()  # a method may change the working folder
+    if load is None:
+        return Files(save=target, replace=replace)
+    source = Path(load).expanduser()
+    if source.suffix not in (*_SUFFIXES, _PUBLISHED) or not source.is_file():
+        raise BadInput(f"load={load}: give a stored network ({', '.join(_SUFFIXES)}) or a published one ({_PUBLISHED})")
+    return Files(source, content_hash(source), target, replace)
 
 
 def keeps_a_network(method: Method) -> bool:
@@ -92,45 +96,36 @@ def require_destination(files: Files, method: Method) -> None:
     path = files.save
     if path is None:
         return
-    _require_a_network(method)
+    _require_network(method)
+    if path.suffix not in _SUFFIXES:
+        raise BadInput(f"save={path}: give a file that ends in {' or '.join(_SUFFIXES)}")
     if path.suffix == nir_files.SUFFIX:
         nir_files.require_circuit(path, method)
-    elif path.suffix != _OURS:
-        raise BadInput(f"save={path}: give a file that ends in {_OURS} or {nir_files.SUFFIX}")
     try:
         _refuse_to_replace(path, files.replace)
         path.parent.mkdir(parents=True, exist_ok=True)
         remove_leftovers(path.parent)
-        with tempfile.TemporaryFile(dir=path.parent):
-            pass  # the folder can be written to
+        tempfile.TemporaryFile(dir=path.parent).close()  # the folder can be written to
     except OSError as error:
         raise BadInput(f"save={path} cannot be written ({error.strerror}): choose another file") from error
 
 
 def save_network(files: Files, method: Method, origin: Origin, references: Images) -> None:
-    """Store the state of a method; a reader sees the old file or the whole new one, never a part.
+    """Store the state of a method in `files.save`; a reader sees the old file or the whole new one, never a part.
 
-    Args:
-        files: the file to store it in, under `save`.
-        method: the trained method.
-        origin: the origin of its network.
-        references: images, of which some become a check of a file of NIR.
-
-    Raises:
-        BadInput: the disk refuses, or another run has stored a network there meanwhile.
-        TypeError: `state` holds anything but arrays of numbers.
+    Some of the `references` become the check vector of a file of NIR. Raises BadInput if the disk refuses or another
+    run has stored a network there meanwhile, TypeError if `state` holds anything but arrays of numbers.
     """
     assert files.save is not None
-    path = files.folder / files.save
     state = {name: plain(array, f"{type(method).__name__}.state()[{name!r}]") for name, array in method.state().items()}
     content = save(state, {_METADATA: json.dumps(origin.model_dump())})
-    if path.suffix == nir_files.SUFFIX:
+    if files.save.suffix == nir_files.SUFFIX:
         content = nir_files.format_network(method, references, content)
     try:
-        _refuse_to_replace(path, files.replace)
-        replace_bytes(path, content)
+        _refuse_to_replace(files.save, files.replace)
+        replace_bytes(files.save, content)
     except OSError as error:
-        raise BadInput(f"the network could not be stored in {path} ({error}): nothing was changed there") from error
+        raise BadInput(f"the network could not be stored in {files.save} ({error}): choose another file") from error
 
 
 def read_run_key(path: Path) -> str | None:
@@ -144,19 +139,17 @@ def read_run_key(path: Path) -> str | None:
 def load_network(path: Path, method: Method, wanted: Origin) -> tuple[str, ...]:
     """Give a method the state in a file; returns notes that a reader of its results needs.
 
-    Raises:
-        BadInput: the file is damaged, or its origin is not the `wanted` one.
+    Raises BadInput if the file is damaged, or its origin is not the `wanted` one.
     """
-    _require_a_network(method)
+    _require_network(method)
     if path.suffix == _PUBLISHED:
-        state, note = _read_published(path), _UNCHECKED
+        state = _read_published(path)
+        note = "published network: neither its arguments nor its training images could be checked"
     else:
         origin, state = _read_network(path)
         if differences := _list_differences(origin, wanted, method):
-            raise BadInput(
-                f"{path} holds another network than this run needs: {'; '.join(differences)}; "
-                "give what it was trained with and on, or train anew without load="
-            )
+            remedy = "give what it was trained with and on, or train anew without load="
+            raise BadInput(f"{path} holds another network than this run needs: {'; '.join(differences)}; {remedy}")
         note = f"loaded network: run {origin.run} trained it in {origin.fit_seconds:.1f} s"
     try:
         method.restore(state)
@@ -169,13 +162,11 @@ def _list_differences(stored: Origin, wanted: Origin, method: Method) -> list[st
     """Return the differences between two origins, but for the arguments that only queries see."""
     if stored.kind != wanted.kind:
         return [f"it is one of {stored.kind}, not of {wanted.kind}"]  # its arguments mean other things
-    names = sorted({*stored.arguments, *wanted.arguments} - method.query_arguments)
-    values = [(stored.arguments.get(name, "unknown"), wanted.arguments.get(name, "unknown")) for name in names]
-    found = [
-        f"method.{name} is {json.dumps(there)} there and {json.dumps(here)} here"
-        for name, (there, here) in zip(names, values, strict=True)
-        if there != here
-    ]
+    found = []
+    for name in sorted({*stored.arguments, *wanted.arguments} - method.query_arguments):
+        there, here = stored.arguments.get(name, "unknown"), wanted.arguments.get(name, "unknown")
+        if there != here:
+            found.append(f"method.{name} is {json.dumps(there)} there and {json.dumps(here)} here")
     if stored.n_places != wanted.n_places:
         found.append(f"{stored.n_places} places there (dataset {stored.dataset}) and {wanted.n_places} here")
     elif stored.references != wanted.references:
@@ -186,23 +177,16 @@ def _list_differences(stored: Origin, wanted: Origin, method: Method) -> list[st
 
 
 def _read_network(path: Path) -> tuple[Origin, Arrays]:
-    """Return origin and arrays; raises BadInput for a file that is not ours, damaged or of another layout."""
+    """Return origin and arrays; raises BadInput for a file that is damaged or that this version did not store."""
     try:
         content = nir_files.read_content(path) if path.suffix == nir_files.SUFFIX else path.read_bytes()
-        state = load(content) if content else {}
-        header = json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")] or "{}")
-    except (OSError, ValueError, LookupError, TypeError, AttributeError, SafetensorError) as error:
-        reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise BadInput(
-            f"{path} cannot be read as a stored network ({reason}): restore the file or train anew"
-        ) from error
-    text = header.get("__metadata__", {}).get(_METADATA)
-    if text is None:
-        raise BadInput(f"{path} was not stored by vprbench: it does not say what its network was trained with")
-    try:
-        return Origin.model_validate_json(text), state
-    except ValidationError as error:
-        raise BadInput(f"{path} is damaged or was stored by another version: train anew") from error
+        state = load(content)
+        header = json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")])
+        return Origin.model_validate_json(header.get("__metadata__", {}).get(_METADATA, "{}")), state
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, RuntimeError, SafetensorError) as error:
+        reason = str(error).partition("\n")[0]
+        wanted = "restore the file, or train anew"
+        raise BadInput(f"{path} is no network that this version stored, or is damaged ({reason}): {wanted}") from error
 
 
 def _read_published(path: Path) -> Arrays:
@@ -211,40 +195,22 @@ def _read_published(path: Path) -> Arrays:
     Source: VPRTempo's public code saves {"model_0": state dictionary, ...} with torch.save. Raises BadInput for a file
     that is damaged, would have to run code, or holds anything else.
     """
-    import torch
-
     tensors: dict[str, Any] = {}
     for name, value in read_weights(path).items():
         tensors |= {f"{name}.{key}": part for key, part in value.items()} if isinstance(value, dict) else {name: value}
-    for name, value in tensors.items():
-        if not is_plain(value):
-            kind = f"{value.layout} of {value.dtype}" if isinstance(value, torch.Tensor) else type(value).__name__
-            raise BadInput(f"{path}: {name} is of type {kind}; wanted plain tensors in state dictionaries")
-    return {name: value.detach().to(torch.float32, copy=True).numpy() for name, value in tensors.items()}
+    if odd := [name for name, value in tensors.items() if not is_plain(value)]:
+        raise BadInput(f"{path}: {some(odd)} hold no plain tensor; wanted state dictionaries of plain tensors")
+    return {name: value.detach().float().clone().numpy() for name, value in tensors.items()}
 
 
-def _hash_file(path: Path) -> str:
-    if path.suffix not in (_OURS, nir_files.SUFFIX, _PUBLISHED):
-        raise BadInput(
-            f"load={path}: give a stored network ({_OURS}, {nir_files.SUFFIX}) or a published one ({_PUBLISHED})"
-        )
-    try:
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError as error:
-        raise BadInput(f"load={path} cannot be read ({error.strerror}): give a file that save= wrote") from error
-
-
-def _require_a_network(method: Method) -> None:
+def _require_network(method: Method) -> None:
     if not keeps_a_network(method):
         Method.state(method)  # raises the error that says so
 
 
 def _refuse_to_replace(path: Path, replace: bool) -> None:
-    if path.is_dir():
-        raise BadInput(f"save={path} is a folder: give the name of a file in it")
-    if path.exists() and not replace:
+    if path.is_dir() or (path.exists() and not replace):
         raise BadInput(
-            f"save={path} is there already: give another name (in a sweep one for each cell, as in "
-            f"save='nets/vprtempo-${{seed}}{_OURS}'), or force=true to replace it"
+            f"save={path} is there already: give another name, in a sweep one for each cell "
+            "(save='nets/vprtempo-${seed}.safetensors'), or force=true to replace a file"
         )

@@ -1,4 +1,4 @@
-"""The first files of a new method or dataset, which keep all rules at once: vprbench new method NAME."""
+"""The first file of a new method or dataset, which keeps all rules at once: vprbench new method NAME."""
 
 from __future__ import annotations
 
@@ -7,79 +7,50 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import get_args
 
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from jinja2 import Template
 
 from vprbench.errors import BadInput
-from vprbench.plugins.entries import Group, entries
+from vprbench.plugins.entries import entries
 from vprbench.plugins.options import option, parse_options
-from vprbench.text import some
 
-_TEMPLATES = Environment(
-    loader=FileSystemLoader(Path(__file__).with_name("templates")),
-    undefined=StrictUndefined,
-    keep_trailing_newline=True,
-)
 _EXAMPLES = {"method": "dataset=synthetic dataset.places=100", "dataset": "method=sad"}
 
 
 @dataclass(frozen=True)
 class Settings:
-    """Where the files of a new method or dataset go."""
+    """The options of `new`."""
 
-    folder: str = option(".", "where the files go")
-    package: bool = option(False, "true: a package to install, with a yaml of its options; false: one loose file")
+    folder: str = option(".", "where the file goes")
 
 
 def write_plugin(words: Sequence[str]) -> str:
-    """Write the files of a new method or dataset.
+    """Write the file of a new method or dataset.
 
     Args:
-        words: `method NAME` or `dataset NAME`, and options of `Settings`.
+        words: `method NAME` or `dataset NAME`, and options of `Settings`; MyMethod gives my_method.py.
 
     Returns:
-        The files written and the commands to try next, a line each.
+        The file written and the commands to try next, a line each.
 
     Raises:
-        BadInput: the name cannot be used, or a file is there already.
+        BadInput: the name cannot be used, or the file is there already.
     """
     settings = parse_options(Settings, [word for word in words if "=" in word], {})
-    kind, *names = [word for word in words if "=" not in word] or [""]
-    if kind not in get_args(Group) or len(names) != 1:
+    group, *names = [word for word in words if "=" not in word] or [""]
+    if group not in _EXAMPLES or len(names) != 1:
         raise BadInput("new needs a kind and a name: vprbench new method NAME or vprbench new dataset NAME")
-    group: Group = "method" if kind == "method" else "dataset"
-    name = _parse_name(group, names[0])
-    target = "".join(part.capitalize() for part in name.split("_")) if group == "method" else name
-    package, folder = f"vprbench_{name}", Path(settings.folder).expanduser()
-    top = folder / package.replace("_", "-")
-    loose = folder / f"{name}.py"
-    if settings.package:
-        templates = {
-            top / "pyproject.toml": "pyproject.toml",
-            top / package / "__init__.py": "package.py",
-            top / package / f"{name}.py": f"{group}.py",
-            top / package / "conf" / group / f"{name}.yaml": f"{group}.yaml",
-        }
-        install, selected = [f"pip install -e {top}"], f"{group}={name}"
-    else:
-        templates = {loose: f"{group}.py"}
-        install, selected = [], f"{group}={loose if loose.is_absolute() else f'./{loose}'}:{target}"
-    if there := [str(path) for path in templates if path.exists()]:
-        raise BadInput(f"{some(there)} is there already: choose another name or folder=")
-    values = {"group": group, "name": name, "kind": target, "package": package}
-    for path, template in templates.items():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(_TEMPLATES.get_template(f"{template}.j2").render(values), encoding="utf-8")
-    commands = (*install, f"vprbench check {selected}", f"vprbench {selected} {_EXAMPLES[group]}")
-    return "\n".join([*(f"wrote {path}" for path in templates), "next:", *(f"  {line}" for line in commands)])
-
-
-def _parse_name(group: Group, given: str) -> str:
-    """Return a name as that of a module, MyMethod as my_method; raises BadInput if it cannot be one or is taken."""
-    name = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", given).replace("-", "_").lower()
+    name = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", names[0]).replace("-", "_").lower()
     if not re.fullmatch(r"[a-z]\w*", name, re.ASCII) or keyword.iskeyword(name):
-        raise BadInput(f"new {group} {given}: give letters, digits and '_', a letter first")
-    if name in entries(group):
-        raise BadInput(f"new {group} {given}: there is a {group} {name}: choose another name")
-    return name
+        raise BadInput(f"new {group} {names[0]}: give letters, digits and '_', a letter first")
+    path = Path(settings.folder).expanduser() / f"{name}.py"
+    if path.exists() or name in entries("method" if group == "method" else "dataset"):
+        raise BadInput(f"new {group} {names[0]}: {name} is there already: choose another name")
+    target = "".join(part.capitalize() for part in name.split("_")) if group == "method" else name
+    template = Path(__file__).with_name("templates") / f"{group}.py.j2"
+    text = Template(template.read_text(encoding="utf-8"), keep_trailing_newline=True).render(name=name, kind=target)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text, encoding="utf-8")
+    selected = f"{group}={path if path.is_absolute() else f'./{path}'}:{target}"
+    commands = f"  vprbench check {selected}\n  vprbench {selected} {_EXAMPLES[group]}"
+    return f"wrote {path}\nnext:\n{commands}"

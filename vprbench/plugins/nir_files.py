@@ -29,15 +29,9 @@ _ROUNDING = 1e-4  # of the largest answer
 Array = npt.NDArray[Any]
 
 
-def require_nir(path: Path) -> None:
-    """Raise BadInput if the packages that read and write files of NIR are not installed."""
-    if find_spec("nir") is None:
-        raise BadInput(f"{path} needs the package nir, which is not installed: pip install 'vprbench[nir]'")
-
-
 def require_circuit(path: Path, method: Method) -> None:
     """Raise BadInput, before any training, if a file of NIR cannot hold the network of a method."""
-    require_nir(path)
+    _require_nir(path)
     if not isinstance(method, HasCircuit):
         raise BadInput(f"save={path}: {type(method).__name__} has no layers that NIR could hold: save .safetensors")
     method.check_circuit()
@@ -45,8 +39,8 @@ def require_circuit(path: Path, method: Method) -> None:
 
 def format_network(method: Method, references: Images, content: bytes) -> bytes:
     """Return a file of NIR: the graph of a trained method with a check vector, and `content` beside the graph."""
-    import h5py  # type: ignore[import-untyped, unused-ignore]
-    import nir  # type: ignore[import-untyped, unused-ignore]
+    import h5py
+    import nir
 
     assert isinstance(method, HasCircuit)
     circuit = method.circuit()
@@ -61,23 +55,20 @@ def format_network(method: Method, references: Images, content: bytes) -> bytes:
 
 
 def read_content(path: Path) -> bytes:
-    """Return the `content` of a file that `format_network` made, empty if another program wrote the file.
+    """Return the `content` of a file that `format_network` made; raises what h5py raises of any other file."""
+    _require_nir(path)
+    import h5py
 
-    Raises OSError for a file that cannot be read, ValueError for one of another kind.
-    """
-    require_nir(path)
-    import h5py  # type: ignore[import-untyped, unused-ignore]
+    with h5py.File(path) as file:
+        array = file[_CONTENT]
+        if array.dtype != np.uint8 or array.nbytes > path.stat().st_size:
+            raise ValueError(f"it declares {array.nbytes} bytes of {array.dtype}")
+        return bytes(array[()].tobytes())
 
-    try:
-        with h5py.File(path) as file:
-            if _CONTENT not in file:
-                return b""
-            array = file[_CONTENT]
-            if array.dtype != np.uint8 or array.nbytes > path.stat().st_size:
-                raise ValueError(f"it declares {array.nbytes} bytes of {array.dtype}")
-            return bytes(array[()].tobytes())
-    except (AttributeError, KeyError, RuntimeError, TypeError) as error:
-        raise ValueError(str(error)) from error
+
+def _require_nir(path: Path) -> None:
+    if find_spec("nir") is None:
+        raise BadInput(f"{path} needs the package nir, which is not installed: pip install 'vprbench[nir]'")
 
 
 def _build_graph(circuit: Circuit) -> Any:
@@ -85,19 +76,17 @@ def _build_graph(circuit: Circuit) -> Any:
 
     A neuron of activation a spikes in a / clip of the steps; a bias of half a spike rounds its count to the nearest.
     """
-    import nir  # type: ignore[import-untyped, unused-ignore]
+    import nir
 
     nodes: list[Any] = []
-    spike_value = np.float32(1)
-    for weights, bias in circuit.layers[:-1]:
-        if circuit.clip is None:
-            nodes.append(nir.Affine(weights, bias))
-            continue
-        clip = np.float32(circuit.clip)
-        nodes.append(nir.Affine(weights * spike_value, bias + clip / np.float32(2 * STEPS)))
-        nodes.append(nir.IF(np.ones_like(bias), np.full_like(bias, clip)))
+    *hidden, (weights, bias) = circuit.layers
+    if circuit.clip is None:
+        return nir.NIRGraph.from_list(*(nir.Affine(*layer) for layer in circuit.layers))
+    clip, spike_value = np.float32(circuit.clip), np.float32(1)
+    for inner_weights, inner_bias in hidden:
+        nodes.append(nir.Affine(inner_weights * spike_value, inner_bias + clip / np.float32(2 * STEPS)))
+        nodes.append(nir.IF(np.ones_like(inner_bias), np.full_like(inner_bias, clip)))
         spike_value = clip
-    weights, bias = circuit.layers[-1]
     return nir.NIRGraph.from_list(*nodes, nir.Affine(weights * spike_value, bias))
 
 
@@ -125,7 +114,7 @@ def _simulate(graph: Any, inputs: Array, steps: int, subtracts: bool) -> Array:
 
     A spike subtracts the threshold from the potential, or else sets it to 0.
     """
-    import nir  # type: ignore[import-untyped, unused-ignore]
+    import nir
 
     nodes = [node for node in graph.nodes.values() if isinstance(node, (nir.Affine, nir.IF))]
     potentials: dict[int, Array] = {}

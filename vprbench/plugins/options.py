@@ -1,17 +1,19 @@
-"""Options of a command: fields of a dataclass with a meaning, and their values from name=value."""
+"""Options: fields of a dataclass with a meaning, and their values, checked against type hints."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import MISSING, field
-from typing import Any, TypeVar, get_args, get_origin, get_type_hints
+from dataclasses import MISSING, field, is_dataclass
+from types import NoneType, UnionType
+from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from vprbench.errors import BadInput
+from vprbench.plugins.entries import read
 from vprbench.storage.folders import require_homes
 from vprbench.text import near
 
-Given = TypeVar("Given")
+Options = TypeVar("Options")
 
 MEANING = "meaning"  # the key of a field's metadata that holds the words of the help
 
@@ -27,39 +29,91 @@ def option(default: Any = MISSING, meaning: str = "") -> Any:
     return field(default=default, metadata=metadata)
 
 
-def parse_options(kind: Callable[..., Given], options: Sequence[str], quick: Mapping[str, Any]) -> Given:
-    """Return the settings that `option=value` ask for, after those of `quick` if quick=true is among them.
+def check_value(option: str, value: Any, hint: Any) -> Any:
+    """Return `value` if it is of the type `hint`; one value is a list of one where a list is wanted.
+
+    Raises BadInput that names the option, its value and the wanted type.
+    """
+    from pydantic import ConfigDict, TypeAdapter, ValidationError  # slow to import
+
+    given = [value] if _is_list(hint) and isinstance(value, str | int | float) else value
+    try:
+        config = None if is_dataclass(hint) else ConfigDict(arbitrary_types_allowed=True)
+        # in JSON a list may become a tuple, and a text a path
+        return TypeAdapter(hint, config=config).validate_json(json.dumps(given), strict=True)
+    except ValidationError as error:
+        wanted = dict.fromkeys(str(problem["msg"]).replace("Input should be", "wanted") for problem in error.errors())
+        raise BadInput(f"{option}={value}: {'; '.join(wanted)}") from error
+
+
+def check_values(prefix: str, given: Mapping[str, Any], hints: Mapping[str, Any]) -> dict[str, Any]:
+    """Return values by name, each of the type of its hint; raises BadInput for an unknown name too.
+
+    Messages name an option by `prefix` and its name.
+    """
+    for name in given:
+        if name not in hints:
+            raise BadInput(f"option {prefix}{name} is unknown: {near(name, hints)}")
+    return {name: check_value(f"{prefix}{name}", value, hints[name]) for name, value in given.items()}
+
+
+def parse_options(kind: Callable[..., Options], options: Sequence[str], quick: Mapping[str, Any]) -> Options:
+    """Return the settings that `option=value` ask for, over those of `quick` if quick=true is among them.
 
     Raises BadInput that names the option that is unknown or does not fit.
     """
     hints = get_type_hints(kind)
     given: dict[str, Any] = {}
     for option in options:
-        from vprbench.plugins.values import check_value  # takes long, and there may be no option
-
         name, equals, text = option.partition("=")
-        above, _, inner = name.partition(".")
-        named = get_origin(hints.get(above)) is dict  # a configuration by its name, and options of it
-        if (above if named else name) not in hints:
-            raise BadInput(f"option {name} is unknown: {near(name, hints)}")
         if not equals:
             raise BadInput(f"option {name} has no value: give {name}=value")
-        if named:
-            given.setdefault(above, {})[inner or "name"] = _value(text, Any)
+        above, _, inner = name.partition(".")
+        if get_origin(hints.get(above)) is dict:  # a configuration by its name, and options of it
+            given.setdefault(above, {})[inner or "name"] = _parse_text(text, Any)
         else:
-            given[name] = check_value(name, _value(text, hints[name]), hints[name])
-    require_homes(given)
-    return kind(**{**(quick if given.get("quick") else {}), **given})
+            given[name] = _parse_text(text, hints.get(name))
+    values = check_values("", given, hints)
+    require_homes(values)
+    return kind(**{**(quick if values.get("quick") else {}), **values})
 
 
-def _value(text: str, hint: Any) -> Any:
-    """Return what a text stands for; for a list its parts between commas, with or without brackets and quotes."""
-    kinds = [kind for kind in (hint, *get_args(hint)) if get_origin(kind) is list]
+def build_options(option: str, kind: type[Options], given: Mapping[str, Any]) -> Options:
+    """Return the dataclass `kind` of some values by name.
+
+    Raises BadInput that names the option, for an unknown name, a value of another type, and one that `kind` refuses.
+    """
+    values = check_values(f"{option}.", given, get_type_hints(kind))
     try:
-        value = json.loads(text)
+        return kind(**values)
+    except ValueError as error:
+        raise BadInput(f"{option}: {error}") from error
+
+
+def parse_mapping(value: Any, short: str) -> dict[str, Any] | None:
+    """Return the value of an option as a mapping, None for null; a plain value is that of the name `short`.
+
+    A text in the words of the command line, {length:4,window:centred}, will do for a mapping.
+    """
+    if isinstance(value, str):
+        value = read(value.replace(":", ": "))
+    if value is None or isinstance(value, Mapping):
+        return None if value is None else dict(value)
+    return {short: value}
+
+
+def _is_list(hint: Any) -> bool:
+    """Tell whether a type hint wants a list, or None."""
+    kinds = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
+    return {get_origin(kind) for kind in kinds if kind is not NoneType} == {list}
+
+
+def _parse_text(text: str, hint: Any) -> Any:
+    """Return the value of a text: JSON, or of a list the parts between commas, with or without brackets."""
+    try:
+        return json.loads(text)
     except ValueError:
-        if not kinds or (text[:1] == "[") != (text[-1:] == "]"):
+        if not _is_list(hint):
             return text
-        parts = [part.strip() for part in text.removeprefix("[").removesuffix("]").split(",")]
-        return parts if get_args(kinds[0]) == (str,) else [_value(part, None) for part in parts]
-    return [value] if kinds and not isinstance(value, list | None) else value
+    parts = [part.strip() for part in text.removeprefix("[").removesuffix("]").split(",")]
+    return parts if list[str] in (hint, *get_args(hint)) else [_parse_text(part, None) for part in parts]

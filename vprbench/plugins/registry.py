@@ -2,79 +2,46 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib
 import inspect
 import os
+import re
+import sys
+import traceback
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import is_dataclass
+from contextlib import suppress
+from pathlib import Path
 from types import ModuleType
 from typing import Any, get_args, get_type_hints
 
 from hydra.core.config_store import ConfigStore
-from hydra.utils import get_object
+from pydantic_core import PydanticSerializationError, to_jsonable_python
 
 from vprbench.api.dataset import Dataset, SharedFrames
+from vprbench.api.images import Images
 from vprbench.api.method import Method
 from vprbench.errors import BadInput
-from vprbench.plugins import entries as yamls
-from vprbench.plugins import local_plugins
-from vprbench.plugins.entries import Entry as Entry
-from vprbench.plugins.entries import Group as Group
-from vprbench.plugins.entries import broken_plugins as broken_plugins
-from vprbench.plugins.entries import conf_folders as conf_folders
-from vprbench.plugins.entries import entries as entries
-from vprbench.plugins.entries import with_plugin_paths as with_plugin_paths
-from vprbench.plugins.local_plugins import describe_error
-from vprbench.plugins.values import check_value as check_value
-from vprbench.text import near as near  # for the commands too
+from vprbench.plugins.entries import DECLARED, Entry, Group, conf_folders, entries, register_entry
+from vprbench.plugins.options import check_value, check_values
+from vprbench.text import near
 
-_MOST_NAME_BYTES = 200  # file systems take 255, and other names are made of this one
-_SHOWN = 150  # characters of a name in a message
+__all__ = ["check_value", "conf_folders", "entries", "near"]  # of other modules, for callers of this one
 
-
-@contextmanager
-def _explaining_disk_errors(name: str) -> Iterator[None]:
-    """Turn an OSError, as for a path that no disk takes, into BadInput that names the path."""
-    try:
-        yield
-    except OSError as error:
-        reason = f"{_shorten(str(error.filename))}: {error.strerror}" if error.filename and error.strerror else error
-        raise BadInput(f"dataset {_shorten(name)} cannot be read ({reason}): correct the path") from error
-
-
-def require_dataset(made: Any, target: str) -> Dataset:
-    """Return what `target` made; raises BadInput if it is no dataset of images, or its name is no folder's."""
-    if not isinstance(made, Dataset):
-        raise BadInput(f"{target} gave {type(made).__name__}; it has to return a Dataset")
-    if len(os.fsencode(made.name)) > _MOST_NAME_BYTES:
-        raise BadInput(
-            f"dataset.name={_shorten(made.name)} has more than {_MOST_NAME_BYTES} bytes: give a shorter one, for its "
-            "runs are stored in a folder of that name"
-        )
-    from vprbench.api.images import Images  # a list of names needs none
-
-    for part, images in (("references", made.references), ("queries", made.queries)):
-        if not isinstance(images, Images):
-            raise BadInput(
-                f"{target} gave {part} of type {type(images).__name__}; wanted is vprbench.api.images.Images, "
-                "by Images.from_files(paths) or Images.from_arrays(arrays)"
-            )
-    return made
-
-
-def _shorten(text: str) -> str:
-    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
+#: Parts of the names of source files that lie between the harness and a plug-in.
+_HARNESS_FILES = (str(Path(__file__).parents[1]), "importlib", "<frozen")
+_LOOSE_FILE = re.compile(r"(?P<file>[^][,()'\"]+\.py)(?::(?P<name>\w+))?")
+_RUN_ARGUMENTS = ("seed", "device")  # parameters of a method that take the values of the run
 
 
 def arguments(config: Mapping[str, Any]) -> dict[str, Any]:
     """Return a configuration without the declarations of its yaml beside the arguments."""
-    return {name: value for name, value in config.items() if name not in yamls.DECLARED}
+    return {name: value for name, value in config.items() if name not in DECLARED}
 
 
 def make_method(config: Mapping[str, Any]) -> Method:
     """Build a method from its configuration; raises BadInput for arguments that do not fit."""
-    method = _build("method", arguments(config))
+    method = _build("method", config)
     if not isinstance(method, Method):
         raise BadInput(f"{config['_target_']} made a {type(method).__name__}; a method has to subclass Method")
     return method
@@ -85,79 +52,165 @@ def make_dataset(config: Mapping[str, Any]) -> Dataset:
 
     `shared_frames` is an option of every dataset, and no argument of the function that makes it.
     """
-    own = {name: value for name, value in arguments(config).items() if name != "shared_frames"}
     shared = check_value("dataset.shared_frames", config.get("shared_frames", "error"), SharedFrames)
-    with _explaining_disk_errors(str(config.get("name", ""))):
-        dataset = _build("dataset", own)
-    return require_dataset(dataset, config["_target_"]).with_shared_frames(shared)
+    try:
+        dataset = _build("dataset", {name: value for name, value in config.items() if name != "shared_frames"})
+    except OSError as error:  # as for a path that no disk takes
+        raise BadInput(f"dataset {config.get('name', '')} cannot be read ({error}): correct the path") from error
+    if not isinstance(dataset, Dataset):
+        raise BadInput(f"{config['_target_']} gave {type(dataset).__name__}; it has to return a Dataset")
+    if not isinstance(dataset.references, Images) or not isinstance(dataset.queries, Images):
+        wanted = "make references and queries by Images.from_files(paths) or Images.from_arrays(arrays)"
+        raise BadInput(f"{config['_target_']} gave no Images: {wanted}")
+    return dataset.with_shared_frames(shared)
+
+
+def check_arguments(group: Group, config: Mapping[str, Any]) -> tuple[Callable[..., Any], dict[str, Any]]:
+    """Return the class or function of a configuration, and its arguments as it is given them.
+
+    Raises BadInput for an argument that is unknown or not of the type that the type hint names.
+    """
+    target = find_target(group, config, f"the yaml of {group} {config.get('name', '')}")
+    plain_class = inspect.isclass(target) and not dataclasses.is_dataclass(target)
+    try:
+        hints = get_type_hints(target.__init__ if plain_class else target)
+        known = {name: hints.get(name, Any) for name in inspect.signature(target).parameters}
+    except Exception as error:  # hints are evaluated, and may raise anything
+        raise BadInput(f"{config['_target_']}: its type hints cannot be read ({error}): import their names") from error
+    given = {name: value for name, value in arguments(config).items() if name != "_target_" and value != "???"}
+    return target, check_values(f"{group}.", given, known)
+
+
+def list_data_files(method: Method, config: Mapping[str, Any]) -> list[Path]:
+    """Return `files()` of a method, then the files that its arguments name; raises BadInput as `files()` does."""
+    named = [*method.files()]
+    known = {Path(path).expanduser().resolve() for path in named}
+    texts = map(os.path.expanduser, _list_texts(arguments(config)))
+    others = {Path(text).resolve(): Path(text) for text in texts if os.path.isfile(text)}  # noqa: PTH113 (Path's raises)
+    return [*named, *(path for whole, path in others.items() if whole not in known)]
 
 
 def resolve_name(group: Group, text: str) -> str:
     """Return the name of a method or dataset; one in a loose file, ./mine.py:MyMethod, is registered by it first.
 
-    Raises BadInput if the file cannot be imported, or if the name is another's.
+    Raises BadInput if the file cannot be imported (with file and line of the error), has the name of another module or
+    has no such class or function, or if the name is another's.
     """
-    if not local_plugins.is_loose_file(text):
+    parts = _LOOSE_FILE.fullmatch(text)
+    if parts is None:
         return text
-    entry = local_plugins.load_loose_file(group, text)
-    yamls.add(entry)
-    ConfigStore.instance().store(group=group, name=entry.name, node=entry.values())
-    return entry.name
+    file, name = Path(parts["file"]).expanduser(), parts["name"]
+    if name is None:
+        raise BadInput(f"{group}={text}: name its class or function, as in {group}={file}:Mine")
+    module = _import_file(file)
+    target = getattr(module, name, None)
+    if not callable(target):
+        own = [one for one, value in vars(module).items() if getattr(value, "__module__", "") == module.__name__]
+        hint = f": {near(name, own)}" if own else ""
+        raise BadInput(f"{group}={text}: {file} defines no class or function {name}{hint}")
+    config = {"_target_": f"{module.__name__}.{name}", **_list_defaults(group, target)}
+    register_entry(Entry(group, name, file.absolute(), str(file), config=config))
+    ConfigStore.instance().store(group=group, name=name, node=config)
+    return name
 
 
 def register_loose_file(option: str) -> None:
     """Register what method=./mine.py:MyMethod or dataset=./mine.py:my_dataset names; any other option is ignored."""
-    for group in get_args(Group):
-        if option.startswith(f"{group}="):
-            resolve_name(group, option.partition("=")[2])
+    group, _, name = option.partition("=")
+    if group in get_args(Group):
+        resolve_name("method" if group == "method" else "dataset", name)
 
 
 def find_target(group: str, config: Mapping[str, Any], where: object) -> Callable[..., Any]:
-    """Import and return the class or function of a configuration; raises BadInput that says `where` none is named."""
-    if not isinstance(config.get("_target_"), str):
+    """Import and return the class or function of a configuration; raises BadInput with the reason.
+
+    `where` names the configuration that has to name one.
+    """
+    target = config.get("_target_")
+    if not isinstance(target, str):
         raise BadInput(f"{where} is no {group} (it has no _target_): name its class or function there")
-    return _locate(config["_target_"])
-
-
-def module_beside(entry: Entry, module: str) -> ModuleType:
-    """Import and return a module of the package of a method or dataset, such as what a benchmark asks for."""
-    return importlib.import_module(f"{entry.target().__module__.rpartition('.')[0]}.{module}")
-
-
-def _locate(target: str) -> Callable[..., Any]:
-    """Import what a dotted path names; raises BadInput with the reason."""
+    module, _, name = target.rpartition(".")
     try:
-        found = get_object(target)
+        found = getattr(importlib.import_module(module), name)
     except (Exception, SystemExit) as error:  # a plug-in may fail in any way, and must hurt only itself
-        raise BadInput(f"{target} cannot be imported: {describe_error(error.__cause__ or error)}") from error
-    if not callable(found):
-        raise BadInput(f"{target} is a {type(found).__name__}, not a class or function")
+        raise BadInput(f"{target} cannot be imported: {describe_error(error)}") from error
     return found  # type: ignore[no-any-return]
 
 
+def module_beside(entry: Entry, module: str) -> ModuleType:
+    """Import and return a module of the package of a method or dataset, such as the readers of `folders`."""
+    return importlib.import_module(f"{entry.target().__module__.rpartition('.')[0]}.{module}")
+
+
+def describe_error(error: BaseException) -> str:
+    """Return an error in one line, with the innermost place in the folder of the plug-in that raised it."""
+    if isinstance(error, SyntaxError):
+        return f"SyntaxError: {error.msg}{_format_place(error.filename, error.lineno)}"
+    text = (str(error).splitlines() or [""])[0]
+    return f"{type(error).__name__}: {text}".removesuffix(": ") + locate_error(error)
+
+
+def locate_error(error: BaseException) -> str:
+    """Return the innermost place of an error in the folder of the plug-in, " (mine.py, line 3)"; empty for none."""
+    places = [(frame.filename, frame.lineno) for frame in traceback.extract_tb(error.__traceback__)]
+    others = [place for place in places if not any(part in place[0] for part in _HARNESS_FILES)]
+    own = [place for place in others if place[0].startswith(os.path.dirname(others[0][0]))]  # noqa: PTH120 (also <string>)
+    return _format_place(*own[-1]) if own else ""
+
+
 def _build(group: Group, config: Mapping[str, Any]) -> Any:
-    target = find_target(group, config, f"the yaml of {group} {config.get('name', '')}")
-    arguments = {name: value for name, value in config.items() if name != "_target_" and value != "???"}
-    known, hints = _read_signature(target, config["_target_"])
-    for name, value in arguments.items():
-        if name not in known:
-            raise BadInput(f"{group}.{name} is unknown to {config['_target_']}: {near(name, known)}")
-        arguments[name] = check_value(f"{group}.{name}", value, hints.get(name, Any))
-    missing = [n for n, p in known.items() if p.default is p.empty and p.kind < p.VAR_POSITIONAL and n not in arguments]
-    if missing:
-        raise BadInput(f"{group}.{missing[0]} is missing: {config['_target_']} has no default for it")
+    target, given = check_arguments(group, config)
     try:
-        return target(**arguments)
+        return target(**given)
     except (BadInput, OSError):
         raise
     except Exception as error:  # a plug-in may raise anything
-        raise BadInput(f"{config['_target_']} fails when it is made: {describe_error(error)}") from error
+        reason = describe_error(error)
+        raise BadInput(f"{config['_target_']} fails when it is made: {reason}") from error
 
 
-def _read_signature(target: Callable[..., Any], name: str) -> tuple[Mapping[str, inspect.Parameter], dict[str, Any]]:
-    """Return the parameters of a class or function and their type hints; raises BadInput if it has none to be read."""
-    plain_class = inspect.isclass(target) and not is_dataclass(target)
+def _list_texts(value: Any) -> Iterator[str]:
+    """Yield the texts among arguments, however deep, but for `_target_`."""
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, Mapping):
+        value = [inner for name, inner in value.items() if name != "_target_"]
+    for inner in value if isinstance(value, list | tuple) else ():
+        yield from _list_texts(inner)
+
+
+def _format_place(file: str | None, line: int | None) -> str:
+    path = Path(file or "")
+    shown = path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
+    return f" ({shown}, line {line})" if file else ""
+
+
+def _import_file(file: Path) -> ModuleType:
+    path = file.absolute()
+    if not path.is_file():
+        raise BadInput(f"{file} is not there: give the path of the Python file, as in ./mine.py:MyMethod")
+    if str(path.parent) not in sys.path:
+        sys.path.append(str(path.parent))  # also for its imports from beside itself
+    importlib.invalidate_caches()
     try:
-        return inspect.signature(target).parameters, get_type_hints(target.__init__ if plain_class else target)
-    except Exception as error:  # hints are evaluated, and may raise anything
-        raise BadInput(f"the type hints of {name} cannot be read ({error}): import what they name") from error
+        module = importlib.import_module(path.stem)
+    except (Exception, SystemExit) as error:
+        raise BadInput(f"{file} cannot be imported: {describe_error(error)}") from error
+    if Path(module.__file__ or "").resolve() != path.resolve():
+        raise BadInput(f"{file}: another module has the name {path.stem} ({module.__file__}): rename the file")
+    return module
+
+
+def _list_defaults(group: Group, target: Any) -> dict[str, Any]:
+    """Return the parameters of a class or function with their defaults; ??? stands for none, as Hydra has it.
+
+    A default that JSON cannot hold is left to the class or function.
+    """
+    fields = dataclasses.fields(target) if dataclasses.is_dataclass(target) else ()
+    factories = {field.name: field.default_factory for field in fields if callable(field.default_factory)}
+    defaults: dict[str, Any] = {}
+    for name, parameter in inspect.signature(target).parameters.items():
+        value = factories[name]() if name in factories else parameter.default
+        with suppress(PydanticSerializationError):
+            defaults[name] = "???" if value is parameter.empty else to_jsonable_python(value)
+    return defaults | {name: f"${{{name}}}" for name in _RUN_ARGUMENTS if group == "method" and name in defaults}

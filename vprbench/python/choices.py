@@ -24,6 +24,7 @@ from vprbench.runs.sources import hash_class
 from vprbench.text import shorten
 
 _MOST_NUMBERS = 1 << 16  # of an array that a record holds; of a larger one it holds the hash
+_LONGEST = 60  # letters of an argument in the name of a row
 
 
 @dataclass(frozen=True, repr=False)
@@ -179,7 +180,7 @@ def _describe_object(given: Method, per_run: Mapping[str, Any]) -> MethodChoice:
     defaults = {name: one.default for name, one in inspect.signature(kind).parameters.items()}
     own = {name: value for name, value in recorded.items() if name not in per_run}
     changed = {name: value for name, value in own.items() if not _equals_default(value, defaults.get(name))}
-    overrides = (f"method={kind.__name__}", *(f"method.{name}={_as_text(value)}" for name, value in changed.items()))
+    overrides = (f"method={kind.__name__}", *(f"method.{name}={_abbreviate(value)}" for name, value in changed.items()))
     config = {"_target_": f"{kind.__module__}.{kind.__qualname__}", **recorded}
     described = {"method_name": kind.__name__, "method": config, "changed": changed, "tuned_on": {}}
     values = {name: recorded[name] for name in per_run if name in recorded}
@@ -237,3 +238,9 @@ def _flatten(options: Mapping[str, Any], above: str = "") -> Iterator[tuple[str,
 
 def _as_text(value: Any) -> str:
     return value if isinstance(value, str) else json.dumps(value)
+
+
+def _abbreviate(value: Any) -> str:
+    """Return an argument of an object as text; of a long one, such as an array, the first digits of its hash."""
+    text = _as_text(value)
+    return text if len(text) <= _LONGEST else f"#{hashlib.sha256(text.encode()).hexdigest()[:8]}"

@@ -6,6 +6,7 @@ import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
 import pandas as pd
@@ -16,6 +17,8 @@ from vprbench.metrics.catalogue import METRICS
 from vprbench.python.choices import AnyDataset, AnyMethod, Choice, choose_dataset, choose_method
 from vprbench.python.result import Result
 from vprbench.python.running import Options, finish, prepare
+from vprbench.report.folder import report_runs
+from vprbench.report.gather import ReportData
 from vprbench.report.ranking import NUMBERS, Ranking, rank_rows
 from vprbench.report.selection import Series
 from vprbench.report.table.quantities import RATES
@@ -84,6 +87,30 @@ class Comparison:
 
         ranked = [row.method for row in iterate_rows(self.ranking.table)]
         return draw_precision_recall(sorted(self._series(), key=lambda one: ranked.index(one.name))).figure
+
+    @cached_property
+    def report(self) -> ReportData:
+        """The report of the runs, as `vprbench compare` and `vprbench report` make it."""
+        first = self.results[0]
+        folder = "" if first.folder is None else str(first.folder.parents[1])
+        return report_runs([result.run for result in self.results], (), first.run.dataset, folder, self.metrics)
+
+    def figures(self) -> dict[str, Figure]:
+        """Return all figures of the comparison by their names, as `vprbench compare` draws them."""
+        from vprbench.report.figures.make import draw_all
+
+        return {name: drawing.figure for name, drawing in draw_all(self.report, self.report.runs)}
+
+    def write(self, folder: str | Path = "results", name: str = "") -> list[Path]:
+        """Write table (Markdown, CSV, LaTeX), runs, best places, figures and page into a folder; returns the files.
+
+        They are the files of `vprbench compare`, named after the dataset unless a `name` is given. Raises BadInput if
+        the folder cannot be written.
+        """
+        from vprbench.report.comparison.make import predict_places, write_comparison
+
+        best = predict_places(self.report, self.results[0].dataset, None)
+        return write_comparison(self.report, Path(folder).expanduser(), name, best=best)
 
     def to_markdown(self) -> str:
         """Return the table in Markdown."""

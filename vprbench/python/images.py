@@ -19,7 +19,7 @@ from vprbench.api.images import Images
 from vprbench.api.levels import decoding_of
 from vprbench.errors import BadInput
 from vprbench.plugins import registry
-from vprbench.plugins.values import check_value
+from vprbench.plugins.options import check_value
 from vprbench.python.choices import as_plain
 from vprbench.storage.paths import Paths
 

@@ -7,6 +7,7 @@ import os
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -18,8 +19,9 @@ from vprbench.metrics.catalogue import GROUPS
 from vprbench.plugins import registry
 from vprbench.report.missing_runs import Cell, make_cell, make_missing_runs, results_folder
 from vprbench.report.plan import Plan, PlannedColumn, Row, add_plug_ins, read_plan
-from vprbench.report.run_options import TableRequest
-from vprbench.report.selection import Group, ResolvedColumn, apply_views, groups
+from vprbench.report.ranking import Ranking, rank_rows
+from vprbench.report.run_options import ShowOptions, TableRequest
+from vprbench.report.selection import Group, ResolvedColumn, accuracy_series, apply_views, groups
 from vprbench.report.table.cells import Table, assemble
 from vprbench.report.table.quantities import QUANTITIES, Quantity, quantities
 from vprbench.runs.record import Failure, Run
@@ -64,6 +66,11 @@ class ReportData:
     table: Table
     runs: tuple[Run, ...]  # all that are stored
     job_results: tuple[JobResult, ...]  # of the runs that were tried now
+
+    @cached_property
+    def rankings(self) -> list[Ranking]:
+        """The rows of each group that has runs, the best first, and the results of tests on them."""
+        return [rank_rows(accuracy_series(group, self.chosen.rows)) for group in self.groups if group.runs]
 
 
 def choose(request: TableRequest) -> TablePlan:
@@ -141,7 +148,7 @@ def assemble_report(
     return ReportData(chosen, tuple(found), table, tuple(runs), results)
 
 
-def stored(request: TableRequest | TablePlan) -> tuple[list[Run], list[Failure]]:
+def stored(request: ShowOptions | TablePlan) -> tuple[list[Run], list[Failure]]:
     """Return the runs and failures of the store and of the stores of other machines, each once."""
     stores = [Store(results_folder(folder)) for folder in (request.results, *request.stores)]
     runs = {(run.dataset, run.method, run.key): run for store in reversed(stores) for run in store.runs()}

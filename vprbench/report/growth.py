@@ -67,7 +67,7 @@ def interval_of_median(values: npt.NDArray[np.float64]) -> tuple[float, float] |
     With k the largest number for which Binomial(n, 1/2) lies below k with a chance of at most 2.5 %, it runs from the
     k-th lowest to the k-th highest value. It assumes nothing about the distribution, only independent values.
     """
-    from scipy.stats import binom  # count_operations long to import
+    from scipy.stats import binom  # takes long to import
 
     k = int(binom.ppf(0.025, len(values), 0.5))
     ordered = np.sort(values)

@@ -10,16 +10,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from vprbench.api.weights import Weights, find_weights
 from vprbench.config import make_request
-from vprbench.errors import BadInput, MissingData
+from vprbench.errors import BadInput
 from vprbench.jobs.executors import Executor, Numbered, run_all
 from vprbench.jobs.job import JobResult, failure_of
 from vprbench.plugins import registry
 from vprbench.report.plan import Row
 from vprbench.report.stored_runs import StoredRuns
 from vprbench.runs.request import RunRequest
-from vprbench.runs.run_files import content_key
 from vprbench.runs.store import Store
 from vprbench.terminal.live import LiveTable
 
@@ -80,12 +78,11 @@ def _flatten(arguments: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
 def make_missing_runs(wanted: Sequence[Cell], store: Store, executor: Executor | None = None) -> list[JobResult]:
     """Make the runs that are not stored yet, by an executor or one after the other; returns the outcome of each.
 
-    For a run that is stored no process is started, nor for one whose published weights cannot be had, nor for a seed
-    once something is missing for another seed of the row. A failure is stored, never raised.
+    For a run that is stored no process is started, nor for a seed once weights or frames are missing for another seed
+    of the row. A failure is stored, never raised.
     """
     executor = executor or Executor()
     stored = StoredRuns(store)
-    weights: dict[tuple[str, str], str] = {}
     missing: dict[tuple[str, str], JobResult] = {}  # by row and column
     results: dict[int, JobResult] = {}
     rows, columns = dict.fromkeys(cell.row.name for cell in wanted), dict.fromkeys(cell.column for cell in wanted)
@@ -123,7 +120,7 @@ def make_missing_runs(wanted: Sequence[Cell], store: Store, executor: Executor |
 
     def list_missing() -> Iterator[Numbered]:
         for number, cell in enumerate(wanted):
-            result = missing.get((cell.row.name, cell.column)) or _end_without_process(cell, stored, weights)
+            result = missing.get((cell.row.name, cell.column)) or _end_without_process(cell, stored)
             if result is None:
                 yield number, cell.request
             else:
@@ -135,37 +132,14 @@ def make_missing_runs(wanted: Sequence[Cell], store: Store, executor: Executor |
     return [results[number] for number in range(len(wanted))]
 
 
-def _end_without_process(cell: Cell, stored: StoredRuns, weights: dict[tuple[str, str], str]) -> JobResult | None:
+def _end_without_process(cell: Cell, stored: StoredRuns) -> JobResult | None:
     """Return the outcome of a run that is stored or that no process can make; None for a run to be made."""
     entry = registry.entries("method").get(cell.row.method)
     if entry is not None and cell.request.device != "cpu" and "device" not in entry.options:
         return JobResult(0)
     if cell.error:
         return JobResult(2, cell.error, missing=cell.missing)
-    if stored.holds(cell.request):
-        return JobResult(0)
-    lacking = _find_missing_weights(cell, weights) if entry is not None and entry.needs_weights else ""
-    return JobResult(2, lacking, missing=True) if lacking else None
-
-
-def _find_missing_weights(cell: Cell, known: dict[tuple[str, str], str]) -> str:
-    """Return why the published weights of a run cannot be had; empty if they are there, or if its process has to tell.
-
-    They are looked for once for each row, and fetched if that is possible; `known` remembers it.
-    """
-    arguments = cell.request.method
-    key = cell.row.method, content_key(cell.row.arguments)
-    if key not in known:
-        known[key] = ""
-        try:
-            wanted = registry.check_value("method.weights", arguments["weights"], Weights)
-            find_weights(wanted, arguments["_target_"].rpartition(".")[2])
-        except MissingData as error:
-            logger.warning("%s: %s", cell.row.name, error)
-            known[key] = str(error)
-        except (Exception, SystemExit) as error:  # whatever a plug-in raises, or an option that does not fit
-            logger.debug("the weights of %s are left to a process: %s", cell.row.name, error)
-    return known[key]
+    return JobResult(0) if stored.holds(cell.request) else None
 
 
 def results_folder(results: str) -> Path:

@@ -78,6 +78,10 @@ class Plan:
     seeds: tuple[int, ...] = (0,)  # of rows that methods= names by their method and that learn from a seed
 
 
+#: The plan of runs that no table names.
+NO_PLAN = Plan({}, {}, {}, Growth((), (), (), 0))
+
+
 def read_plan(path: Path) -> Plan:
     """Read the plan; raises BadInput, naming the file, where a part is missing or unknown."""
     with _explaining_plan_errors(path):

@@ -13,44 +13,63 @@ from vprbench.plugins.options import option
 
 
 @dataclass(frozen=True, kw_only=True)
-class RunOptions(ClusterOptions):
-    """The runs that are shown, their numbers, and where they are made; raises BadInput for impossible options."""
+class ShowOptions:
+    """The stored runs that are shown, and their numbers; raises BadInput for impossible options."""
 
     metrics: list[str] = option([], "more quantities, as r100p, auc_roc, ap_c or energy")
-    seeds: int | None = option(None, "at most so many a row")
-    devices: list[str] | None = option(None, "null: cpu, and cuda where there is a GPU")
-    stored: bool = option(False, "from the store alone: nothing is run")
     stores: list[str] = option([], "results folders of other machines, read too")
     name: str | None = option(None, "of the files that are written")
     sequence: Any = option(None)
     filter: Any = option(None)
-    views: Any = option(None)
-    wide: bool = option(False)
     results: str = option("results")
 
     def __post_init__(self) -> None:
         """Check the options that need no plan, method or dataset."""
         from vprbench.runs.request import spell_out_metrics
         from vprbench.runs.sequences import parse_views
-        from vprbench.runs.viewpoints import parse_viewpoints
 
-        super().__post_init__()
         parse_views(self.sequence, self.filter)
-        parse_viewpoints(self.views)
-        if self.seeds is not None and self.seeds < 1:
-            raise BadInput(f"seeds={self.seeds}: give at least 1")
         if self.name is not None and re.fullmatch(r"\w[\w.-]*", self.name) is None:
             raise BadInput(f"name={self.name}: give letters, digits, '.', '_' and '-', for it names files")
         object.__setattr__(self, "metrics", spell_out_metrics(self.metrics))
-        for device in self.devices or ():
-            if re.fullmatch(r"cpu|cuda(:\d+)?", device) is None:
-                raise BadInput(f"devices={device} is unknown: give cpu, cuda or cuda:1")
         self._require_folders("stores", *self.stores)
 
     def _require_folders(self, name: str, *folders: str | None) -> None:
         for folder in folders:
             if folder is not None and not Path(folder).expanduser().is_dir():
                 raise BadInput(f"{name}={folder} is no folder: give the one that holds the frames or the runs")
+
+
+@dataclass(frozen=True, kw_only=True)
+class FolderRequest(ShowOptions):
+    """The runs of a results folder that figures and a page show."""
+
+    dataset: list[str] = option([], "names of datasets; all without any")
+    methods: list[str] = option([], "names of methods; all without any")
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunOptions(ShowOptions, ClusterOptions):
+    """The runs that are shown, and where those that are missing are made; raises BadInput for impossible options."""
+
+    seeds: int | None = option(None, "at most so many a row")
+    devices: list[str] | None = option(None, "null: cpu, and cuda where there is a GPU")
+    stored: bool = option(False, "from the store alone: nothing is run")
+    views: Any = option(None)
+    wide: bool = option(False)
+
+    def __post_init__(self) -> None:
+        """Check the options that need no plan, method or dataset."""
+        from vprbench.runs.viewpoints import parse_viewpoints
+
+        super().__post_init__()
+        ClusterOptions.__post_init__(self)
+        parse_viewpoints(self.views)
+        if self.seeds is not None and self.seeds < 1:
+            raise BadInput(f"seeds={self.seeds}: give at least 1")
+        for device in self.devices or ():
+            if re.fullmatch(r"cpu|cuda(:\d+)?", device) is None:
+                raise BadInput(f"devices={device} is unknown: give cpu, cuda or cuda:1")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,6 +85,8 @@ class TableRequest(RunOptions):
     methods: list[str] = option([], "more rows: names of methods, or of more_rows in conf/table.yaml")
     columns: list[str] | None = option(None, "null: the paper's datasets, or those that stand in for them")
     full: bool = option(False, "true: slow rows at full size too")
+    figures: bool = option(False, "true: draw the figures too, and make the runs of Figure 2c, about 6 minutes")
+    page: bool = option(False, "true: write the page too, with the figures in it")
     nordland: str | None = option(None, "folder of the real frames")
     robotcar: str | None = option(None, "folder of the real frames")
 

@@ -84,15 +84,15 @@ def groups(
     empty group where it has no run. A dataset gains and loses options over time: runs are taken by the options that
     both have, and other differences show in their protocol. The order of `runs` changes nothing.
     """
-    ordered = sorted(runs, key=lambda run: (run.dataset, run.method, _get_time(run), run.key))
-    failed = sorted(failures, key=lambda failure: (failure.method, _get_time(failure), failure.error))
+    ordered = sorted(runs, key=lambda run: (run.dataset, run.method, get_time(run), run.key))
+    failed = sorted(failures, key=lambda failure: (failure.method, get_time(failure), failure.error))
     found: list[Group] = []
     for column in columns:
         alike: dict[str, list[Run]] = defaultdict(list)
         for run in ordered:
             if _belongs_to_column(run, column) and any(_belongs_to_row(run, row) for row in rows):
                 alike[f"{as_text(run.protocol)} {run.fingerprint}"].append(run)
-        newest_first = sorted(alike.items(), key=lambda item: (max(map(_get_time, item[1])), item[0]), reverse=True)
+        newest_first = sorted(alike.items(), key=lambda item: (max(map(get_time, item[1])), item[0]), reverse=True)
         there = tuple(f for f in failed if _belongs_to_column(f, column) and any(_belongs_to_row(f, r) for r in rows))
         found += [
             Group(column, number, tuple(members), there if number == 1 else ())
@@ -121,7 +121,7 @@ def of_row(group: Group, row: Row, device: Device) -> RowRuns:
         seed = failure.config["seed"]
         if seed not in row.seeds or not _belongs_to_row(failure, row) or _get_device(failure) != device:
             continue
-        is_mended = seed in chosen and (failure.missing or _get_time(failure) <= _get_time(chosen[seed]))
+        is_mended = seed in chosen and (failure.missing or get_time(failure) <= get_time(chosen[seed]))
         if not is_mended and (not members or _machine(failure) == _machine(members[0])):
             newest[seed] = failure
     return RowRuns(
@@ -193,13 +193,14 @@ def _get_device(result: Run | Failure) -> str:
     return str(result.config.get("device", "cpu")).partition(":")[0]
 
 
-def _get_time(result: Run | Failure) -> str:
+def get_time(result: Run | Failure) -> str:
+    """Return when a run or a failure was made, in UTC; empty if that is not known."""
     return str(result.environment.get("time_utc") or "")
 
 
 def age(run: Run) -> tuple[str, str]:
     """Return the key that sorts runs from the oldest to the newest."""
-    return _get_time(run), run.key
+    return get_time(run), run.key
 
 
 def conditions(run: Run) -> dict[str, Any]:

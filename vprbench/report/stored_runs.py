@@ -11,7 +11,6 @@ from typing import Any
 
 from vprbench.api.dataset import Dataset
 from vprbench.plugins import registry
-from vprbench.plugins.opened_files import list_data_files, record_opened_files
 from vprbench.progress import progress_shown
 from vprbench.runs import thumbnails
 from vprbench.runs.corruption import corrupt_queries
@@ -67,23 +66,18 @@ class StoredRuns:
             return False
         dataset, images = self._dataset(request.dataset, request.corruption)
         dataset = record_viewpoints(dataset, parse_viewpoints(request.views))
-        keys = {
-            run_key(
-                request,
-                dataset,
-                images=images,
-                method_class=request.method["_target_"].rpartition(".")[2],
-                code=code,
-                files=_hash_files(request.method, alike),
-                held_out=held_out,
-                network=None,
-            )
-            for held_out in (None, *([dataset.held_out.fingerprint()] if dataset.held_out else []))
-        }
+        key = run_key(
+            request,
+            dataset,
+            images=images,
+            code=code,
+            files=_hash_files(request.method, alike),
+            network=None,
+        )
         if request.frames and thumbnails.load_thumbnails(self._store.root, images) is None:
             return False
-        there = (run for run in alike if run.dataset == dataset.name and run.key in keys)
-        return any(not list_missing_parts(run, request, dataset) for run in there)
+        there = (run for run in alike if run.dataset == dataset.name and run.key == key)
+        return any(not list_missing_parts(run, request) for run in there)
 
     def _dataset(self, config: Mapping[str, Any], corruption: Any) -> tuple[Dataset, str]:
         """Return a dataset and the fingerprint of its frames, which may have to be hashed."""
@@ -105,6 +99,5 @@ def _hash_files(arguments: Mapping[str, Any], stored: Sequence[Run]) -> list[tup
     """Return name and hash of each data file behind a method; one whose stored runs used none is not imported."""
     if not any(run.config["files"] for run in stored):
         return []
-    with record_opened_files() as opened:
-        method = registry.make_method(arguments)
-    return [(path.name, content_hash(path)) for path in list_data_files(method, arguments, opened)]
+    method = registry.make_method(arguments)
+    return [(path.name, content_hash(path)) for path in registry.list_data_files(method, arguments)]

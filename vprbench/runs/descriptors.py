@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +22,12 @@ from vprbench.runs.sources import hash_class
 from vprbench.storage.row_files import keep_rows
 
 
+@dataclass(frozen=True)
 class DescriptorCache:
     """Gives the descriptors of whole traverses; a method whose descriptors are not worth keeping has none."""
 
-    def __init__(self, folder: Path, origin: Mapping[str, Any]) -> None:
-        """Keep descriptors in a folder; `origin` is all but the images that a descriptor comes from."""
-        self._folder = folder
-        self._origin = origin
+    folder: Path
+    origin: Mapping[str, Any]  # all but the images that a descriptor comes from
 
     @classmethod
     def of(
@@ -61,12 +61,8 @@ class DescriptorCache:
         """Return the descriptors of a traverse, (n_images, n_dimensions), and how many were kept already.
 
         `encode` describes a block of images; `done` is called with the number of images described so far. A killed run
-        is continued but for up to 1024 images. Descriptors that the disk refuses are returned in memory.
+        is continued but for up to 1024 images. Raises BadInput if the disk refuses the descriptors.
         """
-        key = content_key({**self._origin, "images": images.content_hash()})
-        return keep_rows(
-            self._folder / f"{key}.npy",
-            len(images),
-            lambda first: encode_stretches(images, encode, done, first),
-            "descriptors",
-        )
+        key = content_key({**self.origin, "images": images.content_hash()})
+        path = self.folder / f"{key}.npy"
+        return keep_rows(path, len(images), lambda first: encode_stretches(images, encode, done, first), "descriptors")

@@ -6,17 +6,15 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Any
 
-from vprbench.api.adaptation import Adapt
 from vprbench.api.dataset import Dataset
 from vprbench.api.frame_cache import frames_kept
-from vprbench.api.method import Method, calibration
+from vprbench.api.method import Method
 from vprbench.data.doctor import check_dataset
 from vprbench.errors import BadInput
 from vprbench.plugins import networks, registry
-from vprbench.plugins.opened_files import list_data_files, record_opened_files
-from vprbench.plugins.tuned_frames import find_tuned_queries
+from vprbench.plugins.tuned_places import find_tuned_queries
 from vprbench.progress import progress_shown
 from vprbench.runs import machine, sequences, stream
 from vprbench.runs.corruption import corrupt_queries
@@ -31,7 +29,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Experiment:
-    """What a run is made of."""
+    """The parts of a run, built and checked."""
 
     request: RunRequest
     method: Method
@@ -42,8 +40,8 @@ class Experiment:
     files: Sequence[tuple[str, str]] = ()  # name and hash of each data file behind the method
     cache: Path | None = None  # a folder for descriptors worth keeping
     stream: int = 0  # places from one stop of a growing map to the next; 0: the map does not grow
-    tuned_queries: Sequence[int] = ()  # which show places that the method was tuned on, by their frames' content
-    shared_fit: list[FitResult] | None = None  # of runs that share the method: the result of its fit, once it is fitted
+    tuned_queries: list[int] = field(default_factory=list)  # that show frames which the method was tuned on
+    fits: list[FitResult] = field(default_factory=list)  # of runs that share the method: the fit of the first
 
     @property
     def views(self) -> Viewpoints | None:
@@ -52,20 +50,17 @@ class Experiment:
 
     @cached_property
     def config(self) -> dict[str, Any]:
-        """What a stored run holds of the request, and the files behind its method."""
+        """The fields of the request that a stored run holds, and the files behind its method."""
         return {**self.request.record(), "files": [[*each] for each in self.files]}
 
     def key(self) -> str:
         """Return the hash of all that can change the outcome of the run."""
-        held_out = calibration(self.method, self.dataset)
         return run_key(
             self.request,
             self.dataset,
             images=self.fingerprint,
-            method_class=type(self.method).__qualname__,
             code=code_hash(type(self.method)),
             files=self.files,
-            held_out=None if held_out is None else held_out.fingerprint(),
             network=self.networks.sha256,
         )
 
@@ -91,19 +86,18 @@ def build_experiment(
         with frames_kept(request.cache):
             dataset = registry.make_dataset(request.dataset)
     files = networks.find_network_files(request.save, request.load, request.force)
-    with record_opened_files() as opened:
-        method = (make or registry.make_method)(request.method)
-    _require_adaptable(method)
-    # warnings of the cheap checks are among the dataset's notes
-    in_sequences = bool(sequences.parse_views(request.sequence, request.filter))
-    dataset = replace(dataset, notes=(*dataset.notes, *check_dataset(dataset, in_sequences)))
+    method = (make or registry.make_method)(request.method)
+    if method.adapt != "none" and not method.adapts:
+        raise BadInput(f"method.adapt={method.adapt}: {type(method).__name__} has no codes with a mean; use none")
+    warnings = check_dataset(dataset, bool(sequences.parse_views(request.sequence, request.filter)))
+    dataset = replace(dataset, notes=(*dataset.notes, *warnings))
     tuned_queries = find_tuned_queries(dataset, request.tuned_on)
     if isinstance(request.corruption, str):
         dataset = corrupt_queries(dataset, request.corruption)
     dataset = record_viewpoints(dataset, parse_viewpoints(request.views))
     with progress_shown(request.method_name):  # frames may have to be hashed, and a file be downloaded
         dataset_hash, data = hash_frames(dataset)
-        behind = [(path.name, content_hash(path)) for path in list_data_files(method, request.method, opened)]
+        behind = [(path.name, content_hash(path)) for path in registry.list_data_files(method, request.method)]
         return Experiment(
             request,
             method,
@@ -115,25 +109,12 @@ def build_experiment(
             cache=Path(request.results).expanduser().absolute() / "descriptors" if request.cache else None,
             stream=stream.parse_step(request.stream, method, dataset.n_places),
             tuned_queries=tuned_queries,
-            shared_fit=[] if isinstance(request.corruption, list) else None,
         )
 
 
 def corrupt_experiment(clean: Experiment, corruption: str) -> Experiment:
-    """Return the same experiment on corrupted query frames; its method is fitted once if it has a `shared_fit`."""
+    """Return the same experiment on corrupted query frames; the method of both is fitted once."""
     dataset = corrupt_queries(clean.dataset, corruption)
     dataset_hash, data = hash_frames(dataset)
     request = clean.request.with_corruption(corruption)
     return replace(clean, request=request, dataset=dataset, fingerprint=dataset_hash, data=data)
-
-
-def _require_adaptable(method: Method) -> None:
-    """Raise BadInput for an argument `adapt` that is unknown, and for one of a method without centred codes."""
-    if method.adapt == "none":
-        return
-    if method.adapt not in get_args(Adapt):
-        raise BadInput(f"method.adapt={method.adapt}: give {', '.join(get_args(Adapt))}")
-    if not method.adapts:
-        raise BadInput(
-            f"method.adapt={method.adapt}: {type(method).__name__} has no codes that a mean can be taken off"
-        )

@@ -31,33 +31,31 @@ def run_key(
     dataset: Dataset,
     *,
     images: str,
-    method_class: str,
     code: str,
     files: Sequence[tuple[str, str]],
-    held_out: str | None,
     network: str | None,
 ) -> str:
-    """Return the hash of all that can change the outcome of a run, or the times it measures by one timing protocol.
+    """Return the hash of all that can change the record of a run, but for its timing protocol.
 
     Args:
         request: the run to be made; the place of its method's file does not count.
         dataset: its dataset, built.
         images: the fingerprint of the dataset.
-        method_class: the name of the method's class.
-        code: the hash of that class's code.
+        code: the `code_hash` of the method's class.
         files: name and hash of each data file behind the method.
-        held_out: the fingerprint of the places that the method chooses its settings by; None if there are none.
         network: the hash of the file that the run loads; None for a run that trains.
     """
     arguments = {name: value for name, value in request.method.items() if name not in ("_target_", "device")}
     return content_key(
         {
-            "method": {"class": method_class, **arguments},
+            "method": arguments,
             "code": code,
             "dataset": dataset.name,
             "protocol": dict(dataset.protocol),
             "images": images,
-            "held_out": held_out,
+            "breaks": [None if at is None else at.tolist() for at in (dataset.query_breaks, dataset.place_breaks)],
+            "held_out": None if dataset.held_out is None else dataset.held_out.fingerprint(),
+            "tuned_on": request.tuned_on,
             "files": [[*each] for each in files],
             "seed": request.seed,
             "device": machine.device_class(request.device),
@@ -79,12 +77,12 @@ class DataRecord(TypedDict):
 
 
 def code_hash(method: type[Method]) -> str:
-    """Return the hash of the code that computes a method's answers, and of the version of the harness around it.
+    """Return the hash of the code that computes a method's answers, its class, and the version of the harness.
 
     Of a class without source it is another one each time: its runs are never found again.
     """
     try:
-        return _add_harness(sources.hash_class(method))
+        return _add_harness(sources.hash_class(method), method.__qualname__)
     except OSError:
         return uuid.uuid4().hex
 
@@ -92,7 +90,7 @@ def code_hash(method: type[Method]) -> str:
 def code_hash_of(target: str) -> str | None:
     """Return the `code_hash` of a class by its full name, without importing it; None where its file is unknown."""
     code = sources.hash_target(target)
-    return None if code is None else _add_harness(code)
+    return None if code is None else _add_harness(code, target.rpartition(".")[2])
 
 
 def hash_frames(dataset: Dataset) -> tuple[str, DataRecord]:
@@ -101,20 +99,20 @@ def hash_frames(dataset: Dataset) -> tuple[str, DataRecord]:
     The record lets others tell whether they used the same frames. Raises BadInput if a file cannot be read.
     """
     traverses = dataset.references, dataset.queries
-    files = [images.file_hashes() for images in traverses]  # None: images that are no files
+    hashes = [images.file_hashes() for images in traverses]  # None: images that are no files
     digest = hashlib.sha256()
-    for images, hashes in zip(traverses, files, strict=True):
-        digest.update(images.fingerprint(hashes).encode())
+    for images, files in zip(traverses, hashes, strict=True):
+        digest.update(images.fingerprint(files).encode())
     digest.update(dataset.places.tobytes())
     for right in dataset.positives:
         digest.update(right.tobytes() + b";")
-    known = [hashes for hashes in files if hashes is not None]
-    whole = len(known) == len(files)
+    known = [files for files in hashes if files is not None]
+    are_files = len(known) == len(hashes)
     return digest.hexdigest(), {
         "names_sha256": names_hash(*(images.names for images in traverses)).hexdigest(),
-        "content_sha256": hashlib.sha256(b"".join(part.sha256 for part in known)).hexdigest() if whole else None,
+        "content_sha256": hashlib.sha256(b"".join(files.sha256 for files in known)).hexdigest() if are_files else None,
         "images": sum(map(len, traverses)),
-        "bytes": sum(int(part.sizes.sum()) for part in known) if whole else None,
+        "bytes": sum(int(files.sizes.sum()) for files in known) if are_files else None,
     }
 
 
@@ -123,5 +121,5 @@ def fingerprint(dataset: Dataset) -> str:
     return hash_frames(dataset)[0]
 
 
-def _add_harness(code: str) -> str:
-    return hashlib.sha256(f"{code} {VERSION}".encode()).hexdigest()
+def _add_harness(code: str, name: str) -> str:
+    return hashlib.sha256(f"{code} {name} {VERSION}".encode()).hexdigest()

@@ -10,12 +10,9 @@ import numpy as np
 
 from vprbench.api.dataset import Dataset
 from vprbench.api.method import Method
-from vprbench.plugins.opened_files import OpenedFile, find_unnamed_files
 from vprbench.runs.scorers import NearestScorer, Scorer, ViewsScorer
-from vprbench.text import be, some
 
 if TYPE_CHECKING:
-    from vprbench.runs.experiment import Experiment
     from vprbench.runs.record import Run
     from vprbench.runs.stopwatch import Timing
 
@@ -34,7 +31,6 @@ NoteKind = Literal[
     "tuned",  # the places on which its settings were chosen
     "seed",  # the only seed of a method that draws at random
     "loaded",  # the network that it did not train
-    "opened",  # files that its fit read and its key does not hold
     "calibrated",  # the held-out places that chose its settings
     "described",  # descriptors that a run had from the cache
     "fitted",  # a fit beside other runs
@@ -64,14 +60,6 @@ class Note:
 def make_notes(kind: NoteKind, texts: Iterable[str]) -> Iterator[Note]:
     """Yield a note of one kind for each text."""
     return (Note(kind, text) for text in texts)
-
-
-def note_opened_files(experiment: Experiment, opened: Iterable[OpenedFile]) -> Iterator[Note]:
-    """Yield a note on the files that a method read and that are no part of the key."""
-    known = {name for name, _ in experiment.files}
-    if others := [path.name for path in find_unnamed_files(opened, experiment.method) if path.name not in known]:
-        text = f"read {some(others)}, which files() does not name: this run is found again whatever {be(others)} in it"
-        yield Note("opened", text)
 
 
 def note_cache(dataset: Dataset, references: int, queries: int) -> Iterator[Note]:

@@ -62,12 +62,9 @@ def write_predictions(run: Run, name: str, request: RunRequest, dataset: Dataset
     if request.predictions is None:
         return []
     shown = {name_views([view]): view(run) for view in parse_views(request.sequence, request.filter)} or {"": run}
-    folder = Path(request.results).expanduser()
+    start = Path(request.results).expanduser() / f"{dataset.name}-{name}"
     return [
-        write_csv(
-            tabulate_predictions(one, request.predictions, dataset),
-            folder / f"{dataset.name}-{name}{ending}-predictions.csv",
-        )
+        write_csv(tabulate_predictions(one, request.predictions, dataset), Path(f"{start}{ending}-predictions.csv"))
         for ending, one in shown.items()
     ]
 
@@ -89,5 +86,4 @@ def write_csv(table: pd.DataFrame, file: Path) -> Path:
 def _name_images(images: Images, which: npt.NDArray[np.int64]) -> list[str]:
     """Return the files of some images, or their names where they are no files."""
     called = images.names if images.files is None else images.files
-    texts = {index: str(called[index]) for index in np.unique(which).tolist()}
-    return [texts[index] for index in which.tolist()]
+    return [str(called[index]) for index in which.tolist()]

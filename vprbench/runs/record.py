@@ -2,29 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, PlainValidator, ValidationInfo, with_config
+from pydantic import BaseModel, ConfigDict, InstanceOf, PlainSerializer, PlainValidator, ValidationInfo, with_config
 
 from vprbench.api.dataset import has_ground_truth
-from vprbench.metrics.bounds import (
-    HIGHEST_SCORE,
-    INTEGERS,
-    NUMBERS,
-    Array,
-    Count,
-    Fits,
-    Flag,
-    Name,
-    Number,
-    Places,
-    Seconds,
-    Text,
-)
+from vprbench.metrics.bounds import HIGHEST_SCORE, INTEGERS, NUMBERS, Array, Count, Fits, Name, Number, Seconds, Text
 from vprbench.metrics.ranking import Outcome
 from vprbench.runs.notes import Note
 from vprbench.runs.stopwatch import Timing
@@ -38,22 +25,15 @@ class _Part(BaseModel):
     model_config = ConfigDict(strict=True)
 
 
-class FailureConfig(_Part):
-    """The options of a run that failed."""
-
-    method: dict[str, Any] = {}
-    dataset: dict[str, Any] = {}
-    seed: int
-    device: str = "cpu"
-    overrides: list[str] = []
-    changed: dict[str, Any] = {}
-
-
-class RunConfig(FailureConfig):
+class RunConfig(_Part):
     """The options of a run."""
 
     method: dict[str, Any]
     dataset: dict[str, Any]
+    seed: int
+    device: str = "cpu"
+    overrides: list[str] = []
+    changed: dict[str, Any] = {}
     timing: Protocol | None = None  # of a run that was timed
 
 
@@ -71,7 +51,7 @@ class Environment(_Part):
     """The machine of a run, and when it ran; `machine.describe_machine` names all parts."""
 
     processor: str | None = None
-    time_utc: Annotated[str, Field(pattern=r"^\d{4}-\d\d-\d\d")] | None = None
+    time_utc: str | None = None
     cores: Count | None = None
     threads: Count | None = None
     accelerator: str | None = None
@@ -81,11 +61,7 @@ class Environment(_Part):
 Positives = tuple[npt.NDArray[np.int64], ...]  # the right places of each query
 
 _Breaks = npt.NDArray[np.int64] | None
-
-
-def _refuse_view(view: Any) -> None:
-    if view is not None:
-        raise ValueError("a view of a run is never stored")
+_Best = ("queries", "depth")  # axes of the best places of each query
 
 
 def _join_positives(positives: Positives) -> dict[str, npt.NDArray[np.int64]]:
@@ -118,7 +94,7 @@ class Run:
     fingerprint: Text  # of the dataset's images
     environment: Annotated[Mapping[str, Any], Fits(Environment)]
     notes: tuple[Note, ...]  # that a reader of the numbers needs
-    n_references: Places
+    n_references: Count
     fit_seconds: Seconds | None  # wall time, reading the images included; None: a network or descriptors were loaded
     fit_compute_seconds: Number | None  # without the time that the method waited for images
     load_seconds: Seconds | None  # wall time of reading, checking and restoring a network or descriptors
@@ -130,10 +106,8 @@ class Run:
     timing: Timing | None  # None: it was not timed
     outcome: Outcome
     positives: Annotated[Positives, PlainValidator(_split_positives), PlainSerializer(_join_positives, return_type=Any)]
-    top_places: Annotated[npt.NDArray[np.int32], Array(INTEGERS, ("queries", "depth"), 0, "last place")]  # best first
-    top_scores: Annotated[  # -inf: no candidate
-        npt.NDArray[np.float32], Array(NUMBERS, ("queries", "depth"), -np.inf, HIGHEST_SCORE)
-    ]
+    top_places: Annotated[npt.NDArray[np.int32], Array(INTEGERS, _Best, 0, "last place")]  # best first
+    top_scores: Annotated[npt.NDArray[np.float32], Array(NUMBERS, _Best, -np.inf, HIGHEST_SCORE)]  # -inf: no candidate
     scores: (  # None: too many to keep
         Annotated[npt.NDArray[np.float32], Array(NUMBERS, ("queries", "places"), -np.inf, HIGHEST_SCORE)] | None
     )
@@ -143,14 +117,12 @@ class Run:
     ) = None
     data: Mapping[str, Any] = field(default_factory=dict)  # as `identity.DataRecord` has it
     tuned_on: Mapping[str, Any] = field(default_factory=dict)
-    tuned_queries: Sequence[Count] | None = None  # which show frames of these places; None: not looked for yet
+    tuned_queries: list[Count] = field(default_factory=list)  # that show frames of these places
     query_breaks: Annotated[_Breaks, Array(INTEGERS, ("query breaks",), 1, "last query")] | None = None  # Dataset's
     place_breaks: Annotated[_Breaks, Array(INTEGERS, ("place breaks",), 1, "last place")] | None = None
     stream: list[dict[str, Any]] | None = None  # of a growing map
     energy: dict[str, Any] | None = None  # None: not requested
-    view: Annotated[View | None, PlainValidator(_refuse_view), Field(exclude=True)] = (
-        None  # None: the run as it is stored
-    )
+    view: InstanceOf[View] | None = None  # None: the run as it is stored; a view never is
 
     @property
     def is_judged(self) -> bool:
@@ -176,8 +148,8 @@ class Failure:
 
     method: Name
     dataset: Name
-    config: Annotated[Mapping[str, Any], Fits(FailureConfig)]
+    config: Annotated[Mapping[str, Any], Fits(RunConfig)]
     error: Text
     environment: Annotated[Mapping[str, Any], Fits(Environment)] = field(default_factory=dict)
-    missing: Flag = False  # weights, frames or the method itself are not there: nothing was tried
+    missing: bool = False  # weights, frames or the method itself are not there: nothing was tried
     traceback: Text = ""  # of an error that the method or the dataset raised

@@ -6,9 +6,12 @@ import json
 import re
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
 
 from vprbench.errors import BadInput
+from vprbench.metrics.bounds import Positive
 from vprbench.metrics.catalogue import GROUPS, METRICS
 from vprbench.runs.corruption import parse_corruptions
 from vprbench.runs.predictions import require_depth
@@ -36,22 +39,22 @@ class RunRequest:
     changed: dict[str, Any] = field(default_factory=dict)  # arguments of the method that differ from its yaml
     tuned_on: dict[str, Any] = field(default_factory=dict)  # places that the method's settings were chosen on
     overrides: list[str] = field(default_factory=list)  # the options of the command line that make the same request
-    seed: int = 0
+    seed: Annotated[int, Field(ge=0)] = 0
     device: str = "cpu"
-    threads: int | None = None  # None: all cores this process may use
+    threads: Positive | None = None  # None: all cores this process may use
     results: str = "results"
     force: bool = False
     cache: bool = True  # keep descriptors of networks and rendered frames, and take those of an earlier run
     output: Literal["row", "json"] = "row"
     wide: bool = False  # show all columns of the row
     metrics: list[str] = field(default_factory=list)  # more accuracies of row and JSON, by their names in METRICS
-    depth: int = 100
+    depth: Positive = 100  # best places that are kept of each query
     scores: bool = False  # keep all scores, however many
     sequence: Any = None
     filter: Any = None
     views: Any = None  # viewpoints of each query
     frames: bool = True  # keep small pictures of the dataset, for figures and report
-    limit_minutes: float | None = None  # after which a run has failed; None: none
+    limit_minutes: Annotated[float, Field(gt=0)] | None = None  # after which a run has failed; None: none
     corruption: str | list[str] | None = None  # of the query frames, as in shift-1; several: a run each, fitted once
     save: str | None = None  # file for the trained network
     load: str | None = None  # file of a trained network; nothing is trained then
@@ -72,21 +75,17 @@ class RunRequest:
         parse_corruptions(self.corruptions)
         if isinstance(self.corruption, list) and (self.save, self.load) != (None, None):
             raise BadInput(f"corruption={','.join(self.corruption)}: save= and load= take a run of one corruption")
-        if self.depth < 1:
-            raise BadInput(f"depth={self.depth}: keep at least the best place of each query")
         if self.predictions is not None:
             require_depth(self.predictions, self.depth, self.predictions)
-        if self.seed < 0:
-            raise BadInput(f"seed={self.seed}: give 0 or a larger number")
-        if self.limit_minutes is not None and not self.limit_minutes > 0:
-            raise BadInput(f"limit_minutes={self.limit_minutes}: give more than 0, or null for no limit")
-        if self.threads is not None and self.threads < 1:
-            raise BadInput(f"threads={self.threads}: give at least 1")
         if self.save is not None and self.load is not None:
-            raise BadInput(
-                f"save={self.save} and load={self.load}: a loaded network is stored already, give one of them"
-            )
-        self._check_device()
+            raise BadInput(f"save={self.save} and load={self.load}: a loaded network is stored already, give one")
+        if self.method.get("device", self.device) != self.device:
+            raise BadInput(f"method.device={self.method['device']} differs from device={self.device}: set device alone")
+        if re.fullmatch(r"cpu|cuda(:\d+)?", self.device) is None:
+            raise BadInput(f"device={self.device} is unknown: give cpu, cuda or cuda:1")
+        if self.device != "cpu" and "_target_" in self.method and "device" not in self.method:
+            kind = self.method["_target_"].rpartition(".")[2]
+            raise BadInput(f"device={self.device}: {kind} computes on the CPU, it has no option device; use device=cpu")
 
     @property
     def corruptions(self) -> list[str]:
@@ -127,22 +126,7 @@ class RunRequest:
             import torch
 
             if torch.cuda.device_count() <= int(self.device.partition(":")[2] or 0):
-                raise BadInput(
-                    f"device={self.device}: torch sees {torch.cuda.device_count()} GPUs here; use device=cpu"
-                )
-
-    def _check_device(self) -> None:
-        if self.method.get("device", self.device) != self.device:
-            raise BadInput(
-                f"method.device={self.method['device']} differs from device={self.device}: set device alone, for both"
-            )
-        if re.fullmatch(r"cpu|cuda(:\d+)?", self.device) is None:
-            raise BadInput(f"device={self.device} is unknown: give cpu, cuda or cuda:1")
-        if self.device != "cpu" and "_target_" in self.method and "device" not in self.method:
-            kind = self.method["_target_"].rpartition(".")[2]
-            raise BadInput(
-                f"device={self.device}: {kind} has no argument device, it computes on the CPU; use device=cpu"
-            )
+                raise BadInput(f"device={self.device}: torch sees {torch.cuda.device_count()} GPUs; use device=cpu")
 
 
 #: The options of a run; those of its method and dataset are given as method.NAME and dataset.NAME.

@@ -9,14 +9,13 @@ from typing import Any
 
 from vprbench import progress
 from vprbench.api.adaptation import Adaptation
-from vprbench.plugins.opened_files import record_opened_files
 from vprbench.runs import spikes, timing_lock
 from vprbench.runs.answers import QueryScoring, describe_search
 from vprbench.runs.descriptors import DescriptorCache
 from vprbench.runs.experiment import Experiment
 from vprbench.runs.fitting import FitResult, fit_or_load
 from vprbench.runs.identity import code_hash
-from vprbench.runs.notes import make_notes, note_cache, note_measurements, note_opened_files, note_scorer
+from vprbench.runs.notes import make_notes, note_cache, note_measurements, note_scorer
 from vprbench.runs.record import Run
 from vprbench.runs.scorers import AdaptedScorer, choose_scorer
 from vprbench.runs.stopwatch import Stopwatch, make_synchroniser
@@ -43,24 +42,21 @@ def execute(experiment: Experiment, key: str, keep: Callable[[Run], None] = lamb
 
     cache = experiment.cache if experiment.networks.load is None else None
     described = DescriptorCache.of(cache, method, experiment.config, dataset.n_places)
-    with record_opened_files() as opened:
-        fitted = fit_or_load(experiment, key, stopwatch, described)
-        read = queries.reading.seconds
-        scorer = choose_scorer(
-            method, dataset.n_places, request.depth, request.scores, () if views is None else views.all
-        )
-        scoring = QueryScoring(stopwatch, method, scorer, dataset, request.depth, request.scores)
+    fitted = fit_or_load(experiment, key, stopwatch, described)
+    read = queries.reading.seconds
+    scorer = choose_scorer(method, dataset.n_places, request.depth, request.scores, () if views is None else views.all)
+    scoring = QueryScoring(stopwatch, method, scorer, dataset, request.depth, request.scores)
 
-        def begin_traverse() -> Any:
-            if method.adapt == "none":
-                return scorer
-            return AdaptedScorer(scorer, Adaptation(method) if scoring.adaptation.is_causal else scoring.adaptation)
+    def begin_traverse() -> Any:
+        if method.adapt == "none":
+            return scorer
+        return AdaptedScorer(scorer, Adaptation(method) if scoring.adaptation.is_causal else scoring.adaptation)
 
-        first_query = stopwatch.first_query(begin_traverse(), queries)
-        watch.end_fit()
-        scoring.method_seconds += first_query
-        from_cache = scoring.score(described if views is None else None)
-        elsewhere = fitted.seconds + scoring.method_seconds + queries.reading.seconds - read
+    first_query = stopwatch.first_query(begin_traverse(), queries)
+    watch.end_fit()
+    scoring.method_seconds += first_query
+    from_cache = scoring.score(described if views is None else None)
+    elsewhere = fitted.seconds + scoring.method_seconds + queries.reading.seconds - read
 
     measured = {"data": experiment.data, **watch.record()}
     with stopwatch.lap() as auditing:
@@ -70,7 +66,6 @@ def execute(experiment: Experiment, key: str, keep: Callable[[Run], None] = lamb
         *make_notes("dataset", dataset.notes),
         *fitted.notes,
         *make_notes("method", method.notes()),
-        *note_opened_files(experiment, opened),
         *note_cache(dataset, fitted.from_cache, from_cache),
         *note_scorer(scorer, method, dataset.n_places),
     )
@@ -113,6 +108,8 @@ def _make_record(
         place_numbers=dataset.place_numbers,
         query_breaks=dataset.query_breaks,
         place_breaks=dataset.place_breaks,
+        tuned_on=experiment.request.tuned_on,
+        tuned_queries=experiment.tuned_queries,
         top_places=scoring.top_places,
         top_scores=scoring.top_scores,
         scores=scoring.scores,

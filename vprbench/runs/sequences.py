@@ -20,7 +20,7 @@ from vprbench.metrics.sequences import (
     sequence_scores,
     stretches,
 )
-from vprbench.plugins.values import build_options, parse_mapping
+from vprbench.plugins.options import build_options, parse_mapping
 from vprbench.runs.record import Run
 from vprbench.runs.views import queries_shown, replace_scores, select_queries
 

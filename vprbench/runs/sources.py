@@ -16,7 +16,10 @@ def hash_class(kind: type) -> str:
 
     Raises OSError for a class without a file, as a class that a cell of a notebook defines.
     """
-    return hash_files(find_files(kind).values())
+    try:
+        return _hash_with_imports(kind.__module__, Path(inspect.getfile(kind)))
+    except (OSError, TypeError) as error:
+        raise OSError(f"{kind.__qualname__} has no file: put the class into a file, as mine.py") from error
 
 
 def hash_target(target: str) -> str | None:
@@ -26,7 +29,7 @@ def hash_target(target: str) -> str | None:
     """
     module = target.rpartition(".")[0]
     path = _find_file(module)
-    return None if path is None else hash_files(_follow_imports(module, path).values())
+    return None if path is None else _hash_with_imports(module, path)
 
 
 def hash_files(files: Iterable[Path]) -> str:
@@ -35,24 +38,17 @@ def hash_files(files: Iterable[Path]) -> str:
     return hashlib.sha256("".join(hashes).encode()).hexdigest()
 
 
-def find_files(kind: type) -> dict[str, Path]:
-    """Return the files that `hash_class` reads, by module name; raises OSError for a class without a file."""
-    try:
-        return _follow_imports(kind.__module__, Path(inspect.getfile(kind)))
-    except (OSError, TypeError) as error:
-        raise OSError(f"{kind.__qualname__} has no file: put the class into a file, as mine.py") from error
-
-
-def _follow_imports(name: str, file: Path) -> dict[str, Path]:
-    """Return the module `name`, which is `file`, and all modules that it imports from its package or from beside it."""
+def _hash_with_imports(name: str, file: Path) -> str:
+    """Return the hash of the module `name`, which is `file`, and of all its own modules that it imports."""
     found, waiting = {name: file}, [name]
     while waiting:
         module = waiting.pop()
-        for imported in _list_imports(found[module].read_text(encoding="utf-8"), _name_package(module, found[module])):
+        package = module if found[module].name == "__init__.py" else module.rpartition(".")[0]
+        for imported in _list_imports(package, found[module].read_bytes()):
             if imported not in found and _is_own(imported, name, file) and (path := _find_file(imported)) is not None:
                 found[imported] = path
                 waiting.append(imported)
-    return found
+    return hash_files(found.values())
 
 
 def _is_own(module: str, method: str, file: Path) -> bool:
@@ -65,25 +61,16 @@ def _is_own(module: str, method: str, file: Path) -> bool:
 
 
 @cache
-def _list_imports(text: str, package: str) -> tuple[str, ...]:
-    """Return the full names of all imports of a text, of modules and of names that may be modules."""
+def _list_imports(package: str, code: bytes) -> tuple[str, ...]:
+    """Return the full names of all imports of a module's code: of modules, and of names that may be modules."""
     found: list[str] = []
-    for node in ast.walk(ast.parse(text)):
+    for node in ast.walk(ast.parse(code)):
         if isinstance(node, ast.Import):
             found += (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and (package or not node.level):
-            module = _resolve_module(node, package)
-            found += (module, *(f"{module}.{alias.name}" for alias in node.names))
+            name = importlib.util.resolve_name("." * node.level + (node.module or ""), package)
+            found += (name, *(f"{name}.{alias.name}" for alias in node.names))
     return tuple(found)
-
-
-def _resolve_module(node: ast.ImportFrom, package: str) -> str:
-    name = "." * node.level + (node.module or "")
-    return importlib.util.resolve_name(name, package) if node.level else name
-
-
-def _name_package(module: str, path: Path) -> str:
-    return module if path.name == "__init__.py" else module.rpartition(".")[0]
 
 
 def _find_file(module: str) -> Path | None:

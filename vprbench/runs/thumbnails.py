@@ -6,7 +6,7 @@ import io
 import json
 import logging
 import zipfile
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,18 +17,14 @@ from PIL import Image as PillowImage
 from vprbench import progress
 from vprbench.api.arrays import Image
 from vprbench.api.dataset import Dataset
-from vprbench.storage.atomic import remove_leftovers, replace_bytes
+from vprbench.storage.atomic import replace_bytes
 
 logger = logging.getLogger(__name__)
 
-_FOLDER, _ABOUT = "frames", "about.json"
-_EXAMPLE_SIDE = 640  # pixels, the longest
-_EXAMPLES = 4
-_SIDE, _QUALITY = 96, 50  # of a thumbnail: its longest side in pixels, and WebP's quality; about 1 kB
-_EFFORT = 4  # of WebP, 0 to 6
-_OF_RUN = 2000  # frames of a large dataset that are kept for one run ...
-_MOST = 6000  # ... and for all; a dataset of no more is kept whole
-_AT_LEAST = 60  # frames that are kept for each run all the same: of the queries that the page opens with
+_EXAMPLES, _EXAMPLE_SIDE = 4, 640  # pairs of pictures without loss, and their longest side in pixels
+_SIDE = 96  # of a thumbnail: its longest side in pixels, which makes about 1 kB
+_MOST = 6000  # thumbnails of a dataset; a dataset of no more frames is kept whole
+_OF_FURTHER_RUN = 60  # that a further run adds: of the queries that its page opens with
 
 
 @dataclass(frozen=True)
@@ -69,72 +65,58 @@ def choose_frames(shown: Shown, most: int) -> tuple[set[int], set[int]]:
 
 
 def save_thumbnails(root: Path, fingerprint: str, dataset: Dataset, shown: Shown = ()) -> None:
-    """Keep small pictures of a dataset below a results folder, beside earlier ones.
+    """Keep small pictures of a dataset below a results folder, beside those of earlier runs.
 
-    Of a large dataset only the frames that `shown` names first are kept. Several processes may do so at once; a
-    reader finds a whole file or none, and pictures that one adds while another does may be lost until the next run.
-    Raises OSError if the disk refuses and BadInput if a frame cannot be read.
+    Of a large dataset only the frames that `shown` names first are kept, of each further run a few. A reader finds a
+    whole file or none. Raises OSError if the disk refuses and BadInput if a frame cannot be read.
     """
     kept = load_thumbnails(root, fingerprint)
     first_of_place = np.unique(dataset.places, return_index=True)[1]
     images = {"queries": dataset.queries, "references": dataset.references[first_of_place]}
-    frames = {part: [*getattr(kept, part)] if kept else [b""] * len(images[part]) for part in images}
-    chosen: tuple[Collection[int], ...] = tuple(range(len(part)) for part in frames.values())
-    if sum(map(len, frames.values())) > _MOST:
-        n_kept = sum(bool(frame) for part in frames.values() for frame in part)
-        chosen = choose_frames(shown, max(_AT_LEAST, min(_OF_RUN, _MOST - n_kept)))
-    missing = {
-        part: [n for n in sorted(wanted) if not frames[part][n]] for part, wanted in zip(frames, chosen, strict=True)
-    }
-    if kept is not None and not any(missing.values()):
+    wanted: Sequence[Iterable[int]] = [range(len(part)) for part in images.values()]
+    if sum(map(len, images.values())) > _MOST:
+        wanted = choose_frames(shown, _MOST if kept is None else _OF_FURTHER_RUN)
+    files = {f"{part}/{n}": frame for part in images for n, frame in enumerate(getattr(kept, part, ())) if frame}
+    missing = [
+        sorted(n for n in numbers if f"{part}/{n}" not in files) for part, numbers in zip(images, wanted, strict=True)
+    ]
+    if kept is not None and not any(missing):
         return
-    for part, numbers in missing.items():
+    for part, numbers in zip(images, missing, strict=True):
         for done, image in enumerate(images[part][np.array(numbers, np.int64)]):
             progress.report(f"keeping small {part}", done / len(numbers))
-            frames[part][numbers[done]] = _encode(image, _SIDE, quality=_QUALITY)
-    files = {f"{part}/{n}": frame for part in frames for n, frame in enumerate(frames[part]) if frame}
+            files[f"{part}/{numbers[done]}"] = _encode_webp(image, _SIDE, quality=50)
     examples = _choose_examples(dataset)
-    for n, pair in enumerate(examples):
-        for number, part in zip(pair, images, strict=True):
-            files[f"examples/{n}-{part}"] = _encode(images[part][number], _EXAMPLE_SIDE, lossless=True)
-    names = {part: [*images[part].names] for part in images}
-    about = {"fingerprint": fingerprint, **names, "examples": examples}
-    path = _locate(root, fingerprint)
-    path.parent.mkdir(exist_ok=True)
-    remove_leftovers(path.parent)
+    for number, pair in enumerate(examples):
+        for part, n in zip(images, pair, strict=True):
+            files[f"examples/{number}-{part}"] = _encode_webp(images[part][n], _EXAMPLE_SIDE, lossless=True)
+    about = {"examples": examples, **{part: [*images[part].names] for part in images}}
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w") as archive:
-        for name, content in {_ABOUT: json.dumps(about).encode(), **files}.items():
+        for name, content in {**files, "about.json": json.dumps(about).encode()}.items():
             archive.writestr(name, content)
-    replace_bytes(path, packed.getvalue())
+    (root / "frames").mkdir(exist_ok=True)
+    replace_bytes(root / "frames" / f"{fingerprint}.zip", packed.getvalue())
 
 
 def load_thumbnails(root: Path, fingerprint: str) -> Thumbnails | None:
     """Return the pictures kept of a dataset; None if there are none or, with a warning, if they are damaged."""
-    path = _locate(root, fingerprint)
+    path = root / "frames" / f"{fingerprint}.zip"
     try:
         with zipfile.ZipFile(path) as archive:
             files = {name: archive.read(name) for name in archive.namelist()}
-        about = json.loads(files[_ABOUT])
-        if about["fingerprint"] != fingerprint:
-            raise ValueError("they are of another dataset")
-        frames = (
-            tuple(files.get(f"{part}/{n}", b"") for n in range(len(about[part]))) for part in ("queries", "references")
-        )
-        examples = (
-            Example(query, place, _decode(files[f"examples/{n}-queries"]), _decode(files[f"examples/{n}-references"]))
-            for n, (query, place) in enumerate(about["examples"])
-        )
-        return Thumbnails(tuple(about["queries"]), tuple(about["references"]), tuple(examples), *frames)
+        about = json.loads(files["about.json"])
+        parts = ("queries", "references")
+        names = [tuple(about[part]) for part in parts]
+        frames = [tuple(files.get(f"{part}/{n}", b"") for n in range(len(about[part]))) for part in parts]
+        pairs = [[_decode_webp(files[f"examples/{n}-{part}"]) for part in parts] for n in range(len(about["examples"]))]
+        examples = tuple(Example(*numbers, *pair) for numbers, pair in zip(about["examples"], pairs, strict=True))
+        return Thumbnails(names[0], names[1], examples, frames[0], frames[1])
     except FileNotFoundError:
         return None
     except Exception as error:  # a damaged file fails in many ways
         logger.warning("%s cannot be used (%s): the next run on that dataset makes it anew", path, error)
         return None
-
-
-def _locate(root: Path, fingerprint: str) -> Path:
-    return root / _FOLDER / f"{fingerprint[:16]}.zip"
 
 
 def _choose_examples(dataset: Dataset) -> list[tuple[int, int]]:
@@ -145,14 +127,14 @@ def _choose_examples(dataset: Dataset) -> list[tuple[int, int]]:
     return [(query, int(right[len(right) // 2])) for query, right in rights]
 
 
-def _encode(image: Image, side: int, **options: Any) -> bytes:
+def _encode_webp(image: Image, side: int, **options: Any) -> bytes:
     """Return an image as WebP, its longest side at most `side` pixels."""
     picture, buffer = PillowImage.fromarray(image), io.BytesIO()
     picture.thumbnail((side, side))
-    picture.save(buffer, "WEBP", method=_EFFORT, **options)
+    picture.save(buffer, "WEBP", **options)
     return buffer.getvalue()
 
 
-def _decode(webp: bytes) -> Image:
+def _decode_webp(webp: bytes) -> Image:
     with PillowImage.open(io.BytesIO(webp), formats=["WEBP"]) as picture:
         return np.asarray(picture.convert("RGB"))

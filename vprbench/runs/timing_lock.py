@@ -24,7 +24,7 @@ def computing() -> Iterator[None]:
     if _computing:
         yield
         return
-    with _open_lock() as file:
+    with (folder() / "computing").open("ab") as file:
         fcntl.flock(file, fcntl.LOCK_SH)
         _computing.append(file)
         try:
@@ -40,30 +40,24 @@ def alone() -> Iterator[None]:
 
     A run that computes goes on computing afterwards.
     """
-    for own in _computing:
-        fcntl.flock(own, fcntl.LOCK_UN)
-    with _open_lock() as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
-        try:
-            yield
-        finally:
-            fcntl.flock(file, fcntl.LOCK_UN)
-    for own in _computing:  # a run that was interrupted waits for nothing more
+    with computing():
+        (own,) = _computing
+        fcntl.flock(own, fcntl.LOCK_UN)  # two runs that wait for each other would wait for ever
+        fcntl.flock(own, fcntl.LOCK_EX)
+        yield
         fcntl.flock(own, fcntl.LOCK_SH)
 
 
 def is_only_run() -> bool:
-    """Tell whether no other run of this host computes or is timed now."""
-    with contextlib.ExitStack() as opened:
-        file = _computing[0] if _computing else opened.enter_context(_open_lock())
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            only = True
-        except BlockingIOError:
-            only = False
-        if _computing:  # the system has taken back the shared lock in either case
-            fcntl.flock(file, fcntl.LOCK_SH)
-        return only
+    """Tell whether no other run of this host computes or is timed now; for a process that computes."""
+    (own,) = _computing
+    only = True
+    try:
+        fcntl.flock(own, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        only = False
+    fcntl.flock(own, fcntl.LOCK_SH)  # the system has taken back the shared lock in either case
+    return only
 
 
 def folder() -> Path:
@@ -71,7 +65,3 @@ def folder() -> Path:
     path = Path(os.environ.get(FOLDER) or Path(tempfile.gettempdir()) / f"vprbench-slot-{os.getuid()}")
     path.mkdir(mode=0o700, parents=True, exist_ok=True)
     return path
-
-
-def _open_lock() -> IO[bytes]:
-    return (folder() / "computing").open("ab")

@@ -11,9 +11,9 @@ import numpy as np
 
 from vprbench.api.arrays import Image
 from vprbench.api.dataset import Dataset
-from vprbench.plugins.values import build_options, parse_mapping
+from vprbench.plugins.options import build_options, parse_mapping
 
-_EXAMPLE = "as in views=[-0.1,0,0.1] or views={vertical:[-0.1,0,0.1],zoom:[1,1.1]}"
+_EXAMPLE = "views=[-0.1,0,0.1] or views={vertical:[-0.1,0,0.1],zoom:[1,1.1]}"
 
 
 @dataclass(frozen=True)
@@ -30,9 +30,6 @@ class Viewpoint:
         return f"{self.horizontal:g}{vertical}" + ("" if self.zoom == 1 else f" zoom {self.zoom:.3g}")
 
 
-AS_IT_IS = Viewpoint()
-
-
 @dataclass(frozen=True)
 class Viewpoints:
     """The views of each query; raises ValueError for impossible ones."""
@@ -43,14 +40,11 @@ class Viewpoints:
 
     def __post_init__(self) -> None:
         """Check the shifts and zooms."""
-        shown = self.protocol() if self.all else "[]"
         shifts = (*self.horizontal, *self.vertical)
-        if not self.all or not all(abs(each) <= 0.5 for each in shifts):  # NaN too
-            raise ValueError(f"{shown}: give shifts from -0.5 to 0.5 of the frame, {_EXAMPLE}")
-        if not all(0.5 <= each <= 2 for each in self.zoom):
-            raise ValueError(f"zoom {self.zoom}: give enlargements from 0.5 to 2, {_EXAMPLE}")
-        if len({*self.all}) < len(self.all):
-            raise ValueError(f"{shown}: give each view once, {_EXAMPLE}")
+        possible = all(abs(each) <= 0.5 for each in shifts) and all(0.5 <= each <= 2 for each in self.zoom)  # not NaN
+        if not possible or not self.all or len({*self.all}) < len(self.all):
+            wanted = "shifts from -0.5 to 0.5 of the frame and enlargements from 0.5 to 2, each view once"
+            raise ValueError(f"{self.protocol() or '[]'}: give {wanted}, as in {_EXAMPLE}")
 
     @property
     def all(self) -> list[Viewpoint]:
@@ -81,7 +75,7 @@ def render_view(image: Image, viewpoint: Viewpoint) -> Image:
 
     Shifts are by whole pixels; an enlargement about the middle interpolates between pixels.
     """
-    if viewpoint == AS_IT_IS:
+    if viewpoint == Viewpoint():
         return image
     (height, width), zoom = image.shape[:2], viewpoint.zoom
     left, up = -round(viewpoint.horizontal * width), -round(viewpoint.vertical * height)

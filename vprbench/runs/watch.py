@@ -12,7 +12,7 @@ from vprbench.runs import machine, timing_lock
 
 
 class MachineWatch:
-    """Looks at the machine when it is made, when timing begins, and in `record`."""
+    """Looks at the machine when it is made, when timing begins, and in `record`; for a process that computes."""
 
     def __init__(self, device: str, threads: int) -> None:
         """Look for the first time; the peak of memory counts from now on."""

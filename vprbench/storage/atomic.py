@@ -14,18 +14,18 @@ PARTIAL = ".partial-"  # begins the names of unfinished files and folders, which
 _FORGOTTEN_SECONDS = 86400.0
 
 
-def unfinished(folder: Path, ending: str = "") -> Path:
+def unfinished(folder: Path) -> Path:
     """Return a name in a folder that no other process has, for a file or a folder that is being written."""
-    return folder / f"{PARTIAL}{uuid.uuid4().hex}{ending}"
+    return folder / f"{PARTIAL}{uuid.uuid4().hex}"
 
 
-def remove_leftovers(folder: Path, ending: str = "") -> None:
-    """Remove unfinished files and folders whose names end so and that nobody has written to for a day."""
-    with suppress(OSError):
-        for path in folder.iterdir():
-            if path.name.startswith(PARTIAL) and path.name.endswith(ending):
-                with suppress(OSError):  # its writer has just finished, or the system refuses
-                    _remove_if_forgotten(path)
+def remove_leftovers(folder: Path) -> None:
+    """Remove unfinished files and folders that nobody has written to for a day."""
+    for path in folder.glob(f"{PARTIAL}*"):
+        with suppress(OSError):  # its writer has just finished, or the system refuses
+            written = max(part.stat().st_mtime for part in (path, *path.rglob("*")))
+            if time.time() - written > _FORGOTTEN_SECONDS:
+                shutil.rmtree(path) if path.is_dir() else path.unlink()
 
 
 @contextmanager
@@ -48,13 +48,3 @@ def replace_bytes(path: Path, content: bytes) -> None:
         partial.replace(path)
     finally:
         partial.unlink(missing_ok=True)
-
-
-def _remove_if_forgotten(path: Path) -> None:
-    written = max(part.stat().st_mtime for part in (path, *path.rglob("*")))
-    if time.time() - written < _FORGOTTEN_SECONDS:
-        return
-    if path.is_dir():
-        shutil.rmtree(path, ignore_errors=True)
-    else:
-        path.unlink()

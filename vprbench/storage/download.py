@@ -48,13 +48,10 @@ def fetch(
                 shutil.rmtree(folder, ignore_errors=True)
             folder.mkdir(exist_ok=True)
             whole = folder / "whole"
-            problem = _download(url, whole, timeout_seconds, size_bytes, f"downloading {destination.name}")
-            if problem is None and (problem := _find_difference(whole, size_bytes, sha256)):
-                shutil.rmtree(folder)
-            if problem:
-                raise MissingData(
-                    f"{url} {problem}: run again later, or get the file by hand and store it as {destination}"
-                )
+            if problem := _download(url, whole, destination.name, size_bytes, sha256, timeout_seconds):
+                whole.unlink(missing_ok=True)  # the part of an unfinished download has another name
+                by_hand = f"get the file by hand and store it as {destination}"
+                raise MissingData(f"{url} {problem}: run again later, or {by_hand}")
             whole.replace(destination)
             shutil.rmtree(folder)
     except OSError as error:
@@ -63,17 +60,19 @@ def fetch(
         ) from error
 
 
-def _download(url: str, whole: Path, timeout_seconds: float, size_bytes: int | None, stage: str) -> str | None:
-    """Bring a file; returns the reason if that fails, with the part kept beside `whole`."""
+def _download(
+    url: str, whole: Path, name: str, size_bytes: int | None, sha256: str | None, timeout_seconds: float
+) -> str | None:
+    """Bring a file; returns the reason if that fails or another file than stated came."""
     import gdown
     import requests
 
     def show(done_bytes: int, total_bytes: int | None) -> None:
         total_bytes = total_bytes or size_bytes
-        report(stage, min(done_bytes / total_bytes, 1.0) if total_bytes else 0.0)
+        report(f"downloading {name}", min(done_bytes / total_bytes, 1.0) if total_bytes else 0.0)
 
-    report(stage, 0.0)
-    kept = _count_received_bytes(whole)
+    digest = hashlib.sha256()
+    show(0, None)
     try:
         gdown.download(
             url,
@@ -83,35 +82,20 @@ def _download(url: str, whole: Path, timeout_seconds: float, size_bytes: int | N
             resume=True,
             retries=_RETRIES,
             progress=show,
+            hasher=digest,
             timeout=timeout_seconds,
         )
     except (requests.RequestException, gdown.FileURLRetrievalError, gdown.DownloadError) as error:
-        received = _count_received_bytes(whole)
-        if kept and "did not honor" in str(error):  # the server does not continue this part
+        if "did not honor" in str(error):  # the server does not continue this part
             shutil.rmtree(whole.parent)
-            whole.parent.mkdir()
-            return _download(url, whole, timeout_seconds, size_bytes, stage)
-        reason = " ".join(str(error).split()).partition(". ")[0]
-        return f"gives no file ({reason}; {received} bytes are kept)"
-    report(stage, 1.0)
-    return None
-
-
-def _count_received_bytes(whole: Path) -> int:
-    return sum(part.stat().st_size for part in whole.parent.iterdir())
-
-
-def _find_difference(file: Path, size_bytes: int | None, sha256: str | None) -> str | None:
-    """Return in what way a file differs from the statement about it, None if in none."""
-    came = file.stat().st_size
-    with file.open("rb") as content:
+        return f"gives no file ({' '.join(str(error).split()).partition('. ')[0]})"
+    with whole.open("rb") as content:
         start = content.read(512).lstrip(b"\xef\xbb\xbf \t\r\n").lower()
-        content.seek(0)
-        digest = hashlib.file_digest(content, "sha256").hexdigest() if sha256 else ""
+    came = whole.stat().st_size
     if start.startswith((b"<!doctype html", b"<html")):
         return "gave a web page instead of a file (a login?)"
     if came == 0 or size_bytes not in (None, came):
         return f"gave {came} bytes, expected {size_bytes or 'more'}"
-    if sha256 and digest != sha256.lower():
-        return f"gave a file with SHA-256 {digest}, expected {sha256}"
+    if sha256 and digest.hexdigest() != sha256.lower():
+        return f"gave a file with SHA-256 {digest.hexdigest()}, expected {sha256}"
     return None

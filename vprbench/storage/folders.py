@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -13,16 +14,6 @@ import vprbench
 from vprbench.errors import BadInput
 
 
-def expanded(option: str, path: str) -> Path:
-    """Return a path with its ~ resolved; raises BadInput, naming the option, if that home is not known."""
-    try:
-        return Path(path).expanduser()
-    except RuntimeError as error:
-        raise BadInput(
-            f"{option}={path}: the home of {path.split('/')[0]} is not known, write the whole path"
-        ) from error
-
-
 def require_homes(options: Mapping[str, Any], above: str = "") -> None:
     """Raise BadInput for a path in a home that is not known, as in ~nobody/frames."""
     for name, value in options.items():
@@ -30,7 +21,8 @@ def require_homes(options: Mapping[str, Any], above: str = "") -> None:
             require_homes(value, f"{above}{name}.")
         for text in value if isinstance(value, list) else [value]:
             if isinstance(text, str) and text.startswith("~"):
-                expanded(f"{above}{name}", text)
+                with _explain_unknown_home(f"{above}{name}", text):
+                    Path(text).expanduser()
 
 
 def cache_folder(variable: str, name: str) -> Path:
@@ -39,12 +31,9 @@ def cache_folder(variable: str, name: str) -> Path:
     Raises BadInput if neither is known.
     """
     chosen = os.environ.get(variable)
-    if chosen:
-        return expanded(variable, chosen)
-    try:
-        return platformdirs.user_cache_path("vprbench", appauthor=False).expanduser() / name
-    except RuntimeError as error:
-        raise BadInput(f"nobody knows the home of this user: set HOME, or {variable} to a folder") from error
+    with _explain_unknown_home(variable, chosen):
+        folder = Path(chosen) if chosen else platformdirs.user_cache_path("vprbench", appauthor=False) / name
+        return folder.expanduser()
 
 
 def checkout_folder() -> Path:
@@ -54,4 +43,12 @@ def checkout_folder() -> Path:
 
 def data_folder(name: str) -> Path:
     """Return the folder of a dataset: `data/<name>` where the command runs, or below the folder VPRBENCH_DATA names."""
-    return expanded("VPRBENCH_DATA", os.environ.get("VPRBENCH_DATA") or "data") / name
+    return Path(os.environ.get("VPRBENCH_DATA") or "data").expanduser() / name
+
+
+@contextmanager
+def _explain_unknown_home(option: str, value: str | None) -> Iterator[None]:
+    try:
+        yield
+    except RuntimeError as error:
+        raise BadInput(f"{option}={value or ''}: no home is known: set HOME, or {option} to a whole path") from error

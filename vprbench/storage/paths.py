@@ -6,6 +6,7 @@ import os
 import re
 from array import array
 from collections.abc import Iterable, Iterator, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any, overload
 
@@ -22,50 +23,33 @@ class Paths(Sequence[Path]):
     An integer index gives a path, a slice or an index array gives paths.
     """
 
-    def __init__(self, folders: Sequence[Path], numbers: npt.NDArray[np.int32], names: Sequence[str]) -> None:
-        """Take different folders, and of each file the number of its folder, (n,), and its name."""
-        self.folders = tuple(folders)
-        self.numbers = numbers
-        self.names = tuple(names)
-
-    @classmethod
-    def of(cls, paths: Iterable[Path]) -> Paths:
-        """Return these paths, in their order."""
-        return paths if isinstance(paths, Paths) else cls._group_files((path.parent, path.name) for path in paths)
-
-    @classmethod
-    def below(cls, top: Path, texts: Sequence[str]) -> Paths:
-        """Return the paths `top / text`."""
-        known: dict[str, Path] = {}
-
-        def split(text: str) -> tuple[Path, str]:
-            folder, _, name = text.rpartition("/")
-            if os.sep != "/" or not folder or name in ("", "."):
-                return (top / text).parent, (top / text).name
-            if folder not in known:
-                known[folder] = top / folder
-            return known[folder], name
-
-        return cls._group_files(map(split, texts))
-
-    @classmethod
-    def joined(cls, parts: Iterable[Paths]) -> Paths:
-        """Return the paths of all parts, one part after the other."""
-        return cls._group_files(
-            (part.folders[number], name)
-            for part in parts
-            for number, name in zip(part.numbers.tolist(), part.names, strict=True)
-        )
-
-    @classmethod
-    def _group_files(cls, files: Iterable[tuple[Path, str]]) -> Paths:
-        """Return paths by the folder and the name of each."""
+    def __init__(self, files: Iterable[tuple[Path, str]]) -> None:
+        """Take the folder and the name of each file."""
         known: dict[Path, int] = {}
         numbers, names = array("i"), []
         for folder, name in files:
             numbers.append(known.setdefault(folder, len(known)))
             names.append(name)
-        return cls([*known], np.array(numbers, np.int32), names)
+        self.folders = tuple(known)
+        self.numbers = np.array(numbers, np.int32)  # (n,), of the folder of each file
+        self.names = tuple(names)
+
+    @classmethod
+    def of(cls, paths: Iterable[Path]) -> Paths:
+        """Return these paths, in their order."""
+        return paths if isinstance(paths, Paths) else cls((path.parent, path.name) for path in paths)
+
+    @classmethod
+    def below(cls, top: Path, texts: Sequence[str]) -> Paths:
+        """Return the paths `top / text`."""
+        find_folder = cache(top.joinpath)
+        split = (os.path.split(text) for text in texts)
+        return cls((find_folder(folder), name) for folder, name in split)
+
+    @classmethod
+    def joined(cls, parts: Iterable[Paths]) -> Paths:
+        """Return the paths of all parts, one part after the other."""
+        return cls(file for part in parts for file in part._list_files(slice(None)))
 
     def __len__(self) -> int:
         """Return the number of paths."""
@@ -79,20 +63,21 @@ class Paths(Sequence[Path]):
         """Return one path, or several."""
         if isinstance(index, int | np.integer):
             return self.folders[int(self.numbers[index])] / self.names[index]
-        return Paths(self.folders, self.numbers[index], chosen_names(self.names, index))
+        return Paths(self._list_files(index))
+
+    def _list_files(self, index: slice | npt.NDArray[Any]) -> Iterator[tuple[Path, str]]:
+        folders = (self.folders[number] for number in self.numbers[index].tolist())
+        return zip(folders, chosen_names(self.names, index), strict=True)
 
     def distinct(self) -> Paths:
         """Return each different path once, in the order of the first."""
-        files = zip(self.numbers.tolist(), self.names, strict=True)
-        numbers, names = zip(*dict.fromkeys(files), strict=True) if len(self) else ((), ())
-        return Paths(self.folders, np.array(numbers, np.int32), names)
+        return Paths(dict.fromkeys(self._list_files(slice(None))))
 
     def in_folders(self) -> Iterator[tuple[Path, npt.NDArray[np.int64]]]:
-        """Yield each folder that holds any of the files, and their positions, ascending; in order of the first."""
+        """Yield each folder and the positions of its files, ascending; folders in the order of their first files."""
         order = np.argsort(self.numbers, kind="stable")
-        ends = np.flatnonzero(np.diff(self.numbers[order])) + 1
-        for group in sorted(filter(len, np.split(order, ends)), key=lambda group: int(group[0])):
-            yield self.folders[self.numbers[group[0]]], group
+        ends = np.cumsum(np.bincount(self.numbers))
+        return zip(self.folders, np.split(order, ends[:-1]), strict=False)  # no file has no folder
 
 
 def chosen_names(names: Sequence[str], index: slice | npt.NDArray[Any]) -> tuple[str, ...]:
@@ -105,9 +90,9 @@ def chosen_names(names: Sequence[str], index: slice | npt.NDArray[Any]) -> tuple
 def natural_keys(texts: Sequence[str]) -> list[Any]:
     """Return for each text the key by which sorting puts 2.jpg before 10.jpg, as natsort does; one call's keys compare.
 
-    Keys of printable ASCII are text: each number stands without leading zeros, after a 0 and the count of its digits.
+    Keys of printable ASCII are text, five times faster: each number stands without leading zeros, after a 0 and the
+    count of its digits.
     """
     if not all(text.isascii() and text.isprintable() for text in texts):
-        key = natsort_keygen()
-        return [key(text) for text in texts]
+        return list(map(natsort_keygen(), texts))
     return [_DIGITS.sub(lambda found: f"\0{chr(len(found[1]))}{found[1]}", text) for text in texts]

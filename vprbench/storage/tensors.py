@@ -21,8 +21,7 @@ _KINDS = {"F32": "<f4", "F64": "<f8", "I32": "<i4", "I64": "<i8"}
 def plain(array: Array, name: str) -> Array:
     """Return an array as safetensors writes it, byte after byte; raises TypeError for anything but numbers."""
     if not isinstance(array, np.ndarray) or array.dtype.kind not in "biuf":
-        kind = array.dtype if isinstance(array, np.ndarray) else type(array).__name__
-        raise TypeError(f"{name} is {kind}; wanted a numpy array of numbers")
+        raise TypeError(f"{name} is {getattr(array, 'dtype', type(array).__name__)}; wanted a numpy array of numbers")
     return array.astype(array.dtype.newbyteorder("<"), order="C", copy=False)
 
 
@@ -42,17 +41,14 @@ def mapped_arrays(path: Path) -> dict[str, Array]:
     try:
         with safe_open(path, framework="np") as file:  # it checks types, shapes and places against the file's length
             names = list(file.keys())
-    except SafetensorError as error:
-        raise ValueError(str(error)) from error
-    content = np.memmap(path, np.uint8, "r")
-    start = 8 + int.from_bytes(content[:8].tobytes(), "little")
-    header = json.loads(content[8:start].tobytes())
-    return {name: _mapped(content[start:], header[name]) for name in names}
+        content = np.memmap(path, np.uint8, "r").view(np.ndarray)
+        start = 8 + int.from_bytes(content[:8].tobytes(), "little")
+        entries = json.loads(content[8:start].tobytes())
+        return {name: _map_array(content[start:], entries[name]) for name in names}
+    except (SafetensorError, KeyError) as error:
+        raise ValueError(f"{error}; wanted arrays of {', '.join(_KINDS)}") from error
 
 
-def _mapped(content: Array, entry: Mapping[str, Any]) -> Array:
+def _map_array(content: Array, entry: Mapping[str, Any]) -> Array:
     first, end = entry["data_offsets"]
-    kind = _KINDS.get(entry["dtype"])
-    if kind is None:
-        raise ValueError(f"an array is of {entry['dtype']}; wanted {', '.join(_KINDS)}")
-    return np.asarray(content[first:end]).view(kind).reshape(entry["shape"])
+    return content[first:end].view(_KINDS[entry["dtype"]]).reshape(entry["shape"])

@@ -160,3 +160,22 @@ def test_a_sequence_says_of_runs_without_scores_what_to_do(apart, capsys, tmp_pa
     assert "\npca " in shown
     assert main([*ASKED, "methods=sad", "sad.patch=5", *asked]) == 2
     assert "scores=true" in capsys.readouterr().err
+
+
+def test_files_of_another_ground_truth_stay_and_those_of_other_methods_make_room_with_a_warning(
+    tmp_path, monkeypatch, caplog
+):
+    quick_figures(monkeypatch)
+    install(monkeypatch, tmp_path)
+    for methods, tolerance in (("sad", 0), ("sad", 1), ("pca", 0)):
+        asked = [f"methods={methods}", "dataset=synthetic", "dataset.places=12", f"dataset.tolerance={tolerance}"]
+        assert main(["compare", *asked, "timing=none", "threads=1"]) == 0
+    first, second = sorted(Path("results").glob("synthetic*-runs.csv"), key=lambda path: len(path.name), reverse=True)
+    assert [lines(path.name)[0]["method"] for path in (first, second)] == ["sad", "pca"]
+    assert [record.args for record in caplog.records if record.levelname == "WARNING"] == [("synthetic", "sad")]
+
+
+def test_a_column_that_was_asked_for_stays_where_the_terminal_is_narrow(apart, capsys):
+    assert main([*ASKED, "methods=sad", "sad.patch=5", "metrics=energy", *dataset(Path()), "stored=true"]) == 0
+    head = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("method"))
+    assert ("Map B/place" in head, "peak MB" in head) == (True, False)

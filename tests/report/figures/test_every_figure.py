@@ -4,20 +4,17 @@ from dataclasses import replace
 from functools import partial
 
 import little
-import numpy as np
 import pytest
 from checkout import ROOT
-from figure_runs import five_rows, run, series, sized
+from figure_runs import run, series
 
 from vprbench.errors import BadInput
-from vprbench.metrics.ranking import outcome
 from vprbench.report.figures.accuracy import draw_precision_recall, draw_recall_at_n, draw_recall_at_tolerance
-from vprbench.report.figures.growth import draw_growth
+from vprbench.report.figures.growth import draw_growing_map, draw_growth
 from vprbench.report.figures.pictures import draw_frames, draw_similarity
 from vprbench.report.figures.speed import draw_query_rate, draw_training_time
-from vprbench.report.figures.spikes import draw_spikes
+from vprbench.report.figures.spikes import draw_raster, draw_spikes
 from vprbench.report.figures.tradeoff import draw_memory_tradeoff, draw_rate_tradeoff
-from vprbench.report.growth import samples
 from vprbench.report.plan import Row, read_plan
 from vprbench.runs.notes import Note
 from vprbench.runs.thumbnails import Thumbnails
@@ -25,84 +22,59 @@ from vprbench.runs.thumbnails import Thumbnails
 PLAN = read_plan(ROOT / "conf" / "table.yaml")
 ROWS = list(PLAN.rows.values())
 NORDLAND, WINTER = PLAN.columns["nordland"], PLAN.columns["railway_winter"]
-UNPUBLISHED = replace(PLAN.columns["railway"], title="Railway (rendered), 225 places", published=None)
-NOISY = (Note("noisy", "two carts passed"),)
-ACCURACY = (draw_precision_recall, draw_recall_at_n, draw_recall_at_tolerance, draw_rate_tradeoff, draw_memory_tradeoff)
+UNPUBLISHED = replace(PLAN.columns["railway"], published=None)
+COSTS = (draw_rate_tradeoff, draw_memory_tradeoff)
+ACCURACY = (draw_precision_recall, draw_recall_at_n, draw_recall_at_tolerance, *COSTS)
 
 
 def troubled():
-    """Return a tuned row, one on a GPU, and one on a busy machine with ties beyond what is stored."""
+    """Return a tuned row, two seeds on a GPU, and a row on a busy machine."""
     tuned = run("mine", 0.5, tuned_on={"dataset": "railway", "places": "the first 9 places"})
-    tied = run("gcl", 0.3, notes=NOISY)
-    tied = replace(tied, outcome=replace(tied.outcome, top_tied=np.full(40, 30)))
-    rows = [series("Mine", tuned), series("SAD", run("sad", device="cuda")), series("GCL", tied)]
-    return [replace(row, runs=tuple(replace(r, protocol={"tolerance_places": 2}) for r in row.runs)) for row in rows]
+    busy = run("gcl", 0.3, notes=(Note("noisy", "two carts passed"),))
+    seeds = series("SAD", *(run("sad", seed=seed, device="cuda") for seed in (0, 1)))
+    return [series("Mine", tuned), seeds, series("GCL", busy)]
 
 
-def unanswered():
-    """Return two seeds of which one query has no right place."""
-    runs = [little.a_run(config={**little.a_run().config, "seed": seed}) for seed in (0, 1)]
-    positives = (*runs[0].positives[:3], np.empty(0, np.int64))
-    scores = np.asarray(runs[0].scores)
-    return series("VPRTempo", *(replace(r, positives=positives, outcome=outcome(scores, positives)) for r in runs))
-
-
-def test_a_caption_names_data_seeds_and_tuned_rows_and_that_of_costs_machines_and_disturbed_rows_too():
-    for draw in ACCURACY:
-        of_costs = draw in (draw_rate_tradeoff, draw_memory_tradeoff)
-        caption = draw(troubled()).caption
-        assert "railway (40 queries, 50 places)" in caption
-        assert "Mine: tuned on the first 9 places of railway" in caption
-        assert ("Abacus 9" in caption, "Loom 7" in caption, "laps: GCL." in caption) == (of_costs,) * 3
-        caption = draw([unanswered()]).caption
-        assert "journey (4 queries, 10 places, 1 without a right place)" in caption
-        assert "VPRTempo 2." in caption
-
-
-def test_a_caption_of_speed_names_the_paper_s_machines_where_it_has_bars_and_the_data_that_stand_in():
-    five = five_rows(n_places=50)
-    for draw in (draw_training_time, draw_query_rate):
-        assert "Intel i7-9700K" in draw(five, (), ROWS, NORDLAND, {}).caption
-        assert "Table II on Oxford RobotCar" in draw(five[-1:], (), ROWS, WINTER, {}).caption
-        assert "i7-9700K" not in draw(troubled()[2:], (), [Row("GCL", "gcl")], UNPUBLISHED, {}).caption
-    assert "quoted there: NetVLAD, GCL." in draw_training_time(five, (), ROWS, NORDLAND, {}).caption
-    assert "VPRSNN match, VPRTempo match." in draw_query_rate(five, (), ROWS, NORDLAND, {}).caption
-
-
-def test_a_caption_of_growth_counts_the_runs_of_other_code():
-    older = sized(300, 9.0, 0.009, code="older", time_utc="2024-01-01T00:00:00Z")
-    row = samples(Row("VPRTempo", "vprtempo", "match"), [older, *(sized(n, 0.01 * n, 0.001) for n in (300, 9000))])
-    caption = draw_growth([row]).caption
-    assert "2 maps of 300 to 9,000 places" in caption
-    assert "Not drawn: 1 run " in caption
-    assert "O(log n) query" in caption
-
-
-SPIKING = {"spikes": {"queries": 4, "layers": [little.a_layer("output", 100, [1, 2, 3, 4], 0.5, None)]}}
-FIRST = series("VPRTempo", little.a_run(**SPIKING))
-UNTIMED = [series("SAD", little.a_run(timing=None))]
-BARS = {"gpu": (), "rows": ROWS, "column": NORDLAND, "marks": {}}
+@pytest.mark.parametrize("draw", ACCURACY)
+def test_a_caption_names_data_seeds_and_tuned_rows_and_that_of_costs_machines_and_disturbed_rows_too(draw):
+    caption = draw(troubled()).caption
+    assert "railway (40 queries, 50 places)" in caption
+    assert "Mine: tuned on the first 9 places of railway" in caption
+    assert ("Abacus 9" in caption, "Loom 7" in caption, "laps: GCL." in caption) == (draw in COSTS,) * 3
+    assert "SAD 2." in caption
 
 
 @pytest.mark.parametrize(
-    ("draw", "given", "culprit"),
+    ("draw", "words"),
+    [(draw_training_time, "quoted there: NetVLAD, GCL."), (draw_query_rate, "VPRSNN match, VPRTempo match.")],
+)
+def test_a_caption_of_speed_names_the_paper_s_machines_where_it_has_bars_and_the_data_that_stand_in(draw, words):
+    caption = draw(troubled(), ROWS, WINTER).caption
+    assert "Table II on Oxford RobotCar" in caption
+    assert "Intel i7-9700K" in caption
+    assert words in caption
+    assert "i7-9700K" not in draw(troubled(), [Row("GCL", "gcl")], UNPUBLISHED).caption
+
+
+UNTIMED = [series("SAD", little.a_run(timing=None, spikes=None))]
+UNANSWERABLE = [series("SAD", little.unanswerable_run())]
+
+
+@pytest.mark.parametrize(
+    ("draw", "given", "remedy"),
     [
-        *(
-            (draw, [FIRST, series("GCL", little.a_run(**SPIKING, **other))], "different data")
-            for draw in (*ACCURACY, draw_spikes)
-            for other in ({"fingerprint": "e" * 64}, {"protocol": {"tolerance_places": 1}})
-        ),
-        *((draw, [], "no stored runs") for draw in ACCURACY),
-        *((draw, [series("SAD", little.unanswerable_run())], "journey has a right place") for draw in ACCURACY),
-        (draw_spikes, [series("SAD", little.a_run(spikes=None))], "holds spikes"),
+        *((draw, UNANSWERABLE, "right place") for draw in ACCURACY),
+        (draw_spikes, UNTIMED, "method=vprtempo"),
+        (draw_raster, UNTIMED, "method=vprtempo_latencies"),
         (draw_growth, [], "no growth"),
-        (partial(draw_training_time, **BARS), (), "Nordland"),
-        (draw_rate_tradeoff, UNTIMED, "no timed runs .*timing=quick"),
-        (partial(draw_query_rate, **BARS), UNTIMED, "Nordland"),
+        (draw_growing_map, UNTIMED, "stream=true"),
+        (partial(draw_training_time, rows=ROWS, column=NORDLAND), (), "Nordland"),
+        (draw_rate_tradeoff, UNTIMED, "timing=quick"),
+        (partial(draw_query_rate, rows=ROWS, column=NORDLAND), UNTIMED, "Nordland .*timing=quick"),
         (partial(draw_frames, title="Railway"), Thumbnails((), (), (), (), ()), "Railway"),
-        (draw_similarity, little.a_run(scores=None), "0123456789abcdef of little on journey .*4 queries x 10 places"),
+        (partial(draw_similarity, name="SAD"), little.a_run(scores=None), "little on journey .*4 queries x 10 places"),
     ],
 )
-def test_what_cannot_be_drawn_is_refused_by_name(draw, given, culprit):
-    with pytest.raises(BadInput, match=culprit):
+def test_what_cannot_be_drawn_is_refused_by_name(draw, given, remedy):
+    with pytest.raises(BadInput, match=remedy):
         draw(given)

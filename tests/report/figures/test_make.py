@@ -1,4 +1,4 @@
-"""`make figures` and `make report`: all is drawn once what is missing was run, and again from the store alone."""
+"""Figures and page: of Table II once its missing runs are made, and of all that a results folder holds."""
 
 import re
 import shutil
@@ -9,7 +9,6 @@ from quick_runs import quick_runs
 from small_plan import PLAN, RUN, install, quick_figures
 
 from vprbench.cli import main
-from vprbench.report.figures.make import list_captions
 
 pytestmark = pytest.mark.extended
 
@@ -38,7 +37,7 @@ def drawn(made, tmp_path_factory):
     shutil.copytree(made[0] / "results", folder / "results")
     with pytest.MonkeyPatch.context() as monkeypatch:
         apart = grown(folder, monkeypatch)
-        assert main(["figures", *ONE, *RUN]) == 0
+        assert main(["table", "figures=true", *ONE, *RUN]) == 0
     yield folder, apart
     shutil.rmtree(folder)
 
@@ -65,52 +64,37 @@ def test_every_figure_is_there_with_its_caption_and_what_was_missing_was_run_wit
     assert [tempo.frames, *(each.frames for each in growth)] == [True, False, False]
 
 
-def test_a_name_in_a_caption_is_no_markup():
-    text = list_captions([("rate-<b>", "R@1 of <script>alert(1)</script> & [here](javascript:go) with *stars*.")])
-    assert text == (
-        "# Captions\n\n**rate-&lt;b&gt;.** R@1 of &lt;script&gt;alert(1)&lt;/script&gt; &amp; "
-        "\\[here\\](javascript:go) with \\*stars\\*.\n"
-    )
-
-
-def test_the_page_holds_table_figures_and_queries(elsewhere):
-    assert main(["report", *ONE, "stored=true"]) == 0
-    assert elsewhere.asked == []
-    (page,) = Path("results").glob("report*.html")
-    assert page.name == "report-route_12.html"
-    assert pictured(page) == NAMES
-    assert page.read_text().count("data:image/png;base64,") >= len(NAMES)
-    assert "Made from 2 stored runs, the newest of " in page.read_text()
-    assert ">SAD</th>" in page.read_text()
-
-
-def test_what_cannot_be_drawn_is_absent_alone_and_told_in_the_page(elsewhere):
-    shutil.rmtree("results/frames")
-    for folder in Path("results/synthetic").glob("sad-*"):
-        if '"query_places": 6' in (folder / "run.json").read_text():
-            shutil.rmtree(folder)
-    assert main(["report", *ONE, "stored=true", "name=less"]) == 0
-    page = Path("results/report-less.html")
-    assert pictured(page) == NAMES - {"fig2c-growth", "fig3a-frames-route_12"}
-    assert "fig2c-growth is not drawn" in page.read_text()
-
-
-def test_a_report_of_columns_without_runs_is_one_line(elsewhere, capsys):
-    assert main(["report", *SMALL, "columns=[nordland]", "stored=true"]) == 2
-    assert "holds no run of these rows and columns" in capsys.readouterr().err
-    assert not list(Path("results").glob("report*.html"))
-
-
 def test_from_the_store_alone_figures_and_page_are_the_same_to_the_byte(drawn, tmp_path, monkeypatch):
     shutil.copytree(drawn[0] / "results", tmp_path / "results")
     apart = grown(tmp_path, monkeypatch, quick=False)
     files = []
     for more in (RUN, ["stored=true"]):
         shutil.rmtree("results/figures")
-        for command in ("figures", "report"):
-            assert main([command, *ONE, *more]) == 0
+        assert main(["table", "figures=true", "page=true", *ONE, *more]) == 0
         written = [*Path("results/figures").iterdir(), Path("results/report-route_12.html")]
         files.append({path.name: path.read_bytes() for path in written})
     assert apart.asked == []
     assert files[0] == files[1]
     assert len(files[0]) == 2 * len(NAMES) + 2
+    page = Path("results/report-route_12.html")
+    assert pictured(page) == NAMES
+    assert "Made from 2 stored runs, the newest of " in page.read_text()
+    assert ">SAD</th>" in page.read_text()
+
+
+def test_a_results_folder_is_shown_as_it_is_and_nothing_is_run(elsewhere):
+    assert main(["report"]) == 0
+    assert main(["report", "dataset=synthetic", "methods=sad", "name=one"]) == 0
+    assert main(["figures"]) == 0
+    assert elsewhere.asked == []
+    whole, one = Path("results/report.html").read_text(), Path("results/one.html").read_text()
+    assert [">vprtempo " in page for page in (whole, one)] == [True, False]
+    assert Path("results/figures/precision-recall-synthetic.png").is_file()
+    assert Path("results/figures/precision-recall-synthetic-2.pdf").is_file()
+
+
+@pytest.mark.parametrize("option", ["methods=lost", "dataset=lost", "results=lost"])
+def test_a_filter_that_no_run_passes_is_one_line(elsewhere, capsys, option):
+    assert main(["report", option]) == 2
+    error = capsys.readouterr().err
+    assert ("lost" in error, error.count("\n")) == (True, 1)

@@ -127,7 +127,7 @@ def stretches_won(better: Descriptors, worse: Descriptors) -> tuple[int, int, bo
     Returns in how many stretches the first is larger, how many there are, and whether a paired t-test over them leaves
     chance less than one in 10,000 (stretches, because neighbouring frames are no independent evidence).
     """
-    from scipy.special import stdtr  # scipy.stats count_operations long to import, and every run would wait
+    from scipy.special import stdtr  # scipy.stats takes long to import, and every run would wait
 
     difference = better - worse
     difference = difference[np.isfinite(difference)]

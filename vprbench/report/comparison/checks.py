@@ -81,19 +81,12 @@ def sort_options(options: Sequence[str]) -> SortedOptions:
 
 
 @dataclass(frozen=True)
-class Cell:
-    """One method of a comparison."""
-
-    row: Row
-    missing: str | None = None  # why it cannot run here, for its weights are not there
-
-
-@dataclass(frozen=True)
 class Checked:
     """A comparison that was looked at."""
 
     column: ResolvedColumn
-    cells: tuple[Cell, ...]
+    rows: tuple[Row, ...]
+    left_out: Mapping[str, str]  # the reason of each row that cannot run here, for its weights are not there
     request: RunRequest  # of its dataset, with the options of all runs
     dataset: Dataset | None  # None: it cannot be built, and only stored runs are asked for
     looked: str | None = None  # what a quick look at some frames found, and which command says more
@@ -122,12 +115,15 @@ def check_comparison(command: SortedOptions) -> tuple[Checked | None, list[str]]
             looked = None if stored else _look_at_frames(dataset, command.of_dataset)
         except BadInput as error:
             wrong += [] if stored else [str(error)]
-        cells = []
+        rows: list[Row] = []
+        left_out: dict[str, str] = {}
         for number, name in enumerate(command.of_methods):
             report(f"looking at {name}", number / len(command.of_methods))
             try:
-                settings = split_sweep(command.of_methods[name])
-                cells += [_check_method(name, given, command, options, dataset) for given in settings]
+                for given in split_sweep(command.of_methods[name]):
+                    row, reason = _check_method(name, given, command, options, dataset)
+                    rows.append(row)
+                    left_out |= {row.name: reason} if reason else {}
             except BadInput as error:
                 told = str(error).removeprefix(f"{name}: ").replace("method.", f"{name}.")
                 wrong.append(f"{name}: {told}")
@@ -136,7 +132,7 @@ def check_comparison(command: SortedOptions) -> tuple[Checked | None, list[str]]
     title = command.request.name or request.dataset_name
     planned = PlannedColumn(title, title, command.of_dataset)
     column = ResolvedColumn(planned, request.dataset, views=command.request.views, frames=frames)
-    return Checked(column, tuple(cells), request, dataset, looked), []
+    return Checked(column, tuple(rows), left_out, request, dataset, looked), []
 
 
 def frames_of(dataset: Dataset, request: RunRequest) -> Frames:
@@ -152,8 +148,8 @@ def _look_at_frames(dataset: Dataset, options: Sequence[str]) -> str | None:
 
 def _check_method(
     name: str, given: Sequence[str], command: SortedOptions, options: Sequence[str], dataset: Dataset | None
-) -> Cell:
-    """Look at one method with its `given` options; raises BadInput for what is wrong with it."""
+) -> tuple[Row, str]:
+    """Return the row of a method with its `given` options, and why it cannot run here; raises BadInput for an error."""
     request = make_request([*options, f"method={name}", *given])
     entry = registry.entries("method").get(name)
     seeded = "seed" in (request.method if entry is None else entry.options)
@@ -161,12 +157,12 @@ def _check_method(
         " ".join([name, *(option.removeprefix("method.") for option in given)]),
         name,
         training="own" if seeded else "map",
-        spiking=entry is not None and entry.spiking,
+        spiking=entry is not None and "spiking" in entry.tags,
         arguments=request.changed,
         seeds=tuple(range(command.request.seeds)) if seeded else (0,),
     )
     if command.request.stored:
-        return Cell(row)
+        return row, ""
     try:
         method = registry.make_method(request.method)
         if dataset is not None and isinstance(method, DescriptorMethod):
@@ -175,9 +171,9 @@ def _check_method(
             with suppress(NotFittedError):
                 method.encode(dataset.references[:1].unnamed())
     except MissingData as error:
-        return Cell(row, str(error))
+        return row, str(error)
     except (BadInput, OSError):
         raise
     except Exception as error:  # whatever a plug-in raises
         raise BadInput(f"{type(error).__name__}: {error}") from error
-    return Cell(row)
+    return row, ""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -9,33 +10,35 @@ from pathlib import Path
 
 import pandas as pd
 
+from vprbench.api.dataset import Dataset
 from vprbench.errors import BadInput
 from vprbench.jobs.executors import executor_for
 from vprbench.jobs.job import JobResult, failure_of
 from vprbench.progress import progress_shown
 from vprbench.report.comparison.checks import Checked, SortedOptions, check_comparison, frames_of
 from vprbench.report.figures.make import draw_all, write_figures
-from vprbench.report.gather import ReportData, TablePlan, assemble_report, run_missing, runs_of, stored
+from vprbench.report.folder import assemble_groups
+from vprbench.report.gather import ReportData, TablePlan, run_missing, runs_of, stored
 from vprbench.report.page.make import write_page
-from vprbench.report.plan import Growth, Plan
-from vprbench.report.ranking import Ranking, rank_rows
+from vprbench.report.plan import NO_PLAN
 from vprbench.report.robustness import Robustness, format_csv, format_markdown, list_lines, measure_robustness
-from vprbench.report.selection import ResolvedColumn, accuracy_series, apply_views, groups
+from vprbench.report.selection import ResolvedColumn, accuracy_series, groups
 from vprbench.report.table import words
 from vprbench.report.table.make import exit_code, write
-from vprbench.report.table.quantities import RECALL, comparison_quantities, without_accuracies
+from vprbench.report.table.quantities import RECALL, comparison_quantities
 from vprbench.runs import rows
 from vprbench.runs.corruption import Corruption, corrupt_queries, parse_corruptions
-from vprbench.runs.frame import iterate_rows
+from vprbench.runs.frame import format_label, iterate_rows
 from vprbench.runs.predictions import tabulate_predictions, write_csv
 from vprbench.runs.record import Failure, Run
 from vprbench.runs.sequences import name_views, parse_views
 from vprbench.storage.atomic import replace_text
 from vprbench.terminal.console import line_text, show_table
-from vprbench.text import printable
+from vprbench.text import printable, some
+
+logger = logging.getLogger(__name__)
 
 _UNTIMED = ("timing=none", "frames=false")
-_NO_PLAN = Plan({}, {}, {}, Growth((), (), (), 0))
 _LEAST = ("peak MB", "AUC-PR (A)", "R@5 %")  # columns that a narrow terminal lacks first
 
 
@@ -48,15 +51,14 @@ def make_comparison(command: SortedOptions) -> int:
         return 2
     if found.looked is not None:
         print(line_text(f"note: {found.looked}", "yellow"), flush=True)
-    for cell in found.cells:
-        if cell.missing is not None:
-            print(printable(f"vprbench: {cell.row.name} is left out: {cell.missing}"), file=sys.stderr)
-    chosen = choose_rows(found, command)
+    for name, reason in found.left_out.items():
+        print(printable(f"vprbench: {name} is left out: {reason}"), file=sys.stderr)
+    chosen = plan_table(found, command)
     spoilt = corrupt_column(found, command.request.corruptions)
     results = [] if chosen.stored else make_missing(chosen, found, spoilt, command)
     known, failures = stored(chosen)
-    compared, rankings = rank_stored(chosen, found, known, failures, results)
-    show(compared, rankings, command.request.wide)
+    compared = report_comparison(chosen, found, known, failures, results)
+    show(compared, command.request.wide)
     robust = None
     if spoilt:
         clean, *of_each = (
@@ -67,8 +69,10 @@ def make_comparison(command: SortedOptions) -> int:
         table = list_lines(robust)
         print()
         show_table([*table[0]], [[*line.values()] for line in table], command.request.wide)
-    best = predict_places(compared, found, command.request.predictions)
-    print("\nwritten to", *write_comparison(compared, command.request.name is None, robust, best), sep="\n  ")
+    best = predict_places(compared, found.dataset, command.request.predictions)
+    folder = Path(compared.chosen.results).expanduser()
+    files = write_comparison(compared, folder, command.request.name or "", robust, best)
+    print("\nwritten to", *files, sep="\n  ")
     return exit_code(results)
 
 
@@ -94,7 +98,7 @@ def make_missing(
 
     A process fits a row's method once for all corruptions. If it fails, each of them has a process.
     """
-    rows = [cell.row for cell in found.cells if cell.missing is None]
+    rows = [row for row in found.rows if row.name not in found.left_out]
     options = [*command.of_runs, *["scores=true"] * bool(chosen.views)]
     once = replace(chosen, devices=chosen.devices[:1])
     names = [each.name for each in spoilt]
@@ -110,12 +114,12 @@ def make_missing(
     return [*results, *(result for result in ended if result.code != 1), *alone]
 
 
-def choose_rows(found: Checked, command: SortedOptions) -> TablePlan:
+def plan_table(found: Checked, command: SortedOptions) -> TablePlan:
     """Return the rows and the one column of a comparison, as a table has them."""
     request = command.request
     return TablePlan(
-        _NO_PLAN,
-        tuple(cell.row for cell in found.cells),
+        NO_PLAN,
+        found.rows,
         (found.column,),
         tuple(request.devices),
         metrics=tuple(request.metrics),
@@ -128,34 +132,25 @@ def choose_rows(found: Checked, command: SortedOptions) -> TablePlan:
     )
 
 
-def rank_stored(
+def report_comparison(
     chosen: TablePlan,
     found: Checked,
     known: Sequence[Run],
     failures: Sequence[Failure],
     results: Sequence[JobResult] = (),
-) -> tuple[ReportData, list[Ranking]]:
-    """Put the stored runs of a comparison into one table, best first, rows without runs last.
-
-    There is a ranking for each view of the runs; the first orders the rows. Raises BadInput if there is no run.
-    """
+) -> ReportData:
+    """Return the report of the stored runs of a comparison, best first; raises BadInput if there is no run."""
     left_out = [
-        failure_of(cell.request, JobResult(2, left.missing, missing=True))
-        for left in found.cells
-        if left.missing is not None
-        for cell in runs_of(chosen, found.column, [left.row], ())
+        failure_of(cell.request, JobResult(2, found.left_out[row.name], missing=True))
+        for row in found.rows
+        if row.name in found.left_out
+        for cell in runs_of(chosen, found.column, [row], ())
     ]
     newest = groups(known, [*failures, *left_out], [found.column], chosen.rows)[0]
-    if newest.runs and not newest.runs[0].is_judged:
-        chosen = replace(chosen, quantities=without_accuracies(chosen.quantities))
-    shown = apply_views([newest], chosen.rows, chosen.views)
-    rankings = [rank_rows(accuracy_series(group, chosen.rows)) for group in shown]
-    order = [*rankings[0].table["method"]]
-    ordered = sorted(chosen.rows, key=lambda row: order.index(row.name) if row.name in order else len(order))
-    return assemble_report(replace(chosen, rows=tuple(ordered)), shown, newest.runs, tuple(results)), rankings
+    return assemble_groups(chosen, [newest], results)
 
 
-def show(found: ReportData, rankings: Sequence[Ranking], wide: bool = False) -> None:
+def show(found: ReportData, wide: bool = False) -> None:
     """Print notes, the ranked table and the results of tests; of several views R@1 alone, side by side."""
     table, groups_shown = found.table, [group for group in found.groups if group.runs]
     heads = ["method", *(quantity.heading for quantity in table.quantities)]
@@ -171,10 +166,13 @@ def show(found: ReportData, rankings: Sequence[Ranking], wide: bool = False) -> 
             print(line_text(f"note: {row}: {table.notes[number - 1]}", "yellow"))
     print()
     texts = [[str(name), *_list_texts(of_row)] for name, of_row in cells.groupby("row", sort=False)]
-    show_table(heads, texts, wide, _LEAST)
+    usual = [one.heading for one in table.quantities if one.metric is None or one.name not in found.chosen.metrics]
+    show_table(heads, texts, wide, [*dict.fromkeys([*_LEAST, *usual[:0:-1]])])
+    if any(table.cells["disturbed"]):
+        print(line_text("~ a busy machine or too few laps", "dim"))
     print()
-    for group, ranking in zip(found.groups, rankings, strict=True):
-        above = f"{rows.describe_view(group.runs[0])}: " if len(rankings) > 1 else ""
+    for group, ranking in zip(groups_shown, found.rankings, strict=True):
+        above = f"{rows.describe_view(group.runs[0])}: " if len(groups_shown) > 1 else ""
         print(*(line_text(f"{above}{sentence}", "bold") for sentence in ranking.sentences), sep="\n")
 
 
@@ -187,10 +185,11 @@ def _list_texts(cells: pd.DataFrame) -> Iterator[str]:
             yield " ".join(filter(None, [absence, cell.text, cell.extent]))
 
 
-def predict_places(compared: ReportData, found: Checked, n: int | None) -> pd.DataFrame | None:
+def predict_places(compared: ReportData, dataset: Dataset | None, n: int | None) -> pd.DataFrame | None:
     """Return the best `n` places of each query by every run that is shown, 10 if None; None if `n` is 0.
 
-    `method`, `seed` and `answers` (the view that is shown, or empty) stand before the columns of `predictions`.
+    The `dataset` names the images, None leaves them out. `method`, `seed` and `answers` (the view that is shown, or
+    empty) stand before the columns of `predictions`.
     """
     if n == 0:
         return None
@@ -198,26 +197,39 @@ def predict_places(compared: ReportData, found: Checked, n: int | None) -> pd.Da
     for group in compared.groups:
         for one in accuracy_series(group, compared.chosen.rows):
             for run in one.runs:
-                table = tabulate_predictions(run, min(n or 10, run.top_places.shape[1]), found.dataset)
+                table = tabulate_predictions(run, min(n or 10, run.top_places.shape[1]), dataset)
                 about = {"method": one.name, "seed": run.config["seed"], "answers": rows.describe_view(run)}
                 tables.append(pd.concat([pd.DataFrame(about, index=table.index), table], axis=1))
     return pd.concat(tables, ignore_index=True)
 
 
 def write_comparison(
-    found: ReportData, beside_others: bool, robust: Robustness | None = None, best: pd.DataFrame | None = None
+    found: ReportData,
+    folder: Path,
+    name: str = "",
+    robust: Robustness | None = None,
+    best: pd.DataFrame | None = None,
 ) -> list[Path]:
-    """Write the table, its runs, figures and page of a comparison into the results folder; returns the files.
+    """Write the table, its runs, figures and page of a comparison into a folder; returns the files.
 
-    `best` holds the best places of each query.
-    If `beside_others`, files of this name that are of other frames stay: the new ones get the frames' hash.
+    Args:
+        found: the report of the comparison.
+        folder: made if need be.
+        name: of the files; empty: that of the dataset, with the hash of frames and ground truth if files of others
+            have it.
+        robust: R@1 under corruptions.
+        best: the best places of each query.
     """
     from vprbench.report.figures.accuracy import draw_robustness
 
-    folder, name = Path(found.chosen.results).expanduser(), found.chosen.columns[0].planned.name
+    beside_others, name = not name, name or found.chosen.columns[0].planned.name
     name += "-views" * (found.chosen.columns[0].views is not None) + name_views(found.chosen.views)
-    if beside_others and _of_other_frames(folder / f"{name}-runs.csv", found.runs):
-        name = f"{name}-{found.runs[0].fingerprint[:6]}"
+    images = found.runs[0].fingerprint
+    if beside_others and not _read_earlier(folder / f"{name}-runs.csv")["fingerprint"].map(images.startswith).all():
+        name = f"{name}-{images[:6]}"
+    replaced = {*_read_earlier(folder / f"{name}-runs.csv")["method"]} - {format_label(run) for run in found.runs}
+    if replaced:
+        logger.warning("%s: the earlier comparison with %s makes room: name=NAME keeps both", name, some(replaced))
     files = write(found, folder, name)
     if best is not None:
         files.append(write_csv(best, folder / f"{name}-predictions.csv"))
@@ -238,10 +250,6 @@ def write_comparison(
     return [*files, captions, write_page(found, drawings, folder / f"{name}.html", absent)]
 
 
-def _of_other_frames(path: Path, runs: Sequence[Run]) -> bool:
-    """Tell whether the runs of an earlier comparison are of other frames."""
-    if not path.is_file():
-        return False
-    frames = ["names_sha256", "content_sha256"]
-    earlier = pd.read_csv(path, dtype=str).reindex(columns=frames).fillna("").drop_duplicates().to_numpy().tolist()
-    return earlier != [[str(runs[0].data.get(part) or "") for part in frames]]
+def _read_earlier(path: Path) -> pd.DataFrame:
+    """Return the runs of an earlier comparison whose files have this name; without any no line."""
+    return pd.read_csv(path, dtype=str) if path.is_file() else pd.DataFrame(columns=["method", "fingerprint"])

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import fields, replace
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from math import ceil
 from statistics import mean
 from textwrap import fill
@@ -14,20 +14,19 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from vprbench.errors import BadInput
 from vprbench.metrics.accuracy import PRCurve, Values, average_precision, hits_at, hits_within, pr_curve
 from vprbench.metrics.catalogue import Metric
 from vprbench.metrics.intervals import block_length, share_interval
-from vprbench.metrics.ranking import Outcome
 from vprbench.report.figures import style
-from vprbench.report.figures.captions import INTERVALS, describe_runs, join_facts, require_answerable
-from vprbench.report.figures.style import Drawing, Look, choose_looks, new_figure, use_style
+from vprbench.report.figures.captions import INTERVALS, choose_answerable, choose_runs, describe_runs
+from vprbench.report.figures.style import Drawing, Look, add_legend, choose_looks, new_figure, use_style
 from vprbench.report.robustness import Robustness
 from vprbench.report.selection import Series
 from vprbench.runs.corruption import KINDS
 from vprbench.runs.recall_intervals import order_along_journey
 from vprbench.runs.record import Run
-from vprbench.runs.views import window_of
+from vprbench.runs.rows import describe_view
+from vprbench.runs.views import select_queries, window_of
 
 LARGEST_N = 25
 LARGEST_WIDENING = 10  # places to either side
@@ -37,8 +36,10 @@ _RESAMPLES = 500
 _GRID_POINTS = 200  # recalls at which resampled curves are compared
 _ENDED = 0.05  # of the resampled curves; beyond, only the better ones would be left
 _THIN: dict[str, Any] = {"linewidth": 0.4, "alpha": 0.6}  # of a single seed
-_MANY = LARGEST_WIDENING + 1  # with more points only some have a marker
 _SEEDS = "thin lines, their mean is thick"
+_LETTERS = 26  # of a line of a row's name
+_COLUMNS = 4  # of panels of corruptions
+_MOST_BANDS = 3  # more would hide one another
 
 
 @use_style
@@ -47,10 +48,10 @@ def draw_precision_recall(series: Sequence[Series]) -> Drawing:
 
     The area under a drawn curve, which goes in steps, is its average precision. A single seed has a band from the
     block bootstrap of its queries; several seeds are thin lines around their mean, which ends where the first of
-    them does. Raises BadInput for no rows, for rows on different data and if no query has a right place.
+    them does. Raises BadInput if no query has a right place.
     """
-    require_answerable(series, "precision and recall")
-    figure, (axes,) = new_figure(style.SINGLE_MM, _HEIGHT_MM)
+    series = choose_answerable(series)
+    figure, (axes,) = new_figure(style.SINGLE_MM, _HEIGHT_MM, grid=True)
     looks = choose_looks(row.name for row in series)
     for row in series:
         look = looks[row.name]
@@ -66,7 +67,7 @@ def draw_precision_recall(series: Sequence[Series]) -> Drawing:
         label = f"{row.name}, AP {np.mean(areas):.3f}{spread}"
         axes.step(recall, precision, label=label, markevery=[len(recall) - 1], **look.of_line)
     axes.set(xlabel="Recall", ylabel="Precision", xlim=(0, 1.03), ylim=(0, 1.03))
-    _finish(figure, axes)
+    add_legend(figure)
     caption = (
         "Precision-recall curves of the best match of each query; recall is over the queries with a right place (curve "
         "A). AP: the area under the steps. Band of a single run: 95 % interval of precision, block bootstrap of "
@@ -79,16 +80,14 @@ def draw_precision_recall(series: Sequence[Series]) -> Drawing:
 def draw_recall_at_n(series: Sequence[Series]) -> Drawing:
     """Draw recall at N of 1 to 25 best places over all queries, Figure 3D of the paper; ties as expected values.
 
-    The band is the interval of `share_interval`, of several seeds that of their mean hits. Raises BadInput for no rows,
-    for rows on different data and if no query has a right place.
+    The band is the interval of `share_interval`, of several seeds that of their mean hits. Raises BadInput if no query
+    has a right place.
     """
-    run = require_answerable(series, "recall at N")
-    numbers = range(1, min(LARGEST_N, run.outcome.n_places) + 1)
-    figure, (axes,) = new_figure(style.SINGLE_MM, _HEIGHT_MM)
-    _draw_recalls(axes, series, numbers, lambda each: np.stack([hits_at(each.outcome, n) for n in numbers]))
-    ticks = [n for n in (1, 5, 10, 15, 20, 25) if n in numbers]
-    axes.set(xlabel="Best places looked at, N", ylabel="Recall at N (%)", xticks=ticks)
-    _finish(figure, axes)
+    series = choose_answerable(series)
+    numbers = range(1, min(LARGEST_N, series[0].runs[0].outcome.n_places) + 1)
+    figure = _draw_recalls(series, numbers, lambda run: np.stack([hits_at(run.outcome, n) for n in numbers]))
+    ticks = [n for n in numbers if n == 1 or n % 5 == 0]
+    figure.axes[0].set(xlabel="Best places looked at, N", ylabel="Recall at N (%)", xticks=ticks)
     caption = (
         "Recall at N: share of all queries with a right place among the N best; ties count by expected value. "
         f"{_describe_recalls(series)}"
@@ -103,20 +102,18 @@ def draw_recall_at_tolerance(series: Sequence[Series]) -> Drawing:
     The axis starts at the tolerance of the protocol in places; where the protocol has another one, it starts at 0 and
     counts the places beyond. Intervals and errors are those of `draw_recall_at_n`; ties count as in `hits_within`.
     """
-    protocol = require_answerable(series, "recall against tolerance").protocol
-    widenings, own = range(LARGEST_WIDENING + 1), int(protocol.get("tolerance_places", 0))
-    tolerances = [own + places for places in widenings]
+    series = choose_answerable(series)
+    protocol, widenings = series[0].runs[0].protocol, range(LARGEST_WIDENING + 1)
+    own = int(protocol.get("tolerance_places", 0))
     others = any(protocol.get(name) for name in ("tolerance_metres", "radius_metres", "tolerance_frames"))
-    figure, (axes,) = new_figure(style.SINGLE_MM, _HEIGHT_MM)
-    _draw_recalls(
-        axes,
-        series,
-        tolerances,
-        lambda each: hits_within(each.top_places, each.top_scores, each.positives, widenings, each.place_numbers),
-    )
+
+    def hits(run: Run) -> Values:
+        return hits_within(run.top_places, run.top_scores, run.positives, widenings, run.place_numbers)
+
+    tolerances = range(own, own + len(widenings))
+    figure = _draw_recalls(series, tolerances, hits)
     label = "Places beyond the dataset's tolerance" if others else "Tolerance (places to either side)"
-    axes.set(xlabel=label, ylabel="Recall at 1 (%)", xticks=tolerances[::2])
-    _finish(figure, axes)
+    figure.axes[0].set(xlabel=label, ylabel="Recall at 1 (%)", xticks=tolerances[::2])
     caption = (
         f"Recall at 1 over all queries against the distance that counts as right, from the dataset's {own} places on; "
         f"ties count by the share of right places among the stored ones. {_describe_recalls(series)}"
@@ -125,59 +122,43 @@ def draw_recall_at_tolerance(series: Sequence[Series]) -> Drawing:
 
 
 @use_style
-def draw_recall_at_length(views: Sequence[Sequence[Series]]) -> Drawing:
+def draw_recall_at_length(views: Iterable[Sequence[Series]]) -> Drawing:
     """Draw recall at 1 over the length of sequences, of the rows of several views, with its 95 % interval.
 
-    A row has a point at each length that its runs were seen in. Raises BadInput for fewer than two lengths and if no
-    query has a right place.
+    A row has a point at each length that its runs were seen in. Raises BadInput if no query has a right place.
     """
-    views = sorted((rows for rows in views if rows), key=_length_of)
-    if len(views) < 2 or not any(row.runs[0].outcome.answerable.any() for rows in views for row in rows):
-        raise BadInput("sequences of two lengths or more are wanted, of queries that have a right place")
-    figure, (axes,) = new_figure(style.SINGLE_MM, _HEIGHT_MM)
-    for name, look in choose_looks(row.name for rows in views for row in rows).items():
-        runs = {_length_of(rows): row.runs for rows in views for row in rows if row.name == name}
-        points = [_recalls(of_length, lambda run: hits_at(run.outcome, 1)[None]) for of_length in runs.values()]
+    of_length = {window_of(rows[0].runs[0]): rows for rows in map(choose_answerable, views)}
+    lengths = sorted(of_length)
+    figure, (axes,) = new_figure(style.SINGLE_MM, _HEIGHT_MM, grid=True)
+    for name, look in choose_looks(row.name for length in lengths for row in of_length[length]).items():
+        runs = {length: row.runs for length in lengths for row in of_length[length] if row.name == name}
+        points = [_measure_recalls(seeds, lambda run: hits_at(run.outcome, 1)[None]) for seeds in runs.values()]
         _draw_curve(axes, look, name, [*runs], *(np.concatenate(part) for part in zip(*points, strict=True)))
-    axes.set(xlabel="Queries in a sequence", ylabel="Recall at 1 (%)", xticks=[*map(_length_of, views)], ylim=(0, 102))
-    _finish(figure, axes)
-    protocol = max((rows[0].runs[0].protocol for rows in views), key=len)
-    parts = {"sequence_velocities": "velocities", "sequence_contrast": "local contrast", "sequence_gaps": "gaps"}
+    axes.set(xlabel="Queries in a sequence", ylabel="Recall at 1 (%)", xticks=lengths, ylim=(0, 102))
+    add_legend(figure)
+    counts = (f"{len(of_length[length][0].runs[0].outcome):,} at {length}" for length in lengths)
     caption = (
-        "Recall at 1 of sequences, whose scores are the mean of neighbouring queries' scores; the window "
-        f"{'ends with the query' if 'causal' in protocol['sequence'] else 'has the query in its middle'}"
-        f"{''.join(f', {words} {protocol[name]}' for name, words in parts.items() if name in protocol)}. Queries: "
-        f"{', '.join(f'{len(rows[0].runs[0].outcome):,} at {_length_of(rows)}' for rows in views)}. "
-        f"{_describe_recalls(views[0])}"
+        "Recall at 1 of sequences, whose scores are the mean of neighbouring queries' scores; the longest: "
+        f"{describe_view(of_length[lengths[-1]][0].runs[0], whole=True)}. Queries: {', '.join(counts)}. "
+        f"{_describe_recalls(of_length[lengths[0]])}"
     )
     return Drawing(figure, caption)
-
-
-_LETTERS = 26  # of a line of a row's name
 
 
 @use_style
 def draw_metric(series: Sequence[Series], metric: Metric) -> Drawing:
     """Draw a metric of each row, the mean of its seeds and from the lowest to the highest; raises BadInput for none."""
-    values = {row.name: [metric.shown(v) for run in row.runs if (v := metric.of(run)) is not None] for row in series}
-    known = [row for row in series if values[row.name]]
-    if not known:
-        raise BadInput(f"{metric.words} is undefined for all rows")
-    looks = choose_looks(row.name for row in series)
+    known = choose_runs(series, lambda run: metric.of(run) is not None, f"has a defined {metric.words}")
     figure, (axes,) = new_figure(style.SINGLE_MM, 15 + 8 * len(known))
+    looks = choose_looks(row.name for row in series)
     for place, row in enumerate(known):
-        look, found = looks[row.name], values[row.name]
-        axes.plot(
-            [min(found), mean(found), max(found)], [place] * 3, color=look.colour, marker=look.marker, markevery=[1]
-        )
+        look = looks[row.name]
+        values = [metric.shown(value) for run in row.runs if (value := metric.of(run)) is not None]
+        line = [min(values), mean(values), max(values)]
+        axes.plot(line, [place] * 3, color=look.colour, marker=look.marker, markevery=[1])
     axes.set(yticks=range(len(known)), yticklabels=[fill(row.name, _LETTERS) for row in known], xlabel=metric.head)
     axes.invert_yaxis()
     return Drawing(figure, f"{metric.explained} {describe_runs(known, 'mean, and a line from lowest to highest')}")
-
-
-_COLUMNS = 4
-_PANEL_ROW_MM = 46.0
-_MOST_BANDS = 3  # more would hide one another
 
 
 @use_style
@@ -185,29 +166,25 @@ def draw_robustness(robustness: Robustness) -> Drawing:
     """Draw R@1 of each row from clean frames to the strongest corruption, of few rows with its 95 % interval."""
     columns = min(_COLUMNS, len(robustness.kinds))
     n_lines = ceil(len(robustness.kinds) / columns)
-    figure, panels = new_figure(style.DOUBLE_MM * columns / _COLUMNS, _PANEL_ROW_MM * n_lines, n_lines, columns)
-    looks = choose_looks(row.name for row in robustness.clean)
-    bands = len(robustness.clean) <= _MOST_BANDS
-    highest = 10 * ceil(10 * max(robustness.points["high"]))
-    for axes, (kind, strengths) in zip(panels, robustness.kinds.items(), strict=False):
-        for name, look in looks.items():
+    figure, panels = new_figure(style.DOUBLE_MM * columns / _COLUMNS, 46.0 * n_lines, n_lines, columns, grid=True)
+    with_bands = len(robustness.clean) <= _MOST_BANDS
+    for number, (axes, (kind, strengths)) in enumerate(zip(panels, robustness.kinds.items(), strict=False)):
+        for name, look in choose_looks(row.name for row in robustness.clean).items():
             points = robustness.of(name, kind)
             shares = 100 * points[["recall_at_1", "low", "high"]].astype(float).to_numpy().T
-            _draw_curve(axes, look, name, [*points["strength"]], *shares[: 3 if bands else 1])
-        ticks = {0: "clean", **{each: KINDS[kind].short([each]) for each in strengths}}
-        axes.set(title=kind.capitalize(), ylim=(0, highest), xlim=(-0.2, max(ticks) + 0.2))
+            _draw_curve(axes, look, name, [*points["strength"]], *shares[: 3 if with_bands else 1])
+        ticks = {0: "clean", **{strength: KINDS[kind].short([strength]) for strength in strengths}}
+        axes.set(title=kind.capitalize(), xlim=(-0.2, max(ticks) + 0.2))
+        axes.set(ylim=(0, 10 * ceil(10 * max(robustness.points["high"]))))
         axes.set_xticks([*ticks], [*ticks.values()])
-        axes.grid(True)
-    for axes in panels[::columns]:
-        axes.set_ylabel("Recall at 1 (%)")
+        axes.set_ylabel("" if number % columns else "Recall at 1 (%)")
     for axes in panels[len(robustness.kinds) :]:
         axes.set_visible(False)
-    style.add_legend(figure, panels[0].get_legend_handles_labels()[0])
-    caption = join_facts(
-        "Recall at 1 over all queries against the strength of corruptions of the queries; references are clean.",
-        *(f"{kind.capitalize()}: queries {effect}." for kind, effect in robustness.words.items()),
-        f"Bands: {INTERVALS}." if bands else "",
-        describe_runs(robustness.clean, "means"),
+    add_legend(figure)
+    effects = (f" {kind.capitalize()}: queries {effect}." for kind, effect in robustness.words.items())
+    caption = (
+        "Recall at 1 over all queries against the strength of corruptions of the queries; references are clean."
+        f"{''.join(effects)} {f'Bands: {INTERVALS}. ' if with_bands else ''}{describe_runs(robustness.clean, 'means')}"
     )
     return Drawing(figure, caption)
 
@@ -216,26 +193,41 @@ def _describe_recalls(series: Sequence[Series]) -> str:
     return f"Bands: {INTERVALS}. {describe_runs(series, f'{_SEEDS}; the band is of mean hits')}"
 
 
-def _length_of(rows: Sequence[Series]) -> int:
-    return window_of(rows[0].runs[0])
+def _draw_recalls(series: Sequence[Series], xs: Sequence[int], hits: Callable[[Run], Values]) -> Figure:
+    """Draw the mean of `hits` (len(xs), n_queries) of each row over `xs`, in percent, with its interval."""
+    figure, (axes,) = new_figure(style.SINGLE_MM, _HEIGHT_MM, grid=True)
+    looks = choose_looks(row.name for row in series)
+    for row in series:
+        for run in row.runs if len(row.runs) > 1 else ():
+            axes.plot(xs, 100 * hits(run).mean(axis=1), color=looks[row.name].colour, **_THIN)
+        _draw_curve(axes, looks[row.name], row.name, xs, *_measure_recalls(row.runs, hits))
+    axes.set_ylim(10 * (max(axes.dataLim.y0, 0) // 10), 102)
+    add_legend(figure)
+    return figure
 
 
-def _fill_band(axes: Axes, look: Look, xs: npt.ArrayLike, low: npt.ArrayLike, high: npt.ArrayLike) -> None:
-    axes.fill_between(xs, low, high, color=look.colour, alpha=style.BAND_OPACITY, linewidth=0)
+def _measure_recalls(runs: Sequence[Run], hits: Callable[[Run], Values]) -> tuple[Values, Values, Values]:
+    """Return in % the mean over the seeds of `hits` (n_points, n_queries), (n_points,), and the ends of its interval.
+
+    The ends are NaN where there is no interval.
+    """
+    order, window = order_along_journey(runs[0]), window_of(runs[0])
+    mean_hits = np.mean([hits(run)[:, order] for run in runs], axis=0)
+    intervals = [share_interval(each, window=window) for each in mean_hits]
+    low, high = np.transpose([(each.low, each.high) if each else (np.nan, np.nan) for each in intervals])
+    return 100 * mean_hits.mean(axis=1), 100 * low, 100 * high
 
 
 def _draw_curve(axes: Axes, look: Look, name: str, xs: Sequence[int], ys: Values, *band: Values) -> None:
     """Draw a row's curve with the two ends of its band, none where an end is NaN; of many points few have a marker."""
     if band and not np.isnan(band).any():
         _fill_band(axes, look, xs, *band)
-    marked = [i for i, x in enumerate(xs) if len(xs) <= _MANY or x == 1 or x % 5 == 0]
+    marked = [i for i, x in enumerate(xs) if len(xs) <= LARGEST_WIDENING + 1 or x == 1 or x % 5 == 0]
     axes.plot(xs, ys, label=name, markevery=marked, **look.of_line)
 
 
-def _finish(figure: Figure, axes: Axes) -> None:
-    """Add the grid, and above the panel a legend, which never hides a curve."""
-    axes.grid(True)
-    style.add_legend(figure, axes.get_legend_handles_labels()[0])
+def _fill_band(axes: Axes, look: Look, xs: npt.ArrayLike, low: npt.ArrayLike, high: npt.ArrayLike) -> None:
+    axes.fill_between(xs, low, high, color=look.colour, alpha=0.15, linewidth=0)
 
 
 def _average_curves(curves: Sequence[PRCurve]) -> tuple[Values, Values]:
@@ -254,46 +246,16 @@ def _precision_at(curve: PRCurve, recall: Values) -> Values:
 
 def _resample_precision(run: Run, end: float) -> tuple[Values, Values, Values]:
     """Return recalls up to `end` and the 95 % interval of precision there, by a circular block bootstrap."""
-    random = np.random.default_rng(0)
-    outcome = _take_queries(run.outcome, order_along_journey(run))
-    block = max(block_length(hits_at(outcome, 1)), window_of(run))
+    run = replace(run, scores=None)
+    random, order = np.random.default_rng(0), order_along_journey(run)
+    n, block = len(order), max(block_length(hits_at(run.outcome, 1)[order]), window_of(run))
     grid = np.linspace(0, end, _GRID_POINTS)
     precisions = np.full((_RESAMPLES, _GRID_POINTS), np.nan)
     for precision in precisions:
-        starts = random.integers(len(outcome), size=(-(-len(outcome) // block), 1))
-        queries = ((starts + np.arange(block)) % len(outcome)).ravel()[: len(outcome)]
-        curve = pr_curve(_take_queries(outcome, queries), "A")
-        if curve is not None:
+        starts = random.integers(n, size=(-(-n // block), 1))
+        queries = order[((starts + np.arange(block)) % n).ravel()[:n]]
+        if (curve := pr_curve(select_queries(run, queries, {}).outcome, "A")) is not None:
             precision[:] = _precision_at(curve, grid)
-    reached = np.isnan(precisions).mean(axis=0) <= _ENDED
-    if not reached.any():  # too few queries have a right place
-        return grid[:0], grid[:0], grid[:0]
+    reached = (grid == 0) | (np.isnan(precisions).mean(axis=0) <= _ENDED)
     low, high = np.nanquantile(precisions[:, reached], [0.025, 0.975], axis=0)
     return grid[reached], low, high
-
-
-def _take_queries(outcome: Outcome, queries: npt.NDArray[np.int64]) -> Outcome:
-    columns = [field.name for field in fields(Outcome) if field.name != "n_places"]
-    return replace(outcome, **{name: getattr(outcome, name)[queries] for name in columns})
-
-
-def _recalls(runs: Sequence[Run], hits: Callable[[Run], Values]) -> tuple[Values, Values, Values]:
-    """Return in % the mean over the seeds of `hits` (n_points, n_queries), (n_points,), and the ends of its interval.
-
-    The ends are NaN where there is no interval.
-    """
-    order, window = order_along_journey(runs[0]), window_of(runs[0])
-    mean_hits = np.mean([hits(run)[:, order] for run in runs], axis=0)
-    intervals = [share_interval(each, window=window) for each in mean_hits]
-    low, high = np.transpose([(each.low, each.high) if each else (np.nan, np.nan) for each in intervals])
-    return 100 * mean_hits.mean(axis=1), 100 * low, 100 * high
-
-
-def _draw_recalls(axes: Axes, series: Sequence[Series], xs: Sequence[int], hits: Callable[[Run], Values]) -> None:
-    """Draw the mean of `hits` (len(xs), n_queries) of each row over `xs`, in percent, with its interval."""
-    looks = choose_looks(row.name for row in series)
-    for row in series:
-        for run in row.runs if len(row.runs) > 1 else ():
-            axes.plot(xs, 100 * hits(run).mean(axis=1), color=looks[row.name].colour, **_THIN)
-        _draw_curve(axes, looks[row.name], row.name, xs, *_recalls(row.runs, hits))
-    axes.set_ylim(10 * (max(axes.dataLim.y0, 0) // 10), 102)

@@ -1,9 +1,8 @@
-"""The facts about runs with which captions end, and the checks of the runs that a figure draws."""
+"""The runs that a figure draws, and the facts about them with which its caption ends."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
@@ -17,35 +16,23 @@ from vprbench.text import plural
 INTERVALS = "95 % intervals over the queries, the wider of Wilson's and a block bootstrap's"
 
 
-def join_facts(*facts: str) -> str:
-    """Return a caption of facts, without the empty ones."""
-    return " ".join(filter(None, facts))
+def choose_runs(series: Sequence[Series], fits: Callable[[Run], object], wanted: str) -> list[Series]:
+    """Return the rows with their runs that fit; raises BadInput, "no stored run" and `wanted`, if there is none."""
+    chosen = [Series(row.name, row.spiking, runs) for row in series if (runs := tuple(filter(fits, row.runs)))]
+    if not chosen:
+        raise BadInput(f"no stored run {wanted}")
+    return chosen
 
 
-def list_names(fact: str, names: Collection[str]) -> str:
-    """Return a fact with the names that it is about; empty for no names."""
-    return f"{fact}: {', '.join(names)}." if names else ""
+def choose_answerable(series: Sequence[Series]) -> list[Series]:
+    """Return the rows whose runs know right places; raises BadInput if none does."""
+    return choose_runs(series, lambda run: run.outcome.answerable.any(), "has a query with a right place")
 
 
-def describe_runs(series: Sequence[Series], seeds: str, of_times: bool = False) -> str:
-    """Return the end of a caption: datasets, seeds and tuned rows, for times also machines and disturbed rows.
-
-    Args:
-        series: Rows that the figure draws, at least one.
-        seeds: How the figure draws several seeds of a row.
-        of_times: Whether the figure draws times.
-    """
-    runs = [run for row in series for run in row.runs]
-    several = dict.fromkeys(f"{row.name} {len(row.runs)}" for row in series if len(row.runs) > 1)
-    noisy = dict.fromkeys(row.name for row in series if any(map(is_disturbed, row.runs)))
-    tuned = dict.fromkeys(f"{row.name}: {note}." for row in series if (note := describe_tuning(row.runs)))
-    return join_facts(
-        f"Dataset: {'; '.join(dict.fromkeys(map(_describe_dataset, runs)))}.",
-        list_names(f"Seeds ({seeds})", several),
-        describe_machines(runs) if of_times else "",
-        list_names("Disturbed machine or too few laps", noisy if of_times else ()),
-        *tuned,
-    )
+def list_names(fact: str, names: Iterable[str]) -> str:
+    """Return a sentence of a caption, after a space, on different names; empty for no names."""
+    text = ", ".join(dict.fromkeys(names))
+    return f" {fact}: {text}." if text else ""
 
 
 def describe_machines(runs: Iterable[Run]) -> str:
@@ -53,36 +40,23 @@ def describe_machines(runs: Iterable[Run]) -> str:
     return f"Measured on {'; '.join(dict.fromkeys(map(describe_machine, runs)))}."
 
 
+def describe_runs(series: Sequence[Series], seeds: str, of_times: bool = False) -> str:
+    """Return the end of a caption: datasets, seeds and tuned rows, for times also machines and disturbed rows.
+
+    `seeds` says how the figure draws several seeds of a row.
+    """
+    runs = [run for row in series for run in row.runs]
+    disturbed = [row.name for row in series if any(map(is_disturbed, row.runs))]
+    facts = [
+        f"Dataset: {'; '.join(dict.fromkeys(map(_describe_dataset, runs)))}.",
+        list_names(f"Seeds ({seeds})", (f"{row.name} {len(row.runs)}" for row in series if len(row.runs) > 1)),
+        f" {describe_machines(runs)}{list_names('Disturbed machine or too few laps', disturbed)}" if of_times else "",
+        *(f" {row.name}: {note}." for row in series if (note := describe_tuning(row.runs))),
+    ]
+    return "".join(facts)
+
+
 def _describe_dataset(run: Run) -> str:
     unanswerable = int(np.count_nonzero(~run.outcome.answerable))
     counts = f"{plural(len(run.outcome), 'query')}, {plural(run.outcome.n_places, 'place')}"
     return f"{run.dataset} ({counts}{f', {unanswerable:,} without a right place' if unanswerable else ''})"
-
-
-def split_timed(series: Sequence[Series]) -> tuple[list[Series], list[str]]:
-    """Return the rows that were timed, without runs that were not, and the names of the other rows."""
-    timed = [replace(row, runs=tuple(run for run in row.runs if run.timing is not None)) for row in series]
-    return [row for row in timed if row.runs], [row.name for row in timed if not row.runs]
-
-
-def require_one_dataset(series: Sequence[Series], figure: str) -> Run:
-    """Return a run that stands for the data of all; raises BadInput for no run and for runs on different data."""
-    runs = [run for row in series for run in row.runs]
-    if not runs:
-        raise BadInput(f"the figure of {figure} has no stored runs to draw: run a method first")
-    first = runs[0]
-    for run in runs:
-        if (run.fingerprint, run.protocol) != (first.fingerprint, first.protocol):
-            raise BadInput(
-                f"the figure of {figure} got runs on different data ({first.method} on {first.dataset} under "
-                f"{dict(first.protocol)}, {run.method} on {run.dataset} under {dict(run.protocol)}): draw one at a time"
-            )
-    return first
-
-
-def require_answerable(series: Sequence[Series], figure: str) -> Run:
-    """Return what `require_one_dataset` does; raises BadInput too if no query has a right place."""
-    run = require_one_dataset(series, figure)
-    if not run.outcome.answerable.any():
-        raise BadInput(f"no query of dataset {run.dataset} has a right place: there is no figure of {figure}")
-    return run

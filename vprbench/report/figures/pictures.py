@@ -9,7 +9,6 @@ import numpy as np
 from vprbench.api.arrays import Image, Scores
 from vprbench.api.images import Images
 from vprbench.errors import BadInput
-from vprbench.metrics.ranking import PlacesPerQuery
 from vprbench.report.figures.captions import describe_runs
 from vprbench.report.figures.style import DOUBLE_MM, Drawing, new_figure, use_style
 from vprbench.report.selection import Series
@@ -18,12 +17,12 @@ from vprbench.runs.thumbnails import Thumbnails
 
 _SIDE = 28  # pixels of a patch-normalised frame
 _PATCH = 7
-_FRAME_MM = 28.0  # highest row of frames
 _NARROWEST = 0.7  # of a frame's height, for the title of its column
+_FRAME_MM = 28.0  # highest row of frames
+_MARGIN_MM = 12.0  # for titles and labels
 _MOST_CELLS = 450  # along a side of a drawn matrix: each is still visible in print
 _PANEL_MM = 72.0  # longest side of a drawn matrix
 _FLATTEST = 0.4  # shorter over longer side of one
-_MARGIN_MM = 12.0  # for titles and labels
 
 
 @use_style
@@ -70,27 +69,29 @@ def draw_frames(thumbnails: Thumbnails, title: str) -> Drawing:
 
 
 @use_style
-def draw_similarity(run: Run, name: str | None = None) -> Drawing:
+def draw_similarity(run: Run, name: str) -> Drawing:
     """Draw the ground truth beside the scores of all places for all queries (Figure 3B of the paper).
 
-    `name` is the row's, as in the table; without it the figure names the method. The scores of each query are
-    stretched from its worst candidate, 0, to its best, 1. A large matrix is drawn as the maxima of blocks, so that no
-    right place vanishes. Raises BadInput if the run did not keep its scores.
+    `name` is the row's, as in the table. The scores of each query are stretched from its worst candidate, 0, to its
+    best, 1. A large matrix is drawn as the maxima of blocks, so that no right place vanishes. Raises BadInput if the
+    run did not keep its scores.
     """
     if run.scores is None:
         raise BadInput(
             f"run {run.key} of {run.method} on {run.dataset} did not keep its scores ({len(run.outcome):,} queries x "
-            f"{run.outcome.n_places:,} places are too many): draw a run on a smaller dataset"
+            f"{run.outcome.n_places:,} places): draw a run on a smaller dataset, and one view alone"
         )
-    name = name or run.method
     n_queries, n_places = run.scores.shape
-    block = -(-max(n_queries, n_places) // _MOST_CELLS)
-    height = max(n_queries * _PANEL_MM / max(n_queries, n_places), _FLATTEST * _PANEL_MM)
-    flat = not _FLATTEST <= n_queries / n_places <= 1 / _FLATTEST
+    truth = np.zeros(run.scores.shape, np.float32)
+    for query, right in enumerate(run.positives):
+        truth[query, right] = 1
+    longest = max(n_queries, n_places)
+    block = -(-longest // _MOST_CELLS)
+    height = max(n_queries / longest, _FLATTEST) * _PANEL_MM
     figure, panels = new_figure(DOUBLE_MM, height + _MARGIN_MM, columns=2)
-    matrices = _ground_truth(run.positives, n_places), _stretch_scores(run.scores)
-    for axes, matrix, heading in zip(panels, matrices, ("Ground truth", f"Similarity, {name}"), strict=True):
-        cells = _block_maxima(matrix, block)
+    matrices = {"Ground truth": truth, f"Similarity, {name}": _stretch_scores(run.scores)}
+    for axes, (heading, matrix) in zip(panels, matrices.items(), strict=True):
+        cells = _compute_block_maxima(matrix, block)
         bottom, right = (block * count - 0.5 for count in cells.shape)
         image = axes.imshow(
             cells,
@@ -99,7 +100,7 @@ def draw_similarity(run: Run, name: str | None = None) -> Drawing:
             vmax=1,
             interpolation="none",  # the cells themselves go into a PDF, whatever its resolution
             extent=(-0.5, right, bottom, -0.5),  # ticks are numbers of queries and places
-            aspect="auto" if flat else "equal",
+            aspect="equal" if min(n_queries, n_places) >= _FLATTEST * longest else "auto",
         )
         axes.set(xlabel="Place", ylabel="Query", xlim=(-0.5, n_places - 0.5), ylim=(n_queries - 0.5, -0.5))
         axes.set_title(heading)
@@ -114,22 +115,6 @@ def draw_similarity(run: Run, name: str | None = None) -> Drawing:
     return Drawing(figure, caption)
 
 
-def _normalise_patches(images: Sequence[Image]) -> list[Image]:
-    # A plug-in of this project, which type checkers find as `methods`; it brings PyTorch.
-    from vprbench.methods.parts.filters.patches import PatchNormalisation  # type: ignore[import-not-found]
-
-    levels = PatchNormalisation("C", _SIDE, _SIDE, _PATCH)(Images.from_arrays(images))
-    return list(levels.reshape(-1, _SIDE, _SIDE))
-
-
-def _ground_truth(positives: PlacesPerQuery, n_places: int) -> Scores:
-    """Return 1 where a place is right for a query and 0 elsewhere, (n_queries, n_places)."""
-    truth = np.zeros((len(positives), n_places), np.float32)
-    for query, right in enumerate(positives):
-        truth[query, right] = 1
-    return truth
-
-
 def _stretch_scores(scores: Scores) -> Scores:
     """Return scores from 0 to 1 within each query; 0 if a place is no candidate or all scores are alike."""
     candidate = scores > -np.inf
@@ -140,7 +125,15 @@ def _stretch_scores(scores: Scores) -> Scores:
     return stretched
 
 
-def _block_maxima(matrix: Scores, block: int) -> Scores:
+def _compute_block_maxima(matrix: Scores, block: int) -> Scores:
     """Return the maximum of each block of `block` x `block` cells; those at the end may be smaller."""
     rows, columns = (np.arange(0, count, block) for count in matrix.shape)
     return np.maximum.reduceat(np.maximum.reduceat(matrix, rows, axis=0), columns, axis=1)
+
+
+def _normalise_patches(images: Sequence[Image]) -> list[Image]:
+    # A plug-in of this project, which type checkers find as `methods`; it brings PyTorch.
+    from vprbench.methods.parts.filters.patches import PatchNormalisation  # type: ignore[import-not-found]
+
+    levels = PatchNormalisation("C", _SIDE, _SIDE, _PATCH)(Images.from_arrays(images))
+    return list(levels.reshape(-1, _SIDE, _SIDE))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,11 +10,11 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter
 
-from vprbench.errors import BadInput
 from vprbench.report.figures import style
-from vprbench.report.figures.captions import describe_runs, require_one_dataset
+from vprbench.report.figures.captions import choose_runs, describe_runs
 from vprbench.report.figures.style import Drawing, Look, choose_looks, new_figure, use_style
 from vprbench.report.selection import Series
+from vprbench.runs.record import Run
 from vprbench.text import plural
 
 _HEIGHT_MM = 52.0  # of a line of panels, without the legend
@@ -34,15 +33,11 @@ def draw_spikes(series: Sequence[Series]) -> Drawing:
     """Draw, layer by layer, the spikes of a query in each row, and the share of neurons that spike.
 
     A box holds the sampled queries of all seeds; a bar is the mean over the seeds, its dots are the seeds. Rows
-    without stored spikes are left out; raises BadInput if none has any, and for rows on different data.
+    without stored spikes are left out; raises BadInput if none has any.
     """
     looks = choose_looks(row.name for row in series)
-    rows = [row for each in series if (row := replace(each, runs=tuple(r for r in each.runs if r.spikes))).runs]
-    if not rows:
-        raise BadInput("no stored run holds spikes: run a spiking method such as method=vprtempo, with force=true")
-    dataset = require_one_dataset(rows, "spikes").dataset
-    layers = {row.name: _layers_of(row) for row in rows}
-    names = list(dict.fromkeys(name for of_row in layers.values() for name in of_row))
+    rows = choose_runs(series, _list_layers, "holds spikes: run a spiking method, such as method=vprtempo force=true")
+    names = list(dict.fromkeys(layer["name"] for row in rows for run in row.runs for layer in _list_layers(run)))
     n_lines = len(names) // _COLUMNS + 1
     figure, cells = new_figure(style.SINGLE_MM, _HEIGHT_MM * n_lines, n_lines, _COLUMNS)
     *panels, active = cells[: len(names) + 1]
@@ -50,40 +45,38 @@ def draw_spikes(series: Sequence[Series]) -> Drawing:
         empty.remove()
     room = _GROUP / len(rows)
     for position, (panel, name) in enumerate(zip(panels, names, strict=True)):
-        drawn = [of_row.get(name, []) for of_row in layers.values()]
-        for number, (row, found) in enumerate(zip(rows, drawn, strict=True)):
-            if found:
-                _draw_box(panel, number, found, looks[row.name])
+        of_rows = [[one for run in row.runs for one in _list_layers(run) if one["name"] == name] for row in rows]
+        for number, (row, layers) in enumerate(zip(rows, of_rows, strict=True)):
+            if layers:
                 x = position + (number - (len(rows) - 1) / 2) * room
-                _draw_bar(active, x, room * _FILLED, found, looks[row.name])
-        _finish(panel, name, [layer for found in drawn for layer in found])
-        panel.set(xticks=[], xlim=(-0.5, len(rows) - 0.5))
-    for panel in panels[::_COLUMNS]:
-        panel.set_ylabel("Spikes of a query")
+                _draw_box(panel, number, layers, looks[row.name])
+                _draw_bar(active, x, room * _FILLED, layers, looks[row.name])
+        _finish_panel(panel, name, [layer for layers in of_rows for layer in layers])
+        panel.set(xticks=[], xlim=(-0.5, len(rows) - 0.5), ylabel="" if position % _COLUMNS else "Spikes of a query")
     active.set(title="Neurons that\nspike (%)", ylim=(0, 103), xlim=(-0.5, len(names) - 0.5))
     active.set_xticks(range(len(names)), names, rotation=90 if len(names) > _UPRIGHT else 0)
     active.grid(True, axis="y")
-    style.add_legend(figure, [Patch(label=row.name, **looks[row.name].of_bar) for row in rows], dataset)
+    keys = [Patch(label=row.name, **looks[row.name].of_bar) for row in rows]
+    style.add_legend(figure, keys, rows[0].runs[0].dataset)
     queries = ", ".join(dict.fromkeys(f"{run.spikes['queries']:,}" for row in rows for run in row.runs if run.spikes))
     caption = (
         "Spikes of a query in each layer: box from quartile to quartile with the median, whiskers from the "
         f"{_WHISKERS[0]}th to the {_WHISKERS[1]}th percentile. Last panel: share of neurons that spike in any sampled "
-        f"query, {queries} of a seed. "
-        f"{describe_runs(rows, 'a box holds all; bars are means, dots the seeds')}"
+        f"query, {queries} of a seed. {describe_runs(rows, 'a box holds all; bars are means, dots the seeds')}"
     )
     return Drawing(figure, caption)
 
 
-def select_spike_times(series: Sequence[Series]) -> list[Series]:
-    """Return the rows, and of them the runs, that hold spike times."""
-    runs = [(row, [run for run in row.runs if run.spikes and "times" in run.spikes["layers"][0]]) for row in series]
-    return [replace(row, runs=tuple(timed)) for row, timed in runs if timed]
+def has_times(run: Run) -> bool:
+    """Tell whether a run holds when its neurons spike."""
+    return any("times" in layer for layer in _list_layers(run))
 
 
 @use_style
-def draw_raster(rows: Sequence[Series]) -> Drawing:
-    """Draw when the neurons of each layer spike for one query, of the first run of rows that hold spike times."""
-    layers = (rows[0].runs[0].spikes or {})["layers"]
+def draw_raster(series: Sequence[Series]) -> Drawing:
+    """Draw when the neurons of each layer spike for one query, of the first run that holds it; BadInput for none."""
+    rows = choose_runs(series, has_times, "holds spike times: run method=vprtempo_latencies")
+    layers = _list_layers(rows[0].runs[0])
     figure, panels = new_figure(style.DOUBLE_MM, 30 * len(layers), len(layers))
     for panel, layer in zip(panels, layers, strict=True):
         neurons = np.flatnonzero(layer["times"])
@@ -98,12 +91,9 @@ def draw_raster(rows: Sequence[Series]) -> Drawing:
     return Drawing(figure, caption)
 
 
-def _layers_of(row: Series) -> dict[str, list[Layer]]:
-    """Return the layers of all runs of a row, by name."""
-    layers: dict[str, list[Layer]] = {}
-    for run in row.runs:
-        for layer in (run.spikes or {})["layers"]:
-            layers.setdefault(layer["name"], []).append(layer)
+def _list_layers(run: Run) -> Sequence[Layer]:
+    """Return the layers of a run's network; none for a run that holds no spikes."""
+    layers: Sequence[Layer] = (run.spikes or {}).get("layers", ())
     return layers
 
 
@@ -130,7 +120,7 @@ def _draw_bar(axes: Axes, x: float, width: float, layers: Sequence[Layer], look:
         axes.plot([x] * len(shares), shares, linestyle="", marker=look.marker, color="black", markersize=2.5)
 
 
-def _finish(axes: Axes, name: str, layers: Sequence[Layer]) -> None:
+def _finish_panel(axes: Axes, name: str, layers: Sequence[Layer]) -> None:
     """Add the title of a layer, with its neurons if all rows have as many; if rows differ by far, the axis is a log."""
     neurons = {layer["neurons"] for layer in layers}
     counts = np.concatenate([layer["spikes_per_query"] for layer in layers])

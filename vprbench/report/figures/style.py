@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable, Sequence
-from functools import wraps
+from collections.abc import Iterable, Sequence
 from io import BytesIO
 from itertools import cycle
 from math import log10, sqrt
 from pathlib import Path
 from textwrap import fill
-from typing import Any, Literal, NamedTuple, ParamSpec
+from typing import Any, Literal, NamedTuple
 
 import matplotlib.style
 from matplotlib.axes import Axes
@@ -18,8 +17,6 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure as Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from vprbench.errors import BadInput
-from vprbench.storage.atomic import replace_bytes
 from vprbench.text import format_three_digits
 
 logging.getLogger("fontTools").setLevel(logging.WARNING)  # it logs every glyph that it embeds
@@ -27,12 +24,9 @@ logging.getLogger("fontTools").setLevel(logging.WARNING)  # it logs every glyph 
 SINGLE_MM = 88.0  # one column of a two-column page
 DOUBLE_MM = 180.0  # both columns
 GREY = "#6E6E6E"  # of what is no method: fronts, chance, annotations
-BAND_OPACITY = 0.15
 
-Dash = tuple[int, tuple[float, ...]]  # offset, then lengths of lines and gaps in line widths; () is a solid line
-Arguments = ParamSpec("Arguments")
-
-_SETTINGS = Path(__file__).with_name("figures.mplstyle")
+#: A decorator of every function that draws: the type and lines of all figures, whatever matplotlib's settings are.
+use_style = matplotlib.style.context(Path(__file__).with_name("figures.mplstyle"), after_reset=True)
 
 
 class NotebookFigure(Figure):
@@ -54,13 +48,8 @@ class Look(NamedTuple):
 
     colour: str
     marker: str
-    dash: Dash
+    dash: tuple[int, tuple[float, ...]]  # offset, then lengths of lines and gaps in line widths; () is a solid line
     hatch: str
-
-    @property
-    def of_points(self) -> dict[str, Any]:
-        """How points without a line are drawn."""
-        return {"color": self.colour, "marker": self.marker, "linestyle": "none"}
 
     @property
     def of_line(self) -> dict[str, Any]:
@@ -84,7 +73,7 @@ _PAPER = {
 }
 _COLOURS = ("#009E73", "#CC79A7", "#332288", "#999999", "#882255", "#999933", "#117733", "#AA4499")
 _MARKERS = ("P", "X", "<", ">", "h", "p", "d", "*", "8")
-_DASHES: tuple[Dash, ...] = (
+_DASHES: tuple[tuple[int, tuple[float, ...]], ...] = (
     *((0, (3, 1, 1, 1, 1, 1)), (0, (7, 2, 2, 2)), (0, (1, 2.5)), (0, (3, 3)), (0, ())),
     *((0, (12, 2, 1, 2)), (0, (2, 1)), (0, (6, 1, 1, 1, 1, 1, 1, 1)), (0, (10, 4)), (0, (4, 1, 4, 1, 1, 1))),
 )
@@ -93,6 +82,10 @@ _HATCHES = ("++++", "oo", "||||", "**", "OO", "|-|-", "/.", "\\+")
 _LETTER_MM = 1.3  # of a legend's type
 _KEY_MM = 13.0  # before a label, and after it
 _LEGEND_ROW_MM = 3.9
+
+_NARROWEST = 20.0  # the highest end of a logarithmic axis over the lowest
+_FEW_DECADES = 2.5  # below it the axis names 2 and 5 as well
+_MOST_DECADES = 5  # of more, every second or third is named
 
 
 def choose_looks(names: Iterable[str]) -> dict[str, Look]:
@@ -105,69 +98,31 @@ def choose_looks(names: Iterable[str]) -> dict[str, Look]:
     return {name: _PAPER.get(name) or next(further) for name in dict.fromkeys(names)}
 
 
-def use_style(draw: Callable[Arguments, Drawing]) -> Callable[Arguments, Drawing]:
-    """Draw in the type and lines of this module, whatever matplotlib's own settings are; for every figure function."""
-
-    @wraps(draw)
-    def draw_in_style(*given: Arguments.args, **named: Arguments.kwargs) -> Drawing:
-        with matplotlib.style.context(_SETTINGS, after_reset=True):
-            return draw(*given, **named)
-
-    return draw_in_style
-
-
-def new_figure(width_mm: float, height_mm: float, rows: int = 1, columns: int = 1) -> tuple[Figure, tuple[Axes, ...]]:
+def new_figure(
+    width_mm: float, height_mm: float, rows: int = 1, columns: int = 1, grid: bool = False
+) -> tuple[Figure, tuple[Axes, ...]]:
     """Return an empty figure and its axes, row by row; labels make room for themselves within the given size."""
     figure = NotebookFigure(figsize=(width_mm / 25.4, height_mm / 25.4), layout="constrained")
     FigureCanvasAgg(figure)
-    return figure, tuple(figure.subplots(rows, columns, squeeze=False).flat)
+    panels = tuple(figure.subplots(rows, columns, squeeze=False).flat)
+    for axes in panels:
+        axes.grid(grid)
+    return figure, panels
 
 
-def add_legend(figure: Figure, handles: Sequence[Any], title: str = "") -> None:
-    """Add a legend above the panels and the height that it takes, in as many columns as its labels leave room for."""
+def add_legend(figure: Figure, handles: Sequence[Any] = (), title: str = "") -> None:
+    """Add a legend above the panels and the height that it takes, in as many columns as its labels leave room for.
+
+    Without `handles` it names the lines of the first panel.
+    """
+    handles = handles or figure.axes[0].get_legend_handles_labels()[0]
     width = figure.get_figwidth() * 25.4
     labels = [fill(str(handle.get_label()), int((width - _KEY_MM) / _LETTER_MM)) for handle in handles]
-    longest = max((len(line) for label in labels for line in label.split("\n")), default=0)
+    longest = max(len(line) for label in labels for line in label.split("\n"))
     columns = max(1, min(len(labels), int(width / (_KEY_MM + _LETTER_MM * longest))))
-    lines = -(-len(labels) // columns) * max((1 + label.count("\n") for label in labels), default=0) + bool(title)
+    lines = -(-len(labels) // columns) * max(1 + label.count("\n") for label in labels) + bool(title)
     figure.set_figheight(figure.get_figheight() + lines * _LEGEND_ROW_MM / 25.4)
     figure.legend(handles, labels, loc="outside upper left", ncols=columns, title=title or None, alignment="left")
-
-
-def render_png(drawing: Drawing) -> bytes:
-    """Return a figure as PNG, 300 dots per inch, its caption as the description; the same bytes for the same data."""
-    return _render(drawing.figure, "png", {"Software": None, "Description": drawing.caption})
-
-
-def render_pdf(drawing: Drawing) -> bytes:
-    """Return a figure as PDF, its caption as the subject; the same bytes for the same data."""
-    return _render(drawing.figure, "pdf", {"CreationDate": None, "Subject": drawing.caption})
-
-
-def write_figure(drawing: Drawing, folder: Path, name: str) -> tuple[Path, Path]:
-    """Write `<name>.pdf` and `<name>.png` into a folder, made where missing; raises BadInput if the disk refuses."""
-    paths = folder / f"{name}.pdf", folder / f"{name}.png"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for path, content in zip(paths, (render_pdf(drawing), render_png(drawing)), strict=True):
-            replace_bytes(path, content)
-    except OSError as error:
-        raise BadInput(
-            f"figure {name} could not be written to {folder} ({error.strerror or error}): choose another folder"
-        ) from error
-    return paths
-
-
-def _render(figure: Figure, kind: str, metadata: dict[str, Any]) -> bytes:
-    content = BytesIO()
-    with matplotlib.style.context(_SETTINGS, after_reset=True):
-        figure.savefig(content, format=kind, metadata=metadata)
-    return content.getvalue()
-
-
-_NARROWEST = 20.0  # the highest end over the lowest
-_FEW_DECADES = 2.5  # below it the axis names 2 and 5 as well
-_MOST_DECADES = 5  # of more, every second or third is named
 
 
 def scale_log(axes: Axes, which: Literal["x", "y"], values: Iterable[float], room: float = 1.6) -> None:
@@ -182,3 +137,20 @@ def scale_log(axes: Axes, which: Literal["x", "y"], values: Iterable[float], roo
     axis.set_minor_locator(LogLocator(subs=range(2, 10), numticks=20))
     axis.set_major_formatter(FuncFormatter(lambda value, _: format_three_digits(value)))
     axis.set_minor_formatter(NullFormatter())
+
+
+def render_png(drawing: Drawing) -> bytes:
+    """Return a figure as PNG, 300 dots per inch, its caption as the description; the same bytes for the same data."""
+    return _render(drawing.figure, "png", {"Software": None, "Description": drawing.caption})
+
+
+def render_pdf(drawing: Drawing) -> bytes:
+    """Return a figure as PDF, its caption as the subject; the same bytes for the same data."""
+    return _render(drawing.figure, "pdf", {"CreationDate": None, "Subject": drawing.caption})
+
+
+@use_style
+def _render(figure: Figure, kind: str, metadata: dict[str, Any]) -> bytes:
+    content = BytesIO()
+    figure.savefig(content, format=kind, metadata=metadata)
+    return content.getvalue()

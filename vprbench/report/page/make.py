@@ -1,4 +1,4 @@
-"""`make report`: one page with the table, the figures and a browser of failures, from stored runs."""
+"""The page of a report: the table, the figures and a browser of failures, from stored runs."""
 
 from __future__ import annotations
 
@@ -7,15 +7,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from vprbench.jobs.executors import executor_for
 from vprbench.progress import progress_shown
-from vprbench.report.figures.make import draw_all, growth_columns, thumbnails_of
-from vprbench.report.gather import ReportData, choose, gather
-from vprbench.report.run_options import TableRequest
-from vprbench.report.selection import Group, accuracy_series, series, title
+from vprbench.report.figures.make import draw_all, thumbnails_of
+from vprbench.report.gather import ReportData
+from vprbench.report.selection import Group, ResolvedColumn, accuracy_series, series, title
 from vprbench.report.table import formats
-from vprbench.report.table.make import exit_code, file_name
-from vprbench.runs.sequences import parse_views
 from vprbench.runs.store import Store
 from vprbench.runs.thumbnails import Thumbnails
 from vprbench.runs.views import queries_shown
@@ -26,21 +22,12 @@ if TYPE_CHECKING:
     from vprbench.report.figures.style import Drawing
 
 
-def make_report(request: TableRequest, options: Sequence[str]) -> int:
-    """Write results/report.html; returns the exit code, 1 where a run failed.
-
-    Runs of the table that are missing are made; those of the growth are drawn where they are stored.
-    """
-    with executor_for(request) as executor:
-        found = gather(choose(request), options, executor)
+def print_page(found: ReportData, name: str, growth: Sequence[ResolvedColumn] = ()) -> None:
+    """Write the page of a report, NAME.html, into its results folder, and print the file."""
     absent: list[str] = []
-    drawings = draw_all(found, found.runs, growth_columns(found), absent.append)
-    default = request.name is None and not request.columns and not parse_views(request.sequence, request.filter)
-    default &= request.views is None
-    name = "report.html" if default else f"report-{file_name(request)}.html"
-    path = write_page(found, drawings, Path(request.results).expanduser() / name, absent)
+    drawings = draw_all(found, found.runs, growth, absent.append)
+    path = write_page(found, drawings, Path(found.chosen.results).expanduser() / f"{name}.html", absent)
     print(f"{path}: {format_bytes(path.stat().st_size)}, opens from disk")
-    return exit_code(found.job_results)
 
 
 def _frames_of(group: Group, found: ReportData) -> Thumbnails | None:

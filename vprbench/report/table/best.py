@@ -125,7 +125,7 @@ def _separated(first: Run, second: Run, chance: float) -> bool:
 
 
 def _faster(one: Contestant, other: Contestant) -> bool:
-    from scipy.stats import mannwhitneyu  # count_operations long to import
+    from scipy.stats import mannwhitneyu  # takes long to import
 
     return all(
         compute_rate(first) >= FASTER * compute_rate(second)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from vprbench.jobs.executors import executor_for
 from vprbench.jobs.job import JobResult
-from vprbench.report.gather import ReportData, choose, gather
+from vprbench.report.gather import ReportData, choose, gather, stored
 from vprbench.report.run_options import TableRequest
 from vprbench.report.table import formats
 from vprbench.runs import frame
@@ -18,15 +19,31 @@ from vprbench.terminal.console import console
 
 
 def make_table(request: TableRequest, options: Sequence[str]) -> int:
-    """Print the table and write it as Markdown, CSV and LaTeX; returns the exit code, 1 where a cell failed."""
+    """Print the table and write it as Markdown, CSV and LaTeX; returns the exit code, 1 where a cell failed.
+
+    Figures and page follow where the request has them. The runs of Figure 2c are made for the figures alone.
+    """
+    from vprbench.report.figures.make import growth_columns, print_figures, run_growth  # takes long
+    from vprbench.report.page.make import print_page
+
+    chosen = choose(request)
     with executor_for(request) as executor:
-        found = gather(choose(request), options, executor)
+        found = gather(chosen, options, executor)
+        growth = growth_columns(found) if request.figures or request.page else []
+        results = [*found.job_results, *(run_growth(found, growth, options, executor) if request.figures else [])]
+    if request.figures:
+        found = replace(found, runs=tuple(stored(chosen)[0]))
     is_narrow = console().is_terminal
     printed = formats.to_terminal(found.table, request.wide) if is_narrow else formats.to_markdown(found.table)
     print(printed, end="", flush=True)  # first: it is there to be read even where nothing is written
-    written = write(found, Path(request.results).expanduser(), file_name(request))
+    name = file_name(request)
+    written = write(found, Path(request.results).expanduser(), name)
     print(f"\nwritten to {', '.join(str(path) for path in written)}", flush=True)
-    return exit_code(found.job_results)
+    if request.figures:
+        print_figures(found, growth)
+    if request.page:
+        print_page(found, "report" if name == "table" else f"report-{name}", growth)
+    return exit_code(results)
 
 
 def write(found: ReportData, folder: Path, name: str) -> list[Path]:

@@ -1,0 +1,145 @@
+"""The report of the runs that a results folder holds, whoever made them: nothing is run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from vprbench.errors import BadInput
+from vprbench.jobs.job import JobResult
+from vprbench.report.gather import ReportData, TablePlan, assemble_report, stored
+from vprbench.report.plan import NO_PLAN, PlannedColumn, Row
+from vprbench.report.ranking import rank_rows
+from vprbench.report.run_options import FolderRequest
+from vprbench.report.selection import (
+    Group,
+    ResolvedColumn,
+    accuracy_series,
+    age,
+    apply_views,
+    as_text,
+    get_time,
+)
+from vprbench.report.table.quantities import comparison_quantities, without_accuracies
+from vprbench.runs.frame import format_label
+from vprbench.runs.record import Failure, Run
+from vprbench.runs.sequences import Views, parse_views
+from vprbench.text import near
+
+
+def read_report(request: FolderRequest) -> ReportData:
+    """Return the report of the runs of a results folder, of the datasets and methods of the request alone.
+
+    Raises BadInput for a name that no run of the folder has, and where nothing is left to show.
+    """
+    runs, failures = stored(request)
+    for option in ("dataset", "methods"):
+        field = option.removesuffix("s")
+        known = {getattr(run, field) for run in runs}
+        for name in getattr(request, option):
+            if name not in known:
+                raise BadInput(f"{option}={name}: no run of it is stored in {request.results}: {near(name, known)}")
+        wanted = {*(getattr(request, option) or known)}
+        runs = [run for run in runs if getattr(run, field) in wanted]
+        failures = [failure for failure in failures if getattr(failure, field) in wanted]
+    title = request.name or Path(request.results).expanduser().absolute().name
+    views = parse_views(request.sequence, request.filter)
+    return report_runs(runs, failures, title, request.results, request.metrics, request.stores, views)
+
+
+def report_runs(
+    runs: Sequence[Run],
+    failures: Sequence[Failure] = (),
+    title: str = "runs",
+    results: str = "results",
+    metrics: Sequence[str] = (),
+    stores: Sequence[str] = (),
+    views: Sequence[Views] = (),
+) -> ReportData:
+    """Return the report of runs: a column for each dataset and protocol, a row for each method with its arguments.
+
+    Runs of corrupted queries are no columns. Raises BadInput if there is no run.
+    """
+    runs = [run for run in runs if run.config.get("corruption") is None]
+    failures = [failure for failure in failures if failure.config.get("corruption") is None]
+    devices = sorted({str(run.config["device"]) for run in runs})
+    chosen = TablePlan(
+        NO_PLAN,
+        describe_rows([*runs, *failures]),
+        (),
+        tuple(devices),
+        metrics=tuple(metrics),
+        results=results,
+        stores=tuple(stores),
+        stored=True,
+        title=title,
+        quantities=comparison_quantities(metrics, devices),
+        views=tuple(views),
+    )
+    return assemble_groups(chosen, group_runs(runs, failures))
+
+
+def assemble_groups(chosen: TablePlan, groups: Sequence[Group], job_results: Sequence[JobResult] = ()) -> ReportData:
+    """Return the report of groups of runs, in the views that `chosen` names.
+
+    Rows come by their R@1 in the first group that has them, rows without runs last. Without a ground truth there is no
+    accuracy. Raises BadInput if there is no run.
+    """
+    shown = apply_views(groups, chosen.rows, chosen.views)
+    ranks: dict[str, int] = {}
+    for group in shown:
+        for name in rank_rows(accuracy_series(group, chosen.rows)).table["method"]:
+            ranks.setdefault(name, len(ranks))
+    runs = [run for group in groups for run in group.runs]
+    chosen = replace(
+        chosen,
+        rows=tuple(sorted(chosen.rows, key=lambda row: ranks.get(row.name, len(ranks)))),
+        columns=tuple(group.column for group in groups),
+    )
+    if runs and not any(run.is_judged for run in runs):
+        chosen = replace(chosen, quantities=without_accuracies(chosen.quantities))
+    return assemble_report(chosen, shown, runs, tuple(job_results))
+
+
+def describe_rows(results: Iterable[Run | Failure]) -> tuple[Row, ...]:
+    """Return a row for each method and its arguments, named as on the command line, with the seeds of its runs."""
+    alike: dict[str, list[Run | Failure]] = {}
+    for result in results:
+        alike.setdefault(as_text([result.method, result.config["changed"]]), []).append(result)
+    rows: dict[str, Row] = {}
+    for of_row in alike.values():
+        first, label = of_row[0], format_label(of_row[0])
+        seeds = tuple(sorted({int(result.config["seed"]) for result in of_row}))
+        learns = "seed" in first.config["method"]
+        name = label if label not in rows else f"{label} ({sum(each.startswith(label) for each in rows) + 1})"
+        rows[name] = Row(
+            name,
+            first.method,
+            training="own" if learns else "map",
+            spiking=any(isinstance(result, Run) and result.spikes is not None for result in of_row),
+            arguments=first.config["changed"],
+            seeds=seeds if learns else seeds[:1],
+        )
+    return tuple(rows.values())
+
+
+def group_runs(runs: Sequence[Run], failures: Sequence[Failure]) -> list[Group]:
+    """Return the runs of each dataset by protocol and frames, the group with the newest run first."""
+    found: list[Group] = []
+    for dataset in sorted({run.dataset for run in runs}):
+        alike: dict[str, list[Run]] = {}
+        for run in sorted((run for run in runs if run.dataset == dataset), key=age):
+            alike.setdefault(as_text([run.protocol, run.fingerprint]), []).append(run)
+        newest_first = sorted(alike.values(), key=lambda members: age(members[-1]), reverse=True)
+        failed = sorted((failure for failure in failures if failure.dataset == dataset), key=get_time)
+        for number, members in enumerate(newest_first, start=1):
+            there = tuple(failed) if number == 1 else ()
+            found.append(Group(_describe_column(members[0].config, dataset), number, tuple(members), there))
+    return found
+
+
+def _describe_column(config: Mapping[str, object], dataset: str) -> ResolvedColumn:
+    arguments = config["dataset"]
+    assert isinstance(arguments, Mapping)
+    return ResolvedColumn(PlannedColumn(dataset, dataset, ()), arguments, views=config.get("views"))
