@@ -24,14 +24,14 @@ class ClusterLostError(RuntimeError):
 
 
 def format_error(error: BaseException) -> str:
-    """Return an error as "Kind: message", or the message alone of BadInput; a plug-in's message may fail."""
+    """Return an error as "Kind: message", or the message alone of an error of ours; a plug-in's message may fail."""
     if isinstance(error, SystemExit):
         return f"SystemExit: the method or dataset ended the program, with exit code {error.code or 0}"
     try:
         text = str(error)
     except Exception as unsaid:
         text = f"(its text fails: {type(unsaid).__name__})"
-    if isinstance(error, BadInput):
+    if isinstance(error, BadInput | ClusterLostError):
         return text.strip() or "invalid input; the plug-in gave no reason"
     return f"{type(error).__name__}: {text}"
 

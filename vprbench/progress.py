@@ -7,131 +7,100 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
-from contextvars import ContextVar
-from typing import Any, TextIO
+from functools import partial
+from typing import TextIO
 
 from vprbench.text import format_duration, format_percent, printable
 
 Listener = Callable[[str, float], None]  # stage, share done from 0 to 1
+_Draw = Callable[[str, float, float], None]  # text, share done, seconds since the stage began
 
 QUIET = "VPRBENCH_QUIET"  # environment variable of a process whose progress nobody sees
 
-_listener: ContextVar[Listener | None] = ContextVar("progress_listener", default=None)
-_shown: ContextVar[bool] = ContextVar("progress_shown", default=False)
-
+_listener: Listener | None = None
 _LINE_EVERY = 10.0  # seconds between plain lines
 _DRAW_EVERY = 0.1  # seconds between two states of a bar
 
 
 def report(stage: str, done: float) -> None:
     """Say which share of `stage`, 0 to 1, is done; costs nothing if nobody listens."""
-    listener = _listener.get()
-    if listener is not None:
-        listener(stage, done)
+    if _listener is not None:
+        _listener(stage, done)
 
 
 @contextmanager
 def listening(listener: Listener) -> Iterator[None]:
     """Send every report made inside the block to `listener`."""
-    token = _listener.set(listener)
+    global _listener
+    outer, _listener = _listener, listener
     try:
         yield
     finally:
-        _listener.reset(token)
+        _listener = outer
+
+
+def showing() -> AbstractContextManager[None]:
+    """Let no bar or line of progress appear inside the block."""
+    return listening(lambda *_: None)
 
 
 @contextmanager
 def progress_shown(title: str, stream: TextIO | None = None) -> Iterator[None]:
     """Show each reported stage and the time left, on standard error or `stream`: a bar in a terminal, lines elsewhere.
 
-    Inside another such block, or where a live table is shown, this shows nothing of its own.
+    Where somebody listens already, as inside another such block, this shows nothing of its own.
     """
-    if _shown.get() or os.environ.get(QUIET):
+    if _listener is not None or os.environ.get(QUIET):
         yield
         return
-    target = _LossyStream(sys.stderr if stream is None else stream)
-    title = printable(title)
-    show: AbstractContextManager[Listener]
-    show = _draw_bar(title, target) if target.isatty() else nullcontext(_print_lines(title, target))
-    with show as listener, showing(), listening(listener):
+    stream = stream or sys.stderr
+    shown = _draw_bar(stream) if stream.isatty() else nullcontext(partial(_print_line, stream))
+    with shown as draw, listening(_draw_sometimes(title, draw, _DRAW_EVERY if stream.isatty() else _LINE_EVERY)):
         yield
 
 
-@contextmanager
-def showing() -> Iterator[None]:
-    """Let no other bar or line of progress appear inside the block."""
-    token = _shown.set(True)
-    try:
-        yield
-    finally:
-        _shown.reset(token)
-
-
-class _LossyStream:
-    """A stream that drops its output once its reader has gone."""
-
-    def __init__(self, stream: TextIO) -> None:
-        self._stream = stream
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._stream, name)
-
-    def write(self, text: str) -> int:
-        with suppress(OSError, ValueError):  # ValueError: it was closed
-            return self._stream.write(text)
-        return len(text)
-
-    def flush(self) -> None:
-        with suppress(OSError, ValueError):
-            self._stream.flush()
-
-
-@contextmanager
-def _draw_bar(title: str, stream: Any) -> Iterator[Listener]:
-    """Yield a listener that draws a bar, from its beginning for a new stage; no thread draws beside a timed run."""
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-
-    words = TextColumn("{task.description} {task.percentage:3.0f} %", markup=False)
-    bar = Progress(
-        *(words, BarColumn(), TimeElapsedColumn(), TimeRemainingColumn(), TextColumn("left")),
-        console=Console(file=stream, force_jupyter=False),
-        auto_refresh=False,
-        transient=True,
-        redirect_stdout=sys.stdout.isatty(),
-        get_time=lambda: time.perf_counter(),
-    )
-    current, drawn = "", 0.0
-    with bar:
-        task = bar.add_task(title, total=1.0)
-
-        def show(stage: str, done: float) -> None:
-            nonlocal current, drawn
-            if stage != current:
-                current, drawn = stage, 0.0
-                bar.reset(task, description=f"{title}: {printable(stage)}")
-            bar.update(task, completed=done)
-            if (now := time.perf_counter()) - drawn >= _DRAW_EVERY:
-                drawn = now
-                bar.refresh()
-
-        yield show
-
-
-def _print_lines(title: str, stream: Any) -> Listener:
-    """Return a listener that prints a line for a new stage, and one every few seconds of a long stage."""
-    current, started, last = "", 0.0, 0.0
+def _draw_sometimes(title: str, draw: _Draw, every: float) -> Listener:
+    """Return a listener that draws a new stage at once, and one that goes on every so many seconds."""
+    current, started, drawn = "", 0.0, 0.0
 
     def show(stage: str, done: float) -> None:
-        nonlocal current, started, last
-        now = time.perf_counter()
-        line = f"{title}: {printable(stage)}"
-        if stage != current:
-            current, started, last = stage, now, now
-            print(line, file=stream, flush=True)
-        elif now - last >= _LINE_EVERY and 0 < done < 1:
-            last = now
-            left = format_duration((now - started) * (1 - done) / done)
-            print(f"{line} {format_percent(done, 0)} %, {left} left", file=stream, flush=True)
+        nonlocal current, started, drawn
+        now, is_new = time.perf_counter(), stage != current
+        if is_new:
+            current, started = stage, now
+        if is_new or (now - drawn >= every and 0 < done < 1):
+            drawn = now
+            with suppress(OSError, ValueError):  # nobody may be there to read it
+                draw(printable(f"{title}: {stage}"), done, now - started)
 
     return show
+
+
+@contextmanager
+def _draw_bar(stream: TextIO) -> Iterator[_Draw]:
+    """Yield a function that draws a bar; no thread draws beside a timed run."""
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.progress import Progress
+
+    is_terminal = sys.stdout.isatty()
+    bar = Progress(console=Console(file=stream), auto_refresh=False, transient=True, redirect_stdout=is_terminal)
+    task = bar.add_task("", total=1.0, visible=False)
+
+    def draw(text: str, done: float, seconds: float) -> None:
+        if seconds == 0:
+            bar.reset(task, description=escape(text))
+        bar.update(task, completed=done, visible=True, refresh=True)
+
+    bar.start()
+    try:
+        yield draw
+    finally:
+        with suppress(OSError):
+            bar.stop()
+
+
+def _print_line(stream: TextIO, text: str, done: float, seconds: float) -> None:
+    """Print a stage as a line, and of a stage that goes on its share done and the time left."""
+    left = f" {format_percent(done, 0)} %, {format_duration(seconds * (1 - done) / done)} left" if seconds else ""
+    print(f"{text}{left}", file=stream, flush=True)

@@ -47,10 +47,9 @@ def shorten(text: str) -> str:
 def near(name: str, known: Iterable[str]) -> str:
     """Return the part of an error message that names the known names nearest to `name`, or all if none is near."""
     known = list(known)
-    close = difflib.get_close_matches(name, known, n=3)
-    if close:
+    if close := difflib.get_close_matches(name, known, n=3):
         return f"did you mean {' or '.join(close)}?"
-    return f"there {'is' if len(known) == 1 else 'are'} {', '.join(known)}"
+    return f"there {be(known)} {', '.join(known)}"
 
 
 def format_percent(share: float | None, digits: int = 1) -> str:
@@ -70,12 +69,12 @@ def format_interval(low: float, high: float) -> str:
 
 def format_rate(hertz: float) -> str:
     """Return a rate in Hz without its unit: "15,120" from 10 Hz on, and two digits below."""
-    return f"{hertz:,.0f}" if hertz >= 10 else f"{hertz:.2g}"
+    return _strip_zeros(format_two_digits(hertz))
 
 
 def format_seconds(seconds: float) -> str:
     """Return seconds without their unit: "12.3" from 10 s on, and two digits below."""
-    return f"{seconds:.1f}" if seconds >= 10 else f"{seconds:.2g}"
+    return f"{seconds:.1f}" if seconds >= 10 else _strip_zeros(format_two_digits(seconds))
 
 
 def format_duration(seconds: float) -> str:
@@ -98,32 +97,28 @@ def format_megabytes(size: float) -> str:
     return f"{size / 1e6:.0f}"
 
 
-def format_cost(value: float) -> str:
-    """Return a cost to three digits, or to all before the point."""
-    return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"
-
-
-def find_exponent(value: float, decimals: int) -> int:
-    """Return the power of ten of a number that is rounded to so many decimals behind its first digit: 9.96 is 10."""
-    return int(f"{value:.{decimals}e}".partition("e")[2])
-
-
 def format_two_digits(value: float) -> str:
-    """Return a number with two digits, or with all that stand before the point."""
-    if value == 0 or not math.isfinite(value):
-        return f"{value:g}"
-    return f"{value:,.{max(0, 1 - find_exponent(value, 1))}f}"
+    """Return a number with two digits, or with all that stand before the point: "2.0", "0.050", "353"."""
+    return _format_digits(value, 2)
 
 
 def format_three_digits(value: float) -> str:
     """Return a number to three digits, without powers of ten and zeros at its end: "0.05", "353", "15,120"."""
-    if value >= 100:
-        return f"{value:,.0f}"
-    text = f"{value:.{max(0, 2 - find_exponent(value, 2))}f}"
-    return text.rstrip("0").rstrip(".") if "." in text else text
+    return _strip_zeros(_format_digits(value, 3))
 
 
 def format_spread(spread: float, beside: str) -> str:
     """Return a spread with as many decimals as the number beside it, or as many as it takes to see it."""
-    decimals = len(beside.partition(".")[2])
-    return f"{spread:,.{max(decimals, -find_exponent(spread, 0))}f}" if spread else "0"
+    return _format_digits(spread, 1, len(beside.partition(".")[2]))
+
+
+def _format_digits(value: float, digits: int, decimals: int = 0) -> str:
+    """Return a number to so many digits, but to that many decimals at least."""
+    if value == 0 or not math.isfinite(value):
+        return f"{value:g}"
+    exponent = int(f"{value:.{digits - 1}e}".partition("e")[2])  # of the rounded number: 9.96 with two digits is 10
+    return f"{value:,.{max(decimals, digits - 1 - exponent)}f}"
+
+
+def _strip_zeros(text: str) -> str:
+    return text.rstrip("0").rstrip(".") if "." in text else text

@@ -3,18 +3,14 @@
 import errno
 import json
 import re
-import shutil
 from pathlib import Path
 
-import numpy as np
 import pytest
-from PIL import Image as PillowImage
 from quick_runs import quick_runs
 from served_files import serving
-from small_plan import RUN, Apart
+from small_plan import RUN
 
 from vprbench.cli import main
-from vprbench.jobs import executors
 from vprbench.plugins import registry
 from vprbench.storage import tensors
 
@@ -42,15 +38,6 @@ def refused(arguments, capsys):
     return lines[-1]
 
 
-def frames(folder, count, size=(16, 12), mode="RGB"):
-    folder.mkdir(parents=True)
-    generator = np.random.default_rng(len(str(folder)))
-    for number in range(count):
-        image = PillowImage.fromarray(generator.integers(0, 256, (size[1], size[0], 3), dtype=np.uint8))
-        image.convert(mode).save(folder / f"{number}.png")
-    return folder
-
-
 def test_a_run_prints_one_json_object_and_answers_from_the_store_unless_forced_where_nothing_can_be_written_too(
     capsys, monkeypatch
 ):
@@ -76,7 +63,7 @@ def test_a_run_prints_one_json_object_and_answers_from_the_store_unless_forced_w
     assert "cannot be written (Read-only file system)" in capsys.readouterr().err
 
 
-def test_a_row_names_its_numbers_and_its_folder_from_the_store_too_under_the_words_it_was_asked_with(capsys):
+def test_a_row_names_its_numbers_and_its_folder_from_the_store_too_under_the_words_of_its_command(capsys):
     main(["method=sad", "method.patch=7", *QUICK])
     printed = capsys.readouterr()
     assert re.search(r"\d+\.\d \[\d+\.\d, \d+\.\d\]", printed.out)
@@ -89,20 +76,6 @@ def test_a_row_names_its_numbers_and_its_folder_from_the_store_too_under_the_wor
     printed = capsys.readouterr()
     assert "from the store: results/synthetic/sad-" in printed.out
     assert "patch=7" not in printed.out
-
-
-@pytest.mark.extended
-def test_a_sweep_survives_failing_cells_and_says_in_a_line_each_which_weights_are_missing(capsys, monkeypatch):
-    monkeypatch.setattr(executors, "run_in_child", Apart())
-    assert main(["-m", "method=gcl,salad,sad", *QUICK]) == 2
-    (run,) = Path().rglob("run.json")
-    assert json.loads(run.read_text())["method"] == "sad"
-    told = capsys.readouterr().err
-    complaints = [line.partition(", which is not in")[0] for line in told.splitlines() if " needs " in line]
-    needed = ("GCL needs MSLS_resnet152_GeM_480_GCL.pth", "SALAD needs dino_salad.ckpt")
-    assert complaints == [f"vprbench: {each}" for each in needed]
-    assert "Traceback" not in told
-    assert len(list(Path().rglob("failure.json"))) == 2
 
 
 @pytest.mark.parametrize("command", [["check"], []], ids=["check", "run"])
@@ -142,15 +115,15 @@ PLACES = "dataset.places=12 dataset.first_query_place=0"
     [
         *("method=vprtempoo", "dataset=nordlnd", "timing=quik", "timing=null", "timing=3", "method=[sad,hog]"),
         *("method.patch=seven", "method.preprocessing=D", "force=perhaps", "output=xml", "device=tpu", "threads=9999"),
-        "method=vprtempo device=cuda:99",
+        *("method=vprtempo device=cuda:99", "method.tuned_on=3", "+method.tuned_on=3", "method._target_=x.Y"),
         *("seed=-1", "depth=0", "limit_minutes=0", "timing.sample=0", "timing.minimum_second=5", "dataset.places=5"),
         *("method=vprtempo method.max_modul=5", "+timing.foo=3", "+seeds=3", "+method=hog", "~seed", "~seeds"),
-        *("method", "method=sad force", "check method=sad seed", "-p x method=sad --package", "--resolve", "--colour"),
+        *("method", "method=sad force", "check method=sad seed", "--cfg job -m", "--resolve", "method=sad workers=2"),
         *("-m", "search --cfg", "table -m", "gpu-chek", "list no_such_thing", "search trails=3", "table rows=[SAAD]"),
         *("table method=sad", "table nordland=/nowhere", "table seeds=0", "table stored=true", "check", "doctor"),
         *("search dataset=nordland_64x32", "doctor dataset=nowhere", "doctor dataset=synthetic seed=3"),
         *("fetch nowhere", "fetch synthetic", "fetch nordland colour=red", "check method=sad threads=x"),
-        *("method=sad seed=1,2", "-m method=sad,sadd", "dataset=nordland dataset.root=/nowhere"),
+        *("method=sad seed=1,2", "-m method=sad,sadd", "dataset=nordland dataset.root=/nowhere", "completion ksh"),
         *("dataset=nordland dataset.root=~nobody_here", "results=~nobody_here/r", "load=~nobody_here/n.safetensors"),
         *("dataset=folders dataset.references=['~nobody_here']", "method=cosplace method.weights.path=~nobody_here/w"),
         *("dataset.references={spring:1}", "-m method=vprtempo,sad method.rules=paper", f"{PLACES} method.patch=6"),
@@ -169,61 +142,26 @@ def test_a_bad_option_is_named_in_one_clear_line(command, capsys):
         (["method=vprtempoo"], "method=vprtempoo is unknown: did you mean vprtempo or"),
         (["method=vprtempo", "method.max_modul=5"], "method.max_modul is unknown to vprtempo: did you mean max_module"),
         (["save=a.safetensors", "load=b.safetensors"], "save=a.safetensors and load=b.safetensors"),
+        (["method=sad,hog"], "add -m to your command line"),
         (["dataset=nordland"], "dataset.root is not set: nordland needs the folder that holds the seasons"),
         (["dataset=nordland_64x32", "dataset.root=/nowhere"], "TimQuelch/seqslam"),
         (["dataset=nordland", "dataset.root=/d\u00e5ta/a=b (1)"], "dataset.root=/d\u00e5ta/a=b (1) is no folder"),
-        (["-m", "--cfg", "job", "method=sad"], "--multirun"),
         (["method=s\nvprbench: done\x1b[2J"], r"method=s\nvprbench: done\x1b[2J is unknown: there are"),
         (["dataset=folders", "dataset.references=[~/north,~/süd]", "dataset.queries=b"], "~/north is no folder"),
+        (["dataset=folders", 'dataset.references=["a, b"]', 'dataset.queries="b, c"'], "a, b is no folder"),
     ],
     ids=lambda value: " ".join(value[:3]) if isinstance(value, list) else "",
 )
-def test_a_bad_option_is_told_with_what_was_meant(arguments, wanted, capsys):
+def test_a_bad_option_is_answered_with_its_value_and_the_remedy(arguments, wanted, capsys):
     assert wanted in refused(arguments, capsys)
 
 
-@pytest.mark.parametrize(
-    "command", [["method=sad"], ["compare", "methods=sad"], ["doctor"]], ids=lambda words: words[0]
-)
-def test_a_path_that_holds_a_comma_is_answered_with_the_quotes_that_it_needs_and_read_with_these(command, capsys):
-    asked = frames(Path("drive 1, rain, 7 pm"), 4)
-    for value, wanted in ((f"[more,{asked}]", f'["{asked}"]'), (str(asked), f'"{asked}"')):
-        told = refused([*command, "dataset=folders", f"dataset.references={value}", "dataset.queries=more"], capsys)
-        assert f"'dataset.references={wanted}'" in told
-    quoted = ["dataset=folders", f'dataset.references=["{asked}"]', f'dataset.queries="{asked}x"']
-    assert f"{asked}x is no folder" in refused(["method=sad", *quoted], capsys)
-
-
-def test_frames_of_differing_sizes_grey_with_alpha_or_black_are_accepted_and_what_is_no_image_is_named(capsys):
-    references, queries = frames(Path("references"), 3), frames(Path("queries"), 5)
-    frames(Path("more"), 1, (30, 20), "L").joinpath("0.png").rename(references / "3.png")
-    frames(Path("alpha"), 1, (24, 24), "RGBA").joinpath("0.png").rename(references / "4.png")
-    for folder in (references, queries):
-        PillowImage.new("RGB", (16, 12)).save(folder / "1.png")
-    asked = ["dataset=folders", f"dataset.references=[{references}]", f"dataset.queries={queries}", *RUN]
-    assert main([*asked, "output=json", "results=elsewhere"]) == 0
-    assert json.loads(capsys.readouterr().out)["queries"] == 5
-    shutil.rmtree("elsewhere")
-    for bad in (queries / "2.png", references / "2.png"):
-        whole = bad.read_bytes()
-        bad.write_bytes(whole[:100])
-        assert f"{bad} cannot be read as an image" in refused(asked, capsys)
-        bad.write_bytes(whole)
-
-
-@pytest.mark.parametrize("where", ["results", "results/synthetic"])
-def test_results_that_cannot_be_written_are_named_before_the_run(capsys, monkeypatch, where):
-    place = Path(where)
-    place.parent.mkdir(exist_ok=True)
-    place.symlink_to("/nowhere/there")
-    capsys.readouterr()
-    monkeypatch.setattr("vprbench.runs.get_or_run.execute", lambda *_: pytest.fail("it ran"))
-    assert f"{place} cannot be written" in refused(["method=sad", *QUICK], capsys)
-
-
-def test_what_a_full_disk_refuses_is_shown_and_a_failure_is_recorded_without_the_name_of_a_home(capsys, monkeypatch):
+def test_the_error_of_a_full_disk_is_shown_and_a_failure_is_recorded_without_the_name_of_a_home(capsys, monkeypatch):
     def full(*_, **__):
         raise OSError(errno.ENOSPC, "No space left on device")
+
+    def fail(*_):
+        raise RuntimeError(f"{Path.home() / 'photos'} is strange")
 
     monkeypatch.setattr(tensors, "save_file", full)
     assert main(["method=sad", *QUICK, "output=json"]) == 2
@@ -231,10 +169,6 @@ def test_what_a_full_disk_refuses_is_shown_and_a_failure_is_recorded_without_the
     assert json.loads(captured.out)["run_folder"] is None
     assert "No space left on device" in captured.err
     assert not list(Path("results").rglob("*.json"))
-
-    def fail(*_):
-        raise RuntimeError(f"{Path.home() / 'photos'} is strange")
-
     monkeypatch.setattr("vprbench.methods.sad.SAD.match", fail)
     assert main(["method=sad", *QUICK]) == 1
     assert "vprbench: sad failed: RuntimeError: ~/photos is strange" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""Help, version, lists and completion: they name the options that each command takes, at once and without PyTorch."""
+"""Help, lists and completion: each option by its name, default and meaning, found without PyTorch or a plug-in."""
 
 import json
 import os
@@ -34,11 +34,12 @@ def printed(capsys, *arguments):
 
 def helped(capsys, *arguments):
     """The lines of a help by their options: option, default and meaning."""
-    lines = printed(capsys, *arguments, "--help").splitlines()
+    lines = printed(capsys, *arguments, "--help").splitlines()[2:]
+    assert max(map(len, lines), default=0) <= 100
     return {line.split()[0]: line.split(maxsplit=2) for line in lines if line.strip()}
 
 
-@pytest.mark.parametrize("line", ["", "--version", "list spiking", "compare --help", "table --help", "__complete v m"])
+@pytest.mark.parametrize("line", ["", "--version", "list spiking", "compare --help", "__complete v m"])
 def test_nothing_that_is_printed_at_once_imports_pytorch_or_a_plug_in(line):
     heavy = {"torch", "matplotlib", "optuna", "vprbench.methods", "vprbench.datasets"}
     code = f"import sys; from vprbench.__main__ import main; print(main(), [*{heavy} & {{*sys.modules}}])"
@@ -47,19 +48,22 @@ def test_nothing_that_is_printed_at_once_imports_pytorch_or_a_plug_in(line):
     assert (done.stdout.splitlines()[-1], done.stderr) == ("0 []", "")
 
 
-def test_without_a_command_the_commands_are_named_and_nothing_runs_and_the_help_of_each_fits_100_columns(capsys):
+def test_without_a_command_the_commands_are_named_and_nothing_runs(capsys):
     for arguments in ([], ["--help"], ["help"], ["-h"]):
         text = printed(capsys, *arguments)
         assert [name for name in COMMANDS if f"\nvprbench {name} " not in text] == []
         assert max(map(len, text.splitlines())) <= 120
     assert [*Path().iterdir()] == []
     assert printed(capsys, "--version") == f"vprbench {__version__}\n"
-    for name, command in COMMANDS.items():
-        assert command.meaning
-        assert max(map(len, printed(capsys, name, "--help").splitlines()[2:]), default=0) <= 100
 
 
-TAKEN = {  # of commands whose options are no fields of a class
+def refused(capsys, *arguments):
+    """Tell whether the command line refuses an option as none of the command's."""
+    words = r"unknown|say what the table|takes methods=|give corruptions|alone"
+    return main(arguments) == 2 and re.search(words, capsys.readouterr().err) is not None
+
+
+TAKEN = {  # by commands whose options are no fields of a class
     "check": {"method", "dataset", "device", "threads", "seed"},
     "doctor": {"dataset", "output"},
     "completion": set(),
@@ -67,54 +71,43 @@ TAKEN = {  # of commands whose options are no fields of a class
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_help_and_completion_name_every_option_that_a_command_takes_with_its_meaning(name, capsys):
+def test_help_and_completion_name_every_option_that_a_command_takes_with_its_meaning_and_no_other(
+    name, capsys, monkeypatch
+):
     kind = COMMANDS[name].option_class()
     taken = TAKEN[name] if kind is None else {field.name for field in fields(kind)}
-    if name in ("run", "compare", "table"):
+    of_many_runs = name in ("compare", "table")
+    if of_many_runs or name == "run":
         taken |= OF_RUNS - {*getattr(kind, "refused", ())}
     lines = helped(capsys, name)
+    assert COMMANDS[name].meaning
     assert taken - lines.keys() == set()
     assert {f"{option}=" for option in taken} - {*printed(capsys, "__complete", f"vprbench {name} ").split()} == set()
     assert [option for option in taken - {"seed"} if len(lines[option]) < 3 and option != "methods"] == []
+    if of_many_runs:
 
+        def stop(*_):
+            raise BadInput("it would run")
 
-def refused(arguments, capsys):
-    """The words by which the command line refuses an option; empty if it does not."""
-    code = main(arguments)
-    told = capsys.readouterr().err
-    return (
-        told
-        if code == 2 and re.search(r"unknown|say what the table holds|takes methods=|give corruptions", told)
-        else ""
-    )
-
-
-@pytest.mark.parametrize("name", ["compare", "table"])
-def test_every_option_in_the_help_is_taken_and_no_other_one_of_a_run(name, capsys, monkeypatch):
-    def stop(*_):
-        raise BadInput("it would run")
-
-    monkeypatch.setattr("vprbench.report.comparison.make.make_comparison", stop)
-    monkeypatch.setattr("vprbench.report.table.make.make_table", stop)
-    asked = {"compare": ["methods=sad", "dataset=synthetic"]}.get(name, [])
-    options = {option for option in helped(capsys, name) if re.fullmatch(r"[a-z_]+(\.[a-z_]+)?", option)} - {"vprbench"}
-    options &= {*(field.name for field in fields(COMMANDS[name].option_class()))} | OF_RUNS
-    assert [option for option in options if refused([name, *asked, f"{option}=null"], capsys)] == []
-    others = OF_RUNS - options
-    assert [option for option in others if not refused([name, *asked, f"{option}=null"], capsys)] == []
+        maker = {"compare": "comparison.make.make_comparison", "table": "table.make.make_table"}[name]
+        monkeypatch.setattr(f"vprbench.report.{maker}", stop)
+        given = [name, *(["methods=sad", "dataset=synthetic"] if name == "compare" else [])]
+        shown = lines.keys() & (taken | OF_RUNS)
+        assert [option for option in shown if refused(capsys, *given, f"{option}=null")] == []
+        assert [option for option in OF_RUNS - shown if not refused(capsys, *given, f"{option}=null")] == []
 
 
 def test_help_has_each_option_with_its_default_and_meaning_of_the_yaml_that_it_builds_on_too(capsys):
     lines = helped(capsys, "table")
     assert lines["rows"] == ["rows", "null", "of conf/table.yaml; null: those of the paper"]
     assert lines["results"][1:] == ["results", "folder of the stored runs"]  # as a run has it
+    assert helped(capsys, "compare")["timing"][1] == "quick"
     lines = helped(capsys, "method=vprtempo_tuned", "dataset=folders", "timing=quick")
     assert lines["method.max_module"] == ["method.max_module", "1000", "places a module, at most"]
     assert lines["timing.sample"][1] == "64"
     assert lines["dataset.radius_metres"] == ["dataset.radius_metres", "25.0", "for utm"]
-    asked = {"method": "vprtempo_tuned", "dataset": "folders"}
-    entries = {group: registry.entries(group)[name] for group, name in asked.items()}
-    wanted = {f"{group}.{name}" for group, entry in entries.items() for name in entry.options}
+    entries = registry.entries("method")["vprtempo_tuned"], registry.entries("dataset")["folders"]
+    wanted = {f"{entry.group}.{name}" for entry in entries for name in entry.options}
     assert wanted - {"method.seed", "method.device"} <= lines.keys()
 
 
@@ -161,6 +154,6 @@ COMP_LINE='{line}' COMP_POINT={len(line)} COMP_WORDS=(vprbench check method = vp
 _vprbench vprbench vprtempo_tuned_ =
 printf '%s\\n' "${{COMPREPLY[@]}}"
 """
-    told = {**os.environ, "PATH": f"{tmp_path}:{os.environ['PATH']}", "PYTHONPATH": str(ROOT)}
-    done = subprocess.run(["bash", "-c", script], env=told, capture_output=True, text=True, check=False)
+    environment = {**os.environ, "PATH": f"{tmp_path}:{os.environ['PATH']}", "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(["bash", "-c", script], env=environment, capture_output=True, text=True, check=False)
     assert (done.stdout, done.stderr) == ("vprtempo_tuned_ensemble\n", "")

@@ -94,9 +94,9 @@ def test_a_run_prints_and_keeps_on_what_its_method_was_tuned(plug_in, capsys):
 @pytest.mark.parametrize(
     ("options", "declared", "named"),
     [
-        (["method=upper", "method.tuned_on=null"], "{dataset: a, places: b}", "method.tuned_on="),
-        (["method=upper", "~method.tuned_on"], "{dataset: a, places: b}", "method.tuned_on="),
-        (["method=upper", "method.tuned_on.dataset=nordland"], "{dataset: a, places: b}", "method.tuned_on="),
+        (["method=upper", "method.tuned_on=null"], "{dataset: a, places: b}", "method.tuned_on"),
+        (["method=upper", "~method.tuned_on"], "{dataset: a, places: b}", "method.tuned_on"),
+        (["method=upper", "method.tuned_on.dataset=nordland"], "{dataset: a, places: b}", "method.tuned_on"),
         (["method=mine"], "nordland", "mine"),
         (["method=mine"], "{dataset: a, places: b, colour: red}", "mine"),
     ],

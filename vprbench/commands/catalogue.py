@@ -1,23 +1,25 @@
-"""The commands: one function each, which takes options and returns the exit code. Libraries are imported inside."""
+"""The commands: one function each, which takes options, imports what is large, and returns the exit code."""
 
 from __future__ import annotations
 
 import json
 import pkgutil
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 from vprbench.errors import BadInput
+from vprbench.plugins.options import parse_options
+from vprbench.progress import progress_shown
+from vprbench.terminal.console import console, table_text
+from vprbench.terminal.streams import results_only_on_stdout
 from vprbench.text import near, printable
 
 if TYPE_CHECKING:
-    from vprbench.plugins.entries import Folder
     from vprbench.report.run_options import TableRequest
 
-
-COMPLETE = "__complete"  # the hidden command of completion scripts: a line -> the words that its last may become
+ALL = "*"  # every option of a run that the class of a command does not refuse
 
 
 @dataclass(frozen=True)
@@ -26,10 +28,8 @@ class Command:
 
     call: Callable[[list[str]], int]  # its docstring says in the first sentence what it does
     options: str = ""  # module:Class, whose fields are its options
-    groups: tuple[Folder, ...] = ()  # configurations that it takes, with their options: method, dataset, timing
-    run: tuple[str, ...] | None = ()  # options of a run that it takes too; None: all that the class does not refuse
+    takes: tuple[str, ...] = ()  # options of a run; method, dataset and timing bring those of their yaml with them
     words: str = ""  # before the options: NAME
-    usual: Mapping[Folder, str] = field(default_factory=dict)  # by group, where it has another default than a run
 
     @property
     def meaning(self) -> str:
@@ -42,10 +42,37 @@ class Command:
 
 
 def run(options: list[str]) -> int:
-    """Run one method on one dataset, or with -m all combinations, each in a process of its own."""
-    from vprbench.commands.run import run_or_sweep
+    """Run one method on one dataset, or with -m all combinations, each in a process of its own.
 
-    return run_or_sweep(options)
+    With `--cfg job` the configuration of the run is printed, and nothing runs.
+    """
+    from vprbench.config import make_request, show_config, split_sweep
+    from vprbench.jobs.child import run_in_child
+    from vprbench.jobs.job import failure_of, make_run
+    from vprbench.jobs.options import ClusterOptions
+    from vprbench.jobs.sweep import run_sweep
+    from vprbench.runs.store import Store
+
+    if "--cfg" in options:
+        print(show_config([option for option in options if option not in ("--cfg", "job")]), end="")
+        return 0
+    own = [option for option in options if ClusterOptions.has(option)]
+    of_runs = [option for option in options if option not in ("-m", *own)]
+    if "-m" in options and of_runs:
+        cluster = parse_options(ClusterOptions, own, {})
+        runs = split_sweep([*of_runs, *cluster.threads(of_runs)])
+        return run_sweep([make_request(run) for run in runs], cluster)
+    if len(of_runs) < len(options):
+        raise BadInput(f"{' '.join(options)}: several runs need -m and their options, as in -m method=sad,pca")
+    request = make_request(of_runs)
+    store = Store(Path(request.results).expanduser().absolute())  # a method may change the working folder
+    with results_only_on_stdout() as say:
+        result = make_run(request, say) if request.limit_minutes is None else run_in_child(request.to_json())
+        if result.printed:
+            say(result.printed)
+        if result.code == 1:
+            store.try_to_save_failure(failure_of(request, result))
+    return result.code
 
 
 def compare(options: list[str]) -> int:
@@ -61,8 +88,6 @@ def show_list(words: list[str]) -> int:
     """Show the methods and datasets, or those that fit: list spiking, list weights=none, list datasets."""
     from vprbench.plugins.entries import broken_plugins
     from vprbench.plugins.listing import Listing, list_entries
-    from vprbench.plugins.options import parse_options
-    from vprbench.terminal.console import console, show_table
 
     settings = parse_options(Listing, [word for word in words if "=" in word], {})
     found = list_entries([word for word in words if "=" not in word], settings.weights)
@@ -70,41 +95,36 @@ def show_list(words: list[str]) -> int:
         print(json.dumps([asdict(each) for each in found]))
         return 0
     for group in ("method", "dataset"):
-        rows = [(each.name, each.summary) for each in found if each.kind == group]
-        if rows:
-            show_table([f"{group}s", ""], rows, settings.wide or not console().is_terminal)
+        if rows := [(each.name, each.summary) for each in found if each.kind == group]:
+            print(table_text([f"{group}s", ""], rows, settings.wide or not console().is_terminal))
     for provider, reason in broken_plugins() if not words else ():
         print(printable(f"plug-in {provider} BROKEN: {reason}"))
     return 0
 
 
 def check(options: list[str]) -> int:
-    """Test a method or dataset against the rules of the contract and count them.
-
-    Raises BadInput if none is named.
-    """
+    """Test a method or dataset against the rules of the contract and count them."""
     from vprbench.config import make_request
-    from vprbench.plugins import conformance, registry
-    from vprbench.progress import progress_shown
+    from vprbench.plugins import conformance
     from vprbench.runs import machine
 
-    groups = [group for group in ("method", "dataset") if any(option.startswith(f"{group}=") for option in options)]
-    if len(groups) != 1:
-        raise BadInput(f"check needs method=NAME or dataset=NAME; {near('', registry.entries('method'))}")
+    names = {option.partition("=")[0] for option in options}
+    if len(names & {"method", "dataset"}) != 1:
+        raise BadInput("check needs method=NAME or dataset=NAME: vprbench list shows the names")
     request = make_request(options)
     request.require_machine()
     machine.pin_threads(request.n_threads)
-    given = {option.split("=")[0].removeprefix("method.") for option in options}
-    with progress_shown(request.method_name if groups == ["method"] else request.dataset_name):  # of a download
-        if groups == ["method"]:
-            results = list(conformance.check_method({**request.method, "tuned_on": request.tuned_on or None}, given))
+    with progress_shown("check"):  # of a download
+        if "dataset" in names:
+            results = [*conformance.check_dataset(request.dataset)]
         else:
-            results = list(conformance.check_dataset(request.dataset))
+            given = {name.removeprefix("method.") for name in names}
+            results = [*conformance.check_method({**request.method, "tuned_on": request.tuned_on or None}, given)]
     for result in results:
         print(printable(str(result)))
     kept, excepted, broken = (sum(r.state == state for r in results) for state in ("kept", "excepted", "broken"))
     print(f"{len(results)} rules: {kept} kept, {excepted} excepted, {broken} broken")
-    return 1 if broken else 0
+    return int(broken > 0)
 
 
 def new(options: list[str]) -> int:
@@ -116,26 +136,20 @@ def new(options: list[str]) -> int:
 
 
 def doctor(options: list[str]) -> int:
-    """Examine a dataset and say what is wrong with it and what to do.
-
-    Raises BadInput if no dataset is named, and for options that are neither its own nor output=json.
-    """
+    """Examine a dataset and say what is wrong with it and what to do."""
     from vprbench.config import make_request
     from vprbench.data.doctor import command
-    from vprbench.plugins import registry
-    from vprbench.progress import progress_shown
-    from vprbench.terminal.streams import results_only_on_stdout
+    from vprbench.plugins.registry import make_dataset
 
-    if not any(option.startswith("dataset=") for option in options):
-        raise BadInput(f"doctor needs dataset=NAME; {near('', registry.entries('dataset'))}")
-    for option in options:
-        if option.partition("=")[0].split(".")[0] not in ("dataset", "output"):
-            raise BadInput(f"{option} is no option of doctor: it takes dataset=, dataset.OPTION= and output=json")
+    names = {option.partition("=")[0] for option in options}
+    if "dataset" not in names or any(name.partition(".")[0] not in ("dataset", "output") for name in names):
+        raise BadInput(f"doctor {' '.join(options)}: it takes dataset=NAME, dataset.OPTION= and output=json alone")
     request = make_request(options)
-    with progress_shown(f"doctor, {request.dataset_name}"), results_only_on_stdout() as say:
+    name = request.dataset_name
+    with progress_shown(f"doctor, {name}"), results_only_on_stdout() as say:
         return command(
-            request.dataset_name,
-            lambda: registry.make_dataset(request.dataset),
+            name,
+            lambda: make_dataset(request.dataset),
             lambda text: say(printable(text, but="\n")),
             "json" if request.output == "json" else "text",
         )
@@ -143,20 +157,18 @@ def doctor(options: list[str]) -> int:
 
 def show_status(words: list[str]) -> int:
     """Show which runs of a results folder are made now and by whom, and how many are stored."""
-    from vprbench.plugins.options import parse_options
     from vprbench.runs.run_lock import StatusOptions, row, status
-    from vprbench.terminal.console import console, show_table
 
-    asked = parse_options(StatusOptions, words, {})
-    found = status(asked.results)
-    if asked.output == "json":
+    settings = parse_options(StatusOptions, words, {})
+    found = status(settings.results)
+    if settings.output == "json":
         print(json.dumps(found))
         return 0
     print(printable("{results}: {runs} runs and {failures} failures are stored".format(**found)))
-    if lines := [row(claim) for claim in found["claims"]]:
-        show_table([*lines[0]], [[*line.values()] for line in lines], asked.wide or not console().is_terminal)
-    else:
-        print("no run is being made")
+    lines = [row(claim) for claim in found["claims"]]
+    rows = [[*line.values()] for line in lines]
+    is_wide = settings.wide or not console().is_terminal
+    print(table_text([*lines[0]], rows, is_wide) if lines else "no run is being made")
     return 0
 
 
@@ -166,32 +178,50 @@ def fetch(options: list[str]) -> int:
     Returns 1 if the frames that came are not right.
     """
     from vprbench.config import make_request
-    from vprbench.data.doctor import Finding, quick
+    from vprbench.data.doctor import quick
     from vprbench.data.fetch.command import fetch_command
-    from vprbench.plugins import registry
+    from vprbench.plugins.registry import make_dataset
 
-    wrong: list[Finding] = []
+    levels = list[str]()
 
     def check_frames(name: str, root: Path) -> list[str]:
-        request = make_request([f"dataset={name}"], {"dataset.root": str(root)})
-        found = quick(registry.make_dataset(request.dataset))
-        wrong.extend(finding for finding in found if finding.level == "error")
+        found = quick(make_dataset(make_request([f"dataset={name}"], {"dataset.root": str(root)}).dataset))
+        levels.extend(finding.level for finding in found)
         lines = [f"{finding.level}: {finding.check}: {finding.text}" for finding in found]
         return [*lines, f"python -m vprbench doctor dataset={name} dataset.root={root} looks at every frame"]
 
-    return fetch_command(options, check_frames) or int(bool(wrong))
+    return fetch_command(options, check_frames) or int("error" in levels)
 
 
 def table(options: list[str]) -> int:
     """Make the runs that Table II lacks, and write it; figures=true page=true draw its figures and write its page."""
     from vprbench.report.table.make import make_table
 
-    return make_table(*_request_table(options))
+    return make_table(*_parse_table(options))
+
+
+def _parse_table(options: list[str]) -> tuple[TableRequest, list[str]]:
+    """Return the rows and columns of a table, and the options of their runs."""
+    from vprbench.config import make_request, quote_options
+    from vprbench.report.run_options import TableRequest
+
+    own = [option for option in options if TableRequest.has(option)]
+    of_runs = quote_options([option for option in options if option not in own])
+    for option in of_runs:
+        if option.split("=")[0].split(".")[0] in TableRequest.refused:
+            wanted = "rows=, methods=, columns=, seeds= and devices= say what the table of clean frames holds"
+            raise BadInput(f"{option}: {wanted}")
+    own += quote_options([option for option in own if option.startswith("methods=")])  # loose files get their names
+    request = parse_options(TableRequest, own, {})
+    of_runs += request.threads(of_runs)
+    run = make_request(of_runs, {"results": request.results})
+    if not request.is_distributed:
+        run.require_machine()
+    return request, of_runs
 
 
 def figures(options: list[str]) -> int:
     """Draw the figures of the runs that a results folder holds; nothing is run."""
-    from vprbench.plugins.options import parse_options
     from vprbench.report.figures.make import print_figures
     from vprbench.report.folder import read_report
     from vprbench.report.run_options import FolderRequest
@@ -202,7 +232,6 @@ def figures(options: list[str]) -> int:
 
 def report(options: list[str]) -> int:
     """Write one page on the runs that a results folder holds, with a browser of failures; nothing is run."""
-    from vprbench.plugins.options import parse_options
     from vprbench.report.folder import read_report
     from vprbench.report.page.make import print_page
     from vprbench.report.run_options import FolderRequest
@@ -215,8 +244,6 @@ def report(options: list[str]) -> int:
 def search(options: list[str]) -> int:
     """Search the best settings of the method in conf/search.yaml, on places that no result uses."""
     from vprbench.config import make_request
-    from vprbench.plugins.options import parse_options
-    from vprbench.progress import progress_shown
     from vprbench.runs.store import Store
     from vprbench.tuning import space, text
     from vprbench.tuning.search import search as search_settings
@@ -243,44 +270,19 @@ def print_completion(words: list[str]) -> int:
     return 0
 
 
-def _request_table(options: list[str]) -> tuple[TableRequest, list[str]]:
-    """Return the rows and columns of a table, and the options of their runs."""
-    from vprbench.config import make_request, quote_options
-    from vprbench.plugins.options import parse_options
-    from vprbench.report.run_options import TableRequest
-
-    own = [option for option in options if TableRequest.has(option)]
-    rest = quote_options([option for option in options if option not in own])
-    own += quote_options([option for option in own if option.startswith("methods=")])  # loose files get their names
-    for option in rest:
-        if option.split("=")[0].split(".")[0] in TableRequest.refused:
-            raise BadInput(
-                f"{option}: rows, methods, columns, seeds and devices say what the table holds; "
-                "conf/table.yaml has what they are, and all of it is of clean frames"
-            )
-    request = parse_options(TableRequest, own, {})
-    rest += request.threads(rest)
-    run = make_request(rest, {"results": request.results})
-    if not request.is_distributed:
-        run.require_machine()
-    return request, rest
-
-
 _FOLDER = "vprbench.report.run_options:FolderRequest"
 
 #: By name, in the order of the help.
 COMMANDS: dict[str, Command] = {
-    "run": Command(run, "vprbench.jobs.options:ClusterOptions", ("method", "dataset", "timing"), None),
-    "compare": Command(
-        compare, "vprbench.report.run_options:CompareRequest", ("dataset", "timing"), None, usual={"timing": "quick"}
-    ),
+    "run": Command(run, "vprbench.jobs.options:ClusterOptions", ("method", "dataset", "timing", ALL)),
+    "compare": Command(compare, "vprbench.report.run_options:CompareRequest", ("dataset", "timing", ALL)),
     "list": Command(show_list, "vprbench.plugins.listing:Listing", words="[methods|datasets] [WORD]"),
-    "check": Command(check, groups=("method", "dataset"), run=("device", "threads", "seed")),
+    "check": Command(check, takes=("method", "dataset", "device", "threads", "seed")),
     "new": Command(new, "vprbench.plugins.new:Settings", words="method|dataset NAME"),
-    "doctor": Command(doctor, groups=("dataset",), run=("output",)),
+    "doctor": Command(doctor, takes=("dataset", "output")),
     "status": Command(show_status, "vprbench.runs.run_lock:StatusOptions"),
     "fetch": Command(fetch, "vprbench.data.fetch.command:Settings", words="[NAME]"),
-    "table": Command(table, "vprbench.report.run_options:TableRequest", ("timing",), None),
+    "table": Command(table, "vprbench.report.run_options:TableRequest", ("timing", ALL)),
     "figures": Command(figures, _FOLDER),
     "report": Command(report, _FOLDER),
     "search": Command(search, "vprbench.tuning.settings:Settings"),

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import MISSING, Field, dataclass, fields, replace
+from dataclasses import MISSING, dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import cast, get_args
 
 from rich.table import Table
 from rich.text import Text
 
 from vprbench import __version__
-from vprbench.commands.catalogue import COMMANDS
-from vprbench.plugins.entries import Entry, conf_folders, entries, find_default
+from vprbench.commands.catalogue import ALL, COMMANDS
+from vprbench.plugins.entries import Entry, Folder, conf_folders, entries, find_default
 from vprbench.plugins.options import MEANING
-from vprbench.terminal.console import console, format_table
+from vprbench.terminal.console import console, format_lines
 
 _NO_OPTIONS = ("_target_", "defaults", "hydra", "tuned_on", "tags")
 _LINE = re.compile(r"( *)(\w+):(?: +(.*?))?(?: +# (.*))?")  # of a yaml: name, default and meaning
@@ -28,31 +29,23 @@ class Option:
     name: str
     default: str = ""
     meaning: str = ""
-    values: tuple[str, ...] = ()  # by which TAB completes it
 
 
 def list_options(name: str, given: Sequence[str]) -> list[Option]:
     """Return the options of a command; `given` ones choose the method, dataset, timing and cluster among them."""
-    command = COMMANDS[name]
-    choices = dict(option.split("=", 1) for option in given if "=" in option)
+    command, kind = COMMANDS[name], COMMANDS[name].option_class()
     of_run = {option.name: option for option in _read_options(conf_folders()["vprbench"] / "run.yaml")}
-    kind = command.option_class()
-    found = {one.name: one for one in (map(_describe_field, _sort_fields(kind)) if kind else ())}
-    for group in command.groups:
-        known, usual = entries(group), command.usual.get(group) or find_default(group)
-        shown = usual if name == "run" or group in command.usual else ""
-        meaning = f"one of {', '.join(known)}" if group == "timing" else f"one of vprbench list {group}s"
-        found[group] = Option(group, shown, meaning, tuple(known))
-        found |= _describe_entry(known.get(choices.get(group, usual).split(",")[0]))
-    if "cluster" in found:
-        known = entries("cluster")
-        found["cluster"] = replace(found["cluster"], values=tuple(known))
-        found |= _describe_entry(known.get(choices.get("cluster", "")))
-    if "methods" in found:
-        found["methods"] = replace(found["methods"], values=tuple(entries("method")))
-    refused = getattr(kind, "refused", ())
-    taken = [one for one in of_run if one not in refused] if command.run is None else command.run
-    found |= {one: of_run[one] for one in taken if one not in found}
+    found = {option.name: option for option in (_describe_fields(kind) if kind else ())}
+    chosen = {"timing": "quick"} if name == "compare" else {}
+    chosen |= dict(option.split("=", 1) for option in given if "=" in option)
+    for group in (each for each in get_args(Folder) if each in (*command.takes, *found)):
+        usual = chosen.get(group) or ("" if group == "cluster" else find_default(group))
+        words = f"one of {', '.join(entries(group))}" if group == "timing" else f"one of vprbench list {group}s"
+        found.setdefault(group, Option(group, usual if name == "run" or group in chosen else "", words))
+        found |= _describe_entry(entries(group).get(usual.split(",")[0]))
+    others = [option for option in of_run if option not in getattr(kind, "refused", ())]
+    for option in others if ALL in command.takes else command.takes:
+        found.setdefault(option, of_run.get(option, Option(option)))
     return [replace(one, meaning=one.meaning or of_run.get(one.name, one).meaning) for one in found.values()]
 
 
@@ -60,9 +53,11 @@ def _describe_entry(entry: Entry | None) -> dict[str, Option]:
     """Return the options in an entry's yaml, and in those that it builds on, by their names `group.option`."""
     if entry is None or entry.path.suffix != ".yaml":
         return {}
-    below = {name: option for base in entry.bases() for name, option in _describe_entry(base).items()}
-    own = [replace(option, name=f"{entry.group}.{option.name}") for option in _read_options(entry.path)]
-    return below | {one.name: replace(one, meaning=one.meaning or below.get(one.name, one).meaning) for one in own}
+    found = {name: option for base in entry.bases() for name, option in _describe_entry(base).items()}
+    for option in _read_options(entry.path):
+        name = f"{entry.group}.{option.name}"
+        found[name] = replace(option, name=name, meaning=option.meaning or found.get(name, option).meaning)
+    return found
 
 
 def _read_options(path: Path) -> Iterator[Option]:
@@ -72,30 +67,15 @@ def _read_options(path: Path) -> Iterator[Option]:
         indent, name, default, meaning = (part or "" for part in parts.groups())
         above = [*above[: len(indent) // 2], name]
         if default and above[0] not in _NO_OPTIONS and not default.startswith("${"):
-            yield Option(".".join(above), default, meaning, _list_values(default))
+            yield Option(".".join(above), default, meaning)
 
 
-def _sort_fields(kind: type) -> list[Field[Any]]:
-    """Return the fields of a dataclass, its own before those of the classes that it builds on."""
-    return sorted(fields(kind), key=lambda one: one.name not in kind.__annotations__)
-
-
-def _describe_field(one: Field[Any]) -> Option:
-    """Return a field of a dataclass as an option."""
-    value = one.default if one.default_factory is MISSING else one.default_factory()
-    default = "" if value is MISSING else _format_default(value)
-    return Option(one.name, default, one.metadata.get(MEANING, ""), _list_values(default))
-
-
-def _list_values(default: str) -> tuple[str, ...]:
-    return ("true", "false") if default in ("true", "false") else ()
-
-
-def _format_default(value: Any) -> str:
-    """Return a value as the command line is given it."""
-    if value is None or isinstance(value, bool):
-        return {None: "null", True: "true", False: "false"}[value]
-    return f"[{','.join(map(_format_default, value))}]" if isinstance(value, list) else str(value)
+def _describe_fields(kind: type) -> Iterator[Option]:
+    """Yield the fields of a dataclass as options, its own before those of the classes that it builds on."""
+    for one in sorted(fields(kind), key=lambda one: one.name not in kind.__annotations__):
+        value = one.default if one.default_factory is MISSING else one.default_factory()
+        default = "" if value is MISSING else json.dumps(value, separators=(",", ":")).replace('"', "")
+        yield Option(one.name, default, one.metadata.get(MEANING, ""))
 
 
 _INTRODUCTION = """\
@@ -111,26 +91,25 @@ python -m vprbench is the same program."""
 
 def print_commands() -> None:
     """Print the ways to run a method, and the commands."""
-    table = _make_table("", "")
+    table = _make_table(2)
     for name, command in COMMANDS.items():
         table.add_row(Text(f"vprbench {name} {command.words}".rstrip(), style="bold"), Text(command.meaning))
-    print(f"vprbench {__version__} - {_INTRODUCTION}\n\n{format_table(table, console())}\n{_MORE}")
+    print(f"vprbench {__version__} - {_INTRODUCTION}\n\n{format_lines(table, console())}\n{_MORE}")
 
 
 def print_options(name: str, given: Sequence[str]) -> None:
     """Print the meaning of a command and its options."""
-    command, options = COMMANDS[name], list_options(name, given)
-    page, table = console(), _make_table("option", "default", "meaning")
+    command, page, table = COMMANDS[name], console(), _make_table(3)
     table.columns[1].max_width, table.columns[1].overflow = page.width // 5, "fold"
-    for option in options:
+    for option in list_options(name, given):
         table.add_row(Text(option.name, style="bold"), Text(option.default, style="dim"), Text(option.meaning))
-    usage = " ".join(filter(None, ["vprbench", name, command.words, "[option=value ...]" * bool(options)]))
-    print(f"{usage}\n{command.meaning}", *(["", format_table(table, page)] if options else []), sep="\n")
+    usage = " ".join(filter(None, ["vprbench", name, command.words, "[option=value ...]" * bool(table.rows)]))
+    print(f"{usage}\n{command.meaning}\n\n{format_lines(table, page)}".rstrip())
 
 
-def _make_table(*heads: str) -> Table:
+def _make_table(n_columns: int) -> Table:
     """Return an empty table whose first column stays whole."""
-    table = Table(*heads, box=None, pad_edge=False, padding=(0, 2, 0, 0), show_header=any(heads))
+    table = Table.grid(*[""] * n_columns, padding=(0, 2, 0, 0))
     table.columns[0].no_wrap = True
     return table
 
@@ -140,19 +119,17 @@ def complete(line: str) -> list[str]:
 
     An option that takes several values is completed value by value, after commas.
     """
-    *given, word = line.lstrip().split(" ")[1:] or [""]
-    given = [each for each in given if each]
+    *given, word = line.split(" ")[1:] or [""]
     name = given[0] if given and given[0] in COMMANDS else "run"
-    options = list_options(name, given)
+    options = {option.name: option for option in list_options(name, given)}
     option, equals, value = word.partition("=")
-    if equals:
+    group = option.removesuffix("s") if name != "run" else option
+    if equals and option in options:
         head = value[: max(value.rfind(","), value.rfind("[")) + 1]
-        values = next((one.values for one in options if one.name == option), ())
-        found = [f"{option}={head}{each}" for each in values if each not in head.strip("[").split(",")]
-    elif given:
-        taken = [each.partition("=")[0] for each in given]
-        words = re.findall("[a-z]+", COMMANDS[name].words)
-        found = [*words, *(f"{one.name}=" for one in options if one.name not in taken)]
+        values = entries(cast(Folder, group)) if group in get_args(Folder) else ("true", "false")
+        is_known = group in get_args(Folder) or options[option].default in values
+        found = [f"{option}={head}{each}" for each in values if is_known and each not in head.strip("[").split(",")]
     else:
-        found = [*COMMANDS, *(f"{one.name}=" for one in options if word or one.name in COMMANDS[name].groups)]
+        found = [f"{each}=" for each in options if f"{each}=" not in {one[: len(each) + 1] for one in given}]
+        found += re.findall("[a-z]+", COMMANDS[name].words) if given else COMMANDS
     return [each for each in found if each.startswith(word)]

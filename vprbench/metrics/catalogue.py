@@ -24,7 +24,7 @@ from vprbench.metrics.accuracy import (
     recall_at_full_precision,
 )
 from vprbench.metrics.ranking import Outcome, PlacesPerQuery
-from vprbench.text import format_cost
+from vprbench.text import format_three_digits
 
 RECALLS = (1, 5, 10, 25)
 
@@ -91,7 +91,7 @@ class Metric:
 
     def rounded_text(self, shown: float) -> str:
         """Return a value that `shown` gave, rounded: of a cost to three digits, or to all before the point."""
-        return f"{shown:.{self.digits}f}" if self.cost is None else format_cost(shown)
+        return f"{shown:.{self.digits}f}" if self.cost is None else format_three_digits(shown)
 
 
 def _share(name: str, words: str, function: Callable[[Outcome], float | None], meaning: str) -> Metric:

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from io import StringIO
 from typing import TextIO
 
 from rich.cells import cell_len
-from rich.console import Console
+from rich.console import Console, RenderableType
 from rich.table import Table
 from rich.text import Text
 
@@ -16,7 +15,7 @@ from vprbench.terminal.streams import result_stream
 from vprbench.text import printable
 
 LEAST_WIDTH = 100  # columns, where no terminal says how wide it is
-_GAP = 2  # columns between two of a table
+_GAP = 2  # columns behind each of a table
 
 
 def console(stream: TextIO | None = None) -> Console:
@@ -42,34 +41,30 @@ def table_text(
 ) -> str:
     """Return a table as text whose lines fit the terminal, or are as long as they are if `wide`.
 
-    What is too much is left out by whole columns, those of `least` first and then from the right, and named below; the
+    Whole columns that do not fit are left out, those of `least` first and then from the right, and named below; the
     first two stay, and the widest of them is cut short if need be.
     """
     room = console()
     cells = [[printable(text) for text in row] for row in (columns, *rows)]
-    widths: list[int] = [max(map(cell_len, column)) for column in zip(*cells, strict=True)]
+    widths = [max(map(cell_len, column)) + _GAP for column in zip(*cells, strict=True)]
     kept = list(range(len(widths)))
     order = [columns.index(name) for name in least if name in columns]
     order += [at for at in reversed(kept[2:]) if at not in order]
-
-    def width() -> int:
-        return sum((widths[at] + _GAP for at in kept), -_GAP)
-
-    while not wide and order and width() > room.width:
+    while not wide and order and sum(widths[at] for at in kept) > room.width + _GAP:
         kept.remove(order.pop(0))
-    if not wide and (over := width() - room.width) > 0:
+    over = sum(widths[at] for at in kept) - room.width - _GAP
+    if over > 0 and not wide:
         widest = max(kept, key=widths.__getitem__)
-        widths[widest] = max(1, widths[widest] - over)
+        widths[widest] = max(1 + _GAP, widths[widest] - over)
     table = Table(box=None, padding=(0, _GAP, 0, 0), pad_edge=False, header_style="bold")
     for at in kept:
-        table.add_column(Text(cells[0][at]), width=widths[at], no_wrap=True, overflow="ellipsis")
+        table.add_column(Text(cells[0][at]), width=widths[at] - _GAP, no_wrap=True, overflow="ellipsis")
     for row in cells[1:]:
         table.add_row(*(Text(row[at]) for at in kept))
-    lines = format_table(table, room, width() + _GAP)
-    if len(kept) < len(columns):
-        names = ", ".join(name for at, name in enumerate(columns) if at not in kept)
-        lines += "\n" + line_text(f"left out: {names} (wide=true shows them)", "dim")
-    return lines
+    room.width = sum(widths[at] for at in kept)
+    left_out = ", ".join(name for at, name in enumerate(columns) if at not in kept)
+    below = ["\n" + line_text(f"left out: {left_out} (wide=true shows them)", "dim")] if left_out else []
+    return "".join([format_lines(table, room), *below])
 
 
 def line_text(line: str, style: str = "", fits: bool = False) -> str:
@@ -77,20 +72,11 @@ def line_text(line: str, style: str = "", fits: bool = False) -> str:
     room = console()
     if not (room.is_terminal or fits):
         return printable(line)
+    return format_lines(Text(printable(line), style=style), room)
+
+
+def format_lines(content: RenderableType, room: Console) -> str:
+    """Return a table or text as lines, as wide and coloured as `room` is, without blanks at their ends."""
     with room.capture() as lines:
-        room.print(Text(printable(line), style=style))
-    return "\n".join(line.rstrip() for line in lines.get().splitlines())
-
-
-def format_table(table: Table, room: Console, width: int | None = None) -> str:
-    """Return a table as lines, so wide or as `room` is, in its colours and without blanks at their ends."""
-    page = Console(
-        file=StringIO(),
-        width=width or room.width,
-        force_terminal=room.is_terminal,
-        no_color=room.no_color,
-        force_jupyter=False,
-    )
-    with page.capture() as lines:
-        page.print(table)
+        room.print(content)
     return "\n".join(line.rstrip() for line in lines.get().splitlines())

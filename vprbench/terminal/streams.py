@@ -7,37 +7,35 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stdout, suppress
-from contextvars import ContextVar
 from typing import TextIO
 
 from vprbench.text import printable
 
 own_process = False  # whether this process is the command line's own, and no program or test that calls it
 
-_results: ContextVar[TextIO | None] = ContextVar("results", default=None)
+_results: TextIO | None = None
 
 
-class _LineFormatter(logging.Formatter):
-    def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802 - the name is given
-        text = printable(super().formatMessage(record), but="\t")
-        coloured = record.levelno >= logging.WARNING and sys.stderr.isatty() and not os.environ.get("NO_COLOR")
-        return f"\x1b[33m{text}\x1b[0m" if coloured else text
-
-
-class _StderrHandler(logging.StreamHandler[TextIO]):
-    """Writes on the standard error of the moment: rich replaces it while a bar or a live table is shown."""
+class _StderrHandler(logging.Handler):
+    """Prints each record as one line on the standard error of the moment: rich replaces it while a bar is shown."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        self.stream = sys.stderr
-        super().emit(record)
+        _print_on_stderr(record.getMessage())
 
 
 def log_to_stderr() -> None:
     """Let each logged message be a line on standard error."""
-    handler = _StderrHandler()
-    handler.setFormatter(_LineFormatter("%(message)s"))
-    logging.basicConfig(level=logging.INFO, handlers=[handler])
-    logging.getLogger("hydra").setLevel(logging.WARNING)  # its words on a sweep are not ours
+    logging.basicConfig(level=logging.INFO, handlers=[_StderrHandler()])
+
+
+def complain(message: str) -> None:
+    """Print why a command does not end with exit code 0, as one line on standard error."""
+    _print_on_stderr(f"vprbench: {message}")
+
+
+def _print_on_stderr(line: str) -> None:
+    with suppress(OSError, ValueError):  # nobody may be there to read it
+        print(printable(line, but="\t"), file=sys.stderr, flush=True)
 
 
 @contextmanager
@@ -46,6 +44,7 @@ def results_only_on_stdout() -> Iterator[Callable[[str], None]]:
 
     In a process of the command line this holds for compiled code too, and until the process ends.
     """
+    global _results
     stream = sys.stdout
     if own_process:
         stream.flush()
@@ -56,20 +55,14 @@ def results_only_on_stdout() -> Iterator[Callable[[str], None]]:
         with suppress(OSError, ValueError):  # a reader that has gone, or a full disk, makes no stored run a failure
             print(line, file=stream, flush=True)
 
-    token = _results.set(stream)
+    _results = stream
     try:
         with redirect_stdout(sys.stderr):
             yield say
     finally:
-        _results.reset(token)
+        _results = None
 
 
 def result_stream() -> TextIO:
     """Return the stream of results: standard output, also inside `results_only_on_stdout`."""
-    return _results.get() or sys.stdout
-
-
-def complain(message: str) -> None:
-    """Print why a command does not end with exit code 0, as one line on standard error."""
-    with suppress(OSError):  # nobody may be there to read it
-        print(printable(f"vprbench: {message}"), file=sys.stderr, flush=True)
+    return _results or sys.stdout
