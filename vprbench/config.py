@@ -7,6 +7,7 @@ import json
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import Any, cast, get_type_hints
 
 import hydra
@@ -113,6 +114,8 @@ def quote_options(options: Sequence[str]) -> list[str]:
 
 def _quote_option(option: str) -> str:
     name, equals, value = option.partition("=")
+    if name.startswith("dataset."):
+        _refuse_cut_path(name, value)
     if name in ("method", "methods", "dataset"):
         group: Group = "dataset" if name == "dataset" else "method"
         value = re.sub(r"[^][,]+", lambda each: registry.resolve_name(group, each[0]), value)
@@ -125,6 +128,16 @@ def _quote_option(option: str) -> str:
             return f"{name}={form}"
     wanted = f"give {name}=value" if name in OPTIONS else near(name, OPTIONS)
     raise BadInput(f"{option or 'an empty argument'} is no option=value: {wanted}")
+
+
+def _refuse_cut_path(name: str, value: str) -> None:
+    """Raise BadInput for a value without quotes that cuts an existing path at its comma."""
+    parts = re.findall(r"[^],]+", value.removeprefix("[")) if not {"'", '"'} & {*value} else []
+    for first, last in itertools.combinations(range(len(parts) + 1), 2):
+        path = ",".join(parts[first:last])
+        if last - first > 1 and Path(path).expanduser().exists():
+            wanted = f'["{path}"]' if value.startswith("[") else f'"{path}"'
+            raise BadInput(f"{name}={value}: {path} holds a comma: put the path in quotes, as in '{name}={wanted}'")
 
 
 def _compose(options: Sequence[str], values: Mapping[str, Any]) -> DictConfig:

@@ -3,9 +3,12 @@
 import errno
 import json
 import re
+import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image as PillowImage
 from quick_runs import quick_runs
 from served_files import serving
 from small_plan import RUN
@@ -174,3 +177,51 @@ def test_the_error_of_a_full_disk_is_shown_and_a_failure_is_recorded_without_the
     assert "vprbench: sad failed: RuntimeError: ~/photos is strange" in capsys.readouterr().err
     (failure,) = Path("results").rglob("failure.json")
     assert json.loads(failure.read_text())["error"] == "RuntimeError: ~/photos is strange"
+
+
+def frames(folder, count, size=(16, 12), mode="RGB"):
+    folder.mkdir(parents=True)
+    generator = np.random.default_rng(len(str(folder)))
+    for number in range(count):
+        image = PillowImage.fromarray(generator.integers(0, 256, (size[1], size[0], 3), dtype=np.uint8))
+        image.convert(mode).save(folder / f"{number}.png")
+    return folder
+
+
+@pytest.mark.parametrize(
+    "command", [["method=sad"], ["compare", "methods=sad"], ["doctor"]], ids=lambda words: words[0]
+)
+def test_a_path_that_holds_a_comma_is_answered_with_the_quotes_that_it_needs_and_read_with_these(command, capsys):
+    asked = frames(Path("drive 1, rain, 7 pm"), 4)
+    for value, wanted in ((f"[more,{asked}]", f'["{asked}"]'), (str(asked), f'"{asked}"')):
+        line = refused([*command, "dataset=folders", f"dataset.references={value}", "dataset.queries=more"], capsys)
+        assert f"'dataset.references={wanted}'" in line
+    quoted = ["dataset=folders", f'dataset.references=["{asked}"]', f'dataset.queries="{asked}x"']
+    assert f"{asked}x is no folder" in refused(["method=sad", *quoted], capsys)
+
+
+def test_frames_of_differing_sizes_grey_with_alpha_or_black_are_accepted_and_what_is_no_image_is_named(capsys):
+    references, queries = frames(Path("references"), 3), frames(Path("queries"), 5)
+    frames(Path("more"), 1, (30, 20), "L").joinpath("0.png").rename(references / "3.png")
+    frames(Path("alpha"), 1, (24, 24), "RGBA").joinpath("0.png").rename(references / "4.png")
+    for folder in (references, queries):
+        PillowImage.new("RGB", (16, 12)).save(folder / "1.png")
+    asked = ["dataset=folders", f"dataset.references=[{references}]", f"dataset.queries={queries}", *RUN]
+    assert main([*asked, "output=json", "results=elsewhere"]) == 0
+    assert json.loads(capsys.readouterr().out)["queries"] == 5
+    shutil.rmtree("elsewhere")
+    for bad in (queries / "2.png", references / "2.png"):
+        whole = bad.read_bytes()
+        bad.write_bytes(whole[:100])
+        assert f"{bad} cannot be read as an image" in refused(asked, capsys)
+        bad.write_bytes(whole)
+
+
+@pytest.mark.parametrize("where", ["results", "results/synthetic"])
+def test_results_that_cannot_be_written_are_named_before_the_run(capsys, monkeypatch, where):
+    place = Path(where)
+    place.parent.mkdir(exist_ok=True)
+    place.symlink_to("/nowhere/there")
+    capsys.readouterr()
+    monkeypatch.setattr("vprbench.runs.get_or_run.execute", lambda *_: pytest.fail("it ran"))
+    assert f"{place} cannot be written" in refused(["method=sad", *QUICK], capsys)

@@ -120,3 +120,23 @@ def test_a_name_of_several_plug_ins_is_one_error_that_names_them_and_a_package_w
     lines = capsys.readouterr().out.splitlines()
     assert {line.split()[0] for line in lines if "BROKEN" in line} >= {"pole", "sad", "plug-in"}
     assert main(["method=hog", *QUICK]) == 0
+
+
+WILD = """import numpy as np
+from vprbench.api import Method
+class Wild(Method):
+    def fit(self, references, places=None): return self
+    def encode(self, images): return np.zeros((len(images), 1), np.float32)
+    def match(self, queries): return np.full((len(queries), 12), np.nan, np.float32)
+"""
+
+
+@pytest.mark.extended
+def test_a_cell_whose_scores_are_nan_is_stored_as_a_failure_with_code_2_and_the_others_go_on(here):
+    (here / "wild.py").write_text(WILD)
+    assert main(["-m", "method=./wild.py:Wild,sad", *QUICK]) == 2
+    (failure,) = Store(Path("results")).failures()
+    assert (failure.method, "NaN" in failure.error, failure.missing, failure.traceback) == ("Wild", True, False, "")
+    assert [run.method for run in Store(Path("results")).runs()] == ["sad"]
+    frame = tabulate_runs([*Store(Path("results")).runs(), failure])
+    assert [*frame["error"]] == ["", failure.error]
