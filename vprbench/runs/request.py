@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal
 
 from vprbench.errors import BadInput
-from vprbench.metrics.catalogue import GROUPS, METRICS
+from vprbench.metrics.catalogue import GROUPS, METRICS, load_plug_in_metrics
 from vprbench.runs.corruption import parse_corruptions
 from vprbench.runs.predictions import require_depth
 from vprbench.runs.sequences import parse_views
@@ -156,6 +156,8 @@ OPTIONS = tuple(
 def spell_out_metrics(names: Iterable[str]) -> list[str]:
     """Return names of metrics, those of a group in its place; raises BadInput for the first that is neither."""
     metrics = [one for name in names for one in GROUPS.get(name, (name,))]
+    if not METRICS.keys() >= {*metrics}:
+        load_plug_in_metrics()
     for name in metrics:
         if name not in METRICS:
             raise BadInput(f"metrics={name} is unknown: {near(name, [*METRICS, *GROUPS])}")
