@@ -40,15 +40,11 @@ def recall_at(outcome: Outcome, n: int, denominator: Literal["all", "answerable"
     answerable ones (VPR_Tutorial, VPRTempo). More than there are places is as good as all of them. Raises
     BadInput below 1.
     """
-    if denominator not in ("all", "answerable"):
-        raise ValueError(f"denominator={denominator!r} is unknown: give 'all' or 'answerable'")
     n_answerable = int(np.count_nonzero(outcome.answerable))
     n_queries = len(outcome) if denominator == "all" else n_answerable
     ways: tuple[Ties, ...] = ("expected", "pessimistic", "optimistic")
-    expected, pessimistic, optimistic = (float(hits_at(outcome, n, ties).sum()) for ties in ways)
-    if not n_answerable:
-        return None
-    return Recall(expected / n_queries, pessimistic / n_queries, optimistic / n_queries, n_queries)
+    hits = [float(hits_at(outcome, n, ties).sum()) for ties in ways]
+    return Recall(*(found / n_queries for found in hits), n_queries) if n_answerable else None
 
 
 def hits_at(outcome: Outcome, n: int, ties: Ties = "expected") -> Values:
@@ -66,8 +62,6 @@ def hits_at(outcome: Outcome, n: int, ties: Ties = "expected") -> Values:
         return (slots > 0).astype(np.float64)
     if ties == "pessimistic":
         return (slots > wrong).astype(np.float64)
-    if ties != "expected":
-        raise ValueError(f"ties={ties!r} is unknown: give 'expected', 'pessimistic' or 'optimistic'")
     hits = (slots >= outcome.tied).astype(np.float64) * (slots > 0)
     cut = (slots > 0) & (slots < outcome.tied)
     hits[cut] = 1 - _chance_of_only_wrong(outcome.tied[cut], outcome.tied_correct[cut], slots[cut])
@@ -116,8 +110,6 @@ def pr_curve(outcome: Outcome, kind: Literal["A", "B"]) -> PRCurve | None:
     matches (B: VPR-Bench, VPRTempo since 7d9ccef). Hence recall_A = R@1 recall_B, R@1 over the answerable
     queries.
     """
-    if kind not in ("A", "B"):
-        raise ValueError(f"kind={kind!r} is not a curve of best matches: give 'A' or 'B'")
     best, right = _best_matches(outcome)
     groups = _groups(best, best, right)
     total = np.count_nonzero(outcome.answerable) if kind == "A" else groups[2].max(initial=0)
@@ -222,8 +214,7 @@ def extended_precision(outcome: Outcome) -> float | None:
 
 def _n_before_first_error(outcome: Outcome) -> int:
     best, right = _best_matches(outcome)
-    best_error = best[right < 1].max(initial=-np.inf)
-    return int(np.count_nonzero(best > best_error))
+    return int(np.count_nonzero(best > best[right < 1].max(initial=-np.inf)))
 
 
 def auc_roc(outcome: Outcome) -> float | None:
@@ -266,17 +257,8 @@ def hits_within(
     query, best first. If several share the highest score, the hit is the share of right ones among them, as
     in recall at 1; of more than `depth` such places only those that are stored count. A query without a right
     place or without any candidate is a miss. Places are counted along the journey by their `place_numbers`
-    (n_places,), without these along the map. Raises BadInput for a tolerance below 0, ValueError for shapes that
-    do not fit.
+    (n_places,), without these along the map.
     """
-    if top_places.shape != top_scores.shape or top_places.ndim != 2 or len(positives) != len(top_places):
-        raise ValueError(
-            f"best places {top_places.shape}, scores {top_scores.shape} and right places of {len(positives)} queries "
-            "must be of the same queries and depth"
-        )
-    wrong = [k for k in tolerances if k < 0]
-    if wrong:
-        raise BadInput(f"a tolerance of {wrong[0]} places is not defined: give 0 or more")
     best = top_scores[:, :1]
     tied = (top_scores == best) & (best > -np.inf)
     rows, columns = np.nonzero(tied)

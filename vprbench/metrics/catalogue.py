@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from importlib.metadata import entry_points
 from typing import Any
@@ -119,7 +119,7 @@ def _share(name: str, words: str, function: Callable[[Outcome], float | None], m
 
 
 def _area(name: str, words: str, function: Callable[[Outcome], float | None], meaning: str) -> Metric:
-    return Metric(name, words, lambda answers: function(answers.outcome), meaning, digits=3, unit="")
+    return replace(_share(name, words, function, meaning), digits=3, unit="")
 
 
 def _cost(name: str, words: str, unit: str, one: float, meaning: str) -> Metric:

@@ -54,8 +54,7 @@ def finite_row(values: npt.ArrayLike) -> npt.NDArray[np.float64]:
 def _autocovariances(row: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     """Return the autocovariances at all lags from 0, (n,), each a sum of products over n."""
     spectrum = np.fft.rfft(row - row.mean(), 2 * len(row))
-    products: npt.NDArray[np.float64] = np.fft.irfft(np.abs(spectrum) ** 2, 2 * len(row))
-    return products[: len(row)] / len(row)
+    return np.asarray(np.fft.irfft(np.abs(spectrum) ** 2, 2 * len(row))[: len(row)] / len(row))
 
 
 def _last_lag(significant: npt.NDArray[np.bool_], within: int) -> int:
@@ -130,12 +129,8 @@ def wilson(successes: float, n: int, confidence: float = 0.95) -> Interval | Non
     """Return the Wilson score interval of a share, 0 to 1 (Wilson 1927); None without trials.
 
     Expected hits are not whole where scores tie, so `successes` may be any number from 0 to `n`. Takes the
-    trials as independent: of consecutive frames it is too narrow, see `block_bootstrap`. Raises ValueError
-    outside the ranges.
+    trials as independent: of consecutive frames it is too narrow, see `block_bootstrap`.
     """
-    _check_confidence(confidence)
-    if n < 0 or not 0 <= successes <= n:
-        raise ValueError(f"{successes} successes of {n} trials are impossible: give 0 to n of n >= 0")
     if n == 0:
         return None
     z = NormalDist().inv_cdf((1 + confidence) / 2)
@@ -153,11 +148,8 @@ def block_bootstrap(values: npt.ArrayLike, block: int, confidence: float = 0.95)
     there are as many values again; the last block is cut to fit. Blocks run on from the last value to the
     first, so that each value is drawn as often as any other (circular block bootstrap, Politis and Romano
     1992). The interval lies between the percentiles of the resampled means, whose distribution is computed and not
-    drawn. None for fewer than two blocks. Raises ValueError for a length below 1 and for other values.
+    drawn. None for fewer than two blocks. Raises ValueError for values that are not finite or not (n,).
     """
-    _check_confidence(confidence)
-    if block < 1:
-        raise ValueError(f"block={block} must be at least 1")
     row = finite_row(values)
     if len(row) < 2 * block:
         return None
@@ -190,8 +182,7 @@ def _chances(sums: Values, n_points: int) -> Values:
     share = np.clip(sums - below, 0, 1)
     point = below.astype(np.int64)
     counts = np.bincount(point, 1 - share, n_points) + np.bincount(point + 1, share, n_points)
-    chances: Values = counts / len(sums)
-    return chances
+    return np.asarray(counts / len(sums))
 
 
 def _circular_sums(row: Values, length: int) -> Values:
@@ -224,7 +215,6 @@ def _agresti_min(differences: Values, confidence: float) -> Interval:
 
     As it needs the sums alone, it takes differences that are not whole as well.
     """
-    _check_confidence(confidence)
     n = len(differences) + 2
     mean = float(differences.sum()) / n
     variance = (float((differences**2).sum()) + 1) / n - mean**2
@@ -246,29 +236,16 @@ def mcnemar_exact(hits_a: npt.ArrayLike, hits_b: npt.ArrayLike, window: int = 1)
 
     p = min(1, 2 sum_{i <= min(b, c)} C(b + c, i) / 2^(b + c)); 1 if they never disagree. A chance to be
     right is no trial: where scores tie, give the pessimistic hits. Where a hit rests on a `window` of so many
-    neighbours, in the order of the journey, only every so manieth query is a trial: p is twice the mean over the
-    ways to begin, which holds whatever these share (Vovk and Wang 2020), and b and c are of all queries. Raises
-    ValueError for other values or different lengths.
+    neighbours, in the order of the journey, only every `window`-th query is a trial: p is twice the mean over the
+    ways to begin, which holds whatever these share (Vovk and Wang 2020), and b and c are of all queries.
     """
     from scipy.special import bdtr  # takes long to import
 
     first, second = np.asarray(hits_a, dtype=np.float64), np.asarray(hits_b, dtype=np.float64)
-    if first.ndim != 1 or first.shape != second.shape:
-        raise ValueError(f"a paired test needs hits on the same queries, not {first.shape} and {second.shape}")
-    if not np.isin([first, second], (0, 1)).all():
-        raise ValueError("a paired test needs hits of 0 or 1: where scores tie, give the pessimistic hits")
 
     def p_value(b: int, c: int) -> float:
         return min(1.0, 2 * float(bdtr(min(b, c), b + c, 0.5)))
 
     ours, theirs = first > second, second > first
-    b, c = int(np.count_nonzero(ours)), int(np.count_nonzero(theirs))
-    if window == 1:
-        return McNemar(b, c, p_value(b, c))
     ways = [p_value(int(ours[way::window].sum()), int(theirs[way::window].sum())) for way in range(window)]
-    return McNemar(b, c, min(1.0, 2 * sum(ways) / window))
-
-
-def _check_confidence(confidence: float) -> None:
-    if not 0 < confidence < 1:
-        raise ValueError(f"confidence={confidence} must lie between 0 and 1, for example 0.95")
+    return McNemar(int(ours.sum()), int(theirs.sum()), ways[0] if window == 1 else min(1.0, 2 * sum(ways) / window))

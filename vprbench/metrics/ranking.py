@@ -1,4 +1,4 @@
-"""What a score matrix says about each query, small enough to keep: all that single-match metrics need."""
+"""Outcomes: where the right places of each query rank, small enough to keep; single-match metrics need no more."""
 
 from __future__ import annotations
 
@@ -76,13 +76,8 @@ def outcome(scores: Scores, positives: PlacesPerQuery, ignored: PlacesPerQuery |
 def outcome_of_best(scores: Scores, places: npt.NDArray[np.int64], positives: PlacesPerQuery, n_places: int) -> Outcome:
     """Rank the right places of each query among its best places alone: all others count as no candidates.
 
-    `places` (n_queries, n) holds each place once for a query, `scores` (n_queries, n) what it scores; -inf: no
-    candidate. Raises ValueError for shapes that do not fit.
+    `places` (n_queries, n) holds each place once for a query, `scores` (n_queries, n) its scores; -inf: no candidate.
     """
-    if scores.shape != places.shape or len(positives) != len(scores):
-        raise ValueError(
-            f"scores {scores.shape} came with places {places.shape} and positives of {len(positives)} queries"
-        )
     right = np.array([np.isin(*row) for row in zip(places, positives, strict=True)], bool).reshape(scores.shape)
     among = _block_outcome(scores, np.flatnonzero(right), np.empty(0, np.int64))
     return replace(
@@ -94,13 +89,10 @@ def outcome_of_best(scores: Scores, places: npt.NDArray[np.int64], positives: Pl
 
 
 def concatenate(outcomes: Sequence[Outcome]) -> Outcome:
-    """Join the outcomes of consecutive blocks of queries; raises ValueError for maps of different sizes."""
-    sizes = sorted({part.n_places for part in outcomes})
-    if len(sizes) != 1:
-        raise ValueError(f"outcomes to join must be over one map, but maps of {sizes} places came")
+    """Join the outcomes of consecutive blocks of queries over one map; at least one."""
     columns = [field.name for field in fields(Outcome) if field.name != "n_places"]
     joined = {name: np.concatenate([getattr(part, name) for part in outcomes]) for name in columns}
-    return Outcome(**joined, n_places=sizes[0])
+    return Outcome(**joined, n_places=outcomes[0].n_places)
 
 
 def best_places(scores: Scores, depth: int) -> npt.NDArray[np.int64]:
