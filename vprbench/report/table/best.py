@@ -10,7 +10,6 @@ import numpy as np
 
 from vprbench.metrics.catalogue import METRICS, Metric
 from vprbench.metrics.intervals import mcnemar_exact
-from vprbench.report.plan import Boundary
 from vprbench.runs.machine import Machine
 from vprbench.runs.notes import DISTURBED
 from vprbench.runs.recall_intervals import estimate_difference, list_values
@@ -62,18 +61,16 @@ def find_best_rate(rows: Sequence[Contestant]) -> str | None:
 def find_best_training(rows: Sequence[Contestant]) -> str | None:
     """Return the row that trains fastest, by at least 1.25 times in every pair of seeds; None if no row does.
 
-    Waiting for images does not count. All rows trained undisturbed on one machine. One fit a seed is no sample that a
+    Waiting for images does not count. All rows trained, undisturbed on one machine. One fit a seed is no sample that a
     test could weigh.
     """
-    seconds = {row.name: [run.fit_compute_seconds for run in row.runs] for row in rows}
-    known = {name: [one for one in each if one is not None] for name, each in seconds.items() if None not in each}
-    rows = [row for row in rows if row.name in known]
+    seconds = {row.name: [run.fit_compute_seconds or 0.0 for run in row.runs] for row in rows}
     if not _are_comparable(rows):
         return None
     return _find_winner(
         rows,
-        lambda row: -max(known[row.name]),
-        lambda one, other: FASTER * max(known[one.name]) <= min(known[other.name]),
+        lambda row: -max(seconds[row.name]),
+        lambda one, other: FASTER * max(seconds[one.name]) <= min(seconds[other.name]),
     )
 
 
@@ -88,18 +85,14 @@ def average_recall(runs: Sequence[Run]) -> float | None:
     return average_metric(runs, METRICS["recall_at_1"])
 
 
-def list_laps(run: Run, boundary: Boundary | None = None) -> Seconds:
-    """Return the seconds of the streaming laps: of encode and match together, or of one of them alone.
-
-    Raises ValueError for a run that was not timed.
-    """
-    encode, match, both = run.required_timing().streaming.by_stage
-    return both if boundary is None else encode if boundary == "encode" else match
+def list_laps(run: Run) -> Seconds:
+    """Return the seconds of the streaming laps, encode and match together; raises ValueError for an untimed run."""
+    return run.required_timing().streaming.total_seconds
 
 
-def compute_rate(run: Run, boundary: Boundary | None = None) -> float:
-    """Return the streaming rate in Hz, 1 / median: of encode and match together, or of one of them alone."""
-    return 1 / float(np.median(list_laps(run, boundary)))
+def compute_rate(run: Run) -> float:
+    """Return the streaming rate in Hz, 1 / median of encode and match together."""
+    return 1 / float(np.median(list_laps(run)))
 
 
 def is_disturbed(run: Run) -> bool:
