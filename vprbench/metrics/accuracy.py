@@ -42,9 +42,11 @@ def recall_at(outcome: Outcome, n: int, denominator: Literal["all", "answerable"
     """
     n_answerable = int(np.count_nonzero(outcome.answerable))
     n_queries = len(outcome) if denominator == "all" else n_answerable
+    if not n_answerable:
+        return None
     ways: tuple[Ties, ...] = ("expected", "pessimistic", "optimistic")
-    hits = [float(hits_at(outcome, n, ties).sum()) for ties in ways]
-    return Recall(*(found / n_queries for found in hits), n_queries) if n_answerable else None
+    expected, pessimistic, optimistic = (float(hits_at(outcome, n, ties).sum()) / n_queries for ties in ways)
+    return Recall(expected, pessimistic, optimistic, n_queries)
 
 
 def hits_at(outcome: Outcome, n: int, ties: Ties = "expected") -> Values:

@@ -6,17 +6,19 @@ import json
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 from vprbench.report.plan import PlannedColumn, Row
 from vprbench.runs.machine import Machine
 from vprbench.runs.record import Failure, Run
-from vprbench.runs.rows import describe_view
+from vprbench.runs.rows import describe_view, format_value
 from vprbench.runs.sequences import NoScoresError, Views, name_views
 from vprbench.runs.viewpoints import parse_viewpoints
 
 Device = Literal["cpu", "cuda"]
 DEVICES: tuple[Device, ...] = ("cpu", "cuda")
+
+Result = TypeVar("Result", Run, Failure)
 
 _PER_RUN = ("_target_", "seed", "device")  # arguments of a method in which the runs of a row differ
 
@@ -106,18 +108,21 @@ def of_row(group: Group, row: Row, device: Device) -> RowRuns:
     complete ones come first, then sets that trained instead of loading, then the one with the newest run; all other
     runs are counted. A seed without a run has its newest failure.
     """
-    there = [run for run in group.runs if _belongs_to_row(run, row) and _get_device(run) == device]
+
+    def select(results: Sequence[Result]) -> list[Result]:
+        return [each for each in results if _belongs_to_row(each, row) and _get_device(each) == device]
+
+    def rank(members: Sequence[Run]) -> tuple[bool, bool, tuple[str, str]]:
+        is_complete = {run.config["seed"] for run in members} >= {*row.seeds}
+        return is_complete, members[0].network is None, age(members[-1])
+
+    there = select(group.runs)
     sets: dict[str, list[Run]] = defaultdict(list)
     for run in sorted(there, key=age):
         if run.config["seed"] in row.seeds:
             sets[as_text([conditions(run), run.network is None])].append(run)
-    members = max(sets.values(), key=lambda members: _rank_set(members, row), default=[])
-    chosen = {run.config["seed"]: run for run in members}
-    failed = {
-        failure.config["seed"]: failure
-        for failure in group.failures
-        if _belongs_to_row(failure, row) and _get_device(failure) == device
-    }
+    chosen = {run.config["seed"]: run for run in max(sets.values(), key=rank, default=[])}
+    failed = {failure.config["seed"]: failure for failure in select(group.failures)}
     missing = tuple(seed for seed in row.seeds if seed not in chosen)
     return RowRuns(
         runs=tuple(run for _, run in sorted(chosen.items())),
@@ -200,12 +205,6 @@ def conditions(run: Run) -> dict[str, Any]:
     }
 
 
-def _rank_set(members: Sequence[Run], row: Row) -> tuple[bool, bool, tuple[str, str]]:
-    """Return the rank of runs that are alike, ascending by age: complete, trained and newer ones are higher."""
-    is_complete = {run.config["seed"] for run in members} >= {*row.seeds}
-    return is_complete, members[0].network is None, age(members[-1])
-
-
 def as_text(value: Any) -> str:
     """Return plain values as text that is the same for equal ones: order and tuples for lists make no difference."""
     return json.dumps(value, sort_keys=True, default=dict)
@@ -253,10 +252,4 @@ def describe_protocol(run: Run) -> str:
     follows = {"places", "query_places", "reference_places"}
     follows |= {"held_out_places"} if "first_query_place" in run.protocol else set()
     shown = {name: value for name, value in run.protocol.items() if name not in follows}
-    return ", ".join(f"{name.replace('_', ' ')} {_format_part(value)}" for name, value in shown.items())
-
-
-def _format_part(value: Any) -> str:
-    if isinstance(value, Mapping):
-        return "+".join(f"{inner} in {name}" for name, inner in value.items())
-    return "+".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
+    return ", ".join(f"{name.replace('_', ' ')} {format_value(value)}" for name, value in shown.items())

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import unicodedata
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from html import escape
 from typing import Any
 
@@ -170,16 +170,15 @@ def to_terminal(table: Table, wide: bool = False) -> str:
 def to_latex(table: Table) -> str:
     r"""Return a table as LaTeX for \input and booktabs, a tabular for each dataset; any text is escaped.
 
-    The facts about its numbers stand in comments. The cells of Table II carry the numbers of machines and notes.
+    The facts about its numbers, its notes and its machines stand in comments.
     """
-    markup = _LATEX if table.title is None else replace(_LATEX, mark=lambda machine, notes: "")
-    notes = [f"{number} {note}" for number, note in enumerate(table.notes, 1)] if table.title is None else []
+    notes = [f"{number} {note}" for number, note in enumerate(table.notes, 1)]
     needs = f"{table.heading}. It needs \\usepackage{{booktabs}}."
     data = [f"{column.title}: {words.describe_data(column)}" for column in table.columns]
     comments = [needs, *data, *words.list_facts(table), *notes, *words.list_machines(table)]
     parts = [f"% {one_line(line)}" for line in comments]
     for column in table.columns if table.rows else ():
-        frame = lay_out(table, [column], markup).rename(
+        frame = lay_out(table, [column], _LATEX).rename(
             index="{{{}}}".format
         )  # "[" would be an option of the line above
         layout = f"@{{}}l{'l' * len(frame.columns)}@{{}}"
