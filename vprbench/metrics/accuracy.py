@@ -66,11 +66,11 @@ def hits_at(outcome: Outcome, n: int, ties: Ties = "expected") -> Values:
         return (slots > wrong).astype(np.float64)
     hits = (slots >= outcome.tied).astype(np.float64) * (slots > 0)
     cut = (slots > 0) & (slots < outcome.tied)
-    hits[cut] = 1 - _chance_of_only_wrong(outcome.tied[cut], outcome.tied_correct[cut], slots[cut])
+    hits[cut] = 1 - _compute_chance_of_only_wrong(outcome.tied[cut], outcome.tied_correct[cut], slots[cut])
     return hits
 
 
-def _chance_of_only_wrong(tied: Counts, correct: Counts, slots: Counts) -> Values:
+def _compute_chance_of_only_wrong(tied: Counts, correct: Counts, slots: Counts) -> Values:
     """Return C(tied - correct, slots) / C(tied, slots) as a product of few factors.
 
     The ratio is the same with `correct` and `slots` exchanged, so the smaller one is the number of factors.
@@ -112,10 +112,10 @@ def pr_curve(outcome: Outcome, kind: Literal["A", "B"]) -> PRCurve | None:
     matches (B: VPR-Bench, VPRTempo since 7d9ccef). Hence recall_A = R@1 recall_B, R@1 over the answerable
     queries.
     """
-    best, right = _best_matches(outcome)
-    groups = _groups(best, best, right)
+    best, right = _find_best_matches(outcome)
+    groups = _group_scores(best, best, right)
     total = np.count_nonzero(outcome.answerable) if kind == "A" else groups[2].max(initial=0)
-    return _sweep(groups, float(total), kind) if total else None
+    return _make_curve(groups, float(total), kind) if total else None
 
 
 def pr_curve_multi(scores: Scores, positives: PlacesPerQuery, ignored: PlacesPerQuery | None = None) -> PRCurve | None:
@@ -132,17 +132,17 @@ def pr_curve_multi(scores: Scores, positives: PlacesPerQuery, ignored: PlacesPer
     candidate = pairs > -np.inf
     candidate[soft_cells] = False
     right_scores = pairs[right_cells]  # those of -inf lie below every threshold
-    groups = _groups(pairs[candidate], right_scores, np.ones(len(right_scores)))
-    return _sweep(groups, float(len(right_scores)), "C")
+    groups = _group_scores(pairs[candidate], right_scores, np.ones(len(right_scores)))
+    return _make_curve(groups, float(len(right_scores)), "C")
 
 
-def _best_matches(outcome: Outcome) -> tuple[npt.NDArray[np.float32], Values]:
+def _find_best_matches(outcome: Outcome) -> tuple[npt.NDArray[np.float32], Values]:
     """Return the score of each best match and its chance to be right, where something is retrieved."""
     retrieved = outcome.top_tied > 0
     return outcome.best_score[retrieved], outcome.top_tied_correct[retrieved] / outcome.top_tied[retrieved]
 
 
-def _groups(
+def _group_scores(
     scores: npt.NDArray[np.float32], right_scores: npt.NDArray[np.float32], chances: Values
 ) -> tuple[npt.NDArray[np.float32], Counts, Values]:
     """Return the distinct scores in falling order, how many reach each, and how many right ones.
@@ -157,7 +157,7 @@ def _groups(
     return falling[last], last + 1, best_first[len(order) - n_below]
 
 
-def _sweep(
+def _make_curve(
     groups: tuple[npt.NDArray[np.float32], Counts, Values], total: float, kind: Literal["A", "B", "C"]
 ) -> PRCurve:
     threshold, kept, correct = groups
@@ -186,7 +186,7 @@ def recall_at_full_precision(outcome: Outcome) -> float | None:
     query whose best place ties with a wrong one.
     """
     n_answerable = int(np.count_nonzero(outcome.answerable))
-    return _n_before_first_error(outcome) / n_answerable if n_answerable else None
+    return _count_before_first_error(outcome) / n_answerable if n_answerable else None
 
 
 def precision_at_full_recall(outcome: Outcome) -> float | None:
@@ -194,7 +194,7 @@ def precision_at_full_recall(outcome: Outcome) -> float | None:
 
     None if no query has a right place or none retrieves anything.
     """
-    _, right = _best_matches(outcome)
+    _, right = _find_best_matches(outcome)
     return float(right.mean()) if len(right) and outcome.answerable.any() else None
 
 
@@ -205,17 +205,17 @@ def extended_precision(outcome: Outcome) -> float | None:
     above the first error, 0 if P_R0 is below 1 (Ferrarini et al. 2020; VPR-Bench). Fragile: a single
     wrong, most confident query takes it from above 0.5 to 0.
     """
-    best, right = _best_matches(outcome)
+    best, right = _find_best_matches(outcome)
     if not len(best) or not outcome.answerable.any():
         return None
     precision_at_first = float(right[best == best.max()].mean())
     if precision_at_first < 1:
         return precision_at_first / 2
-    return (1 + _n_before_first_error(outcome) / float(right.sum())) / 2
+    return (1 + _count_before_first_error(outcome) / float(right.sum())) / 2
 
 
-def _n_before_first_error(outcome: Outcome) -> int:
-    best, right = _best_matches(outcome)
+def _count_before_first_error(outcome: Outcome) -> int:
+    best, right = _find_best_matches(outcome)
     return int(np.count_nonzero(best > best[right < 1].max(initial=-np.inf)))
 
 
@@ -224,8 +224,8 @@ def auc_roc(outcome: Outcome) -> float | None:
 
     A query whose best place is tied counts as correct and as wrong by the shares among the tied places.
     """
-    best, right = _best_matches(outcome)
-    _, kept, correct = _groups(best, best, right)
+    best, right = _find_best_matches(outcome)
+    _, kept, correct = _group_scores(best, best, right)
     if not len(kept) or not 0 < correct[-1] < kept[-1]:
         return None
     wrong = kept - correct
@@ -267,12 +267,12 @@ def hits_within(
     places = top_places[rows, columns].astype(np.int64)
     if place_numbers is not None:
         places, positives = place_numbers[places], [place_numbers[right] for right in positives]
-    distances = _distances(rows, places, positives)
+    distances = _measure_distances(rows, places, positives)
     n_tied = np.maximum(tied.sum(axis=1), 1)
     return np.stack([np.bincount(rows[distances <= k], minlength=len(tied)) / n_tied for k in tolerances])
 
 
-def _distances(
+def _measure_distances(
     queries: npt.NDArray[np.int64], places: npt.NDArray[np.int64], positives: PlacesPerQuery
 ) -> npt.NDArray[np.int64]:
     """Return how many places each of `places` lies from the nearest right place of its query."""

@@ -114,32 +114,32 @@ def _find_plug_in_metrics() -> dict[str, Metric]:
     return found
 
 
-def _share(name: str, words: str, function: Callable[[Outcome], float | None], meaning: str) -> Metric:
+def _make_share(name: str, words: str, function: Callable[[Outcome], float | None], meaning: str) -> Metric:
     return Metric(name, words, lambda answers: function(answers.outcome), meaning)
 
 
-def _area(name: str, words: str, function: Callable[[Outcome], float | None], meaning: str) -> Metric:
-    return replace(_share(name, words, function, meaning), digits=3, unit="")
+def _make_area(name: str, words: str, function: Callable[[Outcome], float | None], meaning: str) -> Metric:
+    return replace(_make_share(name, words, function, meaning), digits=3, unit="")
 
 
-def _cost(name: str, words: str, unit: str, one: float, meaning: str) -> Metric:
+def _make_cost(name: str, words: str, unit: str, one: float, meaning: str) -> Metric:
     def read_energy(answers: Answers) -> float | None:
         return None if answers.energy is None else answers.energy["values"].get(name)
 
     return Metric(name, words, read_energy, meaning, unit=unit, higher_is_better=False, cost=one)
 
 
-def _recall(n: int) -> Metric:
+def _make_recall(n: int) -> Metric:
     meaning = f"the share of queries with a right place among the best {n}"
     return average_metric(f"recall_at_{n}", f"R@{n}", lambda answers, ties: hits_at(answers.outcome, n, ties), meaning)
 
 
-def _area_under_a(outcome: Outcome, area: Callable[[PRCurve], float]) -> float | None:
+def _compute_area_under_a(outcome: Outcome, area: Callable[[PRCurve], float]) -> float | None:
     curve = pr_curve(outcome, "A")
     return None if curve is None else area(curve)
 
 
-def _step_sum_under_c(answers: Answers) -> float | None:
+def _sum_steps_under_c(answers: Answers) -> float | None:
     """Return the average precision over all pairs of a query and a place; None if a run kept few of its places."""
     n_queries, depth = answers.top_scores.shape
     if depth < answers.outcome.n_places:
@@ -152,23 +152,34 @@ def _step_sum_under_c(answers: Answers) -> float | None:
 
 _PAIRS = "step sum under curve C, over all pairs, of runs that keep the whole map (depth)"
 _ACCURACIES = (
-    *map(_recall, RECALLS),
-    _area("auc_pr_a", "AUC-PR (A)", partial(_area_under_a, area=auc), "trapezoids under curve A"),
-    _area("average_precision_a", "AP (A)", partial(_area_under_a, area=average_precision), "step sum under curve A"),
-    _share("r100p", "R@100P", recall_at_full_precision, "the share answered before the first error"),
-    _share("p100r", "P@100R", precision_at_full_recall, "precision where every query is answered"),
-    _area("auc_roc", "AUC-ROC", auc_roc, "the chance that a right match outscores a wrong one"),
-    _area("ep", "EP", extended_precision, "extended precision, (P_R0 + R_P100) / 2"),
-    _area("f1_max", "F1-max", f1_max, "the highest F1 on curve A"),
-    Metric("ap_c", "AP (C)", _step_sum_under_c, _PAIRS, digits=3, unit=""),
+    *map(_make_recall, RECALLS),
+    _make_area("auc_pr_a", "AUC-PR (A)", partial(_compute_area_under_a, area=auc), "trapezoids under curve A"),
+    _make_area(
+        "average_precision_a",
+        "AP (A)",
+        partial(_compute_area_under_a, area=average_precision),
+        "step sum under curve A",
+    ),
+    _make_share("r100p", "R@100P", recall_at_full_precision, "the share answered before the first error"),
+    _make_share("p100r", "P@100R", precision_at_full_recall, "precision where every query is answered"),
+    _make_area("auc_roc", "AUC-ROC", auc_roc, "the chance that a right match outscores a wrong one"),
+    _make_area("ep", "EP", extended_precision, "extended precision, (P_R0 + R_P100) / 2"),
+    _make_area("f1_max", "F1-max", f1_max, "the highest F1 on curve A"),
+    Metric("ap_c", "AP (C)", _sum_steps_under_c, _PAIRS, digits=3, unit=""),
 )
 _COSTS = (
-    _cost("synops_ac", "ACs", "k", 1e3, "accumulates a query, spikes that are all alike x existing synapses"),
-    _cost("synops_mac", "MACs", "k", 1e3, "multiply-accumulates a query, spikes with amplitudes x existing synapses"),
-    _cost("operations", "Ops", "M", 1e6, "operations a query, encode and match, a multiply-add being two"),
-    _cost("joules_estimated", "Estimate", "µJ", 1e-6, "an estimate of joules a query by a 45 nm table, without memory"),
-    _cost("joules_measured", "Measured", "mJ", 1e-3, "joules a query by a counter, less those of the idle machine"),
-    _cost("map_bytes", "Map", "B/place", 1.0, "bytes of the map that answers need, a place"),
+    _make_cost("synops_ac", "ACs", "k", 1e3, "accumulates a query, spikes that are all alike x existing synapses"),
+    _make_cost(
+        "synops_mac", "MACs", "k", 1e3, "multiply-accumulates a query, spikes with amplitudes x existing synapses"
+    ),
+    _make_cost("operations", "Ops", "M", 1e6, "operations a query, encode and match, a multiply-add being two"),
+    _make_cost(
+        "joules_estimated", "Estimate", "µJ", 1e-6, "an estimate of joules a query by a 45 nm table, without memory"
+    ),
+    _make_cost(
+        "joules_measured", "Measured", "mJ", 1e-3, "joules a query by a counter, less those of the idle machine"
+    ),
+    _make_cost("map_bytes", "Map", "B/place", 1.0, "bytes of the map that answers need, a place"),
 )
 
 #: Names that stand for several.

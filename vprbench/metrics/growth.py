@@ -37,9 +37,10 @@ def fit_power(n_places: npt.ArrayLike, seconds: npt.ArrayLike) -> Power:
 
     given, all_times = np.asarray(n_places, np.float64), np.asarray(seconds, np.float64)
     sizes = np.unique(given)
-    if len(sizes) < _FEWEST_SIZES or not all_times.min() > 0:
-        came = f"times at {len(sizes)} numbers of places, the shortest {all_times.min():g} s,"
-        raise BadInput(f"{came} give no exponent: run at least {_FEWEST_SIZES} that take longer than 0 s")
+    if len(sizes) < _FEWEST_SIZES:
+        raise BadInput(f"times at {len(sizes)} numbers of places give no exponent: run at least {_FEWEST_SIZES}")
+    if not all_times.min() > 0:
+        raise BadInput(f"times from {all_times.min():g} s give no exponent: they have to be longer than 0 s")
     logs = np.log([np.median(all_times[given == size]) for size in sizes])
     x, y = np.log(sizes) - np.log(sizes).mean(), logs - logs.mean()
     slope, left = float(x @ y / (x @ x)), len(x) - 2

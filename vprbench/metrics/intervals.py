@@ -28,11 +28,11 @@ def block_length(values: npt.ArrayLike) -> int:
     n = len(row)
     if n < FEWEST or np.ptp(row) == 0:
         return 1
-    covariances = _autocovariances(row)
+    covariances = _compute_autocovariances(row)
     within = max(5, math.ceil(math.sqrt(math.log10(n))))
     furthest = math.ceil(math.sqrt(n)) + within
     significant = np.abs(covariances / covariances[0]) >= _SIGNIFICANT * math.sqrt(math.log10(n) / n)
-    width = min(2 * max(1, _last_lag(significant[: furthest + 1], within)), furthest)
+    width = min(2 * max(1, _find_last_lag(significant[: furthest + 1], within)), furthest)
     lags = np.arange(1, width + 1)
     weighted = np.clip(2 * (1 - lags / width), 0, 1) * covariances[1 : width + 1]
     at_zero = float(covariances[0] + 2 * weighted.sum())
@@ -51,13 +51,13 @@ def finite_row(values: npt.ArrayLike) -> npt.NDArray[np.float64]:
     return row
 
 
-def _autocovariances(row: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def _compute_autocovariances(row: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     """Return the autocovariances at all lags from 0, (n,), each a sum of products over n."""
     spectrum = np.fft.rfft(row - row.mean(), 2 * len(row))
     return np.asarray(np.fft.irfft(np.abs(spectrum) ** 2, 2 * len(row))[: len(row)] / len(row))
 
 
-def _last_lag(significant: npt.NDArray[np.bool_], within: int) -> int:
+def _find_last_lag(significant: npt.NDArray[np.bool_], within: int) -> int:
     """Return the smallest lag after which `within` lags are insignificant, without such lags the last significant."""
     for lag in range(len(significant) - within):
         if not significant[lag + 1 : lag + 1 + within].any():
@@ -100,7 +100,7 @@ def share_interval(hits: npt.ArrayLike, confidence: float = 0.95, window: int = 
     independent = wilson(float(row.sum()), len(row), confidence)
     if independent is None or (window > 1 and len(row) <= window):
         return None
-    return _wider(row, independent, max(block_length(row), window), confidence)
+    return _choose_wider(row, independent, max(block_length(row), window), confidence)
 
 
 def difference_interval(
@@ -122,7 +122,7 @@ def difference_interval(
     if len(row) < FEWEST or (window > 1 and len(row) <= window):
         return None
     block = max(window, *map(block_length, (first, second, row)))
-    return _wider(row, _agresti_min(row, confidence), block, confidence)
+    return _choose_wider(row, _estimate_agresti_min(row, confidence), block, confidence)
 
 
 def wilson(successes: float, n: int, confidence: float = 0.95) -> Interval | None:
@@ -154,12 +154,12 @@ def block_bootstrap(values: npt.ArrayLike, block: int, confidence: float = 0.95)
     if len(row) < 2 * block:
         return None
     tail = (1 - confidence) / 2
-    means, reached = _resampled_means(row, block)
+    means, reached = _resample_means(row, block)
     low, high = means[np.searchsorted(reached, [tail, 1 - tail])]
     return Interval(float(low), float(high))
 
 
-def _resampled_means(row: Values, block: int) -> tuple[Values, Values]:
+def _resample_means(row: Values, block: int) -> tuple[Values, Values]:
     """Return the means that the bootstrap may give, ascending, and the chance of no more than each.
 
     A sum of independent blocks is distributed as the convolution of their sums, a product of Fourier transforms. Sums
@@ -170,13 +170,13 @@ def _resampled_means(row: Values, block: int) -> tuple[Values, Values]:
     per_unit = _PARTS * max(1, int(_GRID_POINTS / (_PARTS * max(largest, 1))))
     n_points = 1 << math.ceil(largest * per_unit + 2).bit_length()
     above = (row - row.min()) * per_unit
-    transform = np.fft.rfft(_chances(_circular_sums(above, block), n_points)) ** n_blocks
-    transform *= np.fft.rfft(_chances(_circular_sums(above, rest), n_points))
+    transform = np.fft.rfft(_share_chances(_sum_circularly(above, block), n_points)) ** n_blocks
+    transform *= np.fft.rfft(_share_chances(_sum_circularly(above, rest), n_points))
     reached = np.cumsum(np.fft.irfft(transform, n_points))
     return row.min() + np.arange(n_points) / per_unit / len(row), np.maximum.accumulate(reached)
 
 
-def _chances(sums: Values, n_points: int) -> Values:
+def _share_chances(sums: Values, n_points: int) -> Values:
     """Return how likely each of the points 0, 1, 2 ... is, (n_points,), if one of `sums` is drawn."""
     below = np.floor(sums + 1e-9)
     share = np.clip(sums - below, 0, 1)
@@ -185,20 +185,20 @@ def _chances(sums: Values, n_points: int) -> Values:
     return np.asarray(counts / len(sums))
 
 
-def _circular_sums(row: Values, length: int) -> Values:
+def _sum_circularly(row: Values, length: int) -> Values:
     """Return for each start the sum of `length` values from there, (n,)."""
     running: Values = np.cumsum(np.concatenate([[0.0], row, row[:length]]))
     return running[length : length + len(row)] - running[: len(row)]
 
 
-def _wider(row: Values, independent: Interval, block: int, confidence: float) -> WiderInterval:
-    blocks = block_bootstrap(row, block, _expanded(confidence, len(row) / block)) if block > 1 else None
+def _choose_wider(row: Values, independent: Interval, block: int, confidence: float) -> WiderInterval:
+    blocks = block_bootstrap(row, block, _expand_confidence(confidence, len(row) / block)) if block > 1 else None
     if blocks is None or blocks.high - blocks.low <= independent.high - independent.low:
         return WiderInterval(independent.low, independent.high, "independent", block)
     return WiderInterval(blocks.low, blocks.high, "blocks", block)
 
 
-def _expanded(confidence: float, n_blocks: float) -> float:
+def _expand_confidence(confidence: float, n_blocks: float) -> float:
     """Return the confidence at which the percentiles of few blocks are as wide as Student's t would make them.
 
     A bootstrap of n values takes their spread as known and (n - 1) / n too small (Hesterberg 2015, expanded percentile
@@ -210,7 +210,7 @@ def _expanded(confidence: float, n_blocks: float) -> float:
     return min(2 * NormalDist().cdf(score) - 1, 1 - 1e-9)
 
 
-def _agresti_min(differences: Values, confidence: float) -> Interval:
+def _estimate_agresti_min(differences: Values, confidence: float) -> Interval:
     """Return Wald's interval of the mean paired difference (n,) after half a query was added to each of four outcomes.
 
     As it needs the sums alone, it takes differences that are not whole as well.

@@ -76,7 +76,7 @@ class Growth:
         return PlannedColumn(f"growth_{places}", f"{places:,} places", options)
 
 
-_KINDS = {"rows": Row, "more_rows": Row, "columns": PlannedColumn}
+_KINDS: dict[str, Any] = {"rows": Row, "more_rows": Row, "columns": PlannedColumn, "growth": Growth, "seeds": Seeds}
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ NO_PLAN = Plan({}, {}, {}, Growth((), (), (), 0))
 
 def read_plan(path: Path) -> Plan:
     """Read the plan; raises BadInput, naming the file, where a part is missing or unknown."""
-    plan = Plan(**_read_parts(path, {"rows", "more_rows", "columns", "growth", "seeds"}))
+    plan = Plan(**_read_parts(path, _KINDS))
     _require_columns(plan.columns, path)
     return plan
 
@@ -112,7 +112,7 @@ def add_plug_ins(plan: Plan, folders: Mapping[str, Path]) -> Plan:
     owners = dict.fromkeys(ours, "vprbench")
     for provider, folder in folders.items():
         for path in sorted((folder / "table").glob("*.yaml")) if provider != "vprbench" else ():
-            more = {"rows": {}, "columns": {}, **_read_parts(path)}
+            more = _read_parts(path, ("rows", "columns"))
             for name in dict.fromkeys([*more["rows"], *more["columns"], *(row.name for row in more["rows"].values())]):
                 if name in owners:
                     raise BadInput(f"{path}: {name} of {provider} has the name of one of {owners[name]}: rename it")
@@ -123,25 +123,25 @@ def add_plug_ins(plan: Plan, folders: Mapping[str, Path]) -> Plan:
     return replace(plan, more_rows=rows, columns=columns)
 
 
-def _read_parts(path: Path, required: Collection[str] = ()) -> dict[str, Any]:
-    """Return the parts of a yaml by name: all `required` ones, or if none is, `rows` and `columns` that are there."""
+def _read_parts(path: Path, names: Collection[str]) -> dict[str, Any]:
+    """Return the parts of a yaml; of rows and columns there may be none."""
     try:
-        content: dict[str, Any] = yaml.safe_load(path.read_text(encoding="utf-8"))
-        if wrong := content.keys() ^ {*required} if required else content.keys() - {"rows", "columns"}:
+        content: dict[str, Any] = {"rows": {}, "columns": {}, **yaml.safe_load(path.read_text(encoding="utf-8"))}
+        if wrong := content.keys() ^ names:
             raise ValueError(f"{', '.join(wrong)} is missing or unknown")
-        for group in _KINDS.keys() & content.keys():
-            named = {name: {"name": name, **given} for name, given in content[group].items()}
-            content[group] = {
-                name: check_value(f"{path}: {group}.{name}", named[name], _KINDS[group]) for name in named
-            }
-    except BadInput:
-        raise
+        for group in content.keys() - {"growth", "seeds"}:
+            content[group] = {name: {"name": name, **given} for name, given in content[group].items()}
     except (OSError, yaml.YAMLError, TypeError, ValueError, AttributeError) as error:
         raise BadInput(f"{path} is no plan of a table ({error}): compare it with the one of this project") from error
-    plain = {"growth": Growth, "seeds": Seeds}
-    return content | {
-        name: check_value(f"{path}: {name}", content[name], plain[name]) for name in plain.keys() & content.keys()
-    }
+    for group, parts in content.items():
+        if group in ("growth", "seeds"):
+            content[group] = check_value(f"{path}: {group}", parts, _KINDS[group])
+        else:
+            checks = {
+                name: check_value(f"{path}: {group}.{name}", given, _KINDS[group]) for name, given in parts.items()
+            }
+            content[group] = checks
+    return content
 
 
 def _require_columns(columns: Mapping[str, PlannedColumn], origin: object) -> None:
