@@ -69,9 +69,9 @@ def test_the_wheel_runs_from_another_folder_with_a_plug_in_and_holds_no_top_leve
     assert "thumbnail Colours of a coarse grid of cells [vprbench_example]" in printed
     assert "panorama Views all around a made-up panorama, by day and at dusk [vprbench_example]" in printed
     assert "compdef _vprbench" in run(installed, "-m", "vprbench", "completion", "zsh", cwd=tmp_path)
-    names = ("method=thumbnail", "method.cells=6", "dataset=panorama", "dataset.places=12")
+    names = ("method=thumbnail", "method.cells=6", "dataset=panorama", "dataset.places=12", "metrics=mrr")
     told = json.loads(run(installed, "-m", "vprbench", *names, *RUN, "output=json", cwd=tmp_path))
-    assert (told["method"], told["dataset"]) == ("thumbnail", "panorama")
+    assert (told["method"], told["dataset"], told["mrr"] > 0) == ("thumbnail", "panorama", True)
     for asked, counted in ("method=thumbnail", "16 kept, 1 excepted"), ("dataset=panorama", "15 kept, 0 excepted"):
         assert f"{counted}, 0 broken" in run(installed, "-m", "vprbench", "check", asked, cwd=tmp_path)
 

@@ -3,23 +3,27 @@
 import csv
 import io
 import json
+from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import numpy as np
 import pytest
 from assembled import measured, table
+from checkout import ROOT
 from little import a_run, unanswerable_run
 from little_runs import quiet_surroundings
 from small_plan import RUN, install, run_apart
-from stored_runs import RAIL, ROWS, SAD, run
+from stored_runs import RAIL, ROWS, SAD, VPRSNN, run
 
 from vprbench.api.arithmetic import Arithmetic
 from vprbench.cli import main
-from vprbench.metrics.accuracy import average_precision, pr_curve_multi
-from vprbench.metrics.catalogue import METRICS, Metric
+from vprbench.metrics import catalogue
+from vprbench.metrics.accuracy import average_precision, hits_at, pr_curve_multi
+from vprbench.metrics.catalogue import METRICS, Metric, average_metric
 from vprbench.report.figures.accuracy import draw_metric
 from vprbench.report.selection import groups, series
 from vprbench.report.table import formats
+from vprbench.report.table.best import Contestant, find_most_accurate
 from vprbench.report.table.quantities import QUANTITIES, quantities
 from vprbench.runs.energy import count_synops, estimate_joules
 
@@ -29,14 +33,28 @@ def unanswerable(answers):
     return 1 - float(answers.outcome.answerable.mean())
 
 
+LOST = Metric("lost", "Lost", unanswerable, "queries without a right place", 2, higher_is_better=False)
+
+
 @pytest.fixture
-def lost():
+def lost(monkeypatch):
     """A metric that this project does not have."""
-    made = Metric("lost", "Lost", unanswerable, "queries without a right place", 2, higher_is_better=False)
-    METRICS[made.name] = made
-    with quiet_surroundings():
-        yield made
-    del METRICS[made.name]
+    monkeypatch.setitem(METRICS, "lost", LOST)
+    return LOST
+
+
+@pytest.fixture
+def package(monkeypatch):
+    """A function that lets a package name a metric at this entry point."""
+
+    def name_metric(value):
+        monkeypatch.setattr(catalogue, "entry_points", lambda group: [EntryPoint("mine", value, group)])
+
+    monkeypatch.syspath_prepend(ROOT / "tests" / "example_plugin")
+    catalogue._find_plug_in_metrics.cache_clear()
+    yield name_metric
+    catalogue._find_plug_in_metrics.cache_clear()
+    METRICS.pop("mrr", None)
 
 
 def test_each_metric_of_four_queries_is_the_one_worked_by_hand_and_undefined_without_a_right_place():
@@ -65,20 +83,42 @@ def test_all_pairs_are_judged_where_a_run_keeps_the_whole_map():
 ONE = ["method=sad", "dataset=synthetic", "dataset.places=20", "dataset.first_query_place=4", *RUN]
 
 
-def test_an_added_metric_is_in_row_json_csv_and_table(lost, tmp_path, monkeypatch, capfd):
-    install(monkeypatch, tmp_path)
-    row = run_apart([*ONE, "metrics=[lost,r100p]"]).printed
-    assert {"Lost %", "R@100P %"} <= {*row.replace("  ", "\n").split("\n")}
-    said = json.loads(run_apart([*ONE, "metrics=lost", "output=json"]).printed)
-    assert (said["from_store"], said["lost"]) == (True, 0)
-    assert main(["table", "rows=[SAD]", "metrics=[lost]", "stored=true"]) == 0
-    assert "| Lost % " in capfd.readouterr().out
-    cells = list(csv.DictReader(Path("results/table.csv").read_text().splitlines()))
-    assert ("0.0", "%") in [(line["value"], line["unit"]) for line in cells if line["quantity"] == "lost"]
-    assert next(csv.DictReader(Path("results/table-runs.csv").read_text().splitlines()))["lost"] == "0.0"
+def test_a_metric_of_a_package_is_in_row_json_csv_and_table_with_its_interval(package, tmp_path, monkeypatch, capfd):
+    package("vprbench_example.metrics:MRR")
+    with quiet_surroundings():
+        install(monkeypatch, tmp_path)
+        row = run_apart([*ONE, "metrics=[mrr,r100p]"]).printed
+        assert {"MRR", "R@100P %"} <= {*row.replace("  ", "\n").split("\n")}
+        said = json.loads(run_apart([*ONE, "metrics=mrr", "output=json"]).printed)
+    assert main(["table", "rows=[SAD]", "metrics=[mrr]", "stored=true"]) == 0
+    assert "| MRR " in capfd.readouterr().out
+    cells = csv.DictReader(Path("results/table.csv").read_text().splitlines())
+    (cell,) = [cell for cell in cells if cell["quantity"] == "mrr" and cell["value"]]
+    assert (said["from_store"], float(cell["value"])) == (True, pytest.approx(said["mrr"]))
+    assert 0 < float(cell["low"]) < float(cell["value"]) <= float(cell["high"]) <= 1
+    assert next(csv.DictReader(Path("results/table-runs.csv").read_text().splitlines()))["mrr"] == cell["value"]
 
 
-def test_a_metric_of_the_table_is_the_mean_of_its_seeds_in_its_unit_and_never_bold(lost):
+@pytest.mark.parametrize("value", ["vprbench_example.metrics:invert_ranks", "vprbench.metrics.catalogue:RECALLS"])
+def test_an_entry_point_that_is_no_metric_is_one_line(package, capfd, value):
+    package(value)
+    assert main(["method=sad", "metrics=mine"]) == 2
+    assert f"{value} of vprbench.metrics is" in capfd.readouterr().err
+
+
+def test_every_accuracy_per_query_is_bold_where_a_test_separates_it_and_lower_may_be_better():
+    hits = {"vprsnn": [1] * 40, "sad": [0] * 40}
+    made = table([run(name, hits=each) for name, each in hits.items()], rows=[VPRSNN, SAD])
+    assert measured(made, "VPRSNN", "recall_at_1").best
+    misses = average_metric(
+        "miss", "Miss", lambda one, ties: 1 - hits_at(one.outcome, 1, ties), "", higher_is_better=False
+    )
+    contest = [Contestant(name, (run(name, hits=each),), True) for name, each in hits.items()]
+    assert find_most_accurate(contest, misses) == find_most_accurate(contest, METRICS["recall_at_1"]) == "vprsnn"
+    assert find_most_accurate(contest, METRICS["recall_at_5"]) is None  # both find all
+
+
+def test_a_metric_without_values_per_query_is_in_the_table_in_its_unit_and_never_bold(lost):
     made = table([run(hits=[1] * 40), run("vprsnn", hits=[0] * 40)], quantities=quantities(["r100p", "ep", "lost"]))
     assert [measured(made, "SAD", name).value for name in ("r100p", "ep", "lost")] == [100, 1, 0]
     assert not any(measured(made, "SAD", name).best for name in ("r100p", "ep", "lost"))

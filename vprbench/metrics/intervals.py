@@ -28,11 +28,11 @@ def block_length(values: npt.ArrayLike) -> int:
     n = len(row)
     if n < FEWEST or np.ptp(row) == 0:
         return 1
-    covariances = _autocovariances(row)
+    covariances = _compute_autocovariances(row)
     within = max(5, math.ceil(math.sqrt(math.log10(n))))
     furthest = math.ceil(math.sqrt(n)) + within
     significant = np.abs(covariances / covariances[0]) >= _SIGNIFICANT * math.sqrt(math.log10(n) / n)
-    width = min(2 * max(1, _last_lag(significant[: furthest + 1], within)), furthest)
+    width = min(2 * max(1, _find_last_lag(significant[: furthest + 1], within)), furthest)
     lags = np.arange(1, width + 1)
     weighted = np.clip(2 * (1 - lags / width), 0, 1) * covariances[1 : width + 1]
     at_zero = float(covariances[0] + 2 * weighted.sum())
@@ -51,14 +51,13 @@ def finite_row(values: npt.ArrayLike) -> npt.NDArray[np.float64]:
     return row
 
 
-def _autocovariances(row: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def _compute_autocovariances(row: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     """Return the autocovariances at all lags from 0, (n,), each a sum of products over n."""
     spectrum = np.fft.rfft(row - row.mean(), 2 * len(row))
-    products: npt.NDArray[np.float64] = np.fft.irfft(np.abs(spectrum) ** 2, 2 * len(row))
-    return products[: len(row)] / len(row)
+    return np.asarray(np.fft.irfft(np.abs(spectrum) ** 2, 2 * len(row))[: len(row)] / len(row))
 
 
-def _last_lag(significant: npt.NDArray[np.bool_], within: int) -> int:
+def _find_last_lag(significant: npt.NDArray[np.bool_], within: int) -> int:
     """Return the smallest lag after which `within` lags are insignificant, without such lags the last significant."""
     for lag in range(len(significant) - within):
         if not significant[lag + 1 : lag + 1 + within].any():
@@ -101,7 +100,7 @@ def share_interval(hits: npt.ArrayLike, confidence: float = 0.95, window: int = 
     independent = wilson(float(row.sum()), len(row), confidence)
     if independent is None or (window > 1 and len(row) <= window):
         return None
-    return _wider(row, independent, max(block_length(row), window), confidence)
+    return _choose_wider(row, independent, max(block_length(row), window), confidence)
 
 
 def difference_interval(
@@ -123,19 +122,15 @@ def difference_interval(
     if len(row) < FEWEST or (window > 1 and len(row) <= window):
         return None
     block = max(window, *map(block_length, (first, second, row)))
-    return _wider(row, _agresti_min(row, confidence), block, confidence)
+    return _choose_wider(row, _estimate_agresti_min(row, confidence), block, confidence)
 
 
 def wilson(successes: float, n: int, confidence: float = 0.95) -> Interval | None:
     """Return the Wilson score interval of a share, 0 to 1 (Wilson 1927); None without trials.
 
     Expected hits are not whole where scores tie, so `successes` may be any number from 0 to `n`. Takes the
-    trials as independent: of consecutive frames it is too narrow, see `block_bootstrap`. Raises ValueError
-    outside the ranges.
+    trials as independent: of consecutive frames it is too narrow, see `block_bootstrap`.
     """
-    _check_confidence(confidence)
-    if n < 0 or not 0 <= successes <= n:
-        raise ValueError(f"{successes} successes of {n} trials are impossible: give 0 to n of n >= 0")
     if n == 0:
         return None
     z = NormalDist().inv_cdf((1 + confidence) / 2)
@@ -153,21 +148,18 @@ def block_bootstrap(values: npt.ArrayLike, block: int, confidence: float = 0.95)
     there are as many values again; the last block is cut to fit. Blocks run on from the last value to the
     first, so that each value is drawn as often as any other (circular block bootstrap, Politis and Romano
     1992). The interval lies between the percentiles of the resampled means, whose distribution is computed and not
-    drawn. None for fewer than two blocks. Raises ValueError for a length below 1 and for other values.
+    drawn. None for fewer than two blocks. Raises ValueError for values that are not finite or not (n,).
     """
-    _check_confidence(confidence)
-    if block < 1:
-        raise ValueError(f"block={block} must be at least 1")
     row = finite_row(values)
     if len(row) < 2 * block:
         return None
     tail = (1 - confidence) / 2
-    means, reached = _resampled_means(row, block)
+    means, reached = _resample_means(row, block)
     low, high = means[np.searchsorted(reached, [tail, 1 - tail])]
     return Interval(float(low), float(high))
 
 
-def _resampled_means(row: Values, block: int) -> tuple[Values, Values]:
+def _resample_means(row: Values, block: int) -> tuple[Values, Values]:
     """Return the means that the bootstrap may give, ascending, and the chance of no more than each.
 
     A sum of independent blocks is distributed as the convolution of their sums, a product of Fourier transforms. Sums
@@ -178,36 +170,35 @@ def _resampled_means(row: Values, block: int) -> tuple[Values, Values]:
     per_unit = _PARTS * max(1, int(_GRID_POINTS / (_PARTS * max(largest, 1))))
     n_points = 1 << math.ceil(largest * per_unit + 2).bit_length()
     above = (row - row.min()) * per_unit
-    transform = np.fft.rfft(_chances(_circular_sums(above, block), n_points)) ** n_blocks
-    transform *= np.fft.rfft(_chances(_circular_sums(above, rest), n_points))
+    transform = np.fft.rfft(_share_chances(_sum_circularly(above, block), n_points)) ** n_blocks
+    transform *= np.fft.rfft(_share_chances(_sum_circularly(above, rest), n_points))
     reached = np.cumsum(np.fft.irfft(transform, n_points))
     return row.min() + np.arange(n_points) / per_unit / len(row), np.maximum.accumulate(reached)
 
 
-def _chances(sums: Values, n_points: int) -> Values:
+def _share_chances(sums: Values, n_points: int) -> Values:
     """Return how likely each of the points 0, 1, 2 ... is, (n_points,), if one of `sums` is drawn."""
     below = np.floor(sums + 1e-9)
     share = np.clip(sums - below, 0, 1)
     point = below.astype(np.int64)
     counts = np.bincount(point, 1 - share, n_points) + np.bincount(point + 1, share, n_points)
-    chances: Values = counts / len(sums)
-    return chances
+    return np.asarray(counts / len(sums))
 
 
-def _circular_sums(row: Values, length: int) -> Values:
+def _sum_circularly(row: Values, length: int) -> Values:
     """Return for each start the sum of `length` values from there, (n,)."""
     running: Values = np.cumsum(np.concatenate([[0.0], row, row[:length]]))
     return running[length : length + len(row)] - running[: len(row)]
 
 
-def _wider(row: Values, independent: Interval, block: int, confidence: float) -> WiderInterval:
-    blocks = block_bootstrap(row, block, _expanded(confidence, len(row) / block)) if block > 1 else None
+def _choose_wider(row: Values, independent: Interval, block: int, confidence: float) -> WiderInterval:
+    blocks = block_bootstrap(row, block, _expand_confidence(confidence, len(row) / block)) if block > 1 else None
     if blocks is None or blocks.high - blocks.low <= independent.high - independent.low:
         return WiderInterval(independent.low, independent.high, "independent", block)
     return WiderInterval(blocks.low, blocks.high, "blocks", block)
 
 
-def _expanded(confidence: float, n_blocks: float) -> float:
+def _expand_confidence(confidence: float, n_blocks: float) -> float:
     """Return the confidence at which the percentiles of few blocks are as wide as Student's t would make them.
 
     A bootstrap of n values takes their spread as known and (n - 1) / n too small (Hesterberg 2015, expanded percentile
@@ -219,12 +210,11 @@ def _expanded(confidence: float, n_blocks: float) -> float:
     return min(2 * NormalDist().cdf(score) - 1, 1 - 1e-9)
 
 
-def _agresti_min(differences: Values, confidence: float) -> Interval:
+def _estimate_agresti_min(differences: Values, confidence: float) -> Interval:
     """Return Wald's interval of the mean paired difference (n,) after half a query was added to each of four outcomes.
 
     As it needs the sums alone, it takes differences that are not whole as well.
     """
-    _check_confidence(confidence)
     n = len(differences) + 2
     mean = float(differences.sum()) / n
     variance = (float((differences**2).sum()) + 1) / n - mean**2
@@ -246,29 +236,16 @@ def mcnemar_exact(hits_a: npt.ArrayLike, hits_b: npt.ArrayLike, window: int = 1)
 
     p = min(1, 2 sum_{i <= min(b, c)} C(b + c, i) / 2^(b + c)); 1 if they never disagree. A chance to be
     right is no trial: where scores tie, give the pessimistic hits. Where a hit rests on a `window` of so many
-    neighbours, in the order of the journey, only every so manieth query is a trial: p is twice the mean over the
-    ways to begin, which holds whatever these share (Vovk and Wang 2020), and b and c are of all queries. Raises
-    ValueError for other values or different lengths.
+    neighbours, in the order of the journey, only every `window`-th query is a trial: p is twice the mean over the
+    ways to begin, which holds whatever these share (Vovk and Wang 2020), and b and c are of all queries.
     """
     from scipy.special import bdtr  # takes long to import
 
     first, second = np.asarray(hits_a, dtype=np.float64), np.asarray(hits_b, dtype=np.float64)
-    if first.ndim != 1 or first.shape != second.shape:
-        raise ValueError(f"a paired test needs hits on the same queries, not {first.shape} and {second.shape}")
-    if not np.isin([first, second], (0, 1)).all():
-        raise ValueError("a paired test needs hits of 0 or 1: where scores tie, give the pessimistic hits")
 
     def p_value(b: int, c: int) -> float:
         return min(1.0, 2 * float(bdtr(min(b, c), b + c, 0.5)))
 
     ours, theirs = first > second, second > first
-    b, c = int(np.count_nonzero(ours)), int(np.count_nonzero(theirs))
-    if window == 1:
-        return McNemar(b, c, p_value(b, c))
     ways = [p_value(int(ours[way::window].sum()), int(theirs[way::window].sum())) for way in range(window)]
-    return McNemar(b, c, min(1.0, 2 * sum(ways) / window))
-
-
-def _check_confidence(confidence: float) -> None:
-    if not 0 < confidence < 1:
-        raise ValueError(f"confidence={confidence} must lie between 0 and 1, for example 0.95")
+    return McNemar(int(ours.sum()), int(theirs.sum()), ways[0] if window == 1 else min(1.0, 2 * sum(ways) / window))

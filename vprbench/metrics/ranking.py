@@ -1,4 +1,4 @@
-"""What a score matrix says about each query, small enough to keep: all that single-match metrics need."""
+"""Outcomes: where the right places of each query rank, small enough to keep; single-match metrics need no more."""
 
 from __future__ import annotations
 
@@ -69,22 +69,19 @@ def outcome(scores: Scores, positives: PlacesPerQuery, ignored: PlacesPerQuery |
     for first in range(0, max(n_queries, 1), n_rows):  # no query at all is one empty block
         block = scores[first : first + n_rows]
         start = first * n_places
-        blocks.append(_block_outcome(block, _part(right, start, block.size), _part(soft, start, block.size)))
+        blocks.append(
+            _judge_block(block, _select_part(right, start, block.size), _select_part(soft, start, block.size))
+        )
     return concatenate(blocks)
 
 
 def outcome_of_best(scores: Scores, places: npt.NDArray[np.int64], positives: PlacesPerQuery, n_places: int) -> Outcome:
     """Rank the right places of each query among its best places alone: all others count as no candidates.
 
-    `places` (n_queries, n) holds each place once for a query, `scores` (n_queries, n) what it scores; -inf: no
-    candidate. Raises ValueError for shapes that do not fit.
+    `places` (n_queries, n) holds each place once for a query, `scores` (n_queries, n) its scores; -inf: no candidate.
     """
-    if scores.shape != places.shape or len(positives) != len(scores):
-        raise ValueError(
-            f"scores {scores.shape} came with places {places.shape} and positives of {len(positives)} queries"
-        )
     right = np.array([np.isin(*row) for row in zip(places, positives, strict=True)], bool).reshape(scores.shape)
-    among = _block_outcome(scores, np.flatnonzero(right), np.empty(0, np.int64))
+    among = _judge_block(scores, np.flatnonzero(right), np.empty(0, np.int64))
     return replace(
         among,
         above=np.where(among.tied > 0, among.above, n_places),
@@ -94,13 +91,10 @@ def outcome_of_best(scores: Scores, places: npt.NDArray[np.int64], positives: Pl
 
 
 def concatenate(outcomes: Sequence[Outcome]) -> Outcome:
-    """Join the outcomes of consecutive blocks of queries; raises ValueError for maps of different sizes."""
-    sizes = sorted({part.n_places for part in outcomes})
-    if len(sizes) != 1:
-        raise ValueError(f"outcomes to join must be over one map, but maps of {sizes} places came")
+    """Join the outcomes of consecutive blocks of queries over one map; at least one."""
     columns = [field.name for field in fields(Outcome) if field.name != "n_places"]
     joined = {name: np.concatenate([getattr(part, name) for part in outcomes]) for name in columns}
-    return Outcome(**joined, n_places=sizes[0])
+    return Outcome(**joined, n_places=outcomes[0].n_places)
 
 
 def best_places(scores: Scores, depth: int) -> npt.NDArray[np.int64]:
@@ -164,13 +158,13 @@ def right_and_soft_cells(
     Cells are positions in the flattened matrix, ascending, each once. Raises ValueError if the number of
     queries differs and BadInput if a place does not exist.
     """
-    right = _cells(shape, positives, "positives")
+    right = _find_cells(shape, positives, "positives")
     if ignored is None:
         return right, np.empty(0, np.int64)
-    return right, np.setdiff1d(_cells(shape, ignored, "ignored places"), right, assume_unique=True)
+    return right, np.setdiff1d(_find_cells(shape, ignored, "ignored places"), right, assume_unique=True)
 
 
-def _cells(shape: tuple[int, ...], places: PlacesPerQuery, role: str) -> npt.NDArray[np.int64]:
+def _find_cells(shape: tuple[int, ...], places: PlacesPerQuery, role: str) -> npt.NDArray[np.int64]:
     n_queries, n_places = shape
     if len(places) != n_queries:
         raise ValueError(f"scores of {n_queries} queries came with {role} of {len(places)}: the numbers must agree")
@@ -186,12 +180,12 @@ def _cells(shape: tuple[int, ...], places: PlacesPerQuery, role: str) -> npt.NDA
     return np.unique(queries * n_places + flat)
 
 
-def _part(cells: npt.NDArray[np.int64], start: int, size: int) -> npt.NDArray[np.int64]:
+def _select_part(cells: npt.NDArray[np.int64], start: int, size: int) -> npt.NDArray[np.int64]:
     low, high = np.searchsorted(cells, (start, start + size))
     return cells[low:high] - start
 
 
-def _block_outcome(scores: Scores, right: npt.NDArray[np.int64], soft: npt.NDArray[np.int64]) -> Outcome:
+def _judge_block(scores: Scores, right: npt.NDArray[np.int64], soft: npt.NDArray[np.int64]) -> Outcome:
     n_queries, n_places = scores.shape
     if len(soft):
         scores = scores.copy()

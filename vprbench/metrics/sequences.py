@@ -100,26 +100,27 @@ def sequence_scores(
     found = np.empty((n_queries, n_places), np.float32)
     counts = np.zeros(n_queries, np.int64)
     for k in options.steps:
-        counts += _reached(queries, np.arange(n_queries), k)
+        counts += _find_reached(queries, np.arange(n_queries), k)
     moves = {tuple(math.floor(k * velocity * step + 0.5) for k in options.steps) for velocity in options.velocities}
     rows = max(1, _BLOCK_CELLS // n_places)
     for first in range(0, n_queries, rows):
         block = np.arange(first, min(first + rows, n_queries))
         sums = [
-            _sums(scores, dict(zip(options.steps, of_one, strict=True)), queries, places, block) for of_one in moves
+            _sum_windows(scores, dict(zip(options.steps, of_one, strict=True)), queries, places, block)
+            for of_one in moves
         ]
         found[block] = np.maximum.reduce(sums) / counts[block, None]
     return found, counts
 
 
-def _reached(stretch: Stretches, frames: npt.NDArray[np.int64], shift: int) -> npt.NDArray[np.bool_]:
+def _find_reached(stretch: Stretches, frames: npt.NDArray[np.int64], shift: int) -> npt.NDArray[np.bool_]:
     """Tell of which frames the one `shift` further on is there and in the same part of the journey."""
     there = frames + shift
     inside = (there >= 0) & (there < len(stretch))
     return np.asarray(inside & (stretch[np.where(inside, there, 0)] == stretch[frames]))
 
 
-def _sums(
+def _sum_windows(
     scores: Scores,
     moves: Mapping[int, int],
     queries: Stretches,
@@ -134,7 +135,7 @@ def _sums(
     around = scores[start : int(block[-1]) + max(moves) + 1].astype(np.float64)
     sums = np.zeros((len(block), n_places))
     for step, move in moves.items():
-        reached = _reached(queries, block, step)
+        reached = _find_reached(queries, block, step)
         rows = np.flatnonzero(reached)
         left, right = max(0, -move), min(n_places, n_places - move)
         if len(rows) and left < right:
@@ -142,7 +143,7 @@ def _sums(
             theirs = slice(block[0] + rows[0] + step - start, block[0] + rows[-1] + 1 + step - start)
             part, more = sums[within, left:right], around[theirs, left + move : right + move]
             np.add(part, more, out=part, where=True if len(rows) == len(part) else reached[within, None])
-        lacking = np.flatnonzero(~_reached(places, np.arange(n_places), move))
+        lacking = np.flatnonzero(~_find_reached(places, np.arange(n_places), move))
         sums[np.ix_(rows, lacking)] = -np.inf
     return sums
 
@@ -166,7 +167,7 @@ def local_contrast(scores: Scores, width: int, places: Stretches) -> Scores:
         n_known = np.maximum(known.sum(axis=1, keepdims=True), 1)
         block -= np.where(known, block, 0).sum(axis=1, keepdims=True) / n_known
         values = np.where(known, block, 0)
-        count, total, squares = (_running(each, low, high) for each in (known.astype(np.float64), values, values**2))
+        count, total, squares = (_sum_ranges(each, low, high) for each in (known.astype(np.float64), values, values**2))
         count = np.maximum(count, 1)
         variance = (squares - total**2 / count) / np.maximum(count - 1, 1)
         flat = variance <= _FLAT * (values**2).sum(axis=1, keepdims=True) / n_known
@@ -175,7 +176,7 @@ def local_contrast(scores: Scores, width: int, places: Stretches) -> Scores:
     return found
 
 
-def _running(values: Doubles, low: npt.NDArray[np.int64], high: npt.NDArray[np.int64]) -> Doubles:
+def _sum_ranges(values: Doubles, low: npt.NDArray[np.int64], high: npt.NDArray[np.int64]) -> Doubles:
     """Return the sums of each row from place `low` to the place before `high`, (n_rows, n_places)."""
     sums = np.zeros((values.shape[0], values.shape[1] + 1))
     np.cumsum(values, axis=1, out=sums[:, 1:])
@@ -190,13 +191,13 @@ def filtered_scores(scores: Scores, options: Filter, queries: Stretches) -> Scor
     -inf, or that cannot be reached, is no candidate (-inf).
     """
     found = np.empty(scores.shape, np.float32)
-    for query, belief in enumerate(_beliefs(scores, options, queries)):
+    for query, belief in enumerate(_iterate_beliefs(scores, options, queries)):
         with np.errstate(divide="ignore"):
             found[query] = np.log(belief)
     return found
 
 
-def _beliefs(scores: Scores, options: Filter, queries: Stretches) -> Iterator[Doubles]:
+def _iterate_beliefs(scores: Scores, options: Filter, queries: Stretches) -> Iterator[Doubles]:
     scale, belief = 0.0, np.empty(0)
     for query, row in enumerate(scores):
         known = row > -np.inf
@@ -207,13 +208,13 @@ def _beliefs(scores: Scores, options: Filter, queries: Stretches) -> Iterator[Do
         likelihood = np.zeros(len(row))
         likelihood[known] = np.exp(scale * (values - values.max(initial=-np.inf)))
         joined = query > 0 and queries[query] == queries[query - 1]
-        moved = _moved(belief, options.back, options.ahead) * likelihood if joined else likelihood
+        moved = _move_belief(belief, options.back, options.ahead) * likelihood if joined else likelihood
         belief = moved if moved.any() else likelihood
         belief = belief / max(float(belief.sum()), np.finfo(np.float64).tiny)
         yield belief
 
 
-def _moved(belief: Doubles, back: int, ahead: int) -> Doubles:
+def _move_belief(belief: Doubles, back: int, ahead: int) -> Doubles:
     """Return the belief after a move of `back` to `ahead` places, all equally likely; what leaves the map is lost."""
     n = len(belief)
     found = np.zeros(n)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -13,14 +12,11 @@ import pandas as pd
 from vprbench.errors import BadInput
 from vprbench.report.plan import Row
 from vprbench.report.selection import age, as_text, conditions
-from vprbench.report.table import best
+from vprbench.report.table.best import list_laps
 from vprbench.runs.frame import tabulate_with_records
 from vprbench.runs.record import Run
 
-_PER_SIZE = frozenset(  # parts of the protocol in which runs of one growth differ
-    {"places", "query_places", "first_query_place", "reference_places", "held_out_places"}
-)
-_TIMES = ("query_seconds", "query_low", "query_high")
+_PER_SIZE = {"places", "query_places", "first_query_place", "reference_places", "held_out_places"}  # of a protocol
 
 
 @dataclass(frozen=True)
@@ -29,7 +25,7 @@ class GrowthSamples:
 
     name: str  # the row's
     table: pd.DataFrame  # the frame of its runs, ascending by places and seed, with `record` and the times of a query:
-    # seconds of encode and match together, their median and its 95 % interval; None: not timed, under six laps
+    # `query_seconds`, `query_low`, `query_high`, encode and match together, their median and its 95 % interval
     n_aside: int  # stored runs that are not among them, of other code or conditions
 
     @property
@@ -41,24 +37,17 @@ class GrowthSamples:
 def samples(row: Row, runs: Sequence[Run]) -> GrowthSamples:
     """Collect the times of one row on one dataset, whose runs differ in their places and seeds.
 
-    Times compare by one code under the same arguments, on one machine and under one protocol alone: the set of runs
-    with the newest one is taken, of each size and seed its newest run, and the others are counted.
-
-    Raises:
-        BadInput: There are no runs.
+    The newest run decides code, arguments, machine and protocol: of each size and seed the newest run that has these is
+    taken. All others of these conditions are left out, those of other conditions counted. Raises BadInput for no runs.
     """
     if not runs:
         raise BadInput(f"no run of {row.name} is stored at different numbers of places: nothing shows its growth")
-    sets: dict[str, list[Run]] = {}
-    for run in sorted(runs, key=age, reverse=True):
-        sets.setdefault(as_text(_conditions(run)), []).append(run)
-    newest, *others = sets.values()
-    chosen: dict[tuple[int, int], Run] = {}
-    for run in newest:
-        chosen.setdefault((run.outcome.n_places, run.config["seed"]), run)
+    ordered = sorted(runs, key=age)
+    alike = [run for run in ordered if _format_conditions(run) == _format_conditions(ordered[-1])]
+    chosen = {(run.outcome.n_places, run.config["seed"]): run for run in alike}
     kept = [run for _, run in sorted(chosen.items(), key=lambda item: item[0])]
-    times = pd.DataFrame(list(map(_query_times, kept)), columns=[*_TIMES], dtype=object)
-    return GrowthSamples(row.name, tabulate_with_records(kept).join(times), sum(map(len, others)))
+    times = pd.DataFrame(map(_list_times, kept), columns=["query_seconds", "query_low", "query_high"], dtype=object)
+    return GrowthSamples(row.name, tabulate_with_records(kept).join(times), len(runs) - len(alike))
 
 
 def interval_of_median(values: npt.NDArray[np.float64]) -> tuple[float, float] | None:
@@ -74,19 +63,13 @@ def interval_of_median(values: npt.NDArray[np.float64]) -> tuple[float, float] |
     return (float(ordered[k - 1]), float(ordered[-k])) if k else None
 
 
-def _query_times(run: Run) -> tuple[float | None, ...]:
+def _list_times(run: Run) -> tuple[float | None, ...]:
     if run.timing is None:
         return (None, None, None)
-    seconds = best.list_laps(run)
-    return (float(np.median(seconds)), *(interval_of_median(seconds) or (None, None)))
+    return (float(np.median(list_laps(run))), *(interval_of_median(list_laps(run)) or (None, None)))
 
 
-def _conditions(run: Run) -> dict[str, Any]:
-    """Return the conditions that must be equal for times to compare."""
+def _format_conditions(run: Run) -> str:
+    """Return the conditions that must be equal for times to compare, as text."""
     protocol = {name: value for name, value in run.protocol.items() if name not in _PER_SIZE}
-    return {
-        **conditions(run),
-        "timing": run.config.get("timing"),
-        "dataset": [run.dataset, protocol],
-        "device": run.config["device"],
-    }
+    return as_text([conditions(run), run.config.get("timing"), run.config["device"], run.dataset, protocol])

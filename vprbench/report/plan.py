@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Annotated, Any, ClassVar, Literal
 
 import yaml
+from pydantic import Field
 
 from vprbench.errors import BadInput
+from vprbench.plugins.values import check_value
 
 Boundary = Literal["encode", "match"]  # the step that the paper's query rate of a row covers
 Training = Literal["own", "none", "pretrained", "map"]  # map: it builds the map and trains nothing
+Seeds = Annotated[tuple[int, ...], Field(min_length=1)]
+_FORBID = {"extra": "forbid"}
 
 
 @dataclass(frozen=True)
 class Row:
     """A row of the table: a method with the arguments that set it apart, and the step that the paper timed."""
+
+    __pydantic_config__: ClassVar[Any] = _FORBID
 
     name: str
     method: str
@@ -26,7 +31,7 @@ class Row:
     training: Training = "own"
     spiking: bool = False  # stands below the rule that ends the conventional methods
     arguments: Mapping[str, Any] = field(default_factory=dict)
-    seeds: tuple[int, ...] = (0,)
+    seeds: Seeds = (0,)
     rate_remark: str | None = None  # fixed words on how the paper timed its queries
     most_places: int | None = None  # with more it takes too long for a table; None: any number
     seeds_unless_full: int | None = None  # the first so many of `seeds` unless slow rows are to run in full; None: all
@@ -40,6 +45,8 @@ class Row:
 @dataclass(frozen=True)
 class PlannedColumn:
     """A group of columns: a dataset with its options, and the published dataset that it stands beside."""
+
+    __pydantic_config__: ClassVar[Any] = _FORBID
 
     name: str
     title: str
@@ -55,6 +62,8 @@ class PlannedColumn:
 class Growth:
     """The runs behind time against the number of places."""
 
+    __pydantic_config__: ClassVar[Any] = _FORBID
+
     rows: tuple[str, ...]
     options: tuple[str, ...]  # of the dataset
     sizes: tuple[int, ...]  # places
@@ -65,6 +74,9 @@ class Growth:
         queries = min(self.queries, places - round(places * 2 / 11))
         options = (*self.options, f"dataset.places={places}", f"dataset.query_places={queries}")
         return PlannedColumn(f"growth_{places}", f"{places:,} places", options)
+
+
+_KINDS: dict[str, Any] = {"rows": Row, "more_rows": Row, "columns": PlannedColumn, "growth": Growth, "seeds": Seeds}
 
 
 @dataclass(frozen=True)
@@ -84,64 +96,52 @@ NO_PLAN = Plan({}, {}, {}, Growth((), (), (), 0))
 
 def read_plan(path: Path) -> Plan:
     """Read the plan; raises BadInput, naming the file, where a part is missing or unknown."""
-    with _explaining_plan_errors(path):
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-        rows, more = (
-            {name: _row(name, given) for name, given in content[group].items()} for group in ("rows", "more_rows")
-        )
-        columns = {name: _column(name, given) for name, given in content["columns"].items()}
-        growth = _growth(**content["growth"])
-        first, *more_seeds = content["seeds"]
-    _require_columns(columns, path)
-    return Plan(rows, more, columns, growth, (first, *more_seeds))
+    plan = Plan(**_read_parts(path, _KINDS))
+    _require_columns(plan.columns, path)
+    return plan
 
 
 def add_plug_ins(plan: Plan, folders: Mapping[str, Path]) -> Plan:
     """Return our plan with the rows and columns that plug-ins bring; `folders` are those of yaml files, by provider.
 
-    A plug-in's `table/*.yaml` may hold `rows` and `columns` as ours does; both are shown where they are asked for by
-    name. Raises BadInput that names both owners if a name is taken.
+    A plug-in's `table/*.yaml` may hold `rows` and `columns` as ours does; a request names what it shows of them. Raises
+    BadInput that names both owners if a name is taken.
     """
     rows, columns = dict(plan.more_rows), dict(plan.columns)
     ours = [*plan.rows, *rows, *columns, *(row.name for row in rows.values())]
     owners = dict.fromkeys(ours, "vprbench")
-    for provider, path in _list_plug_in_files(folders):
-        more_rows, more_columns = _read_plug_in(path)
-        for name in dict.fromkeys([*more_rows, *more_columns, *(row.name for row in more_rows.values())]):
-            if name in owners:
-                raise BadInput(f"{path}: {name} of {provider} has the name of one of {owners[name]}: rename it")
-            owners[name] = provider
-        rows |= more_rows
-        columns |= {name: replace(column, on_request=True) for name, column in more_columns.items()}
-        _require_columns(columns, path)
+    for provider, folder in folders.items():
+        for path in sorted((folder / "table").glob("*.yaml")) if provider != "vprbench" else ():
+            more = _read_parts(path, ("rows", "columns"))
+            for name in dict.fromkeys([*more["rows"], *more["columns"], *(row.name for row in more["rows"].values())]):
+                if name in owners:
+                    raise BadInput(f"{path}: {name} of {provider} has the name of one of {owners[name]}: rename it")
+                owners[name] = provider
+            rows |= more["rows"]
+            columns |= {name: replace(column, on_request=True) for name, column in more["columns"].items()}
+            _require_columns(columns, path)
     return replace(plan, more_rows=rows, columns=columns)
 
 
-def _list_plug_in_files(folders: Mapping[str, Path]) -> list[tuple[str, Path]]:
-    return [
-        (provider, path)
-        for provider, folder in folders.items()
-        if provider != "vprbench"
-        for path in sorted((folder / "table").glob("*.yaml"))
-    ]
-
-
-def _read_plug_in(path: Path) -> tuple[dict[str, Row], dict[str, PlannedColumn]]:
-    """Read the rows and columns of a plug-in's file."""
-    with _explaining_plan_errors(path):
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-        if unknown := content.keys() - {"rows", "columns"}:
-            raise KeyError(*unknown)
-        rows = {name: _row(name, given) for name, given in content.get("rows", {}).items()}
-        return rows, {name: _column(name, given) for name, given in content.get("columns", {}).items()}
-
-
-@contextmanager
-def _explaining_plan_errors(path: Path) -> Iterator[None]:
+def _read_parts(path: Path, names: Collection[str]) -> dict[str, Any]:
+    """Return the parts of a yaml; of rows and columns there may be none."""
     try:
-        yield
-    except (OSError, yaml.YAMLError, KeyError, TypeError, ValueError, AttributeError) as error:
+        content: dict[str, Any] = {"rows": {}, "columns": {}, **yaml.safe_load(path.read_text(encoding="utf-8"))}
+        if wrong := content.keys() ^ names:
+            raise ValueError(f"{', '.join(wrong)} is missing or unknown")
+        for group in content.keys() - {"growth", "seeds"}:
+            content[group] = {name: {"name": name, **given} for name, given in content[group].items()}
+    except (OSError, yaml.YAMLError, TypeError, ValueError, AttributeError) as error:
         raise BadInput(f"{path} is no plan of a table ({error}): compare it with the one of this project") from error
+    for group, parts in content.items():
+        if group in ("growth", "seeds"):
+            content[group] = check_value(f"{path}: {group}", parts, _KINDS[group])
+        else:
+            checks = {
+                name: check_value(f"{path}: {group}.{name}", given, _KINDS[group]) for name, given in parts.items()
+            }
+            content[group] = checks
+    return content
 
 
 def _require_columns(columns: Mapping[str, PlannedColumn], origin: object) -> None:
@@ -149,18 +149,3 @@ def _require_columns(columns: Mapping[str, PlannedColumn], origin: object) -> No
         if column.stand_in_for is not None and column.stand_in_for not in columns:
             named = column.stand_in_for
             raise BadInput(f"{origin}: column {column.name} names {named}, which is none: there are {[*columns]}")
-
-
-def _row(name: str, given: Mapping[str, Any]) -> Row:
-    row = Row(**{"name": name, **given, "seeds": tuple(given.get("seeds", (0,)))})
-    if row.boundary not in (None, *get_args(Boundary)) or row.training not in get_args(Training) or not row.seeds:
-        raise TypeError(f"row {name}: boundary {row.boundary}, training {row.training}, seeds {list(row.seeds)}")
-    return row
-
-
-def _growth(rows: list[str], options: list[str], sizes: list[int], **rest: Any) -> Growth:
-    return Growth(tuple(rows), tuple(options), tuple(sizes), **rest)
-
-
-def _column(name: str, given: Mapping[str, Any]) -> PlannedColumn:
-    return PlannedColumn(name, **{**given, "options": tuple(given["options"])})

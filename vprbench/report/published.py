@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import csv
+from functools import cache
 from pathlib import Path
 
 PAPER = "VPRTempo (ICRA 2024), Table II"
 PAPER_CPU, PAPER_GPU = "Intel i7-9700K", "Nvidia RTX 2080"
-
 
 #: The places and queries of each dataset of the paper, by its name.
 PROTOCOLS = {
@@ -16,6 +16,7 @@ PROTOCOLS = {
 }
 
 
+@cache
 def published() -> dict[tuple[str, str], dict[str, float | None]]:
     """Return the numbers of the paper's Table II, by row and dataset: R@1 in %, training in minutes, queries in Hz.
 

@@ -10,13 +10,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from vprbench.metrics.accuracy import hits_at
-from vprbench.metrics.intervals import WiderInterval, difference_interval
+from vprbench.metrics.intervals import difference_interval
 from vprbench.report.selection import Series
-from vprbench.report.table.best import Contestant, average_recall, compute_rate, find_best_rate, find_best_recall
-from vprbench.report.table.quantities import RATES
+from vprbench.report.table.best import Contestant, average_recall, compute_rate, find_best_rate
+from vprbench.report.table.quantities import RATES, RECALL
 from vprbench.runs.frame import iterate_rows
-from vprbench.runs.recall_intervals import order_along_journey, recall_interval
+from vprbench.runs.recall_intervals import list_hits, recall_interval
 from vprbench.runs.record import Run
 from vprbench.runs.tuned import all_without_tuning_places, draws_at_random, overlaps_tuning_places
 from vprbench.runs.views import window_of
@@ -25,11 +24,7 @@ from vprbench.text import format_interval, format_percent
 #: The columns of a ranking; numbers are of all seeds of a row, and None where there is none.
 NUMBERS = (
     *("recall_at_1", "low", "high"),  # mean, 0 to 1, and its 95 % interval; None: no query has a right place
-    *(
-        "elsewhere",
-        "elsewhere_low",
-        "elsewhere_high",
-    ),  # on the other queries, where some show places that it was tuned on
+    *("elsewhere", "elsewhere_low", "elsewhere_high"),  # the same on places that the row was not tuned on
     "hz",  # queries per second, encode and match together; None: not timed
     "fit_seconds",  # median, reading the images included; None: nothing was fitted
 )
@@ -48,32 +43,31 @@ def rank_rows(series: Sequence[Series]) -> Ranking:
 
     A row that was tuned on these places is ranked, and in no contest.
     """
-    lines = [{"method": one.name, **_numbers(one.runs), "seeds": len(one.runs), "runs": one.runs} for one in series]
+    lines = [
+        {"method": one.name, **_list_numbers(one.runs), "seeds": len(one.runs), "runs": one.runs} for one in series
+    ]
     lines.sort(key=lambda line: -1.0 if line["recall_at_1"] is None else line["recall_at_1"], reverse=True)
     table = pd.DataFrame(lines, columns=["method", *NUMBERS, "seeds", "runs"], dtype=object)
-    rows = [*iterate_rows(table)]
-    tuned = [row.method for row in rows if any(map(overlaps_tuning_places, row.runs))]
-    one_seed = [row.method for row in rows if len(row.runs) == 1 and draws_at_random(row.runs[0])]
-    sentences = (
-        *_describe_first([row for row in rows if row.method not in tuned]),
-        f"Tuned on these places, in no contest: {', '.join(tuned)}." if tuned else "",
-        f"Ran with one seed and draw at random: {', '.join(one_seed)}; seeds=3 measures how far seeds differ."
-        if one_seed
-        else "",
-    )
-    return Ranking(table, tuple(filter(None, sentences)))
+    tuned = [row.method for row in iterate_rows(table) if any(map(overlaps_tuning_places, row.runs))]
+    one_seed = [row.method for row in iterate_rows(table) if len(row.runs) == 1 and draws_at_random(row.runs[0])]
+    sentences = _describe_first([row for row in iterate_rows(table) if row.method not in tuned])
+    if tuned:
+        sentences.append(f"Tuned on these places, in no contest: {', '.join(tuned)}.")
+    if one_seed:
+        names = ", ".join(one_seed)
+        sentences.append(f"Ran with one seed and draw at random: {names}; seeds=3 measures how far seeds differ.")
+    return Ranking(table, tuple(sentences))
 
 
-def _numbers(runs: Sequence[Run]) -> dict[str, Any]:
+def _list_numbers(runs: Sequence[Run]) -> dict[str, Any]:
     others = all_without_tuning_places(runs)
-    elsewhere = _accuracy(others) if others else (None, None, None)
-    timed = all(run.timing is not None for run in runs)
+    elsewhere = _estimate_recall(others) if others else (None, None, None)
     fits = [run.fit_seconds for run in runs if run.fit_seconds is not None]
-    hz = mean(compute_rate(run) for run in runs) if timed else None
-    return dict(zip(NUMBERS, (*_accuracy(runs), *elsewhere, hz, median(fits) if fits else None), strict=True))
+    hz = mean(map(compute_rate, runs)) if all(run.timing is not None for run in runs) else None
+    return dict(zip(NUMBERS, (*_estimate_recall(runs), *elsewhere, hz, median(fits) if fits else None), strict=True))
 
 
-def _accuracy(runs: Sequence[Run]) -> tuple[float | None, float | None, float | None]:
+def _estimate_recall(runs: Sequence[Run]) -> tuple[float | None, float | None, float | None]:
     interval = recall_interval(runs)
     return (average_recall(runs), *((None, None) if interval is None else (interval.low, interval.high)))
 
@@ -83,37 +77,30 @@ def _describe_first(rows: Sequence[Any]) -> list[str]:
     if not rows:
         return []
     first = rows[0]
-    if not first.runs[0].is_judged:
-        return ["There is no ground truth: nothing is ranked by accuracy."]
     if first.recall_at_1 is None:
-        return ["No query has a right place: nothing is ranked."]
-    contest = [Contestant(row.method, row.runs, True) for row in rows]
+        judged = first.runs[0].is_judged
+        return [f"{'No query has a right place' if judged else 'There is no ground truth'}: nothing is ranked."]
     tuned_on = first.runs[0].tuned_on.get("dataset")  # of other places
     name = f"{first.method} (tuned on {tuned_on})" if tuned_on else first.method
+    percent = f"{format_percent(first.recall_at_1)} %"
     if len(rows) == 1:
-        return [f"{name} finds {format_percent(first.recall_at_1)} %."]
-    verdict = "is best:" if find_best_recall(contest) else "leads with"
-    doubt = "" if find_best_recall(contest) else "but no test separates it from all others: "
-    sentence = f"{name} {verdict} {format_percent(first.recall_at_1)} %, {doubt}{_describe_difference(rows)}."
+        return [f"{name} finds {percent}."]
+    contest = [Contestant(row.method, row.runs, True) for row in rows]
+    is_best = RECALL.best(contest) is not None
+    verdict = f"is best: {percent}," if is_best else f"leads with {percent}, but no test separates it from all others:"
+    sentences = [f"{name} {verdict} {_describe_difference(first, rows[1])}."]
     fastest = find_best_rate([one for one, row in zip(contest, rows, strict=True) if row.hz is not None])
-    rates = {row.method: row.hz for row in rows}
-    if fastest is None:
-        return [sentence]
-    times = "" if fastest == first.method else f", {RATES[0].text(rates[fastest] / first.hz)} times {first.method}'s"
-    return [sentence, f"{fastest} is fastest: {RATES[0].text(rates[fastest])} queries a second{times}."]
+    if fastest is not None:
+        hz = next(row.hz for row in rows if row.method == fastest)
+        times = "" if fastest == first.method else f", {RATES[0].text(hz / first.hz)} times {first.method}'s"
+        sentences.append(f"{fastest} is fastest: {RATES[0].text(hz)} queries a second{times}.")
+    return sentences
 
 
-def _describe_difference(rows: Sequence[Any]) -> str:
-    """Return by how much the first row is above the second, with the interval."""
-    first, second = rows[:2]
+def _describe_difference(first: Any, second: Any) -> str:
+    """Return by how much one row is above the other, with the interval of their R@1, of several seeds of the mean."""
     points = first.recall_at_1 - second.recall_at_1
-    interval = _estimate_difference(rows)
+    ours, theirs = (np.mean([list_hits(run) for run in row.runs], axis=0) for row in (first, second))
+    interval = difference_interval(ours, theirs, window=window_of(first.runs[0]))
     ends = "" if interval is None else f" {format_interval(interval.low, interval.high)}"
     return f"{f'{format_percent(points)} points above' if points else 'level with'} {second.method}{ends}"
-
-
-def _estimate_difference(rows: Sequence[Any]) -> WiderInterval | None:
-    """Return the interval of the first row's R@1 less the second's, of several seeds of their mean hits."""
-    order = order_along_journey(rows[0].runs[0])
-    ours, theirs = (np.mean([hits_at(run.outcome, 1) for run in row.runs], axis=0)[order] for row in rows[:2])
-    return difference_interval(ours, theirs, window=window_of(rows[0].runs[0]))

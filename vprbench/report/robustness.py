@@ -10,21 +10,16 @@ import numpy as np
 import pandas as pd
 
 from vprbench.errors import BadInput
-from vprbench.metrics.accuracy import hits_at
-from vprbench.metrics.catalogue import METRICS
-from vprbench.metrics.intervals import Values, difference_interval
+from vprbench.metrics.intervals import difference_interval
 from vprbench.report.selection import Series
 from vprbench.report.table.best import average_recall
 from vprbench.report.table.formats import escape_markdown
 from vprbench.runs import rows
 from vprbench.runs.corruption import KINDS, STRENGTHS, Corruption
 from vprbench.runs.frame import iterate_rows
-from vprbench.runs.recall_intervals import order_along_journey, recall_interval
-from vprbench.runs.record import Run
+from vprbench.runs.recall_intervals import list_hits, recall_interval
 from vprbench.runs.tuned import describe_tuning
-
-_ABSENT = "-"
-
+from vprbench.text import NOTHING, format_percent
 
 #: The columns of the points; shares are 0 to 1 and means over the seeds.
 COLUMNS = (
@@ -67,29 +62,30 @@ def measure_robustness(clean: Sequence[Series], corrupted: Mapping[Corruption, S
     """
     if not clean or not clean[0].runs[0].outcome.answerable.any():
         raise BadInput("no query has a right place: there is no accuracy that a corruption could lower")
-    points = [_point(row, row, None) for row in clean]
+    points = [_measure_point(row, row, None) for row in clean]
     of_name = {row.name: row for row in clean}
     for one, spoilt in corrupted.items():
-        points += [_point(row, of_name[row.name], one) for row in spoilt if row.name in of_name]
+        points += [_measure_point(row, of_name[row.name], one) for row in spoilt if row.name in of_name]
     return Robustness(tuple(clean), pd.DataFrame(points, columns=[*COLUMNS], dtype=object))
 
 
-def _point(row: Series, clean: Series, one: Corruption | None) -> dict[str, Any]:
-    recall, before, interval = average_recall(row.runs), average_recall(clean.runs), recall_interval(row.runs)
-    assert recall is not None
-    assert before is not None
-    assert interval is not None
-    order = order_along_journey(clean.runs[0])
-    drop = None if one is None else difference_interval(_hits(clean.runs)[order], _hits(row.runs)[order])
-    of_corruption = ("clean", 0, "") if one is None else (one.kind, one.strength, KINDS[one.kind].short([one.strength]))
-    accuracy = (len(row.runs), recall, interval.low, interval.high)
-    ends = (None, None) if drop is None else (drop.low, drop.high)
-    values = (row.name, *of_corruption, *accuracy, before - recall, *ends, describe_tuning(row.runs))
-    return dict(zip(COLUMNS, values, strict=True))
-
-
-def _hits(runs: Sequence[Run]) -> Values:
-    return np.asarray(np.mean([hits_at(run.outcome, 1) for run in runs], axis=0))
+def _measure_point(row: Series, clean: Series, one: Corruption | None) -> dict[str, Any]:
+    before, recall = average_recall(clean.runs) or 0.0, average_recall(row.runs) or 0.0
+    interval, drop = recall_interval(row.runs), None
+    if one is not None:
+        ours, theirs = (np.mean([list_hits(run) for run in each.runs], axis=0) for each in (clean, row))
+        drop = difference_interval(ours, theirs)
+    return {
+        **dict(zip(COLUMNS, (row.name, "clean", 0, "", len(row.runs), recall), strict=False)),
+        **(
+            {}
+            if one is None
+            else {"kind": one.kind, "strength": one.strength, "amount": KINDS[one.kind].short([one.strength])}
+        ),
+        **({} if interval is None else {"low": interval.low, "high": interval.high}),
+        **{"drop": before - recall, "drop_low": drop and drop.low, "drop_high": drop and drop.high},
+        "tuned_on": describe_tuning(row.runs),
+    }
 
 
 def list_lines(found: Robustness) -> list[dict[str, str]]:
@@ -98,26 +94,20 @@ def list_lines(found: Robustness) -> list[dict[str, str]]:
     A drop whose interval holds 0 stands in brackets.
     """
     head = "R@1 %, less by"
-    table = [{head: "clean"}]
-    for point in iterate_rows(found.points[found.points["strength"] == 0]):
-        table[0][point.method] = _percent(point.recall_at_1)
+    points = {(point.method, point.kind, point.strength): point for point in iterate_rows(found.points)}
+    names = [row.name for row in found.clean]
+    table = [{head: "clean", **{name: format_percent(points[name, "clean", 0].recall_at_1) for name in names}}]
     for kind, strengths in found.kinds.items():
-        table.append({head: f"{kind} {KINDS[kind].short(strengths)}"})
-        for row in found.clean:
-            there = {point.strength: point for point in iterate_rows(found.of(row.name, kind))}
-            table[-1][row.name] = "/".join(_drop(there.get(each)) for each in strengths)
+        drops = {name: "/".join(_format_drop(points.get((name, kind, each))) for each in strengths) for name in names}
+        table.append({head: f"{kind} {KINDS[kind].short(strengths)}", **drops})
     return table
 
 
-def _drop(point: Any | None) -> str:
+def _format_drop(point: Any | None) -> str:
     if point is None:
-        return _ABSENT
-    sure = point.drop_low is not None and point.drop_high is not None and not point.drop_low <= 0 <= point.drop_high
-    return _percent(point.drop) if sure else f"({_percent(point.drop)})"
-
-
-def _percent(share: float) -> str:
-    return METRICS["recall_at_1"].text(share + 0.0)
+        return NOTHING
+    sure = point.drop_low is not None and not point.drop_low <= 0 <= point.drop_high
+    return format_percent(point.drop + 0.0) if sure else f"({format_percent(point.drop + 0.0)})"
 
 
 def format_markdown(found: Robustness, title: str) -> str:

@@ -1,4 +1,4 @@
-"""How far R@1 of stored runs can be trusted: the intervals of their hits, in the order of the journey."""
+"""Intervals of R@1, and of every metric with a value per query, over stored runs in the order of the journey."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.metrics.accuracy import Ties, hits_at
+from vprbench.metrics.accuracy import Ties
+from vprbench.metrics.catalogue import METRICS, Metric
 from vprbench.metrics.intervals import Values, WiderInterval, difference_interval, share_interval
 from vprbench.runs.record import Run
 from vprbench.runs.views import window_of
@@ -23,10 +24,7 @@ def recall_interval(runs: Sequence[Run], confidence: float = 0.95) -> WiderInter
 
     None if no query has a right place. At least one run, all of the same queries.
     """
-    if not runs[0].outcome.answerable.any():
-        return None
-    hits = np.mean([hits_at(run.outcome, 1) for run in runs], axis=0)
-    return share_interval(hits[order_along_journey(runs[0])], confidence, window_of(runs[0]))
+    return estimate_interval(runs, METRICS["recall_at_1"], confidence)
 
 
 def difference_of_recalls(first: Run, second: Run, confidence: float = 0.95) -> WiderInterval | None:
@@ -34,12 +32,43 @@ def difference_of_recalls(first: Run, second: Run, confidence: float = 0.95) -> 
 
     Ties are broken against the first and in favour of the second.
     """
-    order = order_along_journey(first)
+    return estimate_difference(first, second, METRICS["recall_at_1"], confidence)
 
-    def hits(run: Run, ties: Ties) -> Values:
-        return hits_at(run.outcome, 1, ties)[order]
 
-    return difference_interval(hits(first, "pessimistic"), hits(second, "optimistic"), confidence, window_of(first))
+def estimate_interval(runs: Sequence[Run], metric: Metric, confidence: float = 0.95) -> WiderInterval | None:
+    """Return the interval of a metric over all queries, 0 to 1; of several seeds, of their mean values.
+
+    None if the metric has no value per query, or is undefined. At least one run, all of the same queries.
+    """
+    if metric.per_query is None or metric.of(runs[0]) is None:
+        return None
+    values = np.mean([list_values(run, metric) for run in runs], axis=0)
+    return share_interval(values, confidence, window_of(runs[0]))
+
+
+def estimate_difference(first: Run, second: Run, metric: Metric, confidence: float = 0.95) -> WiderInterval | None:
+    """Return the interval of how much better a metric per query is for one run than for another, -1 to 1.
+
+    Both answer the same queries. Ties are broken against the first and in favour of the second.
+    """
+    ours, theirs = list_values(first, metric, "pessimistic"), list_values(second, metric, "optimistic")
+    better, worse = (ours, theirs) if metric.higher_is_better else (theirs, ours)
+    return difference_interval(better, worse, confidence, window_of(first))
+
+
+def list_hits(run: Run) -> Values:
+    """Return the chance of each query that its best place is right, (n_queries,), in the order of the journey."""
+    return list_values(run, METRICS["recall_at_1"])
+
+
+def list_values(run: Run, metric: Metric, ties: Ties = "expected") -> Values:
+    """Return the value of a metric for each query, (n_queries,), in the order of the journey.
+
+    Raises ValueError for a metric without values per query.
+    """
+    if metric.per_query is None:
+        raise ValueError(f"{metric.name} has no value per query")
+    return metric.per_query(run, ties)[order_along_journey(run)]
 
 
 def order_along_journey(run: Run) -> npt.NDArray[np.int64]:

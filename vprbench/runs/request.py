@@ -12,7 +12,7 @@ from pydantic import Field
 
 from vprbench.errors import BadInput
 from vprbench.metrics.bounds import Positive
-from vprbench.metrics.catalogue import GROUPS, METRICS
+from vprbench.metrics.catalogue import GROUPS, METRICS, load_plug_in_metrics
 from vprbench.runs.corruption import parse_corruptions
 from vprbench.runs.predictions import require_depth
 from vprbench.runs.sequences import parse_views
@@ -140,6 +140,8 @@ OPTIONS = tuple(
 def spell_out_metrics(names: Iterable[str]) -> list[str]:
     """Return names of metrics, those of a group in its place; raises BadInput for the first that is neither."""
     metrics = [one for name in names for one in GROUPS.get(name, (name,))]
+    if not METRICS.keys() >= {*metrics}:
+        load_plug_in_metrics()
     for name in metrics:
         if name not in METRICS:
             raise BadInput(f"metrics={name} is unknown: {near(name, [*METRICS, *GROUPS])}")

@@ -46,7 +46,7 @@ def describe_protocol(run: Run) -> str:
     """Return one line: dataset, queries, places, protocol, and the first digits of the hash of the frames' names."""
     adapt = run.config["method"].get("adapt", "none")
     protocol = {**run.protocol, **({} if adapt == "none" else {"adapt": adapt})}
-    chosen = ", ".join(f"{name} {_format_value(value)}" for name, value in protocol.items())
+    chosen = ", ".join(f"{name} {format_value(value)}" for name, value in protocol.items())
     frames = f", data {run.data['names_sha256'][:_DIGITS]}" if run.data else ""
     return f"{run.dataset}: {len(run.outcome)} queries, {run.outcome.n_places} places ({chosen}){frames}"
 
@@ -85,7 +85,8 @@ def _format_rates(numbers: Numbers, way: str) -> str:
     return UNTIMED if None in rates else " / ".join(map(format_rate, rates))
 
 
-def _format_value(value: object) -> str:
+def format_value(value: object) -> str:
+    """Return one value of a protocol as text: "fall+spring", and of a mapping "5 in sun+2 in rain"."""
     if isinstance(value, Mapping):
         return "+".join(f"{inner} in {name}" for name, inner in value.items())
-    return "+".join(map(str, value)) if isinstance(value, list) else str(value)
+    return "+".join(map(str, value)) if isinstance(value, list | tuple) else str(value)

@@ -1,4 +1,4 @@
-"""The cells of Table II, before any format: measured and published numbers, with remarks.
+"""The cells of a table, before any format: measured and published numbers, with remarks.
 
 They are one frame: the frame of the runs that rows show (`vprbench.runs.frame`), grouped by row, column and device, and
 put beside the numbers that the paper printed. Remarks are short codes, or fixed words of the plan.
@@ -6,9 +6,8 @@ put beside the numbers that the paper printed. Remarks are short codes, or fixed
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from statistics import mean, stdev
 from typing import Any, Literal
 
@@ -23,16 +22,15 @@ from vprbench.report.selection import (
     Group,
     RowRuns,
     accuracy_device,
-    as_text,
     describe_protocol,
     of_row,
 )
 from vprbench.report.selection import title as title_of
 from vprbench.report.table.best import Contestant
-from vprbench.report.table.quantities import QUANTITIES, RECALL, Quantity
+from vprbench.report.table.quantities import QUANTITIES, RECALL, TIMES, Quantity
 from vprbench.runs.frame import tabulate_with_records
-from vprbench.runs.notes import DISTURBED, NoteKind
-from vprbench.runs.recall_intervals import recall_interval
+from vprbench.runs.notes import DISTURBED
+from vprbench.runs.recall_intervals import estimate_interval
 from vprbench.runs.record import Failure, Run
 from vprbench.runs.tuned import all_without_tuning_places, describe_tuning, overlaps_tuning_places
 
@@ -47,14 +45,13 @@ Mark = Literal[
     "not timed",  # answers are stored, and no rates with them
     "not run",  # no run of this kind is stored, as on a machine without a GPU
 ]
-_HIDDEN: frozenset[NoteKind] = DISTURBED | {"offline", "fitted"}  # a tilde, or another cell, shows them
 
-#: The columns of the frame of cells. Numbers are in the unit of the quantity; what there is not is None.
+#: The columns of the frame of cells. Numbers are in the unit of the quantity; an absent one is None.
 FACTS = (
     *("row", "column", "quantity"),  # their names
     "mark",  # "measured", or the word for a cell without a number (`Mark`)
     "value",  # over the seeds: the mean, of minutes and seconds of a fit the median; where mark is "quoted" the paper's
-    *("low", "high", "interval", "block"),  # of R@1: 95 % over the queries, of which kind, and queries a block
+    *("low", "high", "interval", "block"),  # of accuracies per query: 95 % over the queries, kind, queries a block
     *("elsewhere", "elsewhere_low", "elsewhere_high", "elsewhere_spread"),  # of an accuracy, on places not tuned on
     "spread",  # standard deviation over the seeds; None for one
     "seeds",  # those that were measured
@@ -68,6 +65,13 @@ FACTS = (
     "notes",  # numbers, from 1, into the table's notes
 )
 
+#: Kinds of quantities that show a run's notes of some kinds; a tilde or another cell shows the others.
+_SHOWN_BY = {
+    **dict.fromkeys([*DISTURBED, "offline", "described"], ()),
+    "fitted": ("training", "fit"),
+    "answers": ("rate",),
+}
+
 
 @dataclass(frozen=True)
 class Column:
@@ -80,12 +84,12 @@ class Column:
     protocol: str  # in words
     stand_in_for: str | None  # the title of the real dataset that a rendered one stands in for
     published: str | None = None  # the dataset of the paper's table
-    remark: str | None = None  # what a reader has to know of the data
+    remark: str | None = None  # fixed words on the data
 
 
 @dataclass(frozen=True)
 class Table:
-    """Everything that a format of the table prints."""
+    """The content of a table in every format."""
 
     cells: pd.DataFrame  # a line for each row, column and quantity: `FACTS`
     columns: tuple[Column, ...]
@@ -98,34 +102,29 @@ class Table:
 
     @property
     def heading(self) -> str:
-        """Return what stands above it."""
+        """Return the title above it."""
         return "Table II" if self.title is None else self.title
 
 
 @dataclass(frozen=True)
-class Entry:
+class _Entry:
     """The stored runs of one row in one column."""
 
     row: Row
     group: Group
-    column: Column
     found: Mapping[Device, RowRuns]
     facts: Mapping[Device, pd.DataFrame]  # the frame of the runs that are shown, and the runs themselves as `record`
 
-    def device(self, quantity: Quantity) -> Device:
-        """Return the device whose runs a cell shows."""
-        return quantity.device or accuracy_device(self.found)
+    def choose_runs(self, quantity: Quantity) -> RowRuns:
+        """Return the runs of the device that a cell shows."""
+        return self.found[quantity.device or accuracy_device(self.found)]
 
-    def shown(self, quantity: Quantity) -> pd.DataFrame:
+    def select_facts(self, quantity: Quantity) -> pd.DataFrame:
         """Return the frame of the runs that measured a quantity."""
-        facts = self.facts[self.device(quantity)]
-        if quantity.source(self.row) != "measured":
+        facts = self.facts[quantity.device or accuracy_device(self.found)]
+        if quantity.find_source(self.row) != "measured":
             return facts[:0]
-        return facts if quantity.required is None else facts[facts[quantity.required].notna()]
-
-    def runs(self, quantity: Quantity) -> tuple[Run, ...]:
-        """Return the runs that measured a quantity."""
-        return tuple(self.shown(quantity)["record"])
+        return facts[facts[quantity.fact].notna()] if quantity.kind in TIMES else facts
 
 
 def assemble(
@@ -139,12 +138,11 @@ def assemble(
     """Return the table of some rows, a group of columns for each group of runs, one for each of the quantities.
 
     `slow` holds the column and row of cells that are left out for their number of places. Under a `title` other than
-    the paper's the rows stay in their order. Looks at runs, failures and plan alone.
+    the paper's the rows stay in their order.
     """
     columns = tuple(_describe_column(group, groups, plan) for group in groups)
     ordered = tuple(sorted(rows, key=lambda row: title is None and row.spiking))
     metrics = [quantity.name for quantity in quantities if quantity.metric]
-    printed = published()
     cells: dict[tuple[str, str, str], dict[str, Any]] = {}
     n_aside = 0
     for group, column in zip(groups, columns, strict=True):
@@ -152,14 +150,13 @@ def assemble(
         for row in ordered:
             found = {device: of_row(group, row, device) for device in DEVICES}
             facts = {device: tabulate_with_records(found[device].runs, metrics) for device in DEVICES}
-            entries.append(Entry(row, group, column, found, facts))
-        n_aside += sum(found.n_aside for entry in entries for found in entry.found.values())
+            entries.append(_Entry(row, group, found, facts))
+            n_aside += sum(each.n_aside for each in found.values())
         for quantity in quantities:
-            best, timing = _find_best(entries, quantity), _find_usual_timing(entries, quantity)
+            best = _find_best(entries, quantity)
             for entry in entries:
-                cell = _make_cell(entry, quantity, printed, timing, (column.name, entry.row.name) in slow)
-                cell["best"] = best == entry.row.name
-                cells[entry.row.name, column.name, quantity.name] = cell
+                cell = _make_cell(entry, column, quantity, (column.name, entry.row.name) in slow)
+                cells[entry.row.name, column.name, quantity.name] = {**cell, "best": best == entry.row.name}
     made = [cells[row.name, column.name, one.name] for row in ordered for column in columns for one in quantities]
     notes, machines = _number_notes_and_machines(made)
     frame = pd.DataFrame(made, columns=[*FACTS], dtype=object)
@@ -169,87 +166,68 @@ def assemble(
 def _describe_column(group: Group, groups: Sequence[Group], plan: Plan) -> Column:
     planned = group.column.planned
     real = plan.columns[planned.stand_in_for].title if planned.stand_in_for else None
-    facts = (None, None, "no run is stored", real, planned.published, planned.remark)
-    described = Column(planned.name, planned.title, *facts)
+    known = (real, planned.published, planned.remark)
     if not group.runs:
-        return described
+        return Column(planned.name, planned.title, None, None, "no run is stored", *known)
     run = group.runs[0]
-    return replace(
-        described,
-        name=group.name,
-        title=title_of(group, groups),
-        n_places=run.outcome.n_places,
-        n_queries=len(run.outcome),
-        protocol=describe_protocol(run),
-    )
+    counts = run.outcome.n_places, len(run.outcome)
+    return Column(group.name, title_of(group, groups), *counts, describe_protocol(run), *known)
 
 
-def _find_best(entries: Sequence[Entry], quantity: Quantity) -> str | None:
-    """Return the row of a column that is best by a test; rows tuned on places of the column are in no contest."""
+def _find_best(entries: Sequence[_Entry], quantity: Quantity) -> str | None:
+    """Return the row of a column that is best by a test.
+
+    Rows tuned on places of the column are in no contest, nor is a row that trains nothing in that of training.
+    """
     contest = [
-        Contestant(entry.row.name, runs, not entry.found[entry.device(quantity)].missing_seeds)
+        Contestant(entry.row.name, runs, not entry.choose_runs(quantity).missing_seeds)
         for entry in entries
-        if (runs := entry.runs(quantity))
-        and quantity.contends(entry.row)
+        if (runs := tuple(entry.select_facts(quantity)["record"]))
+        and not (quantity.kind == "training" and entry.row.training == "map")
         and not any(map(overlaps_tuning_places, runs))
     ]
     return quantity.best(contest)
 
 
-def _find_usual_timing(entries: Sequence[Entry], quantity: Quantity) -> str:
-    """Return the timing options of most rows of a column, as text."""
-    rows = [{as_text(run.config.get("timing")) for run in entry.runs(quantity)} for entry in entries]
-    return next((timing for timing, _ in Counter(one for each in rows for one in each).most_common(1)), "")
-
-
-def _make_cell(
-    entry: Entry,
-    quantity: Quantity,
-    printed: Mapping[tuple[str, str], Mapping[str, float | None]],
-    timing: str,
-    is_slow: bool,
-) -> dict[str, Any]:
-    """Return one cell, its notes as text and its machine by name; `timing` holds the usual options of the column."""
-    row, column = entry.row, entry.column
-    dataset = "" if entry.group.view else entry.group.column.planned.published or ""  # the paper has no views
-    paper = printed.get((row.name, dataset), {})
+def _make_cell(entry: _Entry, column: Column, quantity: Quantity, is_slow: bool) -> dict[str, Any]:
+    """Return one cell, its notes as text and its machine by name and day."""
+    row, found, facts = entry.row, entry.choose_runs(quantity), entry.select_facts(quantity)
+    dataset = "" if entry.group.view else column.published or ""  # the paper has no views
+    paper = published().get((row.name, dataset), {})
     value = paper.get(quantity.name)
     mark = "none" if quantity.name not in paper else "not applicable" if value is None else "measured"
     cell: dict[str, Any] = {**dict.fromkeys(FACTS), "row": row.name, "column": column.name, "quantity": quantity.name}
     cell |= {"mark": "not applicable", "published": value, "published_mark": mark, "disturbed": False, "notes": []}
-    source = quantity.source(row)
-    if source != "measured":
-        return cell if source == "none" else cell | _quote(row, quantity, value, printed)
-    facts, runs = entry.shown(quantity), entry.runs(quantity)
-    found = entry.found[entry.device(quantity)]
-    if not runs:
+    if (source := quantity.find_source(row)) != "measured":
+        is_quoted = source == "quoted" and value is not None
+        return cell | ({"mark": "quoted", "value": value, "published_mark": "quoted"} if is_quoted else {})
+    if facts.empty:
         absence = _find_absence(entry, quantity, is_slow)
-        first = next((one for one in found.failures if one.missing == (absence == "not there")), None)
-        return cell | {"mark": absence, "notes": [_describe_failure(first)] if first else []}
+        failures = [one for one in found.failures if one.missing == (absence == "not there")]
+        return cell | {"mark": absence, "notes": [_describe_failure(one) for one in failures[:1]]}
+    runs = tuple(facts["record"])
     numbers = _compute_numbers(facts, quantity)
     if numbers is None:
-        return cell | {"notes": [_explain_undefined(quantity, runs)]}
+        return cell | {"notes": [f"undefined: {_explain_undefined(quantity, runs)}"]}
     if quantity.kind == "rate" and row.boundary is not None:
         numbers["at_boundary"] = quantity.over_seeds([*facts[f"streaming_{row.boundary}_hz"]])
     if value is not None and not column.stand_in_for:
         numbers["difference"] = numbers.get("at_boundary", numbers["value"]) - value
     if others := all_without_tuning_places(runs) if quantity.kind == "accuracy" else ():
-        names = [quantity.name] if quantity.metric else []
-        elsewhere = _compute_numbers(tabulate_with_records(others, names), quantity) or {}
-        numbers |= {"elsewhere": elsewhere.pop("value", None)}
-        numbers |= {f"elsewhere_{name}": elsewhere.get(name) for name in ("low", "high", "spread")}
+        there = _compute_numbers(tabulate_with_records(others, [quantity.name]), quantity) or {}
+        numbers["elsewhere"] = there.get("value")
+        numbers |= {f"elsewhere_{name}": there.get(name) for name in ("low", "high", "spread")}
     notes = [f"seeds: {len(runs)} of {len(row.seeds)}"] if len(runs) < len(row.seeds) else []
     notes += [_describe_failure(failure, f" seed {failure.config['seed']}") for failure in found.failures]
-    notes += filter(None, [describe_tuning(entry.runs(RECALL))])
+    notes += filter(None, [describe_tuning(tuple(entry.select_facts(RECALL)["record"]))])
     notes += _list_remarks(quantity, row, runs)
-    if quantity.kind == "rate":
-        notes += ["other timing"] * any(as_text(run.config.get("timing")) != timing for run in runs)
-        notes += [row.rate_remark] if value is not None and row.rate_remark is not None else []
+    if quantity.kind == "rate" and value is not None and row.rate_remark is not None:
+        notes.append(row.rate_remark)
     return cell | {
         **numbers,
         "mark": "unfinished" if found.missing_seeds else "measured",
         "seeds": tuple(facts["seed"]),
-        "disturbed": quantity.kind in ("training", "fit", "rate") and any(facts["disturbed"]),
+        "disturbed": quantity.kind in TIMES and any(facts["disturbed"]),
         "machine": (facts["machine"].iloc[0], max(facts["time_utc"])[:10]),
         "notes": notes,
     }
@@ -264,37 +242,20 @@ def _compute_numbers(facts: pd.DataFrame, quantity: Quantity) -> dict[str, Any] 
     found["spread"] = stdev(values) if len(values) > 1 else None
     if quantity.total is not None:
         found["total"] = quantity.over_seeds([quantity.in_unit(value) for value in facts[quantity.total].dropna()])
-    interval = recall_interval(tuple(facts["record"])) if quantity.fact == RECALL.fact else None
-    if interval is not None:
-        ends = {"low": 100 * interval.low, "high": 100 * interval.high}
+    if quantity.metric is not None and (interval := estimate_interval(tuple(facts["record"]), quantity.metric)):
+        ends = {"low": quantity.in_unit(interval.low), "high": quantity.in_unit(interval.high)}
         found |= {**ends, "interval": interval.kind, "block": interval.block}
     return found
 
 
-def _quote(
-    row: Row,
-    quantity: Quantity,
-    value: float | None,
-    printed: Mapping[tuple[str, str], Mapping[str, float | None]],
-) -> dict[str, Any]:
-    """Return the paper's time of a pre-training, which is the same on every dataset."""
-    said = [cells.get(quantity.name) for (name, _), cells in printed.items() if name == row.name]
-    known = next((each for each in [value, *said] if each is not None), None)
-    if known is None:
-        return {"notes": ["pre-trained: no time is published"]}
-    return {"mark": "quoted", "value": known, "published_mark": "none" if value is None else "quoted"}
-
-
-def _find_absence(entry: Entry, quantity: Quantity, is_slow: bool) -> Mark:
+def _find_absence(entry: _Entry, quantity: Quantity, is_slow: bool) -> Mark:
     """Return the word in a cell that no run measured."""
-    device = entry.device(quantity)
-    found = entry.found[device]
+    found = entry.choose_runs(quantity)
     if found.failures:
         return "not there" if all(failure.missing for failure in found.failures) else "failed"
     if found.runs:
         return "not timed" if quantity.kind == "rate" else "not run"
-    has_other_device = any(entry.found[other].runs for other in DEVICES if other != device)
-    if quantity.device == "cuda" or has_other_device or entry.group.number > 1:
+    if quantity.device == "cuda" or any(other.runs for other in entry.found.values()) or entry.group.number > 1:
         return "not run"
     return "left out" if is_slow else "unfinished"
 
@@ -306,27 +267,22 @@ def _describe_failure(failure: Failure, seed: str = "") -> str:
 
 
 def _explain_undefined(quantity: Quantity, runs: Sequence[Run]) -> str:
-    """Return the remark on a quantity that is undefined in all runs of a row."""
-    reasons = (run.energy["how"].get(quantity.name) for run in runs if run.energy is not None)
-    reason = next(filter(None, reasons), None) if quantity.metric is not None and quantity.metric.cost else None
-    return f"undefined: {reason or 'no query has a right place'}"
+    """Return why a quantity is undefined in all runs of a row."""
+    reasons = [run.energy["how"].get(quantity.name) for run in runs if run.energy is not None]
+    return next(filter(None, reasons), "no query has a right place")
 
 
 def _list_remarks(quantity: Quantity, row: Row, runs: Sequence[Run]) -> Iterator[str]:
     """Yield the notes of runs that belong to a quantity, and the codes `ties` and `time to build the map`."""
-    notes = [note for run in runs for note in run.notes]
     if quantity.kind == "training" and row.training == "map":
         yield "time to build the map"
-    if quantity.kind in ("training", "fit"):
-        yield from (note.text for note in notes if note.kind == "fitted")
-    elif quantity.kind != "memory":  # whose notes stand with the accuracy
-        recalls = [recall_at(run.outcome, 1) for run in runs] if quantity.fact == RECALL.fact else []
-        known = [recall for recall in recalls if recall is not None]
-        if any(recall.hangs_on_ties for recall in known):
-            low, high = mean(each.pessimistic for each in known), mean(each.optimistic for each in known)
-            yield f"ties: R@1 {100 * low:.1f} to {100 * high:.1f} %"
-        of_rate = quantity.kind == "rate"
-        yield from (n.text for n in notes if n.kind not in _HIDDEN and (n.kind == "answers") == of_rate)
+    recalls = [recall for run in runs if (recall := recall_at(run.outcome, 1))] if quantity.name == RECALL.name else []
+    if any(recall.hangs_on_ties for recall in recalls):
+        low, high = mean(each.pessimistic for each in recalls), mean(each.optimistic for each in recalls)
+        yield f"ties: R@1 {100 * low:.1f} to {100 * high:.1f} %"
+    for note in (note for run in runs for note in run.notes):
+        if quantity.kind in _SHOWN_BY.get(note.kind, ("accuracy",)):
+            yield note.text
 
 
 def _number_notes_and_machines(cells: Sequence[dict[str, Any]]) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -335,12 +291,9 @@ def _number_notes_and_machines(cells: Sequence[dict[str, Any]]) -> tuple[tuple[s
     A machine is named with the newest day of its runs.
     """
     days: dict[str, str] = {}
-    for cell in cells:
-        if cell["machine"] is not None:
-            name, day = cell["machine"]
-            days[name] = max(days.get(name, ""), day)
-    notes = [*dict.fromkeys(note for cell in cells for note in cell["notes"])]
-    machines = [*days]
+    for name, day in (cell["machine"] for cell in cells if cell["machine"] is not None):
+        days[name] = max(days.get(name, ""), day)
+    notes, machines = [*dict.fromkeys(note for cell in cells for note in cell["notes"])], [*days]
     for cell in cells:
         cell["notes"] = tuple(sorted({notes.index(note) + 1 for note in cell["notes"]}))
         cell["machine"] = None if cell["machine"] is None else machines.index(cell["machine"][0])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import unicodedata
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from html import escape
 from typing import Any
 
@@ -17,23 +17,16 @@ from vprbench.report.table.quantities import TRAINING
 from vprbench.runs.frame import iterate_rows
 from vprbench.terminal.console import line_text, table_text
 
-_GREEK = "αβγδεζηθικλμνξπρστυφχψωΓΔΘΛΞΠΣΥΦΨΩ"
-_GREEK_NAMES = (
-    "alpha beta gamma delta epsilon zeta eta theta iota kappa lambda mu nu xi pi rho sigma tau upsilon phi chi psi "
-    "omega Gamma Delta Theta Lambda Xi Pi Sigma Upsilon Phi Psi Omega"
+_IN_LATEX = str.maketrans(
+    {
+        **{sign: f"\\{sign}" for sign in "&%$#{}"},
+        **{"_": r"\_\allowbreak{}", "/": r"/\allowbreak{}"},  # names and paths may be long
+        **{"~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "\\": r"\textbackslash{}", "`": r"\textasciigrave{}"},
+        **{"<": r"\textless{}", ">": r"\textgreater{}", "|": r"\textbar{}", '"': r"\textquotedbl{}", "↳": r"\quad{}"},
+    }
 )
-_SIGNS = {
-    **{sign: f"\\{sign}" for sign in "&%$#{}"},
-    **{"_": r"\_\allowbreak{}", "/": r"/\allowbreak{}"},  # names and paths may be long
-    **{"~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "\\": r"\textbackslash{}", "`": r"\textasciigrave{}"},
-    **{"<": r"\textless{}", ">": r"\textgreater{}", "|": r"\textbar{}", '"': r"\textquotedbl{}"},
-    **{"\u2018": r"\textquoteleft{}", "\u2019": r"\textquoteright{}", "€": r"\texteuro{}"},
-    **{"\u201c": r"\textquotedblleft{}", "\u201d": r"\textquotedblright{}", "…": "..."},
-    **{"\u2013": r"\textendash{}", "\u2014": r"\textemdash{}", "\u2212": "$-$"},
-    **{"≤": r"$\leq$", "≥": r"$\geq$", "≈": r"$\approx$", "→": r"$\to$", "∞": r"$\infty$"},
-    **{letter: rf"$\{name}$" for letter, name in zip(_GREEK, _GREEK_NAMES.split(), strict=True)},
-}
-_NOT_IN_T1 = "ĦħĸĿŀŉŦŧſ"  # of the letters up to ž
+_SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
+_MACHINE, _NOTE = "table-machine", "table-note"  # ids in HTML
 
 
 def one_line(text: str) -> str:
@@ -42,22 +35,43 @@ def one_line(text: str) -> str:
 
 
 def escape_latex(text: str) -> str:
-    """Return text that LaTeX prints as it is; a sign that its fonts lack gives its plain letters or its number."""
-    escaped = "".join(map(_escape_sign, unicodedata.normalize("NFC", one_line(text))))
-    return re.sub(r"([-,'])(?=\1)", r"\1{}", escaped)  # pairs of these would melt into one sign
+    """Return text that LaTeX prints as it is; a sign beyond Latin-1 gives its plain letters or its number."""
+    signs = (
+        sign if sign <= "ÿ" or sign == "↳" else _spell_out(sign)
+        for sign in unicodedata.normalize("NFC", one_line(text))
+    )
+    return re.sub(r"([-,'])(?=\1)", r"\1{}", "".join(signs).translate(_IN_LATEX))  # pairs would melt into one sign
 
 
-def _escape_sign(sign: str) -> str:
-    if sign in _SIGNS:
-        return _SIGNS[sign]
-    if sign <= "ž" and sign not in _NOT_IN_T1:
-        return sign
-    plain = [part for part in unicodedata.normalize("NFKD", sign) if not unicodedata.combining(part)]
-    return f"[U+{ord(sign):04X}]" if plain in ([], [sign]) else "".join(map(_escape_sign, plain))
+def _spell_out(sign: str) -> str:
+    plain = unicodedata.normalize("NFKD", sign).encode("ascii", "ignore").decode()
+    return plain or f"[U+{ord(sign):04X}]"
 
 
-_SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
-_MACHINE, _NOTE = "table-machine", "table-note"  # ids in HTML
+def escape_markdown(text: str) -> str:
+    """Return text that Markdown shows as it is: no markup, no HTML, no list."""
+    text = escape(one_line(text), quote=False)
+    text = re.sub(r"([\\`*#$|])", r"\\\1", text)
+    if re.search(r"\][\[(:]|\[\^", text):  # a link or a footnote; an interval is neither
+        text = re.sub(r"([\[\]])", r"\\\1", text)
+    if text.count("~") > 1:  # one alone strikes nothing out
+        text = text.replace("~", r"\~")
+    text = re.sub(r"^(\d*)([-+=.)])", r"\1\\\2", text)
+    return re.sub(r"(?<!\w)_|_(?!\w)", r"\\_", text)  # inside of words it is no markup
+
+
+def _mark_in_text(machine: str, notes: Sequence[int]) -> str:
+    return " ".join(filter(None, [machine, ",".join(map(str, notes)).translate(_SUPERSCRIPTS)]))
+
+
+def _mark_in_latex(machine: str, notes: Sequence[int]) -> str:
+    return rf"\textsuperscript{{{', '.join(filter(None, [machine, *map(str, notes)]))}}}"
+
+
+def _mark_in_html(machine: str, notes: Sequence[int]) -> str:
+    links = [f'<a href="#{_MACHINE}-{machine[1:]}">{machine}</a>'] if machine else []
+    links += [f'<a href="#{_NOTE}-{note}">{note}</a>' for note in notes]
+    return f"<sup>{', '.join(links)}</sup>"
 
 
 @dataclass(frozen=True)
@@ -65,49 +79,21 @@ class _Markup:
     """The marks of one format."""
 
     escape: Callable[[str], str]  # of names
-    number: Callable[[str], str]  # the same of numbers and of the words in their place
-    bold: str
-    italic: str
-    mark: Callable[[int, Sequence[int]], str]  # the machine, 0 for none, and the notes of a cell
-    name: str = "{}"  # of a row
+    bold: str = "{}"
+    italic: str = "{}"
+    mark: Callable[[str, Sequence[int]], str] = _mark_in_text  # the machine, as M1 or empty, and the notes of a cell
+    number: Callable[[str], str] = str  # of numbers and of the words in their place
     spiking: str = ""  # behind the name of a spiking row; empty: a line above these rows
-    paper: str = "↳ paper"  # the name of the line below a row
     published: str = ""  # below a number in its cell; empty: a line below the row
     absence: str = "{}"  # the word for an absent number
 
 
-def _mark_in_text(machine: int, notes: Sequence[int]) -> str:
-    numbers = ",".join(map(str, notes)).translate(_SUPERSCRIPTS)
-    return " ".join(filter(None, [f"M{machine}" if machine else "", numbers]))
-
-
-def _mark_in_latex(machine: int, notes: Sequence[int]) -> str:
-    return rf"\textsuperscript{{{', '.join([f'M{machine}'] * bool(machine) + [*map(str, notes)])}}}"
-
-
-def _mark_in_html(machine: int, notes: Sequence[int]) -> str:
-    links = [f'<a href="#{_MACHINE}-{machine}">M{machine}</a>'] if machine else []
-    links += [f'<a href="#{_NOTE}-{note}">{note}</a>' for note in notes]
-    return f"<sup>{', '.join(links)}</sup>"
-
-
-_TEXT = _Markup(one_line, str, "{}", "{}", _mark_in_text)
-_MARKDOWN = _Markup(lambda text: escape_markdown(text).replace("|", r"\|"), str, "**{}**", "*{}*", _mark_in_text)
-_LATEX = _Markup(
-    escape_latex,
-    lambda text: escape_latex(text).replace("-", "$-$"),
-    r"\textbf{{{}}}",
-    r"\textit{{{}}}",
-    _mark_in_latex,
-    name="{{{}}}",
-    paper=r"{\quad paper}",
-)
+_TEXT = _Markup(one_line)
+_MARKDOWN = _Markup(escape_markdown, "**{}**", "*{}*")
+_LATEX = _Markup(escape_latex, r"\textbf{{{}}}", r"\textit{{{}}}", _mark_in_latex, escape_latex)
 _HTML = _Markup(
     lambda text: escape(one_line(text)),
-    escape,
-    '<b class="best">{}</b>',
-    "<i>{}</i>",
-    _mark_in_html,
+    *('<b class="best">{}</b>', "<i>{}</i>", _mark_in_html),
     spiking=" <small>spiking</small>",
     published='<br><span class="published">paper {}</span>',
     absence='<span class="absent">{}</span>',
@@ -121,40 +107,35 @@ def lay_out(table: Table, columns: Sequence[Column], markup: _Markup) -> pd.Data
     """
     described = words.describe_cells(table)
     several = len(table.machines) > 1
-    heads = [(column.title, quantity.heading) for column in columns for quantity in table.quantities]
-    names: list[str] = []
-    lines: list[list[str]] = []
+    heads = [(markup.escape(c.title), markup.escape(q.heading)) for c in columns for q in table.quantities]
+    lines: list[tuple[str, list[str]]] = []
     apart = table.title is None and not all(row.spiking for row in table.rows)
     for row in table.rows:
         of_row = described[described["row"] == row.name].set_index("column")
         cells = [cell for column in columns for cell in iterate_rows(of_row.loc[[column.name]])]
         if apart and row.spiking and not markup.spiking:
-            names.append(markup.italic.format("spiking"))
-            lines.append([""] * len(heads))
+            lines.append((markup.italic.format("spiking"), [""] * len(heads)))
             apart = False
-        names.append(markup.name.format(markup.escape(row.name)) + (markup.spiking if apart and row.spiking else ""))
-        lines.append([_write_cell(cell, markup, several) for cell in cells])
+        name = markup.escape(row.name) + (markup.spiking if apart and row.spiking else "")
+        lines.append((name, [_write_cell(cell, markup, several) for cell in cells]))
         if any(cell.published_mark != "none" for cell in cells) and not markup.published:
-            names.append(markup.paper)
-            lines.append([_write_published(cell, markup) for cell in cells])
-    levels = [(markup.escape(title), markup.escape(heading)) for title, heading in heads]
-    labels = pd.MultiIndex.from_tuples(levels, names=["", "method"]) if levels else pd.Index([])
-    return pd.DataFrame(lines, pd.Index(names, dtype=object), labels, dtype=object)
+            lines.append((markup.escape("↳ paper"), [_write_published(cell, markup) for cell in cells]))
+    labels = pd.MultiIndex.from_tuples(heads, names=["", "method"]) if heads else pd.Index([])
+    return pd.DataFrame([texts for _, texts in lines], [name for name, _ in lines], labels, dtype=object)
 
 
 def _write_cell(cell: Any, markup: _Markup, several_machines: bool) -> str:
     marked = markup.bold if cell.best else markup.italic if cell.mark == "quoted" else "{}"
     text = marked.format(markup.number(cell.text)) if cell.text else ""
-    machine = cell.machine + 1 if several_machines and cell.machine is not None else 0
+    machine = f"M{cell.machine + 1}" if several_machines and cell.machine is not None else ""
     notes = markup.mark(machine, cell.notes) if machine or cell.notes else ""
-    absence = markup.absence.format(markup.number(cell.absence)) if cell.absence else ""
+    absence = markup.absence.format(cell.absence) if cell.absence else ""
     below = markup.published.format(_write_published(cell, markup)) if cell.published_mark != "none" else ""
     return " ".join(filter(None, [absence, text, markup.number(cell.extent), notes])) + below
 
 
 def _write_published(cell: Any, markup: _Markup) -> str:
-    marked = markup.italic if cell.published_mark == "quoted" else "{}"
-    printed = marked.format(markup.number(cell.printed))
+    printed = (markup.italic if cell.published_mark == "quoted" else "{}").format(cell.printed)
     return f"{printed} ({markup.number(cell.beside)})" if cell.beside else printed
 
 
@@ -189,19 +170,20 @@ def to_terminal(table: Table, wide: bool = False) -> str:
 def to_latex(table: Table) -> str:
     r"""Return a table as LaTeX for \input and booktabs, a tabular for each dataset; any text is escaped.
 
-    The facts about its numbers stand in comments. The cells of Table II carry the numbers of machines and notes.
+    The facts about its numbers, its notes and its machines stand in comments.
     """
-    markup = _LATEX if table.title is None else replace(_LATEX, mark=lambda machine, notes: "")
-    notes = [f"{number} {note}" for number, note in enumerate(table.notes, 1)] if table.title is None else []
+    notes = [f"{number} {note}" for number, note in enumerate(table.notes, 1)]
     needs = f"{table.heading}. It needs \\usepackage{{booktabs}}."
     data = [f"{column.title}: {words.describe_data(column)}" for column in table.columns]
     comments = [needs, *data, *words.list_facts(table), *notes, *words.list_machines(table)]
-    tabulars = []
+    parts = [f"% {one_line(line)}" for line in comments]
     for column in table.columns if table.rows else ():
-        frame = lay_out(table, [column], markup)
+        frame = lay_out(table, [column], _LATEX).rename(
+            index="{{{}}}".format
+        )  # "[" would be an option of the line above
         layout = f"@{{}}l{'l' * len(frame.columns)}@{{}}"
-        tabulars.append(str(frame.to_latex(column_format=layout, multicolumn_format="c")).rstrip())
-    return "\n".join([*(f"% {one_line(line)}" for line in comments), *tabulars])
+        parts.append(str(frame.to_latex(column_format=layout, multicolumn_format="c")).rstrip())
+    return "\n".join(parts)
 
 
 def to_html(table: Table) -> str:
@@ -212,28 +194,25 @@ def to_html(table: Table) -> str:
     """
     units, *facts = (escape(one_line(fact)) for fact in words.list_facts(table))
     heading = escape(one_line(table.heading))
-    notes = [f'<li id="{_NOTE}-{n}">{escape(one_line(note))}</li>' for n, note in enumerate(table.notes, 1)]
-    machines = [
-        f'<li id="{_MACHINE}-{n}">{escape(one_line(machine))}</li>'
-        for n, machine in enumerate(words.list_machines(table), 1)
-    ]
     with pd.option_context("display.max_colwidth", None):
         text = lay_out(table, table.columns, _HTML).to_html(escape=False, border=False, classes="results")
     head, found, body = text.replace('halign="left"', 'scope="colgroup"').partition("<tbody>")
     body = head.replace("<th>", '<th scope="col">') + found + body.replace("<th>", '<th scope="row">')
-    data = [
-        f'<p class="legend">{escape(one_line(f"{column.title}: {words.describe_data(column)}"))}</p>'
-        for column in table.columns
-    ]
+    data = (f"{column.title}: {words.describe_data(column)}" for column in table.columns)
     parts = [
         f'<p class="caption"><b>{heading}.</b> {units}</p>',
-        *data,
+        *(f'<p class="legend">{escape(one_line(line))}</p>' for line in data),
         f'<div class="scroll" tabindex="0" role="region" aria-label="{heading}">\n{body}\n</div>',
-        f'<ol class="notes">\n{chr(10).join(notes)}\n</ol>' if notes else "",
-        f'<ul class="machines legend">\n{chr(10).join(machines)}\n</ul>' if machines else "",
+        _list_in_html('ol class="notes"', _NOTE, table.notes),
+        _list_in_html('ul class="machines legend"', _MACHINE, words.list_machines(table)),
         f'<p class="legend">{" ".join(facts)}</p>',
     ]
     return "\n".join(filter(None, parts)) + "\n"
+
+
+def _list_in_html(tag: str, anchor: str, lines: Sequence[str]) -> str:
+    items = [f'<li id="{anchor}-{number}">{escape(one_line(line))}</li>' for number, line in enumerate(lines, 1)]
+    return "\n".join([f"<{tag}>", *items, f"</{tag[:2]}>"]) if items else ""
 
 
 def to_csv(table: Table) -> str:
@@ -243,33 +222,12 @@ def to_csv(table: Table) -> str:
     of training, takes in the reading of the images, `at_boundary`, of rates, is of the step alone that the paper timed.
     Seeds are separated by spaces, notes by "; ".
     """
-    titles = {column.name: one_line(column.title) for column in table.columns}
-    units = {quantity.name: quantity.unit for quantity in table.quantities}
-    texts: dict[str, list[str | None]] = {
-        "row": [one_line(name) for name in table.cells["row"]],
-        "title": [titles[name] for name in table.cells["column"]],
-        "unit": [units[name] for name in table.cells["quantity"]],
-        "seeds": [None if seeds is None else " ".join(map(str, seeds)) for seeds in table.cells["seeds"]],
-        "machine": [None if at is None else one_line(table.machines[at]) for at in table.cells["machine"]],
-        "notes": ["; ".join(one_line(table.notes[n - 1]) for n in notes) for notes in table.cells["notes"]],
-    }
-    cells = table.cells.assign(**{name: pd.Series(values, dtype=object) for name, values in texts.items()})
-    return str(cells[[*_CSV_COLUMNS]].to_csv(index=False, lineterminator="\n"))
-
-
-def escape_markdown(text: str) -> str:
-    """Return text that Markdown shows as it is: no markup, no HTML, no list."""
-    text = escape(one_line(text), quote=False)
-    text = re.sub(r"([\\`*#$])", r"\\\1", text)
-    if re.search(r"\][\[(:]|\[\^", text):  # a link or a footnote; an interval is neither
-        text = re.sub(r"([\[\]])", r"\\\1", text)
-    if text.count("~") > 1:  # one alone strikes nothing out
-        text = text.replace("~", r"\~")
-    text = re.sub(r"^(\d*)([-+=.)])", r"\1\\\2", text)
-    return re.sub(r"(?<!\w)_|_(?!\w)", r"\\_", text)  # inside of words it is no markup
-
-
-_CSV_COLUMNS = (
-    *("row", "column", "title", "quantity", "unit"),
-    *(name for name in FACTS if name not in ("row", "column", "quantity", "elsewhere_spread")),
-)
+    cells = table.cells.copy()
+    cells["title"] = cells["column"].map({column.name: one_line(column.title) for column in table.columns})
+    cells["unit"] = cells["quantity"].map({quantity.name: quantity.unit for quantity in table.quantities})
+    cells["row"] = cells["row"].map(one_line)
+    cells["seeds"] = [None if seeds is None else " ".join(map(str, seeds)) for seeds in cells["seeds"]]
+    cells["machine"] = [None if at is None else one_line(table.machines[at]) for at in cells["machine"]]
+    cells["notes"] = ["; ".join(one_line(table.notes[n - 1]) for n in notes) for notes in cells["notes"]]
+    shown = [name for name in FACTS[3:] if name != "elsewhere_spread"]
+    return str(cells[["row", "column", "title", "quantity", "unit", *shown]].to_csv(index=False, lineterminator="\n"))

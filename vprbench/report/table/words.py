@@ -2,20 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 import pandas as pd
 
 from vprbench.report.published import PAPER, PAPER_CPU, PAPER_GPU, PROTOCOLS
 from vprbench.report.table.cells import Column, Table
-from vprbench.report.table.quantities import RATES, RECALL, TRAINING, TRAINING_TIME, Quantity
+from vprbench.report.table.quantities import RATES, TRAINING, TRAINING_TIME, Quantity
 from vprbench.runs.frame import iterate_rows
 from vprbench.runs.recall_intervals import METHOD
 from vprbench.text import format_spread, plural
 
 INAPPLICABLE = "-"
 _ELSEWHERE = "elsewhere"
+
+_INTERVAL_WORDS = (
+    "±: standard deviation over the seeds. The CSV holds the seeds, and of an interval its kind and queries a block.",
+    f"Square brackets: 95 % interval over the queries, of several seeds of their mean: {METHOD}.",
+    f"{_ELSEWHERE}: on the queries of places that the row was not tuned on, with the same map.",
+)
+_RATE_WORDS = "Query rates: one image at a time from memory, encoding and matching together."
+_MARK_WORDS = (
+    "Bold: a paired test separates the row from every other one (docs/numbers.md, Who is best). Tilde: a busy machine "
+    f"or too few laps, never bold. Dash ({INAPPLICABLE}): there is no such step or number."
+)
+_PAPER_WORDS = (
+    "Brackets of line paper: measured less printed, of the step alone that the paper timed.",
+    "Italics: quoted from a publication, not measured. left out: too many places; full=true runs it.",
+)
 
 
 def describe_cells(table: Table) -> pd.DataFrame:
@@ -31,14 +45,16 @@ def describe_cells(table: Table) -> pd.DataFrame:
     for cell in iterate_rows(table.cells):
         quantity = by_name[cell.quantity]
         absence = {"measured": "", "quoted": "", "not applicable": INAPPLICABLE}.get(cell.mark, cell.mark)
-        text, extent, beside = _format_published(cell.value) if cell.mark == "quoted" else "", "", ""
-        printed = "none" if cell.published_mark == "none" else INAPPLICABLE
-        if cell.seeds is not None:
+        text, extent, printed, beside = "", "", "none", ""
+        if cell.mark == "quoted":
+            text = _format_published(cell.value)
+        elif cell.seeds is not None:
+            absence = absence and f"{absence}:"
             text, extent = ("~" if cell.disturbed else "") + quantity.text(cell.value), _describe_extent(cell, quantity)
-        if cell.published is not None:
-            printed = _format_published(cell.published)
+        if cell.published_mark != "none":
+            printed = INAPPLICABLE if cell.published is None else _format_published(cell.published)
             beside = _describe_beside(cell, boundaries[cell.row], quantity)
-        lines.append((f"{absence}:" if absence and text else absence, text, extent, printed, beside))
+        lines.append((absence, text, extent, printed, beside))
     texts = pd.DataFrame(lines, columns=["absence", "text", "extent", "printed", "beside"], dtype=object)
     return table.cells.join(texts)
 
@@ -59,67 +75,23 @@ def list_machines(table: Table) -> list[str]:
 
 
 def list_facts(table: Table) -> list[str]:
-    """Return the legend of a table: units, sources, seeds and blocks of its numbers, then fixed words on its marks."""
-    names = {quantity.name for quantity in table.quantities}
+    """Return the legend of a table: units and sources of its numbers, then fixed words on its marks."""
     is_papers = any(table.cells["published_mark"] != "none")
     units = ", ".join(f"{quantity.head} in {quantity.unit}" for quantity in table.quantities if quantity.unit)
-    published = dict.fromkeys(column.published for column in table.columns if column.published is not None)
-    return [
-        f"{units}; line paper: {PAPER}, measured on {PAPER_CPU} and {PAPER_GPU}." if is_papers else f"{units}.",
-        *(f"Paper, {name}: {PROTOCOLS[name]}." for name in published if is_papers and name in PROTOCOLS),
-        *(f"{c.title} is rendered and stands in for {c.stand_in_for}." for c in table.columns if c.stand_in_for),
-        *dict.fromkeys(column.remark for column in table.columns if column.remark is not None),
-        *_list_seeds_and_blocks(table),
-        *(
-            [f"Not shown: {plural(table.n_aside, 'stored run')} of other code, settings or seeds."]
-            * bool(table.n_aside)
-        ),
-        *(_RECALL_WORDS if RECALL.name in names else ()),
-        *(quantity.metric.explained for quantity in table.quantities if quantity.metric),
-        *(
-            [f"Training: {TRAINING_TIME[0].lower()}{TRAINING_TIME[1:]}"]
-            if any(q in TRAINING for q in table.quantities)
-            else []
-        ),
-        *([_RATE_WORDS] if any(quantity in RATES for quantity in table.quantities) else []),
-        _MARK_WORDS,
-        *(_PAPER_WORDS if is_papers else ()),
-    ]
-
-
-_RECALL_WORDS = (
-    "R@1: share of the queries whose best match is a right place; ± is the standard deviation over the seeds.",
-    f"Square brackets: 95 % interval of R@1 over the queries, of several seeds of their mean: {METHOD}.",
-    f"{_ELSEWHERE}: on the queries of places that the row was not tuned on, with the same map.",
-)
-_RATE_WORDS = "Query rates: one image at a time from memory, encoding and matching together."
-_MARK_WORDS = (
-    "Bold: a paired test separates the row from every other one (docs/numbers.md, Who is best). Tilde: a busy machine "
-    f"or too few laps, never bold. Dash ({INAPPLICABLE}): there is no such step or number."
-)
-_PAPER_WORDS = (
-    "Brackets of line paper: measured less printed, of the step alone that the paper timed.",
-    "Italics: quoted from a publication, not measured. left out: too many places; full=true runs it.",
-)
-
-
-def _list_seeds_and_blocks(table: Table) -> Iterator[str]:
-    """Yield the seeds of rows with several, and for each column the queries in a block of the intervals."""
-    measured = [cell for cell in iterate_rows(table.cells) if cell.seeds is not None]
-    seeds: dict[str, set[int]] = {}
-    for cell in measured:
-        seeds.setdefault(cell.row, set()).update(cell.seeds)
-    named = [f"{name} {' '.join(map(str, sorted(each)))}" for name, each in seeds.items() if len(each) > 1]
-    if named:
-        yield f"Seeds (mean; of training the median): {', '.join(named)}."
-    for column in table.columns:
-        blocks = [
-            f"{cell.row} {cell.block}{' (Wilson)' if cell.interval == 'independent' else ''}"
-            for cell in measured
-            if cell.column == column.name and cell.block is not None
-        ]
-        if blocks:
-            yield f"{column.title}, queries in a block of the intervals: {', '.join(blocks)}."
+    facts = [f"{units}; line paper: {PAPER}, measured on {PAPER_CPU} and {PAPER_GPU}." if is_papers else f"{units}."]
+    if is_papers:
+        shown = dict.fromkeys(column.published for column in table.columns)
+        facts += [f"Paper, {name}: {PROTOCOLS[name]}." for name in shown if name in PROTOCOLS]
+    facts += [f"{c.title} is rendered and stands in for {c.stand_in_for}." for c in table.columns if c.stand_in_for]
+    facts += dict.fromkeys(column.remark for column in table.columns if column.remark is not None)
+    if table.n_aside:
+        facts.append(f"Not shown: {plural(table.n_aside, 'stored run')} of other code, settings or seeds.")
+    facts += [quantity.metric.explained for quantity in table.quantities if quantity.metric]
+    facts += _INTERVAL_WORDS if any(table.cells["low"].notna()) else ()
+    if any(quantity in TRAINING for quantity in table.quantities):
+        facts.append(f"Training: {TRAINING_TIME[0].lower()}{TRAINING_TIME[1:]}")
+    facts += [_RATE_WORDS] if any(quantity in RATES for quantity in table.quantities) else []
+    return [*facts, _MARK_WORDS, *(_PAPER_WORDS if is_papers else ())]
 
 
 def _describe_extent(cell: Any, quantity: Quantity) -> str:
@@ -127,9 +99,8 @@ def _describe_extent(cell: Any, quantity: Quantity) -> str:
     if cell.total is not None:
         parts.append(f"({quantity.text(cell.total)})")
     if (other := cell.elsewhere) is not None:
-        parts.append(f"{_ELSEWHERE} {quantity.text(other)}")
-        ends = cell.elsewhere_low, cell.elsewhere_high
-        parts.append(_describe_range(other, cell.elsewhere_spread, *ends, quantity))
+        ends = cell.elsewhere_spread, cell.elsewhere_low, cell.elsewhere_high
+        parts += [f"{_ELSEWHERE} {quantity.text(other)}", _describe_range(other, *ends, quantity)]
     return " ".join(filter(None, parts))
 
 
@@ -138,22 +109,20 @@ def _describe_range(
 ) -> str:
     """Return the spread over the seeds and the interval, as far as they are known."""
     parts = [] if spread is None else [f"± {format_spread(spread, quantity.text(value))}"]
-    if low is not None and high is not None:
-        parts.append(f"[{quantity.text(low)}, {quantity.text(high)}]")
+    parts += [] if low is None or high is None else [f"[{quantity.text(low)}, {quantity.text(high)}]"]
     return " ".join(parts)
 
 
 def _describe_beside(cell: Any, boundary: str | None, quantity: Quantity) -> str:
-    alone = cell.at_boundary
-    parts = [] if alone is None else [f"{boundary} alone here: {quantity.text(alone)}"]
-    return "; ".join(parts if cell.difference is None else [*parts, _format_difference(cell.difference, quantity)])
+    """Return the rate of the step alone that the paper timed, and the measured number less the printed one."""
+    parts = [] if cell.at_boundary is None else [f"{boundary} alone here: {quantity.text(cell.at_boundary)}"]
+    if cell.difference is not None:
+        size = quantity.text(abs(cell.difference))
+        sign = "" if float(size.replace(",", "")) == 0 else "-" if cell.difference < 0 else "+"
+        parts.append(f"{sign}{size}")
+    return "; ".join(parts)
 
 
 def _format_published(value: float) -> str:
     """Return a number as a publication printed it: 48 and 0.5, never 48.0 or 0.50."""
     return f"{value:,}".removesuffix(".0")
-
-
-def _format_difference(difference: float, quantity: Quantity) -> str:
-    size = quantity.text(abs(difference))
-    return size if float(size.replace(",", "")) == 0 else f"{'-' if difference < 0 else '+'}{size}"
