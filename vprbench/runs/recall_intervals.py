@@ -32,7 +32,8 @@ def difference_of_recalls(first: Run, second: Run, confidence: float = 0.95) -> 
 
     Ties are broken against the first and in favour of the second.
     """
-    return estimate_difference(first, second, METRICS["recall_at_1"], confidence)
+    ours, theirs = list_hits(first, "pessimistic"), list_hits(second, "optimistic")
+    return difference_interval(ours, theirs, confidence, window_of(first))
 
 
 def estimate_interval(runs: Sequence[Run], metric: Metric, confidence: float = 0.95) -> WiderInterval | None:
@@ -46,19 +47,9 @@ def estimate_interval(runs: Sequence[Run], metric: Metric, confidence: float = 0
     return share_interval(values, confidence, window_of(runs[0]))
 
 
-def estimate_difference(first: Run, second: Run, metric: Metric, confidence: float = 0.95) -> WiderInterval | None:
-    """Return the interval of how much better a metric per query is for one run than for another, -1 to 1.
-
-    Both answer the same queries. Ties are broken against the first and in favour of the second.
-    """
-    ours, theirs = list_values(first, metric, "pessimistic"), list_values(second, metric, "optimistic")
-    better, worse = (ours, theirs) if metric.higher_is_better else (theirs, ours)
-    return difference_interval(better, worse, confidence, window_of(first))
-
-
-def list_hits(run: Run) -> Values:
+def list_hits(run: Run, ties: Ties = "expected") -> Values:
     """Return the chance of each query that its best place is right, (n_queries,), in the order of the journey."""
-    return list_values(run, METRICS["recall_at_1"])
+    return list_values(run, METRICS["recall_at_1"], ties)
 
 
 def list_values(run: Run, metric: Metric, ties: Ties = "expected") -> Values:

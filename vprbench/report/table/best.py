@@ -9,10 +9,10 @@ from itertools import product
 import numpy as np
 
 from vprbench.metrics.catalogue import METRICS, Metric
-from vprbench.metrics.intervals import mcnemar_exact
+from vprbench.metrics.intervals import difference_interval, mcnemar_exact
 from vprbench.runs.machine import Machine
 from vprbench.runs.notes import DISTURBED
-from vprbench.runs.recall_intervals import estimate_difference, list_values
+from vprbench.runs.recall_intervals import list_values
 from vprbench.runs.record import Run
 from vprbench.runs.stopwatch import Seconds
 from vprbench.runs.views import window_of
@@ -52,7 +52,8 @@ def find_best_rate(rows: Sequence[Contestant]) -> str | None:
     fast, and the Mann-Whitney U test of the streaming laps, encode and match together, gives p < 0.01. A row with a run
     that gave other answers when it was timed may be beaten but cannot win.
     """
-    rows = [replace(row, finished=row.finished and not any(map(_has_other_answers, row.runs))) for row in rows]
+    doubted = {row.name for row in rows for run in row.runs for note in run.notes if note.kind == "answers"}
+    rows = [replace(row, finished=row.finished and row.name not in doubted) for row in rows]
     if not _are_comparable(rows):
         return None
     return _find_winner(rows, lambda row: float(np.mean([compute_rate(run) for run in row.runs])), _is_faster)
@@ -119,13 +120,14 @@ def _find_winner(
 
 
 def _is_better(one: Contestant, other: Contestant, metric: Metric, chance: float) -> bool:
-    for first, second in product(one.runs, other.runs):
-        ours, theirs = list_values(first, metric, "pessimistic"), list_values(second, metric, "optimistic")
-        better, worse = (ours > theirs, ours < theirs)[:: 1 if metric.higher_is_better else -1]
-        test = mcnemar_exact(better, worse, window_of(first))
+    sign, window = 1 if metric.higher_is_better else -1, window_of(one.runs[0])
+    ours = [list_values(run, metric, "pessimistic") for run in one.runs]
+    theirs = [list_values(run, metric, "optimistic") for run in other.runs]
+    for better, worse in (pair[::sign] for pair in product(ours, theirs)):
+        test = mcnemar_exact(better > worse, better < worse, window)
         if test.b <= test.c or test.p_value >= chance:
             return False
-        interval = estimate_difference(first, second, metric, 1 - chance)
+        interval = difference_interval(better, worse, 1 - chance, window)
         if interval is None or interval.low <= 0:
             return False
     return True
@@ -149,7 +151,3 @@ def _are_comparable(rows: Sequence[Contestant]) -> bool:
     ]
     alike = all(run.timing is not None and given == around[0] for run, given in zip(runs, around, strict=True))
     return alike and len(set(map(describe_machine, runs))) == 1 and not any(map(is_disturbed, runs))
-
-
-def _has_other_answers(run: Run) -> bool:
-    return any(note.kind == "answers" for note in run.notes)

@@ -118,8 +118,8 @@ def lay_out(table: Table, columns: Sequence[Column], markup: _Markup) -> pd.Data
             apart = False
         name = markup.escape(row.name) + (markup.spiking if apart and row.spiking else "")
         lines.append((name, [_write_cell(cell, markup, several) for cell in cells]))
-        if any(cell.published_mark != "none" for cell in cells) and not markup.published:
-            lines.append((markup.escape("↳ paper"), [_write_published(cell, markup) for cell in cells]))
+        if any(cell.printed for cell in cells) and not markup.published:
+            lines.append((markup.escape("↳ paper"), [markup.number(cell.printed or "none") for cell in cells]))
     labels = pd.MultiIndex.from_tuples(heads, names=["", "method"]) if heads else pd.Index([])
     return pd.DataFrame([texts for _, texts in lines], [name for name, _ in lines], labels, dtype=object)
 
@@ -130,13 +130,8 @@ def _write_cell(cell: Any, markup: _Markup, several_machines: bool) -> str:
     machine = f"M{cell.machine + 1}" if several_machines and cell.machine is not None else ""
     notes = markup.mark(machine, cell.notes) if machine or cell.notes else ""
     absence = markup.absence.format(cell.absence) if cell.absence else ""
-    below = markup.published.format(_write_published(cell, markup)) if cell.published_mark != "none" else ""
+    below = markup.published.format(cell.printed) if cell.printed else ""
     return " ".join(filter(None, [absence, text, markup.number(cell.extent), notes])) + below
-
-
-def _write_published(cell: Any, markup: _Markup) -> str:
-    printed = (markup.italic if cell.published_mark == "quoted" else "{}").format(cell.printed)
-    return f"{printed} ({markup.number(cell.beside)})" if cell.beside else printed
 
 
 def to_markdown(table: Table) -> str:

@@ -37,7 +37,7 @@ def describe_cells(table: Table) -> pd.DataFrame:
 
     - `absence`: "failed", "-" ..., empty for a number
     - `text`: the number, empty for none; `extent`: its spread, interval, and in brackets with waiting for images
-    - `printed`: the paper's number, "none" for none; `beside`: the rate of the same step here, and the difference
+    - `printed`: the paper's number, in brackets the rate of the same step here and the difference; empty for none
     """
     by_name = {quantity.name: quantity for quantity in table.quantities}
     boundaries = {row.name: row.boundary for row in table.rows}
@@ -45,17 +45,17 @@ def describe_cells(table: Table) -> pd.DataFrame:
     for cell in iterate_rows(table.cells):
         quantity = by_name[cell.quantity]
         absence = {"measured": "", "quoted": "", "not applicable": INAPPLICABLE}.get(cell.mark, cell.mark)
-        text, extent, printed, beside = "", "", "none", ""
+        text, extent, printed = "", "", ""
         if cell.mark == "quoted":
             text = _format_published(cell.value)
         elif cell.seeds is not None:
             absence = absence and f"{absence}:"
             text, extent = ("~" if cell.disturbed else "") + quantity.text(cell.value), _describe_extent(cell, quantity)
         if cell.published_mark != "none":
-            printed = INAPPLICABLE if cell.published is None else _format_published(cell.published)
             beside = _describe_beside(cell, boundaries[cell.row], quantity)
-        lines.append((absence, text, extent, printed, beside))
-    texts = pd.DataFrame(lines, columns=["absence", "text", "extent", "printed", "beside"], dtype=object)
+            printed = INAPPLICABLE if cell.published is None else f"{_format_published(cell.published)}{beside}"
+        lines.append((absence, text, extent, printed))
+    texts = pd.DataFrame(lines, columns=["absence", "text", "extent", "printed"], dtype=object)
     return table.cells.join(texts)
 
 
@@ -114,13 +114,13 @@ def _describe_range(
 
 
 def _describe_beside(cell: Any, boundary: str | None, quantity: Quantity) -> str:
-    """Return the rate of the step alone that the paper timed, and the measured number less the printed one."""
+    """Return in brackets the rate of the step alone that the paper timed, and the measured number less the printed."""
     parts = [] if cell.at_boundary is None else [f"{boundary} alone here: {quantity.text(cell.at_boundary)}"]
     if cell.difference is not None:
         size = quantity.text(abs(cell.difference))
         sign = "" if float(size.replace(",", "")) == 0 else "-" if cell.difference < 0 else "+"
         parts.append(f"{sign}{size}")
-    return "; ".join(parts)
+    return f" ({'; '.join(parts)})" if parts else ""
 
 
 def _format_published(value: float) -> str:
