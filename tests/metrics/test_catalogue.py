@@ -51,9 +51,9 @@ def package(monkeypatch):
         monkeypatch.setattr(catalogue, "entry_points", lambda group: [EntryPoint("mine", value, group)])
 
     monkeypatch.syspath_prepend(ROOT / "tests" / "example_plugin")
-    catalogue._find_plug_in_metrics.cache_clear()
+    catalogue.load_plug_in_metrics.cache_clear()
     yield name_metric
-    catalogue._find_plug_in_metrics.cache_clear()
+    catalogue.load_plug_in_metrics.cache_clear()
     METRICS.pop("mrr", None)
 
 

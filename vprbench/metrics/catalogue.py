@@ -93,25 +93,18 @@ def average_metric(
     return Metric(name, words, average, meaning, per_query=per_query, **written)
 
 
+@cache
 def load_plug_in_metrics() -> None:
     """Add the metrics of installed packages to `METRICS`; raises BadInput for one that is none, or whose name is taken.
 
     An entry point of the group `vprbench.metrics` names a `Metric`.
     """
-    METRICS.update(_find_plug_in_metrics())
-
-
-@cache
-def _find_plug_in_metrics() -> dict[str, Metric]:
-    found: dict[str, Metric] = {}
     for point in entry_points(group=ENTRY_POINTS):
         metric = point.load()
         if not isinstance(metric, Metric):
             raise BadInput(f"{point.value} of {ENTRY_POINTS} is {type(metric).__name__}: a Metric is wanted")
-        if metric.name in {*METRICS, *GROUPS, *found}:
+        if metric.name in GROUPS or METRICS.setdefault(metric.name, metric) is not metric:
             raise BadInput(f"{point.value}: {metric.name} is the name of another metric: rename it")
-        found[metric.name] = metric
-    return found
 
 
 def _make_share(name: str, words: str, function: Callable[[Outcome], float | None], meaning: str) -> Metric:
