@@ -92,7 +92,8 @@ def _describe_first(rows: Sequence[Any]) -> list[str]:
     fastest = find_best_rate([one for one, row in zip(contest, rows, strict=True) if row.hz is not None])
     if fastest is not None:
         hz = next(row.hz for row in rows if row.method == fastest)
-        times = "" if fastest == first.method else f", {RATES[0].text(hz / first.hz)} times {first.method}'s"
+        alone = fastest == first.method or first.hz is None
+        times = "" if alone else f", {RATES[0].text(hz / first.hz)} times {first.method}'s"
         sentences.append(f"{fastest} is fastest: {RATES[0].text(hz)} queries a second{times}.")
     return sentences
 

@@ -38,7 +38,7 @@ def find_most_accurate(rows: Sequence[Contestant], metric: Metric) -> str | None
     difference at that level (`intervals.difference_interval`) lies above 0. Ties are broken against the best row and in
     favour of the other one. All runs answer the same queries; a row without a right place is in no contest.
     """
-    means = {row.name: average_metric(row.runs, metric) for row in rows}
+    means = {row.name: average_seeds(row.runs, metric) for row in rows}
     known = {name: mean if metric.higher_is_better else -mean for name, mean in means.items() if mean is not None}
     rows = [row for row in rows if row.name in known]
     chance = CHANCE / max(1, len(rows) - 1)
@@ -75,7 +75,7 @@ def find_best_training(rows: Sequence[Contestant]) -> str | None:
     )
 
 
-def average_metric(runs: Sequence[Run], metric: Metric) -> float | None:
+def average_seeds(runs: Sequence[Run], metric: Metric) -> float | None:
     """Return the mean of a metric over the seeds; None if it is undefined."""
     values = [value for run in runs if (value := metric.of(run)) is not None]
     return float(np.mean(values)) if values else None
@@ -83,7 +83,7 @@ def average_metric(runs: Sequence[Run], metric: Metric) -> float | None:
 
 def average_recall(runs: Sequence[Run]) -> float | None:
     """Return the mean R@1 over the seeds, 0 to 1, expected under ties; None if no query has a right place."""
-    return average_metric(runs, METRICS["recall_at_1"])
+    return average_seeds(runs, METRICS["recall_at_1"])
 
 
 def list_laps(run: Run) -> Seconds:

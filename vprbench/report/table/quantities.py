@@ -44,7 +44,7 @@ class Quantity:
     text: Callable[[float], str] = format_two_digits
     total: str | None = None  # the fact that takes in the steps that `fact` leaves out
     best: Callable[[Sequence[Contestant]], str | None] = lambda rows: None  # the row that a test separates from all
-    metric: Metric | None = None
+    metric: Metric | None = None  # of an accuracy or a cost
 
     @property
     def heading(self) -> str:
