@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from vprbench.errors import BadInput
 from vprbench.jobs.job import JobResult
@@ -24,6 +25,7 @@ from vprbench.report.selection import (
 from vprbench.report.table.quantities import comparison_quantities, without_accuracies
 from vprbench.runs.frame import format_label
 from vprbench.runs.record import Failure, Run
+from vprbench.runs.rows import format_value
 from vprbench.runs.sequences import Views, parse_views
 from vprbench.text import near
 
@@ -132,14 +134,20 @@ def group_runs(runs: Sequence[Run], failures: Sequence[Failure]) -> list[Group]:
         for run in sorted((run for run in runs if run.dataset == dataset), key=age):
             alike.setdefault(as_text([run.protocol, run.fingerprint]), []).append(run)
         newest_first = sorted(alike.values(), key=lambda members: age(members[-1]), reverse=True)
+        titles = _name_protocols(dataset, [members[0].protocol for members in newest_first])
         failed = sorted((failure for failure in failures if failure.dataset == dataset), key=get_time)
         for number, members in enumerate(newest_first, start=1):
             there = tuple(failed) if number == 1 else ()
-            found.append(Group(_describe_column(members[0].config, dataset), number, tuple(members), there))
+            planned = PlannedColumn(dataset, titles[number - 1], ())
+            config = members[0].config
+            column = ResolvedColumn(planned, config["dataset"], views=config.get("views"))
+            found.append(Group(column, number, tuple(members), there))
     return found
 
 
-def _describe_column(config: Mapping[str, object], dataset: str) -> ResolvedColumn:
-    arguments = config["dataset"]
-    assert isinstance(arguments, Mapping)
-    return ResolvedColumn(PlannedColumn(dataset, dataset, ()), arguments, views=config.get("views"))
+def _name_protocols(dataset: str, protocols: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return a title for each protocol of a dataset: its name, and the parts in which the protocols differ."""
+    names = dict.fromkeys(name for protocol in protocols for name in protocol)
+    differing = [name for name in names if any(each.get(name) != protocols[0].get(name) for each in protocols)]
+    parts = [{name: protocol[name] for name in differing if name in protocol} for protocol in protocols]
+    return [", ".join([dataset, *(f"{name} {format_value(value)}" for name, value in each.items())]) for each in parts]

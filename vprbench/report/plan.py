@@ -11,7 +11,7 @@ import yaml
 from pydantic import Field
 
 from vprbench.errors import BadInput
-from vprbench.plugins.values import check_value
+from vprbench.plugins.options import check_value
 
 Boundary = Literal["encode", "match"]  # the step that the paper's query rate of a row covers
 Training = Literal["own", "none", "pretrained", "map"]  # map: it builds the map and trains nothing

@@ -77,11 +77,8 @@ def _measure_point(row: Series, clean: Series, one: Corruption | None) -> dict[s
         drop = difference_interval(ours, theirs)
     return {
         **dict(zip(COLUMNS, (row.name, "clean", 0, "", len(row.runs), recall), strict=False)),
-        **(
-            {}
-            if one is None
-            else {"kind": one.kind, "strength": one.strength, "amount": KINDS[one.kind].short([one.strength])}
-        ),
+        **({} if one is None else {"kind": one.kind, "strength": one.strength}),
+        **({} if one is None else {"amount": KINDS[one.kind].short([one.strength])}),
         **({} if interval is None else {"low": interval.low, "high": interval.high}),
         **{"drop": before - recall, "drop_low": drop and drop.low, "drop_high": drop and drop.high},
         "tuned_on": describe_tuning(row.runs),

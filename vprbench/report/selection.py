@@ -239,9 +239,9 @@ def apply_views(groups: Sequence[Group], rows: Sequence[Row], views: Sequence[Vi
 
 
 def title(group: Group, among: Sequence[Group]) -> str:
-    """Return the title of a group's column; of several of one dataset, with its view and its number from the newest."""
+    """Return the title of a group's column; of several of one title, with its view and its number from the newest."""
     planned = group.column.planned
-    if sum(other.column.planned.name == planned.name for other in among if other.runs) < 2:
+    if sum(other.column.planned.title == planned.title for other in among if other.runs) < 2:
         return planned.title
     version = f"version {group.number}" if group.number > 1 else ""
     return ", ".join(filter(None, [planned.title, describe_view(group.runs[0]), version]))
