@@ -7,7 +7,7 @@ from assembled import tempo
 from stored_runs import ABACUS, PUBLIC, RAIL, RAILWAY, SAD, STREET, TOWN, VPRTEMPO, failure, run
 
 from vprbench.report.selection import (
-    Group,
+    DatasetRuns,
     ResolvedColumn,
     accuracy_series,
     describe_protocol,
@@ -29,7 +29,7 @@ def grouped(runs, failures=(), *asked):
 
 
 def stored_of(row, *runs, failures=(), column=RAIL):
-    return of_row(Group(column, 1, runs, tuple(failures)), row, "cpu")
+    return of_row(DatasetRuns(column, 1, runs, tuple(failures)), row, "cpu")
 
 
 MINE = run()
@@ -69,7 +69,7 @@ def test_two_protocols_are_two_groups_the_newest_first_and_corrupted_queries_sta
     new = tempo(protocol={"query": "summer", "renderer": 2}, day="2025-02-02")
     no_row = run("hog", protocol={"query": "night"}, day="2025-06-01")
     found = grouped([old, no_row, new], [failure()])
-    assert found == [Group(RAIL, 1, (new,), (failure(),)), Group(RAIL, 2, (old,), ())]
+    assert found == [DatasetRuns(RAIL, 1, (new,), (failure(),)), DatasetRuns(RAIL, 2, (old,), ())]
     images = run(), run(fingerprint="0" * 64)
     assert [group.runs for group in grouped(images)] == [(images[0],), (images[1],)]
 
@@ -79,7 +79,7 @@ def test_two_protocols_are_two_groups_the_newest_first_and_corrupted_queries_sta
     [({}, VPRTEMPO), ({"rules": "reference"}, PUBLIC), ({"rules": "v1"}, None), ({"epochs": 9}, None)],
 )
 def test_a_run_belongs_to_the_row_with_its_arguments(changed, row):
-    group = Group(RAIL, 1, (tempo(changed=changed),), ())
+    group = DatasetRuns(RAIL, 1, (tempo(changed=changed),), ())
     assert [each for each in ROWS if of_row(group, each, "cpu").runs] == ([row] if row else [])
 
 
@@ -144,7 +144,7 @@ def test_a_seed_without_a_run_has_its_newest_failure(stored, told):
 
 
 def test_series_are_the_rows_with_runs_under_the_names_of_the_table_and_a_protocol_is_told_without_its_numbers():
-    group = Group(RAIL, 1, (tempo(1), tempo(0), run(device="cuda:1")), ())
+    group = DatasetRuns(RAIL, 1, (tempo(1), tempo(0), run(device="cuda:1")), ())
     (cpu,) = series(group, ROWS)
     assert (cpu.name, cpu.spiking) == ("VPRTempo", True)
     assert [stored.config["seed"] for stored in cpu.runs] == [0, 1]
@@ -160,6 +160,6 @@ def test_accuracy_is_taken_from_the_device_with_more_seeds_and_of_equals_the_cpu
     two = cpu[:2]
     for runs, taken in (cpu + gpu, cpu), (two + gpu, gpu), ([*two, gpu[0]], two), (gpu[1:2], gpu[1:2]):
         for failures in ((), failed[:1], failed[1:]):
-            (one,) = accuracy_series(Group(RAIL, 1, tuple(runs), failures), ROWS)
+            (one,) = accuracy_series(DatasetRuns(RAIL, 1, tuple(runs), failures), ROWS)
             assert (one.name, list(one.runs)) == ("VPRTempo", taken)
-    assert accuracy_series(Group(RAIL, 1, (), (lost(),)), ROWS) == []
+    assert accuracy_series(DatasetRuns(RAIL, 1, (), (lost(),)), ROWS) == []

@@ -9,7 +9,7 @@ import little
 import numpy as np
 
 from vprbench.metrics.ranking import best_places, outcome
-from vprbench.report.selection import Series
+from vprbench.report.selection import MethodRuns
 from vprbench.runs.stopwatch import Laps
 
 
@@ -92,7 +92,7 @@ def run(method="little", share=0.5, n_queries=40, n_places=50, **changes):
 
 
 def series(name, *runs, spiking=False):
-    return Series(name, spiking, runs)
+    return MethodRuns(name, spiking, runs)
 
 
 def sized(n_places, fit_seconds, match_seconds, **changes):

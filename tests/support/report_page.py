@@ -8,7 +8,7 @@ from PIL import Image
 
 from vprbench.metrics.ranking import best_places, outcome
 from vprbench.report.page.page import Picture, Section, page
-from vprbench.report.selection import Series
+from vprbench.report.selection import MethodRuns
 from vprbench.runs.notes import Note
 from vprbench.runs.thumbnails import Thumbnails
 
@@ -88,8 +88,8 @@ def journey_section(title="Journey", thumbnails=None):
     return Section(
         title,
         (
-            Series("SAD", False, (journey_run(SAD_WRONG, notes=(Note("noisy", "noisy: two carts passed"),)),)),
-            Series("VPRTempo", True, (journey_run(TEMPO_WRONG, 0), journey_run({10: 0.125}, 1))),
+            MethodRuns("SAD", False, (journey_run(SAD_WRONG, notes=(Note("noisy", "noisy: two carts passed"),)),)),
+            MethodRuns("VPRTempo", True, (journey_run(TEMPO_WRONG, 0), journey_run({10: 0.125}, 1))),
         ),
         thumbnails,
     )
@@ -112,4 +112,4 @@ def hostile_section():
         SAD_WRONG, notes=(Note("dataset", HOSTILE),), dataset=HOSTILE, protocol={"query": HOSTILE, HOSTILE: HOSTILE}
     )
     names = {"query_names": (HOSTILE,) * N_QUERIES, "reference_names": (HOSTILE,) * N_PLACES}
-    return Section(HOSTILE, (Series(HOSTILE, False, (run,)),), journey_thumbnails(**names))
+    return Section(HOSTILE, (MethodRuns(HOSTILE, False, (run,)),), journey_thumbnails(**names))

@@ -20,7 +20,7 @@ from vprbench.python.running import Options, finish, prepare
 from vprbench.report.folder import report_runs
 from vprbench.report.gather import ReportData
 from vprbench.report.ranking import NUMBERS, Ranking, rank_rows
-from vprbench.report.selection import Series
+from vprbench.report.selection import MethodRuns
 from vprbench.report.table.quantities import RATES
 from vprbench.runs.experiment import Experiment
 from vprbench.runs.frame import iterate_rows
@@ -134,11 +134,11 @@ class Comparison:
     def _change(self, change: Callable[[Result], Result]) -> Comparison:
         return replace(self, methods=tuple(tuple(map(change, of_seeds)) for of_seeds in self.methods))
 
-    def _series(self) -> list[Series]:
+    def _series(self) -> list[MethodRuns]:
         """Return the methods as rankings and figures take them."""
         names = [of_seeds[0].name for of_seeds in self.methods]
         runs = [tuple(result.run for result in of_seeds) for of_seeds in self.methods]
-        return [Series(name, each[0].spikes is not None, each) for name, each in zip(names, runs, strict=True)]
+        return [MethodRuns(name, each[0].spikes is not None, each) for name, each in zip(names, runs, strict=True)]
 
     def _format_table(self) -> pd.DataFrame:
         """Return the table as text for people: percent, and a dash where there is no number."""

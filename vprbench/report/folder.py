@@ -14,7 +14,7 @@ from vprbench.report.plan import NO_PLAN, PlannedColumn, Row
 from vprbench.report.ranking import rank_rows
 from vprbench.report.run_options import FolderRequest
 from vprbench.report.selection import (
-    Group,
+    DatasetRuns,
     ResolvedColumn,
     accuracy_series,
     age,
@@ -82,7 +82,9 @@ def report_runs(
     return assemble_groups(chosen, group_runs(runs, failures))
 
 
-def assemble_groups(chosen: TablePlan, groups: Sequence[Group], job_results: Sequence[JobResult] = ()) -> ReportData:
+def assemble_groups(
+    chosen: TablePlan, groups: Sequence[DatasetRuns], job_results: Sequence[JobResult] = ()
+) -> ReportData:
     """Return the report of groups of runs, in the views that `chosen` names.
 
     Rows come by their R@1 in the first group that has them, rows without runs last. Without a ground truth there is no
@@ -126,9 +128,9 @@ def describe_rows(results: Iterable[Run | Failure]) -> tuple[Row, ...]:
     return tuple(rows.values())
 
 
-def group_runs(runs: Sequence[Run], failures: Sequence[Failure]) -> list[Group]:
+def group_runs(runs: Sequence[Run], failures: Sequence[Failure]) -> list[DatasetRuns]:
     """Return the runs of each dataset by protocol and frames, the group with the newest run first."""
-    found: list[Group] = []
+    found: list[DatasetRuns] = []
     for dataset in sorted({run.dataset for run in runs}):
         alike: dict[str, list[Run]] = {}
         for run in sorted((run for run in runs if run.dataset == dataset), key=age):
@@ -141,7 +143,7 @@ def group_runs(runs: Sequence[Run], failures: Sequence[Failure]) -> list[Group]:
             planned = PlannedColumn(dataset, titles[number - 1], ())
             config = members[0].config
             column = ResolvedColumn(planned, config["dataset"], views=config.get("views"))
-            found.append(Group(column, number, tuple(members), there))
+            found.append(DatasetRuns(column, number, tuple(members), there))
     return found
 
 

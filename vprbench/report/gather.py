@@ -21,7 +21,7 @@ from vprbench.report.missing_runs import Cell, make_cell, make_missing_runs, res
 from vprbench.report.plan import Plan, PlannedColumn, Row, add_plug_ins, read_plan
 from vprbench.report.ranking import Ranking, rank_rows
 from vprbench.report.run_options import ShowOptions, TableRequest
-from vprbench.report.selection import Group, ResolvedColumn, accuracy_series, apply_views, groups
+from vprbench.report.selection import DatasetRuns, ResolvedColumn, accuracy_series, apply_views, groups
 from vprbench.report.table.cells import Table, assemble
 from vprbench.report.table.quantities import QUANTITIES, Quantity, quantities
 from vprbench.runs.record import Failure, Run
@@ -62,7 +62,7 @@ class ReportData:
     """The data of a table, of figures and of a report."""
 
     chosen: TablePlan
-    groups: tuple[Group, ...]
+    groups: tuple[DatasetRuns, ...]
     table: Table
     runs: tuple[Run, ...]  # all that are stored
     job_results: tuple[JobResult, ...]  # of the runs that were tried now
@@ -131,7 +131,7 @@ def run_missing(chosen: TablePlan, cells: Sequence[Cell], executor: Executor | N
 
 
 def assemble_report(
-    chosen: TablePlan, found: Sequence[Group], runs: Sequence[Run], results: tuple[JobResult, ...] = ()
+    chosen: TablePlan, found: Sequence[DatasetRuns], runs: Sequence[Run], results: tuple[JobResult, ...] = ()
 ) -> ReportData:
     """Put groups of runs, or of views of them, into the table; raises BadInput if they hold none."""
     slow = {

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from vprbench.metrics.intervals import difference_interval
-from vprbench.report.selection import Series
+from vprbench.report.selection import MethodRuns
 from vprbench.report.table.best import Contestant, average_recall, compute_rate, find_best_rate
 from vprbench.report.table.quantities import RATES, RECALL
 from vprbench.runs.frame import iterate_rows
@@ -38,7 +38,7 @@ class Ranking:
     sentences: tuple[str, ...]  # the first is about the best row
 
 
-def rank_rows(series: Sequence[Series]) -> Ranking:
+def rank_rows(series: Sequence[MethodRuns]) -> Ranking:
     """Rank rows that answered the same queries by R@1, equal ones in their order, and test their differences.
 
     A row that was tuned on these places is ranked, and in no contest.

@@ -11,7 +11,7 @@ import pandas as pd
 
 from vprbench.errors import BadInput
 from vprbench.metrics.intervals import difference_interval
-from vprbench.report.selection import Series
+from vprbench.report.selection import MethodRuns
 from vprbench.report.table.best import average_recall
 from vprbench.report.table.formats import escape_markdown
 from vprbench.runs import rows
@@ -35,7 +35,7 @@ COLUMNS = (
 class Robustness:
     """The points of all rows of a comparison, the clean one of each row first."""
 
-    clean: tuple[Series, ...]
+    clean: tuple[MethodRuns, ...]
     points: pd.DataFrame  # a line for each row on clean frames, then for each corruption and row: `COLUMNS`
 
     @property
@@ -55,7 +55,7 @@ class Robustness:
         return self.points[(self.points["method"] == method) & self.points["kind"].isin([kind, "clean"])]
 
 
-def measure_robustness(clean: Sequence[Series], corrupted: Mapping[Corruption, Sequence[Series]]) -> Robustness:
+def measure_robustness(clean: Sequence[MethodRuns], corrupted: Mapping[Corruption, Sequence[MethodRuns]]) -> Robustness:
     """Set rows under corruptions beside themselves on clean frames; a row without clean runs is left out.
 
     All answer the same queries. Raises BadInput if none of these has a right place.
@@ -69,7 +69,7 @@ def measure_robustness(clean: Sequence[Series], corrupted: Mapping[Corruption, S
     return Robustness(tuple(clean), pd.DataFrame(points, columns=[*COLUMNS], dtype=object))
 
 
-def _measure_point(row: Series, clean: Series, one: Corruption | None) -> dict[str, Any]:
+def _measure_point(row: MethodRuns, clean: MethodRuns, one: Corruption | None) -> dict[str, Any]:
     before, recall = average_recall(clean.runs) or 0.0, average_recall(row.runs) or 0.0
     interval, drop = recall_interval(row.runs), None
     if one is not None:

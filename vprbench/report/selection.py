@@ -44,7 +44,7 @@ class ResolvedColumn:
 
 
 @dataclass(frozen=True)
-class Group:
+class DatasetRuns:
     """The runs of one column that answer the same question: one protocol, the same images and ground truth."""
 
     column: ResolvedColumn
@@ -70,7 +70,7 @@ class RowRuns:
 
 
 @dataclass(frozen=True)
-class Series:
+class MethodRuns:
     """Runs of one method that differ in their seed alone, on one dataset, protocol and kind of device."""
 
     name: str  # the row's, as in the table
@@ -80,7 +80,7 @@ class Series:
 
 def groups(
     runs: Iterable[Run], failures: Iterable[Failure], columns: Sequence[ResolvedColumn], rows: Sequence[Row]
-) -> list[Group]:
+) -> list[DatasetRuns]:
     """Put runs and failures of the rows into the columns, in the columns' order.
 
     A column gives one group for each protocol and version of its images, the one with the newest run first, and an
@@ -88,7 +88,7 @@ def groups(
     """
     ordered = sorted(runs, key=lambda run: (run.dataset, run.method, *age(run)))
     failed = sorted(failures, key=lambda failure: (failure.method, get_time(failure), failure.error))
-    found: list[Group] = []
+    found: list[DatasetRuns] = []
     for column in columns:
         alike: dict[str, list[Run]] = defaultdict(list)
         for run in ordered:
@@ -97,11 +97,11 @@ def groups(
         newest_first = sorted(alike.items(), key=lambda item: (max(map(get_time, item[1])), item[0]), reverse=True)
         there = tuple(f for f in failed if _belongs_to_column(f, column) and any(_belongs_to_row(f, r) for r in rows))
         for number, (_, members) in enumerate(newest_first or [("", [])], 1):
-            found.append(Group(column, number, tuple(members), there if number == 1 else ()))
+            found.append(DatasetRuns(column, number, tuple(members), there if number == 1 else ()))
     return found
 
 
-def of_row(group: Group, row: Row, device: Device) -> RowRuns:
+def of_row(group: DatasetRuns, row: Row, device: Device) -> RowRuns:
     """Return one run per seed, all made by the same code, settings and machine.
 
     Runs that differ in code, defaults, weights, libraries, threads or machine are never put together. Of such sets the
@@ -132,17 +132,17 @@ def of_row(group: Group, row: Row, device: Device) -> RowRuns:
     )
 
 
-def series(group: Group, rows: Sequence[Row], device: Device | None = "cpu") -> list[Series]:
+def series(group: DatasetRuns, rows: Sequence[Row], device: Device | None = "cpu") -> list[MethodRuns]:
     """Return the rows of a group that have runs on a kind of device, None: on that of their accuracy."""
     found = []
     for row in rows:
         devices = {each: of_row(group, row, each) for each in DEVICES}
         runs = devices[device or accuracy_device(devices)].runs
-        found += [Series(row.name, row.spiking, runs)] if runs else []
+        found += [MethodRuns(row.name, row.spiking, runs)] if runs else []
     return found
 
 
-def accuracy_series(group: Group, rows: Sequence[Row]) -> list[Series]:
+def accuracy_series(group: DatasetRuns, rows: Sequence[Row]) -> list[MethodRuns]:
     """Return the rows of a group that have runs, each from the device that the table takes its R@1 from."""
     return series(group, rows, None)
 
@@ -210,17 +210,17 @@ def as_text(value: Any) -> str:
     return json.dumps(value, sort_keys=True, default=dict)
 
 
-def apply_views(groups: Sequence[Group], rows: Sequence[Row], views: Sequence[Views]) -> list[Group]:
+def apply_views(groups: Sequence[DatasetRuns], rows: Sequence[Row], views: Sequence[Views]) -> list[DatasetRuns]:
     """Return a group for each view of each group, of the runs that its rows show; without views the groups themselves.
 
     A run that kept no scores is a failure there, which names the remedy. Of several views none keeps its scores, which
     may fill the memory. Raises NoScoresError where no run of any group kept scores.
     """
-    found: list[Group] = []
+    found: list[DatasetRuns] = []
     lacking: list[NoScoresError] = []
     for group in groups if views else ():
         chosen = {run.key: run for row in rows for device in DEVICES for run in of_row(group, row, device).runs}
-        of_views: list[Group] = []
+        of_views: list[DatasetRuns] = []
         for view in views:
             shown: list[Run] = []
             failures = [*group.failures]
@@ -238,7 +238,7 @@ def apply_views(groups: Sequence[Group], rows: Sequence[Row], views: Sequence[Vi
     return found if views else [*groups]
 
 
-def title(group: Group, among: Sequence[Group]) -> str:
+def title(group: DatasetRuns, among: Sequence[DatasetRuns]) -> str:
     """Return the title of a group's column; of several of one title, with its view and its number from the newest."""
     planned = group.column.planned
     if sum(other.column.planned.title == planned.title for other in among if other.runs) < 2:

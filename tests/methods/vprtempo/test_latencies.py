@@ -11,7 +11,7 @@ from vprbench.errors import BadInput
 from vprbench.methods.vprtempo.latencies import LatencyQuery, VPRTempoLatencies
 from vprbench.methods.vprtempo.rules import PAPER
 from vprbench.report.figures.spikes import draw_raster
-from vprbench.report.selection import Series
+from vprbench.report.selection import MethodRuns
 from vprbench.runs.store import Store
 
 
@@ -92,7 +92,7 @@ def test_a_run_keeps_spike_times_which_a_raster_draws(tmp_path, monkeypatch):
     options = ["method.max_module=12", "method.steps=8", "dataset.places=12", "dataset.first_query_place=0", *RUN]
     assert main(["method=vprtempo_latencies", *options]) == 0
     (run,) = Store(tmp_path / "results").runs()
-    rows = [Series("without", True, (little_run(),)), Series("in time", True, (run,))]
+    rows = [MethodRuns("without", True, (little_run(),)), MethodRuns("in time", True, (run,))]
     dots = [panel.collections[0].get_offsets() for panel in draw_raster(rows).figure.axes]
     cycles = [np.ceil(np.asarray(each)[:, 0] / 8) for each in dots]
     assert [set(cycle.tolist()) for cycle in cycles] == [{1}, {2}, {3}]

@@ -12,7 +12,7 @@ from report_page import SAD_WRONG, answered, journey_run, journey_section, made_
 from report_reader import choose, colours, current, focused, listed, queries_of, widest
 
 from vprbench.report.page.page import Picture, Section, page
-from vprbench.report.selection import Series
+from vprbench.report.selection import MethodRuns
 from vprbench.report.table import formats
 
 MINUS = "\N{MINUS SIGN}"
@@ -27,7 +27,7 @@ pytestmark = pytest.mark.extended
 
 
 def one(run, title="Journey", name="SAD"):
-    return Section(title, (Series(name, False, (run,)),), None)
+    return Section(title, (MethodRuns(name, False, (run,)),), None)
 
 
 def right_colour(query):
@@ -145,7 +145,7 @@ def test_without_a_ground_truth_each_query_shows_its_best_five_places_by_score_a
     for query, (first, second) in enumerate([(0.875, 0.75), (0.75, 0.25), (1.0, 0.625)]):
         scores[query, [query, query + 1]] = first, second
     of_a, of_b = (answered(table, [[]] * 3, protocol={"ground_truth": "none"}) for table in (scores, scores[:, ::-1]))
-    both = Section("Journey", (Series("SAD", False, (of_a,)), Series("HOG", False, (of_b,))), None)
+    both = Section("Journey", (MethodRuns("SAD", False, (of_a,)), MethodRuns("HOG", False, (of_b,))), None)
     tab = reader.read(page("<table></table>", [], [both]))
     orders = {"by margin, lowest first": [0, 2, 1], HIGHEST: [1, 2, 0], ROUTE: [0, 1, 2]}
     orders |= {"by score, lowest first": [1, 0, 2], "by score, highest first": [2, 0, 1]}

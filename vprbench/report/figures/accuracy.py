@@ -21,7 +21,7 @@ from vprbench.report.figures import style
 from vprbench.report.figures.captions import INTERVALS, choose_answerable, choose_runs, describe_runs
 from vprbench.report.figures.style import Drawing, Look, add_legend, choose_looks, new_figure, use_style
 from vprbench.report.robustness import Robustness
-from vprbench.report.selection import Series
+from vprbench.report.selection import MethodRuns
 from vprbench.runs.corruption import KINDS
 from vprbench.runs.recall_intervals import order_along_journey
 from vprbench.runs.record import Run
@@ -43,7 +43,7 @@ _MOST_BANDS = 3  # more would hide one another
 
 
 @use_style
-def draw_precision_recall(series: Sequence[Series]) -> Drawing:
+def draw_precision_recall(series: Sequence[MethodRuns]) -> Drawing:
     """Draw the precision-recall curves over the answerable queries (curve A), Figure 3C of the paper.
 
     The area under a drawn curve, which goes in steps, is its average precision. A single seed has a band from the
@@ -77,7 +77,7 @@ def draw_precision_recall(series: Sequence[Series]) -> Drawing:
 
 
 @use_style
-def draw_recall_at_n(series: Sequence[Series]) -> Drawing:
+def draw_recall_at_n(series: Sequence[MethodRuns]) -> Drawing:
     """Draw recall at N of 1 to 25 best places over all queries, Figure 3D of the paper; ties as expected values.
 
     The band is the interval of `share_interval`, of several seeds that of their mean hits. Raises BadInput if no query
@@ -96,7 +96,7 @@ def draw_recall_at_n(series: Sequence[Series]) -> Drawing:
 
 
 @use_style
-def draw_recall_at_tolerance(series: Sequence[Series]) -> Drawing:
+def draw_recall_at_tolerance(series: Sequence[MethodRuns]) -> Drawing:
     """Draw recall at 1 over all queries with the ground truth widened by 0 to 10 places to either side.
 
     The axis starts at the tolerance of the protocol in places; where the protocol has another one, it starts at 0 and
@@ -122,7 +122,7 @@ def draw_recall_at_tolerance(series: Sequence[Series]) -> Drawing:
 
 
 @use_style
-def draw_recall_at_length(views: Iterable[Sequence[Series]]) -> Drawing:
+def draw_recall_at_length(views: Iterable[Sequence[MethodRuns]]) -> Drawing:
     """Draw recall at 1 over the length of sequences, of the rows of several views, with its 95 % interval.
 
     A row has a point at each length that its runs were seen in. Raises BadInput if no query has a right place.
@@ -146,7 +146,7 @@ def draw_recall_at_length(views: Iterable[Sequence[Series]]) -> Drawing:
 
 
 @use_style
-def draw_metric(series: Sequence[Series], metric: Metric) -> Drawing:
+def draw_metric(series: Sequence[MethodRuns], metric: Metric) -> Drawing:
     """Draw a metric of each row, the mean of its seeds and from the lowest to the highest; raises BadInput for none."""
     known = choose_runs(series, lambda run: metric.of(run) is not None, f"has a defined {metric.words}")
     figure, (axes,) = new_figure(style.SINGLE_MM, 15 + 8 * len(known))
@@ -189,11 +189,11 @@ def draw_robustness(robustness: Robustness) -> Drawing:
     return Drawing(figure, caption)
 
 
-def _describe_recalls(series: Sequence[Series]) -> str:
+def _describe_recalls(series: Sequence[MethodRuns]) -> str:
     return f"Bands: {INTERVALS}. {describe_runs(series, f'{_SEEDS}; the band is of mean hits')}"
 
 
-def _draw_recalls(series: Sequence[Series], xs: Sequence[int], hits: Callable[[Run], Values]) -> Figure:
+def _draw_recalls(series: Sequence[MethodRuns], xs: Sequence[int], hits: Callable[[Run], Values]) -> Figure:
     """Draw the mean of `hits` (len(xs), n_queries) of each row over `xs`, in percent, with its interval."""
     figure, (axes,) = new_figure(style.SINGLE_MM, _HEIGHT_MM, grid=True)
     looks = choose_looks(row.name for row in series)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Sequence
 import numpy as np
 
 from vprbench.errors import BadInput
-from vprbench.report.selection import Series
+from vprbench.report.selection import MethodRuns
 from vprbench.report.table.best import describe_machine, is_disturbed
 from vprbench.runs.record import Run
 from vprbench.runs.tuned import describe_tuning
@@ -16,15 +16,15 @@ from vprbench.text import plural
 INTERVALS = "95 % intervals over the queries, the wider of Wilson's and a block bootstrap's"
 
 
-def choose_runs(series: Sequence[Series], fits: Callable[[Run], object], wanted: str) -> list[Series]:
+def choose_runs(series: Sequence[MethodRuns], fits: Callable[[Run], object], wanted: str) -> list[MethodRuns]:
     """Return the rows with their runs that fit; raises BadInput, "no stored run" and `wanted`, if there is none."""
-    chosen = [Series(row.name, row.spiking, runs) for row in series if (runs := tuple(filter(fits, row.runs)))]
+    chosen = [MethodRuns(row.name, row.spiking, runs) for row in series if (runs := tuple(filter(fits, row.runs)))]
     if not chosen:
         raise BadInput(f"no stored run {wanted}")
     return chosen
 
 
-def choose_answerable(series: Sequence[Series]) -> list[Series]:
+def choose_answerable(series: Sequence[MethodRuns]) -> list[MethodRuns]:
     """Return the rows whose runs know right places; raises BadInput if none does."""
     return choose_runs(series, lambda run: run.outcome.answerable.any(), "has a query with a right place")
 
@@ -40,7 +40,7 @@ def describe_machines(runs: Iterable[Run]) -> str:
     return f"Measured on {'; '.join(dict.fromkeys(map(describe_machine, runs)))}."
 
 
-def describe_runs(series: Sequence[Series], seeds: str, of_times: bool = False) -> str:
+def describe_runs(series: Sequence[MethodRuns], seeds: str, of_times: bool = False) -> str:
     """Return the end of a caption: datasets, seeds and tuned rows, for times also machines and disturbed rows.
 
     `seeds` says how the figure draws several seeds of a row.

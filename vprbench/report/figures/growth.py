@@ -15,7 +15,7 @@ from vprbench.report.figures import style
 from vprbench.report.figures.captions import choose_runs, describe_machines, describe_runs
 from vprbench.report.figures.style import Drawing, Look, choose_looks, new_figure, use_style
 from vprbench.report.growth import GrowthSamples
-from vprbench.report.selection import Series
+from vprbench.report.selection import MethodRuns
 
 _TRAINING = ("fit_compute_seconds",) * 3  # columns of the samples: time, low and high; one fit has no interval
 _QUERY = ("query_seconds", "query_low", "query_high")
@@ -59,7 +59,7 @@ def draw_growth(rows: Sequence[GrowthSamples]) -> Drawing:
 
 
 @use_style
-def draw_growing_map(series: Sequence[Series]) -> Drawing:
+def draw_growing_map(series: Sequence[MethodRuns]) -> Drawing:
     """Draw recall at 1 (left) and the time of a new place (right) over the places of a map that grew one by one.
 
     Of several seeds the first that did. Raises BadInput if no run did.

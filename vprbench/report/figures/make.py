@@ -21,7 +21,7 @@ from vprbench.report.gather import ReportData, TablePlan, run_missing, runs_of
 from vprbench.report.growth import samples
 from vprbench.report.missing_runs import results_folder
 from vprbench.report.plan import Row
-from vprbench.report.selection import Group, ResolvedColumn, Series, accuracy_series, groups, series, title
+from vprbench.report.selection import DatasetRuns, MethodRuns, ResolvedColumn, accuracy_series, groups, series, title
 from vprbench.report.table.best import average_recall
 from vprbench.report.table.formats import escape_markdown
 from vprbench.runs.record import Run
@@ -125,7 +125,7 @@ def _list_speed(found: ReportData) -> Iterator[FigureCall]:
     yield "fig2b-query-rate", speed.draw_query_rate, *given
 
 
-def _list_by_group(found: ReportData, group: Group, shown: Sequence[Series]) -> Iterator[FigureCall]:
+def _list_by_group(found: ReportData, group: DatasetRuns, shown: Sequence[MethodRuns]) -> Iterator[FigureCall]:
     """Yield the figures of a group: Figure 3, and those beyond the paper; without ground truth of spikes alone."""
     if shown[0].runs[0].is_judged:
         yield from _list_accuracy(found, group, shown)
@@ -134,7 +134,7 @@ def _list_by_group(found: ReportData, group: Group, shown: Sequence[Series]) -> 
         yield f"raster-{group.name}", spikes.draw_raster, shown
 
 
-def _list_accuracy(found: ReportData, group: Group, shown: Sequence[Series]) -> Iterator[FigureCall]:
+def _list_accuracy(found: ReportData, group: DatasetRuns, shown: Sequence[MethodRuns]) -> Iterator[FigureCall]:
     """Yield the figures of a group that need to know which places are right."""
     name, timed = group.name, series(group, found.chosen.rows)
     if thumbnails := thumbnails_of(group, found.chosen):
@@ -152,9 +152,9 @@ def _list_accuracy(found: ReportData, group: Group, shown: Sequence[Series]) -> 
         yield f"growing-map-{name}", growth.draw_growing_map, shown
 
 
-def _list_sequences(shown: Sequence[tuple[Group, list[Series]]]) -> Iterator[FigureCall]:
+def _list_sequences(shown: Sequence[tuple[DatasetRuns, list[MethodRuns]]]) -> Iterator[FigureCall]:
     """Yield recall over the length of sequences for each column that is seen in several."""
-    columns: dict[str, list[list[Series]]] = {}
+    columns: dict[str, list[list[MethodRuns]]] = {}
     for group, of_group in shown:
         if of_group[0].runs[0].is_judged and "sequence" in of_group[0].runs[0].protocol:
             columns.setdefault(group.column.planned.name, []).append(of_group)
@@ -163,7 +163,7 @@ def _list_sequences(shown: Sequence[tuple[Group, list[Series]]]) -> Iterator[Fig
             yield f"sequences-{name}", accuracy.draw_recall_at_length, views
 
 
-def thumbnails_of(group: Group, chosen: TablePlan) -> Thumbnails | None:
+def thumbnails_of(group: DatasetRuns, chosen: TablePlan) -> Thumbnails | None:
     """Return the frames that were kept of the dataset of a group with runs, from the first store that has them."""
     stores = map(results_folder, (chosen.results, *chosen.stores))
     return next(filter(None, (load_thumbnails(store, group.runs[0].fingerprint) for store in stores)), None)

@@ -19,7 +19,7 @@ from vprbench.report.figures.captions import choose_runs, describe_runs
 from vprbench.report.figures.style import Drawing, choose_looks, new_figure, use_style
 from vprbench.report.plan import PlannedColumn, Row
 from vprbench.report.published import PAPER, PAPER_CPU, PAPER_GPU, published
-from vprbench.report.selection import Series
+from vprbench.report.selection import MethodRuns
 from vprbench.report.table.best import compute_rate, list_laps
 from vprbench.runs.record import Run
 from vprbench.text import format_three_digits
@@ -50,7 +50,7 @@ class _Bar(NamedTuple):
 
 
 @use_style
-def draw_training_time(series: Sequence[Series], rows: Sequence[Row], column: PlannedColumn) -> Drawing:
+def draw_training_time(series: Sequence[MethodRuns], rows: Sequence[Row], column: PlannedColumn) -> Drawing:
     """Draw the seconds of training of each row, measured above published, a panel for each kind of device with runs.
 
     A bar is the time without waiting for images, a tick the wall time. Raises BadInput if there is no run.
@@ -67,7 +67,7 @@ def draw_training_time(series: Sequence[Series], rows: Sequence[Row], column: Pl
 
 
 @use_style
-def draw_query_rate(series: Sequence[Series], rows: Sequence[Row], column: PlannedColumn) -> Drawing:
+def draw_query_rate(series: Sequence[MethodRuns], rows: Sequence[Row], column: PlannedColumn) -> Drawing:
     """Draw the queries per second of each row, measured above published, a panel for each kind of device with runs.
 
     A measured bar is of encode and match together. Raises BadInput if no run was timed.
@@ -92,7 +92,7 @@ def _describe_published(column: PlannedColumn, more: str) -> str:
     return f"Hatched bars: {PAPER}{real}, measured on {PAPER_CPU} and {PAPER_GPU}{more}. "
 
 
-def _draw_bars(quantity: Quantity, series: Sequence[Series], rows: Sequence[Row], column: PlannedColumn) -> Figure:
+def _draw_bars(quantity: Quantity, series: Sequence[MethodRuns], rows: Sequence[Row], column: PlannedColumn) -> Figure:
     """Draw a bar or a word for each row, and below it the paper's bar; all panels share the axis."""
     devices: dict[str, dict[str, Sequence[Run]]] = {}
     for one in series:

@@ -13,7 +13,7 @@ from matplotlib.ticker import FuncFormatter
 from vprbench.report.figures import style
 from vprbench.report.figures.captions import choose_runs, describe_runs
 from vprbench.report.figures.style import Drawing, Look, choose_looks, new_figure, use_style
-from vprbench.report.selection import Series
+from vprbench.report.selection import MethodRuns
 from vprbench.runs.record import Run
 from vprbench.text import plural
 
@@ -29,7 +29,7 @@ Layer = Mapping[str, Any]
 
 
 @use_style
-def draw_spikes(series: Sequence[Series]) -> Drawing:
+def draw_spikes(series: Sequence[MethodRuns]) -> Drawing:
     """Draw, layer by layer, the spikes of a query in each row, and the share of neurons that spike.
 
     A box holds the sampled queries of all seeds; a bar is the mean over the seeds, its dots are the seeds. Rows
@@ -73,7 +73,7 @@ def has_times(run: Run) -> bool:
 
 
 @use_style
-def draw_raster(series: Sequence[Series]) -> Drawing:
+def draw_raster(series: Sequence[MethodRuns]) -> Drawing:
     """Draw when the neurons of each layer spike for one query, of the first run that holds it; BadInput for none."""
     rows = choose_runs(series, has_times, "holds spike times: run method=vprtempo_latencies")
     layers = _list_layers(rows[0].runs[0])

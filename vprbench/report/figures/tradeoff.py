@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from vprbench.report.figures import style
 from vprbench.report.figures.captions import INTERVALS, choose_answerable, choose_runs, describe_runs, list_names
 from vprbench.report.figures.style import Drawing, choose_looks, new_figure, use_style
-from vprbench.report.selection import Series
+from vprbench.report.selection import MethodRuns
 from vprbench.report.table.best import average_recall, compute_rate
 from vprbench.runs.recall_intervals import recall_interval
 from vprbench.runs.record import Run
@@ -21,7 +21,7 @@ _ROOM = 3.0  # times the costs, to either side
 
 
 @use_style
-def draw_rate_tradeoff(series: Sequence[Series]) -> Drawing:
+def draw_rate_tradeoff(series: Sequence[MethodRuns]) -> Drawing:
     """Draw R@1 against queries per second, encode and match together: up and right is better.
 
     Rows that were not timed are left out. Raises BadInput for no timed rows and if no query has a right place.
@@ -39,7 +39,7 @@ def draw_rate_tradeoff(series: Sequence[Series]) -> Drawing:
 
 
 @use_style
-def draw_memory_tradeoff(series: Sequence[Series]) -> Drawing:
+def draw_memory_tradeoff(series: Sequence[MethodRuns]) -> Drawing:
     """Draw R@1 against the peak memory, and below against the bytes that a place of the map takes if runs hold them.
 
     Left and up is better. Raises BadInput if no query has a right place.
@@ -72,7 +72,7 @@ def find_front(costs: Sequence[float], gains: Sequence[float]) -> list[int]:
     return [i for i in sorted(range(len(points)), key=lambda i: points[i]) if points[i] not in beaten]
 
 
-def _describe_front(best: Sequence[str], series: Sequence[Series]) -> str:
+def _describe_front(best: Sequence[str], series: Sequence[MethodRuns]) -> str:
     ending = describe_runs(series, "means, the bar is of mean hits", of_times=True)
     return f" Grey steps: Pareto front ({', '.join(best)}). Bars: {INTERVALS}. {ending}"
 
@@ -83,7 +83,7 @@ def _measure_map(run: Run) -> float:
 
 
 def _draw_points(
-    axes: Axes, series: Sequence[Series], measure: Callable[[Run], float], label: str, lower_is_better: bool = True
+    axes: Axes, series: Sequence[MethodRuns], measure: Callable[[Run], float], label: str, lower_is_better: bool = True
 ) -> list[str]:
     """Draw R@1 with its interval over a cost of each row, and their front; returns the names on the front."""
     costs = [mean(map(measure, row.runs)) for row in series]

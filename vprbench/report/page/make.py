@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from vprbench.progress import progress_shown
 from vprbench.report.figures.make import draw_all, thumbnails_of
 from vprbench.report.gather import ReportData
-from vprbench.report.selection import Group, ResolvedColumn, accuracy_series, series, title
+from vprbench.report.selection import DatasetRuns, ResolvedColumn, accuracy_series, series, title
 from vprbench.report.table import formats
 from vprbench.runs.store import Store
 from vprbench.runs.thumbnails import Thumbnails
@@ -30,7 +30,7 @@ def print_page(found: ReportData, name: str, growth: Sequence[ResolvedColumn] = 
     print(f"{path}: {format_bytes(path.stat().st_size)}, opens from disk")
 
 
-def _frames_of(group: Group, found: ReportData) -> Thumbnails | None:
+def _frames_of(group: DatasetRuns, found: ReportData) -> Thumbnails | None:
     """Return the frames that were kept of the queries that a group's runs show."""
     kept = thumbnails_of(group, found.chosen)
     if kept is None or group.runs[0].view is None:

@@ -18,7 +18,7 @@ from markupsafe import Markup
 from vprbench.progress import report
 from vprbench.report.page import words
 from vprbench.report.page.columns import format_place_ranges, list_columns, list_places_shown
-from vprbench.report.selection import Series
+from vprbench.report.selection import MethodRuns
 from vprbench.report.table.quantities import TRAINING_TIME
 from vprbench.runs.query_results import Answers, judge_answers, order_by_interest
 from vprbench.runs.recall_intervals import METHOD
@@ -48,7 +48,7 @@ class Section:
     """The runs of one dataset and protocol, with its frames if they are stored."""
 
     title: str
-    series: tuple[Series, ...]
+    series: tuple[MethodRuns, ...]
     thumbnails: Thumbnails | None
 
     @property
@@ -74,7 +74,7 @@ def page(
     sections: Sequence[Section],
     title: str = TITLE,
     made_from: str = "",
-    measured: Sequence[tuple[str, Series]] = (),
+    measured: Sequence[tuple[str, MethodRuns]] = (),
     absent: Sequence[str] = (),
 ) -> str:
     """Return the page: findings, queries one by one, table, figures, protocol, machines and notes.

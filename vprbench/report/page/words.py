@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from vprbench.report.ranking import rank_rows
-from vprbench.report.selection import Series
+from vprbench.report.selection import MethodRuns
 from vprbench.runs.machine import Machine
 from vprbench.runs.query_results import RIGHT, UNANSWERABLE, UNJUDGED, Answers
 from vprbench.runs.record import Run
@@ -18,7 +18,7 @@ _FINDINGS = 3  # sentences
 Facts = tuple[tuple[str, str], ...]  # (term, text)
 
 
-def list_findings(series: Sequence[Series], answers: Iterable[Answers]) -> list[str]:
+def list_findings(series: Sequence[MethodRuns], answers: Iterable[Answers]) -> list[str]:
     """Return at most three sentences on the rows of one dataset: results of tests, then counts of missed queries.
 
     `answers` are those of their runs.
@@ -34,7 +34,7 @@ def list_findings(series: Sequence[Series], answers: Iterable[Answers]) -> list[
     return found[:_FINDINGS]
 
 
-def list_machines(series: Iterable[Series]) -> list[tuple[str, str, str]]:
+def list_machines(series: Iterable[MethodRuns]) -> list[tuple[str, str, str]]:
     """Return each machine with its versions, and the runs made there, in the order of the runs."""
     found: dict[tuple[str, str], dict[str, None]] = {}
     for one in series:
@@ -44,7 +44,7 @@ def list_machines(series: Iterable[Series]) -> list[tuple[str, str, str]]:
     return [(*made_on, ", ".join(runs)) for made_on, runs in found.items()]
 
 
-def list_run_notes(measured: Iterable[tuple[str, Series]]) -> Facts:
+def list_run_notes(measured: Iterable[tuple[str, MethodRuns]]) -> Facts:
     """Return the notes of runs, each after the run's name; `measured` is rows with the titles of their datasets."""
     return tuple(
         (f"{title}: {name_run(one, run)}{_name_device(run)}", note.text)
@@ -66,7 +66,7 @@ def describe_first_references(runs: Sequence[Run], names: Iterable[str]) -> str:
     return f"The frame of a place is its first reference image{traverse}; methods learnt the other ones too."
 
 
-def name_run(series: Series, run: Run) -> str:
+def name_run(series: MethodRuns, run: Run) -> str:
     """Return the name of a run within its dataset: that of its row, and its seed if the row has several."""
     return f"{series.name}, seed {run.config['seed']}" if len(series.runs) > 1 else series.name
 

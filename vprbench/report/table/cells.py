@@ -18,8 +18,8 @@ from vprbench.report.plan import Plan, Row
 from vprbench.report.published import published
 from vprbench.report.selection import (
     DEVICES,
+    DatasetRuns,
     Device,
-    Group,
     RowRuns,
     accuracy_device,
     describe_protocol,
@@ -111,7 +111,7 @@ class _Entry:
     """The stored runs of one row in one column."""
 
     row: Row
-    group: Group
+    group: DatasetRuns
     found: Mapping[Device, RowRuns]
     facts: Mapping[Device, pd.DataFrame]  # the frame of the runs that are shown, and the runs themselves as `record`
 
@@ -128,7 +128,7 @@ class _Entry:
 
 
 def assemble(
-    groups: Sequence[Group],
+    groups: Sequence[DatasetRuns],
     rows: Sequence[Row],
     plan: Plan,
     slow: Collection[tuple[str, str]] = (),
@@ -163,7 +163,7 @@ def assemble(
     return Table(frame, columns, ordered, notes, machines, quantities, title, n_aside)
 
 
-def _describe_column(group: Group, groups: Sequence[Group], plan: Plan) -> Column:
+def _describe_column(group: DatasetRuns, groups: Sequence[DatasetRuns], plan: Plan) -> Column:
     planned = group.column.planned
     real = plan.columns[planned.stand_in_for].title if planned.stand_in_for else None
     known = (real, planned.published, planned.remark)
