@@ -99,9 +99,9 @@ def make_missing_runs(wanted: Sequence[Cell], store: Store, executor: Executor |
             logger.info("[%d/%d] %s", number + 1, len(wanted), title)
         else:
             table.show(cell.row.name, cell.column, "runs", "cyan")
-            table.begin(number, title, executor.name)
+            table.begin(number, title)
 
-    def hear(_: int, line: str) -> None:
+    def hear(line: str) -> None:
         if line and table is not None:
             table.line(line, "red" if line.startswith("vprbench: ") else "")
 
