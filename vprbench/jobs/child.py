@@ -46,7 +46,6 @@ def run_in_child(
     request_json: str,
     is_shown: bool = True,
     stopped: Callable[[], bool] = lambda: False,
-    folder: str | None = None,
     environment: Mapping[str, str] | None = None,
 ) -> JobResult:
     """Make a run in a new process, which ends with this one.
@@ -55,7 +54,6 @@ def run_in_child(
         request_json: the run, as `RunRequest.to_json` gives it.
         is_shown: whether the process's standard error, with its progress, is printed as it comes.
         stopped: returns True once the run has to be interrupted.
-        folder: the working folder of the process; None for this one's.
         environment: more variables of its environment.
 
     Returns:
@@ -75,7 +73,7 @@ def run_in_child(
     with scratch() as place, (place / _STDERR).open("wb"), (place / _STDERR).open("rb") as written:
         with _starting:
             variables = {**os.environ, **(environment or {}), **({} if is_shown else {QUIET: "1"})}
-            given = (request_json, place, folder, variables)
+            given = request_json, place, variables
             child = _start_server().Process(target=make_job, args=given, daemon=True)
             child.start()
         code = _follow(child, written, note, request.limit_minutes, stopped)
@@ -88,7 +86,7 @@ def run_in_child(
     return replace(result, lines=[] if is_shown else lines)
 
 
-def make_job(request_json: str, place: Path, folder: str | None, environment: Mapping[str, str]) -> NoReturn:
+def make_job(request_json: str, place: Path, environment: Mapping[str, str]) -> NoReturn:
     """Make a run in this process, leave its outcome in the folder `place`, and end at once.
 
     A plug-in may have started threads and processes, which the interpreter would wait for.
@@ -104,8 +102,6 @@ def make_job(request_json: str, place: Path, folder: str | None, environment: Ma
     multiprocessing.current_process().daemon = False  # a plug-in may start processes
     os.environ.clear()
     os.environ.update(environment)
-    if folder is not None:
-        os.chdir(folder)
     faulthandler.enable(2, all_threads=False)  # a crash names the line of the plug-in
     signal.signal(signal.SIGINT, signal.default_int_handler)
     try:

@@ -159,16 +159,12 @@ def run_on_worker(request_json: str, folder: str, probe: str, version: str) -> J
         raise BadInput(f"the worker on {host} has vprbench {__version__}, this is {version}: install the same on both")
     multiprocessing.current_process().daemon = False  # as dask starts it, and a daemon may have no children
     tasks, key = get_worker().state.tasks, get_worker().get_current_task()
-
-    def is_cancelled() -> bool:
-        return key not in tasks or tasks[key].state == "cancelled"
-
-    with scratch() as own:
-        is_shared = Path(probe).exists()
+    is_shared, here = Path(probe).exists(), folder if Path(folder).is_dir() else "."
+    with scratch() as own, contextlib.chdir(here):
         if not is_shared:
             request_json = replace(RunRequest.from_json(request_json), results=str(own)).to_json()
         try:
-            result = run_in_child(request_json, False, is_cancelled, folder if Path(folder).is_dir() else None)
+            result = run_in_child(request_json, False, lambda: key not in tasks or tasks[key].state == "cancelled")
         except KeyboardInterrupt:
             return JobResult(1, "it was interrupted")
         paths = [] if is_shared else [path for pattern in _SENT for path in own.glob(pattern)]

@@ -61,7 +61,7 @@ class Executor:
         """Make a run whose lines come with its outcome; with device=cuda it sees one GPU."""
         worker = int(threading.current_thread().name.rpartition("_")[2])
         seen = choose_gpu(worker) if request.device == "cuda" else {}
-        return run_in_child(request.to_json(), False, self._stopped.is_set, None, seen)
+        return run_in_child(request.to_json(), False, self._stopped.is_set, seen)
 
 
 def executor_for(options: ClusterOptions) -> Executor:
