@@ -29,10 +29,8 @@ from vprbench.runs.request import RunRequest
 from vprbench.runs.store import Store
 from vprbench.storage.atomic import PARTIAL, replace_bytes, scratch
 
-_SETTINGS = {
-    "distributed.scheduler.allowed-failures": 3,  # of a run whose worker dies
-    "distributed.scheduler.default-task-durations": {"run_on_worker": "1h"},  # a job for each run, if there may be
-}
+_MOST_JOBS = 16  # of a batch system, if workers= says nothing
+_DURATIONS = {"distributed.scheduler.default-task-durations": {"run_on_worker": "1h"}}  # a job for each run
 _LOST = "the dask scheduler is gone; finished runs are kept: give the same command again"
 _SENT = ("*/*/*", "frames/*")  # files of runs and small pictures, within a results folder
 
@@ -55,10 +53,10 @@ class DaskExecutor(Executor):
     def _client(self) -> Client:
         for name in ("distributed", "distributed.client", "tornado.application"):
             logging.getLogger(name).setLevel(logging.CRITICAL)  # collect() tells of each run
-        self._opened.enter_context(dask.config.set(_SETTINGS))
+        self._opened.enter_context(dask.config.set(_DURATIONS))
         address = self._options.scheduler
         if address is None:
-            address = self._opened.enter_context(start_jobs(self._options.job_arguments(), self._options.most_jobs))
+            address = self._opened.enter_context(start_jobs(self._options.job_arguments(), self.room()))
         try:
             client = Client(address, timeout="20s")
         except (OSError, ValueError) as error:
@@ -70,7 +68,7 @@ class DaskExecutor(Executor):
     def room(self) -> int:
         """Return how many runs or functions may be called at a time; raises ClusterLostError."""
         if self._options.cluster:
-            return self._options.most_jobs
+            return self._options.workers or _MOST_JOBS
         try:
             threads: dict[str, int] = self._client.nthreads()
         except (OSError, AttributeError) as error:  # AttributeError: dask has given up the connection

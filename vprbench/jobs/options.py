@@ -54,11 +54,6 @@ class ClusterOptions:
         """Whether runs are made on a dask cluster."""
         return self.scheduler is not None or bool(self.cluster)
 
-    @property
-    def most_jobs(self) -> int:
-        """How many jobs of a batch system there may be at a time."""
-        return self.workers or 16
-
     def job_arguments(self) -> dict[str, Any]:
         """Return the yaml of `cluster=`, with the values that replace its own.
 
