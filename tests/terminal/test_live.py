@@ -18,7 +18,7 @@ def test_runs_are_shown_with_their_time_and_cells_with_their_results_and_the_res
     stream = io.StringIO()
     Console(file=stream, width=120).print(table.__rich__())
     text = stream.getvalue()
-    assert "SAD on Route, seed 1  0 s" in text
+    assert "0 s  SAD on Route, seed 1" in text
     assert "seed 0" not in text
     assert [line.split() for line in text.splitlines()[1:3]] == [
         ["SAD", "12.5", "%"],
@@ -29,6 +29,6 @@ def test_runs_are_shown_with_their_time_and_cells_with_their_results_and_the_res
 
 def test_no_other_progress_is_shown_beside_a_live_table():
     stream = io.StringIO()
-    with LiveTable([], [], 1), progress_shown("a download", stream):
+    with LiveTable([], [], 1).shown(), progress_shown("a download", stream):
         report("fetching", 0.5)
     assert stream.getvalue() == ""

@@ -28,7 +28,7 @@ def run_sweep(requests: Sequence[RunRequest], options: ClusterOptions) -> int:
             live.begin(number, words)
 
     codes = []
-    with executor_for(options) as executor, live or nullcontext():
+    with executor_for(options) as executor, live.shown() if live else nullcontext():
         for number, result in run_all(executor, enumerate(requests), begin, live.line if live else None):
             codes.append(result.code)
             if result.printed:

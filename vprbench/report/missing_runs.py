@@ -129,7 +129,7 @@ def make_missing_runs(wanted: Sequence[Cell], store: Store, executor: Executor |
             else:
                 end(number, result)
 
-    with table or nullcontext():
+    with table.shown() if table else nullcontext():
         for number, result in run_all(executor, list_missing(), begin, hear if table else None):
             end(number, result)
     return [results[number] for number in range(len(wanted))]

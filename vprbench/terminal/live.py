@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Sequence
-from contextlib import ExitStack
-from typing import Self
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
 from rich.console import Group
 from rich.live import Live
@@ -33,20 +32,15 @@ class LiveTable:
         self._running: dict[int, tuple[str, float]] = {}  # title and start in seconds, by the run's number
         self._done, self._failed, self._made = 0, 0, 0
         self._started = time.perf_counter()
-        self._opened = ExitStack()
         self.console = console(sys.stderr)
 
-    def __enter__(self) -> Self:
-        """Begin to draw."""
-        is_stdout_shown = sys.stdout.isatty()
-        live = Live(self, console=self.console, refresh_per_second=2, transient=True, redirect_stdout=is_stdout_shown)
-        self._opened.enter_context(showing())
-        self._opened.enter_context(live)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Leave the terminal as it was, but for the lines above."""
-        self._opened.close()
+    @contextmanager
+    def shown(self) -> Iterator[None]:
+        """Draw the table inside the block; afterwards the terminal is as it was, but for the lines above the table."""
+        redirects = sys.stdout.isatty()
+        live = Live(self, console=self.console, refresh_per_second=2, transient=True, redirect_stdout=redirects)
+        with showing(), live:
+            yield
 
     def show(self, row: str, column: str, text: str, style: str = "") -> None:
         """Fill a cell."""
@@ -78,7 +72,8 @@ class LiveTable:
         for row in self._rows[first : first + room]:
             cells = [self._cells.get((row, column), Text("·", style="dim")) for column in self._columns]
             table.add_row(Text(printable(row), overflow="ellipsis", no_wrap=True), *cells)
-        runs = [Text(f"{printable(title)}  {format_duration(now - start)}", style="cyan") for title, start in running]
+        lines = [f"{format_duration(now - start)}  {printable(title)}" for title, start in running]
+        runs = [Text(line, style="cyan", overflow="ellipsis", no_wrap=True) for line in lines]
         waiting = self._total - self._done - len(self._running)
         counts = f"{self._done} of {self._total}, {len(self._running)} running, {waiting} waiting"
         counts += f", {self._failed} failed" * bool(self._failed)
