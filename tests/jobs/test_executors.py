@@ -1,9 +1,12 @@
-"""Runs are made here or on a cluster, each ends once, and a worker that dies costs the run that it was making."""
+"""Runs are made here or on a dask cluster, each ends once, and an interruption leaves nothing behind."""
 
+import json
+import os
+import signal
 import subprocess
 import sys
+import threading
 import time
-from types import SimpleNamespace
 
 import pytest
 from killed_worker import Kills
@@ -11,11 +14,10 @@ from little import a_run
 
 from vprbench import cli
 from vprbench.config import make_request
-from vprbench.errors import BadInput
-from vprbench.jobs import cluster, executors
+from vprbench.errors import BadInput, ClusterLostError
+from vprbench.jobs import executors
 from vprbench.jobs import options as cluster_options
-from vprbench.jobs.cluster import DaskExecutor, pack_results, run_on_worker, unpack_results
-from vprbench.jobs.executors import Executor, run_all
+from vprbench.jobs.executors import Executor, choose_gpu, executor_for, run_all
 from vprbench.jobs.job import JobResult
 from vprbench.jobs.options import ClusterOptions
 from vprbench.plugins import entries
@@ -25,10 +27,22 @@ from vprbench.runs.run_lock import read_claims
 from vprbench.runs.store import Store
 
 RUN = ["method=sad", "dataset=synthetic", "dataset.places=12", "timing=none", "frames=false", "threads=1"]
+SLOW = """import pathlib, time
+from vprbench.methods.sad import SAD
+class Slow(SAD):
+    def fit(self, *_):
+        pathlib.Path(__file__).with_name("begun").touch()
+        time.sleep(60)
+"""
 
 
-def a_request(seed=0, **changes):
-    return RunRequest("sad", {}, "journey", {"name": "journey"}, seed=seed, **changes)
+@pytest.fixture(scope="module")
+def scheduler():
+    """Return the address of a dask cluster of two workers, which restarts those that die."""
+    distributed = pytest.importorskip("distributed")
+    sizes = {"n_workers": 2, "threads_per_worker": 1, "memory_limit": 0}
+    with distributed.LocalCluster(dashboard_address=":0", silence_logs=50, **sizes) as cluster:
+        yield cluster.scheduler_address
 
 
 def test_a_run_is_taken_when_there_is_room_and_a_run_that_another_sweep_makes_is_tried_again_last(monkeypatch):
@@ -37,7 +51,7 @@ def test_a_run_is_taken_when_there_is_room_and_a_run_that_another_sweep_makes_is
     ends = iter([JobResult(0), JobResult(0, held="a lock"), JobResult(1), JobResult(0, key="of the other sweep")])
 
     def run(request_json, _):
-        asked.append(f"makes {RunRequest.from_json(request_json).seed}")
+        asked.append(f"makes {json.loads(request_json)['seed']}")
         return next(ends)
 
     monkeypatch.setattr(executors, "run_in_child", run)
@@ -47,7 +61,7 @@ def test_a_run_is_taken_when_there_is_room_and_a_run_that_another_sweep_makes_is
     def runs():
         for number in range(3):
             asked.append(f"asks {number}")
-            yield number, a_request(number)
+            yield number, RunRequest("sad", {}, "journey", {"name": "journey"}, seed=number)
 
     results = [*run_all(Executor(), runs())]
     assert results == [(0, JobResult(0)), (2, JobResult(1)), (1, JobResult(0, key="of the other sweep"))]
@@ -55,14 +69,14 @@ def test_a_run_is_taken_when_there_is_room_and_a_run_that_another_sweep_makes_is
 
 
 @pytest.mark.parametrize(
-    ("given", "told"),
+    ("given", "words"),
     [
         (["workers=0"], "workers=0: give at least 1"),
         (["scheduler=tcp://here:8786", "workers=2"], "leave workers= and cluster= out"),
     ],
 )
-def test_options_of_a_cluster_that_cannot_be_are_refused_by_name_and_a_single_run_takes_none(given, told, capsys):
-    with pytest.raises(BadInput, match=told):
+def test_impossible_options_are_refused_by_name_and_a_single_run_takes_none(given, words, capsys):
+    with pytest.raises(BadInput, match=words):
         parse_options(ClusterOptions, given, {})
     assert cli.main([*RUN, "workers=2"]) == 2
     assert "workers=2: " in capsys.readouterr().err
@@ -84,86 +98,92 @@ def test_each_cell_gets_its_share_of_the_cores_unless_threads_are_asked_for(give
     assert parse_options(ClusterOptions, given, {}).threads(options) == threads
 
 
-@pytest.mark.extended
-def test_without_the_options_nothing_of_dask_is_imported(tmp_path):
-    code = (
-        f"import sys; from vprbench.cli import main; main({RUN}); print({{'dask', 'distributed'}} & {{*sys.modules}})"
-    )
-    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True)
-    assert done.stdout.splitlines()[-1] == "set()"
+def test_workers_make_runs_side_by_side_without_dask(tmp_path):
+    command = ["-m", *RUN, "seed=0,1,2", "workers=2", f"results={tmp_path}", "output=json"]
+    code = f"import sys; sys.modules['distributed'] = None; from vprbench.cli import main; sys.exit(main({command}))"
+    done = subprocess.run([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, check=True)
+    assert {json.loads(line)["method"] for line in done.stdout.splitlines()} == {"sad"}
+    assert {run.config["seed"] for run in Store(tmp_path).runs()} == {0, 1, 2}
 
 
 @pytest.mark.extended
 @pytest.mark.parametrize("shared", [True, False])
-def test_workers_of_this_machine_make_runs_bring_them_home_and_are_made_up_for_if_they_die(
-    shared, tmp_path, monkeypatch
+def test_workers_of_dask_make_runs_and_send_them_back_if_they_do_not_share_the_disk(
+    shared, scheduler, tmp_path, monkeypatch
 ):
     results, begun = tmp_path / "results", []
-    if not shared:  # no worker finds the results folder
-        monkeypatch.setattr(cluster.DaskExecutor, "_probe", lambda *_: "/nowhere/probe")
-    with DaskExecutor(ClusterOptions(workers=2)) as executor:
+    with executor_for(ClusterOptions(scheduler=scheduler)) as executor:
+        if not shared:  # no worker finds the results folder
+            executor._probes[results] = "/nowhere/probe"
         request = make_request(RUN, {"results": str(results)})
         ((number, result),) = run_all(executor, [(5, request)], begun.append)
-        functions = executor.of_functions()
-        assert functions.submit(Kills(tmp_path), False).result() == 2
-        with pytest.raises(Exception, match=r"died|kill") as error:
-            functions.submit(Kills(tmp_path), True).result()
     assert (number, result.code, begun) == (5, 0, [5])
     (stored,) = Store(results).runs()
     assert (stored.method, stored.key, stored.environment["threads"]) == ("sad", result.key, 1)
     assert not [*results.rglob(".partial-*")]
-    assert type(error.value).__name__ == "KilledWorker"
-    assert len([*(tmp_path / "True").iterdir()]) == 4  # it was tried again three times
 
 
 @pytest.mark.extended
-def test_an_interruption_ends_the_runs_of_the_workers(tmp_path, monkeypatch):
+def test_a_worker_that_dies_is_made_up_for_three_times(scheduler, tmp_path):
+    with executor_for(ClusterOptions(scheduler=scheduler)) as executor:
+        functions = executor.of_functions()
+        assert functions.submit(Kills(tmp_path), False).result() == 2
+        result = executor.collect(make_request(RUN), functions.submit(Kills(tmp_path), True))
+    assert (result.code, "4 times" in result.error) == (1, True)
+    assert len([*(tmp_path / "True").iterdir()]) == 4
+
+
+@pytest.mark.extended
+def test_a_scheduler_that_is_gone_is_one_line(tmp_path):
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(n_workers=1, dashboard_address=":0", silence_logs=50) as cluster:
+        executor = executor_for(ClusterOptions(scheduler=cluster.scheduler_address))
+        made = executor.of_functions().submit(time.sleep, 60)
+    with pytest.raises(ClusterLostError, match="give the same command again"):
+        executor.collect(make_request(RUN), made)
+
+
+@pytest.mark.parametrize("place", ["workers", pytest.param("scheduler", marks=pytest.mark.extended)])
+def test_an_interruption_ends_the_runs_of_workers(place, tmp_path, monkeypatch, request):
     monkeypatch.setattr(entries, "_LOOSE", {"method": {}, "dataset": {}})
-    text = "import time, pathlib\nfrom vprbench.methods.sad import SAD\nclass Slow(SAD):\n"
-    text += f"    def fit(self, *_):\n        pathlib.Path(r'{tmp_path}/begun').touch()\n        time.sleep(60)\n"
-    (tmp_path / "slow.py").write_text(text)
-    request = make_request([*RUN[1:], f"method={tmp_path}/slow.py:Slow"], {"results": str(tmp_path / "results")})
+    monkeypatch.delitem(sys.modules, "slow", raising=False)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    (tmp_path / "slow.py").write_text(SLOW)
+    slow = make_request([*RUN[1:], f"method={tmp_path}/slow.py:Slow"], {"results": str(tmp_path / "results")})
+    asked = {"workers": 2} if place == "workers" else {"scheduler": request.getfixturevalue("scheduler")}
 
     def interrupt():
         while not (tmp_path / "begun").exists():
             time.sleep(0.1)
-        raise KeyboardInterrupt
+        os.kill(os.getpid(), signal.SIGINT)
 
-    def run():
-        with DaskExecutor(ClusterOptions(workers=1)) as executor:
-            monkeypatch.setattr(executor, "require_cluster", interrupt)
-            [*run_all(executor, [(0, request)])]
-
+    threading.Thread(target=interrupt, daemon=True).start()
     began = time.monotonic()
-    with pytest.raises(KeyboardInterrupt):
-        run()
-    assert time.monotonic() - began < 50
-    assert [*Store(tmp_path / "results").runs()] == []
+    with pytest.raises(KeyboardInterrupt), executor_for(ClusterOptions(**asked)) as executor:
+        [*run_all(executor, [(0, slow)])]
+    while read_claims(tmp_path / "results") and time.monotonic() - began < 40:
+        time.sleep(0.1)
     assert read_claims(tmp_path / "results") == []
+    assert [*Store(tmp_path / "results").runs()] == []
 
 
 def test_a_worker_of_another_version_makes_no_run():
+    cluster = pytest.importorskip("vprbench.jobs.cluster")
     with pytest.raises(BadInput, match=r"0\.0\.1"):
-        run_on_worker("{}", "", "", "0.0.1")
+        cluster.run_on_worker("{}", "", "", "0.0.1")
 
 
-def test_the_runs_of_a_worker_are_packed_once_and_unpacked_and_its_descriptors_stay(tmp_path):
+def test_the_runs_and_pictures_that_a_worker_sent_are_stored(tmp_path):
+    cluster = pytest.importorskip("vprbench.jobs.cluster")
     worker, client = Store(tmp_path / "worker"), Store(tmp_path / "client")
     worker.prepare()
-    worker.save(a_run())
-    for name in ("descriptors/abc/kept.npy", "frames/f.zip", ".locks/sad"):
-        (worker.root / name).parent.mkdir(parents=True, exist_ok=True)
-        (worker.root / name).write_bytes(name.encode())
-    packed = pack_results(worker.root)
-    assert [*worker.runs()] == []
-    assert (worker.root / "descriptors/abc/kept.npy").exists()
-    unpack_results(packed, client)
+    folder = worker.save(a_run())
+    files = {str(path.relative_to(worker.root)): path.read_bytes() for path in folder.iterdir()}
+    cluster.store_files({**files, "frames/f.zip": b"pictures"}, client)
     assert [run.key for run in client.runs()] == [a_run().key]
-    assert (client.root / "frames/f.zip").read_bytes() == b"frames/f.zip"
-    assert {path.name for path in client.root.iterdir()} == {"journey", "frames"}
+    assert (client.root / "frames/f.zip").read_bytes() == b"pictures"
 
 
 def test_runs_on_a_gpu_take_those_of_the_machine_in_turn(monkeypatch):
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "GPU-a,GPU-b")
-    seen = [cluster._gpu_of(SimpleNamespace(name=name)) for name in (0, 1, 2, "tcp://elsewhere")]
-    assert seen == [{"CUDA_VISIBLE_DEVICES": f"GPU-{name}"} for name in "aba"] + [{}]
+    assert [choose_gpu(worker)["CUDA_VISIBLE_DEVICES"] for worker in range(3)] == ["GPU-a", "GPU-b", "GPU-a"]

@@ -151,10 +151,8 @@ def test_on_a_terminal_a_table_fills_with_what_is_stored_and_leaves_it_clean_if_
     for name, value in (("TERM", "xterm-256color"), ("COLUMNS", "100"), ("LINES", "30")):
         monkeypatch.setenv(name, value)
 
-    def failing(_, hear):
-        for line in ("note: a warning", "vprbench: it failed"):
-            hear(line)
-        return JobResult(1, "it failed")
+    def failing(*_):
+        return JobResult(1, "it failed", lines=["note: a warning", "vprbench: it failed"])
 
     def interrupted(*_):
         raise KeyboardInterrupt(2)

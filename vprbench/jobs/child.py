@@ -13,14 +13,13 @@ import re
 import signal
 import sys
 import time
-from collections import deque
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, replace
 from multiprocessing import forkserver, resource_tracker
+from multiprocessing.connection import wait
 from multiprocessing.context import ForkServerContext, ForkServerProcess
 from pathlib import Path
-from threading import Thread
-from types import FrameType
+from threading import Lock, Thread
 from typing import IO, NoReturn
 
 from vprbench.jobs.job import JobResult, make_run
@@ -28,66 +27,67 @@ from vprbench.progress import QUIET
 from vprbench.runs import timing_lock
 from vprbench.runs.request import RunRequest
 from vprbench.runs.store import Store
-from vprbench.storage.atomic import scratch
+from vprbench.storage.atomic import replace_text, scratch
 from vprbench.storage.folders import checkout_folder
 from vprbench.terminal.streams import log_to_stderr, results_only_on_stdout
 from vprbench.text import printable
 
-_REQUEST, _RESULT, _STDERR = "request.json", "result.json", "stderr"  # files of a child's folder
+_RESULT, _STDERR = "result.json", "stderr"  # files of a child's folder
 _LOOK_EVERY = 0.1  # seconds
 _PATIENCE = 20.0  # seconds that an interrupted process has to end
-_N_LINES = 200  # last lines of standard error, among which a crash names its place
 _CRASH_SITE = re.compile(r'\s*File "[^"]*", line \d+ in ')  # of faulthandler; a traceback has a comma before "in"
-_PRELOADED = [
-    "torch",
-    "numba",
-    "hydra.utils",
-    "vprbench.jobs.child",
-    "vprbench.runs.get_or_run",
-    "vprbench.methods.parts.filters.patches_compiled",
-]
+_PRELOADED = ["torch", "numba", "hydra.utils", "vprbench.jobs.child", "vprbench.runs.get_or_run"]
+_PRELOADED += ["vprbench.methods.parts.filters.patches_compiled"]
+
+_starting = Lock()  # multiprocessing starts and ends processes in one thread at a time
 
 
 def run_in_child(
     request_json: str,
-    hear: Callable[[str], None] | None = None,
+    is_shown: bool = True,
     stopped: Callable[[], bool] = lambda: False,
-    folder: str | None = None,
     environment: Mapping[str, str] | None = None,
 ) -> JobResult:
     """Make a run in a new process, which ends with this one.
 
     Args:
         request_json: the run, as `RunRequest.to_json` gives it.
-        hear: takes each line of the process's standard error, which shows no progress; None prints the lines.
-        stopped: returns True once the process has to be interrupted.
-        folder: the working folder of the process; None for this one's.
+        is_shown: whether the process's standard error, with its progress, is printed as it comes.
+        stopped: returns True once the run has to be interrupted.
         environment: more variables of its environment.
 
     Returns:
-        The outcome. A process that dies is a failure with its exit code or signal, and its last line.
+        The outcome, with the lines of standard error that were not printed. A process that dies is a failure with its
+        exit code or signal, and its last line.
 
     Raises:
-        KeyboardInterrupt: this process was interrupted; the child has ended before.
+        KeyboardInterrupt: this process was interrupted, or the run was stopped; the child has ended before.
     """
-    request = RunRequest.from_json(request_json)
+    request, lines = RunRequest.from_json(request_json), list[str]()
+
+    def note(line: str) -> None:
+        lines.append(line)
+        if is_shown:
+            print_line(line)
+
     with scratch() as place, (place / _STDERR).open("wb"), (place / _STDERR).open("rb") as written:
-        (place / _REQUEST).write_text(request_json, encoding="utf-8")
-        lines = _Lines(written, hear or _echo)
-        variables = {**os.environ, **(environment or {}), **({QUIET: "1"} if hear else {})}
-        child = _warm_context().Process(target=make_job, args=(place, folder, variables), daemon=True)
-        code = _follow(child, lines, request.limit_minutes, stopped)
-        with contextlib.suppress(FileNotFoundError):
-            return JobResult(**json.loads((place / _RESULT).read_text(encoding="utf-8")))
-    Store(Path(request.results).expanduser()).remove_leftovers()
-    limit = f"was not done after limit_minutes={request.limit_minutes}"
-    error = limit if code is None else _describe_death(code, lines.last)
-    lines.hear(printable(f"vprbench: {request.method_name} {error}"))
-    return JobResult(1, error)
+        with _starting:
+            variables = {**os.environ, **(environment or {}), **({} if is_shown else {QUIET: "1"})}
+            given = request_json, place, variables
+            child = _start_server().Process(target=make_job, args=given, daemon=True)
+            child.start()
+        code = _follow(child, written, note, request.limit_minutes, stopped)
+        if (place / _RESULT).exists():
+            result = JobResult(**json.loads((place / _RESULT).read_bytes()))
+        else:
+            Store(Path(request.results).expanduser()).remove_leftovers()
+            result = JobResult(1, _describe_death(code, lines, request.limit_minutes))
+            note(printable(f"vprbench: {request.method_name} {result.error}"))
+    return replace(result, lines=[] if is_shown else lines)
 
 
-def make_job(place: Path, folder: str | None, environment: Mapping[str, str]) -> NoReturn:
-    """Make the run of a child's folder in this process, leave its outcome there, and end at once.
+def make_job(request_json: str, place: Path, environment: Mapping[str, str]) -> NoReturn:
+    """Make a run in this process, leave its outcome in the folder `place`, and end at once.
 
     A plug-in may have started threads and processes, which the interpreter would wait for.
     """
@@ -102,50 +102,22 @@ def make_job(place: Path, folder: str | None, environment: Mapping[str, str]) ->
     multiprocessing.current_process().daemon = False  # a plug-in may start processes
     os.environ.clear()
     os.environ.update(environment)
-    if folder is not None:
-        os.chdir(folder)
     faulthandler.enable(2, all_threads=False)  # a crash names the line of the plug-in
-    signal.signal(signal.SIGINT, _interrupt_once)
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
         log_to_stderr()
         printed: list[str] = []
         with timing_lock.computing(), results_only_on_stdout():
-            request = RunRequest.from_json((place / _REQUEST).read_bytes())
-            result = make_run(request, printed.append, wait=False)
-        partial = place / f"{_RESULT}.partial"
-        partial.write_text(replace(result, printed="\n".join(printed)).to_json(), encoding="utf-8")
-        partial.rename(place / _RESULT)
-        code = result.code
+            result = make_run(RunRequest.from_json(request_json), printed.append, wait=False)
+        replace_text(place / _RESULT, json.dumps(asdict(replace(result, printed="\n".join(printed)))))
     except KeyboardInterrupt:
-        code = 128 + signal.SIGINT
-    for stream in (sys.stdout, sys.stderr):
-        with contextlib.suppress(OSError):
-            stream.flush()
-    os._exit(code)
-
-
-class _Lines:
-    """The lines that a process writes to a file, as they come; a pipe would stay open with the process's children."""
-
-    def __init__(self, file: IO[bytes], hear: Callable[[str], None]) -> None:
-        """Read from `file`, and give each line to `hear`."""
-        self.hear = hear
-        self.last: deque[str] = deque(maxlen=_N_LINES)
-        self._file, self._rest = file, b""
-
-    def pass_on(self, ended: bool = False) -> None:
-        """Pass on the lines that are whole, or all if the process has ended."""
-        *lines, self._rest = (self._rest + self._file.read()).split(b"\n")
-        if ended and self._rest:
-            lines, self._rest = [*lines, self._rest], b""
-        for line in lines:
-            self.last.append(line.decode("utf-8", "replace"))
-            self.hear(self.last[-1])
+        os._exit(128 + signal.SIGINT)
+    os._exit(result.code)
 
 
 @functools.cache
-def _warm_context() -> ForkServerContext:
+def _start_server() -> ForkServerContext:
     """Return the context of a server that has imported libraries of runs and forks a process for each.
 
     The server has started no thread, and SIGINT is blocked in it: an interruption waits until the run handles it.
@@ -167,44 +139,50 @@ def _warm_context() -> ForkServerContext:
 
 
 def _follow(
-    child: ForkServerProcess, lines: _Lines, limit_minutes: float | None, stopped: Callable[[], bool]
+    child: ForkServerProcess,
+    written: IO[bytes],
+    note: Callable[[str], None],
+    limit_minutes: float | None,
+    stopped: Callable[[], bool],
 ) -> int | None:
-    """Start a process, pass on its lines until it ends; returns its exit code, None if it was killed at its limit."""
-    ends = math.inf if limit_minutes is None else time.monotonic() + 60 * limit_minutes
+    """Note the lines that a process writes until it ends; returns its exit code, None if it was killed at its limit."""
+    pid, ends = child.pid, time.monotonic() + 60 * (limit_minutes or math.inf)
+    assert pid is not None
     try:
-        child.start()
-        while child.is_alive():
-            lines.pass_on()
-            if stopped():
-                _interrupt(child)
-            elif time.monotonic() > ends:
+        while not wait([child.sentinel], _LOOK_EVERY):
+            _note_lines(written, note)
+            if time.monotonic() > ends:
                 return None
-            child.join(_LOOK_EVERY)
+            if stopped():
+                raise KeyboardInterrupt
     except KeyboardInterrupt:
-        _interrupt(child)
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGINT)
+        wait([child.sentinel], _PATIENCE)
         raise
     finally:
-        if child.pid is not None:
-            with contextlib.suppress(ProcessLookupError):
-                os.killpg(child.pid, signal.SIGKILL)  # with the processes that a plug-in has started
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(pid, signal.SIGKILL)  # with the processes that a plug-in has started
+        with _starting:
             child.kill()
             child.join()
-        lines.pass_on(ended=True)
+        _note_lines(written, note, ended=True)
     return child.exitcode
 
 
-def _interrupt(child: ForkServerProcess) -> None:
-    """Interrupt a process, and kill it if it does not end."""
-    if child.pid is not None:
-        with contextlib.suppress(ProcessLookupError):
-            os.kill(child.pid, signal.SIGINT)
-        child.join(_PATIENCE)
-        child.kill()
+def _note_lines(written: IO[bytes], note: Callable[[str], None], ended: bool = False) -> None:
+    """Note the lines that a process has written since; a line that has no end waits until the process has ended."""
+    for line in written:
+        if not (ended or line.endswith(b"\n")):
+            written.seek(-len(line), os.SEEK_CUR)
+            return
+        note(line.decode("utf-8", "replace").rstrip("\n"))
 
 
-def _interrupt_once(_: int, __: FrameType | None) -> NoReturn:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    raise KeyboardInterrupt
+def print_line(line: str) -> None:
+    """Print a line of a process on standard error, if anybody reads it."""
+    with contextlib.suppress(OSError, ValueError):
+        print(printable(line, but="\t"), file=sys.stderr, flush=True)
 
 
 def _end_with_parent() -> None:
@@ -215,8 +193,10 @@ def _end_with_parent() -> None:
     os.killpg(0, signal.SIGKILL)
 
 
-def _describe_death(code: int, lines: Iterable[str]) -> str:
+def _describe_death(code: int | None, lines: Sequence[str], limit_minutes: float | None) -> str:
     """Say how a process that left no result has ended, with the place that a crash names, or its last line."""
+    if code is None:
+        return f"was not done after limit_minutes={limit_minutes}"
     said = [line.strip() for line in lines if line.strip()]
     last = next(filter(_CRASH_SITE.match, said), said[-1] if said else "")
     last = last and f": {last}"
@@ -224,8 +204,3 @@ def _describe_death(code: int, lines: Iterable[str]) -> str:
         return f"ended without a result, with exit code {code}{last}"
     memory = ", as for want of memory" if -code == signal.SIGKILL else ""
     return f"was ended by signal {-code} ({signal.Signals(-code).name}){memory}{last}"
-
-
-def _echo(line: str) -> None:
-    with contextlib.suppress(OSError, ValueError):
-        print(line, file=sys.stderr, flush=True)

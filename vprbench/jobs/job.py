@@ -1,14 +1,13 @@
-"""One run made from start to end: its row or JSON said, and its outcome as plain values."""
+"""One run made from start to end, and its outcome as plain values."""
 
 from __future__ import annotations
 
-import json
 import logging
 import sys
 import textwrap
 import traceback
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -32,17 +31,16 @@ class JobResult:
     environment: dict[str, Any] = field(default_factory=dict)  # the machine of a run that failed
     traceback: str = ""  # of an error that is no BadInput
     held: str = ""  # the lock of another process that makes the run now: ask again once it is free
-
-    def to_json(self) -> str:
-        """Return all fields as JSON."""
-        return json.dumps(asdict(self))
+    lines: list[str] = field(default_factory=list)  # of standard error, unless they were heard before
+    files: dict[str, bytes] = field(default_factory=dict)  # of the run, from a worker that does not share the disk
 
 
 def make_run(request: RunRequest, say: Callable[[str], None], wait: bool = True) -> JobResult:
-    """Make a run, or find it stored, and say its row or JSON; an error is said on standard error and returned.
+    """Make a run, or find it stored, and say its row or JSON; an error is one line on standard error, and returned.
 
     Without `wait` a run that another process makes is left to that. Raises KeyboardInterrupt alone.
     """
+    from vprbench.runs.machine import describe_machine
     from vprbench.runs.run_lock import HeldElsewhereError
 
     try:
@@ -52,46 +50,18 @@ def make_run(request: RunRequest, say: Callable[[str], None], wait: bool = True)
         return JobResult(0, held=str(error.path))
     except KeyboardInterrupt:
         raise
+    except BadInput as error:
+        code, words, trace, is_missing = 2, format_error(error), "", isinstance(error, MissingData)
+        complain(words)
     except BaseException as error:  # whatever a plug-in raises
         trace = hide_home(printable(traceback.format_exc(), but="\n"))
+        code, words, is_missing = 1, hide_home(format_error(error).splitlines()[0]), False
         if request.debug:
             print(textwrap.indent(trace, "  "), file=sys.stderr)
-        result = _describe_failure(error, request)
-        return replace(result, traceback="" if isinstance(error, BadInput) else trace)
-
-
-def _describe_failure(error: BaseException, request: RunRequest) -> JobResult:
-    """Return the outcome of a run that raised an error, and print the error as one line on standard error."""
-    from vprbench.runs import machine
-
-    environment = machine.describe_machine(request.device, request.n_threads)
-    if isinstance(error, BadInput):
-        complain(format_error(error))
-        return JobResult(2, format_error(error), isinstance(error, MissingData), environment=environment)
-    words = hide_home(format_error(error).splitlines()[0])
-    hint = "" if request.debug or isinstance(error, TrainingDivergedError) else "; debug=true shows the traceback"
-    complain(f"{request.method_name} failed: {words}{locate_error(error)}{hint}")
-    return JobResult(1, words, environment=environment)
-
-
-def failure_of(request: RunRequest, result: JobResult) -> Failure:
-    """Return the record of a run that gave no result."""
-    from vprbench.runs import machine
-
-    return Failure(
-        request.method_name,
-        request.dataset_name,
-        request.record(),
-        hide_home(result.error.partition("\n")[0]),
-        result.environment or machine.describe_machine("cpu", 1),
-        result.missing,
-        result.traceback,
-    )
-
-
-def failure_json(failure: Failure) -> str:
-    """Return a failure as readers of JSON get it."""
-    return json.dumps({name: getattr(failure, name) for name in ("method", "dataset", "error", "missing")})
+        hint = "" if request.debug or isinstance(error, TrainingDivergedError) else "; debug=true shows the traceback"
+        complain(f"{request.method_name} failed: {words}{locate_error(error)}{hint}")
+    environment = describe_machine(request.device, request.n_threads)
+    return JobResult(code, words, is_missing, environment=environment, traceback=trace)
 
 
 def _find_or_make(request: RunRequest, say: Callable[[str], None], wait: bool) -> str:
@@ -118,3 +88,18 @@ def _find_or_make(request: RunRequest, say: Callable[[str], None], wait: bool) -
         say(format_run(result.run, result.folder, result.from_store, request, files))
         key = result.run.key
     return key
+
+
+def failure_of(request: RunRequest, result: JobResult) -> Failure:
+    """Return the record of a run that gave no result."""
+    from vprbench.runs.machine import describe_machine
+
+    return Failure(
+        request.method_name,
+        request.dataset_name,
+        request.record(),
+        hide_home(result.error.partition("\n")[0]),
+        result.environment or describe_machine("cpu", 1),
+        result.missing,
+        result.traceback,
+    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import sys
 from collections.abc import Sequence
@@ -9,42 +10,35 @@ from contextlib import nullcontext
 from pathlib import Path
 
 from vprbench.jobs.executors import executor_for, run_all
-from vprbench.jobs.job import failure_json, failure_of
+from vprbench.jobs.job import failure_of
 from vprbench.jobs.options import ClusterOptions
 from vprbench.runs.request import RunRequest
 from vprbench.runs.store import Store
 from vprbench.terminal.live import LiveTable
 
-logger = logging.getLogger(__name__)
-
 
 def run_sweep(requests: Sequence[RunRequest], options: ClusterOptions) -> int:
     """Make runs and print their rows on standard output; returns the highest exit code."""
-    executor = executor_for(options)
-    live = LiveTable([], [], len(requests)) if executor.is_distributed and sys.stderr.isatty() else None
+    live = LiveTable([], [], len(requests)) if options.is_distributed and sys.stderr.isatty() else None
 
     def begin(number: int) -> None:
         words = " ".join(requests[number].overrides)
-        logger.info("run %d of the sweep: %s", number + 1, words)
+        logging.info("run %d of the sweep: %s", number + 1, words)
         if live is not None:
-            live.begin(number, words, executor.name)
-
-    def hear(_: int, line: str) -> None:
-        if live is not None:
-            live.line(line)
+            live.begin(number, words)
 
     codes = []
-    with executor, live or nullcontext():
-        for number, result in run_all(executor, enumerate(requests), begin, hear if live else None):
-            request = requests[number]
+    with executor_for(options) as executor, live.shown() if live else nullcontext():
+        for number, result in run_all(executor, enumerate(requests), begin, live.line if live else None):
             codes.append(result.code)
             if result.printed:
                 print(result.printed, flush=True)
             if live is not None:
                 live.end(number, bool(result.code))
             if result.code:
-                failure = failure_of(request, result)
-                Store(Path(request.results).expanduser()).try_to_save_failure(failure)
-                if request.output == "json":
-                    print(failure_json(failure), flush=True)
+                failure = failure_of(requests[number], result)
+                Store(Path(requests[number].results).expanduser()).try_to_save_failure(failure)
+                if requests[number].output == "json":
+                    names = ("method", "dataset", "error", "missing")
+                    print(json.dumps({name: getattr(failure, name) for name in names}), flush=True)
     return max(codes, default=0)

@@ -96,9 +96,9 @@ def make_missing_runs(wanted: Sequence[Cell], store: Store, executor: Executor |
             logger.info("[%d/%d] %s", number + 1, len(wanted), title)
         else:
             table.show(cell.row.name, cell.column, "runs", "cyan")
-            table.begin(number, title, executor.name)
+            table.begin(number, title)
 
-    def hear(_: int, line: str) -> None:
+    def hear(line: str) -> None:
         if line and table is not None:
             table.line(line, "red" if line.startswith("vprbench: ") else "")
 
@@ -126,7 +126,7 @@ def make_missing_runs(wanted: Sequence[Cell], store: Store, executor: Executor |
             else:
                 end(number, result)
 
-    with table or nullcontext():
+    with table.shown() if table else nullcontext():
         for number, result in run_all(executor, list_missing(), begin, hear if table else None):
             end(number, result)
     return [results[number] for number in range(len(wanted))]

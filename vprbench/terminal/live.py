@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Sequence
-from contextlib import ExitStack
-from types import TracebackType
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
 from rich.console import Group
 from rich.live import Live
@@ -30,39 +29,27 @@ class LiveTable:
         self._rows, self._columns, self._total = list(rows), list(columns), total
         self._cells: dict[tuple[str, str], Text] = {}
         self._last_row = 0
-        self._running: dict[int, tuple[str, str, float]] = {}  # title, host and start in seconds, by the run's number
+        self._running: dict[int, tuple[str, float]] = {}  # title and start in seconds, by the run's number
         self._done, self._failed, self._made = 0, 0, 0
         self._started = time.perf_counter()
-        self._opened = ExitStack()
         self.console = console(sys.stderr)
 
-    def __enter__(self) -> LiveTable:
-        """Begin to draw."""
-        self._opened.enter_context(showing())
-        self._opened.enter_context(
-            Live(
-                self,
-                console=self.console,
-                refresh_per_second=2,
-                transient=True,
-                redirect_stdout=sys.stdout.isatty(),
-                vertical_overflow="crop",
-            )
-        )
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        """Leave the terminal as it was, but for the lines above."""
-        self._opened.close()
+    @contextmanager
+    def shown(self) -> Iterator[None]:
+        """Draw the table inside the block; afterwards the terminal is as it was, but for the lines above the table."""
+        redirects = sys.stdout.isatty()
+        live = Live(self, console=self.console, refresh_per_second=2, transient=True, redirect_stdout=redirects)
+        with showing(), live:
+            yield
 
     def show(self, row: str, column: str, text: str, style: str = "") -> None:
         """Fill a cell."""
         self._last_row = self._rows.index(row)
         self._cells[row, column] = Text(printable(text), style=style)
 
-    def begin(self, number: int, title: str, host: str) -> None:
-        """Show that a run has begun on a host."""
-        self._running[number] = (title, host, time.perf_counter())
+    def begin(self, number: int, title: str) -> None:
+        """Show that a run has begun."""
+        self._running[number] = (title, time.perf_counter())
 
     def end(self, number: int, failed: bool = False) -> None:
         """Count a run as done, whether it was begun or found in the store."""
@@ -76,23 +63,21 @@ class LiveTable:
     def __rich__(self) -> Group:
         """Return the table, the runs and the counts of this moment."""
         now, running = time.perf_counter(), [*self._running.values()][:_RUNNING]
-        table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="bold")
-        for head in ("", *self._columns):
-            table.add_column(Text(printable(head)), no_wrap=True, overflow="ellipsis")
+        table = Table("", box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="bold")
         table.columns[0].max_width = _NAME
+        for name in self._columns:
+            table.add_column(Text(printable(name)), no_wrap=True, overflow="ellipsis")
         room = max(1, self.console.height - _REST - len(running))
         first = max(0, min(self._last_row - room // 2, len(self._rows) - room))
         for row in self._rows[first : first + room]:
             cells = [self._cells.get((row, column), Text("·", style="dim")) for column in self._columns]
-            table.add_row(Text(printable(row)), *cells)
-        runs = Table.grid(padding=(0, 2))
-        for title, host, started in running:
-            words = (host, title, format_duration(now - started))
-            runs.add_row(*(Text(printable(each), style="cyan") for each in words))
+            table.add_row(Text(printable(row), overflow="ellipsis", no_wrap=True), *cells)
+        lines = [f"{format_duration(now - start)}  {printable(title)}" for title, start in running]
+        runs = [Text(line, style="cyan", overflow="ellipsis", no_wrap=True) for line in lines]
         waiting = self._total - self._done - len(self._running)
         counts = f"{self._done} of {self._total}, {len(self._running)} running, {waiting} waiting"
         counts += f", {self._failed} failed" * bool(self._failed)
         if self._made:  # the rest takes as long as the runs that were made
             left = (now - self._started) / self._made * (self._total - self._done)
             counts += f", {format_duration(left)} left"
-        return Group(*([table] if self._rows else []), runs, Text(counts))
+        return Group(*[table] * bool(self._rows), *runs, Text(counts))

@@ -68,7 +68,7 @@ def search(settings: Settings, method: Mapping[str, Any], dataset: Mapping[str, 
     settings. Raises BadInput if its places are not free to be searched.
     """
     started = time.perf_counter()
-    jobs = _jobs(settings.jobs)
+    jobs = _jobs(settings.jobs or settings.workers)
     surroundings = machine.describe_machine("cpu", 1)
     columns = read_plan(registry.conf_folders()["vprbench"] / "table.yaml").columns.values()
     allowed = places.searchable(settings.dataset, dataset, settings.places, columns)
@@ -189,7 +189,7 @@ def _jobs(requested: int | None) -> int:
 @contextmanager
 def _open_executor(settings: Settings, jobs: int) -> Iterator[tuple[Executor, int]]:
     """Open processes of one thread each, or the workers of a cluster, and say how many tasks may run at a time."""
-    if settings.is_distributed:
+    if settings.needs_dask:
         from vprbench.jobs.cluster import DaskExecutor
 
         with DaskExecutor(settings) as dask:

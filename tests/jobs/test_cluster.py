@@ -3,12 +3,13 @@
 import gc
 import os
 import shlex
+import signal
 import sys
 
 import pytest
 
 from vprbench.errors import BadInput
-from vprbench.jobs.batch import start_jobs
+from vprbench.jobs.cluster import DaskExecutor, start_jobs
 from vprbench.jobs.options import ClusterOptions
 from vprbench.plugins.options import parse_options
 
@@ -42,7 +43,9 @@ def start(*given):
 @pytest.mark.parametrize("system", WANTED)
 def test_a_script_asks_its_system_for_the_fields_of_its_yaml_and_begins_one_worker(system, tmp_path):
     more = ["cluster.job_extra_directives=[--one-more=a:1]", "cluster.job_script_prologue=[module load cuda]"]
+    handler = signal.getsignal(signal.SIGINT)
     with start(f"cluster={system}", *ASKED, *more):
+        assert signal.getsignal(signal.SIGINT) is handler  # dask_jobqueue brings one of its own
         lines = (tmp_path / "submitted").read_text().splitlines()
     head = WANTED[system][0].split(" ")[0]
     assert not [line for line in [*WANTED[system], f"{head} --one-more=a:1"] if line not in lines], lines
@@ -56,8 +59,8 @@ def test_a_script_asks_its_system_for_the_fields_of_its_yaml_and_begins_one_work
 def test_a_yaml_of_ones_own_names_any_class_of_dask_jobqueue_and_workers_bounds_the_jobs(tmp_path):
     (tmp_path / "ours.yaml").write_text("_target_: dask_jobqueue.PBSCluster\ncores: 2\nmemory: 4GiB\nqueue: night\n")
     options = parse_options(ClusterOptions, ["cluster=./ours.yaml", "cluster.cores=8", "workers=5"], {})
-    assert (options.most_jobs, options.threads([])) == (5, ["threads=8"])
-    with start_jobs(options.job_arguments(), options.most_jobs):
+    assert (DaskExecutor(options).room(), options.threads([])) == (5, ["threads=8"])
+    with start_jobs(options.job_arguments(), 5):
         assert "#PBS -q night" in (tmp_path / "submitted").read_text()
 
 
