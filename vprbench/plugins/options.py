@@ -113,7 +113,7 @@ def _parse_text(text: str, hint: Any) -> Any:
     try:
         return json.loads(text)
     except ValueError:
-        if not _is_list(hint):
+        if not _is_list(hint) or text.startswith("[") != text.endswith("]"):
             return text
     parts = [part.strip() for part in text.removeprefix("[").removesuffix("]").split(",")]
     return parts if list[str] in (hint, *get_args(hint)) else [_parse_text(part, None) for part in parts]

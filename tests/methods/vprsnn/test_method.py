@@ -94,7 +94,7 @@ def test_a_gpu_is_refused_to_a_method_without_an_argument_device():
     for name, fits in (("vprsnn", False), ("vprsnn_ensemble", False), ("vprtempo", True)):
         with pytest.raises(BadInput, match=r"device=cuda") as error:
             make_request([f"method={name}"], {"device": "cuda:999"}).require_machine()
-        assert ("has no argument device" in str(error.value)) is not fits
+        assert ("has no option device" in str(error.value)) is not fits
 
 
 @pytest.mark.extended
