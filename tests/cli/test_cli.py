@@ -1,5 +1,6 @@
 """The command line: what it prints, what it stores, and one clear line with exit code 2 for bad input."""
 
+import csv
 import errno
 import json
 import re
@@ -11,13 +12,17 @@ import pytest
 from PIL import Image as PillowImage
 from quick_runs import quick_runs
 from served_files import serving
-from small_plan import RUN
+from small_plan import RUN, Apart
 
 from vprbench.cli import main
+from vprbench.jobs import executors
+from vprbench.metrics.accuracy import recall_at
 from vprbench.plugins import registry
+from vprbench.runs.store import Store
 from vprbench.storage import tensors
 
 QUICK = ["dataset.places=12", "dataset.first_query_place=0", *RUN]
+ENDINGS = (".md", ".csv", ".tex", "-runs.csv")
 KEYS = {*(f"recall_at_{n}" for n in (1, 5, 10, 25)), "recall_at_1_low", "recall_at_1_high", "fit_seconds", "run_folder"}
 KEYS |= {f"{mode}_{step}_hz" for mode in ("streaming", "offline") for step in ("encode", "match", "total")}
 KEYS |= {"peak_memory_bytes", "from_store"}
@@ -225,3 +230,15 @@ def test_results_that_cannot_be_written_are_named_before_the_run(capsys, monkeyp
     capsys.readouterr()
     monkeypatch.setattr("vprbench.runs.get_or_run.execute", lambda *_: pytest.fail("it ran"))
     assert f"{place} cannot be written" in refused(["method=sad", *QUICK], capsys)
+
+
+def test_a_sweep_ends_with_one_table_of_the_mean_over_the_seeds_and_its_csv(capsys, monkeypatch):
+    monkeypatch.setattr(executors, "run_in_child", Apart())
+    assert main(["-m", "method=sad,random_projection", "seed=0,1", *QUICK, "timing=none"]) == 0
+    assert capsys.readouterr().out.splitlines()[-4:] == [f"  {Path('results/sweep').absolute()}{e}" for e in ENDINGS]
+    with Path("results/sweep.csv").open(encoding="utf-8", newline="") as file:
+        lines = [line for line in csv.DictReader(file) if line["quantity"] == "recall_at_1"]
+    assert {line["row"]: line["seeds"] for line in lines} == {"sad": "0", "random_projection": "0 1"}
+    runs = {run.key: recall_at(run.outcome, 1).expected for run in Store(Path("results")).runs() if run.method != "sad"}
+    (value,) = (float(line["value"]) for line in lines if line["row"] == "random_projection")
+    assert (len(runs), value) == (2, pytest.approx(50 * sum(runs.values())))

@@ -61,7 +61,13 @@ def run(options: list[str]) -> int:
     if "-m" in options and of_runs:
         cluster = parse_options(ClusterOptions, own, {})
         runs = split_sweep([*of_runs, *cluster.threads(of_runs)])
-        return run_sweep([make_request(run) for run in runs], cluster)
+        requests = [make_request(run) for run in runs]
+        code, keys = run_sweep(requests, cluster)
+        if len(keys) > 1 and requests[0].output == "row":
+            from vprbench.report.folder import print_sweep
+
+            print_sweep(keys, requests[0])
+        return code
     if len(of_runs) < len(options):
         raise BadInput(f"{' '.join(options)}: several runs need -m and their options, as in -m method=sad,pca")
     request = make_request(of_runs)

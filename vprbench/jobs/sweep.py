@@ -17,8 +17,8 @@ from vprbench.runs.store import Store
 from vprbench.terminal.live import LiveTable
 
 
-def run_sweep(requests: Sequence[RunRequest], options: ClusterOptions) -> int:
-    """Make runs and print their rows on standard output; returns the highest exit code."""
+def run_sweep(requests: Sequence[RunRequest], options: ClusterOptions) -> tuple[int, set[str]]:
+    """Make runs and print their rows on standard output; returns the highest exit code and the keys of the runs."""
     live = LiveTable([], [], len(requests)) if options.is_distributed and sys.stderr.isatty() else None
 
     def begin(number: int) -> None:
@@ -27,10 +27,11 @@ def run_sweep(requests: Sequence[RunRequest], options: ClusterOptions) -> int:
         if live is not None:
             live.begin(number, words)
 
-    codes = []
+    codes, keys = [], set[str]()
     with executor_for(options) as executor, live.shown() if live else nullcontext():
         for number, result in run_all(executor, enumerate(requests), begin, live.line if live else None):
             codes.append(result.code)
+            keys |= {result.key} - {""}
             if result.printed:
                 print(result.printed, flush=True)
             if live is not None:
@@ -41,4 +42,4 @@ def run_sweep(requests: Sequence[RunRequest], options: ClusterOptions) -> int:
                 if requests[number].output == "json":
                     names = ("method", "dataset", "error", "missing")
                     print(json.dumps({name: getattr(failure, name) for name in names}), flush=True)
-    return max(codes, default=0)
+    return max(codes, default=0), keys

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,6 +10,7 @@ from typing import Any
 from vprbench.errors import BadInput
 from vprbench.jobs.job import JobResult
 from vprbench.report.gather import ReportData, TablePlan, assemble_report, stored
+from vprbench.report.missing_runs import results_folder
 from vprbench.report.plan import NO_PLAN, PlannedColumn, Row
 from vprbench.report.ranking import rank_rows
 from vprbench.report.run_options import FolderRequest
@@ -22,11 +23,15 @@ from vprbench.report.selection import (
     as_text,
     get_time,
 )
+from vprbench.report.table import formats
+from vprbench.report.table.make import write
 from vprbench.report.table.quantities import comparison_quantities, without_accuracies
 from vprbench.runs.frame import format_label
 from vprbench.runs.record import Failure, Run
+from vprbench.runs.request import RunRequest
 from vprbench.runs.rows import format_value
 from vprbench.runs.sequences import Views, parse_views
+from vprbench.runs.store import Store
 from vprbench.text import near
 
 
@@ -48,6 +53,20 @@ def read_report(request: FolderRequest) -> ReportData:
     title = request.name or Path(request.results).expanduser().absolute().name
     views = parse_views(request.sequence, request.filter)
     return report_runs(runs, failures, title, request.results, request.metrics, request.stores, views)
+
+
+def print_sweep(keys: Collection[str], request: RunRequest) -> None:
+    """Print the runs of a sweep as one table, a row for all seeds of a method, and write it as sweep.md, .csv and .tex.
+
+    `keys` are those of the runs; results folder, metrics and views are those of `request`. Runs of corrupted queries
+    are not in the table.
+    """
+    views = parse_views(request.sequence, request.filter)
+    runs = [run for run in Store(results_folder(request.results)).runs() if run.key in keys]
+    if any(run.config.get("corruption") is None for run in runs):
+        found = report_runs(runs, (), "sweep", request.results, request.metrics, views=views)
+        print(f"\n{formats.to_terminal(found.table, request.wide)}")
+        print("written to", *write(found, results_folder(request.results), "sweep"), sep="\n  ")
 
 
 def report_runs(
