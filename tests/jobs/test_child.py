@@ -61,7 +61,7 @@ def is_running(pid_file):
 def test_a_run_is_stored_its_prints_are_passed_on_and_nothing_of_its_process_stays(run, tmp_path, monkeypatch):
     temporary = tmp_path / "temporary"
     temporary.mkdir()
-    child._start_server()  # whose socket lies in the usual folder
+    child.start_server()  # whose socket lies in the usual folder
     monkeypatch.setattr(tempfile, "tempdir", str(temporary))
     monkeypatch.setenv("HEARD", "by environment")
     prints = "print('one', os.environ['HEARD']); os.write(1, b'compiled\\n'); os.write(2, b'rest\\n'); "

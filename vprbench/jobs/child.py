@@ -74,7 +74,7 @@ def run_in_child(
         with _starting:
             variables = {**os.environ, **(environment or {}), **({} if is_shown else {QUIET: "1"})}
             given = request_json, place, variables
-            child = _start_server().Process(target=make_job, args=given, daemon=True)
+            child = start_server().Process(target=make_job, args=given, daemon=True)
             child.start()
         code = _follow(child, written, note, request.limit_minutes, stopped)
         if (place / _RESULT).exists():
@@ -117,10 +117,11 @@ def make_job(request_json: str, place: Path, environment: Mapping[str, str]) -> 
 
 
 @functools.cache
-def _start_server() -> ForkServerContext:
+def start_server() -> ForkServerContext:
     """Return the context of a server that has imported libraries of runs and forks a process for each.
 
-    The server has started no thread, and SIGINT is blocked in it: an interruption waits until the run handles it.
+    It imports beside this process, which need not wait. The server has started no thread, and SIGINT is blocked in it:
+    an interruption waits until the run handles it.
     """
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(_PRELOADED)

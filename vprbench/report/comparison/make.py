@@ -12,6 +12,7 @@ import pandas as pd
 
 from vprbench.api.dataset import Dataset
 from vprbench.errors import BadInput
+from vprbench.jobs.child import start_server
 from vprbench.jobs.executors import executor_for
 from vprbench.jobs.job import JobResult, failure_of
 from vprbench.progress import progress_shown
@@ -44,6 +45,8 @@ _LEAST = ("peak MB", "AUC-PR (A)", "R@5 %")  # columns that a narrow terminal la
 
 def make_comparison(command: SortedOptions) -> int:
     """Compare methods on one dataset; returns the exit code: 1 where a run failed, 2 for input to be mended."""
+    if not command.request.stored and not command.request.needs_dask:
+        start_server()  # imports while the comparison is checked
     found, wrong = check_comparison(command)
     if found is None:
         for line in wrong:
