@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterable, Sequence
+from functools import cache
 from io import BytesIO
 from itertools import cycle
 from math import log10, sqrt
@@ -139,6 +140,7 @@ def scale_log(axes: Axes, which: Literal["x", "y"], values: Iterable[float], roo
     axis.set_minor_formatter(NullFormatter())
 
 
+@cache
 def render_png(drawing: Drawing) -> bytes:
     """Return a figure as PNG, 300 dots per inch, its caption as the description; the same bytes for the same data."""
     return _render(drawing.figure, "png", {"Software": None, "Description": drawing.caption})
