@@ -9,7 +9,7 @@ from pathlib import Path
 from vprbench.errors import BadInput, MissingData
 from vprbench.progress import report
 
-_RETRIES = 5  # in one call; after that the part stays for the next call
+_RETRIES = 3  # in one call; after that the part stays for the next call
 
 
 def fetch(
