@@ -31,7 +31,8 @@ def format_run(
         table = [{"answers": rows.describe_view(view), **row} for view, row in zip(views, table, strict=True)]
     lines = [line_text(f"note: {note.text}", "yellow") for note in list_notes(shown[0])]
     lines.append(line_text(rows.describe_protocol(run), fits=True))
-    lines += [line_text(f"{rows.describe_view(view)}: {len(view.outcome)} queries") for view in views]
+    total = len(run.outcome)
+    lines += [line_text(f"{rows.describe_view(view)}: {len(view.outcome)} of {total} queries") for view in views]
     lines.append(table_text([*table[0]], [[*row.values()] for row in table], request.wide, rows.LEAST))
     if request.stream:
         lines.append(stream.format_stops(run))
