@@ -11,7 +11,7 @@ from vprbench import __version__
 from vprbench.commands.catalogue import COMMANDS
 from vprbench.errors import BadInput, ClusterLostError, format_error
 from vprbench.terminal.streams import complain, log_to_stderr
-from vprbench.text import near
+from vprbench.text import suggest_names
 
 _COMPLETE = "__complete"  # the hidden command of completion scripts: a line -> the words that its last may become
 
@@ -67,5 +67,5 @@ def _split(arguments: list[str]) -> tuple[str, list[str]]:
     if re.fullmatch(r"\w[\w-]*", name) is None:
         return "run", arguments
     if name not in COMMANDS:
-        raise BadInput(f"{name} is no command: {near(name, COMMANDS)}")
+        raise BadInput(f"{name} is no command: {suggest_names(name, COMMANDS)}")
     return name, arguments[1:]

@@ -25,7 +25,7 @@ from vprbench.plugins.tuned_places import parse_tuned_on
 from vprbench.runs.request import OPTIONS, RunRequest
 from vprbench.runs.timing_protocol import Protocol
 from vprbench.storage.folders import require_homes
-from vprbench.text import near
+from vprbench.text import suggest_names
 
 _CONF = "vprbench.conf"
 _SET_BY_RUN = ("method.seed", "method.device")
@@ -126,7 +126,7 @@ def _quote_option(option: str) -> str:
         with suppress(HydraException):
             OverridesParser.create().parse_override(f"{name}={form}")
             return f"{name}={form}"
-    wanted = f"give {name}=value" if name in OPTIONS else near(name, OPTIONS)
+    wanted = f"give {name}=value" if name in OPTIONS else suggest_names(name, OPTIONS)
     raise BadInput(f"{option or 'an empty argument'} is no option=value: {wanted}")
 
 
@@ -166,16 +166,18 @@ def _require_known(options: Sequence[str], values: Iterable[str]) -> None:
         if name in choices:
             known[group] = choices[name].options  # raises BadInput, with the line, for a yaml that cannot be read
         elif "," not in name:
-            raise BadInput(f"{group}={name} is unknown: {near(name, choices)}")
+            raise BadInput(f"{group}={name} is unknown: {suggest_names(name, choices)}")
     for option in (*options, *values):
         name = _name_option(option)
         above, _, inner = name.partition(".")
         if above not in OPTIONS:
-            raise BadInput(f"option {name} is unknown: {near(above, OPTIONS)}")
+            raise BadInput(f"option {name} is unknown: {suggest_names(above, OPTIONS)}")
         argument = inner.partition(".")[0]
         is_new = option.startswith("+") and above != "timing" and argument not in entries.DECLARED
         if inner and argument not in known.get(above, [argument]) and not is_new:
-            raise BadInput(f"option {name} is unknown to {_choose(above, options)}: {near(argument, known[above])}")
+            raise BadInput(
+                f"option {name} is unknown to {_choose(above, options)}: {suggest_names(argument, known[above])}"
+            )
 
 
 def _find_changed(options: Sequence[str], values: Iterable[str], given: DictConfig) -> dict[str, Any]:

@@ -44,7 +44,7 @@ def shorten(text: str) -> str:
     return line if len(line) <= 100 else f"{line[:48]} ... {line[-47:]}"
 
 
-def near(name: str, known: Iterable[str]) -> str:
+def suggest_names(name: str, known: Iterable[str]) -> str:
     """Return the part of an error message that names the known names nearest to `name`, or all if none is near."""
     known = list(known)
     if close := difflib.get_close_matches(name, known, n=3):

@@ -14,7 +14,7 @@ from vprbench.plugins.options import parse_options
 from vprbench.progress import progress_shown
 from vprbench.terminal.console import console, table_text
 from vprbench.terminal.streams import results_only_on_stdout
-from vprbench.text import near, printable
+from vprbench.text import printable, suggest_names
 
 if TYPE_CHECKING:
     from vprbench.report.run_options import TableRequest
@@ -271,7 +271,7 @@ def print_completion(words: list[str]) -> int:
     scripts = {path.name: path for path in Path(__file__).with_name("completion").iterdir()}
     shell = " ".join(words)
     if shell not in scripts:
-        raise BadInput(f"completion {shell}: {near(shell, sorted(scripts))}, as in vprbench completion bash")
+        raise BadInput(f"completion {shell}: {suggest_names(shell, sorted(scripts))}, as in vprbench completion bash")
     print(scripts[shell].read_text(encoding="utf-8"), end="")
     return 0
 

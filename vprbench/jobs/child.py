@@ -68,7 +68,7 @@ def run_in_child(
     def note(line: str) -> None:
         lines.append(line)
         if is_shown:
-            print_line(line)
+            print_child_line(line)
 
     with scratch() as place, (place / _STDERR).open("wb"), (place / _STDERR).open("rb") as written:
         with _starting:
@@ -180,7 +180,7 @@ def _note_lines(written: IO[bytes], note: Callable[[str], None], ended: bool = F
         note(line.decode("utf-8", "replace").rstrip("\n"))
 
 
-def print_line(line: str) -> None:
+def print_child_line(line: str) -> None:
     """Print a line of a process on standard error, if anybody reads it."""
     with contextlib.suppress(OSError, ValueError):
         print(printable(line, but="\t"), file=sys.stderr, flush=True)

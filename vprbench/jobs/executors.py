@@ -10,7 +10,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import Self
 
-from vprbench.jobs.child import print_line, run_in_child
+from vprbench.jobs.child import print_child_line, run_in_child
 from vprbench.jobs.job import JobResult
 from vprbench.jobs.options import ClusterOptions
 from vprbench.runs import run_lock
@@ -103,7 +103,7 @@ def run_all(
             number, request = running.pop(future)
             result = executor.collect(request, future)
             for line in result.lines:
-                (hear or print_line)(line)
+                (hear or print_child_line)(line)
             if result.held:
                 held.append(((number, request), result.held))
             else:

@@ -13,7 +13,7 @@ from vprbench.errors import BadInput
 from vprbench.plugins.entries import entries, read
 from vprbench.plugins.options import option
 from vprbench.storage.cores import core_count
-from vprbench.text import near
+from vprbench.text import suggest_names
 
 logger = logging.getLogger(__name__)
 
@@ -65,7 +65,9 @@ class ClusterOptions:
         known = {known: entry.path for known, entry in entries("cluster").items()}
         path = Path(name).expanduser() if name.endswith(".yaml") else known.get(name)
         if path is None or not path.is_file():
-            raise BadInput(f"cluster={name}: {near(name, known)}, or a yaml of your own, as in cluster=./ours.yaml")
+            raise BadInput(
+                f"cluster={name}: {suggest_names(name, known)}, or a yaml of your own, as in cluster=./ours.yaml"
+            )
         lists = {option: read(text) for option, text in given.items() if isinstance(text, str) and text.startswith("[")}
         values = {**read(path.read_text(encoding="utf-8")), **given, **lists}
         if type(values.get("cores")) is not int or not isinstance(values.get("_target_"), str):

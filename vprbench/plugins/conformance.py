@@ -13,7 +13,7 @@ from vprbench.plugins.entries import entries
 from vprbench.plugins.registry import arguments, check_arguments, describe_error, make_dataset, make_method
 from vprbench.plugins.rules import ENCODE_RULE, RULES, RuleBrokenError, RuleExceptedError, Subject, require
 from vprbench.plugins.tuned_places import UNKNOWN, parse_places, parse_tuned_on
-from vprbench.text import near
+from vprbench.text import suggest_names
 
 TUNED_RULE = "tuned_on names datasets and numbers of their places"
 
@@ -73,7 +73,7 @@ def _check_tuned_on(tuned_on: Any) -> None:
     declared = parse_tuned_on(tuned_on, "its yaml")
     known = [str(entry.values().get("name", name)) for name, entry in entries("dataset").items()]
     for name, places in {**declared["also_in"], declared["dataset"]: declared["places"]}.items():
-        require(name in known, f"dataset {name} is unknown: {near(name, known)}")
+        require(name in known, f"dataset {name} is unknown: {suggest_names(name, known)}")
         numbered = parse_places(places) is not None or (places == UNKNOWN and name != declared["dataset"])
         require(numbered, f"places of {name}: {places} came, wanted their numbers, as in 0-99,200-299")
 

@@ -11,7 +11,7 @@ from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 from vprbench.errors import BadInput
 from vprbench.plugins.entries import read
 from vprbench.storage.folders import require_homes
-from vprbench.text import near
+from vprbench.text import suggest_names
 
 Options = TypeVar("Options")
 
@@ -53,7 +53,7 @@ def check_values(prefix: str, given: Mapping[str, Any], hints: Mapping[str, Any]
     """
     for name in given:
         if name not in hints:
-            raise BadInput(f"option {prefix}{name} is unknown: {near(name, hints)}")
+            raise BadInput(f"option {prefix}{name} is unknown: {suggest_names(name, hints)}")
     return {name: check_value(f"{prefix}{name}", value, hints[name]) for name, value in given.items()}
 
 

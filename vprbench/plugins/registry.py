@@ -24,9 +24,9 @@ from vprbench.api.method import Method
 from vprbench.errors import BadInput
 from vprbench.plugins.entries import DECLARED, Entry, Group, conf_folders, entries, register_entry
 from vprbench.plugins.options import check_value, check_values
-from vprbench.text import near
+from vprbench.text import suggest_names
 
-__all__ = ["check_value", "conf_folders", "entries", "near"]  # of other modules, for callers of this one
+__all__ = ["check_value", "conf_folders", "entries"]  # of other modules, for callers of this one
 
 #: Parts of the names of source files that lie between the harness and a plug-in.
 _HARNESS_FILES = (str(Path(__file__).parents[1]), "importlib", "<frozen")
@@ -106,7 +106,7 @@ def resolve_name(group: Group, text: str) -> str:
     target = getattr(module, name, None)
     if not callable(target):
         own = [one for one, value in vars(module).items() if getattr(value, "__module__", "") == module.__name__]
-        hint = f": {near(name, own)}" if own else ""
+        hint = f": {suggest_names(name, own)}" if own else ""
         raise BadInput(f"{group}={text}: {file} defines no class or function {name}{hint}")
     config = {"_target_": f"{module.__name__}.{name}", **_list_defaults(group, target)}
     register_entry(Entry(group, name, file.absolute(), str(file), config=config))

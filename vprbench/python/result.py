@@ -207,7 +207,7 @@ class Result:
     def __repr__(self) -> str:
         recall = rows.format_row(self.run).get(rows.RECALL)
         found = "no ground truth" if recall is None else f"R@1 {recall} %"
-        where = ", ".join(filter(None, [self.run.dataset, rows.describe_view(self.run)]))
+        where = ", ".join(filter(None, [self.run.dataset, rows.describe_sequence(self.run)]))
         return shorten(f"<{self.name} on {where}: {found}, {len(self.queries):,} queries>")
 
     def _repr_html_(self) -> str:

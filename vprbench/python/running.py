@@ -17,7 +17,7 @@ from vprbench.runs.experiment import Experiment, build_experiment
 from vprbench.runs.get_or_run import get_or_run
 from vprbench.runs.request import OPTIONS
 from vprbench.runs.store import Store
-from vprbench.text import near
+from vprbench.text import suggest_names
 
 logger = logging.getLogger(__name__)
 
@@ -58,7 +58,7 @@ def prepare(method: AnyMethod, data: tuple[Choice, Dataset], options: Options) -
         if name in OPTIONS and name not in Options.__annotations__:
             raise BadInput(f"option {name} is the command line's, where each run has a process: leave it out")
         if name not in Options.__annotations__:
-            raise BadInput(f"option {name} is unknown: {near(name, Options.__annotations__)}")
+            raise BadInput(f"option {name} is unknown: {suggest_names(name, Options.__annotations__)}")
     if not isinstance(options.get("corruption"), str | None):
         raise BadInput(f"corruption={options['corruption']}: give one name, as in corruption='shift-1'")
     chosen = choose_method(method, options.get("seed"), options.get("device"))

@@ -32,7 +32,7 @@ from vprbench.runs.request import RunRequest
 from vprbench.runs.rows import format_value
 from vprbench.runs.sequences import Views, parse_views
 from vprbench.runs.store import Store
-from vprbench.text import near
+from vprbench.text import suggest_names
 
 
 def read_report(request: FolderRequest) -> ReportData:
@@ -46,7 +46,9 @@ def read_report(request: FolderRequest) -> ReportData:
         known = {getattr(run, field) for run in runs}
         for name in getattr(request, option):
             if name not in known:
-                raise BadInput(f"{option}={name}: no run of it is stored in {request.results}: {near(name, known)}")
+                raise BadInput(
+                    f"{option}={name}: no run of it is stored in {request.results}: {suggest_names(name, known)}"
+                )
         wanted = {*(getattr(request, option) or known)}
         runs = [run for run in runs if getattr(run, field) in wanted]
         failures = [failure for failure in failures if getattr(failure, field) in wanted]

@@ -27,6 +27,7 @@ from vprbench.report.table.quantities import QUANTITIES, Quantity, quantities
 from vprbench.runs.record import Failure, Run
 from vprbench.runs.sequences import Views, parse_views
 from vprbench.runs.store import Store
+from vprbench.text import suggest_names
 
 Part = TypeVar("Part")
 
@@ -193,7 +194,7 @@ def _make_row(plan: Plan, name: str, request: TableRequest) -> Row:
     entries, runs = registry.entries("method"), stored(request)[0]
     known = {*entries, *(run.method for run in runs)}
     if name not in known:
-        raise BadInput(f"methods={name} is unknown: {registry.near(name, [*plan.more_rows, *sorted(known)])}")
+        raise BadInput(f"methods={name} is unknown: {suggest_names(name, [*plan.more_rows, *sorted(known)])}")
     if name in entries:
         seeded = "seed" in entries[name].options
     else:
@@ -228,5 +229,5 @@ def _list_devices() -> list[str]:
 
 def _require_known(option: str, name: str, known: Mapping[str, Part]) -> Part:
     if name not in known:
-        raise BadInput(f"{option}={name} is unknown: {registry.near(name, known)}")
+        raise BadInput(f"{option}={name} is unknown: {suggest_names(name, known)}")
     return known[name]

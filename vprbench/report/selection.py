@@ -11,7 +11,7 @@ from typing import Any, Literal, TypeVar
 from vprbench.report.plan import PlannedColumn, Row
 from vprbench.runs.machine import Machine
 from vprbench.runs.record import Failure, Run
-from vprbench.runs.rows import describe_view, format_value
+from vprbench.runs.rows import describe_sequence, format_value
 from vprbench.runs.sequences import NoScoresError, Views, name_views
 from vprbench.runs.viewpoints import parse_viewpoints
 
@@ -244,7 +244,7 @@ def title(group: DatasetRuns, among: Sequence[DatasetRuns]) -> str:
     if sum(other.column.planned.title == planned.title for other in among if other.runs) < 2:
         return planned.title
     version = f"version {group.number}" if group.number > 1 else ""
-    return ", ".join(filter(None, [planned.title, describe_view(group.runs[0]), version]))
+    return ", ".join(filter(None, [planned.title, describe_sequence(group.runs[0]), version]))
 
 
 def describe_protocol(run: Run) -> str:

@@ -14,7 +14,7 @@ import numpy as np
 from vprbench.api.arrays import Image
 from vprbench.api.dataset import Dataset
 from vprbench.errors import BadInput
-from vprbench.text import near
+from vprbench.text import suggest_names
 
 STRENGTHS = (1, 2, 3)  # weak, medium, strong
 _GREY = 128  # level of the rectangle that hides a part of a frame
@@ -115,7 +115,7 @@ def parse_corruption(name: str) -> Corruption:
     parts = re.fullmatch(r"([a-z_]+)-([1-3])(?:-(\d{1,9}))?", name)
     if parts is None or parts[1] not in KINDS:
         kind = name.partition("-")[0]
-        remedy = "give a strength from 1 to 3" if kind in KINDS else near(kind, KINDS)
+        remedy = "give a strength from 1 to 3" if kind in KINDS else suggest_names(kind, KINDS)
         raise BadInput(f"corruption={name} is unknown: {remedy}, as in corruption=shift-1")
     return Corruption(parts[1], int(parts[2]), int(parts[3] or 0))
 

@@ -19,7 +19,7 @@ from vprbench.runs.sequences import parse_views
 from vprbench.runs.timing_protocol import Protocol
 from vprbench.runs.viewpoints import parse_viewpoints
 from vprbench.storage.cores import core_count
-from vprbench.text import near
+from vprbench.text import suggest_names
 
 #: The fields that a stored run holds of its request.
 RECORDED = (
@@ -144,5 +144,5 @@ def spell_out_metrics(names: Iterable[str]) -> list[str]:
         load_plug_in_metrics()
     for name in metrics:
         if name not in METRICS:
-            raise BadInput(f"metrics={name} is unknown: {near(name, [*METRICS, *GROUPS])}")
+            raise BadInput(f"metrics={name} is unknown: {suggest_names(name, [*METRICS, *GROUPS])}")
     return metrics

@@ -51,7 +51,7 @@ def describe_protocol(run: Run) -> str:
     return f"{run.dataset}: {len(run.outcome)} queries, {run.outcome.n_places} places ({chosen}){frames}"
 
 
-def describe_view(run: Run) -> str:
+def describe_sequence(run: Run) -> str:
     """Return the protocol of a view in a few words; empty for the run itself."""
     return ", ".join(f"{name} {run.protocol[name]}" for name in ("sequence", "filter") if name in run.protocol)
 

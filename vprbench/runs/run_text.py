@@ -28,11 +28,11 @@ def format_run(
     shown = views or [run]
     table = [rows.format_row(one, request.metrics) for one in shown]
     if views:
-        table = [{"answers": rows.describe_view(view), **row} for view, row in zip(views, table, strict=True)]
+        table = [{"answers": rows.describe_sequence(view), **row} for view, row in zip(views, table, strict=True)]
     lines = [line_text(f"note: {note.text}", "yellow") for note in list_notes(shown[0])]
     lines.append(line_text(rows.describe_protocol(run), fits=True))
     total = len(run.outcome)
-    lines += [line_text(f"{rows.describe_view(view)}: {len(view.outcome)} of {total} queries") for view in views]
+    lines += [line_text(f"{rows.describe_sequence(view)}: {len(view.outcome)} of {total} queries") for view in views]
     lines.append(table_text([*table[0]], [[*row.values()] for row in table], request.wide, rows.LEAST))
     if request.stream:
         lines.append(stream.format_stops(run))

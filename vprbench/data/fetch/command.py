@@ -29,7 +29,7 @@ from vprbench.progress import progress_shown
 from vprbench.storage import download
 from vprbench.storage.folders import data_folder
 from vprbench.storage.unpack import UNFINISHED, DamagedArchive, unpack
-from vprbench.text import format_bytes
+from vprbench.text import format_bytes, suggest_names
 
 logger = logging.getLogger(__name__)
 
@@ -64,7 +64,7 @@ def fetch_command(arguments: Sequence[str], check: Check | None = None) -> int:
         return fetch(entry, parse_options(Settings, options, {}), check)
     if name in registry.entries("dataset"):
         raise BadInput(f"fetch {name}: there is nothing to download, it is rendered or reads what you have")
-    raise BadInput(f"fetch {name}: nothing of that name can be fetched; {registry.near(name, known)}")
+    raise BadInput(f"fetch {name}: nothing of that name can be fetched; {suggest_names(name, known)}")
 
 
 def format_list(known: Iterable[Download]) -> str:

@@ -16,6 +16,7 @@ from vprbench.errors import BadInput
 from vprbench.plugins import registry
 from vprbench.storage.atomic import replace_text
 from vprbench.storage.unpack import Wanted
+from vprbench.text import suggest_names
 
 _FORBID: Any = {"extra": "forbid"}
 
@@ -67,7 +68,7 @@ class Download:
         given = list(self.default or self.parts) if names is None else names
         for name in given:
             if name not in self.parts:
-                advice = registry.near(name, self.parts) if self.parts else "leave parts out"
+                advice = suggest_names(name, self.parts) if self.parts else "leave parts out"
                 raise BadInput(f"parts: {self.name} has no {name}: {advice}")
         return {name: self.parts[name] for name in given}
 

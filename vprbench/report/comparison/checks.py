@@ -23,7 +23,7 @@ from vprbench.runs.predictions import require_depth
 from vprbench.runs.request import OPTIONS, RunRequest
 from vprbench.runs.sequences import parse_views
 from vprbench.runs.viewpoints import parse_viewpoints, record_viewpoints
-from vprbench.text import near
+from vprbench.text import suggest_names
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ def sort_options(options: Sequence[str]) -> SortedOptions:
                 "NAME.option=value for an option of one of the methods"
             )
         if "." not in name and name not in known:
-            raise BadInput(f"option {name} is unknown: {near(name, known)}")
+            raise BadInput(f"option {name} is unknown: {suggest_names(name, known)}")
         if name == "device":
             own.append(f"devices{option.removeprefix('device')}")
         elif CompareRequest.has(option):

@@ -161,8 +161,8 @@ def show(found: ReportData, wide: bool = False) -> None:
     print(line_text(f"{table.title}: {words.describe_data(table.columns[0])}", fits=True))
     if len(table.columns) > 1:
         for run in (group.runs[0] for group in groups_shown):
-            print(line_text(f"{rows.describe_view(run)}: {len(run.outcome):,} queries"))
-        heads = ["R@1 %", *(rows.describe_view(group.runs[0]) for group in groups_shown)]
+            print(line_text(f"{rows.describe_sequence(run)}: {len(run.outcome):,} queries"))
+        heads = ["R@1 %", *(rows.describe_sequence(group.runs[0]) for group in groups_shown)]
         cells = cells[(table.cells["quantity"] == RECALL.name).to_numpy()]
     for row, of_row in table.cells.groupby("row", sort=False):
         for number in sorted({number for notes in of_row["notes"] for number in notes}):
@@ -175,7 +175,7 @@ def show(found: ReportData, wide: bool = False) -> None:
         print(line_text("~ a busy machine or too few laps", "dim"))
     print()
     for group, ranking in zip(groups_shown, found.rankings, strict=True):
-        above = f"{rows.describe_view(group.runs[0])}: " if len(groups_shown) > 1 else ""
+        above = f"{rows.describe_sequence(group.runs[0])}: " if len(groups_shown) > 1 else ""
         print(*(line_text(f"{above}{sentence}", "bold") for sentence in ranking.sentences), sep="\n")
 
 
@@ -201,7 +201,7 @@ def predict_places(compared: ReportData, dataset: Dataset | None, n: int | None)
         for one in accuracy_series(group, compared.chosen.rows):
             for run in one.runs:
                 table = tabulate_predictions(run, min(n or 10, run.top_places.shape[1]), dataset)
-                about = {"method": one.name, "seed": run.config["seed"], "answers": rows.describe_view(run)}
+                about = {"method": one.name, "seed": run.config["seed"], "answers": rows.describe_sequence(run)}
                 tables.append(pd.concat([pd.DataFrame(about, index=table.index), table], axis=1))
     return pd.concat(tables, ignore_index=True)
 

@@ -25,7 +25,7 @@ from vprbench.report.selection import MethodRuns
 from vprbench.runs.corruption import KINDS
 from vprbench.runs.recall_intervals import order_along_journey
 from vprbench.runs.record import Run
-from vprbench.runs.rows import describe_view
+from vprbench.runs.rows import describe_sequence
 from vprbench.runs.views import select_queries, window_of
 
 LARGEST_N = 25
@@ -139,7 +139,7 @@ def draw_recall_at_length(views: Iterable[Sequence[MethodRuns]]) -> Drawing:
     counts = (f"{len(of_length[length][0].runs[0].outcome):,} at {length}" for length in lengths)
     caption = (
         "Recall at 1 of sequences, whose scores are the mean of neighbouring queries' scores; the longest: "
-        f"{describe_view(of_length[lengths[-1]][0].runs[0])}. Queries: {', '.join(counts)}. "
+        f"{describe_sequence(of_length[lengths[-1]][0].runs[0])}. Queries: {', '.join(counts)}. "
         f"{_describe_recalls(of_length[lengths[0]])}"
     )
     return Drawing(figure, caption)
