@@ -54,6 +54,31 @@ def test_a_comparison_writes_the_files_of_the_command_line(tmp_path):
     assert [group.view for group in given.report.groups] == [""]
 
 
+def test_corruptions_are_set_beside_clean_frames_and_a_method_is_fitted_once_for_all(tmp_path):
+    fits = []
+
+    class Counted(Prototypes):
+        def fit(self, references, places=None):
+            fits.append(len(references))
+            return super().fit(references, places)
+
+    given = vprbench.compare(
+        [Counted()], journey(30, 30), timing="none", results=None, corruptions=["noise", "shift-1"]
+    )
+    points = given.robustness.points
+    assert [*zip(points["kind"], points["strength"], strict=True)] == [
+        *(("clean", 0), ("shift", 1), ("noise", 1), ("noise", 2), ("noise", 3)),
+    ]
+    assert points["recall_at_1"].iloc[0] == given.results[0].recall()
+    assert (points["recall_at_1"] + points["drop"]).tolist() == pytest.approx([given.results[0].recall()] * 5)
+    assert fits == [30]
+    names = {path.name for path in given.write(tmp_path / "out")}
+    assert {"journey-robustness.md", "journey-robustness.csv"} <= names
+    assert len(given.in_sequences(2).corrupted) == 4
+    with pytest.raises(BadInput, match="fog"):
+        vprbench.compare([Prototypes()], journey(4, 4), timing="none", corruptions=["fog"])
+
+
 def test_a_method_that_was_tuned_on_places_of_the_dataset_has_its_recall_on_the_others_beside_it():
     given = vprbench.compare([answering(3), answering(24)], journey(30, 30), timing="none")
     assert given.table["elsewhere"].isna().all()

@@ -20,13 +20,16 @@ from vprbench.python.running import Options, finish, prepare
 from vprbench.report.folder import report_runs
 from vprbench.report.gather import ReportData
 from vprbench.report.ranking import NUMBERS, Ranking, rank_rows
+from vprbench.report.robustness import Robustness, measure_robustness
 from vprbench.report.selection import MethodRuns
 from vprbench.report.table.quantities import RATES
-from vprbench.runs.experiment import Experiment
+from vprbench.runs.corruption import Corruption, parse_corruptions
+from vprbench.runs.experiment import Experiment, corrupt_experiment
 from vprbench.runs.frame import iterate_rows
 from vprbench.runs.request import spell_out_metrics
 from vprbench.runs.rows import UNTIMED
 from vprbench.runs.sequences import parse_views
+from vprbench.runs.timing_protocol import Protocol
 from vprbench.text import NOTHING, format_interval, format_percent, format_two_digits, plural, shorten
 
 if TYPE_CHECKING:
@@ -42,6 +45,7 @@ class Comparison:
     methods: tuple[tuple[Result, ...], ...]  # of each method a result a seed, in the order given
     metrics: tuple[str, ...] = ()  # more columns of the table
     left_out: Mapping[str, str] = field(default_factory=dict)  # the reason of each method that could not run
+    corrupted: Mapping[Corruption, tuple[tuple[Result, ...], ...]] = field(default_factory=dict)  # as `methods`
 
     @property
     def results(self) -> tuple[Result, ...]:
@@ -51,7 +55,16 @@ class Comparison:
     @cached_property
     def ranking(self) -> Ranking:
         """The methods, best first, and the sentences of the tests."""
-        return rank_rows(self._series())
+        return rank_rows(_list_runs(self.methods))
+
+    @cached_property
+    def robustness(self) -> Robustness:
+        """R@1 under the corruptions, beside that on clean frames: `points` is a DataFrame, a line for each.
+
+        Raises BadInput if no query has a right place.
+        """
+        corrupted = {one: _list_runs(methods) for one, methods in self.corrupted.items()}
+        return measure_robustness(_list_runs(self.methods), corrupted)
 
     @property
     def table(self) -> pd.DataFrame:
@@ -86,7 +99,7 @@ class Comparison:
         from vprbench.report.figures.accuracy import draw_precision_recall
 
         ranked = [row.method for row in iterate_rows(self.ranking.table)]
-        return draw_precision_recall(sorted(self._series(), key=lambda one: ranked.index(one.name))).figure
+        return draw_precision_recall(sorted(_list_runs(self.methods), key=lambda one: ranked.index(one.name))).figure
 
     @cached_property
     def report(self) -> ReportData:
@@ -110,7 +123,8 @@ class Comparison:
         from vprbench.report.comparison.make import predict_places, write_comparison
 
         best = predict_places(self.report, self.results[0].dataset, None)
-        return write_comparison(self.report, Path(folder).expanduser(), name, best=best)
+        robust = self.robustness if self.corrupted else None
+        return write_comparison(self.report, Path(folder).expanduser(), name, robust, best)
 
     def to_markdown(self) -> str:
         """Return the table in Markdown."""
@@ -132,13 +146,9 @@ class Comparison:
         return "".join(table.to_html(index=False, border=0) for table in (self._format_table(), sentences))
 
     def _change(self, change: Callable[[Result], Result]) -> Comparison:
-        return replace(self, methods=tuple(tuple(map(change, of_seeds)) for of_seeds in self.methods))
-
-    def _series(self) -> list[MethodRuns]:
-        """Return the methods as rankings and figures take them."""
-        names = [of_seeds[0].name for of_seeds in self.methods]
-        runs = [tuple(result.run for result in of_seeds) for of_seeds in self.methods]
-        return [MethodRuns(name, each[0].spikes is not None, each) for name, each in zip(names, runs, strict=True)]
+        parts = [self.methods, *self.corrupted.values()]
+        methods, *corrupted = (tuple(tuple(map(change, of_seeds)) for of_seeds in part) for part in parts)
+        return replace(self, methods=methods, corrupted=dict(zip(self.corrupted, corrupted, strict=True)))
 
     def _format_table(self) -> pd.DataFrame:
         """Return the table as text for people: percent, and a dash where there is no number."""
@@ -170,6 +180,7 @@ def compare(
     seeds: int | Sequence[int] = 1,
     metrics: Sequence[str] = (),
     sequence: int | Mapping[str, Any] | None = None,
+    corruptions: Sequence[str] = (),
     **options: Unpack[Options],
 ) -> Comparison:
     """Run methods on a dataset, as `run` does, or find their stored runs, and rank them by R@1.
@@ -183,6 +194,8 @@ def compare(
         metrics: more columns of the table.
         sequence: a length, as 4, or {"length": 4, "window": "centred"}: methods are ranked by the answers of so many
             neighbouring queries. `Comparison.in_sequences` gives other lengths without another run.
+        corruptions: of the query frames, as ["shift-1", "blur"]; `Comparison.robustness` holds R@1 under each. A
+            method is fitted once for all of them.
         options: those of `run`.
 
     Raises:
@@ -197,13 +210,29 @@ def compare(
         raise BadInput(f"methods={methods}, seeds={seeds}: give a list of methods, and different seeds with seeds=")
     data = choose_dataset(dataset)
     ready, left_out = _prepare_all(methods, data, {**options, "seed": numbers[0]})
-    found = []
+    found: list[tuple[Result, ...]] = []
+    spoilt: dict[Corruption, list[tuple[Result, ...]]] = {one: [] for one in parse_corruptions(corruptions)}
     for method, first in ready:
         more = numbers[1:] if "seed" in first.request.method else []
-        others = (prepare(method, data, {**options, "seed": seed}) for seed in more)
-        found.append(tuple(finish(each) for each in (first, *others)))
-    comparison = Comparison(tuple(found), tuple(metrics), left_out)
+        experiments = [first, *(prepare(method, data, {**options, "seed": seed}) for seed in more)]
+        found.append(tuple(map(finish, experiments)))
+        for one, results in spoilt.items():
+            results.append(tuple(finish(_corrupt_untimed(each, one)) for each in experiments))
+    corrupted = {one: tuple(results) for one, results in spoilt.items()}
+    comparison = Comparison(tuple(found), tuple(metrics), left_out, corrupted)
     return comparison._change(lambda result: result.seen(views[0])) if views else comparison
+
+
+def _corrupt_untimed(experiment: Experiment, one: Corruption) -> Experiment:
+    """Return the same experiment on corrupted query frames, its rates not timed and its frames not kept."""
+    request = replace(experiment.request, timing=Protocol(rates=False), frames=False)
+    return corrupt_experiment(replace(experiment, request=request), one.name)
+
+
+def _list_runs(methods: Sequence[Sequence[Result]]) -> list[MethodRuns]:
+    """Return the runs of methods as rankings and figures take them."""
+    runs = [tuple(result.run for result in of_seeds) for of_seeds in methods]
+    return [MethodRuns(of[0].name, each[0].spikes is not None, each) for of, each in zip(methods, runs, strict=True)]
 
 
 def _prepare_all(
