@@ -169,8 +169,12 @@ def group_runs(runs: Sequence[Run], failures: Sequence[Failure]) -> list[Dataset
 
 
 def _name_protocols(dataset: str, protocols: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return a title for each protocol of a dataset: its name, and the parts in which the protocols differ."""
+    """Return a title for each protocol of a dataset: its name, and the first parts that tell the protocols apart."""
     names = dict.fromkeys(name for protocol in protocols for name in protocol)
-    differing = [name for name in names if any(each.get(name) != protocols[0].get(name) for each in protocols)]
-    parts = [{name: protocol[name] for name in differing if name in protocol} for protocol in protocols]
-    return [", ".join([dataset, *(f"{name} {format_value(value)}" for name, value in each.items())]) for each in parts]
+    titles = [dataset] * len(protocols)
+    for name in names:
+        values = [each.get(name) for each in protocols]
+        if len({*titles}) < len(titles) and any(value != values[0] for value in values):
+            part = name.replace("_", " ")
+            titles = [f"{title}, {part} {format_value(value)}" for title, value in zip(titles, values, strict=True)]
+    return titles
