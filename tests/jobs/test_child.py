@@ -95,7 +95,7 @@ def test_a_process_that_dies_is_one_failure_with_its_exit_code_or_signal_and_its
 
 def test_a_process_is_ended_at_its_limit_with_its_children_and_frees_its_lock(run, tmp_path):
     assert "limit_minutes=0.05" in run(SLEEPER + "time.sleep(60)", limit_minutes=0.05).error
-    assert not is_running("sleeper")
+    assert not (Path("sleeper").exists() and is_running("sleeper"))  # a slow machine may not get so far in 3 s
     assert read_claims(tmp_path / "results") == []
 
 
