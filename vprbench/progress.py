@@ -39,7 +39,7 @@ def listening(listener: Listener) -> Iterator[None]:
         _listener = outer
 
 
-def showing() -> AbstractContextManager[None]:
+def hide_progress() -> AbstractContextManager[None]:
     """Let no bar or line of progress appear inside the block."""
     return listening(lambda *_: None)
 

@@ -21,10 +21,10 @@ from vprbench.metrics import catalogue
 from vprbench.metrics.accuracy import average_precision, hits_at, pr_curve_multi
 from vprbench.metrics.catalogue import METRICS, Metric, average_metric
 from vprbench.report.figures.accuracy import draw_metric
-from vprbench.report.selection import groups, series
+from vprbench.report.selection import group_runs_by_column, list_method_runs
 from vprbench.report.table import formats
 from vprbench.report.table.best import Contestant, find_most_accurate
-from vprbench.report.table.quantities import QUANTITIES, quantities
+from vprbench.report.table.quantities import QUANTITIES, list_quantities
 from vprbench.runs.energy import count_synops, estimate_joules
 
 
@@ -119,7 +119,9 @@ def test_every_accuracy_per_query_is_bold_where_a_test_separates_it_and_lower_ma
 
 
 def test_a_metric_without_values_per_query_is_in_the_table_in_its_unit_and_never_bold(lost):
-    made = table([run(hits=[1] * 40), run("vprsnn", hits=[0] * 40)], quantities=quantities(["r100p", "ep", "lost"]))
+    made = table(
+        [run(hits=[1] * 40), run("vprsnn", hits=[0] * 40)], quantities=list_quantities(["r100p", "ep", "lost"])
+    )
     assert [measured(made, "SAD", name).value for name in ("r100p", "ep", "lost")] == [100, 1, 0]
     assert not any(measured(made, "SAD", name).best for name in ("r100p", "ep", "lost"))
     (line, *_) = [line for line in csv.DictReader(io.StringIO(formats.to_csv(made))) if line["quantity"] == "ep"]
@@ -128,7 +130,7 @@ def test_a_metric_without_values_per_query_is_in_the_table_in_its_unit_and_never
     assert all(sentence in text for sentence in (lost.explained, METRICS["ep"].explained))
     assert lost.explained.endswith("lower is better.")
     unasked = table([run()], rows=[SAD])
-    assert unasked.quantities == QUANTITIES == quantities([]) == quantities(["recall_at_1"])
+    assert unasked.quantities == QUANTITIES == list_quantities([]) == list_quantities(["recall_at_1"])
     for form in ("to_markdown", "to_csv", "to_latex", "to_html"):
         assert "lost" not in getattr(formats, form)(unasked).lower()
 
@@ -140,8 +142,8 @@ def test_an_unknown_metric_is_told_with_its_neighbours(capfd):
 
 
 def test_the_figure_of_a_metric_shows_its_rows():
-    (group,) = groups([run(), run("vprsnn")], (), [RAIL], ROWS)
-    drawn = draw_metric(series(group, ROWS), METRICS["r100p"])
+    (group,) = group_runs_by_column([run(), run("vprsnn")], (), [RAIL], ROWS)
+    drawn = draw_metric(list_method_runs(group, ROWS), METRICS["r100p"])
     (axes,) = drawn.figure.axes
     assert [label.get_text() for label in axes.get_yticklabels()] == ["SAD", "VPRSNN"]
     assert axes.get_xlabel() == "R@100P %"

@@ -8,7 +8,7 @@ import pytest
 
 from vprbench.errors import BadInput
 from vprbench.metrics.growth import fit_power
-from vprbench.report.growth import interval_of_median, samples
+from vprbench.report.growth import collect_growth_samples, compute_median_interval
 from vprbench.report.plan import Row
 from vprbench.runs.notes import Note
 
@@ -47,10 +47,10 @@ def test_too_few_sizes_and_times_that_are_not_above_zero_are_refused():
 
 def test_the_interval_of_a_median_lies_at_the_tabulated_ranks():
     # ranks of the 95 % interval: Conover, Practical Nonparametric Statistics, table of the binomial distribution
-    assert interval_of_median(np.arange(5.0)) is None
+    assert compute_median_interval(np.arange(5.0)) is None
     for n_laps, k in ((6, 1), (10, 2), (25, 8), (100, 40)):
         laps = np.random.default_rng(0).permutation(np.arange(1.0, n_laps + 1))
-        assert interval_of_median(laps) == (k, n_laps + 1 - k)
+        assert compute_median_interval(laps) == (k, n_laps + 1 - k)
 
 
 def test_samples_stand_in_the_order_of_places_and_seeds_and_the_newest_run_of_each_counts_disturbed_or_not():
@@ -60,23 +60,25 @@ def test_samples_stand_in_the_order_of_places_and_seeds_and_the_newest_run_of_ea
         for seed in (1, 0)
     ]
     runs.append(figure_runs.sized(100, 9.0, 0.009, seed=0, time_utc="2020-01-01T00:00:00Z"))
-    found = samples(TEMPO, runs).table
+    found = collect_growth_samples(TEMPO, runs).table
     assert [*zip(found.places, found.seed, strict=True)] == [(100, 0), (100, 1), (300, 0), (300, 1)]
     assert found.fit_compute_seconds.tolist() == [1, 1, 3, 3]
     assert found.query_seconds.iloc[-1] == pytest.approx(0.301)  # 1 ms to encode
     carts = figure_runs.sized(500, 1.0, 0.001, notes=(Note("noisy", "noisy: a cart"),))
-    found = samples(TEMPO, [*runs, carts, figure_runs.sized(900, None, 0.001)]).table  # the last one loaded its network
+    found = collect_growth_samples(
+        TEMPO, [*runs, carts, figure_runs.sized(900, None, 0.001)]
+    ).table  # the last one loaded its network
     assert [*zip(found.places, found.disturbed, strict=True)][3:] == [(300, False), (500, True), (900, False)]
     assert found.fit_compute_seconds.isna().tolist() == [False] * 5 + [True]
     with pytest.raises(BadInput, match="no run of VPRTempo"):
-        samples(TEMPO, [])
+        collect_growth_samples(TEMPO, [])
 
 
 def test_runs_under_other_conditions_than_the_newest_are_counted_and_not_shown():
     old = [figure_runs.sized(n, 9.0, 0.009, code="older", **OLD) for n in (100, 300, 1000)]
     slow = [figure_runs.sized(300, 9.0, 0.009, processor="Slide rule", time_utc="2024-06-01T00:00:00Z")]
     new = [figure_runs.sized(n, 1.0, 0.001) for n in (100, 300)]
-    found = samples(TEMPO, [*old, *new, *slow])
+    found = collect_growth_samples(TEMPO, [*old, *new, *slow])
     assert found.table.fit_compute_seconds.tolist() == [1.0, 1.0]
     assert found.n_aside == 4
 
@@ -93,8 +95,8 @@ def test_runs_with_other_arguments_weights_or_protocol_are_another_growth():
     runs["weights"] = replace(heavier, config={**heavier.config, "files": [{"name": "weights", "sha256": "ab"}]})
     fewer = {"arguments": given, "protocol": {**protocol, "query_places": 9}}
     smaller = figure_runs.sized(300, 9.0, 0.001, **fewer, **OLD)
-    assert samples(TEMPO, [new, smaller]).runs == (smaller, new)
+    assert collect_growth_samples(TEMPO, [new, smaller]).runs == (smaller, new)
     for other in runs.values():
-        found = samples(TEMPO, [new, other])
+        found = collect_growth_samples(TEMPO, [new, other])
         assert found.runs == (new,)
         assert found.n_aside == 1

@@ -66,14 +66,14 @@ def sweep(*also, own=0, **changes):
 
 def test_a_summary_holds_recall_at_1_within_the_tolerances_that_were_asked_for():
     assert frame.recall_at_1_within(sweep(1, 4, 7)) == {1: 0.5, 4: 0.75, 7: 1.0}
-    assert rows.describe_tolerance(sweep(1, 4, 7)) == "R@1 within 1, 4, 7 places: 50.0 / 75.0 / 100.0 %"
+    assert rows.describe_wider_recall(sweep(1, 4, 7)) == "R@1 within 1, 4, 7 places: 50.0 / 75.0 / 100.0 %"
     assert frame.list_numbers(sweep(1, 4))["recall_at_1_within_4_places"] == 0.75
     assert set(frame.recall_at_1_within(sweep(1, 2, 3, own=2))) == {3}
-    assert (frame.recall_at_1_within(a_run()), rows.describe_tolerance(a_run())) == ({}, None)
+    assert (frame.recall_at_1_within(a_run()), rows.describe_wider_recall(a_run())) == ({}, None)
     assert not [name for name in frame.list_numbers(a_run()) if "within" in name]
     lost = replace(unanswerable_run(), protocol=sweep(1, 2).protocol)  # undefined and not zero
     assert frame.recall_at_1_within(lost) == {1: None, 2: None}
-    assert rows.describe_tolerance(lost) == "R@1 within 1, 2 places: - / - %"
+    assert rows.describe_wider_recall(lost) == "R@1 within 1, 2 places: - / - %"
 
 
 def test_tolerances_count_from_the_right_place_and_not_from_the_end_of_the_datasets_own():

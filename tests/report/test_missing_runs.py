@@ -114,7 +114,7 @@ def test_a_process_is_started_only_for_what_is_not_stored_as_it_would_be_made_no
 
 def test_frames_that_were_removed_are_kept_again_by_a_process(copied, children):
     shutil.rmtree("results/frames")
-    assert missing_runs.results_folder("mine") == Path.cwd() / "mine"  # which a process elsewhere finds, too
+    assert missing_runs.resolve_results_folder("mine") == Path.cwd() / "mine"  # which a process elsewhere finds, too
     asked = children(JobResult(0))
     without = replace(STORED, request=replace(STORED.request, frames=False))
     make_missing_runs([without], Store(Path("results")))

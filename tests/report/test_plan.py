@@ -8,9 +8,9 @@ from checkout import ROOT
 from vprbench.config import make_request
 from vprbench.errors import BadInput
 from vprbench.plugins import registry
-from vprbench.report.gather import TableRequest, choose, runs_of
+from vprbench.report.gather import TableRequest, list_cells, resolve_plan
 from vprbench.report.plan import add_plug_ins, read_plan
-from vprbench.report.published import published
+from vprbench.report.published import read_published_numbers
 
 PLAN = ROOT / "conf" / "table.yaml"
 
@@ -21,11 +21,11 @@ def plan():
 
 
 def chosen(**asked):
-    return choose(TableRequest(**{"devices": ["cpu"], **asked}))
+    return resolve_plan(TableRequest(**{"devices": ["cpu"], **asked}))
 
 
 def of_last_row(here):
-    return [*runs_of(here, here.columns[0], here.rows[-1:], [])]
+    return [*list_cells(here, here.columns[0], here.rows[-1:], [])]
 
 
 def test_rows_and_published_numbers_are_those_of_table_two_in_its_order(plan):
@@ -37,7 +37,7 @@ def test_rows_and_published_numbers_are_those_of_table_two_in_its_order(plan):
         ("VPRSNN", (True, "own", "match")),
         ("VPRTempo", (True, "own", "match")),
     ]
-    printed = published()
+    printed = read_published_numbers()
     assert {row for row, _ in printed} == set(plan.rows)
     assert all(tuple(cells) == NAMES for cells in printed.values())
     assert sum(value is None for cells in printed.values() for value in cells.values()) == 8
@@ -72,7 +72,9 @@ def test_every_row_that_learns_from_a_seed_has_three_and_says_whether_its_scores
 
 def test_columns_name_published_datasets_and_what_stands_in_and_the_growth_asks_for_no_more_queries_than_places(plan):
     columns = plan.columns
-    assert {column.published for column in columns.values()} - {None} == {dataset for _, dataset in published()}
+    assert {column.published for column in columns.values()} - {None} == {
+        dataset for _, dataset in read_published_numbers()
+    }
     for column in columns.values():
         if column.stand_in_for is not None:
             assert columns[column.stand_in_for].stand_in_for is None

@@ -9,11 +9,11 @@ from stored_runs import ABACUS, PUBLIC, RAIL, RAILWAY, SAD, STREET, TOWN, VPRTEM
 from vprbench.report.selection import (
     DatasetRuns,
     ResolvedColumn,
-    accuracy_series,
     describe_protocol,
-    groups,
-    of_row,
-    series,
+    group_runs_by_column,
+    list_accuracy_runs,
+    list_method_runs,
+    select_row_runs,
 )
 
 ROWS = (SAD, VPRTEMPO, PUBLIC)
@@ -25,11 +25,11 @@ def lost(seed=0, *more, **changes):
 
 
 def grouped(runs, failures=(), *asked):
-    return groups(runs, failures, asked or [RAIL], ROWS)
+    return group_runs_by_column(runs, failures, asked or [RAIL], ROWS)
 
 
 def stored_of(row, *runs, failures=(), column=RAIL):
-    return of_row(DatasetRuns(column, 1, runs, tuple(failures)), row, "cpu")
+    return select_row_runs(DatasetRuns(column, 1, runs, tuple(failures)), row, "cpu")
 
 
 MINE = run()
@@ -80,14 +80,14 @@ def test_two_protocols_are_two_groups_the_newest_first_and_corrupted_queries_sta
 )
 def test_a_run_belongs_to_the_row_with_its_arguments(changed, row):
     group = DatasetRuns(RAIL, 1, (tempo(changed=changed),), ())
-    assert [each for each in ROWS if of_row(group, each, "cpu").runs] == ([row] if row else [])
+    assert [each for each in ROWS if select_row_runs(group, each, "cpu").runs] == ([row] if row else [])
 
 
 def test_a_failure_belongs_where_its_options_say():
     failed = lost(), lost(seed=1), lost(changed={"rules": "reference"})
     assert [stored_of(row, failures=failed).failures for row in (VPRTEMPO, PUBLIC)] == [failed[:2], failed[2:]]
     elsewhere = lost(dataset=STREET)
-    assert of_row(*grouped([], [elsewhere], TOWN), VPRTEMPO, "cpu").failures == (elsewhere,)
+    assert select_row_runs(*grouped([], [elsewhere], TOWN), VPRTEMPO, "cpu").failures == (elsewhere,)
 
 
 OTHERS = {
@@ -140,15 +140,15 @@ def test_runs_that_differ_in_more_than_their_seed_are_never_put_together(row, st
 def test_a_seed_without_a_run_has_its_newest_failure(stored, told):
     own = [lost(1, "first", day="2025-04-01"), lost(2, "older", day="2025-01-01"), lost(2, "last", day="2025-01-02")]
     (group,) = grouped(stored, [*own, lost(2, device="cuda"), lost(2, changed={"rules": "v1"}), failure("sad", 2)])
-    assert [failure.error for failure in of_row(group, VPRTEMPO, "cpu").failures] == told
+    assert [failure.error for failure in select_row_runs(group, VPRTEMPO, "cpu").failures] == told
 
 
 def test_series_are_the_rows_with_runs_under_the_names_of_the_table_and_a_protocol_is_told_without_its_numbers():
     group = DatasetRuns(RAIL, 1, (tempo(1), tempo(0), run(device="cuda:1")), ())
-    (cpu,) = series(group, ROWS)
+    (cpu,) = list_method_runs(group, ROWS)
     assert (cpu.name, cpu.spiking) == ("VPRTempo", True)
     assert [stored.config["seed"] for stored in cpu.runs] == [0, 1]
-    assert [one.name for one in series(group, ROWS, "cuda")] == ["SAD"]
+    assert [one.name for one in list_method_runs(group, ROWS, "cuda")] == ["SAD"]
     protocol = {"references": ("sun", "rain"), "places": 450, "query_places": 360}
     made = run(protocol=protocol | {"repeated_images": {"sun": 5, "rain": 2}})
     assert describe_protocol(made) == "references sun+rain, repeated images 5 in sun+2 in rain"
@@ -160,6 +160,6 @@ def test_accuracy_is_taken_from_the_device_with_more_seeds_and_of_equals_the_cpu
     two = cpu[:2]
     for runs, taken in (cpu + gpu, cpu), (two + gpu, gpu), ([*two, gpu[0]], two), (gpu[1:2], gpu[1:2]):
         for failures in ((), failed[:1], failed[1:]):
-            (one,) = accuracy_series(DatasetRuns(RAIL, 1, tuple(runs), failures), ROWS)
+            (one,) = list_accuracy_runs(DatasetRuns(RAIL, 1, tuple(runs), failures), ROWS)
             assert (one.name, list(one.runs)) == ("VPRTempo", taken)
-    assert accuracy_series(DatasetRuns(RAIL, 1, (), (lost(),)), ROWS) == []
+    assert list_accuracy_runs(DatasetRuns(RAIL, 1, (), (lost(),)), ROWS) == []

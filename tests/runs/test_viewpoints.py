@@ -12,7 +12,7 @@ from vprbench.config import make_request
 from vprbench.errors import BadInput
 from vprbench.methods.sad import SAD
 from vprbench.report.plan import PlannedColumn, Row
-from vprbench.report.selection import ResolvedColumn, groups
+from vprbench.report.selection import ResolvedColumn, group_runs_by_column
 from vprbench.runs.run import execute
 from vprbench.runs.scorers import choose_scorer
 from vprbench.runs.viewpoints import Viewpoint, Viewpoints, parse_viewpoints, record_viewpoints, render_view
@@ -126,4 +126,6 @@ def test_runs_from_other_viewpoints_stand_in_no_column_of_plain_ones(moved):
     row = Row(plain.method, plain.method)
     for views, wanted in ((None, plain), ([0.0, 0.125], seen)):
         column = ResolvedColumn(PlannedColumn("c", "C", ()), plain.config["dataset"], views=views)
-        assert [run.key for group in groups([plain, seen], [], [column], [row]) for run in group.runs] == [wanted.key]
+        assert [
+            run.key for group in group_runs_by_column([plain, seen], [], [column], [row]) for run in group.runs
+        ] == [wanted.key]

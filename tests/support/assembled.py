@@ -2,15 +2,15 @@
 
 from stored_runs import PLAN, RAIL, ROWS, run
 
-from vprbench.report.selection import groups
-from vprbench.report.table.cells import assemble
+from vprbench.report.selection import group_runs_by_column
+from vprbench.report.table.cells import assemble_table
 from vprbench.report.table.quantities import QUANTITIES
 
 NAMES = ("recall_at_1", "train_cpu", "query_cpu", "train_gpu", "query_gpu")
 
 
 def table(runs=(), failures=(), rows=ROWS, asked=(RAIL,), slow=(), quantities=QUANTITIES):
-    return assemble(groups(runs, failures, asked, rows), rows, PLAN, slow, quantities)
+    return assemble_table(group_runs_by_column(runs, failures, asked, rows), rows, PLAN, slow, quantities)
 
 
 def cell(made, row, quantity, column="railway"):

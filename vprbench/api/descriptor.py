@@ -19,7 +19,7 @@ from vprbench.api.method import Method, require_codes
 from vprbench.api.search import Audit, Search, agreement, check_index
 from vprbench.api.search_indexes import Kind
 from vprbench.errors import BadInput, NotFittedError
-from vprbench.storage.atomic import remove_leftovers, unfinished
+from vprbench.storage.atomic import name_unfinished, remove_leftovers
 from vprbench.storage.folders import cache_folder
 from vprbench.storage.row_files import LARGE_BYTES, STRETCH, keep_rows
 
@@ -214,7 +214,7 @@ def _put_into_scratch(n_rows: int, blocks: Iterable[npt.NDArray[np.float32]]) ->
     """Return rows in a file, which is removed when nobody holds the rows any more."""
     scratch = cache_folder(_FOLDER, "scratch")
     remove_leftovers(scratch)
-    folder = unfinished(scratch)
+    folder = name_unfinished(scratch)
     try:
         rows, _ = keep_rows(folder / "descriptors.npy", n_rows, lambda first: blocks, "descriptors")
     except BaseException:

@@ -22,7 +22,7 @@ from vprbench.api.decoding import as_rgb
 from vprbench.api.frame_cache import are_kept
 from vprbench.api.images import Images
 from vprbench.errors import BadInput
-from vprbench.storage.atomic import remove_leftovers, unfinished
+from vprbench.storage.atomic import name_unfinished, remove_leftovers
 from vprbench.storage.folders import cache_folder
 
 _FORMAT = 1  # of the files that keep frames
@@ -176,7 +176,7 @@ def _keep(path: Path, frames: Iterable[Counted], row: np.dtype[Any]) -> None:
     """Write a row for each frame, then the events of each pixel, int64 (height, width)."""
     path.parent.mkdir(parents=True, exist_ok=True)
     remove_leftovers(path.parent)
-    partial, totals = unfinished(path.parent), np.zeros(row["levels"].shape, np.int64)
+    partial, totals = name_unfinished(path.parent), np.zeros(row["levels"].shape, np.int64)
     try:
         with partial.open("wb") as file:
             for frame in frames:

@@ -114,7 +114,7 @@ def _check_unfitted(subject: Subject) -> None:
     _require_not_fitted(lambda: subject.make().query(subject.queries), "query")
 
 
-def _check_arrays(subject: Subject) -> None:
+def _check_arrays_unchanged(subject: Subject) -> None:
     world, method = Journey.draw(), subject.make()
     with _require_unchanged("place ids", world.places), _require_unchanged("images", *world.references, *world.queries):
         method.fit(Images.from_arrays(world.references), world.places)
@@ -245,7 +245,7 @@ RULES: dict[str, Callable[[Subject], None]] = {
     ENCODE_RULE: _check_codes,
     "fit forgets an earlier fit and returns the method": _check_second_fit,
     "query before fit raises NotFittedError": _check_unfitted,
-    "arrays that were given or returned are never modified": _check_arrays,
+    "arrays that were given or returned are never modified": _check_arrays_unchanged,
     "the same seed gives the same scores": _check_seed,
     "a batch gives what its single images give": partial(
         _check_batches, [[0], [1], [2], [3], [4], [5]], "a batch gives other scores than its images one by one"

@@ -9,23 +9,23 @@ from typing import Any
 
 from vprbench.errors import BadInput
 from vprbench.jobs.job import JobResult
-from vprbench.report.gather import ReportData, TablePlan, assemble_report, stored
-from vprbench.report.missing_runs import results_folder
+from vprbench.report.gather import ReportData, TablePlan, assemble_report, load_stored_runs
+from vprbench.report.missing_runs import resolve_results_folder
 from vprbench.report.plan import NO_PLAN, PlannedColumn, Row
 from vprbench.report.ranking import rank_rows
 from vprbench.report.run_options import FolderRequest
 from vprbench.report.selection import (
     DatasetRuns,
     ResolvedColumn,
-    accuracy_series,
-    age,
     apply_views,
-    as_text,
+    format_plain_values,
+    get_sort_key,
     get_time,
+    list_accuracy_runs,
 )
 from vprbench.report.table import formats
-from vprbench.report.table.make import write
-from vprbench.report.table.quantities import comparison_quantities, without_accuracies
+from vprbench.report.table.make import write_table
+from vprbench.report.table.quantities import drop_accuracies, list_comparison_quantities
 from vprbench.runs.frame import format_label
 from vprbench.runs.record import Failure, Run
 from vprbench.runs.request import RunRequest
@@ -40,7 +40,7 @@ def read_report(request: FolderRequest) -> ReportData:
 
     Raises BadInput for a name that no run of the folder has, and where nothing is left to show.
     """
-    runs, failures = stored(request)
+    runs, failures = load_stored_runs(request)
     for option in ("dataset", "methods"):
         field = option.removesuffix("s")
         known = {getattr(run, field) for run in runs}
@@ -64,11 +64,11 @@ def print_sweep(keys: Collection[str], request: RunRequest) -> None:
     are not in the table.
     """
     views = parse_views(request.sequence, request.filter)
-    runs = [run for run in Store(results_folder(request.results)).runs() if run.key in keys]
+    runs = [run for run in Store(resolve_results_folder(request.results)).runs() if run.key in keys]
     if any(run.config.get("corruption") is None for run in runs):
         found = report_runs(runs, (), "sweep", request.results, request.metrics, views=views)
         print(f"\n{formats.to_terminal(found.table, request.wide)}")
-        print("written to", *write(found, results_folder(request.results), "sweep"), sep="\n  ")
+        print("written to", *write_table(found, resolve_results_folder(request.results), "sweep"), sep="\n  ")
 
 
 def report_runs(
@@ -97,7 +97,7 @@ def report_runs(
         stores=tuple(stores),
         stored=True,
         title=title,
-        quantities=comparison_quantities(metrics, devices),
+        quantities=list_comparison_quantities(metrics, devices),
         views=tuple(views),
     )
     return assemble_groups(chosen, group_runs(runs, failures))
@@ -114,7 +114,7 @@ def assemble_groups(
     shown = apply_views(groups, chosen.rows, chosen.views)
     ranks: dict[str, int] = {}
     for group in shown:
-        for name in rank_rows(accuracy_series(group, chosen.rows)).table["method"]:
+        for name in rank_rows(list_accuracy_runs(group, chosen.rows)).table["method"]:
             ranks.setdefault(name, len(ranks))
     runs = [run for group in groups for run in group.runs]
     chosen = replace(
@@ -123,7 +123,7 @@ def assemble_groups(
         columns=tuple(group.column for group in groups),
     )
     if runs and not any(run.is_judged for run in runs):
-        chosen = replace(chosen, quantities=without_accuracies(chosen.quantities))
+        chosen = replace(chosen, quantities=drop_accuracies(chosen.quantities))
     return assemble_report(chosen, shown, runs, tuple(job_results))
 
 
@@ -131,7 +131,7 @@ def describe_rows(results: Iterable[Run | Failure]) -> tuple[Row, ...]:
     """Return a row for each method and its arguments, named as on the command line, with the seeds of its runs."""
     alike: dict[str, list[Run | Failure]] = {}
     for result in results:
-        alike.setdefault(as_text([result.method, result.config["changed"]]), []).append(result)
+        alike.setdefault(format_plain_values([result.method, result.config["changed"]]), []).append(result)
     rows: dict[str, Row] = {}
     for of_row in alike.values():
         first, label = of_row[0], format_label(of_row[0])
@@ -154,9 +154,9 @@ def group_runs(runs: Sequence[Run], failures: Sequence[Failure]) -> list[Dataset
     found: list[DatasetRuns] = []
     for dataset in sorted({run.dataset for run in runs}):
         alike: dict[str, list[Run]] = {}
-        for run in sorted((run for run in runs if run.dataset == dataset), key=age):
-            alike.setdefault(as_text([run.protocol, run.fingerprint]), []).append(run)
-        newest_first = sorted(alike.values(), key=lambda members: age(members[-1]), reverse=True)
+        for run in sorted((run for run in runs if run.dataset == dataset), key=get_sort_key):
+            alike.setdefault(format_plain_values([run.protocol, run.fingerprint]), []).append(run)
+        newest_first = sorted(alike.values(), key=lambda members: get_sort_key(members[-1]), reverse=True)
         titles = _name_protocols(dataset, [members[0].protocol for members in newest_first])
         failed = sorted((failure for failure in failures if failure.dataset == dataset), key=get_time)
         for number, members in enumerate(newest_first, start=1):

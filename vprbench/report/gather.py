@@ -17,13 +17,13 @@ from vprbench.jobs.executors import Executor
 from vprbench.jobs.job import JobResult
 from vprbench.metrics.catalogue import GROUPS
 from vprbench.plugins import registry
-from vprbench.report.missing_runs import Cell, make_cell, make_missing_runs, results_folder
+from vprbench.report.missing_runs import Cell, make_cell, make_missing_runs, resolve_results_folder
 from vprbench.report.plan import Plan, PlannedColumn, Row, add_plug_ins, read_plan
 from vprbench.report.ranking import Ranking, rank_rows
 from vprbench.report.run_options import ShowOptions, TableRequest
-from vprbench.report.selection import DatasetRuns, ResolvedColumn, accuracy_series, apply_views, groups
-from vprbench.report.table.cells import Table, assemble
-from vprbench.report.table.quantities import QUANTITIES, Quantity, quantities
+from vprbench.report.selection import DatasetRuns, ResolvedColumn, apply_views, group_runs_by_column, list_accuracy_runs
+from vprbench.report.table.cells import Table, assemble_table
+from vprbench.report.table.quantities import QUANTITIES, Quantity, list_quantities
 from vprbench.runs.record import Failure, Run
 from vprbench.runs.sequences import Views, parse_views
 from vprbench.runs.store import Store
@@ -71,10 +71,10 @@ class ReportData:
     @cached_property
     def rankings(self) -> list[Ranking]:
         """The rows of each group that has runs, the best first, and the results of tests on them."""
-        return [rank_rows(accuracy_series(group, self.chosen.rows)) for group in self.groups if group.runs]
+        return [rank_rows(list_accuracy_runs(group, self.chosen.rows)) for group in self.groups if group.runs]
 
 
-def choose(request: TableRequest) -> TablePlan:
+def resolve_plan(request: TableRequest) -> TablePlan:
     """Resolve a request against conf/table.yaml; raises BadInput for rows or columns that are unknown."""
     folders = registry.conf_folders()
     plan = add_plug_ins(read_plan(folders["vprbench"] / "table.yaml"), folders)
@@ -101,12 +101,12 @@ def choose(request: TableRequest) -> TablePlan:
         request.results,
         tuple(request.stores),
         request.stored,
-        quantities=quantities(request.metrics),
+        quantities=list_quantities(request.metrics),
         views=parse_views(request.sequence, request.filter),
     )
 
 
-def gather(chosen: TablePlan, options: Sequence[str], executor: Executor | None = None) -> ReportData:
+def make_report_data(chosen: TablePlan, options: Sequence[str], executor: Executor | None = None) -> ReportData:
     """Make the runs that are not stored, unless `chosen.stored` is set, and put the stored ones together.
 
     The smallest datasets come first, and rows that are slow at full size last. `options` of the command line hold
@@ -118,17 +118,17 @@ def gather(chosen: TablePlan, options: Sequence[str], executor: Executor | None 
         for row in sorted(chosen.rows, key=lambda row: row.most_places is not None)
         for column in columns
         if not chosen.stored and not chosen.slow(column, row)
-        for cell in runs_of(chosen, column, [row], options)
+        for cell in list_cells(chosen, column, [row], options)
     ]
     results = run_missing(chosen, cells, executor)
-    runs, failures = stored(chosen)
-    found = apply_views(groups(runs, failures, chosen.columns, chosen.rows), chosen.rows, chosen.views)
+    runs, failures = load_stored_runs(chosen)
+    found = apply_views(group_runs_by_column(runs, failures, chosen.columns, chosen.rows), chosen.rows, chosen.views)
     return assemble_report(chosen, found, runs, tuple(results))
 
 
 def run_missing(chosen: TablePlan, cells: Sequence[Cell], executor: Executor | None = None) -> list[JobResult]:
     """Make the runs that are not stored, none if `chosen.stored` is set; returns the outcome of each."""
-    return [] if chosen.stored else make_missing_runs(cells, Store(results_folder(chosen.results)), executor)
+    return [] if chosen.stored else make_missing_runs(cells, Store(resolve_results_folder(chosen.results)), executor)
 
 
 def assemble_report(
@@ -145,21 +145,23 @@ def assemble_report(
             f"results={chosen.results} holds no run of these rows and columns: "
             + ("leave stored=true out, so that some are made" if chosen.stored else "see above why none could be made")
         )
-    table = assemble(found, chosen.rows, chosen.plan, slow, chosen.quantities, chosen.title)
+    table = assemble_table(found, chosen.rows, chosen.plan, slow, chosen.quantities, chosen.title)
     return ReportData(chosen, tuple(found), table, tuple(runs), results)
 
 
-def stored(request: ShowOptions | TablePlan) -> tuple[list[Run], list[Failure]]:
+def load_stored_runs(request: ShowOptions | TablePlan) -> tuple[list[Run], list[Failure]]:
     """Return the runs and failures of the store and of the stores of other machines, each once."""
-    stores = [Store(results_folder(folder)) for folder in (request.results, *request.stores)]
+    stores = [Store(resolve_results_folder(folder)) for folder in (request.results, *request.stores)]
     runs = {(run.dataset, run.method, run.key): run for store in reversed(stores) for run in store.runs()}
     return [*runs.values()], [failure for store in stores for failure in store.failures()]
 
 
-def runs_of(chosen: TablePlan, column: ResolvedColumn, rows: Sequence[Row], options: Sequence[str]) -> Iterator[Cell]:
+def list_cells(
+    chosen: TablePlan, column: ResolvedColumn, rows: Sequence[Row], options: Sequence[str]
+) -> Iterator[Cell]:
     """Yield the runs of some rows in one column; `options` of the command line hold for all runs."""
     planned = column.planned
-    values: dict[str, Any] = {"results": str(results_folder(chosen.results))}
+    values: dict[str, Any] = {"results": str(resolve_results_folder(chosen.results))}
     if {*chosen.metrics} & {*GROUPS["energy"]}:
         values["energy"] = True
     if column.corruption is not None:
@@ -191,7 +193,7 @@ def _make_row(plan: Plan, name: str, request: TableRequest) -> Row:
     for row in planned.values():
         if row.method == name and not row.arguments:
             return row
-    entries, runs = registry.entries("method"), stored(request)[0]
+    entries, runs = registry.entries("method"), load_stored_runs(request)[0]
     known = {*entries, *(run.method for run in runs)}
     if name not in known:
         raise BadInput(f"methods={name} is unknown: {suggest_names(name, [*plan.more_rows, *sorted(known)])}")

@@ -11,7 +11,7 @@ import pandas as pd
 
 from vprbench.errors import BadInput
 from vprbench.report.plan import Row
-from vprbench.report.selection import age, as_text, conditions
+from vprbench.report.selection import format_plain_values, get_sort_key, list_conditions
 from vprbench.report.table.best import list_laps
 from vprbench.runs.frame import tabulate_with_records
 from vprbench.runs.record import Run
@@ -34,7 +34,7 @@ class GrowthSamples:
         return tuple(self.table["record"])
 
 
-def samples(row: Row, runs: Sequence[Run]) -> GrowthSamples:
+def collect_growth_samples(row: Row, runs: Sequence[Run]) -> GrowthSamples:
     """Collect the times of one row on one dataset, whose runs differ in their places and seeds.
 
     The newest run decides code, arguments, machine and protocol: of each size and seed the newest run that has these is
@@ -42,7 +42,7 @@ def samples(row: Row, runs: Sequence[Run]) -> GrowthSamples:
     """
     if not runs:
         raise BadInput(f"no run of {row.name} is stored at different numbers of places: nothing shows its growth")
-    ordered = sorted(runs, key=age)
+    ordered = sorted(runs, key=get_sort_key)
     alike = [run for run in ordered if _format_conditions(run) == _format_conditions(ordered[-1])]
     chosen = {(run.outcome.n_places, run.config["seed"]): run for run in alike}
     kept = [run for _, run in sorted(chosen.items(), key=lambda item: item[0])]
@@ -50,7 +50,7 @@ def samples(row: Row, runs: Sequence[Run]) -> GrowthSamples:
     return GrowthSamples(row.name, tabulate_with_records(kept).join(times), len(runs) - len(alike))
 
 
-def interval_of_median(values: npt.NDArray[np.float64]) -> tuple[float, float] | None:
+def compute_median_interval(values: npt.NDArray[np.float64]) -> tuple[float, float] | None:
     """Return the 95 % interval of the median of `values` (n,) from their order; None for fewer than six.
 
     With k the largest number for which Binomial(n, 1/2) lies below k with a chance of at most 2.5 %, it runs from the
@@ -66,10 +66,12 @@ def interval_of_median(values: npt.NDArray[np.float64]) -> tuple[float, float] |
 def _list_times(run: Run) -> tuple[float | None, ...]:
     if run.timing is None:
         return (None, None, None)
-    return (float(np.median(list_laps(run))), *(interval_of_median(list_laps(run)) or (None, None)))
+    return (float(np.median(list_laps(run))), *(compute_median_interval(list_laps(run)) or (None, None)))
 
 
 def _format_conditions(run: Run) -> str:
     """Return the conditions that must be equal for times to compare, as text."""
     protocol = {name: value for name, value in run.protocol.items() if name not in _PER_SIZE}
-    return as_text([conditions(run), run.config.get("timing"), run.config["device"], run.dataset, protocol])
+    return format_plain_values(
+        [list_conditions(run), run.config.get("timing"), run.config["device"], run.dataset, protocol]
+    )

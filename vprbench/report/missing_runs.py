@@ -142,6 +142,6 @@ def _end_without_process(cell: Cell, stored: StoredRuns) -> JobResult | None:
     return JobResult(0) if stored.holds(cell.request) else None
 
 
-def results_folder(results: str) -> Path:
+def resolve_results_folder(results: str) -> Path:
     """Return the folder of a store as an absolute path, so that processes elsewhere find it."""
     return Path(results).expanduser().absolute()

@@ -17,7 +17,7 @@ PROTOCOLS = {
 
 
 @cache
-def published() -> dict[tuple[str, str], dict[str, float | None]]:
+def read_published_numbers() -> dict[tuple[str, str], dict[str, float | None]]:
     """Return the numbers of the paper's Table II, by row and dataset: R@1 in %, training in minutes, queries in Hz.
 
     None is its "-". Source: VPRTempo (ICRA 2024), Table II.

@@ -78,7 +78,7 @@ class MethodRuns:
     runs: tuple[Run, ...]  # one a seed, ascending; at least one
 
 
-def groups(
+def group_runs_by_column(
     runs: Iterable[Run], failures: Iterable[Failure], columns: Sequence[ResolvedColumn], rows: Sequence[Row]
 ) -> list[DatasetRuns]:
     """Put runs and failures of the rows into the columns, in the columns' order.
@@ -86,14 +86,14 @@ def groups(
     A column gives one group for each protocol and version of its images, the one with the newest run first, and an
     empty group where it has no run. The order of `runs` changes nothing.
     """
-    ordered = sorted(runs, key=lambda run: (run.dataset, run.method, *age(run)))
+    ordered = sorted(runs, key=lambda run: (run.dataset, run.method, *get_sort_key(run)))
     failed = sorted(failures, key=lambda failure: (failure.method, get_time(failure), failure.error))
     found: list[DatasetRuns] = []
     for column in columns:
         alike: dict[str, list[Run]] = defaultdict(list)
         for run in ordered:
             if _belongs_to_column(run, column) and any(_belongs_to_row(run, row) for row in rows):
-                alike[f"{as_text(run.protocol)} {run.fingerprint}"].append(run)
+                alike[f"{format_plain_values(run.protocol)} {run.fingerprint}"].append(run)
         newest_first = sorted(alike.items(), key=lambda item: (max(map(get_time, item[1])), item[0]), reverse=True)
         there = tuple(f for f in failed if _belongs_to_column(f, column) and any(_belongs_to_row(f, r) for r in rows))
         for number, (_, members) in enumerate(newest_first or [("", [])], 1):
@@ -101,7 +101,7 @@ def groups(
     return found
 
 
-def of_row(group: DatasetRuns, row: Row, device: Device) -> RowRuns:
+def select_row_runs(group: DatasetRuns, row: Row, device: Device) -> RowRuns:
     """Return one run per seed, all made by the same code, settings and machine.
 
     Runs that differ in code, defaults, weights, libraries, threads or machine are never put together. Of such sets the
@@ -114,13 +114,13 @@ def of_row(group: DatasetRuns, row: Row, device: Device) -> RowRuns:
 
     def rank(members: Sequence[Run]) -> tuple[bool, bool, tuple[str, str]]:
         is_complete = {run.config["seed"] for run in members} >= {*row.seeds}
-        return is_complete, members[0].network is None, age(members[-1])
+        return is_complete, members[0].network is None, get_sort_key(members[-1])
 
     there = select(group.runs)
     sets: dict[str, list[Run]] = defaultdict(list)
-    for run in sorted(there, key=age):
+    for run in sorted(there, key=get_sort_key):
         if run.config["seed"] in row.seeds:
-            sets[as_text([conditions(run), run.network is None])].append(run)
+            sets[format_plain_values([list_conditions(run), run.network is None])].append(run)
     chosen = {run.config["seed"]: run for run in max(sets.values(), key=rank, default=[])}
     failed = {failure.config["seed"]: failure for failure in select(group.failures)}
     missing = tuple(seed for seed in row.seeds if seed not in chosen)
@@ -132,22 +132,22 @@ def of_row(group: DatasetRuns, row: Row, device: Device) -> RowRuns:
     )
 
 
-def series(group: DatasetRuns, rows: Sequence[Row], device: Device | None = "cpu") -> list[MethodRuns]:
+def list_method_runs(group: DatasetRuns, rows: Sequence[Row], device: Device | None = "cpu") -> list[MethodRuns]:
     """Return the rows of a group that have runs on a kind of device, None: on that of their accuracy."""
     found = []
     for row in rows:
-        devices = {each: of_row(group, row, each) for each in DEVICES}
-        runs = devices[device or accuracy_device(devices)].runs
+        devices = {each: select_row_runs(group, row, each) for each in DEVICES}
+        runs = devices[device or choose_accuracy_device(devices)].runs
         found += [MethodRuns(row.name, row.spiking, runs)] if runs else []
     return found
 
 
-def accuracy_series(group: DatasetRuns, rows: Sequence[Row]) -> list[MethodRuns]:
+def list_accuracy_runs(group: DatasetRuns, rows: Sequence[Row]) -> list[MethodRuns]:
     """Return the rows of a group that have runs, each from the device that the table takes its R@1 from."""
-    return series(group, rows, None)
+    return list_method_runs(group, rows, None)
 
 
-def accuracy_device(found: Mapping[Device, RowRuns]) -> Device:
+def choose_accuracy_device(found: Mapping[Device, RowRuns]) -> Device:
     """Return the device of a row's accuracy: that with the most seeds, of equals the CPU; without any, of a failure."""
     return max(DEVICES, key=lambda device: (len(found[device].runs), len(found[device].failures)))
 
@@ -165,11 +165,13 @@ def _belongs_to_column(result: Run | Failure, column: ResolvedColumn) -> bool:
         return False
     if isinstance(result, Run) and (frames := column.frames) is not None:
         wanted = [frames.fingerprint, frames.protocol, frames.threads]
-        return as_text([result.fingerprint, result.protocol, result.environment.get("threads")]) == as_text(wanted)
+        return format_plain_values(
+            [result.fingerprint, result.protocol, result.environment.get("threads")]
+        ) == format_plain_values(wanted)
     ours, theirs = column.dataset, given.get("dataset", {})
     ignored = {"_target_", "on_disk", *ours.get("on_disk", ()), *theirs.get("on_disk", ())}
     both = ours.keys() & theirs.keys() - ignored
-    return "name" in both and all(as_text(ours[name]) == as_text(theirs[name]) for name in both)
+    return "name" in both and all(format_plain_values(ours[name]) == format_plain_values(theirs[name]) for name in both)
 
 
 def _belongs_to_row(result: Run | Failure, row: Row) -> bool:
@@ -178,7 +180,9 @@ def _belongs_to_row(result: Run | Failure, row: Row) -> bool:
     if result.method != row.method or not changed.keys() <= wanted.keys():
         return False
     given = {**result.config["method"], **changed}
-    return all(name in given and as_text(given[name]) == as_text(wanted[name]) for name in wanted)
+    return all(
+        name in given and format_plain_values(given[name]) == format_plain_values(wanted[name]) for name in wanted
+    )
 
 
 def _get_device(result: Run | Failure) -> str:
@@ -190,12 +194,12 @@ def get_time(result: Run | Failure) -> str:
     return str(result.environment.get("time_utc") or "")
 
 
-def age(run: Run) -> tuple[str, str]:
+def get_sort_key(run: Run) -> tuple[str, str]:
     """Return the key that sorts runs from the oldest to the newest."""
     return get_time(run), run.key
 
 
-def conditions(run: Run) -> dict[str, Any]:
+def list_conditions(run: Run) -> dict[str, Any]:
     """Return the conditions that must be equal for the runs of a row to be put together."""
     return {
         **{name: run.config.get(name) for name in ("code", "files")},
@@ -205,7 +209,7 @@ def conditions(run: Run) -> dict[str, Any]:
     }
 
 
-def as_text(value: Any) -> str:
+def format_plain_values(value: Any) -> str:
     """Return plain values as text that is the same for equal ones: order and tuples for lists make no difference."""
     return json.dumps(value, sort_keys=True, default=dict)
 
@@ -219,7 +223,9 @@ def apply_views(groups: Sequence[DatasetRuns], rows: Sequence[Row], views: Seque
     found: list[DatasetRuns] = []
     lacking: list[NoScoresError] = []
     for group in groups if views else ():
-        chosen = {run.key: run for row in rows for device in DEVICES for run in of_row(group, row, device).runs}
+        chosen = {
+            run.key: run for row in rows for device in DEVICES for run in select_row_runs(group, row, device).runs
+        }
         of_views: list[DatasetRuns] = []
         for view in views:
             shown: list[Run] = []
@@ -238,7 +244,7 @@ def apply_views(groups: Sequence[DatasetRuns], rows: Sequence[Row], views: Seque
     return found if views else [*groups]
 
 
-def title(group: DatasetRuns, among: Sequence[DatasetRuns]) -> str:
+def format_title(group: DatasetRuns, among: Sequence[DatasetRuns]) -> str:
     """Return the title of a group's column; of several of one title, with its view and its number from the newest."""
     planned = group.column.planned
     if sum(other.column.planned.title == planned.title for other in among if other.runs) < 2:

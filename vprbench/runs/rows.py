@@ -56,7 +56,7 @@ def describe_sequence(run: Run) -> str:
     return ", ".join(f"{name} {run.protocol[name]}" for name in ("sequence", "filter") if name in run.protocol)
 
 
-def describe_tolerance(run: Run) -> str | None:
+def describe_wider_recall(run: Run) -> str | None:
     """Return in one line R@1 under the wider tolerances that the dataset asks for; None if it asks for none."""
     wider = recall_at_1_within(run)
     if not wider:

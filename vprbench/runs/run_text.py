@@ -38,7 +38,7 @@ def format_run(
         lines.append(stream.format_stops(run))
     if request.energy:
         lines.append(energy.format_costs(run, request.wide))
-    lines += [line_text(text) for one in shown if (text := rows.describe_tolerance(one)) is not None]
+    lines += [line_text(text) for one in shown if (text := rows.describe_wider_recall(one)) is not None]
     if from_store:
         lines.append(line_text(f"from the store: {folder} (force=true runs again)"))
     elif folder is not None:

@@ -32,7 +32,7 @@ class Store:
         try:
             for folder in (self.root, self.root / dataset):
                 folder.mkdir(parents=True, exist_ok=True)
-            probe = atomic.unfinished(folder)
+            probe = atomic.name_unfinished(folder)
             probe.mkdir()
             probe.rmdir()
         except OSError as error:
@@ -116,7 +116,7 @@ def _write_folder(folder: Path, fill: Callable[[Path], None]) -> None:
 
     A reader finds the earlier run until the summary is replaced, and the new one from then on. Raises BadInput.
     """
-    partial = atomic.unfinished(folder.parent)
+    partial = atomic.name_unfinished(folder.parent)
     try:
         partial.mkdir(parents=True)
         fill(partial)

@@ -14,7 +14,7 @@ PARTIAL = ".partial-"  # begins the names of unfinished files and folders, which
 _FORGOTTEN_SECONDS = 86400.0
 
 
-def unfinished(folder: Path) -> Path:
+def name_unfinished(folder: Path) -> Path:
     """Return a name in a folder that no other process has, for a file or a folder that is being written."""
     return folder / f"{PARTIAL}{uuid.uuid4().hex}"
 
@@ -42,7 +42,7 @@ def replace_text(path: Path, content: str) -> None:
 
 def replace_bytes(path: Path, content: bytes) -> None:
     """Replace a file; raises OSError if the disk refuses, which leaves the old file."""
-    partial = unfinished(path.parent)
+    partial = name_unfinished(path.parent)
     try:
         partial.write_bytes(content)
         partial.replace(path)

@@ -12,7 +12,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from vprbench.progress import showing
+from vprbench.progress import hide_progress
 from vprbench.terminal.console import console
 from vprbench.text import format_duration, printable
 
@@ -39,7 +39,7 @@ class LiveTable:
         """Draw the table inside the block; afterwards the terminal is as it was, but for the lines above the table."""
         redirects = sys.stdout.isatty()
         live = Live(self, console=self.console, refresh_per_second=2, transient=True, redirect_stdout=redirects)
-        with showing(), live:
+        with hide_progress(), live:
             yield
 
     def show(self, row: str, column: str, text: str, style: str = "") -> None:

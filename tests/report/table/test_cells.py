@@ -9,9 +9,9 @@ from pandas.testing import assert_frame_equal
 from stored_runs import NETVLAD, NORDLAND, PLAN, RAIL, RAILWAY, SAD, STREET, TOWN, VPRSNN, VPRTEMPO, failure, run
 
 from vprbench.report.plan import PlannedColumn, Row
-from vprbench.report.selection import ResolvedColumn, groups
-from vprbench.report.table.cells import assemble
-from vprbench.report.table.quantities import quantities
+from vprbench.report.selection import ResolvedColumn, group_runs_by_column
+from vprbench.report.table.cells import assemble_table
+from vprbench.report.table.quantities import list_quantities
 from vprbench.report.table.words import list_facts
 from vprbench.runs.notes import Note
 
@@ -59,8 +59,8 @@ def test_a_difference_to_the_paper_is_given_on_its_own_frames_alone_and_a_compar
     assert {*rendered.cells["difference"]} == {None}
     mine = PlannedColumn("mine", "My street", ("dataset=street",))
     asked, rows = [ResolvedColumn(mine, STREET)], [replace(VPRTEMPO, seeds=(0,)), SAD]
-    found = groups([run(dataset=STREET), tempo(dataset=STREET)], (), asked, rows)
-    made = assemble(found, rows, PLAN, (), quantities(["recall_at_5"], ("cpu",)), "My street")
+    found = group_runs_by_column([run(dataset=STREET), tempo(dataset=STREET)], (), asked, rows)
+    made = assemble_table(found, rows, PLAN, (), list_quantities(["recall_at_5"], ("cpu",)), "My street")
     assert (made.heading, [row.name for row in made.rows]) == ("My street", ["VPRTempo", "SAD"])
     assert [q.name for q in made.quantities] == ["recall_at_1", "train_cpu", "query_cpu", "recall_at_5"]
     assert {*made.cells["published_mark"]} == {"none"}
@@ -148,7 +148,7 @@ def test_recall_tells_its_ties_its_notes_and_that_it_is_undefined_and_a_cost_tha
         found = notes(made, "VPRSNN", quantity)
         assert (shown in found, hidden in found, "noisy" in found) == (True, False, False)
     energy = {"values": {"operations": 2e6, "joules_measured": None}, "how": {"joules_measured": "no counter here"}}
-    costs = quantities(["operations", "joules_measured"], ("cpu",))
+    costs = list_quantities(["operations", "joules_measured"], ("cpu",))
     made = table([run(energy=energy)], rows=[SAD], quantities=costs)
     assert measured(made, "SAD", "operations").value == 2
     assert notes(made, "SAD", "joules_measured") == ["undefined: no counter here"]

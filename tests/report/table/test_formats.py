@@ -19,10 +19,10 @@ from parsed_page import Parsed
 from stored_runs import ABACUS, NORDLAND, PLAN, RAILWAY, SAD, STREET, failure, run
 
 from vprbench.report.plan import PlannedColumn, Row
-from vprbench.report.selection import ResolvedColumn, groups
+from vprbench.report.selection import ResolvedColumn, group_runs_by_column
 from vprbench.report.table import formats
-from vprbench.report.table.cells import assemble
-from vprbench.report.table.quantities import quantities
+from vprbench.report.table.cells import assemble_table
+from vprbench.report.table.quantities import list_quantities
 from vprbench.runs.notes import Note
 from vprbench.terminal import console
 
@@ -36,8 +36,8 @@ def comparison():
     asked = [ResolvedColumn(PlannedColumn("mine", "Corridor_1", ("dataset=street",)), STREET)]
     rows = [Row("VPRTempo", "vprtempo", spiking=True), Row("SAD", "sad", training="none")]
     runs = [run("vprtempo", dataset=STREET, timing=None), run(dataset=STREET, hits=[1, 0, 0, 0], timing=None)]
-    found = groups(runs, [failure("vprtempo", dataset=STREET)], asked, rows)
-    return assemble(found, rows, PLAN, (), quantities(["recall_at_5"], ("cpu",)), "Corridor_1")
+    found = group_runs_by_column(runs, [failure("vprtempo", dataset=STREET)], asked, rows)
+    return assemble_table(found, rows, PLAN, (), list_quantities(["recall_at_5"], ("cpu",)), "Corridor_1")
 
 
 @pytest.mark.parametrize(

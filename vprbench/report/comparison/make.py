@@ -19,14 +19,14 @@ from vprbench.progress import progress_shown
 from vprbench.report.comparison.checks import Checked, SortedOptions, check_comparison, frames_of
 from vprbench.report.figures.make import draw_all, write_figures
 from vprbench.report.folder import assemble_groups
-from vprbench.report.gather import ReportData, TablePlan, run_missing, runs_of, stored
+from vprbench.report.gather import ReportData, TablePlan, list_cells, load_stored_runs, run_missing
 from vprbench.report.page.make import write_page
 from vprbench.report.plan import NO_PLAN
 from vprbench.report.robustness import Robustness, format_csv, format_markdown, list_lines, measure_robustness
-from vprbench.report.selection import ResolvedColumn, accuracy_series, groups
+from vprbench.report.selection import ResolvedColumn, group_runs_by_column, list_accuracy_runs
 from vprbench.report.table import words
-from vprbench.report.table.make import exit_code, write
-from vprbench.report.table.quantities import RECALL, comparison_quantities
+from vprbench.report.table.make import choose_exit_code, write_table
+from vprbench.report.table.quantities import RECALL, list_comparison_quantities
 from vprbench.runs import rows
 from vprbench.runs.corruption import Corruption, corrupt_queries, parse_corruptions
 from vprbench.runs.frame import format_label, iterate_rows
@@ -59,13 +59,13 @@ def make_comparison(command: SortedOptions) -> int:
     chosen = plan_table(found, command)
     spoilt = corrupt_column(found, command.request.corruptions)
     results = [] if chosen.stored else make_missing(chosen, found, spoilt, command)
-    known, failures = stored(chosen)
+    known, failures = load_stored_runs(chosen)
     compared = report_comparison(chosen, found, known, failures, results)
     show(compared, command.request.wide)
     robust = None
     if spoilt:
         clean, *of_each = (
-            accuracy_series(groups(known, (), [column], chosen.rows)[0], compared.chosen.rows)
+            list_accuracy_runs(group_runs_by_column(known, (), [column], chosen.rows)[0], compared.chosen.rows)
             for column in (found.column, *spoilt.values())
         )
         robust = measure_robustness(clean, dict(zip(spoilt, of_each, strict=True)))
@@ -76,7 +76,7 @@ def make_comparison(command: SortedOptions) -> int:
     folder = Path(compared.chosen.results).expanduser()
     files = write_comparison(compared, folder, command.request.name or "", robust, best)
     print("\nwritten to", *files, sep="\n  ")
-    return exit_code(results)
+    return choose_exit_code(results)
 
 
 def corrupt_column(found: Checked, names: Sequence[str]) -> dict[Corruption, ResolvedColumn]:
@@ -109,8 +109,8 @@ def make_missing(
     column = replace(found.column, planned=planned, corruption=names)
     untimed = [*(option for option in command.of_runs if not option.startswith("timing")), *_UNTIMED]
     with executor_for(command.request) as executor:
-        results = run_missing(chosen, [*runs_of(chosen, found.column, rows, options)], executor)
-        together = [*runs_of(once, column, rows, untimed)] if names else []
+        results = run_missing(chosen, [*list_cells(chosen, found.column, rows, options)], executor)
+        together = [*list_cells(once, column, rows, untimed)] if names else []
         ended = run_missing(once, together, executor)
         failed = [cell for cell, result in zip(together, ended, strict=True) if result.code == 1]
         alone = run_missing(once, [one for cell in failed for one in cell.each()], executor)
@@ -130,7 +130,7 @@ def plan_table(found: Checked, command: SortedOptions) -> TablePlan:
         stores=tuple(request.stores),
         stored=request.stored,
         title=found.column.planned.title,
-        quantities=comparison_quantities(request.metrics, request.devices),
+        quantities=list_comparison_quantities(request.metrics, request.devices),
         views=parse_views(request.sequence, request.filter),
     )
 
@@ -147,9 +147,9 @@ def report_comparison(
         failure_of(cell.request, JobResult(2, found.left_out[row.name], missing=True))
         for row in found.rows
         if row.name in found.left_out
-        for cell in runs_of(chosen, found.column, [row], ())
+        for cell in list_cells(chosen, found.column, [row], ())
     ]
-    newest = groups(known, [*failures, *left_out], [found.column], chosen.rows)[0]
+    newest = group_runs_by_column(known, [*failures, *left_out], [found.column], chosen.rows)[0]
     return assemble_groups(chosen, [newest], results)
 
 
@@ -198,7 +198,7 @@ def predict_places(compared: ReportData, dataset: Dataset | None, n: int | None)
         return None
     tables = []
     for group in compared.groups:
-        for one in accuracy_series(group, compared.chosen.rows):
+        for one in list_accuracy_runs(group, compared.chosen.rows):
             for run in one.runs:
                 table = tabulate_predictions(run, min(n or 10, run.top_places.shape[1]), dataset)
                 about = {"method": one.name, "seed": run.config["seed"], "answers": rows.describe_sequence(run)}
@@ -233,7 +233,7 @@ def write_comparison(
     replaced = {*_read_earlier(folder / f"{name}-runs.csv")["method"]} - {format_label(run) for run in found.runs}
     if replaced:
         logger.warning("%s: the earlier comparison with %s makes room: name=NAME keeps both", name, some(replaced))
-    files = write(found, folder, name)
+    files = write_table(found, folder, name)
     if best is not None:
         files.append(write_csv(best, folder / f"{name}-predictions.csv"))
     if robust is not None:

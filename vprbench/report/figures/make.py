@@ -17,11 +17,19 @@ from vprbench.jobs.job import JobResult
 from vprbench.metrics.catalogue import METRICS
 from vprbench.report.figures import accuracy, growth, pictures, speed, spikes, style, tradeoff
 from vprbench.report.figures.style import Drawing
-from vprbench.report.gather import ReportData, TablePlan, run_missing, runs_of
-from vprbench.report.growth import samples
-from vprbench.report.missing_runs import results_folder
+from vprbench.report.gather import ReportData, TablePlan, list_cells, run_missing
+from vprbench.report.growth import collect_growth_samples
+from vprbench.report.missing_runs import resolve_results_folder
 from vprbench.report.plan import Row
-from vprbench.report.selection import DatasetRuns, MethodRuns, ResolvedColumn, accuracy_series, groups, series, title
+from vprbench.report.selection import (
+    DatasetRuns,
+    MethodRuns,
+    ResolvedColumn,
+    format_title,
+    group_runs_by_column,
+    list_accuracy_runs,
+    list_method_runs,
+)
 from vprbench.report.table.best import average_recall
 from vprbench.report.table.formats import escape_markdown
 from vprbench.runs.record import Run
@@ -64,7 +72,7 @@ def draw_all(
 
     Growth is drawn from `runs` in `columns`. Names hold the paper's numbers of figures if the table is Table II.
     """
-    shown = [(group, rows) for group in found.groups if (rows := accuracy_series(group, found.chosen.rows))]
+    shown = [(group, rows) for group in found.groups if (rows := list_accuracy_runs(group, found.chosen.rows))]
     calls = [
         *_list_speed(found),
         *_list_growth(found, runs, columns),
@@ -80,7 +88,7 @@ def draw_all(
             report(f"{name} is not drawn: {error}")
 
 
-def growth_columns(found: ReportData) -> list[ResolvedColumn]:
+def list_growth_columns(found: ReportData) -> list[ResolvedColumn]:
     """Return a column for each size of the growth."""
     planned = map(found.chosen.plan.growth.column, found.chosen.plan.growth.sizes)
     return [ResolvedColumn(column, make_request(column.options).dataset) for column in planned]
@@ -94,7 +102,7 @@ def run_growth(
     Their frames are not kept.
     """
     once, rows = replace(found.chosen, devices=("cpu",)), _choose_growth_rows(found)
-    cells = [cell for column in columns for cell in runs_of(once, column, rows, [*options, "frames=false"])]
+    cells = [cell for column in columns for cell in list_cells(once, column, rows, [*options, "frames=false"])]
     return run_missing(found.chosen, cells, executor)
 
 
@@ -108,9 +116,11 @@ def _list_growth(found: ReportData, runs: Sequence[Run], columns: Sequence[Resol
     """Yield time against places, of each row of the growth that has runs."""
     grown = []
     for row in _choose_growth_rows(found):
-        of_sizes = [one for group in groups(runs, (), columns, [row]) for one in series(group, [row])]
+        of_sizes = [
+            one for group in group_runs_by_column(runs, (), columns, [row]) for one in list_method_runs(group, [row])
+        ]
         if of_sizes:
-            grown.append(samples(row, [run for one in of_sizes for run in one.runs]))
+            grown.append(collect_growth_samples(row, [run for one in of_sizes for run in one.runs]))
     if columns:
         yield "fig2c-growth", growth.draw_growth, grown
 
@@ -120,7 +130,7 @@ def _list_speed(found: ReportData) -> Iterator[FigureCall]:
     there = (group for group in found.groups if group.runs)
     group = max(there, key=lambda group: any(run.timing for run in group.runs))
     rows = found.chosen.rows
-    given = [*series(group, rows), *series(group, rows, "cuda")], rows, group.column.planned
+    given = [*list_method_runs(group, rows), *list_method_runs(group, rows, "cuda")], rows, group.column.planned
     yield "fig2a-training-time", speed.draw_training_time, *given
     yield "fig2b-query-rate", speed.draw_query_rate, *given
 
@@ -130,15 +140,15 @@ def _list_by_group(found: ReportData, group: DatasetRuns, shown: Sequence[Method
     if shown[0].runs[0].is_judged:
         yield from _list_accuracy(found, group, shown)
     yield f"spikes-{group.name}", spikes.draw_spikes, shown
-    if any(spikes.has_times(run) for row in shown for run in row.runs):
+    if any(spikes.has_spike_times(run) for row in shown for run in row.runs):
         yield f"raster-{group.name}", spikes.draw_raster, shown
 
 
 def _list_accuracy(found: ReportData, group: DatasetRuns, shown: Sequence[MethodRuns]) -> Iterator[FigureCall]:
     """Yield the figures of a group that need to know which places are right."""
-    name, timed = group.name, series(group, found.chosen.rows)
+    name, timed = group.name, list_method_runs(group, found.chosen.rows)
     if thumbnails := thumbnails_of(group, found.chosen):
-        yield f"fig3a-frames-{name}", pictures.draw_frames, thumbnails, title(group, found.groups)
+        yield f"fig3a-frames-{name}", pictures.draw_frames, thumbnails, format_title(group, found.groups)
     best = max(shown, key=lambda row: (row.name == "VPRTempo", average_recall(row.runs) or 0.0))  # the paper shows it
     yield f"fig3b-similarity-{name}", pictures.draw_similarity, best.runs[0], best.name
     yield f"fig3c-precision-recall-{name}", accuracy.draw_precision_recall, shown
@@ -165,5 +175,5 @@ def _list_sequences(shown: Sequence[tuple[DatasetRuns, list[MethodRuns]]]) -> It
 
 def thumbnails_of(group: DatasetRuns, chosen: TablePlan) -> Thumbnails | None:
     """Return the frames that were kept of the dataset of a group with runs, from the first store that has them."""
-    stores = map(results_folder, (chosen.results, *chosen.stores))
+    stores = map(resolve_results_folder, (chosen.results, *chosen.stores))
     return next(filter(None, (load_thumbnails(store, group.runs[0].fingerprint) for store in stores)), None)

@@ -18,7 +18,7 @@ from vprbench.report.figures import style
 from vprbench.report.figures.captions import choose_runs, describe_runs
 from vprbench.report.figures.style import Drawing, choose_looks, new_figure, use_style
 from vprbench.report.plan import PlannedColumn, Row
-from vprbench.report.published import PAPER, PAPER_CPU, PAPER_GPU, published
+from vprbench.report.published import PAPER, PAPER_CPU, PAPER_GPU, read_published_numbers
 from vprbench.report.selection import MethodRuns
 from vprbench.report.table.best import compute_rate, list_laps
 from vprbench.runs.record import Run
@@ -110,7 +110,7 @@ def _draw_bars(quantity: Quantity, series: Sequence[MethodRuns], rows: Sequence[
             else:
                 _draw_measured(axes, place - _BAR / 2, bar, looks[row.name].colour)
                 ends += [bar.low, bar.high, bar.wall]
-            printed = published().get((row.name, column.published or ""), {}).get(f"{quantity}_{device}")
+            printed = read_published_numbers().get((row.name, column.published or ""), {}).get(f"{quantity}_{device}")
             if printed:
                 value = printed * (60 if quantity == "train" else 1)  # minutes and hertz
                 axes.barh(place + _BAR / 2, value, _BAR, linewidth=0.8, **{**looks[row.name].of_bar, "hatch": _HATCH})

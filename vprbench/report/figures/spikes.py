@@ -67,7 +67,7 @@ def draw_spikes(series: Sequence[MethodRuns]) -> Drawing:
     return Drawing(figure, caption)
 
 
-def has_times(run: Run) -> bool:
+def has_spike_times(run: Run) -> bool:
     """Tell whether a run holds when its neurons spike."""
     return any("times" in layer for layer in _list_layers(run))
 
@@ -75,7 +75,7 @@ def has_times(run: Run) -> bool:
 @use_style
 def draw_raster(series: Sequence[MethodRuns]) -> Drawing:
     """Draw when the neurons of each layer spike for one query, of the first run that holds it; BadInput for none."""
-    rows = choose_runs(series, has_times, "holds spike times: run method=vprtempo_latencies")
+    rows = choose_runs(series, has_spike_times, "holds spike times: run method=vprtempo_latencies")
     layers = _list_layers(rows[0].runs[0])
     figure, panels = new_figure(style.DOUBLE_MM, 30 * len(layers), len(layers))
     for panel, layer in zip(panels, layers, strict=True):

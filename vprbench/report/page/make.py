@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from vprbench.progress import progress_shown
 from vprbench.report.figures.make import draw_all, thumbnails_of
 from vprbench.report.gather import ReportData
-from vprbench.report.selection import DatasetRuns, ResolvedColumn, accuracy_series, series, title
+from vprbench.report.selection import DatasetRuns, ResolvedColumn, format_title, list_accuracy_runs, list_method_runs
 from vprbench.report.table import formats
 from vprbench.runs.store import Store
 from vprbench.runs.thumbnails import Thumbnails
@@ -52,12 +52,14 @@ def write_page(
     with progress_shown("report"):
         pictures = [Picture(name, drawing.caption, render_png(drawing)) for name, drawing in drawings]
     rows = found.chosen.rows
-    groups = [(title(group, found.groups), group) for group in found.groups if group.runs]
+    groups = [(format_title(group, found.groups), group) for group in found.groups if group.runs]
     sections = [
-        Section(heading, tuple(accuracy_series(group, rows)), _frames_of(group, found)) for heading, group in groups
+        Section(heading, tuple(list_accuracy_runs(group, rows)), _frames_of(group, found)) for heading, group in groups
     ]
     measured = [
-        (heading, one) for heading, group in groups for one in (*series(group, rows), *series(group, rows, "cuda"))
+        (heading, one)
+        for heading, group in groups
+        for one in (*list_method_runs(group, rows), *list_method_runs(group, rows, "cuda"))
     ]
     runs = [run for _, one in measured for run in one.runs]
     newest = max(str(run.environment.get("time_utc", ""))[:10] for run in runs)

@@ -15,17 +15,17 @@ import pandas as pd
 
 from vprbench.metrics.accuracy import recall_at
 from vprbench.report.plan import Plan, Row
-from vprbench.report.published import published
+from vprbench.report.published import read_published_numbers
 from vprbench.report.selection import (
     DEVICES,
     DatasetRuns,
     Device,
     RowRuns,
-    accuracy_device,
+    choose_accuracy_device,
     describe_protocol,
-    of_row,
+    select_row_runs,
 )
-from vprbench.report.selection import title as title_of
+from vprbench.report.selection import format_title as title_of
 from vprbench.report.table.best import Contestant
 from vprbench.report.table.quantities import QUANTITIES, RECALL, TIMES, Quantity
 from vprbench.runs.frame import tabulate_with_records
@@ -117,17 +117,17 @@ class _Entry:
 
     def choose_runs(self, quantity: Quantity) -> RowRuns:
         """Return the runs of the device that a cell shows."""
-        return self.found[quantity.device or accuracy_device(self.found)]
+        return self.found[quantity.device or choose_accuracy_device(self.found)]
 
     def select_facts(self, quantity: Quantity) -> pd.DataFrame:
         """Return the frame of the runs that measured a quantity."""
-        facts = self.facts[quantity.device or accuracy_device(self.found)]
+        facts = self.facts[quantity.device or choose_accuracy_device(self.found)]
         if quantity.find_source(self.row) != "measured":
             return facts[:0]
         return facts[facts[quantity.fact].notna()] if quantity.kind in TIMES else facts
 
 
-def assemble(
+def assemble_table(
     groups: Sequence[DatasetRuns],
     rows: Sequence[Row],
     plan: Plan,
@@ -148,7 +148,7 @@ def assemble(
     for group, column in zip(groups, columns, strict=True):
         entries = []
         for row in ordered:
-            found = {device: of_row(group, row, device) for device in DEVICES}
+            found = {device: select_row_runs(group, row, device) for device in DEVICES}
             facts = {device: tabulate_with_records(found[device].runs, metrics) for device in DEVICES}
             entries.append(_Entry(row, group, found, facts))
             n_aside += sum(each.n_aside for each in found.values())
@@ -193,7 +193,7 @@ def _make_cell(entry: _Entry, column: Column, quantity: Quantity, is_slow: bool)
     """Return one cell, its notes as text and its machine by name and day."""
     row, found, facts = entry.row, entry.choose_runs(quantity), entry.select_facts(quantity)
     dataset = "" if entry.group.view else column.published or ""  # the paper has no views
-    paper = published().get((row.name, dataset), {})
+    paper = read_published_numbers().get((row.name, dataset), {})
     value = paper.get(quantity.name)
     mark = "none" if quantity.name not in paper else "not applicable" if value is None else "measured"
     cell: dict[str, Any] = {**dict.fromkeys(FACTS), "row": row.name, "column": column.name, "quantity": quantity.name}

@@ -29,7 +29,7 @@ _SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 _MACHINE, _NOTE = "table-machine", "table-note"  # ids in HTML
 
 
-def one_line(text: str) -> str:
+def join_lines(text: str) -> str:
     """Return text on one line, without control characters."""
     return " ".join("".join(sign if sign.isprintable() else " " for sign in text).split())
 
@@ -38,7 +38,7 @@ def escape_latex(text: str) -> str:
     """Return text that LaTeX prints as it is; a sign beyond Latin-1 gives its plain letters or its number."""
     signs = (
         sign if sign <= "ÿ" or sign == "↳" else _spell_out(sign)
-        for sign in unicodedata.normalize("NFC", one_line(text))
+        for sign in unicodedata.normalize("NFC", join_lines(text))
     )
     return re.sub(r"([-,'])(?=\1)", r"\1{}", "".join(signs).translate(_IN_LATEX))  # pairs would melt into one sign
 
@@ -50,7 +50,7 @@ def _spell_out(sign: str) -> str:
 
 def escape_markdown(text: str) -> str:
     """Return text that Markdown shows as it is: no markup, no HTML, no list."""
-    text = escape(one_line(text), quote=False)
+    text = escape(join_lines(text), quote=False)
     text = re.sub(r"([\\`*#$|])", r"\\\1", text)
     if re.search(r"\][\[(:]|\[\^", text):  # a link or a footnote; an interval is neither
         text = re.sub(r"([\[\]])", r"\\\1", text)
@@ -88,11 +88,11 @@ class _Markup:
     absence: str = "{}"  # the word for an absent number
 
 
-_TEXT = _Markup(one_line)
+_TEXT = _Markup(join_lines)
 _MARKDOWN = _Markup(escape_markdown, "**{}**", "*{}*")
 _LATEX = _Markup(escape_latex, r"\textbf{{{}}}", r"\textit{{{}}}", _mark_in_latex, escape_latex)
 _HTML = _Markup(
-    lambda text: escape(one_line(text)),
+    lambda text: escape(join_lines(text)),
     *('<b class="best">{}</b>', "<i>{}</i>", _mark_in_html),
     spiking=" <small>spiking</small>",
     published='<br><span class="published">paper {}</span>',
@@ -171,7 +171,7 @@ def to_latex(table: Table) -> str:
     needs = f"{table.heading}. It needs \\usepackage{{booktabs}}."
     data = [f"{column.title}: {words.describe_data(column)}" for column in table.columns]
     comments = [needs, *data, *words.list_facts(table), *notes, *words.list_machines(table)]
-    parts = [f"% {one_line(line)}" for line in comments]
+    parts = [f"% {join_lines(line)}" for line in comments]
     for column in table.columns if table.rows else ():
         frame = lay_out(table, [column], _LATEX).rename(
             index="{{{}}}".format
@@ -187,8 +187,8 @@ def to_html(table: Table) -> str:
     All text is escaped. The classes of parts of a cell are best, absent and published. A page has room for
     one such fragment: its notes have fixed anchors.
     """
-    units, *facts = (escape(one_line(fact)) for fact in words.list_facts(table))
-    heading = escape(one_line(table.heading))
+    units, *facts = (escape(join_lines(fact)) for fact in words.list_facts(table))
+    heading = escape(join_lines(table.heading))
     with pd.option_context("display.max_colwidth", None):
         text = lay_out(table, table.columns, _HTML).to_html(escape=False, border=False, classes="results")
     head, found, body = text.replace('halign="left"', 'scope="colgroup"').partition("<tbody>")
@@ -196,7 +196,7 @@ def to_html(table: Table) -> str:
     data = (f"{column.title}: {words.describe_data(column)}" for column in table.columns)
     parts = [
         f'<p class="caption"><b>{heading}.</b> {units}</p>',
-        *(f'<p class="legend">{escape(one_line(line))}</p>' for line in data),
+        *(f'<p class="legend">{escape(join_lines(line))}</p>' for line in data),
         f'<div class="scroll" tabindex="0" role="region" aria-label="{heading}">\n{body}\n</div>',
         _list_in_html('ol class="notes"', _NOTE, table.notes),
         _list_in_html('ul class="machines legend"', _MACHINE, words.list_machines(table)),
@@ -206,7 +206,7 @@ def to_html(table: Table) -> str:
 
 
 def _list_in_html(tag: str, anchor: str, lines: Sequence[str]) -> str:
-    items = [f'<li id="{anchor}-{number}">{escape(one_line(line))}</li>' for number, line in enumerate(lines, 1)]
+    items = [f'<li id="{anchor}-{number}">{escape(join_lines(line))}</li>' for number, line in enumerate(lines, 1)]
     return "\n".join([f"<{tag}>", *items, f"</{tag[:2]}>"]) if items else ""
 
 
@@ -218,11 +218,11 @@ def to_csv(table: Table) -> str:
     Seeds are separated by spaces, notes by "; ".
     """
     cells = table.cells.copy()
-    cells["title"] = cells["column"].map({column.name: one_line(column.title) for column in table.columns})
+    cells["title"] = cells["column"].map({column.name: join_lines(column.title) for column in table.columns})
     cells["unit"] = cells["quantity"].map({quantity.name: quantity.unit for quantity in table.quantities})
-    cells["row"] = cells["row"].map(one_line)
+    cells["row"] = cells["row"].map(join_lines)
     cells["seeds"] = [None if seeds is None else " ".join(map(str, seeds)) for seeds in cells["seeds"]]
-    cells["machine"] = [None if at is None else one_line(table.machines[at]) for at in cells["machine"]]
-    cells["notes"] = ["; ".join(one_line(table.notes[n - 1]) for n in notes) for notes in cells["notes"]]
+    cells["machine"] = [None if at is None else join_lines(table.machines[at]) for at in cells["machine"]]
+    cells["notes"] = ["; ".join(join_lines(table.notes[n - 1]) for n in notes) for notes in cells["notes"]]
     shown = [name for name in FACTS[3:] if name != "elsewhere_spread"]
     return str(cells[["row", "column", "title", "quantity", "unit", *shown]].to_csv(index=False, lineterminator="\n"))

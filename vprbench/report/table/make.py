@@ -8,7 +8,7 @@ from pathlib import Path
 
 from vprbench.jobs.executors import executor_for
 from vprbench.jobs.job import JobResult
-from vprbench.report.gather import ReportData, choose, gather, stored
+from vprbench.report.gather import ReportData, load_stored_runs, make_report_data, resolve_plan
 from vprbench.report.run_options import TableRequest
 from vprbench.report.table import formats
 from vprbench.runs import frame
@@ -23,30 +23,30 @@ def make_table(request: TableRequest, options: Sequence[str]) -> int:
 
     Figures and page follow where the request has them. The runs of Figure 2c are made for the figures alone.
     """
-    from vprbench.report.figures.make import growth_columns, print_figures, run_growth  # takes long
+    from vprbench.report.figures.make import list_growth_columns, print_figures, run_growth  # takes long
     from vprbench.report.page.make import print_page
 
-    chosen = choose(request)
+    chosen = resolve_plan(request)
     with executor_for(request) as executor:
-        found = gather(chosen, options, executor)
-        growth = growth_columns(found) if request.figures or request.page else []
+        found = make_report_data(chosen, options, executor)
+        growth = list_growth_columns(found) if request.figures or request.page else []
         results = [*found.job_results, *(run_growth(found, growth, options, executor) if request.figures else [])]
     if request.figures:
-        found = replace(found, runs=tuple(stored(chosen)[0]))
+        found = replace(found, runs=tuple(load_stored_runs(chosen)[0]))
     is_narrow = console().is_terminal
     printed = formats.to_terminal(found.table, request.wide) if is_narrow else formats.to_markdown(found.table)
     print(printed, end="", flush=True)  # first: it is there to be read even where nothing is written
     name = file_name(request)
-    written = write(found, Path(request.results).expanduser(), name)
+    written = write_table(found, Path(request.results).expanduser(), name)
     print(f"\nwritten to {', '.join(str(path) for path in written)}", flush=True)
     if request.figures:
         print_figures(found, growth)
     if request.page:
         print_page(found, "report" if name == "table" else f"report-{name}", growth)
-    return exit_code(results)
+    return choose_exit_code(results)
 
 
-def write(found: ReportData, folder: Path, name: str) -> list[Path]:
+def write_table(found: ReportData, folder: Path, name: str) -> list[Path]:
     """Write the table in its three formats, and all numbers of the runs behind it; returns the files."""
     Store(folder).prepare()
     runs = [run for group in found.groups for run in group.runs]
@@ -68,6 +68,6 @@ def file_name(request: TableRequest) -> str:
     return request.name or default + seen
 
 
-def exit_code(results: Sequence[JobResult]) -> int:
+def choose_exit_code(results: Sequence[JobResult]) -> int:
     """Return 1 where a run failed that could have been made."""
     return int(any(result.code and not result.missing for result in results))

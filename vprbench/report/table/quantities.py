@@ -86,12 +86,12 @@ RATES = (_make_rate("query_cpu", "query CPU", "cpu"), _make_rate("query_gpu", "q
 QUANTITIES: tuple[Quantity, ...] = (RECALL, TRAINING[0], RATES[0], TRAINING[1], RATES[1])
 
 
-def quantities(metrics: Sequence[str], devices: Collection[Device] = DEVICES) -> tuple[Quantity, ...]:
+def list_quantities(metrics: Sequence[str], devices: Collection[Device] = DEVICES) -> tuple[Quantity, ...]:
     """Return the columns of a table: those of the paper, times on these devices, and `metrics` by their names."""
     return (*(one for one in QUANTITIES if one.device is None or one.device in devices), *_list_more(metrics))
 
 
-def comparison_quantities(metrics: Sequence[str], devices: Sequence[str]) -> tuple[Quantity, ...]:
+def list_comparison_quantities(metrics: Sequence[str], devices: Sequence[str]) -> tuple[Quantity, ...]:
     """Return the columns of a comparison on some devices: accuracies, seconds of the fit, query rates and memory."""
     kinds: list[Device] = [kind for kind in DEVICES if any(device.startswith(kind) for device in devices)]
     usual = _list_more(["recall_at_5", "auc_pr_a"])
@@ -104,7 +104,7 @@ def comparison_quantities(metrics: Sequence[str], devices: Sequence[str]) -> tup
     return (RECALL, *usual, *fits, *rates, memory, *more)
 
 
-def without_accuracies(quantities: Sequence[Quantity]) -> tuple[Quantity, ...]:
+def drop_accuracies(quantities: Sequence[Quantity]) -> tuple[Quantity, ...]:
     """Return the columns of a table of data without a ground truth: times, memory and costs."""
     return tuple(one for one in quantities if one.metric is None or one.metric.cost is not None)
 
