@@ -18,7 +18,7 @@ from vprbench.jobs.job import JobResult
 from vprbench.metrics.catalogue import GROUPS
 from vprbench.plugins import registry
 from vprbench.report.missing_runs import Cell, make_cell, make_missing_runs, resolve_results_folder
-from vprbench.report.plan import Plan, PlannedColumn, Row, add_plug_ins, read_plan
+from vprbench.report.plan import PLAN_FILE, Plan, PlannedColumn, Row, add_plug_ins, read_plan
 from vprbench.report.ranking import Ranking, rank_rows
 from vprbench.report.run_options import ShowOptions, TableRequest
 from vprbench.report.selection import DatasetRuns, ResolvedColumn, apply_views, group_runs_by_column, list_accuracy_runs
@@ -47,7 +47,7 @@ class TablePlan:
     results: str = "results"
     stores: tuple[str, ...] = ()  # results folders of other machines
     stored: bool = False  # nothing is run
-    title: str | None = None  # of a table that is not the paper's
+    title: str | None = None  # None: of the published table
     quantities: tuple[Quantity, ...] = QUANTITIES
     views: tuple[Views, ...] = ()  # views of the stored runs that are shown; none: the runs themselves
 
@@ -75,9 +75,9 @@ class ReportData:
 
 
 def resolve_plan(request: TableRequest) -> TablePlan:
-    """Resolve a request against conf/table.yaml; raises BadInput for rows or columns that are unknown."""
+    """Resolve a request against conf/paper/table2.yaml; raises BadInput for rows or columns that are unknown."""
     folders = registry.conf_folders()
-    plan = add_plug_ins(read_plan(folders["vprbench"] / "table.yaml"), folders)
+    plan = add_plug_ins(read_plan(folders["vprbench"] / PLAN_FILE), folders)
     rows = {name: _require_known("rows", name, plan.rows) for name in request.rows or plan.rows}
     for name in request.methods:
         row = _make_row(plan, name, request)
@@ -205,7 +205,7 @@ def _make_row(plan: Plan, name: str, request: TableRequest) -> Row:
 
 
 def _choose_columns(plan: Plan, request: TableRequest) -> list[str]:
-    """Return each dataset of the paper if its frames are given, else the rendered column that stands in for it."""
+    """Return each published dataset if its frames are given, else the rendered column that stands in for it."""
     chosen = []
     for column in plan.columns.values():
         if column.stand_in_for is not None and not column.on_request:

@@ -20,7 +20,7 @@ from vprbench import progress
 from vprbench.api.dataset import Dataset
 from vprbench.api.method import Method
 from vprbench.plugins import registry
-from vprbench.report.plan import read_plan
+from vprbench.report.plan import PLAN_FILE, read_plan
 from vprbench.runs import machine
 from vprbench.runs.identity import code_hash, fingerprint
 from vprbench.runs.run_files import content_key
@@ -70,7 +70,7 @@ def search(settings: Settings, method: Mapping[str, Any], dataset: Mapping[str, 
     started = time.perf_counter()
     jobs = _jobs(settings.jobs or settings.workers)
     surroundings = machine.describe_machine("cpu", 1)
-    columns = read_plan(registry.conf_folders()["vprbench"] / "table.yaml").columns.values()
+    columns = read_plan(registry.conf_folders()["vprbench"] / PLAN_FILE).columns.values()
     allowed = places.searchable(settings.dataset, dataset, settings.places, columns)
     whole = registry.make_dataset(allowed.dataset)
     stretches = {name: places.cut(whole, stretch) for name, stretch in _named(allowed).items()}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -70,7 +69,8 @@ def draw_all(
 ) -> Iterator[tuple[str, Drawing]]:
     """Yield each figure with the name of its files; `report` gets a line for each that has nothing to show.
 
-    Growth is drawn from `runs` in `columns`. Names hold the paper's numbers of figures if the table is Table II.
+    Growth is drawn from `runs` in `columns`. Names of figures begin with their published numbers, unless the table has
+    a title of its own.
     """
     shown = [(group, rows) for group in found.groups if (rows := list_accuracy_runs(group, found.chosen.rows))]
     calls = [
@@ -79,9 +79,10 @@ def draw_all(
         *(call for group, rows in shown for call in _list_by_group(found, group, rows)),
         *_list_sequences(shown),
     ]
-    for number, (numbered, draw, *given) in enumerate(calls):
+    published = found.chosen.plan.published if found.table.title is None else None
+    for number, (kind, draw, *given) in enumerate(calls):
         progress.report("drawing figures", number / len(calls))
-        name = numbered if found.table.title is None else re.sub(r"^fig\d\w-", "", numbered)
+        name = published.number_figure(kind) if published else kind
         try:
             yield name, draw(*given)
         except BadInput as error:
@@ -97,7 +98,7 @@ def list_growth_columns(found: ReportData) -> list[ResolvedColumn]:
 def run_growth(
     found: ReportData, columns: Sequence[ResolvedColumn], options: Sequence[str], executor: Executor
 ) -> list[JobResult]:
-    """Make the runs of Figure 2c that are not stored, one after the other; `options` of the command line hold for all.
+    """Make the runs of growth that are not stored, one after the other; `options` of the command line hold for all.
 
     Their frames are not kept.
     """
@@ -122,7 +123,8 @@ def _list_growth(found: ReportData, runs: Sequence[Run], columns: Sequence[Resol
         if of_sizes:
             grown.append(collect_growth_samples(row, [run for one in of_sizes for run in one.runs]))
     if columns:
-        yield "fig2c-growth", growth.draw_growth, grown
+        published = found.chosen.plan.published
+        yield "growth", growth.draw_growth, grown, published.growth_claim if published else ""
 
 
 def _list_speed(found: ReportData) -> Iterator[FigureCall]:
@@ -130,13 +132,18 @@ def _list_speed(found: ReportData) -> Iterator[FigureCall]:
     there = (group for group in found.groups if group.runs)
     group = max(there, key=lambda group: any(run.timing for run in group.runs))
     rows = found.chosen.rows
-    given = [*list_method_runs(group, rows), *list_method_runs(group, rows, "cuda")], rows, group.column.planned
-    yield "fig2a-training-time", speed.draw_training_time, *given
-    yield "fig2b-query-rate", speed.draw_query_rate, *given
+    given = (
+        [*list_method_runs(group, rows), *list_method_runs(group, rows, "cuda")],
+        rows,
+        group.column.planned,
+        found.chosen.plan.published,
+    )
+    yield "training-time", speed.draw_training_time, *given
+    yield "query-rate", speed.draw_query_rate, *given
 
 
 def _list_by_group(found: ReportData, group: DatasetRuns, shown: Sequence[MethodRuns]) -> Iterator[FigureCall]:
-    """Yield the figures of a group: Figure 3, and those beyond the paper; without ground truth of spikes alone."""
+    """Yield the figures of a group; without ground truth of spikes alone."""
     if shown[0].runs[0].is_judged:
         yield from _list_accuracy(found, group, shown)
     yield f"spikes-{group.name}", spikes.draw_spikes, shown
@@ -148,11 +155,13 @@ def _list_accuracy(found: ReportData, group: DatasetRuns, shown: Sequence[Method
     """Yield the figures of a group that need to know which places are right."""
     name, timed = group.name, list_method_runs(group, found.chosen.rows)
     if thumbnails := thumbnails_of(group, found.chosen):
-        yield f"fig3a-frames-{name}", pictures.draw_frames, thumbnails, format_title(group, found.groups)
-    best = max(shown, key=lambda row: (row.name == "VPRTempo", average_recall(row.runs) or 0.0))  # the paper shows it
-    yield f"fig3b-similarity-{name}", pictures.draw_similarity, best.runs[0], best.name
-    yield f"fig3c-precision-recall-{name}", accuracy.draw_precision_recall, shown
-    yield f"fig3d-recall-at-n-{name}", accuracy.draw_recall_at_n, shown
+        yield f"frames-{name}", pictures.draw_frames, thumbnails, format_title(group, found.groups)
+    published = found.chosen.plan.published
+    wanted = published.shown_row if published else None
+    best = max(shown, key=lambda row: (row.name == wanted, average_recall(row.runs) or 0.0))
+    yield f"similarity-{name}", pictures.draw_similarity, best.runs[0], best.name
+    yield f"precision-recall-{name}", accuracy.draw_precision_recall, shown
+    yield f"recall-at-n-{name}", accuracy.draw_recall_at_n, shown
     yield f"tolerance-{name}", accuracy.draw_recall_at_tolerance, shown
     for metric in found.chosen.metrics:
         yield f"{metric.replace('_', '-')}-{name}", accuracy.draw_metric, shown, METRICS[metric]

@@ -42,9 +42,9 @@ def _frames_of(group: DatasetRuns, found: ReportData) -> Thumbnails | None:
 def write_page(
     found: ReportData, drawings: Iterable[tuple[str, Drawing]], path: Path, absent: Sequence[str] = ()
 ) -> Path:
-    """Write the page of a table, titled as the table if that is not the paper's, with these figures; returns `path`.
+    """Write the page of a table with these figures; returns `path`.
 
-    `absent` says of each figure that is not drawn why.
+    The page has the title of the table, if that is its own. `absent` says of each figure that is not drawn why.
     """
     from vprbench.report.figures.style import render_png
     from vprbench.report.page.page import TITLE, Picture, Section, page

@@ -1,4 +1,4 @@
-"""`make table`: Table II from stored runs, those that are missing made first."""
+"""The table of a plan from stored runs; missing runs are made first."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from vprbench.terminal.console import console
 def make_table(request: TableRequest, options: Sequence[str]) -> int:
     """Print the table and write it as Markdown, CSV and LaTeX; returns the exit code, 1 where a cell failed.
 
-    Figures and page follow where the request has them. The runs of Figure 2c are made for the figures alone.
+    Figures and page follow where the request has them. The runs of growth are made for the figures alone.
     """
     from vprbench.report.figures.make import list_growth_columns, print_figures, run_growth  # takes long
     from vprbench.report.page.make import print_page
