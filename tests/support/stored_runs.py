@@ -8,7 +8,7 @@ import numpy as np
 from checkout import ROOT
 
 from vprbench.metrics.ranking import Outcome
-from vprbench.report.plan import PLAN_FILE, Growth, Plan, PlannedColumn, Row, read_plan
+from vprbench.report.plan import PLAN_FILE, Growth, PlanFile, PlannedColumn, Row, read_plan
 from vprbench.report.selection import ResolvedColumn
 from vprbench.runs.record import Failure
 
@@ -27,7 +27,7 @@ PLANNED = PlannedColumn("railway", "Railway (rendered)", ("dataset=railway",), "
 CITY = PlannedColumn("street", "City street", ("dataset=street",))
 
 PUBLISHED = read_plan(ROOT / "conf" / PLAN_FILE).published
-PLAN = Plan(
+PLAN = PlanFile(
     {row.name: row for row in (SAD, NETVLAD, VPRSNN, VPRTEMPO)},
     {"vprtempo_public": PUBLIC},
     {column.name: column for column in (NORDLAND, PLANNED, CITY)},

@@ -9,7 +9,7 @@ from typing import Any
 
 from vprbench.errors import BadInput
 from vprbench.jobs.job import JobResult
-from vprbench.report.gather import ReportData, TablePlan, assemble_report, load_stored_runs
+from vprbench.report.gather import Plan, Report, assemble_report, load_stored_runs
 from vprbench.report.missing_runs import resolve_results_folder
 from vprbench.report.plan import NO_PLAN, PlannedColumn, Row
 from vprbench.report.ranking import rank_rows
@@ -35,7 +35,7 @@ from vprbench.runs.store import Store
 from vprbench.text import suggest_names
 
 
-def read_report(request: FolderRequest) -> ReportData:
+def read_report(request: FolderRequest) -> Report:
     """Return the report of the runs of a results folder, of the datasets and methods of the request alone.
 
     Raises BadInput for a name that no run of the folder has, and where nothing is left to show.
@@ -79,7 +79,7 @@ def report_runs(
     metrics: Sequence[str] = (),
     stores: Sequence[str] = (),
     views: Sequence[Views] = (),
-) -> ReportData:
+) -> Report:
     """Return the report of runs: a column for each dataset and protocol, a row for each method with its arguments.
 
     Runs of corrupted queries are no columns. Raises BadInput if there is no run.
@@ -87,7 +87,7 @@ def report_runs(
     runs = [run for run in runs if run.config.get("corruption") is None]
     failures = [failure for failure in failures if failure.config.get("corruption") is None]
     devices = sorted({str(run.config["device"]) for run in runs})
-    chosen = TablePlan(
+    chosen = Plan(
         NO_PLAN,
         describe_rows([*runs, *failures]),
         (),
@@ -103,9 +103,7 @@ def report_runs(
     return assemble_groups(chosen, group_runs(runs, failures))
 
 
-def assemble_groups(
-    chosen: TablePlan, groups: Sequence[DatasetRuns], job_results: Sequence[JobResult] = ()
-) -> ReportData:
+def assemble_groups(chosen: Plan, groups: Sequence[DatasetRuns], job_results: Sequence[JobResult] = ()) -> Report:
     """Return the report of groups of runs, in the views that `chosen` names.
 
     Rows come by their R@1 in the first group that has them, rows without runs last. Without a ground truth there is no

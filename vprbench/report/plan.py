@@ -85,7 +85,7 @@ _WHOLE = {"growth", "seeds", "published"}  # parts that are no mapping of names 
 
 
 @dataclass(frozen=True)
-class Plan:
+class PlanFile:
     """Everything in conf/paper/table2.yaml, by name."""
 
     rows: Mapping[str, Row]  # shown unless a request names others
@@ -97,12 +97,12 @@ class Plan:
 
 
 #: The plan of runs that no table names.
-NO_PLAN = Plan({}, {}, {}, Growth((), (), (), 0))
+NO_PLAN = PlanFile({}, {}, {}, Growth((), (), (), 0))
 
 
-def read_plan(path: Path) -> Plan:
+def read_plan(path: Path) -> PlanFile:
     """Read the plan; raises BadInput, naming the file, where a part is missing or unknown."""
-    plan = Plan(**_read_parts(path, _KINDS))
+    plan = PlanFile(**_read_parts(path, _KINDS))
     _require_columns(plan.columns, path)
     if plan.published is not None:
         plan = replace(plan, published=_read_numbers(plan.published, path.parent))
@@ -119,7 +119,7 @@ def _read_numbers(published: Published, folder: Path) -> Published:
         ) from error
 
 
-def add_plug_ins(plan: Plan, folders: Mapping[str, Path]) -> Plan:
+def add_plug_ins(plan: PlanFile, folders: Mapping[str, Path]) -> PlanFile:
     """Return our plan with the rows and columns that plug-ins bring; `folders` are those of yaml files, by provider.
 
     A plug-in's `table/*.yaml` may hold `rows` and `columns` as ours does; a request names what it shows of them. Raises

@@ -14,7 +14,7 @@ from typing import Any, Literal
 import pandas as pd
 
 from vprbench.metrics.accuracy import recall_at
-from vprbench.report.plan import Plan, Row
+from vprbench.report.plan import PlanFile, Row
 from vprbench.report.published import Published
 from vprbench.report.selection import (
     DEVICES,
@@ -131,7 +131,7 @@ class _Entry:
 def assemble_table(
     groups: Sequence[DatasetRuns],
     rows: Sequence[Row],
-    plan: Plan,
+    plan: PlanFile,
     slow: Collection[tuple[str, str]] = (),
     quantities: tuple[Quantity, ...] = QUANTITIES,
     title: str | None = None,
@@ -164,7 +164,7 @@ def assemble_table(
     return Table(frame, columns, ordered, notes, machines, quantities, title, n_aside, plan.published)
 
 
-def _describe_column(group: DatasetRuns, groups: Sequence[DatasetRuns], plan: Plan) -> Column:
+def _describe_column(group: DatasetRuns, groups: Sequence[DatasetRuns], plan: PlanFile) -> Column:
     planned = group.column.planned
     real = plan.columns[planned.stand_in_for].title if planned.stand_in_for else None
     known = (real, planned.published, planned.remark)
