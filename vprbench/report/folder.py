@@ -19,9 +19,9 @@ from vprbench.report.selection import (
     ResolvedColumn,
     apply_views,
     format_plain_values,
-    get_sort_key,
-    get_time,
     list_accuracy_runs,
+    sort_failures,
+    split_by_frames,
 )
 from vprbench.report.table import formats
 from vprbench.report.table.make import write_table
@@ -151,18 +151,14 @@ def group_runs(runs: Sequence[Run], failures: Sequence[Failure]) -> list[Dataset
     """Return the runs of each dataset by protocol and frames, the group with the newest run first."""
     found: list[DatasetRuns] = []
     for dataset in sorted({run.dataset for run in runs}):
-        alike: dict[str, list[Run]] = {}
-        for run in sorted((run for run in runs if run.dataset == dataset), key=get_sort_key):
-            alike.setdefault(format_plain_values([run.protocol, run.fingerprint]), []).append(run)
-        newest_first = sorted(alike.values(), key=lambda members: get_sort_key(members[-1]), reverse=True)
-        titles = _name_protocols(dataset, [members[0].protocol for members in newest_first])
-        failed = sorted((failure for failure in failures if failure.dataset == dataset), key=get_time)
-        for number, members in enumerate(newest_first, start=1):
-            there = tuple(failed) if number == 1 else ()
-            planned = PlannedColumn(dataset, titles[number - 1], ())
+        sets = split_by_frames(run for run in runs if run.dataset == dataset)
+        titles = _name_protocols(dataset, [members[0].protocol for members in sets])
+        failed = tuple(sort_failures(failure for failure in failures if failure.dataset == dataset))
+        for number, (title, members) in enumerate(zip(titles, sets, strict=True), 1):
             config = members[0].config
+            planned = PlannedColumn(dataset, title, ())
             column = ResolvedColumn(planned, config["dataset"], views=config.get("views"))
-            found.append(DatasetRuns(column, number, tuple(members), there))
+            found.append(DatasetRuns(column, number, members, failed if number == 1 else ()))
     return found
 
 
