@@ -90,9 +90,11 @@ def test_memory_is_the_mean_of_the_seeds_and_the_map_has_a_panel_for_the_rows_th
     seeds = [figure_runs.run("t", 0.5 + 0.2 * i, seed=i, peak_memory_bytes=10**8 * (i + 1)) for i in (0, 1)]
     (axes,) = draw_memory_tradeoff([series("VPRTempo", *seeds)]).figure.axes
     assert points(axes) == [approx((150, 60))]
-    drawn = draw_memory_tradeoff([method("SAD", 0.5, kept=784), method("VPRTempo", 0.6), method("GCL", 0.3, kept=8192)])
-    _, right = drawn.figure.axes
-    assert points(right) == [approx((784, 50)), approx((8192, 30))]
+    drawn = draw_memory_tradeoff([method("A", 0.5, kept=784), method("B", 0.6), method("C", 0.3, kept=8192)])
+    above, below = drawn.figure.axes
+    assert points(below) == [approx((784, 50)), approx((8192, 30))]
+    colours = [[container.lines[0].get_color() for container in axes.containers] for axes in (above, below)]
+    assert colours[1] == colours[0][::2]  # a row looks the same in both panels
 
 
 def tempo(*minutes, device="cpu"):

@@ -75,10 +75,8 @@ def draw_similarity(run: Run, name: str) -> Drawing:
     run did not keep its scores.
     """
     if run.scores is None:
-        raise BadInput(
-            f"run {run.key} of {run.method} on {run.dataset} did not keep its scores ({len(run.outcome):,} queries x "
-            f"{run.outcome.n_places:,} places): draw a run on a smaller dataset, and one view alone"
-        )
+        size = f"{len(run.outcome):,} queries x {run.outcome.n_places:,} places"
+        raise BadInput(f"run {run.key} of {run.method} on {run.dataset} kept no scores ({size}): draw a smaller one")
     n_queries, n_places = run.scores.shape
     truth = np.zeros(run.scores.shape, np.float32)
     for query, right in enumerate(run.positives):

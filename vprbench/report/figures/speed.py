@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from statistics import mean, median
 from textwrap import fill
-from typing import Any, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -35,13 +35,7 @@ _LINES: dict[str, Any] = {  # seen on a dark bar too
 }
 
 
-class _Bar(NamedTuple):
-    """The number of one row on one kind of device, the ends of its line, and the wall time of training; 0: none."""
-
-    value: float
-    low: float
-    high: float
-    wall: float = 0.0
+Bar = tuple[float, float, float, float]  # its end, the ends of the line over it, and the wall time of training; 0: none
 
 
 @use_style
@@ -53,8 +47,7 @@ def draw_training_time(
     A bar is the time without waiting for images, a tick the wall time. Raises BadInput if there is no run.
     """
     series = choose_runs(series, lambda _: True, f"is of {column.title}")
-    printed = {key: 60 * minutes for key, minutes in _list_published(published, column, "train").items()}
-    figure = _draw_bars(series, rows, _measure_training, printed, "Training time (s)", column.title)
+    figure = _draw_bars("train", series, rows, column, published)
     quoted = ", ".join(row.name for row in rows if row.training == "pretrained")
     caption = (
         f"Training time on {column.title}. Bars: without waiting for images to be read; ticks and brackets: with it. "
@@ -73,8 +66,7 @@ def draw_query_rate(
     A measured bar is of encode and match together. Raises BadInput if no run was timed.
     """
     series = choose_runs(series, lambda run: run.timing, f"of {column.title} was timed: run with timing=quick")
-    printed = _list_published(published, column, "query")
-    figure = _draw_bars(series, rows, _measure_rate, printed, "Queries per second, encode and match", column.title)
+    figure = _draw_bars("query", series, rows, column, published)
     steps = ", ".join(f"{row.name} {row.boundary}" for row in rows if row.boundary)
     caption = (
         f"Queries per second on {column.title}, one query from memory, encode and match: 1 / median. Lines over bars: "
@@ -82,16 +74,6 @@ def draw_query_rate(
         f"{_describe_published(published, column, f'of one step: {steps}')}{describe_timed_runs(series)}"
     )
     return Drawing(figure, caption)
-
-
-def _list_published(published: Published | None, column: PlannedColumn, quantity: str) -> dict[tuple[str, str], float]:
-    """Return the published numbers of a quantity, "train" or "query", by row and device, "cpu" or "gpu"."""
-    return {
-        (row, device): value
-        for (row, dataset), numbers in (published.numbers if published else {}).items()
-        for device in ("cpu", "gpu")
-        if dataset == column.published and (value := numbers.get(f"{quantity}_{device}"))
-    }
 
 
 def _describe_published(published: Published | None, column: PlannedColumn, more: str) -> str:
@@ -103,12 +85,11 @@ def _describe_published(published: Published | None, column: PlannedColumn, more
 
 
 def _draw_bars(
+    quantity: Literal["train", "query"],
     series: Sequence[MethodRuns],
     rows: Sequence[Row],
-    measure: Callable[[Row, Sequence[Run]], _Bar | None],
-    printed: Mapping[tuple[str, str], float],
-    label: str,
-    title: str,
+    column: PlannedColumn,
+    published: Published | None,
 ) -> Figure:
     """Draw a bar for each row, and below it the published bar; a panel for each kind of device, on the same axis."""
     devices: dict[str, dict[str, Sequence[Run]]] = {}
@@ -118,61 +99,65 @@ def _draw_bars(
     width = style.SINGLE_MM if len(devices) == 1 else style.DOUBLE_MM
     figure, panels = new_figure(width, 19 + 9 * len(rows), 1, len(devices), sharex=True, sharey=True)
     looks = choose_looks(row.name for row in rows)
+    label, measure, unit = _QUANTITIES[quantity]
+    numbers = published.numbers if published else {}
     keys: dict[str, Any] = {"measured here": Patch(color=style.GREY)}
     ends: list[float] = []
     for axes, (device, runs) in zip(panels, devices.items(), strict=True):
         for place, row in enumerate(rows):
-            if bar := measure(row, runs.get(row.name, ())):
-                _draw_measured(axes, place - _BAR / 2, bar, looks[row.name].colour)
-                ends += [bar.low, bar.high, bar.wall]
-                if bar.wall:
-                    keys["with reading the images"] = Line2D([], [], color="black", marker="|", ls="none", markersize=8)
+            look, y = looks[row.name], place - _BAR / 2
+            if (value := measure(row, runs.get(row.name, ()))) is None:
+                axes.text(0.02, y, "none", va="center", transform=axes.get_yaxis_transform(), color=style.GREY)
             else:
-                axes.text(0.02, place - _BAR / 2, "none", transform=axes.get_yaxis_transform(), color=style.GREY)
-            if value := printed.get((row.name, device)):
-                hatched = {**looks[row.name].of_bar, "hatch": _HATCH}
-                axes.barh(place + _BAR / 2, value, _BAR, linewidth=0.8, **hatched)
-                _write_number(axes, value, place + _BAR / 2, format_three_digits(value), style.GREY)
-                ends.append(value)
+                middle, low, high, wall = value
+                axes.barh(y, middle, _BAR, color=look.colour, edgecolor="black", linewidth=0.5)
+                if low < high:
+                    axes.plot([low, high], [y, y], linewidth=1.0, **_LINES)
+                text = format_three_digits(middle)
+                if wall:
+                    axes.plot([wall, wall], [y - _BAR / 2, y + _BAR / 2], linewidth=1.8, **_LINES)
+                    keys["with reading the images"] = Line2D([], [], color="black", marker="|", ls="none", markersize=8)
+                    text += f" ({format_three_digits(wall)})" * (wall > high)
+                ends += [low, high, wall]
+                _write_number(axes, max(wall, high), y, text, "black")
+            if printed := numbers.get((row.name, column.published or ""), {}).get(f"{quantity}_{device}"):
+                axes.barh(y + _BAR, unit * printed, _BAR, linewidth=0.8, **{**look.of_bar, "hatch": _HATCH})
+                _write_number(axes, unit * printed, y + _BAR, format_three_digits(unit * printed), style.GREY)
+                ends.append(unit * printed)
                 keys["published"] = Patch(facecolor="white", edgecolor=style.GREY, hatch=_HATCH)
         axes.set(xlabel=label, ylim=(len(rows) - 0.4, -0.6), title=device.upper())
-    panels[0].set_yticks(range(len(rows)), [fill(row.name, _LETTERS) for row in rows])
-    for axes in panels:
+        axes.set_yticks(range(len(rows)), [fill(row.name, _LETTERS) for row in rows])
         axes.tick_params(axis="y", length=0)
-        style.scale_log(axes, "x", ends or [1.0], _ROOM)
+    style.scale_log(panels[0], "x", ends or [1.0], _ROOM)
     for name, key in keys.items():
         key.set_label(name)
-    style.add_legend(figure, [*keys.values()], title)
+    style.add_legend(figure, [*keys.values()], column.title)
     return figure
 
 
-def _measure_training(row: Row, runs: Sequence[Run]) -> _Bar | None:
-    """Return the bar of a row; None for a row that trained nothing here."""
-    compute = [run.fit_compute_seconds for run in runs if run.fit_compute_seconds is not None]
-    if not row.learns_here or not compute:
+def _measure_training(row: Row, runs: Sequence[Run]) -> Bar | None:
+    """Return the seconds of a row; None for a row that trained nothing here."""
+    fits = [run for run in runs if run.fit_compute_seconds is not None]
+    if not row.learns_here or not fits:
         return None
-    wall = median(run.fit_seconds for run in runs if run.fit_seconds is not None)
-    return _Bar(median(compute), min(compute), max(compute), wall)
+    compute = [run.fit_compute_seconds or 0.0 for run in fits]
+    return median(compute), min(compute), max(compute), median(run.fit_seconds or 0.0 for run in fits)
 
 
-def _measure_rate(row: Row, runs: Sequence[Run]) -> _Bar | None:
-    """Return the bar of a row; None for a row without a run."""
+def _measure_rate(row: Row, runs: Sequence[Run]) -> Bar | None:
+    """Return the queries per second of a row; None for a row without a run."""
     rates = list(map(compute_rate, runs))
     if len(rates) == 1:
-        low, high = 1 / np.quantile(list_laps(runs[0]), [0.9, 0.1])
-        return _Bar(rates[0], float(low), float(high))
-    return _Bar(mean(rates), min(rates), max(rates)) if rates else None
-
-
-def _draw_measured(axes: Axes, place: float, bar: _Bar, colour: str) -> None:
-    axes.barh(place, bar.value, _BAR, color=colour, edgecolor="black", linewidth=0.5)
-    if bar.low < bar.high:
-        axes.plot([bar.low, bar.high], [place, place], linewidth=1.0, **_LINES)
-    if bar.wall:
-        axes.plot([bar.wall, bar.wall], [place - _BAR / 2, place + _BAR / 2], linewidth=1.8, **_LINES)
-    text = format_three_digits(bar.value) + (f" ({format_three_digits(bar.wall)})" if bar.wall > bar.high else "")
-    _write_number(axes, max(bar.wall, bar.high), place, text, "black")
+        slow, fast = np.quantile(list_laps(runs[0]), [0.9, 0.1])
+        return rates[0], 1 / float(slow), 1 / float(fast), 0.0
+    return (mean(rates), min(rates), max(rates), 0.0) if rates else None
 
 
 def _write_number(axes: Axes, x: float, y: float, text: str, colour: str) -> None:
     axes.annotate(text, (x, y), (4, 0), textcoords="offset points", va="center", fontsize=7, color=colour)
+
+
+_QUANTITIES = {  # by the names that published numbers have: axis, measure, and published unit in that of the axis
+    "train": ("Training time (s)", _measure_training, 60),
+    "query": ("Queries per second, encode and match", _measure_rate, 1),
+}

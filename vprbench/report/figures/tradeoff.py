@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from statistics import mean
 
 import numpy as np
@@ -16,7 +16,7 @@ from vprbench.report.figures.captions import (
     describe_timed_runs,
     list_names,
 )
-from vprbench.report.figures.style import Drawing, choose_looks, new_figure, use_style
+from vprbench.report.figures.style import Drawing, Look, choose_looks, new_figure, use_style
 from vprbench.report.selection import MethodRuns
 from vprbench.report.table.best import average_recall, compute_rate
 from vprbench.runs.recall_intervals import recall_interval
@@ -36,7 +36,8 @@ def draw_rate_tradeoff(series: Sequence[MethodRuns]) -> Drawing:
     timed = choose_runs(choose_answerable(series), lambda run: run.timing, "was timed: run with timing=quick")
     untimed = [row.name for row in series if not any(run.timing for run in row.runs)]
     figure, (axes,) = new_figure(style.SINGLE_MM, _HEIGHT_MM, grid=True)
-    _draw_points(axes, timed, compute_rate, "Queries per second, encode and match", lower_is_better=False)
+    looks = choose_looks(row.name for row in series)
+    _draw_points(axes, timed, looks, compute_rate, "Queries per second, encode and match", lower_is_better=False)
     style.add_legend(figure, title=timed[0].runs[0].dataset)
     caption = (
         "R@1 against queries per second, one query from memory, encode and match; up and right is better. "
@@ -55,9 +56,10 @@ def draw_memory_tradeoff(series: Sequence[MethodRuns]) -> Drawing:
     maps = [row for row in series if all(map(_measure_map, row.runs))]
     n_panels = 1 + bool(maps)
     figure, panels = new_figure(style.SINGLE_MM, _HEIGHT_MM * n_panels, n_panels, grid=True)
-    _draw_points(panels[0], series, lambda run: run.peak_memory_bytes / 1e6, "Peak memory (MB)")
+    looks = choose_looks(row.name for row in series)
+    _draw_points(panels[0], series, looks, lambda run: run.peak_memory_bytes / 1e6, "Peak memory (MB)")
     if maps:
-        _draw_points(panels[1], maps, _measure_map, "Map (bytes per place)")
+        _draw_points(panels[1], maps, looks, _measure_map, "Map (bytes per place)")
     style.add_legend(figure, title=series[0].runs[0].dataset)
     on_gpu = [row.name for row in series if any(run.config["device"] != "cpu" for run in row.runs)]
     caption = (
@@ -84,12 +86,16 @@ def _measure_map(run: Run) -> float:
 
 
 def _draw_points(
-    axes: Axes, series: Sequence[MethodRuns], measure: Callable[[Run], float], label: str, lower_is_better: bool = True
+    axes: Axes,
+    series: Sequence[MethodRuns],
+    looks: Mapping[str, Look],
+    measure: Callable[[Run], float],
+    label: str,
+    lower_is_better: bool = True,
 ) -> None:
     """Draw R@1 with its interval over a cost of each row, and their front."""
     costs = [mean(map(measure, row.runs)) for row in series]
     recalls = [100 * (average_recall(row.runs) or 0.0) for row in series]
-    looks = choose_looks(row.name for row in series)
     for row, cost, recall in zip(series, costs, recalls, strict=True):
         interval = recall_interval(row.runs)
         ends = np.array([interval.low, interval.high] if interval else [np.nan, np.nan])
