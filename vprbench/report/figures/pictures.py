@@ -17,8 +17,7 @@ from vprbench.runs.thumbnails import Thumbnails
 
 _SIDE = 28  # pixels of a patch-normalised frame
 _PATCH = 7
-_NARROWEST = 0.7  # of a frame's height, for the title of its column
-_FRAME_MM = 28.0  # highest row of frames
+_FRAME_MM = 28.0  # a row of frames
 _MARGIN_MM = 12.0  # for titles and labels
 _MOST_CELLS = 450  # along a side of a drawn matrix: each is still visible in print
 _PANEL_MM = 72.0  # longest side of a drawn matrix
@@ -43,11 +42,9 @@ def draw_frames(thumbnails: Thumbnails, title: str) -> Drawing:
         "Reference,\nnormalised": _normalise_patches(references),
         "Query,\nnormalised": _normalise_patches(queries),
     }
-    widths = [max(_NARROWEST, *(image.shape[1] / image.shape[0] for image in images)) for images in columns.values()]
-    height = min(_FRAME_MM, (DOUBLE_MM - _MARGIN_MM) / sum(widths))
-    width = min(DOUBLE_MM, height * sum(widths) + 2 * _MARGIN_MM)
-    size = width, height * len(examples) + _MARGIN_MM
-    figure, axes = new_figure(*size, len(examples), len(columns), width_ratios=widths)
+    figure, axes = new_figure(
+        DOUBLE_MM, _FRAME_MM * len(examples) + _MARGIN_MM, len(examples), len(columns), width_ratios=(1.6, 1.6, 1, 1)
+    )
     for column, (name, images) in enumerate(columns.items()):
         for panel, image in zip(axes[column :: len(columns)], images, strict=True):
             panel.imshow(image, cmap="gray", vmin=0, vmax=255, interpolation="nearest" if column > 1 else "antialiased")
