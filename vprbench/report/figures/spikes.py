@@ -63,7 +63,10 @@ def draw_spikes(series: Sequence[MethodRuns]) -> Drawing:
             )
             x, shares = position + (number / len(rows) - 0.5) * _GROUP, [100 * layer["active_share"] for layer in seeds]
             active.bar(x, np.mean(shares), width, align="edge", **look.of_bar)
-            active.plot([x + width / 2] * len(shares), shares, linestyle="", marker=".", color="black", markersize=3)
+            if len(shares) > 1:
+                active.plot(
+                    [x + width / 2] * len(shares), shares, linestyle="", marker=".", color="black", markersize=3
+                )
         neurons = sorted({layer["neurons"] for _, layer in layers if layer["name"] == name})
         panel.set(title=f"{name},\n{'/'.join(f'{count:,}' for count in neurons)} neurons", xticks=[])
         panel.set(xlim=(-0.5, len(rows) - 0.5), ylabel="" if position % _COLUMNS else "Spikes of a query")
