@@ -32,7 +32,6 @@ class JobResult:
     traceback: str = ""  # of an error that is no BadInput
     held: str = ""  # the lock of another process that makes the run now: ask again once it is free
     lines: list[str] = field(default_factory=list)  # of standard error, unless they were heard before
-    files: dict[str, bytes] = field(default_factory=dict)  # of the run, from a worker that does not share the disk
 
 
 def make_run(request: RunRequest, say: Callable[[str], None], wait: bool = True) -> JobResult:
