@@ -124,7 +124,7 @@ def test_a_worker_that_dies_is_made_up_for_three_times(scheduler, tmp_path):
         functions = executor.of_functions()
         assert functions.submit(Kills(tmp_path), False).result() == 2
         result = executor.collect(make_request(RUN), functions.submit(Kills(tmp_path), True))
-    assert (result.code, "4 times" in result.error) == (1, True)
+    assert (result.code, "4 times" in result.failure.error) == (1, True)
     assert len([*(tmp_path / "True").iterdir()]) == 4
 
 

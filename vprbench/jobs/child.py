@@ -23,9 +23,10 @@ from tempfile import TemporaryDirectory
 from threading import Lock, Thread
 from typing import IO, NoReturn
 
-from vprbench.jobs.job import JobResult, make_run
+from vprbench.jobs.job import JobResult, describe_failure, make_run
 from vprbench.progress import QUIET
 from vprbench.runs import timing_lock
+from vprbench.runs.record import Failure
 from vprbench.runs.request import RunRequest
 from vprbench.storage.atomic import replace_text
 from vprbench.storage.folders import checkout_folder
@@ -79,10 +80,13 @@ def run_in_child(
             child.start()
         code = _follow(child, place / _STDERR, note, request.limit_minutes, stopped)
         if (place / _RESULT).exists():
-            result = JobResult(**json.loads((place / _RESULT).read_bytes()))
+            content = json.loads((place / _RESULT).read_bytes())
+            failure = content.pop("failure")
+            result = JobResult(**content, failure=failure and Failure(**failure))
         else:
-            result = JobResult(1, _describe_death(code, lines, request.limit_minutes))
-            note(printable(f"vprbench: {request.method_name} {result.error}"))
+            death = _describe_death(code, lines, request.limit_minutes)
+            result = JobResult(1, describe_failure(request, death))
+            note(printable(f"vprbench: {request.method_name} {death}"))
     return replace(result, lines=[] if is_shown else lines)
 
 

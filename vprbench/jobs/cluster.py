@@ -21,7 +21,7 @@ from vprbench import __version__
 from vprbench.errors import BadInput, ClusterLostError
 from vprbench.jobs.child import run_in_child
 from vprbench.jobs.executors import Executor
-from vprbench.jobs.job import JobResult
+from vprbench.jobs.job import JobResult, describe_failure
 from vprbench.jobs.options import ClusterOptions
 from vprbench.runs.request import RunRequest
 from vprbench.runs.store import Store
@@ -94,11 +94,11 @@ class DaskExecutor(Executor):
         except BadInput:
             raise
         except KilledWorker as error:
-            return JobResult(1, f"its worker died each of the {error.allowed_failures + 1} times it was tried")
+            return JobResult(1, describe_failure(request, f"its worker died {error.allowed_failures + 1} times"))
         except Exception as error:  # of the worker, which may lack a library
             if isinstance(error.__cause__, ImportError):
                 raise BadInput(f"a worker cannot make runs ({error}): install vprbench {__version__} there") from error
-            return JobResult(1, f"{type(error).__name__}: {error}")
+            return JobResult(1, describe_failure(request, f"{type(error).__name__}: {error}"))
 
 
 def start_jobs(arguments: Mapping[str, Any], most: int) -> Any:
@@ -153,4 +153,4 @@ def run_on_worker(request_json: str, folder: Path, root: Path, inode: int, versi
         try:
             return run_in_child(request_json, False, lambda: key not in tasks or tasks[key].state == "cancelled")
         except KeyboardInterrupt:
-            return JobResult(1, "it was interrupted")
+            return JobResult(1, describe_failure(RunRequest.from_json(request_json), "it was interrupted"))

@@ -10,7 +10,6 @@ from contextlib import nullcontext
 from pathlib import Path
 
 from vprbench.jobs.executors import executor_for, run_all
-from vprbench.jobs.job import failure_of
 from vprbench.jobs.options import ClusterOptions
 from vprbench.runs.request import RunRequest
 from vprbench.runs.store import Store
@@ -36,10 +35,9 @@ def run_sweep(requests: Sequence[RunRequest], options: ClusterOptions) -> tuple[
                 print(result.printed, flush=True)
             if live is not None:
                 live.end(number, bool(result.code))
-            if result.code:
-                failure = failure_of(requests[number], result)
-                Store(Path(requests[number].results).expanduser()).try_to_save_failure(failure)
+            if result.failure is not None:
+                Store(Path(requests[number].results).expanduser()).try_to_save_failure(result.failure)
                 if requests[number].output == "json":
                     names = ("method", "dataset", "error", "missing")
-                    print(json.dumps({name: getattr(failure, name) for name in names}), flush=True)
+                    print(json.dumps({name: getattr(result.failure, name) for name in names}), flush=True)
     return max(codes, default=0), keys

@@ -14,7 +14,7 @@ from vprbench.api.dataset import Dataset
 from vprbench.errors import BadInput
 from vprbench.jobs.child import start_server
 from vprbench.jobs.executors import executor_for
-from vprbench.jobs.job import JobResult, failure_of
+from vprbench.jobs.job import JobResult, describe_failure
 from vprbench.progress import progress_shown
 from vprbench.report.comparison.checks import Checked, SortedOptions, check_comparison, frames_of
 from vprbench.report.figures.make import draw_all, write_figures
@@ -144,7 +144,7 @@ def report_comparison(
 ) -> ReportData:
     """Return the report of the stored runs of a comparison, best first; raises BadInput if there is no run."""
     left_out = [
-        failure_of(cell.request, JobResult(2, found.left_out[row.name], missing=True))
+        describe_failure(cell.request, found.left_out[row.name], missing=True)
         for row in found.rows
         if row.name in found.left_out
         for cell in list_cells(chosen, found.column, [row], ())
