@@ -16,7 +16,7 @@ from vprbench.config import make_request
 from vprbench.errors import BadInput, ClusterLostError
 from vprbench.jobs import executors
 from vprbench.jobs import options as cluster_options
-from vprbench.jobs.executors import Executor, choose_gpu, executor_for, run_all
+from vprbench.jobs.executors import Executor, choose_executor, choose_gpu, run_all
 from vprbench.jobs.job import JobResult
 from vprbench.jobs.options import ClusterOptions
 from vprbench.plugins import entries
@@ -48,7 +48,7 @@ def scheduler():
 def test_a_run_is_taken_when_there_is_room_and_a_run_that_another_sweep_makes_is_tried_again_last(monkeypatch):
     asked = []
     held = iter([True, False])
-    ends = iter([JobResult(0), JobResult(0, held="a lock"), JobResult(1), JobResult(0, key="of the other sweep")])
+    ends = iter([JobResult(0), JobResult(0, lock="a lock"), JobResult(1), JobResult(0, key="of the other sweep")])
 
     def run(request_json, _):
         asked.append(f"makes {json.loads(request_json)['seed']}")
@@ -109,7 +109,7 @@ def test_workers_make_runs_side_by_side_without_dask(tmp_path):
 @pytest.mark.extended
 def test_workers_of_dask_make_runs_on_the_disk_that_they_share(scheduler, tmp_path):
     results, begun = tmp_path / "results", []
-    with executor_for(ClusterOptions(scheduler=scheduler)) as executor:
+    with choose_executor(ClusterOptions(scheduler=scheduler)) as executor:
         request = make_request(RUN, {"results": str(results)})
         ((number, result),) = run_all(executor, [(5, request)], begun.append)
     assert (number, result.code, begun) == (5, 0, [5])
@@ -120,8 +120,8 @@ def test_workers_of_dask_make_runs_on_the_disk_that_they_share(scheduler, tmp_pa
 
 @pytest.mark.extended
 def test_a_worker_that_dies_is_made_up_for_three_times(scheduler, tmp_path):
-    with executor_for(ClusterOptions(scheduler=scheduler)) as executor:
-        functions = executor.of_functions()
+    with choose_executor(ClusterOptions(scheduler=scheduler)) as executor:
+        functions = executor.open_pool()
         assert functions.submit(Kills(tmp_path), False).result() == 2
         result = executor.collect(make_request(RUN), functions.submit(Kills(tmp_path), True))
     assert (result.code, "4 times" in result.failure.error) == (1, True)
@@ -132,9 +132,9 @@ def test_a_worker_that_dies_is_made_up_for_three_times(scheduler, tmp_path):
 def test_a_scheduler_that_is_gone_is_one_line(tmp_path):
     distributed = pytest.importorskip("distributed", reason=NEEDS)
     with distributed.LocalCluster(n_workers=1, dashboard_address=":0", silence_logs=50) as cluster:
-        executor = executor_for(ClusterOptions(scheduler=cluster.scheduler_address))
-        made = executor.of_functions().submit(time.sleep, 60)
-    with pytest.raises(ClusterLostError, match="give the same command again"):
+        executor = choose_executor(ClusterOptions(scheduler=cluster.scheduler_address))
+        made = executor.open_pool().submit(time.sleep, 60)
+    with executor, pytest.raises(ClusterLostError, match="give the same command again"):
         executor.collect(make_request(RUN), made)
 
 
@@ -154,7 +154,7 @@ def test_an_interruption_ends_the_runs_of_workers(place, tmp_path, monkeypatch, 
 
     threading.Thread(target=interrupt, daemon=True).start()
     began = time.monotonic()
-    with pytest.raises(KeyboardInterrupt), executor_for(ClusterOptions(**asked)) as executor:
+    with pytest.raises(KeyboardInterrupt), choose_executor(ClusterOptions(**asked)) as executor:
         [*run_all(executor, [(0, slow)])]
     while read_claims(tmp_path / "results") and time.monotonic() - began < 40:
         time.sleep(0.1)

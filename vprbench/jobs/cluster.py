@@ -51,7 +51,7 @@ class DaskExecutor(Executor):
         self._opened.enter_context(dask.config.set(_DURATIONS))
         address = self._options.scheduler
         if address is None:
-            address = self._opened.enter_context(start_jobs(self._options.job_arguments(), self.room()))
+            address = self._opened.enter_context(start_jobs(self._options.job_arguments(), self.count_slots()))
         try:
             client = Client(address, timeout="20s")
         except (OSError, ValueError) as error:
@@ -60,7 +60,7 @@ class DaskExecutor(Executor):
         self._opened.push(client)
         return client
 
-    def room(self) -> int:
+    def count_slots(self) -> int:
         """Return how many runs or functions may be called at a time; raises ClusterLostError."""
         if self._options.cluster:
             return self._options.workers or _MOST_JOBS
@@ -70,7 +70,7 @@ class DaskExecutor(Executor):
             raise ClusterLostError(_LOST) from error
         return max(1, sum(threads.values()))
 
-    def of_functions(self) -> concurrent.futures.Executor:
+    def open_pool(self) -> concurrent.futures.Executor:
         """Return an executor of functions on the same workers."""
         executor: concurrent.futures.Executor = self._client.get_executor(pure=False)
         return executor
@@ -80,15 +80,15 @@ class DaskExecutor(Executor):
         root = Path(request.results).expanduser().absolute()
         Store(root).prepare()
         inode = root.stat().st_ino
-        return self.of_functions().submit(run_on_worker, request.to_json(), Path.cwd(), root, inode, __version__)
+        return self.open_pool().submit(run_on_worker, request.to_json(), Path.cwd(), root, inode, __version__)
 
-    def collect(self, request: RunRequest, made: concurrent.futures.Future[JobResult]) -> JobResult:
+    def collect(self, request: RunRequest, future: concurrent.futures.Future[JobResult]) -> JobResult:
         """Return the outcome of a run.
 
         Raises BadInput for workers that can make no run, ClusterLostError if the scheduler is gone.
         """
         try:
-            return made.result()
+            return future.result()
         except concurrent.futures.CancelledError as error:
             raise ClusterLostError(_LOST) from error
         except BadInput:

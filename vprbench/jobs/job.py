@@ -27,7 +27,7 @@ class JobResult:
     failure: Failure | None = None
     key: str = ""  # of the run that is stored
     printed: str = ""  # the row or JSON of the run
-    held: str = ""  # the lock of another process that makes the run now: ask again once it is free
+    lock: str = ""  # of another process that makes the run now: try again once the lock is free
     lines: list[str] = field(default_factory=list)  # of standard error, unless they were heard before
 
     @property
@@ -48,7 +48,7 @@ def make_run(request: RunRequest, say: Callable[[str], None], wait: bool = True)
         return JobResult(0, key=_find_or_make(request, say, wait))
     except HeldElsewhereError as error:
         logging.info("%s: it is left to that", error)
-        return JobResult(0, held=str(error.path))
+        return JobResult(0, lock=str(error.path))
     except KeyboardInterrupt:
         raise
     except BadInput as error:

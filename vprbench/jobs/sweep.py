@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from contextlib import nullcontext
 from pathlib import Path
 
-from vprbench.jobs.executors import executor_for, run_all
+from vprbench.jobs.executors import choose_executor, run_all
 from vprbench.jobs.options import ClusterOptions
 from vprbench.runs.request import RunRequest
 from vprbench.runs.store import Store
@@ -27,7 +27,7 @@ def run_sweep(requests: Sequence[RunRequest], options: ClusterOptions) -> tuple[
             live.begin(number, words)
 
     codes, keys = [], set[str]()
-    with executor_for(options) as executor, live.shown() if live else nullcontext():
+    with choose_executor(options) as executor, live.shown() if live else nullcontext():
         for number, result in run_all(executor, enumerate(requests), begin, live.line if live else None):
             codes.append(result.code)
             keys |= {result.key} - {""}

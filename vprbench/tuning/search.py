@@ -193,7 +193,7 @@ def _open_executor(settings: Settings, jobs: int) -> Iterator[tuple[Executor, in
         from vprbench.jobs.cluster import DaskExecutor
 
         with DaskExecutor(settings) as dask:
-            yield dask.of_functions(), dask.room()
+            yield dask.open_pool(), dask.count_slots()
         return
     with ProcessPoolExecutor(jobs, get_context("spawn"), machine.pin_threads, (1,)) as pool:
         yield pool, jobs

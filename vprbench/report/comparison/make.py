@@ -13,7 +13,7 @@ import pandas as pd
 from vprbench.api.dataset import Dataset
 from vprbench.errors import BadInput
 from vprbench.jobs.child import start_server
-from vprbench.jobs.executors import executor_for
+from vprbench.jobs.executors import choose_executor
 from vprbench.jobs.job import JobResult, describe_failure
 from vprbench.progress import progress_shown
 from vprbench.report.comparison.checks import Checked, SortedOptions, check_comparison, frames_of
@@ -108,7 +108,7 @@ def make_missing(
     planned = replace(found.column.planned, title=f"{found.column.planned.title}, {len(names)} corruptions")
     column = replace(found.column, planned=planned, corruption=names)
     untimed = [*(option for option in command.of_runs if not option.startswith("timing")), *_UNTIMED]
-    with executor_for(command.request) as executor:
+    with choose_executor(command.request) as executor:
         results = run_missing(chosen, [*list_cells(chosen, found.column, rows, options)], executor)
         together = [*list_cells(once, column, rows, untimed)] if names else []
         ended = run_missing(once, together, executor)
