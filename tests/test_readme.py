@@ -84,7 +84,7 @@ def test_the_table_it_shows_is_the_stored_one_beside_the_papers():
             if cell["value"] and cell["mark"] == "measured":
                 digits = float(value.split()[0].strip("*~").replace(",", ""))
                 assert digits == pytest.approx(float(cell["value"]), rel=0.06)
-    assert [name.strip("*") for name, *_ in lines[2:]] == [*read_plan(ROOT / "conf" / "table.yaml").rows]
+    assert [name.strip("*") for name, *_ in lines[2:]] == [*read_plan(ROOT / "conf" / "paper" / "table2.yaml").rows]
 
 
 @pytest.mark.parametrize("group", ["method", "dataset"])

@@ -99,7 +99,7 @@ def test_help_and_completion_name_every_option_that_a_command_takes_with_its_mea
 
 def test_help_has_each_option_with_its_default_and_meaning_of_the_yaml_that_it_builds_on_too(capsys):
     lines = helped(capsys, "table")
-    assert lines["rows"] == ["rows", "null", "of conf/table.yaml; null: those of the paper"]
+    assert lines["rows"] == ["rows", "null", "of conf/paper/table2.yaml; null: all of its rows"]
     assert lines["results"][1:] == ["results", "folder of the stored runs"]  # as a run has it
     assert helped(capsys, "compare")["timing"][1] == "quick"
     lines = helped(capsys, "method=vprtempo_tuned", "dataset=folders", "timing=quick")

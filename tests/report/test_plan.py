@@ -9,10 +9,9 @@ from vprbench.config import make_request
 from vprbench.errors import BadInput
 from vprbench.plugins import registry
 from vprbench.report.gather import TableRequest, list_cells, resolve_plan
-from vprbench.report.plan import add_plug_ins, read_plan
-from vprbench.report.published import read_published_numbers
+from vprbench.report.plan import PLAN_FILE, add_plug_ins, read_plan
 
-PLAN = ROOT / "conf" / "table.yaml"
+PLAN = ROOT / "conf" / PLAN_FILE
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +36,7 @@ def test_rows_and_published_numbers_are_those_of_table_two_in_its_order(plan):
         ("VPRSNN", (True, "own", "match")),
         ("VPRTempo", (True, "own", "match")),
     ]
-    printed = read_published_numbers()
+    printed = plan.published.numbers
     assert {row for row, _ in printed} == set(plan.rows)
     assert all(tuple(cells) == NAMES for cells in printed.values())
     assert sum(value is None for cells in printed.values() for value in cells.values()) == 8
@@ -73,7 +72,7 @@ def test_every_row_that_learns_from_a_seed_has_three_and_says_whether_its_scores
 def test_columns_name_published_datasets_and_what_stands_in_and_the_growth_asks_for_no_more_queries_than_places(plan):
     columns = plan.columns
     assert {column.published for column in columns.values()} - {None} == {
-        dataset for _, dataset in read_published_numbers()
+        dataset for _, dataset in plan.published.numbers
     }
     for column in columns.values():
         if column.stand_in_for is not None:
@@ -129,7 +128,7 @@ def plugged_in(folder, **contents):
     for provider, content in contents.items():
         (folder / provider / "table").mkdir(parents=True)
         (folder / provider / "table" / "more.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
-    return {"vprbench": PLAN.parent, **{provider: folder / provider for provider in contents}}
+    return {"vprbench": ROOT / "conf", **{provider: folder / provider for provider in contents}}
 
 
 def test_a_plug_in_brings_rows_and_columns_that_are_asked_for_by_name_and_others_are_refused(tmp_path, monkeypatch):

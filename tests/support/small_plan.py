@@ -15,6 +15,8 @@ from vprbench.runs.request import RunRequest
 
 PLAN = """
 seeds: [0, 1]
+published: {title: Table 9, source: "A paper, Table 9", cpu: Abacus 9, gpu: Loom 3, numbers_file: numbers.csv,
+            figures: {training-time: fig2a, query-rate: fig2b, growth: fig2c, similarity: fig3b}}
 rows:
   SAD: {method: sad, boundary: match, training: none}
   PCA: {method: pca, boundary: encode, training: pretrained, most_places: 15}
@@ -40,6 +42,7 @@ growth:
   sizes: [10, 12, 14, 16]
   queries: 6
 """
+NUMBERS = "method,dataset,metric,value\nSAD,Nordland,recall_at_1,48\nPCA,Nordland,recall_at_1,\n"
 RUN = [
     "timing.minimum_seconds=0",
     "timing.sample=4",
@@ -85,6 +88,7 @@ def install(monkeypatch, folder, plan=PLAN):
     """Let tables and figures follow `plan`, in `folder`; returns what stands in for processes."""
     path = folder / "plan.yaml"
     path.write_text(plan, encoding="utf-8")
+    (folder / "numbers.csv").write_text(NUMBERS, encoding="utf-8")
     apart = Apart()
     monkeypatch.chdir(folder)
     monkeypatch.setattr(executors, "run_in_child", apart)

@@ -5,9 +5,10 @@ from types import MappingProxyType
 
 import little
 import numpy as np
+from checkout import ROOT
 
 from vprbench.metrics.ranking import Outcome
-from vprbench.report.plan import Growth, Plan, PlannedColumn, Row
+from vprbench.report.plan import PLAN_FILE, Growth, PlanFile, PlannedColumn, Row, read_plan
 from vprbench.report.selection import ResolvedColumn
 from vprbench.runs.record import Failure
 
@@ -25,11 +26,13 @@ NORDLAND = PlannedColumn("nordland", "Nordland", ("dataset=nordland",), "Nordlan
 PLANNED = PlannedColumn("railway", "Railway (rendered)", ("dataset=railway",), "Nordland", stand_in_for="nordland")
 CITY = PlannedColumn("street", "City street", ("dataset=street",))
 
-PLAN = Plan(
+PUBLISHED = read_plan(ROOT / "conf" / PLAN_FILE).published
+PLAN = PlanFile(
     {row.name: row for row in (SAD, NETVLAD, VPRSNN, VPRTEMPO)},
     {"vprtempo_public": PUBLIC},
     {column.name: column for column in (NORDLAND, PLANNED, CITY)},
     Growth(("VPRTempo",), ("dataset=railway",), (10,), 8),
+    published=PUBLISHED,
 )
 ROWS = (SAD, NETVLAD, VPRSNN, VPRTEMPO)
 

@@ -18,7 +18,7 @@ from vprbench.python.choices import AnyDataset, AnyMethod, Choice, choose_datase
 from vprbench.python.result import Result
 from vprbench.python.running import Options, finish, prepare
 from vprbench.report.folder import report_runs
-from vprbench.report.gather import ReportData
+from vprbench.report.gather import Report
 from vprbench.report.ranking import NUMBERS, Ranking, rank_rows
 from vprbench.report.robustness import Robustness, measure_robustness
 from vprbench.report.selection import MethodRuns
@@ -102,7 +102,7 @@ class Comparison:
         return draw_precision_recall(sorted(_list_runs(self.methods), key=lambda one: ranked.index(one.name))).figure
 
     @cached_property
-    def report(self) -> ReportData:
+    def report(self) -> Report:
         """The report of the runs, as `vprbench compare` and `vprbench report` make it."""
         first = self.results[0]
         folder = "" if first.folder is None else str(first.folder.parents[1])

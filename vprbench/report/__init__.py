@@ -1,1 +1,1 @@
-"""Stored runs become Table II, figures and a page."""
+"""Stored runs become tables, figures and a page."""

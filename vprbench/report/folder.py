@@ -9,7 +9,7 @@ from typing import Any
 
 from vprbench.errors import BadInput
 from vprbench.jobs.job import JobResult
-from vprbench.report.gather import ReportData, TablePlan, assemble_report, load_stored_runs
+from vprbench.report.gather import Plan, Report, assemble_report, load_stored_runs
 from vprbench.report.missing_runs import resolve_results_folder
 from vprbench.report.plan import NO_PLAN, PlannedColumn, Row
 from vprbench.report.ranking import rank_rows
@@ -19,9 +19,9 @@ from vprbench.report.selection import (
     ResolvedColumn,
     apply_views,
     format_plain_values,
-    get_sort_key,
-    get_time,
     list_accuracy_runs,
+    sort_failures,
+    split_by_frames,
 )
 from vprbench.report.table import formats
 from vprbench.report.table.make import write_table
@@ -35,7 +35,7 @@ from vprbench.runs.store import Store
 from vprbench.text import suggest_names
 
 
-def read_report(request: FolderRequest) -> ReportData:
+def read_report(request: FolderRequest) -> Report:
     """Return the report of the runs of a results folder, of the datasets and methods of the request alone.
 
     Raises BadInput for a name that no run of the folder has, and where nothing is left to show.
@@ -79,7 +79,7 @@ def report_runs(
     metrics: Sequence[str] = (),
     stores: Sequence[str] = (),
     views: Sequence[Views] = (),
-) -> ReportData:
+) -> Report:
     """Return the report of runs: a column for each dataset and protocol, a row for each method with its arguments.
 
     Runs of corrupted queries are no columns. Raises BadInput if there is no run.
@@ -87,7 +87,7 @@ def report_runs(
     runs = [run for run in runs if run.config.get("corruption") is None]
     failures = [failure for failure in failures if failure.config.get("corruption") is None]
     devices = sorted({str(run.config["device"]) for run in runs})
-    chosen = TablePlan(
+    chosen = Plan(
         NO_PLAN,
         describe_rows([*runs, *failures]),
         (),
@@ -103,9 +103,7 @@ def report_runs(
     return assemble_groups(chosen, group_runs(runs, failures))
 
 
-def assemble_groups(
-    chosen: TablePlan, groups: Sequence[DatasetRuns], job_results: Sequence[JobResult] = ()
-) -> ReportData:
+def assemble_groups(chosen: Plan, groups: Sequence[DatasetRuns], job_results: Sequence[JobResult] = ()) -> Report:
     """Return the report of groups of runs, in the views that `chosen` names.
 
     Rows come by their R@1 in the first group that has them, rows without runs last. Without a ground truth there is no
@@ -153,18 +151,14 @@ def group_runs(runs: Sequence[Run], failures: Sequence[Failure]) -> list[Dataset
     """Return the runs of each dataset by protocol and frames, the group with the newest run first."""
     found: list[DatasetRuns] = []
     for dataset in sorted({run.dataset for run in runs}):
-        alike: dict[str, list[Run]] = {}
-        for run in sorted((run for run in runs if run.dataset == dataset), key=get_sort_key):
-            alike.setdefault(format_plain_values([run.protocol, run.fingerprint]), []).append(run)
-        newest_first = sorted(alike.values(), key=lambda members: get_sort_key(members[-1]), reverse=True)
-        titles = _name_protocols(dataset, [members[0].protocol for members in newest_first])
-        failed = sorted((failure for failure in failures if failure.dataset == dataset), key=get_time)
-        for number, members in enumerate(newest_first, start=1):
-            there = tuple(failed) if number == 1 else ()
-            planned = PlannedColumn(dataset, titles[number - 1], ())
+        sets = split_by_frames(run for run in runs if run.dataset == dataset)
+        titles = _name_protocols(dataset, [members[0].protocol for members in sets])
+        failed = tuple(sort_failures(failure for failure in failures if failure.dataset == dataset))
+        for number, (title, members) in enumerate(zip(titles, sets, strict=True), 1):
             config = members[0].config
+            planned = PlannedColumn(dataset, title, ())
             column = ResolvedColumn(planned, config["dataset"], views=config.get("views"))
-            found.append(DatasetRuns(column, number, tuple(members), there))
+            found.append(DatasetRuns(column, number, members, failed if number == 1 else ()))
     return found
 
 

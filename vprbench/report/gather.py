@@ -18,7 +18,7 @@ from vprbench.jobs.job import JobResult
 from vprbench.metrics.catalogue import GROUPS
 from vprbench.plugins import registry
 from vprbench.report.missing_runs import Cell, make_cell, make_missing_runs, resolve_results_folder
-from vprbench.report.plan import Plan, PlannedColumn, Row, add_plug_ins, read_plan
+from vprbench.report.plan import PLAN_FILE, PlanFile, PlannedColumn, Row, add_plug_ins, read_plan
 from vprbench.report.ranking import Ranking, rank_rows
 from vprbench.report.run_options import ShowOptions, TableRequest
 from vprbench.report.selection import DatasetRuns, ResolvedColumn, apply_views, group_runs_by_column, list_accuracy_runs
@@ -35,10 +35,10 @@ _ACCELERATORS = ("/dev/nvidiactl", "/dev/kfd", "/dev/dxg")  # of NVIDIA, of AMD,
 
 
 @dataclass(frozen=True)
-class TablePlan:
+class Plan:
     """The rows and columns of a request, resolved."""
 
-    plan: Plan
+    plan: PlanFile
     rows: tuple[Row, ...]
     columns: tuple[ResolvedColumn, ...]
     devices: tuple[str, ...]
@@ -47,7 +47,7 @@ class TablePlan:
     results: str = "results"
     stores: tuple[str, ...] = ()  # results folders of other machines
     stored: bool = False  # nothing is run
-    title: str | None = None  # of a table that is not the paper's
+    title: str | None = None  # None: of the published table
     quantities: tuple[Quantity, ...] = QUANTITIES
     views: tuple[Views, ...] = ()  # views of the stored runs that are shown; none: the runs themselves
 
@@ -59,10 +59,10 @@ class TablePlan:
 
 
 @dataclass(frozen=True)
-class ReportData:
+class Report:
     """The data of a table, of figures and of a report."""
 
-    chosen: TablePlan
+    chosen: Plan
     groups: tuple[DatasetRuns, ...]
     table: Table
     runs: tuple[Run, ...]  # all that are stored
@@ -74,10 +74,10 @@ class ReportData:
         return [rank_rows(list_accuracy_runs(group, self.chosen.rows)) for group in self.groups if group.runs]
 
 
-def resolve_plan(request: TableRequest) -> TablePlan:
-    """Resolve a request against conf/table.yaml; raises BadInput for rows or columns that are unknown."""
+def resolve_plan(request: TableRequest) -> Plan:
+    """Resolve a request against conf/paper/table2.yaml; raises BadInput for rows or columns that are unknown."""
     folders = registry.conf_folders()
-    plan = add_plug_ins(read_plan(folders["vprbench"] / "table.yaml"), folders)
+    plan = add_plug_ins(read_plan(folders["vprbench"] / PLAN_FILE), folders)
     rows = {name: _require_known("rows", name, plan.rows) for name in request.rows or plan.rows}
     for name in request.methods:
         row = _make_row(plan, name, request)
@@ -91,7 +91,7 @@ def resolve_plan(request: TableRequest) -> TablePlan:
         options = (*column.options, *_format_root(column, request))
         return ResolvedColumn(replace(column, options=options), make_request(options).dataset, views=request.views)
 
-    return TablePlan(
+    return Plan(
         plan,
         tuple(_choose_seeds(row, request) for row in rows.values()),
         tuple(map(resolved, columns.values())),
@@ -106,7 +106,7 @@ def resolve_plan(request: TableRequest) -> TablePlan:
     )
 
 
-def make_report_data(chosen: TablePlan, options: Sequence[str], executor: Executor | None = None) -> ReportData:
+def make_report(chosen: Plan, options: Sequence[str], executor: Executor | None = None) -> Report:
     """Make the runs that are not stored, unless `chosen.stored` is set, and put the stored ones together.
 
     The smallest datasets come first, and rows that are slow at full size last. `options` of the command line hold
@@ -126,14 +126,14 @@ def make_report_data(chosen: TablePlan, options: Sequence[str], executor: Execut
     return assemble_report(chosen, found, runs, tuple(results))
 
 
-def run_missing(chosen: TablePlan, cells: Sequence[Cell], executor: Executor | None = None) -> list[JobResult]:
+def run_missing(chosen: Plan, cells: Sequence[Cell], executor: Executor | None = None) -> list[JobResult]:
     """Make the runs that are not stored, none if `chosen.stored` is set; returns the outcome of each."""
     return [] if chosen.stored else make_missing_runs(cells, Store(resolve_results_folder(chosen.results)), executor)
 
 
 def assemble_report(
-    chosen: TablePlan, found: Sequence[DatasetRuns], runs: Sequence[Run], results: tuple[JobResult, ...] = ()
-) -> ReportData:
+    chosen: Plan, found: Sequence[DatasetRuns], runs: Sequence[Run], results: tuple[JobResult, ...] = ()
+) -> Report:
     """Put groups of runs, or of views of them, into the table; raises BadInput if they hold none."""
     slow = {
         (column.planned.name, row.name)
@@ -146,19 +146,17 @@ def assemble_report(
             + ("leave stored=true out, so that some are made" if chosen.stored else "see above why none could be made")
         )
     table = assemble_table(found, chosen.rows, chosen.plan, slow, chosen.quantities, chosen.title)
-    return ReportData(chosen, tuple(found), table, tuple(runs), results)
+    return Report(chosen, tuple(found), table, tuple(runs), results)
 
 
-def load_stored_runs(request: ShowOptions | TablePlan) -> tuple[list[Run], list[Failure]]:
+def load_stored_runs(request: ShowOptions | Plan) -> tuple[list[Run], list[Failure]]:
     """Return the runs and failures of the store and of the stores of other machines, each once."""
     stores = [Store(resolve_results_folder(folder)) for folder in (request.results, *request.stores)]
     runs = {(run.dataset, run.method, run.key): run for store in reversed(stores) for run in store.runs()}
     return [*runs.values()], [failure for store in stores for failure in store.failures()]
 
 
-def list_cells(
-    chosen: TablePlan, column: ResolvedColumn, rows: Sequence[Row], options: Sequence[str]
-) -> Iterator[Cell]:
+def list_cells(chosen: Plan, column: ResolvedColumn, rows: Sequence[Row], options: Sequence[str]) -> Iterator[Cell]:
     """Yield the runs of some rows in one column; `options` of the command line hold for all runs."""
     planned = column.planned
     values: dict[str, Any] = {"results": str(resolve_results_folder(chosen.results))}
@@ -181,7 +179,7 @@ def _choose_seeds(row: Row, request: TableRequest) -> Row:
     return replace(row, seeds=row.seeds[:most])
 
 
-def _make_row(plan: Plan, name: str, request: TableRequest) -> Row:
+def _make_row(plan: PlanFile, name: str, request: TableRequest) -> Row:
     """Return a row of the plan, or one for a method; raises BadInput for a name that is neither known here nor stored.
 
     A method that the plan has under its own name, and no arguments, is that row. Another one that takes a seed learns
@@ -204,8 +202,8 @@ def _make_row(plan: Plan, name: str, request: TableRequest) -> Row:
     return Row(name, name, training="own", seeds=plan.seeds) if seeded else Row(name, name, training="map")
 
 
-def _choose_columns(plan: Plan, request: TableRequest) -> list[str]:
-    """Return each dataset of the paper if its frames are given, else the rendered column that stands in for it."""
+def _choose_columns(plan: PlanFile, request: TableRequest) -> list[str]:
+    """Return each published dataset if its frames are given, else the rendered column that stands in for it."""
     chosen = []
     for column in plan.columns.values():
         if column.stand_in_for is not None and not column.on_request:

@@ -1,4 +1,4 @@
-"""The parts of Table II and of the figures: rows, columns and sizes of the growth."""
+"""The plan of a table and of its figures: rows, columns, sizes of the growth, and the published table beside it."""
 
 from __future__ import annotations
 
@@ -12,27 +12,30 @@ from pydantic import Field
 
 from vprbench.errors import BadInput
 from vprbench.plugins.options import check_value
+from vprbench.report.published import Published, read_published_numbers
 
-Boundary = Literal["encode", "match"]  # the step that the paper's query rate of a row covers
+Boundary = Literal["encode", "match"]  # the step that the published query rate of a row covers
 Training = Literal["own", "none", "pretrained", "map"]  # map: it builds the map and trains nothing
 Seeds = Annotated[tuple[int, ...], Field(min_length=1)]
 _FORBID = {"extra": "forbid"}
 
+PLAN_FILE = "paper/table2.yaml"  # in conf/: the plan of `vprbench table`
+
 
 @dataclass(frozen=True)
 class Row:
-    """A row of the table: a method with the arguments that set it apart, and the step that the paper timed."""
+    """A row of the table: a method with the arguments that set it apart, and the step whose rate is published."""
 
     __pydantic_config__: ClassVar[Any] = _FORBID
 
     name: str
     method: str
-    boundary: Boundary | None = None  # None: not one of the paper's rows
+    boundary: Boundary | None = None  # None: not published
     training: Training = "own"
     spiking: bool = False  # stands below the rule that ends the conventional methods
     arguments: Mapping[str, Any] = field(default_factory=dict)
     seeds: Seeds = (0,)
-    rate_remark: str | None = None  # fixed words on how the paper timed its queries
+    rate_remark: str | None = None  # fixed words on how the published rate was timed
     most_places: int | None = None  # with more it takes too long for a table; None: any number
     seeds_unless_full: int | None = None  # the first so many of `seeds` unless slow rows are to run in full; None: all
 
@@ -51,7 +54,7 @@ class PlannedColumn:
     name: str
     title: str
     options: tuple[str, ...]  # of the command line
-    published: str | None = None  # the dataset of the paper's table
+    published: str | None = None  # its name in the published table
     stand_in_for: str | None = None  # the column of real frames that a rendered one stands in for
     on_request: bool = False  # shown only where columns= names it
     frames: str | None = None  # the option of a table that gives the root of its dataset
@@ -76,32 +79,47 @@ class Growth:
         return PlannedColumn(f"growth_{places}", f"{places:,} places", options)
 
 
-_KINDS: dict[str, Any] = {"rows": Row, "more_rows": Row, "columns": PlannedColumn, "growth": Growth, "seeds": Seeds}
+_KINDS: dict[str, Any] = {"rows": Row, "more_rows": Row, "columns": PlannedColumn}
+_KINDS |= {"growth": Growth, "seeds": Seeds, "published": Published}
+_WHOLE = {"growth", "seeds", "published"}  # parts that are no mapping of names to rows or columns
 
 
 @dataclass(frozen=True)
-class Plan:
-    """Everything in conf/table.yaml, by name."""
+class PlanFile:
+    """Everything in conf/paper/table2.yaml, by name."""
 
-    rows: Mapping[str, Row]  # of the paper's table
+    rows: Mapping[str, Row]  # shown unless a request names others
     more_rows: Mapping[str, Row]  # on request
     columns: Mapping[str, PlannedColumn]
     growth: Growth
     seeds: tuple[int, ...] = (0,)  # of rows that methods= names by their method and that learn from a seed
+    published: Published | None = None
 
 
 #: The plan of runs that no table names.
-NO_PLAN = Plan({}, {}, {}, Growth((), (), (), 0))
+NO_PLAN = PlanFile({}, {}, {}, Growth((), (), (), 0))
 
 
-def read_plan(path: Path) -> Plan:
+def read_plan(path: Path) -> PlanFile:
     """Read the plan; raises BadInput, naming the file, where a part is missing or unknown."""
-    plan = Plan(**_read_parts(path, _KINDS))
+    plan = PlanFile(**_read_parts(path, _KINDS))
     _require_columns(plan.columns, path)
+    if plan.published is not None:
+        plan = replace(plan, published=_read_numbers(plan.published, path.parent))
     return plan
 
 
-def add_plug_ins(plan: Plan, folders: Mapping[str, Path]) -> Plan:
+def _read_numbers(published: Published, folder: Path) -> Published:
+    path = folder / published.numbers_file
+    try:
+        return replace(published, numbers=read_published_numbers(path))
+    except (OSError, KeyError, ValueError) as error:
+        raise BadInput(
+            f"{path} holds no published numbers ({error}): compare it with the one of this project"
+        ) from error
+
+
+def add_plug_ins(plan: PlanFile, folders: Mapping[str, Path]) -> PlanFile:
     """Return our plan with the rows and columns that plug-ins bring; `folders` are those of yaml files, by provider.
 
     A plug-in's `table/*.yaml` may hold `rows` and `columns` as ours does; a request names what it shows of them. Raises
@@ -127,14 +145,14 @@ def _read_parts(path: Path, names: Collection[str]) -> dict[str, Any]:
     """Return the parts of a yaml; of rows and columns there may be none."""
     try:
         content: dict[str, Any] = {"rows": {}, "columns": {}, **yaml.safe_load(path.read_text(encoding="utf-8"))}
-        if wrong := content.keys() ^ names:
+        if wrong := (content.keys() ^ names) - ({"published"} & {*names}):
             raise ValueError(f"{', '.join(wrong)} is missing or unknown")
-        for group in content.keys() - {"growth", "seeds"}:
+        for group in content.keys() - _WHOLE:
             content[group] = {name: {"name": name, **given} for name, given in content[group].items()}
     except (OSError, yaml.YAMLError, TypeError, ValueError, AttributeError) as error:
         raise BadInput(f"{path} is no plan of a table ({error}): compare it with the one of this project") from error
     for group, parts in content.items():
-        if group in ("growth", "seeds"):
+        if group in _WHOLE:
             content[group] = check_value(f"{path}: {group}", parts, _KINDS[group])
         else:
             checks = {

@@ -81,9 +81,9 @@ class TableRequest(RunOptions):
         *("method", "dataset", "corruption", "seed", "device", "output", "save", "load", "predictions"),
     )
 
-    rows: list[str] | None = option(None, "of conf/table.yaml; null: those of the paper")
-    methods: list[str] = option([], "more rows: names of methods, or of more_rows in conf/table.yaml")
-    columns: list[str] | None = option(None, "null: the paper's datasets, or those that stand in for them")
+    rows: list[str] | None = option(None, "of conf/paper/table2.yaml; null: all of its rows")
+    methods: list[str] = option([], "more rows: names of methods, or of more_rows in conf/paper/table2.yaml")
+    columns: list[str] | None = option(None, "null: the published datasets, or those that stand in for them")
     full: bool = option(False, "true: slow rows at full size too")
     figures: bool = option(False, "true: draw the figures too, and make the runs of Figure 2c, about 6 minutes")
     page: bool = option(False, "true: write the page too, with the figures in it")

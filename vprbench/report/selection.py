@@ -86,19 +86,34 @@ def group_runs_by_column(
     A column gives one group for each protocol and version of its images, the one with the newest run first, and an
     empty group where it has no run. The order of `runs` changes nothing.
     """
-    ordered = sorted(runs, key=lambda run: (run.dataset, run.method, *get_sort_key(run)))
-    failed = sorted(failures, key=lambda failure: (failure.method, get_time(failure), failure.error))
-    found: list[DatasetRuns] = []
+
+    def select(results: Iterable[Result], column: ResolvedColumn) -> list[Result]:
+        there = (one for one in results if _belongs_to_column(one, column))
+        return [one for one in there if any(_belongs_to_row(one, row) for row in rows)]
+
+    runs, failures, found = [*runs], sort_failures(failures), list[DatasetRuns]()
     for column in columns:
-        alike: dict[str, list[Run]] = defaultdict(list)
-        for run in ordered:
-            if _belongs_to_column(run, column) and any(_belongs_to_row(run, row) for row in rows):
-                alike[f"{format_plain_values(run.protocol)} {run.fingerprint}"].append(run)
-        newest_first = sorted(alike.items(), key=lambda item: (max(map(get_time, item[1])), item[0]), reverse=True)
-        there = tuple(f for f in failed if _belongs_to_column(f, column) and any(_belongs_to_row(f, r) for r in rows))
-        for number, (_, members) in enumerate(newest_first or [("", [])], 1):
-            found.append(DatasetRuns(column, number, tuple(members), there if number == 1 else ()))
+        failed = tuple(select(failures, column))
+        for number, members in enumerate(split_by_frames(select(runs, column)) or [()], 1):
+            found.append(DatasetRuns(column, number, members, failed if number == 1 else ()))
     return found
+
+
+def split_by_frames(runs: Iterable[Run]) -> list[tuple[Run, ...]]:
+    """Return the runs of each protocol and version of the images, the set with the newest run first.
+
+    The order of `runs` changes nothing.
+    """
+    alike: dict[str, list[Run]] = defaultdict(list)
+    for run in sorted(runs, key=lambda run: (run.dataset, run.method, *get_sort_key(run))):
+        alike[f"{format_plain_values(run.protocol)} {run.fingerprint}"].append(run)
+    newest_first = sorted(alike.items(), key=lambda item: (max(map(get_time, item[1])), item[0]), reverse=True)
+    return [tuple(members) for _, members in newest_first]
+
+
+def sort_failures(failures: Iterable[Failure]) -> list[Failure]:
+    """Return failures by their method, those of one method from the oldest to the newest."""
+    return sorted(failures, key=lambda failure: (failure.method, get_time(failure), failure.error))
 
 
 def select_row_runs(group: DatasetRuns, row: Row, device: Device) -> RowRuns:

@@ -20,7 +20,7 @@ from vprbench.report.plan import Row, read_plan
 from vprbench.runs.notes import Note
 
 approx = pytest.approx
-PLAN = read_plan(ROOT / "conf" / "table.yaml")
+PLAN = read_plan(ROOT / "conf" / "paper" / "table2.yaml")
 ROWS = list(PLAN.rows.values())
 NORDLAND, WINTER = PLAN.columns["nordland"], PLAN.columns["railway_winter"]
 UNPUBLISHED = replace(PLAN.columns["railway"], published=None)
@@ -115,7 +115,7 @@ def black_lines(axes):
 
 def test_training_bars_end_at_the_seconds_without_waiting_for_images_and_a_tick_with_it_beside_the_published():
     netvlad = series("NetVLAD", figure_runs.run("netvlad", fit_seconds=6000.0))  # comes trained
-    drawn = draw_training_time([tempo(3.0), netvlad], ROWS, NORDLAND)
+    drawn = draw_training_time([tempo(3.0), netvlad], ROWS, NORDLAND, PLAN.published)
     (axes,) = drawn.figure.axes
     assert bars(axes, hatched=False) == {4: approx(180)}
     assert bars(axes, hatched=True) == {1: approx(907200), 2: approx(21600), 3: approx(21600), 4: approx(3600)}
@@ -123,7 +123,7 @@ def test_training_bars_end_at_the_seconds_without_waiting_for_images_and_a_tick_
     assert legend(drawn) == ["measured here", "published", "with reading the images"]
     times = ({"fit_seconds": 540.0 + 120 * i, "fit_compute_seconds": 60.0 * i} for i in (1, 2, 4))
     runs = [figure_runs.run("t", seed=i, **each) for i, each in enumerate(times)]
-    (axes,) = draw_training_time([series("VPRTempo", *runs)], ROWS, NORDLAND).figure.axes
+    (axes,) = draw_training_time([series("VPRTempo", *runs)], ROWS, NORDLAND, PLAN.published).figure.axes
     assert bars(axes, hatched=False)[4] == approx(120)
     assert black_lines(axes) == [approx([60, 240]), approx([780, 780])]
     assert "120 (780)" in words(axes)
@@ -137,7 +137,7 @@ def test_rates_are_of_encode_and_match_together_with_the_middle_four_fifths_of_l
         (one, NORDLAND, [1 / laps[90], 1 / laps[10]], 500),
         (several, WINTER, [1000 / 3, 500], 1250 / 3),
     ):
-        (axes,) = draw_query_rate([given], ROWS, column).figure.axes
+        (axes,) = draw_query_rate([given], ROWS, column, PLAN.published).figure.axes
         assert black_lines(axes)[0] == approx(line)
         assert bars(axes, hatched=False) == {4: approx(bar)}
         rates = [10, 0.5, 2, 2, 353] if column == NORDLAND else [185, 0.5, 0.4, 2, 1670]
@@ -146,17 +146,17 @@ def test_rates_are_of_encode_and_match_together_with_the_middle_four_fifths_of_l
 
 def test_a_row_without_a_bar_says_why():
     loaded = series("VPRSNN", figure_runs.run("vprsnn", fit_seconds=None, network={"run": "ab"}))
-    (axes,) = draw_training_time([loaded], ROWS, UNPUBLISHED).figure.axes
+    (axes,) = draw_training_time([loaded], ROWS, UNPUBLISHED, PLAN.published).figure.axes
     assert words(axes) == ["no training", "comes trained", "comes trained", "network loaded", "no run"]
 
 
 def test_a_gpu_gets_a_panel_of_its_own_and_a_column_that_the_paper_does_not_have_measured_bars_alone():
-    cpu, gpu = draw_query_rate([tempo(3.0), tempo(0.1, device="cuda")], ROWS, NORDLAND).figure.axes
+    cpu, gpu = draw_query_rate([tempo(3.0), tempo(0.1, device="cuda")], ROWS, NORDLAND, PLAN.published).figure.axes
     assert (cpu.get_title(loc="left"), gpu.get_title(loc="left")) == ("CPU", "GPU")
     assert cpu.get_xlim() == gpu.get_xlim()
     assert bars(gpu, hatched=True)[4] == approx(1634)
     assert 3 not in bars(gpu, hatched=True)  # the paper has no GPU code of VPRSNN
-    drawn = draw_query_rate([tempo(3.0)], ROWS, UNPUBLISHED)
+    drawn = draw_query_rate([tempo(3.0)], ROWS, UNPUBLISHED, PLAN.published)
     assert (bars(drawn.figure.axes[0], hatched=True), legend(drawn)) == ({}, ["measured here"])
 
 

@@ -19,7 +19,7 @@ from vprbench.progress import progress_shown
 from vprbench.report.comparison.checks import Checked, SortedOptions, check_comparison, frames_of
 from vprbench.report.figures.make import draw_all, write_figures
 from vprbench.report.folder import assemble_groups
-from vprbench.report.gather import ReportData, TablePlan, list_cells, load_stored_runs, run_missing
+from vprbench.report.gather import Plan, Report, list_cells, load_stored_runs, run_missing
 from vprbench.report.page.make import write_page
 from vprbench.report.plan import NO_PLAN
 from vprbench.report.robustness import Robustness, format_csv, format_markdown, list_lines, measure_robustness
@@ -95,7 +95,7 @@ def corrupt_column(found: Checked, names: Sequence[str]) -> dict[Corruption, Res
 
 
 def make_missing(
-    chosen: TablePlan, found: Checked, spoilt: Mapping[Corruption, ResolvedColumn], command: SortedOptions
+    chosen: Plan, found: Checked, spoilt: Mapping[Corruption, ResolvedColumn], command: SortedOptions
 ) -> list[JobResult]:
     """Make the runs that are not stored, those of corrupted queries on the first device and untimed.
 
@@ -117,10 +117,10 @@ def make_missing(
     return [*results, *(result for result in ended if result.code != 1), *alone]
 
 
-def plan_table(found: Checked, command: SortedOptions) -> TablePlan:
+def plan_table(found: Checked, command: SortedOptions) -> Plan:
     """Return the rows and the one column of a comparison, as a table has them."""
     request = command.request
-    return TablePlan(
+    return Plan(
         NO_PLAN,
         found.rows,
         (found.column,),
@@ -136,12 +136,12 @@ def plan_table(found: Checked, command: SortedOptions) -> TablePlan:
 
 
 def report_comparison(
-    chosen: TablePlan,
+    chosen: Plan,
     found: Checked,
     known: Sequence[Run],
     failures: Sequence[Failure],
     results: Sequence[JobResult] = (),
-) -> ReportData:
+) -> Report:
     """Return the report of the stored runs of a comparison, best first; raises BadInput if there is no run."""
     left_out = [
         describe_failure(cell.request, found.left_out[row.name], missing=True)
@@ -153,7 +153,7 @@ def report_comparison(
     return assemble_groups(chosen, [newest], results)
 
 
-def show(found: ReportData, wide: bool = False) -> None:
+def show(found: Report, wide: bool = False) -> None:
     """Print notes, the ranked table and the results of tests; of several views R@1 alone, side by side."""
     table, groups_shown = found.table, [group for group in found.groups if group.runs]
     heads = ["method", *(quantity.heading for quantity in table.quantities)]
@@ -188,7 +188,7 @@ def _list_texts(cells: pd.DataFrame) -> Iterator[str]:
             yield " ".join(filter(None, [absence, cell.text, cell.extent]))
 
 
-def predict_places(compared: ReportData, dataset: Dataset | None, n: int | None) -> pd.DataFrame | None:
+def predict_places(compared: Report, dataset: Dataset | None, n: int | None) -> pd.DataFrame | None:
     """Return the best `n` places of each query by every run that is shown, 10 if None; None if `n` is 0.
 
     The `dataset` names the images, None leaves them out. `method`, `seed` and `answers` (the view that is shown, or
@@ -207,7 +207,7 @@ def predict_places(compared: ReportData, dataset: Dataset | None, n: int | None)
 
 
 def write_comparison(
-    found: ReportData,
+    found: Report,
     folder: Path,
     name: str = "",
     robust: Robustness | None = None,

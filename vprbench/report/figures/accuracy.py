@@ -44,7 +44,7 @@ _MOST_BANDS = 3  # more would hide one another
 
 @use_style
 def draw_precision_recall(series: Sequence[MethodRuns]) -> Drawing:
-    """Draw the precision-recall curves over the answerable queries (curve A), Figure 3C of the paper.
+    """Draw the precision-recall curves over the answerable queries (curve A).
 
     The area under a drawn curve, which goes in steps, is its average precision. A single seed has a band from the
     block bootstrap of its queries; several seeds are thin lines around their mean, which ends where the first of
@@ -78,7 +78,7 @@ def draw_precision_recall(series: Sequence[MethodRuns]) -> Drawing:
 
 @use_style
 def draw_recall_at_n(series: Sequence[MethodRuns]) -> Drawing:
-    """Draw recall at N of 1 to 25 best places over all queries, Figure 3D of the paper; ties as expected values.
+    """Draw recall at N of 1 to 25 best places over all queries; ties as expected values.
 
     The band is the interval of `share_interval`, of several seeds that of their mean hits. Raises BadInput if no query
     has a right place.

@@ -1,4 +1,4 @@
-"""Time against the number of places, with the exponent of its growth: Figure 2C of the paper."""
+"""Time against the number of places, with the exponent of its growth."""
 
 from __future__ import annotations
 
@@ -24,10 +24,11 @@ _HEIGHT_MM = 74.0  # without the legend
 
 
 @use_style
-def draw_growth(rows: Sequence[GrowthSamples]) -> Drawing:
+def draw_growth(rows: Sequence[GrowthSamples], claim: str = "") -> Drawing:
     """Draw training time (left) and the time of a query (right) against the number of places, with fitted powers.
 
-    A panel without times is not shown. Raises BadInput if there is no row.
+    A panel without times is not shown. `claim` is a published sentence for the caption. Raises BadInput if there is no
+    row.
     """
     if not rows:
         raise BadInput("no run with different numbers of places is stored: there is no growth to draw")
@@ -52,8 +53,7 @@ def draw_growth(rows: Sequence[GrowthSamples]) -> Drawing:
         f"{places[-1]:,} places. Left: training without waiting for images. Right: one query from memory, encode and "
         "match; median and its 95 % interval. Lines: powers fitted to the logarithms of the medians over seeds, "
         "their exponents in the legend. Hollow: disturbed machine or too few laps. "
-        "The paper claims O(n) training and O(log n) query for VPRTempo. "
-        f"{describe_machines(run for row in rows for run in row.runs)}"
+        f"{claim}{describe_machines(run for row in rows for run in row.runs)}"
     )
     return Drawing(figure, caption)
 

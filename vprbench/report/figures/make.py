@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +16,7 @@ from vprbench.jobs.job import JobResult
 from vprbench.metrics.catalogue import METRICS
 from vprbench.report.figures import accuracy, growth, pictures, speed, spikes, style, tradeoff
 from vprbench.report.figures.style import Drawing
-from vprbench.report.gather import ReportData, TablePlan, list_cells, run_missing
+from vprbench.report.gather import Plan, Report, list_cells, run_missing
 from vprbench.report.growth import collect_growth_samples
 from vprbench.report.missing_runs import resolve_results_folder
 from vprbench.report.plan import Row
@@ -41,7 +40,7 @@ logger = logging.getLogger(__name__)
 FigureCall = tuple[Any, ...]  # the name of the files, the function that draws, and its arguments
 
 
-def print_figures(found: ReportData, columns: Sequence[ResolvedColumn] = ()) -> None:
+def print_figures(found: Report, columns: Sequence[ResolvedColumn] = ()) -> None:
     """Draw all figures of a report, those of growth over `columns`, under its results folder, and print the files."""
     folder = Path(found.chosen.results).expanduser() / "figures"
     for path in write_figures(draw_all(found, found.runs, columns), folder):
@@ -63,14 +62,15 @@ def write_figures(drawings: Iterable[tuple[str, Drawing]], folder: Path) -> Iter
 
 
 def draw_all(
-    found: ReportData,
+    found: Report,
     runs: Sequence[Run],
     columns: Sequence[ResolvedColumn] = (),
     report: Callable[[str], None] = logger.info,
 ) -> Iterator[tuple[str, Drawing]]:
     """Yield each figure with the name of its files; `report` gets a line for each that has nothing to show.
 
-    Growth is drawn from `runs` in `columns`. Names hold the paper's numbers of figures if the table is Table II.
+    Growth is drawn from `runs` in `columns`. Names of figures begin with their published numbers, unless the table has
+    a title of its own.
     """
     shown = [(group, rows) for group in found.groups if (rows := list_accuracy_runs(group, found.chosen.rows))]
     calls = [
@@ -79,25 +79,26 @@ def draw_all(
         *(call for group, rows in shown for call in _list_by_group(found, group, rows)),
         *_list_sequences(shown),
     ]
-    for number, (numbered, draw, *given) in enumerate(calls):
+    published = found.chosen.plan.published if found.table.title is None else None
+    for number, (kind, draw, *given) in enumerate(calls):
         progress.report("drawing figures", number / len(calls))
-        name = numbered if found.table.title is None else re.sub(r"^fig\d\w-", "", numbered)
+        name = published.number_figure(kind) if published else kind
         try:
             yield name, draw(*given)
         except BadInput as error:
             report(f"{name} is not drawn: {error}")
 
 
-def list_growth_columns(found: ReportData) -> list[ResolvedColumn]:
+def list_growth_columns(found: Report) -> list[ResolvedColumn]:
     """Return a column for each size of the growth."""
     planned = map(found.chosen.plan.growth.column, found.chosen.plan.growth.sizes)
     return [ResolvedColumn(column, make_request(column.options).dataset) for column in planned]
 
 
 def run_growth(
-    found: ReportData, columns: Sequence[ResolvedColumn], options: Sequence[str], executor: Executor
+    found: Report, columns: Sequence[ResolvedColumn], options: Sequence[str], executor: Executor
 ) -> list[JobResult]:
-    """Make the runs of Figure 2c that are not stored, one after the other; `options` of the command line hold for all.
+    """Make the runs of growth that are not stored, one after the other; `options` of the command line hold for all.
 
     Their frames are not kept.
     """
@@ -106,13 +107,13 @@ def run_growth(
     return run_missing(found.chosen, cells, executor)
 
 
-def _choose_growth_rows(found: ReportData) -> list[Row]:
+def _choose_growth_rows(found: Report) -> list[Row]:
     """Return the rows whose growth is drawn, with their first seed."""
     plan = found.chosen.plan
     return [replace(plan.rows[name], seeds=plan.rows[name].seeds[:1]) for name in plan.growth.rows]
 
 
-def _list_growth(found: ReportData, runs: Sequence[Run], columns: Sequence[ResolvedColumn]) -> Iterator[FigureCall]:
+def _list_growth(found: Report, runs: Sequence[Run], columns: Sequence[ResolvedColumn]) -> Iterator[FigureCall]:
     """Yield time against places, of each row of the growth that has runs."""
     grown = []
     for row in _choose_growth_rows(found):
@@ -122,21 +123,27 @@ def _list_growth(found: ReportData, runs: Sequence[Run], columns: Sequence[Resol
         if of_sizes:
             grown.append(collect_growth_samples(row, [run for one in of_sizes for run in one.runs]))
     if columns:
-        yield "fig2c-growth", growth.draw_growth, grown
+        published = found.chosen.plan.published
+        yield "growth", growth.draw_growth, grown, published.growth_claim if published else ""
 
 
-def _list_speed(found: ReportData) -> Iterator[FigureCall]:
+def _list_speed(found: Report) -> Iterator[FigureCall]:
     """Yield training time and query rate of the first group that was timed."""
     there = (group for group in found.groups if group.runs)
     group = max(there, key=lambda group: any(run.timing for run in group.runs))
     rows = found.chosen.rows
-    given = [*list_method_runs(group, rows), *list_method_runs(group, rows, "cuda")], rows, group.column.planned
-    yield "fig2a-training-time", speed.draw_training_time, *given
-    yield "fig2b-query-rate", speed.draw_query_rate, *given
+    given = (
+        [*list_method_runs(group, rows), *list_method_runs(group, rows, "cuda")],
+        rows,
+        group.column.planned,
+        found.chosen.plan.published,
+    )
+    yield "training-time", speed.draw_training_time, *given
+    yield "query-rate", speed.draw_query_rate, *given
 
 
-def _list_by_group(found: ReportData, group: DatasetRuns, shown: Sequence[MethodRuns]) -> Iterator[FigureCall]:
-    """Yield the figures of a group: Figure 3, and those beyond the paper; without ground truth of spikes alone."""
+def _list_by_group(found: Report, group: DatasetRuns, shown: Sequence[MethodRuns]) -> Iterator[FigureCall]:
+    """Yield the figures of a group; without ground truth of spikes alone."""
     if shown[0].runs[0].is_judged:
         yield from _list_accuracy(found, group, shown)
     yield f"spikes-{group.name}", spikes.draw_spikes, shown
@@ -144,15 +151,17 @@ def _list_by_group(found: ReportData, group: DatasetRuns, shown: Sequence[Method
         yield f"raster-{group.name}", spikes.draw_raster, shown
 
 
-def _list_accuracy(found: ReportData, group: DatasetRuns, shown: Sequence[MethodRuns]) -> Iterator[FigureCall]:
+def _list_accuracy(found: Report, group: DatasetRuns, shown: Sequence[MethodRuns]) -> Iterator[FigureCall]:
     """Yield the figures of a group that need to know which places are right."""
     name, timed = group.name, list_method_runs(group, found.chosen.rows)
     if thumbnails := thumbnails_of(group, found.chosen):
-        yield f"fig3a-frames-{name}", pictures.draw_frames, thumbnails, format_title(group, found.groups)
-    best = max(shown, key=lambda row: (row.name == "VPRTempo", average_recall(row.runs) or 0.0))  # the paper shows it
-    yield f"fig3b-similarity-{name}", pictures.draw_similarity, best.runs[0], best.name
-    yield f"fig3c-precision-recall-{name}", accuracy.draw_precision_recall, shown
-    yield f"fig3d-recall-at-n-{name}", accuracy.draw_recall_at_n, shown
+        yield f"frames-{name}", pictures.draw_frames, thumbnails, format_title(group, found.groups)
+    published = found.chosen.plan.published
+    wanted = published.shown_row if published else None
+    best = max(shown, key=lambda row: (row.name == wanted, average_recall(row.runs) or 0.0))
+    yield f"similarity-{name}", pictures.draw_similarity, best.runs[0], best.name
+    yield f"precision-recall-{name}", accuracy.draw_precision_recall, shown
+    yield f"recall-at-n-{name}", accuracy.draw_recall_at_n, shown
     yield f"tolerance-{name}", accuracy.draw_recall_at_tolerance, shown
     for metric in found.chosen.metrics:
         yield f"{metric.replace('_', '-')}-{name}", accuracy.draw_metric, shown, METRICS[metric]
@@ -173,7 +182,7 @@ def _list_sequences(shown: Sequence[tuple[DatasetRuns, list[MethodRuns]]]) -> It
             yield f"sequences-{name}", accuracy.draw_recall_at_length, views
 
 
-def thumbnails_of(group: DatasetRuns, chosen: TablePlan) -> Thumbnails | None:
+def thumbnails_of(group: DatasetRuns, chosen: Plan) -> Thumbnails | None:
     """Return the frames that were kept of the dataset of a group with runs, from the first store that has them."""
     stores = map(resolve_results_folder, (chosen.results, *chosen.stores))
     return next(filter(None, (load_thumbnails(store, group.runs[0].fingerprint) for store in stores)), None)

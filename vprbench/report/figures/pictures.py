@@ -27,7 +27,7 @@ _FLATTEST = 0.4  # shorter over longer side of one
 
 @use_style
 def draw_frames(thumbnails: Thumbnails, title: str) -> Drawing:
-    """Draw the kept examples, right place and query, as they are and patch-normalised (Figure 3A of the paper).
+    """Draw the kept examples, right place and query, as they are and patch-normalised.
 
     `title` names the dataset. The right half is VPRTempo's input: 28 x 28 pixels, patches of 7 x 7 (its public code,
     64154e5). Raises BadInput if no example is kept.
@@ -70,7 +70,7 @@ def draw_frames(thumbnails: Thumbnails, title: str) -> Drawing:
 
 @use_style
 def draw_similarity(run: Run, name: str) -> Drawing:
-    """Draw the ground truth beside the scores of all places for all queries (Figure 3B of the paper).
+    """Draw the ground truth beside the scores of all places for all queries.
 
     `name` is the row's, as in the table. The scores of each query are stretched from its worst candidate, 0, to its
     best, 1. A large matrix is drawn as the maxima of blocks, so that no right place vanishes. Raises BadInput if the

@@ -1,4 +1,4 @@
-"""Training time and query rate of each row beside the paper's numbers: Figures 2A and 2B of the paper."""
+"""Training time and query rate of each row beside published ones."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from vprbench.report.figures import style
 from vprbench.report.figures.captions import choose_runs, describe_runs
 from vprbench.report.figures.style import Drawing, choose_looks, new_figure, use_style
 from vprbench.report.plan import PlannedColumn, Row
-from vprbench.report.published import PAPER, PAPER_CPU, PAPER_GPU, read_published_numbers
+from vprbench.report.published import Published
 from vprbench.report.selection import MethodRuns
 from vprbench.report.table.best import compute_rate, list_laps
 from vprbench.runs.record import Run
@@ -27,7 +27,7 @@ from vprbench.text import format_three_digits
 _BAR = 0.38  # of the distance between rows
 _LETTERS = 22  # of a line of a row's name
 _ROOM = 5.0  # times the shortest and the longest bar, for the numbers beside them
-_HATCH = "//////"  # of the paper's bars
+_HATCH = "//////"  # of published bars
 _LABELS = {"train": "Training time (s)", "query": "Queries per second, encode and match"}
 _PUBLISHED = {"train": "published", "query": "published, of one step alone"}
 _WORDS: dict[str, Any] = {"color": style.GREY, "style": "italic", "fontsize": 7, "va": "center"}
@@ -37,7 +37,7 @@ _LINES: dict[str, Any] = {  # seen on a dark bar too
     "path_effects": [withStroke(linewidth=3, foreground="white")],
 }
 
-Quantity = Literal["train", "query"]  # as the paper's numbers are named, before the device
+Quantity = Literal["train", "query"]  # as published numbers are named, before the device
 
 
 class _Bar(NamedTuple):
@@ -50,50 +50,60 @@ class _Bar(NamedTuple):
 
 
 @use_style
-def draw_training_time(series: Sequence[MethodRuns], rows: Sequence[Row], column: PlannedColumn) -> Drawing:
+def draw_training_time(
+    series: Sequence[MethodRuns], rows: Sequence[Row], column: PlannedColumn, published: Published | None = None
+) -> Drawing:
     """Draw the seconds of training of each row, measured above published, a panel for each kind of device with runs.
 
     A bar is the time without waiting for images, a tick the wall time. Raises BadInput if there is no run.
     """
     series = choose_runs(series, lambda _: True, f"is of {column.title}")
-    figure = _draw_bars("train", series, rows, column)
+    figure = _draw_bars("train", series, rows, column, published)
     quoted = ", ".join(row.name for row in rows if row.training == "pretrained")
     caption = (
         f"Training time on {column.title}. Bars: without waiting for images to be read; ticks and brackets: with it. "
-        f"{_describe_published(column, f'; quoted there: {quoted}' if quoted else '')}"
+        f"{_describe_published(published, column, f'; quoted there: {quoted}' if quoted else '')}"
         f"{describe_runs(series, 'median, and a line from lowest to highest', of_times=True)}"
     )
     return Drawing(figure, caption)
 
 
 @use_style
-def draw_query_rate(series: Sequence[MethodRuns], rows: Sequence[Row], column: PlannedColumn) -> Drawing:
+def draw_query_rate(
+    series: Sequence[MethodRuns], rows: Sequence[Row], column: PlannedColumn, published: Published | None = None
+) -> Drawing:
     """Draw the queries per second of each row, measured above published, a panel for each kind of device with runs.
 
     A measured bar is of encode and match together. Raises BadInput if no run was timed.
     """
     series = choose_runs(series, lambda run: run.timing, f"of {column.title} was timed: run with timing=quick")
-    figure = _draw_bars("query", series, rows, column)
+    figure = _draw_bars("query", series, rows, column, published)
     steps = ", ".join(f"{row.name} {row.boundary}" for row in rows if row.boundary)
     caption = (
         f"Queries per second on {column.title}, one query from memory, encode and match: 1 / median. "
-        f"{_describe_published(column, f'; of one step: {steps}')}"
+        f"{_describe_published(published, column, f'; of one step: {steps}')}"
         "Line over a bar of one seed: the middle 80 % of its queries. "
         f"{describe_runs(series, 'mean, and a line from lowest to highest', of_times=True)}"
     )
     return Drawing(figure, caption)
 
 
-def _describe_published(column: PlannedColumn, more: str) -> str:
-    """Return a sentence on the paper's bars, and a space; empty where it has none."""
-    if column.published is None:
+def _describe_published(published: Published | None, column: PlannedColumn, more: str) -> str:
+    """Return a sentence on the published bars, and a space; empty where there are none."""
+    if published is None or column.published is None:
         return ""
     real = f" on {column.published}, for which this dataset stands in" if column.stand_in_for else ""
-    return f"Hatched bars: {PAPER}{real}, measured on {PAPER_CPU} and {PAPER_GPU}{more}. "
+    return f"Hatched bars: {published.source}{real}, measured on {published.cpu} and {published.gpu}{more}. "
 
 
-def _draw_bars(quantity: Quantity, series: Sequence[MethodRuns], rows: Sequence[Row], column: PlannedColumn) -> Figure:
-    """Draw a bar or a word for each row, and below it the paper's bar; all panels share the axis."""
+def _draw_bars(
+    quantity: Quantity,
+    series: Sequence[MethodRuns],
+    rows: Sequence[Row],
+    column: PlannedColumn,
+    published: Published | None,
+) -> Figure:
+    """Draw a bar or a word for each row, and below it the published bar; all panels share the axis."""
     devices: dict[str, dict[str, Sequence[Run]]] = {}
     for one in series:
         device = "cpu" if one.runs[0].config["device"] == "cpu" else "gpu"
@@ -102,6 +112,7 @@ def _draw_bars(quantity: Quantity, series: Sequence[MethodRuns], rows: Sequence[
     figure, panels = new_figure(width, 19 + 9 * len(rows), 1, len(devices))
     looks = choose_looks(row.name for row in rows)
     ends: list[float] = []
+    numbers = published.numbers if published else {}
     for axes, (device, runs) in zip(panels, devices.items(), strict=True):
         for place, row in enumerate(rows):
             bar = _MEASURES[quantity](row, runs.get(row.name, ()))
@@ -110,7 +121,7 @@ def _draw_bars(quantity: Quantity, series: Sequence[MethodRuns], rows: Sequence[
             else:
                 _draw_measured(axes, place - _BAR / 2, bar, looks[row.name].colour)
                 ends += [bar.low, bar.high, bar.wall]
-            printed = read_published_numbers().get((row.name, column.published or ""), {}).get(f"{quantity}_{device}")
+            printed = numbers.get((row.name, column.published or ""), {}).get(f"{quantity}_{device}")
             if printed:
                 value = printed * (60 if quantity == "train" else 1)  # minutes and hertz
                 axes.barh(place + _BAR / 2, value, _BAR, linewidth=0.8, **{**looks[row.name].of_bar, "hatch": _HATCH})

@@ -65,7 +65,7 @@ class Look(NamedTuple):
 
 # Colours of Okabe and Ito (2008), without their yellow, which is too light for a line on white paper; the last five of
 # the further ones are of Paul Tol's muted scheme, made for colour-blind readers too.
-_PAPER = {
+_FIXED = {
     "SAD": Look("#56B4E9", "o", (0, (1.5, 1.2)), "...."),
     "NetVLAD": Look("#0072B2", "s", (0, (5, 1.5)), "\\\\\\\\"),
     "GCL": Look("#E69F00", "^", (0, (5, 1.5, 1.2, 1.5)), "xxxx"),
@@ -90,13 +90,13 @@ _MOST_DECADES = 5  # of more, every second or third is named
 
 
 def choose_looks(names: Iterable[str]) -> dict[str, Look]:
-    """Return a look for each name: fixed ones for the paper's rows, further ones for others in their order.
+    """Return a look for each name: fixed ones for common baselines, further ones for others in their order.
 
     Up to 360 others look different, the first eight of them in every part. Give the same names to figures that stand
     side by side.
     """
     further = map(Look, cycle(_COLOURS), cycle(_MARKERS), cycle(_DASHES), cycle(_HATCHES))
-    return {name: _PAPER.get(name) or next(further) for name in dict.fromkeys(names)}
+    return {name: _FIXED.get(name) or next(further) for name in dict.fromkeys(names)}
 
 
 def new_figure(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from vprbench.progress import progress_shown
 from vprbench.report.figures.make import draw_all, thumbnails_of
-from vprbench.report.gather import ReportData
+from vprbench.report.gather import Report
 from vprbench.report.selection import DatasetRuns, ResolvedColumn, format_title, list_accuracy_runs, list_method_runs
 from vprbench.report.table import formats
 from vprbench.runs.store import Store
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from vprbench.report.figures.style import Drawing
 
 
-def print_page(found: ReportData, name: str, growth: Sequence[ResolvedColumn] = ()) -> None:
+def print_page(found: Report, name: str, growth: Sequence[ResolvedColumn] = ()) -> None:
     """Write the page of a report, NAME.html, into its results folder, and print the file."""
     absent: list[str] = []
     drawings = draw_all(found, found.runs, growth, absent.append)
@@ -30,7 +30,7 @@ def print_page(found: ReportData, name: str, growth: Sequence[ResolvedColumn] = 
     print(f"{path}: {format_bytes(path.stat().st_size)}, opens from disk")
 
 
-def _frames_of(group: DatasetRuns, found: ReportData) -> Thumbnails | None:
+def _frames_of(group: DatasetRuns, found: Report) -> Thumbnails | None:
     """Return the frames that were kept of the queries that a group's runs show."""
     kept = thumbnails_of(group, found.chosen)
     if kept is None or group.runs[0].view is None:
@@ -39,12 +39,10 @@ def _frames_of(group: DatasetRuns, found: ReportData) -> Thumbnails | None:
     return replace(kept, **{name: tuple(getattr(kept, name)[i] for i in shown) for name in ("query_names", "queries")})
 
 
-def write_page(
-    found: ReportData, drawings: Iterable[tuple[str, Drawing]], path: Path, absent: Sequence[str] = ()
-) -> Path:
-    """Write the page of a table, titled as the table if that is not the paper's, with these figures; returns `path`.
+def write_page(found: Report, drawings: Iterable[tuple[str, Drawing]], path: Path, absent: Sequence[str] = ()) -> Path:
+    """Write the page of a table with these figures; returns `path`.
 
-    `absent` says of each figure that is not drawn why.
+    The page has the title of the table, if that is its own. `absent` says of each figure that is not drawn why.
     """
     from vprbench.report.figures.style import render_png
     from vprbench.report.page.page import TITLE, Picture, Section, page

@@ -1,1 +1,1 @@
-"""Table II: stored runs become rows, and rows become Markdown, CSV, LaTeX and HTML."""
+"""Stored runs become rows, and rows become Markdown, CSV, LaTeX and HTML."""

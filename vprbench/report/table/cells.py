@@ -1,7 +1,7 @@
 """The cells of a table, before any format: measured and published numbers, with remarks.
 
 They are one frame: the frame of the runs that rows show (`vprbench.runs.frame`), grouped by row, column and device, and
-put beside the numbers that the paper printed. Remarks are short codes, or fixed words of the plan.
+put beside published numbers. Remarks are short codes, or fixed words of the plan.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from typing import Any, Literal
 import pandas as pd
 
 from vprbench.metrics.accuracy import recall_at
-from vprbench.report.plan import Plan, Row
-from vprbench.report.published import read_published_numbers
+from vprbench.report.plan import PlanFile, Row
+from vprbench.report.published import Published
 from vprbench.report.selection import (
     DEVICES,
     DatasetRuns,
@@ -50,17 +50,17 @@ Mark = Literal[
 FACTS = (
     *("row", "column", "quantity"),  # their names
     "mark",  # "measured", or the word for a cell without a number (`Mark`)
-    "value",  # over the seeds: the mean, of minutes and seconds of a fit the median; where mark is "quoted" the paper's
+    "value",  # over the seeds: the mean, of minutes and seconds of a fit the median; the published one of a quoted cell
     *("low", "high", "interval", "block"),  # of accuracies per query: 95 % over the queries, kind, queries a block
     *("elsewhere", "elsewhere_low", "elsewhere_high", "elsewhere_spread"),  # of an accuracy, on places not tuned on
     "spread",  # standard deviation over the seeds; None for one
     "seeds",  # those that were measured
     "total",  # of training: with waiting for the images
-    "at_boundary",  # of rates: of the step alone that the paper timed
+    "at_boundary",  # of rates: of the step alone whose rate is published
     "best",  # a paired test separates it from every other row
     "disturbed",  # the machine did other things meanwhile, or the laps were too few
     "machine",  # which of the table's machines, from 0
-    *("published", "published_mark"),  # mark "none": the paper has no such cell
+    *("published", "published_mark"),  # mark "none": no such cell is published
     "difference",  # measured, of the same step, less published; None on other data
     "notes",  # numbers, from 1, into the table's notes
 )
@@ -83,7 +83,7 @@ class Column:
     n_queries: int | None
     protocol: str  # in words
     stand_in_for: str | None  # the title of the real dataset that a rendered one stands in for
-    published: str | None = None  # the dataset of the paper's table
+    published: str | None = None  # its name in the published table
     remark: str | None = None  # fixed words on the data
 
 
@@ -97,13 +97,14 @@ class Table:
     notes: tuple[str, ...]  # remarks on cells; note n is notes[n - 1]
     machines: tuple[str, ...]  # one line each
     quantities: tuple[Quantity, ...] = QUANTITIES
-    title: str | None = None  # None: Table II, whose spiking rows stand apart
+    title: str | None = None  # None: of the published table, whose spiking rows stand apart
     n_aside: int = 0  # stored runs of its rows that it does not show
+    published: Published | None = None  # the table that it stands beside
 
     @property
     def heading(self) -> str:
         """Return the title above it."""
-        return "Table II" if self.title is None else self.title
+        return self.title or (self.published.title if self.published else "Runs")
 
 
 @dataclass(frozen=True)
@@ -130,15 +131,15 @@ class _Entry:
 def assemble_table(
     groups: Sequence[DatasetRuns],
     rows: Sequence[Row],
-    plan: Plan,
+    plan: PlanFile,
     slow: Collection[tuple[str, str]] = (),
     quantities: tuple[Quantity, ...] = QUANTITIES,
     title: str | None = None,
 ) -> Table:
     """Return the table of some rows, a group of columns for each group of runs, one for each of the quantities.
 
-    `slow` holds the column and row of cells that are left out for their number of places. Under a `title` other than
-    the paper's the rows stay in their order.
+    `slow` holds the column and row of cells that are left out for their number of places. Under a `title` of their
+    own the rows stay in their order.
     """
     columns = tuple(_describe_column(group, groups, plan) for group in groups)
     ordered = tuple(sorted(rows, key=lambda row: title is None and row.spiking))
@@ -155,15 +156,15 @@ def assemble_table(
         for quantity in quantities:
             best = _find_best(entries, quantity)
             for entry in entries:
-                cell = _make_cell(entry, column, quantity, (column.name, entry.row.name) in slow)
+                cell = _make_cell(entry, column, quantity, plan.published, (column.name, entry.row.name) in slow)
                 cells[entry.row.name, column.name, quantity.name] = {**cell, "best": best == entry.row.name}
     made = [cells[row.name, column.name, one.name] for row in ordered for column in columns for one in quantities]
     notes, machines = _number_notes_and_machines(made)
     frame = pd.DataFrame(made, columns=[*FACTS], dtype=object)
-    return Table(frame, columns, ordered, notes, machines, quantities, title, n_aside)
+    return Table(frame, columns, ordered, notes, machines, quantities, title, n_aside, plan.published)
 
 
-def _describe_column(group: DatasetRuns, groups: Sequence[DatasetRuns], plan: Plan) -> Column:
+def _describe_column(group: DatasetRuns, groups: Sequence[DatasetRuns], plan: PlanFile) -> Column:
     planned = group.column.planned
     real = plan.columns[planned.stand_in_for].title if planned.stand_in_for else None
     known = (real, planned.published, planned.remark)
@@ -189,13 +190,15 @@ def _find_best(entries: Sequence[_Entry], quantity: Quantity) -> str | None:
     return quantity.best(contest)
 
 
-def _make_cell(entry: _Entry, column: Column, quantity: Quantity, is_slow: bool) -> dict[str, Any]:
+def _make_cell(
+    entry: _Entry, column: Column, quantity: Quantity, published: Published | None, is_slow: bool
+) -> dict[str, Any]:
     """Return one cell, its notes as text and its machine by name and day."""
     row, found, facts = entry.row, entry.choose_runs(quantity), entry.select_facts(quantity)
-    dataset = "" if entry.group.view else column.published or ""  # the paper has no views
-    paper = read_published_numbers().get((row.name, dataset), {})
-    value = paper.get(quantity.name)
-    mark = "none" if quantity.name not in paper else "not applicable" if value is None else "measured"
+    dataset = "" if entry.group.view else column.published or ""  # no number of a view is published
+    printed = published.numbers.get((row.name, dataset), {}) if published else {}
+    value = printed.get(quantity.name)
+    mark = "none" if quantity.name not in printed else "not applicable" if value is None else "measured"
     cell: dict[str, Any] = {**dict.fromkeys(FACTS), "row": row.name, "column": column.name, "quantity": quantity.name}
     cell |= {"mark": "not applicable", "published": value, "published_mark": mark, "disturbed": False, "notes": []}
     if (source := quantity.find_source(row)) != "measured":

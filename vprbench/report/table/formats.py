@@ -101,7 +101,7 @@ _HTML = _Markup(
 
 
 def lay_out(table: Table, columns: Sequence[Column], markup: _Markup) -> pd.DataFrame:
-    """Return the cells of some columns as text, a line for each row, the paper's numbers below those measured.
+    """Return the cells of some columns as text, a line for each row, published numbers below measured ones.
 
     The columns have two levels, the title of the dataset and the heading of the quantity.
     """
@@ -135,7 +135,7 @@ def _write_cell(cell: Any, markup: _Markup, several_machines: bool) -> str:
 
 
 def to_markdown(table: Table) -> str:
-    """Return a table as Markdown: one table for each dataset, the paper's line below each row."""
+    """Return a table as Markdown: one table for each dataset, published numbers in a line below each row."""
     units, *facts = map(escape_markdown, words.list_facts(table))
     parts = [f"# {escape_markdown(table.heading)}", units]
     for column in table.columns:
@@ -214,7 +214,7 @@ def to_csv(table: Table) -> str:
     """Return a table as CSV: one line for each row, dataset and quantity, with unrounded numbers.
 
     `value` is the quoted one where `mark` says so, `elsewhere` that on places that the row was not tuned on. `total`,
-    of training, takes in the reading of the images, `at_boundary`, of rates, is of the step alone that the paper timed.
+    of training, takes in the reading of the images; `at_boundary`, of rates, is of the step whose rate is published.
     Seeds are separated by spaces, notes by "; ".
     """
     cells = table.cells.copy()

@@ -1,4 +1,4 @@
-"""`make table`: Table II from stored runs, those that are missing made first."""
+"""The table of a plan from stored runs; missing runs are made first."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 from vprbench.jobs.executors import choose_executor
 from vprbench.jobs.job import JobResult
-from vprbench.report.gather import ReportData, load_stored_runs, make_report_data, resolve_plan
+from vprbench.report.gather import Report, load_stored_runs, make_report, resolve_plan
 from vprbench.report.run_options import TableRequest
 from vprbench.report.table import formats
 from vprbench.runs import frame
@@ -21,14 +21,14 @@ from vprbench.terminal.console import console
 def make_table(request: TableRequest, options: Sequence[str]) -> int:
     """Print the table and write it as Markdown, CSV and LaTeX; returns the exit code, 1 where a cell failed.
 
-    Figures and page follow where the request has them. The runs of Figure 2c are made for the figures alone.
+    Figures and page follow where the request has them. The runs of growth are made for the figures alone.
     """
     from vprbench.report.figures.make import list_growth_columns, print_figures, run_growth  # takes long
     from vprbench.report.page.make import print_page
 
     chosen = resolve_plan(request)
     with choose_executor(request) as executor:
-        found = make_report_data(chosen, options, executor)
+        found = make_report(chosen, options, executor)
         growth = list_growth_columns(found) if request.figures or request.page else []
         results = [*found.job_results, *(run_growth(found, growth, options, executor) if request.figures else [])]
     if request.figures:
@@ -46,7 +46,7 @@ def make_table(request: TableRequest, options: Sequence[str]) -> int:
     return choose_exit_code(results)
 
 
-def write_table(found: ReportData, folder: Path, name: str) -> list[Path]:
+def write_table(found: Report, folder: Path, name: str) -> list[Path]:
     """Write the table in its three formats, and all numbers of the runs behind it; returns the files."""
     Store(folder).prepare()
     runs = [run for group in found.groups for run in group.runs]

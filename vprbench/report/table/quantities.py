@@ -21,7 +21,7 @@ TRAINING_TIME = (  # of the table, the page and the README
 
 Kind = Literal[
     "accuracy",  # of the answers, on the device with the most seeds
-    "training",  # the step that the paper times, quoted of networks that come trained
+    "training",  # the step whose time is published, quoted of networks that come trained
     "fit",  # of every row, whatever it does there
     "rate",
     "memory",
@@ -33,7 +33,7 @@ TIMES: tuple[Kind, ...] = ("training", "fit", "rate")
 class Quantity:
     """A column of the table: a fact of the frame of runs (`vprbench.runs.frame`), over the seeds of a row."""
 
-    name: str  # in the CSV, and of the paper's numbers
+    name: str  # in the CSV, and in that of published numbers
     head: str
     unit: str
     fact: str  # column of the frame of runs; a run without a time is not shown
@@ -82,12 +82,12 @@ def _make_rate(name: str, head: str, device: Device) -> Quantity:
 RECALL = _make_accuracy("recall_at_1")
 TRAINING = (_make_training("train_cpu", "train CPU", "cpu"), _make_training("train_gpu", "train GPU", "cuda"))
 RATES = (_make_rate("query_cpu", "query CPU", "cpu"), _make_rate("query_gpu", "query GPU", "cuda"))
-#: Those of the paper, in its order.
+#: Of a table, in its order.
 QUANTITIES: tuple[Quantity, ...] = (RECALL, TRAINING[0], RATES[0], TRAINING[1], RATES[1])
 
 
 def list_quantities(metrics: Sequence[str], devices: Collection[Device] = DEVICES) -> tuple[Quantity, ...]:
-    """Return the columns of a table: those of the paper, times on these devices, and `metrics` by their names."""
+    """Return the columns of a table: recall and times on these devices, and `metrics` by their names."""
     return (*(one for one in QUANTITIES if one.device is None or one.device in devices), *_list_more(metrics))
 
 

@@ -6,7 +6,6 @@ from typing import Any
 
 import pandas as pd
 
-from vprbench.report.published import PAPER, PAPER_CPU, PAPER_GPU, PROTOCOLS
 from vprbench.report.table.cells import Column, Table
 from vprbench.report.table.quantities import RATES, TRAINING, TRAINING_TIME, Quantity
 from vprbench.runs.frame import iterate_rows
@@ -37,7 +36,7 @@ def describe_cells(table: Table) -> pd.DataFrame:
 
     - `absence`: "failed", "-" ..., empty for a number
     - `text`: the number, empty for none; `extent`: its spread, interval, and in brackets with waiting for images
-    - `printed`: the paper's number, in brackets the rate of the same step here and the difference; empty for none
+    - `printed`: the published number, in brackets the rate of the same step here and the difference; empty for none
     """
     by_name = {quantity.name: quantity for quantity in table.quantities}
     boundaries = {row.name: row.boundary for row in table.rows}
@@ -76,12 +75,13 @@ def list_machines(table: Table) -> list[str]:
 
 def list_facts(table: Table) -> list[str]:
     """Return the legend of a table: units and sources of its numbers, then fixed words on its marks."""
-    is_papers = any(table.cells["published_mark"] != "none")
+    published = table.published if any(table.cells["published_mark"] != "none") else None
     units = ", ".join(f"{quantity.head} in {quantity.unit}" for quantity in table.quantities if quantity.unit)
-    facts = [f"{units}; line paper: {PAPER}, measured on {PAPER_CPU} and {PAPER_GPU}." if is_papers else f"{units}."]
-    if is_papers:
-        shown = dict.fromkeys(column.published for column in table.columns)
-        facts += [f"Paper, {name}: {PROTOCOLS[name]}." for name in shown if name in PROTOCOLS]
+    facts = [f"{units}."]
+    if published is not None:
+        facts = [f"{units}; line paper: {published.source}, measured on {published.cpu} and {published.gpu}."]
+        shown = dict.fromkeys(column.published for column in table.columns if column.published in published.protocols)
+        facts += [f"Paper, {name}: {published.protocols[str(name)]}." for name in shown]
     facts += [f"{c.title} is rendered and stands in for {c.stand_in_for}." for c in table.columns if c.stand_in_for]
     facts += dict.fromkeys(column.remark for column in table.columns if column.remark is not None)
     if table.n_aside:
@@ -91,7 +91,7 @@ def list_facts(table: Table) -> list[str]:
     if any(quantity in TRAINING for quantity in table.quantities):
         facts.append(f"Training: {TRAINING_TIME[0].lower()}{TRAINING_TIME[1:]}")
     facts += [_RATE_WORDS] if any(quantity in RATES for quantity in table.quantities) else []
-    return [*facts, _MARK_WORDS, *(_PAPER_WORDS if is_papers else ())]
+    return [*facts, _MARK_WORDS, *(_PAPER_WORDS if published else ())]
 
 
 def _describe_extent(cell: Any, quantity: Quantity) -> str:
@@ -114,7 +114,7 @@ def _describe_range(
 
 
 def _describe_beside(cell: Any, boundary: str | None, quantity: Quantity) -> str:
-    """Return in brackets the rate of the step alone that the paper timed, and the measured number less the printed."""
+    """Return in brackets the rate of the published step alone, and the measured number less the printed."""
     parts = [] if cell.at_boundary is None else [f"{boundary} alone here: {quantity.text(cell.at_boundary)}"]
     if cell.difference is not None:
         size = quantity.text(abs(cell.difference))
