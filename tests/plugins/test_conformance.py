@@ -143,6 +143,10 @@ def fail_on_black(codes, images):
     return codes
 
 
+def answer_unfitted(method, codes):
+    return np.zeros((len(codes), 20), np.float32) if method._means is None else Pixels.match(method, codes)
+
+
 def count_on(codes):
     codes += 1
     return codes
@@ -171,6 +175,7 @@ WRONG: dict[str, list[type[Pixels]]] = {
         wrong("ReturnsNothing", fit=lambda *given: Pixels.fit(*given) and None),
         wrong("FitsOnce", fit=lambda self, *given: Pixels.fit(self, *given) if self._means is None else self),
     ],
+    "query before fit raises NotFittedError": [wrong("AnswersUnfitted", match=answer_unfitted)],
     "arrays that were given or returned are never modified": [
         encoding("WritesOnImages", write_on),
         wrong("WritesOnCodes", match=lambda self, codes: Pixels.match(self, count_on(codes))),

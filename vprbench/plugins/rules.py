@@ -15,6 +15,7 @@ from safetensors import numpy as safetensors
 from vprbench.api.arrays import Image, Places, Scores
 from vprbench.api.images import Images
 from vprbench.api.method import Method, require_codes
+from vprbench.errors import NotFittedError
 from vprbench.plugins.networks import keeps_a_network
 from vprbench.storage.tensors import plain
 
@@ -103,6 +104,14 @@ def _check_second_fit(subject: Subject) -> None:
     require(returned is method, f"fit returned a {type(returned).__name__}: end it with return self")
     fresh, queries = subject.fit_new(seed=2), Images.from_arrays(world.queries)
     _require_same(method.query(queries), fresh.query(queries), "after an earlier fit the scores differ")
+
+
+def _check_unfitted(subject: Subject) -> None:
+    try:
+        subject.make().query(subject.queries)
+    except NotFittedError:
+        return
+    require(False, "query before fit raised no NotFittedError")
 
 
 def _check_arrays_unchanged(subject: Subject) -> None:
@@ -240,6 +249,7 @@ RULES: dict[str, Rule] = {
     "the constructor only stores its arguments": Rule(_check_constructor),
     ENCODE_RULE: Rule(_check_codes),
     "fit forgets an earlier fit and returns the method": Rule(_check_second_fit),
+    "query before fit raises NotFittedError": Rule(_check_unfitted),
     "arrays that were given or returned are never modified": Rule(_check_arrays_unchanged),
     "the same seed gives the same scores": Rule(_check_seed),
     "a batch gives what its single images give": Rule(_check_batches, _excuse_adaptation),
