@@ -48,7 +48,7 @@ def run(options: list[str]) -> int:
     """
     from vprbench.config import make_request, show_config, split_sweep
     from vprbench.jobs.child import run_in_child
-    from vprbench.jobs.job import failure_of, make_run
+    from vprbench.jobs.job import make_run
     from vprbench.jobs.options import ClusterOptions
     from vprbench.jobs.sweep import run_sweep
     from vprbench.runs.store import Store
@@ -76,8 +76,8 @@ def run(options: list[str]) -> int:
         result = make_run(request, say) if request.limit_minutes is None else run_in_child(request.to_json())
         if result.printed:
             say(result.printed)
-        if result.code == 1:
-            store.try_to_save_failure(failure_of(request, result))
+        if result.failure is not None and result.code == 1:
+            store.try_to_save_failure(result.failure)
     return result.code
 
 
@@ -163,15 +163,15 @@ def doctor(options: list[str]) -> int:
 
 def show_status(words: list[str]) -> int:
     """Show which runs of a results folder are made now and by whom, and how many are stored."""
-    from vprbench.runs.run_lock import StatusOptions, row, status
+    from vprbench.runs.status import StatusOptions, format_row, read_status
 
     settings = parse_options(StatusOptions, words, {})
-    found = status(settings.results)
+    found = read_status(settings.results)
     if settings.output == "json":
         print(json.dumps(found))
         return 0
     print(printable("{results}: {runs} runs and {failures} failures are stored".format(**found)))
-    lines = [row(claim) for claim in found["claims"]]
+    lines = [format_row(claim) for claim in found["claims"]]
     rows = [[*line.values()] for line in lines]
     is_wide = settings.wide or not console().is_terminal
     print(table_text([*lines[0]], rows, is_wide) if lines else "no run is being made")
@@ -262,7 +262,7 @@ def search(options: list[str]) -> int:
     Store(folder).prepare()
     with progress_shown("search"):
         found = search_settings(settings, request.method, request.dataset)
-    print(text.write(found, folder), end="")
+    print(text.write_report(found, folder), end="")
     return 0
 
 
@@ -286,7 +286,7 @@ COMMANDS: dict[str, Command] = {
     "check": Command(check, takes=("method", "dataset", "device", "threads", "seed")),
     "new": Command(new, "vprbench.plugins.new:Settings", words="method|dataset NAME"),
     "doctor": Command(doctor, takes=("dataset", "output")),
-    "status": Command(show_status, "vprbench.runs.run_lock:StatusOptions"),
+    "status": Command(show_status, "vprbench.runs.status:StatusOptions"),
     "fetch": Command(fetch, "vprbench.data.fetch.command:Settings", words="[NAME]"),
     "table": Command(table, "vprbench.report.run_options:TableRequest", ("timing", ALL)),
     "figures": Command(figures, _FOLDER),

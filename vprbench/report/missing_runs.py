@@ -13,7 +13,7 @@ from typing import Any
 from vprbench.config import make_request
 from vprbench.errors import BadInput
 from vprbench.jobs.executors import Executor, Numbered, run_all
-from vprbench.jobs.job import JobResult, failure_of
+from vprbench.jobs.job import JobResult, describe_failure
 from vprbench.plugins import registry
 from vprbench.report.plan import Row
 from vprbench.report.stored_runs import StoredRuns
@@ -106,9 +106,10 @@ def make_missing_runs(wanted: Sequence[Cell], store: Store, executor: Executor |
         cell = wanted[number]
         results[number] = result
         is_known = (cell.row.name, cell.column) in missing
-        if result.code and not is_known and not isinstance(cell.request.corruption, list):  # of several each is retried
+        is_retried = isinstance(cell.request.corruption, list)  # each of the corruptions in a process of its own
+        if result.failure is not None and not is_known and not is_retried:
             store.prepare()
-            store.save_failure(failure_of(cell.request, result))
+            store.save_failure(result.failure)
         if result.missing:
             missing[cell.row.name, cell.column] = result
         if table is not None:
@@ -138,7 +139,7 @@ def _end_without_process(cell: Cell, stored: StoredRuns) -> JobResult | None:
     if entry is not None and cell.request.device != "cpu" and "device" not in entry.options:
         return JobResult(0)
     if cell.error:
-        return JobResult(2, cell.error, missing=cell.missing)
+        return JobResult(2, describe_failure(cell.request, cell.error, cell.missing))
     return JobResult(0) if stored.holds(cell.request) else None
 
 

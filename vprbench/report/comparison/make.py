@@ -13,8 +13,8 @@ import pandas as pd
 from vprbench.api.dataset import Dataset
 from vprbench.errors import BadInput
 from vprbench.jobs.child import start_server
-from vprbench.jobs.executors import executor_for
-from vprbench.jobs.job import JobResult, failure_of
+from vprbench.jobs.executors import choose_executor
+from vprbench.jobs.job import JobResult, describe_failure
 from vprbench.progress import progress_shown
 from vprbench.report.comparison.checks import Checked, SortedOptions, check_comparison, frames_of
 from vprbench.report.figures.make import draw_all, write_figures
@@ -108,7 +108,7 @@ def make_missing(
     planned = replace(found.column.planned, title=f"{found.column.planned.title}, {len(names)} corruptions")
     column = replace(found.column, planned=planned, corruption=names)
     untimed = [*(option for option in command.of_runs if not option.startswith("timing")), *_UNTIMED]
-    with executor_for(command.request) as executor:
+    with choose_executor(command.request) as executor:
         results = run_missing(chosen, [*list_cells(chosen, found.column, rows, options)], executor)
         together = [*list_cells(once, column, rows, untimed)] if names else []
         ended = run_missing(once, together, executor)
@@ -144,7 +144,7 @@ def report_comparison(
 ) -> Report:
     """Return the report of the stored runs of a comparison, best first; raises BadInput if there is no run."""
     left_out = [
-        failure_of(cell.request, JobResult(2, found.left_out[row.name], missing=True))
+        describe_failure(cell.request, found.left_out[row.name], missing=True)
         for row in found.rows
         if row.name in found.left_out
         for cell in list_cells(chosen, found.column, [row], ())
