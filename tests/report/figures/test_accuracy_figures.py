@@ -60,15 +60,41 @@ def test_precision_and_recall_of_four_queries_are_those_worked_by_hand():
     assert points(line) == [(0, 1), (0.25, 1), (0.5, 1), (0.5, pytest.approx(2 / 3)), (0.5, 0.5)]
     assert line.get_drawstyle() == "steps-pre"  # a step has the height of its right end
     assert line.get_label() == "SAD, AP 0.500"
+    alone = answering(np.eye(100, 10) / np.arange(1, 101)[:, None], [[0], *[[]] * 99])  # too few queries for a band
+    assert points(named_lines(draw_precision_recall([series("SAD", alone)]))[0])[1] == (1, 1)
 
 
-def test_each_seed_has_a_curve_and_the_label_the_mean_and_standard_deviation_of_their_areas():
+def test_the_curve_of_several_seeds_is_their_mean_as_far_as_all_reach():
     first = answers([0.9, 0.8, 0.7, 0.6], [True, True, False, True])  # precision 1, 1, 3/4 at recall 1/4, 1/2, 3/4
     second = answers([0.9, 0.8, 0.7, 0.6], [False, True, True, False])  # precision 1/2, 2/3 at recall 1/4, 1/2
     drawn = draw_precision_recall([series("VPRTempo", first, second)])
-    assert [points(line)[-1] for line in panel(drawn).lines] == [(0.75, 0.75), (0.5, 0.5)]
+    (mean,) = named_lines(drawn)
+    assert points(mean) == [(0, 1), (0.25, pytest.approx(3 / 4)), (0.5, pytest.approx(5 / 6))]
+    assert [points(line)[-1] for line in panel(drawn).lines if line is not mean] == [(0.75, 0.75), (0.5, 0.5)]
     # AP (1 + 1 + 3/4) / 4 = 0.6875 and (1/2 + 2/3) / 4 = 0.2917: mean 0.4896, standard deviation 0.2799
-    assert [line.get_label() for line in named_lines(drawn)] == ["VPRTempo, AP 0.490 ± 0.280"]
+    assert mean.get_label() == "VPRTempo, AP 0.490 ± 0.280"
+    assert len(panel(drawn).collections) == 0  # no band of queries
+
+
+def test_the_band_of_one_run_holds_its_curve_and_ends_before_it():
+    """The share of right answers is 60 % of 400 queries: some resamples have fewer."""
+    drawn = draw_precision_recall([series("SAD", run("sad", share=0.6, n_queries=400))])
+    recall, precision = np.array(points(named_lines(drawn)[0])).T
+    edges = band(drawn)
+    assert 0.5 < max(edges) < recall[-1] == pytest.approx(0.6)
+    for x, (low, high) in edges.items():
+        assert low - 1e-9 <= precision[np.argmax(recall >= x - 1e-12)] <= high + 1e-9
+    without_an_error = band(draw_precision_recall([series("SAD", run("sad", share=1.0))]))
+    assert (max(without_an_error), {*without_an_error.values()}) == (1, {(1, 1)})
+
+
+def test_the_band_of_independent_queries_is_as_wide_as_95_percent_of_their_waiting_times():
+    """One in two is right, so r n right ones take 2 r n answers, give or take the root of 2 r n (negative binomial)."""
+    random, n = np.random.default_rng(0), 800
+    made = answers(random.random(n).tolist(), (random.random(n) < 0.5).tolist())
+    edges = band(draw_precision_recall([series("SAD", made)]))
+    ratios = [(high - low) / (0.5 / (2 * x * n) ** 0.5) for x, (low, high) in edges.items() if 0.1 < x < 0.4]
+    assert np.mean(ratios) == pytest.approx(2 * 1.96, rel=0.12)
 
 
 def test_recalls_are_those_worked_by_hand_with_wilsons_interval_and_count_ties_by_their_expected_value():
@@ -93,12 +119,13 @@ def test_tolerances_begin_at_that_of_the_protocol_in_places_and_otherwise_count_
 
 
 @pytest.mark.parametrize("draw", [draw_recall_at_n, draw_recall_at_tolerance])
-def test_several_seeds_are_the_line_of_their_mean_with_the_interval_of_the_mean_hits(draw):
+def test_several_seeds_are_thin_lines_around_their_mean_with_the_interval_of_the_mean_hits(draw):
     drawn = draw([series("VPRTempo", *(run(share=share, seed=i) for i, share in enumerate((0.25, 0.55, 0.7))))])
     (mean,) = named_lines(drawn)
     x, y = points(mean)[0]
     assert y == pytest.approx(50)
     assert band(drawn)[x] == pytest.approx((35.20, 64.80), abs=0.01)  # Wilson's interval of 20 of 40
+    assert [points(line)[0][1] for line in panel(drawn).lines if line is not mean] == pytest.approx([25, 55, 70])
 
 
 def test_sequences_have_their_recall_at_each_length_and_the_caption_counts_the_queries():

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from math import ceil
 from statistics import mean
 from textwrap import fill
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from vprbench.metrics.accuracy import Values, average_precision, hits_at, hits_within, pr_curve
+from vprbench.metrics.accuracy import PRCurve, Values, average_precision, hits_at, hits_within, pr_curve
 from vprbench.metrics.catalogue import Metric
-from vprbench.metrics.intervals import share_interval
+from vprbench.metrics.intervals import block_length, share_interval
 from vprbench.report.figures import style
 from vprbench.report.figures.captions import INTERVALS, choose_answerable, choose_runs, describe_runs
 from vprbench.report.figures.style import Drawing, Look, add_legend, choose_looks, new_figure, use_style
@@ -23,12 +26,17 @@ from vprbench.runs.corruption import KINDS
 from vprbench.runs.recall_intervals import order_along_journey
 from vprbench.runs.record import Run
 from vprbench.runs.rows import describe_sequence
-from vprbench.runs.views import window_of
+from vprbench.runs.views import select_queries, window_of
 
 LARGEST_N = 25
 LARGEST_WIDENING = 10  # places to either side
 
 _HEIGHT_MM = 64.0  # without the legend
+_RESAMPLES = 500
+_GRID_POINTS = 200  # recalls at which resampled curves are compared
+_ENDED = 0.05  # of the resampled curves; beyond, only the better ones would be left
+_THIN: dict[str, Any] = {"linewidth": 0.4, "alpha": 0.6}  # of a single seed
+_SEEDS = "thin lines, their mean is thick"
 _LETTERS = 26  # of a line of a row's name
 _COLUMNS = 4  # of panels of corruptions
 _MOST_BANDS = 3  # more would hide one another
@@ -36,30 +44,36 @@ _MOST_BANDS = 3  # more would hide one another
 
 @use_style
 def draw_precision_recall(series: Sequence[MethodRuns]) -> Drawing:
-    """Draw the precision-recall curves over the answerable queries (curve A), one for each seed.
+    """Draw the precision-recall curves over the answerable queries (curve A).
 
-    The area under a drawn curve, which goes in steps, is its average precision. Raises BadInput if no query has a right
-    place.
+    The area under a drawn curve, which goes in steps, is its average precision. A single seed has a band from the
+    block bootstrap of its queries; several seeds are thin lines around their mean, which ends where the first of
+    them does. Raises BadInput if no query has a right place.
     """
     series = choose_answerable(series)
     figure, (axes,) = new_figure(style.SINGLE_MM, _HEIGHT_MM, grid=True)
     looks = choose_looks(row.name for row in series)
     for row in series:
+        look = looks[row.name]
         curves = [curve for run in row.runs if (curve := pr_curve(run.outcome, "A"))]
+        recall, precision = _average_curves(curves)
+        if len(curves) > 1:
+            for curve in curves:
+                axes.step(curve.recall, curve.precision, color=look.colour, **_THIN)
+        else:
+            _fill_band(axes, look, *_resample_precision(row.runs[0], float(recall[-1])))
         areas = [average_precision(curve) for curve in curves]
-        label = f"{row.name}, AP {np.mean(areas):.3f}" + (f" ± {np.std(areas, ddof=1):.3f}" if len(areas) > 1 else "")
-        for curve in curves:
-            axes.step(
-                curve.recall, curve.precision, label=label, markevery=[len(curve.recall) - 1], **looks[row.name].of_line
-            )
-            label = ""
+        spread = f" ± {np.std(areas, ddof=1):.3f}" if len(areas) > 1 else ""
+        label = f"{row.name}, AP {np.mean(areas):.3f}{spread}"
+        axes.step(recall, precision, label=label, markevery=[len(recall) - 1], **look.of_line)
     axes.set(xlabel="Recall", ylabel="Precision", xlim=(0, 1.03), ylim=(0, 1.03))
     add_legend(figure)
     caption = (
-        "Precision-recall curves of the best match of each query, one for each seed; recall is over the queries with a "
-        "right place (curve A). AP: the area under the steps, of several seeds ± standard deviation. "
+        "Precision-recall curves of the best match of each query; recall is over the queries with a right place (curve "
+        "A). AP: the area under the steps. Band of a single run: 95 % interval of precision, block bootstrap of "
+        f"{_RESAMPLES} resamples. Several seeds: {_SEEDS}; AP ± standard deviation. {describe_runs(series)}"
     )
-    return Drawing(figure, caption + describe_runs(series))
+    return Drawing(figure, caption)
 
 
 @use_style
@@ -74,8 +88,11 @@ def draw_recall_at_n(series: Sequence[MethodRuns]) -> Drawing:
     figure = _draw_recalls(series, numbers, lambda run: np.stack([hits_at(run.outcome, n) for n in numbers]))
     ticks = [n for n in numbers if n == 1 or n % 5 == 0]
     figure.axes[0].set(xlabel="Best places looked at, N", ylabel="Recall at N (%)", xticks=ticks)
-    caption = "Recall at N: share of all queries with a right place among the N best; ties count by expected value."
-    return Drawing(figure, f"{caption} {_describe_recalls(series)}")
+    caption = (
+        "Recall at N: share of all queries with a right place among the N best; ties count by expected value. "
+        f"{_describe_recalls(series)}"
+    )
+    return Drawing(figure, caption)
 
 
 @use_style
@@ -148,22 +165,20 @@ def draw_metric(series: Sequence[MethodRuns], metric: Metric) -> Drawing:
 @use_style
 def draw_robustness(robustness: Robustness) -> Drawing:
     """Draw R@1 of each row from clean frames to the strongest corruption, of few rows with its 95 % interval."""
-    n_columns = min(_COLUMNS, len(robustness.kinds))
-    n_lines = ceil(len(robustness.kinds) / n_columns)
-    size = style.DOUBLE_MM * n_columns / _COLUMNS, 46.0 * n_lines
-    figure, panels = new_figure(*size, n_lines, n_columns, grid=True, sharey=True)
+    columns = min(_COLUMNS, len(robustness.kinds))
+    n_lines = ceil(len(robustness.kinds) / columns)
+    figure, panels = new_figure(style.DOUBLE_MM * columns / _COLUMNS, 46.0 * n_lines, n_lines, columns, grid=True)
     with_bands = len(robustness.clean) <= _MOST_BANDS
-    for axes, (kind, strengths) in zip(panels, robustness.kinds.items(), strict=False):
+    for number, (axes, (kind, strengths)) in enumerate(zip(panels, robustness.kinds.items(), strict=False)):
         for name, look in choose_looks(row.name for row in robustness.clean).items():
             points = robustness.of(name, kind)
             shares = 100 * points[["recall_at_1", "low", "high"]].astype(float).to_numpy().T
             _draw_curve(axes, look, name, [*points["strength"]], *shares[: 3 if with_bands else 1])
-        ticks = ["clean", *(KINDS[kind].short([strength]) for strength in strengths)]
-        axes.set(title=kind.capitalize(), xlim=(-0.2, max(strengths) + 0.2))
-        axes.set_xticks([0, *strengths], ticks)
-    panels[0].set_ylim(0, 10 * ceil(10 * max(robustness.points["high"])))
-    for axes in panels[::n_columns]:
-        axes.set_ylabel("Recall at 1 (%)")
+        ticks = {0: "clean", **{strength: KINDS[kind].short([strength]) for strength in strengths}}
+        axes.set(title=kind.capitalize(), xlim=(-0.2, max(ticks) + 0.2))
+        axes.set(ylim=(0, 10 * ceil(10 * max(robustness.points["high"]))))
+        axes.set_xticks([*ticks], [*ticks.values()])
+        axes.set_ylabel("" if number % columns else "Recall at 1 (%)")
     for axes in panels[len(robustness.kinds) :]:
         axes.set_visible(False)
     add_legend(figure)
@@ -176,15 +191,17 @@ def draw_robustness(robustness: Robustness) -> Drawing:
 
 
 def _describe_recalls(series: Sequence[MethodRuns]) -> str:
-    return f"Bands: {INTERVALS}, of several seeds of their mean hits. {describe_runs(series)}"
+    return f"Bands: {INTERVALS}. Several seeds: {_SEEDS}; the band is of mean hits. {describe_runs(series)}"
 
 
 def _draw_recalls(series: Sequence[MethodRuns], xs: Sequence[int], hits: Callable[[Run], Values]) -> Figure:
     """Draw the mean of `hits` (len(xs), n_queries) of each row over `xs`, in percent, with its interval."""
     figure, (axes,) = new_figure(style.SINGLE_MM, _HEIGHT_MM, grid=True)
-    for name, look in choose_looks(row.name for row in series).items():
-        (runs,) = (row.runs for row in series if row.name == name)
-        _draw_curve(axes, look, name, xs, *_measure_recalls(runs, hits))
+    looks = choose_looks(row.name for row in series)
+    for row in series:
+        for run in row.runs if len(row.runs) > 1 else ():
+            axes.plot(xs, 100 * hits(run).mean(axis=1), color=looks[row.name].colour, **_THIN)
+        _draw_curve(axes, looks[row.name], row.name, xs, *_measure_recalls(row.runs, hits))
     axes.set_ylim(10 * (max(axes.dataLim.y0, 0) // 10), 102)
     add_legend(figure)
     return figure
@@ -205,6 +222,41 @@ def _measure_recalls(runs: Sequence[Run], hits: Callable[[Run], Values]) -> tupl
 def _draw_curve(axes: Axes, look: Look, name: str, xs: Sequence[int], ys: Values, *band: Values) -> None:
     """Draw a row's curve with the two ends of its band, none where an end is NaN; of many points few have a marker."""
     if band and not np.isnan(band).any():
-        axes.fill_between(xs, band[0], band[1], color=look.colour, alpha=0.15, linewidth=0)
+        _fill_band(axes, look, xs, *band)
     marked = [i for i, x in enumerate(xs) if len(xs) <= LARGEST_WIDENING + 1 or x == 1 or x % 5 == 0]
     axes.plot(xs, ys, label=name, markevery=marked, **look.of_line)
+
+
+def _fill_band(axes: Axes, look: Look, xs: npt.ArrayLike, low: npt.ArrayLike, high: npt.ArrayLike) -> None:
+    axes.fill_between(xs, low, high, color=look.colour, alpha=0.15, linewidth=0)
+
+
+def _average_curves(curves: Sequence[PRCurve]) -> tuple[Values, Values]:
+    """Return the mean precision at every recall that a curve has, up to the first end of one, as steps."""
+    if len(curves) == 1:
+        return curves[0].recall, curves[0].precision
+    recall = np.unique(np.concatenate([curve.recall for curve in curves]))
+    recall = recall[recall <= min(curve.recall[-1] for curve in curves)]
+    return recall, np.mean([_precision_at(curve, recall) for curve in curves], axis=0)
+
+
+def _precision_at(curve: PRCurve, recall: Values) -> Values:
+    """Return the precision of a curve, in steps, at each of these recalls; NaN beyond its end."""
+    return np.append(curve.precision, np.nan)[np.searchsorted(curve.recall, recall)]
+
+
+def _resample_precision(run: Run, end: float) -> tuple[Values, Values, Values]:
+    """Return recalls up to `end` and the 95 % interval of precision there, by a circular block bootstrap."""
+    run = replace(run, scores=None)
+    random, order = np.random.default_rng(0), order_along_journey(run)
+    n, block = len(order), max(block_length(hits_at(run.outcome, 1)[order]), window_of(run))
+    grid = np.linspace(0, end, _GRID_POINTS)
+    precisions = np.full((_RESAMPLES, _GRID_POINTS), np.nan)
+    for precision in precisions:
+        starts = random.integers(n, size=(-(-n // block), 1))
+        queries = order[((starts + np.arange(block)) % n).ravel()[:n]]
+        if (curve := pr_curve(select_queries(run, queries, {}).outcome, "A")) is not None:
+            precision[:] = _precision_at(curve, grid)
+    reached = (grid == 0) | (np.isnan(precisions).mean(axis=0) <= _ENDED)
+    low, high = np.nanquantile(precisions[:, reached], [0.025, 0.975], axis=0)
+    return grid[reached], low, high

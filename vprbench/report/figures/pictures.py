@@ -17,11 +17,12 @@ from vprbench.runs.thumbnails import Thumbnails
 
 _SIDE = 28  # pixels of a patch-normalised frame
 _PATCH = 7
-_FRAME_MM = 28.0  # a row of frames
+_NARROWEST = 0.7  # of a frame's height, for the title of its column
+_FRAME_MM = 28.0  # highest row of frames
 _MARGIN_MM = 12.0  # for titles and labels
 _MOST_CELLS = 450  # along a side of a drawn matrix: each is still visible in print
 _PANEL_MM = 72.0  # longest side of a drawn matrix
-_FLATTEST = 0.4  # height over width of one
+_FLATTEST = 0.4  # shorter over longer side of one
 
 
 @use_style
@@ -42,9 +43,13 @@ def draw_frames(thumbnails: Thumbnails, title: str) -> Drawing:
         "Reference,\nnormalised": _normalise_patches(references),
         "Query,\nnormalised": _normalise_patches(queries),
     }
-    figure, axes = new_figure(
-        DOUBLE_MM, _FRAME_MM * len(examples) + _MARGIN_MM, len(examples), len(columns), width_ratios=(1.6, 1.6, 1, 1)
-    )
+    widths = [max(_NARROWEST, *(image.shape[1] / image.shape[0] for image in images)) for images in columns.values()]
+    height = min(_FRAME_MM, (DOUBLE_MM - _MARGIN_MM) / sum(widths))
+    width = min(DOUBLE_MM, height * sum(widths) + 2 * _MARGIN_MM)
+    figure, axes = new_figure(width, height * len(examples) + _MARGIN_MM, len(examples), len(columns))
+    grid = axes[0].get_gridspec()
+    assert grid is not None  # subplots always have one
+    grid.set_width_ratios(widths)
     for column, (name, images) in enumerate(columns.items()):
         for panel, image in zip(axes[column :: len(columns)], images, strict=True):
             panel.imshow(image, cmap="gray", vmin=0, vmax=255, interpolation="nearest" if column > 1 else "antialiased")
@@ -53,8 +58,8 @@ def draw_frames(thumbnails: Thumbnails, title: str) -> Drawing:
         axes[column].set_title(name)
     for panel, example in zip(axes[:: len(columns)], examples, strict=True):
         panel.set_ylabel(f"Place {example.place}\nquery {example.query}")
-    names = thumbnails.reference_names, thumbnails.query_names
-    pairs = [f"{names[0][example.place]} and {names[1][example.query]}" for example in examples]
+    places, asked = thumbnails.reference_names, thumbnails.query_names
+    pairs = [f"{places[example.place]} and {asked[example.query]}" for example in examples]
     caption = (
         f"Places of {title}, each with a query that shows it. Left: as stored. Right: VPRTempo's input, grey, "
         f"gamma-corrected, {_SIDE} x {_SIDE} pixels, normalised in patches of {_PATCH} x {_PATCH}. "
@@ -72,8 +77,10 @@ def draw_similarity(run: Run, name: str) -> Drawing:
     run did not keep its scores.
     """
     if run.scores is None:
-        size = f"{len(run.outcome):,} queries x {run.outcome.n_places:,} places"
-        raise BadInput(f"run {run.key} of {run.method} on {run.dataset} kept no scores ({size}): draw a smaller one")
+        raise BadInput(
+            f"run {run.key} of {run.method} on {run.dataset} did not keep its scores ({len(run.outcome):,} queries x "
+            f"{run.outcome.n_places:,} places): draw a run on a smaller dataset, and one view alone"
+        )
     n_queries, n_places = run.scores.shape
     truth = np.zeros(run.scores.shape, np.float32)
     for query, right in enumerate(run.positives):
@@ -86,9 +93,15 @@ def draw_similarity(run: Run, name: str) -> Drawing:
     for axes, (heading, matrix) in zip(panels, matrices.items(), strict=True):
         cells = _compute_block_maxima(matrix, block)
         bottom, right = (block * count - 0.5 for count in cells.shape)
-        extent = (-0.5, right, bottom, -0.5)  # ticks are numbers of queries and places
-        # Without interpolation the cells themselves go into a PDF, whatever its resolution.
-        image = axes.imshow(cells, "gray_r", vmin=0, vmax=1, interpolation="none", extent=extent, aspect="auto")
+        image = axes.imshow(
+            cells,
+            cmap="gray_r",
+            vmin=0,
+            vmax=1,
+            interpolation="none",  # the cells themselves go into a PDF, whatever its resolution
+            extent=(-0.5, right, bottom, -0.5),  # ticks are numbers of queries and places
+            aspect="equal" if min(n_queries, n_places) >= _FLATTEST * longest else "auto",
+        )
         axes.set(xlabel="Place", ylabel="Query", xlim=(-0.5, n_places - 0.5), ylim=(n_queries - 0.5, -0.5))
         axes.set_title(heading)
         axes.spines[:].set_visible(True)
@@ -96,7 +109,8 @@ def draw_similarity(run: Run, name: str) -> Drawing:
     caption = (
         f"Ground truth (left) and scores of {name}, seed {run.config['seed']} (right); rows are queries, columns are "
         "places. Scores of each query run from 0, its worst place, to 1, its best. "
-        f"A cell is the maximum of {block} x {block} scores. {describe_runs([MethodRuns(name, False, (run,))])}"
+        f"{f'A cell is the maximum of {block} x {block} scores. ' if block > 1 else ''}"
+        f"{describe_runs([MethodRuns(name, False, (run,))])}"
     )
     return Drawing(figure, caption)
 
