@@ -2,7 +2,6 @@
 
 import csv
 import shutil
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -63,14 +62,6 @@ def test_rows_on_request_stand_below_the_papers_and_full_runs_slow_rows_at_full_
     assert found["SAD (big patches)", "route_12"]["mark"] == "measured"
     assert main(["table", "rows=[PCA]", "columns=[route]", "full=true", *RUN]) == 0
     assert cells(Path("results/route.csv"))["PCA", "route"]["mark"] == "measured"
-
-
-def test_a_method_whose_code_and_yaml_are_gone_keeps_its_stored_row(copied):
-    for run in runs(Path("results")):
-        Store(Path("results")).save(replace(run, method="gone", config={**run.config, "method": {}}))
-    assert main(["table", "rows=[SAD]", "methods=[gone]", "stored=true"]) == 0
-    found = cells(Path("results/table.csv"))
-    assert found["gone", "route"]["value"] == found["SAD", "route"]["value"]
 
 
 @pytest.mark.parametrize(
