@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from little import a_run, pictures
+from little import pictures
 
 from vprbench.api.dataset import Dataset
 from vprbench.errors import BadInput
 from vprbench.plugins import registry
 from vprbench.report.plan import PlannedColumn
-from vprbench.tuning.places import Searchable, cut, querying, searchable
+from vprbench.tuning.places import Searchable, choose_places, cut_dataset
 
 
 def config(name):
@@ -27,8 +27,8 @@ NORDLAND = config("nordland")
 def test_a_rendered_journey_is_another_one_than_every_reported_one_and_all_of_its_places_are_queried():
     name = "synthetic"
     reported = [column(f"dataset={name}"), column(f"dataset={name}", "dataset.seed=7")]
-    assert searchable(name, {**config(name), "seed": 3}, 20, reported).dataset["seed"] not in (3, 7)
-    allowed = searchable(name, config(name), 10, [])
+    assert choose_places(name, {**config(name), "seed": 3}, 20, reported).dataset["seed"] not in (3, 7)
+    allowed = choose_places(name, config(name), 10, [])
     assert (allowed.searched, allowed.checked) == (range(10), range(10, 20))
     other, usual = registry.make_dataset(allowed.dataset), registry.make_dataset({**config(name), "places": 20})
     assert [right.tolist() for right in other.positives] == [[place] for place in range(20)]
@@ -52,7 +52,9 @@ SMALLER = ("dataset.places=450", "dataset.first_query_place=90", "dataset.query_
 )
 def test_places_that_the_paper_or_a_column_of_the_table_queries_are_left_out(name, columns, places, searched, checked):
     whole = {"first_query_place": 0, "query_places": {"nordland": 3300, "oxford_robotcar": 450}[name]}
-    assert searchable(name, config(name), places, columns) == Searchable({**config(name), **whole}, searched, checked)
+    assert choose_places(name, config(name), places, columns) == Searchable(
+        {**config(name), **whole}, searched, checked
+    )
 
 
 @pytest.mark.parametrize(
@@ -66,44 +68,19 @@ def test_places_that_the_paper_or_a_column_of_the_table_queries_are_left_out(nam
 )
 def test_what_has_no_free_places_is_refused_with_the_reason(name, places, complaint):
     with pytest.raises(BadInput, match=complaint):
-        searchable(name, config(name), places, [])
+        choose_places(name, config(name), places, [])
 
 
 def test_nothing_is_searched_under_a_protocol_or_beside_a_column_that_scatters_its_held_out_places():
     with pytest.raises(BadInput, match=r"dataset\.protocol=vprsnn: a search needs places in a row"):
-        searchable("nordland", {**NORDLAND, "protocol": "vprsnn"}, 20, [])
+        choose_places("nordland", {**NORDLAND, "protocol": "vprsnn"}, 20, [])
     nordland, rendered = (column(f"dataset={name}", "dataset.protocol=vprsnn") for name in ("nordland", "synthetic"))
     with pytest.raises(BadInput, match="reported results query all of its 3300 places"):
-        searchable("nordland", NORDLAND, 100, [nordland])
-    assert searchable("synthetic", config("synthetic"), 20, [rendered]).searched == range(20)
+        choose_places("nordland", NORDLAND, 100, [nordland])
+    assert choose_places("synthetic", config("synthetic"), 20, [rendered]).searched == range(20)
     whole = registry.make_dataset({**config("synthetic"), "places": 12})
     assert whole.held_out is not None
-    assert cut(whole, range(2, 8)).held_out is None
-
-
-def stored(dataset, *queried):
-    """A run whose queries show these places."""
-    positives = tuple(np.array([place]) for place in queried)
-    return a_run(dataset=dataset["name"], config={**a_run().config, "dataset": dataset}, positives=positives)
-
-
-def test_a_stored_run_that_queries_a_searched_or_checked_place_of_this_journey_is_named():
-    allowed = searchable("nordland", NORDLAND, 500, [])
-    for changed, queried, named in (
-        ({}, (3, 40), True),
-        ({"root": "/elsewhere"}, (599,), True),
-        ({}, (600, 601), False),
-        ({"protocol": "vprsnn"}, (600, 601), True),  # its queries are scattered
-        ({"name": "other"}, (3,), False),
-    ):
-        run = stored({**NORDLAND, **changed}, *queried)
-        assert querying([run], allowed) == [f"nordland/little-{run.key}"] * named
-    run = replace(stored(NORDLAND, 3, 4), place_numbers=np.arange(600, 700))
-    assert (querying([run], allowed), len(querying([replace(run, place_numbers=None)], allowed))) == ([], 1)
-    rendered = config("synthetic")
-    allowed = searchable("synthetic", rendered, 20, [])
-    runs = [stored({**rendered, "seed": seed}, 5) for seed in (0, allowed.dataset["seed"], 9)]
-    assert querying(runs, allowed) == querying(runs[1:2], allowed) == [f"synthetic/little-{runs[1].key}"]
+    assert cut_dataset(whole, range(2, 8)).held_out is None
 
 
 def two_traverses(tolerance=0):
@@ -123,11 +100,11 @@ def two_traverses(tolerance=0):
 
 
 def test_a_stretch_has_its_own_references_queries_and_numbers_and_no_query_that_is_right_in_another():
-    part = cut(two_traverses(), range(2, 5))
+    part = cut_dataset(two_traverses(), range(2, 5))
     assert [*part.references.names] == [f"image {number}" for number in (2, 3, 4, 8, 9, 10)]
     assert [*part.queries.names] == ["image 2", "image 3", "image 4"]
     assert part.places.tolist() == [0, 1, 2, 0, 1, 2]
     assert [right.tolist() for right in part.positives] == [[0], [1], [2]]
     assert part.protocol == {"query": "dusk", "stretch": [2, 4]}
-    parts = [cut(two_traverses(tolerance=1), stretch) for stretch in (range(3), range(3, 6))]
+    parts = [cut_dataset(two_traverses(tolerance=1), stretch) for stretch in (range(3), range(3, 6))]
     assert [[*part.queries.names] for part in parts] == [["image 0", "image 1"], ["image 4", "image 5"]]

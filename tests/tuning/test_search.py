@@ -1,77 +1,77 @@
-"""The search: random, then a grid, never more trials than asked for, and whole again after any kill."""
+"""The search: random, then a grid, never more trials than asked for, whole again after any kill, and its verdict."""
 
 import contextlib
-import pickle
+from concurrent.futures import Executor, Future
 
 import numpy as np
 import pytest
-from little import a_run
-from search_stub import Here, Stub, recall
+from optuna.trial import TrialState
+from search_stub import Stub, recall
 
 from vprbench.errors import BadInput
+from vprbench.metrics.intervals import difference_interval
 from vprbench.plugins import registry
 from vprbench.plugins.options import parse_options
-from vprbench.runs.store import Store
-from vprbench.tuning import objective, places, space
-from vprbench.tuning.objective import Task, Training
-from vprbench.tuning.search import explore, search
+from vprbench.tuning import places, space
+from vprbench.tuning.search import Comparison, compare_with_paper, search
 from vprbench.tuning.settings import QUICK, Settings
 from vprbench.tuning.space import PAPER
-from vprbench.tuning.study import JOURNAL, find_best, list_trials, open_study, rank_parameters
+from vprbench.tuning.study import JOURNAL, explore, find_best, list_trials, open_study, rank_parameters
+from vprbench.tuning.trial import encode_stretch, train_and_query
+
+RIGHT, WRONG = np.ones(40), np.zeros(40)
 
 
-def explored(folder, trials, seed=0, stub=None, killed_at=None, jobs=1):
+def explored(folder, trials, seed=0, stub=None, jobs=1):
     with open_study(folder) as study:
-        explore(study, Here(killed_at), stub or Stub(), trials, seed, jobs)
+        explore(study, stub or Stub(), trials, seed, jobs)
         return list_trials(study)
 
 
-def finished(trials):
-    return [trial for trial in trials if trial.recall_at_1 is not None]
-
-
 def tried(trials):
-    """What was tried and what it gave, in an order that does not depend on which process was first."""
-    return sorted((trial.stage, trial.point, trial.recall_at_1, *trial.values.values()) for trial in finished(trials))
+    """The settings and what they gave, of the trials that ended well."""
+    return [(one.user_attrs["stage"], one.value, one.params) for one in trials if one.value is not None]
 
 
 def test_two_thirds_of_the_trials_are_random_and_the_rest_a_grid_around_the_best_of_them(tmp_path):
     trials = explored(tmp_path / "a", 9)
-    assert [trial.stage for trial in trials] == ["random"] * 6 + ["grid"] * 3
-    best = max(trials[:6], key=lambda trial: recall(trial.values))
-    for trial in trials[6:]:
-        assert sum(trial.values[name] != best.values[name] for name in PAPER) == 1
-    assert [trial.recall_at_1 for trial in trials] == pytest.approx([recall(trial.values) for trial in trials])
-    assert find_best(trials).recall_at_1 == max(trial.recall_at_1 for trial in trials)
-    again, other = (tried(explored(tmp_path / name, 9, seed)) for name, seed in (("b", 0), ("c", 1)))
+    assert [one.user_attrs["stage"] for one in trials] == ["random"] * 6 + ["grid"] * 3
+    best = max(trials[:6], key=lambda one: recall(one.params))
+    for one in trials[6:]:
+        assert sum(one.params[name] != best.params[name] for name in PAPER) == 1
+    assert [one.value for one in trials] == pytest.approx([recall(one.params) for one in trials])
+    with open_study(tmp_path / "a") as study:
+        assert find_best(study).value == max(one.value for one in trials)
+    again, other = (tried(explored(tmp_path / name, 9, seed, jobs=2)) for name, seed in (("b", 0), ("c", 1)))
     assert tried(trials) == again
-    assert not {values[3:] for values in again} & {values[3:] for values in other}
+    assert not any(mine == theirs for *_, mine in again for *_, theirs in other)
 
 
 def test_settings_that_fail_are_stored_with_their_reason_and_a_stage_without_an_answer_ends_the_search(tmp_path):
-    drawn = [values["rate_max"] for values in space.drawn(4, seed=0)]
+    drawn = [values["rate_max"] for values in space.draw_settings(4, seed=0)]
     limit = sorted(drawn)[-1] - 1e-9  # the highest of four draws fails, and so do points of the grid above it
-    trials = explored(tmp_path / "some", 6, stub=Stub(fails_above=limit))
-    failed = [trial for trial in trials if trial.recall_at_1 is None]
-    assert {trial.failed for trial in failed} == {"MemoryError: no room"}
-    assert all(trial.values["rate_max"] > limit for trial in failed)
-    with pytest.raises(RuntimeError, match="all 6 random trials failed; the last: MemoryError: no room"):
+    failed = [one for one in explored(tmp_path / "some", 6, stub=Stub(fails_above=limit)) if one.value is None]
+    assert {one.user_attrs["failed"] for one in failed} == {"MemoryError: no room"}
+    assert all(one.params["rate_max"] > limit for one in failed)
+    with pytest.raises(RuntimeError, match="all 6 trials failed; the last: MemoryError: no room"):
         explored(tmp_path / "all", 9, stub=Stub(fails_above=0.0))
     trials = explored(tmp_path / "diverged", 3, stub=Stub(diverges_above=0.0))
-    assert [(trial.recall_at_1, trial.diverged) for trial in trials] == [(0.0, "one output neuron wins for all")] * 3
+    assert [(one.value, one.user_attrs["diverged"]) for one in trials] == [(0.0, "one output neuron wins for all")] * 3
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_a_killed_search_goes_on_where_it_stopped_up_to_the_number_of_trials(tmp_path, jobs):
     with contextlib.suppress(KeyboardInterrupt):
-        explored(tmp_path / "killed", 9, killed_at=3)
+        explored(tmp_path / "killed", 9, stub=Stub(killed_at=3))
     with open_study(tmp_path / "killed") as study:
-        before = list_trials(study)
-    assert [trial.recall_at_1 is not None for trial in before] == [True] * 3 + [False]
+        assert [one.state for one in study.trials] == [TrialState.COMPLETE] * 3 + [TrialState.FAIL] + [
+            TrialState.WAITING
+        ] * 2
     after = explored(tmp_path / "killed", 9, jobs=jobs)
-    assert after[:4] == before
-    assert len({tuple(trial.values.values()) for trial in finished(after)}) == len(finished(after)) >= 8
-    assert explored(tmp_path / "killed", 6) == after
+    assert tried(after) == tried(explored(tmp_path / "whole", 9))
+    stub = Stub()
+    assert tried(explored(tmp_path / "killed", 9, stub=stub)) == tried(after)
+    assert stub.trained == 0
 
 
 def test_a_journal_that_cannot_be_read_or_is_in_use_is_named(tmp_path):
@@ -84,13 +84,13 @@ def test_a_journal_that_cannot_be_read_or_is_in_use_is_named(tmp_path):
 
 def test_importance_names_the_parameters_that_matter_and_needs_a_recall_that_varies(tmp_path):
     with open_study(tmp_path / "varies") as study:
-        explore(study, Here(), Stub(), 36, 0, 1)
+        explore(study, Stub(), 36, 0, 1)
         shares = rank_parameters(study)
     assert next(iter(shares)) == "rate_min"
     assert shares["rate_min"] > 0.5
     assert sum(shares.values()) == pytest.approx(1)
     with open_study(tmp_path / "same") as study:
-        explore(study, Here(), Stub(diverges_above=0.0), 6, 0, 1)
+        explore(study, Stub(diverges_above=0.0), 6, 0, 1)
         assert rank_parameters(study) == {}
 
 
@@ -100,62 +100,108 @@ def test_settings_under_which_nothing_is_searched_are_refused_by_name():
             parse_options(Settings, [option], QUICK)
 
 
+def hits_at(*queries):
+    """Hits on these queries alone."""
+    return np.isin(np.arange(40), queries).astype(np.float64)
+
+
+def compare(best, paper):
+    best, paper = np.array(best), np.array(paper)
+    return Comparison(40, (1, 2, 3, 4, 5), best, paper, difference_interval(best.mean(axis=0), paper.mean(axis=0)))
+
+
+@pytest.mark.parametrize(
+    ("n_right", "verdict"),
+    [(4, "better"), (3, "not told apart"), (1, "worse"), (2, "not told apart")],  # no interval holds 0
+)
+def test_a_verdict_needs_four_of_five_seeds(n_right, verdict):
+    best = [RIGHT] * n_right + [WRONG] * (5 - n_right)
+    compared = compare(best, [1 - row for row in best])
+    assert compared.interval.low < (2 * n_right - 5) / 5 <= compared.interval.high
+    assert compared.interval.low * compared.interval.high > 0
+    assert compared.verdict == verdict
+
+
+def test_seeds_that_agree_are_no_verdict_where_few_or_neighbouring_queries_made_it():
+    compared = compare([hits_at(0, 1, 2, 3)] * 5, [hits_at(20, 21, 22)] * 5)
+    assert compared.differences == pytest.approx((0.025,) * 5)
+    assert compared.interval.low < 0 < compared.interval.high
+    assert compared.verdict == "not told apart"
+    few = compare([np.ones(19)] * 5, [np.zeros(19)] * 5)
+    assert (few.interval, few.verdict) == (None, "not told apart")
+    together = compare([hits_at(*range(20))] * 5, [WRONG] * 5).interval
+    spread = compare([hits_at(*range(0, 40, 2))] * 5, [WRONG] * 5).interval  # as many hits, in any block half of all
+    assert (together.kind, spread.kind) == ("blocks", "independent")
+    assert together.high - together.low > 0.5 > 0.35 > spread.high - spread.low
+
+
+def test_both_settings_are_trained_with_the_five_seeds_after_the_searched_one_and_a_failure_ends_it():
+    best = {**PAPER, "rate_min": 0.4}
+    compared = compare_with_paper(Stub(shifts_by_seed=0.01), best, "checked", 10, seed=7, jobs=2)
+    assert (compared.n_places, compared.seeds) == (10, (8, 9, 10, 11, 12))
+    for hits, settings in ((compared.best, best), (compared.paper, PAPER)):
+        assert hits.mean(axis=1) == pytest.approx([recall(settings) - 0.01 * seed for seed in compared.seeds])
+    with pytest.raises(MemoryError, match="no room"):
+        compare_with_paper(Stub(fails_above=0.0), PAPER, "searched", 12, seed=0, jobs=1)
+
+
 METHOD = {**registry.entries("method")["vprtempo"].values(), "height": 12, "width": 12, "epochs": 1}
 for set_by_the_run in ("seed", "device", "tags"):
     METHOD.pop(set_by_the_run, None)
 DATASET = registry.entries("dataset")["synthetic"].values()
 
 
-def kept(folder, n_places, **arguments):
-    """Keep the searched stretch of a rendered journey; returns it, and what tries settings on it."""
-    allowed = places.searchable("synthetic", DATASET, n_places, [])
-    part = places.cut(registry.make_dataset(allowed.dataset), allowed.searched)
+def stretch_of(n_places, **arguments):
+    """Return the searched stretch of a rendered journey, as it is and encoded, and the arguments of the method."""
+    allowed = places.choose_places("synthetic", DATASET, n_places, [])
+    part = places.cut_dataset(registry.make_dataset(allowed.dataset), allowed.searched)
     method = {**METHOD, "device": "cpu", **arguments}
-    objective.keep(folder / "searched", part, registry.make_method(method))
-    return part, pickle.loads(pickle.dumps(Training(folder, method)))  # as a process gets it
+    return part, encode_stretch(part, registry.make_method(method), "searched"), method
 
 
-def test_a_trial_gives_the_recall_of_the_method_itself_on_the_images(tmp_path):
-    part, attempt = kept(tmp_path, 20, seed=4)
-    values = {**PAPER, "rate_min": 0.4}
+def test_a_trial_gives_the_recall_of_the_method_itself_on_the_images():
+    part, stretch, method = stretch_of(20)
     answers = []
-    for asked, seed in ((None, 4), (9, 9)):  # the searched one, and one of the comparison
-        given = attempt(Task("searched", values, asked))
-        alone = registry.make_method({**attempt.method, **values, "max_module": 20, "seed": seed})
+    for seed in (4, 9):
+        arguments = {**method, **PAPER, "rate_min": 0.4, "seed": seed}
+        hits = train_and_query(arguments, stretch)
+        alone = registry.make_method({**arguments, "max_module": 20})
         alone.fit(part.references, part.places)
         right = [scores.argmax() == place for place, scores in enumerate(alone.query(part.queries))]
-        assert given.recall_at_1 == np.mean(right) > 0
-        assert given.sure_hits.tolist() == right
+        assert hits.expected.tolist() == right
+        assert any(right)
         answers.append(right)
     assert answers[0] != answers[1]
 
 
-def test_a_training_that_diverges_answers_nothing_and_says_why(tmp_path):
-    given = kept(tmp_path, 12, seed=0, homeostasis_gain=1e30)[1](Task("searched", PAPER))
-    assert (given.recall_at_1, given.sure_hits.sum()) == (0.0, 0.0)
-    assert given.diverged.startswith("training diverged")
+def test_a_training_that_diverges_answers_nothing_and_says_why():
+    _, stretch, method = stretch_of(12, seed=0, homeostasis_gain=1e30)
+    hits = train_and_query({**method, **PAPER}, stretch)
+    assert hits.expected.sum() == 0.0
+    assert hits.diverged.startswith("training diverged")
+
+
+class Here(Executor):
+    """In place of processes: works in this one."""
+
+    def submit(self, work, /, *arguments):
+        future = Future()
+        future.set_result(work(*arguments))
+        return future
 
 
 @pytest.mark.extended
-def test_a_real_search_compares_its_best_with_the_paper_and_the_same_again_only_compares(tmp_path, monkeypatch, caplog):
+def test_a_real_search_compares_its_best_with_the_paper_and_the_same_again_only_compares(tmp_path, monkeypatch):
     monkeypatch.setattr("vprbench.tuning.search.ProcessPoolExecutor", lambda *_: Here())
     monkeypatch.setattr("vprbench.tuning.search.core_count", lambda: 2)
     mine = {"places": 12, "results": str(tmp_path)}
-    found = search(Settings(trials=3, jobs=2, **mine), METHOD, DATASET)
+    found = search(Settings(trials=3, jobs=64, **mine), METHOD, DATASET)
     assert (len(found.trials), found.tried_now, found.jobs) == (3, 3, 2)
-    compared = {name: (each.n_places, each.n_queries, each.seeds) for name, each in found.compared.items()}
-    assert compared == dict.fromkeys(("searched", "checked"), (12, 12, (1, 2, 3, 4, 5)))
+    compared = {name: (each.n_places, each.best.shape, each.seeds) for name, each in found.compared.items()}
+    assert compared == dict.fromkeys(("searched", "checked"), (12, (5, 12), (1, 2, 3, 4, 5)))
     assert [found.protocols[name]["stretch"] for name in ("searched", "checked")] == [[0, 11], [12, 23]]
     again = search(Settings(trials=3, jobs=1, **mine), METHOD, DATASET)
     assert (again.tried_now, again.folder, again.trials) == (0, found.folder, found.trials)
-    assert again.compared == found.compared
-    caplog.set_level("INFO")
-    monkeypatch.setattr("vprbench.tuning.search.core_count", lambda: 1)
-    queried = {**a_run().config, "dataset": {**DATASET, "seed": 3, "places": 10}}
-    there = a_run(config=queried, dataset="synthetic", method="sad")
-    Store(tmp_path).save(there)
-    other = search(Settings(trials=1, jobs=64, **mine), {**METHOD, "rules": "v1"}, DATASET)
+    assert np.array_equal(again.compared["checked"].best, found.compared["checked"].best)
+    other = search(Settings(trials=1, jobs=1, **mine), {**METHOD, "rules": "v1"}, DATASET)
     assert other.folder.name != found.folder.name
-    assert other.jobs == other.environment["threads"] == len(other.trials) == 1
-    assert "jobs=64: 1 process is used" in caplog.text
-    assert other.queried_by == (f"synthetic/sad-{there.key}",)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from vprbench.plugins import registry
-from vprbench.tuning.space import PAPER, PARAMETERS, around, drawn
+from vprbench.tuning.space import PAPER, PARAMETERS, draw_settings, list_grid
 
 CENTRE = {**PAPER, "rate_min": 0.4, "rate_max": 0.7, "p_excitatory": 0.2}
 CORNER = {**PAPER, "rate_min": 0.99, "rate_max": 1.0, "p_excitatory": 0.02, "p_inhibitory": 0.06}
@@ -24,7 +24,7 @@ def test_the_papers_settings_are_vprtempos_defaults_and_lie_within_the_ranges():
 
 
 def test_settings_lie_within_the_ranges_f_min_is_never_above_f_max_and_three_digits_are_enough():
-    points = [*drawn(300, seed=1), *islice(around(CENTRE), 80), *islice(around(CORNER), 200)]
+    points = [*draw_settings(300, seed=1), *islice(list_grid(CENTRE), 80), *islice(list_grid(CORNER), 200)]
     assert len(points) > 400
     for values in points:
         assert set(values) == set(PAPER)
@@ -34,19 +34,19 @@ def test_settings_lie_within_the_ranges_f_min_is_never_above_f_max_and_three_dig
 
 
 def test_random_settings_are_spread_evenly_or_by_the_logarithm_and_a_longer_search_begins_as_a_shorter_one():
-    points = drawn(300, seed=2)
+    points = draw_settings(300, seed=2)
     for each in (each for each in PARAMETERS if "rate_m" not in each.name):
         scale = np.log if each.log else np.asarray
         values = scale([point[each.name] for point in points])
         thirds = np.histogram(values, bins=3, range=(scale(each.low), scale(each.high)))[0]
         assert thirds.min() > 70, each.name  # 100 expected, standard deviation 8
-    assert drawn(9, seed=3)[:4] == drawn(4, seed=3)
-    assert drawn(1, seed=3) != drawn(1, seed=4)
+    assert draw_settings(9, seed=3)[:4] == draw_settings(4, seed=3)
+    assert draw_settings(1, seed=3) != draw_settings(1, seed=4)
 
 
 def test_the_grid_goes_through_all_neighbours_those_that_differ_least_first_and_then_takes_two_steps():
     # 4 parameters, a step up or down: 4 x 2 points differ in one, 6 x 4 in two, 4 x 8 in three, 16 in four
-    *neighbours, beyond = islice(around(CENTRE), 81)
+    *neighbours, beyond = islice(list_grid(CENTRE), 81)
     assert [len(changed(values)) for values in neighbours] == [1] * 8 + [2] * 24 + [3] * 32 + [4] * 16
     assert len({tuple(values.values()) for values in neighbours}) == 80
     assert {name: sorted({CENTRE[name], *(values[name] for values in neighbours)}) for name in PAPER} == {
@@ -56,7 +56,7 @@ def test_the_grid_goes_through_all_neighbours_those_that_differ_least_first_and_
         "p_excitatory": [0.17, 0.2, 0.23],
         "p_inhibitory": [0.4, 0.5, 0.6],
     }
-    ring = [len(changed(values)) for values in islice(around(CENTRE), 81, 300)]
+    ring = [len(changed(values)) for values in islice(list_grid(CENTRE), 81, 300)]
     assert ring == sorted(ring)
     (name,) = changed(beyond)
     step = next(each.step for each in PARAMETERS if each.name == name)

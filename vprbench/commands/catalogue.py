@@ -261,7 +261,7 @@ def search(options: list[str]) -> int:
     Store(folder).prepare()
     with progress_shown("search"):
         found = search_settings(settings, request.method, request.dataset)
-    print(text.write(found, folder), end="")
+    print(text.write_report(found, folder), end="")
     return 0
 
 

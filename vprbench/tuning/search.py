@@ -1,61 +1,81 @@
-"""The search itself: random settings, then a grid around the best, then best and paper on places held back."""
+"""The search: random settings, then a grid around the best, then best and paper on places that chose nothing."""
 
 from __future__ import annotations
 
-import logging
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
-from itertools import islice
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
+import numpy as np
+import numpy.typing as npt
 import optuna
-from optuna.trial import FrozenTrial, TrialState
+from optuna.trial import FrozenTrial
 
 from vprbench import progress
-from vprbench.api.dataset import Dataset
-from vprbench.api.method import Method
+from vprbench.metrics.intervals import WiderInterval, difference_interval
 from vprbench.plugins import registry
 from vprbench.report.plan import PLAN_FILE, read_plan
 from vprbench.runs import machine
 from vprbench.runs.identity import code_hash, fingerprint
 from vprbench.runs.run_files import content_key
 from vprbench.runs.sources import hash_files
-from vprbench.runs.store import Store
 from vprbench.storage.cores import core_count
-from vprbench.tuning import objective, places, space
-from vprbench.tuning.comparison import Comparison, compare_with_paper
-from vprbench.tuning.objective import StretchName, Task, Tried
+from vprbench.tuning import places, space, trial
 from vprbench.tuning.settings import Settings
-from vprbench.tuning.space import PARAMETERS, Values
-from vprbench.tuning.study import Stage, Trial, find_best, list_trials, open_study, rank_parameters
+from vprbench.tuning.space import PAPER, Values
+from vprbench.tuning.study import explore, find_best, list_trials, open_study, rank_parameters
+from vprbench.tuning.trial import Hits, encode_stretch, train_and_query
 
-logger = logging.getLogger(__name__)
+Verdict = Literal["better", "worse", "not told apart"]
+Train = Callable[[Values, str, int], Hits]  # settings, name of the stretch, seed
 
-Attempt = Callable[[Task], Tried]
+SEEDS = 5  # of the comparison with the paper
+AGREE = 4  # seeds of one sign, at least, for a verdict
 
-_KNOWN = (TrialState.COMPLETE, TrialState.FAIL, TrialState.WAITING)
+
+@dataclass(frozen=True)
+class Comparison:
+    """The best settings and the paper's on the queries of one stretch, both trained with the same seeds."""
+
+    n_places: int
+    seeds: tuple[int, ...]
+    best: npt.NDArray[np.float64]  # (n_seeds, n_queries), expected hits
+    paper: npt.NDArray[np.float64]
+    interval: WiderInterval | None  # 95 % of the difference over the queries; None: too few queries
+
+    @property
+    def differences(self) -> npt.NDArray[np.float64]:
+        """R@1 of best minus that of paper, by seed."""
+        return np.asarray(self.best.mean(axis=1) - self.paper.mean(axis=1))
+
+    @property
+    def verdict(self) -> Verdict:
+        """Whether best is better or worse: the interval has to exclude 0, and nearly all seeds have to agree."""
+        if self.interval is not None and self.interval.low > 0 and sum(self.differences > 0) >= AGREE:
+            return "better"
+        if self.interval is not None and self.interval.high < 0 and sum(self.differences < 0) >= AGREE:
+            return "worse"
+        return "not told apart"
 
 
 @dataclass(frozen=True)
 class Found:
-    """What a search found."""
+    """The results of a search."""
 
     settings: Settings
-    method: Mapping[str, Any]  # its configuration, before settings replace arguments
-    dataset: Mapping[str, Any]  # its configuration, before the places to search were chosen
-    protocols: Mapping[StretchName, Mapping[str, Any]]  # the dataset's, of each stretch
+    protocols: Mapping[str, Mapping[str, Any]]  # the dataset's, of each stretch
     folder: Path  # of the study
-    trials: tuple[Trial, ...]  # all that are stored
+    trials: tuple[FrozenTrial, ...]  # all that are stored, in the order of their settings
     tried_now: int  # how many of them this call tried
-    best: Trial
+    best: Values
     importance: Mapping[str, float]  # by parameter, the largest first
-    compared: Mapping[StretchName, Comparison]
-    queried_by: tuple[str, ...]  # stored runs that query these places
+    compared: Mapping[str, Comparison]  # by stretch
     jobs: int  # processes that there were
     minutes: float  # of this call
     environment: Mapping[str, Any]
@@ -67,137 +87,77 @@ def search(settings: Settings, method: Mapping[str, Any], dataset: Mapping[str, 
     `method` is a configuration of the method that conf/search.yaml names, `dataset` that of the dataset named in the
     settings. Raises BadInput if its places are not free to be searched.
     """
-    started = time.perf_counter()
-    jobs = _jobs(settings.jobs or settings.workers)
-    surroundings = machine.describe_machine("cpu", 1)
+    started, environment = time.perf_counter(), machine.describe_machine("cpu", 1)
     columns = read_plan(registry.conf_folders()["vprbench"] / PLAN_FILE).columns.values()
-    allowed = places.searchable(settings.dataset, dataset, settings.places, columns)
+    allowed = places.choose_places(settings.dataset, dataset, settings.places, columns)
     whole = registry.make_dataset(allowed.dataset)
-    stretches = {name: places.cut(whole, stretch) for name, stretch in _named(allowed).items()}
-    method = {**method, "seed": settings.seed, "device": "cpu"}
+    parts = {"searched": places.cut_dataset(whole, allowed.searched)}
+    parts["checked"] = places.cut_dataset(whole, allowed.checked)
+    seed = settings.seed
+    method = {**method, "seed": seed, "device": "cpu"}
     encoder = registry.make_method(method)
-    results = Path(settings.results).expanduser()
-    folder = results / "search" / content_key(_origin(settings.seed, method, encoder, stretches))
-    with open_study(folder) as study:
-        for name, part in stretches.items():
-            objective.keep(folder / name, part, encoder)
-        attempt = objective.Training(folder.absolute(), method)
-        with _open_executor(settings, jobs) as (executor, jobs):
-            tried_now = explore(study, executor, attempt, settings.trials, settings.seed, jobs)
-            trials = list_trials(study)
-            best = find_best(trials)
-            assert best is not None
-            n_places = {name: part.n_places for name, part in stretches.items()}
-            comparisons = compare_with_paper(executor, attempt, best.values, n_places, settings.seed)
-        importance = rank_parameters(study)
-    return Found(
-        settings=settings,
-        method=method,
-        dataset=dataset,
-        protocols={name: part.protocol for name, part in stretches.items()},
-        folder=folder,
-        trials=tuple(trials),
-        tried_now=tried_now,
-        best=best,
-        importance=importance,
-        compared=comparisons,
-        queried_by=tuple(places.querying(Store(results).runs(), allowed)),
-        jobs=jobs,
-        minutes=(time.perf_counter() - started) / 60,
-        environment=surroundings,
-    )
-
-
-def _origin(
-    seed: int, method: Mapping[str, Any], encoder: Method, stretches: Mapping[StretchName, Dataset]
-) -> dict[str, Any]:
-    """Return what decides the trials of a search."""
-    return {
+    origin = {
         "method": {name: value for name, value in method.items() if name != "_target_"},
-        "code": [code_hash(type(encoder)), hash_files([Path(objective.__file__)])],
-        "stretches": {name: [dict(part.protocol), fingerprint(part)] for name, part in stretches.items()},
+        "code": [code_hash(type(encoder)), hash_files([Path(trial.__file__)])],
+        "stretches": {name: [dict(part.protocol), fingerprint(part)] for name, part in parts.items()},
         "space": [asdict(parameter) for parameter in space.PARAMETERS],
-        "seed": seed,
         "libraries": {**machine.library_versions(), "optuna": optuna.__version__},
     }
+    folder = Path(settings.results).expanduser() / "search" / content_key(origin)
+    with open_study(folder) as study, _open_executor(settings) as (executor, jobs):
+        stretches = {name: encode_stretch(part, encoder, name) for name, part in parts.items()}
+
+        def train(values: Values, stretch: str, seed: int) -> Hits:
+            arguments = {**method, **values, "seed": seed}
+            return executor.submit(train_and_query, arguments, stretches[stretch]).result()
+
+        tried_now = explore(study, partial(train, stretch="searched", seed=seed), settings.trials, seed, jobs)
+        best = find_best(study).params
+        compared = {
+            name: compare_with_paper(train, best, name, part.n_places, seed, jobs) for name, part in parts.items()
+        }
+        return Found(
+            settings=settings,
+            protocols={name: part.protocol for name, part in parts.items()},
+            folder=folder,
+            trials=tuple(list_trials(study)),
+            tried_now=tried_now,
+            best=best,
+            importance=rank_parameters(study),
+            compared=compared,
+            jobs=jobs,
+            minutes=(time.perf_counter() - started) / 60,
+            environment=environment,
+        )
 
 
-def explore(study: optuna.Study, executor: Executor, attempt: Attempt, trials: int, seed: int, jobs: int) -> int:
-    """Try random settings, then a grid around the best of them, until `trials` are stored; returns how many it tried.
+def compare_with_paper(train: Train, best: Values, stretch: str, n_places: int, seed: int, jobs: int) -> Comparison:
+    """Train under the best settings and the paper's with the seeds that follow `seed`, on one stretch.
 
-    Optuna asks for the settings and keeps the answers; `jobs` of them are tried at a time, by `executor`. Raises
-    RuntimeError if all trials of a stage fail.
+    The interval is that of a paired test over everything: of each query the mean hits over the seeds, best minus
+    paper (`intervals.difference_interval`). Raises what a training raises.
     """
-    n_random = trials - trials // 3
-    tried = _try_stage(study, executor, attempt, "random", space.drawn(n_random, seed), trials, jobs)
-    best = find_best(list_trials(study), "random")
-    assert best is not None
-    grid = list(islice(space.around(best.values), 2 * trials))  # of which some may have been tried before
-    return tried + _try_stage(study, executor, attempt, "grid", grid, trials, jobs)
-
-
-def _try_stage(
-    study: optuna.Study,
-    executor: Executor,
-    attempt: Attempt,
-    stage: Stage,
-    points: Sequence[Values],
-    trials: int,
-    jobs: int,
-) -> int:
-    """Try settings that were not tried yet, in their order, as long as there is room for trials."""
-    known = [trial.params or trial.system_attrs["fixed_params"] for trial in study.get_trials(states=_KNOWN)]
-    room = max(0, trials - sum(trial.recall_at_1 is not None for trial in list_trials(study)))
-    waiting = len(study.get_trials(deepcopy=False, states=[TrialState.WAITING]))
-    left = [(point, values) for point, values in enumerate(points) if values not in known]
-    for point, values in left[: max(0, room - waiting)]:
-        study.enqueue_trial(dict(values), user_attrs={"stage": stage, "point": point})
-    wanted = min(room, waiting + len(left))
-
-    def objective(trial: optuna.Trial) -> float:
-        values = {each.name: trial.suggest_float(each.name, each.low, each.high, log=each.log) for each in PARAMETERS}
-        try:
-            answer = executor.submit(attempt, Task("searched", values)).result()
-        except Exception as error:  # whatever a method raises costs its own trial
-            trial.set_user_attr("failed", f"{type(error).__name__}: {error}")
-            raise
-        if answer.diverged is not None:
-            trial.set_user_attr("diverged", answer.diverged)
-        return answer.recall_at_1
-
-    def report(study: optuna.Study, ended: FrozenTrial) -> None:
-        progress.report(f"{stage} settings", 1 - len(study.get_trials(states=[TrialState.WAITING])) / max(wanted, 1))
-
-    if wanted:
-        study.optimize(objective, n_trials=wanted, n_jobs=jobs, catch=(Exception,), callbacks=[report])
-    ended = [trial for trial in list_trials(study) if trial.stage == stage]
-    done = [trial for trial in ended if trial.recall_at_1 is not None]
-    if ended and not done:
-        raise RuntimeError(f"all {len(ended)} {stage} trials failed; the last: {ended[-1].failed}")
-    return min(wanted, len(done))
-
-
-def _jobs(requested: int | None) -> int:
-    """Return how many processes there may be: at most one for each core."""
-    cores = core_count()
-    if requested is not None and requested > cores:
-        used = "1 process is used" if cores == 1 else f"{cores} processes are used"
-        logger.info("jobs=%d: %s, one for each core that is there for this process", requested, used)
-    return min(requested or cores, cores)
+    seeds = tuple(range(seed + 1, seed + 1 + SEEDS))
+    tasks = [(values, stretch, each) for values in (best, PAPER) for each in seeds]
+    answers: list[Hits] = []
+    with ThreadPoolExecutor(jobs) as threads:
+        for hits in threads.map(lambda task: train(*task), tasks):
+            answers.append(hits)
+            progress.report(f"best against paper, {stretch} places", len(answers) / len(tasks))
+    of_best, of_paper = np.split(np.array([hits.expected for hits in answers]), 2)
+    interval = difference_interval(of_best.mean(axis=0), of_paper.mean(axis=0))
+    return Comparison(n_places, seeds, of_best, of_paper, interval)
 
 
 @contextmanager
-def _open_executor(settings: Settings, jobs: int) -> Iterator[tuple[Executor, int]]:
-    """Open processes of one thread each, or the workers of a cluster, and say how many tasks may run at a time."""
+def _open_executor(settings: Settings) -> Iterator[tuple[Executor, int]]:
+    """Open processes of one thread each, or the workers of a cluster, and say how many trainings may run at a time."""
     if settings.needs_dask:
         from vprbench.jobs.cluster import DaskExecutor
 
         with DaskExecutor(settings) as dask:
             yield dask.of_functions(), dask.room()
         return
+    jobs = min(settings.jobs or settings.workers or core_count(), core_count())
     with ProcessPoolExecutor(jobs, get_context("spawn"), machine.pin_threads, (1,)) as pool:
         yield pool, jobs
-
-
-def _named(allowed: places.Searchable) -> dict[StretchName, range]:
-    return {"searched": allowed.searched, "checked": allowed.checked}

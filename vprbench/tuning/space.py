@@ -1,4 +1,4 @@
-"""Which settings are searched: the parameters that conf/search.yaml declares, drawn at random or on a grid."""
+"""The settings that a search tries: the parameters of conf/search.yaml, drawn at random or on a grid."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from optuna.distributions import BaseDistribution, FloatDistribution
 
 from vprbench.plugins import registry
 
-optuna.logging.set_verbosity(optuna.logging.ERROR)  # it would tell of every trial
+optuna.logging.set_verbosity(optuna.logging.ERROR)  # or it logs every trial
 
 Values = Mapping[str, float]  # of every parameter, by the name of the method's argument
 
-_DIGITS = 3  # significant ones, so that what was found can be typed
+_DIGITS = 3  # significant ones, so that a person can type a setting
 _RINGS = 6  # steps of the grid to either side, at most: 28,560 points
 
 
@@ -42,7 +42,7 @@ PARAMETERS = tuple(Parameter(name, **values) for name, values in _DECLARED["para
 PAPER: Values = {parameter.name: parameter.paper for parameter in PARAMETERS}
 
 
-def drawn(count: int, seed: int) -> list[Values]:
+def draw_settings(count: int, seed: int) -> list[Values]:
     """Draw settings at random; a larger count of the same seed begins with the same ones."""
     study = optuna.create_study(sampler=optuna.samplers.RandomSampler(seed))
     ranges: dict[str, BaseDistribution] = {
@@ -50,13 +50,13 @@ def drawn(count: int, seed: int) -> list[Values]:
     }
     settings: list[Values] = []
     while len(settings) < count:
-        values = {name: _rounded(value) for name, value in study.ask(ranges).params.items()}
-        if _possible(values):
+        values = {name: _round(value) for name, value in study.ask(ranges).params.items()}
+        if _is_possible(values):
             settings.append(values)
     return settings
 
 
-def around(best: Values) -> Iterator[Values]:
+def list_grid(best: Values) -> Iterator[Values]:
     """Yield the points of a grid around settings, nearest first: those that differ in one parameter, in two, ..."""
     stepped = [each for each in PARAMETERS if each.step is not None]
     for ring in range(1, _RINGS + 1):
@@ -64,18 +64,18 @@ def around(best: Values) -> Iterator[Values]:
         outer = [taken for taken in steps if max(map(abs, taken)) == ring]
         for taken in sorted(outer, key=lambda taken: (sum(map(bool, taken)), sum(map(abs, taken)), taken)):
             moved = {
-                each.name: _rounded(best[each.name] + n * (each.step or 0))
+                each.name: _round(best[each.name] + n * (each.step or 0))
                 for each, n in zip(stepped, taken, strict=True)
             }
             values = {**best, **moved}
-            if _possible(values) and all(each.low <= values[each.name] <= each.high for each in stepped):
+            if _is_possible(values) and all(each.low <= values[each.name] <= each.high for each in stepped):
                 yield values
 
 
-def _possible(values: Values) -> bool:
+def _is_possible(values: Values) -> bool:
     smaller, larger = _DECLARED["ordered"]
     return values[smaller] <= values[larger]
 
 
-def _rounded(value: float) -> float:
+def _round(value: float) -> float:
     return float(f"{value:.{_DIGITS}g}")
