@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +12,7 @@ import pandas as pd
 
 from vprbench.api.dataset import Dataset
 from vprbench.config import make_request, split_sweep
-from vprbench.data.doctor import check_dataset
+from vprbench.data.doctor import check_dataset, look_at_some
 from vprbench.errors import BadInput, MissingData
 from vprbench.jobs.child import start_server
 from vprbench.jobs.executors import executor_for
@@ -61,7 +62,7 @@ def make_comparison(options: Sequence[str]) -> int:
         run.require_machine()
     if request.predictions:
         require_depth(request.predictions, run.depth, request.predictions)
-    dataset, compared, wrong = None, list[Row](), list[str]()
+    dataset, of_rows, wrong = None, list[Row](), list[str]()
     with progress_shown("compare"):
         try:
             dataset = _build_dataset(run, request)
@@ -69,7 +70,7 @@ def make_comparison(options: Sequence[str]) -> int:
             wrong += [] if request.stored else [str(error)]
         for name, given in of_methods.items():
             try:
-                compared += [_make_row(name, [*of_all, *each], request) for each in split_sweep(given)]
+                of_rows += [_make_row(name, [*of_all, *each], request) for each in split_sweep(given)]
             except BadInput as error:
                 text = str(error).removeprefix(f"{name}: ").replace("method.", f"{name}.")
                 wrong.append(f"{name}: {text}")
@@ -79,8 +80,11 @@ def make_comparison(options: Sequence[str]) -> int:
         for line in wrong:
             complain(line)
         return 2
+    if dataset is not None and not request.stored and (found := look_at_some(dataset)):
+        doctor = shlex.join(["vprbench", "doctor", *of_dataset])
+        print(line_text(f"note: {'; '.join(found)}: {doctor} says more", "yellow"), flush=True)
     chosen = Plan(
-        rows=tuple(compared),
+        rows=tuple(of_rows),
         columns=(clean,),
         devices=tuple(request.devices),
         metrics=tuple(request.metrics),
@@ -93,19 +97,19 @@ def make_comparison(options: Sequence[str]) -> int:
     with executor_for(request) as executor:
         results = run_missing(chosen, _list_missing(chosen, of_runs, list(corrupted)), executor)
     runs, failures = load_stored_runs(chosen)
-    groups = group_runs_by_column(runs, failures, [clean, *corrupted.values()], compared)
+    groups = group_runs_by_column(runs, failures, [clean, *corrupted.values()], of_rows)
     shown, *spoilt = (group for group in groups if group.number == 1)
-    found = assemble_report(chosen, [shown], shown.runs, results)
-    show_comparison(found, request.wide)
+    compared = assemble_report(chosen, [shown], shown.runs, results)
+    show_comparison(compared, request.wide)
     robust = None
     if corrupted:
-        of_clean, *of_each = (list_accuracy_runs(group, found.chosen.rows) for group in (shown, *spoilt))
+        of_clean, *of_each = (list_accuracy_runs(group, compared.chosen.rows) for group in (shown, *spoilt))
         robust = measure_robustness(of_clean, dict(zip(corrupted, of_each, strict=True)))
         table = list_lines(robust)
         print()
         show_table([*table[0]], [[*line.values()] for line in table], request.wide)
-    best = predict_places(found, dataset, request.predictions)
-    files = write_comparison(found, Path(request.results).expanduser(), request.name or "", robust, best)
+    best = predict_places(compared, dataset, request.predictions)
+    files = write_comparison(compared, Path(request.results).expanduser(), request.name or "", robust, best)
     print("\nwritten to", *files, sep="\n  ")
     return choose_exit_code(results)
 

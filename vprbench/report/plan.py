@@ -136,21 +136,23 @@ def add_plug_ins(plan: PlanFile, folders: Mapping[str, Path]) -> PlanFile:
     """Return our plan with the rows and columns that plug-ins bring; `folders` are those of yaml files, by provider.
 
     A plug-in's `table/*.yaml` may hold `rows` and `columns` as ours does; a request names what it shows of them. Raises
-    BadInput that names both owners if a name is taken.
+    BadInput if a name is taken.
     """
     rows, columns = dict(plan.more_rows), dict(plan.columns)
-    ours = [*plan.rows, *rows, *columns, *(row.name for row in rows.values())]
-    owners = dict.fromkeys(ours, "vprbench")
     for provider, folder in folders.items():
         for path in sorted((folder / "table").glob("*.yaml")) if provider != "vprbench" else ():
             more = _read_parts(path, {"rows", "columns"}, columns)
-            for name in dict.fromkeys([*more["rows"], *more["columns"], *(row.name for row in more["rows"].values())]):
-                if name in owners:
-                    raise BadInput(f"{path}: {name} of {provider} has the name of one of {owners[name]}: rename it")
-                owners[name] = provider
+            if taken := _list_names(more["rows"], more["columns"]) & _list_names({**plan.rows, **rows}, columns):
+                raise BadInput(
+                    f"{path}: {', '.join(sorted(taken))} of {provider} is the name of another one: rename it"
+                )
             rows |= more["rows"]
             columns |= {name: replace(column, on_request=True) for name, column in more["columns"].items()}
     return replace(plan, more_rows=rows, columns=columns)
+
+
+def _list_names(rows: Mapping[str, Row], columns: Collection[str]) -> set[str]:
+    return {*rows, *(row.name for row in rows.values()), *columns}
 
 
 def _read_parts(path: Path, names: Collection[str], known: Collection[str] = ()) -> dict[str, Any]:
