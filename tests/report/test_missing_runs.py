@@ -10,9 +10,10 @@ import pytest
 from small_plan import RUN
 
 from vprbench.cli import main
+from vprbench.config import make_request
 from vprbench.jobs import executors
 from vprbench.jobs.job import JobResult
-from vprbench.report.missing_runs import make_cell, make_missing_runs
+from vprbench.report.missing_runs import Cell, make_missing_runs
 from vprbench.report.plan import Row
 from vprbench.runs import experiment
 from vprbench.runs.request import RunRequest
@@ -23,7 +24,9 @@ ROUTE = ["dataset=synthetic", "dataset.places=20", "dataset.first_query_place=4"
 
 
 def a_cell(row=SAD, seed=0, options=(), title="Journey", **values):
-    return make_cell(row, title, [*ROUTE, *RUN, *options], {"seed": seed, "device": "cpu", **values})
+    arguments = {f"method.{name}": value for name, value in row.arguments.items()}
+    given = {"seed": seed, "device": "cpu", **values, **arguments}
+    return Cell(row, title, make_request([*ROUTE, *RUN, *options, f"method={row.method}"], given))
 
 
 @pytest.fixture
@@ -43,25 +46,6 @@ def children(monkeypatch):
 @pytest.fixture
 def store(tmp_path):
     return Store(tmp_path / "results")
-
-
-def test_a_run_is_asked_for_by_its_request_and_one_without_its_method_is_a_failure_without_a_process(children, store):
-    asked = children(JobResult(0))
-    row = Row("Big patches", "sad", arguments={"patch": 14, "preprocessing": "A"})
-    cell = a_cell(row, seed=3)
-    assert make_missing_runs([cell], store) == [JobResult(0)]
-    assert asked == [cell.request]
-    assert (asked[0].changed, asked[0].seed, asked[0].dataset["places"]) == (row.arguments, 3, 20)
-    asked = children()
-    row = Row("Nothing", "no_such_method", seeds=(0, 1))
-    endings = make_missing_runs([a_cell(row, 0), a_cell(row, 1)], store)
-    assert [(ending.code, ending.missing) for ending in endings] == [(2, True), (2, True)]
-    failure, _ = store.failures()
-    assert (failure.method, failure.dataset, failure.missing) == ("no_such_method", "synthetic", True)
-    assert "no_such_method" in failure.error
-    (ending,) = make_missing_runs([a_cell(Row("SAD of colours", "sad", arguments={"colours": 3}))], store)
-    assert (ending.code, ending.missing, "method.colours is unknown to sad" in ending.error) == (2, False, True)
-    assert asked == []
 
 
 def test_what_is_missing_for_one_seed_is_sought_for_no_other(children, store):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -16,7 +16,7 @@ from vprbench.jobs.executors import Executor
 from vprbench.jobs.job import JobResult
 from vprbench.metrics.catalogue import GROUPS
 from vprbench.plugins import registry
-from vprbench.report.missing_runs import Cell, make_cell, make_missing_runs, resolve_results_folder
+from vprbench.report.missing_runs import Cell, make_missing_runs, resolve_results_folder
 from vprbench.report.plan import NO_PLAN, PLAN_FILE, PlanFile, PlannedColumn, Row, add_plug_ins, read_plan
 from vprbench.report.ranking import Ranking, rank_rows
 from vprbench.report.run_options import ShowOptions, TableRequest
@@ -120,7 +120,7 @@ def make_report(chosen: Plan, options: Sequence[str], executor: Executor | None 
 def list_cells(chosen: Plan, column: ResolvedColumn, rows: Sequence[Row], options: Sequence[str]) -> Iterator[Cell]:
     """Yield the runs of some rows in one column, on a GPU those of methods that compute there.
 
-    `options` of the command line hold for all runs.
+    `options` of the command line hold for all runs. Raises BadInput for a row that does not fit its method.
     """
     planned, entries = column.planned, registry.entries("method")
     values: dict[str, Any] = {"results": str(resolve_results_folder(chosen.results))}
@@ -131,11 +131,21 @@ def list_cells(chosen: Plan, column: ResolvedColumn, rows: Sequence[Row], option
     if column.views is not None:
         values["views"] = column.views
     for row in rows:
-        on_cpu = row.method in entries and "device" not in entries[row.method].options
-        devices = [device for device in chosen.devices if device == "cpu" or not on_cpu]
+        _require_known("method", row.method, entries)
+        arguments = {f"method.{name}": value for name, value in _flatten(row.arguments)}
+        devices = [each for each in chosen.devices if each == "cpu" or "device" in entries[row.method].options]
         for device, seed in itertools.product(devices, row.seeds):
-            given = {**values, "seed": seed, "device": device}
-            yield make_cell(row, planned.title, [*planned.options, *options], given)
+            given = {**values, "seed": seed, "device": device, **arguments}
+            yield Cell(row, planned.title, make_request([*planned.options, *options, f"method={row.method}"], given))
+
+
+def _flatten(arguments: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Yield arguments; a value inside a mapping has a dotted name."""
+    for name, value in arguments.items():
+        if isinstance(value, Mapping) and value:
+            yield from ((f"{name}.{inner}", given) for inner, given in _flatten(value))
+        else:
+            yield name, value
 
 
 def run_missing(chosen: Plan, cells: Sequence[Cell], executor: Executor | None = None) -> list[JobResult]:

@@ -6,14 +6,11 @@ import contextlib
 import io
 import logging
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from vprbench.api.dataset import Dataset
-from vprbench.config import make_request
-from vprbench.errors import BadInput, MissingData
 from vprbench.jobs.executors import Executor, Numbered, run_all
 from vprbench.jobs.job import JobResult, failure_of
 from vprbench.plugins import registry
@@ -37,7 +34,6 @@ class Cell:
     row: Row
     title: str  # of the dataset, for people
     request: RunRequest
-    refusal: JobResult | None = None  # why no process can make it
 
     @property
     def column(self) -> str:
@@ -49,36 +45,6 @@ class Cell:
         """The run as a line for people."""
         facts = [f"seed {self.request.seed}", self.request.device, *self.request.corruptions]
         return f"{self.row.name} on {self.title}, {', '.join(facts)}"
-
-
-def make_cell(row: Row, title: str, options: Sequence[str], values: Mapping[str, Any]) -> Cell:
-    """Return a run of a row; one whose method is unknown, or whose options do not fit, is a `refusal`.
-
-    Args:
-        row: the method and its arguments.
-        title: the title of the dataset.
-        options: of the command line, with the dataset's.
-        values: more options by their dotted names, as seed and device.
-    """
-    arguments = {f"method.{name}": value for name, value in _flatten(row.arguments)}
-    try:
-        if row.method not in registry.entries("method"):
-            raise MissingData(f"there is no method {row.method} here yet")
-        return Cell(row, title, make_request([*options, f"method={row.method}"], {**values, **arguments}))
-    except BadInput as error:
-        refusal = JobResult(2, str(error), missing=isinstance(error, MissingData))
-    given = dict(row.arguments)
-    nobody = {"method_name": row.method, "method": given, "changed": given, "tuned_on": {}}
-    return Cell(row, title, make_request(options, values, nobody), refusal)
-
-
-def _flatten(arguments: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-    """Yield arguments; a value inside a mapping has a dotted name."""
-    for name, value in arguments.items():
-        if isinstance(value, Mapping) and value:
-            yield from ((f"{name}.{inner}", given) for inner, given in _flatten(value))
-        else:
-            yield name, value
 
 
 def make_missing_runs(wanted: Sequence[Cell], store: Store, executor: Executor | None = None) -> list[JobResult]:
@@ -123,7 +89,7 @@ def make_missing_runs(wanted: Sequence[Cell], store: Store, executor: Executor |
 
     def list_missing() -> Iterator[Numbered]:
         for number, cell in enumerate(wanted):
-            result = missing.get((cell.row.name, cell.column)) or cell.refusal
+            result = missing.get((cell.row.name, cell.column))
             if result is None and stored.holds(cell.request):
                 result = JobResult(0)
             if result is None:
