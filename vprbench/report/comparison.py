@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -30,12 +30,12 @@ from vprbench.report.selection import ResolvedColumn, describe_frames, group_run
 from vprbench.report.table import words
 from vprbench.report.table.make import choose_exit_code, write_table
 from vprbench.report.table.quantities import RECALL
-from vprbench.runs import rows
-from vprbench.runs.corruption import Corruption, corrupt_queries, parse_corruptions
+from vprbench.runs.corruption import corrupt_queries, parse_corruptions
 from vprbench.runs.frame import format_label, iterate_rows
 from vprbench.runs.identity import fingerprint
 from vprbench.runs.predictions import require_depth, tabulate_predictions, write_csv
-from vprbench.runs.request import OPTIONS, RunRequest
+from vprbench.runs.request import OPTIONS
+from vprbench.runs.rows import describe_sequence
 from vprbench.runs.sequences import name_views, parse_views
 from vprbench.runs.viewpoints import parse_viewpoints, record_viewpoints
 from vprbench.storage.atomic import replace_text
@@ -49,62 +49,28 @@ _LEAST = ("peak MB", "AUC-PR (A)", "R@5 %")  # columns that a narrow terminal la
 
 
 def make_comparison(options: Sequence[str]) -> int:
-    """Compare methods on one dataset by the options of the command line; returns the exit code.
+    """Compare methods on one dataset by the options of the command line; returns 1 where a run failed, else 0.
 
-    It is 1 where a run failed. Data and options are checked before anything runs: it is 2 where they do not fit.
+    Data and options are checked before anything runs. Raises BadInput.
     """
     request, of_methods, of_dataset, of_runs = sort_options(options)
     if not request.stored and not request.needs_dask:
         start_server()  # imports while the comparison is checked
-    of_all = [*of_dataset, *of_runs, f"device={request.devices[0]}"]
-    run = make_request(of_all, {"results": request.results})
-    if not request.is_distributed and not request.stored:
-        run.require_machine()
-    if request.predictions:
-        require_depth(request.predictions, run.depth, request.predictions)
-    dataset, of_rows, wrong = None, list[Row](), list[str]()
     with progress_shown("compare"):
-        try:
-            dataset = _build_dataset(run, request)
-        except BadInput as error:
-            wrong += [] if request.stored else [str(error)]
-        for name, given in of_methods.items():
-            try:
-                of_rows += [_make_row(name, [*of_all, *each], request) for each in split_sweep(given)]
-            except BadInput as error:
-                text = str(error).removeprefix(f"{name}: ").replace("method.", f"{name}.")
-                wrong.append(f"{name}: {text}")
-        if not wrong:
-            clean, corrupted = _make_columns(run, dataset, request, of_dataset)
-    if wrong:
-        for line in wrong:
-            complain(line)
-        return 2
+        chosen, dataset = _plan_comparison(request, of_methods, of_dataset, of_runs)
     if dataset is not None and not request.stored and (found := look_at_some(dataset)):
         doctor = shlex.join(["vprbench", "doctor", *of_dataset])
         print(line_text(f"note: {'; '.join(found)}: {doctor} says more", "yellow"), flush=True)
-    chosen = Plan(
-        rows=tuple(of_rows),
-        columns=(clean,),
-        devices=tuple(request.devices),
-        metrics=tuple(request.metrics),
-        results=request.results,
-        stores=tuple(request.stores),
-        stored=request.stored,
-        title=clean.planned.title,
-        views=parse_views(request.sequence, request.filter),
-    )
     with executor_for(request) as executor:
-        results = run_missing(chosen, _list_missing(chosen, of_runs, list(corrupted)), executor)
-    runs, failures = load_stored_runs(chosen)
-    groups = group_runs_by_column(runs, failures, [clean, *corrupted.values()], of_rows)
-    shown, *spoilt = (group for group in groups if group.number == 1)
-    compared = assemble_report(chosen, [shown], shown.runs, results)
+        results = run_missing(chosen, [] if request.stored else _list_missing(chosen, of_runs), executor)
+    groups = group_runs_by_column(*load_stored_runs(chosen), chosen.columns, chosen.rows)
+    clean, *corrupted = (group for group in groups if group.number == 1)
+    compared = assemble_report(chosen, [clean], clean.runs, results)
     show_comparison(compared, request.wide)
     robust = None
     if corrupted:
-        of_clean, *of_each = (list_accuracy_runs(group, compared.chosen.rows) for group in (shown, *spoilt))
-        robust = measure_robustness(of_clean, dict(zip(corrupted, of_each, strict=True)))
+        of_clean, *of_each = (list_accuracy_runs(group, compared.chosen.rows) for group in (clean, *corrupted))
+        robust = measure_robustness(of_clean, dict(zip(parse_corruptions(request.corruptions), of_each, strict=True)))
         table = list_lines(robust)
         print()
         show_table([*table[0]], [[*line.values()] for line in table], request.wide)
@@ -158,11 +124,68 @@ def sort_options(options: Sequence[str]) -> tuple[CompareRequest, dict[str, list
     return request, of_methods, of_dataset, [*of_runs, *request.threads(of_runs)]
 
 
-def _build_dataset(run: RunRequest, request: CompareRequest) -> Dataset:
-    """Return the dataset of a comparison, checked; raises BadInput."""
-    dataset = record_viewpoints(registry.make_dataset(run.dataset), parse_viewpoints(request.views))
-    check_dataset(dataset, bool(parse_views(request.sequence, request.filter)))
-    return dataset
+def _plan_comparison(
+    request: CompareRequest, of_methods: Mapping[str, Sequence[str]], of_dataset: Sequence[str], of_runs: Sequence[str]
+) -> tuple[Plan, Dataset | None]:
+    """Return the rows of a comparison, and its columns: on clean frames first, then under each corruption.
+
+    The dataset is None if it cannot be built and stored runs alone are shown. Raises BadInput; where several things do
+    not fit, each has a line on standard error.
+    """
+    of_all = [*of_dataset, *of_runs, f"device={request.devices[0]}"]
+    run = make_request(of_all, {"results": request.results})
+    if not request.is_distributed and not request.stored:
+        run.require_machine()
+    if request.predictions:
+        require_depth(request.predictions, run.depth, request.predictions)
+    views = parse_views(request.sequence, request.filter)
+    dataset, rows, wrong = None, list[Row](), list[str]()
+    try:
+        dataset = record_viewpoints(registry.make_dataset(run.dataset), parse_viewpoints(request.views))
+        check_dataset(dataset, bool(views))
+    except BadInput as error:
+        wrong += [] if request.stored else [str(error)]
+    for name, given in of_methods.items():
+        try:
+            rows += [_make_row(name, [*of_all, *each], request) for each in split_sweep(given)]
+        except BadInput as error:
+            text = str(error).removeprefix(f"{name}: ").replace("method.", f"{name}.")
+            wrong.append(f"{name}: {text}")
+    for line in wrong[:-1]:
+        complain(line)
+    if wrong:
+        raise BadInput(wrong[-1])
+    title = request.name or run.dataset_name
+    clean = ResolvedColumn(PlannedColumn(title, title, tuple(of_dataset)), run.dataset, views=request.views)
+    plan = Plan(
+        rows=tuple(rows),
+        columns=tuple(_list_columns(clean, request.corruptions, dataset, run.n_threads)),
+        devices=tuple(request.devices),
+        metrics=tuple(request.metrics),
+        results=request.results,
+        stores=tuple(request.stores),
+        stored=request.stored,
+        title=title,
+        views=views,
+    )
+    return plan, dataset
+
+
+def _list_columns(
+    clean: ResolvedColumn, corruptions: Sequence[str], dataset: Dataset | None, threads: int
+) -> Iterator[ResolvedColumn]:
+    """Yield the clean column and that of each corruption, by the frames of the dataset if there is one.
+
+    Raises BadInput if there is no accuracy that a corruption could lower.
+    """
+    if corruptions and dataset is not None and not any(map(len, dataset.positives)):
+        raise BadInput(f"corruptions={','.join(corruptions)}: no query of {dataset.name} has a right place to lose")
+    for name in (None, *(one.name for one in parse_corruptions(corruptions))):
+        frames = None
+        if dataset is not None:
+            seen = corrupt_queries(dataset, name)
+            frames = describe_frames(fingerprint(seen), seen.protocol, threads)
+        yield replace(clean, corruption=name, frames=frames)
 
 
 def _make_row(name: str, options: Sequence[str], request: CompareRequest) -> Row:
@@ -189,41 +212,16 @@ def _make_row(name: str, options: Sequence[str], request: CompareRequest) -> Row
     )
 
 
-def _make_columns(
-    run: RunRequest, dataset: Dataset | None, request: CompareRequest, options: Sequence[str]
-) -> tuple[ResolvedColumn, dict[Corruption, ResolvedColumn]]:
-    """Return the column of a dataset, and that under each corruption; `options` are those of the dataset.
-
-    Without the dataset, runs belong to a column by its arguments. Raises BadInput if there is no accuracy to lower.
-    """
-    if request.corruptions and dataset is not None and not any(map(len, dataset.positives)):
-        lost = f"no query of {dataset.name} has a right place to lose"
-        raise BadInput(f"corruptions={','.join(request.corruptions)}: {lost}")
-
-    def make_column(corruption: str | None) -> ResolvedColumn:
-        frames = None
-        if dataset is not None:
-            seen = corrupt_queries(dataset, corruption)
-            frames = describe_frames(fingerprint(seen), seen.protocol, run.n_threads)
-        return ResolvedColumn(planned, run.dataset, corruption, request.views, frames)
-
-    title = request.name or run.dataset_name
-    planned = PlannedColumn(title, title, tuple(options))
-    return make_column(None), {one: make_column(one.name) for one in parse_corruptions(request.corruptions)}
-
-
-def _list_missing(chosen: Plan, of_runs: Sequence[str], corruptions: Sequence[Corruption]) -> list[Cell]:
+def _list_missing(chosen: Plan, of_runs: Sequence[str]) -> list[Cell]:
     """Return the runs on clean frames, then those of corrupted queries: on the first device, and untimed.
 
     A process fits a row's method once for all corruptions.
     """
-    if chosen.stored:
-        return []
-    (clean,) = chosen.columns
+    clean, *corrupted = chosen.columns
     cells = [*list_cells(chosen, clean, chosen.rows, [*of_runs, *["scores=true"] * bool(chosen.views)])]
-    if corruptions:
+    if corrupted:
         untimed = [*(option for option in of_runs if not option.startswith("timing")), "timing=none", "frames=false"]
-        together = replace(clean, corruption=[one.name for one in corruptions])
+        together = replace(clean, corruption=[str(column.corruption) for column in corrupted])
         cells += list_cells(replace(chosen, devices=chosen.devices[:1]), together, chosen.rows, untimed)
     return cells
 
@@ -236,8 +234,8 @@ def show_comparison(found: Report, wide: bool = False) -> None:
     print(line_text(f"{table.title}: {words.describe_data(table.columns[0])}", fits=True))
     if len(table.columns) > 1:
         for run in (group.runs[0] for group in groups_shown):
-            print(line_text(f"{rows.describe_sequence(run)}: {len(run.outcome):,} queries"))
-        heads = ["R@1 %", *(rows.describe_sequence(group.runs[0]) for group in groups_shown)]
+            print(line_text(f"{describe_sequence(run)}: {len(run.outcome):,} queries"))
+        heads = ["R@1 %", *(describe_sequence(group.runs[0]) for group in groups_shown)]
         cells = cells[(table.cells["quantity"] == RECALL.name).to_numpy()]
     for row, of_row in table.cells.groupby("row", sort=False):
         for number in sorted({number for notes in of_row["notes"] for number in notes}):
@@ -250,7 +248,7 @@ def show_comparison(found: Report, wide: bool = False) -> None:
         print(line_text("~ a busy machine or too few laps", "dim"))
     print()
     for group, ranking in zip(groups_shown, found.rankings, strict=True):
-        above = f"{rows.describe_sequence(group.runs[0])}: " if len(groups_shown) > 1 else ""
+        above = f"{describe_sequence(group.runs[0])}: " if len(groups_shown) > 1 else ""
         print(*(line_text(f"{above}{sentence}", "bold") for sentence in ranking.sentences), sep="\n")
 
 
@@ -276,7 +274,7 @@ def predict_places(compared: Report, dataset: Dataset | None, n: int | None) -> 
         for one in list_accuracy_runs(group, compared.chosen.rows):
             for run in one.runs:
                 table = tabulate_predictions(run, min(n or 10, run.top_places.shape[1]), dataset)
-                about = {"method": one.name, "seed": run.config["seed"], "answers": rows.describe_sequence(run)}
+                about = {"method": one.name, "seed": run.config["seed"], "answers": describe_sequence(run)}
                 tables.append(pd.concat([pd.DataFrame(about, index=table.index), table], axis=1))
     return pd.concat(tables, ignore_index=True)
 
