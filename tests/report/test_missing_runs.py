@@ -23,10 +23,9 @@ SAD = Row("SAD", "sad", training="none")
 ROUTE = ["dataset=synthetic", "dataset.places=20", "dataset.first_query_place=4"]
 
 
-def a_cell(row=SAD, seed=0, options=(), title="Journey", **values):
-    arguments = {f"method.{name}": value for name, value in row.arguments.items()}
-    given = {"seed": seed, "device": "cpu", **values, **arguments}
-    return Cell(row, title, make_request([*ROUTE, *RUN, *options, f"method={row.method}"], given))
+def a_cell(row=SAD, seed=0, options=(), **values):
+    given = {"seed": seed, "device": "cpu", **values}
+    return Cell(row, "Journey", make_request([*ROUTE, *RUN, *options, f"method={row.method}"], given))
 
 
 @pytest.fixture

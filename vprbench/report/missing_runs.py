@@ -16,7 +16,7 @@ from vprbench.jobs.job import JobResult, failure_of
 from vprbench.plugins import registry
 from vprbench.progress import progress_shown
 from vprbench.report.plan import Row
-from vprbench.runs.experiment import Experiment, build_experiment, corrupt_experiment
+from vprbench.runs.experiment import build_experiment, corrupt_experiment
 from vprbench.runs.get_or_run import find_run
 from vprbench.runs.request import RunRequest
 from vprbench.runs.run_files import content_key
@@ -53,7 +53,7 @@ def make_missing_runs(wanted: Sequence[Cell], store: Store, executor: Executor |
     For a run that is stored no process is started, nor for a row in a column where its weights or frames are missing. A
     failure is stored, never raised.
     """
-    executor, stored = executor or Executor(), StoredRuns(store)
+    executor, datasets = executor or Executor(), dict[str, Dataset]()
     results: dict[int, JobResult] = {}
     missing: dict[tuple[str, str], JobResult] = {}  # by row and column
     rows, columns = dict.fromkeys(cell.row.name for cell in wanted), dict.fromkeys(cell.column for cell in wanted)
@@ -90,7 +90,7 @@ def make_missing_runs(wanted: Sequence[Cell], store: Store, executor: Executor |
     def list_missing() -> Iterator[Numbered]:
         for number, cell in enumerate(wanted):
             result = missing.get((cell.row.name, cell.column))
-            if result is None and stored.holds(cell.request):
+            if result is None and _is_stored(cell.request, store, datasets):
                 result = JobResult(0)
             if result is None:
                 yield number, cell.request
@@ -103,39 +103,29 @@ def make_missing_runs(wanted: Sequence[Cell], store: Store, executor: Executor |
     return [results[number] for number in range(len(wanted))]
 
 
-class StoredRuns:
-    """The runs of a store that a process would find."""
+def _is_stored(request: RunRequest, store: Store, datasets: dict[str, Dataset]) -> bool:
+    """Tell whether a process would find the run of a request, for each of its corruptions, with nothing to add.
 
-    def __init__(self, store: Store) -> None:
-        """Read nothing yet."""
-        self._store = store
-        self._datasets: dict[str, Dataset] = {}
-
-    def holds(self, request: RunRequest) -> bool:
-        """Tell whether the run of a request is stored, for each of its corruptions, with nothing to add.
-
-        Nothing is built if the method has no stored run. False for whatever raises an error here: a process tells it.
-        """
-        if request.force or not any(self._store.root.glob(f"*/{request.method_name}-*")):
-            return False
-        key = content_key(request.dataset)
-        try:
-            with contextlib.redirect_stdout(io.StringIO()), progress_shown(request.dataset_name):
-                if key not in self._datasets:
-                    self._datasets[key] = registry.make_dataset(request.dataset)
-                clean = build_experiment(request, self._datasets[key])
-                several = request.corruption if isinstance(request.corruption, list) else []
-                wanted = [corrupt_experiment(clean, name) for name in several] or [clean]
-                return all(map(self._holds_one, wanted))
-        except (Exception, SystemExit) as error:  # whatever a plug-in raises
-            logger.debug("whether %s is stored is left to a process: %s", request.method_name, error)
-            return False
-
-    def _holds_one(self, experiment: Experiment) -> bool:
-        """Tell whether a run is stored, with the frames that its request keeps."""
-        if find_run(experiment, self._store) is None:
-            return False
-        return not experiment.request.frames or load_thumbnails(self._store.root, experiment.fingerprint) is not None
+    Nothing is built if the method has no stored run; `datasets` that were built are kept. False for whatever raises an
+    error here: a process tells it.
+    """
+    if request.force or not any(store.root.glob(f"*/{request.method_name}-*")):
+        return False
+    key = content_key(request.dataset)
+    try:
+        with contextlib.redirect_stdout(io.StringIO()), progress_shown(request.dataset_name):
+            if key not in datasets:
+                datasets[key] = registry.make_dataset(request.dataset)
+            clean = build_experiment(request, datasets[key])
+            several = request.corruption if isinstance(request.corruption, list) else []
+            return all(
+                find_run(one, store) is not None
+                and not (request.frames and load_thumbnails(store.root, one.fingerprint) is None)
+                for one in [corrupt_experiment(clean, name) for name in several] or [clean]
+            )
+    except (Exception, SystemExit) as error:  # whatever a plug-in raises
+        logger.debug("whether %s is stored is left to a process: %s", request.method_name, error)
+        return False
 
 
 def resolve_results_folder(results: str) -> Path:
