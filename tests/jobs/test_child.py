@@ -16,7 +16,7 @@ import pytest
 from vprbench import cli
 from vprbench.config import make_request
 from vprbench.jobs import child, executors
-from vprbench.jobs.job import JobResult
+from vprbench.jobs.job import JobResult, describe_failure
 from vprbench.plugins import entries
 from vprbench.runs.request import RunRequest
 from vprbench.runs.run_lock import read_claims
@@ -88,13 +88,13 @@ def test_a_process_that_dies_is_one_failure_with_its_exit_code_or_signal_and_its
     run, statement, words, tmp_path, capfd
 ):
     result = run(statement)
-    assert (result.code, result.key, words in result.error) == (1, "", True), result.error
+    assert (result.code, result.key, words in result.failure.error) == (1, "", True), result.failure
     assert capfd.readouterr().err.count("\nvprbench: ") == 1
     assert [*Store(tmp_path / "results").runs()] == []
 
 
 def test_a_process_is_ended_at_its_limit_with_its_children_and_frees_its_lock(run, tmp_path):
-    assert "limit_minutes=0.05" in run(SLEEPER + "time.sleep(60)", limit_minutes=0.05).error
+    assert "limit_minutes=0.05" in run(SLEEPER + "time.sleep(60)", limit_minutes=0.05).failure.error
     assert not (Path("sleeper").exists() and is_running("sleeper"))  # a slow machine may not get so far in 3 s
     assert read_claims(tmp_path / "results") == []
 
@@ -132,8 +132,12 @@ def test_a_sweep_makes_a_request_for_each_combination_and_stores_a_run_whose_pro
     tmp_path, monkeypatch, capsys
 ):
     asked = []
-    dead = JobResult(1, "was ended by signal 7 (SIGBUS)")
-    monkeypatch.setattr(executors, "run_in_child", lambda text, *_: asked.append(RunRequest.from_json(text)) or dead)
+
+    def die(text, _):
+        asked.append(RunRequest.from_json(text))
+        return JobResult(1, describe_failure(asked[-1], "was ended by signal 7"))
+
+    monkeypatch.setattr(executors, "run_in_child", die)
     monkeypatch.chdir(tmp_path)
     options = ["method.max_module=921", "-m", "seed=0,1", "dataset=folders", "dataset.references=[a,b]", "output=json"]
     assert cli.main(["method=vprtempo,vprtempo_int8", *options]) == 1
@@ -144,7 +148,7 @@ def test_a_sweep_makes_a_request_for_each_combination_and_stores_a_run_whose_pro
     stored = [*Store(tmp_path / "results").failures()]
     assert sorted((failure.method, failure.config["seed"]) for failure in stored) == wanted
     told = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    assert [row["error"] for row in told] == [dead.error] * 4 == [failure.error for failure in stored]
+    assert [row["error"] for row in told] == ["was ended by signal 7"] * 4 == [failure.error for failure in stored]
 
 
 def test_of_several_runs_a_bad_one_is_refused_before_any_is_made(monkeypatch, capsys):

@@ -9,10 +9,10 @@ import sys
 import pytest
 
 from vprbench.errors import BadInput
-from vprbench.jobs.cluster import DaskExecutor, start_jobs
 from vprbench.jobs.options import ClusterOptions
 from vprbench.plugins.options import parse_options
 
+cluster = pytest.importorskip("vprbench.jobs.cluster", reason="needs vprbench[cluster]")
 ASKED = ["cluster.cores=6", "cluster.memory=32GiB", "cluster.queue=long"]
 WANTED = {  # as the manuals of sbatch, qsub (OpenPBS), bsub and qsub (Grid Engine) have them
     "slurm": ["#SBATCH -p long", "#SBATCH --cpus-per-task=6", "#SBATCH --mem=32G", "#SBATCH -t 24:00:00"],
@@ -37,7 +37,7 @@ def batch_systems(tmp_path, monkeypatch):
 
 
 def start(*given):
-    return start_jobs(parse_options(ClusterOptions, given, {}).job_arguments(), 3)
+    return cluster.start_jobs(parse_options(ClusterOptions, given, {}).job_arguments(), 3)
 
 
 @pytest.mark.parametrize("system", WANTED)
@@ -59,8 +59,8 @@ def test_a_script_asks_its_system_for_the_fields_of_its_yaml_and_begins_one_work
 def test_a_yaml_of_ones_own_names_any_class_of_dask_jobqueue_and_workers_bounds_the_jobs(tmp_path):
     (tmp_path / "ours.yaml").write_text("_target_: dask_jobqueue.PBSCluster\ncores: 2\nmemory: 4GiB\nqueue: night\n")
     options = parse_options(ClusterOptions, ["cluster=./ours.yaml", "cluster.cores=8", "workers=5"], {})
-    assert (DaskExecutor(options).room(), options.threads([])) == (5, ["threads=8"])
-    with start_jobs(options.job_arguments(), 5):
+    assert (cluster.DaskExecutor(options).count_slots(), options.threads([])) == (5, ["threads=8"])
+    with cluster.start_jobs(options.job_arguments(), 5):
         assert "#PBS -q night" in (tmp_path / "submitted").read_text()
 
 

@@ -10,14 +10,13 @@ import time
 
 import pytest
 from killed_worker import Kills
-from little import a_run
 
-from vprbench import cli
+from vprbench import __version__, cli
 from vprbench.config import make_request
 from vprbench.errors import BadInput, ClusterLostError
 from vprbench.jobs import executors
 from vprbench.jobs import options as cluster_options
-from vprbench.jobs.executors import Executor, choose_gpu, executor_for, run_all
+from vprbench.jobs.executors import Executor, choose_executor, choose_gpu, run_all
 from vprbench.jobs.job import JobResult
 from vprbench.jobs.options import ClusterOptions
 from vprbench.plugins import entries
@@ -27,6 +26,7 @@ from vprbench.runs.run_lock import read_claims
 from vprbench.runs.store import Store
 
 RUN = ["method=sad", "dataset=synthetic", "dataset.places=12", "timing=none", "frames=false", "threads=1"]
+NEEDS = "needs vprbench[cluster]"
 SLOW = """import pathlib, time
 from vprbench.methods.sad import SAD
 class Slow(SAD):
@@ -39,7 +39,7 @@ class Slow(SAD):
 @pytest.fixture(scope="module")
 def scheduler():
     """Return the address of a dask cluster of two workers, which restarts those that die."""
-    distributed = pytest.importorskip("distributed")
+    distributed = pytest.importorskip("distributed", reason=NEEDS)
     sizes = {"n_workers": 2, "threads_per_worker": 1, "memory_limit": 0}
     with distributed.LocalCluster(dashboard_address=":0", silence_logs=50, **sizes) as cluster:
         yield cluster.scheduler_address
@@ -48,7 +48,7 @@ def scheduler():
 def test_a_run_is_taken_when_there_is_room_and_a_run_that_another_sweep_makes_is_tried_again_last(monkeypatch):
     asked = []
     held = iter([True, False])
-    ends = iter([JobResult(0), JobResult(0, held="a lock"), JobResult(1), JobResult(0, key="of the other sweep")])
+    ends = iter([JobResult(0), JobResult(0, lock="a lock"), JobResult(1), JobResult(0, key="of the other sweep")])
 
     def run(request_json, _):
         asked.append(f"makes {json.loads(request_json)['seed']}")
@@ -107,14 +107,9 @@ def test_workers_make_runs_side_by_side_without_dask(tmp_path):
 
 
 @pytest.mark.extended
-@pytest.mark.parametrize("shared", [True, False])
-def test_workers_of_dask_make_runs_and_send_them_back_if_they_do_not_share_the_disk(
-    shared, scheduler, tmp_path, monkeypatch
-):
+def test_workers_of_dask_make_runs_on_the_disk_that_they_share(scheduler, tmp_path):
     results, begun = tmp_path / "results", []
-    with executor_for(ClusterOptions(scheduler=scheduler)) as executor:
-        if not shared:  # no worker finds the results folder
-            executor._probes[results] = "/nowhere/probe"
+    with choose_executor(ClusterOptions(scheduler=scheduler)) as executor:
         request = make_request(RUN, {"results": str(results)})
         ((number, result),) = run_all(executor, [(5, request)], begun.append)
     assert (number, result.code, begun) == (5, 0, [5])
@@ -125,21 +120,21 @@ def test_workers_of_dask_make_runs_and_send_them_back_if_they_do_not_share_the_d
 
 @pytest.mark.extended
 def test_a_worker_that_dies_is_made_up_for_three_times(scheduler, tmp_path):
-    with executor_for(ClusterOptions(scheduler=scheduler)) as executor:
-        functions = executor.of_functions()
+    with choose_executor(ClusterOptions(scheduler=scheduler)) as executor:
+        functions = executor.open_pool()
         assert functions.submit(Kills(tmp_path), False).result() == 2
         result = executor.collect(make_request(RUN), functions.submit(Kills(tmp_path), True))
-    assert (result.code, "4 times" in result.error) == (1, True)
+    assert (result.code, "4 times" in result.failure.error) == (1, True)
     assert len([*(tmp_path / "True").iterdir()]) == 4
 
 
 @pytest.mark.extended
 def test_a_scheduler_that_is_gone_is_one_line(tmp_path):
-    distributed = pytest.importorskip("distributed")
+    distributed = pytest.importorskip("distributed", reason=NEEDS)
     with distributed.LocalCluster(n_workers=1, dashboard_address=":0", silence_logs=50) as cluster:
-        executor = executor_for(ClusterOptions(scheduler=cluster.scheduler_address))
-        made = executor.of_functions().submit(time.sleep, 60)
-    with pytest.raises(ClusterLostError, match="give the same command again"):
+        executor = choose_executor(ClusterOptions(scheduler=cluster.scheduler_address))
+        made = executor.open_pool().submit(time.sleep, 60)
+    with executor, pytest.raises(ClusterLostError, match="give the same command again"):
         executor.collect(make_request(RUN), made)
 
 
@@ -159,7 +154,7 @@ def test_an_interruption_ends_the_runs_of_workers(place, tmp_path, monkeypatch, 
 
     threading.Thread(target=interrupt, daemon=True).start()
     began = time.monotonic()
-    with pytest.raises(KeyboardInterrupt), executor_for(ClusterOptions(**asked)) as executor:
+    with pytest.raises(KeyboardInterrupt), choose_executor(ClusterOptions(**asked)) as executor:
         [*run_all(executor, [(0, slow)])]
     while read_claims(tmp_path / "results") and time.monotonic() - began < 40:
         time.sleep(0.1)
@@ -167,21 +162,14 @@ def test_an_interruption_ends_the_runs_of_workers(place, tmp_path, monkeypatch, 
     assert [*Store(tmp_path / "results").runs()] == []
 
 
-def test_a_worker_of_another_version_makes_no_run():
-    cluster = pytest.importorskip("vprbench.jobs.cluster")
+def test_a_worker_of_another_version_or_disk_makes_no_run(tmp_path):
+    cluster = pytest.importorskip("vprbench.jobs.cluster", reason=NEEDS)
+    inode = tmp_path.stat().st_ino
     with pytest.raises(BadInput, match=r"0\.0\.1"):
-        cluster.run_on_worker("{}", "", "", "0.0.1")
-
-
-def test_the_runs_and_pictures_that_a_worker_sent_are_stored(tmp_path):
-    cluster = pytest.importorskip("vprbench.jobs.cluster")
-    worker, client = Store(tmp_path / "worker"), Store(tmp_path / "client")
-    worker.prepare()
-    folder = worker.save(a_run())
-    files = {str(path.relative_to(worker.root)): path.read_bytes() for path in folder.iterdir()}
-    cluster.store_files({**files, "frames/f.zip": b"pictures"}, client)
-    assert [run.key for run in client.runs()] == [a_run().key]
-    assert (client.root / "frames/f.zip").read_bytes() == b"pictures"
+        cluster.run_on_worker("{}", tmp_path, tmp_path, inode, "0.0.1")
+    for root, number in ((tmp_path, inode + 1), (tmp_path / "elsewhere", inode)):
+        with pytest.raises(BadInput, match=f"does not share {root}"):
+            cluster.run_on_worker("{}", tmp_path, root, number, __version__)
 
 
 def test_runs_on_a_gpu_take_those_of_the_machine_in_turn(monkeypatch):

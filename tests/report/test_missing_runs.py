@@ -12,7 +12,7 @@ from small_plan import RUN
 from vprbench.cli import main
 from vprbench.config import make_request
 from vprbench.jobs import executors
-from vprbench.jobs.job import JobResult
+from vprbench.jobs.job import JobResult, describe_failure
 from vprbench.report.missing_runs import Cell, make_missing_runs
 from vprbench.report.plan import Row
 from vprbench.runs import experiment
@@ -48,16 +48,15 @@ def store(tmp_path):
 
 
 def test_what_is_missing_for_one_seed_is_sought_for_no_other(children, store):
-    missing = JobResult(2, "weights are missing", True)  # as a process tells of its first seed
+    missing = JobResult(2, describe_failure(STORED.request, "weights are missing", True))  # of its first seed
     asked = children(missing, JobResult(0))
     endings = make_missing_runs([a_cell(seed=0), a_cell(seed=1), a_cell(Row("PCA", "pca"))], store)
     assert (endings, len(asked)) == ([missing, missing, JobResult(0)], 2)
 
 
 def test_a_failure_of_one_seed_is_stored_and_does_not_stop_the_next(children, store):
-    killed = JobResult(1, "was ended by signal 9")
-    children(killed, JobResult(0))
     cells = [a_cell(seed=seed, results=str(store.root)) for seed in range(2)]
+    children(JobResult(1, describe_failure(cells[0].request, "was ended by signal 9")), JobResult(0))
     assert [ending.code for ending in make_missing_runs(cells, store)] == [1, 0]
     (failure,) = store.failures()
     assert (failure.error, failure.missing, failure.config["seed"]) == ("was ended by signal 9", False, 0)
@@ -111,7 +110,8 @@ def test_on_a_terminal_a_table_fills_with_what_is_stored_and_leaves_it_clean_if_
         monkeypatch.setenv(name, value)
 
     def failing(*_):
-        return JobResult(1, "it failed", lines=["note: a warning", "vprbench: it failed"])
+        failed = describe_failure(STORED.request, "it failed")
+        return JobResult(1, failed, lines=["note: a warning", "vprbench: it failed"])
 
     def interrupted(*_):
         raise KeyboardInterrupt(2)

@@ -9,10 +9,9 @@ import pytest
 from file_limit import no_file_may_exceed
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from natsort import natsorted
 
 from vprbench.storage.atomic import replace_bytes
-from vprbench.storage.paths import Paths, natural_keys
+from vprbench.storage.paths import Paths
 from vprbench.storage.row_files import keep_rows
 
 
@@ -76,16 +75,3 @@ def test_each_of_the_different_paths_comes_once_and_folders_come_as_they_first_a
     parents = [path.parent for path in paths]
     found = [(folder, which.tolist()) for folder, which in paths.in_folders()]
     assert found == [(one, [i for i, parent in enumerate(parents) if parent == one]) for one in dict.fromkeys(parents)]
-
-
-@quiet
-@given(st.lists(st.text(alphabet="ab-/.@0019", max_size=9), max_size=20))
-@example(["a10", "a9", "a-1", "a", "", "00", "0", "a09b", "a9", "a009c"])
-@example(["1" * 250 + "a", "2" * 250, "9"])
-@example(["été 2", "a10", "été 10", "a9", "z"])
-@example(["e\u0301te\u0301 10", "a10", "été 10", "a9", "a²", "a\n3", "a\xff4"])
-@example([f"frame {number * 7919 % 25_000}.png" for number in range(25_000)])
-def test_keys_sort_as_natsort_does(texts):
-    texts = sorted(texts)
-    keys = natural_keys(texts)
-    assert [texts[number] for number in sorted(range(len(texts)), key=keys.__getitem__)] == natsorted(texts)

@@ -50,16 +50,14 @@ def files(tmp_path, count):
 
 
 def are_right(paths):
-    found, contents = file_hashes(paths), [path.read_bytes() for path in paths]
-    sha256 = [hashlib.sha256(content).digest() for content in contents]
-    return ([*found.sizes], [*found]) == ([*map(len, contents)], sha256)
+    contents = [path.read_bytes() for path in paths]
+    return file_hashes(paths) == [(len(content), hashlib.sha256(content).digest()) for content in contents]
 
 
 def test_the_hash_of_a_file_is_its_sha256_whatever_its_name_and_the_unreadable_file_is_named(tmp_path):
     paths = [write(tmp_path / "a.png", b""), write(tmp_path / os.fsdecode(b"hiver-\xe9t\xe9.png"), b"abc")]
     for _ in range(2):
-        found = file_hashes(paths)
-        assert (found.sizes.tolist(), [sha256.hex() for sha256 in found]) == ([0, 3], [EMPTY, ABC])
+        assert [(size, sha256.hex()) for size, sha256 in file_hashes(paths)] == [(0, EMPTY), (3, ABC)]
     for wrong in (tmp_path / "absent.png", tmp_path):
         with pytest.raises(BadInput, match=rf"{wrong} cannot be read \(.*restore the file$"):
             file_hashes([*paths, wrong])

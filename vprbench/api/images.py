@@ -20,7 +20,7 @@ from vprbench.api.decoding import Decoding, as_rgb, decoded_bytes, read_image
 from vprbench.api.heads import UPRIGHT, head_of
 from vprbench.errors import BadInput
 from vprbench.storage.cores import core_count
-from vprbench.storage.hashes import HashedFiles, file_hashes
+from vprbench.storage.hashes import FileHash, file_hashes
 from vprbench.storage.paths import Paths, chosen_names
 
 Codes = npt.NDArray[np.uint64]  # (n,), of images: alike for images of the same content
@@ -275,8 +275,8 @@ class Images(Sequence[Image]):
         files: Sequence[Path] = () if self._files is None else self._files
         return np.flatnonzero([head_of(path).orientation != UPRIGHT for path in files])
 
-    def file_hashes(self) -> HashedFiles | None:
-        """Return the hash of the file behind each image; None if there are no files."""
+    def file_hashes(self) -> list[FileHash] | None:
+        """Return the size and SHA-256 of the file behind each image; None if there are no files."""
         return None if self._files is None else file_hashes(self._files)
 
     def content_codes(self, pixels: bool = False) -> Codes | None:
@@ -289,10 +289,10 @@ class Images(Sequence[Image]):
             return _codes(hashlib.sha256(_pixels(image)).digest() for image in self)
         files, content = self.file_hashes(), self._content
         if files is None or content is None:
-            return None if files is None else _codes([files.sha256])
-        return _codes(hashlib.sha256(files[i] + content(i)).digest() for i in range(len(self)))
+            return None if files is None else _codes(sha256 for _, sha256 in files)
+        return _codes(hashlib.sha256(sha256 + content(i)).digest() for i, (_, sha256) in enumerate(files))
 
-    def fingerprint(self, hashed: HashedFiles | None = None) -> str:
+    def fingerprint(self, hashed: list[FileHash] | None = None) -> str:
         """Return a hash that changes when images are added, removed, renamed, reordered or replaced.
 
         Files count by name, size and content, which `hashed` holds if they were looked at just now. Of images that have
@@ -300,8 +300,8 @@ class Images(Sequence[Image]):
         """
         digest = names_hash(self.names)
         files = hashed or self.file_hashes()
-        for part in files.digest_parts() if files else ():
-            digest.update(part)
+        for size, sha256 in files or ():
+            digest.update(b"%d%b" % (size, sha256))
         if self._stamp is not None:
             for i in range(len(self)):
                 digest.update(self._stamp(i))
@@ -317,7 +317,7 @@ class Images(Sequence[Image]):
         Files count by their content; images without files are decoded.
         """
         files = self.file_hashes()
-        digest = hashlib.sha256(b"" if files is None else files.sha256)
+        digest = hashlib.sha256(b"".join(sha256 for _, sha256 in files or ()))
         if self._content is not None:
             for i in range(len(self)):
                 digest.update(hashlib.sha256(self._content(i)).digest())

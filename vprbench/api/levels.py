@@ -91,7 +91,7 @@ def _find_range(files: Paths, beside_bytes: bool, option: str) -> Levels:
 
 def _load_extremes(files: Paths) -> Extremes:
     """Return the extremes of files; finding them takes a decoding, so the cache keeps them by the files' content."""
-    key = hashlib.sha256(file_hashes(files).sha256).hexdigest()
+    key = hashlib.sha256(b"".join(sha256 for _, sha256 in file_hashes(files))).hexdigest()
     path = hashes_folder() / f"levels-{_FORMAT}" / f"{key}.npy"
     with suppress(OSError, ValueError, EOFError):
         kept = np.load(path)

@@ -48,7 +48,7 @@ def run(options: list[str]) -> int:
     """
     from vprbench.config import make_request, show_config, split_sweep
     from vprbench.jobs.child import run_in_child
-    from vprbench.jobs.job import failure_of, make_run
+    from vprbench.jobs.job import make_run
     from vprbench.jobs.options import ClusterOptions
     from vprbench.jobs.sweep import run_sweep
     from vprbench.runs.store import Store
@@ -76,8 +76,8 @@ def run(options: list[str]) -> int:
         result = make_run(request, say) if request.limit_minutes is None else run_in_child(request.to_json())
         if result.printed:
             say(result.printed)
-        if result.code == 1:
-            store.try_to_save_failure(failure_of(request, result))
+        if result.failure is not None and result.code == 1:
+            store.try_to_save_failure(result.failure)
     return result.code
 
 

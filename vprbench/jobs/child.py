@@ -19,15 +19,16 @@ from multiprocessing import forkserver, resource_tracker
 from multiprocessing.connection import wait
 from multiprocessing.context import ForkServerContext, ForkServerProcess
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from threading import Lock, Thread
 from typing import IO, NoReturn
 
-from vprbench.jobs.job import JobResult, make_run
+from vprbench.jobs.job import JobResult, describe_failure, make_run
 from vprbench.progress import QUIET
 from vprbench.runs import timing_lock
+from vprbench.runs.record import Failure
 from vprbench.runs.request import RunRequest
-from vprbench.runs.store import Store
-from vprbench.storage.atomic import replace_text, scratch
+from vprbench.storage.atomic import replace_text
 from vprbench.storage.folders import checkout_folder
 from vprbench.terminal.streams import log_to_stderr, results_only_on_stdout
 from vprbench.text import printable
@@ -70,19 +71,22 @@ def run_in_child(
         if is_shown:
             print_child_line(line)
 
-    with scratch() as place, (place / _STDERR).open("wb"), (place / _STDERR).open("rb") as written:
+    with TemporaryDirectory(prefix="vprbench-", ignore_cleanup_errors=True) as folder:
+        place = Path(folder)
+        (place / _STDERR).touch()
         with _starting:
             variables = {**os.environ, **(environment or {}), **({} if is_shown else {QUIET: "1"})}
-            given = request_json, place, variables
-            child = start_server().Process(target=make_job, args=given, daemon=True)
+            child = start_server().Process(target=make_job, args=(request_json, place, variables), daemon=True)
             child.start()
-        code = _follow(child, written, note, request.limit_minutes, stopped)
+        code = _follow(child, place / _STDERR, note, request.limit_minutes, stopped)
         if (place / _RESULT).exists():
-            result = JobResult(**json.loads((place / _RESULT).read_bytes()))
+            content = json.loads((place / _RESULT).read_bytes())
+            failure = content.pop("failure")
+            result = JobResult(**content, failure=failure and Failure(**failure))
         else:
-            Store(Path(request.results).expanduser()).remove_leftovers()
-            result = JobResult(1, _describe_death(code, lines, request.limit_minutes))
-            note(printable(f"vprbench: {request.method_name} {result.error}"))
+            death = _describe_death(code, lines, request.limit_minutes)
+            result = JobResult(1, describe_failure(request, death))
+            note(printable(f"vprbench: {request.method_name} {death}"))
     return replace(result, lines=[] if is_shown else lines)
 
 
@@ -141,7 +145,7 @@ def start_server() -> ForkServerContext:
 
 def _follow(
     child: ForkServerProcess,
-    written: IO[bytes],
+    stderr: Path,
     note: Callable[[str], None],
     limit_minutes: float | None,
     stopped: Callable[[], bool],
@@ -149,25 +153,26 @@ def _follow(
     """Note the lines that a process writes until it ends; returns its exit code, None if it was killed at its limit."""
     pid, ends = child.pid, time.monotonic() + 60 * (limit_minutes or math.inf)
     assert pid is not None
-    try:
-        while not wait([child.sentinel], _LOOK_EVERY):
-            _note_lines(written, note)
-            if time.monotonic() > ends:
-                return None
-            if stopped():
-                raise KeyboardInterrupt
-    except KeyboardInterrupt:
-        with contextlib.suppress(ProcessLookupError):
-            os.kill(pid, signal.SIGINT)
-        wait([child.sentinel], _PATIENCE)
-        raise
-    finally:
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(pid, signal.SIGKILL)  # with the processes that a plug-in has started
-        with _starting:
-            child.kill()
-            child.join()
-        _note_lines(written, note, ended=True)
+    with stderr.open("rb") as written:
+        try:
+            while not wait([child.sentinel], _LOOK_EVERY):
+                _note_lines(written, note)
+                if time.monotonic() > ends:
+                    return None
+                if stopped():
+                    raise KeyboardInterrupt
+        except KeyboardInterrupt:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGINT)
+            wait([child.sentinel], _PATIENCE)
+            raise
+        finally:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(pid, signal.SIGKILL)  # with the processes that a plug-in has started
+            with _starting:
+                child.kill()
+                child.join()
+            _note_lines(written, note, ended=True)
     return child.exitcode
 
 

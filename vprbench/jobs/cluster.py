@@ -9,9 +9,7 @@ import multiprocessing
 import pkgutil
 import signal
 import socket
-import tempfile
 from collections.abc import Mapping
-from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -23,16 +21,14 @@ from vprbench import __version__
 from vprbench.errors import BadInput, ClusterLostError
 from vprbench.jobs.child import run_in_child
 from vprbench.jobs.executors import Executor
-from vprbench.jobs.job import JobResult
+from vprbench.jobs.job import JobResult, describe_failure
 from vprbench.jobs.options import ClusterOptions
 from vprbench.runs.request import RunRequest
 from vprbench.runs.store import Store
-from vprbench.storage.atomic import PARTIAL, replace_bytes, scratch
 
 _MOST_JOBS = 16  # of a batch system, if workers= says nothing
 _DURATIONS = {"distributed.scheduler.default-task-durations": {"run_on_worker": "1h"}}  # a job for each run
 _LOST = "the dask scheduler is gone; finished runs are kept: give the same command again"
-_SENT = ("*/*/*", "frames/*")  # files of runs and small pictures, within a results folder
 
 
 class DaskExecutor(Executor):
@@ -43,7 +39,6 @@ class DaskExecutor(Executor):
         self.is_distributed = True
         self._options = options
         self._opened = contextlib.ExitStack()
-        self._probes: dict[Path, str] = {}  # by results folder: a file that workers see if they share it
 
     def __exit__(self, *_: object) -> None:
         """End the connection and the jobs; workers interrupt the runs that go on."""
@@ -56,7 +51,7 @@ class DaskExecutor(Executor):
         self._opened.enter_context(dask.config.set(_DURATIONS))
         address = self._options.scheduler
         if address is None:
-            address = self._opened.enter_context(start_jobs(self._options.job_arguments(), self.room()))
+            address = self._opened.enter_context(start_jobs(self._options.job_arguments(), self.count_slots()))
         try:
             client = Client(address, timeout="20s")
         except (OSError, ValueError) as error:
@@ -65,7 +60,7 @@ class DaskExecutor(Executor):
         self._opened.push(client)
         return client
 
-    def room(self) -> int:
+    def count_slots(self) -> int:
         """Return how many runs or functions may be called at a time; raises ClusterLostError."""
         if self._options.cluster:
             return self._options.workers or _MOST_JOBS
@@ -75,7 +70,7 @@ class DaskExecutor(Executor):
             raise ClusterLostError(_LOST) from error
         return max(1, sum(threads.values()))
 
-    def of_functions(self) -> concurrent.futures.Executor:
+    def open_pool(self) -> concurrent.futures.Executor:
         """Return an executor of functions on the same workers."""
         executor: concurrent.futures.Executor = self._client.get_executor(pure=False)
         return executor
@@ -83,33 +78,27 @@ class DaskExecutor(Executor):
     def submit(self, request: RunRequest, is_shown: bool) -> concurrent.futures.Future[JobResult]:
         """Let a worker make a run; the lines of its standard error come with its outcome."""
         root = Path(request.results).expanduser().absolute()
-        if root not in self._probes:
-            Store(root).prepare()
-            probe = tempfile.NamedTemporaryFile(prefix=PARTIAL, suffix="-shared", dir=root)  # noqa: SIM115 - below
-            self._probes[root] = self._opened.enter_context(probe).name
-        arguments = request.to_json(), str(Path.cwd()), self._probes[root], __version__
-        return self.of_functions().submit(run_on_worker, *arguments)
+        Store(root).prepare()
+        inode = root.stat().st_ino
+        return self.open_pool().submit(run_on_worker, request.to_json(), Path.cwd(), root, inode, __version__)
 
-    def collect(self, request: RunRequest, made: concurrent.futures.Future[JobResult]) -> JobResult:
-        """Return the outcome of a run; its runs are stored here if a worker does not share the disk.
+    def collect(self, request: RunRequest, future: concurrent.futures.Future[JobResult]) -> JobResult:
+        """Return the outcome of a run.
 
         Raises BadInput for workers that can make no run, ClusterLostError if the scheduler is gone.
         """
         try:
-            result = made.result()
+            return future.result()
         except concurrent.futures.CancelledError as error:
             raise ClusterLostError(_LOST) from error
         except BadInput:
             raise
         except KilledWorker as error:
-            return JobResult(1, f"its worker died each of the {error.allowed_failures + 1} times it was tried")
+            return JobResult(1, describe_failure(request, f"its worker died {error.allowed_failures + 1} times"))
         except Exception as error:  # of the worker, which may lack a library
             if isinstance(error.__cause__, ImportError):
                 raise BadInput(f"a worker cannot make runs ({error}): install vprbench {__version__} there") from error
-            return JobResult(1, f"{type(error).__name__}: {error}")
-        if result.files:
-            store_files(result.files, Store(Path(request.results).expanduser().absolute()))
-        return result
+            return JobResult(1, describe_failure(request, f"{type(error).__name__}: {error}"))
 
 
 def start_jobs(arguments: Mapping[str, Any], most: int) -> Any:
@@ -140,46 +129,28 @@ def start_jobs(arguments: Mapping[str, Any], most: int) -> Any:
     return cluster
 
 
-def run_on_worker(request_json: str, folder: str, probe: str, version: str) -> JobResult:
-    """Make a run in a child of this worker; raises BadInput if this vprbench is not the client's.
+def run_on_worker(request_json: str, folder: Path, root: Path, inode: int, version: str) -> JobResult:
+    """Make a run in a child of this worker.
 
     Args:
         request_json: the run.
         folder: the working folder of the client.
-        probe: a file of the client's results folder; a worker that sees it stores the run there.
+        root: the client's results folder.
+        inode: its number on the disk, by which a worker knows that it sees the same folder.
         version: the client's version of vprbench.
 
-    Returns:
-        The outcome, with the files of runs if the disk is not shared.
+    Raises:
+        BadInput: this vprbench is not the client's, or the results folder is on another disk.
     """
+    host = socket.gethostname()
     if version != __version__:
-        host = socket.gethostname()
         raise BadInput(f"the worker on {host} has vprbench {__version__}, this is {version}: install the same on both")
+    if not (root.exists() and root.stat().st_ino == inode):
+        raise BadInput(f"the worker on {host} does not share {root}: give results= on a disk of all machines")
     multiprocessing.current_process().daemon = False  # as dask starts it, and a daemon may have no children
     tasks, key = get_worker().state.tasks, get_worker().get_current_task()
-    is_shared, here = Path(probe).exists(), folder if Path(folder).is_dir() else "."
-    with scratch() as own, contextlib.chdir(here):
-        if not is_shared:
-            request_json = replace(RunRequest.from_json(request_json), results=str(own)).to_json()
+    with contextlib.chdir(folder if folder.is_dir() else "."):
         try:
-            result = run_in_child(request_json, False, lambda: key not in tasks or tasks[key].state == "cancelled")
+            return run_in_child(request_json, False, lambda: key not in tasks or tasks[key].state == "cancelled")
         except KeyboardInterrupt:
-            return JobResult(1, "it was interrupted")
-        paths = [] if is_shared else [path for pattern in _SENT for path in own.glob(pattern)]
-        return replace(result, files={str(path.relative_to(own)): path.read_bytes() for path in paths})
-
-
-def store_files(files: Mapping[str, bytes], store: Store) -> None:
-    """Store the runs and small pictures that a worker sent, by their paths within its results folder."""
-    store.prepare()
-    with scratch() as folder:
-        for name, content in files.items():
-            (folder / name).parent.mkdir(parents=True, exist_ok=True)
-            (folder / name).write_bytes(content)
-        for run in Store(folder).runs():
-            store.save(run)
-        for frames in folder.glob("frames/*"):
-            kept = store.root / "frames" / frames.name
-            if not kept.exists():
-                kept.parent.mkdir(exist_ok=True)
-                replace_bytes(kept, frames.read_bytes())
+            return JobResult(1)  # nobody waits for it any more

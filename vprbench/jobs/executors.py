@@ -41,7 +41,7 @@ class Executor:
         if self._pool is not None:
             self._pool.shutdown(cancel_futures=True)
 
-    def room(self) -> int:
+    def count_slots(self) -> int:
         """Return how many runs may be made at a time."""
         return self._n_workers
 
@@ -53,9 +53,9 @@ class Executor:
         future.set_result(run_in_child(request.to_json(), is_shown))
         return future
 
-    def collect(self, request: RunRequest, made: Future[JobResult]) -> JobResult:
+    def collect(self, request: RunRequest, future: Future[JobResult]) -> JobResult:
         """Return the outcome of a run that has ended; raises BadInput for a cluster that can make none."""
-        return made.result()
+        return future.result()
 
     def _run_beside_others(self, request: RunRequest) -> JobResult:
         """Make a run whose lines come with its outcome; with device=cuda it sees one GPU."""
@@ -64,7 +64,7 @@ class Executor:
         return run_in_child(request.to_json(), False, self._stopped.is_set, seen)
 
 
-def executor_for(options: ClusterOptions) -> Executor:
+def choose_executor(options: ClusterOptions) -> Executor:
     """Return the executor that options name; dask is imported only for a cluster."""
     if not options.needs_dask:
         return Executor(options.workers)
@@ -86,16 +86,16 @@ def run_all(
     command makes meanwhile is tried again at the end.
     """
     coming = iter(runs)
-    held: list[tuple[Numbered, str]] = []  # runs that other commands make, with their locks
+    waiting: list[tuple[Numbered, str]] = []  # runs that other commands make, with their locks
     running: dict[Future[JobResult], Numbered] = {}
     while True:
-        while not running or len(running) < executor.room():
-            run = next(coming, None) or _take_free_run(held)
+        while not running or len(running) < executor.count_slots():
+            run = next(coming, None) or _take_free_run(waiting)
             if run is None:
                 break
             begin(run[0])
             running[executor.submit(run[1], hear is None)] = run
-        if not running and not held:
+        if not running and not waiting:
             return
         if not running:
             time.sleep(_LOOK_EVERY)
@@ -104,17 +104,17 @@ def run_all(
             result = executor.collect(request, future)
             for line in result.lines:
                 (hear or print_child_line)(line)
-            if result.held:
-                held.append(((number, request), result.held))
+            if result.lock:
+                waiting.append(((number, request), result.lock))
             else:
                 yield number, result
 
 
-def _take_free_run(held: list[tuple[Numbered, str]]) -> Numbered | None:
+def _take_free_run(waiting: list[tuple[Numbered, str]]) -> Numbered | None:
     """Take and return a run that no other command makes any more; None if there is none."""
-    for at, (run, lock) in enumerate(held):
+    for at, (run, lock) in enumerate(waiting):
         if not run_lock.is_held(lock):
-            del held[at]
+            del waiting[at]
             return run
     return None
 

@@ -6,7 +6,7 @@ import logging
 import sys
 import textwrap
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -24,15 +24,16 @@ class JobResult:
     """The outcome of a run."""
 
     code: int  # 0: the run is stored; 1: it failed; 2: its input has to be mended
-    error: str = ""
-    missing: bool = False  # method, weights or frames are not there
+    failure: Failure | None = None
     key: str = ""  # of the run that is stored
     printed: str = ""  # the row or JSON of the run
-    environment: dict[str, Any] = field(default_factory=dict)  # the machine of a run that failed
-    traceback: str = ""  # of an error that is no BadInput
-    held: str = ""  # the lock of another process that makes the run now: ask again once it is free
+    lock: str = ""  # of another process that makes the run now: try again once the lock is free
     lines: list[str] = field(default_factory=list)  # of standard error, unless they were heard before
-    files: dict[str, bytes] = field(default_factory=dict)  # of the run, from a worker that does not share the disk
+
+    @property
+    def missing(self) -> bool:
+        """Whether the run failed because its method, weights or frames are not there."""
+        return self.failure is not None and self.failure.missing
 
 
 def make_run(request: RunRequest, say: Callable[[str], None], wait: bool = True) -> JobResult:
@@ -47,7 +48,7 @@ def make_run(request: RunRequest, say: Callable[[str], None], wait: bool = True)
         return JobResult(0, key=_find_or_make(request, say, wait))
     except HeldElsewhereError as error:
         logging.info("%s: it is left to that", error)
-        return JobResult(0, held=str(error.path))
+        return JobResult(0, lock=str(error.path))
     except KeyboardInterrupt:
         raise
     except BadInput as error:
@@ -61,7 +62,7 @@ def make_run(request: RunRequest, say: Callable[[str], None], wait: bool = True)
         hint = "" if request.debug or isinstance(error, TrainingDivergedError) else "; debug=true shows the traceback"
         complain(f"{request.method_name} failed: {words}{locate_error(error)}{hint}")
     environment = describe_machine(request.device, request.n_threads)
-    return JobResult(code, words, is_missing, environment=environment, traceback=trace)
+    return JobResult(code, describe_failure(request, words, is_missing, trace, environment))
 
 
 def _find_or_make(request: RunRequest, say: Callable[[str], None], wait: bool) -> str:
@@ -90,16 +91,16 @@ def _find_or_make(request: RunRequest, say: Callable[[str], None], wait: bool) -
     return key
 
 
-def failure_of(request: RunRequest, result: JobResult) -> Failure:
-    """Return the record of a run that gave no result."""
+def describe_failure(
+    request: RunRequest,
+    error: str,
+    missing: bool = False,
+    traceback: str = "",
+    environment: Mapping[str, Any] | None = None,
+) -> Failure:
+    """Return the record of a run that gave no result; `environment` is the run's machine, this one if None."""
     from vprbench.runs.machine import describe_machine
 
-    return Failure(
-        request.method_name,
-        request.dataset_name,
-        request.record(),
-        hide_home(result.error.partition("\n")[0]),
-        result.environment or describe_machine("cpu", 1),
-        result.missing,
-        result.traceback,
-    )
+    reason, config = hide_home(error.partition("\n")[0]), request.record()
+    environment = environment or describe_machine("cpu", 1)
+    return Failure(request.method_name, request.dataset_name, config, reason, environment, missing, traceback)

@@ -9,8 +9,7 @@ from collections.abc import Sequence
 from contextlib import nullcontext
 from pathlib import Path
 
-from vprbench.jobs.executors import executor_for, run_all
-from vprbench.jobs.job import failure_of
+from vprbench.jobs.executors import choose_executor, run_all
 from vprbench.jobs.options import ClusterOptions
 from vprbench.runs.request import RunRequest
 from vprbench.runs.store import Store
@@ -28,7 +27,7 @@ def run_sweep(requests: Sequence[RunRequest], options: ClusterOptions) -> tuple[
             live.begin(number, words)
 
     codes, keys = [], set[str]()
-    with executor_for(options) as executor, live.shown() if live else nullcontext():
+    with choose_executor(options) as executor, live.shown() if live else nullcontext():
         for number, result in run_all(executor, enumerate(requests), begin, live.line if live else None):
             codes.append(result.code)
             keys |= {result.key} - {""}
@@ -36,10 +35,9 @@ def run_sweep(requests: Sequence[RunRequest], options: ClusterOptions) -> tuple[
                 print(result.printed, flush=True)
             if live is not None:
                 live.end(number, bool(result.code))
-            if result.code:
-                failure = failure_of(requests[number], result)
-                Store(Path(requests[number].results).expanduser()).try_to_save_failure(failure)
+            if result.failure is not None:
+                Store(Path(requests[number].results).expanduser()).try_to_save_failure(result.failure)
                 if requests[number].output == "json":
                     names = ("method", "dataset", "error", "missing")
-                    print(json.dumps({name: getattr(failure, name) for name in names}), flush=True)
+                    print(json.dumps({name: getattr(result.failure, name) for name in names}), flush=True)
     return max(codes, default=0), keys

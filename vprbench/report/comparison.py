@@ -15,7 +15,7 @@ from vprbench.config import make_request, split_sweep
 from vprbench.data.doctor import check_dataset, look_at_some
 from vprbench.errors import BadInput, MissingData
 from vprbench.jobs.child import start_server
-from vprbench.jobs.executors import executor_for
+from vprbench.jobs.executors import choose_executor
 from vprbench.plugins import registry
 from vprbench.plugins.options import parse_options
 from vprbench.progress import progress_shown
@@ -61,7 +61,7 @@ def make_comparison(options: Sequence[str]) -> int:
     if dataset is not None and not request.stored and (found := look_at_some(dataset)):
         doctor = shlex.join(["vprbench", "doctor", *of_dataset])
         print(line_text(f"note: {'; '.join(found)}: {doctor} says more", "yellow"), flush=True)
-    with executor_for(request) as executor:
+    with choose_executor(request) as executor:
         results = run_missing(chosen, [] if request.stored else _list_missing(chosen, of_runs), executor)
     groups = group_runs_by_column(*load_stored_runs(chosen), chosen.columns, chosen.rows)
     clean, *corrupted = (group for group in groups if group.number == 1)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from vprbench.api.dataset import Dataset
 from vprbench.jobs.executors import Executor, Numbered, run_all
-from vprbench.jobs.job import JobResult, failure_of
+from vprbench.jobs.job import JobResult
 from vprbench.plugins import registry
 from vprbench.progress import progress_shown
 from vprbench.report.plan import Row
@@ -75,9 +75,10 @@ def make_missing_runs(wanted: Sequence[Cell], store: Store, executor: Executor |
     def end(number: int, result: JobResult) -> None:
         cell = wanted[number]
         results[number] = result
-        if result.code and not isinstance(cell.request.corruption, list):
+        is_known = result is missing.get((cell.row.name, cell.column))
+        if result.failure is not None and not is_known and not isinstance(cell.request.corruption, list):
             store.prepare()
-            store.save_failure(failure_of(cell.request, result))
+            store.save_failure(result.failure)
         if result.missing:
             missing[cell.row.name, cell.column] = result
         if table is not None:

@@ -101,13 +101,13 @@ def hash_frames(dataset: Dataset) -> tuple[str, DataRecord]:
     digest.update(dataset.places.tobytes())
     for right in dataset.positives:
         digest.update(right.tobytes() + b";")
-    known = [files for files in hashes if files is not None]
-    are_files = len(known) == len(hashes)
+    known = [file for files in hashes for file in files or ()]
+    are_files = None not in hashes
     return digest.hexdigest(), {
         "names_sha256": names_hash(*(images.names for images in traverses)).hexdigest(),
-        "content_sha256": hashlib.sha256(b"".join(files.sha256 for files in known)).hexdigest() if are_files else None,
+        "content_sha256": hashlib.sha256(b"".join(sha256 for _, sha256 in known)).hexdigest() if are_files else None,
         "images": sum(map(len, traverses)),
-        "bytes": sum(int(files.sizes.sum()) for files in known) if are_files else None,
+        "bytes": sum(size for size, _ in known) if are_files else None,
     }
 
 

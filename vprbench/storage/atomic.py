@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import shutil
-import tempfile
 import time
 import uuid
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
 
 PARTIAL = ".partial-"  # begins the names of unfinished files and folders, which no reader opens
@@ -26,13 +24,6 @@ def remove_leftovers(folder: Path) -> None:
             written = max(part.stat().st_mtime for part in (path, *path.rglob("*")))
             if time.time() - written > _FORGOTTEN_SECONDS:
                 shutil.rmtree(path) if path.is_dir() else path.unlink()
-
-
-@contextmanager
-def scratch() -> Iterator[Path]:
-    """Yield a temporary folder, removed in the end."""
-    with tempfile.TemporaryDirectory(prefix="vprbench-", ignore_cleanup_errors=True) as folder:
-        yield Path(folder)
 
 
 def replace_text(path: Path, content: str) -> None:

@@ -5,14 +5,10 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
-
-import numpy as np
-import numpy.typing as npt
 
 from vprbench import progress
 from vprbench.errors import BadInput
@@ -21,52 +17,31 @@ from vprbench.storage.cores import core_count
 from vprbench.storage.folders import cache_folder
 from vprbench.storage.paths import Paths
 
-_SHA256_BYTES = 32
 _REPORT_EVERY = 256  # files that are read
 
-Entry = list[int | str]  # of a file: size in bytes, times of modification and of change in ns, SHA-256
+FileHash = tuple[int, bytes]  # size in bytes, SHA-256 (32 bytes)
+_Entry = list[int | str]  # of a file: size in bytes, times of modification and of change in ns, SHA-256 in hexadecimal
 
 
-@dataclass(frozen=True, eq=False)
-class HashedFiles:
-    """Sizes and hashes of files, in little memory."""
-
-    sizes: npt.NDArray[np.int64]  # (n,), bytes
-    sha256: bytes  # of all files, joined
-
-    def __getitem__(self, index: int) -> bytes:
-        """Return the SHA-256 of one file, 32 bytes."""
-        start = range(len(self.sizes))[index] * _SHA256_BYTES
-        return self.sha256[start : start + _SHA256_BYTES]
-
-    def digest_parts(self) -> Iterator[bytes]:
-        """Yield bytes that change with the size or the content of any of the files."""
-        for number, size in enumerate(self.sizes.tolist()):
-            yield b"%d%b" % (size, self[number])
-
-
-def file_hashes(paths: Sequence[Path]) -> HashedFiles:
-    """Return the hash of each file; unknown files are read, by as many threads as there are cores.
+def file_hashes(paths: Sequence[Path]) -> list[FileHash]:
+    """Return the size and hash of each file; unknown files are read, by as many threads as there are cores.
 
     A file is known while its absolute path, its size and its times of modification and of change stay the same. Where
     `hashes_folder` cannot be written, files are read each time. Raises BadInput if a file cannot be read.
     """
     files = Paths.of(paths)
-    sizes, hashes = np.zeros(len(files), np.int64), np.zeros((len(files), _SHA256_BYTES), np.uint8)
-    n_done = 0
+    hashes: dict[int, FileHash] = {}  # by position
     for folder, positions in files.in_folders():
         names = [files.names[position] for position in positions.tolist()]
-        entries = _hash_folder(folder.absolute(), names, n_done, len(files))
-        sizes[positions] = [entry[0] for entry in entries]
-        joined = bytes.fromhex("".join(str(entry[-1]) for entry in entries))
-        hashes[positions] = np.frombuffer(joined, np.uint8).reshape(-1, _SHA256_BYTES)
-        n_done += len(names)
-    return HashedFiles(sizes, hashes.tobytes())
+        entries = _hash_folder(folder.absolute(), names, len(hashes), len(files))
+        found = ((int(entry[0]), bytes.fromhex(str(entry[-1]))) for entry in entries)
+        hashes.update(zip(positions.tolist(), found, strict=True))
+    return [hashes[position] for position in range(len(files))]
 
 
 def content_hash(path: Path) -> str:
     """Return the SHA-256 of one file as hexadecimal digits; raises BadInput if it cannot be read."""
-    return file_hashes([path])[0].hex()
+    return file_hashes([path])[0][1].hex()
 
 
 def hashes_folder() -> Path:
@@ -74,10 +49,10 @@ def hashes_folder() -> Path:
     return cache_folder("VPRBENCH_HASHES", "hashes")
 
 
-def _hash_folder(folder: Path, names: Sequence[str], n_done: int, n_files: int) -> list[Entry]:
+def _hash_folder(folder: Path, names: Sequence[str], n_done: int, n_files: int) -> list[_Entry]:
     """Return the entry of each of these files of a folder; the first `n_done` of all `n_files` are hashed already."""
     index = hashes_folder() / f"{hashlib.sha256(os.fsencode(folder)).hexdigest()[:32]}.json"
-    kept: dict[str, Entry] = {}
+    kept: dict[str, _Entry] = {}
     with suppress(OSError, ValueError, TypeError, KeyError):  # missing or damaged
         kept = dict(json.loads(index.read_bytes())["files"])
     start = os.path.join(folder, "")  # noqa: PTH118 - a Path for each file takes longer than the look
@@ -100,7 +75,7 @@ def _hash_folder(folder: Path, names: Sequence[str], n_done: int, n_files: int) 
     return [kept[name] for name in names]
 
 
-def _read_state(path: str) -> Entry:
+def _read_state(path: str) -> _Entry:
     found = os.stat(path)  # noqa: PTH116
     return [found.st_size, found.st_mtime_ns, found.st_ctime_ns]
 

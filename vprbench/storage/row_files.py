@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import errno
 import os
-import shutil
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
@@ -65,8 +63,6 @@ def _write_missing_rows(part: Path, n_rows: int, make_blocks: Callable[[int], It
     with part.open("ab") as file:
         for block in make_blocks(kept):
             n_columns = block.shape[1]
-            if n_done == kept and shutil.disk_usage(part.parent).free < 4 * (n_rows - kept) * n_columns:
-                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
             if n_done == 0:
                 header = {"descr": "<f4", "fortran_order": False, "shape": (n_rows, n_columns)}
                 np.lib.format.write_array_header_1_0(file, header)

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import os
-import re
 import shutil
 import stat
 import tarfile
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from functools import partial
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
 from typing import IO, Any, ClassVar, Literal, cast
 
@@ -22,7 +21,8 @@ from vprbench.progress import report
 
 UNFINISHED = ".unpacking-"  # begins the names of folders whose files are not whole yet
 _CHUNK = 1 << 20  # bytes read at once
-_FORBIDDEN = re.compile(r"^/|\\|[\x00-\x1f\x7f]|(^|/)(\.\.(/|$)|[A-Za-z]:)")
+
+_Member = tuple[str, int, bool, Callable[[], IO[bytes]]]  # name, bytes, whether it is a plain file, a way to open it
 
 
 class DamagedArchive(BadInput):
@@ -75,15 +75,22 @@ def unpack(
 
 def _fill(folder: Path, archive: Path, wanted: Wanted) -> int:
     """Unpack the wanted files into an empty folder; returns how many files."""
+    if wanted.plain:
+        members: Iterable[_Member] = [(archive.name, archive.stat().st_size, True, lambda: archive.open("rb"))]
+    else:
+        with archive.open("rb") as start:  # a tar may hold a zip, so that zipfile would take it for one
+            members = (_list_zip if start.read(2) == b"PK" else _list_tar)(archive)
     n_files = done_bytes = 0
-    for n_seen, (name, is_file, n_bytes, open_member) in enumerate(_list_members(archive, wanted.plain), start=1):
-        path = _find_place(name, is_file, wanted)
+    for n_seen, (name, n_bytes, is_file, open_member) in enumerate(members, start=1):
+        path = _choose_place(PurePosixPath(name), wanted)
         done_bytes += n_bytes if path else 0  # no more come: zipfile and tarfile end a file there
         if n_seen > wanted.most_files or done_bytes > wanted.unpacked_bytes:
             most = f"{wanted.most_files} files or {wanted.unpacked_bytes} bytes"
             raise BadInput(f"holds more than {most}, the most expected: do not use it")
         if path is None:
             continue
+        if not is_file:
+            raise BadInput(f"holds {name!a}, which is no plain file: do not use it")
         try:
             (folder / path).parent.mkdir(parents=True, exist_ok=True)
             with (folder / path).open("xb") as file, open_member() as content:
@@ -97,40 +104,30 @@ def _fill(folder: Path, archive: Path, wanted: Wanted) -> int:
     return n_files
 
 
-def _list_members(archive: Path, plain: bool) -> Iterator[tuple[str, bool, int, Callable[[], IO[bytes]]]]:
-    """Yield the name, whether it is a plain file, the stated bytes and a way to open it of each member but folders."""
-    with archive.open("rb") as start:
-        is_zip = start.read(2) == b"PK"
-    if plain:
-        yield archive.name, True, archive.stat().st_size, lambda: archive.open("rb")
-    elif is_zip:
-        with zipfile.ZipFile(archive) as opened:
-            for entry in opened.infolist():
-                mode = stat.S_IFMT(entry.external_attr >> 16)  # 0 if the archive was not made under Unix
-                if not entry.is_dir():
-                    is_file = mode in (0, stat.S_IFREG)
-                    yield entry.orig_filename, is_file, entry.file_size, partial(opened.open, entry)
-    else:
-        with tarfile.open(archive) as tar:
-            for info in tar:
-                if not info.isdir():
-                    yield info.name, info.isreg(), info.size, partial(cast(Any, tar.extractfile), info)
-            while tar.fileobj and tar.fileobj.read(_CHUNK):  # gzip compares its checksum at the very end
-                pass
+def _list_zip(archive: Path) -> Iterator[_Member]:
+    with zipfile.ZipFile(archive) as opened:
+        for info in opened.infolist():
+            if not info.is_dir():
+                mode = stat.S_IFMT(info.external_attr >> 16)  # 0 if the archive was not made under Unix
+                yield info.filename, info.file_size, mode in (0, stat.S_IFREG), partial(opened.open, info)
 
 
-def _find_place(name: str, is_file: bool, wanted: Wanted) -> Path | None:
-    """Return where a member goes, None if it is not wanted; raises BadInput for a member that nobody should want."""
-    if _FORBIDDEN.search(name):
-        raise BadInput(f"holds {name!a}, which leads out of its folder or is no name of a file: do not use it")
-    parts = [part for part in name.split("/") if part not in ("", ".")]
-    kept = parts[-1:] if wanted.strip == "all" else parts[wanted.strip :]
-    hidden = any(part.startswith(".") or part == "__MACOSX" for part in parts)
-    if hidden or not kept or not fnmatchcase("/".join(parts), wanted.only):
-        return None
-    if not is_file:
-        raise BadInput(f"holds {name!a}, which is no plain file: do not use it")
-    return Path(wanted.into, *kept)
+def _list_tar(archive: Path) -> Iterator[_Member]:
+    with tarfile.open(archive) as tar:
+        for info in tar:
+            if not info.isdir():
+                yield info.name, info.size, info.isreg(), partial(cast(Any, tar.extractfile), info)
+        while tar.fileobj and tar.fileobj.read(_CHUNK):  # gzip compares its checksum at the very end
+            pass
+
+
+def _choose_place(name: PurePosixPath, wanted: Wanted) -> Path | None:
+    """Return where a member goes, None if it is not wanted; raises BadInput for a member that leads out."""
+    if name.is_absolute() or ".." in name.parts:
+        raise BadInput(f"holds {str(name)!a}, which leads out of its folder: do not use it")
+    kept = name.parts[-1:] if wanted.strip == "all" else name.parts[wanted.strip :]
+    is_hidden = any(part.startswith(".") or part == "__MACOSX" for part in name.parts)
+    return None if is_hidden or not kept or not fnmatchcase(str(name), wanted.only) else Path(wanted.into, *kept)
 
 
 def _move(folder: Path, destination: Path) -> None:

@@ -156,7 +156,7 @@ def _open_executor(settings: Settings) -> Iterator[tuple[Executor, int]]:
         from vprbench.jobs.cluster import DaskExecutor
 
         with DaskExecutor(settings) as dask:
-            yield dask.of_functions(), dask.room()
+            yield dask.open_pool(), dask.count_slots()
         return
     jobs = min(settings.jobs or settings.workers or core_count(), core_count())
     with ProcessPoolExecutor(jobs, get_context("spawn"), machine.pin_threads, (1,)) as pool:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from vprbench.jobs.executors import executor_for
+from vprbench.jobs.executors import choose_executor
 from vprbench.jobs.job import JobResult
 from vprbench.report.gather import Report, load_stored_runs, make_report, resolve_plan
 from vprbench.report.run_options import TableRequest
@@ -27,7 +27,7 @@ def make_table(request: TableRequest, options: Sequence[str]) -> int:
     from vprbench.report.page.make import print_page
 
     chosen = resolve_plan(request)
-    with executor_for(request) as executor:
+    with choose_executor(request) as executor:
         found = make_report(chosen, options, executor)
         growth = list_growth_columns(found) if request.figures or request.page else []
         results = [*found.job_results, *(run_growth(found, growth, options, executor) if request.figures else [])]
