@@ -1,4 +1,4 @@
-"""Options of the command line or of a program become requests of runs; Hydra is known here and in plugins.registry."""
+"""Options of the command line or of a program become requests of runs; Hydra is known here and in plugins.loose."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from vprbench.errors import BadInput
-from vprbench.plugins import entries, registry
+from vprbench.plugins import entries, loose, registry
 from vprbench.plugins.entries import Folder, Group
 from vprbench.plugins.options import check_value
 from vprbench.plugins.tuned_places import parse_tuned_on
@@ -118,7 +118,7 @@ def _quote_option(option: str) -> str:
         _refuse_cut_path(name, value)
     if name in ("method", "methods", "dataset"):
         group: Group = "dataset" if name == "dataset" else "method"
-        value = re.sub(r"[^][,]+", lambda each: registry.resolve_name(group, each[0]), value)
+        value = re.sub(r"[^][,]+", lambda each: loose.resolve_name(group, each[0]), value)
     forms = [value, _quote(value)]
     if value[:1] + value[-1:] == "[]":
         forms.insert(1, f"[{','.join(map(_quote, value[1:-1].split(',')))}]")

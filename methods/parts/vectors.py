@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.api import BadInput, faiss_module
+from vprbench.api import BadInput, import_faiss
 
 _ITERATIONS = 25
 
@@ -32,7 +32,7 @@ def k_means(
             f"the references gave {n_different} different descriptors for method.words={n_centres}: give fewer words, "
             "or more or larger images with more in them"
         )
-    found = faiss_module().Kmeans(
+    found = import_faiss().Kmeans(
         vectors.shape[1],
         n_centres,
         niter=_ITERATIONS,

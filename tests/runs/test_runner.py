@@ -15,7 +15,7 @@ from stopped_clock import Clock
 from vprbench import progress
 from vprbench.api.binary import BinaryMethod
 from vprbench.api.descriptor import DescriptorMethod
-from vprbench.api.hamming import packed
+from vprbench.api.hamming import pack_bits
 from vprbench.api.images import Images
 from vprbench.api.method import LayerSpikes
 from vprbench.errors import BadInput
@@ -216,7 +216,7 @@ def test_exact_search_goes_without_saying_codes_of_bits_tell_their_bytes_and_a_m
 
     class Signs(BinaryMethod):
         def encode(self, images):
-            return packed(np.stack([np.resize(image > 127, 100) for image in images]))
+            return pack_bits(np.stack([np.resize(image > 127, 100) for image in images]))
 
     assert [run_of(method, journey(6, 4)).search for method in (OwnWay(), Lookup(table(6, 4)))] == [None, None]
     exact = {"index": "exact", "bytes_per_place": 64, "recall_at_1": 1.0, "recall_at_10": 1.0}

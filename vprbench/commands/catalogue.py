@@ -162,15 +162,15 @@ def doctor(options: list[str]) -> int:
 
 def show_status(words: list[str]) -> int:
     """Show which runs of a results folder are made now and by whom, and how many are stored."""
-    from vprbench.runs.run_lock import StatusOptions, row, status
+    from vprbench.runs.status import StatusOptions, format_row, read_status
 
     settings = parse_options(StatusOptions, words, {})
-    found = status(settings.results)
+    found = read_status(settings.results)
     if settings.output == "json":
         print(json.dumps(found))
         return 0
     print(printable("{results}: {runs} runs and {failures} failures are stored".format(**found)))
-    lines = [row(claim) for claim in found["claims"]]
+    lines = [format_row(claim) for claim in found["claims"]]
     rows = [[*line.values()] for line in lines]
     is_wide = settings.wide or not console().is_terminal
     print(table_text([*lines[0]], rows, is_wide) if lines else "no run is being made")
@@ -285,7 +285,7 @@ COMMANDS: dict[str, Command] = {
     "check": Command(check, takes=("method", "dataset", "device", "threads", "seed")),
     "new": Command(new, "vprbench.plugins.new:Settings", words="method|dataset NAME"),
     "doctor": Command(doctor, takes=("dataset", "output")),
-    "status": Command(show_status, "vprbench.runs.run_lock:StatusOptions"),
+    "status": Command(show_status, "vprbench.runs.status:StatusOptions"),
     "fetch": Command(fetch, "vprbench.data.fetch.command:Settings", words="[NAME]"),
     "table": Command(table, "vprbench.report.run_options:TableRequest", ("timing", ALL)),
     "figures": Command(figures, _FOLDER),

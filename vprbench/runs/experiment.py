@@ -13,7 +13,7 @@ from vprbench.api.frame_cache import frames_kept
 from vprbench.api.method import Method
 from vprbench.data.doctor import check_dataset
 from vprbench.errors import BadInput
-from vprbench.plugins import networks, registry
+from vprbench.plugins import loose, networks, registry
 from vprbench.plugins.tuned_places import find_tuned_queries
 from vprbench.progress import progress_shown
 from vprbench.runs import machine, sequences, stream
@@ -79,7 +79,7 @@ def build_experiment(
         BadInput: an option, the data or this machine does not fit; MissingData where weights or frames are missing.
     """
     for option in request.overrides:
-        registry.register_loose_file(option)
+        loose.register_loose_file(option)
     request.require_machine()
     machine.pin_threads(request.n_threads)
     if dataset is None:
