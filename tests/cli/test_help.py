@@ -89,7 +89,7 @@ def test_help_and_completion_name_every_option_that_a_command_takes_with_its_mea
         def stop(*_):
             raise BadInput("it would run")
 
-        maker = {"compare": "comparison.make.make_comparison", "table": "table.make.make_table"}[name]
+        maker = {"compare": "comparison.start_server", "table": "table.make.make_table"}[name]
         monkeypatch.setattr(f"vprbench.report.{maker}", stop)
         given = [name, *(["methods=sad", "dataset=synthetic"] if name == "compare" else [])]
         shown = lines.keys() & (taken | OF_RUNS)

@@ -146,10 +146,10 @@ def test_a_plug_in_brings_rows_and_columns_that_are_asked_for_by_name_and_others
 @pytest.mark.parametrize(
     ("content", "names"),
     [
-        ({"rows": {"SAD": {"method": "sad"}}}, ["SAD", "shelf", "vprbench"]),
-        ({"rows": {"x": {"method": "sad", "name": "VPRSNN (no delays)"}}}, ["VPRSNN", "shelf", "vprbench"]),
-        ({"columns": {"railway": {"title": "S", "options": []}}}, ["railway", "shelf", "vprbench"]),
-        (PLUG_IN, ["mine", "shelf", "drawer"]),
+        ({"rows": {"SAD": {"method": "sad"}}}, ["SAD", "shelf"]),
+        ({"rows": {"x": {"method": "sad", "name": "VPRSNN (no threshold)"}}}, ["VPRSNN", "shelf"]),
+        ({"columns": {"railway": {"title": "S", "options": []}}}, ["railway", "shelf"]),
+        (PLUG_IN, ["mine", "shelf"]),
         ({"columns": {"x": {"title": "X", "options": [], "stand_in_for": "moon"}}}, ["more.yaml", "x", "moon"]),
         ({"growth": {}}, ["more.yaml", "growth"]),
         ({"rows": {"x": {"method": "sad", "colour": "red"}}}, ["more.yaml", "colour"]),

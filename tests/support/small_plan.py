@@ -20,7 +20,7 @@ published: {title: Table 9, source: "A paper, Table 9", cpu: Abacus 9, gpu: Loom
 rows:
   SAD: {method: sad, boundary: match, training: none}
   PCA: {method: pca, boundary: encode, training: pretrained, most_places: 15}
-  Nobody: {method: no_such_method, boundary: match, training: own}
+  Nobody: {method: cosplace, boundary: match, training: own}  # its weights are missing
   VPRTempo: {method: vprtempo, boundary: match, training: own, spiking: true, seeds: [0, 1],
              arguments: {height: 12, width: 12, epochs: 1}}
 more_rows:

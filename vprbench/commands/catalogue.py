@@ -84,10 +84,9 @@ def run(options: list[str]) -> int:
 def compare(options: list[str]) -> int:
     """Run methods on one dataset, rank them in a table, draw figures and write a page."""
     from vprbench.config import quote_options
-    from vprbench.report.comparison.checks import sort_options
-    from vprbench.report.comparison.make import make_comparison
+    from vprbench.report.comparison import make_comparison
 
-    return make_comparison(sort_options(quote_options(options)))
+    return make_comparison(quote_options(options))
 
 
 def show_list(words: list[str]) -> int:

@@ -120,7 +120,7 @@ class Comparison:
         They are the files of `vprbench compare`, named after the dataset unless a `name` is given. Raises BadInput if
         the folder cannot be written.
         """
-        from vprbench.report.comparison.make import predict_places, write_comparison
+        from vprbench.report.comparison import predict_places, write_comparison
 
         best = predict_places(self.report, self.results[0].dataset, None)
         robust = self.robustness if self.corrupted else None

@@ -59,18 +59,13 @@ def get_or_run(experiment: Experiment, store: Store, wait: bool = True) -> RunRe
     folder = store.folder(dataset.name, request.method_name, key)
     store = Store(store.root.absolute())  # a method may change the working folder
 
-    def find() -> Run | None:
-        """Return the stored run if it answers the request."""
-        stored = None if request.force else store.find(dataset.name, request.method_name, key)
-        return None if stored is None or list_missing_parts(stored, request) else stored
-
-    run, from_store = find(), True
+    run, from_store = find_run(experiment, store), True
     if run is None:
         store.prepare(dataset.name)
         about = {"method": request.method_name, "dataset": dataset.name}
         about |= {name: getattr(request, name) for name in ("seed", "device", "corruption")}
         with lock_run(store.root, f"{dataset.name}/{folder.name}", about, wait):
-            run = find()  # another process may have made it meanwhile
+            run = find_run(experiment, store)  # another process may have made it meanwhile
             if run is None:
                 run, from_store = _make_run(experiment, key, store), False
     if from_store:
@@ -78,6 +73,13 @@ def get_or_run(experiment: Experiment, store: Store, wait: bool = True) -> RunRe
     if request.frames:
         _keep_frames(store, run, dataset)
     return RunResult(run, folder, from_store)
+
+
+def find_run(experiment: Experiment, store: Store) -> Run | None:
+    """Return the stored run of an experiment if it has all that the request asks for."""
+    request = experiment.request
+    stored = None if request.force else store.find(experiment.dataset.name, request.method_name, experiment.key())
+    return None if stored is None or list_missing_parts(stored, request) else stored
 
 
 def list_missing_parts(run: Run, request: RunRequest) -> list[str]:

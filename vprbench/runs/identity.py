@@ -82,15 +82,10 @@ def code_hash(method: type[Method]) -> str:
     Of a class without source it is another one each time: its runs are never found again.
     """
     try:
-        return _add_harness(sources.hash_class(method), method.__qualname__)
+        code = sources.hash_class(method)
     except OSError:
         return uuid.uuid4().hex
-
-
-def code_hash_of(target: str) -> str | None:
-    """Return the `code_hash` of a class by its full name, without importing it; None where its file is unknown."""
-    code = sources.hash_target(target)
-    return None if code is None else _add_harness(code, target.rpartition(".")[2])
+    return hashlib.sha256(f"{code} {method.__qualname__} {VERSION}".encode()).hexdigest()
 
 
 def hash_frames(dataset: Dataset) -> tuple[str, DataRecord]:
@@ -119,7 +114,3 @@ def hash_frames(dataset: Dataset) -> tuple[str, DataRecord]:
 def fingerprint(dataset: Dataset) -> str:
     """Return the hash of a dataset's images, order and ground truth; raises BadInput if a file cannot be read."""
     return hash_frames(dataset)[0]
-
-
-def _add_harness(code: str, name: str) -> str:
-    return hashlib.sha256(f"{code} {name} {VERSION}".encode()).hexdigest()

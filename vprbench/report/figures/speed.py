@@ -17,8 +17,7 @@ from matplotlib.patheffects import withStroke
 from vprbench.report.figures import style
 from vprbench.report.figures.captions import choose_runs, describe_timed_runs
 from vprbench.report.figures.style import Drawing, choose_looks, new_figure, use_style
-from vprbench.report.plan import PlannedColumn, Row
-from vprbench.report.published import Published
+from vprbench.report.plan import PlannedColumn, Published, Row
 from vprbench.report.selection import MethodRuns
 from vprbench.report.table.best import compute_rate, list_laps
 from vprbench.runs.record import Run
