@@ -9,7 +9,7 @@ from __future__ import annotations
 import pickle
 import re
 from pathlib import Path
-from typing import Any, BinaryIO, ClassVar
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.lib import format as npy
@@ -67,7 +67,7 @@ class _Kind:
         self.code = code
         self.order = "<"
 
-    def set_state(self, state: Any) -> None:
+    def __setstate__(self, state: Any) -> None:
         self.order = ">" if state[1] == ">" else "<"
 
 
@@ -77,7 +77,7 @@ class _Array(list[Any]):
     def __init__(self, *_: Any) -> None:
         """Begin empty; the elements come as the state."""
 
-    def set_state(self, state: Any) -> None:
+    def __setstate__(self, state: Any) -> None:
         self[:] = _elements(*state[-4:])
 
 
@@ -116,16 +116,6 @@ class _Unpickler(pickle._Unpickler):
         if known is None:
             raise _RefusedError(f"asks for {ascii(named)[1:-1][:100]}, which no list of numbers needs")
         return known
-
-    def load_build(self) -> None:
-        """Give a stand-in its state; nothing else may have one."""
-        stack: list[Any] = self.stack  # type: ignore[attr-defined]
-        state = stack.pop()
-        if not isinstance(stack[-1], _Kind | _Array):
-            raise ValueError("it sets the state of something that is no array")
-        stack[-1].set_state(state)
-
-    dispatch: ClassVar[dict[int, Any]] = {**pickle._Unpickler.dispatch, pickle.BUILD[0]: load_build}
 
 
 def _copy_numbers(made: Any, depth: int, left: list[int]) -> Any:

@@ -116,7 +116,7 @@ REFUSED = {
     "an instance": (b"(ios\nsystem\n.", "asks for os.system"),
     "an extension": (b"\x80\x02\x82\x01.", "cannot be read"),
     "something outside": (b"Pmodule\n.", "cannot be read"),
-    "the state of a stand-in": (b"\x80\x02cnumpy\nndarray\n}b.", "no array"),
+    "the state of a stand-in": (b"\x80\x02cnumpy\nndarray\n}b.", "cannot be read"),
     "too large a file": (bytes((1 << 24) + 1), f"has {(1 << 24) + 1} bytes"),
     "a place in the memo beyond the file": (b"\x80\x02Nr\xff\xff\xff\x7f.", "holds a NoneType"),
     "a frame beyond the file": (b"\x80\x04\x95" + struct.pack("<Q", 1 << 40) + b"].", ""),
