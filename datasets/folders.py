@@ -75,7 +75,7 @@ def folders(
         chosen = {"tolerance_places": tolerance}
     elif ground_truth == "utm":
         chosen = {"radius_metres": radius_metres}
-        truth = by_names(mapped, asked, radius_metres, without=without_position)
+        truth = by_names(mapped, asked, radius_metres, without_position)
     elif ground_truth == "none":
         truth = unknown(len(mapped), len(asked))
     else:

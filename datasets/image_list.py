@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
 Kind = Literal["place", "east_north", "lat_lon"]
 Label = str | int  # of a place
-Order = Literal["number", "row"]  # of places: whole numbers by their values, or by the rows of the references
 
 _COLUMNS: dict[Kind, list[str]] = {"place": ["place"], "east_north": ["east", "north"], "lat_lon": ["lat", "lon"]}
 _ALIASES = {"image name": "image", "index": "place"}  # as QVPR/VPRTempo names them
@@ -48,7 +47,6 @@ def image_list(
     levels: str | None = None,
     ground_truth: Literal["columns", "none"] = "columns",
     without_position: WithoutPosition = "error",
-    place_order: Order = "number",
 ) -> Dataset:
     """Return the images that CSV files list, in the order of their rows.
 
@@ -58,11 +56,11 @@ def image_list(
 
     Places are any numbers or words, several references may show one, and right are places at most `tolerance` away.
     Whole numbers count as themselves: 8 is 8 places from 0. Words are numbered in the order in which the references
-    first name them, whole numbers too if any place is a word, or with `place_order` row. By position every reference
-    is a place, and right is what lies within `radius_metres`, the radius included; the distance between latitudes and
-    longitudes is the straight line through the ellipsoid. Images whose position is none (0, 0 far from all others; a
-    fix that stood still) are an error, left out (`without_position` drop), or count where they say (`keep`). With
-    `ground_truth` none the column `image` is enough: every reference is a place, and no answer is judged.
+    first name them, whole numbers too if any place is a word. By position every reference is a place, and right is what
+    lies within `radius_metres`, the radius included; the distance between latitudes and longitudes is the straight line
+    through the ellipsoid. Images whose position is none (0, 0 far from all others; a fix that stood still) are an
+    error, left out (`without_position` drop), or count where they say (`keep`). With `ground_truth` none the column
+    `image` is enough: every reference is a place, and no answer is judged.
 
     Another folder, or a position that jumps, begins another drive unless `breaks` is none. `exif` and `levels` say how
     files are decoded (`decoding_of`).
@@ -83,7 +81,7 @@ def image_list(
         truth = unknown(sum(len(table.images) for table in mapped), len(asked.images))
     elif kind == "place":
         shown = [label for table in mapped for label in table.labels()]
-        truth = _by_place(shown, asked.labels(), tolerance, place_order)
+        truth = _by_place(shown, asked.labels(), tolerance)
         chosen = {"tolerance_places": tolerance}
     else:
         *known, sought = (table.positions(kind, without_position) for table in tables)
@@ -175,38 +173,23 @@ def _find_kind(tables: Sequence[_Table]) -> Kind:
     raise BadInput(f"{held}: wanted are {_WANTED}, the same in all files, or dataset.ground_truth=none")
 
 
-def _by_place(references: list[Label], queries: list[Label], tolerance: int, order: Order) -> GroundTruth:
+def _by_place(references: list[Label], queries: list[Label], tolerance: int) -> GroundTruth:
     """Return the ground truth of places by their labels.
 
-    Whole numbers count as themselves, unless they run on in the order in which the references name them: then both
-    orders are one.
+    Whole numbers lie where they say; other labels in the order in which the references first name them.
     """
-    rows: dict[Label, int] = {label: row for row, label in enumerate(dict.fromkeys(references))}
-    by_row = _match_numbers(rows, references, queries, tolerance)
-    if order == "row":
-        return replace(by_row, protocol={"place_order": "row"})
-    if not all(map(_is_number, references)):
-        return by_row
-    numbers = {label: int(label) for label in (*references, *queries) if _is_number(label)}
-    by_number = _match_numbers(numbers, references, queries, tolerance)
-    journey = np.unique([numbers[label] for label in references])
-    same = zip((by_row.places, *by_row.positives), (by_number.places, *by_number.positives), strict=True)
-    if (np.diff(journey) == 1).all() and all(np.array_equal(*pair) for pair in same):
-        return by_row
-    return replace(by_number, place_numbers=journey, protocol={"place_order": "number"})
-
-
-def _is_number(label: Label) -> bool:
-    return isinstance(label, int) and abs(label) < _MOST_PLACES
-
-
-def _match_numbers(
-    at: Mapping[Label, int], references: list[Label], queries: list[Label], tolerance: int
-) -> GroundTruth:
-    """Return the ground truth of places that lie at these numbers; right for a query are the places around its own."""
+    at: dict[Label, int] = {label: row for row, label in enumerate(dict.fromkeys(references))}
+    are_numbers = all(map(_is_number, references))
+    if are_numbers:
+        at = {label: int(label) for label in (*references, *queries) if _is_number(label)}
     first = min(at.values())
     nowhere = first - max(at.values()) - 1  # further from every place than the tolerance can reach
     journey, places = np.unique([at[label] for label in references], return_inverse=True)
     asked = np.array([at[label] - first if label in at else nowhere for label in queries])
     positives = right_places(asked, journey - first, tolerance)
-    return GroundTruth(places, positives, "a place that no reference shows")
+    numbers = journey if are_numbers and not np.array_equal(journey, np.arange(len(journey))) else None
+    return GroundTruth(places, positives, "a place that no reference shows", place_numbers=numbers)
+
+
+def _is_number(label: Label) -> bool:
+    return isinstance(label, int) and abs(label) < _MOST_PLACES

@@ -10,7 +10,7 @@ from typing import Literal, get_args
 from vprbench.api import BadInput, Dataset, Exif, FrameFolder, Images, Paths, decoding_of
 
 from .readers.frame_folders import check_folders, find_folder, root_folder
-from .readers.traverses import Evaluation, Traverses, check_recorded, dataset_of, every, split
+from .readers.traverses import Evaluation, check_recorded, dataset_of, every, split
 
 SEASONS = ("spring", "summer", "fall", "winter")
 
@@ -87,7 +87,9 @@ def nordland(
     dataset = dataset_of(
         name,
         parts,
-        Traverses(seasons, query, frames, [*folders.values()], numbers),
+        seasons,
+        query,
+        frames,
         {
             "protocol": protocol,
             "references": seasons,
@@ -98,7 +100,9 @@ def nordland(
             **({"first_place": first_place} if first_place else {}),
             **decoded,
         },
-        [_PATCH_NETVLAD.format(tolerance)] if protocol == "patchnetvlad" else [],
+        folders=[*folders.values()],
+        numbers=numbers,
+        notes=[_PATCH_NETVLAD.format(tolerance)] if protocol == "patchnetvlad" else [],
     )
     return replace(dataset, place_numbers=first_place + parts.mapped) if first_place else dataset
 

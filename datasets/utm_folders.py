@@ -13,7 +13,7 @@ from .readers.file_dataset import Unmatched, dataset_of_files, unknown
 from .readers.frame_folders import folders_in, root_folder
 from .readers.image_files import find_listed, images_in
 from .readers.positions import WithoutPosition
-from .readers.utm_names import Zones, by_names
+from .readers.utm_names import by_names
 
 _LAYOUT = (
     "github.com/gmberton/VPR-datasets-downloader makes such folders and says for which you have to register or to ask "
@@ -29,7 +29,6 @@ def utm_folders(
     queries: str = "queries",
     radius_metres: float = 25.0,
     unmatched: Unmatched = "keep",
-    zones: Zones = "error",
     breaks: Breaks = "auto",
     exif: Exif = "obey",
     levels: str | None = None,
@@ -42,12 +41,11 @@ def utm_folders(
     `<folder>_images_paths.txt` lies beside a folder, it alone says which images are used, and in which order. Every
     reference is a place; right is what lies within `radius_metres`, the radius included. Queries without a right place
     count as misses (`keep`, as in gmberton/VPR-methods-evaluation), are left out (`drop`, as in VPRTempo and
-    VPR_Tutorial) or are an error. So are names of several UTM zones, unless images of different zones never show one
-    place (`zones` apart), and images whose position is none (0, 0 far from all others; a fix that stood still), unless
-    they are left out (`without_position` drop) or count where they say (`keep`). With `ground_truth` none any name is
-    taken, and no answer is judged. Another sub-folder, or a position that jumps, begins another drive unless `breaks`
-    is none. `exif` and `levels` say how files are decoded (`decoding_of`). Raises MissingData for what is missing,
-    BadInput for names without a position and for a list that is no text.
+    VPR_Tutorial) or are an error. So are images whose position is none (0, 0 far from all others; a fix that stood
+    still), unless they are left out (`without_position` drop) or count where they say (`keep`). With `ground_truth`
+    none any name is taken, and no answer is judged. Another sub-folder, or a position that jumps, begins another drive
+    unless `breaks` is none. `exif` and `levels` say how files are decoded (`decoding_of`). Raises MissingData for what
+    is missing, BadInput for names without a position and for a list that is no text.
     """
     layout = f"{_LAYOUT} so that <root>/images/{split} holds {database}/ and {queries}/"
     top = root_folder(name, root, f"{database}/ and {queries}/", layout)
@@ -59,8 +57,8 @@ def utm_folders(
     if lists:
         protocol["lists"] = lists
     if ground_truth == "utm":
-        truth = by_names(mapped, asked, radius_metres, zones, without_position)
-        protocol |= {"radius_metres": radius_metres, "zones": zones}
+        truth = by_names(mapped, asked, radius_metres, without_position)
+        protocol["radius_metres"] = radius_metres
     else:
         truth = unknown(len(mapped), len(asked))
     return dataset_of_files(name, mapped, asked, truth, unmatched, protocol, breaks=breaks, exif=exif, levels=levels)

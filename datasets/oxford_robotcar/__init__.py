@@ -9,7 +9,7 @@ from typing import Literal
 from vprbench.api import Dataset, Images, data_folder
 
 from ..readers.frame_folders import root_folder
-from ..readers.traverses import Evaluation, Traverses, check_recorded, dataset_of, every, right_places, split
+from ..readers.traverses import Evaluation, check_recorded, dataset_of, every, right_places, split
 from .calibration import STEREO_LEFT
 from .lists import RECORDINGS, count_steps_back, describe_list, published_timestamps, vprsnn_timestamps
 from .recordings import Recordings
@@ -77,7 +77,9 @@ def oxford_robotcar(
     return dataset_of(
         name,
         parts,
-        Traverses(mapped, query, frames, recordings.folders()),
+        mapped,
+        query,
+        frames,
         {
             "protocol": protocol,
             "image_list": image_list,
@@ -89,7 +91,8 @@ def oxford_robotcar(
             "repeated_images": {which: len(stamps) - len(set(stamps)) for which, stamps in rows.items()},
             "steps_back_in_time": {which: count_steps_back(stamps) for which, stamps in rows.items()},
         },
-        [*recordings.notes(), *describe_list(used, asked, positives, tolerance)],
+        folders=recordings.folders(),
+        notes=[*recordings.notes(), *describe_list(used, asked, positives, tolerance)],
     )
 
 

@@ -39,25 +39,15 @@ class Positions:
     files: Paths
     given: npt.NDArray[np.float64]  # (n, 2), east and north in metres, or latitude and longitude; NaN: none
     in_degrees: bool = False
-    shelf: npt.NDArray[np.float64] | None = None  # (n,), metres between images that never show one place
 
     @cached_property
     def metres(self) -> Metres:
         """The positions in metres."""
-        if self.in_degrees:
-            return earth_centred(*self.given.T)
-        return self.given if self.shelf is None else np.column_stack([self.given, self.shelf])
+        return earth_centred(*self.given.T) if self.in_degrees else self.given
 
     def choose(self, which: Mask) -> Positions:
         """Return the positions of some images."""
-        shelf = None if self.shelf is None else self.shelf[which]
-        return Positions(self.files[which], self.given[which], self.in_degrees, shelf)
-
-    def runs(self) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-        """Return the first and the last image of every run at one position in one folder, (n_runs,) each."""
-        moves = (np.diff(self.given, axis=0) != 0).any(axis=1) | (np.diff(self.files.numbers) != 0)
-        ends = np.flatnonzero(moves)
-        return np.append(0, ends + 1), np.append(ends, len(self.given) - 1)
+        return Positions(self.files[which], self.given[which], self.in_degrees)
 
 
 def earth_centred(latitude: npt.NDArray[np.float64], longitude: npt.NDArray[np.float64]) -> Metres:
@@ -128,7 +118,7 @@ def by_positions(
         references=mapped if drops else None,
         queries=asked if drops else None,
         protocol={} if without == "error" else {"without_position": without, **counts},
-        notes=tuple(filter(None, [note, *map(_note_last_stand, left)])),
+        notes=(note,) if note else (),
     )
 
 
@@ -154,7 +144,9 @@ def find_without_position(traverses: Sequence[Positions], radius_metres: float) 
 
 def _find_stale(positions: Positions) -> Mask:
     """Tell of every image whether its position is that of an earlier image, which the camera has left since."""
-    first, last = positions.runs()
+    moves = (np.diff(positions.given, axis=0) != 0).any(axis=1) | (np.diff(positions.files.numbers) != 0)
+    ends = np.flatnonzero(moves)
+    first, last = np.append(0, ends + 1), np.append(ends, len(positions.given) - 1)  # of each run at one position
     steps = np.linalg.norm(positions.metres[first[1:]] - positions.metres[last[:-1]], axis=1)
     steps[positions.files.numbers[first[1:]] != positions.files.numbers[last[:-1]]] = np.nan  # another drive
     fixes = (last - first + 1)[:-1] / np.median(last - first + 1)
@@ -176,16 +168,6 @@ def _describe_lacking(traverses: Sequence[Positions], lacking: Sequence[Mask]) -
     at = "" if np.isnan(given).any() else f" at {_pair(given)}, {why}"
     total, n = sum(int(lacks.sum()) for lacks in lacking), sum(map(len, lacking))
     return f"{total} of {n} images have no position (first: {each.files[first]}{at})"
-
-
-def _note_last_stand(positions: Positions) -> str:
-    """Return a note on a traverse whose last images all have one position, else nothing."""
-    first, last = positions.runs()
-    lengths = last - first + 1
-    if len(lengths) == 1 or lengths[-1] < _STANDING * np.median(lengths):
-        return ""
-    told = f"the last {lengths[-1]} images up to {positions.files.names[-1]} have one position"
-    return f"{told}: if the camera went on, their fix was lost"
 
 
 def _check_radius(radius_metres: float) -> None:

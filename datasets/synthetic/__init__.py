@@ -11,7 +11,7 @@ import numpy as np
 
 from vprbench.api import BadInput, Dataset, Images, cached_frames
 
-from ..readers.traverses import Evaluation, Traverses, check_recorded, dataset_of, split
+from ..readers.traverses import Evaluation, check_recorded, dataset_of, split
 from .film import HEIGHT, WIDTH
 from .renderer import VERSION, Renderer
 from .seasons import SEASONS
@@ -65,7 +65,9 @@ def synthetic(
     dataset = dataset_of(
         name,
         parts,
-        Traverses(references, query, frames),
+        references,
+        query,
+        frames,
         {
             "protocol": protocol,
             "references": list(references),

@@ -112,8 +112,7 @@ SOURCES = {
         {"images/test/database": AT, "images/test/queries": ["@0@5@@.jpg", "@30@0@@.jpg", "@900@0@@.jpg"]},
         {"root": "."},
         [[0, 1], [1, 2], []],
-        "protocol=utm_folders split=test database=database queries=queries radius_metres=25.0 zones=error "
-        "unmatched=keep",
+        "protocol=utm_folders split=test database=database queries=queries radius_metres=25.0 unmatched=keep",
         "1 of 3 queries have no reference within 25 m; they count as misses (dataset.unmatched=keep)",
     ),
     "list": Source(
@@ -222,7 +221,6 @@ REFUSED = {
     ],
     "utm": [
         *(({"c": [name]}, {}, f"c/{name}") for name in ("@east@north@.png", "@12.png", "@nan@4@.png", "@1@-1e9@.png")),
-        ({"c": ["@45@0@11@S@.jpg"]}, {}, "2 UTM zones"),
     ],
     "matrix": [
         ({"truth.npz": {"truth": RIGHT}}, {}, "truth.npz holds no positives, but truth: "),
