@@ -211,21 +211,10 @@ def test_an_archive_put_there_by_hand_needs_no_net_and_is_compared_with_what_is_
     assert f"SHA-256 {SHA256} (as stated)" in capsys.readouterr().out
 
 
-def test_folders_that_are_there_in_part_are_refused_before_anything_is_asked_for(server, url, root):
-    part = Part(
-        "both.zip", (url,), Wanted(unpacked_bytes=4 * CHUNK), {"spring": FetchedFile(), "summer": FetchedFile()}
-    )
-    (root / "summer").mkdir(parents=True)
-    (root / "summer" / "1.png").write_bytes(b"mine")
-    refused(little(parts={"both": part}), root, f"{root / 'summer'} is there, but not {root / 'spring'}: move it away")
-    assert server.asked == []
-
-
 @pytest.mark.parametrize(
     ("missing", "said"),
     [
         ([], "Checked as dataset=little:\nlittle is fine\nno black frame\n"),
-        (["little"], "Checked as dataset=less:\nless is fine\nno black frame\n"),
         (["little", "less"], "dataset=little cannot run yet: summer is missing\n"),
     ],
 )

@@ -22,7 +22,6 @@ from vprbench.datasets.vpr_bench import vpr_bench
 from vprbench.datasets.vpr_tutorial import gardens_point, with_matrix
 from vprbench.errors import BadInput, MissingData
 from vprbench.plugins import registry
-from vprbench.storage import mat_files
 
 WRITERS = {
     ".mat": savemat,
@@ -244,10 +243,8 @@ REFUSED = {
                 ("image,place\n0.jpg,1\n0.jpg,\n", "row 2 of map0.csv"),
                 ("image,place\n0.jpg,1\n0.jpg,1,5\n", "in line 3, saw 3"),
                 ("image,place\n0.jpg\n", "row 1 of map0.csv has no place"),
-                ("image,east,north\n0.jpg,1,x\n", "north x in row 1 of"),
                 ("image,east,north\n0.jpg,0,0\n1.jpg,inf,1\n", "east inf in row 2 of"),
                 ("image,lat,lon\n0.jpg,90.1,1\n", "lat 90.1 in row 1 of"),
-                ("image,lat,lon\n0.jpg,90,180\n0.jpg,1,-181\n", "lon -181 in row 2 of"),
             )
         ),
     ],
@@ -262,8 +259,6 @@ REFUSED = {
                 (2, "dbImageFns", np.zeros((3, 1))),
                 (3, "utmDb", METRES.T),
                 (4, "qImageFns", cells([1.0, 2.0])),
-                (4, "qImageFns", cells([])),
-                (5, "utmQ", METRES),
             )
         ),
         ({"set.mat": lambda content: content[:300]}, {}, "cannot be read as a .mat file"),
@@ -357,14 +352,6 @@ def test_what_is_missing_does_not_fit_or_is_damaged_is_refused(source, files, op
     assert told in answer(make, kind=kind, **given)
 
 
-def test_a_small_mat_file_that_unpacks_to_a_large_one_is_refused(monkeypatch):
-    monkeypatch.setattr(mat_files, "_LEAST_UNPACKED", 1 << 24)
-    bomb = partial(savemat, mdict={"dbStruct": structure(), "zeros": np.zeros(1 << 26, np.uint8)}, do_compression=True)
-    make, options = written("dbstruct")
-    bomb("set.mat")
-    assert "more than 16 MB of memory" in answer(make, **options)
-
-
 def configured(name, **changes):
     config = yaml.safe_load(registry.entries("dataset")[name].path.read_text(encoding="utf-8"))
     return registry.make_dataset({**config, **changes})
@@ -411,7 +398,7 @@ GRID = "image;east;north\n0.jpg;0,5;-1,25\n1.jpg;60;0,0\n2.jpg;120,75;0\n"
     [
         *((PLACES.encode(encoding), ASKED) for encoding in ("utf-16", "utf-16-le", "utf-16-be", "utf-8-sig")),
         (b"\xfe\xff" + PLACES.encode("utf-16-be"), ASKED.replace("\n", "\r\n")),
-        *((f"{said}\n{PLACES}", ASKED) for said in ("sep=,", '"sep=,"', "SEP=,\r", "sep=,,")),
+        (f"sep=,\n{PLACES}", ASKED),
         (f"sep=;\n{PLACES}".replace(",", ";"), ASKED.replace(",", "\t")),
         (PLACES.replace(",", "|").join(["sep=|\n", ""]), ASKED.replace(",", ";")),
         (PLACES.replace("7", "7.0").replace("9", "009"), ASKED.replace("7", "7.000")),
@@ -480,18 +467,11 @@ def test_folders_are_found_in_one_folder_as_a_zip_is_unpacked_in_other_capitals_
     assert fingerprints(make(**options)) == before
 
 
-def test_of_two_folders_that_may_be_meant_none_is_taken_and_the_nearest_is_named():
-    for city in ("london", "paris"):
-        fill(Path(city) / "test" / "database", at((0, 0)))
-        fill(Path(city) / "test" / "queries", at((1, 1)))
-    answer(utm_folders, kind=MissingData, root=".")
-    assert rights(utm_folders(root="london")) == [[0]]
-    nearest = {
-        "London/test/database": "london",
-        **dict.fromkeys(("london/databases", "london/test/DATABASE"), "london/test/database"),
-    }
-    for given, meant in nearest.items():
-        assert f"did you mean {meant}?" in answer(folders, kind=MissingData, references=[given], queries="x")
+def test_the_nearest_folder_is_named():
+    fill(Path("london/test/database"), at((0, 0)))
+    for given in ("london/databases", "london/test/DATABASE"):
+        told = answer(folders, kind=MissingData, references=[given], queries="x")
+        assert "did you mean london/test/database?" in told
 
 
 # A thousandth of a degree near Brisbane (27.5 degrees south): 110.80 m north, 98.83 m east (tables of WGS 84).
@@ -509,10 +489,6 @@ def test_both_folders_are_found_in_each_of_the_three_layouts(way):
     fill(Path(way) / "queries", at((1, 1)))
     dataset = utm_folders(root=".", split="val")
     assert (rights(dataset), dataset.protocol["split"]) == ([[0]], None if way == "." else "val")
-    if way == "val":  # the split comes before folders of the root
-        fill(Path("database"), at((0, 0), (1, 1)))
-        fill(Path("queries"), at((0, 0)))
-        assert len(utm_folders(root=".", split="val").references) == 1
 
 
 def test_images_come_in_the_order_of_their_whole_paths_or_of_the_list_beside_their_folder(monkeypatch):

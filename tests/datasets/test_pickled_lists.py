@@ -114,8 +114,6 @@ REFUSED = {
     "another name": (b"\x80\x04\x8c\x05numpy\x8c\x0endarray.tofile\x93.", "asks for numpy.ndarray.tofile"),
     "a name that moves the cursor": (b"c\x1b[2Jos\nsystem\n.", r"asks for \x1b[2Jos.system"),
     "an instance": (b"(ios\nsystem\n.", "asks for os.system"),
-    "an extension": (b"\x80\x02\x82\x01.", "cannot be read"),
-    "something outside": (b"Pmodule\n.", "cannot be read"),
     "the state of a stand-in": (b"\x80\x02cnumpy\nndarray\n}b.", "cannot be read"),
     "too large a file": (bytes((1 << 24) + 1), f"has {(1 << 24) + 1} bytes"),
     "a place in the memo beyond the file": (b"\x80\x02Nr\xff\xff\xff\x7f.", "holds a NoneType"),
@@ -127,9 +125,7 @@ REFUSED = {
     "an array of text": (stored_array((1,), "S3", b"abc"), "elements of type S3"),
     "a list in itself": (b"]p0\ng0\na.", "holds a list where"),
     "a number without end": (b"\x80\x02\x8b" + struct.pack("<I", 5000) + b"\x7f" * 5000 + b".", "no index"),
-    "a word": (pickle.dumps([[0, ["1"]]]), "holds a str"),
     "one number": (pickle.dumps(5), "holds one number"),
-    "nothing": (b"", "cannot be read as pickled lists"),
     "half a pickle": (pickle.dumps(WANTED, protocol=4)[:-7], "cannot be read as pickled lists"),
 }
 

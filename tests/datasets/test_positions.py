@@ -5,10 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from image_folders import answer, fill, numbered, reds, rights
-from mat_cells import cells
-from scipy.io import savemat
 
-from vprbench.datasets.dbstruct import dbstruct
 from vprbench.datasets.folders import folders
 from vprbench.datasets.image_list import image_list
 from vprbench.datasets.utm_folders import utm_folders
@@ -33,12 +30,6 @@ def by_names(references, queries, **options):
     return utm_folders(root=".", **options)
 
 
-def by_names_of_own_folders(references, queries, **options):
-    fill(Path("a"), named(references))
-    fill(Path("b"), named(queries))
-    return folders(references=["a"], queries="b", ground_truth="utm", **options)
-
-
 def by_table(references, queries, columns="east,north", **options):
     fill(Path(), numbered(N))
     for file, positions in (("map.csv", references), ("asked.csv", queries)):
@@ -56,17 +47,6 @@ def by_degrees(references, queries, **options):
     return by_table(*parts, "lat,lon", **options)
 
 
-def by_struct(references, queries, **options):
-    fill(Path(), numbered(N))
-    fields = [
-        values
-        for positions in (references, queries)
-        for values in (cells([f"{number}.jpg" for number in range(len(positions))]), np.array(positions, float).T)
-    ]
-    savemat("set.mat", {"dbStruct": dict(zip("abcde", ["test", *fields], strict=True))})
-    return dbstruct(root=".", mat="set.mat", **options)
-
-
 def by_arrays(references, queries, turned=False, **options):
     fill(Path("a"), numbered(len(references)))
     fill(Path("b"), numbered(len(queries)))
@@ -75,7 +55,7 @@ def by_arrays(references, queries, turned=False, **options):
     return folders(references=["a"], queries="b", ground_truth="truth.npz", **options)
 
 
-READERS = [by_names, by_names_of_own_folders, by_table, by_degrees, by_struct, by_arrays]
+READERS = [by_names, by_table, by_degrees, by_arrays]
 
 
 def but(numbers, at, drive=DRIVE):
