@@ -13,7 +13,7 @@ from .readers.drives import Breaks
 from .readers.file_dataset import Unmatched, dataset_of_files
 from .readers.frame_folders import root_folder
 from .readers.image_files import find_listed
-from .readers.positions import Metres, Positions, WithoutPosition, by_positions
+from .readers.positions import Positions, WithoutPosition, as_metres, by_positions
 
 _NAMES, _UTM, _QUERY_NAMES, _QUERY_UTM = 1, 2, 3, 4  # fields by position, as Relja/netvlad writes them
 
@@ -59,8 +59,10 @@ def dbstruct(
     advice = "set dataset.root, dataset.database_folder or dataset.database_suffix"
     mapped = find_listed(database, f"the database of {file.name}", advice)
     asked = find_listed(queries, f"the queries of {file.name}", "set dataset.root or dataset.query_folder")
-    known = Positions(mapped, _read_metres(file, fields, _UTM, len(database)))
-    sought = Positions(asked, _read_metres(file, fields, _QUERY_UTM, len(queries)))
+    known, sought = (
+        Positions(files, as_metres(f"field {at + 1} of dbStruct in {file}", np.asarray(fields[at]).T, len(files)))
+        for files, at in ((mapped, _UTM), (asked, _QUERY_UTM))
+    )
     return dataset_of_files(
         name,
         mapped,
@@ -104,16 +106,3 @@ def _read_names(file: Path, fields: tuple[Any, ...], position: int) -> list[str]
     if not entries or not all(entry.size == 1 and entry.dtype.kind == "U" for entry in entries):
         raise BadInput(f"field {position + 1} of dbStruct in {file} holds no list of file names")
     return [str(entry.item()).rstrip() for entry in entries]
-
-
-def _read_metres(file: Path, fields: tuple[Any, ...], position: int, count: int) -> Metres:
-    """Return east and north in metres, (n, 2), of a field that holds them as (2, n)."""
-    metres = np.asarray(fields[position])
-    if count == 1 and metres.ndim == 1:
-        metres = metres[:, None]
-    if metres.shape != (2, count) or metres.dtype.kind not in "fiu":
-        raise BadInput(
-            f"field {position + 1} of dbStruct in {file} has the shape {metres.shape}; wanted are metres, (2, {count}) "
-            f"for {count} names"
-        )
-    return metres.T.astype(np.float64)

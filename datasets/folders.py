@@ -13,15 +13,15 @@ from vprbench.api import BadInput, Dataset, Exif, Images, MissingData, Paths
 from .readers.drives import Breaks, check_by_order, drive_starts, right_in_drive
 from .readers.file_dataset import GroundTruth, Unmatched, dataset_of_files, each_a_place, unknown
 from .readers.image_files import images_in
-from .readers.matrix_files import array_in, matrix_in, names_in
+from .readers.matrix_files import arrays_in, matrix_in
 from .readers.name_order import Numbers, by_numbers
-from .readers.positions import Positions, WithoutPosition, by_positions
+from .readers.positions import Positions, WithoutPosition, as_metres, by_positions
 from .readers.traverses import right_places
 from .readers.utm_names import by_names
 
 _ADVICE = "give a folder of images"
-_MATRIX, _POSITIONS, _RADIUS = "positives", ("utmQ", "utmDb"), "posDistThr"  # the last ones as in dbStruct files
-_WANTED = f"the matrix {_MATRIX}, or the positions {' and '.join(_POSITIONS)}"
+_MATRIX = "positives"
+_WANTED = f"the matrix {_MATRIX}, or the positions utmQ and utmDb"  # and the radius posDistThr, as in dbStruct files
 _ADVICE_FILE = f"dataset.ground_truth wants {_WANTED}"
 _WAYS_OUT = (
     "give as many in each, or say what is right by dataset.ground_truth=utm (positions in names), by "
@@ -140,28 +140,20 @@ def _by_file(
     """Return the ground truth of an .npz file of all images, and the radius where positions decide."""
     if file.suffix != ".npz":
         raise BadInput(f"dataset.ground_truth={file}: give index, utm, none or an .npz file with {_WANTED}")
-    names = names_in(file, _ADVICE_FILE)
-    if not {*names} >= {*_POSITIONS}:
-        shape, axes = (len(queries), len(references)), ("queries", "references")
-        right = matrix_in(file, _MATRIX, shape, axes, _ADVICE_FILE)
-        lacking = f"no right reference in {file.name}"
-        return each_a_place(len(references), map(np.flatnonzero, right), lacking), {}
-    asked, mapped = (_read_metres(file, *each) for each in zip(_POSITIONS, (queries, references), strict=True))
-    truth = by_positions([mapped], asked, radius_metres, without)
-    own = (
-        array_in(file, _RADIUS, 1, "a radius in metres", _ADVICE_FILE) if _RADIUS in names else np.array(radius_metres)
+    n_queries, n_references = len(queries), len(references)
+    most = {_MATRIX: n_queries * n_references, "utmQ": 2 * n_queries, "utmDb": 2 * n_references, "posDistThr": 1}
+    wanted = f"the matrix {_MATRIX}, {n_queries} queries by {n_references} references, or the positions utmQ and utmDb"
+    arrays = arrays_in(file, most, wanted, _ADVICE_FILE)
+    if not {"utmQ", "utmDb"} <= {*arrays}:
+        right = matrix_in(file, _MATRIX, (n_queries, n_references), ("queries", "references"), _ADVICE_FILE)
+        return each_a_place(n_references, right, f"no right reference in {file.name}"), {}
+    asked, mapped = (
+        Positions(files, as_metres(f"{key} in {file}", arrays[key], len(files)))
+        for key, files in (("utmQ", queries), ("utmDb", references))
     )
+    truth = by_positions([mapped], asked, radius_metres, without)
+    own = arrays.get("posDistThr", np.array(radius_metres))
     if own.size == 1 and own.dtype.kind in "fiu" and own.item() != radius_metres:
         note = f"{file.name} is for a radius of {own.item():g} m; dataset.radius_metres={radius_metres:g} counts"
         truth = replace(truth, notes=(*truth.notes, note))
     return truth, {"radius_metres": radius_metres}
-
-
-def _read_metres(file: Path, key: str, images: Paths) -> Positions:
-    wanted = f"metres, ({len(images)}, 2)"
-    metres = array_in(file, key, 2 * len(images), wanted, _ADVICE_FILE)
-    if metres.shape == (2, len(images)):
-        metres = metres.T
-    if metres.shape != (len(images), 2) or metres.dtype.kind not in "fiu":
-        raise BadInput(f"{key} in {file} has the shape {metres.shape}; wanted are {wanted}")
-    return Positions(images, metres.astype(np.float64))

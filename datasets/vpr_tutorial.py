@@ -96,12 +96,12 @@ def with_matrix(
         for folder in (reference, query)
     )
     shape, axes = (len(mapped), len(asked)), ("references", "queries")
-    right = matrix_in(top / "GT.npz", _MATRICES[ground_truth], shape, axes, layout)
+    right = matrix_in(top / "GT.npz", _MATRICES[ground_truth], shape, axes, layout, of_columns=True)
     return dataset_of_files(
         name,
         mapped,
         asked,
-        each_a_place(len(mapped), map(np.flatnonzero, right.T), f"no right reference in {_MATRICES[ground_truth]}"),
+        each_a_place(len(mapped), right, f"no right reference in {_MATRICES[ground_truth]}"),
         unmatched,
         {"protocol": "vpr_tutorial", "reference": reference, "query": query, "ground_truth": ground_truth},
         exif=exif,

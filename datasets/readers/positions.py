@@ -50,6 +50,18 @@ class Positions:
         return Positions(self.files[which], self.given[which], self.in_degrees)
 
 
+def as_metres(named: str, array: npt.ArrayLike, n_images: int) -> Metres:
+    """Return east and north of an array, (n, 2) or (2, n) of two images or more; raises BadInput for any other."""
+    metres = np.asarray(array)
+    if metres.shape == (2,) and n_images == 1:
+        metres = metres[None]
+    elif metres.shape == (2, n_images) and n_images != 2:
+        metres = metres.T
+    if metres.shape != (n_images, 2) or metres.dtype.kind not in "fiu":
+        raise BadInput(f"{named} has the shape {metres.shape}; wanted are metres, 2 for each of {n_images} images")
+    return metres.astype(np.float64)
+
+
 def earth_centred(latitude: npt.NDArray[np.float64], longitude: npt.NDArray[np.float64]) -> Metres:
     """Return points of the WGS 84 ellipsoid, given in degrees, in metres from the centre of the Earth, (n, 3).
 

@@ -257,7 +257,7 @@ REFUSED = {
             ({"set.mat": {"dbStruct": structure(**{field: value})}}, {}, f"field {number} of dbStruct")
             for number, field, value in (
                 (2, "dbImageFns", np.zeros((3, 1))),
-                (3, "utmDb", METRES.T),
+                (3, "utmDb", METRES[:, :2]),
                 (4, "qImageFns", cells([1.0, 2.0])),
             )
         ),

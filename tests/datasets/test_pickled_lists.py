@@ -95,7 +95,7 @@ class Calls:
 def test_what_a_pickle_wants_to_call_is_named_and_not_called(tmp_path, monkeypatch, asked, call, protocol, wrapped):
     monkeypatch.chdir(tmp_path)
     Path("stored").write_bytes(pickle.dumps(lists([0], call) if wrapped else call, protocol=protocol))
-    assert f"{asked}, which no list of numbers needs; nothing was run" in refusal(Path("stored"))
+    assert f"{asked}, which no list of numbers needs: nothing was run" in refusal(Path("stored"))
     assert not Path("called").exists()
 
 
@@ -124,7 +124,7 @@ REFUSED = {
     "an array of three dimensions": (stored_array((1, 1, 1, 1), "i8", b"x" * 8), "holds a list where"),
     "an array of text": (stored_array((1,), "S3", b"abc"), "elements of type S3"),
     "a list in itself": (b"]p0\ng0\na.", "holds a list where"),
-    "a number without end": (b"\x80\x02\x8b" + struct.pack("<I", 5000) + b"\x7f" * 5000 + b".", "no index"),
+    "a number without end": (b"\x80\x02\x8b" + struct.pack("<I", 5000) + b"\x7f" * 5000 + b".", "where an index"),
     "one number": (pickle.dumps(5), "holds one number"),
     "half a pickle": (pickle.dumps(WANTED, protocol=4)[:-7], "cannot be read as pickled lists"),
 }
