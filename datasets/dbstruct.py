@@ -57,16 +57,16 @@ def dbstruct(
         database = [path.with_suffix(database_suffix) for path in database]
     queries = [top / query_folder / entry for entry in _read_names(file, fields, _QUERY_NAMES)]
     advice = "set dataset.root, dataset.database_folder or dataset.database_suffix"
-    mapped = find_listed(database, f"the database of {file.name}", advice)
-    asked = find_listed(queries, f"the queries of {file.name}", "set dataset.root or dataset.query_folder")
+    map_files = find_listed(database, f"the database of {file.name}", advice)
+    query_files = find_listed(queries, f"the queries of {file.name}", "set dataset.root or dataset.query_folder")
     known, sought = (
         Positions(files, as_metres(f"field {at + 1} of dbStruct in {file}", np.asarray(fields[at]).T, len(files)))
-        for files, at in ((mapped, _UTM), (asked, _QUERY_UTM))
+        for files, at in ((map_files, _UTM), (query_files, _QUERY_UTM))
     )
     return dataset_of_files(
         name,
-        mapped,
-        asked,
+        map_files,
+        query_files,
         by_positions([known], sought, radius_metres, without_position),
         unmatched,
         {

@@ -53,13 +53,13 @@ def event_folders(
             raise MissingData(f"{file} is no file: dataset.references and dataset.queries name a recording each")
     counting = Counting(window_ms, events_per_frame, hot_factor, height, width)
     drives = [counting.read_drive(file, track_of(file) if ground_truth == "gps" else None) for file in files]
-    *mapped, asked = drives
+    *mapped, queried = drives
     chosen: dict[str, Any] = {"ground_truth": ground_truth}
     if ground_truth == "gps":
-        truth = by_radius(np.concatenate([drive.at for drive in mapped]), asked.at, radius_metres)
+        truth = by_radius(np.concatenate([drive.at for drive in mapped]), queried.at, radius_metres)
         chosen["radius_metres"] = radius_metres
     elif ground_truth == "none":
-        truth = unknown(sum(len(drive.images) for drive in mapped), len(asked.images))
+        truth = unknown(sum(len(drive.images) for drive in mapped), len(queried.images))
     else:
         truth = _by_number([drive.images for drive in drives], references, tolerance)
         chosen["tolerance_places"] = tolerance

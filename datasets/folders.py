@@ -66,24 +66,26 @@ def folders(
         )
     found = [images_in(folder, "dataset.references", _ADVICE) for folder in references]
     found.append(images_in(queries, "dataset.queries", _ADVICE))
-    (*traverses, asked), read, notes = by_numbers(found, numbers)
-    mapped = Paths.joined(traverses)
+    (*traverses, query_files), read, notes = by_numbers(found, numbers)
+    map_files = Paths.joined(traverses)
     chosen: dict[str, float] = {}
     if ground_truth == "index":
         check_by_order(found, [*references, queries], breaks, "dataset.", _WAYS_OUT)
-        truth = match_by_order(traverses, references, mapped, asked, tolerance, breaks)
+        truth = match_by_order(traverses, references, map_files, query_files, tolerance, breaks)
         chosen = {"tolerance_places": tolerance}
     elif ground_truth == "utm":
         chosen = {"radius_metres": radius_metres}
-        truth = by_names(mapped, asked, radius_metres, without_position)
+        truth = by_names(map_files, query_files, radius_metres, without_position)
     elif ground_truth == "none":
-        truth = unknown(len(mapped), len(asked))
+        truth = unknown(len(map_files), len(query_files))
     else:
-        truth, chosen = _by_file(Path(ground_truth).expanduser(), mapped, asked, radius_metres, without_position)
+        truth, chosen = _by_file(
+            Path(ground_truth).expanduser(), map_files, query_files, radius_metres, without_position
+        )
     return dataset_of_files(
         name,
-        mapped,
-        asked,
+        map_files,
+        query_files,
         truth,
         unmatched,
         {
@@ -147,11 +149,11 @@ def _by_file(
     if not {"utmQ", "utmDb"} <= {*arrays}:
         right = matrix_in(file, _MATRIX, (n_queries, n_references), ("queries", "references"), _ADVICE_FILE)
         return each_a_place(n_references, right, f"no right reference in {file.name}"), {}
-    asked, mapped = (
+    query_files, map_files = (
         Positions(files, as_metres(f"{key} in {file}", arrays[key], len(files)))
         for key, files in (("utmQ", queries), ("utmDb", references))
     )
-    truth = by_positions([mapped], asked, radius_metres, without)
+    truth = by_positions([map_files], query_files, radius_metres, without)
     own = arrays.get("posDistThr", np.array(radius_metres))
     if own.size == 1 and own.dtype.kind in "fiu" and own.item() != radius_metres:
         note = f"{file.name} is for a radius of {own.item():g} m; dataset.radius_metres={radius_metres:g} counts"

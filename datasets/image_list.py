@@ -74,14 +74,14 @@ def image_list(
         )
     files = [*(Path(file).expanduser() for file in references), Path(queries).expanduser()]
     tables = [_read_table(file, root) for file in files]
-    mapped, asked = tables[:-1], tables[-1]
+    map_tables, query_table = tables[:-1], tables[-1]
     kind = "none" if ground_truth == "none" else _find_kind(tables)
     chosen: dict[str, float] = {}
     if kind == "none":
-        truth = unknown(sum(len(table.images) for table in mapped), len(asked.images))
+        truth = unknown(sum(len(table.images) for table in map_tables), len(query_table.images))
     elif kind == "place":
-        shown = [label for table in mapped for label in table.labels()]
-        truth = _by_place(shown, asked.labels(), tolerance)
+        shown = [label for table in map_tables for label in table.labels()]
+        truth = _by_place(shown, query_table.labels(), tolerance)
         chosen = {"tolerance_places": tolerance}
     else:
         *known, sought = (table.positions(kind, without_position) for table in tables)
@@ -89,8 +89,8 @@ def image_list(
         chosen = {"radius_metres": radius_metres}
     return dataset_of_files(
         name,
-        Paths.joined(table.images for table in mapped),
-        asked.images,
+        Paths.joined(table.images for table in map_tables),
+        query_table.images,
         truth,
         unmatched,
         {
@@ -185,8 +185,8 @@ def _by_place(references: list[Label], queries: list[Label], tolerance: int) -> 
     first = min(at.values())
     nowhere = first - max(at.values()) - 1  # further from every place than the tolerance can reach
     journey, places = np.unique([at[label] for label in references], return_inverse=True)
-    asked = np.array([at[label] - first if label in at else nowhere for label in queries])
-    positives = right_places(asked, journey - first, tolerance)
+    sought = np.array([at[label] - first if label in at else nowhere for label in queries])
+    positives = right_places(sought, journey - first, tolerance)
     numbers = journey if are_numbers and not np.array_equal(journey, np.arange(len(journey))) else None
     return GroundTruth(places, positives, "a place that no reference shows", place_numbers=numbers)
 

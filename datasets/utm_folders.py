@@ -52,16 +52,18 @@ def utm_folders(
     found, holding = _find_split(top, split, (database, queries), layout)
     folders = holding / database, holding / queries
     lists = [beside.name for folder in folders if (beside := _list_beside(folder)).is_file()]
-    mapped, asked = (_images(folder, layout) for folder in folders)
+    map_files, query_files = (_images(folder, layout) for folder in folders)
     protocol: dict[str, Any] = {"protocol": "utm_folders", "split": found, "database": database, "queries": queries}
     if lists:
         protocol["lists"] = lists
     if ground_truth == "utm":
-        truth = by_names(mapped, asked, radius_metres, without_position)
+        truth = by_names(map_files, query_files, radius_metres, without_position)
         protocol["radius_metres"] = radius_metres
     else:
-        truth = unknown(len(mapped), len(asked))
-    return dataset_of_files(name, mapped, asked, truth, unmatched, protocol, breaks=breaks, exif=exif, levels=levels)
+        truth = unknown(len(map_files), len(query_files))
+    return dataset_of_files(
+        name, map_files, query_files, truth, unmatched, protocol, breaks=breaks, exif=exif, levels=levels
+    )
 
 
 def _find_split(top: Path, split: str, wanted: tuple[str, str], layout: str) -> tuple[str | None, Path]:

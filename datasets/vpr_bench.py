@@ -52,19 +52,19 @@ def vpr_bench(
     top = root_folder(name, root, "query/ and ref/", _LAYOUT, default_root=default_root, parts=("query", "ref"))
     folders = (find_folder(top, part) for part in ("query", "ref"))
     found = [images_in(folder, "dataset.root", _LAYOUT, deep=False) for folder in folders]
-    (asked, mapped), read, notes = by_numbers(found, numbers)
+    (query_files, map_files), read, notes = by_numbers(found, numbers)
     protocol: dict[str, Any] = {"protocol": "vpr_bench", "references": "ref", "queries": "query", **read}
-    truth = unknown(len(mapped), len(asked))
+    truth = unknown(len(map_files), len(query_files))
     if ground_truth != "none":
         stored = _find_ground_truth(top, ground_truth)
         rows = _read_csv_rows(stored) if stored.suffix.lower() == ".csv" else _read_pickled_rows(stored)
-        by_query, corrected = require_range(stored.name, rows, len(asked), len(mapped), out_of_range)
-        truth = each_a_place(len(mapped), by_query, f"no right reference in {stored.name}")
+        by_query, corrected = require_range(stored.name, rows, len(query_files), len(map_files), out_of_range)
+        truth = each_a_place(len(map_files), by_query, f"no right reference in {stored.name}")
         protocol |= {"ground_truth": stored.name, "out_of_range": out_of_range, "out_of_range_queries": len(corrected)}
         if corrected:
-            told = f"{stored.name} names numbers without an image in {len(corrected)} of {len(rows)} rows"
-            notes.append(f"{told} (first: query {corrected[0]}); they are left out (dataset.out_of_range=clip)")
-    return dataset_of_files(name, mapped, asked, truth, unmatched, protocol, notes, exif=exif, levels=levels)
+            count = f"{stored.name} names numbers without an image in {len(corrected)} of {len(rows)} rows"
+            notes.append(f"{count} (first: query {corrected[0]}); they are left out (dataset.out_of_range=clip)")
+    return dataset_of_files(name, map_files, query_files, truth, unmatched, protocol, notes, exif=exif, levels=levels)
 
 
 def require_range(

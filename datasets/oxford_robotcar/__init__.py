@@ -71,8 +71,8 @@ def oxford_robotcar(
         return recordings.images([(traverse, files[traverse][place]) for traverse, place in shown])
 
     used = {traverse: [stamps[traverse][place] for place in parts.mapped] for traverse in mapped}
-    asked = [stamps[query][place] for place in parts.queried]
-    rows = {**used, "queries": asked}
+    query_stamps = [stamps[query][place] for place in parts.queried]
+    rows = {**used, "queries": query_stamps}
     positives = right_places(parts.queried, parts.mapped, tolerance)
     return dataset_of(
         name,
@@ -92,7 +92,7 @@ def oxford_robotcar(
             "steps_back_in_time": {which: count_steps_back(stamps) for which, stamps in rows.items()},
         },
         folders=recordings.folders(),
-        notes=[*recordings.notes(), *describe_list(used, asked, positives, tolerance)],
+        notes=[*recordings.notes(), *describe_list(used, query_stamps, positives, tolerance)],
     )
 
 

@@ -39,8 +39,8 @@ def arrays_in(file: Path, most_values: Mapping[str, int], wanted: str, advice: s
         reason = (str(error).splitlines() or [""])[0]
         raise BadInput(f"{file} cannot be read ({reason}): get it from its source again") from error
     if large:
-        told = f"{large[0]} in {file} unpacks to {sizes[large[0]]} bytes"
-        raise BadInput(f"{told}, and wanted is {wanted}: check that no image is missing")
+        excess = f"{large[0]} in {file} unpacks to {sizes[large[0]]} bytes"
+        raise BadInput(f"{excess}, and wanted is {wanted}: check that no image is missing")
     if not arrays:
         held = ", ".join([*sizes][:_SHOWN]) or "nothing"
         raise BadInput(f"{file} holds no {next(iter(most_values))}, but {held}: wanted is {wanted}; {advice}")

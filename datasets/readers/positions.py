@@ -106,17 +106,17 @@ def by_positions(
                 "1e8, or NaN with dataset.without_position=drop"
             )
     lacking = find_without_position(traverses, radius_metres)
-    told = _describe_lacking(traverses, lacking)
-    if without == "error" and told:
+    lack = _describe_lacking(traverses, lacking)
+    if without == "error" and lack:
         raise BadInput(
-            f"{told}: correct them, or pass dataset.without_position=drop to leave them out, "
+            f"{lack}: correct them, or pass dataset.without_position=drop to leave them out, "
             "dataset.without_position=keep if they were taken there"
         )
     drops = without == "drop"
     kept = [~lacks if drops else np.full(len(lacks), True) for lacks in lacking]
-    mapped, asked = np.flatnonzero(np.concatenate(kept[:-1])), np.flatnonzero(kept[-1])
-    if not (len(mapped) and len(asked)):
-        raise BadInput(f"{told}, and dataset.without_position=drop leaves none")
+    kept_references, kept_queries = np.flatnonzero(np.concatenate(kept[:-1])), np.flatnonzero(kept[-1])
+    if not (len(kept_references) and len(kept_queries)):
+        raise BadInput(f"{lack}, and dataset.without_position=drop leaves none")
     left = [each.choose(which) for each, which in zip(traverses, kept, strict=True)]
     _check_coordinates(left, radius_metres)
     truth = by_radius(np.concatenate([each.metres for each in left[:-1]]), left[-1].metres, radius_metres)
@@ -124,11 +124,11 @@ def by_positions(
         "references_without_position": sum(int(lacks.sum()) for lacks in lacking[:-1]),
         "queries_without_position": int(lacking[-1].sum()),
     }
-    note = f"{told}; they {'are left out' if drops else 'count where they say'}" if told else ""
+    note = f"{lack}; they {'are left out' if drops else 'count where they say'}" if lack else ""
     return replace(
         truth,
-        references=mapped if drops else None,
-        queries=asked if drops else None,
+        references=kept_references if drops else None,
+        queries=kept_queries if drops else None,
         protocol={} if without == "error" else {"without_position": without, **counts},
         notes=(note,) if note else (),
     )

@@ -55,7 +55,7 @@ def read_positives(positives: Any, n_queries: int, n_places: int) -> Positives:
 def read_matrix(
     named: str, matrix: Any, shape: tuple[int, int], axes: tuple[str, str], of_columns: bool = False
 ) -> Positives:
-    """Return which columns of each row of a matrix, dense or sparse, are right, ascending; or which rows of each column.
+    """Return which columns are right in each row of a matrix, dense or sparse, ascending; or which rows in each column.
 
     Raises BadInput, for the matrix `named`, unless it has that shape and holds nothing but 0 and 1.
     """

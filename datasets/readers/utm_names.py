@@ -20,8 +20,8 @@ def by_names(
 
     Names without one are left out under `drop`. Metres of different UTM zones are compared as if they were of one.
     """
-    mapped, asked = (_read_names(Paths.of(files), without) for files in (references, queries))
-    return by_positions([mapped], asked, radius_metres, without)
+    map_positions, query_positions = (_read_names(Paths.of(files), without) for files in (references, queries))
+    return by_positions([map_positions], query_positions, radius_metres, without)
 
 
 def _read_names(files: Paths, without: WithoutPosition) -> Positions:

@@ -101,11 +101,11 @@ def check_alignment(dataset: Dataset, looks: Sequence[Looks]) -> Iterator[Findin
     if fewest < _LEAST:
         yield _note(f"not checked: a traverse has {plural(fewest, 'frame')} to compare, and {_LEAST} are needed")
         return
-    asked, middles = describe(seen.small[numbers]), queries.places[numbers]
+    descriptors, middles = describe(seen.small[numbers]), queries.places[numbers]
     for traverse, each in zip(references, looks[:-1], strict=True):
-        places = np.zeros((dataset.n_places, asked.shape[1]), np.float32)
+        places = np.zeros((dataset.n_places, descriptors.shape[1]), np.float32)
         np.add.at(places, traverse.places[each.readable], describe(each.small[each.readable]))
-        best = find_most_alike(asked, middles, _unit(places))
+        best = find_most_alike(descriptors, middles, _unit(places))
         yield _judge(dataset, queries, traverse, _Comparison(numbers, middles, best, dataset.n_places))
 
 
@@ -146,20 +146,20 @@ def _judge(dataset: Dataset, queries: Traverse, shown: Traverse, compared: _Comp
             return _note(f"{queries.name} and {shown.name} are aligned: {votes}")
         text = f"{queries.name} and {shown.name} look too different to tell whether they are aligned: {votes}"
         return _note(text, "compare some frames by eye")
-    told, spoilt = [], 0
+    texts, spoilt = [], 0
     for part in parts:
-        asked = np.arange(part.first, part.last + 1)
-        places = compared.middles[asked] + part.shift
+        numbers = np.arange(part.first, part.last + 1)
+        places = compared.middles[numbers] + part.shift
         there = (places >= 0) & (places < compared.n_places)
-        right = [dataset.positives[query] for query in compared.numbers[asked[there]]]
+        right = [dataset.positives[query] for query in compared.numbers[numbers[there]]]
         spoilt += sum(place not in own for place, own in zip(places[there].tolist(), right, strict=True))
         ends = [names[compared.numbers[number]] for number in (part.first, part.last)]
-        told.append(
-            f"about {ends[0]} to {ends[1]} ({len(asked):,} of {plural(n, 'query')}) show what it shows "
+        texts.append(
+            f"about {ends[0]} to {ends[1]} ({len(numbers):,} of {plural(n, 'query')}) show what it shows "
             f"{plural(abs(part.shift), 'place')} {'later' if part.shift > 0 else 'earlier'}, by {part.votes:,} of them"
         )
     level: Level = "error" if spoilt > _SPOILT * n else "warning" if spoilt else "note"
-    text = f"{queries.name} is shifted against {shown.name}: {some(told, _PARTS_NAMED)}"
+    text = f"{queries.name} is shifted against {shown.name}: {some(texts, _PARTS_NAMED)}"
     if not spoilt:
         return Finding(level, "alignment", text, "the ground truth counts these places as right")
     amid = (parts[0].first + parts[0].last) // 2

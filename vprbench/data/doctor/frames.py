@@ -183,7 +183,7 @@ def _check_sizes(seen: Looks) -> Iterator[Finding]:
 
 def _check_light(seen: Looks, is_deep: bool) -> Iterator[Finding]:
     """Find frames that are black, of one grey value or of few; of deep files a range too wide may be the reason."""
-    for which, told in (
+    for which, kind in (
         (seen.black, f"black (mean below {BLACK_MEAN:g} of 255)"),
         (seen.uniform & ~seen.black, f"of one grey value (standard deviation below {UNIFORM_STD:g} of 255)"),
     ):
@@ -191,7 +191,7 @@ def _check_light(seen: Looks, is_deep: bool) -> Iterator[Finding]:
             yield Finding(
                 "warning",
                 "black frames",
-                f"{seen.share(names)} {be(names)} {told}: {some(names)}",
+                f"{seen.share(names)} {be(names)} {kind}: {some(names)}",
                 "every method guesses there, for gamma and patch normalisation are undefined: leave such places out, "
                 "by dataset=image_list with CSV files (image,place) of the others",
             )
@@ -230,9 +230,9 @@ def check_shared_pixels(dataset: Dataset, looks: Sequence[Looks]) -> Iterator[Fi
     """
     for seen, other in combinations([looks[-1], *looks[:-1]], 2):
         known = {content: name for name, content in other.telling()}
-        asked = seen.telling()
-        pairs = [f"{name} = {known[content]}" for name, content in asked if content in known]
-        most = len(pairs) > _WRONG_FOLDER * len(asked)
+        telling = seen.telling()
+        pairs = [f"{name} = {known[content]}" for name, content in telling if content in known]
+        most = len(pairs) > _WRONG_FOLDER * len(telling)
         if pairs:
             harmless = _allows_shared(dataset) or not (seen is looks[-1] or most)
             level: Level = "warning" if harmless else "error"

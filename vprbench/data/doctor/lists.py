@@ -99,7 +99,7 @@ def _name_drives(dataset: Dataset) -> Iterator[Finding]:
     """Tell how many drives queries and places consist of, where the dataset was seen to break off."""
     if "breaks" not in dataset.protocol:
         return
-    for told, breaks, names in (
+    for parts, breaks, names in (
         ("queries", dataset.query_breaks, dataset.queries.names),
         ("places", dataset.place_breaks, ()),
     ):
@@ -108,7 +108,7 @@ def _name_drives(dataset: Dataset) -> Iterator[Finding]:
             yield Finding(
                 "note",
                 "drives",
-                f"the {told} are {plural(len(breaks) + 1, 'drive')}, by {dataset.protocol['breaks']}{shown}",
+                f"the {parts} are {plural(len(breaks) + 1, 'drive')}, by {dataset.protocol['breaks']}{shown}",
                 "no sequence reaches from one drive into the next; dataset.breaks=none takes all as one drive",
             )
 
