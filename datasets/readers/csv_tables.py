@@ -28,8 +28,8 @@ def read_csv(file: Path, wanted: str) -> pd.DataFrame:
     """
     import pandas as pd
 
-    encoding = encoding_of(file)
     try:
+        encoding = encoding_of(file)
         with file.open(encoding=encoding) as text:
             first = text.readline(_LONGEST_HEADER)
         named = _SEPARATOR_LINE.fullmatch(first)
@@ -43,7 +43,7 @@ def read_csv(file: Path, wanted: str) -> pd.DataFrame:
             keep_default_na=False,
             skiprows=int(bool(named)),
         )
-    except ValueError as error:  # those of pandas are such, and so is text in another encoding
+    except (OSError, ValueError) as error:  # pandas' own errors are ValueErrors, and so is text in another encoding
         reason = " ".join(str(error).split())
         advice = f"give each row a cell for each column, write decimals with a point, save it in UTF-8: {wanted}"
         raise BadInput(f"{file} cannot be read as a CSV ({reason}): {advice}") from error

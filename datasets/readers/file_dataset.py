@@ -90,9 +90,7 @@ def dataset_of_files(
     seen = {"breaks": starts.seen_by} if len(place_starts) or len(starts.queries) else {}
     place_gaps = NO_STARTS if truth.references is None else _after_gaps(truth.references)
     query_gaps = _after_gaps(kept if truth.queries is None else truth.queries[kept])
-    has_place_breaks = (
-        seen or truth.references is not None or truth.place_numbers is not None
-    )  # else their numbers tell
+    has_place_breaks = seen or truth.references is not None or truth.place_numbers is not None
     has_query_breaks = seen or truth.queries is not None or unmatched == "drop"
     decoding, decoded = decoding_of(Paths.joined(files), exif, levels, "dataset.")
     map_images, query_images = (

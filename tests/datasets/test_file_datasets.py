@@ -214,12 +214,11 @@ METRES = structure()["utmDb"]
 REFUSED = {
     "index": [
         ({"b": ["3.jpg"]}, {}, "hold different numbers of images (a 3, b 4, c 3)"),
-        ({"c": numbered(7)}, {}, "hold different numbers of images (a 3, b 3, c 7)"),
         ({}, {"tolerance": -1}, "dataset.tolerance=-1"),
         ({}, {"ground_truth": "idx"}, "dataset.ground_truth=idx"),
     ],
     "utm": [
-        *(({"c": [name]}, {}, f"c/{name}") for name in ("@east@north@.png", "@12.png", "@nan@4@.png", "@1@-1e9@.png")),
+        ({"c": [name]}, {}, f"c/{name}") for name in ("@east@north@.png", "@12.png", "@nan@4@.png", "@1@-1e9@.png")
     ],
     "matrix": [
         ({"truth.npz": {"truth": RIGHT}}, {}, "truth.npz holds no positives, but truth: "),
@@ -237,8 +236,9 @@ REFUSED = {
         *(
             (both(content), {}, told)
             for content, told in (
+                ("", "cannot be read as a CSV"),
                 ("image,place,Image name\n0.jpg,1,2\n", "each once"),
-                ("image,place\n", "lists no image"),
+                ("image;place\n", "lists no image"),
                 ('image,place\n"0.jpg,1\n', "cannot be read as a CSV"),
                 ("image,place\n0.jpg,1\n0.jpg,\n", "row 2 of map0.csv"),
                 ("image,place\n0.jpg,1\n0.jpg,1,5\n", "in line 3, saw 3"),
@@ -249,10 +249,7 @@ REFUSED = {
         ),
     ],
     "dbstruct": [
-        *(
-            ({"set.mat": content}, {}, f"holds {next(iter(content))}, but no dbStruct")
-            for content in ({"other": 1.0}, {"dbStruct": dict.fromkeys("abcd", 1.0)})
-        ),
+        ({"set.mat": {"other": 1.0}}, {}, "holds other, but no dbStruct"),
         *(
             ({"set.mat": {"dbStruct": structure(**{field: value})}}, {}, f"field {number} of dbStruct")
             for number, field, value in (
@@ -273,21 +270,19 @@ REFUSED = {
                 ([*OWN, [0]], "names query 11, but query/ holds 11 images"),
                 (OWN[:9], "has no row for 2 of 11 queries (first: query 9)"),
                 *(([*OWN[:10], bad], "is no [query, [references]]") for bad in (5, [0.5], [True])),
-                *(([*OWN[:10], bad], "cannot be read as pickled lists of numbers") for bad in ([[1]], "1")),
             )
         ),
         *(
             ({"ground_truth.csv": content}, {"ground_truth": "ground_truth.csv"}, told)
             for content, told in (
                 (b"query,refs\n0,0\n", "has the columns query, refs"),
-                *((b"query,matching_refs\n0,0\n" + line, "row 2 of") for line in (b"x,1", b"1,a b")),
+                (b"query,matching_refs\n0,0\n1,a b", "row 2 of"),
                 (b"query,matching_refs\n0,0\n0,1\n", "has two rows for query 0"),
                 (b"query,matching_refs\n0,\xe9\n", "cannot be read as a CSV"),
             )
         ),
     ],
     "gardens": [
-        ({}, {"references": []}, "dataset.references=[]"),
         ({}, {"references": ["day_right", "day_right"]}, "each once"),
         ({}, {"images": 0}, "dataset.images=0"),
     ],
@@ -300,7 +295,7 @@ REFUSED = {
         ({"GT.npz": {"hard": HARD}}, {}, "GT.npz holds no GThard, but hard: wanted is a matrix GThard"),
         ({"GT.npz": {"GThard": np.zeros((1000, 1000), bool)}}, {}, "unpacks to 1000128 bytes"),
         ({"GT.npz": {"GThard": HARD.astype(object)}}, {}, "GT.npz cannot be read"),  # nor unpickled
-        *(({"GT.npz": lambda content, keep=keep: content[:keep]}, {}, "GT.npz cannot be read") for keep in (0, 200)),
+        ({"GT.npz": lambda content: content[:200]}, {}, "GT.npz cannot be read"),
     ],
 }
 MISSING = {
