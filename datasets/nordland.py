@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Literal
 
 from vprbench.api import BadInput, Dataset, Exif, FrameFolder, Images, Paths, decoding_of
 
@@ -63,7 +63,6 @@ def nordland(
     """
     seasons = ["spring", "fall"] if references is None else references
     check_recorded("Nordland", "season", SEASONS, seasons, query)
-    _check_protocol(protocol, stride, frame_multiple)
     names = chosen_names(stride, places, frame_multiple, suffix, first_place)
     evaluation: Evaluation = "vprsnn" if protocol == "vprsnn" else "vprtempo"
     parts = split(evaluation, places, first_query_place, query_places, tolerance, query_stride)
@@ -71,7 +70,7 @@ def nordland(
     first = f"<root>/{seasons[0]}/{names[0]}"
     layout = f"get the frames from {source}, and set dataset.root so that {first} is the first"
     top = root_folder(name, root, "the seasons", layout, download, default_root, [*used])
-    counts = _whole_counts(frame_multiple)
+    counts = _count_images(frame_multiple)
     folders = {
         season: FrameFolder(find_folder(top, season), tuple(wanted), counts, _WRONG_COUNTS)
         for season, wanted in used.items()
@@ -126,21 +125,8 @@ def published_frames() -> list[int]:
     return [frame for first, last in bounds for frame in range(first, last + 1)]
 
 
-def _check_protocol(protocol: Protocol, stride: int, frame_multiple: int) -> None:
-    """Raise BadInput for an unknown protocol, and for fewer frames than its map has to hold."""
-    known = get_args(Protocol)
-    if protocol not in known:
-        raise BadInput(f"dataset.protocol={protocol}: choose {', '.join(known[:-1])} or {known[-1]}")
-    if protocol not in ("vprtempo", "vprsnn") and (stride, frame_multiple) != (1, 1):
-        raise BadInput(
-            f"dataset.protocol={protocol} with dataset.stride={stride} and dataset.frame_multiple={frame_multiple}: it "
-            f"takes every frame of the list; choose dataset=nordland_{protocol}, or protocol vprtempo or vprsnn"
-        )
-
-
-def _whole_counts(frame_multiple: int) -> tuple[int, ...]:
+def _count_images(frame_multiple: int) -> tuple[int, ...]:
     """Return how many images a whole season may hold: all or the listed ones, of every frame or of the multiples."""
     listed = published_frames()
     multiples = sum(frame % frame_multiple == 0 for frame in listed)
-    counts = (_SEASON_FRAMES // frame_multiple, multiples, _SEASON_FRAMES, len(listed))
-    return tuple(dict.fromkeys(counts))
+    return tuple(dict.fromkeys((_SEASON_FRAMES // frame_multiple, multiples, _SEASON_FRAMES, len(listed))))

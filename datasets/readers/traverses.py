@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, TypeVar, get_args
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -71,11 +71,9 @@ def split(
 
     vprtempo: all places are in the map, those before `first_query_place` are held out and `query_places` from there on
     are queried, `query_stride` apart. vprsnn: as many places as `first_query_place` says are set aside; the others
-    alone are in the map, and `query_places` from the first of them on are queried. Raises BadInput for another
-    protocol, for queries that do not fit, and for a negative tolerance.
+    alone are in the map, and `query_places` from the first of them on are queried. Raises BadInput for queries that do
+    not fit, and for a stride that is no number of places.
     """
-    if protocol not in get_args(Evaluation):
-        raise BadInput(f"dataset.protocol={protocol}: choose {' or '.join(get_args(Evaluation))}")
     if query_stride < 1 or (query_stride > 1 and protocol == "vprsnn"):
         raise BadInput(
             f"dataset.query_stride={query_stride} with dataset.protocol={protocol}: give 1 or more places from one "

@@ -15,9 +15,19 @@ from checkout import SHARED
 from filelock import FileLock
 from image_folders import answer
 
-from vprbench.data.fetch import command
-from vprbench.data.fetch.command import Settings, fetch, fetch_command
-from vprbench.data.fetch.entries import Download, FetchedFile, Part, content_sha256, count_files, downloads, read
+from vprbench.data import fetch as fetching
+from vprbench.data.fetch import (
+    Download,
+    FetchedFile,
+    Part,
+    Settings,
+    count_files,
+    downloads,
+    fetch,
+    fetch_command,
+    hash_content,
+    read_entry,
+)
 from vprbench.errors import BadInput, MissingData
 from vprbench.plugins import registry
 from vprbench.progress import listening
@@ -148,7 +158,7 @@ def interrupt(entry, root, monkeypatch):
             raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(command, "progress_shown", lambda title: listening(interrupt))
+        patch.setattr(fetching, "progress_shown", lambda title: listening(interrupt))
         with pytest.raises(KeyboardInterrupt):
             get(entry, root)
     assert not (root / "spring").exists()
@@ -307,7 +317,7 @@ def test_a_part_takes_its_files_out_of_an_archive(tmp_path, where, folder, insid
 def test_the_stated_hash_is_that_of_the_frames(folder):
     name, _, part = folder.partition("/")
     held = KNOWN[name].parts["frames"].holds[part]
-    assert (count_files(DATA / folder), content_sha256(DATA / folder)) == (held.files, held.sha256)
+    assert (count_files(DATA / folder), hash_content(DATA / folder)) == (held.files, held.sha256)
 
 
 HEAD = "# A little journey\nlicence: CC BY 4.0\nsource: https://example.org\ndatasets: []\n"
@@ -329,8 +339,8 @@ parts:
 )
 def test_an_entry_is_named_and_described_by_its_file_and_a_broken_one_named_in_one_line(tmp_path, text, message):
     (tmp_path / "little.yaml").write_text(HEAD + PART)
-    entry = read(tmp_path / "little.yaml")
+    entry = read_entry(tmp_path / "little.yaml")
     assert (entry.name, entry.folder, entry.description) == ("little", "little", "A little journey")
     assert entry.parts["all"].unpack.strip == 0
     (tmp_path / "little.yaml").write_text(text)
-    assert re.search(message, answer(read, tmp_path / "little.yaml"))
+    assert re.search(message, answer(read_entry, tmp_path / "little.yaml"))

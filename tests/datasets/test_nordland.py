@@ -142,9 +142,6 @@ def test_without_a_root_the_shared_download_is_taken_before_the_default_root(tin
         ({"places": 3450}, "dataset.places=3450: the list of 27592 names at stride 8 has 3449 places"),
         ({"stride": 0}, "dataset.stride=0"),
         ({"frame_multiple": 0}, "dataset.frame_multiple=0"),
-        ({"protocol": "sift"}, "dataset.protocol=sift: choose vprtempo, vprsnn, patchnetvlad, 27k or vprbench"),
-        ({"protocol": "27k"}, "dataset.protocol=27k with dataset.stride=8"),
-        ({"protocol": "vprbench", "stride": 1, "frame_multiple": 10}, "choose dataset=nordland_vprbench"),
     ],
 )
 def test_a_bad_option_is_named_in_one_line(arguments, message):
