@@ -15,7 +15,6 @@ from checkout import SHARED
 from filelock import FileLock
 from image_folders import answer
 
-from vprbench.data import fetch as fetching
 from vprbench.data.fetch import (
     Download,
     FetchedFile,
@@ -30,7 +29,6 @@ from vprbench.data.fetch import (
 )
 from vprbench.errors import BadInput, MissingData
 from vprbench.plugins import registry
-from vprbench.progress import listening
 from vprbench.storage.unpack import Wanted, unpack
 
 CHUNK = 512 * 1024  # bytes that a download writes at once
@@ -150,40 +148,14 @@ def test_a_person_is_told_what_to_do_where_all_fail_or_downloads_are_forbidden(s
     assert len(server.asked) == 2
 
 
-def interrupt(entry, root, monkeypatch):
-    """Fetch as when somebody presses Ctrl-C a third into a download."""
-
-    def interrupt(stage, done):
-        if stage.startswith("downloading") and 0.3 < done < 1:
-            raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch:
-        patch.setattr(fetching, "progress_shown", lambda title: listening(interrupt))
-        with pytest.raises(KeyboardInterrupt):
-            get(entry, root)
-    assert not (root / "spring").exists()
-
-
-def test_an_interrupted_download_is_continued_and_two_fetches_do_not_share_a_folder(server, url, root, monkeypatch):
-    interrupt(little(url), root, monkeypatch)
+def test_two_fetches_do_not_share_a_folder_and_leftovers_of_a_killed_one_are_removed(server, url, root):
     (root / ".unpacking-12345678" / "spring").mkdir(parents=True)
-    server.asked.clear()
     with FileLock(root / ".fetch.lock"):
         refused(little(url), root, "another fetch is under way in")
     assert server.asked == []
     get(little(url), root)
     assert visible(root) == COMPLETE
-    assert {asked.range for asked in server.asked} - {None} == {f"bytes={CHUNK}-"}
     assert not (root / ".unpacking-12345678").exists()
-
-
-def test_a_damaged_archive_is_deleted_or_replaced_and_the_next_fetch_is_right(server, url, root):
-    damaged = server.serve("/damaged", SPRING[:-CHUNK])
-    refused(little(damaged), root, r"spring.zip is damaged")
-    assert visible(root) == ["archives"]
-    (root / "archives" / "spring.zip").write_bytes(SPRING[:-CHUNK])  # somebody put it there
-    assert get(little(url), root) == 0
-    assert recorded(root)["spring"]["url"] == url
 
 
 def test_a_hostile_archive_or_one_of_other_folders_or_files_changes_nothing_and_is_kept(server, root, capsys):
