@@ -149,11 +149,11 @@ def _by_file(
     if not {"utmQ", "utmDb"} <= {*arrays}:
         right = matrix_in(file, _MATRIX, (n_queries, n_references), ("queries", "references"), _ADVICE_FILE)
         return each_a_place(n_references, right, f"no right reference in {file.name}"), {}
-    query_files, map_files = (
+    query_positions, map_positions = (
         Positions(files, as_metres(f"{key} in {file}", arrays[key], len(files)))
         for key, files in (("utmQ", queries), ("utmDb", references))
     )
-    truth = by_positions([map_files], query_files, radius_metres, without)
+    truth = by_positions([map_positions], query_positions, radius_metres, without)
     own = arrays.get("posDistThr", np.array(radius_metres))
     if own.size == 1 and own.dtype.kind in "fiu" and own.item() != radius_metres:
         note = f"{file.name} is for a radius of {own.item():g} m; dataset.radius_metres={radius_metres:g} counts"

@@ -24,6 +24,7 @@ MOST_METRES = 1e8  # the way round the Earth is 4e7; of much larger numbers cent
 _EQUATOR_METRES = 6378137.0  # WGS 84
 _FLATTENING = 1 / 298.257223563
 _ROUNDING_METRES = 1e-7  # of coordinates of some million metres: decides about nothing but the edge of the radius
+_AT_ONCE = 1024  # queries whose neighbours are lists of Python
 _APART_RADII = 10  # from a number that stands twice to all other positions
 _STANDING = 10  # times as many images at one position as usual
 _LEAST = 10  # images before their extent tells anything
@@ -81,8 +82,12 @@ def by_radius(references: Metres, queries: Metres, radius_metres: float) -> Grou
     Raises BadInput for a radius that is not above 0, or that spans more than the Earth.
     """
     _check_radius(radius_metres)
-    reach = radius_metres + _ROUNDING_METRES
-    near = KDTree(references).query_ball_point(queries, reach, return_sorted=True)
+    tree, reach = KDTree(references), radius_metres + _ROUNDING_METRES
+    near = (
+        right
+        for first in range(0, len(queries), _AT_ONCE)
+        for right in tree.query_ball_point(queries[first : first + _AT_ONCE], reach, return_sorted=True)
+    )
     truth = each_a_place(len(references), near, f"no reference within {radius_metres:g} m")
     return replace(truth, jumps=(position_jumps(references, radius_metres), position_jumps(queries, radius_metres)))
 
