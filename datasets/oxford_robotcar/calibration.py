@@ -84,17 +84,22 @@ def read_calibration(path: Path, camera: Camera) -> Calibration:
 
 def read_raw(path: Path, camera: Camera) -> npt.NDArray[np.uint8]:
     """Read a frame as the camera recorded it, (height, width), one colour a pixel; raises BadInput for any other."""
-    try:
-        with open_image(path) as image:
-            pixels, mode = np.asarray(image), image.mode
-    except (OSError, SyntaxError) as error:
-        raise BadInput(f"{path} cannot be read as an image ({error}): restore the file; none is skipped") from error
+    pixels, mode = read_pixels(path)
     if mode != "L" or pixels.shape != (camera.height, camera.width):
         raise BadInput(
             f"{path} is {pixels.shape[1]} x {pixels.shape[0]} of mode {mode}; raw frames are {camera.width} x "
             f"{camera.height} of mode L (grey): restore the file as downloaded, or give processed frames another folder"
         )
     return pixels
+
+
+def read_pixels(path: Path) -> tuple[npt.NDArray[np.uint8], str]:
+    """Return the pixels of a frame and Pillow's mode of it; raises BadInput for a file that is no image."""
+    try:
+        with open_image(path) as image:
+            return np.asarray(image), image.mode
+    except (OSError, SyntaxError) as error:
+        raise BadInput(f"{path} cannot be read as an image ({error}): restore the file; none is skipped") from error
 
 
 def undistort(raw: npt.NDArray[np.uint8], calibration: Calibration) -> Image:

@@ -5,10 +5,19 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from vprbench.api import BadInput, Decoding, FrameFolder, Image, Images, Paths, cached_frames, open_image
+from vprbench.api import BadInput, Decoding, FrameFolder, Image, Images, Paths, cached_frames
 
 from ..readers.frame_folders import check_folders, files_in
-from .calibration import VERSION, Calibration, Camera, find_calibration, read_calibration, read_raw, undistort
+from .calibration import (
+    VERSION,
+    Calibration,
+    Camera,
+    find_calibration,
+    read_calibration,
+    read_pixels,
+    read_raw,
+    undistort,
+)
 from .lists import RECORDINGS
 
 _PROCESSED = "demosaiced"  # where VPRTempo's process_orc.py writes, below a recording's folder
@@ -115,11 +124,7 @@ def _find_folder(root: Path, traverse: str, names: Sequence[str]) -> Path:
 
 def _check_processed(path: Path) -> None:
     """Raise BadInput for a frame that is no image, or grey, as the camera records it: one colour a pixel."""
-    try:
-        with open_image(path) as image:
-            mode = image.mode
-    except (OSError, SyntaxError) as error:
-        raise BadInput(f"{path} cannot be read as an image ({error}): restore the file; none is skipped") from error
+    _, mode = read_pixels(path)
     if mode in _BAYER_MODES:
         raise BadInput(
             f"{path} is grey, as raw Bayer frames are, and not demosaiced: put raw frames at "
