@@ -40,7 +40,7 @@ def by_names(
         first, second = (f"{grids[grid][1]} in {grid}" for grid in named[:2])
         raise BadInput(
             f"names of {len(named)} UTM zones came ({first}, {second}), whose metres do not compare: choose images of "
-            "one zone; dataset=utm_folders has dataset.zones=apart, for images of different zones that never show one place"
+            "one zone, or pass dataset.zones=apart to dataset=utm_folders where two zones never show one place"
         )
     return by_positions(traverses[:1], traverses[1], radius_metres, without)
 
