@@ -10,7 +10,7 @@ from stored_runs import ABACUS, run
 from vprbench.report.plan import Row
 from vprbench.runs.notes import Note
 
-RECALL, TRAINING, RATE = "recall_at_1", "train_cpu", "query_cpu"
+RECALL, RATE = "recall_at_1", "query_cpu"
 NOISY = (Note("noisy", "two carts passed"),)
 
 
@@ -96,9 +96,6 @@ def test_hits_by_luck_among_equal_scores_separate_nothing_and_rows_without_a_num
     undefined = replace(SAME, outcome=replace(SAME.outcome, n_positives=nothing, tied=nothing, above=nothing + 10))
     assert bold(RECALL, {"a": [SAME], "b": [spread(6)], "c": [undefined]}) == "a"
     assert bold(RECALL, {"a": [SAME], "c": [undefined]}) == ""
-    untrained = run(fit_seconds=None, fit_compute_seconds=None)
-    assert bold(TRAINING, {"a": trained(60), "b": trained(90), "c": [untrained]}) == "a"
-    assert bold(TRAINING, {"a": trained(60), "c": [untrained]}) == ""
 
 
 def timed(match_ms, encode_ms=0.001, **changes):
@@ -137,22 +134,3 @@ FAST, SLOW = [10.0, 10.1, 10.2, 10.3, 10.4], [20.0, 20.1, 20.2, 20.3, 20.4]
 )
 def test_a_rate_is_best_where_it_is_a_quarter_faster_than_all_others(fast, slow, best):
     assert bold(RATE, {"slow": slow, "fast": fast}) == best
-
-
-def trained(*seconds, **changes):
-    """Return a run for each time of training; reading the images takes so long that the fast ones are the slow ones."""
-    return [run(fit_compute_seconds=each, fit_seconds=9000 - each, **changes) for each in seconds]
-
-
-@pytest.mark.parametrize(
-    ("fast", "slow", "best"),
-    [
-        (trained(60), trained(75), "fast"),
-        (trained(60), trained(74), ""),
-        (trained(50, 60), trained(75, 90), "fast"),
-        (trained(50, 61), trained(75, 90), ""),
-        (trained(60), trained(90, notes=NOISY), ""),
-    ],
-)
-def test_training_is_fastest_where_every_seed_is_a_quarter_faster(fast, slow, best):
-    assert bold(TRAINING, {"slow": slow, "fast": fast}) == best

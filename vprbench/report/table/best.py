@@ -19,7 +19,7 @@ from vprbench.runs.views import window_of
 
 CHANCE = 0.05  # of any false difference in an accuracy among all comparisons of a column
 RATE_CHANCE = 0.01
-FASTER = 1.25  # times: less is within the variation of machines
+FASTER = 1.25  # times the rate: less is within the variation of machines
 
 
 @dataclass(frozen=True)
@@ -59,22 +59,6 @@ def find_best_rate(rows: Sequence[Contestant]) -> str | None:
     return _find_winner(rows, lambda row: float(np.mean([compute_rate(run) for run in row.runs])), _is_faster)
 
 
-def find_best_training(rows: Sequence[Contestant]) -> str | None:
-    """Return the row that trains fastest, by at least 1.25 times in every pair of seeds; None if no row does.
-
-    Waiting for images does not count. All rows trained, undisturbed on one machine. One fit a seed is no sample that a
-    test could weigh.
-    """
-    seconds = {row.name: [run.fit_compute_seconds or 0.0 for run in row.runs] for row in rows}
-    if not _are_comparable(rows):
-        return None
-    return _find_winner(
-        rows,
-        lambda row: -max(seconds[row.name]),
-        lambda one, other: FASTER * max(seconds[one.name]) <= min(seconds[other.name]),
-    )
-
-
 def average_seeds(runs: Sequence[Run], metric: Metric) -> float | None:
     """Return the mean of a metric over the seeds; None if it is undefined."""
     values = [value for run in runs if (value := metric.of(run)) is not None]
@@ -111,12 +95,11 @@ def _find_winner(
     value: Callable[[Contestant], float],
     beats: Callable[[Contestant, Contestant], bool],
 ) -> str | None:
-    """Return the row of the highest value if it is the only one of that value and beats all others one by one."""
+    """Return the row of the highest value if it beats all others one by one."""
     if len(rows) < 2:
         return None
     leader, *others = sorted(rows, key=value, reverse=True)
-    won = leader.finished and value(leader) > value(others[0]) and all(beats(leader, other) for other in others)
-    return leader.name if won else None
+    return leader.name if leader.finished and all(beats(leader, other) for other in others) else None
 
 
 def _is_better(one: Contestant, other: Contestant, metric: Metric, chance: float) -> bool:

@@ -112,19 +112,19 @@ class _Entry:
 
     row: Row
     group: DatasetRuns
+    is_slow: bool
     found: Mapping[Device, RowRuns]
     facts: Mapping[Device, pd.DataFrame]  # the frame of the runs that are shown, and the runs themselves as `record`
 
-    def choose_runs(self, quantity: Quantity) -> RowRuns:
-        """Return the runs of the device that a cell shows."""
-        return self.found[quantity.device or choose_accuracy_device(self.found)]
-
-    def select_facts(self, quantity: Quantity) -> pd.DataFrame:
-        """Return the frame of the runs that measured a quantity."""
-        facts = self.facts[quantity.device or choose_accuracy_device(self.found)]
+    def select(self, quantity: Quantity) -> tuple[RowRuns, pd.DataFrame]:
+        """Return the runs of the device that a cell shows, and the frame of the runs that measured its quantity."""
+        device = quantity.device or choose_accuracy_device(self.found)
+        facts = self.facts[device]
         if quantity.find_source(self.row) != "measured":
-            return facts[:0]
-        return facts[facts[quantity.fact].notna()] if quantity.kind in TIMES else facts
+            facts = facts[:0]
+        elif quantity.kind in TIMES:
+            facts = facts[facts[quantity.fact].notna()]
+        return self.found[device], facts
 
 
 def assemble_table(
@@ -143,21 +143,22 @@ def assemble_table(
     columns = tuple(_describe_column(group, groups, plan) for group in groups)
     ordered = tuple(sorted(rows, key=lambda row: title is None and row.spiking))
     metrics = [quantity.name for quantity in quantities if quantity.metric]
-    cells: dict[tuple[str, str, str], dict[str, Any]] = {}
+    made: list[dict[str, Any]] = []
     n_aside = 0
     for group, column in zip(groups, columns, strict=True):
         entries = []
         for row in ordered:
             found = {device: select_row_runs(group, row, device) for device in DEVICES}
             facts = {device: tabulate_with_records(found[device].runs, metrics) for device in DEVICES}
-            entries.append(_Entry(row, group, found, facts))
+            entries.append(_Entry(row, group, (column.name, row.name) in slow, found, facts))
             n_aside += sum(each.n_aside for each in found.values())
         for quantity in quantities:
             best = _find_best(entries, quantity)
             for entry in entries:
-                cell = _make_cell(entry, column, quantity, plan.published, (column.name, entry.row.name) in slow)
-                cells[entry.row.name, column.name, quantity.name] = {**cell, "best": best == entry.row.name}
-    made = [cells[row.name, column.name, one.name] for row in ordered for column in columns for one in quantities]
+                cell = _make_cell(entry, column, quantity, plan.published)
+                made.append({**cell, "best": best == entry.row.name})
+    names = [row.name for row in ordered]
+    made.sort(key=lambda cell: names.index(cell["row"]))
     notes, machines = _number_notes_and_machines(made)
     frame = pd.DataFrame(made, columns=[*FACTS], dtype=object)
     return Table(frame, columns, ordered, notes, machines, quantities, title, n_aside, plan.published)
@@ -175,25 +176,19 @@ def _describe_column(group: DatasetRuns, groups: Sequence[DatasetRuns], plan: Pl
 
 
 def _find_best(entries: Sequence[_Entry], quantity: Quantity) -> str | None:
-    """Return the row of a column that is best by a test.
-
-    Rows tuned on places of the column are in no contest, nor is a row that trains nothing in that of training.
-    """
-    contest = [
-        Contestant(entry.row.name, runs, not entry.choose_runs(quantity).missing_seeds)
-        for entry in entries
-        if (runs := tuple(entry.select_facts(quantity)["record"]))
-        and not (quantity.kind == "training" and entry.row.training == "map")
-        and not any(map(overlaps_tuning_places, runs))
-    ]
+    """Return the row of a column that is best by a test; rows tuned on places of the column are in no contest."""
+    contest = []
+    for entry in entries:
+        found, facts = entry.select(quantity)
+        runs = tuple(facts["record"])
+        if runs and not any(map(overlaps_tuning_places, runs)):
+            contest.append(Contestant(entry.row.name, runs, not found.missing_seeds))
     return quantity.best(contest)
 
 
-def _make_cell(
-    entry: _Entry, column: Column, quantity: Quantity, published: Published | None, is_slow: bool
-) -> dict[str, Any]:
+def _make_cell(entry: _Entry, column: Column, quantity: Quantity, published: Published | None) -> dict[str, Any]:
     """Return one cell, its notes as text and its machine by name and day."""
-    row, found, facts = entry.row, entry.choose_runs(quantity), entry.select_facts(quantity)
+    row, (found, facts) = entry.row, entry.select(quantity)
     dataset = "" if entry.group.view else column.published or ""  # no number of a view is published
     printed = published.numbers.get((row.name, dataset), {}) if published else {}
     value = printed.get(quantity.name)
@@ -204,7 +199,7 @@ def _make_cell(
         is_quoted = source == "quoted" and value is not None
         return cell | ({"mark": "quoted", "value": value, "published_mark": "quoted"} if is_quoted else {})
     if facts.empty:
-        absence = _find_absence(entry, quantity, is_slow)
+        absence = _find_absence(entry, quantity)
         failures = [one for one in found.failures if one.missing == (absence == "not there")]
         return cell | {"mark": absence, "notes": [_describe_failure(one) for one in failures[:1]]}
     runs = tuple(facts["record"])
@@ -221,8 +216,7 @@ def _make_cell(
         numbers |= {f"elsewhere_{name}": there.get(name) for name in ("low", "high", "spread")}
     notes = [f"seeds: {len(runs)} of {len(row.seeds)}"] if len(runs) < len(row.seeds) else []
     notes += [_describe_failure(failure, f" seed {failure.config['seed']}") for failure in found.failures]
-    notes += filter(None, [describe_tuning(tuple(entry.select_facts(RECALL)["record"]))])
-    notes += _list_remarks(quantity, row, runs)
+    notes += _list_remarks(entry, quantity, runs)
     if quantity.kind == "rate" and value is not None and row.rate_remark is not None:
         notes.append(row.rate_remark)
     return cell | {
@@ -250,16 +244,16 @@ def _compute_numbers(facts: pd.DataFrame, quantity: Quantity) -> dict[str, Any] 
     return found
 
 
-def _find_absence(entry: _Entry, quantity: Quantity, is_slow: bool) -> Mark:
+def _find_absence(entry: _Entry, quantity: Quantity) -> Mark:
     """Return the word in a cell that no run measured."""
-    found = entry.choose_runs(quantity)
+    found, _ = entry.select(quantity)
     if found.failures:
         return "not there" if all(failure.missing for failure in found.failures) else "failed"
     if found.runs:
         return "not timed" if quantity.kind == "rate" else "not run"
     if quantity.device == "cuda" or any(other.runs for other in entry.found.values()) or entry.group.number > 1:
         return "not run"
-    return "left out" if is_slow else "unfinished"
+    return "left out" if entry.is_slow else "unfinished"
 
 
 def _describe_failure(failure: Failure, seed: str = "") -> str:
@@ -274,9 +268,11 @@ def _explain_undefined(quantity: Quantity, runs: Sequence[Run]) -> str:
     return next(filter(None, reasons), "no query has a right place")
 
 
-def _list_remarks(quantity: Quantity, row: Row, runs: Sequence[Run]) -> Iterator[str]:
-    """Yield the notes of runs that belong to a quantity, and the codes `ties` and `time to build the map`."""
-    if quantity.kind == "training" and row.training == "map":
+def _list_remarks(entry: _Entry, quantity: Quantity, runs: Sequence[Run]) -> Iterator[str]:
+    """Yield the remark on tuning, the codes `time to build the map` and `ties`, and the runs' notes on a quantity."""
+    if tuning := describe_tuning(tuple(entry.select(RECALL)[1]["record"])):
+        yield tuning
+    if quantity.kind == "training" and entry.row.training == "map":
         yield "time to build the map"
     recalls = [recall for run in runs if (recall := recall_at(run.outcome, 1))] if quantity.name == RECALL.name else []
     if any(recall.hangs_on_ties for recall in recalls):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from statistics import mean, median
@@ -11,7 +11,7 @@ from typing import Literal
 from vprbench.metrics.catalogue import METRICS, Metric
 from vprbench.report.plan import Row
 from vprbench.report.selection import DEVICES, Device
-from vprbench.report.table.best import Contestant, find_best_rate, find_best_training, find_most_accurate
+from vprbench.report.table.best import Contestant, find_best_rate, find_most_accurate
 from vprbench.text import format_two_digits
 
 TRAINING_TIME = (  # of the table, the page and the README
@@ -71,7 +71,6 @@ def _make_training(name: str, head: str, device: Device) -> Quantity:
         in_unit=lambda seconds: seconds / 60,
         over_seeds=median,
         total="fit_seconds",
-        best=find_best_training,
     )
 
 
@@ -86,9 +85,9 @@ RATES = (_make_rate("query_cpu", "query CPU", "cpu"), _make_rate("query_gpu", "q
 QUANTITIES: tuple[Quantity, ...] = (RECALL, TRAINING[0], RATES[0], TRAINING[1], RATES[1])
 
 
-def list_quantities(metrics: Sequence[str], devices: Collection[Device] = DEVICES) -> tuple[Quantity, ...]:
-    """Return the columns of a table: recall and times on these devices, and `metrics` by their names."""
-    return (*(one for one in QUANTITIES if one.device is None or one.device in devices), *_list_more(metrics))
+def list_quantities(metrics: Sequence[str]) -> tuple[Quantity, ...]:
+    """Return the columns of a table: recall, times, and `metrics` by their names."""
+    return (*QUANTITIES, *_list_more(metrics))
 
 
 def list_comparison_quantities(metrics: Sequence[str], devices: Sequence[str]) -> tuple[Quantity, ...]:
