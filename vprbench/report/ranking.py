@@ -48,9 +48,10 @@ def rank_rows(series: Sequence[MethodRuns]) -> Ranking:
     ]
     lines.sort(key=lambda line: -1.0 if line["recall_at_1"] is None else line["recall_at_1"], reverse=True)
     table = pd.DataFrame(lines, columns=["method", *NUMBERS, "seeds", "runs"], dtype=object)
-    tuned = [row.method for row in iterate_rows(table) if any(map(overlaps_tuning_places, row.runs))]
-    one_seed = [row.method for row in iterate_rows(table) if len(row.runs) == 1 and draws_at_random(row.runs[0])]
-    sentences = _describe_first([row for row in iterate_rows(table) if row.method not in tuned])
+    rows = [*iterate_rows(table)]
+    tuned = [row.method for row in rows if any(map(overlaps_tuning_places, row.runs))]
+    one_seed = [row.method for row in rows if len(row.runs) == 1 and draws_at_random(row.runs[0])]
+    sentences = _describe_first([row for row in rows if row.method not in tuned])
     if tuned:
         sentences.append(f"Tuned on these places, in no contest: {', '.join(tuned)}.")
     if one_seed:
@@ -92,9 +93,7 @@ def _describe_first(rows: Sequence[Any]) -> list[str]:
     fastest = find_best_rate([one for one, row in zip(contest, rows, strict=True) if row.hz is not None])
     if fastest is not None:
         hz = next(row.hz for row in rows if row.method == fastest)
-        alone = fastest == first.method or first.hz is None
-        times = "" if alone else f", {RATES[0].text(hz / first.hz)} times {first.method}'s"
-        sentences.append(f"{fastest} is fastest: {RATES[0].text(hz)} queries a second{times}.")
+        sentences.append(f"{fastest} is fastest: {RATES[0].text(hz)} queries a second.")
     return sentences
 
 

@@ -21,22 +21,13 @@ from vprbench.runs.recall_intervals import list_hits, recall_interval
 from vprbench.runs.tuned import describe_tuning
 from vprbench.text import NOTHING, format_percent
 
-#: The columns of the points; shares are 0 to 1 and means over the seeds.
-COLUMNS = (
-    *("method", "kind", "strength"),  # the row's name; "clean" of strength 0
-    "amount",  # with its unit; empty on clean frames
-    *("seeds", "recall_at_1", "low", "high"),  # with its 95 % interval
-    *("drop", "drop_low", "drop_high"),  # from clean frames, with the 95 % interval of the paired difference
-    "tuned_on",  # remark on places that the method was tuned on; empty for none
-)
-
 
 @dataclass(frozen=True)
 class Robustness:
     """The points of all rows of a comparison, the clean one of each row first."""
 
     clean: tuple[MethodRuns, ...]
-    points: pd.DataFrame  # a line for each row on clean frames, then for each corruption and row: `COLUMNS`
+    points: pd.DataFrame  # a line for each row on clean frames, then for each corruption and row: `_measure_point`
 
     @property
     def kinds(self) -> dict[str, list[int]]:
@@ -66,22 +57,28 @@ def measure_robustness(clean: Sequence[MethodRuns], corrupted: Mapping[Corruptio
     of_name = {row.name: row for row in clean}
     for one, spoilt in corrupted.items():
         points += [_measure_point(row, of_name[row.name], one) for row in spoilt if row.name in of_name]
-    return Robustness(tuple(clean), pd.DataFrame(points, columns=[*COLUMNS], dtype=object))
+    return Robustness(tuple(clean), pd.DataFrame(points, dtype=object))
 
 
 def _measure_point(row: MethodRuns, clean: MethodRuns, one: Corruption | None) -> dict[str, Any]:
-    before, recall = average_recall(clean.runs) or 0.0, average_recall(row.runs) or 0.0
-    interval, drop = recall_interval(row.runs), None
+    """Return the columns of a point; shares are 0 to 1 and means over the seeds."""
+    recall, interval, drop = average_recall(row.runs) or 0.0, recall_interval(row.runs), None
     if one is not None:
         ours, theirs = (np.mean([list_hits(run) for run in each.runs], axis=0) for each in (clean, row))
         drop = difference_interval(ours, theirs)
     return {
-        **dict(zip(COLUMNS, (row.name, "clean", 0, "", len(row.runs), recall), strict=False)),
-        **({} if one is None else {"kind": one.kind, "strength": one.strength}),
-        **({} if one is None else {"amount": KINDS[one.kind].short([one.strength])}),
-        **({} if interval is None else {"low": interval.low, "high": interval.high}),
-        **{"drop": before - recall, "drop_low": drop and drop.low, "drop_high": drop and drop.high},
-        "tuned_on": describe_tuning(row.runs),
+        "method": row.name,
+        "kind": "clean" if one is None else one.kind,
+        "strength": 0 if one is None else one.strength,
+        "amount": "" if one is None else KINDS[one.kind].short([one.strength]),  # with its unit
+        "seeds": len(row.runs),
+        "recall_at_1": recall,
+        "low": np.nan if interval is None else interval.low,  # ends of the 95 % interval
+        "high": np.nan if interval is None else interval.high,
+        "drop": (average_recall(clean.runs) or 0.0) - recall,  # from clean frames
+        "drop_low": drop and drop.low,  # ends of the 95 % interval of the paired difference
+        "drop_high": drop and drop.high,
+        "tuned_on": describe_tuning(row.runs),  # remark on places that the method was tuned on; empty for none
     }
 
 
