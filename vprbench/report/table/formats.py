@@ -19,8 +19,7 @@ from vprbench.terminal.console import line_text, table_text
 
 _IN_LATEX = str.maketrans(
     {
-        **{sign: f"\\{sign}" for sign in "&%$#{}"},
-        **{"_": r"\_\allowbreak{}", "/": r"/\allowbreak{}"},  # names and paths may be long
+        **{sign: f"\\{sign}" for sign in "&%$#{}_"},
         **{"~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "\\": r"\textbackslash{}", "`": r"\textasciigrave{}"},
         **{"<": r"\textless{}", ">": r"\textgreater{}", "|": r"\textbar{}", '"': r"\textquotedbl{}", "↳": r"\quad{}"},
     }
@@ -36,11 +35,8 @@ def join_lines(text: str) -> str:
 
 def escape_latex(text: str) -> str:
     """Return text that LaTeX prints as it is; a sign beyond Latin-1 gives its plain letters or its number."""
-    signs = (
-        sign if sign <= "ÿ" or sign == "↳" else _spell_out(sign)
-        for sign in unicodedata.normalize("NFC", join_lines(text))
-    )
-    return re.sub(r"([-,'])(?=\1)", r"\1{}", "".join(signs).translate(_IN_LATEX))  # pairs would melt into one sign
+    signs = unicodedata.normalize("NFC", join_lines(text))
+    return "".join(sign if sign <= "ÿ" or sign == "↳" else _spell_out(sign) for sign in signs).translate(_IN_LATEX)
 
 
 def _spell_out(sign: str) -> str:
@@ -51,13 +47,8 @@ def _spell_out(sign: str) -> str:
 def escape_markdown(text: str) -> str:
     """Return text that Markdown shows as it is: no markup, no HTML, no list."""
     text = escape(join_lines(text), quote=False)
-    text = re.sub(r"([\\`*#$|])", r"\\\1", text)
-    if re.search(r"\][\[(:]|\[\^", text):  # a link or a footnote; an interval is neither
-        text = re.sub(r"([\[\]])", r"\\\1", text)
-    if text.count("~") > 1:  # one alone strikes nothing out
-        text = text.replace("~", r"\~")
-    text = re.sub(r"^(\d*)([-+=.)])", r"\1\\\2", text)
-    return re.sub(r"(?<!\w)_|_(?!\w)", r"\\_", text)  # inside of words it is no markup
+    text = re.sub(r"[\\`*#$|\[\]~]|(?<!\w)_|_(?!\w)", r"\\\g<0>", text)  # inside of words an underline is no markup
+    return re.sub(r"^(\d*)([-+=.)])", r"\1\\\2", text)
 
 
 def _mark_in_text(machine: str, notes: Sequence[int]) -> str:
