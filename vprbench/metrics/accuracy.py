@@ -89,14 +89,12 @@ class PRCurve:
     """Precision and recall, each (n_points,) and 0 to 1, from the highest threshold to the lowest.
 
     Each point keeps all that scores at least its threshold, so tied scores enter together. The first point is
-    the convention recall 0, precision 1, threshold +inf. `kind` is part of the metric's name: A is over the
-    answerable queries, B over the correct best matches, C over all pairs of a query and a right place.
+    the convention recall 0, precision 1, threshold +inf.
     """
 
     precision: Values
     recall: Values
     threshold: Values
-    kind: Literal["A", "B", "C"]
 
 
 def pr_curve(outcome: Outcome, kind: Literal["A", "B"]) -> PRCurve | None:
@@ -115,25 +113,23 @@ def pr_curve(outcome: Outcome, kind: Literal["A", "B"]) -> PRCurve | None:
     best, right = _find_best_matches(outcome)
     groups = _group_scores(best, best, right)
     total = np.count_nonzero(outcome.answerable) if kind == "A" else groups[2].max(initial=0)
-    return _make_curve(groups, float(total), kind) if total else None
+    return _make_curve(groups, float(total)) if total else None
 
 
-def pr_curve_multi(scores: Scores, positives: PlacesPerQuery, ignored: PlacesPerQuery | None = None) -> PRCurve | None:
+def pr_curve_multi(scores: Scores, positives: PlacesPerQuery) -> PRCurve | None:
     """Return curve C, over all pairs of a query and a place (VPR_Tutorial, multi); None without a right pair.
 
-    The arguments are those of `ranking.outcome`, and so is what is raised. Pairs in the soft band and pairs
-    that are no candidates are never retrieved. Needs about 50 bytes of memory per pair.
+    The arguments are those of `ranking.outcome`, and so is what is raised. Pairs that are no candidates are never
+    retrieved. Needs about 50 bytes of memory per pair.
     """
     scores = checked_scores(scores)
-    right_cells, soft_cells = right_and_soft_cells(scores.shape, positives, ignored)
+    right_cells, _ = right_and_soft_cells(scores.shape, positives)
     if not len(right_cells):
         return None
     pairs = scores.ravel()
-    candidate = pairs > -np.inf
-    candidate[soft_cells] = False
     right_scores = pairs[right_cells]  # those of -inf lie below every threshold
-    groups = _group_scores(pairs[candidate], right_scores, np.ones(len(right_scores)))
-    return _make_curve(groups, float(len(right_scores)), "C")
+    groups = _group_scores(pairs[pairs > -np.inf], right_scores, np.ones(len(right_scores)))
+    return _make_curve(groups, float(len(right_scores)))
 
 
 def _find_best_matches(outcome: Outcome) -> tuple[npt.NDArray[np.float32], Values]:
@@ -157,15 +153,12 @@ def _group_scores(
     return falling[last], last + 1, best_first[len(order) - n_below]
 
 
-def _make_curve(
-    groups: tuple[npt.NDArray[np.float32], Counts, Values], total: float, kind: Literal["A", "B", "C"]
-) -> PRCurve:
+def _make_curve(groups: tuple[npt.NDArray[np.float32], Counts, Values], total: float) -> PRCurve:
     threshold, kept, correct = groups
     return PRCurve(
         precision=np.concatenate([[1.0], correct / kept]),
         recall=np.concatenate([[0.0], correct / total]),
         threshold=np.concatenate([[np.inf], threshold]),
-        kind=kind,
     )
 
 

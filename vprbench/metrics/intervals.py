@@ -10,8 +10,12 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+Values = npt.NDArray[np.float64]
+
 _SIGNIFICANT = 2.0  # times sqrt(log10 n / n): the constant c that Politis and White recommend
 FEWEST = 20  # values: with fewer, autocorrelation is not told from chance
+_PARTS = 12  # of a hit, at least, that sums are told apart by: halves, thirds and quarters are exact
+_GRID_POINTS = 1 << 14  # of a sum, about: few queries are told apart more finely
 
 
 def block_length(values: npt.ArrayLike) -> int:
@@ -65,13 +69,6 @@ def _find_last_lag(significant: npt.NDArray[np.bool_], within: int) -> int:
     return int(np.flatnonzero(significant)[-1])  # that of lag 0 is 1
 
 
-Values = npt.NDArray[np.float64]
-IntervalKind = Literal["independent", "blocks"]  # Wilson's, of differences Agresti and Min's; a block bootstrap
-
-_PARTS = 12  # of a hit, at least, that sums are told apart by: halves, thirds and quarters are exact
-_GRID_POINTS = 1 << 14  # of a sum, about: few queries are told apart more finely
-
-
 @dataclass(frozen=True)
 class Interval:
     """The two ends of a confidence interval."""
@@ -84,7 +81,7 @@ class Interval:
 class WiderInterval(Interval):
     """The wider one of an interval that takes queries as independent and one that draws neighbours together."""
 
-    kind: IntervalKind
+    kind: Literal["independent", "blocks"]  # Wilson's, of differences Agresti and Min's; a block bootstrap
     block: int  # length in queries
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -191,13 +191,6 @@ def filtered_scores(scores: Scores, options: Filter, queries: Stretches) -> Scor
     -inf, or that cannot be reached, is no candidate (-inf).
     """
     found = np.empty(scores.shape, np.float32)
-    for query, belief in enumerate(_iterate_beliefs(scores, options, queries)):
-        with np.errstate(divide="ignore"):
-            found[query] = np.log(belief)
-    return found
-
-
-def _iterate_beliefs(scores: Scores, options: Filter, queries: Stretches) -> Iterator[Doubles]:
     scale, belief = 0.0, np.empty(0)
     for query, row in enumerate(scores):
         known = row > -np.inf
@@ -211,7 +204,9 @@ def _iterate_beliefs(scores: Scores, options: Filter, queries: Stretches) -> Ite
         moved = _move_belief(belief, options.back, options.ahead) * likelihood if joined else likelihood
         belief = moved if moved.any() else likelihood
         belief = belief / max(float(belief.sum()), np.finfo(np.float64).tiny)
-        yield belief
+        with np.errstate(divide="ignore"):
+            found[query] = np.log(belief)
+    return found
 
 
 def _move_belief(belief: Doubles, back: int, ahead: int) -> Doubles:
