@@ -28,7 +28,7 @@ def block_length(values: npt.ArrayLike) -> int:
     no such row; lags beyond sqrt(n) + K are not looked at. Rounded up, at least 1 and at most min(3 sqrt(n), n / 3). 1
     for equal values and for fewer than 20. Raises ValueError for values that are not finite or not (n,).
     """
-    row = finite_row(values)
+    row = _require_finite_row(values)
     n = len(row)
     if n < FEWEST or np.ptp(row) == 0:
         return 1
@@ -47,7 +47,7 @@ def block_length(values: npt.ArrayLike) -> int:
     return max(1, math.ceil(math.cbrt(1.5 * (slope / at_zero) ** 2 * n)))
 
 
-def finite_row(values: npt.ArrayLike) -> npt.NDArray[np.float64]:
+def _require_finite_row(values: npt.ArrayLike) -> npt.NDArray[np.float64]:
     """Return `values` as float64 (n,); raises ValueError if one is not finite or the shape is another."""
     row = np.asarray(values, dtype=np.float64)
     if row.ndim != 1 or not np.isfinite(row).all():
@@ -93,7 +93,7 @@ def share_interval(hits: npt.ArrayLike, confidence: float = 0.95, window: int = 
     neighbours, no block is shorter. None without queries, and where one block holds all of them. Raises ValueError for
     other values.
     """
-    row = finite_row(hits)
+    row = _require_finite_row(hits)
     independent = wilson(float(row.sum()), len(row), confidence)
     if independent is None or (window > 1 and len(row) <= window):
         return None
@@ -112,7 +112,7 @@ def difference_interval(
     lower end alone says anything: it is at least -1, the upper end at most 1. Raises ValueError for hits on different
     queries.
     """
-    first, second = finite_row(ours), finite_row(theirs)
+    first, second = _require_finite_row(ours), _require_finite_row(theirs)
     if first.shape != second.shape:
         raise ValueError(f"a difference needs hits on the same queries, not {first.shape} and {second.shape}")
     row = first - second
@@ -147,7 +147,7 @@ def block_bootstrap(values: npt.ArrayLike, block: int, confidence: float = 0.95)
     1992). The interval lies between the percentiles of the resampled means, whose distribution is computed and not
     drawn. None for fewer than two blocks. Raises ValueError for values that are not finite or not (n,).
     """
-    row = finite_row(values)
+    row = _require_finite_row(values)
     if len(row) < 2 * block:
         return None
     tail = (1 - confidence) / 2

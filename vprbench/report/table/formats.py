@@ -111,7 +111,7 @@ def lay_out(table: Table, columns: Sequence[Column], markup: _Markup) -> pd.Data
         lines.append((name, [_write_cell(cell, markup, several) for cell in cells]))
         if any(cell.printed for cell in cells) and not markup.published:
             lines.append((markup.escape("↳ paper"), [markup.number(cell.printed or "none") for cell in cells]))
-    labels = pd.MultiIndex.from_tuples(heads, names=["", "method"]) if heads else pd.Index([])
+    labels = pd.MultiIndex.from_tuples(heads, names=["", "method"])
     return pd.DataFrame([texts for _, texts in lines], [name for name, _ in lines], labels, dtype=object)
 
 
@@ -132,7 +132,7 @@ def to_markdown(table: Table) -> str:
     for column in table.columns:
         parts += [f"## {escape_markdown(column.title)}"] if column.title != table.heading else []
         frame = lay_out(table, [column], _MARKDOWN).droplevel(0, axis=1)
-        text = frame.rename_axis("method").to_markdown(disable_numparse=True) if table.rows else ""
+        text = frame.rename_axis("method").to_markdown(disable_numparse=True)
         parts += [escape_markdown(words.describe_data(column)), text]
     parts.append("\n".join(f"{number}. {escape_markdown(note)}" for number, note in enumerate(table.notes, 1)))
     parts.append("\n".join(f"- {escape_markdown(machine)}" for machine in words.list_machines(table)))
@@ -141,8 +141,8 @@ def to_markdown(table: Table) -> str:
 
 def to_terminal(table: Table, wide: bool = False) -> str:
     """Return a table as text that fits the terminal, unless `wide`, with its notes; the legend is in the files."""
-    of_gpu = [quantity.heading for quantity in table.quantities if quantity.device == "cuda"]
-    least = [*dict.fromkeys([*of_gpu, *(quantity.heading for quantity in TRAINING)])]
+    of_gpu = (quantity.heading for quantity in table.quantities if quantity.device == "cuda")
+    least = [*of_gpu, TRAINING[0].heading]  # left out first where room is short
     parts = [line_text(table.heading, "bold")]
     for column in table.columns:
         frame = lay_out(table, [column], _TEXT)
@@ -163,10 +163,9 @@ def to_latex(table: Table) -> str:
     data = [f"{column.title}: {words.describe_data(column)}" for column in table.columns]
     comments = [needs, *data, *words.list_facts(table), *notes, *words.list_machines(table)]
     parts = [f"% {join_lines(line)}" for line in comments]
-    for column in table.columns if table.rows else ():
-        frame = lay_out(table, [column], _LATEX).rename(
-            index="{{{}}}".format
-        )  # "[" would be an option of the line above
+    for column in table.columns:
+        frame = lay_out(table, [column], _LATEX)
+        frame = frame.rename(index="{{{}}}".format)  # "[" would be an option of the line above
         layout = f"@{{}}l{'l' * len(frame.columns)}@{{}}"
         parts.append(str(frame.to_latex(column_format=layout, multicolumn_format="c")).rstrip())
     return "\n".join(parts)
