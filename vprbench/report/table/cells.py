@@ -51,7 +51,7 @@ FACTS = (
     "mark",  # "measured", or the word for a cell without a number (`Mark`)
     "value",  # over the seeds: the mean, of minutes and seconds of a fit the median; the published one of a quoted cell
     *("low", "high", "interval", "block"),  # of accuracies per query: 95 % over the queries, kind, queries a block
-    *("elsewhere", "elsewhere_low", "elsewhere_high", "elsewhere_spread"),  # of an accuracy, on places not tuned on
+    *("elsewhere", "elsewhere_low", "elsewhere_high"),  # of an accuracy, on places not tuned on
     "spread",  # standard deviation over the seeds; None for one
     "seeds",  # those that were measured
     "total",  # of training: with waiting for the images
@@ -213,7 +213,7 @@ def _make_cell(entry: _Entry, column: Column, quantity: Quantity, published: Pub
     if others := all_without_tuning_places(runs) if quantity.kind == "accuracy" else ():
         there = _compute_numbers(tabulate_with_records(others, [quantity.name]), quantity) or {}
         numbers["elsewhere"] = there.get("value")
-        numbers |= {f"elsewhere_{name}": there.get(name) for name in ("low", "high", "spread")}
+        numbers |= {f"elsewhere_{end}": there.get(end) for end in ("low", "high")}
     notes = [f"seeds: {len(runs)} of {len(row.seeds)}"] if len(runs) < len(row.seeds) else []
     notes += [_describe_failure(failure, f" seed {failure.config['seed']}") for failure in found.failures]
     notes += _list_remarks(entry, quantity, runs)

@@ -214,5 +214,6 @@ def to_csv(table: Table) -> str:
     cells["seeds"] = [None if seeds is None else " ".join(map(str, seeds)) for seeds in cells["seeds"]]
     cells["machine"] = [None if at is None else join_lines(table.machines[at]) for at in cells["machine"]]
     cells["notes"] = ["; ".join(join_lines(table.notes[n - 1]) for n in notes) for notes in cells["notes"]]
-    shown = [name for name in FACTS[3:] if name != "elsewhere_spread"]
-    return str(cells[["row", "column", "title", "quantity", "unit", *shown]].to_csv(index=False, lineterminator="\n"))
+    return str(
+        cells[["row", "column", "title", "quantity", "unit", *FACTS[3:]]].to_csv(index=False, lineterminator="\n")
+    )

@@ -95,21 +95,13 @@ def list_facts(table: Table) -> list[str]:
 
 
 def _describe_extent(cell: Any, quantity: Quantity) -> str:
-    parts = [_describe_range(cell.value, cell.spread, cell.low, cell.high, quantity)]
-    if cell.total is not None:
-        parts.append(f"({quantity.text(cell.total)})")
-    if (other := cell.elsewhere) is not None:
-        ends = cell.elsewhere_spread, cell.elsewhere_low, cell.elsewhere_high
-        parts += [f"{_ELSEWHERE} {quantity.text(other)}", _describe_range(other, *ends, quantity)]
-    return " ".join(filter(None, parts))
-
-
-def _describe_range(
-    value: float, spread: float | None, low: float | None, high: float | None, quantity: Quantity
-) -> str:
-    """Return the spread over the seeds and the interval, as far as they are known."""
-    parts = [] if spread is None else [f"± {format_spread(spread, quantity.text(value))}"]
-    parts += [] if low is None or high is None else [f"[{quantity.text(low)}, {quantity.text(high)}]"]
+    """Return the spread over the seeds, the interval, the total, and the number elsewhere, as far as they are known."""
+    parts = [] if cell.spread is None else [f"± {format_spread(cell.spread, quantity.text(cell.value))}"]
+    parts += [] if cell.low is None else [f"[{quantity.text(cell.low)}, {quantity.text(cell.high)}]"]
+    parts += [] if cell.total is None else [f"({quantity.text(cell.total)})"]
+    parts += [] if cell.elsewhere is None else [f"{_ELSEWHERE} {quantity.text(cell.elsewhere)}"]
+    if cell.elsewhere_low is not None:
+        parts.append(f"[{quantity.text(cell.elsewhere_low)}, {quantity.text(cell.elsewhere_high)}]")
     return " ".join(parts)
 
 
