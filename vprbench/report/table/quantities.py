@@ -92,15 +92,17 @@ def list_quantities(metrics: Sequence[str]) -> tuple[Quantity, ...]:
 
 def list_comparison_quantities(metrics: Sequence[str], devices: Sequence[str]) -> tuple[Quantity, ...]:
     """Return the columns of a comparison on some devices: accuracies, seconds of the fit, query rates and memory."""
-    kinds: list[Device] = [kind for kind in DEVICES if any(device.startswith(kind) for device in devices)]
-    usual = _list_more(["recall_at_5", "auc_pr_a"])
-    more = [one for one in _list_more(metrics) if one.name not in ("recall_at_5", "auc_pr_a")]
-    heads = {"cpu": "fit CPU", "cuda": "fit GPU"} if len(kinds) > 1 else dict.fromkeys(kinds, "fit")
-    names = {"cpu": "train_cpu", "cuda": "train_gpu"}
-    fits = [Quantity(names[k], heads[k], "s", "fit_seconds", "fit", k, over_seeds=median) for k in kinds]
+    kinds = [kind for kind in DEVICES if any(device.startswith(kind) for device in devices)]
+    accuracies = _list_more(["recall_at_5", "auc_pr_a", *metrics])
+    trainings = [one for one in TRAINING if one.device in kinds]
+    heads = [one.head.replace("train", "fit") if len(kinds) > 1 else "fit" for one in trainings]
+    fits = [
+        Quantity(one.name, head, "s", "fit_seconds", "fit", one.device, over_seeds=median)
+        for one, head in zip(trainings, heads, strict=True)
+    ]
     rates = [rate for rate in RATES if rate.device in kinds]
     memory = Quantity("peak_memory", "peak", "MB", "peak_memory_bytes", "memory", in_unit=lambda size: size / 1e6)
-    return (RECALL, *usual, *fits, *rates, memory, *more)
+    return (RECALL, *accuracies[:2], *fits, *rates, memory, *accuracies[2:])
 
 
 def drop_accuracies(quantities: Sequence[Quantity]) -> tuple[Quantity, ...]:
