@@ -231,7 +231,7 @@ def show_comparison(found: Report, wide: bool = False) -> None:
     table, groups_shown = found.table, [group for group in found.groups if group.runs]
     heads = ["method", *(quantity.heading for quantity in table.quantities)]
     cells = words.describe_cells(table)
-    print(line_text(f"{table.title}: {words.describe_data(table.columns[0])}", fits=True))
+    print(line_text(f"{table.title}: {table.columns[0].data}", fits=True))
     if len(table.columns) > 1:
         for run in (group.runs[0] for group in groups_shown):
             print(line_text(f"{describe_sequence(run)}: {len(run.outcome):,} queries"))

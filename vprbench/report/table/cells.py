@@ -78,9 +78,7 @@ class Column:
 
     name: str
     title: str
-    n_places: int | None  # None where no run is stored
-    n_queries: int | None
-    protocol: str  # in words
+    data: str  # places, queries and protocol in one line
     stand_in_for: str | None  # the title of the real dataset that a rendered one stands in for
     published: str | None = None  # its name in the published table
     remark: str | None = None  # fixed words on the data
@@ -166,13 +164,14 @@ def assemble_table(
 
 def _describe_column(group: DatasetRuns, groups: Sequence[DatasetRuns], plan: PlanFile) -> Column:
     planned = group.column.planned
+    name, title, data = planned.name, planned.title, ["no run is stored"]
+    if group.runs:
+        run = group.runs[0]
+        name, title = group.name, title_of(group, groups)
+        data = [f"{run.outcome.n_places:,} places", f"{len(run.outcome):,} queries", describe_protocol(run)]
     real = plan.columns[planned.stand_in_for].title if planned.stand_in_for else None
-    known = (real, planned.published, planned.remark)
-    if not group.runs:
-        return Column(planned.name, planned.title, None, None, "no run is stored", *known)
-    run = group.runs[0]
-    counts = run.outcome.n_places, len(run.outcome)
-    return Column(group.name, title_of(group, groups), *counts, describe_protocol(run), *known)
+    data += [f"stands in for {real}"] if real else []
+    return Column(name, title, "; ".join(filter(None, data)), real, planned.published, planned.remark)
 
 
 def _find_best(entries: Sequence[_Entry], quantity: Quantity) -> str | None:

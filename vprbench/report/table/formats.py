@@ -133,7 +133,7 @@ def to_markdown(table: Table) -> str:
         parts += [f"## {escape_markdown(column.title)}"] if column.title != table.heading else []
         frame = lay_out(table, [column], _MARKDOWN).droplevel(0, axis=1)
         text = frame.rename_axis("method").to_markdown(disable_numparse=True)
-        parts += [escape_markdown(words.describe_data(column)), text]
+        parts += [escape_markdown(column.data), text]
     parts.append("\n".join(f"{number}. {escape_markdown(note)}" for number, note in enumerate(table.notes, 1)))
     parts.append("\n".join(f"- {escape_markdown(machine)}" for machine in words.list_machines(table)))
     return "\n\n".join(filter(None, [*parts, "\n".join(facts)])) + "\n"
@@ -147,7 +147,7 @@ def to_terminal(table: Table, wide: bool = False) -> str:
     for column in table.columns:
         frame = lay_out(table, [column], _TEXT)
         lines = [[name, *line] for name, line in zip(frame.index, frame.to_numpy().tolist(), strict=True)]
-        parts += ["", line_text(column.title, "bold"), line_text(words.describe_data(column), "dim")]
+        parts += ["", line_text(column.title, "bold"), line_text(column.data, "dim")]
         parts.append(table_text(["method", *frame.columns.get_level_values(1)], lines, wide, least))
     notes = [line_text(f"{number} {note}", "dim") for number, note in enumerate(table.notes, 1)]
     return "\n".join([*parts, "", *notes, *words.list_machines(table), ""])
@@ -160,7 +160,7 @@ def to_latex(table: Table) -> str:
     """
     notes = [f"{number} {note}" for number, note in enumerate(table.notes, 1)]
     needs = f"{table.heading}. It needs \\usepackage{{booktabs}}."
-    data = [f"{column.title}: {words.describe_data(column)}" for column in table.columns]
+    data = [f"{column.title}: {column.data}" for column in table.columns]
     comments = [needs, *data, *words.list_facts(table), *notes, *words.list_machines(table)]
     parts = [f"% {join_lines(line)}" for line in comments]
     for column in table.columns:
@@ -183,7 +183,7 @@ def to_html(table: Table) -> str:
         text = lay_out(table, table.columns, _HTML).to_html(escape=False, border=False, classes="results")
     head, found, body = text.replace('halign="left"', 'scope="colgroup"').partition("<tbody>")
     body = head.replace("<th>", '<th scope="col">') + found + body.replace("<th>", '<th scope="row">')
-    data = (f"{column.title}: {words.describe_data(column)}" for column in table.columns)
+    data = (f"{column.title}: {column.data}" for column in table.columns)
     parts = [
         f'<p class="caption"><b>{heading}.</b> {units}</p>',
         *(f'<p class="legend">{escape(join_lines(line))}</p>' for line in data),

@@ -1,4 +1,4 @@
-"""The text of a table before the markup of any format: its cells, its columns and the facts below it."""
+"""The text of a table before the markup of any format: its cells and the facts below it."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Any
 
 import pandas as pd
 
-from vprbench.report.table.cells import Column, Table
+from vprbench.report.table.cells import Table
 from vprbench.report.table.quantities import RATES, TRAINING, TRAINING_TIME, Quantity
 from vprbench.runs.frame import iterate_rows
 from vprbench.runs.recall_intervals import METHOD
@@ -56,15 +56,6 @@ def describe_cells(table: Table) -> pd.DataFrame:
         lines.append((absence, text, extent, printed))
     texts = pd.DataFrame(lines, columns=["absence", "text", "extent", "printed"], dtype=object)
     return table.cells.join(texts)
-
-
-def describe_data(column: Column) -> str:
-    """Return the places, the queries and the protocol of a column in one line."""
-    counts = [(column.n_places, "places"), (column.n_queries, "queries")]
-    parts = [f"{count:,} {noun}" for count, noun in counts if count is not None]
-    parts += [column.protocol] if column.protocol else []
-    parts += [f"stands in for {column.stand_in_for}"] if column.stand_in_for else []
-    return "; ".join(parts)
 
 
 def list_machines(table: Table) -> list[str]:
