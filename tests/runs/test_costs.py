@@ -24,6 +24,7 @@ from vprbench.methods.vprtempo.int8 import VPRTempoInt8
 from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.plugins.rules import Journey
 from vprbench.runs import energy
+from vprbench.runs.timing_lock import share_host
 
 pytestmark = pytest.mark.usefixtures("surroundings")
 
@@ -33,6 +34,12 @@ def told(work):
     with counting_operations() as found:
         work()
     return sum(each.multiply_adds for each in found), sum(each.single for each in found), {each.kind for each in found}
+
+
+def costs_of(request, run=None):
+    run = run or run_of(request.method, request.dataset)
+    with share_host() as lock:
+        return energy.find_costs(request, run, lock)
 
 
 def fitted(kind=VPRTempo, **arguments):
@@ -99,12 +106,12 @@ def test_what_pytorch_does_is_counted_a_step_without_a_formula_is_not_available_
 
     request = asked_for(Multiplying(np.eye(6, dtype=np.float32)), journey(6, 6))
     run = run_of(request.method, request.dataset)
-    found = energy.find_costs(request, run)
+    found = costs_of(request, run)
     assert found["values"] == dict.fromkeys(found["values"])
     assert ("encode" in found["how"]["operations"], "match" in found["how"]["operations"]) == (True, False)
     monkeypatch.setattr(Lookup, "encode", lambda *_: {}["gone"])
     monkeypatch.setattr(Multiplying, "map_bytes", lambda _: 60)
-    found = energy.find_costs(request, run)
+    found = costs_of(request, run)
     assert "KeyError" in found["how"]["operations"]
     assert found["values"]["map_bytes"] == 10
 
@@ -113,7 +120,7 @@ def test_the_map_of_a_method_without_map_bytes_is_all_that_it_saves(monkeypatch)
     parts = {"features": np.zeros(7, np.float32), "outputs_0": np.zeros((4, 5)), "outputs_1": np.zeros((2, 5))}
     monkeypatch.setattr(Lookup, "state", lambda _: parts)
     request = asked_for(Lookup(np.eye(6, dtype=np.float32)), journey(6, 6))
-    found = energy.find_costs(request, run_of(request.method, request.dataset))
+    found = costs_of(request)
     assert found["values"]["map_bytes"] == pytest.approx((6 * 40 + 28) / 6)
 
 
@@ -170,7 +177,7 @@ def test_idle_power_is_subtracted_from_the_joules_of_queries_over_a_wrap(query, 
 def test_a_counter_that_cannot_be_read_is_a_reason(tmp_path, counters, monkeypatch):
     monkeypatch.setattr(energy, "POWERCAP", powercap(tmp_path, **counters))
     request = asked_for(Lookup(np.eye(6, dtype=np.float32)), journey(6, 6))
-    found = energy.find_costs(request, run_of(request.method, request.dataset))
+    found = costs_of(request)
     assert (found["values"]["joules_measured"], "Error" in found["how"]["joules_measured"]) == (None, True)
 
 

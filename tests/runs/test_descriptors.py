@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from file_limit import no_file_may_exceed
 from little import Angles, journey, number_in, pictures
-from little_runs import asked_for, kinds, run_of
+from little_runs import asked_for, execute, kinds, run_of
 
 from vprbench.api import descriptor
 from vprbench.api.descriptor import DescriptorMethod
@@ -21,7 +21,6 @@ from vprbench.runs.descriptors import DescriptorCache
 from vprbench.runs.experiment import Experiment
 from vprbench.runs.identity import hash_frames
 from vprbench.runs.request import RunRequest
-from vprbench.runs.run import execute
 from vprbench.runs.stopwatch import Protocol, Stopwatch
 
 pytestmark = pytest.mark.usefixtures("surroundings")
@@ -60,7 +59,7 @@ def run(method, dataset, folder, arguments=(), **changes):
     asked = {"depth": 5, "threads": 1, "timing": PROTOCOL, **changes}
     request = RunRequest("counting", given, dataset.name, {"name": dataset.name}, **asked)
     return execute(
-        Experiment(request, method, dataset, "fingerprint", hash_frames(dataset)[1], files=files, cache=folder), "key"
+        Experiment(request, method, dataset, "fingerprint", hash_frames(dataset)[1], files=files, cache=folder)
     )
 
 
@@ -304,7 +303,7 @@ def test_all_places_are_scored_where_all_scores_are_wanted_and_where_a_method_ma
         def match(self, codes):
             return -super().match(codes)
 
-    whole = execute(asked_for(Angles(), journey(N_QUERIES, N_PLACES), scores=True), "key")
+    whole = execute(asked_for(Angles(), journey(N_QUERIES, N_PLACES), scores=True))
     for run in (whole, on(OwnWay())):
         assert run.scores.shape == (N_QUERIES, N_PLACES)
         assert "shortlist" not in kinds(run)
@@ -317,7 +316,7 @@ def test_descriptors_of_a_large_map_are_kept_unless_a_method_may_learn_them(tmp_
 
     for large, method, kept in ((N_PLACES, Angles(), 0), (N_PLACES - 1, Learning(), 0), (N_PLACES - 1, Angles(), 2)):
         monkeypatch.setattr(descriptors, "LARGE_MAP", large)
-        execute(asked_for(method, journey(N_QUERIES, N_PLACES), cache=tmp_path), "key")
+        execute(asked_for(method, journey(N_QUERIES, N_PLACES), cache=tmp_path))
         assert len([*tmp_path.glob("*.npy")]) == kept
 
 
@@ -327,7 +326,7 @@ def test_descriptors_that_fill_the_memory_stay_in_a_file(cached, tmp_path, monke
     monkeypatch.setattr(descriptor, "LARGE_BYTES", 1000)
     monkeypatch.setattr(Angles, "keeps_descriptors", lambda _: cached)
     method = Angles()
-    run = execute(asked_for(method, journey(N_QUERIES, N_PLACES), cache=tmp_path / "cache"), "key")
+    run = execute(asked_for(method, journey(N_QUERIES, N_PLACES), cache=tmp_path / "cache"))
     assert isinstance(method.searched.references.base, np.memmap)
     folder = tmp_path / ("cache" if cached else "scratch")
     assert len([*folder.rglob("*.npy")]) == (2 if cached else 1)  # of references, and of queries

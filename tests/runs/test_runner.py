@@ -9,7 +9,7 @@ from itertools import chain, repeat
 import numpy as np
 import pytest
 from little import Lookup, journey, number_in, numbers_in, picture, slow_pictures
-from little_runs import QUICK, asked_for, kinds, run_of, table
+from little_runs import QUICK, asked_for, execute, kinds, run_of, table
 from stopped_clock import Clock
 
 from vprbench import progress
@@ -22,7 +22,6 @@ from vprbench.errors import BadInput
 from vprbench.metrics import ranking
 from vprbench.metrics.ranking import outcome
 from vprbench.runs import answers, frame, rows, scorers, timing_lock
-from vprbench.runs.run import execute
 
 pytestmark = pytest.mark.usefixtures("surroundings")
 
@@ -125,7 +124,7 @@ class Reading(DescriptorMethod):
 def test_no_query_is_given_under_its_name(tmp_path, cached):
     named = Images.from_arrays([picture(i) for i in range(6)], [f"place {i % 4}" for i in range(6)])
     method, dataset = Reading(), replace(journey(6, 4), queries=named)
-    execute(asked_for(method, dataset, cache=tmp_path if cached else None), "key")
+    execute(asked_for(method, dataset, cache=tmp_path if cached else None))
     assert len(method.names) > 3 * 6
     assert all(name.startswith("image ") for name in method.names)
 

@@ -15,6 +15,7 @@ from vprbench.runs.experiment import Experiment
 from vprbench.runs.identity import hash_frames
 from vprbench.runs.request import RunRequest
 from vprbench.runs.stopwatch import Protocol
+from vprbench.runs.timing_lock import share_host
 
 CONFIG: dict[str, Any] = {
     "method": {"_target_": "little.Lookup", "window": 5, "device": "cpu"},
@@ -31,7 +32,12 @@ hash_class = functools.cache(sources.hash_class)
 
 
 def run_of(method, dataset, protocol=QUICK, **changes):
-    return run.execute(asked_for(method, dataset, protocol, **changes), "key")
+    return execute(asked_for(method, dataset, protocol, **changes))
+
+
+def execute(experiment):
+    with share_host() as lock:
+        return run.execute(experiment, "key", lock)
 
 
 def asked_for(

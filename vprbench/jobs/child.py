@@ -25,9 +25,9 @@ from typing import IO, NoReturn
 
 from vprbench.jobs.job import JobResult, describe_failure, make_run
 from vprbench.progress import QUIET
-from vprbench.runs import timing_lock
 from vprbench.runs.record import Failure
 from vprbench.runs.request import RunRequest
+from vprbench.runs.timing_lock import share_host
 from vprbench.storage.atomic import replace_text
 from vprbench.storage.folders import checkout_folder
 from vprbench.terminal.streams import log_to_stderr, results_only_on_stdout
@@ -112,8 +112,8 @@ def make_job(request_json: str, place: Path, environment: Mapping[str, str]) -> 
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
         log_to_stderr()
         printed: list[str] = []
-        with timing_lock.computing(), results_only_on_stdout():
-            result = make_run(RunRequest.from_json(request_json), printed.append, wait=False)
+        with share_host() as lock, results_only_on_stdout():
+            result = make_run(RunRequest.from_json(request_json), printed.append, lock)
         replace_text(place / _RESULT, json.dumps(asdict(replace(result, printed="\n".join(printed)))))
     except KeyboardInterrupt:
         os._exit(128 + signal.SIGINT)

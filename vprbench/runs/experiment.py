@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from vprbench.api.dataset import Dataset
-from vprbench.api.frame_cache import frames_kept
 from vprbench.api.method import Method
 from vprbench.data.doctor import check_dataset
 from vprbench.errors import BadInput
@@ -83,8 +82,7 @@ def build_experiment(
     request.require_machine()
     machine.pin_threads(request.n_threads)
     if dataset is None:
-        with frames_kept(request.cache):
-            dataset = registry.make_dataset(request.dataset)
+        dataset = registry.make_dataset(request.dataset)
     files = networks.find_network_files(request.save, request.load, request.force)
     method = (make or registry.make_method)(request.method)
     if method.adapt != "none" and not method.adapts:

@@ -44,7 +44,7 @@ class RunRequest:
     threads: Positive | None = None  # None: all cores this process may use
     results: str = "results"
     force: bool = False
-    cache: bool = True  # keep descriptors of networks and rendered frames, and take those of an earlier run
+    cache: bool = True  # keep descriptors of networks, and take those of an earlier run
     output: Literal["row", "json"] = "row"
     wide: bool = False  # show all columns of the row
     metrics: list[str] = field(default_factory=list)  # more accuracies of row and JSON, by their names in METRICS

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import asdict, replace
 
 from vprbench import progress
-from vprbench.runs import spikes, timing_lock
+from vprbench.runs import spikes
 from vprbench.runs.answers import QueryScoring, describe_search
 from vprbench.runs.descriptors import DescriptorCache
 from vprbench.runs.experiment import Experiment
@@ -17,11 +17,11 @@ from vprbench.runs.notes import make_notes, note_measurements, note_scorer
 from vprbench.runs.record import Run
 from vprbench.runs.scorers import choose_scorer
 from vprbench.runs.stopwatch import Stopwatch, make_synchroniser
+from vprbench.runs.timing_lock import TimingLock
 from vprbench.runs.watch import MachineWatch
 
 
-@timing_lock.computing()
-def execute(experiment: Experiment, key: str, keep: Callable[[Run], None] = lambda run: None) -> Run:
+def execute(experiment: Experiment, key: str, lock: TimingLock, keep: Callable[[Run], None] = lambda run: None) -> Run:
     """Fit a method or load its network, score every query and measure its rates.
 
     A network is stored before the first query; whether it can be is seen before it is trained. Timed queries are
@@ -30,12 +30,13 @@ def execute(experiment: Experiment, key: str, keep: Callable[[Run], None] = lamb
     Args:
         experiment: method, dataset and request.
         key: identifies the run.
+        lock: by which this process computes.
         keep: takes the run without its rates before these are measured, unless the request asks for none.
     """
     request, method, dataset = experiment.request, experiment.method, experiment.dataset
     queries, views = dataset.queries.unnamed(), () if experiment.views is None else experiment.views.all
     started = time.perf_counter()
-    watch = MachineWatch(request.device, request.n_threads)
+    watch = MachineWatch(request.device, request.n_threads, lock)
     stopwatch = Stopwatch(request.timing, synchronise=make_synchroniser(request.device), seed=request.seed)
 
     cache = experiment.cache if experiment.networks.load is None else None

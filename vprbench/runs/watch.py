@@ -8,15 +8,16 @@ from contextlib import contextmanager
 from typing import Any
 
 from vprbench import progress
-from vprbench.runs import machine, timing_lock
+from vprbench.runs import machine
+from vprbench.runs.timing_lock import TimingLock
 
 
 class MachineWatch:
     """Looks at the machine when it is made, when timing begins, and in `record`; for a process that computes."""
 
-    def __init__(self, device: str, threads: int) -> None:
+    def __init__(self, device: str, threads: int, lock: TimingLock) -> None:
         """Look for the first time; the peak of memory counts from now on."""
-        self._was_alone = timing_lock.is_only_run()
+        self._lock, self._was_alone = lock, lock.is_only_run()
         self._environment = machine.describe_machine(device, threads)
         machine.reset_peak_memory()
         self._begin()
@@ -28,14 +29,14 @@ class MachineWatch:
 
     def end_fit(self) -> None:
         """Record whether another run went on here when this one began, or goes on now that its method is fitted."""
-        self._environment |= {"fitted_alone": self._was_alone and timing_lock.is_only_run()}
+        self._environment |= {"fitted_alone": self._was_alone and self._lock.is_only_run()}
 
     @contextmanager
     def alone(self) -> Iterator[None]:
         """Wait until no other run goes on here, and look at the load from then on."""
-        if not timing_lock.is_only_run():
+        if not self._lock.is_only_run():
             progress.report("waiting to be timed", 0.0)
-        with timing_lock.alone():
+        with self._lock.hold_alone():
             self._environment |= {"timed_alone": True}
             self._begin()
             yield
