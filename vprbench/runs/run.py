@@ -40,7 +40,7 @@ def execute(experiment: Experiment, key: str, lock: TimingLock, keep: Callable[[
     stopwatch = Stopwatch(request.timing, synchronise=make_synchroniser(request.device), seed=request.seed)
 
     cache = experiment.cache if experiment.networks.load is None else None
-    described = DescriptorCache.of(cache, method, experiment.config, dataset.n_places)
+    described = DescriptorCache.of(cache, method, experiment.config)
     fitted = fit_or_load(experiment, key, stopwatch, described)
     read = queries.reading.seconds
     scorer = choose_scorer(method, dataset.n_places, request.depth, request.scores, views)
@@ -65,7 +65,7 @@ def execute(experiment: Experiment, key: str, lock: TimingLock, keep: Callable[[
             *make_notes("dataset", dataset.notes),
             *fitted.notes,
             *make_notes("method", method.notes()),
-            *note_scorer(scorer, method, dataset.n_places),
+            *note_scorer(scorer, dataset.n_places),
             *spike_notes,
         ),
         n_references=len(dataset.references),
