@@ -67,22 +67,11 @@ def document(results):
                 *parts,
                 "## Machine",
                 f"{machine.Machine.of(here).line}.",
-                format_software(here),
+                machine.format_software(here),
                 f"Load average afterwards {loads}.",
             ]
         )
         + "\n"
-    )
-
-
-def format_software(environment):
-    """Return libraries, source and time in one line."""
-    git = environment["git"]
-    libraries = ", ".join(f"{name} {version or 'missing'}" for name, version in environment["libraries"].items())
-    source = "no checkout" if git is None else f"{git['commit']}{', changed' * git['changed']}"
-    return (
-        f"python {environment['python']}, vprbench {environment['vprbench']}, {libraries}. Source: {source}. "
-        f"{environment['time_utc']}."
     )
 
 

@@ -98,6 +98,17 @@ def device_class(device: str) -> str:
     return f"{kind} {processor() if kind == 'cpu' else _find_accelerator(device)}"
 
 
+def format_software(environment: Mapping[str, Any]) -> str:
+    """Return libraries, source and time in one line."""
+    git = environment["git"]
+    libraries = ", ".join(f"{name} {version or 'missing'}" for name, version in environment["libraries"].items())
+    source = "no checkout" if git is None else f"{git['commit']}{', changed' * git['changed']}"
+    return (
+        f"python {environment['python']}, vprbench {environment['vprbench']}, {libraries}. Source: {source}. "
+        f"{environment['time_utc']}."
+    )
+
+
 def read_cpu_wait_seconds() -> float | None:
     """Return the seconds since the system started in which some process waited for a core; None if not known.
 
