@@ -47,7 +47,7 @@ def test_a_run_is_made_again_where_it_was_timed_by_less_than_asked_for_and_not_w
 def test_a_protocol_that_measures_less_falls_short_by_name_and_the_named_ones_answer_one_another_in_their_order():
     for name, value in {
         **{"minimum_seconds": 0.5, "minimum_queries": 63, "sample": 255},
-        **{"batch_sizes": [1, 32, 128], "total_seconds": 100.0, "rates": False},
+        **{"batch_sizes": [1, 32, 128], "maximum_seconds": 100.0, "rates": False},
     }.items():
         less = replace(Protocol(), **{name: value})
         assert (less.shortfalls(Protocol()), Protocol().shortfalls(less)) == ([name], [])

@@ -79,8 +79,7 @@ def note_measurements(run: Run) -> Iterator[Note]:
 
 
 def _note_rates(run: Run, timing: Timing) -> Iterator[Note]:
-    limit = "maximum" if run.timed_by.total_seconds is None else "total"
-    unmet = f"a minimum of the timing protocol was not met within timing.{limit}_seconds"
+    unmet = "a minimum of the timing protocol was not met within timing.maximum_seconds"
     if not timing.streaming.valid:
         yield Note("invalid", f"invalid rates: {unmet}")
     elif not all(laps.valid for laps in timing.offline):
