@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vprbench.api.arrays import Image
-from vprbench.api.decoding import Decoding, as_rgb, read_image
+from vprbench.api.decoding import Decoding, as_rgb, decoded_bytes, read_image
 from vprbench.api.heads import UPRIGHT, head_of
 from vprbench.errors import BadInput
 from vprbench.storage.cores import core_count
@@ -153,26 +153,28 @@ class Images(Sequence[Image]):
         # Frames that are computed keep the interpreter busy: several threads would only wait for one another.
         n_readers = 1 if self._files is None else _READERS
         starts = iter(range(0, len(self), CHUNK))
-        largest = _AHEAD_BYTES // (2 * CHUNK * n_readers)  # bytes of an image, a guess until one is read
+        n_chunks, largest = 2 * n_readers, 1  # under way, and bytes of the largest image so far
         with ThreadPoolExecutor(n_readers) as readers:
             ahead: deque[Future[list[Image]]] = deque()
             try:
                 while True:
-                    n_chunks = max(1, min(_AHEAD, _AHEAD_BYTES // largest) // CHUNK)
                     more = islice(starts, max(0, n_chunks - len(ahead)))
                     ahead.extend(readers.submit(self._read_chunk, at) for at in more)
                     if not ahead:
                         return
                     with self.reading.waiting():
                         images = ahead.popleft().result()
-                    largest = max(1, *(image.nbytes for image in images))
+                    largest = max(largest, *(image.nbytes for image in images))
+                    n_chunks = max(1, min(2 * n_chunks, _AHEAD // CHUNK, _AHEAD_BYTES // (CHUNK * largest)))
                     yield from images
                     del images  # or they would be held while the next ones are read
             finally:
                 readers.shutdown(cancel_futures=True)
 
     def decoded_bytes(self) -> int:
-        """Return the bytes of all images once they are decoded, by the first."""
+        """Return the bytes of all images once they are decoded: of files by their heads, of others by the first."""
+        if self._files is not None:
+            return sum(map(decoded_bytes, self._files))
         return len(self) * self[0].nbytes if len(self) else 0
 
     def blocks(self, size: int, n_bytes: int = _BLOCK_BYTES) -> Iterator[Images]:

@@ -184,7 +184,7 @@ def fetch(options: list[str]) -> int:
     """
     from vprbench.config import make_request
     from vprbench.data.doctor import quick
-    from vprbench.data.fetch.command import fetch_command
+    from vprbench.data.fetch import fetch_command
     from vprbench.plugins.registry import make_dataset
 
     levels = list[str]()
@@ -286,7 +286,7 @@ COMMANDS: dict[str, Command] = {
     "new": Command(new, "vprbench.plugins.new:Settings", words="method|dataset NAME"),
     "doctor": Command(doctor, takes=("dataset", "output")),
     "status": Command(show_status, "vprbench.runs.status:StatusOptions"),
-    "fetch": Command(fetch, "vprbench.data.fetch.command:Settings", words="[NAME]"),
+    "fetch": Command(fetch, "vprbench.data.fetch:Settings", words="[NAME]"),
     "table": Command(table, "vprbench.report.run_options:TableRequest", ("timing", ALL)),
     "figures": Command(figures, _FOLDER),
     "report": Command(report, _FOLDER),

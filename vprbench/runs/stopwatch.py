@@ -239,10 +239,8 @@ def percentile_bound(seconds: Seconds, share: float, confidence: float = 0.99) -
     At most h laps may lie above it, h the largest number with P(Binomial(n, 1 - share) <= h) <= 1 - confidence; at
     least one has to, so that a p90 needs 64 laps and a p99 662. Source: MLPerf LoadGen, sample counts.
     """
-    from scipy.stats import binom  # slow to import, and not needed to complain about an option
+    from scipy.special import bdtr  # slow to import, and not needed to complain about an option
 
-    laps_above = binom(len(seconds), 1 - share)
-    allowed = int(laps_above.ppf(1 - confidence)) if len(seconds) else 0
-    if laps_above.cdf(allowed) > 1 - confidence:
-        allowed -= 1
+    n = len(seconds)
+    allowed = int(np.searchsorted(bdtr(np.arange(n), n, 1 - share), 1 - confidence, "right")) - 1
     return float(np.sort(seconds)[-1 - allowed]) if allowed >= 1 else None
