@@ -38,7 +38,7 @@ _LOOK_EVERY = 0.1  # seconds
 _PATIENCE = 20.0  # seconds that an interrupted process has to end
 _CRASH_SITE = re.compile(r'\s*File "[^"]*", line \d+ in ')  # of faulthandler; a traceback has a comma before "in"
 _PRELOADED = ["torch", "numba", "hydra.utils", "vprbench.jobs.child", "vprbench.runs.get_or_run"]
-_PRELOADED += ["vprbench.methods.parts.filters.patches_compiled"]
+_PRELOADED += ["vprbench.methods.parts.filters.patches"]
 
 _starting = Lock()  # multiprocessing starts and ends processes in one thread at a time
 
