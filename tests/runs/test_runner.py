@@ -296,7 +296,7 @@ def test_times_of_fit_computing_first_query_method_and_harness_are_told_apart(cl
 
 def test_timing_takes_its_order_from_the_seed_of_the_run_and_every_stage_is_reported_to_its_end():
     told, orders = [], []
-    with progress.listening(lambda stage, done: told.append((stage, done))):
+    with progress.send_reports_to(lambda stage, done: told.append((stage, done))):
         run_of(Lookup(table(300, 4)), journey(300, 4))
     assert list(dict.fromkeys(stage for stage, _ in told)) == ["fit", "query", "timing"]
     assert [done for stage, done in told if stage == "query"] == pytest.approx([128 / 300, 256 / 300, 1])
@@ -353,7 +353,7 @@ def test_a_run_is_noisy_if_processes_waited_for_a_core_or_a_fixed_computation_dr
         "read_cpu_wait_seconds",
         lambda: None if waited is None else waited * next(pressures),
     )
-    monkeypatch.setattr(surroundings, "canary_seconds", lambda: next(canaries))
+    monkeypatch.setattr(surroundings, "time_canary", lambda: next(canaries))
     assert ("noisy" in kinds(run_of(Lookup(table(12, 4)), journey(12, 4)))) is noisy
 
 
@@ -367,7 +367,7 @@ def test_a_run_beside_others_says_so_of_its_fit_and_waits_to_be_timed_alone(tmp_
 
         for alone in (True, False):
             fcntl.flock(of_another_run, fcntl.LOCK_UN if alone else fcntl.LOCK_SH)
-            with progress.listening(end_the_other):
+            with progress.send_reports_to(end_the_other):
                 run = run_of(Lookup(table(12, 4)), journey(12, 4))
             numbers = frame.list_numbers(run)
             assert (numbers["fitted_alone"], numbers["timed_alone"]) == (alone, True)

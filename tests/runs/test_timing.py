@@ -13,7 +13,7 @@ from little import Lookup, a_run, journey
 from little_runs import QUICK, asked_for, kinds, table
 
 from vprbench.config import make_request
-from vprbench.plugins.entries import entries
+from vprbench.plugins.entries import find_entries
 from vprbench.runs import machine
 from vprbench.runs.get_or_run import get_or_run
 from vprbench.runs.machine import Machine
@@ -51,7 +51,7 @@ def test_a_protocol_that_measures_less_falls_short_by_name_and_the_named_ones_an
     assert not QUICK.shortfalls(QUICK)
     assert not QUICK.shortfalls(UNTIMED)
     order = ["none", "quick", "standard", "publish"]
-    assert [*entries("timing")] == sorted(order)
+    assert [*find_entries("timing")] == sorted(order)
     named = {name: make_request([f"timing={name}"]).timing for name in order}
     for number, name in enumerate(order):
         assert [bool(named[name].shortfalls(named[other])) for other in order] == [i > number for i in range(4)]
@@ -87,10 +87,10 @@ def test_the_machine_is_described_in_values_that_json_can_hold_and_its_canary_no
     described = machine.describe_machine("cpu", 1)
     assert json.loads(json.dumps(described, allow_nan=False)) == described
     assert all(described[name] for name in ("processor", "python", "threads", "cores", "memory_bytes", "load_average"))
-    assert machine.canary_seconds() > 0
+    assert machine.time_canary() > 0
     laps = (1.0 if lap % 5 == 0 else 0.008 for lap in itertools.count())  # seconds
     moments = itertools.accumulate(round(lap * 1e9) for lap in laps)
-    assert machine.canary_seconds(lambda: next(moments)) == 0.008
+    assert machine.time_canary(lambda: next(moments)) == 0.008
 
 
 @pytest.mark.extended
