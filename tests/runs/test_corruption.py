@@ -16,7 +16,7 @@ from vprbench.runs.corruption import (
     parse_corruption,
     parse_corruptions,
 )
-from vprbench.runs.identity import fingerprint
+from vprbench.runs.identity import compute_fingerprint
 
 FRAMES = [f"frame {i}" for i in range(12)]
 RANDOM = np.random.default_rng(0).integers(0, 256, (40, 60, 3), np.uint8)
@@ -121,11 +121,11 @@ def test_the_protocol_says_what_was_done_to_queries_and_nothing_else_is_touched(
     assert spoilt.references is clean.references
     assert (spoilt.positives, spoilt.queries.names) == (clean.positives, clean.queries.names)
     marks = {
-        fingerprint(each)
+        compute_fingerprint(each)
         for each in (clean, spoilt, corrupt_queries(clean, "shift-1"), corrupt_queries(clean, "shift-2-1"))
     }
     assert len(marks) == 4
-    assert fingerprint(corrupt_queries(journey(6, 4), "shift-2")) == fingerprint(spoilt)
+    assert compute_fingerprint(corrupt_queries(journey(6, 4), "shift-2")) == compute_fingerprint(spoilt)
 
 
 def test_hashes_of_changed_images_see_the_images_and_the_change():

@@ -126,7 +126,7 @@ def test_other_code_and_another_device_encode_anew_and_where_a_file_of_weights_l
         return encoded_for_answers(method)
 
     assert [encoded("here"), encoded("there")] == [ALL, 0]
-    for module, name in ((descriptors, "hash_class"), (descriptors.machine, "device_class")):
+    for module, name in ((descriptors, "hash_class"), (descriptors.machine, "classify_device")):
         with monkeypatch.context() as patch:
             patch.setattr(module, name, lambda _: "another")
             assert encoded("here") == ALL

@@ -91,7 +91,7 @@ def test_a_method_is_calibrated_once_between_fit_and_first_query_on_images_witho
         part: Images.from_arrays(list(images), [f"place-{i}" for i in range(len(images))])
         for part, images in (("references", held_out().references), ("queries", held_out().queries))
     }
-    with progress.listening(lambda stage, _: stages.append(stage)):
+    with progress.send_reports_to(lambda stage, _: stages.append(stage)):
         run = run_of(method, with_held_out(**named))
     assert list(dict.fromkeys(stages)) == ["fit", "fit, reading images", "calibrate", "query", "timing"]
     assert method.calls[:3] == ["fit", "calibrate", "encode"]

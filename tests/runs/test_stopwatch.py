@@ -17,7 +17,14 @@ from vprbench.api.method import Method
 from vprbench.config import make_request
 from vprbench.errors import BadInput
 from vprbench.runs import stopwatch
-from vprbench.runs.stopwatch import Protocol, Stopwatch, best_batch, offline_rate, percentile_bound, streaming_rate
+from vprbench.runs.stopwatch import (
+    Protocol,
+    Stopwatch,
+    compute_offline_rate,
+    compute_streaming_rate,
+    estimate_percentile_bound,
+    find_fastest_batch,
+)
 
 MS = 1_000_000  # nanoseconds
 
@@ -81,11 +88,11 @@ def sizes(timing):
 
 
 def test_a_streaming_rate_is_of_the_median_an_offline_rate_of_the_sum_and_the_best_batch_of_the_highest_rate():
-    assert streaming_rate(np.array([0.001, 0.002, 0.010])) == 500
-    assert offline_rate(np.array([0.1, 0.3]), 8) == pytest.approx(40)
+    assert compute_streaming_rate(np.array([0.001, 0.002, 0.010])) == 500
+    assert compute_offline_rate(np.array([0.1, 0.3]), 8) == pytest.approx(40)
     costs = {1: 10, 2: 12, 4: 40}  # ms: 100, 167 and 100 images per second
     timing, _ = measured(short(batch_sizes=[1, 2, 4]), lambda numbers: costs[len(numbers)] * MS, lambda _: 0, images=8)
-    assert best_batch(timing.offline).images_per_call == 2
+    assert find_fastest_batch(timing.offline).images_per_call == 2
 
 
 def test_batches_are_whole_and_hold_no_more_than_the_sample_nor_than_a_gibibyte():
@@ -237,7 +244,7 @@ def test_the_bound_of_a_percentile_is_the_lap_with_h_above_it():
     }.items():
         for count, above in counts.items():
             seconds = np.random.default_rng(0).permutation(count).astype(np.float64) + 1  # 1 to count
-            assert percentile_bound(seconds, share) == (None if above is None else count - above)
+            assert estimate_percentile_bound(seconds, share) == (None if above is None else count - above)
 
 
 def test_a_protocol_that_measures_nothing_is_refused_by_name():
@@ -261,7 +268,7 @@ def test_all_rates_of_a_quick_look_take_few_seconds(image_ms, call_ms):
     method = timed_by(clock, lambda images: (call_ms + image_ms * len(images)) * MS, lambda _: 0)
     timing = Stopwatch(QUICK, clock).measure(method, pictures(range(64)))
     assert 0.1 < clock.seconds() <= 6
-    assert streaming_rate(timing.streaming.total_seconds) == pytest.approx(1e3 / (image_ms + call_ms))
+    assert compute_streaming_rate(timing.streaming.total_seconds) == pytest.approx(1e3 / (image_ms + call_ms))
     assert timing.offline[0].images_per_call == 1
 
 

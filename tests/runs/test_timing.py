@@ -16,7 +16,7 @@ from stopped_clock import Clock
 
 from vprbench import progress
 from vprbench.config import make_request
-from vprbench.plugins.entries import entries
+from vprbench.plugins.entries import find_entries
 from vprbench.runs import frame, machine, rows, timing_lock
 from vprbench.runs.get_or_run import get_or_run
 from vprbench.runs.machine import Machine
@@ -54,7 +54,7 @@ def test_a_protocol_that_measures_less_falls_short_by_name_and_the_named_ones_an
     assert not QUICK.shortfalls(QUICK)
     assert not QUICK.shortfalls(UNTIMED)
     order = ["none", "quick", "standard", "publish"]
-    assert [*entries("timing")] == sorted(order)
+    assert [*find_entries("timing")] == sorted(order)
     named = {name: make_request([f"timing={name}"]).timing for name in order}
     for number, name in enumerate(order):
         assert [bool(named[name].shortfalls(named[other])) for other in order] == [i > number for i in range(4)]
@@ -90,10 +90,10 @@ def test_the_machine_is_described_in_values_that_json_can_hold_and_its_canary_no
     described = machine.describe_machine("cpu", 1)
     assert json.loads(json.dumps(described, allow_nan=False)) == described
     assert all(described[name] for name in ("processor", "python", "threads", "cores", "memory_bytes", "load_average"))
-    assert machine.canary_seconds() > 0
+    assert machine.time_canary() > 0
     laps = (1.0 if lap % 5 == 0 else 0.008 for lap in itertools.count())  # seconds
     moments = itertools.accumulate(round(lap * 1e9) for lap in laps)
-    assert machine.canary_seconds(lambda: next(moments)) == 0.008
+    assert machine.time_canary(lambda: next(moments)) == 0.008
 
 
 @dataclass
@@ -142,7 +142,7 @@ def test_times_of_fit_computing_first_query_method_and_harness_are_told_apart(cl
 
 def test_timing_takes_its_order_from_the_seed_of_the_run_and_every_stage_is_reported_to_its_end():
     told, orders = [], []
-    with progress.listening(lambda stage, done: told.append((stage, done))):
+    with progress.send_reports_to(lambda stage, done: told.append((stage, done))):
         run_of(Lookup(table(300, 4)), journey(300, 4))
     assert list(dict.fromkeys(stage for stage, _ in told)) == ["fit", "query", "timing"]
     assert [done for stage, done in told if stage == "query"] == pytest.approx([128 / 300, 256 / 300, 1])
@@ -195,7 +195,7 @@ def test_a_run_is_noisy_if_processes_waited_for_a_core_or_a_fixed_computation_dr
         "read_cpu_wait_seconds",
         lambda: None if waited is None else waited * next(pressures),
     )
-    monkeypatch.setattr(surroundings, "canary_seconds", lambda: next(canaries))
+    monkeypatch.setattr(surroundings, "time_canary", lambda: next(canaries))
     assert ("noisy" in kinds(run_of(Lookup(table(12, 4)), journey(12, 4)))) is noisy
 
 
@@ -209,7 +209,7 @@ def test_a_run_beside_others_says_so_of_its_fit_and_waits_to_be_timed_alone(tmp_
 
         for alone in (True, False):
             fcntl.flock(of_another_run, fcntl.LOCK_UN if alone else fcntl.LOCK_SH)
-            with progress.listening(end_the_other):
+            with progress.send_reports_to(end_the_other):
                 run = run_of(Lookup(table(12, 4)), journey(12, 4))
             numbers = frame.list_numbers(run)
             assert (numbers["fitted_alone"], numbers["timed_alone"]) == (alone, True)

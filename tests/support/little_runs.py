@@ -71,7 +71,7 @@ def quiet_surroundings():
     with pytest.MonkeyPatch.context() as patch:
         stand_in = SimpleNamespace(**{**vars(machine), **quick})
         patch.setattr(watch, "machine", stand_in)
-        patch.setattr(run, "code_hash", lambda method: method.__qualname__)  # a class here has many files behind it
+        patch.setattr(run, "hash_code", lambda method: method.__qualname__)  # a class here has many files behind it
         for module in (sources, descriptors):
             patch.setattr(module, "hash_class", hash_class)
         gc.freeze()  # a measurement collects garbage first, which takes long among all that a test session imports

@@ -31,7 +31,7 @@ from vprbench.runs.timing_lock import share_host
 from vprbench.storage.atomic import replace_text
 from vprbench.storage.folders import checkout_folder
 from vprbench.terminal.streams import log_to_stderr, results_only_on_stdout
-from vprbench.text import printable
+from vprbench.text import escape_unprintable
 
 _RESULT, _STDERR = "result.json", "stderr"  # files of a child's folder
 _LOOK_EVERY = 0.1  # seconds
@@ -86,7 +86,7 @@ def run_in_child(
         else:
             death = _describe_death(code, lines, request.limit_minutes)
             result = JobResult(1, describe_failure(request, death))
-            note(printable(f"vprbench: {request.method_name} {death}"))
+            note(escape_unprintable(f"vprbench: {request.method_name} {death}"))
     return replace(result, lines=[] if is_shown else lines)
 
 
@@ -188,7 +188,7 @@ def _note_lines(written: IO[bytes], note: Callable[[str], None], ended: bool = F
 def print_child_line(line: str) -> None:
     """Print a line of a process on standard error, if anybody reads it."""
     with contextlib.suppress(OSError, ValueError):
-        print(printable(line, but="\t"), file=sys.stderr, flush=True)
+        print(escape_unprintable(line, but="\t"), file=sys.stderr, flush=True)
 
 
 def _end_with_parent() -> None:

@@ -16,7 +16,7 @@ from vprbench.plugins.registry import locate_error
 from vprbench.runs.record import Failure
 from vprbench.runs.request import RunRequest
 from vprbench.terminal.streams import complain
-from vprbench.text import printable
+from vprbench.text import escape_unprintable
 
 if TYPE_CHECKING:
     from vprbench.runs.timing_lock import TimingLock
@@ -59,7 +59,7 @@ def make_run(request: RunRequest, say: Callable[[str], None], lock: TimingLock |
         code, words, trace, is_missing = 2, format_error(error), "", isinstance(error, MissingData)
         complain(words)
     except BaseException as error:  # whatever a plug-in raises
-        trace = hide_home(printable(traceback.format_exc(), but="\n"))
+        trace = hide_home(escape_unprintable(traceback.format_exc(), but="\n"))
         code, words, is_missing = 1, hide_home(format_error(error).splitlines()[0]), False
         if request.debug:
             print(textwrap.indent(trace, "  "), file=sys.stderr)

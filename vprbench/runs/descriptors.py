@@ -16,7 +16,7 @@ from vprbench.api.images import Images
 from vprbench.api.method import Method
 from vprbench.api.weights import Weights
 from vprbench.runs import machine
-from vprbench.runs.run_files import content_key
+from vprbench.runs.run_files import hash_content
 from vprbench.runs.sources import hash_class
 from vprbench.storage.row_files import keep_rows
 
@@ -42,8 +42,8 @@ class DescriptorCache:
             "arguments": {name: value for name, value in config["method"].items() if name not in apart},
             "code": hash_class(type(method)),
             "files": [sha256 for _, sha256 in config.get("files", [])],
-            "device": machine.device_class(config["device"]),
-            "libraries": machine.library_versions(),
+            "device": machine.classify_device(config["device"]),
+            "libraries": machine.list_library_versions(),
         }
         return cls(folder, origin)
 
@@ -55,6 +55,6 @@ class DescriptorCache:
         `encode` describes a block of images; `done` is called with the number of images described so far. A killed run
         is continued but for up to 1024 images. Raises BadInput if the disk refuses the descriptors.
         """
-        key = content_key({**self.origin, "images": images.content_hash()})
+        key = hash_content({**self.origin, "images": images.content_hash()})
         path = self.folder / f"{key}.npy"
         return keep_rows(path, len(images), lambda first: encode_stretches(images, encode, done, first), "descriptors")

@@ -19,7 +19,7 @@ from vprbench.runs.experiment import Experiment
 from vprbench.runs.record import Run
 from vprbench.runs.stopwatch import make_synchroniser
 from vprbench.runs.timing_lock import TimingLock
-from vprbench.terminal.console import table_text
+from vprbench.terminal.console import format_table
 
 Counters = list[tuple[int, int]]  # microjoules since an arbitrary moment, and at how many each begins anew
 Cost = tuple[float | None, str]  # the value, None: not known, and its source, or why it is not known
@@ -124,7 +124,7 @@ def format_costs(run: Run, wide: bool = False) -> str:
     found = run.energy or {"values": {}, "how": {}}
     shown = {name: "n/a" if cost is None else METRICS[name].text(cost) for name, cost in found["values"].items()}
     rows = [[METRICS[name].head, shown[name], found["how"][name]] for name in shown]
-    return table_text(("cost", "", "how"), rows, wide)
+    return format_table(("cost", "", "how"), rows, wide)
 
 
 def _count_operations(method: Method, singles: Sequence[Images], synops: tuple[float, float] | None) -> list[Cost]:

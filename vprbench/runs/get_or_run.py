@@ -10,7 +10,7 @@ from pathlib import Path
 from vprbench.api.dataset import Dataset
 from vprbench.errors import BadInput
 from vprbench.plugins import networks
-from vprbench.progress import progress_shown
+from vprbench.progress import show_progress
 from vprbench.runs import energy, stream, thumbnails
 from vprbench.runs.experiment import Experiment
 from vprbench.runs.query_results import judge_answers, order_by_interest
@@ -121,7 +121,7 @@ def _make_run(experiment: Experiment, key: str, store: Store, held: TimingLock |
             with suppress(BadInput):  # which is raised when it is stored with its times
                 store.save(scored)
 
-    with progress_shown(f"{request.method_name} on {experiment.dataset.name}"), share_host(held) as lock:
+    with show_progress(f"{request.method_name} on {experiment.dataset.name}"), share_host(held) as lock:
         run = execute(experiment, key, lock, keep)
         if stored is not None:
             run = replace(run, stream=stored.stream, energy=stored.energy)
@@ -139,7 +139,7 @@ def _make_run(experiment: Experiment, key: str, store: Store, held: TimingLock |
 def _keep_frames(store: Store, run: Run, dataset: Dataset) -> None:
     """Keep small pictures of the frames that the report shows of a run; without them the run is stored all the same."""
     try:
-        with progress_shown(dataset.name):
+        with show_progress(dataset.name):
             thumbnails.save_thumbnails(store.root, run.fingerprint, dataset, order_by_interest(judge_answers(run)))
     except (OSError, BadInput) as error:
         reason = getattr(error, "strerror", None) or error

@@ -12,7 +12,7 @@ from vprbench.runs.answers import QueryScoring, describe_search
 from vprbench.runs.descriptors import DescriptorCache
 from vprbench.runs.experiment import Experiment
 from vprbench.runs.fitting import fit_or_load
-from vprbench.runs.identity import code_hash
+from vprbench.runs.identity import hash_code
 from vprbench.runs.notes import make_notes, note_measurements, note_scorer
 from vprbench.runs.record import Run
 from vprbench.runs.scorers import choose_scorer
@@ -58,7 +58,7 @@ def execute(experiment: Experiment, key: str, lock: TimingLock, keep: Callable[[
         method=request.method_name,
         dataset=dataset.name,
         key=key,
-        config={**experiment.config, "code": code_hash(type(method)), "timing": None},
+        config={**experiment.config, "code": hash_code(type(method)), "timing": None},
         protocol=dataset.protocol,
         fingerprint=experiment.fingerprint,
         notes=(

@@ -17,7 +17,7 @@ from vprbench import progress
 from vprbench.api.images import Images
 from vprbench.api.method import batch_size_for, require_codes
 from vprbench.metrics.bounds import INTEGERS, NUMBERS, Array, Count, Flag, Number, Positive
-from vprbench.runs.scorers import Answer, QueryScorer, best_place
+from vprbench.runs.scorers import Answer, QueryScorer, find_best_place
 from vprbench.runs.timing_protocol import Protocol as Protocol  # callers ask the stopwatch
 
 Clock = Callable[[], int]  # nanoseconds, monotonic
@@ -182,7 +182,7 @@ class Stopwatch:
             for number in self._generator.permutation(len(calls)).tolist():
                 encode, match, answer = self._call(scorer, calls[number])
                 laps.append((encode, match))
-                answers[number] = best_place(answer)
+                answers[number] = find_best_place(answer)
                 now = self._now()
                 if is_late := now - started > protocol.maximum_seconds:
                     break
@@ -218,22 +218,22 @@ def _pause_garbage_collection() -> Iterator[None]:
             gc.enable()
 
 
-def streaming_rate(seconds: Seconds) -> float:
+def compute_streaming_rate(seconds: Seconds) -> float:
     """Return 1 / median of single-query times."""
     return 1 / float(np.median(seconds))
 
 
-def offline_rate(seconds: Seconds, images_per_call: int) -> float:
+def compute_offline_rate(seconds: Seconds, images_per_call: int) -> float:
     """Return images per second over all calls."""
     return images_per_call * len(seconds) / float(seconds.sum())
 
 
-def best_batch(offline: Sequence[Laps]) -> Laps:
+def find_fastest_batch(offline: Sequence[Laps]) -> Laps:
     """Return the laps of the batch size with the highest total rate."""
-    return max(offline, key=lambda laps: offline_rate(laps.total_seconds, laps.images_per_call))
+    return max(offline, key=lambda laps: compute_offline_rate(laps.total_seconds, laps.images_per_call))
 
 
-def percentile_bound(seconds: Seconds, share: float, confidence: float = 0.99) -> float | None:
+def estimate_percentile_bound(seconds: Seconds, share: float, confidence: float = 0.99) -> float | None:
     """Return the upper bound of a percentile at `confidence`, from order statistics; None if there are too few laps.
 
     At most h laps may lie above it, h the largest number with P(Binomial(n, 1 - share) <= h) <= 1 - confidence; at

@@ -24,7 +24,7 @@ class MachineWatch:
 
     def _begin(self) -> None:
         """Look at the load from now on."""
-        self._canary_seconds = machine.canary_seconds()
+        self._canary_seconds = machine.time_canary()
         self._began, self._pressure = time.perf_counter(), machine.read_cpu_wait_seconds()
 
     def end_fit(self) -> None:
@@ -48,7 +48,7 @@ class MachineWatch:
             seconds = max(time.perf_counter() - self._began, 1e-9)
             waited = 100 * (now - self._pressure) / seconds
         after = {
-            "canary_slowdown": machine.canary_seconds() / self._canary_seconds,
+            "canary_slowdown": machine.time_canary() / self._canary_seconds,
             "cpu_waited_percent": waited,
         }
-        return {"environment": {**self._environment, **after}, "peak_memory_bytes": machine.peak_memory_bytes()}
+        return {"environment": {**self._environment, **after}, "peak_memory_bytes": machine.measure_peak_memory()}
