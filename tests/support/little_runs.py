@@ -65,7 +65,7 @@ def quiet_surroundings():
     """Leave out of runs what is tested on its own and takes long; yields the surroundings that they see instead."""
     quick = {
         "describe_machine": lambda device, threads: {"processor": "Abacus 9", "time_utc": "2025-01-31T12:00:00Z"},
-        "canary_seconds": lambda: 1.0,
+        "time_canary": lambda: 1.0,
         "read_cpu_wait_seconds": lambda: None,
     }
     with pytest.MonkeyPatch.context() as patch:
