@@ -21,7 +21,7 @@ Arrays = Mapping[str, npt.NDArray[Any]]
 
 logger = logging.getLogger(__name__)
 
-SCHEMA = 12
+SCHEMA = 13
 SUMMARY, FAILURE = "run.json", "failure.json"
 _RUN, _FAILURE = TypeAdapter(Run), TypeAdapter(Failure)
 
