@@ -14,7 +14,7 @@ import vprbench
 from vprbench.api import Images, Paths
 from vprbench.api.decoding import Decoding, read_image
 from vprbench.datasets.readers.positions import Positions, by_positions
-from vprbench.runs.identity import fingerprint
+from vprbench.runs.identity import compute_fingerprint
 
 
 def photograph(number, height, width):
@@ -78,7 +78,7 @@ def test_names_positions_and_hashes(full, measure, size, tmp_path, monkeypatch):
             os.link(shots[number % len(shots)], folder / f"{place}@@@{number:08}@@0@@@@@@.png")
     monkeypatch.setenv("VPRBENCH_HASHES", str(tmp_path / "hashes"))
     dataset = vprbench.dataset("utm_folders", root=str(tmp_path))
-    measure(f"{n:,} files with positions in their names, hashes known", lambda: fingerprint(dataset.build()), n)
+    measure(f"{n:,} files with positions in their names, hashes known", lambda: compute_fingerprint(dataset.build()), n)
 
 
 def test_positions(measure, size):

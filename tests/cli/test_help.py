@@ -106,7 +106,7 @@ def test_help_has_each_option_with_its_default_and_meaning_of_the_yaml_that_it_b
     assert lines["method.max_module"] == ["method.max_module", "1000", "places a module, at most"]
     assert lines["timing.sample"][1] == "64"
     assert lines["dataset.radius_metres"] == ["dataset.radius_metres", "25.0", "for utm"]
-    entries = registry.entries("method")["vprtempo_tuned"], registry.entries("dataset")["folders"]
+    entries = registry.find_entries("method")["vprtempo_tuned"], registry.find_entries("dataset")["folders"]
     wanted = {f"{entry.group}.{name}" for entry in entries for name in entry.options}
     assert wanted - {"method.seed", "method.device"} <= lines.keys()
 

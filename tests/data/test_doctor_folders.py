@@ -14,7 +14,7 @@ from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
 from vprbench.data.doctor import as_text, check_dataset, command, examine, look_at_some, quick
 from vprbench.errors import BadInput, MissingData
-from vprbench.progress import listening
+from vprbench.progress import send_reports_to
 
 PAGE = b"<!DOCTYPE html><html><body>Sign in to download</body></html>"
 DOCUMENT = (ROOT / "docs" / "doctor.md").read_text(encoding="utf-8")
@@ -176,7 +176,7 @@ def test_two_traverses_of_the_same_frames_are_an_error_and_the_cheap_checks_deco
     assert quick(Dataset("blind", blind, places, blind, positives, protocol, folders=dataset.folders)) == ()
     winter, summer = tmp_path / "winter", tmp_path / "summer"
     fall, heard = save(tmp_path / "fall", season(0)), {}
-    with listening(lambda stage, done: heard.__setitem__(stage, done)):
+    with send_reports_to(lambda stage, done: heard.__setitem__(stage, done)):
         first, *_ = coded(examine(dataset_of([winter, fall], summer)), tmp_path)
     assert first.startswith("error shared frames: 60 60 000 000 001 001")
     assert heard == {"looking at winter": 1.0, "looking at fall": 1.0, "looking at summer": 1.0}

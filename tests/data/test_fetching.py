@@ -253,7 +253,7 @@ def test_an_entry_says_what_a_person_has_to_know_and_its_parts_are_apart(entry):
     assert entry.description
     assert entry.licence
     assert entry.source.startswith("https://")
-    assert set(entry.datasets) <= set(registry.entries("dataset"))
+    assert set(entry.datasets) <= set(registry.find_entries("dataset"))
     parts = entry.parts.values()
     for part in parts:
         assert part.urls

@@ -350,7 +350,7 @@ def test_what_is_missing_does_not_fit_or_is_damaged_is_refused(source, files, op
 
 
 def configured(name, **changes):
-    config = yaml.safe_load(registry.entries("dataset")[name].path.read_text(encoding="utf-8"))
+    config = yaml.safe_load(registry.find_entries("dataset")[name].path.read_text(encoding="utf-8"))
     return registry.make_dataset({**config, **changes})
 
 

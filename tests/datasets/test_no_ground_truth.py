@@ -142,6 +142,6 @@ def test_in_python_a_result_and_a_comparison_have_no_accuracy(drives):
 
 
 def test_a_dataset_without_ground_truth_keeps_every_rule(drives):
-    config = registry.entries("dataset")["folders"].values() | {"references": ["map"], "queries": "drive", **NONE}
+    config = registry.find_entries("dataset")["folders"].values() | {"references": ["map"], "queries": "drive", **NONE}
     states = {result.state for result in conformance.check_dataset(config)}
     assert states == {"kept"}

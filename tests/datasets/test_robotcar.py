@@ -23,7 +23,7 @@ from vprbench.datasets.oxford_robotcar.calibration import (
 from vprbench.datasets.oxford_robotcar.lists import find_ceiling, published_timestamps, vprsnn_timestamps
 from vprbench.errors import BadInput, MissingData
 from vprbench.plugins import registry
-from vprbench.runs.identity import fingerprint
+from vprbench.runs.identity import compute_fingerprint
 
 # The camera
 
@@ -132,7 +132,7 @@ def test_a_frame_is_processed_once_when_it_is_looked_at_and_anew_for_another_tab
     PillowImage.fromarray(noise(frames.SMALL)).save(frames.raw_folder(root, "dusk") / found.queries.names[0])
     x, y = frames.grid()
     frames.write_table(root / "models", x + 0.25, y)
-    assert fingerprint(dataset(root)) != fingerprint(found)
+    assert compute_fingerprint(dataset(root)) != compute_fingerprint(found)
     bent = dataset(root).queries[0]
     frames.write_table(root / "models", x + 1.25, y)
     np.testing.assert_array_equal(dataset(root).queries[0][:, :-2], bent[:, 1:-1])
@@ -307,7 +307,7 @@ def test_the_places_are_every_eighth_row_without_those_set_aside_and_lists_may_l
     root = one_frame_under(tmp_path / "robotcar", {name: stamps(name)[:3600:8] for name in frames.RECORDINGS})
     for traverse in frames.RECORDINGS:
         write_list(root / "lists", traverse, column("{row},{stamp}.png", traverse))
-    config = yaml.safe_load(registry.entries("dataset")["oxford_robotcar_vprsnn"].path.read_text("utf-8"))
+    config = yaml.safe_load(registry.find_entries("dataset")["oxford_robotcar_vprsnn"].path.read_text("utf-8"))
 
     def asked(**arguments):
         return registry.make_dataset({**config, "root": str(root), **arguments})

@@ -82,8 +82,8 @@ def install(monkeypatch):
     """Return what installs a folder of configurations beside the code that it names."""
 
     def add(code, conf):
-        folders = {**entries.conf_folders(), "other": conf}
-        monkeypatch.setattr("vprbench.plugins.entries.conf_folders", lambda: folders)
+        folders = {**entries.find_conf_folders(), "other": conf}
+        monkeypatch.setattr("vprbench.plugins.entries.find_conf_folders", lambda: folders)
         monkeypatch.syspath_prepend(code)
 
     return add
@@ -105,7 +105,7 @@ def test_parameters_are_options_with_their_defaults_and_seed_and_device_those_of
     wanted = {"bins": 3, "sizes": [1, 2], "names": ["a"], "seed": 8, "device": "cpu", "index": "exact"}
     assert {name: request.method[name] for name in wanted} == wanted
     assert tuple(request.dataset[name] for name in ("places", "seed", "root")) == ("???", 3, None)
-    entry = registry.entries("method")["Means"]
+    entry = registry.find_entries("method")["Means"]
     assert (entry.path.name, request.changed) == ("means.py", {"bins": 3})
 
 
@@ -182,7 +182,7 @@ def test_a_sweep_over_loose_files_stores_their_runs_by_name_and_another_process_
     asked = next(run for run in runs if run.method == "Means").config["overrides"]
     assert {"method=means.py:Means", "dataset=walk.py:walk"} <= {*asked}
     options = ["method=sad,Means", "dataset=Means", "seed=1"]
-    assert [*map(entries.with_plugin_paths, options)] == ["method=sad,means.py:Means", "dataset=Means", "seed=1"]
+    assert [*map(entries.spell_out_plugin_paths, options)] == ["method=sad,means.py:Means", "dataset=Means", "seed=1"]
 
 
 # What `new` writes keeps every rule at once, and nothing is overwritten.

@@ -84,7 +84,7 @@ def test_a_process_is_started_only_for_what_is_not_stored_as_it_would_be_made_no
 ):
     asked = children(JobResult(0))
     if other_code:
-        monkeypatch.setattr(experiment, "code_hash", lambda _: "other code")
+        monkeypatch.setattr(experiment, "hash_code", lambda _: "other code")
     assert make_missing_runs([cell], Store(made[0] / "results")) == [JobResult(0)]
     assert len(asked) == n_processes
 

@@ -12,6 +12,7 @@ from vprbench.jobs.job import make_run
 from vprbench.report import gather
 from vprbench.report.plan import read_plan
 from vprbench.runs.request import RunRequest
+from vprbench.runs.timing_lock import share_host
 
 PLAN = """
 seeds: [0, 1]
@@ -61,8 +62,8 @@ class Apart:
     def __call__(self, request_json, *_):
         self.asked.append(RunRequest.from_json(request_json))
         printed = []
-        with contextlib.redirect_stdout(io.StringIO()):
-            result = make_run(self.asked[-1], printed.append, wait=False)
+        with contextlib.redirect_stdout(io.StringIO()), share_host() as lock:
+            result = make_run(self.asked[-1], printed.append, lock)
         return replace(result, printed="\n".join(printed))
 
 

@@ -32,7 +32,6 @@ from .events import counted as counted
 from .events import event_frames as event_frames
 from .events import hot_pixels as hot_pixels
 from .frame_cache import cached_frames as cached_frames
-from .frame_cache import frames_kept as frames_kept
 from .hamming import pack_bits as pack_bits
 from .heads import open_image as open_image
 from .images import Images as Images

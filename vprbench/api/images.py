@@ -20,9 +20,9 @@ from vprbench.api.arrays import Image
 from vprbench.api.decoding import Decoding, as_rgb, decoded_bytes, read_image
 from vprbench.api.heads import UPRIGHT, head_of
 from vprbench.errors import BadInput
-from vprbench.storage.cores import core_count
-from vprbench.storage.hashes import FileHash, file_hashes
-from vprbench.storage.paths import Paths, chosen_names
+from vprbench.storage.cores import count_cores
+from vprbench.storage.hashes import FileHash, hash_each_file
+from vprbench.storage.paths import Paths, choose_names
 
 Codes = npt.NDArray[np.uint64]  # (n,), of images: alike for images of the same content
 
@@ -33,7 +33,7 @@ _BLOCK_BYTES = 1 << 28  # of decoded images that are held together, unless a sin
 _REPORT_EVERY = 50  # images
 _FINGERPRINT_SAMPLE = 16
 _NAMES_AT_ONCE = 10_000  # in a hash
-_READERS = min(64, core_count())
+_READERS = min(64, count_cores())
 
 
 class ReadingTime:
@@ -130,7 +130,7 @@ class Images(Sequence[Image]):
         files, stamp, content = self._files, self._stamp, self._content
         view = Images(
             lambda i: self._read(int(chosen[i])),
-            chosen_names(self.names, index),
+            choose_names(self.names, index),
             files=None if files is None else files[index],
             stamp=None if stamp is None else lambda i: stamp(int(chosen[i])),
             content=None if content is None else lambda i: content(int(chosen[i])),
@@ -236,7 +236,7 @@ class Images(Sequence[Image]):
 
     def file_hashes(self) -> list[FileHash] | None:
         """Return the size and SHA-256 of the file behind each image; None if there are no files."""
-        return None if self._files is None else file_hashes(self._files)
+        return None if self._files is None else hash_each_file(self._files)
 
     def content_codes(self, pixels: bool = False) -> Codes | None:
         """Return a number for each image, (n,), which images of the same content share; None if they are computed.

@@ -15,7 +15,7 @@ from vprbench.api.adaptation import adapt_traverse
 from vprbench.api.arrays import Places, Scores
 from vprbench.api.dataset import Dataset, HeldOut
 from vprbench.errors import BadInput
-from vprbench.text import plural
+from vprbench.text import format_count
 
 if TYPE_CHECKING:
     from vprbench.api.images import Images
@@ -186,8 +186,8 @@ def require_codes(codes: npt.NDArray[Any], n_images: int) -> npt.NDArray[Any]:
         came = f"a {type(codes).__name__}" if shape is None else f"an array of shape {tuple(shape)}"
         came = "nothing" if shape is None and codes is None else came
         raise BadInput(
-            f"encode returned {came} for {plural(n_images, 'image')}: return one array whose first axis is the image, "
-            "as np.stack makes of a list of vectors"
+            f"encode returned {came} for {format_count(n_images, 'image')}: return one array whose first axis is "
+            "the image, as np.stack makes of a list of vectors"
         )
     return codes
 

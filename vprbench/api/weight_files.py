@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vprbench.errors import BadInput
-from vprbench.text import some_of
+from vprbench.text import join_few
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -60,7 +60,9 @@ def state_dict(path: Path, *keys: str) -> dict[str, Tensor]:
     odd = [name for name, value in found.items() if not is_plain(value)] if isinstance(found, Mapping) else [key]
     if odd or not found:
         places = " or ".join([*dict.fromkeys([*keys, *_AROUND]), "its top"])
-        raise BadInput(f"{path} does not hold tensors alone under {places} (it holds {some_of(content)}): give another")
+        raise BadInput(
+            f"{path} does not hold tensors alone under {places} (it holds {join_few(content)}): give another"
+        )
     return {name: value.detach() for name, value in _without_wrappers(found).items()}
 
 

@@ -19,12 +19,12 @@ import yaml
 from vprbench.errors import BadInput, MissingData
 from vprbench.plugins import registry
 from vprbench.plugins.options import option, parse_options
-from vprbench.progress import progress_shown
+from vprbench.progress import show_progress
 from vprbench.storage import download
 from vprbench.storage.atomic import replace_text
 from vprbench.storage.folders import data_folder
 from vprbench.storage.unpack import UNFINISHED, DamagedArchive, Wanted, unpack
-from vprbench.text import format_bytes, plural, suggest_names
+from vprbench.text import format_bytes, format_count, suggest_names
 
 logger = logging.getLogger(__name__)
 
@@ -101,7 +101,7 @@ class Settings:
 def downloads() -> dict[str, Download]:
     """Return what can be fetched, by name; of several with one name this project's own comes first."""
     found: dict[str, Download] = {}
-    for folder in registry.conf_folders().values():
+    for folder in registry.find_conf_folders().values():
         for path in sorted((folder / "fetch").glob("*.yaml")):
             if path.stem not in found:
                 found[path.stem] = read_entry(path)
@@ -140,7 +140,7 @@ def fetch_command(arguments: Sequence[str], check: Check | None = None) -> int:
     entry = known.get(name) or next((entry for entry in known.values() if name in entry.datasets), None)
     if entry is not None:
         return fetch(entry, parse_options(Settings, options, {}), check)
-    if name in registry.entries("dataset"):
+    if name in registry.find_entries("dataset"):
         raise BadInput(f"fetch {name}: there is nothing to download, it is rendered or reads what you have")
     raise BadInput(f"fetch {name}: nothing of that name can be fetched; {suggest_names(name, known)}")
 
@@ -227,7 +227,7 @@ def _print_counts(part: Part, root: Path) -> None:
     for folder, held in part.holds.items():
         n_files = count_files(root / folder)
         but = "" if held.files in (None, n_files) else f", but {held.files} were expected"
-        print(f"  {root / folder}: {plural(n_files, 'file')}{but}")
+        print(f"  {root / folder}: {format_count(n_files, 'file')}{but}")
 
 
 @contextmanager
@@ -255,7 +255,7 @@ def _fetch_part(
     sources: list[str | None] = [*([None] if archive.exists() else []), *part.urls]
     for url in sources:
         try:
-            with progress_shown(f"fetch {name}"):
+            with show_progress(f"fetch {name}"):
                 if url is not None:
                     _download(part, archive, url, timeout_seconds)
                 got = _check_archive(part, archive)

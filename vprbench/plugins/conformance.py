@@ -9,8 +9,8 @@ from typing import Any, Literal
 
 from vprbench.errors import BadInput
 from vprbench.plugins.dataset_rules import DATASET_RULES, BuiltDataset
-from vprbench.plugins.entries import entries
-from vprbench.plugins.registry import arguments, check_arguments, describe_error, make_dataset, make_method
+from vprbench.plugins.entries import find_entries
+from vprbench.plugins.registry import check_arguments, describe_error, make_dataset, make_method, take_arguments
 from vprbench.plugins.rules import ENCODE_RULE, RULES, RuleBrokenError, Subject, require
 from vprbench.plugins.tuned_places import UNKNOWN, parse_places, parse_tuned_on
 from vprbench.text import suggest_names
@@ -46,7 +46,7 @@ def check_method(config: Mapping[str, Any], given: Set[str] = frozenset()) -> It
     method = make_method(config)
     method.files()
     own = {name: value for name, value in method.conformance_arguments.items() if name not in given}
-    config = {**arguments(config), **own}
+    config = {**take_arguments(config), **own}
     subject = Subject(partial(make_method, config), check_arguments("method", config)[1])
     exceptions = dict(method.conformance_exceptions)
     for name, rule in RULES.items():
@@ -73,7 +73,7 @@ def check_dataset(config: Mapping[str, Any]) -> Iterator[Result]:
 
 def _check_tuned_on(tuned_on: Any) -> None:
     declared = parse_tuned_on(tuned_on, "its yaml")
-    known = [str(entry.values().get("name", name)) for name, entry in entries("dataset").items()]
+    known = [str(entry.values().get("name", name)) for name, entry in find_entries("dataset").items()]
     for name, places in {**declared["also_in"], declared["dataset"]: declared["places"]}.items():
         require(name in known, f"dataset {name} is unknown: {suggest_names(name, known)}")
         numbered = parse_places(places) is not None or (places == UNKNOWN and name != declared["dataset"])

@@ -12,7 +12,7 @@ import numpy as np
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
 from vprbench.plugins.rules import RuleBrokenError, require
-from vprbench.text import some
+from vprbench.text import join_names
 
 _N_SAMPLES = 8  # images of each traverse that are decoded
 
@@ -50,7 +50,7 @@ def _check_positives(built: BuiltDataset) -> None:
         whole = isinstance(right, np.ndarray) and right.ndim == 1 and (right.dtype.kind in "iu" or not len(right))
         require(whole, f"right places of query {query}: {_format_type(right)} came, wanted an array of whole numbers")
         ascending = (np.diff(right) > 0).all()
-        require(ascending, f"right places of query {query}: {some(right)} came, wanted each once, ascending")
+        require(ascending, f"right places of query {query}: {join_names(right)} came, wanted each once, ascending")
 
 
 def _check_images(built: BuiltDataset) -> None:

@@ -16,16 +16,16 @@ from vprbench.api.dataset import Dataset, SharedFrames
 from vprbench.api.images import Images
 from vprbench.api.method import Method
 from vprbench.errors import BadInput
-from vprbench.plugins.entries import DECLARED, Entry, Group, conf_folders, entries
+from vprbench.plugins.entries import DECLARED, Entry, Group, find_conf_folders, find_entries
 from vprbench.plugins.options import check_value, check_values
 
-__all__ = ["check_value", "conf_folders", "entries"]  # of other modules, for callers of this one
+__all__ = ["check_value", "find_conf_folders", "find_entries"]  # of other modules, for callers of this one
 
 #: Parts of the names of source files that lie between the harness and a plug-in.
 _HARNESS_FILES = (str(Path(__file__).parents[1]), "importlib", "<frozen")
 
 
-def arguments(config: Mapping[str, Any]) -> dict[str, Any]:
+def take_arguments(config: Mapping[str, Any]) -> dict[str, Any]:
     """Return a configuration without the declarations of its yaml beside the arguments."""
     return {name: value for name, value in config.items() if name not in DECLARED}
 
@@ -68,7 +68,7 @@ def check_arguments(group: Group, config: Mapping[str, Any]) -> tuple[Callable[.
         known = {name: hints.get(name, Any) for name in inspect.signature(target).parameters}
     except Exception as error:  # hints are evaluated, and may raise anything
         raise BadInput(f"{config['_target_']}: its type hints cannot be read ({error}): import their names") from error
-    given = {name: value for name, value in arguments(config).items() if name != "_target_" and value != "???"}
+    given = {name: value for name, value in take_arguments(config).items() if name != "_target_" and value != "???"}
     return target, check_values(f"{group}.", given, known)
 
 
@@ -76,7 +76,7 @@ def list_data_files(method: Method, config: Mapping[str, Any]) -> list[Path]:
     """Return `files()` of a method, then the files that its arguments name; raises BadInput as `files()` does."""
     named = [*method.files()]
     known = {Path(path).expanduser().resolve() for path in named}
-    texts = map(os.path.expanduser, _list_texts(arguments(config)))
+    texts = map(os.path.expanduser, _list_texts(take_arguments(config)))
     others = {Path(text).resolve(): Path(text) for text in texts if os.path.isfile(text)}  # noqa: PTH113 (Path's raises)
     return [*named, *(path for whole, path in others.items() if whole not in known)]
 
@@ -97,7 +97,7 @@ def find_target(group: str, config: Mapping[str, Any], where: object) -> Callabl
     return found  # type: ignore[no-any-return]
 
 
-def module_beside(entry: Entry, module: str) -> ModuleType:
+def find_module_beside(entry: Entry, module: str) -> ModuleType:
     """Import and return a module of the package of a method or dataset, such as the readers of `folders`."""
     return importlib.import_module(f"{entry.target().__module__.rpartition('.')[0]}.{module}")
 

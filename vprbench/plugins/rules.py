@@ -17,7 +17,7 @@ from vprbench.api.images import Images
 from vprbench.api.method import Method, require_codes
 from vprbench.errors import NotFittedError
 from vprbench.plugins.networks import keeps_a_network
-from vprbench.storage.tensors import plain
+from vprbench.storage.tensors import require_plain_numbers
 
 N_PLACES = 20
 _RELATIVE = 1e-4  # difference in score, relative to the largest, that counts as rounding
@@ -165,7 +165,7 @@ def _check_any_image(subject: Subject) -> None:
 def _check_stored(subject: Subject) -> None:
     trained = subject.fit_new()
     scores = trained.query(subject.queries)
-    stored = safetensors.save({name: plain(array, name) for name, array in trained.state().items()})
+    stored = safetensors.save({name: require_plain_numbers(array, name) for name, array in trained.state().items()})
     require(np.array_equal(trained.query(subject.queries), scores), "storing a network changes its scores")
     for method, kind in ((subject.make(), "new"), (subject.fit_new(seed=1), "fitted elsewhere before")):
         method.restore(safetensors.load(stored))

@@ -18,7 +18,7 @@ from vprbench.jobs.child import start_server
 from vprbench.jobs.executors import choose_executor
 from vprbench.plugins import registry
 from vprbench.plugins.options import parse_options
-from vprbench.progress import progress_shown
+from vprbench.progress import show_progress
 from vprbench.report.figures.make import draw_all, write_figures
 from vprbench.report.gather import Plan, Report, assemble_report, list_cells, load_stored_runs, run_missing
 from vprbench.report.missing_runs import Cell
@@ -32,16 +32,16 @@ from vprbench.report.table.make import choose_exit_code, write_table
 from vprbench.report.table.quantities import RECALL
 from vprbench.runs.corruption import corrupt_queries, parse_corruptions
 from vprbench.runs.frame import format_label, iterate_rows
-from vprbench.runs.identity import fingerprint
+from vprbench.runs.identity import compute_fingerprint
 from vprbench.runs.predictions import require_depth, tabulate_predictions, write_csv
 from vprbench.runs.request import OPTIONS
 from vprbench.runs.rows import describe_sequence
 from vprbench.runs.sequences import name_views, parse_views
 from vprbench.runs.viewpoints import parse_viewpoints, record_viewpoints
 from vprbench.storage.atomic import replace_text
-from vprbench.terminal.console import line_text, show_table
+from vprbench.terminal.console import format_line, show_table
 from vprbench.terminal.streams import complain
-from vprbench.text import some
+from vprbench.text import join_names
 
 logger = logging.getLogger(__name__)
 
@@ -56,11 +56,11 @@ def make_comparison(options: Sequence[str]) -> int:
     request, of_methods, of_dataset, of_runs = sort_options(options)
     if not request.stored and not request.needs_dask:
         start_server()  # imports while the comparison is checked
-    with progress_shown("compare"):
+    with show_progress("compare"):
         chosen, dataset = _plan_comparison(request, of_methods, of_dataset, of_runs)
     if dataset is not None and not request.stored and (found := look_at_some(dataset)):
         doctor = shlex.join(["vprbench", "doctor", *of_dataset])
-        print(line_text(f"note: {'; '.join(found)}: {doctor} says more", "yellow"), flush=True)
+        print(format_line(f"note: {'; '.join(found)}: {doctor} says more", "yellow"), flush=True)
     with choose_executor(request) as executor:
         results = run_missing(chosen, [] if request.stored else _list_missing(chosen, of_runs), executor)
     groups = group_runs_by_column(*load_stored_runs(chosen), chosen.columns, chosen.rows)
@@ -184,7 +184,7 @@ def _list_columns(
         frames = None
         if dataset is not None:
             seen = corrupt_queries(dataset, name)
-            frames = describe_frames(fingerprint(seen), seen.protocol, threads)
+            frames = describe_frames(compute_fingerprint(seen), seen.protocol, threads)
         yield replace(clean, corruption=name, frames=frames)
 
 
@@ -200,7 +200,7 @@ def _make_row(name: str, options: Sequence[str], request: CompareRequest) -> Row
         except Exception as error:  # whatever a plug-in raises
             if isinstance(error, BadInput) and not isinstance(error, MissingData):
                 raise
-    entry = registry.entries("method")[name]
+    entry = registry.find_entries("method")[name]
     own = [option.removeprefix("method.") for option in options if option.startswith("method.")]
     return Row(
         " ".join([name, *own]),
@@ -231,25 +231,25 @@ def show_comparison(found: Report, wide: bool = False) -> None:
     table, groups_shown = found.table, [group for group in found.groups if group.runs]
     heads = ["method", *(quantity.heading for quantity in table.quantities)]
     cells = words.describe_cells(table)
-    print(line_text(f"{table.title}: {table.columns[0].data}", fits=True))
+    print(format_line(f"{table.title}: {table.columns[0].data}", fits=True))
     if len(table.columns) > 1:
         for run in (group.runs[0] for group in groups_shown):
-            print(line_text(f"{describe_sequence(run)}: {len(run.outcome):,} queries"))
+            print(format_line(f"{describe_sequence(run)}: {len(run.outcome):,} queries"))
         heads = ["R@1 %", *(describe_sequence(group.runs[0]) for group in groups_shown)]
         cells = cells[(table.cells["quantity"] == RECALL.name).to_numpy()]
     for row, of_row in table.cells.groupby("row", sort=False):
         for number in sorted({number for notes in of_row["notes"] for number in notes}):
-            print(line_text(f"note: {row}: {table.notes[number - 1]}", "yellow"))
+            print(format_line(f"note: {row}: {table.notes[number - 1]}", "yellow"))
     print()
     texts = [[str(name), *_list_texts(of_row)] for name, of_row in cells.groupby("row", sort=False)]
     usual = [one.heading for one in table.quantities if one.metric is None or one.name not in found.chosen.metrics]
     show_table(heads, texts, wide, [*dict.fromkeys([*_LEAST, *usual[:0:-1]])])
     if any(table.cells["disturbed"]):
-        print(line_text("~ a busy machine or too few laps", "dim"))
+        print(format_line("~ a busy machine or too few laps", "dim"))
     print()
     for group, ranking in zip(groups_shown, found.rankings, strict=True):
         above = f"{describe_sequence(group.runs[0])}: " if len(groups_shown) > 1 else ""
-        print(*(line_text(f"{above}{sentence}", "bold") for sentence in ranking.sentences), sep="\n")
+        print(*(format_line(f"{above}{sentence}", "bold") for sentence in ranking.sentences), sep="\n")
 
 
 def _list_texts(cells: pd.DataFrame) -> Iterator[str]:
@@ -305,7 +305,9 @@ def write_comparison(
         name = f"{name}-{images[:6]}"
     replaced = {*_read_earlier(folder / f"{name}-runs.csv")["method"]} - {format_label(run) for run in found.runs}
     if replaced:
-        logger.warning("%s: the earlier comparison with %s makes room: name=NAME keeps both", name, some(replaced))
+        logger.warning(
+            "%s: the earlier comparison with %s makes room: name=NAME keeps both", name, join_names(replaced)
+        )
     files = write_table(found, folder, name)
     if best is not None:
         files.append(write_csv(best, folder / f"{name}-predictions.csv"))
@@ -315,7 +317,7 @@ def write_comparison(
             files.append(folder / f"{name}-robustness.{ending}")
             replace_text(files[-1], text)
     absent: list[str] = []
-    with progress_shown("compare, figures"):
+    with show_progress("compare, figures"):
         drawings = list(draw_all(found, found.runs, report=absent.append))
         if robust is not None:
             drawings.append((f"robustness-{found.chosen.columns[0].planned.name}", draw_robustness(robust)))

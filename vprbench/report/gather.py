@@ -72,7 +72,7 @@ class Report:
 
 def resolve_plan(request: TableRequest) -> Plan:
     """Resolve a request against conf/paper/table2.yaml; raises BadInput for rows or columns that are unknown."""
-    folders = registry.conf_folders()
+    folders = registry.find_conf_folders()
     plan = add_plug_ins(read_plan(folders["vprbench"] / PLAN_FILE), folders)
     rows = {name: plan.rows[_require_known("rows", name, plan.rows)] for name in request.rows or plan.rows}
     for name in request.methods:
@@ -122,7 +122,7 @@ def list_cells(chosen: Plan, column: ResolvedColumn, rows: Sequence[Row], option
 
     `options` of the command line hold for all runs. Raises BadInput for a row that does not fit its method.
     """
-    planned, entries = column.planned, registry.entries("method")
+    planned, entries = column.planned, registry.find_entries("method")
     values: dict[str, Any] = {"results": str(resolve_results_folder(chosen.results))}
     if {*chosen.metrics} & {*GROUPS["energy"]}:
         values["energy"] = True
@@ -197,7 +197,7 @@ def _make_row(plan: PlanFile, name: str) -> Row:
     A method that the plan has under its own name, and no arguments, is that row. Another one that takes a seed learns
     from it: it trains, and gets the plan's seeds.
     """
-    planned, entries = {**plan.rows, **plan.more_rows}, registry.entries("method")
+    planned, entries = {**plan.rows, **plan.more_rows}, registry.find_entries("method")
     if name in planned:
         return planned[name]
     for row in planned.values():

@@ -14,12 +14,12 @@ from vprbench.api.dataset import Dataset
 from vprbench.jobs.executors import Executor, Numbered, run_all
 from vprbench.jobs.job import JobResult
 from vprbench.plugins import registry
-from vprbench.progress import progress_shown
+from vprbench.progress import show_progress
 from vprbench.report.plan import Row
 from vprbench.runs.experiment import build_experiment, corrupt_experiment
 from vprbench.runs.get_or_run import find_run
 from vprbench.runs.request import RunRequest
-from vprbench.runs.run_files import content_key
+from vprbench.runs.run_files import hash_content
 from vprbench.runs.store import Store
 from vprbench.runs.thumbnails import load_thumbnails
 from vprbench.terminal.live import LiveTable
@@ -112,9 +112,9 @@ def _is_stored(request: RunRequest, store: Store, datasets: dict[str, Dataset]) 
     """
     if request.force or not any(store.root.glob(f"*/{request.method_name}-*")):
         return False
-    key = content_key(request.dataset)
+    key = hash_content(request.dataset)
     try:
-        with contextlib.redirect_stdout(io.StringIO()), progress_shown(request.dataset_name):
+        with contextlib.redirect_stdout(io.StringIO()), show_progress(request.dataset_name):
             if key not in datasets:
                 datasets[key] = registry.make_dataset(request.dataset)
             clean = build_experiment(request, datasets[key])

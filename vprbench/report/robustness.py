@@ -17,7 +17,7 @@ from vprbench.report.table.formats import escape_markdown
 from vprbench.runs import rows
 from vprbench.runs.corruption import KINDS, STRENGTHS, Corruption
 from vprbench.runs.frame import iterate_rows
-from vprbench.runs.recall_intervals import list_hits, recall_interval
+from vprbench.runs.recall_intervals import estimate_recall_interval, list_hits
 from vprbench.runs.tuned import describe_tuning
 from vprbench.text import NOTHING, format_percent
 
@@ -62,7 +62,7 @@ def measure_robustness(clean: Sequence[MethodRuns], corrupted: Mapping[Corruptio
 
 def _measure_point(row: MethodRuns, clean: MethodRuns, one: Corruption | None) -> dict[str, Any]:
     """Return the columns of a point; shares are 0 to 1 and means over the seeds."""
-    recall, interval, drop = average_recall(row.runs) or 0.0, recall_interval(row.runs), None
+    recall, interval, drop = average_recall(row.runs) or 0.0, estimate_recall_interval(row.runs), None
     if one is not None:
         ours, theirs = (np.mean([list_hits(run) for run in each.runs], axis=0) for each in (clean, row))
         drop = difference_interval(ours, theirs)

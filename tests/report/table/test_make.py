@@ -47,8 +47,8 @@ def test_from_the_store_alone_and_without_the_methods_yaml_the_table_is_the_same
     assert {*before} == {"table.md", "table.csv", "table.tex", "table-runs.csv"}
     for name in before:
         Path("results", name).unlink()
-    known = registry.entries
-    monkeypatch.setattr(registry, "entries", lambda group: {} if group == "method" else known(group))
+    known = registry.find_entries
+    monkeypatch.setattr(registry, "find_entries", lambda group: {} if group == "method" else known(group))
     assert main(["table", STORED, "seeds=1", "stored=true"]) == 0
     assert copied.asked == []
     assert {path.name: path.read_bytes() for path in Path("results").glob("table*")} == before

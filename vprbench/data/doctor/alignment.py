@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vprbench.api.dataset import Dataset
-from vprbench.text import plural, some
+from vprbench.text import format_count, join_names
 
 from .finding import Finding, Level
 from .frames import Looks, Small
@@ -99,7 +99,7 @@ def check_alignment(dataset: Dataset, looks: Sequence[Looks]) -> Iterator[Findin
         yield _note("not checked: the right place does not advance from query to query")
         return
     if fewest < _LEAST:
-        yield _note(f"not checked: a traverse has {plural(fewest, 'frame')} to compare, and {_LEAST} are needed")
+        yield _note(f"not checked: a traverse has {format_count(fewest, 'frame')} to compare, and {_LEAST} are needed")
         return
     descriptors, middles = describe(seen.small[numbers]), queries.places[numbers]
     for traverse, each in zip(references, looks[:-1], strict=True):
@@ -141,7 +141,7 @@ def _judge(dataset: Dataset, queries: Traverse, shown: Traverse, compared: _Comp
     parts = compared.parts()
     if not parts:
         at_truth = int((np.abs(compared.shifts) <= 1).sum())
-        votes = f"{at_truth:,} of {plural(n, 'query')} look most like their place or one beside it"
+        votes = f"{at_truth:,} of {format_count(n, 'query')} look most like their place or one beside it"
         if at_truth > max(_SURE, 12 * n / compared.n_places):
             return _note(f"{queries.name} and {shown.name} are aligned: {votes}")
         text = f"{queries.name} and {shown.name} look too different to tell whether they are aligned: {votes}"
@@ -155,11 +155,12 @@ def _judge(dataset: Dataset, queries: Traverse, shown: Traverse, compared: _Comp
         spoilt += sum(place not in own for place, own in zip(places[there].tolist(), right, strict=True))
         ends = [names[compared.numbers[number]] for number in (part.first, part.last)]
         texts.append(
-            f"about {ends[0]} to {ends[1]} ({len(numbers):,} of {plural(n, 'query')}) show what it shows "
-            f"{plural(abs(part.shift), 'place')} {'later' if part.shift > 0 else 'earlier'}, by {part.votes:,} of them"
+            f"about {ends[0]} to {ends[1]} ({len(numbers):,} of {format_count(n, 'query')}) show what it shows "
+            f"{format_count(abs(part.shift), 'place')} {'later' if part.shift > 0 else 'earlier'}, "
+            f"by {part.votes:,} of them"
         )
     level: Level = "error" if spoilt > _SPOILT * n else "warning" if spoilt else "note"
-    text = f"{queries.name} is shifted against {shown.name}: {some(texts, _PARTS_NAMED)}"
+    text = f"{queries.name} is shifted against {shown.name}: {join_names(texts, _PARTS_NAMED)}"
     if not spoilt:
         return Finding(level, "alignment", text, "the ground truth counts these places as right")
     amid = (parts[0].first + parts[0].last) // 2

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from vprbench.api.dataset import FrameFolder
 from vprbench.api.decoding import is_image_name
-from vprbench.text import be, plural, some
+from vprbench.text import format_count, join_names, pick_verb
 
 from .finding import Finding, Level
 
@@ -38,14 +38,16 @@ def check_folder(folder: FrameFolder) -> Iterator[Finding]:
         yield Finding(
             "error",
             "files",
-            f"{len(missing):,} of {plural(len(used), 'frame')} are missing from {folder.path}: {some(missing)}",
+            f"{len(missing):,} of {format_count(len(used), 'frame')} are missing from {folder.path}: "
+            f"{join_names(missing)}",
             "put them back: a frame that is skipped shifts all that follow against the ground truth",
         )
     if empty := [name for name in used if sizes.get(name) == 0]:
-        text = f"{plural(len(empty), 'file')} of {folder.path} {be(empty)} empty (0 bytes): {some(empty)}"
+        files = f"{format_count(len(empty), 'file')} of {folder.path}"
+        text = f"{files} {pick_verb(empty)} empty (0 bytes): {join_names(empty)}"
         yield Finding("error", "files", text, "copy or download them again; the disk may have been full")
     number = sum(map(is_image_name, sizes))
-    holds = f"{folder.path} holds {plural(number, 'image')}"
+    holds = f"{folder.path} holds {format_count(number, 'image')}"
     if meaning := folder.wrong_counts.get(number):
         advice = "get the copy that the dataset's description names: the same file names show other places in this one"
         yield Finding("error", "count", f"{holds}: {meaning}", advice)

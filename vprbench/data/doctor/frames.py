@@ -19,8 +19,8 @@ from vprbench.api.arrays import Image
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images, codes_to_compare
 from vprbench.errors import BadInput
-from vprbench.storage.cores import core_count
-from vprbench.text import be, plural, some, some_of
+from vprbench.storage.cores import count_cores
+from vprbench.text import format_count, join_few, join_names, pick_verb
 
 from .files import name_impostor
 from .finding import Finding, Level
@@ -36,7 +36,7 @@ UNIFORM_STD = 3.0
 FEW_LEVELS = 32
 
 _HEIGHT, _WIDTH = 16, 32
-_READERS = min(8, core_count())
+_READERS = min(8, count_cores())
 _USUAL = 0.9  # share of the frames whose size counts as that of the traverse
 _WRONG_FOLDER = 0.5  # share of frames that are those of another traverse
 _IN_MAP = (
@@ -86,7 +86,7 @@ class Looks:
 
     def share(self, names: Sequence[str]) -> str:
         """Return how many of the frames have these names, in words."""
-        return f"{len(names):,} of {plural(len(self.names), 'frame')} of {self.traverse}"
+        return f"{len(names):,} of {format_count(len(self.names), 'frame')} of {self.traverse}"
 
 
 def look_at(images: Images, traverse: str) -> Looks:
@@ -149,14 +149,14 @@ def _check_reading(seen: Looks) -> Iterator[Finding]:
         yield Finding(
             "error",
             "decoding",
-            f"{seen.share(names)} cannot be decoded ({reason}): {some(names)}",
+            f"{seen.share(names)} cannot be decoded ({reason}): {join_names(names)}",
             "copy or download them again; none is skipped, for that would shift all that follow",
         )
 
 
 def _check_exif(seen: Looks, exif: str) -> Iterator[Finding]:
     if names := seen.named(seen.turned):
-        has = f"{seen.share(names)} {'has' if len(names) == 1 else 'have'} an EXIF tag that turns {some(names)}"
+        has = f"{seen.share(names)} {'has' if len(names) == 1 else 'have'} an EXIF tag that turns {join_names(names)}"
         if exif == "ignore":
             advice = "look at some: if they lie on their side, give dataset.exif=obey"
             yield Finding("warning", "exif", f"{has}: it is ignored", advice)
@@ -175,8 +175,8 @@ def _check_sizes(seen: Looks) -> Iterator[Finding]:
     yield Finding(
         "note" if times < _USUAL * sizes.total() else "warning",
         "size",
-        f"{plural(len(others), 'frame')} of {seen.traverse} {be(others)} not {usual[0]}x{usual[1]}, as the other "
-        f"{times:,} are: {some(others)}",
+        f"{format_count(len(others), 'frame')} of {seen.traverse} {pick_verb(others)} not {usual[0]}x{usual[1]}, as "
+        f"the other {times:,} are: {join_names(others)}",
         "look at them: they may be of another camera, thumbnails, or what a server sends in place of an image",
     )
 
@@ -191,7 +191,7 @@ def _check_light(seen: Looks, is_deep: bool) -> Iterator[Finding]:
             yield Finding(
                 "warning",
                 "black frames",
-                f"{seen.share(names)} {be(names)} {kind}: {some(names)}",
+                f"{seen.share(names)} {pick_verb(names)} {kind}: {join_names(names)}",
                 "every method guesses there, for gamma and patch normalisation are undefined: leave such places out, "
                 "by dataset=image_list with CSV files (image,place) of the others",
             )
@@ -201,7 +201,7 @@ def _check_light(seen: Looks, is_deep: bool) -> Iterator[Finding]:
             "warning",
             "levels",
             f"{seen.share(names)} {'has' if len(names) == 1 else 'have'} fewer than {FEW_LEVELS} of 256 grey levels: "
-            f"{some(names)}",
+            f"{join_names(names)}",
             "if the files hold more than 8 bits, give dataset.levels=LOW..HIGH, the levels that matter; else save them "
             "with more",
         )
@@ -217,8 +217,9 @@ def _check_repeats(seen: Looks) -> Iterator[Finding]:
         yield Finding(
             "warning",
             "repeated frames",
-            f"{plural(extra, 'frame')} of {seen.traverse} {'is a copy' if extra == 1 else 'are copies'} of another "
-            f"frame of {seen.traverse}, pixel by pixel: {some([' = '.join(group[:3]) for group in groups])}",
+            f"{format_count(extra, 'frame')} of {seen.traverse} {'is a copy' if extra == 1 else 'are copies'} of "
+            f"another frame of {seen.traverse}, pixel by pixel: "
+            f"{join_names([' = '.join(group[:3]) for group in groups])}",
             "copy the right frames there; where the camera stood still, leave the repeats out of the list",
         )
 
@@ -239,7 +240,7 @@ def check_shared_pixels(dataset: Dataset, looks: Sequence[Looks]) -> Iterator[Fi
             yield Finding(
                 level,
                 "shared frames",
-                f"{seen.share(pairs)} {be(pairs)} also in {other.traverse}, pixel by pixel: {some(pairs)}",
+                f"{seen.share(pairs)} {pick_verb(pairs)} also in {other.traverse}, pixel by pixel: {join_names(pairs)}",
                 "one of the two folders holds the wrong traverse: compare a frame of each by eye" if most else _IN_MAP,
             )
 
@@ -266,7 +267,8 @@ def check_shared_files(dataset: Dataset) -> Iterator[Finding]:
         yield Finding(
             "warning" if _allows_shared(dataset) else "error",
             "shared frames",
-            f"{len(pairs):,} of {plural(len(queries), 'query')} {be(pairs)} among the references: {some_of(pairs)}",
+            f"{len(pairs):,} of {format_count(len(queries), 'query')} {pick_verb(pairs)} among the references: "
+            f"{join_few(pairs)}",
             _IN_MAP,
         )
 

@@ -10,7 +10,7 @@ import numpy as np
 from vprbench.api.dataset import Dataset, has_ground_truth
 from vprbench.api.decimal_names import find_decimals
 from vprbench.storage.paths import natural_keys
-from vprbench.text import be, plural, some
+from vprbench.text import format_count, join_names, pick_verb
 
 from .finding import Finding
 from .traverse import Traverse, traverses_of
@@ -45,7 +45,7 @@ def _check_order(dataset: Dataset, traverses: Sequence[Traverse], matters: bool)
         yield Finding(
             ("warning" if every else "error") if matters else "note",
             "order",
-            f"{' and '.join(wrong)} {be(wrong)} in dictionary order, not in the order of the numbers: "
+            f"{' and '.join(wrong)} {pick_verb(wrong)} in dictionary order, not in the order of the numbers: "
             f"... {steps[wrong[0]]} ..." + ("" if every else "; the other traverses are in the order of the numbers"),
             "list the files in natural order (2 before 10), or give the numbers leading zeros"
             + ("" if matters else ", if you ask for sequences; all else is the same in any order"),
@@ -67,9 +67,9 @@ def _check_pairs(traverse: Traverse, shown: Traverse) -> Iterator[Finding]:
     yield Finding(
         "warning",
         "names",
-        f"{len(differing):,} of {plural(len(traverse.images), 'image')} of {traverse.name} are matched with one of "
-        f"another name in {shown.name}, though {shown.name} holds one of the same name; the first is {name}, matched "
-        f"with {other}",
+        f"{len(differing):,} of {format_count(len(traverse.images), 'image')} of {traverse.name} are matched with one "
+        f"of another name in {shown.name}, though {shown.name} holds one of the same name; the first is {name}, "
+        f"matched with {other}",
         "where equal names mean equal places, a file is missing or too many before that one: compare both folders",
     )
 
@@ -85,8 +85,8 @@ def _check_ground_truth(dataset: Dataset) -> Iterator[Finding]:
         yield Finding(
             "error" if len(names) == len(counts) else "note" if wanted else "warning",
             "ground truth",
-            f"{len(names):,} of {plural(len(counts), 'query')} have no right place and count as misses, so that R@1 is "
-            f"at most {1 - len(names) / len(counts):.1%}: {some(names)}",
+            f"{len(names):,} of {format_count(len(counts), 'query')} have no right place and count as misses, so that "
+            f"R@1 is at most {1 - len(names) / len(counts):.1%}: {join_names(names)}",
             "" if wanted else "check that both traverses show the same places, and the tolerance or radius",
         )
     guess = float(counts.mean() / dataset.n_places)
@@ -104,11 +104,11 @@ def _name_drives(dataset: Dataset) -> Iterator[Finding]:
         ("places", dataset.place_breaks, ()),
     ):
         if breaks is not None and len(breaks):
-            shown = f"; all but the first begin at {some(names[query] for query in breaks)}" if names else ""
+            shown = f"; all but the first begin at {join_names(names[query] for query in breaks)}" if names else ""
             yield Finding(
                 "note",
                 "drives",
-                f"the {parts} are {plural(len(breaks) + 1, 'drive')}, by {dataset.protocol['breaks']}{shown}",
+                f"the {parts} are {format_count(len(breaks) + 1, 'drive')}, by {dataset.protocol['breaks']}{shown}",
                 "no sequence reaches from one drive into the next; dataset.breaks=none takes all as one drive",
             )
 

@@ -10,7 +10,7 @@ from vprbench import progress
 from vprbench.api.dataset import Dataset
 from vprbench.api.events import Events, Recording, hot_pixels
 from vprbench.errors import BadInput
-from vprbench.text import plural, some
+from vprbench.text import format_count, join_names
 
 from .finding import Finding, Level
 
@@ -66,11 +66,11 @@ def check_recordings(dataset: Dataset) -> Iterator[Finding]:
 def _check_times(seen: _Seen) -> Iterator[Finding]:
     name = seen.of.name
     if seen.backwards:
-        text = f"time runs backwards {plural(seen.backwards, 'time')} in {name}, by up to {seen.most_us:,} us"
+        text = f"time runs backwards {format_count(seen.backwards, 'time')} in {name}, by up to {seen.most_us:,} us"
         advice = "sort the events by time, or join the parts of the recording in their order"
         yield Finding("error" if seen.most_us > _LATE_US else "note", "time", text, advice)
     if seen.gaps:
-        text = f"{plural(len(seen.gaps), 'gap')} without any event in {name}: {some(seen.gaps)}"
+        text = f"{format_count(len(seen.gaps), 'gap')} without any event in {name}: {join_names(seen.gaps)}"
         yield Finding("warning", "gaps", text, "data were lost: leave out the places of these times")
 
 
@@ -79,8 +79,12 @@ def _check_pixels(seen: _Seen, removed: bool) -> Iterator[Finding]:
     number = totals.sum()
     hot = np.flatnonzero(hot_pixels(totals.reshape(-1, width), _HOT_FACTOR))
     if len(hot):
-        where = some(f"({pixel % width}, {pixel // width})" for pixel in hot[np.argsort(-totals[hot], kind="stable")])
-        text = f"{plural(len(hot), 'pixel')} sent {totals[hot].sum() / number:.1%} of {name} (column, row): {where}"
+        where = join_names(
+            f"({pixel % width}, {pixel // width})" for pixel in hot[np.argsort(-totals[hot], kind="stable")]
+        )
+        text = (
+            f"{format_count(len(hot), 'pixel')} sent {totals[hot].sum() / number:.1%} of {name} (column, row): {where}"
+        )
         advice = "let the dataset remove them (dataset.hot_factor): they send whatever the camera sees"
         yield Finding("note" if removed else "warning", "hot pixels", text, "" if removed else advice)
     rising = seen.totals[1].sum() / number

@@ -26,7 +26,7 @@ from vprbench.runs.corruption import KINDS
 from vprbench.runs.recall_intervals import order_along_journey
 from vprbench.runs.record import Run
 from vprbench.runs.rows import describe_sequence
-from vprbench.runs.views import select_queries, window_of
+from vprbench.runs.views import get_window_length, select_queries
 
 LARGEST_N = 25
 LARGEST_WIDENING = 10  # places to either side
@@ -127,7 +127,7 @@ def draw_recall_at_length(views: Iterable[Sequence[MethodRuns]]) -> Drawing:
 
     A row has a point at each length that its runs were seen in. Raises BadInput if no query has a right place.
     """
-    of_length = {window_of(rows[0].runs[0]): rows for rows in map(choose_answerable, views)}
+    of_length = {get_window_length(rows[0].runs[0]): rows for rows in map(choose_answerable, views)}
     lengths = sorted(of_length)
     figure, (axes,) = new_figure(style.SINGLE_MM, _HEIGHT_MM, grid=True)
     for name, look in choose_looks(row.name for length in lengths for row in of_length[length]).items():
@@ -212,7 +212,7 @@ def _measure_recalls(runs: Sequence[Run], hits: Callable[[Run], Values]) -> tupl
 
     The ends are NaN where there is no interval.
     """
-    order, window = order_along_journey(runs[0]), window_of(runs[0])
+    order, window = order_along_journey(runs[0]), get_window_length(runs[0])
     mean_hits = np.mean([hits(run)[:, order] for run in runs], axis=0)
     intervals = [share_interval(each, window=window) for each in mean_hits]
     low, high = np.transpose([(each.low, each.high) if each else (np.nan, np.nan) for each in intervals])
@@ -249,7 +249,7 @@ def _resample_precision(run: Run, end: float) -> tuple[Values, Values, Values]:
     """Return recalls up to `end` and the 95 % interval of precision there, by a circular block bootstrap."""
     run = replace(run, scores=None)
     random, order = np.random.default_rng(0), order_along_journey(run)
-    n, block = len(order), max(block_length(hits_at(run.outcome, 1)[order]), window_of(run))
+    n, block = len(order), max(block_length(hits_at(run.outcome, 1)[order]), get_window_length(run))
     grid = np.linspace(0, end, _GRID_POINTS)
     precisions = np.full((_RESAMPLES, _GRID_POINTS), np.nan)
     for precision in precisions:

@@ -11,7 +11,7 @@ from vprbench.report.selection import MethodRuns
 from vprbench.report.table.best import describe_machine, is_disturbed
 from vprbench.runs.record import Run
 from vprbench.runs.tuned import describe_tuning
-from vprbench.text import plural
+from vprbench.text import format_count
 
 INTERVALS = "95 % intervals over the queries, the wider of Wilson's and a block bootstrap's"
 
@@ -57,5 +57,5 @@ def describe_timed_runs(series: Sequence[MethodRuns]) -> str:
 
 def _describe_dataset(run: Run) -> str:
     unanswerable = int(np.count_nonzero(~run.outcome.answerable))
-    counts = f"{plural(len(run.outcome), 'query')}, {plural(run.outcome.n_places, 'place')}"
+    counts = f"{format_count(len(run.outcome), 'query')}, {format_count(run.outcome.n_places, 'place')}"
     return f"{run.dataset} ({counts}{f', {unanswerable:,} without a right place' if unanswerable else ''})"

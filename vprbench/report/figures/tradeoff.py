@@ -19,7 +19,7 @@ from vprbench.report.figures.captions import (
 from vprbench.report.figures.style import Drawing, Look, choose_looks, new_figure, use_style
 from vprbench.report.selection import MethodRuns
 from vprbench.report.table.best import average_recall, compute_rate
-from vprbench.runs.recall_intervals import recall_interval
+from vprbench.runs.recall_intervals import estimate_recall_interval
 from vprbench.runs.record import Run
 
 _HEIGHT_MM = 60.0  # of a panel, without the legend
@@ -97,7 +97,7 @@ def _draw_points(
     costs = [mean(map(measure, row.runs)) for row in series]
     recalls = [100 * (average_recall(row.runs) or 0.0) for row in series]
     for row, cost, recall in zip(series, costs, recalls, strict=True):
-        interval = recall_interval(row.runs)
+        interval = estimate_recall_interval(row.runs)
         ends = np.array([interval.low, interval.high] if interval else [np.nan, np.nan])
         bars = np.abs(100 * ends[:, None] - recall)
         axes.errorbar(cost, recall, bars, label=row.name, elinewidth=0.9, **looks[row.name].of_points)

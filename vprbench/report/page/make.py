@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from vprbench.progress import progress_shown
+from vprbench.progress import show_progress
 from vprbench.report.figures.make import draw_all, thumbnails_of
 from vprbench.report.figures.style import Drawing, render_png
 from vprbench.report.gather import Report
@@ -22,9 +22,9 @@ from vprbench.report.selection import (
 from vprbench.report.table import formats
 from vprbench.runs.store import Store
 from vprbench.runs.thumbnails import Thumbnails
-from vprbench.runs.views import queries_shown
+from vprbench.runs.views import list_shown_queries
 from vprbench.storage.atomic import replace_text
-from vprbench.text import format_bytes, plural
+from vprbench.text import format_bytes, format_count
 
 
 def print_page(found: Report, name: str, growth: Sequence[ResolvedColumn] = ()) -> None:
@@ -49,8 +49,8 @@ def write_page(found: Report, drawings: Iterable[tuple[str, Drawing]], path: Pat
         (title, one) for title, group in groups for device in DEVICES for one in list_method_runs(group, rows, device)
     ]
     times = [str(run.environment.get("time_utc", "")) for _, one in measured for run in one.runs]
-    made_from = f"Made from {plural(len(times), 'stored run')}, the newest of {max(times)[:10]}."
-    with progress_shown("report"):
+    made_from = f"Made from {format_count(len(times), 'stored run')}, the newest of {max(times)[:10]}."
+    with show_progress("report"):
         pictures = [Picture(name, drawing.caption, render_png(drawing)) for name, drawing in drawings]
         table, title = formats.to_html(found.table), found.table.title or TITLE
         text = page(table, pictures, sections, title, made_from, measured, absent)
@@ -64,5 +64,5 @@ def _load_frames(group: DatasetRuns, found: Report) -> Thumbnails | None:
     kept = thumbnails_of(group, found.chosen)
     if kept is None or group.runs[0].view is None:
         return kept
-    shown = queries_shown(group.runs[0]).tolist()
+    shown = list_shown_queries(group.runs[0]).tolist()
     return replace(kept, **{name: tuple(getattr(kept, name)[i] for i in shown) for name in ("query_names", "queries")})

@@ -11,7 +11,7 @@ from vprbench.runs.machine import Machine
 from vprbench.runs.query_results import RIGHT, UNANSWERABLE, UNJUDGED, Answers
 from vprbench.runs.record import Run
 from vprbench.runs.tuned import list_notes
-from vprbench.text import plural
+from vprbench.text import format_count
 
 _FINDINGS = 3  # sentences
 
@@ -30,7 +30,7 @@ def list_findings(series: Sequence[MethodRuns], answers: Iterable[Answers]) -> l
     if n_runs > 1 and wrong:
         by_some = sum(RIGHT in kind and len(kind) > 1 for kind in kinds)
         missed = f"all {n_runs} runs miss {sum(wrong):,}, some runs miss {by_some:,} more"
-        found.append(f"Of {plural(len(wrong), 'query')} {missed}.")
+        found.append(f"Of {format_count(len(wrong), 'query')} {missed}.")
     return found[:_FINDINGS]
 
 
