@@ -24,7 +24,7 @@ from vprbench.api import (
     count_operations,
 )
 
-from .parts.stored import State, require_map
+from .parts.checks import State, require_arguments, require_map
 
 Grey = npt.NDArray[np.uint8]  # (height, width)
 
@@ -124,18 +124,16 @@ class CoHOG(Method):
 
     def _region_shape(self) -> tuple[int, int]:
         """Return the number of regions and their length; raises BadInput for arguments that do not fit."""
-        wanted = {
-            "cell": (self.cell >= 1, "at least 1 pixel"),
-            "bins": (self.bins >= 2, "at least 2"),
-            "region_cells": (self.region_cells >= 1, "at least 1"),
-            "sobel": (self.sobel in (3, 5, 7), "3, 5 or 7 pixels"),
-            "entropy_size": (self.entropy_size >= 1, "at least 1 pixel"),
-            "entropy_radius": (self.entropy_radius >= 0, "0 pixels or more"),
-            "entropy_threshold": (math.isfinite(self.entropy_threshold), "a finite number"),
-        }
-        for name, (holds, what) in wanted.items():
-            if not holds:
-                raise BadInput(f"method.{name}={getattr(self, name)}: give {what}")
+        require_arguments(
+            self,
+            cell=(self.cell >= 1, "at least 1 pixel"),
+            bins=(self.bins >= 2, "at least 2"),
+            region_cells=(self.region_cells >= 1, "at least 1"),
+            sobel=(self.sobel in (3, 5, 7), "3, 5 or 7 pixels"),
+            entropy_size=(self.entropy_size >= 1, "at least 1 pixel"),
+            entropy_radius=(self.entropy_radius >= 0, "0 pixels or more"),
+            entropy_threshold=(math.isfinite(self.entropy_threshold), "a finite number"),
+        )
         if self.size % self.cell or self.size < self.region_cells * self.cell:
             raise BadInput(
                 f"method.size={self.size}: give a multiple of method.cell={self.cell} that holds at least one region, "

@@ -11,8 +11,8 @@ from sklearn import decomposition
 
 from vprbench.api import BadInput, Images, Method, NotFittedError, Places, Scores, best_image_of_place, count_operations
 
+from .parts.checks import State, require_map
 from .parts.pixels import Preprocessing, pixels
-from .parts.stored import State, require_map
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,8 @@ from torch import Tensor
 
 from vprbench.api import BadInput, DescriptorMethod, Image, Images, NotFittedError, Places, progress
 
-from ..parts.stored import State, require_map
-from ..parts.vectors import k_means, unit
+from ..parts.checks import State, require_map
+from ..parts.vectors import unit
 from .dense_sift import (
     DIMENSIONS,
     SMALLEST_SIDE,
@@ -26,8 +26,7 @@ from .dense_sift import (
     n_descriptors,
     root_sift,
 )
-from .vlad import vlad, whitening
-from .vocabulary import PUBLISHED_WORDS, WORD_OF_ZERO, read_words, wanted_vocabulary
+from .vlad import PUBLISHED_WORDS, WORD_OF_ZERO, learn_words, read_words, vlad, whitening
 
 _VGA = 640  # pixels
 _TOGETHER = 64  # images
@@ -135,10 +134,7 @@ class DenseVLAD(DescriptorMethod):
             return ()
         path = Path(self.vocabulary).expanduser()
         if not path.is_file():
-            raise BadInput(
-                f"method.vocabulary={self.vocabulary} is no file: {wanted_vocabulary(self.words)}, or leave it out for "
-                "words of the references"
-            )
+            raise BadInput(f"method.vocabulary={self.vocabulary} is no file: leave it out for words of the references")
         return (path,)
 
     def _check_arguments(self) -> None:
@@ -159,7 +155,7 @@ class DenseVLAD(DescriptorMethod):
             for block in dense_sift(grey, self.arctan):
                 picked = block[torch.from_numpy(generator.random(len(block)) < share).to(self.device)]
                 drawn.append(root_sift(picked[picked.any(1)]).cpu().numpy())
-        return unit(k_means(np.concatenate(drawn), self.words, generator))
+        return learn_words(np.concatenate(drawn), self.words, generator)
 
     def _vlads(self, images: Images, words: Tensor) -> npt.NDArray[np.float32]:
         """Return the VLAD of each image before whitening, (n_images, words * 128)."""

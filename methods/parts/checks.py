@@ -1,4 +1,4 @@
-"""The arrays of a stored map, checked before a method takes them over."""
+"""Checks of a method's arguments, and of the arrays of a stored map before a method takes them over."""
 
 from __future__ import annotations
 
@@ -11,6 +11,13 @@ import numpy.typing as npt
 from vprbench.api import BadInput
 
 State = Mapping[str, npt.NDArray[Any]]
+
+
+def require_arguments(method: object, **wanted: tuple[bool, str]) -> None:
+    """Raise BadInput for the first of a method's arguments that does not fit: whether it fits, and the wish."""
+    for name, (fits, wish) in wanted.items():
+        if not fits:
+            raise BadInput(f"method.{name}={getattr(method, name)}: give {wish}")
 
 
 def require_map(state: State, wanted: Mapping[str, tuple[type[np.generic], tuple[int, ...]]]) -> None:
