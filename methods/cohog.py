@@ -24,7 +24,7 @@ from vprbench.api import (
     count_operations,
 )
 
-from .parts.checks import State, require_arguments, require_map
+from .parts.checks import require_arguments
 
 Grey = npt.NDArray[np.uint8]  # (height, width)
 
@@ -92,21 +92,9 @@ class CoHOG(Method):
                 own[:] = mean_best_cosine(torch.from_numpy(good).to(self.device), self._references).cpu().numpy()
         return best_image_of_place(similarity, self._places)
 
-    def state(self) -> State:
-        """Return the regions of the references and their places."""
-        if self._references is None:
-            raise NotFittedError("CoHOG has no map yet: call fit(references, places) first")
-        return {"references": self._references.cpu().numpy(), "places": self._places}
-
-    def restore(self, state: State) -> Self:
-        """Take over stored regions and their places."""
-        self._references = None
-        n_references = np.size(state.get("places", ()))
-        shape = (n_references, *self._region_shape())
-        require_map(state, {"references": (np.float32, shape), "places": (np.int64, (n_references,))})
-        self._references = torch.from_numpy(state["references"].copy()).to(self.device)
-        self._places = state["places"].copy()
-        return self
+    def map_bytes(self) -> int | None:
+        """Return the bytes of the references' regions and of their places."""
+        return None if self._references is None else self._references.nbytes + self._places.nbytes
 
     def _grey(self, image: Image) -> Grey:
         return _resized(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), self.size).astype(np.uint8, copy=False)

@@ -14,7 +14,6 @@ from torch import Tensor
 
 from vprbench.api import BadInput, DescriptorMethod, Image, Images, NotFittedError, Places, progress
 
-from ..parts.checks import State, require_map
 from ..parts.vectors import unit
 from .dense_sift import (
     DIMENSIONS,
@@ -99,34 +98,6 @@ class DenseVLAD(DescriptorMethod):
             codes[done : done + len(block)] = _projected(self._vlads(block, self._words), self._projection)
             done += len(block)
         return codes
-
-    def state(self) -> State:
-        """Return the words, the whitening if there is one, and the references with their places."""
-        if self._words is None or self.searched is None:
-            raise NotFittedError("DenseVLAD has no map yet: call fit(references, places) first")
-        known = self.searched
-        learnt = {"words": self._words.cpu().numpy(), "references": known.references[:], "places": known.places}
-        rest = {"projection": self._projection, "reference_mean": self.reference_mean}
-        return learnt | {name: array for name, array in rest.items() if array is not None}
-
-    def restore(self, state: State) -> Self:
-        """Take over what `state` gave."""
-        self._check_arguments()
-        self._words = self.searched = self._projection = None
-        n_dimensions = self.words * DIMENSIONS
-        places, projection = np.asarray(state.get("places", ())), state.get("projection")
-        n_components = projection.shape[-1] if projection is not None and projection.ndim else n_dimensions
-        wanted: dict[str, tuple[type[np.generic], tuple[int, ...]]] = {
-            "words": (np.float32, (self.words, DIMENSIONS)),
-            "places": (np.int64, (places.size,)),
-            "references": (np.float32, (places.size, n_components)),
-            **({"projection": (np.float32, (n_dimensions, n_components))} if self.n_components else {}),
-            **({} if self.adapt == "none" else {"reference_mean": (np.float32, (n_components,))}),
-        }
-        require_map(state, wanted)
-        self._words = torch.tensor(state["words"], device=self.device)
-        self._projection, self.reference_mean = projection, state.get("reference_mean")
-        return self.fit_descriptors(state["references"], places)
 
     def files(self) -> Sequence[Path]:
         """Return the file of the vocabulary if one was given; raises BadInput if it is missing."""

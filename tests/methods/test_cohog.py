@@ -4,6 +4,7 @@ import cohog_oracle as oracle
 import cv2
 import numpy as np
 import pytest
+import torch
 from corridor import needs_corridor, right, scored, stored
 
 from vprbench.api.images import Images
@@ -43,7 +44,8 @@ THREE = [unit(0), unit(0), unit(2), unit()], [unit(0), unit(1), unit(2), unit(0,
     ],
 )
 def test_a_score_is_the_mean_over_the_good_regions_of_the_best_region(reference, query, good, wanted):
-    method = CoHOG(size=48).restore({"references": np.array([reference]), "places": np.arange(1)})
+    method = CoHOG(size=48)
+    method._references, method._places = torch.tensor(np.array([reference])), np.arange(1)
     code = np.column_stack([query, good]).astype(np.float32)[None]
     assert method.match(code)[0] == pytest.approx([wanted])
 

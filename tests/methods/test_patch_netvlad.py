@@ -19,8 +19,7 @@ from vprbench.api.method import batch_size_for
 from vprbench.api.weights import Weights
 from vprbench.errors import BadInput
 from vprbench.methods import netvlad, patch_netvlad
-from vprbench.methods.parts.patch_geometry import inliers, score
-from vprbench.methods.patch_netvlad import PatchNetVLAD
+from vprbench.methods.patch_netvlad import PatchNetVLAD, inliers, score
 
 pytestmark = pytest.mark.extended  # published networks at full size
 
