@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -10,13 +9,11 @@ import numpy as np
 
 from vprbench.api import BadInput, Dataset, Exif, MatFileError, MissingData, read_mat
 
-from .readers.coordinates import Metres, Positions, WithoutPosition, are_metres
 from .readers.drives import Breaks
 from .readers.file_dataset import Unmatched, dataset_of_files
 from .readers.frame_folders import root_folder
 from .readers.image_files import find_listed
-from .readers.positions import by_positions
-from .readers.recipes import function_of
+from .readers.positions import Positions, WithoutPosition, as_metres, by_positions
 
 _NAMES, _UTM, _QUERY_NAMES, _QUERY_UTM = 1, 2, 3, 4  # fields by position, as Relja/netvlad writes them
 
@@ -27,9 +24,21 @@ _LAYOUT = (
 )
 
 
-@dataclass(frozen=True)
-class DbStruct:
-    """The images that the structure `dbStruct` in `mat` (a path from `root`) names, in its order.
+def dbstruct(
+    name: str = "dbstruct",
+    root: str | None = None,
+    mat: str | None = None,
+    database_folder: str = "",
+    query_folder: str = "",
+    database_suffix: str | None = None,
+    radius_metres: float = 25.0,
+    unmatched: Unmatched = "keep",
+    breaks: Breaks = "none",
+    exif: Exif = "ignore",
+    levels: str | None = None,
+    without_position: WithoutPosition = "error",
+) -> Dataset:
+    """Return the images that the structure `dbStruct` in `mat` (a path from `root`) names, in its order.
 
     Database names start from `<root>/<database_folder>`, query names from `<root>/<query_folder>` (queries_real for
     Pittsburgh). `database_suffix` replaces that of the database names, for Tokyo 24/7 says .jpg and holds .png. Every
@@ -38,73 +47,43 @@ class DbStruct:
     `breaks` auto another folder, or a position that jumps, begins another drive. `exif` and `levels` say how files are
     decoded (`decoding_of`). Raises MissingData for missing files, BadInput for a file without such a structure.
     """
-
-    name: str = "dbstruct"
-    root: str | None = None
-    mat: str | None = None
-    database_folder: str = ""
-    query_folder: str = ""
-    database_suffix: str | None = None
-    radius_metres: float = 25.0
-    unmatched: Unmatched = "keep"
-    breaks: Breaks = "none"
-    exif: Exif = "ignore"
-    levels: str | None = None
-    without_position: WithoutPosition = "error"
-
-    def build(self) -> Dataset:
-        """Return the dataset of these options, after a check that every image is there."""
-        top = root_folder(self.name, self.root, "the images that the .mat file names", _LAYOUT)
-        if self.mat is None:
-            raise MissingData(f"dataset.mat is not set: {_LAYOUT}")
-        file = top / Path(self.mat).expanduser()
-        fields = _read(file)
-        database = [top / self.database_folder / entry for entry in _names(file, fields, _NAMES)]
-        if self.database_suffix is not None:
-            database = [path.with_suffix(self.database_suffix) for path in database]
-        queries = [top / self.query_folder / entry for entry in _names(file, fields, _QUERY_NAMES)]
-        advice = "set dataset.root, dataset.database_folder or dataset.database_suffix"
-        mapped = find_listed(database, f"the database of {file.name}", advice)
-        asked = find_listed(queries, f"the queries of {file.name}", "set dataset.root or dataset.query_folder")
-        known = Positions.of_metres(mapped, self._metres(file, fields, _UTM, len(database)))
-        sought = Positions.of_metres(asked, self._metres(file, fields, _QUERY_UTM, len(queries)))
-        return dataset_of_files(
-            self.name,
-            mapped,
-            asked,
-            by_positions([known], sought, self.radius_metres, self.without_position),
-            self.unmatched,
-            {
-                "protocol": "dbstruct",
-                "mat": file.name,
-                "database_folder": self.database_folder,
-                "query_folder": self.query_folder,
-                "database_suffix": self.database_suffix,
-                "radius_metres": self.radius_metres,
-            },
-            breaks=self.breaks,
-            exif=self.exif,
-            levels=self.levels,
-        )
-
-    def _metres(self, file: Path, fields: tuple[Any, ...], position: int, count: int) -> Metres:
-        """Return east and north in metres, (n, 2), of a field that holds them as (2, n)."""
-        metres = np.asarray(fields[position])
-        if count == 1 and metres.ndim == 1:
-            metres = metres[:, None]
-        fits = metres.shape == (2, count) and metres.dtype.kind in "fiu"
-        if not fits or not are_metres(metres, self.without_position):
-            raise BadInput(
-                f"field {position + 1} of dbStruct in {file} has the shape {metres.shape}; wanted are metres, "
-                f"(2, {count}) for {count} names, each from -1e8 to 1e8, or NaN with dataset.without_position=drop"
-            )
-        return metres.T.astype(np.float64)
+    top = root_folder(name, root, "the images that the .mat file names", _LAYOUT)
+    if mat is None:
+        raise MissingData(f"dataset.mat is not set: {_LAYOUT}")
+    file = top / Path(mat).expanduser()
+    fields = _read_fields(file)
+    database = [top / database_folder / entry for entry in _read_names(file, fields, _NAMES)]
+    if database_suffix is not None:
+        database = [path.with_suffix(database_suffix) for path in database]
+    queries = [top / query_folder / entry for entry in _read_names(file, fields, _QUERY_NAMES)]
+    advice = "set dataset.root, dataset.database_folder or dataset.database_suffix"
+    map_files = find_listed(database, f"the database of {file.name}", advice)
+    query_files = find_listed(queries, f"the queries of {file.name}", "set dataset.root or dataset.query_folder")
+    known, sought = (
+        Positions(files, as_metres(f"field {at + 1} of dbStruct in {file}", np.asarray(fields[at]).T, len(files)))
+        for files, at in ((map_files, _UTM), (query_files, _QUERY_UTM))
+    )
+    return dataset_of_files(
+        name,
+        map_files,
+        query_files,
+        by_positions([known], sought, radius_metres, without_position),
+        unmatched,
+        {
+            "protocol": "dbstruct",
+            "mat": file.name,
+            "database_folder": database_folder,
+            "query_folder": query_folder,
+            "database_suffix": database_suffix,
+            "radius_metres": radius_metres,
+        },
+        breaks=breaks,
+        exif=exif,
+        levels=levels,
+    )
 
 
-dbstruct = function_of(DbStruct)
-
-
-def _read(file: Path) -> tuple[Any, ...]:
+def _read_fields(file: Path) -> tuple[Any, ...]:
     """Return the fields of dbStruct, by position; raises MissingData or BadInput."""
     if not file.is_file():
         raise MissingData(f"dataset.mat: {file} is no file; {_LAYOUT}")
@@ -121,11 +100,9 @@ def _read(file: Path) -> tuple[Any, ...]:
     return tuple(fields.values())
 
 
-def _names(file: Path, fields: tuple[Any, ...], position: int) -> list[str]:
+def _read_names(file: Path, fields: tuple[Any, ...], position: int) -> list[str]:
     """Return the file names in a field, a cell array of words or a matrix of characters."""
     entries = [np.asarray(entry) for entry in np.asarray(fields[position]).ravel()]
     if not entries or not all(entry.size == 1 and entry.dtype.kind == "U" for entry in entries):
-        raise BadInput(
-            f"field {position + 1} of dbStruct in {file} holds no list of file names: is it another structure?"
-        )
+        raise BadInput(f"field {position + 1} of dbStruct in {file} holds no list of file names")
     return [str(entry.item()).rstrip() for entry in entries]

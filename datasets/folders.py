@@ -10,18 +10,18 @@ import numpy as np
 
 from vprbench.api import BadInput, Dataset, Exif, Images, MissingData, Paths
 
-from .readers.coordinates import Positions, WithoutPosition, are_metres
 from .readers.drives import Breaks, check_by_order, drive_starts, right_in_drive
 from .readers.file_dataset import GroundTruth, Unmatched, dataset_of_files, each_a_place, unknown
 from .readers.image_files import images_in
-from .readers.matrix_files import array_in, matrix_in, names_in
+from .readers.matrix_files import arrays_in, matrix_in
 from .readers.name_order import Numbers, by_numbers
-from .readers.positions import by_names, by_positions
+from .readers.positions import Positions, WithoutPosition, as_metres, by_positions
 from .readers.traverses import right_places
+from .readers.utm_names import by_names
 
 _ADVICE = "give a folder of images"
-_MATRIX, _POSITIONS, _RADIUS = "positives", ("utmQ", "utmDb"), "posDistThr"  # the last ones as in dbStruct files
-_WANTED = f"the matrix {_MATRIX}, or the positions {' and '.join(_POSITIONS)}"
+_MATRIX = "positives"
+_WANTED = f"the matrix {_MATRIX}, or the positions utmQ and utmDb"  # and the radius posDistThr, as in dbStruct files
 _ADVICE_FILE = f"dataset.ground_truth wants {_WANTED}"
 _WAYS_OUT = (
     "give as many in each, or say what is right by dataset.ground_truth=utm (positions in names), by "
@@ -66,30 +66,26 @@ def folders(
         )
     found = [images_in(folder, "dataset.references", _ADVICE) for folder in references]
     found.append(images_in(queries, "dataset.queries", _ADVICE))
-    (*traverses, asked), read, notes = by_numbers(found, numbers)
-    mapped = Paths.joined(traverses)
+    (*traverses, query_files), read, notes = by_numbers(found, numbers)
+    map_files = Paths.joined(traverses)
     chosen: dict[str, float] = {}
     if ground_truth == "index":
         check_by_order(found, [*references, queries], breaks, "dataset.", _WAYS_OUT)
-        truth = match_by_order(traverses, references, mapped, asked, tolerance, breaks)
+        truth = match_by_order(traverses, references, map_files, query_files, tolerance, breaks)
         chosen = {"tolerance_places": tolerance}
     elif ground_truth == "utm":
         chosen = {"radius_metres": radius_metres}
-        truth = by_names(mapped, asked, radius_metres, without=without_position)
+        truth = by_names(map_files, query_files, radius_metres, without=without_position)
     elif ground_truth == "none":
-        truth = unknown(len(mapped), len(asked))
+        truth = unknown(len(map_files), len(query_files))
     else:
-        file = Path(ground_truth).expanduser()
-        if file.suffix != ".npz":
-            raise BadInput(f"dataset.ground_truth={file}: give index, utm, none or an .npz file with {_WANTED}")
-        if {*names_in(file, _ADVICE_FILE)} >= {*_POSITIONS}:
-            truth, chosen = _by_positions(file, mapped, asked, radius_metres, without_position)
-        else:
-            truth = _by_matrix(file, len(asked), len(mapped))
+        truth, chosen = _by_file(
+            Path(ground_truth).expanduser(), map_files, query_files, radius_metres, without_position
+        )
     return dataset_of_files(
         name,
-        mapped,
-        asked,
+        map_files,
+        query_files,
         truth,
         unmatched,
         {
@@ -140,37 +136,26 @@ def by_index(traverses: Sequence[Sized], names: list[str], n_queries: int, toler
     return GroundTruth(np.tile(places, len(traverses)), positives, lacking, by_order=True)
 
 
-def _by_matrix(file: Path, n_queries: int, n_references: int) -> GroundTruth:
-    """Return the ground truth of a matrix of all images."""
-    shape, axes = (n_queries, n_references), ("queries", "references")
-    right = matrix_in(file, _MATRIX, shape, axes, _ADVICE_FILE)
-    return each_a_place(n_references, map(np.flatnonzero, right), f"no right reference in {file.name}")
-
-
-def _by_positions(
+def _by_file(
     file: Path, references: Paths, queries: Paths, radius_metres: float, without: WithoutPosition
 ) -> tuple[GroundTruth, dict[str, float]]:
-    """Return the ground truth of a file with the positions of all images, and the radius.
-
-    Raises BadInput for positions that do not fit, and for a file that was made for another radius.
-    """
-    asked, mapped = (
-        _metres_in(file, key, images, without) for key, images in zip(_POSITIONS, (queries, references), strict=True)
+    """Return the ground truth of an .npz file of all images, and the radius where positions decide."""
+    if file.suffix != ".npz":
+        raise BadInput(f"dataset.ground_truth={file}: give index, utm, none or an .npz file with {_WANTED}")
+    n_queries, n_references = len(queries), len(references)
+    most = {_MATRIX: n_queries * n_references, "utmQ": 2 * n_queries, "utmDb": 2 * n_references, "posDistThr": 1}
+    wanted = f"the matrix {_MATRIX}, {n_queries} queries by {n_references} references, or the positions utmQ and utmDb"
+    arrays = arrays_in(file, most, wanted, _ADVICE_FILE)
+    if not {"utmQ", "utmDb"} <= {*arrays}:
+        right = matrix_in(file, _MATRIX, (n_queries, n_references), ("queries", "references"), _ADVICE_FILE)
+        return each_a_place(n_references, right, f"no right reference in {file.name}"), {}
+    query_positions, map_positions = (
+        Positions(files, as_metres(f"{key} in {file}", arrays[key], len(files)))
+        for key, files in (("utmQ", queries), ("utmDb", references))
     )
-    truth = by_positions([mapped], asked, radius_metres, without)
-    if _RADIUS in names_in(file, _ADVICE_FILE):
-        own = array_in(file, _RADIUS, 1, "a radius in metres", _ADVICE_FILE)
-        if own.size == 1 and own.dtype.kind in "fiu" and own.item() != radius_metres:
-            told = f"{file.name} is for a radius of {own.item():g} m; dataset.radius_metres={radius_metres:g} counts"
-            truth = replace(truth, notes=(*truth.notes, told))
+    truth = by_positions([map_positions], query_positions, radius_metres, without)
+    own = arrays.get("posDistThr", np.array(radius_metres))
+    if own.size == 1 and own.dtype.kind in "fiu" and own.item() != radius_metres:
+        note = f"{file.name} is for a radius of {own.item():g} m; dataset.radius_metres={radius_metres:g} counts"
+        truth = replace(truth, notes=(*truth.notes, note))
     return truth, {"radius_metres": radius_metres}
-
-
-def _metres_in(file: Path, key: str, images: Paths, without: WithoutPosition) -> Positions:
-    wanted = f"metres, ({len(images)}, 2), each from -1e8 to 1e8, or NaN with dataset.without_position=drop"
-    metres = array_in(file, key, 2 * len(images), wanted, _ADVICE_FILE)
-    if metres.shape == (2, len(images)):
-        metres = metres.T
-    if metres.shape != (len(images), 2) or metres.dtype.kind not in "fiu" or not are_metres(metres, without):
-        raise BadInput(f"{key} in {file} has the shape {metres.shape}; wanted are {wanted}")
-    return Positions.of_metres(images, metres.astype(np.float64))

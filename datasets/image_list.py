@@ -3,39 +3,34 @@
 from __future__ import annotations
 
 import re
-from array import array
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from itertools import starmap
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from vprbench.api import BadInput, Dataset, Exif, MissingData, Paths
 
-from .readers.coordinates import MOST_METRES, Positions, WithoutPosition
 from .readers.csv_tables import read_csv
 from .readers.drives import Breaks
 from .readers.file_dataset import GroundTruth, Unmatched, dataset_of_files, unknown
 from .readers.image_files import find_listed
-from .readers.positions import by_positions
+from .readers.positions import MOST_METRES, Positions, WithoutPosition, by_positions
 from .readers.traverses import right_places
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Kind = Literal["place", "east_north", "lat_lon"]
 Label = str | int  # of a place
-Order = Literal["number", "row"]  # of places: whole numbers by their values, or by the rows of the references
 
-_COLUMNS: dict[Kind, tuple[str, ...]] = {
-    "place": ("place",),
-    "east_north": ("east", "north"),
-    "lat_lon": ("lat", "lon"),
-}
+_COLUMNS: dict[Kind, list[str]] = {"place": ["place"], "east_north": ["east", "north"], "lat_lon": ["lat", "lon"]}
 _ALIASES = {"image name": "image", "index": "place"}  # as QVPR/VPRTempo names them
-_WHOLE = re.compile(r"(-?\d+)\.0+")  # a whole number as a program writes it that takes all numbers for decimal ones
+_WHOLE = re.compile(r"(-?\d{1,19})(?:\.0+)?")  # a whole number, as a program may write it that takes all for decimal
 _MOST_PLACES = 2**61  # of which sums are 64-bit numbers; times in nanoseconds are below
-_KNOWN = ("image", *(column for columns in _COLUMNS.values() for column in columns))
+_KNOWN = ["image", *(column for columns in _COLUMNS.values() for column in columns)]
 _WANTED = "image, and place or east,north or lat,lon"
 
 
@@ -52,7 +47,6 @@ def image_list(
     levels: str | None = None,
     ground_truth: Literal["columns", "none"] = "columns",
     without_position: WithoutPosition = "error",
-    place_order: Order = "number",
 ) -> Dataset:
     """Return the images that CSV files list, in the order of their rows.
 
@@ -62,11 +56,11 @@ def image_list(
 
     Places are any numbers or words, several references may show one, and right are places at most `tolerance` away.
     Whole numbers count as themselves: 8 is 8 places from 0. Words are numbered in the order in which the references
-    first name them, whole numbers too if any place is a word, or with `place_order` row. By position every reference
-    is a place, and right is what lies within `radius_metres`, the radius included; the distance between latitudes and
-    longitudes is the straight line through the ellipsoid. Images whose position is none (0, 0 far from all others; a
-    fix that stood still) are an error, left out (`without_position` drop), or count where they say (`keep`). With
-    `ground_truth` none the column `image` is enough: every reference is a place, and no answer is judged.
+    first name them, whole numbers too if any place is a word. By position every reference is a place, and right is what
+    lies within `radius_metres`, the radius included; the distance between latitudes and longitudes is the straight line
+    through the ellipsoid. Images whose position is none (0, 0 far from all others; a fix that stood still) are an
+    error, left out (`without_position` drop), or count where they say (`keep`). With `ground_truth` none the column
+    `image` is enough: every reference is a place, and no answer is judged.
 
     Another folder, or a position that jumps, begins another drive unless `breaks` is none. `exif` and `levels` say how
     files are decoded (`decoding_of`).
@@ -79,22 +73,24 @@ def image_list(
             "pass dataset.references=[/path/to/first.csv,/path/to/second.csv] dataset.queries=/path/to/queries.csv"
         )
     files = [*(Path(file).expanduser() for file in references), Path(queries).expanduser()]
-    tables = [_table(file, root) for file in files]
-    mapped, asked = tables[:-1], tables[-1]
-    kind = "none" if ground_truth == "none" else _kind_of_all(tables)
-    chosen = {"tolerance_places": tolerance} if kind == "place" else {"radius_metres": radius_metres}
+    tables = [_read_table(file, root) for file in files]
+    map_tables, query_table = tables[:-1], tables[-1]
+    kind = "none" if ground_truth == "none" else _find_kind(tables)
+    chosen: dict[str, float] = {}
     if kind == "none":
-        truth, chosen = unknown(sum(len(table.images) for table in mapped), len(asked.images)), {}
+        truth = unknown(sum(len(table.images) for table in map_tables), len(query_table.images))
     elif kind == "place":
-        shown = [label for table in mapped for label in table.labels()]
-        truth = _by_place(shown, asked.labels(), tolerance, place_order)
+        shown = [label for table in map_tables for label in table.labels()]
+        truth = _by_place(shown, query_table.labels(), tolerance)
+        chosen = {"tolerance_places": tolerance}
     else:
         *known, sought = (table.positions(kind, without_position) for table in tables)
         truth = by_positions(known, sought, radius_metres, without_position)
+        chosen = {"radius_metres": radius_metres}
     return dataset_of_files(
         name,
-        Paths.joined(table.images for table in mapped),
-        asked.images,
+        Paths.joined(table.images for table in map_tables),
+        query_table.images,
         truth,
         unmatched,
         {
@@ -116,108 +112,84 @@ class _Table:
 
     file: Path
     images: Paths
-    cells: Mapping[str, Sequence[str]]  # of every row, by our names of the columns
+    cells: pd.DataFrame  # text, by our names of the columns
 
     def labels(self) -> list[Label]:
         """Return the place of every row, whole numbers as such: 7, 007 and 7.0 are one place."""
-        words = [whole[1] if (whole := _WHOLE.fullmatch(word)) else word for word in self._words("place")]
-        return [int(word) if len(word) < 20 and word.removeprefix("-").isdecimal() else word for word in words]
+        words = _require_words(self.file, self.cells, "place")
+        return [int(whole[1]) if (whole := _WHOLE.fullmatch(word)) else word for word in words]
 
     def positions(self, kind: Kind, without: WithoutPosition) -> Positions:
         """Return the position of every row; numbers that are none are an error, or NaN where such rows are left out."""
-        said = np.stack([self._numbers(column, without) for column in _COLUMNS[kind]], axis=1)
-        return (Positions.of_degrees if kind == "lat_lon" else Positions.of_metres)(self.images, said)
+        given = np.stack([self._read_numbers(column, without) for column in _COLUMNS[kind]], axis=1)
+        return Positions(self.images, given, in_degrees=kind == "lat_lon")
 
-    def _numbers(self, column: str, without: WithoutPosition) -> npt.NDArray[np.float64]:
+    def _read_numbers(self, column: str, without: WithoutPosition) -> npt.NDArray[np.float64]:
+        import pandas as pd
+
+        numbers: npt.NDArray[np.float64] = pd.to_numeric(self.cells[column], errors="coerce").to_numpy(np.float64)
         most = {"lat": 90.0, "lon": 180.0}.get(column, MOST_METRES)
-        numbers = array("d")
-        words = self.cells[column] if without == "drop" else self._words(column)
-        for word in words:
-            try:
-                number = float(word)
-            except ValueError:
-                number = np.nan
-            if not abs(number) <= most:
-                if without != "drop":
-                    row = len(numbers) + 1
-                    point = ", decimals with a point" * ("," in word)
-                    raise BadInput(
-                        f"{column} {word} in row {row} of {self.file}: wanted is -{most:g} to {most:g}{point}; "
-                        "dataset.without_position=drop leaves such rows out"
-                    )
-                number = np.nan
-            numbers.append(number)
-        return np.array(numbers)
-
-    def _words(self, column: str) -> list[str]:
-        words = [word.strip() for word in self.cells[column]]
-        if "" in words:
-            raise BadInput(f"row {words.index('') + 1} of {self.file} has no {column}: every row needs one")
-        return words
+        wrong = ~(np.abs(numbers) <= most)
+        if wrong.any() and without != "drop":
+            word = self.cells[column][row := int(wrong.argmax())]
+            point = ", decimals with a point" * ("," in word)
+            raise BadInput(
+                f"{column} {word} in row {row + 1} of {self.file}: wanted is -{most:g} to {most:g}{point}; "
+                "dataset.without_position=drop leaves such rows out"
+            )
+        return np.where(wrong, np.nan, numbers)
 
 
-def _table(file: Path, root: str | None) -> _Table:
+def _read_table(file: Path, root: str | None) -> _Table:
     """Read a CSV and check that its images are there."""
     if not file.is_file():
         raise MissingData(f"{file} is no file: give a CSV with the columns {_WANTED}")
-    table = read_csv(file, _WANTED)
-    plain = [column.strip().lower() for column in table.header]
-    columns = [_ALIASES.get(column, column) for column in plain]
+    cells = read_csv(file, _WANTED).rename(columns=_ALIASES)
+    columns = [*cells.columns]
     if "image" not in columns or any(columns.count(name) > 1 for name in _KNOWN):
-        raise BadInput(f"{file} has the columns {table.described_columns}; wanted are {_WANTED}, each once")
-    if not table.lines:
+        raise BadInput(f"{file} has the columns {', '.join(columns)}; wanted are {_WANTED}, each once")
+    if cells.empty:
         raise BadInput(f"{file} lists no image: give it a row for each")
-    cells = dict(zip(columns, table.columns, strict=True))
-    names = _Table(file, Paths.of([]), cells)._words("image")
-    named = Paths.below(file.parent if root is None else Path(root).expanduser(), names)
+    words = _require_words(file, cells, "image")
+    named = Paths.below(file.parent if root is None else Path(root).expanduser(), words)
     images = find_listed(named, file.name, "correct the paths, or set dataset.root to the folder that they start from")
-    return _Table(file, images, {**cells, "image": ()})  # the images hold them in less memory
+    return _Table(file, images, cells)
 
 
-def _kind_of_all(tables: Sequence[_Table]) -> Kind:
+def _require_words(file: Path, cells: pd.DataFrame, column: str) -> list[str]:
+    """Return the cells of a column; raises BadInput where one is empty."""
+    words: list[str] = cells[column].str.strip().tolist()
+    if "" in words:
+        raise BadInput(f"row {words.index('') + 1} of {file} has no {column}: every row needs one")
+    return words
+
+
+def _find_kind(tables: Sequence[_Table]) -> Kind:
     """Return the first kind of ground truth that all tables hold; raises BadInput if no kind is common to all."""
     for kind, columns in _COLUMNS.items():
         if all({*columns} <= {*table.cells} for table in tables):
             return kind
-    held = "; ".join(f"{table.file.name} has {', '.join(table.cells)}" for table in tables)
+    held = "; ".join(f"{table.file.name} has {', '.join(table.cells.columns)}" for table in tables)
     raise BadInput(f"{held}: wanted are {_WANTED}, the same in all files, or dataset.ground_truth=none")
 
 
-def _by_place(references: list[Label], queries: list[Label], tolerance: int, order: Order) -> GroundTruth:
+def _by_place(references: list[Label], queries: list[Label], tolerance: int) -> GroundTruth:
     """Return the ground truth of places by their labels.
 
-    What the order of places changes is part of the protocol; where both orders are one, nothing is said.
+    Whole numbers lie where they say; other labels in the order in which the references first name them.
     """
-    rows: dict[Label, int] = {label: row for row, label in enumerate(dict.fromkeys(references))}
-    by_row = replace(_along_the_journey(rows, references, queries, tolerance), place_numbers=None, protocol={})
-    if order == "row":
-        return replace(by_row, protocol={"place_order": "row"})
-    if not all(map(_is_number, references)):
-        return by_row
-    numbers = {label: int(label) for label in (*references, *queries) if _is_number(label)}
-    by_number = _along_the_journey(numbers, references, queries, tolerance)
-    same = zip((by_row.places, *by_row.positives), (by_number.places, *by_number.positives), strict=True)
-    if (np.diff(sorted({numbers[label] for label in references})) == 1).all() and all(starmap(np.array_equal, same)):
-        return by_row
-    return by_number
+    at: dict[Label, int] = {label: row for row, label in enumerate(dict.fromkeys(references))}
+    are_numbers = all(map(_is_number, references))
+    if are_numbers:
+        at = {label: int(label) for label in (*references, *queries) if _is_number(label)}
+    first = min(at.values())
+    nowhere = first - max(at.values()) - 1  # further from every place than the tolerance can reach
+    journey, places = np.unique([at[label] for label in references], return_inverse=True)
+    sought = np.array([at[label] - first if label in at else nowhere for label in queries])
+    positives = right_places(sought, journey - first, tolerance)
+    numbers = journey if are_numbers and not np.array_equal(journey, np.arange(len(journey))) else None
+    return GroundTruth(places, positives, "a place that no reference shows", place_numbers=numbers)
 
 
 def _is_number(label: Label) -> bool:
     return isinstance(label, int) and abs(label) < _MOST_PLACES
-
-
-def _along_the_journey(
-    at: Mapping[Label, int], references: list[Label], queries: list[Label], tolerance: int
-) -> GroundTruth:
-    """Return the ground truth of places that lie at these numbers; right for a query are the places around its own."""
-    first = min(at.values())
-    nowhere = first - max(at.values()) - 1  # further from every place than the tolerance can reach
-    journey, places = np.unique([at[label] for label in references], return_inverse=True)
-    asked = np.array([at[label] - first if label in at else nowhere for label in queries])
-    return GroundTruth(
-        places=places,
-        positives=right_places(asked, journey - first, tolerance),
-        lacking="a place that no reference shows",
-        place_numbers=journey,
-        protocol={"place_order": "number"},
-    )

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Literal
 
 from vprbench.api import BadInput, Dataset, Exif, FrameFolder, Images, Paths, decoding_of
 
 from .readers.frame_folders import check_folders, find_folder, root_folder
-from .readers.recipes import function_of
-from .readers.traverses import Evaluation, Traverses, check_recorded, dataset_of, every, split
+from .readers.traverses import Evaluation, check_recorded, dataset_of, every, split
 
 SEASONS = ("spring", "summer", "fall", "winter")
 
@@ -30,9 +29,28 @@ _PATCH_NETVLAD = (
 )
 
 
-@dataclass(frozen=True)
-class Nordland:
-    """Nordland as `places` places, every `stride`-th name of the published list (VPRTempo 64154e5).
+def nordland(
+    name: str = "nordland",
+    root: str | None = None,
+    references: list[str] | None = None,
+    query: str = "summer",
+    stride: int = 8,
+    places: int = 3300,
+    query_places: int = 2700,
+    first_query_place: int = 600,
+    tolerance: int = 0,
+    frame_multiple: int = 1,
+    default_root: str | None = None,
+    source: str = _SOURCE,
+    protocol: Protocol = "vprtempo",
+    query_stride: int = 1,
+    suffix: Suffix = ".png",
+    download: str = "nordland",
+    first_place: int = 0,
+    exif: Exif = "ignore",
+    levels: str | None = None,
+) -> Dataset:
+    """Return Nordland as `places` places, every `stride`-th name of the published list (VPRTempo 64154e5).
 
     `references` are the seasons of the map (spring and fall if None), each a traverse of the same places. The
     `query_places` queries begin at place `first_query_place`, `query_stride` places apart; right is a place at most
@@ -43,83 +61,49 @@ class Nordland:
     `exif` and `levels` say how files are decoded (`decoding_of`). Raises MissingData for a missing root or frames,
     BadInput for other arguments.
     """
+    seasons = ["spring", "fall"] if references is None else references
+    check_recorded("Nordland", "season", SEASONS, seasons, query)
+    names = chosen_names(stride, places, frame_multiple, suffix, first_place)
+    evaluation: Evaluation = "vprsnn" if protocol == "vprsnn" else "vprtempo"
+    parts = split(evaluation, places, first_query_place, query_places, tolerance, query_stride)
+    used = {query: [names[place] for place in parts.needed_of_query()]} | dict.fromkeys(seasons, names)
+    first = f"<root>/{seasons[0]}/{names[0]}"
+    layout = f"get the frames from {source}, and set dataset.root so that {first} is the first"
+    top = root_folder(name, root, "the seasons", layout, download, default_root, [*used])
+    counts = _count_images(frame_multiple)
+    folders = {
+        season: FrameFolder(find_folder(top, season), tuple(wanted), counts, _WRONG_COUNTS)
+        for season, wanted in used.items()
+    }
+    check_folders([*folders.values()], layout, "dataset.suffix")
+    files = Paths.joined(Paths.below(folder.path, folder.used) for folder in folders.values())
+    decoding, decoded = decoding_of(files, exif, levels, "dataset.")
 
-    name: str = "nordland"
-    root: str | None = None
-    references: list[str] | None = None
-    query: str = "summer"
-    stride: int = 8
-    places: int = 3300
-    query_places: int = 2700
-    first_query_place: int = 600
-    tolerance: int = 0
-    frame_multiple: int = 1
-    default_root: str | None = None
-    source: str = _SOURCE
-    protocol: Protocol = "vprtempo"
-    query_stride: int = 1
-    suffix: Suffix = ".png"
-    download: str = "nordland"
-    first_place: int = 0
-    exif: Exif = "ignore"
-    levels: str | None = None
+    def frames(shown: Sequence[tuple[str, int]]) -> Images:
+        return Images.from_files([folders[season].path / names[place] for season, place in shown], decoding)
 
-    def build(self) -> Dataset:
-        """Return the dataset of these options, after a look at what is in the folders of the seasons."""
-        seasons = ["spring", "fall"] if self.references is None else self.references
-        check_recorded("Nordland", "season", SEASONS, seasons, self.query)
-        _check_protocol(self.protocol, self.stride, self.frame_multiple)
-        names = chosen_names(self.stride, self.places, self.frame_multiple, self.suffix, self.first_place)
-        evaluation: Evaluation = "vprsnn" if self.protocol == "vprsnn" else "vprtempo"
-        asked = (self.first_query_place, self.query_places, self.tolerance, self.query_stride)
-        parts = split(evaluation, self.places, *asked)
-        used = {self.query: [names[place] for place in parts.needed_of_query()]} | dict.fromkeys(seasons, names)
-        folders = self._folders(used, seasons[0])
-        files = Paths.joined(Paths.below(folder.path, folder.used) for folder in folders.values())
-        decoding, decoded = decoding_of(files, self.exif, self.levels, "dataset.")
-        dataset = dataset_of(
-            self.name,
-            parts,
-            Traverses(
-                seasons,
-                self.query,
-                lambda shown: Images.from_files(
-                    [folders[season].path / names[place] for season, place in shown], decoding
-                ),
-                [*folders.values()],
-                [int(name.removeprefix("images-").removesuffix(self.suffix)) for name in names],
-            ),
-            {
-                "protocol": self.protocol,
-                "references": seasons,
-                "query": self.query,
-                "stride": self.stride,
-                **parts.record(),
-                "frame_multiple": self.frame_multiple,
-                **({"first_place": self.first_place} if self.first_place else {}),
-                **decoded,
-            },
-            [_PATCH_NETVLAD.format(self.tolerance)] if self.protocol == "patchnetvlad" else [],
-        )
-        return replace(dataset, place_numbers=self.first_place + parts.mapped) if self.first_place else dataset
-
-    def _folders(self, used: Mapping[str, Sequence[str]], first: str) -> dict[str, FrameFolder]:
-        """Return the folder of each season, with the names used of it; raises MissingData if frames are missing."""
-        layout = (
-            f"get the frames from {self.source}, and set dataset.root so that <root>/{first}/{used[first][0]} is the "
-            "first"
-        )
-        top = root_folder(self.name, self.root, "the seasons", layout, self.download, self.default_root, [*used])
-        counts = _whole_counts(self.frame_multiple)
-        folders = {
-            season: FrameFolder(find_folder(top, season), tuple(names), counts, _WRONG_COUNTS)
-            for season, names in used.items()
-        }
-        check_folders([*folders.values()], layout, "dataset.suffix")
-        return folders
-
-
-nordland = function_of(Nordland)
+    numbers = [int(name.removeprefix("images-").removesuffix(suffix)) for name in names]
+    dataset = dataset_of(
+        name,
+        parts,
+        seasons,
+        query,
+        frames,
+        {
+            "protocol": protocol,
+            "references": seasons,
+            "query": query,
+            "stride": stride,
+            **parts.record(),
+            "frame_multiple": frame_multiple,
+            **({"first_place": first_place} if first_place else {}),
+            **decoded,
+        },
+        folders=[*folders.values()],
+        numbers=numbers,
+        notes=[_PATCH_NETVLAD.format(tolerance)] if protocol == "patchnetvlad" else [],
+    )
+    return replace(dataset, place_numbers=first_place + parts.mapped) if first_place else dataset
 
 
 def chosen_names(
@@ -141,21 +125,8 @@ def published_frames() -> list[int]:
     return [frame for first, last in bounds for frame in range(first, last + 1)]
 
 
-def _check_protocol(protocol: Protocol, stride: int, frame_multiple: int) -> None:
-    """Raise BadInput for an unknown protocol, and for fewer frames than its map has to hold."""
-    known = get_args(Protocol)
-    if protocol not in known:
-        raise BadInput(f"dataset.protocol={protocol}: choose {', '.join(known[:-1])} or {known[-1]}")
-    if protocol not in ("vprtempo", "vprsnn") and (stride, frame_multiple) != (1, 1):
-        raise BadInput(
-            f"dataset.protocol={protocol} with dataset.stride={stride} and dataset.frame_multiple={frame_multiple}: it "
-            f"takes every frame of the list; choose dataset=nordland_{protocol}, or protocol vprtempo or vprsnn"
-        )
-
-
-def _whole_counts(frame_multiple: int) -> tuple[int, ...]:
+def _count_images(frame_multiple: int) -> tuple[int, ...]:
     """Return how many images a whole season may hold: all or the listed ones, of every frame or of the multiples."""
     listed = published_frames()
     multiples = sum(frame % frame_multiple == 0 for frame in listed)
-    counts = (_SEASON_FRAMES // frame_multiple, multiples, _SEASON_FRAMES, len(listed))
-    return tuple(dict.fromkeys(counts))
+    return tuple(dict.fromkeys((_SEASON_FRAMES // frame_multiple, multiples, _SEASON_FRAMES, len(listed))))

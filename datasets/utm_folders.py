@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from vprbench.api import BadInput, Dataset, Exif, MissingData, Paths
 
-from .readers.coordinates import WithoutPosition
 from .readers.csv_tables import encoding_of
 from .readers.drives import Breaks
 from .readers.file_dataset import Unmatched, dataset_of_files, unknown
 from .readers.frame_folders import folders_in, root_folder
 from .readers.image_files import find_listed, images_in
-from .readers.positions import Zones, by_names
-from .readers.recipes import function_of
+from .readers.positions import WithoutPosition
+from .readers.utm_names import Zones, by_names
 
 _LAYOUT = (
     "github.com/gmberton/VPR-datasets-downloader makes such folders and says for which you have to register or to ask "
@@ -23,9 +21,22 @@ _LAYOUT = (
 )
 
 
-@dataclass(frozen=True)
-class UtmFolders:
-    """The images below `database` and `queries`, named @UTM_east@UTM_north@..., in the order of their paths.
+def utm_folders(
+    name: str = "utm_folders",
+    root: str | None = None,
+    split: str = "test",
+    database: str = "database",
+    queries: str = "queries",
+    radius_metres: float = 25.0,
+    unmatched: Unmatched = "keep",
+    breaks: Breaks = "auto",
+    exif: Exif = "obey",
+    levels: str | None = None,
+    ground_truth: Literal["utm", "none"] = "utm",
+    without_position: WithoutPosition = "error",
+    zones: Zones = "error",
+) -> Dataset:
+    """Return the images below `database` and `queries`, named @UTM_east@UTM_north@..., in the order of their paths.
 
     The two folders lie in `<root>/images/<split>`, in `<root>/<split>` or in `root` itself. Where a file
     `<folder>_images_paths.txt` lies beside a folder, it alone says which images are used, and in which order. Every
@@ -33,78 +44,41 @@ class UtmFolders:
     count as misses (`keep`, as in gmberton/VPR-methods-evaluation), are left out (`drop`, as in VPRTempo and
     VPR_Tutorial) or are an error. So are names of several UTM zones, unless images of different zones never show one
     place (`zones` apart), and images whose position is none (0, 0 far from all others; a fix that stood still), unless
-    they are left out (`without_position` drop) or count where they say (`keep`). With `ground_truth` none any name is
-    taken, and no answer is judged. Another sub-folder, or a position that jumps, begins another drive unless `breaks`
-    is none. `exif` and `levels` say how files are decoded (`decoding_of`). Raises MissingData for what is missing,
-    BadInput for names without a position and for a list that is no text.
+    they are left out (`without_position` drop) or count where they say (`keep`). With `ground_truth`
+    none any name is taken, and no answer is judged. Another sub-folder, or a position that jumps, begins another drive
+    unless `breaks` is none. `exif` and `levels` say how files are decoded (`decoding_of`). Raises MissingData for what
+    is missing, BadInput for names without a position and for a list that is no text.
     """
-
-    name: str = "utm_folders"
-    root: str | None = None
-    split: str = "test"
-    database: str = "database"
-    queries: str = "queries"
-    radius_metres: float = 25.0
-    unmatched: Unmatched = "keep"
-    zones: Zones = "error"
-    breaks: Breaks = "auto"
-    exif: Exif = "obey"
-    levels: str | None = None
-    ground_truth: Literal["utm", "none"] = "utm"
-    without_position: WithoutPosition = "error"
-
-    def build(self) -> Dataset:
-        """Return the dataset of these options."""
-        folders = self.database, self.queries
-        layout = f"{_LAYOUT} so that <root>/images/{self.split} holds {self.database}/ and {self.queries}/"
-        top = root_folder(self.name, self.root, f"{self.database}/ and {self.queries}/", layout)
-        found, holding = _holding(top, self.split, folders, layout)
-        lists = [beside.name for folder in folders if (beside := _list_beside(holding / folder)).is_file()]
-        references, asked = (_images(holding / folder, layout) for folder in folders)
-        known = self.ground_truth == "utm"
-        truth = (
-            by_names(references, asked, self.radius_metres, self.zones, self.without_position)
-            if known
-            else unknown(len(references), len(asked))
-        )
-        return dataset_of_files(
-            self.name,
-            references,
-            asked,
-            truth,
-            self.unmatched,
-            {
-                "protocol": "utm_folders",
-                "split": found,
-                "database": self.database,
-                "queries": self.queries,
-                **({"lists": lists} if lists else {}),
-                **({"radius_metres": self.radius_metres, "zones": self.zones} if known else {}),
-            },
-            breaks=self.breaks,
-            exif=self.exif,
-            levels=self.levels,
-        )
+    layout = f"{_LAYOUT} so that <root>/images/{split} holds {database}/ and {queries}/"
+    top = root_folder(name, root, f"{database}/ and {queries}/", layout)
+    found, holding = _find_split(top, split, (database, queries), layout)
+    folders = holding / database, holding / queries
+    lists = [beside.name for folder in folders if (beside := _list_beside(folder)).is_file()]
+    map_files, query_files = (_images(folder, layout) for folder in folders)
+    protocol: dict[str, Any] = {"protocol": "utm_folders", "split": found, "database": database, "queries": queries}
+    if lists:
+        protocol["lists"] = lists
+    if ground_truth == "utm":
+        truth = by_names(map_files, query_files, radius_metres, zones, without_position)
+        protocol |= {"radius_metres": radius_metres, "zones": zones}
+    else:
+        truth = unknown(len(map_files), len(query_files))
+    return dataset_of_files(
+        name, map_files, query_files, truth, unmatched, protocol, breaks=breaks, exif=exif, levels=levels
+    )
 
 
-utm_folders = function_of(UtmFolders)
-
-
-def _holding(top: Path, split: str, wanted: tuple[str, str], layout: str) -> tuple[str | None, Path]:
+def _find_split(top: Path, split: str, wanted: tuple[str, str], layout: str) -> tuple[str | None, Path]:
     """Return the split, None if the root is not divided, and the folder that holds both wanted folders."""
     for outer in ([top], folders_in(top)):  # the only folder of the root comes after the root, as a zip is unpacked
-        for found, *way in ((split, "images", split), (split, split), (None,)):
-            holding = [folder for folder in (each.joinpath(*way) for each in outer) if _has_both(folder, wanted)]
+        for found, way in ((split, Path("images", split)), (split, Path(split)), (None, Path())):
+            holding = [each / way for each in outer if all((each / way / part).is_dir() for part in wanted)]
             if len(holding) == 1:
                 return found, holding[0]
     raise MissingData(
         f"{' and '.join(f'{part}/' for part in wanted)} are neither in {top / 'images' / split} nor in {top / split} "
         f"nor in {top}: {layout}"
     )
-
-
-def _has_both(folder: Path, wanted: tuple[str, str]) -> bool:
-    return all((folder / part).is_dir() for part in wanted)
 
 
 def _images(folder: Path, layout: str) -> Paths:

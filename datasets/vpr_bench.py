@@ -15,6 +15,7 @@ from .readers.name_order import Numbers, by_numbers
 from .readers.pickled_lists import read_lists
 
 OutOfRange = Literal["error", "clip"]
+Rows = list[tuple[int, list[int]]]  # a query and its right references
 
 GROUND_TRUTHS = ("ground_truth_new.npy", "ground_truth.csv")
 
@@ -51,69 +52,53 @@ def vpr_bench(
     top = root_folder(name, root, "query/ and ref/", _LAYOUT, default_root=default_root, parts=("query", "ref"))
     folders = (find_folder(top, part) for part in ("query", "ref"))
     found = [images_in(folder, "dataset.root", _LAYOUT, deep=False) for folder in folders]
-    (asked, references), read, told = by_numbers(found, numbers)
-    protocol = {"protocol": "vpr_bench", "references": "ref", "queries": "query", **read}
-    if ground_truth == "none":
-        none = unknown(len(references), len(asked))
-        return dataset_of_files(name, references, asked, none, unmatched, protocol, told, exif=exif, levels=levels)
-    stored = _ground_truth_file(top, ground_truth)
-    rows = _rows_of_csv(stored) if stored.suffix.lower() == ".csv" else _rows_of_pickle(stored)
-    by_query, corrected = in_range(stored.name, rows, len(asked), len(references), out_of_range)
-    notes = [
-        f"{stored.name} names numbers without an image in {len(corrected)} of {len(rows)} rows (first: query {query}); "
-        "they are left out (dataset.out_of_range=clip)"
-        for query in corrected[:1]
-    ]
-    return dataset_of_files(
-        name,
-        references,
-        asked,
-        each_a_place(len(references), by_query, f"no right reference in {stored.name}"),
-        unmatched,
-        {
-            **protocol,
-            "ground_truth": stored.name,
-            "out_of_range": out_of_range,
-            "out_of_range_queries": len(corrected),
-        },
-        [*told, *notes],
-        exif=exif,
-        levels=levels,
-    )
+    (query_files, map_files), read, notes = by_numbers(found, numbers)
+    protocol: dict[str, Any] = {"protocol": "vpr_bench", "references": "ref", "queries": "query", **read}
+    truth = unknown(len(map_files), len(query_files))
+    if ground_truth != "none":
+        stored = _find_ground_truth(top, ground_truth)
+        rows = _read_csv_rows(stored) if stored.suffix.lower() == ".csv" else _read_pickled_rows(stored)
+        by_query, corrected = require_range(stored.name, rows, len(query_files), len(map_files), out_of_range)
+        truth = each_a_place(len(map_files), by_query, f"no right reference in {stored.name}")
+        protocol |= {"ground_truth": stored.name, "out_of_range": out_of_range, "out_of_range_queries": len(corrected)}
+        if corrected:
+            count = f"{stored.name} names numbers without an image in {len(corrected)} of {len(rows)} rows"
+            notes.append(f"{count} (first: query {corrected[0]}); they are left out (dataset.out_of_range=clip)")
+    return dataset_of_files(name, map_files, query_files, truth, unmatched, protocol, notes, exif=exif, levels=levels)
 
 
-def in_range(
-    owner: str, rows: list[tuple[int, list[int]]], n_queries: int, n_references: int, out_of_range: OutOfRange
+def require_range(
+    owner: str, rows: Rows, n_queries: int, n_references: int, out_of_range: OutOfRange
 ) -> tuple[list[list[int]], list[int]]:
     """Return the right references of every query, ascending, and the queries whose rows held numbers without an image.
 
-    Those numbers are left out with `clip`, else BadInput names the first of them. Raises BadInput as well for a query
+    Such numbers are left out with `clip`, else BadInput names the first of them. Raises BadInput as well for a query
     with two rows or none. `owner` is the file that messages name.
     """
     by_query: dict[int, list[int]] = {}
     corrected = []
     for query, right in rows:
-        wrong = [reference for reference in right if not 0 <= reference < n_references]
-        known = 0 <= query < n_queries
-        if known and query in by_query:
+        known = [reference for reference in right if 0 <= reference < n_references]
+        exists = 0 <= query < n_queries
+        if query in by_query:
             raise BadInput(f"{owner} has two rows for query {query}: leave one")
-        if known:
-            by_query[query] = sorted({*right} - {*wrong})
-        if known and not wrong:
+        if exists:
+            by_query[query] = sorted({*known})
+        if exists and len(known) == len(right):
             continue
         corrected.append(query)
         if out_of_range == "error":
-            told = (
-                f"names reference {wrong[0]} for query {query}, but ref/ holds {n_references}"
-                if known
-                else f"names query {query}, but query/ holds {n_queries}"
+            wrong = (
+                f"reference {next(n for n in right if n not in known)} for query {query}"
+                if exists
+                else f"query {query}"
             )
+            holds = f"ref/ holds {n_references}" if exists else f"query/ holds {n_queries}"
             raise BadInput(
-                f"{owner} {told} images, numbered from 0: check that no image is missing, or pass "
+                f"{owner} names {wrong}, but {holds} images, numbered from 0: check that no image is missing, or pass "
                 "dataset.out_of_range=clip to leave such numbers out"
             )
-    without = [query for query in range(n_queries) if query not in by_query]
-    if without:
+    if without := [query for query in range(n_queries) if query not in by_query]:
         raise BadInput(
             f"{owner} has no row for {len(without)} of {n_queries} queries (first: query {without[0]}): give each one, "
             "with an empty list where no reference is right"
@@ -121,7 +106,7 @@ def in_range(
     return [by_query[query] for query in range(n_queries)], corrected
 
 
-def _ground_truth_file(top: Path, name: str | None) -> Path:
+def _find_ground_truth(top: Path, name: str | None) -> Path:
     wanted = [name] if name else GROUND_TRUTHS
     found = next((top / file for file in wanted if (top / file).is_file()), None)
     if found is None:
@@ -129,34 +114,31 @@ def _ground_truth_file(top: Path, name: str | None) -> Path:
     return found
 
 
-def _rows_of_pickle(path: Path) -> list[tuple[int, list[int]]]:
+def _read_pickled_rows(path: Path) -> Rows:
     """Return query and right references of each row of a ground_truth_new.npy."""
     advice = "get the file from its source again, or write ground_truth.csv with the columns query,matching_refs"
     rows = []
     for number, row in enumerate(read_lists(path, advice)):
-        whole = isinstance(row, list) and len(row) == 2 and isinstance(row[1], list) and _whole([row[0], *row[1]])
-        if not whole:
+        pair = isinstance(row, list) and len(row) == 2 and isinstance(row[1], list)
+        numbers: list[Any] = [row[0], *row[1]] if pair else [None]
+        if not all(type(n) in (int, float) and n == n // 1 for n in numbers):
             raise BadInput(f"row {number} of {path} is no [query, [references]] of whole numbers: {advice}")
-        rows.append((int(row[0]), [int(reference) for reference in row[1]]))
+        rows.append((int(numbers[0]), [int(reference) for reference in numbers[1:]]))
     return rows
 
 
-def _whole(numbers: list[Any]) -> bool:
-    return all(isinstance(n, int | float) and not isinstance(n, bool) and n == n // 1 for n in numbers)
-
-
-def _rows_of_csv(path: Path) -> list[tuple[int, list[int]]]:
+def _read_csv_rows(path: Path) -> Rows:
     """Return query and right references of each row of a ground_truth.csv."""
     wanted = "query and matching_refs"
     table = read_csv(path, wanted)
-    if not {"query", "matching_refs"} <= {*table.header}:
-        raise BadInput(f"{path} has the columns {table.described_columns}; wanted are {wanted}")
+    if not {"query", "matching_refs"} <= {*table.columns}:
+        raise BadInput(f"{path} has the columns {', '.join(table.columns)}; wanted are {wanted}")
     rows = []
-    for line, query, right in zip(table.lines, table.column("query"), table.column("matching_refs"), strict=True):
+    for number, (query, right) in enumerate(zip(table["query"], table["matching_refs"], strict=True), 1):
         try:
             rows.append((int(query), [int(reference) for reference in right.split()]))
         except ValueError as error:
             raise BadInput(
-                f"line {line} of {path} is no query and its references: wanted are whole numbers, as in 5,3 4 5"
+                f"row {number} of {path} is no query and its references: wanted are whole numbers, as in 5,3 4 5"
             ) from error
     return rows

@@ -51,10 +51,10 @@ def gardens_point(
         f"set dataset.root to the folder that holds {', '.join([*traverses, query])}"
     )
     top = root_folder(name, root, "the traverses", layout, parts=[*traverses, query])
-    mapped = Paths.joined(_first(find_folder(top, traverse), images, layout) for traverse in traverses)
+    map_files = Paths.joined(_first(find_folder(top, traverse), images, layout) for traverse in traverses)
     return dataset_of_files(
         name,
-        mapped,
+        map_files,
         _first(find_folder(top, query), images, layout),
         GroundTruth(np.tile(places, len(traverses)), right, "no reference", by_order=True),
         "error",
@@ -91,17 +91,17 @@ def with_matrix(
     """
     layout = f"{source} and set dataset.root to the folder that holds {reference}, {query} and GT.npz"
     top = root_folder(name, root, f"{reference}, {query} and GT.npz", layout, parts=[reference, query])
-    mapped, asked = (
+    map_files, query_files = (
         images_in(find_folder(top, folder), "dataset.root", layout, order="plain", deep=False)
         for folder in (reference, query)
     )
-    shape, axes = (len(mapped), len(asked)), ("references", "queries")
-    right = matrix_in(top / "GT.npz", _MATRICES[ground_truth], shape, axes, layout)
+    shape, axes = (len(map_files), len(query_files)), ("references", "queries")
+    right = matrix_in(top / "GT.npz", _MATRICES[ground_truth], shape, axes, layout, of_columns=True)
     return dataset_of_files(
         name,
-        mapped,
-        asked,
-        each_a_place(len(mapped), map(np.flatnonzero, right.T), f"no right reference in {_MATRICES[ground_truth]}"),
+        map_files,
+        query_files,
+        each_a_place(len(map_files), right, f"no right reference in {_MATRICES[ground_truth]}"),
         unmatched,
         {"protocol": "vpr_tutorial", "reference": reference, "query": query, "ground_truth": ground_truth},
         exif=exif,

@@ -3,22 +3,40 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import ClassVar, Literal, cast
+from typing import Any, ClassVar, Literal, Self, cast
 
+import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from vprbench.api import BadInput, Interpolation, Resize, Weights, find_weights, read_tensor
+from vprbench.api import (
+    BadInput,
+    Images,
+    Interpolation,
+    NotFittedError,
+    Places,
+    Resize,
+    Weights,
+    find_weights,
+    progress,
+    read_tensor,
+)
 
 from .dinov2 import Backbone
 from .parts.backbones.vit import SIZES, VisionTransformer, first_blocks
 from .parts.published import PublishedNetwork, Tensors
+from .parts.vectors import k_means
 
 Domain = Literal["indoor", "urban", "aerial", "structured", "unstructured", "global"]
+Vocabulary = Literal["published", "references"]
 
+_PUBLISHED = ("vitg14", 31, 32)  # backbone, layer and number of the centres that the authors give away
+_SAMPLED_IMAGES = 1000  # references that centres are learnt from, at most
+_SAMPLED_PER_CENTRE = 256  # values
 _ROUNDING = 1e-5  # length of a residual, per value in it, that is rounding and no direction
 
 
@@ -28,19 +46,23 @@ class AnyLoc(PublishedNetwork):
 
     The values of block 31 of DINOv2 ViT-g/14, one for each patch and of unit length, go to the centre of most similar
     direction; their differences from it are summed and brought to unit length per centre. `domain` names the file of
-    published centres; another `backbone`, `layer` (from 0) or number of `words` wants own `centres`.
-
-    As in the authors' demo, images keep their size, those with more than `longest_side` pixels shrink to it, sides
-    rounded down, and what exceeds whole patches of 14x14 is cut off at the borders; with
+    published centres. As in the authors' demo, images keep their size, those with more than `longest_side` pixels
+    shrink to it, sides rounded down, and what exceeds whole patches of 14x14 is cut off at the borders; with
     `preprocessing`=vpr_methods_evaluation they are resized to the nearest whole patches instead.
+
+    vocabulary=references is a variant and no published method: the centres are learnt by k-means from what the
+    references look like, never from their places; say so beside any result. Then any `backbone`, `layer` (counted from
+    0) and number of `words` will do, and `encode` raises NotFittedError before `fit`.
     Source: Keetha et al. 2023 and AnyLoc/DINO (eea7d4c).
     """
 
-    centres: Weights
+    centres: Weights | None = None  # not needed for vocabulary=references
     domain: Domain = "urban"
+    vocabulary: Vocabulary = "published"
     backbone: Backbone = "vitg14"
     layer: int = 31
     words: int = 32
+    seed: int = 0
     resize: Resize = "tensor"
     interpolation: Interpolation = "bicubic"
     longest_side: int | None = 1024  # pixels
@@ -50,9 +72,13 @@ class AnyLoc(PublishedNetwork):
     smallest_side: ClassVar[int] = 14
     crops: ClassVar[bool] = True
 
+    _learnt: bool = field(default=False, init=False, repr=False, compare=False)
+
     def files(self) -> Sequence[Path]:
         """Return the files of the network and of published centres; raises BadInput if one is missing."""
-        return [*super().files(), self._centres_file()]
+        self._check_arguments()  # before gigabytes are fetched
+        files = [*super().files()]
+        return files if self.vocabulary == "references" else [*files, self._centres_file()]
 
     def target(self, height: int, width: int) -> tuple[int, int]:
         """Return the height and width that an image is resized to, before its borders are cut off."""
@@ -67,7 +93,9 @@ class AnyLoc(PublishedNetwork):
     def loaded(self, tensors: Tensors, path: Path) -> nn.Module:
         """Return the network of the blocks up to `layer`, and the centres; raises BadInput if they do not fit."""
         network = cast(_Network, super().loaded(first_blocks(tensors, self.layer + 1), path))
-        network.centres = self._read_centres(network.values.model.sizes.dim)
+        dim = network.values.model.sizes.dim
+        learnt = self.vocabulary == "references"
+        network.centres = torch.zeros(self.words, dim) if learnt else self._read_centres(dim)
         return network
 
     def network(self, tensors: Tensors) -> nn.Module:
@@ -85,6 +113,29 @@ class AnyLoc(PublishedNetwork):
         super().use(network)
         network.centres = centres.to(self.device)
 
+    def fit(self, references: Images, places: Places) -> Self:
+        """Learn the centres if the vocabulary is the references' own, and encode all references."""
+        if self.vocabulary == "references":
+            self._check_arguments()
+            self.searched = None
+            self._learnt = False
+            if self._network is None:
+                self.use(self.load(self.files()[0]))
+            network = cast(_Network, self._network)
+            network.centres = torch.from_numpy(self._learn_centres(network, references)).to(self.device)
+            self._learnt = True
+        return super().fit(references, places)
+
+    def keeps_descriptors(self) -> bool:
+        """Tell that descriptors are worth keeping on disk, unless their centres are the references' own."""
+        return self.vocabulary == "published"
+
+    def encode(self, images: Images) -> npt.NDArray[np.float32]:
+        """Return the VLAD of each image, (n_images, words * dim), unit vectors."""
+        if self.vocabulary == "references" and not self._learnt:
+            raise NotFittedError("AnyLoc has no centres yet: call fit(references, places) first")
+        return super().encode(images)
+
     def _check_arguments(self) -> None:
         """Raise BadInput for arguments that do not fit."""
         super()._check_arguments()
@@ -99,6 +150,15 @@ class AnyLoc(PublishedNetwork):
             raise BadInput(f"method.longest_side={self.longest_side}: give at least {self.multiple}, or null for any")
 
     def _centres_file(self) -> Path:
+        if self.centres is None:
+            raise BadInput("method.centres is missing: give the file with centres, or set method.vocabulary=references")
+        if self.centres.path is None and (self.backbone, self.layer, self.words) != _PUBLISHED:
+            backbone, layer, words = _PUBLISHED
+            raise BadInput(
+                f"method.backbone={self.backbone} method.layer={self.layer} method.words={self.words}: centres are "
+                f"published for {backbone}, {layer} and {words} alone; set method.vocabulary=references, or give "
+                "method.centres.path=FILE"
+            )
         return find_weights(self.centres, f"{type(self).__name__} in the domain {self.domain}", "centres")
 
     def _read_centres(self, dim: int) -> Tensor:
@@ -110,6 +170,28 @@ class AnyLoc(PublishedNetwork):
                 "method.words times the network's dimensions, all finite"
             )
         return centres.float()
+
+    def _learn_centres(self, network: _Network, references: Images) -> npt.NDArray[np.float32]:
+        """Return k-means' centres, (words, dim), of values drawn from the references."""
+        generator = np.random.default_rng(self.seed)
+        n = len(references)
+        chosen = np.sort(generator.choice(n, min(n, _SAMPLED_IMAGES), replace=False))
+        per_image = _SAMPLED_PER_CENTRE * self.words / len(chosen)
+        drawn: list[npt.NDArray[np.float32]] = []
+
+        def draw(_: nn.Module, __: Any, values: Tensor) -> None:
+            share = per_image / values.shape[1]
+            picked = torch.from_numpy(generator.random(values.shape[:2]) < share).to(values.device)
+            drawn.append(values[picked].cpu().numpy())
+
+        hook = network.values.register_forward_hook(draw)
+        try:
+            super().encode(
+                references[chosen].watched(lambda done: progress.report("learning centres", done / len(chosen)))
+            )
+        finally:
+            hook.remove()
+        return k_means(np.concatenate(drawn), self.words, generator)
 
 
 class _Network(nn.Module):

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.api import BadInput, BinaryMethod, Images, packed
+from vprbench.api import BadInput, BinaryMethod, Images, pack_bits
 
 from .parts.filters.gabor import GaborBank
 from .parts.filters.oriented import OrientedEdges
@@ -37,7 +37,7 @@ class GaborBinary(BinaryMethod):
         bank = GaborBank(self.height, self.width, self.patch, self.block, self.epsilon)
         n_cells = bank.rows * bank.columns
         codes = bank(images).reshape(len(images), n_cells, bank.n_inputs // n_cells)
-        return packed(strongest(codes, self.within, self.shares))
+        return pack_bits(strongest(codes, self.within, self.shares))
 
 
 @dataclass
@@ -63,7 +63,7 @@ class OrientedBinary(BinaryMethod):
         sizes = (self.height, self.width, self.rows, self.columns, self.orientations)
         edges = OrientedEdges(*sizes, self.block, self.epsilon)
         codes = edges(images).reshape(len(images), self.rows * self.columns, self.orientations)
-        return packed(strongest(codes, self.within, self.shares))
+        return pack_bits(strongest(codes, self.within, self.shares))
 
 
 def strongest(values: npt.NDArray[np.float32], within: Within, shares: list[float]) -> npt.NDArray[np.bool_]:

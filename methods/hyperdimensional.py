@@ -13,8 +13,7 @@ from vprbench.api import DescriptorMethod, Images, count_operations
 
 from .parts.checks import require_arguments
 from .parts.filters.oriented import OrientedEdges
-from .parts.filters.patches import PatchNormalisation, Variant
-from .parts.pixels import MEAN_LEVEL
+from .parts.filters.patches import MEAN_LEVEL, PatchNormalisation, Variant
 from .parts.vectors import unit
 
 Hypervectors = npt.NDArray[np.float32]  # (n, components), 1 and -1

@@ -13,7 +13,7 @@ from numba import types
 
 from vprbench.api import BadInput, Images, LayerSpikes, Method, NotFittedError, Places, Scores, compiled
 
-from .parts.pixels import pixels
+from .parts.filters.patches import pixels
 from .vprtempo.method import VPRTempo
 
 Floats = npt.NDArray[np.float32]

@@ -11,7 +11,7 @@ from sklearn import decomposition
 
 from vprbench.api import BadInput, Images, Method, NotFittedError, Places, Scores, best_image_of_place, count_operations
 
-from .parts.pixels import Preprocessing, pixels
+from .parts.filters.patches import Preprocessing, pixels
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,7 @@ import numpy.typing as npt
 
 from vprbench.api import BadInput, DescriptorMethod, Images, count_operations
 
-from .parts.filters.patches import PatchNormalisation, Variant
-from .parts.pixels import MEAN_LEVEL
+from .parts.filters.patches import MEAN_LEVEL, PatchNormalisation, Variant
 from .parts.vectors import unit
 
 Directions = Literal["gaussian", "signs", "sparse_signs"]

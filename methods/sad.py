@@ -27,7 +27,7 @@ from vprbench.api import (
     require_new_places,
 )
 
-from .parts.pixels import Preprocessing, pixels
+from .parts.filters.patches import Preprocessing, pixels
 
 Levels = npt.NDArray[np.uint8]  # (n_images, n_pixels)
 

@@ -15,7 +15,7 @@ from types import ModuleType
 
 import lazy_loader
 
-__version__ = "0.7.0"
+__version__ = "0.8.0"
 
 # NumPy's threads sleep 2^16 clocks after a product, not 2^26: meanwhile they would keep the cores from PyTorch's.
 os.environ.setdefault("OPENBLAS_THREAD_TIMEOUT", "16")

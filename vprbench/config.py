@@ -1,4 +1,4 @@
-"""Options of the command line or of a program become requests of runs; Hydra is known here and in plugins.registry."""
+"""Options of the command line or of a program become requests of runs; Hydra is known here and in plugins.loose."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from vprbench.errors import BadInput
-from vprbench.plugins import entries, registry
+from vprbench.plugins import entries, loose, registry
 from vprbench.plugins.entries import Folder, Group
 from vprbench.plugins.options import check_value
 from vprbench.plugins.tuned_places import parse_tuned_on
@@ -67,12 +67,12 @@ def make_request(
     given = [f"{key}={value if isinstance(value, str) else json.dumps(value)}" for key, value in values.items()]
     fields = {
         "method_name": name,
-        "method": registry.arguments(config["method"]),
+        "method": registry.take_arguments(config["method"]),
         "dataset_name": str(config["dataset"].get("name") or _choose("dataset", options)),
         "dataset": config["dataset"],
         "changed": _find_changed(options, values, composed),
         "tuned_on": parse_tuned_on(config["method"].get("tuned_on"), f"method {name}"),
-        "overrides": [*map(entries.with_plugin_paths, options), *given],
+        "overrides": [*map(entries.spell_out_plugin_paths, options), *given],
         "timing": Protocol(**_check_values(Protocol, config["timing"], "timing.")),
         **_check_values(RunRequest, own),
     }
@@ -118,7 +118,7 @@ def _quote_option(option: str) -> str:
         _refuse_cut_path(name, value)
     if name in ("method", "methods", "dataset"):
         group: Group = "dataset" if name == "dataset" else "method"
-        value = re.sub(r"[^][,]+", lambda each: registry.resolve_name(group, each[0]), value)
+        value = re.sub(r"[^][,]+", lambda each: loose.resolve_name(group, each[0]), value)
     forms = [value, _quote(value)]
     if value[:1] + value[-1:] == "[]":
         forms.insert(1, f"[{','.join(map(_quote, value[1:-1].split(',')))}]")
@@ -143,7 +143,7 @@ def _refuse_cut_path(name: str, value: str) -> None:
 def _compose(options: Sequence[str], values: Mapping[str, Any]) -> DictConfig:
     """Return Hydra's composition of conf/run.yaml and these options; raises BadInput and Hydra's errors."""
     _require_known(options, values)
-    folders = [_quote(f"file://{folder}") for name, folder in entries.conf_folders().items() if name != "vprbench"]
+    folders = [_quote(f"file://{folder}") for name, folder in entries.find_conf_folders().items() if name != "vprbench"]
     kept, GlobalHydra.instance().hydra = GlobalHydra.instance().hydra, None  # a program may use Hydra itself
     try:
         with hydra.initialize_config_module(_CONF, version_base="1.3"):
@@ -162,7 +162,7 @@ def _require_known(options: Sequence[str], values: Iterable[str]) -> None:
     """
     known: dict[str, list[str]] = {}  # options by group
     for group in _GROUPS:
-        choices, name = entries.entries(group), _choose(group, options)
+        choices, name = entries.find_entries(group), _choose(group, options)
         if name in choices:
             known[group] = choices[name].options  # raises BadInput, with the line, for a yaml that cannot be read
         elif "," not in name:

@@ -10,7 +10,7 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext, supp
 from functools import partial
 from typing import TextIO
 
-from vprbench.text import format_duration, format_percent, printable
+from vprbench.text import escape_unprintable, format_duration, format_percent
 
 Listener = Callable[[str, float], None]  # stage, share done from 0 to 1
 _Draw = Callable[[str, float, float], None]  # text, share done, seconds since the stage began
@@ -29,7 +29,7 @@ def report(stage: str, done: float) -> None:
 
 
 @contextmanager
-def listening(listener: Listener) -> Iterator[None]:
+def send_reports_to(listener: Listener) -> Iterator[None]:
     """Send every report made inside the block to `listener`."""
     global _listener
     outer, _listener = _listener, listener
@@ -41,11 +41,11 @@ def listening(listener: Listener) -> Iterator[None]:
 
 def hide_progress() -> AbstractContextManager[None]:
     """Let no bar or line of progress appear inside the block."""
-    return listening(lambda *_: None)
+    return send_reports_to(lambda *_: None)
 
 
 @contextmanager
-def progress_shown(title: str, stream: TextIO | None = None) -> Iterator[None]:
+def show_progress(title: str, stream: TextIO | None = None) -> Iterator[None]:
     """Show each reported stage and the time left, on standard error or `stream`: a bar in a terminal, lines elsewhere.
 
     Where somebody listens already, as inside another such block, this shows nothing of its own.
@@ -55,7 +55,7 @@ def progress_shown(title: str, stream: TextIO | None = None) -> Iterator[None]:
         return
     stream = stream or sys.stderr
     shown = _draw_bar(stream) if stream.isatty() else nullcontext(partial(_print_line, stream))
-    with shown as draw, listening(_draw_sometimes(title, draw, _DRAW_EVERY if stream.isatty() else _LINE_EVERY)):
+    with shown as draw, send_reports_to(_draw_sometimes(title, draw, _DRAW_EVERY if stream.isatty() else _LINE_EVERY)):
         yield
 
 
@@ -71,7 +71,7 @@ def _draw_sometimes(title: str, draw: _Draw, every: float) -> Listener:
         if is_new or (now - drawn >= every and 0 < done < 1):
             drawn = now
             with suppress(OSError, ValueError):  # nobody may be there to read it
-                draw(printable(f"{title}: {stage}"), done, now - started)
+                draw(escape_unprintable(f"{title}: {stage}"), done, now - started)
 
     return show
 

@@ -10,37 +10,37 @@ from typing import Any
 NOTHING = "-"  # a number that there is not
 
 
-def some(names: Iterable[Any], most: int = 5) -> str:
+def join_names(names: Iterable[Any], most: int = 5) -> str:
     """Return the first `most` names as text, and how many more there are."""
     listed = [str(name) for name in names]
     more = f" and {len(listed) - most} more" if len(listed) > most else ""
     return ", ".join(listed[:most]) + more
 
 
-def some_of(names: Iterable[Any]) -> str:
+def join_few(names: Iterable[Any]) -> str:
     """Return the first three names as text, and how many more there are."""
-    return some(names, most=3)
+    return join_names(names, most=3)
 
 
-def plural(number: int, one: str) -> str:
+def format_count(number: int, one: str) -> str:
     """Return a number with its noun, as in "1 query" and "2,761 queries"."""
     many = f"{one[:-1]}ies" if one.endswith("y") else f"{one}s"
     return f"{number:,} {one if number == 1 else many}"
 
 
-def be(names: Sequence[str]) -> str:
+def pick_verb(names: Sequence[str]) -> str:
     """Return the verb that fits so many names: is or are."""
     return "is" if len(names) == 1 else "are"
 
 
-def printable(text: str, but: str = "") -> str:
+def escape_unprintable(text: str, but: str = "") -> str:
     r"""Return `text` with its control characters, line breaks among them, as \n and \x1b; those in `but` stay."""
     return "".join(c if c.isprintable() or c in but else c.encode("unicode_escape").decode() for c in text)
 
 
 def shorten(text: str) -> str:
     """Return text in one line of at most 100 letters; of a longer one the middle is left out."""
-    line = printable(" ".join(text.split()))
+    line = escape_unprintable(" ".join(text.split()))
     return line if len(line) <= 100 else f"{line[:48]} ... {line[-47:]}"
 
 
@@ -49,7 +49,7 @@ def suggest_names(name: str, known: Iterable[str]) -> str:
     known = list(known)
     if close := difflib.get_close_matches(name, known, n=3):
         return f"did you mean {' or '.join(close)}?"
-    return f"there {be(known)} {', '.join(known)}"
+    return f"there {pick_verb(known)} {', '.join(known)}"
 
 
 def format_percent(share: float | None, digits: int = 1) -> str:

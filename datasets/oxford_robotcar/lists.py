@@ -1,22 +1,20 @@
-"""Which image shows which place: the list that VPRTempo's authors published, and VPRSNN's own."""
+"""Which image shows which place: the list that VPRTempo's authors published, and VPRSNN's; how odd both are."""
 
 from __future__ import annotations
 
-import csv
 import re
-from collections.abc import Sequence
+from collections import Counter, defaultdict
+from collections.abc import Hashable, Iterator, Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 
-from vprbench.api import BadInput, MissingData
-
-from ..readers.traverses import every
+from vprbench.api import BadInput, MissingData, Places
 
 #: When each traverse was recorded: its name in the RobotCar dataset.
 RECORDINGS = {"sun": "2015-08-12-15-04-18", "rain": "2015-10-29-12-18-17", "dusk": "2014-11-21-16-07-03"}
 
-_FOLDER = "lists"  # of VPRSNN's files, in a root
 _ROWS, _STRIDE, _PLACES = 3876, 8, 450  # of VPRSNN's list: its rows, and the places that its authors take from it
-_STAMP = re.compile(r"(\d{16})(\.png)?")  # microseconds, after a name that VPRSNN gave the image
+_STAMP = re.compile(r"(?<!\d)\d{16}(?!\d)")  # microseconds
 _WHENCE = "copy ORC_{Sun,Rain,Dusk}_timestamps.csv from dataset_imagenames/ of https://github.com/QVPR/VPRSNN"
 
 
@@ -25,59 +23,59 @@ def published_timestamps(traverse: str) -> list[int]:
     return [int(row) for row in Path(__file__).with_name(f"oxford_{traverse}.csv").read_text("ascii").split()]
 
 
-def lists_folder(given: str | None, roots: Sequence[Path]) -> Path:
-    """Return the folder of VPRSNN's lists: `given`, or else the first of its name in `roots`.
-
-    Raises MissingData if there is none.
-    """
-    candidates = [root / _FOLDER for root in roots] if given is None else [Path(given).expanduser()]
-    found = next(filter(Path.is_dir, candidates), None)
-    if found is None:
-        raise MissingData(
-            f"VPRSNN's image lists are not there ({' and '.join(map(str, candidates))}): {_WHENCE} to {candidates[0]}, "
-            "or set dataset.lists to the folder that holds them"
-        )
-    return found
-
-
 def vprsnn_timestamps(folder: Path, traverse: str) -> list[int]:
     """Return the 3876 timestamps of a traverse in place order, as VPRSNN's authors list them (QVPR/VPRSNN d38f30c).
 
-    Of the file's columns the column with the cameras' own names counts, with or without `.png`; lines before the first
-    such name are its head. Raises MissingData if the file is missing, BadInput for another list.
+    Raises MissingData if the file is missing, BadInput for another list.
     """
     path = folder / f"ORC_{traverse.capitalize()}_timestamps.csv"
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            rows = [(number, row) for number, row in enumerate(csv.reader(file), 1) if any(map(str.strip, row))]
-    except FileNotFoundError as error:
-        raise MissingData(f"{path} does not exist: {_WHENCE} to {folder}") from error
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise BadInput(f"{path} cannot be read as a list ({error}): {_WHENCE}") from error
-    stamps = _stamps(path, rows)
-    if len(stamps) != _ROWS:
-        raise BadInput(f"{path} lists {len(stamps)} images; VPRSNN's list has {_ROWS}: {_WHENCE}")
-    distinct = len(set(every(stamps, _STRIDE, _PLACES)))
-    if distinct != _PLACES:
+    if not path.is_file():
+        raise MissingData(f"{path} does not exist: {_WHENCE} to {folder}, or set dataset.lists to their folder")
+    stamps = [int(found) for found in _STAMP.findall(path.read_text(encoding="utf-8-sig", errors="replace"))]
+    distinct = len(set(stamps[: _STRIDE * _PLACES : _STRIDE]))
+    if (len(stamps), distinct) != (_ROWS, _PLACES):
         raise BadInput(
-            f"{path} is not VPRSNN's list: every {_STRIDE}th row names {distinct} distinct images among the first "
-            f"{_PLACES}, and all have to be distinct; {_WHENCE}"
+            f"{path} is not VPRSNN's list of {_ROWS} images: it names {len(stamps)}, and {distinct} distinct ones in "
+            f"every {_STRIDE}th row, not {_PLACES}; {_WHENCE}"
         )
     return stamps
 
 
-def _stamps(path: Path, rows: Sequence[tuple[int, list[str]]]) -> list[int]:
-    """Return the timestamps of numbered rows from the first column that holds one."""
-    stamps: list[int] = []
-    column: int | None = None
-    for number, row in rows:
-        cells = [_STAMP.fullmatch(cell.strip()) for cell in row]
-        if column is None:
-            column = next((i for i, cell in enumerate(cells) if cell), None)
-        if column is None:
-            continue
-        found = cells[column] if column < len(cells) else None
-        if found is None:
-            raise BadInput(f"{path}, line {number}: {','.join(row)[:80]} names no image by its timestamp: {_WHENCE}")
-        stamps.append(int(found[1]))
-    return stamps
+def find_ceiling(references: Sequence[Hashable], queries: Sequence[Hashable], positives: Sequence[Places]) -> float:
+    """Return the highest recall at 1 that images allow: the share of queries, 0 to 1, ties counted by expectation.
+
+    `references` (n_places,) are the images of each place, in all traverses together, `queries` (n_queries,) those of
+    the queries, and `positives` the right places of each. The rule: places of the same images score the same, and
+    queries of the same image get the same answer. So queries of one image name one group of places that look alike, the
+    one that holds most of their right places; each counts by the share of that group that is right for it.
+    """
+    size = Counter(references)
+    shares: dict[Hashable, Counter[Hashable]] = defaultdict(Counter)  # by image and group, summed over its queries
+    for image, right in zip(queries, positives, strict=True):
+        for place in right:
+            shares[image][references[place]] += 1
+    best = [max(right / size[group] for group, right in groups.items()) for groups in shares.values()]
+    return sum(best) / len(queries)
+
+
+def count_steps_back(stamps: Sequence[int]) -> int:
+    """Return how many steps from one timestamp to the next lead back in time."""
+    return sum(later < earlier for earlier, later in pairwise(stamps))
+
+
+def describe_list(
+    references: Mapping[str, Sequence[int]], queries: Sequence[int], positives: Sequence[Places], tolerance: int
+) -> Iterator[str]:
+    """Yield the notes on a list; `references` are the timestamps of each traverse of the map, one a place."""
+    highest = find_ceiling([*zip(*references.values(), strict=True)], queries, positives)
+    listed = {f"places in {name}": stamps for name, stamps in references.items()} | {"queries": queries}
+    shared = [
+        f"{sum(count for count in Counter(stamps).values() if count > 1)} of {len(stamps)} {name}"
+        for name, stamps in listed.items()
+    ]
+    yield (
+        f"{', '.join(shared)} show an image that another one shows too: R@1 at tolerance {tolerance} can reach "
+        f"{100 * highest:.2f} % at most"
+    )
+    back = [f"{count_steps_back(stamps)} of {len(stamps) - 1} steps in {name}" for name, stamps in listed.items()]
+    yield f"{', '.join(back)} lead back in time: neighbours in the list are not always neighbours on the road"

@@ -1,138 +1,130 @@
-"""Where the frames of a traverse are: processed by somebody else, raw as downloaded, or processed here before."""
+"""Where the frames of a traverse are: processed by somebody else, or raw as downloaded and processed here."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from vprbench.api import BadInput, FrameFolder, Images
+from vprbench.api import BadInput, Decoding, FrameFolder, Image, Images, Paths, cached_frames
 
 from ..readers.frame_folders import check_folders, files_in
-from .calibration import Camera, find_calibration, opened, read_calibration, read_raw
-from .kept import PUBLISHED, KeptFrames, is_made_with, recorded_calibration
+from .calibration import (
+    VERSION,
+    Calibration,
+    Camera,
+    find_calibration,
+    read_calibration,
+    read_pixels,
+    read_raw,
+    undistort,
+)
 from .lists import RECORDINGS
 
 _PROCESSED = "demosaiced"  # where VPRTempo's process_orc.py writes, below a recording's folder
-_OWN = "vprbench"  # where we write inside a folder that holds frames of somebody else
 _RAW = Path("stereo", "left")
 _BAYER_MODES = ("L", "I", "I;16")
-
-
-@dataclass(frozen=True)
-class Recording:
-    """The folder that the frames of a traverse are read from."""
-
-    folder: Path
-    kept: Path | None = None  # of raw frames: where the processed ones go
-    remark: str = ""  # how an earlier run or somebody else processed them
+_PUBLISHED = Decoding(exif="ignore")
 
 
 class Recordings:
-    """The frames of several traverses, each found where it is."""
+    """The frames of several traverses, each found where it is.
+
+    Raw frames are demosaiced and undistorted when they are first looked at, and kept in the cache of rendered frames.
+    """
 
     def __init__(
         self,
         root: Path,
         wanted: Mapping[str, Sequence[str]],
+        listed: Mapping[str, Sequence[str]],
         camera: Camera,
         layout: str,
-        processed: str | None,
         calibration: str | None,
     ) -> None:
-        """Find the file names wanted of each traverse.
+        """Find the file names wanted of each traverse; those of `listed` share a folder of processed frames.
 
-        `processed` is a folder for processed frames outside the root, `calibration` the distortion table or its
-        folder. Preference: complete third-party frames, then raw frames, then frames processed by an earlier run.
-        Raises MissingData, with `layout`, for missing frames and for raw frames without a distortion table, BadInput if
-        the first frame of a traverse is not what it should be.
+        `calibration` is the distortion table or its folder. Complete third-party frames come before raw ones. Raises
+        MissingData, with `layout`, for missing frames and for raw frames without a distortion table, BadInput if the
+        first frame of a traverse is not as it should be.
         """
-        outside = None if processed is None else Path(processed).expanduser()
-        self._wanted = {traverse: tuple(dict.fromkeys(names)) for traverse, names in wanted.items()}
-        self._found = {traverse: _find(root, traverse, names, outside) for traverse, names in self._wanted.items()}
+        distinct = {traverse: tuple(dict.fromkeys(names)) for traverse, names in wanted.items()}
+        self._folders = {
+            traverse: FrameFolder(_find_folder(root, traverse, names), names) for traverse, names in distinct.items()
+        }
         check_folders(self.folders(), layout)
-        raw = {one.folder: one.kept for one in self._found.values() if one.kept is not None}
-        for traverse, one in self._found.items():
-            first = one.folder / self._wanted[traverse][0]
-            if one.folder in raw:
-                read_raw(first, camera)
-            else:
+        self._processed: dict[str, tuple[Images, dict[str, int]]] = {}  # of raw frames, with the number of each name
+        self._made_with = b""
+        raw = [traverse for traverse, folder in self._folders.items() if folder.path == _raw_folder(root, traverse)]
+        table = read_calibration(find_calibration(root, calibration), camera) if raw else None
+        for traverse, folder in self._folders.items():
+            first = folder.path / folder.used[0]
+            if table is None or traverse not in raw:
                 _check_processed(first)
-        self._calibration = read_calibration(find_calibration(root, calibration), camera) if raw else None
-        self._kept = None if self._calibration is None else KeptFrames(self._calibration, raw)
+                continue
+            read_raw(first, camera)
+            self._made_with = f"{table.sha256} {VERSION}".encode()
+            numbers = {name: number for number, name in enumerate(dict.fromkeys(listed[traverse]))}
+            self._processed[traverse] = _process_frames(folder.path, [*numbers], table), numbers
 
     def images(self, shown: Sequence[tuple[str, str]]) -> Images:
-        """Return the images of (traverse, file name), processed when they are looked at."""
-        paths = [self._found[traverse].folder / name for traverse, name in shown]
-        return Images.from_files(paths, PUBLISHED) if self._kept is None else self._kept.images(paths)
+        """Return the images of (traverse, file name)."""
+        files = Images.from_files([self._folders[traverse].path / name for traverse, name in shown], _PUBLISHED)
+        if not self._processed:
+            return files
+
+        def read(i: int) -> Image:
+            traverse, name = shown[i]
+            if traverse not in self._processed:
+                return files[i]
+            images, numbers = self._processed[traverse]
+            return images[numbers[name]]
+
+        def stamp(i: int) -> bytes:
+            return self._made_with if shown[i][0] in self._processed else b""
+
+        return Images(read, files.names, files=files.files, stamp=stamp, content=stamp)
 
     def folders(self) -> tuple[FrameFolder, ...]:
         """Return where the frames are read from, with the names that are wanted."""
-        return tuple(FrameFolder(one.folder, self._wanted[traverse]) for traverse, one in self._found.items())
+        return tuple(self._folders.values())
 
-    def remarks(self) -> Iterator[str]:
-        """Yield how the frames were processed, for a reader of results."""
-        said = {traverse: self._remark(one) for traverse, one in self._found.items()}
-        for remark in dict.fromkeys(said.values()):
-            yield f"frames of {', '.join(name for name, own in said.items() if own == remark)}: {remark}"
-
-    def _remark(self, recording: Recording) -> str:
-        if recording.kept is None or self._calibration is None:
-            return recording.remark
-        return f"demosaiced and undistorted here, {_with_table(self._calibration.sha256)}"
-
-
-def _find(root: Path, traverse: str, names: Sequence[str], outside: Path | None) -> Recording:
-    """Return where the frames of a traverse are, or should be."""
-    recording = root / RECORDINGS[traverse]
-    beside = recording / _PROCESSED
-    kept = beside if outside is None else outside / RECORDINGS[traverse]
-    places = [*dict.fromkeys([kept, kept / _OWN, beside, beside / _OWN, root / traverse])]
-    for folder in places:
-        if recorded_calibration(folder) is None and _has(folder, names):
-            return Recording(folder, remark="demosaiced and undistorted by somebody else, how is not recorded")
-    raw = recording / _RAW
-    if _has(raw, names):
-        return Recording(raw, kept / _OWN if _is_somebody_elses(kept) else kept)
-    for folder in places:
-        made_with = recorded_calibration(folder)
-        if made_with is not None and _has(folder, names):
-            _require_one_table(folder, made_with, names, raw)
-            return Recording(folder, remark=f"demosaiced and undistorted here before, {_with_table(made_with)}")
-    if raw.is_dir():
-        return Recording(raw)
-    return Recording(beside if beside.is_dir() else root / traverse)
+    def notes(self) -> list[str]:
+        """Return how the frames were processed, for a reader of results."""
+        table = self._made_with[:8].decode()
+        ours, theirs = [*self._processed], [name for name in self._folders if name not in self._processed]
+        return [
+            f"frames of {', '.join(names)}: demosaiced and undistorted {how}"
+            for names, how in (
+                (ours, f"here, with the distortion table {table}"),
+                (theirs, "by somebody else, how is not recorded"),
+            )
+            if names
+        ]
 
 
-def _require_one_table(folder: Path, made_with: str, names: Sequence[str], raw: Path) -> None:
-    """Raise BadInput if some of our frames were made in another way than the last frames of their folder."""
-    others = [name for name in names if not is_made_with(folder / name, made_with)]
-    if others:
-        raise BadInput(
-            f"{len(others)} of {len(names)} frames in {folder} are damaged, or were made with another distortion table "
-            f"than the last ones (the first is {others[0]}), and the raw frames they are made of are not in {raw}: put "
-            "those there"
-        )
+def _process_frames(folder: Path, names: Sequence[str], table: Calibration) -> Images:
+    """Return the raw frames of a folder demosaiced and undistorted, each when it is first looked at."""
+    files = Paths.below(folder, names)
+    made = Images(lambda i: undistort(read_raw(files[i], table.camera), table), files.names)
+    what = {"raw": str(folder.resolve()), "calibration": table.sha256, "version": VERSION}
+    return cached_frames(made, what)
 
 
-def _with_table(sha256: str) -> str:
-    return f"with the distortion table {sha256[:8]}"
+def _raw_folder(root: Path, traverse: str) -> Path:
+    return root / RECORDINGS[traverse] / _RAW
 
 
-def _has(folder: Path, names: Sequence[str]) -> bool:
-    """Tell whether a folder holds all of the files."""
-    return folder.is_dir() and {*names} <= files_in(folder)
-
-
-def _is_somebody_elses(folder: Path) -> bool:
-    """Tell whether a folder holds frames, and none of them ours."""
-    return recorded_calibration(folder) is None and folder.is_dir() and any(folder.glob("[!.]*.png"))
+def _find_folder(root: Path, traverse: str, names: Sequence[str]) -> Path:
+    """Return the first folder that has all frames of a traverse, else one that should have them."""
+    raw = _raw_folder(root, traverse)
+    places = [root / RECORDINGS[traverse] / _PROCESSED, root / traverse, raw]
+    whole = (folder for folder in places if folder.is_dir() and {*names} <= files_in(folder))
+    return next(whole, raw if raw.is_dir() else next(filter(Path.is_dir, places), root / traverse))
 
 
 def _check_processed(path: Path) -> None:
     """Raise BadInput for a frame that is no image, or grey, as the camera records it: one colour a pixel."""
-    with opened(path) as image:
-        mode = image.mode
+    _, mode = read_pixels(path)
     if mode in _BAYER_MODES:
         raise BadInput(
             f"{path} is grey, as raw Bayer frames are, and not demosaiced: put raw frames at "

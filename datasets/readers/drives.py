@@ -52,11 +52,9 @@ def drive_starts(
     if breaks == "none":
         return DriveStarts(NO_STARTS, NO_STARTS, "")
     folders = [_folder_starts(files) for files in (references, queries)]
-    seen_by = {"folders": folders, "positions": jumps}
-    of_references, of_queries = (np.union1d(one, two) for one, two in zip(folders, jumps, strict=True))
-    return DriveStarts(
-        of_references, of_queries, " and ".join(what for what, found in seen_by.items() if any(map(len, found)))
-    )
+    found = {"folders": folders, "positions": jumps}
+    seen_by = " and ".join(name for name, starts in found.items() if any(map(len, starts)))
+    return DriveStarts(np.union1d(folders[0], jumps[0]), np.union1d(folders[1], jumps[1]), seen_by)
 
 
 def _folder_starts(files: Sequence[Path] | Images) -> Starts:
@@ -75,45 +73,38 @@ def position_jumps(metres: npt.NDArray[np.float64], radius_metres: float) -> Sta
     return np.flatnonzero(steps > max(radius_metres, _JUMP * usual)) + 1
 
 
-def check_by_order(
-    traverses: Sequence[Paths] | Sequence[Sized], names: Sequence[str], breaks: Breaks, option: str, remedy: str
-) -> None:
+def check_by_order(traverses: Sequence[Sized], names: Sequence[str], breaks: Breaks, option: str, remedy: str) -> None:
     """Raise BadInput, with the `remedy`, for traverses whose i-th images cannot all show place i.
 
     So it is where their lengths differ, and under the `breaks` auto where their sub-folders do; `option` is what
     comes before the names of options. Frames that are no files have no sub-folders.
     """
-    if len({len(files) for files in traverses}) > 1:
-        listed = ", ".join(f"{name} {_count_by_folder(files)}" for name, files in zip(names, traverses, strict=True))
-        raise BadInput(
-            f"{option}references and {option}queries hold different numbers of images ({listed}), so that the i-th of "
-            f"each do not show one place: {remedy}"
-        )
-    lengths = [_lengths(files) for files in traverses if isinstance(files, Paths)]
-    called = [name for name, files in zip(names, traverses, strict=True) if isinstance(files, Paths)]
-    differing = next((number for number, own in enumerate(lengths) if own != lengths[0]), None)
-    if breaks == "auto" and differing is not None:
-        listed = ", ".join(f"{called[number]} {_sum(lengths[number])}" for number in (0, differing))
-        raise BadInput(
-            f"the sub-folders of {option}references and {option}queries hold different numbers of images ({listed}), "
-            f"so that the i-th of each may not show one place: {remedy}; {option}breaks=none takes all as one drive"
-        )
+    counts = [_count_by_folder(files) for files in traverses]
+    compared = [own for own, files in zip(counts, traverses, strict=True) if isinstance(files, Paths)]
+    if len(set(map(sum, counts))) > 1:
+        differing = "different numbers of images"
+    elif breaks == "auto" and any(own != compared[0] for own in compared):
+        differing = "sub-folders with different numbers of images"
+        remedy += f"; {option}breaks=none takes all as one drive"
+    else:
+        return
+    listed = ", ".join(
+        f"{name} {sum(own)}"
+        + (f" = {'+'.join(map(str, own[:_SHOWN]))}" + "+..." * (len(own) > _SHOWN)) * (len(own) > 1)
+        for name, own in zip(names, counts, strict=True)
+    )
+    raise BadInput(
+        f"{option}references and {option}queries hold {differing} ({listed}), so that the i-th of each may not show "
+        f"one place: {remedy}"
+    )
 
 
-def _lengths(files: Paths) -> list[int]:
+def _count_by_folder(files: Sized) -> list[int]:
     """Return how many files follow one another in each folder."""
+    if not isinstance(files, Paths):
+        return [len(files)]
     ends = np.flatnonzero(np.diff(files.numbers)) + 1
     return list(map(int, np.diff([0, *ends.tolist(), len(files)])))
-
-
-def _count_by_folder(files: Paths | Sized) -> str:
-    """Return the number of files, and of each folder where there are several."""
-    counts = _lengths(files) if isinstance(files, Paths) else []
-    return f"{len(files)}" + (f" = {_sum(counts)} by folder" if len(counts) > 1 else "")
-
-
-def _sum(counts: Sequence[int]) -> str:
-    return "+".join(map(str, counts[:_SHOWN])) + "+..." * (len(counts) > _SHOWN)
 
 
 def right_in_drive(right: Sequence[Places], starts: Starts) -> list[Places]:

@@ -66,7 +66,7 @@ def dataset_of_files(
     Under the `breaks` auto the journey breaks off where another drive begins. `exif` and `levels` say how all files are
     decoded (`decoding_of`). The protocol says either where it matters. Of an unknown ground truth all queries stay.
     Raises BadInput if `unmatched` is error and such queries exist, or drop and no other queries exist, and for levels
-    that cannot be told.
+    that the files leave open.
     """
     if not truth.known:
         unmatched = "keep"
@@ -76,47 +76,47 @@ def dataset_of_files(
     matched = [query for query, right in enumerate(truth.positives) if len(right)]
     kept = np.array(matched if unmatched == "drop" else range(len(queries)), dtype=np.int64)
     without = len(truth.positives) - len(matched)
-    told = f"{without} of {len(queries)} queries have {truth.lacking}"
+    lack = f"{without} of {len(queries)} queries have {truth.lacking}"
     if without and unmatched == "error":
         first = next(query for query, right in enumerate(truth.positives) if not len(right))
         raise BadInput(
-            f"{told} (first: {shown[first]}): correct the data, pass dataset.unmatched=keep to count them as misses, "
+            f"{lack} (first: {shown[first]}): correct the data, pass dataset.unmatched=keep to count them as misses, "
             "or dataset.unmatched=drop to leave them out"
         )
     if not len(kept):
-        raise BadInput(f"{told}, and dataset.unmatched=drop leaves none: check that both folders show the same places")
+        raise BadInput(f"{lack}, and dataset.unmatched=drop leaves none: check that both folders show the same places")
     starts = drive_starts(references, queries, breaks, truth.jumps)
     place_starts = starts.of_places(truth.places)
-    met = {"breaks": starts.seen_by} if len(place_starts) or len(starts.queries) else {}
+    seen = {"breaks": starts.seen_by} if len(place_starts) or len(starts.queries) else {}
     place_gaps = NO_STARTS if truth.references is None else _after_gaps(truth.references)
     query_gaps = _after_gaps(kept if truth.queries is None else truth.queries[kept])
-    places_told = met or truth.references is not None or truth.place_numbers is not None  # else their numbers tell
-    queries_told = met or truth.queries is not None or unmatched == "drop"
+    has_place_breaks = seen or truth.references is not None or truth.place_numbers is not None
+    has_query_breaks = seen or truth.queries is not None or unmatched == "drop"
     decoding, decoded = decoding_of(Paths.joined(files), exif, levels, "dataset.")
-    mapped, asked = (
+    map_images, query_images = (
         part if isinstance(part, Images) else Images.from_files(part, decoding) for part in (references, queries)
     )
     outcome = "are left out" if unmatched == "drop" else "count as misses"
-    said = f"{told}; they {outcome} (dataset.unmatched={unmatched})"
+    note = f"{lack}; they {outcome} (dataset.unmatched={unmatched})"
     return Dataset(
         name=name,
-        references=mapped,
+        references=map_images,
         places=truth.places,
-        queries=asked[kept],
+        queries=query_images[kept],
         positives=tuple(truth.positives[query] for query in kept.tolist()),
         protocol={
             **protocol,
             **truth.protocol,
             **({"unmatched": unmatched} if truth.known else {"ground_truth": "none"}),
-            **met,
+            **seen,
             **decoded,
         },
         place_numbers=truth.place_numbers,
-        query_breaks=np.union1d(query_gaps, _first_from(starts.queries, kept)) if queries_told else None,
-        place_breaks=np.union1d(place_gaps, place_starts) if places_told else None,
+        query_breaks=np.union1d(query_gaps, _first_from(starts.queries, kept)) if has_query_breaks else None,
+        place_breaks=np.union1d(place_gaps, place_starts) if has_place_breaks else None,
         by_order=truth.by_order,
         folders=folders_of(Paths.joined(files)),
-        notes=(*notes, *truth.notes, *([said if truth.known else NOT_JUDGED] if without else ())),
+        notes=(*notes, *truth.notes, *([note if truth.known else NOT_JUDGED] if without else ())),
     )
 
 

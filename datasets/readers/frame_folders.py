@@ -31,37 +31,35 @@ def root_folder(
     A `root` of None is the folder that downloads of the dataset lie in, if it holds anything, else `default_root`
     (relative to the checkout) if it exists; `download` names the download folder if several datasets share one.
     """
-    if root is None:
-        kept = data_folder(download or name)
-        if _holds_data(kept):
-            return _with_parts(kept, parts)
-        default = checkout_folder() / (default_root or "")
-        if default_root is not None and is_readable_folder(default):
-            return default
-        unfinished = " (which holds no frames yet: a download was not finished)" if is_readable_folder(kept) else ""
-        raise MissingData(
-            f"dataset.root is not set: {name} needs the folder that holds {holding}; {layout}, "
-            f"or call that folder {kept}{unfinished}"
-        )
-    folder = Path(root).expanduser()
-    if not is_readable_folder(folder):
-        raise MissingData(
-            f"dataset.root={root} is no folder that can be read: {name} needs the one that holds {holding}; {layout}"
-            + ", unpacked" * (folder.suffix.lower() in _PACKED)
-        )
-    return _with_parts(folder, parts)
+    if root is not None:
+        folder = Path(root).expanduser()
+        if not is_readable_folder(folder):
+            raise MissingData(
+                f"dataset.root={root} is no folder that can be read: {name} needs the one that holds {holding}; "
+                f"{layout}" + ", unpacked" * (folder.suffix.lower() in _PACKED)
+            )
+        return _choose_folder(folder, parts)
+    kept = data_folder(download or name)
+    started = is_readable_folder(kept)
+    if started and any(not entry.name.startswith(".") and entry.name != _ARCHIVES for entry in kept.iterdir()):
+        return _choose_folder(kept, parts)
+    default = checkout_folder() / (default_root or "")
+    if default_root is not None and is_readable_folder(default):
+        return default
+    raise MissingData(
+        f"dataset.root is not set: {name} needs the folder that holds {holding}; {layout}, or call that folder {kept}"
+        + " (which holds no frames yet: a download was not finished)" * started
+    )
 
 
-def _with_parts(folder: Path, parts: Collection[str]) -> Path:
+def _choose_folder(folder: Path, parts: Collection[str]) -> Path:
     """Return a folder, or the only one in it that has these parts where the folder itself has not."""
-    if not parts or _has_all(folder, parts):
-        return folder
-    within = [inner for inner in folders_in(folder) if _has_all(inner, parts)]
+
+    def has_all(each: Path) -> bool:
+        return all(is_readable_folder(find_folder(each, part)) for part in parts)
+
+    within = [] if has_all(folder) else list(filter(has_all, folders_in(folder)))
     return within[0] if len(within) == 1 else folder
-
-
-def _has_all(folder: Path, parts: Collection[str]) -> bool:
-    return all(is_readable_folder(find_folder(folder, part)) for part in parts)
 
 
 def find_folder(top: Path, name: str) -> Path:
@@ -94,24 +92,13 @@ def nearest_folder(path: Path) -> str:
     return f"did you mean {known[close[0]]}? else " if close else ""
 
 
-def _holds_data(folder: Path) -> bool:
-    """Tell whether there is more in a folder than a download that was not finished leaves."""
-    return is_readable_folder(folder) and any(
-        not entry.name.startswith(".") and entry.name != _ARCHIVES for entry in folder.iterdir()
-    )
-
-
 def is_readable_folder(folder: Path) -> bool:
-    """Tell whether a path is a folder whose files this process may list and open; never raises."""
-    own = os.access in os.supports_effective_ids  # else the system knows the real user alone
-    try:
-        return os.access(folder, os.R_OK | os.X_OK, effective_ids=own) and folder.is_dir()
-    except ValueError:  # no path has a zero byte
-        return False
+    """Tell whether a path is a folder whose files this process may list and open."""
+    return folder.is_dir() and os.access(folder, os.R_OK | os.X_OK)
 
 
 def files_in(folder: Path) -> set[str]:
-    """Return the names of the files in a folder, links to files included; folders, devices and the like are none."""
+    """Return the names of the files in a folder, links to files included."""
     with os.scandir(folder) as entries:
         return {entry.name for entry in entries if entry.is_file()}
 
@@ -127,24 +114,18 @@ def check_folders(folders: Sequence[FrameFolder], layout: str, suffix_option: st
             raise MissingData(f"{folder.path} does not exist or cannot be read: {nearest_folder(folder.path)}{layout}")
         present = files_in(folder.path)
         missing = [name for name in folder.used if name not in present]
-        if missing:
-            told = _what_to_do(folder, missing, present, layout, suffix_option)
-            raise MissingData(
-                f"{missing[0]} is missing from {folder.path} ({len(missing)} of {len(folder.used)} expected frames are "
-                f"missing, {len(present)} files are there): {told}"
-            )
-
-
-def _what_to_do(
-    folder: FrameFolder, missing: Sequence[str], present: Collection[str], layout: str, suffix_option: str | None
-) -> str:
-    """Return `layout`, or what is known better of a folder with such files."""
-    alike = [name for suffix in _SUFFIXES if (name := str(Path(missing[0]).with_suffix(suffix))) in present]
-    if alike and suffix_option:
-        return f"{alike[0]} is there: pass {suffix_option}={Path(alike[0]).suffix}"
-    images = sum(Path(name).suffix.lower() in _SUFFIXES for name in present)
-    if meaning := folder.wrong_counts.get(images):
-        return f"{images:,} images are {meaning}; {layout}"
-    if 2 * len(missing) < len(folder.used):
-        return "copy or download them again; none is skipped, for that would shift all that follow"
-    return layout
+        if not missing:
+            continue
+        advice = layout
+        alike = [name for suffix in _SUFFIXES if (name := str(Path(missing[0]).with_suffix(suffix))) in present]
+        images = sum(Path(name).suffix.lower() in _SUFFIXES for name in present)
+        if alike and suffix_option:
+            advice = f"{alike[0]} is there: pass {suffix_option}={Path(alike[0]).suffix}"
+        elif meaning := folder.wrong_counts.get(images):
+            advice = f"{images:,} images are {meaning}; {layout}"
+        elif 2 * len(missing) < len(folder.used):
+            advice = "copy or download them again; none is skipped, for that would shift all that follow"
+        raise MissingData(
+            f"{missing[0]} is missing from {folder.path} ({len(missing)} of {len(folder.used)} expected frames are "
+            f"missing, {len(present)} files are there): {advice}"
+        )

@@ -7,7 +7,7 @@ import os
 from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NoReturn
 
 from vprbench.api import (
     IMAGE_SUFFIXES,
@@ -44,11 +44,15 @@ def images_in(
     top = Path(folder).expanduser()
     if not str(folder) or not top.is_dir():
         raise MissingData(f"{option}: {folder or 'nothing'} is no folder: {nearest_folder(top)}{advice}")
-    frames, strangers = _entries(top, deep)
+    frames, strangers = _list_entries(top, deep)
     if not frames:
         raise MissingData(f"{option}: {folder} holds no images ({', '.join(IMAGE_SUFFIXES)}): {advice}")
     if strangers:
-        raise _stranger(option, min(strangers), len(strangers))
+        raise BadInput(
+            f"{option}: {min(strangers)} is no image file ({len(strangers)} such beside the frames; read are "
+            f"{', '.join(IMAGE_SUFFIXES)}): save it as PNG or JPEG if it is a frame, else move it away; none is "
+            "skipped, for that would shift all that follow"
+        )
     if order == "plain":
         frames.sort()
     else:
@@ -56,7 +60,6 @@ def images_in(
         frames.sort(key=lambda frame: frame.replace(os.sep, "\0"))
         keys = natural_keys(frames)
         frames = [frames[number] for number in sorted(range(len(frames)), key=keys.__getitem__)]
-        del keys  # as large as the list
     return Paths.below(top, frames)
 
 
@@ -68,31 +71,24 @@ def find_listed(files: Sequence[Path], listed_in: str, advice: str) -> Paths:
     """
     files = Paths.of(files)
     missing = [number for number, path in enumerate(files) if not path.is_file()]
-    if not missing:
-        return files
-    in_folder = cache(_names_in)
-    found = {number: there for number in missing if (there := _same_file(files[number], in_folder))}
-    gone = [number for number in missing if number not in found]
-    if gone:
-        path = files[gone[0]]
-        slashed = Path(str(path).replace("\\", "/"))
+    in_folder = cache(_list_names)
+    found = {number: there for number in missing if (there := _find_alike(files[number], in_folder))}
+    if gone := [number for number in missing if number not in found]:
+        slashed = Path(str(files[gone[0]]).replace("\\", "/"))
         close = difflib.get_close_matches(slashed.name, in_folder(slashed.parent)[:_MOST_NAMES])
         near = f"did you mean {' or '.join(close)}? else " * bool(close)
         raise MissingData(
-            f"{path} does not exist ({len(gone)} of {len(files)} images in {listed_in} are missing), named in row "
-            f"{gone[0] + 1}: {near}{advice}"
+            f"{files[gone[0]]} does not exist ({len(gone)} of {len(files)} images in {listed_in} are missing), named "
+            f"in row {gone[0] + 1}: {near}{advice}"
         )
-    return Paths.of(found.get(number, path) for number, path in enumerate(files))
+    return Paths.of(found.get(number, path) for number, path in enumerate(files)) if found else files
 
 
-def _names_in(folder: Path) -> list[str]:
-    try:
-        return sorted(entry.name for entry in folder.iterdir())
-    except OSError:
-        return []
+def _list_names(folder: Path) -> list[str]:
+    return sorted(entry.name for entry in folder.iterdir()) if folder.is_dir() else []
 
 
-def _same_file(path: Path, in_folder: Callable[[Path], list[str]]) -> Path | None:
+def _find_alike(path: Path, in_folder: Callable[[Path], list[str]]) -> Path | None:
     """Return the file that a path means under other slashes or capitals; None if there is none, or are several."""
     slashed = Path(str(path).replace("\\", "/"))
     alike = [name for name in in_folder(slashed.parent) if name.casefold() == slashed.name.casefold()]
@@ -100,81 +96,26 @@ def _same_file(path: Path, in_folder: Callable[[Path], list[str]]) -> Path | Non
     return slashed.parent / named[0] if len(named) == 1 and (slashed.parent / named[0]).is_file() else None
 
 
-def _stranger(option: str, first: Path, count: int) -> BadInput:
-    """Return what to raise for entries of a folder that are no images and may stand for frames."""
-    if first.is_dir():
-        kind = "a folder under the name of an image"
-    elif is_image_name(first.name):
-        kind = "no file but a pipe, a device or the like"
-    else:
-        kind = f"none of the images that are read ({', '.join(IMAGE_SUFFIXES)})"
-    more = f", like {count - 1} more beside the frames" if count > 1 else ""
-    return BadInput(
-        f"{option}: {first} is {kind}{more}: save it as PNG or JPEG if it is a frame, else move it away; none is "
-        "skipped, for that would shift all that follow"
-    )
-
-
-def _entries(top: Path, deep: bool) -> tuple[list[str], list[Path]]:
-    """Return the frames in a folder, by their paths from it, and what is none and not known to lie beside frames.
-
-    With `deep` those of its sub-folders too; one under the name of an image stands for what it holds. Raises
-    MissingData for a folder that cannot be read, BadInput if links lead to one folder twice; a link to a folder that
-    it lies in, by other links too, ends there.
-    """
+def _list_entries(top: Path, deep: bool) -> tuple[list[str], list[Path]]:
+    """Return the frames in a folder, by their paths from it, and what is none and not known to lie beside frames."""
     frames: list[str] = []
     strangers: list[Path] = []
-    real: dict[Path, Path] = {}  # of every folder met, by its path here
-    met: dict[Path, Path] = {}
-    waiting = [top]
-    while waiting:
-        here = waiting.pop()
-        real[here] = here.resolve()
-        if real[here] in met:
+    met: dict[str, str] = {}  # each folder by its real path
+    for here, inner, names in os.walk(top, onerror=_refuse_folder, followlinks=True):
+        real = os.path.realpath(here)
+        if real in met:
             raise BadInput(
-                f"{here} is {met[real[here]]} once more, by way of a link: remove the link, or its frames count twice"
+                f"{here} is {met[real]} once more, by way of a link: remove the link, or its frames count twice"
             )
-        met[real[here]] = here
-        below = "" if here == top else f"{here.relative_to(top)}{os.sep}"
-        inner = []
-        try:
-            with os.scandir(here) as entries:
-                for entry in entries:
-                    name = entry.name
-                    if _is_folder(entry):
-                        inner.append(name)
-                    elif not is_image_name(name):
-                        strangers += [] if is_beside(name) else [here / name]
-                    elif _is_frame(entry):
-                        frames.append(below + name)
-                    elif not is_beside(name):
-                        strangers.append(here / name)
-        except OSError as error:
-            raise MissingData(
-                f"{error.filename} cannot be read ({error.strerror}): make it readable; none is skipped"
-            ) from error
-        inner = [name for name in inner if not is_folder_beside(name)]
-        strangers += [here / name for name in inner if is_image_name(name)]
-        around = [real[above] for above in (here, *here.parents) if above in real]
-        further = [here / name for name in inner if deep and not is_image_name(name)]
-        waiting += [folder for folder in reversed(further) if not _leads_back(folder, around)]
+        met[real] = here
+        below = Path(here).relative_to(top)
+        frames += [str(below / name) for name in names if is_image_name(name) and not name.startswith(".")]
+        strangers += [Path(here, name) for name in names if not (is_image_name(name) or is_beside(name))]
+        strangers += [Path(here, name) for name in inner if is_image_name(name) and not is_folder_beside(name)]
+        inner[:] = [name for name in inner if deep and not is_folder_beside(name)]
     return frames, strangers
 
 
-def _is_folder(entry: os.DirEntry[str]) -> bool:
-    try:
-        return entry.is_dir()
-    except OSError:
-        return False
-
-
-def _is_frame(entry: os.DirEntry[str]) -> bool:
-    """Tell whether an entry under the name of an image is a file, or a link to one that is gone."""
-    if entry.name.startswith("."):
-        return False
-    return entry.is_file(follow_symlinks=False) or (path := Path(entry.path)).is_file() or not path.exists()
-
-
-def _leads_back(folder: Path, around: list[Path]) -> bool:
-    """Tell whether a folder is a link to one that it lies in; `around` are the real paths on the way to it."""
-    return folder.is_symlink() and any(above.is_relative_to(folder.resolve()) for above in around)
+def _refuse_folder(error: OSError) -> NoReturn:
+    reason = f"{error.filename} cannot be read ({error.strerror})"
+    raise MissingData(f"{reason}: make it readable; none is skipped") from error

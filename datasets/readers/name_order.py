@@ -24,10 +24,10 @@ def by_numbers(
     found = [find_decimals(files.names, files.numbers.tolist()) for files in traverses]
     by_reading = {each.reading: each for each in found if each is not None}
     if numbers == "auto" and len(by_reading) == 2:
-        told = [" before ".join(by_reading[way].first[:: 1 if way == "decimal" else -1]) for way in sorted(by_reading)]
+        both = [" before ".join(by_reading[way].first[:: 1 if way == "decimal" else -1]) for way in sorted(by_reading)]
         raise BadInput(
-            f"{option}=auto: the names of some traverses hold decimal numbers ({told[0]}), those of others whole ones "
-            f"({told[1]}): pass {option}=decimal or {option}=whole, for all of them"
+            f"{option}=auto: the names of some traverses hold decimal numbers ({both[0]}), those of others whole ones "
+            f"({both[1]}): pass {option}=decimal or {option}=whole, for all of them"
         )
     taken = numbers if numbers != "auto" else next(iter(by_reading), "whole")
     first = next((each.first for each in found if each is not None), None)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import pickle
 import re
 from pathlib import Path
-from typing import Any, BinaryIO, ClassVar
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.lib import format as npy
@@ -33,10 +33,7 @@ def read_lists(path: Path, advice: str) -> list[Any]:
     try:
         with path.open("rb") as file:
             _skip_header(file)
-            made = _Unpickler(file, encoding="latin1").load()
-        lists = _copy_numbers(made, _DEPTH, [_MOST_NUMBERS])
-    except _RefusedError as error:
-        raise BadInput(f"{path} {error}; nothing was run: {advice}") from error
+            lists = _copy_numbers(_Unpickler(file, encoding="latin1").load(), _DEPTH, [_MOST_NUMBERS])
     except Exception as error:  # a damaged pickle can fail in any way
         reason = (str(error).splitlines() or [""])[0] or type(error).__name__
         raise BadInput(f"{path} cannot be read as pickled lists of numbers ({reason[:200]}): {advice}") from error
@@ -45,19 +42,14 @@ def read_lists(path: Path, advice: str) -> list[Any]:
     return lists
 
 
-class _RefusedError(Exception):
-    """The pickle names something that no list of numbers needs."""
-
-
 def _skip_header(file: BinaryIO) -> None:
     """Move to the pickle in a .npy file; raises ValueError if the file holds plain numbers instead."""
-    if file.read(len(npy.MAGIC_PREFIX)) != npy.MAGIC_PREFIX:
-        file.seek(0)
-        return
+    is_npy = file.read(len(npy.MAGIC_PREFIX)) == npy.MAGIC_PREFIX
     file.seek(0)
-    read_header = npy.read_array_header_1_0 if npy.read_magic(file) == (1, 0) else npy.read_array_header_2_0
-    if read_header(file)[2] != np.dtype(object):
-        raise ValueError("it holds an array of plain numbers, where lists of different lengths are wanted")
+    if is_npy:
+        read_header = npy.read_array_header_1_0 if npy.read_magic(file) == (1, 0) else npy.read_array_header_2_0
+        if read_header(file)[2] != np.dtype(object):
+            raise ValueError("it holds an array of plain numbers, where lists of different lengths are wanted")
 
 
 class _Kind:
@@ -67,7 +59,7 @@ class _Kind:
         self.code = code
         self.order = "<"
 
-    def set_state(self, state: Any) -> None:
+    def __setstate__(self, state: Any) -> None:
         self.order = ">" if state[1] == ">" else "<"
 
 
@@ -77,11 +69,11 @@ class _Array(list[Any]):
     def __init__(self, *_: Any) -> None:
         """Begin empty; the elements come as the state."""
 
-    def set_state(self, state: Any) -> None:
-        self[:] = _elements(*state[-4:])
+    def __setstate__(self, state: Any) -> None:
+        self[:] = _list_elements(*state[-4:])
 
 
-def _elements(shape: Any, kind: _Kind, columns_first: Any, stored: Any) -> Any:
+def _list_elements(shape: Any, kind: _Kind, columns_first: Any, stored: Any) -> Any:
     """Return the elements of an array, nested as `shape` says: a number for the shape ()."""
     if not len(stored):
         return []
@@ -98,8 +90,8 @@ _STAND_INS: dict[str, Any] = {
     "numpy.ndarray": _Array,
     "numpy.dtype": _Kind,
     "numpy.core.multiarray._reconstruct": _Array,
-    "numpy.core.multiarray.scalar": lambda kind, stored: _elements((), kind, False, stored),
-    "numpy.core.numeric._frombuffer": lambda stored, kind, shape, order: _elements(shape, kind, order == "F", stored),
+    "numpy.core.multiarray.scalar": lambda kind, stored: _list_elements((), kind, False, stored),
+    "numpy.core.numeric._frombuffer": lambda data, kind, shape, order: _list_elements(shape, kind, order == "F", data),
     "_codecs.encode": lambda text, encoding: text.encode({"latin1": "latin1"}[encoding]),
     "builtins.bytes": lambda: b"",
     "__builtin__.bytes": lambda: b"",
@@ -110,22 +102,12 @@ class _Unpickler(pickle._Unpickler):
     """The unpickler in Python, for the one in C makes room for any place in its memo that a pickle names."""
 
     def find_class(self, module: str, name: str) -> Any:
-        """Return the stand-in for a name; raises _RefusedError for a name that has none."""
+        """Return the stand-in for a name; raises ValueError for a name that has none."""
         named = f"{module}.{name}"
         known = _STAND_INS.get(named.replace("numpy._core.", "numpy.core.", 1))
         if known is None:
-            raise _RefusedError(f"asks for {ascii(named)[1:-1][:100]}, which no list of numbers needs")
+            raise ValueError(f"it asks for {ascii(named)[1:-1][:100]}, which no list of numbers needs: nothing was run")
         return known
-
-    def load_build(self) -> None:
-        """Give a stand-in its state; nothing else may have one."""
-        stack: list[Any] = self.stack  # type: ignore[attr-defined]
-        state = stack.pop()
-        if not isinstance(stack[-1], _Kind | _Array):
-            raise ValueError("it sets the state of something that is no array")
-        stack[-1].set_state(state)
-
-    dispatch: ClassVar[dict[int, Any]] = {**pickle._Unpickler.dispatch, pickle.BUILD[0]: load_build}
 
 
 def _copy_numbers(made: Any, depth: int, left: list[int]) -> Any:
@@ -136,10 +118,8 @@ def _copy_numbers(made: Any, depth: int, left: list[int]) -> Any:
     left[0] -= 1
     if left[0] < 0:
         raise ValueError(f"it makes lists of more than {_MOST_NUMBERS} numbers")
-    if isinstance(made, int | float):
-        if not abs(made) < 2**63:
-            raise ValueError("it holds a number that is no index")
+    if isinstance(made, int | float) and abs(made) < 2**63:
         return made
     if depth == 0 or not isinstance(made, list | tuple):
-        raise ValueError(f"it holds a {type(made).__name__} where a number or a list of numbers was expected")
+        raise ValueError(f"it holds a {type(made).__name__} where an index or a list of numbers was expected")
     return [_copy_numbers(element, depth - 1, left) for element in made]

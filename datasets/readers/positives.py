@@ -13,6 +13,8 @@ from vprbench.api import BadInput
 
 Positives = tuple[npt.NDArray[np.int64], ...]
 
+_AXES = ("queries", "places")
+
 
 def read_positives(positives: Any, n_queries: int, n_places: int) -> Positives:
     """Return the right places of each query, ascending.
@@ -27,13 +29,13 @@ def read_positives(positives: Any, n_queries: int, n_places: int) -> Positives:
         BadInput: the positives fit neither form, or both.
     """
     if issparse(positives):
-        return _read_matrix(positives, n_queries, n_places)
+        return read_matrix("positives", positives, (n_queries, n_places), _AXES)
     try:
         table = np.asarray(positives)
     except ValueError:  # lists of unequal length
         table = np.empty(0, object)
     if _is_matrix(table, n_queries, n_places):
-        return _read_matrix(table, n_queries, n_places)
+        return read_matrix("positives", table, (n_queries, n_places), _AXES)
     rows = table if table.ndim == 2 else positives
     if isinstance(positives, Mapping) or len(rows) != n_queries:
         raise BadInput(f"positives: right places of {len(rows)} queries came, and there are {n_queries}: give a list")
@@ -50,26 +52,27 @@ def read_positives(positives: Any, n_queries: int, n_places: int) -> Positives:
     return tuple(found)
 
 
-def check_matrix(
-    named: str, matrix: npt.NDArray[Any] | csr_array, shape: tuple[int, int], axes: tuple[str, str]
-) -> None:
-    """Raise BadInput, for the matrix `named`, unless it has that shape and holds nothing but 0 and 1."""
+def read_matrix(
+    named: str, matrix: Any, shape: tuple[int, int], axes: tuple[str, str], of_columns: bool = False
+) -> Positives:
+    """Return which columns are right in each row of a matrix, dense or sparse, ascending; or which rows in each column.
+
+    Raises BadInput, for the matrix `named`, unless it has that shape and holds nothing but 0 and 1.
+    """
     if matrix.shape != shape:
         turned = " (it is transposed)" if matrix.shape == shape[::-1] else ""
         raise BadInput(
             f"{named} has the shape {matrix.shape}{turned}; wanted is {shape}, {axes[0]} by {axes[1]}, for the images "
             "that are there"
         )
-    values = matrix.data if issparse(matrix) else matrix
-    if matrix.dtype.kind not in "buif" or not np.isin(values, (0, 1)).all():
-        raise BadInput(f"{named} holds {matrix.dtype} values other than 0 and 1: yes and no are wanted")
-
-
-def _read_matrix(matrix: Any, n_queries: int, n_places: int) -> Positives:
-    rows = csr_array(matrix, copy=True)
+    is_numeric = matrix.dtype.kind in "buif"
+    rows = csr_array(matrix, copy=True) if is_numeric else csr_array(shape)
     rows.sum_duplicates()
-    check_matrix("positives", rows, (n_queries, n_places), ("queries", "places"))
+    if not is_numeric or not np.isin(rows.data, (0, 1)).all():
+        raise BadInput(f"{named} holds {matrix.dtype} values other than 0 and 1: yes and no are wanted")
     rows.eliminate_zeros()
+    rows = rows.T.tocsr() if of_columns else rows
+    rows.sort_indices()
     return tuple(np.split(rows.indices.astype(np.int64), rows.indptr[1:-1]))
 
 

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from vprbench.api import BadInput
 
-from .coordinates import Metres, earth_centred
 from .csv_tables import read_csv
+from .positions import Metres, earth_centred
 
 Track = tuple[npt.NDArray[np.int64], Metres]  # microseconds (n,), ascending, and positions (n, d)
 
@@ -27,10 +28,12 @@ def track_of(recording: Path) -> Track:
 
 
 def _csv_track(file: Path) -> Track:
+    if not file.is_file():
+        raise BadInput(f"{file} does not exist: wanted are {_WANTED}")
     table = read_csv(file, _WANTED)
     try:
-        time, lat, lon = (np.array(table.column(name), np.float64) for name in ("time", "lat", "lon"))
-    except ValueError as error:
+        time, lat, lon = (table[name].to_numpy(np.float64) for name in ("time", "lat", "lon"))
+    except (KeyError, ValueError) as error:
         raise BadInput(f"{file}: {error}; wanted are {_WANTED}") from error
     if not len(time) or not (np.diff(time) > 0).all() or not np.isfinite([time, lat, lon]).all():
         raise BadInput(f"{file} holds times that do not ascend, or no numbers; wanted are {_WANTED}")
@@ -47,38 +50,30 @@ def nmea_track(file: Path, begin_s: float | None = None) -> Track:
     """Return the fixes of an NMEA 0183 log, RMC and GGA, at seconds since 1970 (UTC).
 
     With `begin_s` its first sentence was written then, on the clock of the events. Broken sentences, those without a
-    fix and second ones of one time are left out. Raises BadInput for a log without a fix.
+    fix and second ones of one time are left out. Raises BadInput for a log without a fix, or without a date where there
+    is no `begin_s`.
     """
     try:
         from pynmeagps import ERR_IGNORE, NMEAReader  # type: ignore[import-untyped, unused-ignore]
     except ImportError as error:
         raise BadInput(f"{file}: {error.name} is not installed: pip install vprbench[events]") from error
-    fixes: list[tuple[float, float, float]] = []
-    first, day, last, dated = -1.0, 0.0, -1.0, False  # seconds; whether a date came yet
+    rows: list[tuple[float, float, float, float]] = []  # second of the day, its day's first second, lat, lon
     with file.open("rb") as stored:
-        for _, said in NMEAReader(stored, quitonerror=ERR_IGNORE):
-            kind = getattr(said, "msgID", "")
-            if kind not in ("RMC", "GGA") or not hasattr(said.time, "hour"):
+        for _, sentence in NMEAReader(stored, quitonerror=ERR_IGNORE):
+            kind = getattr(sentence, "msgID", "")
+            if kind not in ("RMC", "GGA") or not hasattr(sentence.time, "hour"):
                 continue
-            clock = (datetime.combine(datetime.min, said.time) - datetime.min).total_seconds()
-            if kind == "RMC" and hasattr(said.date, "year"):
-                date = datetime(said.date.year, said.date.month, said.date.day, tzinfo=UTC).timestamp()
-                if not dated and first >= 0:  # GGA came before: it was of that day, or of the one before
-                    ahead = date - (day + _DAY_S if day + clock < last - _DAY_S / 2 else day)
-                    first, last, dated = first + ahead, last + ahead * (last >= 0), True
-                    fixes = [(at + ahead, lat, lon) for at, lat, lon in fixes]
-                day, dated = date, True
-            elif day + clock < last - _DAY_S / 2:  # after midnight
-                day += _DAY_S
-            now = day + clock
-            first = now if first < 0 else first
-            has_fix = said.status == "A" if kind == "RMC" else said.quality > 0
-            if has_fix and now > last:
-                fixes.append((now, said.lat, said.lon))
-                last = now
-    if not fixes:
-        raise BadInput(f"{file} holds no position: wanted are RMC or GGA sentences of NMEA 0183 with a fix")
-    time, lat, lon = np.array(fixes, np.float64).T
-    if begin_s is not None:
-        time += begin_s - first
-    return np.round(time * 1e6).astype(np.int64), earth_centred(lat, lon)
+            second = (datetime.combine(datetime.min, sentence.time) - datetime.min).total_seconds()
+            date: Any = sentence.date if kind == "RMC" else None
+            day = datetime(date.year, date.month, date.day, tzinfo=UTC).timestamp() if hasattr(date, "year") else np.nan
+            has_fix = sentence.status == "A" if kind == "RMC" else sentence.quality > 0
+            rows.append((second, day, *((sentence.lat, sentence.lon) if has_fix else (np.nan, np.nan))))
+    seconds, days, lat, lon = np.array(rows, np.float64).reshape(-1, 4).T
+    clock = np.unwrap(seconds, period=_DAY_S)  # a log may run past midnight
+    dated = np.flatnonzero(np.isfinite(days))
+    fixes = np.flatnonzero(np.isfinite(lat))
+    if not len(fixes) or (begin_s is None and not len(dated)):
+        raise BadInput(f"{file} holds no position: wanted are RMC or GGA sentences of NMEA 0183 with a fix, and a date")
+    ahead = begin_s - clock[0] if begin_s is not None else (days + seconds - clock)[dated[0]]
+    times, firsts = np.unique(clock[fixes], return_index=True)
+    return np.round((times + ahead) * 1e6).astype(np.int64), earth_centred(lat[fixes][firsts], lon[fixes][firsts])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, TypeVar, get_args
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -71,11 +71,9 @@ def split(
 
     vprtempo: all places are in the map, those before `first_query_place` are held out and `query_places` from there on
     are queried, `query_stride` apart. vprsnn: as many places as `first_query_place` says are set aside; the others
-    alone are in the map, and `query_places` from the first of them on are queried. Raises BadInput for another
-    protocol, for queries that do not fit, and for a negative tolerance.
+    alone are in the map, and `query_places` from the first of them on are queried. Raises BadInput for queries that do
+    not fit, and for a stride that is no number of places.
     """
-    if protocol not in get_args(Evaluation):
-        raise BadInput(f"dataset.protocol={protocol}: choose {' or '.join(get_args(Evaluation))}")
     if query_stride < 1 or (query_stride > 1 and protocol == "vprsnn"):
         raise BadInput(
             f"dataset.query_stride={query_stride} with dataset.protocol={protocol}: give 1 or more places from one "
@@ -88,58 +86,51 @@ def split(
             f"(dataset.query_stride={query_stride}, dataset.protocol={protocol}) need {last + 1} places, and there are "
             f"{places}: give 0 or more before the first query, or to set aside, and 1 or more queries, so that both fit"
         )
-    check_tolerance(tolerance)
     numbers, first = np.arange(places, dtype=np.int64), first_query_place
     if protocol == "vprtempo":
         return Split(
             protocol, numbers, numbers[first::query_stride][:query_places], numbers[:first], tolerance, query_stride
         )
-    held_out = set_aside(places, first)
+    drawn = np.random.RandomState(_SET_ASIDE_SEED).permutation(places)[:first]
+    held_out = np.sort(drawn).astype(np.int64)
     mapped = np.setdiff1d(numbers, held_out)
     return Split(protocol, mapped, mapped[:query_places], held_out, tolerance)
 
 
-def check_tolerance(tolerance: int) -> None:
-    """Raise BadInput for a negative tolerance."""
-    if tolerance < 0:
-        raise BadInput(f"dataset.tolerance={tolerance}: give 0 or more places")
-
-
-def set_aside(places: int, count: int) -> Numbers:
-    """Return which `count` of the places VPRSNN's authors keep for calibration, ascending (QVPR/VPRSNN d38f30c)."""
-    return np.sort(np.random.RandomState(_SET_ASIDE_SEED).permutation(places)[:count]).astype(np.int64)
-
-
-@dataclass(frozen=True)
-class Traverses:
-    """Which traverses are mapped and queried, and where their frames come from."""
-
-    references: Sequence[str]
-    query: str
-    frames: Callable[[Sequence[tuple[str, int]]], Images]  # of (traverse, place), numbered along the journey
-    folders: Sequence[FrameFolder] = ()  # that the frames lie in
-    numbers: Sequence[int] | None = None  # of the frames of all places; None: no frames are missing between them
-
-    def breaks(self, places: Numbers) -> Numbers:
-        """Return which of some places, by their rank, come after missing frames: a step longer than the shortest."""
-        steps = np.diff(places if self.numbers is None else np.asarray(self.numbers)[places])
-        return np.flatnonzero(steps > steps.min(initial=np.iinfo(np.int64).max)) + 1
-
-    def shown(self, traverses: Sequence[str], places: Numbers) -> Images:
-        """Return the images of the places, one traverse after the other."""
-        return self.frames([(traverse, place) for traverse in traverses for place in places.tolist()])
-
-
 def dataset_of(
-    name: str, parts: Split, traverses: Traverses, protocol: Mapping[str, Any], notes: Sequence[str] = ()
+    name: str,
+    parts: Split,
+    references: Sequence[str],
+    query: str,
+    frames: Callable[[Sequence[tuple[str, int]]], Images],
+    protocol: Mapping[str, Any],
+    *,
+    folders: Sequence[FrameFolder] = (),
+    numbers: Sequence[int] | None = None,
+    notes: Sequence[str] = (),
 ) -> Dataset:
-    """Return the dataset of a split of traverses; `notes` are what a reader of results has to know."""
-    references, query, shown = traverses.references, traverses.query, traverses.shown
+    """Return the dataset of a split of traverses.
+
+    Args:
+        name: the name of the dataset.
+        parts: which places are mapped, queried and held out.
+        references: the traverses of the map.
+        query: the traverse of the queries.
+        frames: returns the images of (traverse, place), numbered along the journey.
+        protocol: the protocol of the dataset.
+        folders: where the frames lie.
+        numbers: of the frames of all places; None: no frames are missing between them.
+        notes: what a reader of results has to know.
+    """
+
+    def show(traverses: Sequence[str], places: Numbers) -> Images:
+        return frames([(traverse, place) for traverse in traverses for place in places.tolist()])
+
     held_out = (
         HeldOut(
-            references=shown(references, parts.held_out),
+            references=show(references, parts.held_out),
             places=np.tile(np.arange(len(parts.held_out)), len(references)),
-            queries=shown([query], parts.held_out),
+            queries=show([query], parts.held_out),
             right=np.arange(len(parts.held_out), dtype=np.int64),
             in_map=parts.held_out_in_map,
         )
@@ -148,18 +139,27 @@ def dataset_of(
     )
     return Dataset(
         name=name,
-        references=shown(references, parts.mapped),
+        references=show(references, parts.mapped),
         places=np.tile(np.arange(len(parts.mapped)), len(references)),
-        queries=shown([query], parts.queried),
+        queries=show([query], parts.queried),
         positives=right_places(parts.queried, parts.mapped, parts.tolerance),
         protocol=protocol,
         held_out=held_out,
         place_numbers=None if parts.held_out_in_map else parts.mapped,
-        query_breaks=traverses.breaks(parts.queried),
-        place_breaks=traverses.breaks(parts.mapped),
-        folders=tuple(traverses.folders),
+        query_breaks=find_breaks(parts.queried, numbers),
+        place_breaks=find_breaks(parts.mapped, numbers),
+        folders=tuple(folders),
         notes=tuple(notes),
     )
+
+
+def find_breaks(places: Numbers, numbers: Sequence[int] | None = None) -> Numbers:
+    """Return which of some places, by their rank, come after missing frames: a step longer than the shortest.
+
+    `numbers` are those of the frames of all places; None: no frames are missing between them.
+    """
+    steps = np.diff(places if numbers is None else np.asarray(numbers)[places])
+    return np.flatnonzero(steps > steps.min(initial=np.iinfo(np.int64).max)) + 1
 
 
 def right_places(queried: Numbers, mapped: Numbers, tolerance: int) -> tuple[Numbers, ...]:
@@ -167,7 +167,8 @@ def right_places(queried: Numbers, mapped: Numbers, tolerance: int) -> tuple[Num
 
     Raises BadInput for a negative tolerance.
     """
-    check_tolerance(tolerance)
+    if tolerance < 0:
+        raise BadInput(f"dataset.tolerance={tolerance}: give 0 or more places")
     reach = min(tolerance, int(max(queried.max(), mapped.max())))  # further than any place; sums stay 64-bit numbers
     first = np.searchsorted(mapped, queried - reach, side="left").tolist()
     last = np.searchsorted(mapped, queried + reach, side="right").tolist()

@@ -11,9 +11,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from vprbench.api import BadInput, faiss_module, read_mat
+from vprbench.api import BadInput, read_mat
 
-from ..parts.vectors import unit
+from ..parts.vectors import k_means, unit
 from .dense_sift import DIMENSIONS
 
 PUBLISHED_WORDS = 128
@@ -21,7 +21,6 @@ PUBLISHED_WORDS = 128
 WORD_OF_ZERO = 60
 
 _ROUNDING = 1e-5  # of a residual, per descriptor: a word whose descriptors all equal it has none
-_ITERATIONS = 25  # of k-means
 _TOGETHER = 1024  # dimensions in double precision at a time
 _SMALLEST_VARIANCE = 1e-5  # of the largest; what lies below is rounding
 
@@ -33,22 +32,7 @@ def learn_words(
 
     Raises BadInput if fewer descriptors than words are different.
     """
-    n_different = len(np.unique(descriptors, axis=0))
-    if n_different < n_words:
-        raise BadInput(
-            f"the references gave {n_different} different descriptors for method.words={n_words}: give fewer words, "
-            "or more or larger images with more in them"
-        )
-    found = faiss_module().Kmeans(
-        descriptors.shape[1],
-        n_words,
-        niter=_ITERATIONS,
-        seed=int(generator.integers(1 << 31)),
-        min_points_per_centroid=1,
-        max_points_per_centroid=len(descriptors),
-    )
-    found.train(descriptors)
-    return unit(np.array(found.centroids, np.float32))
+    return unit(k_means(descriptors, n_words, generator))
 
 
 def read_words(path: Path, n_words: int) -> npt.NDArray[np.float32]:

@@ -63,13 +63,11 @@ class VPRSNN(Arguments, Method):
 
     @property
     def conformance_exceptions(self) -> Mapping[str, str]:  # type: ignore[override]  # it depends on another argument
-        """The rules that carried potentials break."""
+        """The rule that carried potentials break."""
         if not self.carried_potentials:
             return {}
         reason = "a query finds the neurons as the query before left them"
-        return dict.fromkeys(
-            ("a batch gives what its single images give", "the order of queries does not matter"), reason
-        )
+        return {"a batch gives what its single images give": reason}
 
     @property
     def calibrates(self) -> bool:

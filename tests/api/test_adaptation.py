@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 from little import Prototypes, journey, numbers_in, pictures
-from little_runs import asked_for, quiet_surroundings
+from little_runs import asked_for, execute, quiet_surroundings
 from published_networks import unit
 from quick_runs import quick_runs
 
@@ -19,7 +19,6 @@ from vprbench.api.images import Images
 from vprbench.errors import BadInput
 from vprbench.methods.hog import HOG
 from vprbench.plugins.rules import Journey
-from vprbench.runs.run import execute
 from vprbench.runs.stream import grow_map
 from vprbench.runs.viewpoints import Viewpoint, render_view
 
@@ -129,7 +128,7 @@ def test_descriptors_that_fill_the_memory_answer_from_a_file_as_from_an_array(ad
     monkeypatch.setattr(descriptor, "LARGE_BYTES", 1000)
     method = Table(adapt=adapt)
     with quiet_surroundings():
-        found = execute(asked_for(method, RIDE), "key")
+        found = execute(asked_for(method, RIDE))
     assert isinstance(method.searched.references.base, np.memmap)
     assert found.scores == pytest.approx(wanted, abs=1e-6)
     del method

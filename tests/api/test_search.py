@@ -7,9 +7,9 @@ import faiss
 import numpy as np
 import pytest
 
-from vprbench.api import bit_indexes, nearest, search, search_indexes
+from vprbench.api import nearest, search, search_indexes
 from vprbench.api.binary import BinaryMap
-from vprbench.api.hamming import packed
+from vprbench.api.hamming import pack_bits
 from vprbench.api.search import Search, agreement
 from vprbench.errors import BadInput
 
@@ -147,7 +147,7 @@ def peak_bytes(work):
 
 @pytest.mark.parametrize("kind", ["sq8", "rabitq", "binary", "binary_hnsw"])
 def test_an_index_of_a_map_in_a_file_is_built_part_by_part(kind, tmp_path, monkeypatch):
-    names = ((bit_indexes, "_SAMPLED"), (search_indexes, "_SAMPLED"), (bit_indexes, "_ADDED"), (nearest, "CELLS"))
+    names = ((search_indexes, "_SAMPLED_BITS"), (search_indexes, "_SAMPLED"), (nearest, "CELLS"))
     for module, name in names:
         monkeypatch.setattr(module, name, 1 << 18)
     vectors = in_file(tmp_path, clustered(5000, 512)[0])
@@ -292,31 +292,31 @@ def counted(queries, references):
 def test_scores_are_minus_the_bits_that_differ(n_words):
     for n_references in (1, 8, 75):
         references, queries = drawn(n_references, n_words, 1), drawn(5, n_words, 2, 0.2)
-        known, wanted = BinaryMap(packed(references), np.arange(n_references)), counted(queries, references)
+        known, wanted = BinaryMap(pack_bits(references), np.arange(n_references)), counted(queries, references)
         for n_queries in (0, 1, 5):
-            scores = known.scores(packed(queries[:n_queries]))
+            scores = known.scores(pack_bits(queries[:n_queries]))
             assert scores.dtype == np.float32
             assert np.array_equal(scores, wanted[:n_queries])
-            assert np.array_equal(known.scores(np.asfortranarray(packed(queries[:n_queries]))), scores)
+            assert np.array_equal(known.scores(np.asfortranarray(pack_bits(queries[:n_queries]))), scores)
     bits = np.repeat([[False], [True]], 64 * 300, axis=1)
-    assert BinaryMap(packed(bits), np.arange(2)).scores(packed(bits)).tolist() == [[0, -19200], [-19200, 0]]
+    assert BinaryMap(pack_bits(bits), np.arange(2)).scores(pack_bits(bits)).tolist() == [[0, -19200], [-19200, 0]]
 
 
 @pytest.mark.parametrize("layout", layouts(8))
 def test_a_place_is_worth_its_most_similar_image_and_costs_all_of_them_in_whole_words(layout):
     references, queries, places = drawn(30, 3, 1)[:, :130], drawn(4, 3, 2)[:, :130], layouts(30)[layout]
-    known, products = BinaryMap(packed(references), places), counted(queries, references)
+    known, products = BinaryMap(pack_bits(references), places), counted(queries, references)
     wanted = np.stack([products[:, places == place].max(1) for place in range(places.max() + 1)], axis=1)
     for n_queries in (0, 4):
-        assert np.array_equal(known.scores(packed(queries[:n_queries])), wanted[:n_queries])
+        assert np.array_equal(known.scores(pack_bits(queries[:n_queries])), wanted[:n_queries])
     assert known.bytes_per_place == 30 * 3 * 8 // (places.max() + 1)
 
 
 def test_bits_of_another_kind_are_refused():
-    known = BinaryMap(packed(drawn(3, 2, 1)), np.arange(3))
+    known = BinaryMap(pack_bits(drawn(3, 2, 1)), np.arange(3))
     with pytest.raises(ValueError, match=re.escape("uint64 (5, 1) came; this map compares uint64 (n_queries, 2)")):
-        known.scores(packed(drawn(5, 1, 2)))
+        known.scores(pack_bits(drawn(5, 1, 2)))
     with pytest.raises(ValueError, match="codes of bool"):
         known.scores(drawn(5, 2, 2))
     with pytest.raises(BadInput, match=re.escape("references of uint64 (3, 2) came with places (2,)")):
-        BinaryMap(packed(drawn(3, 2, 1)), np.arange(2))
+        BinaryMap(pack_bits(drawn(3, 2, 1)), np.arange(2))

@@ -11,7 +11,7 @@ from vprbench.metrics.growth import fit_power
 from vprbench.runs import machine
 from vprbench.runs.rows import format_markdown
 from vprbench.storage.atomic import replace_text
-from vprbench.storage.cores import core_count
+from vprbench.storage.cores import count_cores
 
 _OWN = ("what", "images", "calls", "beside", "places", "grows", "n_codes")
 _INTRODUCTION = """# How fast this machine is
@@ -59,7 +59,7 @@ def document(results):
         if not any(each["beside"] for each in rows):
             rows = [{name: text for name, text in each.items() if name != "beside"} for each in rows]
         parts += [f"## {group.strip().rstrip('.')}", format_markdown(rows), *growth(few)]
-    here = machine.describe_machine("cuda" if torch.cuda.is_available() else "cpu", core_count())
+    here = machine.describe_machine("cuda" if torch.cuda.is_available() else "cpu", count_cores())
     loads = ", ".join(f"{load:.2f}" for load in here["load_average"])
     return (
         "\n\n".join(

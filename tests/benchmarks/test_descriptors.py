@@ -7,11 +7,11 @@ import torch
 from full_size import FULL
 
 from vprbench.api.neural import NeuralDescriptor
-from vprbench.plugins.entries import entries
+from vprbench.plugins.entries import find_entries
 
 METHODS = [
     name
-    for name, entry in entries("method").items()
+    for name, entry in find_entries("method").items()
     if not name.startswith(("vprtempo", "vprsnn")) and (FULL or not entry.needs_weights)  # networks take long
 ]
 

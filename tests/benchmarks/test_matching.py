@@ -5,8 +5,8 @@ import pytest
 from scipy.spatial.distance import cdist
 
 from vprbench.api import Search
-from vprbench.api.hamming import packed, similarity
-from vprbench.api.search_indexes import faiss_module
+from vprbench.api.hamming import compare_bits, pack_bits
+from vprbench.api.nearest import import_faiss
 from vprbench.metrics.ranking import best_places
 
 BEST = 100  # references that a library's search returns
@@ -21,7 +21,7 @@ def directions(n, n_dimensions):
 def test_descriptors(full, measure, size):
     n, dimensions, queries = size(3300, 300), size(4096, 16), size(full, min(full, 300))
     references, codes = directions(n, dimensions), directions(n + queries, dimensions)[n:]
-    exact, library = Search(references, np.arange(n)), faiss_module().IndexFlatIP(dimensions)
+    exact, library = Search(references, np.arange(n)), import_faiss().IndexFlatIP(dimensions)
     library.add(references)
 
     def named():  # in blocks, as a run asks a whole traverse
@@ -36,12 +36,12 @@ def test_descriptors(full, measure, size):
 @pytest.mark.parametrize("queries", [1, 128])
 def test_bits(queries, measure, size):
     n, bits = size(3300, 300), 2048
-    codes = packed(np.random.default_rng(0).integers(0, 2, (n + queries, bits)))
-    library = faiss_module().IndexBinaryFlat(bits)
+    codes = pack_bits(np.random.default_rng(0).integers(0, 2, (n + queries, bits)))
+    library = import_faiss().IndexBinaryFlat(bits)
     library.add(codes[:n].view(np.uint8))
     references, asked = codes[:n], codes[n:]
     beside = {f"faiss.IndexBinaryFlat, best {BEST}": lambda: library.search(asked.view(np.uint8), BEST)}
-    measure(f"{queries} against {n:,} x {bits:,} bits", lambda: similarity(asked, references), queries, beside)
+    measure(f"{queries} against {n:,} x {bits:,} bits", lambda: compare_bits(asked, references), queries, beside)
 
 
 def test_images_by_absolute_differences(measure, size, route, build):

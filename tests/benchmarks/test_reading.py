@@ -13,9 +13,8 @@ from PIL import Image as PillowImage
 import vprbench
 from vprbench.api import Images, Paths
 from vprbench.api.decoding import Decoding, read_image
-from vprbench.datasets.readers.coordinates import Positions
-from vprbench.datasets.readers.positions import by_positions
-from vprbench.runs.identity import fingerprint
+from vprbench.datasets.readers.positions import Positions, by_positions
+from vprbench.runs.identity import compute_fingerprint
 
 
 def photograph(number, height, width):
@@ -79,14 +78,14 @@ def test_names_positions_and_hashes(full, measure, size, tmp_path, monkeypatch):
             os.link(shots[number % len(shots)], folder / f"{place}@@@{number:08}@@0@@@@@@.png")
     monkeypatch.setenv("VPRBENCH_HASHES", str(tmp_path / "hashes"))
     dataset = vprbench.dataset("utm_folders", root=str(tmp_path))
-    measure(f"{n:,} files with positions in their names, hashes known", lambda: fingerprint(dataset.build()), n)
+    measure(f"{n:,} files with positions in their names, hashes known", lambda: compute_fingerprint(dataset.build()), n)
 
 
 def test_positions(measure, size):
     n = size(100_000, 100)
     drives = np.random.default_rng(0).normal(0, 1, (2, n, 2)) + np.stack([543_000 + np.arange(n), np.full(n, 4.1e6)], 1)
     files = Paths.below(Path("drive"), [f"{number}.png" for number in range(n)])
-    mapped, asked = (Positions.of_metres(files, metres) for metres in drives)
+    mapped, asked = (Positions(files, metres) for metres in drives)
     measure(f"{n:,} positions looked for among as many, within 25 m", lambda: by_positions([mapped], asked, 25.0), n)
 
 

@@ -77,7 +77,11 @@ class Chaos:
 
     def client(self, results):
         elsewhere = self.drawn.choice([f"workers={N_WORKERS}", f"scheduler={self.scheduler}"])
-        timing = ["timing=quick", "timing.total_seconds=0.4"]  # while a cell is timed the others are stopped
+        timing = [
+            "timing=quick",
+            "timing.minimum_seconds=0",
+            "timing.maximum_seconds=0.1",
+        ]  # while a cell is timed the others are stopped
         return self.begin("client", "vprbench", *self.command, *timing, f"results={results}", elsewhere)
 
     def keep_cluster(self):

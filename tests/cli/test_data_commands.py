@@ -7,7 +7,7 @@ import pytest
 from PIL import Image as PillowImage
 
 from vprbench.cli import main
-from vprbench.data.fetch import command
+from vprbench.data import fetch
 
 N_FRAMES = 24
 
@@ -55,6 +55,6 @@ def test_fetch_exits_with_1_where_frames_that_came_are_not_right(empty, code, tm
         print("\n".join(check("corridor", tmp_path)))
         return 0
 
-    monkeypatch.setattr(command, "fetch_command", fetched)
+    monkeypatch.setattr(fetch, "fetch_command", fetched)
     assert main(["fetch", "corridor"]) == code
     assert ("1 file" in capsys.readouterr().out) == empty

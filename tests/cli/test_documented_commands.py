@@ -44,7 +44,7 @@ SMALLER = {
         "method.recorded_presentations=8",
     ),
 }
-NO_WEIGHTS = {name for name, entry in registry.entries("method").items() if entry.needs_weights}
+NO_WEIGHTS = {name for name, entry in registry.find_entries("method").items() if entry.needs_weights}
 
 
 def commands(document):

@@ -89,7 +89,7 @@ def test_help_and_completion_name_every_option_that_a_command_takes_with_its_mea
         def stop(*_):
             raise BadInput("it would run")
 
-        maker = {"compare": "comparison.make.make_comparison", "table": "table.make.make_table"}[name]
+        maker = {"compare": "comparison.start_server", "table": "table.make.make_table"}[name]
         monkeypatch.setattr(f"vprbench.report.{maker}", stop)
         given = [name, *(["methods=sad", "dataset=synthetic"] if name == "compare" else [])]
         shown = lines.keys() & (taken | OF_RUNS)
@@ -106,7 +106,7 @@ def test_help_has_each_option_with_its_default_and_meaning_of_the_yaml_that_it_b
     assert lines["method.max_module"] == ["method.max_module", "1000", "places a module, at most"]
     assert lines["timing.sample"][1] == "64"
     assert lines["dataset.radius_metres"] == ["dataset.radius_metres", "25.0", "for utm"]
-    entries = registry.entries("method")["vprtempo_tuned"], registry.entries("dataset")["folders"]
+    entries = registry.find_entries("method")["vprtempo_tuned"], registry.find_entries("dataset")["folders"]
     wanted = {f"{entry.group}.{name}" for entry in entries for name in entry.options}
     assert wanted - {"method.seed", "method.device"} <= lines.keys()
 

@@ -109,9 +109,9 @@ def test_a_name_of_several_plug_ins_is_one_error_that_names_them_and_a_package_w
     plugin(here / "plugins", "empty", "empty", {})
     shutil.rmtree(here / "plugins" / "empty_conf")
     (here / "plugins" / "leaving_at_import.py").write_text("raise SystemExit\n")
-    assert [package for package, _ in entries.broken_plugins()] == ["empty_conf"]
+    assert [package for package, _ in entries.list_broken_plugins()] == ["empty_conf"]
     with pytest.raises(BadInput, match="SystemExit"):
-        registry.entries("method")["gone"].target()
+        registry.find_entries("method")["gone"].target()
     for asked_for, owners in (("pole", "north south"), ("'pole'", "north south"), ("sad", "vprbench shadow")):
         assert main([f"method={asked_for}", *QUICK]) == 2
         printed = capsys.readouterr().err

@@ -9,7 +9,7 @@ import pytest
 from stopped_clock import Clock
 
 from vprbench import progress
-from vprbench.progress import progress_shown
+from vprbench.progress import show_progress
 from vprbench.terminal import streams
 from vprbench.terminal.streams import results_only_on_stdout
 
@@ -34,7 +34,7 @@ def clock(monkeypatch):
 
 def shown(clock, reports, stream, title="sad on nordland"):
     """Return what appears for these reports: seconds since the last one, stage, share done."""
-    with progress_shown(title, stream):
+    with show_progress(title, stream):
         for seconds, stage, done in reports:
             clock.spend(seconds)
             progress.report(stage, done)
@@ -60,7 +60,7 @@ def test_a_stage_has_a_line_and_a_long_one_its_share_and_the_time_left(clock, ca
 def test_a_bar_names_each_stage_shows_the_share_done_stands_below_log_lines_and_is_gone_at_the_end(clock, monkeypatch):
     stream = Terminal()
     monkeypatch.setattr("sys.stderr", stream)
-    with progress_shown("sad on [red]nordland"):
+    with show_progress("sad on [red]nordland"):
         for seconds, stage, done in ((0, "fit", 0.0), (0.15, "fit", 0.5), (0, "query", 0.0)):
             clock.spend(seconds)
             progress.report(stage, done)
@@ -100,14 +100,14 @@ def test_a_process_whose_progress_nobody_sees_and_an_inner_title_draw_nothing_an
         patch.setenv(progress.QUIET, "1")
         assert shown(clock, [(0, "fit", 0.5)], Terminal()) == ""
     outer = io.StringIO()
-    with contextlib.suppress(KeyError), progress_shown("outer", outer):
+    with contextlib.suppress(KeyError), show_progress("outer", outer):
         assert shown(clock, [(0, "fit", 0.5)], Terminal()) == ""
         raise KeyError
     progress.report("fit", 0.7)
     assert outer.getvalue() == "outer: fit\n"
     heard = []
-    with progress.listening(lambda *report: heard.append(("outer", *report))):
-        with progress.listening(lambda *report: heard.append(("inner", *report))):
+    with progress.send_reports_to(lambda *report: heard.append(("outer", *report))):
+        with progress.send_reports_to(lambda *report: heard.append(("inner", *report))):
             progress.report("fit", 0.2)
         progress.report("fit", 0.3)
     assert heard == [("inner", "fit", 0.2), ("outer", "fit", 0.3)]

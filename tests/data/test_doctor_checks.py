@@ -41,48 +41,21 @@ def places(count, skipped=()):
     return [[] if query in skipped else [query] for query in range(count)]
 
 
-PAST_THE_GAP = [*range(10), 8, *range(11, 30), *range(55, 60)]
-SHUFFLED = [[int(place)] for place in np.random.default_rng(0).permutation(PLACES)]
-AROUND = [range(max(0, query - 1), min(20, query + 2)) for query in range(20)]
 FINDINGS = {
-    "a name twice too often": ({"names": [*NAMES[:58], "003.png", "003.png"]}, ["note names: 1 2 60 003"]),
     "all in dictionary order": ({"names": sorted(PLAIN), "query_names": sorted(PLAIN)}, ["warning order: 10 11 2"]),
     "a file missing in the midst": (
         {"names": [name for name in NAMES if name != "020.png"], "query_names": NAMES[:59]},
         ["warning names: 38 59 021 022"],
     ),
     "references that begin at another file": ({"more": [[*NAMES[1:], NAMES[0]]]}, ["warning names: 60 60 001 000"]),
-    "queries of every other place": (
-        {"query_names": NAMES[:20], "right": [[2 * query] for query in range(20)]},
-        ["note ground truth: 40 60"],
-    ),
+    "queries of every other place": ({"query_names": NAMES[:20], "right": [[2 * query] for query in range(20)]}, []),
     "names of another scheme": ({"query_names": [f"frame{number:03d}.png" for number in range(PLACES)]}, []),
     "a query without a right place, asked for": (
         {"right": places(PLACES, (4,)), "unmatched": "keep"},
-        ["note ground truth: 1 60 1 98.3 004", "note ground truth: 1 60"],
+        ["note ground truth: 1 60 1 98.3 004"],
     ),
-    "no right place at all": (
-        {"right": [[]] * PLACES},
-        ["error ground truth: 60 60 1 0.0 000 001 002 003 004 55", "note ground truth: 60 60"],
-    ),
-    "most places right": (
-        {"right": [range(45)] * PLACES},
-        ["warning ground truth: 60 60 10 60 75.0", "note ground truth: 15 60"],
-    ),
-    # 18 queries with 3 of 20 places and 2 with 2 of 20, which is no more than 10 %
-    "few places, a wide tolerance": (
-        {"names": NAMES[:20], "query_names": NAMES[:20], "right": AROUND, "tolerance_places": 1},
-        ["note ground truth: 18 20 10 20 14.5"],
-    ),
-    "more right than the tolerance allows": (
-        {"right": [*places(7), [6, 7, 8, 9], *places(PLACES)[8:]], "tolerance_places": 1},
-        ["warning ground truth: 1 3 1 007"],
-    ),
-    "a step back and a leap": (
-        {"query_names": NAMES[: len(PAST_THE_GAP)], "right": [[middle] for middle in PAST_THE_GAP]},
-        ["note ground truth: 26 60", "note ground truth: 1 010", "note ground truth: 1 030"],
-    ),
-    "no order at all": ({"right": SHUFFLED, "query_names": [f"q{name}" for name in NAMES]}, []),
+    "no right place at all": ({"right": [[]] * PLACES}, ["error ground truth: 60 60 1 0.0 000 001 002 003 004 55"]),
+    "most places right": ({"right": [range(45)] * PLACES}, ["warning ground truth: 75.0 60"]),
 }
 
 
@@ -115,27 +88,20 @@ def noise(seed, places=PLACES):
     return [*np.random.default_rng(seed).integers(0, 256, (places, 32, 64, 3), np.uint8)]
 
 
-SHIFTED = "error summer is shifted against spring: all of it shows what spring shows"
-
-
 @pytest.mark.parametrize(
     ("references", "queries", "tolerance", "told"),
     [
-        (season(0), season(1), 0, r"note summer and spring are aligned: likeness 0\..*20 of 20 stretches agree$"),
-        (season(0), noise(5), 0, "note .*too different"),
+        (season(0), season(1), 0, "note .* are aligned: 60 of 60 queries"),
+        *((season(0), noise(seed), 20 * (seed > 5), "note .*too different") for seed in (5, 8, 9, 10)),
         *(
-            (season(0), noise(seed), 20, "note .*too different") for seed in (8, 9, 10)
-        ),  # the best shift is no wrong one
-        # what comes a lap further on looks more alike: 25 places, more than a single query is compared with
-        ([*noise(6, 25), *season(0, 25) * 4], season(1, 25) * 5, 0, "note .*too different"),
-        *(
-            (season(0, 120)[first:95], season(1, 120)[: 95 - first], 0, rf"{SHIFTED} {told} earlier \(")
+            (season(0, 120)[first:95], season(1, 120)[: 95 - first], 0, f"error .*{told} earlier, by")
             for first, told in ((3, "3 places"), (25, "25 places"))
         ),
         *(
-            (season(0, 120)[: 95 - first], season(1, 120)[first:95], 0, rf"{SHIFTED} {told} later \(")
+            (season(0, 120)[: 95 - first], season(1, 120)[first:95], 0, f"error .*{told} later, by")
             for first, told in ((1, "1 place"), (3, "3 places"))
         ),
+        (season(0)[:58], season(1)[2:], 2, "note .*2 places later"),  # which the ground truth counts as right
     ],
 )
 def test_traverses_are_aligned_shifted_or_too_different_to_tell(references, queries, tolerance, told):
@@ -143,33 +109,26 @@ def test_traverses_are_aligned_shifted_or_too_different_to_tell(references, quer
     assert re.match(told, f"{found.level} {found.text}")
 
 
-def test_of_several_reference_traverses_the_shifted_one_is_named_and_of_all_the_queries():
-    first, second = compared([season(0)[:57], season(2)[3:]], season(1)[:57])
-    assert (first.level, second.level) == ("error", "note")
-    assert "what fall shows 3 places earlier" in first.text
-    assert "summer and spring are aligned" in second.text
-    (found,) = compared([season(0)[:57], season(2)[:57]], season(1)[3:])
-    assert found.level == "error"
-    assert "each of the 2 reference traverses" in found.text
-    # Of the 57 queries the first 54 have a place 3 further on; amid these is number 27, which shows place 27 + 3.
-    assert found.advice.startswith("compare image 27 of summer with image 30 of spring by eye; ")
+def test_each_reference_traverse_is_compared_and_two_frames_are_named():
+    shifted, aligned = compared([season(0)[:57], season(2)[3:]], season(1)[:57])
+    assert (shifted.level, aligned.level) == ("error", "note")
+    assert "summer and spring are aligned" in aligned.text
+    assert "summer is shifted against fall: about image 0 to image 56 (57 of 57 queries)" in shifted.text
+    assert "3 places earlier" in shifted.text
+    assert shifted.advice.startswith("compare image 28 of summer with image 82 of fall by eye; ")  # the 25th of fall
 
 
-def test_a_shift_is_told_by_the_places_that_the_ground_truth_says_are_right_and_a_part_of_it_with_its_ends():
+def test_a_part_that_is_shifted_is_named_with_its_ends_and_places_may_be_skipped_but_not_shuffled():
     references, queries = season(0, 400), season(1, 400)
     queries[100:130] = season(1, 400)[105:135]
     (found,) = compared([references], queries)
     assert found.level == "warning"
-    assert "image 100 to image 129 (30 of 400 queries) show what spring shows 5 places later" in found.text
-    (tolerated,) = compared([season(0)[:58]], season(1)[2:], tolerance=2)
-    assert tolerated.level == "note"
-    assert "all of it shows what spring shows 2 places later" in tolerated.text
-    assert tolerated.advice == "the ground truth counts these places as right"
+    assert "about image 100 to image 129 (30 of 400 queries) show what it shows 5 places later" in found.text
     right = [[place] for place in range(0, 300, 5)]
     (aligned,) = compared([season(0, 300)], season(1, 300)[::5], right)
     (shifted,) = compared([season(0, 300)], season(1, 300)[3::5], right)
     assert "are aligned" in aligned.text
-    assert "all of it shows what spring shows 3 places later" in shifted.text
+    assert "3 places later" in shifted.text
     order = np.random.default_rng(0).permutation(PLACES)
     (unordered,) = compared([season(0)], [season(1)[place] for place in order], [[int(place)] for place in order])
     assert (unordered.level, unordered.text.startswith("not checked: ")) == ("note", True)
@@ -179,32 +138,24 @@ HEIGHT, WIDTH = 24, 32
 SECOND = 1_000_000
 
 
-def speed():
-    """Metres in each of 60 seconds of a drive that stops again and again."""
-    return 2 + 8 * (np.random.default_rng(5).random(PLACES) > 0.4)
-
-
 def drive(seed):
-    """Events as many as the camera is fast; light rises where the place says, whatever the season."""
+    """Return the events of 60 seconds."""
     chance = np.random.default_rng(seed)
-    second = np.repeat(np.arange(PLACES), 40 * speed().astype(int))
-    t = np.sort(second * SECOND + chance.integers(SECOND, size=len(second)))
+    t = np.sort(chance.integers(PLACES * SECOND, size=20_000))
     x, y = chance.integers(WIDTH, size=len(t)), chance.integers(HEIGHT, size=len(t))
-    rises = np.random.default_rng(9).random((PLACES, 3, 4)) > 0.5
-    p = rises[t // SECOND, y // 8, x // 8] ^ (chance.random(len(t)) < 0.3)
-    return Events(t, x.astype(np.uint16), y.astype(np.uint16), p)
+    return Events(t, x.astype(np.uint16), y.astype(np.uint16), chance.random(len(t)) < 0.5)
 
 
-def recorded(events, name, late_us=0, unit=1):
+def recorded(events, name, unit=1):
     """Return a recording that comes in chunks, with a position each second."""
-    metres = np.stack([np.cumsum(speed()), np.zeros(PLACES)], axis=1)
+    metres = np.stack([10.0 * np.arange(PLACES), np.zeros(PLACES)], axis=1)
     middle = SECOND * np.arange(PLACES) + SECOND // 2
 
     def chunks():
         for part in np.array_split(np.arange(len(events.t)), 7):
             yield Events(events.t[part], events.x[part], events.y[part], events.p[part])
 
-    return Recording(name, chunks, HEIGHT, WIDTH, (middle + SECOND // 2 + late_us) // unit, metres, middle)
+    return Recording(name, chunks, HEIGHT, WIDTH, (SECOND * np.arange(PLACES) + SECOND // 2) // unit, metres, middle)
 
 
 def swapped(events, back_us):
@@ -232,16 +183,11 @@ FOUND = {
     "a hot pixel": (lambda events: recorded(hot(events), "winter"), ["warning hot pixels: 1 10."]),
     "polarity that is always the same": (
         lambda events: recorded(replace(events, p=np.ones_like(events.p)), "winter"),
-        ["warning polarity: 100.0 1"],
+        ["warning polarity: 100.0 2"],
     ),
-    "inverted polarity": (lambda events: recorded(replace(events, p=~events.p), "winter"), ["warning polarity: 0."]),
     "positions of another unit": (
         lambda events: recorded(events, "winter", unit=1000),
         ["error clocks: 0.0 0.1 0.0 60.0 0"],
-    ),
-    "positions of another second": (
-        lambda events: recorded(events, "winter", late_us=4 * SECOND),
-        ["warning clocks: 4.0"],
     ),
     "positions that are not in order": (
         lambda events: replace(recorded(events, "winter"), positions_us=np.zeros(PLACES, np.int64)),
@@ -265,7 +211,7 @@ NORDLAND = SHARED / "data" / "nordland_64x32"
 
 @pytest.mark.extended
 @pytest.mark.real_frames
-def test_nordland_is_aligned_and_its_tunnels_are_among_what_is_not_used():
+def test_nordland_is_aligned():
     names = (NORDLAND / "frames_clean_qvpr.txt").read_text().split()
     folders = [NORDLAND / season for season in ("winter", "summer")]
     winter, summer = (Images.from_files([folder / name for name in names]) for folder in folders)
@@ -275,6 +221,3 @@ def test_nordland_is_aligned_and_its_tunnels_are_among_what_is_not_used():
     found = examine(Dataset("ride", *given, protocol, folders=kept))
     assert not wrong(found)
     assert notes(found, "alignment")[0].startswith("summer and winter are aligned")
-    for text in notes(found, "unused"):
-        assert re.findall(r"[\d,]+\d", text)[:3] == ["3,576", "2,761", "815"]
-        assert 150 <= int(text.partition("of these ")[2].split()[0]) <= 250  # "about 200" says who published the frames

@@ -14,7 +14,7 @@ from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
 from vprbench.data.doctor import as_text, check_dataset, command, examine, look_at_some, quick
 from vprbench.errors import BadInput, MissingData
-from vprbench.progress import listening
+from vprbench.progress import send_reports_to
 
 PAGE = b"<!DOCTYPE html><html><body>Sign in to download</body></html>"
 DOCUMENT = (ROOT / "docs" / "doctor.md").read_text(encoding="utf-8")
@@ -110,56 +110,21 @@ def test_the_document_shows_what_the_doctor_says(title, tmp_path, spoilt):
     said = []
     assert command("little", lambda: spoilt(DOCUMENTED[title]), said.append) == 1
     paragraphs = said[0].replace(str(tmp_path), "/data").split("\n\n")[1:]
-    aligned = "note alignment: summer and winter are aligned"
     told = [" ".join(paragraph.split()) for paragraph in paragraphs]
-    assert " ".join(line for line in told if not line.startswith(aligned)) == " ".join(SHOWN[title].split())
-
-
-def strangers(winter, summer):
-    for name in ("031.heic", "list.csv"):
-        (winter / name).touch()
-
-
-QUICK = {
-    "a folder that is gone": (lambda winter, _: shutil.rmtree(winter), ["error files:"]),
-    "fewer images than a whole copy": (lambda *_: {"counts": (35_768,)}, ["note count: 60 35,768"] * 2),
-    "more images than a whole copy": (lambda *_: {"counts": (50, 55)}, ["warning count: 60 50 55"] * 2),
-    "a frame that cannot be read and a list": (strangers, ["note files: 1 031"]),
-}
-
-
-@pytest.mark.parametrize("damage", QUICK)
-def test_the_cheap_checks_find(damage, tmp_path, spoilt):
-    spoil, expected = QUICK[damage]
-    assert coded(quick(spoilt(spoil)), tmp_path) == expected
+    shown = [line for line in told if not line.startswith("note alignment: summer and winter are aligned")]
+    assert " ".join(shown) == " ".join(SHOWN[title].split())
 
 
 @pytest.mark.parametrize(
-    ("content", "kind"),
+    ("damage", "expected"),
     [
-        (b"\xef\xbb\xbf\r\n<html>", "a web page"),
-        (b"version https://git-lfs.github.com/spec/v1\noid sha256:00", "a Git LFS pointer, not the file it stands for"),
-        (b"PK\x03\x04", "a zip archive"),
+        pytest.param(lambda winter, _: shutil.rmtree(winter), ["error files:"], id="a folder that is gone"),
+        pytest.param(lambda *_: {"counts": (35_768,)}, ["note count: 60 35,768"] * 2, id="a part of a copy"),
+        pytest.param(lambda *_: {"counts": (50, 55)}, ["warning count: 60 50 55"] * 2, id="more than a copy"),
     ],
 )
-def test_what_a_failed_download_leaves_is_told_from_an_image(spoilt, content, kind):
-    (found,) = quick(spoilt(lambda winter, summer: write(summer, ["031.png"], lambda _: content)))
-    assert (found.level, found.check) == ("error", "files")
-    assert found.text.endswith(f"summer is {kind}: 031.png")
-
-
-def unused(winter, summer):
-    """Leave seven images beside the frames, three of them black, and a list."""
-    names = [f"{kind}{number}.png" for kind, many in (("slow", 4), ("tunnel", 3)) for number in range(many)]
-    for name in names:
-        shutil.copy(winter / "000.png", winter / name)
-    show(winter, names[4:], 3)
-    (winter / "list.txt").write_text("no image")
-
-
-def small_and_red(winter, summer):
-    red = np.array([1.0, 0.8, 0.6])
-    again(summer, [(frame[::2, ::2] * red).astype(np.uint8) for frame in season(1)])
+def test_the_cheap_checks_find(damage, expected, tmp_path, spoilt):
+    assert coded(quick(spoilt(damage)), tmp_path) == expected
 
 
 def copied(winter, summer):
@@ -169,10 +134,13 @@ def copied(winter, summer):
 
 
 EXAMINED = {
-    "images that are not used": (unused, ["note unused: 67 60 7 3"]),
     "a page as large as an image": (
         lambda winter, _: write(winter, ["017.png"], lambda whole: b"Service unavailable. ".ljust(len(whole))),
         ["error decoding: 1 60 017"],
+    ),
+    "a Git LFS pointer": (
+        lambda winter, _: write(winter, ["031.png"], lambda _: b"version https://git-lfs.github.com/spec/v1"),
+        ["error decoding: 1 60 031"],
     ),
     "no frame of a traverse": (
         lambda winter, _: write(winter, NAMES, lambda _: b"nothing"),
@@ -180,9 +148,8 @@ EXAMINED = {
     ),
     "two sizes in one traverse": (
         lambda winter, summer: resize(summer, NAMES[:20], (128, 64)),
-        ["note size: 2 64x32 40 128x64 20"],
+        ["note size: 20 64x32 40 000 001 002 003 004 15"],
     ),
-    "another size and colour": (small_and_red, ["note size: 64x32 32x16", "note colour:"]),
     "frames of one grey value": (
         lambda winter, summer: show(summer, NAMES[20:23], 200),
         ["warning black frames: 3 60 3 255 020 021 022"],
@@ -190,10 +157,6 @@ EXAMINED = {
     "frames that are the same": (
         copied,
         ["error shared frames: 1 60 044 044", "warning repeated frames: 2 011 012 030 031"],
-    ),
-    "a name that the list repeats": (
-        lambda *_: {"query_names": [*NAMES[:59], "010.png"], "right": [[n] for n in [*range(PLACES - 1), 10]]},
-        ["note names: 1 1 60 010", "note ground truth: 1 60", "note ground truth: 1 010", "note unused: 60 59 1"],
     ),
 }
 
@@ -213,7 +176,7 @@ def test_two_traverses_of_the_same_frames_are_an_error_and_the_cheap_checks_deco
     assert quick(Dataset("blind", blind, places, blind, positives, protocol, folders=dataset.folders)) == ()
     winter, summer = tmp_path / "winter", tmp_path / "summer"
     fall, heard = save(tmp_path / "fall", season(0)), {}
-    with listening(lambda stage, done: heard.__setitem__(stage, done)):
+    with send_reports_to(lambda stage, done: heard.__setitem__(stage, done)):
         first, *_ = coded(examine(dataset_of([winter, fall], summer)), tmp_path)
     assert first.startswith("error shared frames: 60 60 000 000 001 001")
     assert heard == {"looking at winter": 1.0, "looking at fall": 1.0, "looking at summer": 1.0}
@@ -222,14 +185,13 @@ def test_two_traverses_of_the_same_frames_are_an_error_and_the_cheap_checks_deco
 def test_a_run_is_refused_with_one_line_for_the_first_error_and_given_warnings_but_no_notes(tmp_path, spoilt):
     lines = check_dataset(spoilt(lambda *_: {"counts": (55,)}))
     assert lines == tuple(f"{tmp_path / one} holds 60 images; a whole copy has 55" for one in ("winter", "summer"))
-    write(tmp_path / "winter", ["000.png"], lambda _: b"")
-    write(tmp_path / "summer", ["000.png"], lambda _: PAGE)
+    for folder in ("winter", "summer"):
+        write(tmp_path / folder, ["000.png"], lambda _: b"")
     with pytest.raises(BadInput) as refused:
         check_dataset(dataset_of([tmp_path / "winter"], tmp_path / "summer"))
     line = str(refused.value)
     assert line.startswith(f"dataset little: 1 file of {tmp_path / 'winter'} is empty (0 bytes): 000.png: ")
     assert line.endswith("(1 more, which the doctor names)")
-    assert "\n" not in line
 
 
 def test_sound_frames_exit_with_0_and_a_dataset_that_cannot_be_built_with_1(spoilt):
@@ -249,7 +211,6 @@ def test_sound_frames_exit_with_0_and_a_dataset_that_cannot_be_built_with_1(spoi
     ("spoil", "counts"),
     [
         (lambda *_: None, []),
-        (lambda _, summer: show(summer, NAMES[20:23], 0), ["3 60"]),
         (lambda winter, summer: (show(winter, NAMES[:4], 0), show(summer, NAMES[8:9], 200)), ["4 60", "1 60"]),
         (lambda _, summer: write(summer, NAMES[3:10], lambda whole: whole[:900]), ["7 60"]),
     ],

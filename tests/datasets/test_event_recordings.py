@@ -44,7 +44,7 @@ LAYOUTS = {
 
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_layouts_of_hdf5_are_found_by_name(layout, tmp_path):
-    h5py = pytest.importorskip("h5py")
+    h5py = pytest.importorskip("h5py", reason="needs vprbench[events]")
     with h5py.File(tmp_path / "drive.h5", "w") as file:
         for name, column in LAYOUTS[layout].items():
             file[name] = column
@@ -53,13 +53,16 @@ def test_layouts_of_hdf5_are_found_by_name(layout, tmp_path):
 
 
 def test_parquet_is_read_and_hdf5_without_events_or_its_library_refused(tmp_path, monkeypatch):
-    parquet, arrow = pytest.importorskip("pyarrow.parquet"), pytest.importorskip("pyarrow")
+    parquet, arrow = (
+        pytest.importorskip("pyarrow.parquet", reason="needs vprbench[events]"),
+        pytest.importorskip("pyarrow", reason="needs vprbench[events]"),
+    )
     columns = {"t": EVENTS.t, "x": EVENTS.x, "y": EVENTS.y, "p": EVENTS.p}
     parquet.write_table(arrow.table(columns), tmp_path / "drive.parquet")
     assert same(joined(events_in(tmp_path / "drive.parquet")), EVENTS)
     parquet.write_table(arrow.table({"t": EVENTS.t, "x": EVENTS.x}), tmp_path / "drive.parquet")
     assert "drive.parquet holds no" in answer(joined, events_in(tmp_path / "drive.parquet"))
-    h5py = pytest.importorskip("h5py")
+    h5py = pytest.importorskip("h5py", reason="needs vprbench[events]")
     with h5py.File(tmp_path / "drive.h5", "w") as file:
         file["events/t"] = EVENTS.t
     assert "drive.h5 holds no" in answer(joined, events_in(tmp_path / "drive.h5"))
@@ -81,7 +84,7 @@ def test_evt3_is_read_though_its_clock_wraps_and_its_vectors_are_events_and_aeda
     found = joined(events_in(tmp_path / "drive.raw"))
     assert found.x.tolist() == [100, 101, 111, 112, 119]
     assert [*found.y, *found.t, *found.p] == [7] * 5 + [4096 + 5] * 5 + [True] * 5
-    pytest.importorskip("aedat")
+    pytest.importorskip("aedat", reason="needs vprbench[events]")
     assert same(joined(events_in(write_aedat4(tmp_path / "drive.aedat4", EVENTS))), EVENTS)
 
 
@@ -96,7 +99,7 @@ def test_evt3_is_read_though_its_clock_wraps_and_its_vectors_are_events_and_aeda
 )
 def test_what_is_no_recording_is_refused_by_name(name, content, told, tmp_path):
     if name == "drive.h5":
-        pytest.importorskip("h5py")
+        pytest.importorskip("h5py", reason="needs vprbench[events]")
     (tmp_path / name).write_bytes(content)
     assert told in answer(joined, events_in(tmp_path / name))
 

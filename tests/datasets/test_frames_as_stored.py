@@ -1,25 +1,18 @@
 """Frames as people have them: held on their side by a camera, or of more levels than 8 bits, by every reader."""
 
-import csv
 import json
 
 import cv2
 import numpy as np
 import pytest
 from image_folders import answer, lists
-from mat_cells import cells
 from PIL import Image as PillowImage
-from scipy.io import savemat
 
 import vprbench
 from vprbench.cli import main
-from vprbench.datasets.dbstruct import dbstruct
 from vprbench.datasets.folders import folders
-from vprbench.datasets.image_list import image_list
 from vprbench.datasets.nordland import chosen_names, nordland
-from vprbench.datasets.utm_folders import utm_folders
 from vprbench.datasets.vpr_bench import vpr_bench
-from vprbench.datasets.vpr_tutorial import gardens_point, with_matrix
 from vprbench.methods.sad import SAD
 
 PLACES = 40
@@ -160,46 +153,11 @@ def in_hand(top, **options):
     return vprbench.dataset_of(top / "0", top / "1", **options)
 
 
-def in_utm_folders(top, **options):
-    for part, name in (("0", "database"), ("1", "queries")):
-        for number, path in enumerate(sorted((top / part).iterdir())):
-            (top / name).mkdir(exist_ok=True)
-            path.rename(top / name / f"@{100 * number}@0@{path.suffix}")
-    return utm_folders(root=str(top), **options)
-
-
-def in_a_list(top, **options):
-    for part in "01":
-        with (top / f"{part}.csv").open("w", newline="") as file:
-            rows = [(f"{part}/{path.name}", n) for n, path in enumerate(sorted((top / part).iterdir()))]
-            csv.writer(file).writerows([("image", "place"), *rows])
-    return image_list(references=[str(top / "0.csv")], queries=str(top / "1.csv"), **options)
-
-
-def in_dbstruct(top, **options):
-    names = [cells([f"{part}/{path.name}" for path in sorted((top / part).iterdir())]) for part in "01"]
-    places = np.stack([100.0 * np.arange(PLACES), np.zeros(PLACES)])
-    fields = {"whichSet": "test", "dbImageFns": names[0], "utmDb": places, "qImageFns": names[1], "utmQ": places}
-    savemat(top / "little.mat", {"dbStruct": fields})
-    return dbstruct(root=str(top), mat="little.mat", **options)
-
-
 def in_vpr_bench(top, **options):
     (top / "0").rename(top / "ref")
     (top / "1").rename(top / "query")
     np.save(top / "ground_truth_new.npy", lists(*([place] for place in range(PLACES))), allow_pickle=True)
     return vpr_bench(root=str(top), **options)
-
-
-def in_gardens_point(top, **options):
-    (top / "0").rename(top / "day_right")
-    (top / "1").rename(top / "night_right")
-    return gardens_point(root=str(top), images=PLACES, **options)
-
-
-def in_st_lucia(top, **options):
-    np.savez(top / "GT.npz", GThard=np.eye(PLACES, dtype=bool))
-    return with_matrix("st_lucia", str(top), "0", "1", **options)
 
 
 def in_nordland(top, **options):
@@ -212,8 +170,7 @@ def in_nordland(top, **options):
     return nordland(root=str(top), suffix=".jpg", **asked, **options)
 
 
-OWN = [in_folders, in_hand, in_utm_folders, in_a_list]
-PUBLISHED = [in_dbstruct, in_vpr_bench, in_gardens_point, in_st_lucia, in_nordland]
+OWN, PUBLISHED = [in_folders, in_hand], [in_vpr_bench, in_nordland]
 
 
 @pytest.mark.parametrize("exif", [None, "obey", "ignore"])
@@ -247,11 +204,3 @@ def test_the_doctor_takes_both_options_counts_tags_and_names_frames_of_few_level
     few = [f"40 of 40 frames of {name} have fewer than 32 of 256 grey levels" for name in ("map", "asked")]
     assert said("dataset.levels=0..65535") == (1, [*(("warning", text) for text in few), ("note", tags)])
     assert said("dataset.levels=-20..9000")[0] == 1
-
-
-@pytest.mark.parametrize("wrong", ["dataset.exif=never", "dataset.levels=4095"])
-def test_the_command_line_refuses_what_is_neither(tmp_path, capsys, wrong):
-    folder = write(tmp_path / "map", bytes_of(MAP)[:2])
-    data = ["method=sad", "dataset=folders", f"dataset.references=[{folder}]", f"dataset.queries={folder}"]
-    assert main([*data, wrong]) == 2
-    assert wrong.partition("=")[0] in capsys.readouterr().err

@@ -25,7 +25,7 @@ from vprbench.datasets.utm_folders import utm_folders
 from vprbench.datasets.vpr_bench import vpr_bench
 from vprbench.errors import BadInput
 from vprbench.plugins import conformance, registry
-from vprbench.report.comparison import make
+from vprbench.report import comparison
 
 PLACES, QUERIES = 7, 5
 NONE = {"ground_truth": "none"}
@@ -116,14 +116,14 @@ def test_a_run_retrieves_and_shows_no_accuracy_and_its_json_holds_null(drives, c
 def test_a_comparison_ranks_nothing_and_draws_no_accuracy(drives, capsys, monkeypatch, tmp_path):
     given = []
     install(monkeypatch, tmp_path)
-    monkeypatch.setattr(make, "write_comparison", lambda *each: given.append(each) or [])
+    monkeypatch.setattr(comparison, "write_comparison", lambda *each: given.append(each) or [])
     assert main(["compare", "methods=sad,hog", "metrics=[f1_max]", *drives]) == 0
     shown = capsys.readouterr().out
     assert all(word not in shown for word in ("R@", "AUC", "F1", "wrong", "miss"))
     found, best = given[0][0], given[0][-1]
     assert {quantity.kind for quantity in found.table.quantities} == {"fit", "rate", "memory"}
     assert best["right"].isna().all()
-    names = [name for name, _ in make.draw_all(found, found.runs)]
+    names = [name for name, _ in comparison.draw_all(found, found.runs)]
     assert not any(part in name for name in names for part in ("recall", "precision", "similarity", "rate-", "frames"))
     assert main(["compare", "methods=sad", *drives, "corruptions=blur-1"]) == 2
 
@@ -142,6 +142,6 @@ def test_in_python_a_result_and_a_comparison_have_no_accuracy(drives):
 
 
 def test_a_dataset_without_ground_truth_keeps_every_rule(drives):
-    config = registry.entries("dataset")["folders"].values() | {"references": ["map"], "queries": "drive", **NONE}
+    config = registry.find_entries("dataset")["folders"].values() | {"references": ["map"], "queries": "drive", **NONE}
     states = {result.state for result in conformance.check_dataset(config)}
     assert states == {"kept"}

@@ -5,9 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from image_folders import fill, lists, rights
-from mat_cells import cells
 from PIL import Image as PillowImage
-from scipy.io import savemat
 
 import vprbench
 from vprbench.api import BadInput
@@ -126,18 +124,6 @@ def by_utm_folders():
     return {"dataset": "utm_folders", "root": "."}
 
 
-def by_negative_positions():
-    road("database", ["@-10@5@", "@-100@5@", "@-20@5@"])
-    road("queries", ["@-9@5@"], noisy)
-    return {"dataset": "utm_folders", "root": "."}
-
-
-def by_panorama():
-    road("database", [f"@1000@2000@{heading}@" for heading in (0, 30, 330, 60)])
-    road("queries", ["@1000@2000@0@"], noisy)
-    return {"dataset": "utm_folders", "root": "."}
-
-
 def table(file, names, columns, *cells_of):
     rows = [f"image,{columns}", *(f"{name}.png,{of}" for name, of in zip(names, cells_of, strict=True))]
     Path(file).write_text("\n".join(rows), encoding="utf-8")
@@ -155,23 +141,10 @@ def by_list(columns, *cells_of):
     }
 
 
-def by_dbstruct():
-    road(".", SHUFFLED)
-    road(".", ["q"], noisy)
-    metres = np.array([[0.0, 100.0, 200.0], [0.0] * 3])
-    names = [cells([f"{name}.png" for name in listed]) for listed in (SHUFFLED, ["q"])]
-    fields = ["test", names[0], metres, names[1], np.zeros((2, 1))]
-    savemat("set.mat", {"dbStruct": dict(zip("abcde", fields, strict=True))})
-    return {"dataset": "dbstruct", "root": ".", "mat": "set.mat"}
-
-
 ANY_ORDER = {
     "positions of different lengths": by_utm_folders,
-    "negative positions": by_negative_positions,
-    "crops of a panorama": by_panorama,
     "places in a list": lambda: by_list("place", "yard", "hall", "stairs"),
     "positions in a list": lambda: by_list("east,north", "0,0", "100,0", "200,0"),
-    "positions in dbStruct": by_dbstruct,
 }
 
 
@@ -233,15 +206,8 @@ BROKEN = {
         {"ground_truth": "utm", **pair([f"@{east}@0@" for east in EASTS], ["@0@1@", "@5@1@", "@10@1@", "@900@1@"])},
         ([4], [3], "positions"),
     ),
-    "folders in a list": lambda: ("image_list", by_drives("place"), ([4], [3], "folders")),
-    "folders and positions in a list": lambda: (
-        "image_list",
-        by_drives("east,north"),
-        ([4], [3], "folders and positions"),
-    ),
+    "folders and positions in a list": lambda: ("image_list", by_drives(), ([4], [3], "folders and positions")),
     "folders of a database": lambda: ("utm_folders", by_database(), ([2], [], "folders")),
-    "folders in dbStruct as it is": lambda: ("dbstruct", by_mat(), ([], [], None)),
-    "folders in dbStruct": lambda: ("dbstruct", {**by_mat(), "breaks": "auto"}, ([2], [], "folders")),
     "a folder for every frame": lambda: (
         "folders",
         pair([f"{number}/frame" for number in range(6)], [f"{number}/frame" for number in range(6)]),
@@ -251,11 +217,11 @@ BROKEN = {
 EASTS = [0, 5, 10, 15, 900, 905, 910]
 
 
-def by_drives(columns):
+def by_drives():
     road(".", names := drives(4, 3))
     road(".", asked := ["x/0", "x/1", "x/2", "y/0"], noisy)
-    words = [str(east) if columns == "place" else f"{east},0" for east in EASTS]
-    files = table("map.csv", names, columns, *words), table("asked.csv", asked, columns, *words[:3], words[4])
+    words = [f"{east},0" for east in EASTS]
+    files = table("map.csv", names, "east,north", *words), table("asked.csv", asked, "east,north", *words[:3], words[4])
     return {"references": [files[0]], "queries": files[1]}
 
 
@@ -263,17 +229,6 @@ def by_database():
     road("database", ["a/@0@0@", "a/@5@0@", "b/@10@0@", "b/@15@0@"])
     road("queries", ["@0@1@", "@5@1@"], noisy)
     return {"root": "."}
-
-
-def by_mat():
-    road(".", names := ["000/a", "000/b", "001/c", "001/d", "001/e"])
-    road(".", ["q"], noisy)
-    metres = np.array([[0.0, 5.0, 10.0, 15.0, 20.0], [0.0] * 5])
-    listed = [cells([f"{name}.png" for name in of]) for of in (names, ["q"])]
-    savemat(
-        "set.mat", {"dbStruct": dict(zip("abcde", ["", listed[0], metres, listed[1], np.zeros((2, 1))], strict=True))}
-    )
-    return {"root": ".", "mat": "set.mat"}
 
 
 @pytest.mark.parametrize("kind", BROKEN)

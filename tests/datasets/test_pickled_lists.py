@@ -95,7 +95,7 @@ class Calls:
 def test_what_a_pickle_wants_to_call_is_named_and_not_called(tmp_path, monkeypatch, asked, call, protocol, wrapped):
     monkeypatch.chdir(tmp_path)
     Path("stored").write_bytes(pickle.dumps(lists([0], call) if wrapped else call, protocol=protocol))
-    assert f"{asked}, which no list of numbers needs; nothing was run" in refusal(Path("stored"))
+    assert f"{asked}, which no list of numbers needs: nothing was run" in refusal(Path("stored"))
     assert not Path("called").exists()
 
 
@@ -114,9 +114,7 @@ REFUSED = {
     "another name": (b"\x80\x04\x8c\x05numpy\x8c\x0endarray.tofile\x93.", "asks for numpy.ndarray.tofile"),
     "a name that moves the cursor": (b"c\x1b[2Jos\nsystem\n.", r"asks for \x1b[2Jos.system"),
     "an instance": (b"(ios\nsystem\n.", "asks for os.system"),
-    "an extension": (b"\x80\x02\x82\x01.", "cannot be read"),
-    "something outside": (b"Pmodule\n.", "cannot be read"),
-    "the state of a stand-in": (b"\x80\x02cnumpy\nndarray\n}b.", "no array"),
+    "the state of a stand-in": (b"\x80\x02cnumpy\nndarray\n}b.", "cannot be read"),
     "too large a file": (bytes((1 << 24) + 1), f"has {(1 << 24) + 1} bytes"),
     "a place in the memo beyond the file": (b"\x80\x02Nr\xff\xff\xff\x7f.", "holds a NoneType"),
     "a frame beyond the file": (b"\x80\x04\x95" + struct.pack("<Q", 1 << 40) + b"].", ""),
@@ -126,10 +124,8 @@ REFUSED = {
     "an array of three dimensions": (stored_array((1, 1, 1, 1), "i8", b"x" * 8), "holds a list where"),
     "an array of text": (stored_array((1,), "S3", b"abc"), "elements of type S3"),
     "a list in itself": (b"]p0\ng0\na.", "holds a list where"),
-    "a number without end": (b"\x80\x02\x8b" + struct.pack("<I", 5000) + b"\x7f" * 5000 + b".", "no index"),
-    "a word": (pickle.dumps([[0, ["1"]]]), "holds a str"),
+    "a number without end": (b"\x80\x02\x8b" + struct.pack("<I", 5000) + b"\x7f" * 5000 + b".", "where an index"),
     "one number": (pickle.dumps(5), "holds one number"),
-    "nothing": (b"", "cannot be read as pickled lists"),
     "half a pickle": (pickle.dumps(WANTED, protocol=4)[:-7], "cannot be read as pickled lists"),
 }
 

@@ -5,10 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from image_folders import answer, fill, numbered, reds, rights
-from mat_cells import cells
-from scipy.io import savemat
 
-from vprbench.datasets.dbstruct import dbstruct
 from vprbench.datasets.folders import folders
 from vprbench.datasets.image_list import image_list
 from vprbench.datasets.utm_folders import utm_folders
@@ -33,12 +30,6 @@ def by_names(references, queries, **options):
     return utm_folders(root=".", **options)
 
 
-def by_names_of_own_folders(references, queries, **options):
-    fill(Path("a"), named(references))
-    fill(Path("b"), named(queries))
-    return folders(references=["a"], queries="b", ground_truth="utm", **options)
-
-
 def by_table(references, queries, columns="east,north", **options):
     fill(Path(), numbered(N))
     for file, positions in (("map.csv", references), ("asked.csv", queries)):
@@ -56,17 +47,6 @@ def by_degrees(references, queries, **options):
     return by_table(*parts, "lat,lon", **options)
 
 
-def by_struct(references, queries, **options):
-    fill(Path(), numbered(N))
-    fields = [
-        values
-        for positions in (references, queries)
-        for values in (cells([f"{number}.jpg" for number in range(len(positions))]), np.array(positions, float).T)
-    ]
-    savemat("set.mat", {"dbStruct": dict(zip("abcde", ["test", *fields], strict=True))})
-    return dbstruct(root=".", mat="set.mat", **options)
-
-
 def by_arrays(references, queries, turned=False, **options):
     fill(Path("a"), numbered(len(references)))
     fill(Path("b"), numbered(len(queries)))
@@ -75,7 +55,7 @@ def by_arrays(references, queries, turned=False, **options):
     return folders(references=["a"], queries="b", ground_truth="truth.npz", **options)
 
 
-READERS = [by_names, by_names_of_own_folders, by_table, by_degrees, by_struct, by_arrays]
+READERS = [by_names, by_table, by_degrees, by_arrays]
 
 
 def but(numbers, at, drive=DRIVE):
@@ -166,10 +146,9 @@ def test_strange_positions_of_real_drives_are_taken(drive):
     assert all(query in right for query, right in enumerate(rights(made)))
 
 
-def test_two_traverses_that_wait_at_their_ends_are_taken_and_a_last_stand_is_noted():
+def test_two_traverses_that_wait_at_their_ends_are_taken():
     by_table(but({*range(25, N)}, DRIVE[24]), DRIVE[:25])  # the next traverse begins far from there
-    made = image_list(references=["map.csv", "map.csv"], queries="asked.csv")
-    assert [note.split()[:3] for note in made.notes] == [["the", "last", "16"]] * 2
+    assert not image_list(references=["map.csv", "map.csv"], queries="asked.csv").notes
 
 
 BRISBANE = [(-27.5 + 0.0003 * k, 153.02 + 0.0001 * k) for k in range(N)]
@@ -215,20 +194,18 @@ def by_places(references, queries, **options):
 
 
 @pytest.mark.parametrize(
-    ("references", "queries", "options", "right", "numbers", "order"),
+    ("references", "queries", "options", "right", "numbers"),
     [
-        ([0, 8, 16, 24], [8, 12], {"tolerance": 8}, [[0, 1, 2], [1, 2]], [0, 8, 16, 24], "number"),
-        ([5, 3, 4], [5, 3], {"tolerance": 1}, [[1, 2], [0, 1]], [3, 4, 5], "number"),
-        ([-7, -3, -9], [-20], {"tolerance": 12}, [[0]], [-9, -7, -3], "number"),
-        ([0, 1, 2], [4], {"tolerance": 2}, [[2]], [0, 1, 2], "number"),  # beyond the map
-        ([0, 8, 16], [8], {"tolerance": 8, "place_order": "row"}, [[0, 1, 2]], None, "row"),
-        ([0, 1, 2], [1], {"tolerance": 1}, [[0, 1, 2]], None, None),  # both orders are one
-        (["b", 8, 9], [8], {"tolerance": 1}, [[0, 1, 2]], None, None),
+        ([0, 8, 16, 24], [8, 12], {"tolerance": 8}, [[0, 1, 2], [1, 2]], [0, 8, 16, 24]),
+        ([5, 3, 4], [5, 3], {"tolerance": 1}, [[1, 2], [0, 1]], [3, 4, 5]),
+        ([-7, -3, -9], [-20], {"tolerance": 12}, [[0]], [-9, -7, -3]),
+        ([0, 1, 2], [4], {"tolerance": 2}, [[2]], None),  # beyond the map
+        ([0, 1, 2], [1], {"tolerance": 1}, [[0, 1, 2]], None),
+        (["b", 8, 9], [8], {"tolerance": 1}, [[0, 1, 2]], None),
     ],
 )
-def test_places_that_are_whole_numbers_count_as_themselves(references, queries, options, right, numbers, order):
+def test_places_that_are_whole_numbers_count_as_themselves(references, queries, options, right, numbers):
     made = by_places(references, queries, **options)
     assert rights(made) == right
     assert (None if made.place_numbers is None else made.place_numbers.tolist()) == numbers
-    assert made.protocol.get("place_order") == order
     assert made.place_breaks is None if numbers is None else not len(made.place_breaks)

@@ -83,7 +83,6 @@ def test_places_are_set_aside_and_damage_on_purpose_shifts_the_queries():
         ({"references": []}, "dataset.references=[]: name at least one season"),
         ({"references": "fall"}, "dataset.references='fall': name at least one season"),
         ({"places": 11, "query_places": 10}, "dataset.first_query_place=2 and dataset.query_places=10"),
-        ({"protocol": "sift"}, "dataset.protocol=sift: choose vprtempo or vprsnn"),
         ({"tolerance": -1}, "dataset.tolerance=-1"),
         ({"seed": -1}, "dataset.seed=-1"),
         ({"unanswerable": -1}, "dataset.unanswerable=-1"),

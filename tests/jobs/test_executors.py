@@ -94,7 +94,7 @@ def test_impossible_options_are_refused_by_name_and_a_single_run_takes_none(give
     ],
 )
 def test_each_cell_gets_its_share_of_the_cores_unless_threads_are_asked_for(given, options, threads, monkeypatch):
-    monkeypatch.setattr(cluster_options, "core_count", lambda: 8)
+    monkeypatch.setattr(cluster_options, "count_cores", lambda: 8)
     assert parse_options(ClusterOptions, given, {}).threads(options) == threads
 
 

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 import torch
 from backbones_oracle import Draw, imagenet, vit_checkpoint, vit_qkv, vit_tokens
-from described_images import image
+from described_images import distance, encoded, image
 from published_networks import PublishedNetwork, unit, with_checks
 from torch.nn.functional import normalize
 
+from vprbench.api.images import Images
 from vprbench.api.weights import Weights
-from vprbench.errors import BadInput
+from vprbench.errors import BadInput, NotFittedError
 from vprbench.methods.anyloc import vlad as gathered
 
 DIM, LAYER, WORDS = 128, 1, 5
@@ -51,6 +52,7 @@ NETWORK = PublishedNetwork(
     alike_in_half=0.9,  # a value between two centres may go to the other
     refused=[
         ("AnyLoc needs 14 pixels a side", {}, (13, 40)),
+        ("method.centres", {"centres": None}, (42, 42)),
         *(
             (f"method.{name}={value}", {name: value}, (42, 42))
             for name, value in (("layer", -1), ("layer", 40), ("words", 0), ("longest_side", 13))
@@ -60,9 +62,19 @@ NETWORK = PublishedNetwork(
 tensors = NETWORK.tensors
 
 
+def learning(folder, **arguments):
+    own = {"vocabulary": "references", "words": 3, "centres": None, **arguments}
+    return NETWORK.method(NETWORK.file(folder), **own)
+
+
 @with_checks(NETWORK)
 def test_it_is_the_published_network(check, folder):
     check(folder)
+
+
+@pytest.mark.extended
+def test_with_the_references_vocabulary_it_keeps_the_contract(folder):
+    assert NETWORK.check_contract(folder, vocabulary="references", height=42, width=42, batch_size=16) == set()
 
 
 def test_a_centre_without_values_has_zeros(folder):
@@ -73,6 +85,26 @@ def test_a_centre_without_values_has_zeros(folder):
     assert np.all(code[DIM:] == 0)
 
 
+def references(n):
+    return Images.from_arrays([image(42, 56, 10 + seed) for seed in range(n)])
+
+
+def test_learnt_centres_are_the_means_of_the_values_that_are_nearest_to_them(folder):
+    fitted = learning(folder).fit(references(6), np.arange(6))
+    centres = fitted._network.centres.double().numpy()
+    values = np.concatenate([facet(tensors, seen) for seen in references(6)])
+    nearest = np.linalg.norm(values[:, None] - centres, axis=2).argmin(1)
+    assert distance(centres, np.stack([values[nearest == word].mean(0) for word in range(3)])) < 1e-3
+    code = fitted.encode(Images.from_arrays([image(56, 56)]))
+    assert distance(code, unit(vlad(facet(tensors, image(56, 56)), centres))) < NETWORK.tolerance
+    assert not fitted._network.values._forward_hooks  # nothing goes on to collect values
+    path = NETWORK.file(folder)
+    published = NETWORK.method(path)
+    assert (published.keeps_descriptors(), fitted.keeps_descriptors()) == (True, False)
+    assert list(published.files()) == [path, path.with_suffix(".centres")]
+    assert list(fitted.files()) == [path]
+
+
 @pytest.mark.parametrize(("apart", "length"), [(1e-7, 0.0), (1e-2, 1.0)])
 def test_a_residual_that_is_rounding_is_none(apart, length):
     draw = Draw(6)
@@ -80,6 +112,16 @@ def test_a_residual_that_is_rounding_is_none(apart, length):
     centres = values + apart * normalize(draw.normal(4, DIM), dim=1)
     parts = gathered(values[None], centres).reshape(4, DIM).norm(dim=1)
     assert torch.allclose(parts, torch.full((4,), length), atol=1e-6)
+
+
+def test_a_fit_of_too_few_values_is_refused_and_forgets_the_one_before(folder):
+    with pytest.raises(NotFittedError, match="fit"):
+        encoded(learning(folder), image(42, 42))
+    fitted = learning(folder, words=5).fit(references(6), np.arange(6))
+    with pytest.raises(BadInput, match=r"4 different .* method\.words=5"):
+        fitted.fit(Images.from_arrays([image(28, 28)]), np.zeros(1, np.int64))
+    with pytest.raises(NotFittedError):
+        encoded(fitted, image(42, 42))
 
 
 def refusal(folder, **arguments):

@@ -49,7 +49,7 @@ ALONE = [(name, {one: value}) for name, own in REFUSED.items() for one, values i
 def test_arguments_that_do_not_fit_are_named(name, arguments):
     argument, value = next(iter(arguments.items()))
     with pytest.raises(BadInput, match=rf"method\.{argument}={value}\b"):
-        registry.entries("method")[name].target()(**arguments).fit(IMAGES, np.arange(12))
+        registry.find_entries("method")[name].target()(**arguments).fit(IMAGES, np.arange(12))
 
 
 WORLD = Journey.draw(3)

@@ -18,7 +18,7 @@ from vprbench.api.images import Images
 from vprbench.api.neural import NeuralDescriptor
 from vprbench.plugins import registry
 
-ENTRIES = registry.entries("method")
+ENTRIES = registry.find_entries("method")
 NETWORKS = [  # but for the one whose weights a package brings
     name
     for name, entry in ENTRIES.items()

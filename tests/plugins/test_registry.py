@@ -20,7 +20,7 @@ from vprbench.config import make_request
 from vprbench.errors import BadInput
 from vprbench.methods.sad import SAD
 from vprbench.plugins import registry
-from vprbench.plugins.entries import entries
+from vprbench.plugins.entries import find_entries
 from vprbench.plugins.options import check_value, parse_options
 
 
@@ -28,12 +28,12 @@ from vprbench.plugins.options import check_value, parse_options
 def method(tmp_path, monkeypatch):
     """Return what registers a yaml under a name and gives its entry."""
     (tmp_path / "method").mkdir()
-    folders = {**registry.conf_folders(), "little": tmp_path}
-    monkeypatch.setattr("vprbench.plugins.entries.conf_folders", lambda: folders)
+    folders = {**registry.find_conf_folders(), "little": tmp_path}
+    monkeypatch.setattr("vprbench.plugins.entries.find_conf_folders", lambda: folders)
 
     def written(name, text):
         (tmp_path / "method" / f"{name}.yaml").write_text(text)
-        return registry.entries("method")[name]
+        return registry.find_entries("method")[name]
 
     return written
 
@@ -41,18 +41,18 @@ def method(tmp_path, monkeypatch):
 def test_reading_all_entries_imports_neither_hydra_nor_anything_that_computes():
     read = "[(e.options, e.tags, e.description) for g in ('method', 'dataset') for e in entries(g).values()]"
     heavy = "{'hydra', 'omegaconf', 'torch', 'numpy', 'pydantic', 'vprbench.methods'} & {*sys.modules}"
-    program = f"import sys; from vprbench.plugins.entries import entries; {read}; print({heavy})"
+    program = f"import sys; from vprbench.plugins.entries import find_entries as entries; {read}; print({heavy})"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert done.stdout == "set()\n"
 
 
 def test_a_yaml_holds_what_hydra_reads_in_it_and_tells_what_computes_by_spikes_or_needs_weights():
-    for entry in (*entries("method").values(), *entries("dataset").values()):
+    for entry in (*find_entries("method").values(), *find_entries("dataset").values()):
         told, read = OmegaConf.to_container(OmegaConf.load(entry.path)), entry.values()
         own = told.keys() - {"defaults", "weights"}
         assert {name: read[name] for name in own} == {name: told[name] for name in own}
         assert entry.tags == (("spiking",) if entry.name.startswith(("vprtempo", "vprsnn", "lens")) else ())
-    needy = {name for name, entry in entries("method").items() if entry.needs_weights}
+    needy = {name for name, entry in find_entries("method").items() if entry.needs_weights}
     assert {"netvlad", "megaloc", "boq_resnet50"} <= needy
     assert not {"sad", "hog", "vprtempo", "densevlad"} & needy
 
@@ -110,9 +110,9 @@ def test_arguments_that_differ_from_the_yaml_and_those_below_are_changed_but_nev
     assert make_request(["method=upper", "+method.more=1"]).changed == {"more": 1}
 
 
-@pytest.mark.parametrize("name", registry.entries("method"))
+@pytest.mark.parametrize("name", registry.find_entries("method"))
 def test_a_method_has_the_options_of_its_class_and_is_built_without_weights(name):
-    entry, config = registry.entries("method")[name], composed(f"method={name}", "seed=5", "device=cuda:1")
+    entry, config = registry.find_entries("method")[name], composed(f"method={name}", "seed=5", "device=cuda:1")
     assert {*entry.options} == {one.name for one in fields(entry.target()) if one.init and one.name[0] != "_"}
     assert isinstance(registry.make_method({**config, "device": "cpu"} if "device" in config else config), Method)
 

@@ -2,7 +2,6 @@
 
 import io
 import shutil
-import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -11,11 +10,12 @@ import pytest
 from small_plan import RUN
 
 from vprbench.cli import main
+from vprbench.config import make_request
 from vprbench.jobs import executors
 from vprbench.jobs.job import JobResult, describe_failure
-from vprbench.report import missing_runs, stored_runs
-from vprbench.report.missing_runs import make_cell, make_missing_runs
+from vprbench.report.missing_runs import Cell, make_missing_runs
 from vprbench.report.plan import Row
+from vprbench.runs import experiment
 from vprbench.runs.request import RunRequest
 from vprbench.runs.store import Store
 
@@ -23,8 +23,9 @@ SAD = Row("SAD", "sad", training="none")
 ROUTE = ["dataset=synthetic", "dataset.places=20", "dataset.first_query_place=4"]
 
 
-def a_cell(row=SAD, seed=0, options=(), title="Journey", **values):
-    return make_cell(row, title, [*ROUTE, *RUN, *options], {"seed": seed, "device": "cpu", **values})
+def a_cell(row=SAD, seed=0, options=(), **values):
+    given = {"seed": seed, "device": "cpu", **values}
+    return Cell(row, "Journey", make_request([*ROUTE, *RUN, *options, f"method={row.method}"], given))
 
 
 @pytest.fixture
@@ -46,30 +47,8 @@ def store(tmp_path):
     return Store(tmp_path / "results")
 
 
-def test_a_run_is_asked_for_by_its_request_and_one_without_its_method_is_a_failure_without_a_process(children, store):
-    asked = children(JobResult(0))
-    row = Row("Big patches", "sad", arguments={"patch": 14, "preprocessing": "A"})
-    cell = a_cell(row, seed=3)
-    assert make_missing_runs([cell], store) == [JobResult(0)]
-    assert asked == [cell.request]
-    assert (asked[0].changed, asked[0].seed, asked[0].dataset["places"]) == (row.arguments, 3, 20)
-    asked = children()
-    row = Row("Nothing", "no_such_method", seeds=(0, 1))
-    endings = make_missing_runs([a_cell(row, 0), a_cell(row, 1)], store)
-    assert [(ending.code, ending.missing) for ending in endings] == [(2, True), (2, True)]
-    (failure,) = store.failures()
-    assert (failure.method, failure.dataset, failure.missing) == ("no_such_method", "synthetic", True)
-    assert "no_such_method" in failure.error
-    assert make_missing_runs([a_cell(Row("HOG", "hog"), device="cuda")], store) == [JobResult(0)]  # it knows no device
-    (ending,) = make_missing_runs([a_cell(Row("SAD of colours", "sad", arguments={"colours": 3}))], store)
-    assert (ending.code, ending.missing, "method.colours is unknown to sad" in ending.failure.error) == (2, False, True)
-    assert asked == []
-
-
 def test_what_is_missing_for_one_seed_is_sought_for_no_other(children, store):
-    missing = JobResult(
-        2, describe_failure(STORED.request, "weights are missing", True)
-    )  # as a process tells of its first seed
+    missing = JobResult(2, describe_failure(STORED.request, "weights are missing", True))  # of its first seed
     asked = children(missing, JobResult(0))
     endings = make_missing_runs([a_cell(seed=0), a_cell(seed=1), a_cell(Row("PCA", "pca"))], store)
     assert (endings, len(asked)) == ([missing, missing, JobResult(0)], 2)
@@ -89,57 +68,35 @@ STORED = a_cell()
 
 
 @pytest.mark.parametrize(
-    ("cell", "patched", "n_processes"),
+    ("cell", "other_code", "n_processes"),
     [
-        (STORED, {}, 0),
-        (a_cell(seed=1), {}, 1),
-        (a_cell(Row("SAD", "sad", arguments={"patch": 14})), {}, 1),
-        (a_cell(options=["dataset.query_places=5"]), {}, 1),
-        (a_cell(options=["dataset.protocol=nobody"]), {}, 1),
-        (a_cell(options=["timing.minimum_seconds=0.01"]), {}, 1),
-        (a_cell(options=["force=true"]), {}, 1),
-        (STORED, {"code_hash_of": "other code"}, 1),
-        (STORED, {"code_hash_of": None}, 1),
-        (STORED, {"fingerprint": "other frames"}, 1),
+        (STORED, False, 0),
+        (a_cell(seed=1), False, 1),
+        (a_cell(options=["dataset.query_places=5"]), False, 1),
+        (a_cell(options=["dataset.protocol=nobody"]), False, 1),
+        (a_cell(options=["timing.minimum_seconds=0.01"]), False, 1),
+        (a_cell(options=["force=true"]), False, 1),
+        (STORED, True, 1),
     ],
 )
 def test_a_process_is_started_only_for_what_is_not_stored_as_it_would_be_made_now(
-    made, monkeypatch, children, cell, patched, n_processes
+    made, monkeypatch, children, cell, other_code, n_processes
 ):
     asked = children(JobResult(0))
-    for name, value in patched.items():
-        monkeypatch.setattr(stored_runs, name, lambda _, value=value: value)
+    if other_code:
+        monkeypatch.setattr(experiment, "hash_code", lambda _: "other code")
     assert make_missing_runs([cell], Store(made[0] / "results")) == [JobResult(0)]
     assert len(asked) == n_processes
 
 
 def test_frames_that_were_removed_are_kept_again_by_a_process(copied, children):
     shutil.rmtree("results/frames")
-    assert missing_runs.resolve_results_folder("mine") == Path.cwd() / "mine"  # which a process elsewhere finds, too
     asked = children(JobResult(0))
     without = replace(STORED, request=replace(STORED.request, frames=False))
     make_missing_runs([without], Store(Path("results")))
     assert asked == []
     make_missing_runs([STORED], Store(Path("results")))
     assert len(asked) == 1
-
-
-@pytest.mark.extended
-def test_a_table_of_stored_runs_imports_no_torch(copied):
-    code = """
-import sys
-from pathlib import Path
-from vprbench.jobs import executors
-from vprbench.report import gather
-from vprbench.report.plan import read_plan
-from vprbench.cli import main
-gather.read_plan = lambda _: read_plan(Path("plan.yaml"))
-executors.run_in_child = None
-code = main(["table", "rows=[SAD]", "devices=[cpu]", *sys.argv[1:]])
-sys.exit("torch" if "torch" in sys.modules else code)
-"""
-    done = subprocess.run([sys.executable, "-c", code, *RUN], capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_on_a_terminal_a_table_fills_with_what_is_stored_and_leaves_it_clean_if_it_is_interrupted(
@@ -153,9 +110,8 @@ def test_on_a_terminal_a_table_fills_with_what_is_stored_and_leaves_it_clean_if_
         monkeypatch.setenv(name, value)
 
     def failing(*_):
-        return JobResult(
-            1, describe_failure(STORED.request, "it failed"), lines=["note: a warning", "vprbench: it failed"]
-        )
+        failed = describe_failure(STORED.request, "it failed")
+        return JobResult(1, failed, lines=["note: a warning", "vprbench: it failed"])
 
     def interrupted(*_):
         raise KeyboardInterrupt(2)

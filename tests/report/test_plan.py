@@ -51,7 +51,7 @@ def test_rows_and_published_numbers_are_those_of_table_two_in_its_order(plan):
 
 
 def test_every_row_that_learns_from_a_seed_has_three_and_says_whether_its_scores_are_calibrated(plan):
-    methods, calibrated = registry.entries("method"), []
+    methods, calibrated = registry.find_entries("method"), []
     rows = [*plan.rows.values(), *plan.more_rows.values()]
     assert len({row.name for row in rows}) == len(rows)
     for row in rows:
@@ -133,7 +133,7 @@ def plugged_in(folder, **contents):
 
 def test_a_plug_in_brings_rows_and_columns_that_are_asked_for_by_name_and_others_are_refused(tmp_path, monkeypatch):
     folders = plugged_in(tmp_path, shelf=PLUG_IN)
-    monkeypatch.setattr(registry, "conf_folders", lambda: folders)
+    monkeypatch.setattr(registry, "find_conf_folders", lambda: folders)
     assert "short" not in [column.planned.name for column in chosen().columns]
     (made,) = of_last_row(chosen(rows=["SAD"], methods=["mine"], columns=["short"]))
     assert (made.row.name, made.title, made.request.dataset["places"]) == ("Mine", "Short route", 12)
@@ -146,10 +146,10 @@ def test_a_plug_in_brings_rows_and_columns_that_are_asked_for_by_name_and_others
 @pytest.mark.parametrize(
     ("content", "names"),
     [
-        ({"rows": {"SAD": {"method": "sad"}}}, ["SAD", "shelf", "vprbench"]),
-        ({"rows": {"x": {"method": "sad", "name": "VPRSNN (no delays)"}}}, ["VPRSNN", "shelf", "vprbench"]),
-        ({"columns": {"railway": {"title": "S", "options": []}}}, ["railway", "shelf", "vprbench"]),
-        (PLUG_IN, ["mine", "shelf", "drawer"]),
+        ({"rows": {"SAD": {"method": "sad"}}}, ["SAD", "shelf"]),
+        ({"rows": {"x": {"method": "sad", "name": "VPRSNN (no threshold)"}}}, ["VPRSNN", "shelf"]),
+        ({"columns": {"railway": {"title": "S", "options": []}}}, ["railway", "shelf"]),
+        (PLUG_IN, ["mine", "shelf"]),
         ({"columns": {"x": {"title": "X", "options": [], "stand_in_for": "moon"}}}, ["more.yaml", "x", "moon"]),
         ({"growth": {}}, ["more.yaml", "growth"]),
         ({"rows": {"x": {"method": "sad", "colour": "red"}}}, ["more.yaml", "colour"]),

@@ -24,6 +24,7 @@ from vprbench.methods.vprtempo.int8 import VPRTempoInt8
 from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.plugins.rules import Journey
 from vprbench.runs import energy
+from vprbench.runs.timing_lock import share_host
 
 pytestmark = pytest.mark.usefixtures("surroundings")
 
@@ -33,6 +34,12 @@ def told(work):
     with counting_operations() as found:
         work()
     return sum(each.multiply_adds for each in found), sum(each.single for each in found), {each.kind for each in found}
+
+
+def costs_of(request, run=None):
+    run = run or run_of(request.method, request.dataset)
+    with share_host() as lock:
+        return energy.find_costs(request, run, lock)
 
 
 def fitted(kind=VPRTempo, **arguments):
@@ -99,22 +106,16 @@ def test_what_pytorch_does_is_counted_a_step_without_a_formula_is_not_available_
 
     request = asked_for(Multiplying(np.eye(6, dtype=np.float32)), journey(6, 6))
     run = run_of(request.method, request.dataset)
-    found = energy.find_costs(request, run)
+    found = costs_of(request, run)
     assert found["values"] == dict.fromkeys(found["values"])
     assert ("encode" in found["how"]["operations"], "match" in found["how"]["operations"]) == (True, False)
     monkeypatch.setattr(Lookup, "encode", lambda *_: {}["gone"])
-    monkeypatch.setattr(Multiplying, "map_bytes", lambda _: 60)
-    found = energy.find_costs(request, run)
+    monkeypatch.setattr(Lookup, "state", lambda _: {"a": np.zeros(7, np.float32), "b": np.zeros((4, 5))})
+    found = costs_of(request, run)
     assert "KeyError" in found["how"]["operations"]
-    assert found["values"]["map_bytes"] == 10
-
-
-def test_the_map_of_a_method_without_map_bytes_is_all_that_it_saves(monkeypatch):
-    parts = {"features": np.zeros(7, np.float32), "outputs_0": np.zeros((4, 5)), "outputs_1": np.zeros((2, 5))}
-    monkeypatch.setattr(Lookup, "state", lambda _: parts)
-    request = asked_for(Lookup(np.eye(6, dtype=np.float32)), journey(6, 6))
-    found = energy.find_costs(request, run_of(request.method, request.dataset))
-    assert found["values"]["map_bytes"] == pytest.approx((6 * 40 + 28) / 6)
+    assert found["values"]["map_bytes"] == pytest.approx((7 * 4 + 20 * 8) / 6)
+    monkeypatch.setattr(Multiplying, "map_bytes", lambda _: 60)
+    assert costs_of(request, run)["values"]["map_bytes"] == 10
 
 
 @pytest.mark.extended
@@ -147,11 +148,6 @@ def powercap(root, **microjoules):
     return root
 
 
-def test_package_and_memory_are_read_and_what_lies_within_a_package_is_not(tmp_path):
-    found = energy.read_rapl(powercap(tmp_path, package=900_000, dram=10, core=5))
-    assert sorted(found) == [(10, 1_000_000), (900_000, 1_000_000)]
-
-
 @pytest.mark.parametrize(("query", "watts", "known"), [(0.5, 30, 10), (7, 10, 0)])  # 7 s: longer than the window
 def test_idle_power_is_subtracted_from_the_joules_of_queries_over_a_wrap(query, watts, known, monkeypatch):
     state = np.array([0.0, 100.0])  # seconds and joules
@@ -166,12 +162,16 @@ def test_idle_power_is_subtracted_from_the_joules_of_queries_over_a_wrap(query, 
     assert energy.measure_joules(read, lambda: passes(query, watts)) == pytest.approx(known)
 
 
-@pytest.mark.parametrize("counters", [{}, {"core": 5}, {"package": "denied"}])
-def test_a_counter_that_cannot_be_read_is_a_reason(tmp_path, counters, monkeypatch):
-    monkeypatch.setattr(energy, "POWERCAP", powercap(tmp_path, **counters))
+def test_package_and_memory_are_read_and_not_what_lies_within_and_a_counter_that_cannot_be_read_is_a_reason(
+    tmp_path, monkeypatch
+):
+    found = energy.read_rapl(powercap(tmp_path / "some", package=900_000, dram=10, core=5))
+    assert sorted(found) == [(10, 1_000_000), (900_000, 1_000_000)]
     request = asked_for(Lookup(np.eye(6, dtype=np.float32)), journey(6, 6))
-    found = energy.find_costs(request, run_of(request.method, request.dataset))
-    assert (found["values"]["joules_measured"], "Error" in found["how"]["joules_measured"]) == (None, True)
+    for counters in ({"core": 5}, {"package": "denied"}):
+        monkeypatch.setattr(energy, "POWERCAP", powercap(tmp_path / str(*counters), **counters))
+        found = costs_of(request)
+        assert (found["values"]["joules_measured"], "Error" in found["how"]["joules_measured"]) == (None, True)
 
 
 def test_the_counter_of_a_gpu_is_found_by_its_uuid(monkeypatch):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from file_limit import no_file_may_exceed
 from little import Angles, journey, number_in, pictures
-from little_runs import asked_for, kinds, run_of
+from little_runs import asked_for, execute, kinds, run_of
 
 from vprbench.api import descriptor
 from vprbench.api.descriptor import DescriptorMethod
@@ -21,7 +21,6 @@ from vprbench.runs.descriptors import DescriptorCache
 from vprbench.runs.experiment import Experiment
 from vprbench.runs.identity import hash_frames
 from vprbench.runs.request import RunRequest
-from vprbench.runs.run import execute
 from vprbench.runs.stopwatch import Protocol, Stopwatch
 
 pytestmark = pytest.mark.usefixtures("surroundings")
@@ -60,7 +59,7 @@ def run(method, dataset, folder, arguments=(), **changes):
     asked = {"depth": 5, "threads": 1, "timing": PROTOCOL, **changes}
     request = RunRequest("counting", given, dataset.name, {"name": dataset.name}, **asked)
     return execute(
-        Experiment(request, method, dataset, "fingerprint", hash_frames(dataset)[1], files=files, cache=folder), "key"
+        Experiment(request, method, dataset, "fingerprint", hash_frames(dataset)[1], files=files, cache=folder)
     )
 
 
@@ -127,7 +126,7 @@ def test_other_code_and_another_device_encode_anew_and_where_a_file_of_weights_l
         return encoded_for_answers(method)
 
     assert [encoded("here"), encoded("there")] == [ALL, 0]
-    for module, name in ((descriptors, "hash_class"), (descriptors.machine, "device_class")):
+    for module, name in ((descriptors, "hash_class"), (descriptors.machine, "classify_device")):
         with monkeypatch.context() as patch:
             patch.setattr(module, name, lambda _: "another")
             assert encoded("here") == ALL
@@ -156,22 +155,18 @@ def describe(folder, encode=some, images=pictures(range(N))):  # noqa: B008 - it
     return made, kept, done
 
 
-def test_what_was_kept_is_found_memory_mapped_and_read_only(tmp_path):
+@pytest.mark.parametrize("damage", [lambda whole: whole[:-20], lambda whole: b"<html>"], ids=["cut", "page"])
+def test_what_was_kept_is_found_memory_mapped_and_read_only_and_a_damaged_file_is_made_anew(tmp_path, damage):
     made, *told = describe(tmp_path)
     found, *told_again = describe(tmp_path)
     assert (told, told_again) == ([0, [N]], [N, []])
-    assert made.tolist() == found.tolist() == some(pictures(range(N))).tolist()
     assert (isinstance(found.base, np.memmap), found.flags.writeable) == (True, False)
-
-
-@pytest.mark.parametrize("damage", [lambda whole: whole[:-20], lambda whole: b"<html>"], ids=["cut", "page"])
-def test_a_damaged_file_is_made_anew(tmp_path, damage):
-    describe(tmp_path)
+    assert made.tolist() == found.tolist() == some(pictures(range(N))).tolist()
     (path,) = tmp_path.glob("*.npy")
+    path.with_name(f"{path.name}.part").write_bytes(b"<html>")  # in the place of an unfinished file
     path.write_bytes(damage(path.read_bytes()))
     again, kept, _ = describe(tmp_path)
-    assert kept == 0
-    assert np.array_equal(again, some(pictures(range(N))))
+    assert (kept, again.tolist()) == (0, some(pictures(range(N))).tolist())
 
 
 def interrupted(after):
@@ -198,16 +193,6 @@ def test_an_interrupted_encoding_goes_on_after_a_stretch_with_the_same_bits(tmp_
     found, *told, done = describe(tmp_path / "cut", some, MANY)
     assert (told, done[-1]) == ([kept], 2000 - kept)
     assert np.array_equal(found, wanted)
-
-
-def test_another_file_in_the_place_of_an_unfinished_one_is_written_anew(tmp_path):
-    wanted, *_ = describe(tmp_path)
-    (path,) = tmp_path.glob("*.npy")
-    for content in (b"", b"<html>", path.read_bytes()[:20]):
-        path.unlink()
-        path.with_name(f"{path.name}.part").write_bytes(content)
-        found, kept, _ = describe(tmp_path)
-        assert (kept, found.tolist()) == (0, wanted.tolist())
 
 
 def test_descriptors_go_through_memory_block_by_block(tmp_path):
@@ -287,11 +272,10 @@ def test_a_large_map_is_asked_for_its_best_places_alone_when_scored_and_when_tim
     assert ("80 places" in note, f"best {DEPTH} " in note) == (True, True)
 
 
-@pytest.mark.parametrize("neighbours", [3, DEPTH])
-def test_an_index_gives_what_it_gives_where_all_places_are_scored(neighbours, monkeypatch):
-    usual = on(Angles(index="hnsw", neighbours=neighbours))
+def test_an_index_gives_what_it_gives_where_all_places_are_scored(monkeypatch):
+    usual = on(Angles(index="hnsw", neighbours=3))
     monkeypatch.setattr(scorers, "LARGE_MAP", N_PLACES - 1)
-    found = on(Angles(index="hnsw", neighbours=neighbours))
+    found = on(Angles(index="hnsw", neighbours=3))
     assert ("shortlist" in kinds(usual), "shortlist" in kinds(found)) == (False, True)
     assert np.array_equal(found.top_places, usual.top_places)
     assert np.array_equal(found.top_scores, usual.top_scores)
@@ -304,21 +288,10 @@ def test_all_places_are_scored_where_all_scores_are_wanted_and_where_a_method_ma
         def match(self, codes):
             return -super().match(codes)
 
-    whole = execute(asked_for(Angles(), journey(N_QUERIES, N_PLACES), scores=True), "key")
+    whole = execute(asked_for(Angles(), journey(N_QUERIES, N_PLACES), scores=True))
     for run in (whole, on(OwnWay())):
         assert run.scores.shape == (N_QUERIES, N_PLACES)
         assert "shortlist" not in kinds(run)
-
-
-def test_descriptors_of_a_large_map_are_kept_unless_a_method_may_learn_them(tmp_path, monkeypatch):
-    class Learning(Angles):
-        def fit(self, references, places):
-            return super().fit(references, places)
-
-    for large, method, kept in ((N_PLACES, Angles(), 0), (N_PLACES - 1, Learning(), 0), (N_PLACES - 1, Angles(), 2)):
-        monkeypatch.setattr(descriptors, "LARGE_MAP", large)
-        execute(asked_for(method, journey(N_QUERIES, N_PLACES), cache=tmp_path), "key")
-        assert len([*tmp_path.glob("*.npy")]) == kept
 
 
 @pytest.mark.parametrize("cached", [False, True])
@@ -327,7 +300,7 @@ def test_descriptors_that_fill_the_memory_stay_in_a_file(cached, tmp_path, monke
     monkeypatch.setattr(descriptor, "LARGE_BYTES", 1000)
     monkeypatch.setattr(Angles, "keeps_descriptors", lambda _: cached)
     method = Angles()
-    run = execute(asked_for(method, journey(N_QUERIES, N_PLACES), cache=tmp_path / "cache"), "key")
+    run = execute(asked_for(method, journey(N_QUERIES, N_PLACES), cache=tmp_path / "cache"))
     assert isinstance(method.searched.references.base, np.memmap)
     folder = tmp_path / ("cache" if cached else "scratch")
     assert len([*folder.rglob("*.npy")]) == (2 if cached else 1)  # of references, and of queries

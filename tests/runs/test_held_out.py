@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 from little import Lookup, Prototypes, journey, numbers_in, pictures, slow_pictures
-from little_runs import asked_for, kinds, run_of, table
+from little_runs import asked_for, execute, kinds, run_of, table
 from stopped_clock import Clock
 
 from vprbench import progress
@@ -14,7 +14,6 @@ from vprbench.api.images import Images
 from vprbench.errors import BadInput
 from vprbench.plugins import networks
 from vprbench.runs.notes import Note
-from vprbench.runs.run import execute
 
 pytestmark = pytest.mark.usefixtures("surroundings")
 
@@ -92,7 +91,7 @@ def test_a_method_is_calibrated_once_between_fit_and_first_query_on_images_witho
         part: Images.from_arrays(list(images), [f"place-{i}" for i in range(len(images))])
         for part, images in (("references", held_out().references), ("queries", held_out().queries))
     }
-    with progress.listening(lambda stage, _: stages.append(stage)):
+    with progress.send_reports_to(lambda stage, _: stages.append(stage)):
         run = run_of(method, with_held_out(**named))
     assert list(dict.fromkeys(stages)) == ["fit", "fit, reading images", "calibrate", "query", "timing"]
     assert method.calls[:3] == ["fit", "calibrate", "encode"]
@@ -144,7 +143,7 @@ class Sharpened(Prototypes):
 
 def test_a_stored_network_holds_what_was_chosen_and_nothing_is_chosen_anew(tmp_path):
     def run(method, dataset, **files):
-        return execute(asked_for(method, dataset, files=networks.Files(**files)), "key")
+        return execute(asked_for(method, dataset, files=networks.Files(**files)))
 
     path, plain = tmp_path / "network.safetensors", tmp_path / "plain.safetensors"
     trained = run(Sharpened(), with_held_out(), save=path)

@@ -23,7 +23,7 @@ from safetensors.numpy import load_file, save_file
 from vprbench.errors import BadInput
 from vprbench.runs import run_files
 from vprbench.runs.notes import Note
-from vprbench.runs.run_files import SCHEMA, OtherLayoutError, content_key, load
+from vprbench.runs.run_files import SCHEMA, OtherLayoutError, hash_content, load
 from vprbench.runs.store import Store
 from vprbench.runs.views import select_queries
 from vprbench.storage import tensors
@@ -339,7 +339,7 @@ def test_a_results_folder_that_is_no_folder_is_the_users_to_mend(tmp_path):
 def test_a_key_depends_on_the_layout_of_the_store_and_not_on_the_order_of_its_ingredients(monkeypatch):
     text = '{"code":"c0de","method":{"name":"sad","window":5},"schema":' + f"{SCHEMA}}}"
     for content in ({"name": "sad", "window": 5}, {"window": 5, "name": "sad"}):
-        key = content_key({"method": content, "code": "c0de"})
+        key = hash_content({"method": content, "code": "c0de"})
         assert key == hashlib.sha256(text.encode()).hexdigest()[:16]
     monkeypatch.setattr(run_files, "SCHEMA", SCHEMA + 1)
-    assert content_key({"method": content, "code": "c0de"}) != key
+    assert hash_content({"method": content, "code": "c0de"}) != key

@@ -21,7 +21,7 @@ from vprbench.metrics.catalogue import METRICS
 from vprbench.metrics.intervals import block_length, share_interval
 from vprbench.runs import frame, rows
 from vprbench.runs.frame import list_numbers
-from vprbench.runs.recall_intervals import order_along_journey, recall_interval
+from vprbench.runs.recall_intervals import estimate_recall_interval, order_along_journey
 from vprbench.runs.record import Failure
 from vprbench.runs.rows import format_row
 
@@ -156,12 +156,12 @@ def test_the_interval_says_what_it_is_of_shuffled_queries_that_of_those_in_order
         assert few["recall_at_1_low"] == pytest.approx(n_queries / (n_queries + 1.959964**2), abs=1e-6)
     alike = list_numbers(run_of(HITS))
     assert (alike["recall_at_1_interval"], alike["recall_at_1_block"]) == ("blocks", block_length(HITS))
-    assert recall_interval([NOWHERE]) is None
+    assert estimate_recall_interval([NOWHERE]) is None
     order = np.random.default_rng(0).permutation(200)
     mixed = run_of(HITS[order], positives=tuple(np.array([place]) for place in order))
-    assert recall_interval([mixed]) == recall_interval([run_of(HITS)]) == share_interval(HITS)
+    assert estimate_recall_interval([mixed]) == estimate_recall_interval([run_of(HITS)]) == share_interval(HITS)
     seeds = [run_of(HITS, seed=0), run_of(HITS[::-1], seed=1)]
-    assert recall_interval(seeds) == share_interval((HITS + HITS[::-1]) / 2)
+    assert estimate_recall_interval(seeds) == share_interval((HITS + HITS[::-1]) / 2)
 
 
 def test_queries_stand_in_the_order_of_the_journey():

@@ -21,7 +21,7 @@ from vprbench.plugins import registry
 from vprbench.plugins.networks import Files
 from vprbench.runs import identity, machine, sources
 from vprbench.runs.corruption import corrupt_queries
-from vprbench.runs.identity import code_hash, fingerprint
+from vprbench.runs.identity import compute_fingerprint, hash_code
 
 pytestmark = pytest.mark.usefixtures("surroundings")
 
@@ -31,7 +31,7 @@ METHOD, LITTLE = Lookup(np.ones((6, 4), np.float32)), journey(6, 4)
 
 def key(dataset=None, protocol=QUICK, threads=1, **changes):
     asked = asked_for(METHOD, dataset or LITTLE, protocol, threads, **changes)
-    return replace(asked, fingerprint=fingerprint(dataset or LITTLE)).key()
+    return replace(asked, fingerprint=compute_fingerprint(dataset or LITTLE)).key()
 
 
 @pytest.mark.parametrize(
@@ -64,7 +64,7 @@ def test_another_processor_has_another_key_and_a_run_that_loads_a_network_that_o
     keys = [asked_for(METHOD, LITTLE, files=given).key() for given in files]
     assert (len(set(keys)), keys[0]) == (3, keys[3])
     before = key()
-    monkeypatch.setattr(machine, "processor", lambda: "Abacus 10")
+    monkeypatch.setattr(machine, "read_processor_name", lambda: "Abacus 10")
     assert key() != before
 
 
@@ -80,12 +80,12 @@ def test_what_cannot_change_a_run_does_not_change_its_key():
 
 
 def test_a_run_holds_the_hash_of_its_code_and_the_timing_protocol(monkeypatch):
-    monkeypatch.setattr("vprbench.runs.run.code_hash", code_hash)
+    monkeypatch.setattr("vprbench.runs.run.hash_code", hash_code)
     run = run_of(METHOD, LITTLE)
-    assert run.config["code"] == code_hash(type(METHOD))
+    assert run.config["code"] == hash_code(type(METHOD))
     assert run.config["timing"] == {
         **{"minimum_seconds": 0, "minimum_queries": 5, "minimum_passes": 1, "maximum_seconds": 120.0},
-        **{"sample": 16, "warmup_queries": 2, "batch_sizes": [1, 4], "total_seconds": None, "rates": True},
+        **{"sample": 16, "warmup_queries": 2, "batch_sizes": [1, 4], "rates": True},
     }
 
 
@@ -98,9 +98,9 @@ def test_another_harness_changes_the_hash_of_every_method_and_nobody_changes_it_
         "the harness changed: if a run may now have other answers or times, raise identity.VERSION; in any case write "
         f"{json.dumps(now)} to {DECIDED}"
     )
-    before = code_hash(HOG)
+    before = hash_code(HOG)
     monkeypatch.setattr(identity, "VERSION", identity.VERSION + 1)
-    assert code_hash(HOG) != before
+    assert hash_code(HOG) != before
 
 
 @pytest.fixture
@@ -131,12 +131,13 @@ def test_all_files_that_a_method_imports_in_any_way_or_inherits_from_count_and_n
     }
     for name, text in files.items():
         (package / f"{name}.py").write_text(text)
-    before = sources.hash_target("meadow.method.Method")
-    assert before == sources.hash_class(importlib.import_module("meadow.method").Method)
+    method = importlib.import_module("meadow.method").Method
+    before = sources.hash_class(method)
     for name in files:
         path = package / f"{name}.py"
         path.write_text(f"{files[name]}# another byte\n")
-        assert (sources.hash_target("meadow.method.Method") == before) is (name in ("unused", "inner/__init__")), name
+        sources.hash_class.cache_clear()
+        assert (sources.hash_class(method) == before) is (name in ("unused", "inner/__init__")), name
         path.write_text(files[name])
 
 
@@ -148,8 +149,8 @@ def test_the_run_of_a_real_method_is_found_after_its_file_moved_and_not_after_an
     yaml.parent.mkdir()
     text = (ROOT / "methods/sad.py").read_text().replace("from .parts", "from vprbench.methods.parts")
     given = (ROOT / "conf/method/sad.yaml").read_text()
-    folders = {**registry.conf_folders(), "meadow": package}
-    monkeypatch.setattr("vprbench.plugins.entries.conf_folders", lambda: folders)
+    folders = {**registry.find_conf_folders(), "meadow": package}
+    monkeypatch.setattr("vprbench.plugins.entries.find_conf_folders", lambda: folders)
     monkeypatch.chdir(package.parent)
     asked = ["method=grass", "dataset.places=10", "dataset.first_query_place=0", "frames=false", "output=json"]
     found = []
@@ -174,7 +175,7 @@ def test_a_class_of_a_script_counts_with_its_file_and_a_class_without_a_file_is_
     script = ModuleType("__main__")
     monkeypatch.setitem(sys.modules, "__main__", script)
     exec("class Mine:\n    pass\n", vars(script))
-    assert code_hash(script.Mine) != code_hash(script.Mine)
+    assert hash_code(script.Mine) != hash_code(script.Mine)
     (tmp_path / "script.py").write_text("class Mine:\n    pass\n")
     script.__file__ = str(tmp_path / "script.py")
     assert sources.hash_class(script.Mine) == sources.hash_files([tmp_path / "script.py"])

@@ -20,6 +20,7 @@ from vprbench import cli
 from vprbench.runs.get_or_run import get_or_run
 from vprbench.runs.run_lock import HeldElsewhereError, is_held, lock_run, read_claims
 from vprbench.runs.store import Store
+from vprbench.runs.timing_lock import share_host
 
 pytestmark = pytest.mark.usefixtures("surroundings")
 
@@ -92,8 +93,8 @@ def busy(during=lambda: None):
     return Busy(table(4, 4), during=during)
 
 
-def made(method, store, *waiting):
-    return get_or_run(asked_for(method, journey(4, 4), replace(QUICK, rates=False)), store, *waiting)
+def made(method, store, lock=None):
+    return get_or_run(asked_for(method, journey(4, 4), replace(QUICK, rates=False)), store, lock)
 
 
 def lock_of_another(store):
@@ -127,13 +128,13 @@ def test_of_a_run_that_fails_or_is_interrupted_no_lock_and_no_file_is_left(error
 
 def test_in_a_sweep_a_run_that_another_process_makes_is_left_to_it(store):
     method = busy()
-    with lock_of_another(store) as process:
+    with share_host() as lock, lock_of_another(store) as process:
         with pytest.raises(HeldElsewhereError) as raised:
-            made(method, store, False)
+            made(method, store, lock)
         assert (is_held(raised.value.path), method.fits) == (True, [])
         process.kill()
         process.wait()
-    assert not made(method, store, False).from_store
+        assert not made(method, store, lock).from_store
     assert method.fits == [1]
 
 

@@ -12,10 +12,10 @@ from vprbench.metrics.ranking import outcome, ranked_places
 from vprbench.metrics.sequences import Filter, Sequences
 from vprbench.runs import answers
 from vprbench.runs.get_or_run import get_or_run
-from vprbench.runs.recall_intervals import recall_interval
+from vprbench.runs.recall_intervals import estimate_recall_interval
 from vprbench.runs.sequences import NoScoresError, apply_filter, apply_sequences, name_views, parse_views
 from vprbench.runs.store import Store
-from vprbench.runs.views import queries_shown, select_queries, window_of
+from vprbench.runs.views import get_window_length, list_shown_queries, select_queries
 
 N = 40
 
@@ -42,7 +42,7 @@ def test_a_sequence_of_one_answers_as_the_run_itself_and_longer_ones_for_the_que
     for window in ("causal", "centred"):
         view = apply_sequences(run, Sequences(8, window))
         assert mean_hits(view) > 0.9 > 0.5 > mean_hits(run)
-        assert queries_shown(view).tolist() == [right[0] for right in view.positives]
+        assert list_shown_queries(view).tolist() == [right[0] for right in view.positives]
 
 
 def as_lens_scores(scores, positives, length):
@@ -65,8 +65,8 @@ def test_the_protocol_of_lens_counts_as_its_code_counts(length):
     (view,) = (seen(run) for seen in parse_views({"length": length, "window": "lens"}))
     assert mean_hits(view) == pytest.approx(as_lens_scores(scores, positives, length))
     found = np.isfinite(view.outcome.best_score)
-    full = [q for q in queries_shown(view) if (length - 1) // 2 <= q < N - length // 2]
-    assert queries_shown(view)[found].tolist() == full
+    full = [q for q in list_shown_queries(view) if (length - 1) // 2 <= q < N - length // 2]
+    assert list_shown_queries(view)[found].tolist() == full
     assert view.protocol["sequence"] == f"{length} lens, within 3 places"
     assert len(view.outcome) == sum(len(places) > 0 for places in positives)
 
@@ -75,7 +75,7 @@ def test_queries_without_a_full_window_are_left_out_or_scored_with_what_there_is
     run = aligned(query_breaks=np.array([10]), place_breaks=np.array([10]))
     left_out, shortened = apply_sequences(run, Sequences(4)), apply_sequences(run, Sequences(4, incomplete="shortened"))
     wanted = [*range(3, 10), *range(13, N)]
-    assert queries_shown(left_out).tolist() == wanted
+    assert list_shown_queries(left_out).tolist() == wanted
     assert len(shortened.outcome) == N
     assert np.array_equal(shortened.top_scores[wanted], left_out.top_scores)
     assert np.array_equal(shortened.top_scores[10], run.top_scores[10])  # it begins a new part
@@ -84,10 +84,10 @@ def test_queries_without_a_full_window_are_left_out_or_scored_with_what_there_is
         "4 causal, incomplete shortened",
     )
     bridged = apply_sequences(run, Sequences(4, gaps="bridge"))
-    assert queries_shown(bridged).tolist() == list(range(3, N))
+    assert list_shown_queries(bridged).tolist() == list(range(3, N))
     assert bridged.protocol["sequence"] == "4 causal, gaps bridge"
     some = select_queries(aligned(), np.array([3, 4, 5, 9, 10, 11]), {"places": "other"})
-    assert queries_shown(apply_sequences(some, Sequences(3))).tolist() == [5, 11]
+    assert list_shown_queries(apply_sequences(some, Sequences(3))).tolist() == [5, 11]
     with pytest.raises(BadInput, match="gaps:bridge"):
         apply_sequences(aligned(), Sequences(41))
     with pytest.raises(NoScoresError, match="scores=true"):
@@ -99,8 +99,8 @@ def test_a_filter_follows_the_journey_and_no_block_of_an_interval_is_shorter_tha
     assert mean_hits(view) > 0.7 > 0.5 > mean_hits(aligned())
     assert (len(view.outcome), view.protocol["filter"]) == (N, "topological, moves 0 to 2, ratio 5")
     view = apply_sequences(aligned(200), Sequences(12))
-    assert window_of(view) == 12
-    assert recall_interval([view]).block >= 12
+    assert get_window_length(view) == 12
+    assert estimate_recall_interval([view]).block >= 12
 
 
 def test_a_view_is_never_stored_and_gaps_are(store):

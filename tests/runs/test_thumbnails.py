@@ -111,7 +111,7 @@ def test_four_queries_that_have_a_right_place_are_examples_beside_it_exactly_and
 
 def test_what_is_kept_already_is_not_read_again_and_progress_rises_over_queries_and_places(tmp_path):
     told = []
-    with progress.listening(lambda *report: told.append(report)):
+    with progress.send_reports_to(lambda *report: told.append(report)):
         thumbnails.save_thumbnails(tmp_path, FINGERPRINT, two_traverses(), iter([(1, {0})]))
     assert told == [
         *(("keeping small queries", i / 2) for i in range(2)),

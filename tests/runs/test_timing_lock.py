@@ -4,16 +4,26 @@ import subprocess
 import sys
 import threading
 import time
-from contextlib import contextmanager
 from itertools import pairwise
 
 import pytest
 
 from vprbench.runs import timing_lock
+from vprbench.runs.timing_lock import share_host
 
-HOLDER = (
-    "from vprbench.runs import timing_lock as lock\nwith lock.{}(): print(flush=True), __import__('time').sleep(60)"
-)
+COMPUTE = """
+import time
+from vprbench.runs.timing_lock import share_host
+with share_host() as lock:
+    print(time.time(), flush=True)
+    time.sleep({})
+"""
+TIMED = """
+    with lock.hold_alone():
+        began = time.time()
+        time.sleep(0.2)
+        print(began, time.time())
+"""
 
 
 @pytest.fixture(autouse=True)
@@ -22,43 +32,28 @@ def _host(tmp_path, monkeypatch):
     monkeypatch.setenv(timing_lock.FOLDER, str(tmp_path / "locks"))
 
 
-@contextmanager
-def another(does):
-    """Let another process compute, or be alone."""
-    with subprocess.Popen([sys.executable, "-c", HOLDER.format(does)], stdout=subprocess.PIPE) as process:
-        assert process.stdout.readline()
-        yield process
-        process.kill()
+def start(code, seconds):
+    """Start a process that computes for so many seconds."""
+    return subprocess.Popen([sys.executable, "-c", code.format(seconds)], stdout=subprocess.PIPE, text=True)
 
 
 def test_a_run_is_timed_once_the_others_have_computed_and_none_begins_meanwhile():
-    with another("computing") as computes, timing_lock.computing():
-        assert not timing_lock.is_only_run()
-        threading.Timer(0.3, computes.kill).start()  # the system frees its lock
-        with timing_lock.alone():
-            computes.wait(20)
-            late = (
-                "import time\nfrom vprbench.runs import timing_lock as lock\nwith lock.computing(): print(time.time())"
-            )
-            begins = subprocess.Popen([sys.executable, "-c", late], stdout=subprocess.PIPE, text=True)
-            time.sleep(0.5)
-            timed = time.time()
-        assert float(begins.communicate()[0]) > timed
-        assert timing_lock.is_only_run()
+    with start(COMPUTE, 60) as computes:
+        assert computes.stdout.readline()
+        with share_host() as lock, share_host(lock) as same:
+            assert same is lock
+            assert not lock.is_only_run()
+            threading.Timer(0.3, computes.kill).start()  # the system frees its lock
+            with lock.hold_alone():
+                computes.wait(20)
+                begins = start(COMPUTE, 0)
+                time.sleep(0.5)
+                timed = time.time()
+            assert float(begins.communicate()[0]) > timed
+            assert lock.is_only_run()
 
 
 def test_runs_that_compute_side_by_side_and_are_then_to_be_timed_are_timed_one_after_the_other():
-    code = """
-import time
-from vprbench.runs import timing_lock as lock
-with lock.computing():
-    print(flush=True)
-    time.sleep(0.3)
-    with lock.alone():
-        begun = time.time()
-        time.sleep(0.2)
-        print(begun, time.time())
-"""
-    runs = [subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) for _ in range(3)]
-    times = sorted([float(moment) for moment in run.communicate()[0].split()] for run in runs)
+    runs = [start(COMPUTE + TIMED, 0.3) for _ in range(3)]
+    times = sorted([float(moment) for moment in run.communicate()[0].split()[1:]] for run in runs)
     assert all(one[1] <= next[0] for one, next in pairwise(times))

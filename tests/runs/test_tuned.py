@@ -26,8 +26,8 @@ def plug_in(tmp_path, monkeypatch):
     """Return what registers a yaml of another package; runs are made in an empty folder."""
     folder = tmp_path / "conf"
     (folder / "method").mkdir(parents=True)
-    ours = registry.conf_folders()
-    monkeypatch.setattr("vprbench.plugins.entries.conf_folders", lambda: {**ours, "other": folder})
+    ours = registry.find_conf_folders()
+    monkeypatch.setattr("vprbench.plugins.entries.find_conf_folders", lambda: {**ours, "other": folder})
     monkeypatch.chdir(tmp_path)
 
     def registered(name, text):
@@ -219,7 +219,7 @@ def test_a_run_is_made_again_for_another_tuning_which_is_told_beside_its_win_whe
 
 
 def test_the_thousand_places_of_nordland_are_kept_as_hashes_of_their_frames():
-    kept = registry.conf_folders()["vprbench"] / "shared" / "tuned_frames" / "nordland_64x32.txt"
+    kept = registry.find_conf_folders()["vprbench"] / "shared" / "tuned_frames" / "nordland_64x32.txt"
     lines = [line.split() for line in kept.read_text(encoding="utf-8").splitlines() if line[0] != "#"]
     assert (len(lines), {len(line) for line in lines}, {len(code) for line in lines for code in line}) == (
         1000,

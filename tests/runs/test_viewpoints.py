@@ -5,7 +5,7 @@ from dataclasses import astuple, replace
 import numpy as np
 import pytest
 from little import journey
-from little_runs import asked_for
+from little_runs import asked_for, execute
 
 from vprbench.api.images import Images
 from vprbench.config import make_request
@@ -13,7 +13,6 @@ from vprbench.errors import BadInput
 from vprbench.methods.sad import SAD
 from vprbench.report.plan import PlannedColumn, Row
 from vprbench.report.selection import ResolvedColumn, group_runs_by_column
-from vprbench.runs.run import execute
 from vprbench.runs.scorers import choose_scorer
 from vprbench.runs.viewpoints import Viewpoint, Viewpoints, parse_viewpoints, record_viewpoints, render_view
 
@@ -107,11 +106,11 @@ def moved():
 def run_with(dataset, views):
     asked = Viewpoints(**views)
     experiment = asked_for(SAD(height=16, width=64), record_viewpoints(dataset, asked), scores=True, views=views)
-    return execute(experiment, "key")
+    return execute(experiment)
 
 
 def test_a_run_from_shifted_views_finds_the_places_of_a_shifted_camera_and_says_from_where_it_looked(moved, store):
-    plain = execute(asked_for(SAD(height=16, width=64), moved), "plain")
+    plain = execute(asked_for(SAD(height=16, width=64), moved))
     run = run_with(moved, {"horizontal": (-0.125, 0.0)})
     right = [np.mean(each.top_places[:, 0] == np.arange(200)) for each in (plain, run)]
     assert right[0] < 0.1 < 0.95 < right[1]
@@ -121,7 +120,7 @@ def test_a_run_from_shifted_views_finds_the_places_of_a_shifted_camera_and_says_
 
 
 def test_runs_from_other_viewpoints_stand_in_no_column_of_plain_ones(moved):
-    plain = execute(asked_for(SAD(height=16, width=64), moved), "plain")
+    plain = execute(asked_for(SAD(height=16, width=64), moved))
     seen = run_with(moved, {"horizontal": (0.0, 0.125)})
     row = Row(plain.method, plain.method)
     for views, wanted in ((None, plain), ([0.0, 0.125], seen)):

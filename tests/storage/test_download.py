@@ -10,7 +10,7 @@ import pytest
 from file_limit import no_file_may_exceed
 
 from vprbench.errors import BadInput
-from vprbench.progress import listening
+from vprbench.progress import send_reports_to
 from vprbench.storage.download import fetch
 
 CHUNK = 512 * 1024  # bytes that gdown writes at once: less than that of a broken answer is lost
@@ -64,7 +64,7 @@ def interrupt(server, to):
             raise KeyboardInterrupt
 
     to.unlink(missing_ok=True)
-    with listening(stop), pytest.raises(KeyboardInterrupt):
+    with send_reports_to(stop), pytest.raises(KeyboardInterrupt):
         get(server, to)
     server.net.asked.clear()
     assert left_behind(to) == [CHUNK]
@@ -72,7 +72,7 @@ def interrupt(server, to):
 
 def test_a_file_comes_whole_and_once_with_nothing_beside_it_and_progress_rises_to_the_whole(server, to):
     heard = []
-    with listening(lambda stage, done: heard.append((stage, done))):
+    with send_reports_to(lambda stage, done: heard.append((stage, done))):
         get(server, to, size_bytes=len(CONTENT), sha256=SHA256.upper())
     assert to.read_bytes() == CONTENT
     assert sorted(path.name for path in to.parent.iterdir()) == [".net.pth.lock", "net.pth"]

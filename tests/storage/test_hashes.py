@@ -12,7 +12,7 @@ import pytest
 
 from vprbench.errors import BadInput
 from vprbench.storage import hashes
-from vprbench.storage.hashes import file_hashes, hashes_folder
+from vprbench.storage.hashes import find_hashes_folder, hash_each_file
 
 EMPTY = "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855"  # of the standard, FIPS 180-4
 ABC = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
@@ -51,16 +51,16 @@ def files(tmp_path, count):
 
 def are_right(paths):
     contents = [path.read_bytes() for path in paths]
-    return file_hashes(paths) == [(len(content), hashlib.sha256(content).digest()) for content in contents]
+    return hash_each_file(paths) == [(len(content), hashlib.sha256(content).digest()) for content in contents]
 
 
 def test_the_hash_of_a_file_is_its_sha256_whatever_its_name_and_the_unreadable_file_is_named(tmp_path):
     paths = [write(tmp_path / "a.png", b""), write(tmp_path / os.fsdecode(b"hiver-\xe9t\xe9.png"), b"abc")]
     for _ in range(2):
-        assert [(size, sha256.hex()) for size, sha256 in file_hashes(paths)] == [(0, EMPTY), (3, ABC)]
+        assert [(size, sha256.hex()) for size, sha256 in hash_each_file(paths)] == [(0, EMPTY), (3, ABC)]
     for wrong in (tmp_path / "absent.png", tmp_path):
         with pytest.raises(BadInput, match=rf"{wrong} cannot be read \(.*restore the file$"):
-            file_hashes([*paths, wrong])
+            hash_each_file([*paths, wrong])
 
 
 def test_a_second_call_reads_unknown_files_alone(tmp_path, folder, read, monkeypatch):
@@ -80,9 +80,9 @@ def test_a_second_call_reads_unknown_files_alone(tmp_path, folder, read, monkeyp
 def test_a_file_is_read_again_once_it_has_another_name_time_or_content(tmp_path, read):
     path = write(tmp_path / "a.png", b"winter")
     os.utime(path, ns=(0, 0))
-    file_hashes([path])
+    hash_each_file([path])
     os.utime(path, ns=(1, 1))
-    file_hashes([path])
+    hash_each_file([path])
     path = path.rename(tmp_path / "b.png")
     assert are_right([path])
     other = write(tmp_path / "c.png", b"summer")  # of the same size
@@ -95,7 +95,7 @@ def test_a_file_is_read_again_once_it_has_another_name_time_or_content(tmp_path,
 @pytest.mark.parametrize("damage", [lambda whole: whole[:40], lambda _: b"\xa5", lambda _: b"[]", lambda _: b"{}"])
 def test_a_damaged_file_of_hashes_is_made_anew_and_no_folder_needed(tmp_path, folder, read, damage):
     paths = files(tmp_path, 20)
-    file_hashes(paths)
+    hash_each_file(paths)
     (kept,) = folder.iterdir()
     kept.write_bytes(damage(kept.read_bytes()))
     assert are_right(paths)
@@ -115,9 +115,9 @@ def test_a_user_without_name_and_home_has_to_name_the_folder(monkeypatch):
     for name in ("HOME", "XDG_CACHE_HOME", "VPRBENCH_HASHES"):
         monkeypatch.delenv(name, raising=False)
     with pytest.raises(BadInput, match="HOME, or VPRBENCH_HASHES"):
-        hashes_folder()
+        find_hashes_folder()
     monkeypatch.setenv("VPRBENCH_HASHES", "~/kept")
     with pytest.raises(BadInput, match="VPRBENCH_HASHES=~/kept"):
-        hashes_folder()
+        find_hashes_folder()
     monkeypatch.setenv("VPRBENCH_HASHES", "kept")
-    assert hashes_folder() == Path("kept")
+    assert find_hashes_folder() == Path("kept")

@@ -12,7 +12,7 @@ from archive_files import special, tarred, zipped
 from file_limit import no_file_may_exceed
 
 from vprbench.errors import BadInput
-from vprbench.progress import listening
+from vprbench.progress import send_reports_to
 from vprbench.storage.unpack import DamagedArchive, Wanted, unpack
 
 NOISE = np.random.default_rng(0).bytes(30_000)  # no compression makes it smaller
@@ -61,7 +61,7 @@ def test_the_wanted_files_come_out_under_their_names(archive, to, maker):
     archive.write_bytes(MAKERS[maker]({**hidden, **FILES}))
     (to / "spring").mkdir()  # an empty folder is no obstacle
     heard = []
-    with listening(lambda stage, done: heard.append((stage, done))):
+    with send_reports_to(lambda stage, done: heard.append((stage, done))):
         assert unpack(archive, to, WANTED) == 2
     assert everything(to) == {"spring/1.png": b"one", "spring/2.png": b"two", "winter/1.png": b"mine"}
     assert sorted(path.name for path in to.iterdir()) == ["spring", "winter"]

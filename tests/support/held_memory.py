@@ -21,17 +21,17 @@ def in_a_new_process(measure):
 def rise_in_a_window():
     """Return by how many bytes the peak rises while 200 MB are held for a moment."""
     machine.reset_peak_memory()
-    before = machine.peak_memory_bytes()
+    before = machine.measure_peak_memory()
     np.ones(200_000_000, np.uint8)
-    return machine.peak_memory_bytes() - before
+    return machine.measure_peak_memory() - before
 
 
 def fall_in_a_new_window():
     """Return by how many bytes the peak falls when a new window begins after 200 MB were held."""
     np.ones(200_000_000, np.uint8)
-    high = machine.peak_memory_bytes()
+    high = machine.measure_peak_memory()
     machine.reset_peak_memory()
-    return high - machine.peak_memory_bytes()
+    return high - machine.measure_peak_memory()
 
 
 @dataclass

@@ -15,6 +15,7 @@ from vprbench.runs.experiment import Experiment
 from vprbench.runs.identity import hash_frames
 from vprbench.runs.request import RunRequest
 from vprbench.runs.stopwatch import Protocol
+from vprbench.runs.timing_lock import share_host
 
 CONFIG: dict[str, Any] = {
     "method": {"_target_": "little.Lookup", "window": 5, "device": "cpu"},
@@ -31,7 +32,12 @@ hash_class = functools.cache(sources.hash_class)
 
 
 def run_of(method, dataset, protocol=QUICK, **changes):
-    return run.execute(asked_for(method, dataset, protocol, **changes), "key")
+    return execute(asked_for(method, dataset, protocol, **changes))
+
+
+def execute(experiment):
+    with share_host() as lock:
+        return run.execute(experiment, "key", lock)
 
 
 def asked_for(
@@ -59,13 +65,13 @@ def quiet_surroundings():
     """Leave out of runs what is tested on its own and takes long; yields the surroundings that they see instead."""
     quick = {
         "describe_machine": lambda device, threads: {"processor": "Abacus 9", "time_utc": "2025-01-31T12:00:00Z"},
-        "canary_seconds": lambda: 1.0,
+        "time_canary": lambda: 1.0,
         "read_cpu_wait_seconds": lambda: None,
     }
     with pytest.MonkeyPatch.context() as patch:
         stand_in = SimpleNamespace(**{**vars(machine), **quick})
         patch.setattr(watch, "machine", stand_in)
-        patch.setattr(run, "code_hash", lambda method: method.__qualname__)  # a class here has many files behind it
+        patch.setattr(run, "hash_code", lambda method: method.__qualname__)  # a class here has many files behind it
         for module in (sources, descriptors):
             patch.setattr(module, "hash_class", hash_class)
         gc.freeze()  # a measurement collects garbage first, which takes long among all that a test session imports

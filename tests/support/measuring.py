@@ -14,7 +14,7 @@ from routes import Route
 
 import vprbench
 from vprbench.runs import machine
-from vprbench.storage.cores import core_count
+from vprbench.storage.cores import count_cores
 
 BURST = 0.1  # seconds of calls one after the other
 PAUSE = 0.01  # seconds after which the waiting threads of another library have gone to sleep
@@ -25,7 +25,7 @@ LONG = 1.0  # seconds of a call that is repeated less often
 def all_cores():
     """Measurements at full size use all cores."""
     if FULL:
-        machine.pin_threads(core_count())
+        machine.pin_threads(count_cores())
 
 
 @pytest.fixture(scope="session")

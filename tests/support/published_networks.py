@@ -77,7 +77,7 @@ class PublishedNetwork:
 
     def method(self, path, **arguments):
         """Return the method with these weights; what the yaml says of the size of images is left out."""
-        kind, files = registry.entries("method")[self.name].target(), self.files(path)
+        kind, files = registry.find_entries("method")[self.name].target(), self.files(path)
         given = {name: Weights(file.name, "none", "nothing", path=str(file)) for name, file in files.items()}
         return kind(**{**given, **self.arguments, **arguments})
 

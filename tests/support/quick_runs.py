@@ -6,4 +6,4 @@ from vprbench.runs import machine
 def quick_runs(monkeypatch):
     """Let a run neither collect garbage before it times something nor look for a disturbed machine."""
     monkeypatch.setattr("gc.collect", int)
-    monkeypatch.setattr(machine, "canary_seconds", lambda: 1.0)
+    monkeypatch.setattr(machine, "time_canary", lambda: 1.0)

@@ -6,7 +6,7 @@ from PIL import Image as PillowImage
 from vprbench.datasets.oxford_robotcar.calibration import Camera
 from vprbench.datasets.oxford_robotcar.lists import RECORDINGS, published_timestamps
 
-SMALL = Camera(16, 12, (9.0, 9.0), (7.5, 5.5))
+SMALL = Camera(16, 12)
 TABLE = "stereo_wide_left_distortion_lut.bin"
 TINY = {"places": 4, "first_query_place": 1, "query_places": 3}
 STAMPS = {traverse: published_timestamps(traverse)[:28:7] for traverse in RECORDINGS}

@@ -14,7 +14,7 @@ from vprbench.tuning.places import Searchable, choose_places, cut_dataset
 
 
 def config(name):
-    return dict(registry.entries("dataset")[name].values())
+    return dict(registry.find_entries("dataset")[name].values())
 
 
 def column(*options):

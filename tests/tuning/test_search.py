@@ -145,10 +145,10 @@ def test_both_settings_are_trained_with_the_five_seeds_after_the_searched_one_an
         compare_with_paper(Stub(fails_above=0.0), PAPER, "searched", 12, seed=0, jobs=1)
 
 
-METHOD = {**registry.entries("method")["vprtempo"].values(), "height": 12, "width": 12, "epochs": 1}
+METHOD = {**registry.find_entries("method")["vprtempo"].values(), "height": 12, "width": 12, "epochs": 1}
 for set_by_the_run in ("seed", "device", "tags"):
     METHOD.pop(set_by_the_run, None)
-DATASET = registry.entries("dataset")["synthetic"].values()
+DATASET = registry.find_entries("dataset")["synthetic"].values()
 
 
 def stretch_of(n_places, **arguments):
@@ -193,7 +193,7 @@ class Here(Executor):
 @pytest.mark.extended
 def test_a_real_search_compares_its_best_with_the_paper_and_the_same_again_only_compares(tmp_path, monkeypatch):
     monkeypatch.setattr("vprbench.tuning.search.ProcessPoolExecutor", lambda *_: Here())
-    monkeypatch.setattr("vprbench.tuning.search.core_count", lambda: 2)
+    monkeypatch.setattr("vprbench.tuning.search.count_cores", lambda: 2)
     mine = {"places": 12, "results": str(tmp_path)}
     found = search(Settings(trials=3, jobs=64, **mine), METHOD, DATASET)
     assert (len(found.trials), found.tried_now, found.jobs) == (3, 3, 2)

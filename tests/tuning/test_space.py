@@ -19,7 +19,7 @@ def changed(values):
 def test_the_papers_settings_are_vprtempos_defaults_and_lie_within_the_ranges():
     assert [*PAPER.values()] == [0.5, 0.005, 0.15, 0.2, 0.9, 0.1, 0.5, 0.1]  # Table I
     assert all(each.low <= each.paper <= each.high for each in PARAMETERS)
-    defaults = registry.entries("method")["vprtempo"].values()
+    defaults = registry.find_entries("method")["vprtempo"].values()
     assert {name: defaults[name] for name in PAPER} == {**PAPER, "constant_input": None}  # null: 0.1, as the rules say
 
 

@@ -32,8 +32,7 @@ from .events import counted as counted
 from .events import event_frames as event_frames
 from .events import hot_pixels as hot_pixels
 from .frame_cache import cached_frames as cached_frames
-from .frame_cache import frames_kept as frames_kept
-from .hamming import packed as packed
+from .hamming import pack_bits as pack_bits
 from .heads import open_image as open_image
 from .images import Images as Images
 from .levels import decoding_of as decoding_of
@@ -41,6 +40,7 @@ from .method import Circuit as Circuit
 from .method import HasCircuit as HasCircuit
 from .method import LayerSpikes as LayerSpikes
 from .method import Method as Method
+from .nearest import import_faiss as import_faiss
 from .neural import Interpolation as Interpolation
 from .neural import NeuralDescriptor as NeuralDescriptor
 from .neural import Resize as Resize
@@ -59,7 +59,6 @@ from .other_rooms import read_mat as read_mat
 from .other_rooms import replace_bytes as replace_bytes
 from .search import Audit as Audit
 from .search import Search as Search
-from .search_indexes import faiss_module as faiss_module
 from .threads import encode_blocks as encode_blocks
 from .threads import in_shares as in_shares
 from .weight_files import read_tensor as read_tensor

@@ -11,7 +11,7 @@ import numpy as np
 from vprbench.api.arithmetic import count_operations
 from vprbench.api.arrays import Places, Scores
 from vprbench.api.descriptor import best_image_of_place, encoded_blocks
-from vprbench.api.hamming import Words, similarity
+from vprbench.api.hamming import Words, compare_bits
 from vprbench.api.method import Method, require_codes
 from vprbench.errors import BadInput, NotFittedError
 
@@ -51,12 +51,12 @@ class BinaryMap:
                 f"codes of {codes.dtype} {codes.shape} came; this map compares uint64 (n_queries, {n_words})"
             )
         count_operations(single=3 * len(codes) * self._codes.size, kind="int64")  # differ, count, add
-        return best_image_of_place(similarity(codes, self._codes), self._places)
+        return best_image_of_place(compare_bits(codes, self._codes), self._places)
 
 
 @dataclass(kw_only=True, eq=False)
 class BinaryMethod(Method):
-    """A method whose codes are bits: only `encode` -> uint64 (n_images, n_words) is left to write; see `packed`.
+    """A method whose codes are bits: only `encode` -> uint64 (n_images, n_words) is left to write; see `pack_bits`.
 
     A place scores minus the number of bits in which its most similar image differs.
     """

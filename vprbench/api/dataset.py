@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from vprbench.api.arrays import Places
 from vprbench.errors import BadInput
-from vprbench.text import plural, shorten
+from vprbench.text import format_count, shorten
 
 if TYPE_CHECKING:
     from vprbench.api.events import Recording
@@ -129,7 +129,7 @@ class Dataset:
     def __repr__(self) -> str:
         """Return name and sizes in one line."""
         sizes = zip((self.n_places, len(self.references), len(self.queries)), ("place", "image", "query"), strict=True)
-        return shorten(f"<dataset {self.name}: {', '.join(plural(*size) for size in sizes)}>")
+        return shorten(f"<dataset {self.name}: {', '.join(format_count(*size) for size in sizes)}>")
 
     def with_shared_frames(self, given: SharedFrames) -> Self:
         """Return a dataset whose protocol says that its queries may be among its references, if that is `allow`."""

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import json
-import shutil
-import weakref
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import mkdtemp
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,7 +16,6 @@ import numpy.typing as npt
 from vprbench import progress
 from vprbench.api.compiling import compiled
 from vprbench.api.decoding import as_rgb
-from vprbench.api.frame_cache import are_kept
 from vprbench.api.images import Images
 from vprbench.errors import BadInput
 from vprbench.storage.atomic import name_unfinished, remove_leftovers
@@ -148,8 +144,7 @@ def event_frames(
     """
     shape = (recording.height, recording.width)
     text = json.dumps([_FORMAT, dict(what), shape, window_us, per_frame], sort_keys=True)
-    folder = cache_folder(_FOLDER, "events") if are_kept() else Path(mkdtemp())
-    path = folder / f"{hashlib.sha256(text.encode()).hexdigest()}.frames"
+    path = cache_folder(_FOLDER, "events") / f"{hashlib.sha256(text.encode()).hexdigest()}.frames"
     row = np.dtype([("middle_us", "<i8"), ("levels", "u1", shape)])
     if not path.is_file():
         progress.report(f"events of {recording.name} are counted", 0.0)
@@ -166,8 +161,6 @@ def event_frames(
         levels[hot] = 0
         return np.asarray(levels)
 
-    if not are_kept():
-        weakref.finalize(grey, shutil.rmtree, folder, ignore_errors=True)
     names = [f"{recording.name}/{i:06d}" for i in range(n)]
     return Images(lambda i: as_rgb(grey(i)), names, stamp=lambda i: hashlib.sha256(grey(i).tobytes()).digest()), middle
 

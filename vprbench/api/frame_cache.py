@@ -5,9 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from contextvars import ContextVar
+from collections.abc import Mapping
 from typing import Any
 
 import cv2
@@ -25,23 +23,6 @@ logger = logging.getLogger(__name__)
 FORMAT = 2
 _FOLDER = "VPRBENCH_FRAMES"  # environment variable
 
-_keeping: ContextVar[bool] = ContextVar("frames_are_kept", default=True)
-
-
-@contextmanager
-def frames_kept(wanted: bool) -> Iterator[None]:
-    """Let the images that are built inside the block keep their frames, or make each whenever it is looked at."""
-    token = _keeping.set(wanted)
-    try:
-        yield
-    finally:
-        _keeping.reset(token)
-
-
-def are_kept() -> bool:
-    """Tell whether images that are built now may keep their frames."""
-    return _keeping.get()
-
 
 def cached_frames(images: Images, what: Mapping[str, Any]) -> Images:
     """Return images that are rendered once: each lies as a PNG in VPRBENCH_FRAMES, or in the user's cache folder.
@@ -49,8 +30,6 @@ def cached_frames(images: Images, what: Mapping[str, Any]) -> Images:
     `what` (plain JSON) and the names decide about the frames: other values have a folder of their own. A missing or
     damaged file is rendered anew; where nothing can be written every frame is.
     """
-    if not _keeping.get():
-        return images
     text = json.dumps({"format": FORMAT, "what": what, "names": images.names}, sort_keys=True)
     try:
         folder = cache_folder(_FOLDER, "frames") / hashlib.sha256(text.encode()).hexdigest()

@@ -8,20 +8,20 @@ import numpy as np
 import numpy.typing as npt
 
 from vprbench.api.arrays import Scores
-from vprbench.api.search_indexes import faiss_module
+from vprbench.api.nearest import import_faiss
 
 Words = npt.NDArray[np.uint64]  # (n_images, n_words): bits packed, in any order that all share
 
 
-def packed(bits: npt.NDArray[Any]) -> Words:
+def pack_bits(bits: npt.NDArray[Any]) -> Words:
     """Return truth values (n_images, n_bits) as words of 64 bits, (n_images, n_words), zeros at the end."""
     missing = -bits.shape[1] % 64
     return np.packbits(np.pad(bits.astype(bool), ((0, 0), (0, missing))), axis=1).view(np.uint64)
 
 
-def similarity(codes: Words, references: Words) -> Scores:
+def compare_bits(codes: Words, references: Words) -> Scores:
     """Return minus the bits in which codes (n_queries, n_words) and references differ, (n_queries, n_references)."""
-    faiss = faiss_module()
+    faiss = import_faiss()
     differing = np.empty((len(codes), len(references)), np.int32)
     if differing.size:
         ours, theirs = (np.ascontiguousarray(words).view(np.uint8) for words in (codes, references))

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import cache
+from itertools import islice
 from pathlib import Path
 from typing import overload
 
@@ -19,64 +20,20 @@ from vprbench.api.arrays import Image
 from vprbench.api.decoding import Decoding, as_rgb, decoded_bytes, read_image
 from vprbench.api.heads import UPRIGHT, head_of
 from vprbench.errors import BadInput
-from vprbench.storage.cores import core_count
-from vprbench.storage.hashes import FileHash, file_hashes
-from vprbench.storage.paths import Paths, chosen_names
+from vprbench.storage.cores import count_cores
+from vprbench.storage.hashes import FileHash, hash_each_file
+from vprbench.storage.paths import Paths, choose_names
 
 Codes = npt.NDArray[np.uint64]  # (n,), of images: alike for images of the same content
 
-CHUNK = 4  # images a reading thread takes at a time, at most
+CHUNK = 4  # images that a reading thread takes at a time
 _AHEAD = 128  # images under way, at most
-_BYTES = 1 << 26  # that these have, at most ...
-_FEWEST = 4  # ... unless so few of them have more ...
-_MOST_BYTES = 1 << 28  # ... and these at most, unless a single one has
-
-
-class Window:
-    """The images that were asked for and not yet handed out."""
-
-    def __init__(self, n_images: int, n_bytes: Callable[[int], int] | None, readers: int) -> None:
-        """Begin before the first of `n_images`; `n_bytes(i)`, asked in order, is what image i takes once decoded.
-
-        If nobody knows that beforehand, the largest so far stands for the next ones, and of the first as many are
-        asked for as keep so many readers busy.
-        """
-        self._n_images, self._readers = n_images, readers
-        self._largest = 0
-        self._n_bytes = n_bytes or (lambda _: self._largest or _BYTES // (2 * CHUNK * readers))
-        self._next = 0
-        self._under_way: dict[int, int] = {}  # the bytes of each
-        self._waiting: int | None = None  # the bytes of the next one, where it had no room
-
-    def take(self) -> range:
-        """Return the images that are to be read next, none if all are under way or there is no room."""
-        start, size = self._next, CHUNK
-        while self._next < min(self._n_images, start + size):
-            n_bytes = self._n_bytes(self._next) if self._waiting is None else self._waiting
-            if not self._has_room(n_bytes):
-                self._waiting = n_bytes
-                break
-            self._under_way[self._next], self._waiting = n_bytes, None
-            self._next += 1
-            size = min(size, max(1, min(_AHEAD, _BYTES // max(1, n_bytes)) // (2 * self._readers)))
-        return range(start, self._next)
-
-    def give(self, images: range, largest: int) -> None:
-        """Take note that images were handed out, the largest of so many bytes."""
-        self._largest = max(self._largest, largest)
-        for number in images:
-            del self._under_way[number]
-
-    def _has_room(self, n_bytes: int) -> bool:
-        count, total = len(self._under_way) + 1, sum(self._under_way.values()) + n_bytes
-        return count == 1 or (count <= _AHEAD and total <= _BYTES) or (count <= _FEWEST and total <= _MOST_BYTES)
-
-
+_AHEAD_BYTES = 1 << 26  # that these have, at most, unless a chunk has more
 _BLOCK_BYTES = 1 << 28  # of decoded images that are held together, unless a single one has more
 _REPORT_EVERY = 50  # images
 _FINGERPRINT_SAMPLE = 16
 _NAMES_AT_ONCE = 10_000  # in a hash
-_READERS = min(64, core_count())
+_READERS = min(64, count_cores())
 
 
 class ReadingTime:
@@ -173,7 +130,7 @@ class Images(Sequence[Image]):
         files, stamp, content = self._files, self._stamp, self._content
         view = Images(
             lambda i: self._read(int(chosen[i])),
-            chosen_names(self.names, index),
+            choose_names(self.names, index),
             files=None if files is None else files[index],
             stamp=None if stamp is None else lambda i: stamp(int(chosen[i])),
             content=None if content is None else lambda i: content(int(chosen[i])),
@@ -195,28 +152,30 @@ class Images(Sequence[Image]):
             return
         # Frames that are computed keep the interpreter busy: several threads would only wait for one another.
         n_readers = 1 if self._files is None else _READERS
-        window = Window(len(self), self._decoded_bytes if self._files else None, n_readers)
+        starts = iter(range(0, len(self), CHUNK))
+        n_chunks, largest = 2 * n_readers, 1  # under way, and bytes of the largest image so far
         with ThreadPoolExecutor(n_readers) as readers:
-            ahead: deque[tuple[range, Future[list[Image]]]] = deque()
+            ahead: deque[Future[list[Image]]] = deque()
             try:
-                while (chunk := window.take()) or ahead:
-                    if chunk:
-                        ahead.append((chunk, readers.submit(self._read_chunk, chunk.start, len(chunk))))
-                        continue
-                    chunk, reading = ahead.popleft()
+                while True:
+                    more = islice(starts, max(0, n_chunks - len(ahead)))
+                    ahead.extend(readers.submit(self._read_chunk, at) for at in more)
+                    if not ahead:
+                        return
                     with self.reading.waiting():
-                        images = reading.result()
-                    window.give(chunk, max(image.nbytes for image in images))
+                        images = ahead.popleft().result()
+                    largest = max(largest, *(image.nbytes for image in images))
+                    n_chunks = max(1, min(2 * n_chunks, _AHEAD // CHUNK, _AHEAD_BYTES // (CHUNK * largest)))
                     yield from images
-                    del images, reading  # or they would be held while the next ones are read
+                    del images  # or they would be held while the next ones are read
             finally:
                 readers.shutdown(cancel_futures=True)
 
     def decoded_bytes(self) -> int:
         """Return the bytes of all images once they are decoded: of files by their heads, of others by the first."""
-        if self._files is None and not self._in_memory:
-            return len(self) * self[0].nbytes if len(self) else 0
-        return sum(self._decoded_bytes(i) if self._files else self._read(i).nbytes for i in range(len(self)))
+        if self._files is not None:
+            return sum(map(decoded_bytes, self._files))
+        return len(self) * self[0].nbytes if len(self) else 0
 
     def blocks(self, size: int, n_bytes: int = _BLOCK_BYTES) -> Iterator[Images]:
         """Yield consecutive views of decoded images, up to `size` of up to `n_bytes` together, or a single one."""
@@ -277,7 +236,7 @@ class Images(Sequence[Image]):
 
     def file_hashes(self) -> list[FileHash] | None:
         """Return the size and SHA-256 of the file behind each image; None if there are no files."""
-        return None if self._files is None else file_hashes(self._files)
+        return None if self._files is None else hash_each_file(self._files)
 
     def content_codes(self, pixels: bool = False) -> Codes | None:
         """Return a number for each image, (n,), which images of the same content share; None if they are computed.
@@ -326,14 +285,8 @@ class Images(Sequence[Image]):
                 digest.update(hashlib.sha256(_pixels(self._read(i))).digest())
         return digest.hexdigest()
 
-    def _decoded_bytes(self, number: int) -> int:
-        """Return the bytes of a file's image once it is decoded; looking takes part of the reading."""
-        assert self._files is not None
-        with self.reading.waiting():
-            return decoded_bytes(self._files[number])
-
-    def _read_chunk(self, start: int, size: int) -> list[Image]:
-        return [self._read(i) for i in range(start, start + size)]
+    def _read_chunk(self, start: int) -> list[Image]:
+        return [self._read(i) for i in range(start, min(start + CHUNK, len(self)))]
 
 
 def names_hash(*lists: Sequence[str]) -> hashlib._Hash:

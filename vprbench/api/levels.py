@@ -18,8 +18,8 @@ from vprbench.api.decoding import Decoding, Exif, Levels, read_counts
 from vprbench.api.heads import UPRIGHT, head_of
 from vprbench.errors import BadInput
 from vprbench.storage.atomic import replace_bytes
-from vprbench.storage.cores import core_count
-from vprbench.storage.hashes import file_hashes, hashes_folder
+from vprbench.storage.cores import count_cores
+from vprbench.storage.hashes import find_hashes_folder, hash_each_file
 from vprbench.storage.paths import Paths
 
 #: (n_files, 3): lowest and highest level, and 1 if they are floats; infinite if some are no numbers, NaN if unreadable.
@@ -91,8 +91,8 @@ def _find_range(files: Paths, beside_bytes: bool, option: str) -> Levels:
 
 def _load_extremes(files: Paths) -> Extremes:
     """Return the extremes of files; finding them takes a decoding, so the cache keeps them by the files' content."""
-    key = hashlib.sha256(b"".join(sha256 for _, sha256 in file_hashes(files))).hexdigest()
-    path = hashes_folder() / f"levels-{_FORMAT}" / f"{key}.npy"
+    key = hashlib.sha256(b"".join(sha256 for _, sha256 in hash_each_file(files))).hexdigest()
+    path = find_hashes_folder() / f"levels-{_FORMAT}" / f"{key}.npy"
     with suppress(OSError, ValueError, EOFError):
         kept = np.load(path)
         if kept.shape == (len(files), 3):
@@ -108,7 +108,7 @@ def _load_extremes(files: Paths) -> Extremes:
 
 def _find_extremes(files: Paths) -> Extremes:
     rows = []
-    with ThreadPoolExecutor(core_count()) as readers:
+    with ThreadPoolExecutor(count_cores()) as readers:
         for row in readers.map(_read_extremes, files):
             rows.append(row)
             if len(rows) % _REPORT_EVERY == 0:

@@ -15,7 +15,7 @@ from vprbench.api.adaptation import adapt_traverse
 from vprbench.api.arrays import Places, Scores
 from vprbench.api.dataset import Dataset, HeldOut
 from vprbench.errors import BadInput
-from vprbench.text import plural
+from vprbench.text import format_count
 
 if TYPE_CHECKING:
     from vprbench.api.images import Images
@@ -42,31 +42,12 @@ class LayerSpikes:
 class Method(ABC):
     """A place recognition method: learns a map from reference images, then scores each place for a query.
 
-    A subclass is best a dataclass: its constructor only stores its arguments, and their type hints are what
-    the command line checks. `references` and `images` are `Images`; codes are arrays whose first axis is the
-    image. Scores are finite float32, higher means more alike; -inf marks a place that is no candidate. No later call
-    changes an array that was returned.
+    A subclass writes `fit`, `encode` and `match`, and overrides of the rest whatever its line names; the hooks stand in
+    the order in which an author needs them. It is best a dataclass: its constructor only stores its arguments, and
+    their type hints are what the command line checks. `references` and `images` are `Images`; codes are arrays whose
+    first axis is the image. Scores are finite float32, higher means more alike; -inf marks a place that is no
+    candidate. No later call changes an array that was returned.
     """
-
-    #: Rules of the conformance suite that a method cannot meet, each with the reason.
-    conformance_exceptions: ClassVar[Mapping[str, str]] = {}
-    #: Arguments under which the conformance suite builds the method, if its defaults do not fit 20 places.
-    conformance_arguments: ClassVar[Mapping[str, Any]] = {}
-    #: The kind of network that `state` gives, for classes that share a kind; empty: the name of the class.
-    stored_as: ClassVar[str] = ""
-    #: Arguments that `fit` does not depend on: a stored network fits any value of these arguments.
-    query_arguments: ClassVar[frozenset[str]] = frozenset()
-    #: Whether `centre` is written, and `fit` learns `reference_mean`, so that `adapt` may be other than none.
-    adapts: ClassVar[bool] = False
-    #: Which mean is taken off codes between `encode` and `match`, an `Adapt`; an argument of methods with `centre`.
-    adapt: Any = "none"
-    #: The mean code of the references, (n_dimensions,), under any other `adapt` than none; None before `fit`.
-    reference_mean: npt.NDArray[np.float32] | None = None
-
-    @property
-    def code_bytes(self) -> int:
-        """Bytes of one image's code; bounds how many codes are held together; 0 bounds nothing."""
-        return 0
 
     @abstractmethod
     def fit(self, references: Images, places: Places) -> Self:
@@ -74,31 +55,6 @@ class Method(ABC):
 
         `places` (n_references,) holds for each reference image its place, 0 to n_places - 1, each at least once.
         """
-
-    @property
-    def extends(self) -> bool:
-        """Whether `extend` learns new places under the arguments that were given."""
-        return type(self).extend is not Method.extend
-
-    def extend(self, references: Images, places: Places) -> Self:
-        """Learn places that follow those of the map, after `fit`; the scores of known places stay what they are.
-
-        `places` (n_references,) are the numbers after the last known one, each at least once. Raises NotFittedError
-        before `fit`, BadInput for other numbers and where places can only be learnt together.
-        """
-        raise BadInput(f"{type(self).__name__} learns its places together: call fit with the references of all places")
-
-    @property
-    def calibrates(self) -> bool:
-        """Whether `calibrate` chooses anything under the arguments that were given; else it is not called."""
-        return type(self).calibrate is not Method.calibrate
-
-    def calibrate(self, held_out: HeldOut) -> Self:
-        """Choose settings by held-out places; called after `fit` if the dataset has any, and timed with it.
-
-        The map stays the map that `fit` learnt.
-        """
-        return self
 
     @abstractmethod
     def encode(self, images: Images) -> npt.NDArray[Any]:
@@ -108,17 +64,31 @@ class Method(ABC):
     def match(self, codes: npt.NDArray[Any]) -> Scores:
         """Score every place for every code, (n_queries, n_places); raises NotFittedError before `fit`."""
 
-    def centre(self, codes: npt.NDArray[np.float32], mean: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-        """Return codes (..., n_dimensions) without a mean that fits their shape, in the form that `match` takes.
+    @final
+    def query(self, images: Images) -> Scores:
+        """Score every place for every image, (n_images, n_places); `adapt` takes the images as one traverse."""
+        codes = require_codes(self.encode(images), len(images))
+        return self.match(codes if self.adapt == "none" else adapt_traverse(self, codes))
 
-        Override it beside an argument `adapt` where codes are vectors whose mean says something of their condition.
+    def files(self) -> Sequence[Path]:
+        """Return the files, beside the images, that its answers come from; their content is part of a run's key.
+
+        Override it for published weights, vocabularies and lists. Raises BadInput if one is missing.
         """
-        raise BadInput(f"{type(self).__name__} has no codes that a mean can be taken off: leave method.adapt out")
+        return ()
+
+    def notes(self) -> Sequence[str]:
+        """Return facts that a reader of the results has to know, a line each.
+
+        Override it where a training or a loaded file has such facts.
+        """
+        return ()
 
     def state(self) -> Mapping[str, npt.NDArray[Any]]:
         """Return what `fit` has learnt, as named arrays of numbers; raises NotFittedError before `fit`.
 
-        A method that overrides `state` overrides `restore` as well; without them both raise BadInput.
+        Override it, and `restore` with it, where a training takes long: `save=` and `load=` keep the network then.
+        Without them both raise BadInput.
         """
         raise BadInput(f"{type(self).__name__} keeps no network that could be stored: leave save= and load= out")
 
@@ -129,39 +99,84 @@ class Method(ABC):
         """
         raise BadInput(f"{type(self).__name__} keeps no network that could be stored: leave save= and load= out")
 
-    def files(self) -> Sequence[Path]:
-        """Return the files, beside the images, that its answers come from; their content is part of a run's key.
+    #: The kind of network that `state` gives, for classes that share a kind; empty: the name of the class.
+    stored_as: ClassVar[str] = ""
+    #: Arguments that `fit` does not depend on: a stored network fits any value of these arguments.
+    query_arguments: ClassVar[frozenset[str]] = frozenset()
 
-        Raises BadInput if one is missing.
+    def calibrate(self, held_out: HeldOut) -> Self:
+        """Choose settings by held-out places; called after `fit` if the dataset has any, and timed with it.
+
+        Override it where settings, as a threshold, need places that are no queries. The map stays the one that `fit`
+        learnt.
         """
-        return ()
+        return self
 
-    def notes(self) -> Sequence[str]:
-        """Return facts on the training or the loaded files that a reader of the results has to know, a line each."""
-        return ()
+    @property
+    def calibrates(self) -> bool:
+        """Whether `calibrate` chooses anything under the arguments that were given; else it is not called."""
+        return type(self).calibrate is not Method.calibrate
+
+    def extend(self, references: Images, places: Places) -> Self:
+        """Learn places that follow those of the map, after `fit`; the scores of known places stay what they are.
+
+        Override it where a map can grow place by place (`stream=`). `places` (n_references,) are the numbers after the
+        last known one, each at least once. Raises NotFittedError before `fit`, BadInput for other numbers and where
+        places can only be learnt together.
+        """
+        raise BadInput(f"{type(self).__name__} learns its places together: call fit with the references of all places")
+
+    @property
+    def extends(self) -> bool:
+        """Whether `extend` learns new places under the arguments that were given."""
+        return type(self).extend is not Method.extend
+
+    def centre(self, codes: npt.NDArray[np.float32], mean: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        """Return codes (..., n_dimensions) without a mean that fits their shape, in the form that `match` takes.
+
+        Override it beside an argument `adapt` where codes are vectors whose mean says something of their condition.
+        """
+        raise BadInput(f"{type(self).__name__} has no codes that a mean can be taken off: leave method.adapt out")
+
+    #: Whether `centre` is written, and `fit` learns `reference_mean`, so that `adapt` may be other than none.
+    adapts: ClassVar[bool] = False
+    #: Which mean is taken off codes between `encode` and `match`, an `Adapt`; an argument of methods with `centre`.
+    adapt: Any = "none"
+    #: The mean code of the references, (n_dimensions,), under any other `adapt` than none; None before `fit`.
+    reference_mean: npt.NDArray[np.float32] | None = None
 
     def spikes(self, codes: npt.NDArray[Any]) -> Sequence[LayerSpikes]:
         """Return the spikes of each layer for these codes, first layer first; empty without spikes.
 
-        Raises NotFittedError before `fit`.
+        Override it for spiking networks. Raises NotFittedError before `fit`.
         """
         return ()
 
     def map_bytes(self) -> int | None:
-        """Return the bytes of the map that answers need; None: those of `state`, or of the index that is searched."""
+        """Return the bytes of the map that answers need; None: those of `state`, or of the index that is searched.
+
+        Override it where the map is neither.
+        """
         return None
+
+    @property
+    def code_bytes(self) -> int:
+        """Bytes of one image's code; bounds how many codes are held together; 0 bounds nothing.
+
+        Override it where a code is large, as that of local features.
+        """
+        return 0
+
+    #: Rules of the conformance suite that a method cannot meet, each with the reason.
+    conformance_exceptions: ClassVar[Mapping[str, str]] = {}
+    #: Arguments under which the conformance suite builds the method, if its defaults do not fit 20 places.
+    conformance_arguments: ClassVar[Mapping[str, Any]] = {}
 
     def __init_subclass__(cls, **arguments: Any) -> None:
         """Raise TypeError for a subclass that replaces `query`, which is encode and match."""
         super().__init_subclass__(**arguments)
         if "query" in cls.__dict__:
             raise TypeError(f"{cls.__name__} replaces query: write encode and match, which are timed apart")
-
-    @final
-    def query(self, images: Images) -> Scores:
-        """Score every place for every image, (n_images, n_places); `adapt` takes the images as one traverse."""
-        codes = require_codes(self.encode(images), len(images))
-        return self.match(codes if self.adapt == "none" else adapt_traverse(self, codes))
 
 
 def require_codes(codes: npt.NDArray[Any], n_images: int) -> npt.NDArray[Any]:
@@ -171,8 +186,8 @@ def require_codes(codes: npt.NDArray[Any], n_images: int) -> npt.NDArray[Any]:
         came = f"a {type(codes).__name__}" if shape is None else f"an array of shape {tuple(shape)}"
         came = "nothing" if shape is None and codes is None else came
         raise BadInput(
-            f"encode returned {came} for {plural(n_images, 'image')}: return one array whose first axis is the image, "
-            "as np.stack makes of a list of vectors"
+            f"encode returned {came} for {format_count(n_images, 'image')}: return one array whose first axis is "
+            "the image, as np.stack makes of a list of vectors"
         )
     return codes
 

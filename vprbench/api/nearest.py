@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -17,6 +18,17 @@ CELLS = 1 << 24  # numbers of an intermediate result: 64 MiB
 ROUNDING = 1e-6  # of inner products of unit vectors
 _FIRST = 1 << 14  # images of a block that bound what the others have to exceed
 _FEW_QUERIES = 3  # that are faster compared one by one: a product of matrices first rearranges the references
+
+
+def import_faiss() -> Any:
+    """Import faiss, quietly, and return it; it is slow to import, so only an index that needs faiss imports it.
+
+    Imported after threads were pinned it uses as many: it takes their number from OMP_NUM_THREADS.
+    """
+    logging.getLogger("faiss.loader").setLevel(logging.WARNING)  # it would log every instruction set that it tries
+    import faiss
+
+    return faiss
 
 
 @dataclass(frozen=True)

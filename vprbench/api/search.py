@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from time import perf_counter
 from typing import get_args
 
@@ -11,7 +12,6 @@ import numpy as np
 import numpy.typing as npt
 
 from vprbench.api.arithmetic import count_operations
-from vprbench.api.bit_indexes import BitGraph, Bits, RaBitQ
 from vprbench.api.nearest import (
     CELLS,
     ROUNDING,
@@ -23,7 +23,7 @@ from vprbench.api.nearest import (
     parts,
     rows_together,
 )
-from vprbench.api.search_indexes import BITS, EightBits, Exact, Flat, Graph, Kind, ProductCodes, Retrieving
+from vprbench.api.search_indexes import FEWEST_OF_CODES, Bits, EightBits, Exact, Flat, Graph, Kind, Lists, Retrieving
 from vprbench.errors import BadInput
 
 _TOGETHER = 1 << 16  # reference images, if several show a place
@@ -35,10 +35,10 @@ _INDEXES: dict[Kind, Callable[[Vectors, int], Flat | Retrieving]] = {
     "exact": lambda references, _: Exact(references),
     "sq8": lambda references, _: EightBits(references),
     "hnsw": lambda references, _: Graph(references),
-    "ivfpq": ProductCodes,
-    "rabitq": RaBitQ,
-    "binary": lambda references, _: Bits(references),
-    "binary_hnsw": lambda references, _: BitGraph(references),
+    "ivfpq": partial(Lists, "ivfpq"),
+    "rabitq": partial(Lists, "rabitq"),
+    "binary": lambda references, _: Bits(references, with_graph=False),
+    "binary_hnsw": lambda references, _: Bits(references, with_graph=True),
 }
 
 
@@ -201,7 +201,7 @@ def check_index(kind: str, neighbours: int, n_images: int, rerank: int = 0, prob
     for name, number in (("rerank", rerank), ("probes", probes)):
         if number < 0:
             raise BadInput(f"method.{name}={number}: give 0 or more")
-    if n_images < (least := 1 << BITS if kind == "ivfpq" else 1):
+    if n_images < (least := FEWEST_OF_CODES if kind == "ivfpq" else 1):
         raise BadInput(
             f"method.index={kind} needs at least {least} reference images, {n_images} came"
             + (": take exact, hnsw or sq8" if kind == "ivfpq" else "")

@@ -1,8 +1,7 @@
-"""The indexes behind a search: how each keeps the references, and how it compares or retrieves them."""
+"""The indexes behind a search, faiss's own: how each keeps the references, and how it compares or retrieves them."""
 
 from __future__ import annotations
 
-import logging
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,31 +10,32 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.api.nearest import CELLS, Numbers, Vectors, inner_products, parts, rows_together
+from vprbench.api.hamming import Words, compare_bits, pack_bits
+from vprbench.api.nearest import (
+    CELLS,
+    Compared,
+    Numbers,
+    Vectors,
+    find_best,
+    import_faiss,
+    inner_products,
+    parts,
+    rows_together,
+)
 
 Kind = Literal["exact", "sq8", "hnsw", "ivfpq", "rabitq", "binary", "binary_hnsw"]
+
+FEWEST_OF_CODES = 256  # images that ivfpq needs: a centroid each
+
 _SAMPLED = 1 << 27  # numbers that an index learns from, at most
-_ADDED = 1 << 28  # to a graph at once, from which larger maps come in parts
-
-_LINKS = 32  # of an image to others, hnsw; twice as many on the lowest layer
+_SAMPLED_BITS = 1 << 24  # numbers that thresholds of bits are medians of
+_ADDED = 1 << 28  # numbers added to a graph at once
+_COMPARED_BITS = 1 << 17  # images whose bits are compared together
 _CANDIDATES = 64  # that hnsw follows at a query, at least
-
-_LISTS_LOOKED_AT = 4  # one in so many, ivfpq
-BITS = 8  # of a code of ivfpq: one of 256 centroids
-_SHORTEST_PART, _MOST_PARTS = 4, 512  # of a vector, each with a code of its own
-TRAINED_PER_CENTROID = 39  # images: what faiss asks for at least
-_PQ_ITERATIONS = 10
-
-
-def faiss_module() -> Any:
-    """Import faiss, quietly, and return it; it is slow to import, so only an index that needs faiss imports it.
-
-    Imported after threads were pinned it uses as many: it takes their number from OMP_NUM_THREADS.
-    """
-    logging.getLogger("faiss.loader").setLevel(logging.WARNING)  # it would tell of every instruction set that it tries
-    import faiss
-
-    return faiss
+_BIT_CANDIDATES = 128  # that binary_hnsw follows
+_SHORTEST_PART, _MOST_PARTS = 4, 512  # of a vector, each with a product code of its own
+_TRAINED_PER_CENTROID = 39  # images: what faiss asks for at least
+_ROTATED = 2048  # dimensions, at most: more are even enough, and a rotation would take long
 
 
 class Flat(ABC):
@@ -63,126 +63,168 @@ class Exact(Flat):
 class EightBits(Flat):
     """Faiss's scalar quantiser: each dimension in 256 even steps between its extremes.
 
-    A number is lowest + (code + 1/2) * step, so codes are compared with step * query as they are, made floats block by
-    block. All images are scored, for all have to be looked at: faiss, which would return the best, takes twice as long
-    for many queries at once.
+    All images are decoded block by block and scored. Faiss's search, which returns the best, takes twice as long for
+    many queries at once.
     """
 
     def __init__(self, references: Vectors) -> None:
-        faiss = faiss_module()
         n_images, n_dimensions = references.shape
-        quantiser = faiss.ScalarQuantizer(n_dimensions, faiss.ScalarQuantizer.QT_8bit)
         blocks = [*parts(n_images, rows_together(references))]
-        quantiser.train(
-            np.stack(
-                [
-                    np.min([references[rows].min(0) for rows in blocks], axis=0),
-                    np.max([references[rows].max(0) for rows in blocks], axis=0),
-                ]
-            )
-        )
-        self._codes = np.empty((n_images, n_dimensions), np.uint8)
+        extremes = [extreme(references[rows], 0) for rows in blocks for extreme in (np.min, np.max)]
+        self._index = import_faiss().index_factory(n_dimensions, "SQ8")
+        self._index.train(np.stack([np.min(extremes, 0), np.max(extremes, 0)]))
         for rows in blocks:
-            self._codes[rows] = quantiser.compute_codes(references[rows])
-        lowest, extent = faiss.vector_to_array(quantiser.trained).reshape(2, n_dimensions)
-        self._step: npt.NDArray[np.float32] = extent / np.float32(255)
-        self._middle: npt.NDArray[np.float32] = lowest + self._step / 2  # of the lowest step
-        self.n_bytes = self._codes.nbytes + self._step.nbytes + self._middle.nbytes
+            self._index.add(references[rows])
+        self.n_bytes = (n_images + 8) * n_dimensions
 
     def similarity(self, codes: Vectors, first: int, last: int) -> Vectors:
         """Return the inner products with images `first` to `last`, (n_queries, last - first)."""
-        similarity = np.empty((len(codes), last - first), np.float32)
-        stepped = codes * self._step
-        together = min(last - first, max(1, CELLS // codes.shape[1]))
-        floats = np.empty((together, codes.shape[1]), np.float32)
+        found = np.empty((len(codes), last - first), np.float32)
+        together = max(1, CELLS // codes.shape[1])
         for images in parts(last - first, together):
-            numbers = self._codes[first + images.start : first + images.stop]
-            floats[: len(numbers)] = numbers
-            similarity[:, images] = stepped @ floats[: len(numbers)].T
-        similarity += (codes @ self._middle)[:, None]
-        return similarity
+            decoded = self._index.reconstruct_n(first + images.start, images.stop - images.start)
+            found[:, images] = inner_products(decoded, codes)
+        return found
 
 
 class Retrieving(ABC):
-    """A faiss index that looks for the most similar images among a part of them."""
+    """An index that looks for the most similar images among a part of them."""
 
     n_bytes: int
-    _index: Any
 
+    @abstractmethod
     def retrieve(self, codes: Vectors, n: int) -> tuple[Vectors, Numbers]:
         """Return similarities and images, (n_queries, n) each, best first; the image is -1 if there is none."""
-        similarity, images = self._index.search(self._prepared(codes), n)
-        return similarity, images
-
-    def _prepared(self, vectors: Vectors) -> Vectors:
-        return vectors
 
 
 class Graph(Retrieving):
     """A graph of near images, climbed from layer to layer (Malkov and Yashunin 2018); it holds the vectors."""
 
     def __init__(self, references: Vectors) -> None:
-        faiss = faiss_module()
-        n_images, n_dimensions = references.shape
-        self._index = faiss.IndexHNSWFlat(n_dimensions, _LINKS, faiss.METRIC_INNER_PRODUCT)
+        faiss = import_faiss()
+        self._index = faiss.index_factory(references.shape[1], "HNSW32", faiss.METRIC_INNER_PRODUCT)
         self._index.hnsw.efSearch = _CANDIDATES  # faiss takes more where more neighbours are asked for
-        with one_thread(faiss):
-            for images in parts(n_images, max(1, _ADDED // n_dimensions)):
+        with _use_one_thread(faiss):
+            for images in parts(len(references), max(1, _ADDED // references.shape[1])):
                 self._index.add(references[images])
-        self.n_bytes = 4 * n_images * n_dimensions + bytes_of_links(self._index.hnsw)
+        self.n_bytes = references.nbytes + _count_link_bytes(self._index.hnsw)
+
+    def retrieve(self, codes: Vectors, n: int) -> tuple[Vectors, Numbers]:
+        """Return similarities and images, (n_queries, n) each, best first; the image is -1 if there is none."""
+        similarity, images = self._index.search(codes, n)
+        return similarity, images
 
 
-class ProductCodes(Retrieving):
-    """Inverted lists of product codes (Jégou et al. 2011): a list for each of about sqrt(n) centroids.
+class Lists(Retrieving):
+    """Inverted lists of codes, each of the images near one centroid; a query looks at `probes` of them.
 
-    A vector is cut into parts of 4 numbers, or more if that would make more than 512 parts; zeros fill up the last.
-    A part is stored as the number of one of 256 centroids. A query looks at a quarter of the lists.
+    `ivfpq`: product codes (Jégou et al. 2011). A vector is cut into parts of 4 numbers, or more if that would make more
+    than 512 parts; each is the number of one of 256 centroids. There are about sqrt(n) lists, a quarter looked at.
+    `rabitq`: a bit for each dimension of what a list's centroid leaves (Gao and Long 2024), of vectors that are rotated
+    first. There are about 4 sqrt(n) lists; one in 64 is looked at, 16 at least.
     """
 
-    def __init__(self, references: Vectors, probes: int = 0) -> None:
-        faiss = faiss_module()
+    def __init__(self, kind: Kind, references: Vectors, probes: int) -> None:
+        faiss = import_faiss()
         n_images, n_dimensions = references.shape
-        n_centroids = 1 << BITS
-        self._part = max(_SHORTEST_PART, -(-n_dimensions // _MOST_PARTS))
-        n_parts = -(-n_dimensions // self._part)
         n_lists = round(n_images**0.5)
-        self._index = faiss.IndexIVFPQ(
-            faiss.IndexFlatIP(n_parts * self._part),
-            n_parts * self._part,
-            n_lists,
-            n_parts,
-            BITS,
-            faiss.METRIC_INNER_PRODUCT,
+        if kind == "ivfpq":
+            part = max(_SHORTEST_PART, -(-n_dimensions // _MOST_PARTS))
+            n_parts = -(-n_dimensions // part)
+            length, looked_at = n_parts * part, -(-n_lists // 4)
+            prepared = f"Pad{length}," * (length > n_dimensions)
+            code = f"PQ{n_parts}x8np"  # np: its codes are not ordered for a comparison bit by bit, which takes long
+            n_trained, n_learnt = _TRAINED_PER_CENTROID * max(n_lists, 256), n_lists + 256
+        else:
+            length = -(-n_dimensions // 8) * 8
+            n_lists = max(1, min(round(4 * n_images**0.5), n_images // _TRAINED_PER_CENTROID))
+            is_rotated = n_dimensions <= _ROTATED
+            prepared, code = f"{'RR' if is_rotated else 'Pad'}{length},", "RaBitQfs_32"
+            looked_at = max(16, -(-n_lists // 64))
+            n_trained, n_learnt = 16 * n_lists, n_lists + n_dimensions * is_rotated
+        self._index = faiss.index_factory(n_dimensions, f"{prepared}IVF{n_lists},{code}", faiss.METRIC_INNER_PRODUCT)
+        lists = faiss.downcast_index(faiss.extract_index_ivf(self._index))
+        lists.nprobe = min(probes or looked_at, n_lists)
+        lists.cp.min_points_per_centroid = 1  # faiss would print that there are few
+        if kind == "ivfpq":
+            lists.pq.cp.min_points_per_centroid, lists.pq.cp.niter = 1, 10
+        else:
+            lists.qb = 4  # bits of each dimension of a query
+        self._index.train(_sample(references, n_trained))
+        for images in parts(n_images, rows_together(references)):
+            self._index.add(references[images])
+        self.n_bytes = n_images * (lists.code_size + 8) + 4 * length * n_learnt  # 8: the number of an image
+
+    def retrieve(self, codes: Vectors, n: int) -> tuple[Vectors, Numbers]:
+        """Return similarities and images, (n_queries, n) each, best first; the image is -1 if there is none."""
+        similarity, images = self._index.search(codes, n)
+        return similarity, images
+
+
+class Bits(Retrieving):
+    """Whether each dimension is above its median in the map: Hamming distances tell how near two vectors are.
+
+    Of vectors whose bits differ in a share s, the inner product is about cos(pi * s) (Charikar 2002). All images are
+    compared, or those that a graph of near images leads to: faiss's IndexBinaryFlat answers one query of a million
+    images of 512 bits in ten times the time of its function that counts all differing bits.
+    """
+
+    def __init__(self, references: Vectors, with_graph: bool) -> None:
+        """Keep the bits of the references, read part by part."""
+        faiss = import_faiss()
+        n_images, n_dimensions = references.shape
+        self._thresholds: Vectors = np.median(_sample(references, _SAMPLED_BITS // n_dimensions), axis=0)
+        blocks = parts(n_images, rows_together(references))
+        self._graph = faiss.index_binary_factory(-(-n_dimensions // 64) * 64, "BHNSW16") if with_graph else None
+        if self._graph is None:
+            self._codes = np.empty((n_images, -(-n_dimensions // 64)), np.uint64)
+            for rows in blocks:
+                self._codes[rows] = self._take_bits(references[rows])
+            self.n_bytes = self._codes.nbytes + self._thresholds.nbytes
+            return
+        self._graph.hnsw.efSearch = _BIT_CANDIDATES
+        with _use_one_thread(faiss):
+            for rows in blocks:
+                self._graph.add(self._take_bits(references[rows]).view(np.uint8))
+        self.n_bytes = n_images * self._graph.code_size + _count_link_bytes(self._graph.hnsw) + self._thresholds.nbytes
+
+    def retrieve(self, codes: Vectors, n: int) -> tuple[Vectors, Numbers]:
+        """Return similarities and images, (n_queries, n) each, best first; the image is -1 if there is none."""
+        bits = self._take_bits(codes)
+        if self._graph is not None:
+            differing, images = self._graph.search(bits.view(np.uint8), n)
+            return self._estimate_similarity(differing), images
+        compared = Compared(
+            len(self._codes),
+            _COMPARED_BITS,
+            None,
+            lambda bits, first, last: compare_bits(bits, self._codes[first:last]),
+            None,
         )
-        self._index.nprobe = min(probes or -(-n_lists // _LISTS_LOOKED_AT), n_lists)
-        for clustering in (self._index.cp, self._index.pq.cp):
-            clustering.min_points_per_centroid = 1  # faiss would print that there are few
-        self._index.pq.cp.niter = _PQ_ITERATIONS
-        self._index.train(self._prepared(sample(references, TRAINED_PER_CENTROID * max(n_lists, n_centroids))))
-        for images in parts(n_images, max(1, CELLS // n_dimensions)):
-            self._index.add(self._prepared(references[images]))
-        tables = 4 * n_parts * self._part * (n_lists + n_centroids)
-        self.n_bytes = n_images * (self._index.code_size + 8) + tables  # 8: the number of an image
+        best = find_best(bits, n, compared)  # of equals the lower image
+        return np.where(best.places >= 0, self._estimate_similarity(-best.similarity), -np.inf), best.places
 
-    def _prepared(self, vectors: Vectors) -> Vectors:
-        missing = -vectors.shape[1] % self._part
-        return np.pad(vectors, ((0, 0), (0, missing))) if missing else np.ascontiguousarray(vectors)
+    def _take_bits(self, vectors: Vectors) -> Words:
+        return pack_bits(vectors > self._thresholds)
+
+    def _estimate_similarity(self, differing: npt.NDArray[Any]) -> Vectors:
+        return np.asarray(np.cos(np.pi / len(self._thresholds) * differing), np.float32)
 
 
-def sample(references: Vectors, wanted: int) -> Vectors:
+def _sample(references: Vectors, wanted: int) -> Vectors:
     """Return up to `wanted` of the references, drawn without replacement, in their order: 512 MiB at most."""
     n_images, n_dimensions = references.shape
     drawn = np.random.default_rng(0).permutation(n_images)[: max(1, min(wanted, _SAMPLED // n_dimensions))]
-    return references[np.sort(drawn)]
+    return np.ascontiguousarray(references[np.sort(drawn)])
 
 
-def bytes_of_links(hnsw: Any) -> int:
+def _count_link_bytes(hnsw: Any) -> int:
     """Return the memory of a graph beside its vectors."""
     return int(4 * hnsw.neighbors.size() + 8 * hnsw.offsets.size() + 4 * hnsw.levels.size())
 
 
 @contextmanager
-def one_thread(faiss: Any) -> Iterator[None]:
+def _use_one_thread(faiss: Any) -> Iterator[None]:
     """Let faiss use one thread: of several, the fastest would decide what a graph links."""
     before = faiss.omp_get_max_threads()
     faiss.omp_set_num_threads(1)

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import torch
 
 from vprbench.api.arrays import Image
 from vprbench.api.images import Images
@@ -44,7 +43,7 @@ def encode_blocks(
 
     All threads that PyTorch may use encode: the one that reads does so if the others are busy.
     """
-    threads = torch.get_num_threads() if len(images) >= _FEWEST else 1
+    threads = _count_threads() if len(images) >= _FEWEST else 1
     size, n_bytes = min(_BLOCK, -(-len(images) // threads)), _BLOCKS_BYTES // (threads + 1)  # one is being gathered
     if threads == 1:
         for start, block in _blocks(images, size, n_bytes):
@@ -70,6 +69,12 @@ def encode_blocks(
             other.result()
     # While others worked, waiting for images was no loss: without waiting the work would have taken as long.
     images.reading.limit(read, time.perf_counter() - started - sum(worked) / threads)
+
+
+def _count_threads() -> int:
+    import torch  # slow to import, and few images need no threads
+
+    return torch.get_num_threads()
 
 
 def _blocks(images: Images, size: int, n_bytes: int) -> Iterator[tuple[int, list[Image]]]:

@@ -2,85 +2,34 @@
 
 from __future__ import annotations
 
-import math
 import pickle
 import re
 import warnings
-from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from vprbench.errors import BadInput
-from vprbench.text import some_of
+from vprbench.text import join_few
 
 if TYPE_CHECKING:
     from torch import Tensor
 
 _AROUND = ("model_state_dict", "state_dict", "model")  # the usual names of the tensors in a checkpoint
 _BEFORE = ("module.", "model.", "_orig_mod.")  # the usual beginnings of all names
-_NUMBERS = re.compile(r"[biufc]\d{1,2}|[SU]\d{1,4}")
+_PLAIN_KINDS = "?bBhHiIlLqQefdFDSU"  # of numpy.dtype
 
 
-class Kind:
-    """What a pickle calls numpy.dtype: the name of a type, and the order of its bytes."""
+def _list_numpy_types() -> list[Any]:
+    """Return NumPy's own types of plain numbers and text, under their names before NumPy 2 and since."""
+    from numpy._core import multiarray
 
-    def __init__(self, name: Any, align: Any = False, copy: Any = False) -> None:
-        self.name, self.order = str(name), "="
-
-    def __setstate__(self, state: Any) -> None:
-        self.order = str(state[1])
-
-
-class Array(np.ndarray):
-    """What a pickle calls numpy.ndarray: an array of numbers or text."""
-
-    def __setstate__(self, state: Any) -> None:
-        _, shape, kind, column_major, content = state
-        dtype = _checked(kind, content, math.prod(shape))
-        super().__setstate__((1, tuple(shape), dtype, bool(column_major), content))  # type: ignore[arg-type]
-
-
-def scalar(kind: Any, content: Any) -> Any:
-    """Return the number or the text that a pickled scalar holds; raises UnpicklingError for any other."""
-    return np.frombuffer(content, _checked(kind, content, 1))[0].item()
-
-
-def array(*_: Any) -> Array:
-    """Return the empty array that a pickle begins with."""
-    return Array(0, np.uint8)
-
-
-def readable() -> AbstractContextManager[None]:
-    """Let torch take scalars and arrays within this context, under the names of NumPy before 2.0 and since.
-
-    If the caller lets it take NumPy's own types already, nothing changes.
-    """
-    from torch import serialization  # slow to import
-
-    known = np.dtype in serialization.get_safe_globals()
-    return serialization.safe_globals([] if known else _GLOBALS)
-
-
-def _checked(kind: Any, content: Any, n_values: int) -> np.dtype[Any]:
-    """Return the type of so many pickled values; raises UnpicklingError if these are no plain ones."""
-    known = isinstance(kind, Kind) and isinstance(content, bytes) and _NUMBERS.fullmatch(kind.name)
-    if not known or kind.order not in ("<", ">", "=", "|"):
-        raise pickle.UnpicklingError("GLOBAL numpy.dtype of no plain number")
-    dtype: np.dtype[Any] = np.dtype(kind.order + kind.name)
-    if len(content) != n_values * dtype.itemsize:
-        raise pickle.UnpicklingError("values of another length than their type")
-    return dtype
-
-
-_GLOBALS: list[Callable[..., Any] | tuple[Callable[..., Any], str]] = [
-    (Kind, "numpy.dtype"),
-    (Array, "numpy.ndarray"),
-    *((scalar, f"numpy.{package}.multiarray.scalar") for package in ("core", "_core")),
-    *((array, f"numpy.{package}.multiarray._reconstruct") for package in ("core", "_core")),
-]
+    functions = {"scalar": multiarray.scalar, "_reconstruct": multiarray._reconstruct}
+    packages = ("core", "_core")
+    named = [(call, f"numpy.{package}.multiarray.{name}") for package in packages for name, call in functions.items()]
+    return [np.ndarray, np.dtype, *named, *{type(np.dtype(kind)) for kind in _PLAIN_KINDS}]
 
 
 _ZIP = b"PK\x03\x04"
@@ -111,7 +60,9 @@ def state_dict(path: Path, *keys: str) -> dict[str, Tensor]:
     odd = [name for name, value in found.items() if not is_plain(value)] if isinstance(found, Mapping) else [key]
     if odd or not found:
         places = " or ".join([*dict.fromkeys([*keys, *_AROUND]), "its top"])
-        raise BadInput(f"{path} does not hold tensors alone under {places} (it holds {some_of(content)}): give another")
+        raise BadInput(
+            f"{path} does not hold tensors alone under {places} (it holds {join_few(content)}): give another"
+        )
     return {name: value.detach() for name, value in _without_wrappers(found).items()}
 
 
@@ -159,9 +110,10 @@ def _content_of_safetensors(path: Path) -> dict[str, Tensor]:
 
 def _content_of_torch(path: Path, mmap: bool) -> Any:
     import torch
+    from torch import serialization
 
     try:
-        with warnings.catch_warnings(), readable():
+        with warnings.catch_warnings(), serialization.safe_globals(_list_numpy_types()):
             warnings.simplefilter("ignore")  # about what was written by an older torch
             return torch.load(path, weights_only=True, map_location="cpu", mmap=mmap)
     except pickle.UnpicklingError as error:

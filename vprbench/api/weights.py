@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from vprbench.errors import BadInput, MissingData
 from vprbench.storage.download import fetch
 from vprbench.storage.folders import cache_folder
-from vprbench.storage.hashes import content_hash
-from vprbench.text import some_of
+from vprbench.storage.hashes import hash_file
+from vprbench.text import join_few
 
 if TYPE_CHECKING:
     import torch
@@ -193,7 +193,7 @@ def _check(path: Path, stated: Stated, afterwards: str) -> None:
     size_bytes = path.stat().st_size
     if stated.size_bytes not in (None, size_bytes):
         difference = f"has {size_bytes} bytes, stated are {stated.size_bytes}"
-    elif stated.sha256 is not None and (sha256 := content_hash(path)) != stated.sha256.lower():
+    elif stated.sha256 is not None and (sha256 := hash_file(path)) != stated.sha256.lower():
         difference = f"has SHA-256 {sha256}, stated is {stated.sha256}"
     else:
         return
@@ -213,7 +213,7 @@ def _kind(values: torch.Tensor) -> str:
 
 def _refuse(problems: Mapping[str, list[str]], path: Path, module: nn.Module) -> None:
     """Raise BadInput if any kind of problem has names."""
-    found = [f"{len(names)} {problem} ({some_of(names)})" for problem, names in problems.items() if names]
+    found = [f"{len(names)} {problem} ({join_few(names)})" for problem, names in problems.items() if names]
     if found:
         raise BadInput(
             f"{path} does not fit {type(module).__name__}: {'; '.join(found)}: "
@@ -225,5 +225,5 @@ def _require_real(module: nn.Module) -> None:
     unreal = [name for name, value in [*module.named_parameters(), *module.named_buffers()] if value.is_meta]
     if unreal:
         raise RuntimeError(
-            f"{type(module).__name__} keeps {some_of(unreal)} on meta: no file holds them, make them real"
+            f"{type(module).__name__} keeps {join_few(unreal)} on meta: no file holds them, make them real"
         )

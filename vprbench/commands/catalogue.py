@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, cast
 
 from vprbench.errors import BadInput
 from vprbench.plugins.options import parse_options
-from vprbench.progress import progress_shown
-from vprbench.terminal.console import console, table_text
+from vprbench.progress import show_progress
+from vprbench.terminal.console import format_table, make_console
 from vprbench.terminal.streams import results_only_on_stdout
-from vprbench.text import printable, suggest_names
+from vprbench.text import escape_unprintable, suggest_names
 
 if TYPE_CHECKING:
     from vprbench.report.run_options import TableRequest
@@ -84,15 +84,14 @@ def run(options: list[str]) -> int:
 def compare(options: list[str]) -> int:
     """Run methods on one dataset, rank them in a table, draw figures and write a page."""
     from vprbench.config import quote_options
-    from vprbench.report.comparison.checks import sort_options
-    from vprbench.report.comparison.make import make_comparison
+    from vprbench.report.comparison import make_comparison
 
-    return make_comparison(sort_options(quote_options(options)))
+    return make_comparison(quote_options(options))
 
 
 def show_list(words: list[str]) -> int:
     """Show the methods and datasets, or those that fit: list spiking, list weights=none, list datasets."""
-    from vprbench.plugins.entries import broken_plugins
+    from vprbench.plugins.entries import list_broken_plugins
     from vprbench.plugins.listing import Listing, list_entries
 
     settings = parse_options(Listing, [word for word in words if "=" in word], {})
@@ -102,9 +101,9 @@ def show_list(words: list[str]) -> int:
         return 0
     for group in ("method", "dataset"):
         if rows := [(each.name, each.summary) for each in found if each.kind == group]:
-            print(table_text([f"{group}s", ""], rows, settings.wide or not console().is_terminal))
-    for provider, reason in broken_plugins() if not words else ():
-        print(printable(f"plug-in {provider} BROKEN: {reason}"))
+            print(format_table([f"{group}s", ""], rows, settings.wide or not make_console().is_terminal))
+    for provider, reason in list_broken_plugins() if not words else ():
+        print(escape_unprintable(f"plug-in {provider} BROKEN: {reason}"))
     return 0
 
 
@@ -120,14 +119,14 @@ def check(options: list[str]) -> int:
     request = make_request(options)
     request.require_machine()
     machine.pin_threads(request.n_threads)
-    with progress_shown("check"):  # of a download
+    with show_progress("check"):  # of a download
         if "dataset" in names:
             results = [*conformance.check_dataset(request.dataset)]
         else:
             given = {name.removeprefix("method.") for name in names}
             results = [*conformance.check_method({**request.method, "tuned_on": request.tuned_on or None}, given)]
     for result in results:
-        print(printable(str(result)))
+        print(escape_unprintable(str(result)))
     kept, excepted, broken = (sum(r.state == state for r in results) for state in ("kept", "excepted", "broken"))
     print(f"{len(results)} rules: {kept} kept, {excepted} excepted, {broken} broken")
     return int(broken > 0)
@@ -137,7 +136,7 @@ def new(options: list[str]) -> int:
     """Write the files of a new method or dataset, which keep the contract at once: new method NAME."""
     from vprbench.plugins.new import write_plugin
 
-    print(printable(write_plugin(options), but="\n"))
+    print(escape_unprintable(write_plugin(options), but="\n"))
     return 0
 
 
@@ -152,29 +151,29 @@ def doctor(options: list[str]) -> int:
         raise BadInput(f"doctor {' '.join(options)}: it takes dataset=NAME, dataset.OPTION= and output=json alone")
     request = make_request(options)
     name = request.dataset_name
-    with progress_shown(f"doctor, {name}"), results_only_on_stdout() as say:
+    with show_progress(f"doctor, {name}"), results_only_on_stdout() as say:
         return command(
             name,
             lambda: make_dataset(request.dataset),
-            lambda text: say(printable(text, but="\n")),
+            lambda text: say(escape_unprintable(text, but="\n")),
             "json" if request.output == "json" else "text",
         )
 
 
 def show_status(words: list[str]) -> int:
     """Show which runs of a results folder are made now and by whom, and how many are stored."""
-    from vprbench.runs.run_lock import StatusOptions, row, status
+    from vprbench.runs.status import StatusOptions, format_row, read_status
 
     settings = parse_options(StatusOptions, words, {})
-    found = status(settings.results)
+    found = read_status(settings.results)
     if settings.output == "json":
         print(json.dumps(found))
         return 0
-    print(printable("{results}: {runs} runs and {failures} failures are stored".format(**found)))
-    lines = [row(claim) for claim in found["claims"]]
+    print(escape_unprintable("{results}: {runs} runs and {failures} failures are stored".format(**found)))
+    lines = [format_row(claim) for claim in found["claims"]]
     rows = [[*line.values()] for line in lines]
-    is_wide = settings.wide or not console().is_terminal
-    print(table_text([*lines[0]], rows, is_wide) if lines else "no run is being made")
+    is_wide = settings.wide or not make_console().is_terminal
+    print(format_table([*lines[0]], rows, is_wide) if lines else "no run is being made")
     return 0
 
 
@@ -185,7 +184,7 @@ def fetch(options: list[str]) -> int:
     """
     from vprbench.config import make_request
     from vprbench.data.doctor import quick
-    from vprbench.data.fetch.command import fetch_command
+    from vprbench.data.fetch import fetch_command
     from vprbench.plugins.registry import make_dataset
 
     levels = list[str]()
@@ -260,7 +259,7 @@ def search(options: list[str]) -> int:
     request = make_request([f"method={space.METHOD}", f"dataset={settings.dataset}"], root)
     folder = Path(settings.results).expanduser()
     Store(folder).prepare()
-    with progress_shown("search"):
+    with show_progress("search"):
         found = search_settings(settings, request.method, request.dataset)
     print(text.write_report(found, folder), end="")
     return 0
@@ -286,8 +285,8 @@ COMMANDS: dict[str, Command] = {
     "check": Command(check, takes=("method", "dataset", "device", "threads", "seed")),
     "new": Command(new, "vprbench.plugins.new:Settings", words="method|dataset NAME"),
     "doctor": Command(doctor, takes=("dataset", "output")),
-    "status": Command(show_status, "vprbench.runs.run_lock:StatusOptions"),
-    "fetch": Command(fetch, "vprbench.data.fetch.command:Settings", words="[NAME]"),
+    "status": Command(show_status, "vprbench.runs.status:StatusOptions"),
+    "fetch": Command(fetch, "vprbench.data.fetch:Settings", words="[NAME]"),
     "table": Command(table, "vprbench.report.run_options:TableRequest", ("timing", ALL)),
     "figures": Command(figures, _FOLDER),
     "report": Command(report, _FOLDER),

@@ -14,9 +14,9 @@ from rich.text import Text
 
 from vprbench import __version__
 from vprbench.commands.catalogue import ALL, COMMANDS
-from vprbench.plugins.entries import Entry, Folder, conf_folders, entries, find_default
+from vprbench.plugins.entries import Entry, Folder, find_conf_folders, find_default, find_entries
 from vprbench.plugins.options import MEANING
-from vprbench.terminal.console import console, format_lines
+from vprbench.terminal.console import format_lines, make_console
 
 _NO_OPTIONS = ("_target_", "defaults", "hydra", "tuned_on", "tags")
 _LINE = re.compile(r"( *)(\w+):(?: +(.*?))?(?: +# (.*))?")  # of a yaml: name, default and meaning
@@ -34,15 +34,15 @@ class Option:
 def list_options(name: str, given: Sequence[str]) -> list[Option]:
     """Return the options of a command; `given` ones choose the method, dataset, timing and cluster among them."""
     command, kind = COMMANDS[name], COMMANDS[name].option_class()
-    of_run = {option.name: option for option in _read_options(conf_folders()["vprbench"] / "run.yaml")}
+    of_run = {option.name: option for option in _read_options(find_conf_folders()["vprbench"] / "run.yaml")}
     found = {option.name: option for option in (_describe_fields(kind) if kind else ())}
     chosen = {"timing": "quick"} if name == "compare" else {}
     chosen |= dict(option.split("=", 1) for option in given if "=" in option)
     for group in (each for each in get_args(Folder) if each in (*command.takes, *found)):
         usual = chosen.get(group) or ("" if group == "cluster" else find_default(group))
-        words = f"one of {', '.join(entries(group))}" if group == "timing" else f"one of vprbench list {group}s"
+        words = f"one of {', '.join(find_entries(group))}" if group == "timing" else f"one of vprbench list {group}s"
         found.setdefault(group, Option(group, usual if name == "run" or group in chosen else "", words))
-        found |= _describe_entry(entries(group).get(usual.split(",")[0]))
+        found |= _describe_entry(find_entries(group).get(usual.split(",")[0]))
     others = [option for option in of_run if option not in getattr(kind, "refused", ())]
     for option in others if ALL in command.takes else command.takes:
         found.setdefault(option, of_run.get(option, Option(option)))
@@ -94,12 +94,12 @@ def print_commands() -> None:
     table = _make_table(2)
     for name, command in COMMANDS.items():
         table.add_row(Text(f"vprbench {name} {command.words}".rstrip(), style="bold"), Text(command.meaning))
-    print(f"vprbench {__version__} - {_INTRODUCTION}\n\n{format_lines(table, console())}\n{_MORE}")
+    print(f"vprbench {__version__} - {_INTRODUCTION}\n\n{format_lines(table, make_console())}\n{_MORE}")
 
 
 def print_options(name: str, given: Sequence[str]) -> None:
     """Print the meaning of a command and its options."""
-    command, page, table = COMMANDS[name], console(), _make_table(3)
+    command, page, table = COMMANDS[name], make_console(), _make_table(3)
     table.columns[1].max_width, table.columns[1].overflow = page.width // 5, "fold"
     for option in list_options(name, given):
         table.add_row(Text(option.name, style="bold"), Text(option.default, style="dim"), Text(option.meaning))
@@ -126,7 +126,7 @@ def complete(line: str) -> list[str]:
     group = option.removesuffix("s") if name != "run" else option
     if equals and option in options:
         head = value[: max(value.rfind(","), value.rfind("[")) + 1]
-        values = entries(cast(Folder, group)) if group in get_args(Folder) else ("true", "false")
+        values = find_entries(cast(Folder, group)) if group in get_args(Folder) else ("true", "false")
         is_known = group in get_args(Folder) or options[option].default in values
         found = [f"{option}={head}{each}" for each in values if is_known and each not in head.strip("[").split(",")]
     else:

@@ -25,20 +25,20 @@ from typing import IO, NoReturn
 
 from vprbench.jobs.job import JobResult, describe_failure, make_run
 from vprbench.progress import QUIET
-from vprbench.runs import timing_lock
 from vprbench.runs.record import Failure
 from vprbench.runs.request import RunRequest
+from vprbench.runs.timing_lock import share_host
 from vprbench.storage.atomic import replace_text
 from vprbench.storage.folders import checkout_folder
 from vprbench.terminal.streams import log_to_stderr, results_only_on_stdout
-from vprbench.text import printable
+from vprbench.text import escape_unprintable
 
 _RESULT, _STDERR = "result.json", "stderr"  # files of a child's folder
 _LOOK_EVERY = 0.1  # seconds
 _PATIENCE = 20.0  # seconds that an interrupted process has to end
 _CRASH_SITE = re.compile(r'\s*File "[^"]*", line \d+ in ')  # of faulthandler; a traceback has a comma before "in"
 _PRELOADED = ["torch", "numba", "hydra.utils", "vprbench.jobs.child", "vprbench.runs.get_or_run"]
-_PRELOADED += ["vprbench.methods.parts.filters.patches_compiled"]
+_PRELOADED += ["vprbench.methods.parts.filters.patches"]
 
 _starting = Lock()  # multiprocessing starts and ends processes in one thread at a time
 
@@ -86,7 +86,7 @@ def run_in_child(
         else:
             death = _describe_death(code, lines, request.limit_minutes)
             result = JobResult(1, describe_failure(request, death))
-            note(printable(f"vprbench: {request.method_name} {death}"))
+            note(escape_unprintable(f"vprbench: {request.method_name} {death}"))
     return replace(result, lines=[] if is_shown else lines)
 
 
@@ -112,8 +112,8 @@ def make_job(request_json: str, place: Path, environment: Mapping[str, str]) -> 
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
         log_to_stderr()
         printed: list[str] = []
-        with timing_lock.computing(), results_only_on_stdout():
-            result = make_run(RunRequest.from_json(request_json), printed.append, wait=False)
+        with share_host() as lock, results_only_on_stdout():
+            result = make_run(RunRequest.from_json(request_json), printed.append, lock)
         replace_text(place / _RESULT, json.dumps(asdict(replace(result, printed="\n".join(printed)))))
     except KeyboardInterrupt:
         os._exit(128 + signal.SIGINT)
@@ -188,7 +188,7 @@ def _note_lines(written: IO[bytes], note: Callable[[str], None], ended: bool = F
 def print_child_line(line: str) -> None:
     """Print a line of a process on standard error, if anybody reads it."""
     with contextlib.suppress(OSError, ValueError):
-        print(printable(line, but="\t"), file=sys.stderr, flush=True)
+        print(escape_unprintable(line, but="\t"), file=sys.stderr, flush=True)
 
 
 def _end_with_parent() -> None:

@@ -9,14 +9,17 @@ import traceback
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from vprbench.errors import BadInput, MissingData, TrainingDivergedError, format_error, hide_home
 from vprbench.plugins.registry import locate_error
 from vprbench.runs.record import Failure
 from vprbench.runs.request import RunRequest
 from vprbench.terminal.streams import complain
-from vprbench.text import printable
+from vprbench.text import escape_unprintable
+
+if TYPE_CHECKING:
+    from vprbench.runs.timing_lock import TimingLock
 
 
 @dataclass(frozen=True)
@@ -36,16 +39,17 @@ class JobResult:
         return self.failure is not None and self.failure.missing
 
 
-def make_run(request: RunRequest, say: Callable[[str], None], wait: bool = True) -> JobResult:
+def make_run(request: RunRequest, say: Callable[[str], None], lock: TimingLock | None = None) -> JobResult:
     """Make a run, or find it stored, and say its row or JSON; an error is one line on standard error, and returned.
 
-    Without `wait` a run that another process makes is left to that. Raises KeyboardInterrupt alone.
+    With a `lock`, by which this process computes, a run that another process makes is left to that: without one this
+    process waits for it. Raises KeyboardInterrupt alone.
     """
     from vprbench.runs.machine import describe_machine
     from vprbench.runs.run_lock import HeldElsewhereError
 
     try:
-        return JobResult(0, key=_find_or_make(request, say, wait))
+        return JobResult(0, key=_find_or_make(request, say, lock))
     except HeldElsewhereError as error:
         logging.info("%s: it is left to that", error)
         return JobResult(0, lock=str(error.path))
@@ -55,7 +59,7 @@ def make_run(request: RunRequest, say: Callable[[str], None], wait: bool = True)
         code, words, trace, is_missing = 2, format_error(error), "", isinstance(error, MissingData)
         complain(words)
     except BaseException as error:  # whatever a plug-in raises
-        trace = hide_home(printable(traceback.format_exc(), but="\n"))
+        trace = hide_home(escape_unprintable(traceback.format_exc(), but="\n"))
         code, words, is_missing = 1, hide_home(format_error(error).splitlines()[0]), False
         if request.debug:
             print(textwrap.indent(trace, "  "), file=sys.stderr)
@@ -65,7 +69,7 @@ def make_run(request: RunRequest, say: Callable[[str], None], wait: bool = True)
     return JobResult(code, describe_failure(request, words, is_missing, trace, environment))
 
 
-def _find_or_make(request: RunRequest, say: Callable[[str], None], wait: bool) -> str:
+def _find_or_make(request: RunRequest, say: Callable[[str], None], lock: TimingLock | None) -> str:
     """Make the run of a request, or one for each of its corruptions, and return the key of the last."""
     from vprbench.runs.experiment import build_experiment, corrupt_experiment
     from vprbench.runs.get_or_run import UnstoredRunError, get_or_run
@@ -77,7 +81,7 @@ def _find_or_make(request: RunRequest, say: Callable[[str], None], wait: bool) -
     for name in request.corruption if isinstance(request.corruption, list) else [None]:
         experiment = clean if name is None else corrupt_experiment(clean, name)
         try:
-            result = get_or_run(experiment, store, wait)
+            result = get_or_run(experiment, store, lock)
         except UnstoredRunError as error:
             from vprbench.runs.run_text import format_run  # what it imports does not count as the run's memory
 

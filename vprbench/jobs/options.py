@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from vprbench.errors import BadInput
-from vprbench.plugins.entries import entries, read
+from vprbench.plugins.entries import find_entries, read
 from vprbench.plugins.options import option
-from vprbench.storage.cores import core_count
+from vprbench.storage.cores import count_cores
 from vprbench.text import suggest_names
 
 logger = logging.getLogger(__name__)
@@ -62,7 +62,7 @@ class ClusterOptions:
         """
         given = dict(self.cluster)
         name = str(given.pop("name", ""))
-        known = {known: entry.path for known, entry in entries("cluster").items()}
+        known = {known: entry.path for known, entry in find_entries("cluster").items()}
         path = Path(name).expanduser() if name.endswith(".yaml") else known.get(name)
         if path is None or not path.is_file():
             raise BadInput(
@@ -81,7 +81,7 @@ class ClusterOptions:
         """
         if not self.is_distributed or any(option.startswith("threads=") for option in options):
             return []
-        here = max(1, core_count() // self.workers) if self.workers else 1
+        here = max(1, count_cores() // self.workers) if self.workers else 1
         share = self.job_arguments()["cores"] if self.cluster else here
         logger.info("threads=%d: the threads of each cell, as none were asked for", share)
         return [f"threads={share}"]

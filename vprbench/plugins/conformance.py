@@ -9,9 +9,9 @@ from typing import Any, Literal
 
 from vprbench.errors import BadInput
 from vprbench.plugins.dataset_rules import DATASET_RULES, BuiltDataset
-from vprbench.plugins.entries import entries
-from vprbench.plugins.registry import arguments, check_arguments, describe_error, make_dataset, make_method
-from vprbench.plugins.rules import ENCODE_RULE, RULES, RuleBrokenError, RuleExceptedError, Subject, require
+from vprbench.plugins.entries import find_entries
+from vprbench.plugins.registry import check_arguments, describe_error, make_dataset, make_method, take_arguments
+from vprbench.plugins.rules import ENCODE_RULE, RULES, RuleBrokenError, Subject, require
 from vprbench.plugins.tuned_places import UNKNOWN, parse_places, parse_tuned_on
 from vprbench.text import suggest_names
 
@@ -46,17 +46,19 @@ def check_method(config: Mapping[str, Any], given: Set[str] = frozenset()) -> It
     method = make_method(config)
     method.files()
     own = {name: value for name, value in method.conformance_arguments.items() if name not in given}
-    config = {**arguments(config), **own}
+    config = {**take_arguments(config), **own}
     subject = Subject(partial(make_method, config), check_arguments("method", config)[1])
     exceptions = dict(method.conformance_exceptions)
-    for rule, test in RULES.items():
-        excepted = rule in exceptions
-        result = Result(rule, "excepted", exceptions.pop(rule)) if excepted else _apply(rule, partial(test, subject))
+    for name, rule in RULES.items():
+        if name in exceptions:
+            yield Result(name, "excepted", exceptions.pop(name))
+            continue
+        result = _apply(name, partial(rule.check, subject), partial(rule.excuse, subject))
         yield result
-        if rule == ENCODE_RULE and result.state == "broken":
+        if name == ENCODE_RULE and result.state == "broken":
             return
-    for rule in exceptions:
-        yield Result(rule, "broken", "conformance_exceptions names a rule that does not exist")
+    for name in exceptions:
+        yield Result(name, "broken", "conformance_exceptions names a rule that does not exist")
 
 
 def check_dataset(config: Mapping[str, Any]) -> Iterator[Result]:
@@ -64,26 +66,26 @@ def check_dataset(config: Mapping[str, Any]) -> Iterator[Result]:
 
     Raises BadInput where it cannot be made, as for frames that are missing.
     """
-    built = BuiltDataset(make_dataset(config), partial(make_dataset, config), config)
+    built = BuiltDataset(make_dataset(config), partial(make_dataset, config))
     for rule, test in DATASET_RULES.items():
         yield _apply(rule, partial(test, built))
 
 
 def _check_tuned_on(tuned_on: Any) -> None:
     declared = parse_tuned_on(tuned_on, "its yaml")
-    known = [str(entry.values().get("name", name)) for name, entry in entries("dataset").items()]
+    known = [str(entry.values().get("name", name)) for name, entry in find_entries("dataset").items()]
     for name, places in {**declared["also_in"], declared["dataset"]: declared["places"]}.items():
         require(name in known, f"dataset {name} is unknown: {suggest_names(name, known)}")
         numbered = parse_places(places) is not None or (places == UNKNOWN and name != declared["dataset"])
         require(numbered, f"places of {name}: {places} came, wanted their numbers, as in 0-99,200-299")
 
 
-def _apply(rule: str, test: Callable[[], None]) -> Result:
+def _apply(rule: str, test: Callable[[], None], excuse: Callable[[], str] = str) -> Result:
     """Return the outcome of a rule; any error of a plug-in breaks that rule alone."""
     try:
+        if reason := excuse():
+            return Result(rule, "excepted", reason)
         test()
-    except RuleExceptedError as error:
-        return Result(rule, "excepted", str(error))
     except Exception as error:
         explained = isinstance(error, RuleBrokenError | BadInput)
         return Result(rule, "broken", str(error) if explained else describe_error(error))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,18 +12,17 @@ import numpy as np
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
 from vprbench.plugins.rules import RuleBrokenError, require
-from vprbench.text import some
+from vprbench.text import join_names
 
 _N_SAMPLES = 8  # images of each traverse that are decoded
 
 
 @dataclass(frozen=True)
 class BuiltDataset:
-    """A dataset, a function that makes it again, and its configuration."""
+    """A dataset, and a function that makes it again."""
 
     dataset: Dataset
     make: Callable[[], Dataset]
-    config: Mapping[str, Any]
 
     @property
     def parts(self) -> dict[str, Images]:
@@ -46,17 +45,12 @@ def _check_again(built: BuiltDataset) -> None:
     require(same, "places or ground truth are others when it is made again")
 
 
-def _check_name(built: BuiltDataset) -> None:
-    wanted = built.config.get("name", built.dataset.name)
-    require(built.dataset.name == wanted, f"name={wanted} was asked for, but it is {built.dataset.name}")
-
-
 def _check_positives(built: BuiltDataset) -> None:
     for query, right in enumerate(built.dataset.positives):
         whole = isinstance(right, np.ndarray) and right.ndim == 1 and (right.dtype.kind in "iu" or not len(right))
         require(whole, f"right places of query {query}: {_format_type(right)} came, wanted an array of whole numbers")
         ascending = (np.diff(right) > 0).all()
-        require(ascending, f"right places of query {query}: {some(right)} came, wanted each once, ascending")
+        require(ascending, f"right places of query {query}: {join_names(right)} came, wanted each once, ascending")
 
 
 def _check_images(built: BuiltDataset) -> None:
@@ -111,7 +105,6 @@ def _format_type(value: Any) -> str:
 #: The rules by the text that `check` prints, in its order.
 DATASET_RULES: dict[str, Callable[[BuiltDataset], None]] = {
     "it is the same when it is made again": _check_again,
-    "it has the name that was asked for": _check_name,
     "right places are whole numbers, ascending, each once": _check_positives,
     "images are uint8 (height, width, 3)": _check_images,
     "an image is the same however it is read": _check_reading,

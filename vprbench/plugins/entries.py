@@ -81,7 +81,9 @@ class Entry:
         names = [name for name in given if isinstance(name, str) and name not in ("_self_", self.name)]
         above = self.path.parent.name
         paths = [name[1:].partition("@")[0] if name.startswith("/") else f"{above}/{name}" for name in names]
-        found = [(package, folder / f"{path}.yaml") for path in paths for package, folder in conf_folders().items()]
+        found = [
+            (package, folder / f"{path}.yaml") for path in paths for package, folder in find_conf_folders().items()
+        ]
         return [Entry(self.group, path.stem, path, package) for package, path in found if path.is_file()]
 
     def _read(self) -> dict[str, Any]:
@@ -96,10 +98,10 @@ class Entry:
         return content if isinstance(content, dict) else {}
 
 
-def entries(group: Folder) -> dict[str, Entry]:
+def find_entries(group: Folder) -> dict[str, Entry]:
     """Return the registered methods or datasets, timing protocols or batch systems by name; imports none of them."""
     found: dict[str, Entry] = {}
-    for package, folder in conf_folders().items():
+    for package, folder in find_conf_folders().items():
         for path in (folder / group).glob("*.yaml"):
             other = found.get(path.stem)
             new = Entry(group, path.stem, path, package)
@@ -109,19 +111,19 @@ def entries(group: Folder) -> dict[str, Entry]:
 
 def find_default(group: Folder) -> str:
     """Return the name of the method, dataset or timing that a run has unless it names another one."""
-    run = read((conf_folders()["vprbench"] / "run.yaml").read_text(encoding="utf-8"))
+    run = read((find_conf_folders()["vprbench"] / "run.yaml").read_text(encoding="utf-8"))
     return str(next(each[group] for each in run["defaults"] if isinstance(each, Mapping) and group in each))
 
 
 def register_entry(entry: Entry) -> None:
     """Register the method or dataset of a loose file in this process; raises BadInput if its name is another's."""
-    for name, other in entries(entry.group).items():
+    for name, other in find_entries(entry.group).items():
         if name.casefold() == entry.name.casefold() and other.path != entry.path:
             raise BadInput(f"{entry.group}={entry.path}:{entry.name}: {other.path} has that name too: rename yours")
     _LOOSE[entry.group][entry.name] = entry
 
 
-def with_plugin_paths(option: str) -> str:
+def spell_out_plugin_paths(option: str) -> str:
     """Return an option method=NAME or dataset=NAME as another process understands it: with a loose file's path."""
     group, equals, names = option.partition("=")
     loose = _LOOSE.get(group, {})
@@ -129,13 +131,13 @@ def with_plugin_paths(option: str) -> str:
     return f"{group}{equals}{','.join(paths)}"
 
 
-def conf_folders() -> dict[str, Path]:
+def find_conf_folders() -> dict[str, Path]:
     """Return the folders that hold method/ and dataset/, by package: this project's and those of plug-ins."""
     found = {"vprbench": _find_folder("vprbench.conf"), **_find_plugins()}
     return {package: folder for package, folder in found.items() if folder is not None}
 
 
-def broken_plugins() -> Iterator[tuple[str, str]]:
+def list_broken_plugins() -> Iterator[tuple[str, str]]:
     """Yield each installed package whose folder of configurations is missing, with the reason."""
     for package, folder in _find_plugins().items():
         if folder is None:

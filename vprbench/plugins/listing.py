@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from vprbench.errors import BadInput
-from vprbench.plugins.entries import Entry, Folder, Group, entries
+from vprbench.plugins.entries import Entry, Folder, Group, find_entries
 from vprbench.plugins.options import option
 
 
@@ -49,7 +49,7 @@ def list_entries(words: Sequence[str], weights: str = "any") -> list[Listed]:
     """
     groups: dict[str, Group] = {"methods": "method", "datasets": "dataset"}
     wanted = [groups[word] for word in words if word in groups] or list(groups.values())
-    found = [describe_entry(entry) for group in wanted for entry in entries(group).values()]
+    found = [describe_entry(entry) for group in wanted for entry in find_entries(group).values()]
     for word in (word.lower() for word in words if word not in groups):
         found = [each for each in found if word in each.tags or word in f"{each.name} {each.description}".lower()]
     if weights != "any":

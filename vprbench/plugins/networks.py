@@ -21,9 +21,9 @@ from vprbench.api.weight_files import is_plain, read_weights
 from vprbench.errors import BadInput
 from vprbench.plugins import nir_files
 from vprbench.storage.atomic import remove_leftovers, replace_bytes
-from vprbench.storage.hashes import content_hash
-from vprbench.storage.tensors import Arrays, plain
-from vprbench.text import some
+from vprbench.storage.hashes import hash_file
+from vprbench.storage.tensors import Arrays, require_plain_numbers
+from vprbench.text import join_names
 
 _SUFFIXES, _PUBLISHED = (".safetensors", nir_files.SUFFIX), ".pth"  # of stored networks, of published ones
 _METADATA = "vprbench"  # the entry of a file's metadata that holds the origin of its network, as JSON
@@ -63,7 +63,7 @@ def find_network_files(save: str | None, load: str | None, replace: bool) -> Fil
     source = Path(load).expanduser()
     if source.suffix not in (*_SUFFIXES, _PUBLISHED) or not source.is_file():
         raise BadInput(f"load={load}: give a stored network ({', '.join(_SUFFIXES)}) or a published one ({_PUBLISHED})")
-    return Files(source, content_hash(source), target, replace)
+    return Files(source, hash_file(source), target, replace)
 
 
 def keeps_a_network(method: Method) -> bool:
@@ -117,7 +117,10 @@ def save_network(files: Files, method: Method, origin: Origin, references: Image
     run has stored a network there meanwhile, TypeError if `state` holds anything but arrays of numbers.
     """
     assert files.save is not None
-    state = {name: plain(array, f"{type(method).__name__}.state()[{name!r}]") for name, array in method.state().items()}
+    state = {
+        name: require_plain_numbers(array, f"{type(method).__name__}.state()[{name!r}]")
+        for name, array in method.state().items()
+    }
     content = save(state, {_METADATA: json.dumps(origin.model_dump())})
     if files.save.suffix == nir_files.SUFFIX:
         content = nir_files.format_network(method, references, content)
@@ -199,7 +202,7 @@ def _read_published(path: Path) -> Arrays:
     for name, value in read_weights(path).items():
         tensors |= {f"{name}.{key}": part for key, part in value.items()} if isinstance(value, dict) else {name: value}
     if odd := [name for name, value in tensors.items() if not is_plain(value)]:
-        raise BadInput(f"{path}: {some(odd)} hold no plain tensor; wanted state dictionaries of plain tensors")
+        raise BadInput(f"{path}: {join_names(odd)} hold no plain tensor; wanted state dictionaries of plain tensors")
     return {name: value.detach().float().clone().numpy() for name, value in tensors.items()}
 
 

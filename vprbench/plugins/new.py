@@ -11,7 +11,7 @@ from pathlib import Path
 from jinja2 import Template
 
 from vprbench.errors import BadInput
-from vprbench.plugins.entries import entries
+from vprbench.plugins.entries import find_entries
 from vprbench.plugins.options import option, parse_options
 
 _EXAMPLES = {"method": "dataset=synthetic dataset.places=100", "dataset": "method=sad"}
@@ -44,7 +44,7 @@ def write_plugin(words: Sequence[str]) -> str:
     if not re.fullmatch(r"[a-z]\w*", name, re.ASCII) or keyword.iskeyword(name):
         raise BadInput(f"new {group} {names[0]}: give letters, digits and '_', a letter first")
     path = Path(settings.folder).expanduser() / f"{name}.py"
-    if path.exists() or name in entries("method" if group == "method" else "dataset"):
+    if path.exists() or name in find_entries("method" if group == "method" else "dataset"):
         raise BadInput(f"new {group} {names[0]}: {name} is there already: choose another name")
     target = "".join(part.capitalize() for part in name.split("_")) if group == "method" else name
     template = Path(__file__).with_name("templates") / f"{group}.py.j2"

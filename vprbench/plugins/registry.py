@@ -6,35 +6,26 @@ import dataclasses
 import importlib
 import inspect
 import os
-import re
-import sys
 import traceback
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import suppress
 from pathlib import Path
 from types import ModuleType
-from typing import Any, get_args, get_type_hints
-
-from hydra.core.config_store import ConfigStore
-from pydantic_core import PydanticSerializationError, to_jsonable_python
+from typing import Any, get_type_hints
 
 from vprbench.api.dataset import Dataset, SharedFrames
 from vprbench.api.images import Images
 from vprbench.api.method import Method
 from vprbench.errors import BadInput
-from vprbench.plugins.entries import DECLARED, Entry, Group, conf_folders, entries, register_entry
+from vprbench.plugins.entries import DECLARED, Entry, Group, find_conf_folders, find_entries
 from vprbench.plugins.options import check_value, check_values
-from vprbench.text import suggest_names
 
-__all__ = ["check_value", "conf_folders", "entries"]  # of other modules, for callers of this one
+__all__ = ["check_value", "find_conf_folders", "find_entries"]  # of other modules, for callers of this one
 
 #: Parts of the names of source files that lie between the harness and a plug-in.
 _HARNESS_FILES = (str(Path(__file__).parents[1]), "importlib", "<frozen")
-_LOOSE_FILE = re.compile(r"(?P<file>[^][,()'\"]+\.py)(?::(?P<name>\w+))?")
-_RUN_ARGUMENTS = ("seed", "device")  # parameters of a method that take the values of the run
 
 
-def arguments(config: Mapping[str, Any]) -> dict[str, Any]:
+def take_arguments(config: Mapping[str, Any]) -> dict[str, Any]:
     """Return a configuration without the declarations of its yaml beside the arguments."""
     return {name: value for name, value in config.items() if name not in DECLARED}
 
@@ -77,7 +68,7 @@ def check_arguments(group: Group, config: Mapping[str, Any]) -> tuple[Callable[.
         known = {name: hints.get(name, Any) for name in inspect.signature(target).parameters}
     except Exception as error:  # hints are evaluated, and may raise anything
         raise BadInput(f"{config['_target_']}: its type hints cannot be read ({error}): import their names") from error
-    given = {name: value for name, value in arguments(config).items() if name != "_target_" and value != "???"}
+    given = {name: value for name, value in take_arguments(config).items() if name != "_target_" and value != "???"}
     return target, check_values(f"{group}.", given, known)
 
 
@@ -85,40 +76,9 @@ def list_data_files(method: Method, config: Mapping[str, Any]) -> list[Path]:
     """Return `files()` of a method, then the files that its arguments name; raises BadInput as `files()` does."""
     named = [*method.files()]
     known = {Path(path).expanduser().resolve() for path in named}
-    texts = map(os.path.expanduser, _list_texts(arguments(config)))
+    texts = map(os.path.expanduser, _list_texts(take_arguments(config)))
     others = {Path(text).resolve(): Path(text) for text in texts if os.path.isfile(text)}  # noqa: PTH113 (Path's raises)
     return [*named, *(path for whole, path in others.items() if whole not in known)]
-
-
-def resolve_name(group: Group, text: str) -> str:
-    """Return the name of a method or dataset; one in a loose file, ./mine.py:MyMethod, is registered by it first.
-
-    Raises BadInput if the file cannot be imported (with file and line of the error), has the name of another module or
-    has no such class or function, or if the name is another's.
-    """
-    parts = _LOOSE_FILE.fullmatch(text)
-    if parts is None:
-        return text
-    file, name = Path(parts["file"]).expanduser(), parts["name"]
-    if name is None:
-        raise BadInput(f"{group}={text}: name its class or function, as in {group}={file}:Mine")
-    module = _import_file(file)
-    target = getattr(module, name, None)
-    if not callable(target):
-        own = [one for one, value in vars(module).items() if getattr(value, "__module__", "") == module.__name__]
-        hint = f": {suggest_names(name, own)}" if own else ""
-        raise BadInput(f"{group}={text}: {file} defines no class or function {name}{hint}")
-    config = {"_target_": f"{module.__name__}.{name}", **_list_defaults(group, target)}
-    register_entry(Entry(group, name, file.absolute(), str(file), config=config))
-    ConfigStore.instance().store(group=group, name=name, node=config)
-    return name
-
-
-def register_loose_file(option: str) -> None:
-    """Register what method=./mine.py:MyMethod or dataset=./mine.py:my_dataset names; any other option is ignored."""
-    group, _, name = option.partition("=")
-    if group in get_args(Group):
-        resolve_name("method" if group == "method" else "dataset", name)
 
 
 def find_target(group: str, config: Mapping[str, Any], where: object) -> Callable[..., Any]:
@@ -137,7 +97,7 @@ def find_target(group: str, config: Mapping[str, Any], where: object) -> Callabl
     return found  # type: ignore[no-any-return]
 
 
-def module_beside(entry: Entry, module: str) -> ModuleType:
+def find_module_beside(entry: Entry, module: str) -> ModuleType:
     """Import and return a module of the package of a method or dataset, such as the readers of `folders`."""
     return importlib.import_module(f"{entry.target().__module__.rpartition('.')[0]}.{module}")
 
@@ -183,34 +143,3 @@ def _format_place(file: str | None, line: int | None) -> str:
     path = Path(file or "")
     shown = path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
     return f" ({shown}, line {line})" if file else ""
-
-
-def _import_file(file: Path) -> ModuleType:
-    path = file.absolute()
-    if not path.is_file():
-        raise BadInput(f"{file} is not there: give the path of the Python file, as in ./mine.py:MyMethod")
-    if str(path.parent) not in sys.path:
-        sys.path.append(str(path.parent))  # also for its imports from beside itself
-    importlib.invalidate_caches()
-    try:
-        module = importlib.import_module(path.stem)
-    except (Exception, SystemExit) as error:
-        raise BadInput(f"{file} cannot be imported: {describe_error(error)}") from error
-    if Path(module.__file__ or "").resolve() != path.resolve():
-        raise BadInput(f"{file}: another module has the name {path.stem} ({module.__file__}): rename the file")
-    return module
-
-
-def _list_defaults(group: Group, target: Any) -> dict[str, Any]:
-    """Return the parameters of a class or function with their defaults; ??? stands for none, as Hydra has it.
-
-    A default that JSON cannot hold is left to the class or function.
-    """
-    fields = dataclasses.fields(target) if dataclasses.is_dataclass(target) else ()
-    factories = {field.name: field.default_factory for field in fields if callable(field.default_factory)}
-    defaults: dict[str, Any] = {}
-    for name, parameter in inspect.signature(target).parameters.items():
-        value = factories[name]() if name in factories else parameter.default
-        with suppress(PydanticSerializationError):
-            defaults[name] = "???" if value is parameter.empty else to_jsonable_python(value)
-    return defaults | {name: f"${{{name}}}" for name in _RUN_ARGUMENTS if group == "method" and name in defaults}

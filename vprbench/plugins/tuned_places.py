@@ -57,7 +57,7 @@ def find_tuned_queries(dataset: Dataset, tuned_on: Mapping[str, Any]) -> list[in
     memory. No query is found if frames are computed, or if no conf folder has `shared/tuned_frames/DATASET.txt`.
     """
     name = f"{tuned_on.get('dataset', '')}.txt"
-    paths = [folder / "shared" / "tuned_frames" / name for folder in entries.conf_folders().values()]
+    paths = [folder / "shared" / "tuned_frames" / name for folder in entries.find_conf_folders().values()]
     path = next(filter(Path.is_file, paths), None)
     if path is None:
         return []

@@ -18,7 +18,7 @@ from vprbench.api.dataset import Dataset
 from vprbench.api.method import Method
 from vprbench.config import make_request
 from vprbench.errors import BadInput
-from vprbench.plugins import registry
+from vprbench.plugins import loose, registry
 from vprbench.plugins.entries import Group
 from vprbench.runs.sources import hash_class
 from vprbench.text import shorten
@@ -78,7 +78,7 @@ def method(name: str, /, **options: Any) -> NamedMethod:
 
     Raises BadInput, with the near names, for an unknown method or option.
     """
-    chosen = NamedMethod(registry.resolve_name("method", name), options)
+    chosen = NamedMethod(loose.resolve_name("method", name), options)
     make_request(chosen.overrides()[:1], chosen.values())
     return chosen
 
@@ -88,7 +88,7 @@ def dataset(name: str, /, **options: Any) -> NamedDataset:
 
     Raises BadInput, with the near names, for an unknown dataset or option.
     """
-    chosen = NamedDataset(registry.resolve_name("dataset", name), options)
+    chosen = NamedDataset(loose.resolve_name("dataset", name), options)
     make_request(chosen.overrides()[:1], chosen.values())
     return chosen
 

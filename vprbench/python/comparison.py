@@ -30,7 +30,7 @@ from vprbench.runs.request import spell_out_metrics
 from vprbench.runs.rows import UNTIMED
 from vprbench.runs.sequences import parse_views
 from vprbench.runs.timing_protocol import Protocol
-from vprbench.text import NOTHING, format_interval, format_percent, format_two_digits, plural, shorten
+from vprbench.text import NOTHING, format_count, format_interval, format_percent, format_two_digits, shorten
 
 if TYPE_CHECKING:
     from vprbench.report.figures.style import Figure
@@ -120,7 +120,7 @@ class Comparison:
         They are the files of `vprbench compare`, named after the dataset unless a `name` is given. Raises BadInput if
         the folder cannot be written.
         """
-        from vprbench.report.comparison.make import predict_places, write_comparison
+        from vprbench.report.comparison import predict_places, write_comparison
 
         best = predict_places(self.report, self.results[0].dataset, None)
         robust = self.robustness if self.corrupted else None
@@ -138,7 +138,7 @@ class Comparison:
         return "\n".join([self._format_table().to_string(index=False), *self.ranking.sentences])
 
     def __repr__(self) -> str:
-        methods = plural(len(self.methods), "method")
+        methods = format_count(len(self.methods), "method")
         return shorten(f"<{methods} on {self.results[0].run.dataset}: {self.sentence}>")
 
     def _repr_html_(self) -> str:

@@ -118,7 +118,7 @@ def dataset_of(
 
 def _reader(module: str) -> Any:
     """Return a module of the package that reads the dataset `folders`."""
-    return registry.module_beside(registry.entries("dataset")["folders"], module)
+    return registry.find_module_beside(registry.find_entries("dataset")["folders"], module)
 
 
 def _split_traverses(references: Any) -> list[Any]:

@@ -8,20 +8,20 @@ from pathlib import Path
 import pandas as pd
 
 from vprbench.errors import BadInput
-from vprbench.plugins.entries import entries
+from vprbench.plugins.entries import find_entries
 from vprbench.plugins.listing import Listed, describe_entry
 
 
 def methods() -> pd.DataFrame:
     """Return the registered methods, a row each; imports none of them."""
-    shown = [describe_entry(entry) for entry in entries("method").values()]
+    shown = [describe_entry(entry) for entry in find_entries("method").values()]
     spiking = ["spiking" in each.tags for each in shown]
     return _tabulate(shown).assign(spiking=spiking, needs_weights=[each.needs_weights for each in shown])
 
 
 def datasets() -> pd.DataFrame:
     """Return the registered datasets, a row each; looks for no frames."""
-    return _tabulate([describe_entry(entry) for entry in entries("dataset").values()])
+    return _tabulate([describe_entry(entry) for entry in find_entries("dataset").values()])
 
 
 def results(folder: str | Path = "results") -> pd.DataFrame:

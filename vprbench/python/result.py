@@ -22,12 +22,12 @@ from vprbench.metrics.ranking import outcome_of_best
 from vprbench.runs import frame, rows
 from vprbench.runs.predictions import require_depth, tabulate_predictions
 from vprbench.runs.query_results import RIGHT, UNANSWERABLE, UNJUDGED, judge_answers
-from vprbench.runs.recall_intervals import difference_of_recalls, recall_interval
+from vprbench.runs.recall_intervals import estimate_recall_difference, estimate_recall_interval
 from vprbench.runs.record import Run
 from vprbench.runs.sequences import Views, parse_views
-from vprbench.runs.stopwatch import Timing, streaming_rate
+from vprbench.runs.stopwatch import Timing, compute_streaming_rate
 from vprbench.runs.tuned import list_notes
-from vprbench.runs.views import queries_shown
+from vprbench.runs.views import list_shown_queries
 from vprbench.text import shorten
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ class Result:
     def hz(self) -> float:
         """Queries per second, one at a time, encode and match together; NaN if the run was not timed."""
         timing: Timing | None = self.run.timing
-        return NAN if timing is None else streaming_rate(timing.streaming.total_seconds)
+        return NAN if timing is None else compute_streaming_rate(timing.streaming.total_seconds)
 
     def recall(self, n: int = 1, tolerance: int = 0) -> float:
         """Return the share of queries with a right place among the best `n`, 0 to 1; NaN if none has a right place.
@@ -119,12 +119,12 @@ class Result:
         results on different data.
         """
         if other is None:
-            return recall_interval([self.run], confidence)
+            return estimate_recall_interval([self.run], confidence)
         if (self.run.fingerprint, self.run.protocol) != (other.run.fingerprint, other.run.protocol):
             raise BadInput(
                 f"{self.run.dataset} and {other.run.dataset}: a difference needs results on the same queries"
             )
-        return difference_of_recalls(self.run, other.run, confidence)
+        return estimate_recall_difference(self.run, other.run, confidence)
 
     def to_frame(self) -> pd.DataFrame:
         """Return a row for each query.
@@ -188,7 +188,7 @@ class Result:
                 "neighbouring queries are in dictionary order, not in that of their numbers: ... %s ...", step
             )
         run = view(self.run)
-        kept = np.searchsorted(queries_shown(self.run), queries_shown(run)).tolist()
+        kept = np.searchsorted(list_shown_queries(self.run), list_shown_queries(run)).tolist()
         return replace(self, run=run, queries=tuple(self.queries[query] for query in kept))
 
     def plot_pr(self) -> Figure:

@@ -3,29 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from vprbench.errors import BadInput
-from vprbench.jobs.job import JobResult
 from vprbench.report.gather import Plan, Report, assemble_report, load_stored_runs
 from vprbench.report.missing_runs import resolve_results_folder
-from vprbench.report.plan import NO_PLAN, PlannedColumn, Row
-from vprbench.report.ranking import rank_rows
+from vprbench.report.plan import PlannedColumn, Row
 from vprbench.report.run_options import FolderRequest
 from vprbench.report.selection import (
     DatasetRuns,
     ResolvedColumn,
-    apply_views,
     format_plain_values,
-    list_accuracy_runs,
-    sort_failures,
+    number_groups,
     split_by_frames,
 )
 from vprbench.report.table import formats
 from vprbench.report.table.make import write_table
-from vprbench.report.table.quantities import drop_accuracies, list_comparison_quantities
 from vprbench.runs.frame import format_label
 from vprbench.runs.record import Failure, Run
 from vprbench.runs.request import RunRequest
@@ -86,43 +80,19 @@ def report_runs(
     """
     runs = [run for run in runs if run.config.get("corruption") is None]
     failures = [failure for failure in failures if failure.config.get("corruption") is None]
-    devices = sorted({str(run.config["device"]) for run in runs})
+    groups = group_runs(runs, failures)
     chosen = Plan(
-        NO_PLAN,
-        describe_rows([*runs, *failures]),
-        (),
-        tuple(devices),
+        rows=describe_rows([*runs, *failures]),
+        columns=tuple(group.column for group in groups),
+        devices=tuple(sorted({str(run.config["device"]) for run in runs})),
         metrics=tuple(metrics),
         results=results,
         stores=tuple(stores),
         stored=True,
         title=title,
-        quantities=list_comparison_quantities(metrics, devices),
         views=tuple(views),
     )
-    return assemble_groups(chosen, group_runs(runs, failures))
-
-
-def assemble_groups(chosen: Plan, groups: Sequence[DatasetRuns], job_results: Sequence[JobResult] = ()) -> Report:
-    """Return the report of groups of runs, in the views that `chosen` names.
-
-    Rows come by their R@1 in the first group that has them, rows without runs last. Without a ground truth there is no
-    accuracy. Raises BadInput if there is no run.
-    """
-    shown = apply_views(groups, chosen.rows, chosen.views)
-    ranks: dict[str, int] = {}
-    for group in shown:
-        for name in rank_rows(list_accuracy_runs(group, chosen.rows)).table["method"]:
-            ranks.setdefault(name, len(ranks))
-    runs = [run for group in groups for run in group.runs]
-    chosen = replace(
-        chosen,
-        rows=tuple(sorted(chosen.rows, key=lambda row: ranks.get(row.name, len(ranks)))),
-        columns=tuple(group.column for group in groups),
-    )
-    if runs and not any(run.is_judged for run in runs):
-        chosen = replace(chosen, quantities=drop_accuracies(chosen.quantities))
-    return assemble_report(chosen, shown, runs, tuple(job_results))
+    return assemble_report(chosen, groups, [run for group in groups for run in group.runs])
 
 
 def describe_rows(results: Iterable[Run | Failure]) -> tuple[Row, ...]:
@@ -153,12 +123,11 @@ def group_runs(runs: Sequence[Run], failures: Sequence[Failure]) -> list[Dataset
     for dataset in sorted({run.dataset for run in runs}):
         sets = split_by_frames(run for run in runs if run.dataset == dataset)
         titles = _name_protocols(dataset, [members[0].protocol for members in sets])
-        failed = tuple(sort_failures(failure for failure in failures if failure.dataset == dataset))
-        for number, (title, members) in enumerate(zip(titles, sets, strict=True), 1):
-            config = members[0].config
-            planned = PlannedColumn(dataset, title, ())
-            column = ResolvedColumn(planned, config["dataset"], views=config.get("views"))
-            found.append(DatasetRuns(column, number, members, failed if number == 1 else ()))
+        columns = [
+            ResolvedColumn(PlannedColumn(dataset, title, ()), first.config["dataset"], views=first.config.get("views"))
+            for title, (first, *_) in zip(titles, sets, strict=True)
+        ]
+        found += number_groups(columns, sets, (failure for failure in failures if failure.dataset == dataset))
     return found
 
 

@@ -1,24 +1,27 @@
-"""Runs that the table and the figures want and the store lacks, each made in a process of its own."""
+"""Runs that a table, a comparison or figures lack: those that are stored are found, the others made in processes."""
 
 from __future__ import annotations
 
+import contextlib
+import io
 import logging
 import sys
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from vprbench.config import make_request
-from vprbench.errors import BadInput
+from vprbench.api.dataset import Dataset
 from vprbench.jobs.executors import Executor, Numbered, run_all
-from vprbench.jobs.job import JobResult, describe_failure
+from vprbench.jobs.job import JobResult
 from vprbench.plugins import registry
+from vprbench.progress import show_progress
 from vprbench.report.plan import Row
-from vprbench.report.stored_runs import StoredRuns
+from vprbench.runs.experiment import build_experiment, corrupt_experiment
+from vprbench.runs.get_or_run import find_run
 from vprbench.runs.request import RunRequest
+from vprbench.runs.run_files import hash_content
 from vprbench.runs.store import Store
+from vprbench.runs.thumbnails import load_thumbnails
 from vprbench.terminal.live import LiveTable
 
 logger = logging.getLogger(__name__)
@@ -31,72 +34,39 @@ class Cell:
     row: Row
     title: str  # of the dataset, for people
     request: RunRequest
-    error: str = ""  # why no process can make it
-    missing: bool = False  # whether that is because its method is not there
 
     @property
     def column(self) -> str:
         """The title of its dataset, with the device if that is not the CPU."""
         return self.title if self.request.device == "cpu" else f"{self.title}, {self.request.device}"
 
-    def each(self) -> list[Cell]:
-        """Return a cell for each of its corruptions."""
-        return [replace(self, request=self.request.with_corruption(name)) for name in self.request.corruptions]
-
-
-def make_cell(row: Row, title: str, options: Sequence[str], values: Mapping[str, Any]) -> Cell:
-    """Return a run of a row; one whose method is unknown, or whose options do not fit, says so in its `error`.
-
-    Args:
-        row: the method and its arguments.
-        title: the title of the dataset.
-        options: of the command line, with the dataset's.
-        values: more options by their dotted names, as seed and device.
-    """
-    arguments = {f"method.{name}": value for name, value in _flatten(row.arguments)}
-    known = row.method in registry.entries("method")
-    try:
-        if known:
-            return Cell(row, title, make_request([*options, f"method={row.method}"], {**values, **arguments}))
-        error = f"there is no method {row.method} here yet"
-    except BadInput as refused:
-        error = str(refused)
-    given = dict(row.arguments)
-    nobody = {"method_name": row.method, "method": given, "changed": given, "tuned_on": {}}
-    return Cell(row, title, make_request(options, values, nobody), error, missing=not known)
-
-
-def _flatten(arguments: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-    """Yield arguments; a value inside a mapping has a dotted name."""
-    for name, value in arguments.items():
-        if isinstance(value, Mapping) and value:
-            yield from ((f"{name}.{inner}", given) for inner, given in _flatten(value))
-        else:
-            yield name, value
+    @property
+    def words(self) -> str:
+        """The run as a line for people."""
+        facts = [f"seed {self.request.seed}", self.request.device, *self.request.corruptions]
+        return f"{self.row.name} on {self.title}, {', '.join(facts)}"
 
 
 def make_missing_runs(wanted: Sequence[Cell], store: Store, executor: Executor | None = None) -> list[JobResult]:
     """Make the runs that are not stored yet, by an executor or one after the other; returns the outcome of each.
 
-    For a run that is stored no process is started, nor for a seed once weights or frames are missing for another seed
-    of the row. A failure is stored, never raised.
+    For a run that is stored no process is started, nor for a row in a column where its weights or frames are missing. A
+    failure is stored, never raised.
     """
-    executor = executor or Executor()
-    stored = StoredRuns(store)
-    missing: dict[tuple[str, str], JobResult] = {}  # by row and column
+    executor, datasets = executor or Executor(), dict[str, Dataset]()
     results: dict[int, JobResult] = {}
+    missing: dict[tuple[str, str], JobResult] = {}  # by row and column
     rows, columns = dict.fromkeys(cell.row.name for cell in wanted), dict.fromkeys(cell.column for cell in wanted)
     is_shown = sys.stderr.isatty() and len(wanted) > 1
     table = LiveTable([*rows], [*columns], len(wanted)) if is_shown else None
 
     def begin(number: int) -> None:
         cell = wanted[number]
-        title = f"{cell.row.name} on {cell.title}, seed {cell.request.seed}, {cell.request.device}"
         if table is None:
-            logger.info("[%d/%d] %s", number + 1, len(wanted), title)
+            logger.info("[%d/%d] %s", number + 1, len(wanted), cell.words)
         else:
             table.show(cell.row.name, cell.column, "runs", "cyan")
-            table.begin(number, title)
+            table.begin(number, cell.words)
 
     def hear(line: str) -> None:
         if line and table is not None:
@@ -105,9 +75,8 @@ def make_missing_runs(wanted: Sequence[Cell], store: Store, executor: Executor |
     def end(number: int, result: JobResult) -> None:
         cell = wanted[number]
         results[number] = result
-        is_known = (cell.row.name, cell.column) in missing
-        is_retried = isinstance(cell.request.corruption, list)  # each of the corruptions in a process of its own
-        if result.failure is not None and not is_known and not is_retried:
+        is_known = result is missing.get((cell.row.name, cell.column))
+        if result.failure is not None and not is_known and not isinstance(cell.request.corruption, list):
             store.prepare()
             store.save_failure(result.failure)
         if result.missing:
@@ -121,26 +90,43 @@ def make_missing_runs(wanted: Sequence[Cell], store: Store, executor: Executor |
 
     def list_missing() -> Iterator[Numbered]:
         for number, cell in enumerate(wanted):
-            result = missing.get((cell.row.name, cell.column)) or _end_without_process(cell, stored)
+            result = missing.get((cell.row.name, cell.column))
+            if result is None and _is_stored(cell.request, store, datasets):
+                result = JobResult(0)
             if result is None:
                 yield number, cell.request
             else:
                 end(number, result)
 
-    with table.shown() if table else nullcontext():
+    with table.shown() if table else contextlib.nullcontext():
         for number, result in run_all(executor, list_missing(), begin, hear if table else None):
             end(number, result)
     return [results[number] for number in range(len(wanted))]
 
 
-def _end_without_process(cell: Cell, stored: StoredRuns) -> JobResult | None:
-    """Return the outcome of a run that is stored or that no process can make; None for a run to be made."""
-    entry = registry.entries("method").get(cell.row.method)
-    if entry is not None and cell.request.device != "cpu" and "device" not in entry.options:
-        return JobResult(0)
-    if cell.error:
-        return JobResult(2, describe_failure(cell.request, cell.error, cell.missing))
-    return JobResult(0) if stored.holds(cell.request) else None
+def _is_stored(request: RunRequest, store: Store, datasets: dict[str, Dataset]) -> bool:
+    """Tell whether a process would find the run of a request, for each of its corruptions, with nothing to add.
+
+    Nothing is built if the method has no stored run; `datasets` that were built are kept. False for whatever raises an
+    error here: a process tells it.
+    """
+    if request.force or not any(store.root.glob(f"*/{request.method_name}-*")):
+        return False
+    key = hash_content(request.dataset)
+    try:
+        with contextlib.redirect_stdout(io.StringIO()), show_progress(request.dataset_name):
+            if key not in datasets:
+                datasets[key] = registry.make_dataset(request.dataset)
+            clean = build_experiment(request, datasets[key])
+            several = request.corruption if isinstance(request.corruption, list) else []
+            return all(
+                find_run(one, store) is not None
+                and not (request.frames and load_thumbnails(store.root, one.fingerprint) is None)
+                for one in [corrupt_experiment(clean, name) for name in several] or [clean]
+            )
+    except (Exception, SystemExit) as error:  # whatever a plug-in raises
+        logger.debug("whether %s is stored is left to a process: %s", request.method_name, error)
+        return False
 
 
 def resolve_results_folder(results: str) -> Path:

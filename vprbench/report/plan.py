@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -12,11 +13,11 @@ from pydantic import Field
 
 from vprbench.errors import BadInput
 from vprbench.plugins.options import check_value
-from vprbench.report.published import Published, read_published_numbers
 
 Boundary = Literal["encode", "match"]  # the step that the published query rate of a row covers
 Training = Literal["own", "none", "pretrained", "map"]  # map: it builds the map and trains nothing
 Seeds = Annotated[tuple[int, ...], Field(min_length=1)]
+Numbers = Mapping[tuple[str, str], Mapping[str, float | None]]
 _FORBID = {"extra": "forbid"}
 
 PLAN_FILE = "paper/table2.yaml"  # in conf/: the plan of `vprbench table`
@@ -79,9 +80,31 @@ class Growth:
         return PlannedColumn(f"growth_{places}", f"{places:,} places", options)
 
 
-_KINDS: dict[str, Any] = {"rows": Row, "more_rows": Row, "columns": PlannedColumn}
-_KINDS |= {"growth": Growth, "seeds": Seeds, "published": Published}
-_WHOLE = {"growth", "seeds", "published"}  # parts that are no mapping of names to rows or columns
+@dataclass(frozen=True)
+class Published:
+    """A published table: its numbers, and the facts by which a reader compares them with measured ones."""
+
+    __pydantic_config__: ClassVar[Any] = _FORBID
+
+    title: str  # of the table that stands beside it
+    source: str  # the publication and its table
+    cpu: str  # of its machine
+    gpu: str
+    numbers_file: str  # beside the plan: a CSV with method, dataset, metric and value
+    protocols: Mapping[str, str] = field(default_factory=dict)  # by dataset: places, queries and tolerance in words
+    figures: Mapping[str, str] = field(default_factory=dict)  # numbers of its figures by their names here
+    shown_row: str | None = None  # the row whose similarities it draws
+    growth_claim: str = ""  # on time against places, a sentence
+    numbers: Numbers = field(default_factory=dict)  # by row and dataset: numbers by metric, None where it has a dash
+
+    def number_figure(self, name: str) -> str:
+        """Return the name of a figure after its number in the publication; the name alone if it has none."""
+        kinds = (kind for kind in self.figures if name == kind or name.startswith(f"{kind}-"))
+        return next((f"{self.figures[kind]}-{name}" for kind in kinds), name)
+
+
+_BY_NAME: dict[str, type] = {"rows": Row, "more_rows": Row, "columns": PlannedColumn}
+_WHOLE: dict[str, Any] = {"growth": Growth, "seeds": Seeds, "published": Published}
 
 
 @dataclass(frozen=True)
@@ -102,68 +125,74 @@ NO_PLAN = PlanFile({}, {}, {}, Growth((), (), (), 0))
 
 def read_plan(path: Path) -> PlanFile:
     """Read the plan; raises BadInput, naming the file, where a part is missing or unknown."""
-    plan = PlanFile(**_read_parts(path, _KINDS))
-    _require_columns(plan.columns, path)
-    if plan.published is not None:
-        plan = replace(plan, published=_read_numbers(plan.published, path.parent))
-    return plan
-
-
-def _read_numbers(published: Published, folder: Path) -> Published:
-    path = folder / published.numbers_file
-    try:
-        return replace(published, numbers=read_published_numbers(path))
-    except (OSError, KeyError, ValueError) as error:
-        raise BadInput(
-            f"{path} holds no published numbers ({error}): compare it with the one of this project"
-        ) from error
+    plan = PlanFile(**_read_parts(path, {*_BY_NAME, *_WHOLE}))
+    if plan.published is None:
+        return plan
+    numbers = _read_published_numbers(path.parent / plan.published.numbers_file)
+    return replace(plan, published=replace(plan.published, numbers=numbers))
 
 
 def add_plug_ins(plan: PlanFile, folders: Mapping[str, Path]) -> PlanFile:
     """Return our plan with the rows and columns that plug-ins bring; `folders` are those of yaml files, by provider.
 
     A plug-in's `table/*.yaml` may hold `rows` and `columns` as ours does; a request names what it shows of them. Raises
-    BadInput that names both owners if a name is taken.
+    BadInput if a name is taken.
     """
     rows, columns = dict(plan.more_rows), dict(plan.columns)
-    ours = [*plan.rows, *rows, *columns, *(row.name for row in rows.values())]
-    owners = dict.fromkeys(ours, "vprbench")
     for provider, folder in folders.items():
         for path in sorted((folder / "table").glob("*.yaml")) if provider != "vprbench" else ():
-            more = _read_parts(path, ("rows", "columns"))
-            for name in dict.fromkeys([*more["rows"], *more["columns"], *(row.name for row in more["rows"].values())]):
-                if name in owners:
-                    raise BadInput(f"{path}: {name} of {provider} has the name of one of {owners[name]}: rename it")
-                owners[name] = provider
+            more = _read_parts(path, {"rows", "columns"}, columns)
+            if taken := _list_names(more["rows"], more["columns"]) & _list_names({**plan.rows, **rows}, columns):
+                raise BadInput(
+                    f"{path}: {', '.join(sorted(taken))} of {provider} is the name of another one: rename it"
+                )
             rows |= more["rows"]
             columns |= {name: replace(column, on_request=True) for name, column in more["columns"].items()}
-            _require_columns(columns, path)
     return replace(plan, more_rows=rows, columns=columns)
 
 
-def _read_parts(path: Path, names: Collection[str]) -> dict[str, Any]:
-    """Return the parts of a yaml; of rows and columns there may be none."""
+def _list_names(rows: Mapping[str, Row], columns: Collection[str]) -> set[str]:
+    return {*rows, *(row.name for row in rows.values()), *columns}
+
+
+def _read_parts(path: Path, names: Collection[str], known: Collection[str] = ()) -> dict[str, Any]:
+    """Return the parts of a yaml, rows and columns by name; `known` columns may be stood in for too."""
     try:
         content: dict[str, Any] = {"rows": {}, "columns": {}, **yaml.safe_load(path.read_text(encoding="utf-8"))}
         if wrong := (content.keys() ^ names) - ({"published"} & {*names}):
             raise ValueError(f"{', '.join(wrong)} is missing or unknown")
-        for group in content.keys() - _WHOLE:
-            content[group] = {name: {"name": name, **given} for name, given in content[group].items()}
+        named = {
+            group: {name: {"name": name, **given} for name, given in content[group].items()}
+            for group in content.keys() & _BY_NAME.keys()
+        }
     except (OSError, yaml.YAMLError, TypeError, ValueError, AttributeError) as error:
         raise BadInput(f"{path} is no plan of a table ({error}): compare it with the one of this project") from error
-    for group, parts in content.items():
-        if group in _WHOLE:
-            content[group] = check_value(f"{path}: {group}", parts, _KINDS[group])
-        else:
-            checks = {
-                name: check_value(f"{path}: {group}.{name}", given, _KINDS[group]) for name, given in parts.items()
-            }
-            content[group] = checks
-    return content
+    parts = {
+        group: check_value(f"{path}: {group}", content[group], kind)
+        for group, kind in _WHOLE.items()
+        if group in content
+    }
+    for group, given in named.items():
+        parts[group] = {
+            name: check_value(f"{path}: {group}.{name}", each, _BY_NAME[group]) for name, each in given.items()
+        }
+    columns = [*known, *parts["columns"]]
+    for column in parts["columns"].values():
+        if column.stand_in_for not in (None, *columns):
+            stood_in = f"names {column.stand_in_for}, which is none: there are {columns}"
+            raise BadInput(f"{path}: column {column.name} {stood_in}")
+    return parts
 
 
-def _require_columns(columns: Mapping[str, PlannedColumn], origin: object) -> None:
-    for column in columns.values():
-        if column.stand_in_for is not None and column.stand_in_for not in columns:
-            named = column.stand_in_for
-            raise BadInput(f"{origin}: column {column.name} names {named}, which is none: there are {[*columns]}")
+def _read_published_numbers(path: Path) -> Numbers:
+    """Return the numbers of a CSV by row and dataset: R@1 in %, training in minutes, queries in Hz; None is a dash."""
+    printed: dict[tuple[str, str], dict[str, float | None]] = {}
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            for line in csv.DictReader(file):
+                cells = printed.setdefault((line["method"], line["dataset"]), {})
+                cells[line["metric"]] = float(line["value"]) if line["value"] else None
+    except (OSError, KeyError, ValueError) as error:
+        reason = f"holds no published numbers ({error})"
+        raise BadInput(f"{path} {reason}: compare it with the one of this project") from error
+    return printed

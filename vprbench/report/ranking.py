@@ -15,10 +15,10 @@ from vprbench.report.selection import MethodRuns
 from vprbench.report.table.best import Contestant, average_recall, compute_rate, find_best_rate
 from vprbench.report.table.quantities import RATES, RECALL
 from vprbench.runs.frame import iterate_rows
-from vprbench.runs.recall_intervals import list_hits, recall_interval
+from vprbench.runs.recall_intervals import estimate_recall_interval, list_hits
 from vprbench.runs.record import Run
 from vprbench.runs.tuned import all_without_tuning_places, draws_at_random, overlaps_tuning_places
-from vprbench.runs.views import window_of
+from vprbench.runs.views import get_window_length
 from vprbench.text import format_interval, format_percent
 
 #: The columns of a ranking; numbers are of all seeds of a row, and None where there is none.
@@ -68,7 +68,7 @@ def _list_numbers(runs: Sequence[Run]) -> dict[str, Any]:
 
 
 def _estimate_recall(runs: Sequence[Run]) -> tuple[float | None, float | None, float | None]:
-    interval = recall_interval(runs)
+    interval = estimate_recall_interval(runs)
     return (average_recall(runs), *((None, None) if interval is None else (interval.low, interval.high)))
 
 
@@ -102,6 +102,6 @@ def _describe_difference(first: Any, second: Any) -> str:
     """Return by how much one row is above the other, with the interval of their R@1, of several seeds of the mean."""
     points = first.recall_at_1 - second.recall_at_1
     ours, theirs = (np.mean([list_hits(run) for run in row.runs], axis=0) for row in (first, second))
-    interval = difference_interval(ours, theirs, window=window_of(first.runs[0]))
+    interval = difference_interval(ours, theirs, window=get_window_length(first.runs[0]))
     ends = "" if interval is None else f" {format_interval(interval.low, interval.high)}"
     return f"{f'{format_percent(points)} points above' if points else 'level with'} {second.method}{ends}"

@@ -17,7 +17,7 @@ from vprbench.report.table.formats import escape_markdown
 from vprbench.runs import rows
 from vprbench.runs.corruption import KINDS, STRENGTHS, Corruption
 from vprbench.runs.frame import iterate_rows
-from vprbench.runs.recall_intervals import list_hits, recall_interval
+from vprbench.runs.recall_intervals import estimate_recall_interval, list_hits
 from vprbench.runs.tuned import describe_tuning
 from vprbench.text import NOTHING, format_percent
 
@@ -71,7 +71,7 @@ def measure_robustness(clean: Sequence[MethodRuns], corrupted: Mapping[Corruptio
 
 def _measure_point(row: MethodRuns, clean: MethodRuns, one: Corruption | None) -> dict[str, Any]:
     before, recall = average_recall(clean.runs) or 0.0, average_recall(row.runs) or 0.0
-    interval, drop = recall_interval(row.runs), None
+    interval, drop = estimate_recall_interval(row.runs), None
     if one is not None:
         ours, theirs = (np.mean([list_hits(run) for run in each.runs], axis=0) for each in (clean, row))
         drop = difference_interval(ours, theirs)

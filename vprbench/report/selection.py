@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, TypeVar
 
@@ -24,15 +24,6 @@ _PER_RUN = ("_target_", "seed", "device")  # arguments of a method in which the 
 
 
 @dataclass(frozen=True)
-class Frames:
-    """The frames, places and threads of the runs of a column whose dataset was built."""
-
-    fingerprint: str
-    protocol: Mapping[str, Any]
-    threads: int
-
-
-@dataclass(frozen=True)
 class ResolvedColumn:
     """A column of the table and the arguments of its dataset."""
 
@@ -40,7 +31,7 @@ class ResolvedColumn:
     dataset: Mapping[str, Any]  # the resolved arguments of the dataset, as a run's configuration holds them
     corruption: str | list[str] | None = None  # of the query frames; None: they are clean
     views: Any = None  # the option that says from which viewpoints queries are asked
-    frames: Frames | None = None  # runs of these frames alone belong to it; None: runs with these arguments
+    frames: str | None = None  # runs of these frames alone belong to it (`describe_frames`); None: of these arguments
 
 
 @dataclass(frozen=True)
@@ -87,16 +78,24 @@ def group_runs_by_column(
     empty group where it has no run. The order of `runs` changes nothing.
     """
 
-    def select(results: Iterable[Result], column: ResolvedColumn) -> list[Result]:
-        there = (one for one in results if _belongs_to_column(one, column))
-        return [one for one in there if any(_belongs_to_row(one, row) for row in rows)]
+    def select(results: Iterable[Result]) -> list[Result]:
+        return [one for one in results if any(_belongs_to_row(one, row) for row in rows)]
 
-    runs, failures, found = [*runs], sort_failures(failures), list[DatasetRuns]()
+    runs, failures, found = select(runs), select(failures), list[DatasetRuns]()
     for column in columns:
-        failed = tuple(select(failures, column))
-        for number, members in enumerate(split_by_frames(select(runs, column)) or [()], 1):
-            found.append(DatasetRuns(column, number, members, failed if number == 1 else ()))
+        sets = split_by_frames(run for run in runs if _belongs_to_column(run, column))
+        failed = [failure for failure in failures if _belongs_to_column(failure, column)]
+        found += number_groups([column] * max(1, len(sets)), sets or [()], failed)
     return found
+
+
+def number_groups(
+    columns: Sequence[ResolvedColumn], sets: Sequence[tuple[Run, ...]], failures: Iterable[Failure]
+) -> Iterator[DatasetRuns]:
+    """Yield a group for each set of runs in its column; failures, which have no frames, stand in the first."""
+    failed = tuple(sorted(failures, key=lambda failure: (failure.method, get_time(failure), failure.error)))
+    for number, (column, members) in enumerate(zip(columns, sets, strict=True), 1):
+        yield DatasetRuns(column, number, members, failed if number == 1 else ())
 
 
 def split_by_frames(runs: Iterable[Run]) -> list[tuple[Run, ...]]:
@@ -111,9 +110,9 @@ def split_by_frames(runs: Iterable[Run]) -> list[tuple[Run, ...]]:
     return [tuple(members) for _, members in newest_first]
 
 
-def sort_failures(failures: Iterable[Failure]) -> list[Failure]:
-    """Return failures by their method, those of one method from the oldest to the newest."""
-    return sorted(failures, key=lambda failure: (failure.method, get_time(failure), failure.error))
+def describe_frames(fingerprint: str, protocol: Mapping[str, Any], threads: int | None) -> str:
+    """Return the frames, places and threads of a run as text that is the same for equal ones."""
+    return format_plain_values([fingerprint, protocol, threads])
 
 
 def select_row_runs(group: DatasetRuns, row: Row, device: Device) -> RowRuns:
@@ -178,11 +177,8 @@ def _belongs_to_column(result: Run | Failure, column: ResolvedColumn) -> bool:
         return False
     if parse_viewpoints(given.get("views")) != parse_viewpoints(column.views):
         return False
-    if isinstance(result, Run) and (frames := column.frames) is not None:
-        wanted = [frames.fingerprint, frames.protocol, frames.threads]
-        return format_plain_values(
-            [result.fingerprint, result.protocol, result.environment.get("threads")]
-        ) == format_plain_values(wanted)
+    if isinstance(result, Run) and column.frames is not None:
+        return column.frames == describe_frames(result.fingerprint, result.protocol, result.environment.get("threads"))
     ours, theirs = column.dataset, given.get("dataset", {})
     ignored = {"_target_", "on_disk", *ours.get("on_disk", ()), *theirs.get("on_disk", ())}
     both = ours.keys() & theirs.keys() - ignored

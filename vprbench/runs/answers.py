@@ -21,7 +21,7 @@ from vprbench.api.search import Audit
 from vprbench.errors import BadInput
 from vprbench.metrics.ranking import Outcome, checked_scores, concatenate, outcome, outcome_of_best, ranked_places
 from vprbench.runs.descriptors import DescriptorCache
-from vprbench.runs.scorers import Answer, QueryScorer, block_size, encode_sample
+from vprbench.runs.scorers import Answer, QueryScorer, choose_block_size, encode_sample
 from vprbench.runs.stopwatch import Stopwatch
 
 _LARGEST_MATRIX = 10_000_000  # scores kept whole up to this number
@@ -36,7 +36,7 @@ class QueryScoring:
         """Keep the best `depth` places of each query, and all scores if they are few or if `whole`."""
         self._stopwatch, self._scorer, self._depth = stopwatch, scorer, depth
         self._queries, self._positives, self._n_places = dataset.queries.unnamed(), dataset.positives, dataset.n_places
-        self._size = block_size(scorer, dataset.n_places)
+        self._size = choose_block_size(scorer, dataset.n_places)
         self._done = 0
         self._outcomes: list[Outcome] = []
         self._places: list[npt.NDArray[np.int32]] = []

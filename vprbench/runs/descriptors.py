@@ -16,8 +16,7 @@ from vprbench.api.images import Images
 from vprbench.api.method import Method
 from vprbench.api.weights import Weights
 from vprbench.runs import machine
-from vprbench.runs.run_files import content_key
-from vprbench.runs.scorers import LARGE_MAP
+from vprbench.runs.run_files import hash_content
 from vprbench.runs.sources import hash_class
 from vprbench.storage.row_files import keep_rows
 
@@ -30,19 +29,12 @@ class DescriptorCache:
     origin: Mapping[str, Any]  # all but the images that a descriptor comes from
 
     @classmethod
-    def of(
-        cls, folder: Path | None, method: Method, config: Mapping[str, Any], n_places: int
-    ) -> DescriptorCache | None:
+    def of(cls, folder: Path | None, method: Method, config: Mapping[str, Any]) -> DescriptorCache | None:
         """Return the cache for the descriptors of a run's method; None if none are kept.
 
-        Those of a large map are kept however fast they are made, so that a killed run goes on, unless a method may
-        learn what they are. The path and the name of a file of weights do not count, for its content does.
+        The path and the name of a file of weights do not count, for its content does.
         """
-        if folder is None or not isinstance(method, DescriptorMethod):
-            return None
-        own = ("fit", "calibrate", "keeps_descriptors")
-        fixed = all(getattr(type(method), name) is getattr(DescriptorMethod, name) for name in own)
-        if not (method.keeps_descriptors() or (fixed and n_places > LARGE_MAP)):
+        if folder is None or not isinstance(method, DescriptorMethod) or not method.keeps_descriptors():
             return None
         apart = {"_target_", "device", *method.query_arguments, *method.search_arguments}
         apart |= {name for name in config["method"] if isinstance(getattr(method, name, None), Weights)}
@@ -50,8 +42,8 @@ class DescriptorCache:
             "arguments": {name: value for name, value in config["method"].items() if name not in apart},
             "code": hash_class(type(method)),
             "files": [sha256 for _, sha256 in config.get("files", [])],
-            "device": machine.device_class(config["device"]),
-            "libraries": machine.library_versions(),
+            "device": machine.classify_device(config["device"]),
+            "libraries": machine.list_library_versions(),
         }
         return cls(folder, origin)
 
@@ -63,6 +55,6 @@ class DescriptorCache:
         `encode` describes a block of images; `done` is called with the number of images described so far. A killed run
         is continued but for up to 1024 images. Raises BadInput if the disk refuses the descriptors.
         """
-        key = content_key({**self.origin, "images": images.content_hash()})
+        key = hash_content({**self.origin, "images": images.content_hash()})
         path = self.folder / f"{key}.npy"
         return keep_rows(path, len(images), lambda first: encode_stretches(images, encode, done, first), "descriptors")

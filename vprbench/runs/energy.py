@@ -15,11 +15,11 @@ from vprbench.api.arithmetic import Arithmetic, Kind, counting_operations
 from vprbench.api.images import Images
 from vprbench.api.method import Method
 from vprbench.metrics.catalogue import METRICS
-from vprbench.runs import timing_lock
 from vprbench.runs.experiment import Experiment
 from vprbench.runs.record import Run
 from vprbench.runs.stopwatch import make_synchroniser
-from vprbench.terminal.console import table_text
+from vprbench.runs.timing_lock import TimingLock
+from vprbench.terminal.console import format_table
 
 Counters = list[tuple[int, int]]  # microjoules since an arbitrary moment, and at how many each begins anew
 Cost = tuple[float | None, str]  # the value, None: not known, and its source, or why it is not known
@@ -95,7 +95,7 @@ def measure_joules(read: Callable[[], Counters], ask: Callable[[], Any]) -> floa
     return (subtract(idle, after) - idle_watts * (ended - rested)) / queries
 
 
-def find_costs(experiment: Experiment, run: Run) -> dict[str, Any]:
+def find_costs(experiment: Experiment, run: Run, lock: TimingLock) -> dict[str, Any]:
     """Return the costs of a query: `values` by name, None where one is not known, and `how` each was found or why not.
 
     The estimate prices encode and match, in the place of match the synaptic operations of a network that spikes.
@@ -108,7 +108,7 @@ def find_costs(experiment: Experiment, run: Run) -> dict[str, Any]:
     found = dict(zip(("synops_ac", "synops_mac"), ((count, how) for count in synops or (None, None)), strict=True))
     for names, find in (
         (("operations", "joules_estimated"), partial(_count_operations, method, singles, synops)),
-        (("joules_measured",), partial(_measure_query, method, singles, experiment.request.device)),
+        (("joules_measured",), partial(_measure_query, method, singles, experiment.request.device, lock)),
         (("map_bytes",), partial(_find_map_bytes, method, run)),
     ):
         try:
@@ -124,7 +124,7 @@ def format_costs(run: Run, wide: bool = False) -> str:
     found = run.energy or {"values": {}, "how": {}}
     shown = {name: "n/a" if cost is None else METRICS[name].text(cost) for name, cost in found["values"].items()}
     rows = [[METRICS[name].head, shown[name], found["how"][name]] for name in shown]
-    return table_text(("cost", "", "how"), rows, wide)
+    return format_table(("cost", "", "how"), rows, wide)
 
 
 def _count_operations(method: Method, singles: Sequence[Images], synops: tuple[float, float] | None) -> list[Cost]:
@@ -160,7 +160,7 @@ def _count_call(work: Callable[[], Any]) -> tuple[Any, Sequence[Arithmetic]]:
     return result, by_formulas if sum(one.operations for one in by_formulas) >= by_torch.operations else [by_torch]
 
 
-def _measure_query(method: Method, singles: Sequence[Images], device: str) -> list[Cost]:
+def _measure_query(method: Method, singles: Sequence[Images], device: str, lock: TimingLock) -> list[Cost]:
     turns, wait = itertools.cycle(singles), make_synchroniser(device)
     on_gpu = device.startswith("cuda")
     read = partial(read_nvml, device) if on_gpu else partial(read_rapl, POWERCAP)
@@ -170,7 +170,7 @@ def _measure_query(method: Method, singles: Sequence[Images], device: str) -> li
         wait()
 
     read()  # before anybody waits
-    with timing_lock.alone():
+    with lock.hold_alone():
         joules = measure_joules(read, ask)
     return [(joules if joules > 0 else None, f"{'NVML' if on_gpu else 'RAPL'}, less the idle machine")]
 

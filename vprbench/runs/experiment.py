@@ -9,19 +9,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from vprbench.api.dataset import Dataset
-from vprbench.api.frame_cache import frames_kept
 from vprbench.api.method import Method
 from vprbench.data.doctor import check_dataset
 from vprbench.errors import BadInput
-from vprbench.plugins import networks, registry
+from vprbench.plugins import loose, networks, registry
 from vprbench.plugins.tuned_places import find_tuned_queries
-from vprbench.progress import progress_shown
+from vprbench.progress import show_progress
 from vprbench.runs import machine, sequences, stream
 from vprbench.runs.corruption import corrupt_queries
-from vprbench.runs.identity import DataRecord, code_hash, hash_frames, run_key
+from vprbench.runs.identity import DataRecord, hash_code, hash_frames, run_key
 from vprbench.runs.request import RunRequest
 from vprbench.runs.viewpoints import Viewpoints, parse_viewpoints, record_viewpoints
-from vprbench.storage.hashes import content_hash
+from vprbench.storage.hashes import hash_file
 
 if TYPE_CHECKING:
     from vprbench.runs.fitting import FitResult
@@ -59,7 +58,7 @@ class Experiment:
             self.request,
             self.dataset,
             images=self.fingerprint,
-            code=code_hash(type(self.method)),
+            code=hash_code(type(self.method)),
             files=self.files,
             network=self.networks.sha256,
         )
@@ -79,12 +78,11 @@ def build_experiment(
         BadInput: an option, the data or this machine does not fit; MissingData where weights or frames are missing.
     """
     for option in request.overrides:
-        registry.register_loose_file(option)
+        loose.register_loose_file(option)
     request.require_machine()
     machine.pin_threads(request.n_threads)
     if dataset is None:
-        with frames_kept(request.cache):
-            dataset = registry.make_dataset(request.dataset)
+        dataset = registry.make_dataset(request.dataset)
     files = networks.find_network_files(request.save, request.load, request.force)
     method = (make or registry.make_method)(request.method)
     if method.adapt != "none" and not method.adapts:
@@ -95,9 +93,9 @@ def build_experiment(
     if isinstance(request.corruption, str):
         dataset = corrupt_queries(dataset, request.corruption)
     dataset = record_viewpoints(dataset, parse_viewpoints(request.views))
-    with progress_shown(request.method_name):  # frames may have to be hashed, and a file be downloaded
+    with show_progress(request.method_name):  # frames may have to be hashed, and a file be downloaded
         dataset_hash, data = hash_frames(dataset)
-        behind = [(path.name, content_hash(path)) for path in registry.list_data_files(method, request.method)]
+        behind = [(path.name, hash_file(path)) for path in registry.list_data_files(method, request.method)]
         return Experiment(
             request,
             method,

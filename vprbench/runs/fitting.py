@@ -27,7 +27,6 @@ class FitResult:
     fit_compute_seconds: float | None
     load_seconds: float | None
     notes: tuple[Note, ...]
-    from_cache: int = 0  # descriptors of references that were kept already
     seconds: float = 0.0  # of this run; none if it takes over the fit of an earlier one
     method_seconds: float = 0.0  # of these, the time that went into the method
 
@@ -80,8 +79,8 @@ def _fit_and_calibrate(
         origin = networks.describe_origin(method, experiment.request.method, dataset, key, seconds)
         networks.save_network(files, method, origin, dataset.references)
     if from_cache:
-        return FitResult(None, None, seconds, notes, from_cache, seconds, seconds)
-    return FitResult(seconds, computing, None, notes, 0, seconds, max(0.0, computing))
+        return FitResult(None, None, seconds, notes, seconds, seconds)
+    return FitResult(seconds, computing, None, notes, seconds, max(0.0, computing))
 
 
 def _fit_references(method: Method, dataset: Dataset, described: DescriptorCache | None) -> int:

@@ -9,9 +9,15 @@ from vprbench.metrics.accuracy import hits_within, recall_at
 from vprbench.metrics.catalogue import METRICS, RECALLS
 from vprbench.runs.machine import Machine
 from vprbench.runs.notes import DISTURBED
-from vprbench.runs.recall_intervals import recall_interval
+from vprbench.runs.recall_intervals import estimate_recall_interval
 from vprbench.runs.record import Failure, Run
-from vprbench.runs.stopwatch import Timing, best_batch, offline_rate, percentile_bound, streaming_rate
+from vprbench.runs.stopwatch import (
+    Timing,
+    compute_offline_rate,
+    compute_streaming_rate,
+    estimate_percentile_bound,
+    find_fastest_batch,
+)
 from vprbench.runs.tuned import describe_tuning, without_tuning_places
 
 if TYPE_CHECKING:
@@ -113,9 +119,9 @@ def _list_facts(result: Run | Failure, metrics: Sequence[str]) -> dict[str, Any]
 def list_numbers(run: Run, metrics: Sequence[str] = ()) -> Numbers:
     """Return one run as unrounded numbers, under names that hold their unit, with more `metrics` by their names."""
     first, answerable = recall_at(run.outcome, 1), recall_at(run.outcome, 1, "answerable")
-    interval, others = recall_interval([run]), without_tuning_places(run)
+    interval, others = estimate_recall_interval([run]), without_tuning_places(run)
     elsewhere = None if others is None else recall_at(others.outcome, 1)
-    interval_elsewhere = None if others is None else recall_interval([others])
+    interval_elsewhere = None if others is None else estimate_recall_interval([others])
     return {
         **_compute_metrics(run, [f"recall_at_{n}" for n in RECALLS]),
         "recall_at_1_low": interval.low if interval else None,
@@ -178,11 +184,11 @@ def _list_rates(timing: Timing | None) -> dict[str, float | int | None]:
     """Return rates and percentiles by their names; without a timing each is None."""
     if timing is None:
         return dict.fromkeys(_TIMED)
-    single, batch = timing.streaming, best_batch(timing.offline)
+    single, batch = timing.streaming, find_fastest_batch(timing.offline)
     rates = (
-        *(streaming_rate(seconds) for seconds in single.by_stage),
-        *(percentile_bound(single.total_seconds, share) for share in (0.9, 0.99)),
-        *(offline_rate(seconds, batch.images_per_call) for seconds in batch.by_stage),
+        *(compute_streaming_rate(seconds) for seconds in single.by_stage),
+        *(estimate_percentile_bound(single.total_seconds, share) for share in (0.9, 0.99)),
+        *(compute_offline_rate(seconds, batch.images_per_call) for seconds in batch.by_stage),
         batch.images_per_call,
     )
     return dict(zip(_TIMED, rates, strict=True))

@@ -10,7 +10,7 @@ from pathlib import Path
 from vprbench.api.dataset import Dataset
 from vprbench.errors import BadInput
 from vprbench.plugins import networks
-from vprbench.progress import progress_shown
+from vprbench.progress import show_progress
 from vprbench.runs import energy, stream, thumbnails
 from vprbench.runs.experiment import Experiment
 from vprbench.runs.query_results import judge_answers, order_by_interest
@@ -20,6 +20,7 @@ from vprbench.runs.run import execute
 from vprbench.runs.run_lock import lock_run
 from vprbench.runs.sequences import parse_views
 from vprbench.runs.store import Store
+from vprbench.runs.timing_lock import TimingLock, share_host
 
 logger = logging.getLogger(__name__)
 
@@ -42,16 +43,16 @@ class RunResult:
     from_store: bool
 
 
-def get_or_run(experiment: Experiment, store: Store, wait: bool = True) -> RunResult:
+def get_or_run(experiment: Experiment, store: Store, lock: TimingLock | None = None) -> RunResult:
     """Return the run of an experiment from the store, or make and store it.
 
     Args:
         experiment: a run that is ready to be made.
         store: the results folder.
-        wait: whether this process waits while another one makes the run.
+        lock: by which this process computes already; it does not wait while another one makes the run.
 
     Raises:
-        HeldElsewhereError: another process makes the run, and this one does not wait.
+        HeldElsewhereError: another process makes the run, and this one holds a lock.
         UnstoredRunError: the run was made and the disk refuses it.
         BadInput: nothing can be written to the results folder; and whatever the method raises.
     """
@@ -59,25 +60,27 @@ def get_or_run(experiment: Experiment, store: Store, wait: bool = True) -> RunRe
     folder = store.folder(dataset.name, request.method_name, key)
     store = Store(store.root.absolute())  # a method may change the working folder
 
-    def find() -> Run | None:
-        """Return the stored run if it answers the request."""
-        stored = None if request.force else store.find(dataset.name, request.method_name, key)
-        return None if stored is None or list_missing_parts(stored, request) else stored
-
-    run, from_store = find(), True
+    run, from_store = find_run(experiment, store), True
     if run is None:
         store.prepare(dataset.name)
         about = {"method": request.method_name, "dataset": dataset.name}
         about |= {name: getattr(request, name) for name in ("seed", "device", "corruption")}
-        with lock_run(store.root, f"{dataset.name}/{folder.name}", about, wait):
-            run = find()  # another process may have made it meanwhile
+        with lock_run(store.root, f"{dataset.name}/{folder.name}", about, wait=lock is None):
+            run = find_run(experiment, store)  # another process may have made it meanwhile
             if run is None:
-                run, from_store = _make_run(experiment, key, store), False
+                run, from_store = _make_run(experiment, key, store, lock), False
     if from_store:
         run = replace(run, config={**run.config, "overrides": request.overrides})  # under the names of this request
     if request.frames:
         _keep_frames(store, run, dataset)
     return RunResult(run, folder, from_store)
+
+
+def find_run(experiment: Experiment, store: Store) -> Run | None:
+    """Return the stored run of an experiment if it has all that the request asks for."""
+    request = experiment.request
+    stored = None if request.force else store.find(experiment.dataset.name, request.method_name, experiment.key())
+    return None if stored is None or list_missing_parts(stored, request) else stored
 
 
 def list_missing_parts(run: Run, request: RunRequest) -> list[str]:
@@ -99,7 +102,7 @@ def list_missing_parts(run: Run, request: RunRequest) -> list[str]:
     return [part for part, is_missing in lacks.items() if is_missing]
 
 
-def _make_run(experiment: Experiment, key: str, store: Store) -> Run:
+def _make_run(experiment: Experiment, key: str, store: Store, held: TimingLock | None) -> Run:
     """Make and store a run; parts of a stored one that this request does not ask for stay."""
     request, files = experiment.request, experiment.networks
     stored = store.find(experiment.dataset.name, request.method_name, key)
@@ -118,14 +121,14 @@ def _make_run(experiment: Experiment, key: str, store: Store) -> Run:
             with suppress(BadInput):  # which is raised when it is stored with its times
                 store.save(scored)
 
-    with progress_shown(f"{request.method_name} on {experiment.dataset.name}"):
-        run = execute(experiment, key, keep)
+    with show_progress(f"{request.method_name} on {experiment.dataset.name}"), share_host(held) as lock:
+        run = execute(experiment, key, lock, keep)
         if stored is not None:
             run = replace(run, stream=stored.stream, energy=stored.energy)
         if experiment.stream:
             run = replace(run, stream=stream.grow_map(experiment))
         if request.energy:
-            run = replace(run, energy=energy.find_costs(experiment, run))
+            run = replace(run, energy=energy.find_costs(experiment, run, lock))
     try:
         store.save(run)
     except BadInput as error:
@@ -136,7 +139,7 @@ def _make_run(experiment: Experiment, key: str, store: Store) -> Run:
 def _keep_frames(store: Store, run: Run, dataset: Dataset) -> None:
     """Keep small pictures of the frames that the report shows of a run; without them the run is stored all the same."""
     try:
-        with progress_shown(dataset.name):
+        with show_progress(dataset.name):
             thumbnails.save_thumbnails(store.root, run.fingerprint, dataset, order_by_interest(judge_answers(run)))
     except (OSError, BadInput) as error:
         reason = getattr(error, "strerror", None) or error

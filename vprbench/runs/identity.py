@@ -12,7 +12,7 @@ from vprbench.api.images import names_hash
 from vprbench.api.method import Method
 from vprbench.runs import machine, sources
 from vprbench.runs.request import RunRequest
-from vprbench.runs.run_files import content_key
+from vprbench.runs.run_files import hash_content
 
 #: Raise it with a change by which a run may have other answers or times; a test holds that nobody forgets to decide.
 VERSION = 6
@@ -41,12 +41,12 @@ def run_key(
         request: the run to be made; the place of its method's file does not count.
         dataset: its dataset, built.
         images: the fingerprint of the dataset.
-        code: the `code_hash` of the method's class.
+        code: the `hash_code` of the method's class.
         files: name and hash of each data file behind the method.
         network: the hash of the file that the run loads; None for a run that trains.
     """
     arguments = {name: value for name, value in request.method.items() if name not in ("_target_", "device")}
-    return content_key(
+    return hash_content(
         {
             "method": arguments,
             "code": code,
@@ -58,10 +58,10 @@ def run_key(
             "tuned_on": request.tuned_on,
             "files": [[*each] for each in files],
             "seed": request.seed,
-            "device": machine.device_class(request.device),
+            "device": machine.classify_device(request.device),
             "threads": request.n_threads,
             "depth": request.depth,
-            "libraries": machine.library_versions(),
+            "libraries": machine.list_library_versions(),
             "network": network,
         }
     )
@@ -76,21 +76,16 @@ class DataRecord(TypedDict):
     bytes: int | None  # of all files together; None if an image is no file
 
 
-def code_hash(method: type[Method]) -> str:
+def hash_code(method: type[Method]) -> str:
     """Return the hash of the code that computes a method's answers, its class, and the version of the harness.
 
     Of a class without source it is another one each time: its runs are never found again.
     """
     try:
-        return _add_harness(sources.hash_class(method), method.__qualname__)
+        code = sources.hash_class(method)
     except OSError:
         return uuid.uuid4().hex
-
-
-def code_hash_of(target: str) -> str | None:
-    """Return the `code_hash` of a class by its full name, without importing it; None where its file is unknown."""
-    code = sources.hash_target(target)
-    return None if code is None else _add_harness(code, target.rpartition(".")[2])
+    return hashlib.sha256(f"{code} {method.__qualname__} {VERSION}".encode()).hexdigest()
 
 
 def hash_frames(dataset: Dataset) -> tuple[str, DataRecord]:
@@ -116,10 +111,6 @@ def hash_frames(dataset: Dataset) -> tuple[str, DataRecord]:
     }
 
 
-def fingerprint(dataset: Dataset) -> str:
+def compute_fingerprint(dataset: Dataset) -> str:
     """Return the hash of a dataset's images, order and ground truth; raises BadInput if a file cannot be read."""
     return hash_frames(dataset)[0]
-
-
-def _add_harness(code: str, name: str) -> str:
-    return hashlib.sha256(f"{code} {name} {VERSION}".encode()).hexdigest()

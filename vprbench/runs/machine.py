@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import psutil
 
-from vprbench.storage.cores import core_count
+from vprbench.storage.cores import count_cores
 from vprbench.storage.folders import checkout_folder
 
 _LIBRARIES = ("torch", "numpy", "scipy", "numba", "opencv-python-headless", "pillow", "scikit-learn", "faiss-cpu")
@@ -28,13 +28,13 @@ def describe_machine(device: str, threads: int) -> dict[str, Any]:
     return {
         "python": platform.python_version(),
         "platform": platform.platform(),
-        "processor": processor(),
-        "cores": core_count(),
+        "processor": read_processor_name(),
+        "cores": count_cores(),
         "memory_bytes": psutil.virtual_memory().total,
         "threads": threads,
         "accelerator": _find_accelerator(device),
         "vprbench": _read_version("vprbench"),
-        "libraries": library_versions(),
+        "libraries": list_library_versions(),
         "git": _read_git_state(),
         "load_average": list(psutil.getloadavg()),
         "time_utc": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
@@ -69,7 +69,7 @@ class Machine:
         return f"{self.processor}, {self.threads} of {self.cores} cores{accelerator}, torch {self.torch}"
 
 
-def library_versions() -> dict[str, str | None]:
+def list_library_versions() -> dict[str, str | None]:
     """Return the versions of the libraries that compute, None for those that are not installed."""
     return {name: _read_version(name) for name in _LIBRARIES}
 
@@ -87,15 +87,15 @@ def pin_threads(threads: int) -> None:
     threadpool_limits(threads)
 
 
-def processor() -> str:
+def read_processor_name() -> str:
     """Return the processor's model name."""
     return _find_in_file(r"^model name\s*: *(.+)", "/proc/cpuinfo") or platform.processor() or platform.machine()
 
 
-def device_class(device: str) -> str:
+def classify_device(device: str) -> str:
     """Return the kind of device and its model, in which stored times are comparable."""
     kind = device.partition(":")[0]
-    return f"{kind} {processor() if kind == 'cpu' else _find_accelerator(device)}"
+    return f"{kind} {read_processor_name() if kind == 'cpu' else _find_accelerator(device)}"
 
 
 def format_software(environment: Mapping[str, Any]) -> str:
@@ -118,7 +118,7 @@ def read_cpu_wait_seconds() -> float | None:
     return None if microseconds is None else int(microseconds) / 1e6
 
 
-def canary_seconds(clock: Callable[[], int] = time.perf_counter_ns) -> float:
+def time_canary(clock: Callable[[], int] = time.perf_counter_ns) -> float:
     """Return the median time of a fixed numpy computation; a change between two calls shows a disturbed machine."""
     values = np.linspace(1, 0, 50_000)
     scratch = np.empty_like(values)  # allocating anew would time the operating system
@@ -137,7 +137,7 @@ def reset_peak_memory() -> None:
         Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
 
 
-def peak_memory_bytes() -> int:
+def measure_peak_memory() -> int:
     """Return the largest resident memory of this process in the window."""
     kibibytes = _find_in_file(r"^VmHWM:\s*(\d+)", "/proc/self/status")
     return int(psutil.Process().memory_info().rss) if kibibytes is None else int(kibibytes) * 1024

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from vprbench.api.method import Method
 from vprbench.runs.scorers import QueryScorer
 
 if TYPE_CHECKING:
@@ -18,11 +17,6 @@ if TYPE_CHECKING:
 _NOISE = 0.05  # drift of a fixed computation that marks a run as noisy
 _BUSY = 15.0  # percent of the time in which a process waits for a core, that marks a run as noisy
 _SAME_SCORE = 1e-4  # relative difference that counts as the same answer in the timed and in the scored run
-_ADAPTED = {
-    "references": "the mean of the references is taken off the descriptors of references and queries",
-    "running": "adapted to the queries so far: their mean is taken off each query, so the order of the queries counts",
-    "traverse": "adapted to all queries: their mean is taken off each query, which can be done only offline",
-}
 
 NoteKind = Literal[
     "dataset",  # a sentence of the dataset
@@ -38,7 +32,6 @@ NoteKind = Literal[
     "answers",  # other answers when it was timed
     "index",  # an approximate search
     "shortlist",  # a large map, of which the best places of a query alone are kept
-    "adapted",  # the mean that is taken off descriptors
     "spikes",  # why no spikes were counted
 ]
 
@@ -59,13 +52,11 @@ def make_notes(kind: NoteKind, texts: Iterable[str]) -> Iterator[Note]:
     return (Note(kind, text) for text in texts)
 
 
-def note_scorer(scorer: QueryScorer, method: Method, n_places: int) -> Iterator[Note]:
-    """Yield a note for a map that is too large to score every place, and for descriptors that are adapted."""
+def note_scorer(scorer: QueryScorer, n_places: int) -> Iterator[Note]:
+    """Yield a note for a map that is too large to score every place."""
     if scorer.n_best is not None:
         best = f"of {n_places:,} places the best {scorer.n_best} of each query are kept"
         yield Note("shortlist", f"large map: {best}, and a right place that is none of these is no candidate")
-    if method.adapt != "none":
-        yield Note("adapted", _ADAPTED[method.adapt])
 
 
 def note_measurements(run: Run) -> Iterator[Note]:
@@ -88,8 +79,7 @@ def note_measurements(run: Run) -> Iterator[Note]:
 
 
 def _note_rates(run: Run, timing: Timing) -> Iterator[Note]:
-    limit = "maximum" if run.timed_by.total_seconds is None else "total"
-    unmet = f"a minimum of the timing protocol was not met within timing.{limit}_seconds"
+    unmet = "a minimum of the timing protocol was not met within timing.maximum_seconds"
     if not timing.streaming.valid:
         yield Note("invalid", f"invalid rates: {unmet}")
     elif not all(laps.valid for laps in timing.offline):

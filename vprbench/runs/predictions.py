@@ -13,7 +13,7 @@ from vprbench.api.images import Images
 from vprbench.errors import BadInput
 from vprbench.runs.record import Run
 from vprbench.runs.sequences import name_views, parse_views
-from vprbench.runs.views import queries_shown
+from vprbench.runs.views import list_shown_queries
 from vprbench.storage.atomic import replace_bytes
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ def tabulate_predictions(run: Run, n: int, dataset: Dataset | None) -> pd.DataFr
     best, scores = run.top_places[:, :n].astype(np.int64), run.top_scores[:, :n]
     right = np.array([np.isin(*row) for row in zip(best, run.positives, strict=True)])
     rows, ranks = np.nonzero(scores > -np.inf)
-    queries, places = queries_shown(run)[rows], best[rows, ranks]
+    queries, places = list_shown_queries(run)[rows], best[rows, ranks]
     shown: tuple[Any, Any] = (None, None)
     if dataset is not None:
         first = np.unique(dataset.places, return_index=True)[1]

@@ -11,7 +11,7 @@ from vprbench.metrics.accuracy import Ties
 from vprbench.metrics.catalogue import METRICS, Metric
 from vprbench.metrics.intervals import Values, WiderInterval, difference_interval, share_interval
 from vprbench.runs.record import Run
-from vprbench.runs.views import window_of
+from vprbench.runs.views import get_window_length
 
 METHOD = (
     "the wider one of Wilson's, which takes queries as independent, and that of a bootstrap of blocks of neighbouring "
@@ -19,7 +19,7 @@ METHOD = (
 )
 
 
-def recall_interval(runs: Sequence[Run], confidence: float = 0.95) -> WiderInterval | None:
+def estimate_recall_interval(runs: Sequence[Run], confidence: float = 0.95) -> WiderInterval | None:
     """Return the interval of R@1 over all queries, 0 to 1; of several seeds, of the mean hits over them.
 
     None if no query has a right place. At least one run, all of the same queries.
@@ -27,13 +27,13 @@ def recall_interval(runs: Sequence[Run], confidence: float = 0.95) -> WiderInter
     return estimate_interval(runs, METRICS["recall_at_1"], confidence)
 
 
-def difference_of_recalls(first: Run, second: Run, confidence: float = 0.95) -> WiderInterval | None:
+def estimate_recall_difference(first: Run, second: Run, confidence: float = 0.95) -> WiderInterval | None:
     """Return the interval of R@1 of one run less that of another on the same queries, -1 to 1.
 
     Ties are broken against the first and in favour of the second.
     """
     ours, theirs = list_hits(first, "pessimistic"), list_hits(second, "optimistic")
-    return difference_interval(ours, theirs, confidence, window_of(first))
+    return difference_interval(ours, theirs, confidence, get_window_length(first))
 
 
 def estimate_interval(runs: Sequence[Run], metric: Metric, confidence: float = 0.95) -> WiderInterval | None:
@@ -44,7 +44,7 @@ def estimate_interval(runs: Sequence[Run], metric: Metric, confidence: float = 0
     if metric.per_query is None or metric.of(runs[0]) is None:
         return None
     values = np.mean([list_values(run, metric) for run in runs], axis=0)
-    return share_interval(values, confidence, window_of(runs[0]))
+    return share_interval(values, confidence, get_window_length(runs[0]))
 
 
 def list_hits(run: Run, ties: Ties = "expected") -> Values:

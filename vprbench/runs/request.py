@@ -18,7 +18,7 @@ from vprbench.runs.predictions import require_depth
 from vprbench.runs.sequences import parse_views
 from vprbench.runs.timing_protocol import Protocol
 from vprbench.runs.viewpoints import parse_viewpoints
-from vprbench.storage.cores import core_count
+from vprbench.storage.cores import count_cores
 from vprbench.text import suggest_names
 
 #: The fields that a stored run holds of its request.
@@ -44,7 +44,7 @@ class RunRequest:
     threads: Positive | None = None  # None: all cores this process may use
     results: str = "results"
     force: bool = False
-    cache: bool = True  # keep descriptors of networks and rendered frames, and take those of an earlier run
+    cache: bool = True  # keep descriptors of networks, and take those of an earlier run
     output: Literal["row", "json"] = "row"
     wide: bool = False  # show all columns of the row
     metrics: list[str] = field(default_factory=list)  # more accuracies of row and JSON, by their names in METRICS
@@ -96,7 +96,7 @@ class RunRequest:
     @property
     def n_threads(self) -> int:
         """How many threads the run uses on this machine."""
-        return self.threads or core_count()
+        return self.threads or count_cores()
 
     def with_corruption(self, name: str) -> RunRequest:
         """Return the request of one corruption."""
@@ -119,7 +119,7 @@ class RunRequest:
 
     def require_machine(self) -> None:
         """Raise BadInput for more threads than this process may use, and for a GPU that torch does not see."""
-        available = core_count()
+        available = count_cores()
         if self.threads is not None and self.threads > available:
             raise BadInput(f"threads={self.threads}: this process may use 1 to {available} cores")
         if self.device != "cpu":

@@ -7,21 +7,21 @@ from collections.abc import Callable
 from dataclasses import asdict, replace
 
 from vprbench import progress
-from vprbench.runs import spikes, timing_lock
+from vprbench.runs import spikes
 from vprbench.runs.answers import QueryScoring, describe_search
 from vprbench.runs.descriptors import DescriptorCache
 from vprbench.runs.experiment import Experiment
 from vprbench.runs.fitting import fit_or_load
-from vprbench.runs.identity import code_hash
+from vprbench.runs.identity import hash_code
 from vprbench.runs.notes import make_notes, note_measurements, note_scorer
 from vprbench.runs.record import Run
 from vprbench.runs.scorers import choose_scorer
 from vprbench.runs.stopwatch import Stopwatch, make_synchroniser
+from vprbench.runs.timing_lock import TimingLock
 from vprbench.runs.watch import MachineWatch
 
 
-@timing_lock.computing()
-def execute(experiment: Experiment, key: str, keep: Callable[[Run], None] = lambda run: None) -> Run:
+def execute(experiment: Experiment, key: str, lock: TimingLock, keep: Callable[[Run], None] = lambda run: None) -> Run:
     """Fit a method or load its network, score every query and measure its rates.
 
     A network is stored before the first query; whether it can be is seen before it is trained. Timed queries are
@@ -30,16 +30,17 @@ def execute(experiment: Experiment, key: str, keep: Callable[[Run], None] = lamb
     Args:
         experiment: method, dataset and request.
         key: identifies the run.
+        lock: by which this process computes.
         keep: takes the run without its rates before these are measured, unless the request asks for none.
     """
     request, method, dataset = experiment.request, experiment.method, experiment.dataset
     queries, views = dataset.queries.unnamed(), () if experiment.views is None else experiment.views.all
     started = time.perf_counter()
-    watch = MachineWatch(request.device, request.n_threads)
+    watch = MachineWatch(request.device, request.n_threads, lock)
     stopwatch = Stopwatch(request.timing, synchronise=make_synchroniser(request.device), seed=request.seed)
 
     cache = experiment.cache if experiment.networks.load is None else None
-    described = DescriptorCache.of(cache, method, experiment.config, dataset.n_places)
+    described = DescriptorCache.of(cache, method, experiment.config)
     fitted = fit_or_load(experiment, key, stopwatch, described)
     read = queries.reading.seconds
     scorer = choose_scorer(method, dataset.n_places, request.depth, request.scores, views)
@@ -57,14 +58,14 @@ def execute(experiment: Experiment, key: str, keep: Callable[[Run], None] = lamb
         method=request.method_name,
         dataset=dataset.name,
         key=key,
-        config={**experiment.config, "code": code_hash(type(method)), "timing": None},
+        config={**experiment.config, "code": hash_code(type(method)), "timing": None},
         protocol=dataset.protocol,
         fingerprint=experiment.fingerprint,
         notes=(
             *make_notes("dataset", dataset.notes),
             *fitted.notes,
             *make_notes("method", method.notes()),
-            *note_scorer(scorer, method, dataset.n_places),
+            *note_scorer(scorer, dataset.n_places),
             *spike_notes,
         ),
         n_references=len(dataset.references),

@@ -15,13 +15,13 @@ import numpy.typing as npt
 from pydantic import TypeAdapter, ValidationError
 
 from vprbench.runs.record import Failure, Run
-from vprbench.storage.tensors import mapped_arrays, write_arrays
+from vprbench.storage.tensors import map_arrays, write_arrays
 
 Arrays = Mapping[str, npt.NDArray[Any]]
 
 logger = logging.getLogger(__name__)
 
-SCHEMA = 12
+SCHEMA = 13
 SUMMARY, FAILURE = "run.json", "failure.json"
 _RUN, _FAILURE = TypeAdapter(Run), TypeAdapter(Failure)
 
@@ -34,7 +34,7 @@ class OtherLayoutError(DamagedRunError):
     """A folder of the store holds a run of an earlier or later version of this program; the message names both."""
 
 
-def content_key(content: Mapping[str, Any]) -> str:
+def hash_content(content: Mapping[str, Any]) -> str:
     """Return the hash of plain values, as of all that can change an outcome."""
     text = json.dumps({"schema": SCHEMA, **content}, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()[:16]
@@ -68,7 +68,7 @@ def load(folder: Path) -> Run:
         path = _arrays_file(folder, sha256 := summary.pop("sha256"))
         if _digest(path) != sha256:
             raise ValueError(f"{path.name} is not what was written")
-        return _build_run(summary, mapped_arrays(path))
+        return _build_run(summary, map_arrays(path))
     except OtherLayoutError:
         raise
     except Exception as error:  # a damaged file may upset its reader in any way

@@ -12,7 +12,7 @@ from vprbench.runs.record import Run
 from vprbench.runs.request import RunRequest
 from vprbench.runs.sequences import parse_views
 from vprbench.runs.tuned import list_notes
-from vprbench.terminal.console import line_text, table_text
+from vprbench.terminal.console import format_line, format_table
 
 
 def format_run(
@@ -29,21 +29,21 @@ def format_run(
     table = [rows.format_row(one, request.metrics) for one in shown]
     if views:
         table = [{"answers": rows.describe_sequence(view), **row} for view, row in zip(views, table, strict=True)]
-    lines = [line_text(f"note: {note.text}", "yellow") for note in list_notes(shown[0])]
-    lines.append(line_text(rows.describe_protocol(run), fits=True))
+    lines = [format_line(f"note: {note.text}", "yellow") for note in list_notes(shown[0])]
+    lines.append(format_line(rows.describe_protocol(run), fits=True))
     total = len(run.outcome)
-    lines += [line_text(f"{rows.describe_sequence(view)}: {len(view.outcome)} of {total} queries") for view in views]
-    lines.append(table_text([*table[0]], [[*row.values()] for row in table], request.wide, rows.LEAST))
+    lines += [format_line(f"{rows.describe_sequence(view)}: {len(view.outcome)} of {total} queries") for view in views]
+    lines.append(format_table([*table[0]], [[*row.values()] for row in table], request.wide, rows.LEAST))
     if request.stream:
         lines.append(stream.format_stops(run))
     if request.energy:
         lines.append(energy.format_costs(run, request.wide))
-    lines += [line_text(text) for one in shown if (text := rows.describe_wider_recall(one)) is not None]
+    lines += [format_line(text) for one in shown if (text := rows.describe_wider_recall(one)) is not None]
     if from_store:
-        lines.append(line_text(f"from the store: {folder} (force=true runs again)"))
+        lines.append(format_line(f"from the store: {folder} (force=true runs again)"))
     elif folder is not None:
-        lines.append(line_text(f"stored in {folder}"))
-    lines += [line_text(f"best {request.predictions} places of each query: {file}") for file in predictions]
+        lines.append(format_line(f"stored in {folder}"))
+    lines += [format_line(f"best {request.predictions} places of each query: {file}") for file in predictions]
     return "\n".join(lines)
 
 

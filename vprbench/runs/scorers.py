@@ -80,7 +80,7 @@ def choose_scorer(
     return QueryScorer(method, Adaptation(method), views, n_best)
 
 
-def block_size(scorer: Method | QueryScorer, n_places: int) -> int:
+def choose_block_size(scorer: Method | QueryScorer, n_places: int) -> int:
     """Return how many queries are scored together at most, fewer if codes are large or scored places many."""
     if isinstance(scorer, QueryScorer) and scorer.n_best is not None:
         return batch_size_for(scorer, _TOGETHER)
@@ -91,10 +91,12 @@ def encode_sample(method: Method, queries: Images) -> npt.NDArray[Any]:
     """Return the adapted codes of up to 256 queries spread over all, by which indexes and spikes are judged."""
     wanted = batch_size_for(method, min(_SAMPLE, len(queries)))
     sample = queries[np.linspace(0, len(queries) - 1, wanted).astype(np.int64)]
-    codes = [np.array(method.encode(block)) for block in sample.blocks(block_size(method, 1))]  # it may reuse its array
+    codes = [
+        np.array(method.encode(block)) for block in sample.blocks(choose_block_size(method, 1))
+    ]  # it may reuse its array
     return np.asarray(adapt_traverse(method, np.concatenate(codes)))
 
 
-def best_place(answer: Answer) -> int:
+def find_best_place(answer: Answer) -> int:
     """Return the best place of the first query; -1 if no place is a candidate of a shortlist."""
     return int(answer.places[0, 0] if isinstance(answer, Nearest) else answer[0].argmax())

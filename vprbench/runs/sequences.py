@@ -22,7 +22,7 @@ from vprbench.metrics.sequences import (
 )
 from vprbench.plugins.options import build_options, parse_mapping
 from vprbench.runs.record import Run
-from vprbench.runs.views import queries_shown, replace_scores, select_queries
+from vprbench.runs.views import list_shown_queries, replace_scores, select_queries
 
 _MEMORY = 10  # queries that a belief of a filter is taken to rest on: blocks of an interval are no shorter
 
@@ -139,7 +139,7 @@ def _require_scores(run: Run) -> Scores:
 
 def _number_parts(run: Run, gaps: str) -> tuple[Stretches, Stretches]:
     """Return the number of the unbroken part that each query and each place is in."""
-    shown, n_places = queries_shown(run), run.outcome.n_places
+    shown, n_places = list_shown_queries(run), run.outcome.n_places
     if gaps == "bridge":
         return np.zeros(len(shown), np.int64), np.zeros(n_places, np.int64)
     stored = stretches(int(shown[-1]) + 1, run.query_breaks)[shown]

@@ -22,16 +22,6 @@ def hash_class(kind: type) -> str:
         raise OSError(f"{kind.__qualname__} has no file: put the class into a file, as mine.py") from error
 
 
-def hash_target(target: str) -> str | None:
-    """Return the `hash_class` of a class by its full name, without importing it; None for a module without a file.
-
-    It is another hash if the module of the name imports the class from elsewhere.
-    """
-    module = target.rpartition(".")[0]
-    path = _find_file(module)
-    return None if path is None else _hash_with_imports(module, path)
-
-
 def hash_files(files: Iterable[Path]) -> str:
     """Return the hash of the bytes of files; their order and names do not count."""
     hashes = sorted(hashlib.sha256(path.read_bytes()).hexdigest() for path in files)

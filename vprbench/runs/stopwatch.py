@@ -17,7 +17,7 @@ from vprbench import progress
 from vprbench.api.images import Images
 from vprbench.api.method import batch_size_for, require_codes
 from vprbench.metrics.bounds import INTEGERS, NUMBERS, Array, Count, Flag, Number, Positive
-from vprbench.runs.scorers import Answer, QueryScorer, best_place
+from vprbench.runs.scorers import Answer, QueryScorer, find_best_place
 from vprbench.runs.timing_protocol import Protocol as Protocol  # callers ask the stopwatch
 
 Clock = Callable[[], int]  # nanoseconds, monotonic
@@ -27,7 +27,6 @@ _SAMPLE_BYTES = 1 << 29  # of decoded images held at once
 _STEADY_QUERIES, _STEADY_SPREAD = 10, 0.1
 _LONG_PASS = 4.0  # seconds of a pass over the sample; that of a slower method is smaller
 _LONG_BATCH = 2.0  # seconds of a batch; larger ones are left out
-_WARM_UP_SHARE, _STREAMING_SHARE = 0.15, 0.5  # of `total_seconds`, by which each has ended
 
 _LAP = Array(NUMBERS, (None,), 0, 1e9, positive_median=True)
 
@@ -112,15 +111,14 @@ class Stopwatch:
         sample = images[chosen].in_memory()
         with _pause_garbage_collection():
             progress.report("timing", 0.0)
-            began, total = self._now(), self._protocol.total_seconds or float("inf")
-            warmup = self._warm_up(scorer, sample, began + _WARM_UP_SHARE * total, first_query_seconds)
+            warmup = self._warm_up(scorer, sample)
             usual = float(np.median(warmup[-_STEADY_QUERIES:])) if warmup else 0.0
             if usual:
                 some = _spread(len(sample), max(self._protocol.minimum_queries, int(_LONG_PASS / usual)))
                 chosen, sample = chosen[some], sample[some]
             singles = [sample[i : i + 1] for i in range(len(sample))]
-            streaming, answers = self._time(scorer, singles, began + _STREAMING_SHARE * total)
-            offline = self._time_batches(scorer, sample, streaming, began + total)
+            streaming, answers = self._time(scorer, singles)
+            offline = self._time_batches(scorer, sample, streaming)
         return Timing(first_query_seconds, len(warmup), streaming, offline, chosen, answers)
 
     def _now(self) -> float:
@@ -138,24 +136,23 @@ class Stopwatch:
         self._synchronise()
         return (encoded - start) / 1e9, (self._clock() - encoded) / 1e9, answer
 
-    def _warm_up(self, scorer: QueryScorer, sample: Images, end: float, expected: float) -> list[float]:
-        """Return the seconds of the calls; none begins that would end after `end`, `expected` being those of one."""
+    def _warm_up(self, scorer: QueryScorer, sample: Images) -> list[float]:
+        """Return the seconds of the calls, which end once the last ones are alike, or after `maximum_seconds`."""
         laps: list[float] = []
-        end = min(end, self._now() + self._protocol.maximum_seconds)
-        while len(laps) < self._protocol.warmup_queries and self._now() + expected <= end:
+        while len(laps) < self._protocol.warmup_queries and sum(laps) <= self._protocol.maximum_seconds:
             number = len(laps) % len(sample)
             encode, match, _ = self._call(scorer, sample[number : number + 1])
-            laps.append(expected := encode + match)
+            laps.append(encode + match)
             last = laps[-_STEADY_QUERIES:]
             if len(last) == _STEADY_QUERIES and max(last) - min(last) <= _STEADY_SPREAD * max(last):
                 break
         return laps
 
-    def _time_batches(self, scorer: QueryScorer, sample: Images, streaming: Laps, end: float) -> tuple[Laps, ...]:
+    def _time_batches(self, scorer: QueryScorer, sample: Images, streaming: Laps) -> tuple[Laps, ...]:
         """Return the laps of each batch size; the streaming ones for a size of one, and where no size is left.
 
-        A size is left out whose call would be long, or longer than is left, at the rate of the size before. The first
-        call of a size is not timed.
+        A size is left out whose call would be long at the rate of the size before. The first call of a size is not
+        timed.
         """
         sizes = sorted({batch_size_for(scorer, min(size, len(sample))) for size in self._protocol.batch_sizes})
         offline: list[Laps] = []
@@ -165,18 +162,17 @@ class Stopwatch:
             call = float(np.median(last.total_seconds)) / last.images_per_call * size
             if size == 1:
                 offline.append(streaming)
-            elif call <= _LONG_BATCH and self._now() + 2 * call <= end:
+            elif call <= min(_LONG_BATCH, self._protocol.maximum_seconds):
                 batches = [sample[start : start + size] for start in range(0, len(sample) - size + 1, size)]
                 self._call(scorer, batches[0])
-                last, _ = self._time(scorer, batches, end)
+                last, _ = self._time(scorer, batches)
                 offline.append(last)
         return tuple(offline) or (streaming,)
 
-    def _time(self, scorer: QueryScorer, calls: Sequence[Images], end: float) -> tuple[Laps, npt.NDArray[np.int64]]:
+    def _time(self, scorer: QueryScorer, calls: Sequence[Images]) -> tuple[Laps, npt.NDArray[np.int64]]:
         """Return the laps of `calls`, shuffled in each pass, and the best place of each one's first query.
 
-        Laps end after a pass by which all minima are met, after `maximum_seconds`, and where another one would end
-        after `end`.
+        Laps end after a pass by which all minima are met, and after `maximum_seconds`.
         """
         protocol, size = self._protocol, len(calls[0])
         minimum = max(protocol.minimum_queries, protocol.minimum_passes * len(calls) * size)
@@ -186,9 +182,9 @@ class Stopwatch:
             for number in self._generator.permutation(len(calls)).tolist():
                 encode, match, answer = self._call(scorer, calls[number])
                 laps.append((encode, match))
-                answers[number] = best_place(answer)
+                answers[number] = find_best_place(answer)
                 now = self._now()
-                if is_late := now - started > protocol.maximum_seconds or now + encode + match > end:
+                if is_late := now - started > protocol.maximum_seconds:
                     break
             is_enough = now - started >= protocol.minimum_seconds and len(laps) * size >= minimum
         encodes, matches = np.array(laps).T
@@ -222,31 +218,29 @@ def _pause_garbage_collection() -> Iterator[None]:
             gc.enable()
 
 
-def streaming_rate(seconds: Seconds) -> float:
+def compute_streaming_rate(seconds: Seconds) -> float:
     """Return 1 / median of single-query times."""
     return 1 / float(np.median(seconds))
 
 
-def offline_rate(seconds: Seconds, images_per_call: int) -> float:
+def compute_offline_rate(seconds: Seconds, images_per_call: int) -> float:
     """Return images per second over all calls."""
     return images_per_call * len(seconds) / float(seconds.sum())
 
 
-def best_batch(offline: Sequence[Laps]) -> Laps:
+def find_fastest_batch(offline: Sequence[Laps]) -> Laps:
     """Return the laps of the batch size with the highest total rate."""
-    return max(offline, key=lambda laps: offline_rate(laps.total_seconds, laps.images_per_call))
+    return max(offline, key=lambda laps: compute_offline_rate(laps.total_seconds, laps.images_per_call))
 
 
-def percentile_bound(seconds: Seconds, share: float, confidence: float = 0.99) -> float | None:
+def estimate_percentile_bound(seconds: Seconds, share: float, confidence: float = 0.99) -> float | None:
     """Return the upper bound of a percentile at `confidence`, from order statistics; None if there are too few laps.
 
     At most h laps may lie above it, h the largest number with P(Binomial(n, 1 - share) <= h) <= 1 - confidence; at
     least one has to, so that a p90 needs 64 laps and a p99 662. Source: MLPerf LoadGen, sample counts.
     """
-    from scipy.stats import binom  # slow to import, and not needed to complain about an option
+    from scipy.special import bdtr  # slow to import, and not needed to complain about an option
 
-    laps_above = binom(len(seconds), 1 - share)
-    allowed = int(laps_above.ppf(1 - confidence)) if len(seconds) else 0
-    if laps_above.cdf(allowed) > 1 - confidence:
-        allowed -= 1
+    n = len(seconds)
+    allowed = int(np.searchsorted(bdtr(np.arange(n), n, 1 - share), 1 - confidence, "right")) - 1
     return float(np.sort(seconds)[-1 - allowed]) if allowed >= 1 else None

@@ -107,7 +107,7 @@ class Store:
 
     def _failure_folder(self, method: str, dataset: str, config: Mapping[str, Any]) -> Path:
         names = ("method", "dataset", "seed", "device", "load", "corruption", "views")
-        key = run_files.content_key({name: config.get(name) for name in names})
+        key = run_files.hash_content({name: config.get(name) for name in names})
         return self.root / dataset / f"{method}-failed-{key}"
 
 

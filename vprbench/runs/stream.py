@@ -17,9 +17,9 @@ from vprbench.metrics.catalogue import METRICS
 from vprbench.metrics.intervals import Values, share_interval
 from vprbench.metrics.ranking import concatenate, outcome
 from vprbench.runs.record import Run
-from vprbench.runs.scorers import block_size
+from vprbench.runs.scorers import choose_block_size
 from vprbench.runs.stopwatch import Stopwatch, make_synchroniser
-from vprbench.terminal.console import table_text
+from vprbench.terminal.console import format_table
 
 if TYPE_CHECKING:
     from vprbench.runs.experiment import Experiment
@@ -52,7 +52,7 @@ def grow_map(experiment: Experiment) -> list[dict[str, Any]]:
     most seconds of a place since the stop before, its images read beforehand.
     """
     method, dataset, first = copy(experiment.method), experiment.dataset, experiment.stream
-    references, size = dataset.references.unnamed(), block_size(method, dataset.n_places)
+    references, size = dataset.references.unnamed(), choose_block_size(method, dataset.n_places)
     old = np.flatnonzero(dataset.places < first)
     method.fit(references[old], dataset.places[old])
     codes = np.concatenate([method.encode(block) for block in dataset.queries.unnamed().blocks(size)])
@@ -64,7 +64,7 @@ def grow_map(experiment: Experiment) -> list[dict[str, Any]]:
     for n in range(first, dataset.n_places + 1):
         if n > first:
             images = Images.from_arrays([*references[np.flatnonzero(dataset.places == n - 1)]])
-            with progress.listening(lambda *_: None), stopwatch.lap() as lap:  # a place is no stage of its own
+            with progress.send_reports_to(lambda *_: None), stopwatch.lap() as lap:  # a place is no stage of its own
                 method.extend(images, np.full(len(images), n - 1))
             seconds.append(lap[0])
         progress.report("growing map", n / dataset.n_places)
@@ -103,4 +103,4 @@ def format_stops(run: Run) -> str:
         rows.append([f"{stop['places']:,}", recall, f"[{low}, {high}]", of_first, *milliseconds])
     rows.append([f"{run.outcome.n_places:,} at once", percent(METRICS["recall_at_1"].of(run)), *[""] * 4])
     first = f"of the first {stops[0]['places']:,}"
-    return table_text(["places", "R@1 %", "[95 %]", first, "ms a place", "most ms"], rows)
+    return format_table(["places", "R@1 %", "[95 %]", first, "ms a place", "most ms"], rows)

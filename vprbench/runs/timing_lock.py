@@ -12,52 +12,51 @@ from typing import IO
 
 FOLDER = "VPRBENCH_SLOT"  # the environment variable that names the folder of the lock, which has to be of this host
 
-_computing: list[IO[bytes]] = []  # the open file by which this process computes
+
+class TimingLock:
+    """The lock of a process that computes: the open file by which it shares the host with others."""
+
+    def __init__(self, file: IO[bytes]) -> None:
+        """Share the lock `file`; waits while a run is timed."""
+        self._file = file
+        fcntl.flock(file, fcntl.LOCK_SH)
+
+    @contextlib.contextmanager
+    def hold_alone(self) -> Iterator[None]:
+        """Be the only run of this host inside the block; waits until the runs that compute now have computed.
+
+        A run that computes goes on computing afterwards.
+        """
+        fcntl.flock(self._file, fcntl.LOCK_UN)  # two runs that wait for each other would wait for ever
+        fcntl.flock(self._file, fcntl.LOCK_EX)
+        yield
+        fcntl.flock(self._file, fcntl.LOCK_SH)
+
+    def is_only_run(self) -> bool:
+        """Tell whether no other run of this host computes or is timed now."""
+        only = True
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            only = False
+        fcntl.flock(self._file, fcntl.LOCK_SH)  # the system has taken back the shared lock in either case
+        return only
 
 
 @contextlib.contextmanager
-def computing() -> Iterator[None]:
-    """Compute inside the block, beside other runs of this host; waits while a run is timed.
+def share_host(held: TimingLock | None = None) -> Iterator[TimingLock]:
+    """Compute inside the block, beside other runs of this host; yields the lock.
 
-    A block inside a block changes nothing.
+    A lock that this process holds already, `held`, stays as it is.
     """
-    if _computing:
-        yield
+    if held is not None:
+        yield held
         return
     with (folder() / "computing").open("ab") as file:
-        fcntl.flock(file, fcntl.LOCK_SH)
-        _computing.append(file)
         try:
-            yield
+            yield TimingLock(file)
         finally:
-            _computing.remove(file)
             fcntl.flock(file, fcntl.LOCK_UN)  # a fork of this process may hold the file open
-
-
-@contextlib.contextmanager
-def alone() -> Iterator[None]:
-    """Be the only run of this host inside the block; waits until the runs that compute now have computed.
-
-    A run that computes goes on computing afterwards.
-    """
-    with computing():
-        (own,) = _computing
-        fcntl.flock(own, fcntl.LOCK_UN)  # two runs that wait for each other would wait for ever
-        fcntl.flock(own, fcntl.LOCK_EX)
-        yield
-        fcntl.flock(own, fcntl.LOCK_SH)
-
-
-def is_only_run() -> bool:
-    """Tell whether no other run of this host computes or is timed now; for a process that computes."""
-    (own,) = _computing
-    only = True
-    try:
-        fcntl.flock(own, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        only = False
-    fcntl.flock(own, fcntl.LOCK_SH)  # the system has taken back the shared lock in either case
-    return only
 
 
 def folder() -> Path:

@@ -27,7 +27,6 @@ class Protocol:
     sample: Positive = 256  # query images held decoded in memory, at most
     warmup_queries: Count = 50  # at most; fewer once the last ten differ by less than 10 %
     batch_sizes: Annotated[list[Positive], Field(min_length=1)] = field(default_factory=lambda: [1, 8, 32, 128])
-    total_seconds: Annotated[Seconds, Field(gt=0)] | None = None  # of all measurements together; None: no limit
     rates: Flag = True  # False: nothing is timed
 
     def __post_init__(self) -> None:
@@ -55,4 +54,4 @@ class Protocol:
 def _measures_less(kept: Any, request: Any) -> bool:
     if isinstance(request, list):
         return not set(request) <= set(kept)
-    return kept is not None and (request is None or bool(kept < request))  # None: no limit
+    return bool(kept < request)

@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.plugins.entries import entries
+from vprbench.plugins.entries import find_entries
 from vprbench.plugins.tuned_places import parse_places
 from vprbench.runs.notes import Note, make_notes
 from vprbench.runs.record import Run
-from vprbench.runs.views import queries_shown, select_queries, window_of
+from vprbench.runs.views import get_window_length, list_shown_queries, select_queries
 
 #: Arguments of a dataset that choose among its places, which keep their numbers.
 _CHOOSING = {
@@ -28,7 +28,7 @@ def find_tuned_queries(run: Run) -> npt.NDArray[np.bool_] | None:
 
     In a view of sequences the queries near such a query are among them: their answers may rest on its scores.
     """
-    shown = queries_shown(run)
+    shown = list_shown_queries(run)
     tuned = np.zeros(int(shown.max(initial=0)) + 1)  # of the stored queries
     if run.tuned_queries:  # known by the content of their frames
         tuned[[query for query in run.tuned_queries if query < len(tuned)]] = 1
@@ -37,13 +37,13 @@ def find_tuned_queries(run: Run) -> npt.NDArray[np.bool_] | None:
         if on_places is None:
             return None
         tuned[shown[on_places]] = 1
-    reach = window_of(run) - 1  # to either side
+    reach = get_window_length(run) - 1  # to either side
     return np.convolve(tuned, np.ones(2 * reach + 1))[reach:][: len(tuned)][shown] > 0
 
 
 def _find_queries_of_places(run: Run, places: str) -> npt.NDArray[np.bool_] | None:
     """Return which queries have a right place of the declared numbers, (n_queries,); None: the numbers do not tell."""
-    known, entry = parse_places(places), entries("dataset").get(run.dataset)
+    known, entry = parse_places(places), find_entries("dataset").get(run.dataset)
     if known is None or entry is None or entry.rivals:
         return None
     given, usual = run.config["dataset"], entry.values()

@@ -26,12 +26,12 @@ class View:
     window: int = 1  # neighbouring queries that one answer rests on: no block of an interval is shorter
 
 
-def queries_shown(run: Run) -> Queries:
+def list_shown_queries(run: Run) -> Queries:
     """Return which of the stored queries a run or a view of it asks, (n_queries,)."""
     return np.arange(len(run.outcome)) if run.view is None else run.view.queries
 
 
-def window_of(run: Run) -> int:
+def get_window_length(run: Run) -> int:
     """Return on how many neighbouring queries an answer of a run, or of a view of it, rests."""
     return 1 if run.view is None else run.view.window
 
@@ -49,7 +49,7 @@ def replace_scores(run: Run, scores: Scores, protocol: Mapping[str, Any], window
         top_places=places,
         top_scores=values,
         scores=scores,
-        view=View(queries_shown(run), max(window, window_of(run))),
+        view=View(list_shown_queries(run), max(window, get_window_length(run))),
     )
 
 
@@ -65,5 +65,5 @@ def select_queries(run: Run, queries: Queries, protocol: Mapping[str, Any]) -> R
         top_places=run.top_places[rows],
         top_scores=run.top_scores[rows],
         scores=None if run.scores is None else run.scores[rows],
-        view=View(queries_shown(run)[rows], window_of(run)),
+        view=View(list_shown_queries(run)[rows], get_window_length(run)),
     )

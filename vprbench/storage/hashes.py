@@ -13,7 +13,7 @@ from pathlib import Path
 from vprbench import progress
 from vprbench.errors import BadInput
 from vprbench.storage.atomic import replace_text
-from vprbench.storage.cores import core_count
+from vprbench.storage.cores import count_cores
 from vprbench.storage.folders import cache_folder
 from vprbench.storage.paths import Paths
 
@@ -23,11 +23,11 @@ FileHash = tuple[int, bytes]  # size in bytes, SHA-256 (32 bytes)
 _Entry = list[int | str]  # of a file: size in bytes, times of modification and of change in ns, SHA-256 in hexadecimal
 
 
-def file_hashes(paths: Sequence[Path]) -> list[FileHash]:
+def hash_each_file(paths: Sequence[Path]) -> list[FileHash]:
     """Return the size and hash of each file; unknown files are read, by as many threads as there are cores.
 
     A file is known while its absolute path, its size and its times of modification and of change stay the same. Where
-    `hashes_folder` cannot be written, files are read each time. Raises BadInput if a file cannot be read.
+    `find_hashes_folder` cannot be written, files are read each time. Raises BadInput if a file cannot be read.
     """
     files = Paths.of(paths)
     hashes: dict[int, FileHash] = {}  # by position
@@ -39,19 +39,19 @@ def file_hashes(paths: Sequence[Path]) -> list[FileHash]:
     return [hashes[position] for position in range(len(files))]
 
 
-def content_hash(path: Path) -> str:
+def hash_file(path: Path) -> str:
     """Return the SHA-256 of one file as hexadecimal digits; raises BadInput if it cannot be read."""
-    return file_hashes([path])[0][1].hex()
+    return hash_each_file([path])[0][1].hex()
 
 
-def hashes_folder() -> Path:
+def find_hashes_folder() -> Path:
     """Return the folder that keeps the hashes of files: VPRBENCH_HASHES, or one in the user's cache."""
     return cache_folder("VPRBENCH_HASHES", "hashes")
 
 
 def _hash_folder(folder: Path, names: Sequence[str], n_done: int, n_files: int) -> list[_Entry]:
     """Return the entry of each of these files of a folder; the first `n_done` of all `n_files` are hashed already."""
-    index = hashes_folder() / f"{hashlib.sha256(os.fsencode(folder)).hexdigest()[:32]}.json"
+    index = find_hashes_folder() / f"{hashlib.sha256(os.fsencode(folder)).hexdigest()[:32]}.json"
     kept: dict[str, _Entry] = {}
     with suppress(OSError, ValueError, TypeError, KeyError):  # missing or damaged
         kept = dict(json.loads(index.read_bytes())["files"])
@@ -59,7 +59,7 @@ def _hash_folder(folder: Path, names: Sequence[str], n_done: int, n_files: int) 
     try:
         states = {name: _read_state(start + name) for name in names}
         unknown = [name for name, state in states.items() if kept.get(name, [])[:-1] != state]
-        with ThreadPoolExecutor(core_count()) as readers:
+        with ThreadPoolExecutor(count_cores()) as readers:
             digests = readers.map(_read_digest, [start + name for name in unknown])
             for number, (name, digest) in enumerate(zip(unknown, digests, strict=True), start=1):
                 kept[name] = [*states[name], digest]

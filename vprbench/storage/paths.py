@@ -64,7 +64,7 @@ class Paths(Sequence[Path]):
 
     def _list_files(self, index: slice | npt.NDArray[Any]) -> Iterator[tuple[Path, str]]:
         folders = (self.folders[number] for number in self.numbers[index].tolist())
-        return zip(folders, chosen_names(self.names, index), strict=True)
+        return zip(folders, choose_names(self.names, index), strict=True)
 
     def distinct(self) -> Paths:
         """Return each different path once, in the order of the first."""
@@ -77,7 +77,7 @@ class Paths(Sequence[Path]):
         return zip(self.folders, np.split(order, ends[:-1]), strict=False)  # no file has no folder
 
 
-def chosen_names(names: Sequence[str], index: slice | npt.NDArray[Any]) -> tuple[str, ...]:
+def choose_names(names: Sequence[str], index: slice | npt.NDArray[Any]) -> tuple[str, ...]:
     """Return the names that a slice, an index array or an array of yes and no chooses."""
     if isinstance(index, slice):
         return tuple(names[index])

@@ -18,7 +18,7 @@ Arrays = Mapping[str, Array]
 _KINDS = {"F32": "<f4", "F64": "<f8", "I32": "<i4", "I64": "<i8"}
 
 
-def plain(array: Array, name: str) -> Array:
+def require_plain_numbers(array: Array, name: str) -> Array:
     """Return an array as safetensors writes it, byte after byte; raises TypeError for anything but numbers."""
     if not isinstance(array, np.ndarray) or array.dtype.kind not in "biuf":
         raise TypeError(f"{name} is {getattr(array, 'dtype', type(array).__name__)}; wanted a numpy array of numbers")
@@ -28,12 +28,12 @@ def plain(array: Array, name: str) -> Array:
 def write_arrays(path: Path, arrays: Arrays) -> None:
     """Write arrays into a new file; raises OSError if the disk refuses, TypeError for anything but numbers."""
     try:
-        save_file({name: plain(array, name) for name, array in arrays.items()}, path)
+        save_file({name: require_plain_numbers(array, name) for name, array in arrays.items()}, path)
     except SafetensorError as error:
         raise OSError(str(error)) from error
 
 
-def mapped_arrays(path: Path) -> dict[str, Array]:
+def map_arrays(path: Path) -> dict[str, Array]:
     """Return the arrays of a file, which are read from the disk when they are used, and cannot be written to.
 
     Raises OSError for a file that cannot be read and ValueError for one that holds no such arrays.

@@ -11,19 +11,19 @@ from rich.console import Console, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from vprbench.terminal.streams import result_stream
-from vprbench.text import printable
+from vprbench.terminal.streams import get_result_stream
+from vprbench.text import escape_unprintable
 
 LEAST_WIDTH = 100  # columns, where no terminal says how wide it is
 _GAP = 2  # columns behind each of a table
 
 
-def console(stream: TextIO | None = None) -> Console:
+def make_console(stream: TextIO | None = None) -> Console:
     """Return rich's console for `stream`, that of results if None: colours only on terminals, and none for NO_COLOR.
 
     It is as wide as the terminal; what is no terminal has 100 columns, or more if COLUMNS says so.
     """
-    stream = result_stream() if stream is None else stream
+    stream = get_result_stream() if stream is None else stream
     columns = os.environ.get("COLUMNS", "")
     width = None if stream.isatty() else max(LEAST_WIDTH, int(columns) if columns.isdecimal() else 0)
     return Console(file=stream, width=width, markup=False, emoji=False, highlight=False, force_jupyter=False)
@@ -32,11 +32,11 @@ def console(stream: TextIO | None = None) -> Console:
 def show_table(
     columns: Sequence[str], rows: Sequence[Sequence[str]], wide: bool = False, least: Sequence[str] = ()
 ) -> None:
-    """Print what `table_text` returns on standard output."""
-    print(table_text(columns, rows, wide, least))
+    """Print what `format_table` returns on standard output."""
+    print(format_table(columns, rows, wide, least))
 
 
-def table_text(
+def format_table(
     columns: Sequence[str], rows: Sequence[Sequence[str]], wide: bool = False, least: Sequence[str] = ()
 ) -> str:
     """Return a table as text whose lines fit the terminal, or are as long as they are if `wide`.
@@ -44,8 +44,8 @@ def table_text(
     Whole columns that do not fit are left out, those of `least` first and then from the right, and named below; the
     first two stay, and the widest of them is cut short if need be.
     """
-    room = console()
-    cells = [[printable(text) for text in row] for row in (columns, *rows)]
+    room = make_console()
+    cells = [[escape_unprintable(text) for text in row] for row in (columns, *rows)]
     widths = [max(map(cell_len, column)) + _GAP for column in zip(*cells, strict=True)]
     kept = list(range(len(widths)))
     order = [columns.index(name) for name in least if name in columns]
@@ -63,16 +63,16 @@ def table_text(
         table.add_row(*(Text(row[at]) for at in kept))
     room.width = sum(widths[at] for at in kept)
     left_out = ", ".join(name for at, name in enumerate(columns) if at not in kept)
-    below = ["\n" + line_text(f"left out: {left_out} (wide=true shows them)", "dim")] if left_out else []
+    below = ["\n" + format_line(f"left out: {left_out} (wide=true shows them)", "dim")] if left_out else []
     return "".join([format_lines(table, room), *below])
 
 
-def line_text(line: str, style: str = "", fits: bool = False) -> str:
+def format_line(line: str, style: str = "", fits: bool = False) -> str:
     """Return a sentence as a line, or broken between words and in colour for a terminal; broken anywhere if `fits`."""
-    room = console()
+    room = make_console()
     if not (room.is_terminal or fits):
-        return printable(line)
-    return format_lines(Text(printable(line), style=style), room)
+        return escape_unprintable(line)
+    return format_lines(Text(escape_unprintable(line), style=style), room)
 
 
 def format_lines(content: RenderableType, room: Console) -> str:

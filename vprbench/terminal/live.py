@@ -13,8 +13,8 @@ from rich.table import Table
 from rich.text import Text
 
 from vprbench.progress import hide_progress
-from vprbench.terminal.console import console
-from vprbench.text import format_duration, printable
+from vprbench.terminal.console import make_console
+from vprbench.text import escape_unprintable, format_duration
 
 _REST = 5  # lines of a screen that are neither rows nor runs
 _NAME = 30  # columns of a row's name, at most
@@ -32,7 +32,7 @@ class LiveTable:
         self._running: dict[int, tuple[str, float]] = {}  # title and start in seconds, by the run's number
         self._done, self._failed, self._made = 0, 0, 0
         self._started = time.perf_counter()
-        self.console = console(sys.stderr)
+        self.console = make_console(sys.stderr)
 
     @contextmanager
     def shown(self) -> Iterator[None]:
@@ -45,7 +45,7 @@ class LiveTable:
     def show(self, row: str, column: str, text: str, style: str = "") -> None:
         """Fill a cell."""
         self._last_row = self._rows.index(row)
-        self._cells[row, column] = Text(printable(text), style=style)
+        self._cells[row, column] = Text(escape_unprintable(text), style=style)
 
     def begin(self, number: int, title: str) -> None:
         """Show that a run has begun."""
@@ -66,13 +66,13 @@ class LiveTable:
         table = Table("", box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="bold")
         table.columns[0].max_width = _NAME
         for name in self._columns:
-            table.add_column(Text(printable(name)), no_wrap=True, overflow="ellipsis")
+            table.add_column(Text(escape_unprintable(name)), no_wrap=True, overflow="ellipsis")
         room = max(1, self.console.height - _REST - len(running))
         first = max(0, min(self._last_row - room // 2, len(self._rows) - room))
         for row in self._rows[first : first + room]:
             cells = [self._cells.get((row, column), Text("·", style="dim")) for column in self._columns]
-            table.add_row(Text(printable(row), overflow="ellipsis", no_wrap=True), *cells)
-        lines = [f"{format_duration(now - start)}  {printable(title)}" for title, start in running]
+            table.add_row(Text(escape_unprintable(row), overflow="ellipsis", no_wrap=True), *cells)
+        lines = [f"{format_duration(now - start)}  {escape_unprintable(title)}" for title, start in running]
         runs = [Text(line, style="cyan", overflow="ellipsis", no_wrap=True) for line in lines]
         waiting = self._total - self._done - len(self._running)
         counts = f"{self._done} of {self._total}, {len(self._running)} running, {waiting} waiting"

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stdout, suppress
 from typing import TextIO
 
-from vprbench.text import printable
+from vprbench.text import escape_unprintable
 
 own_process = False  # whether this process is the command line's own, and no program or test that calls it
 
@@ -35,7 +35,7 @@ def complain(message: str) -> None:
 
 def _print_on_stderr(line: str) -> None:
     with suppress(OSError, ValueError):  # nobody may be there to read it
-        print(printable(line, but="\t"), file=sys.stderr, flush=True)
+        print(escape_unprintable(line, but="\t"), file=sys.stderr, flush=True)
 
 
 @contextmanager
@@ -63,6 +63,6 @@ def results_only_on_stdout() -> Iterator[Callable[[str], None]]:
         _results = None
 
 
-def result_stream() -> TextIO:
+def get_result_stream() -> TextIO:
     """Return the stream of results: standard output, also inside `results_only_on_stdout`."""
     return _results or sys.stdout

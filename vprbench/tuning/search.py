@@ -22,10 +22,10 @@ from vprbench.metrics.intervals import WiderInterval, difference_interval
 from vprbench.plugins import registry
 from vprbench.report.plan import PLAN_FILE, read_plan
 from vprbench.runs import machine
-from vprbench.runs.identity import code_hash, fingerprint
-from vprbench.runs.run_files import content_key
+from vprbench.runs.identity import compute_fingerprint, hash_code
+from vprbench.runs.run_files import hash_content
 from vprbench.runs.sources import hash_files
-from vprbench.storage.cores import core_count
+from vprbench.storage.cores import count_cores
 from vprbench.tuning import places, space, trial
 from vprbench.tuning.settings import Settings
 from vprbench.tuning.space import PAPER, Values
@@ -88,7 +88,7 @@ def search(settings: Settings, method: Mapping[str, Any], dataset: Mapping[str, 
     settings. Raises BadInput if its places are not free to be searched.
     """
     started, environment = time.perf_counter(), machine.describe_machine("cpu", 1)
-    columns = read_plan(registry.conf_folders()["vprbench"] / PLAN_FILE).columns.values()
+    columns = read_plan(registry.find_conf_folders()["vprbench"] / PLAN_FILE).columns.values()
     allowed = places.choose_places(settings.dataset, dataset, settings.places, columns)
     whole = registry.make_dataset(allowed.dataset)
     parts = {"searched": places.cut_dataset(whole, allowed.searched)}
@@ -98,12 +98,12 @@ def search(settings: Settings, method: Mapping[str, Any], dataset: Mapping[str, 
     encoder = registry.make_method(method)
     origin = {
         "method": {name: value for name, value in method.items() if name != "_target_"},
-        "code": [code_hash(type(encoder)), hash_files([Path(trial.__file__)])],
-        "stretches": {name: [dict(part.protocol), fingerprint(part)] for name, part in parts.items()},
+        "code": [hash_code(type(encoder)), hash_files([Path(trial.__file__)])],
+        "stretches": {name: [dict(part.protocol), compute_fingerprint(part)] for name, part in parts.items()},
         "space": [asdict(parameter) for parameter in space.PARAMETERS],
-        "libraries": {**machine.library_versions(), "optuna": optuna.__version__},
+        "libraries": {**machine.list_library_versions(), "optuna": optuna.__version__},
     }
-    folder = Path(settings.results).expanduser() / "search" / content_key(origin)
+    folder = Path(settings.results).expanduser() / "search" / hash_content(origin)
     with open_study(folder) as study, _open_executor(settings) as (executor, jobs):
         stretches = {name: encode_stretch(part, encoder, name) for name, part in parts.items()}
 
@@ -158,6 +158,6 @@ def _open_executor(settings: Settings) -> Iterator[tuple[Executor, int]]:
         with DaskExecutor(settings) as dask:
             yield dask.open_pool(), dask.count_slots()
         return
-    jobs = min(settings.jobs or settings.workers or core_count(), core_count())
+    jobs = min(settings.jobs or settings.workers or count_cores(), count_cores())
     with ProcessPoolExecutor(jobs, get_context("spawn"), machine.pin_threads, (1,)) as pool:
         yield pool, jobs

@@ -33,7 +33,7 @@ class Parameter:
     step: float | None = None  # of the grid; None: stays at the best random value
 
 
-_DECLARED = yaml.safe_load((registry.conf_folders()["vprbench"] / "search.yaml").read_text(encoding="utf-8"))
+_DECLARED = yaml.safe_load((registry.find_conf_folders()["vprbench"] / "search.yaml").read_text(encoding="utf-8"))
 
 METHOD: str = _DECLARED["method"]
 TITLE: str = _DECLARED["title"]  # of the method

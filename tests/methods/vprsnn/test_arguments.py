@@ -7,7 +7,7 @@ from little_vprsnn import fitted
 from vprbench.errors import BadInput
 from vprbench.methods.vprsnn.ensemble import VPRSNNEnsemble
 from vprbench.methods.vprsnn.method import VPRSNN
-from vprbench.plugins.entries import entries
+from vprbench.plugins.entries import find_entries
 
 # The numbers of QVPR/VPRSNN, whose neurons spike above theta - 20 mV - 52 mV, and others that change what is learnt.
 NUMBERS = {
@@ -82,7 +82,7 @@ def test_the_defaults_are_the_published_numbers():
     [("vprsnn", VPRSNN, {}), ("vprsnn_fast", VPRSNN, {"fast": True}), ("vprsnn_ensemble", VPRSNNEnsemble, {})],
 )
 def test_a_configuration_has_the_defaults_of_its_class(name, kind, differs):
-    configured = entries("method")[name].values()
+    configured = find_entries("method")[name].values()
     assert configured.pop("_target_") == f"{kind.__module__}.{kind.__name__}"
     assert configured.pop("tags") == ["spiking"]
     assert configured == {**kind().given(), **differs, "seed": "${seed}"}

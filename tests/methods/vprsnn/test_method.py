@@ -98,8 +98,8 @@ def test_a_gpu_is_refused_to_a_method_without_an_argument_device():
 
 
 @pytest.mark.extended
-def test_with_carried_potentials_batches_and_the_order_of_queries_are_excepted():
+def test_with_carried_potentials_batches_are_excepted():
     config = {**yaml.safe_load((ROOT / "conf" / "method" / "vprsnn.yaml").read_text()), "seed": 0}
     results = list(check_method({**config, **SMALL, "carried_potentials": True}, set(SMALL)))
     assert [str(result) for result in results if result.state == "broken"] == []
-    assert sum(result.state == "excepted" for result in results) == 3  # a map that grows is too
+    assert sum(result.state == "excepted" for result in results) == 2  # a map that grows is too

@@ -158,7 +158,7 @@ def test_two_threads_train_and_answer_what_one_does():
 
 def test_the_progress_rises_from_nothing_to_all_and_a_part_goes_on_where_the_one_before_ended():
     told = []
-    with progress.listening(lambda stage, done: told.append((stage, done))):
+    with progress.send_reports_to(lambda stage, done: told.append((stage, done))):
         fitted(15, epochs=1)
         for_each_module(lambda module, tell: tell(1.0), 3, Stage("reactions", 0.5, 1.0).part(0.25, 0.75))
     shares = [done for stage, done in told if stage == "training"]

@@ -11,7 +11,7 @@ from quick_runs import quick_runs
 from small_plan import install, quick_figures
 
 from vprbench.cli import main
-from vprbench.report.comparison import make
+from vprbench.report import comparison
 from vprbench.runs.store import Store
 
 ASKED = ["compare", "timing=none", "threads=1", "name=mine"]
@@ -46,7 +46,7 @@ def compared(tmp_path_factory):
 @pytest.fixture
 def apart(compared, monkeypatch):
     """Stand in the folder of the comparison, with nothing to be written; returns what stands in for processes."""
-    monkeypatch.setattr(make, "write_comparison", lambda *_: [])
+    monkeypatch.setattr(comparison, "write_comparison", lambda *_: [])
     return install(monkeypatch, compared[0])
 
 
@@ -56,7 +56,8 @@ def lines(name):
 
 
 def test_the_files_hold_the_asked_runs_in_their_order_and_say_nothing_of_a_paper(compared, apart):
-    assert [(each.method_name, each.seed) for each in compared[1].asked] == [("sad", 0), ("pca", 0), ("pca", 1)]
+    asked = [(each.method_name, each.seed) for each in compared[1].asked]
+    assert asked == [("sad", 0), ("pca", 0), ("pca", 1), ("cosplace", 0)]
     recalls = [line for line in lines("mine.csv") if line["quantity"] == "recall_at_1"]
     assert {line["row"] for line in recalls} == {"sad patch=5", "pca", "cosplace"}
     values = [float(line["value"]) for line in recalls[:2]]
@@ -74,7 +75,7 @@ def test_the_files_hold_the_asked_runs_in_their_order_and_say_nothing_of_a_paper
 @pytest.mark.parametrize("more", [[], ["stored=true"]])
 def test_what_is_stored_is_shown_without_a_process_however_its_folder_is_called(apart, capsys, more):
     assert main([*ASKED, *METHODS, *dataset(Path.cwd() if more else Path()), *more]) == 0
-    assert apart.asked == []
+    assert not [each for each in apart.asked if each.method_name != "cosplace"]  # whose weights may be there by now
     shown = capsys.readouterr().out
     first, second, third = (shown.index(f"\n{name} ") for name in ("sad patch=5", "pca", "cosplace"))
     assert max(first, second) < third
@@ -90,7 +91,7 @@ def test_the_best_ten_places_of_each_query_are_written_for_every_run_or_as_many_
     assert names[1::2] == [(f"{place}.png", f"{place}.png") for place in range(1, 24, 2)]  # the others are noise
     assert {line["right"] for line in of_sad[1::2]} == {"True"}
     given = []
-    monkeypatch.setattr(make, "write_comparison", lambda *each: given.append(each[-1]) or [])
+    monkeypatch.setattr(comparison, "write_comparison", lambda *each: given.append(each[-1]) or [])
     for number in ("0", "2"):
         assert main([*ASKED, *METHODS, *dataset(Path()), "stored=true", f"predictions={number}"]) == 0
     assert (given[0], len(given[1])) == (None, 3 * 24 * 2)
@@ -106,7 +107,7 @@ def test_each_value_of_a_methods_option_is_a_row(apart, capsys):
 
 
 def test_all_that_is_wrong_is_told_at_once_and_nothing_runs(apart, capsys):
-    wrong = ["methods=sda,pca,vprtempo,hog", "pca.components=many", "vprtempo.patch=6", "hog.epochs=3"]
+    wrong = ["methods=sda,pca,vprtempo,hog", "pca.components=many", "vprtempo.encoding=morse", "hog.epochs=3"]
     stored = len(list(Store(Path("results")).runs()))
     assert main([*ASKED, *wrong, *dataset(Path())]) == 2
     told = [line.split(": ")[1] for line in capsys.readouterr().err.splitlines() if line.startswith("vprbench: ")]
@@ -135,8 +136,7 @@ def test_an_option_of_no_comparison_is_named(apart, capsys, options, word):
 
 def test_sequences_are_ranked_from_the_same_stored_runs_side_by_side(apart, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "100")
-    assert main([*ASKED, *METHODS, *dataset(Path()), "sequence=[1,3]"]) == 0
-    assert apart.asked == []
+    assert main([*ASKED, *METHODS, *dataset(Path()), "sequence=[1,3]", "stored=true"]) == 0
     shown = capsys.readouterr().out
     head, *rows = shown[shown.index("R@1 %") :].splitlines()
     assert 0 < head.index("sequence 1 causal") < head.index("sequence 3 causal")
@@ -152,7 +152,7 @@ def test_a_sequence_says_of_runs_without_scores_what_to_do(apart, capsys, tmp_pa
     other.prepare()
     for run in Store(Path("results")).runs():
         other.save(replace(run, scores=None if run.method == "sad" else run.scores))
-    monkeypatch.setattr(make, "run_missing", lambda *_: [])
+    monkeypatch.setattr(comparison, "run_missing", lambda *_: [])
     asked = [*dataset(Path()), "sequence=3", f"results={tmp_path}"]
     assert main([*ASKED, *METHODS, *asked]) == 0
     shown = capsys.readouterr().out

@@ -15,7 +15,7 @@ pytestmark = pytest.mark.extended
 SMALL = ["rows=[SAD,VPRTempo]", "seeds=1"]
 ONE = [*SMALL, "columns=[route_12]"]
 OF_A_COLUMN = (
-    *("fig3a-frames", "fig3b-similarity", "fig3c-precision-recall", "fig3d-recall-at-n"),
+    *("frames", "fig3b-similarity", "precision-recall", "recall-at-n"),
     *("tolerance", "rate", "memory", "spikes"),
 )
 SPEED = {"fig2a-training-time", "fig2b-query-rate", "fig2c-growth"}

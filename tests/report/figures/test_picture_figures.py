@@ -123,7 +123,7 @@ def test_seeds_share_a_box_with_a_dot_each_at_the_bar_and_rows_with_spikes_stand
     drawn = draw_spikes([series("SAD", little.a_run(spikes=None)), snn, tempo])
     *layers, active = drawn.figure.axes
     titles = [axes.get_title(loc="left") for axes in layers]
-    assert titles == ["inhibitory,\n100 neurons", "output", "input,\n784 neurons"]  # the number that all rows have
+    assert titles == ["inhibitory,\n100 neurons", "output,\n100/300 neurons", "input,\n784 neurons"]
     assert [medians(axes) for axes in layers] == [[6], [60, 25], [700]]
     assert sorted(bars(active)) == [25, 50, 75, 100]
     assert [text.get_text() for text in drawn.figure.legends[0].get_texts()] == ["VPRSNN", "VPRTempo"]

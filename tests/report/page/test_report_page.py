@@ -108,7 +108,7 @@ def test_a_frame_stands_in_the_page_once_if_a_query_shows_it_and_the_page_names_
     text = made_up_page([section(journey_run({}, n_references=120))])
     told = answers(text)
     assert told["framesMissing"].startswith("The frames of this dataset are not stored")
-    assert (told["queryNames"], told["placeNames"], told["firstReferences"]) == (None, None, "")
+    assert (told["queryNames"], told["placeNames"]) == (None, None)
     assert embedded(text) == {"queries": [], "places": {}}
     whole = made.journey_thumbnails()
     queries = tuple(frame if query == 10 else b"" for query, frame in enumerate(whole.queries))
@@ -176,7 +176,7 @@ def test_the_page_lists_the_protocol_each_machine_once_with_versions_and_runs_an
     versions = "commit 0123456789ab with changes, Python 3.11.2, torch 2.6.0"
     machines = "Abacus 9, 1 of 2 cores, torch 2.6.0", "Difference Engine, 1 of 2 cores, Mill, torch 2.6.0"
     runs = "SAD (journey), GCL (journey)", "HOG (journey)"
-    assert found == [(machine, versions, of) for machine, of in zip(machines, runs, strict=True)]
+    assert found == [(machine, f"{versions}\n{of}") for machine, of in zip(machines, runs, strict=True)]
     run = journey_run({}, notes=(Note("dataset", "the clock was not locked"),))
     on_gpu = on(replace(run, config={**run.config, "device": "cuda"}), processor="Difference Engine")
     browsed = journey_section()
@@ -187,11 +187,3 @@ def test_the_page_lists_the_protocol_each_machine_once_with_versions_and_runs_an
     protocol = "journey: 50 queries, 60 places"
     assert [shown for shown in (machines[0], "Difference Engine", *notes, protocol) if shown not in text] == []
     assert "Difference Engine" not in Parsed(report.page(TABLE, [], [browsed])).text
-
-
-def test_which_of_several_reference_images_is_shown_is_told():
-    assert words.describe_first_references([journey_run({}, n_references=60)], ["spring/1.png"]) == ""
-    several = [journey_run({}, n_references=120)]
-    for names, traverse in ("spring spring", " (spring)"), ("spring fall", ""), (". .", ""):
-        told = words.describe_first_references(several, [f"{name}/1.png".removeprefix("./") for name in names.split()])
-        assert f"is its first reference image{traverse}; " in told

@@ -2,7 +2,7 @@
 
 from .examination import check_dataset, command, examine, look_at_some, quick
 from .finding import Finding, as_text
-from .names import step_in_dictionary_order
+from .lists import step_in_dictionary_order
 
 __all__ = [
     "Finding",

@@ -2,193 +2,182 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from vprbench.api.dataset import Dataset
-from vprbench.text import plural
+from vprbench.text import format_count, join_names
 
-from . import offsets
 from .finding import Finding, Level
-from .looking import Looks
-from .offsets import Descriptors, Shifts
-from .traverse import Traverse, advances, middles_of, traverses_of
+from .frames import Looks, Small
+from .traverse import Middles, Traverse, advances, traverses_of
+
+Descriptors = npt.NDArray[np.float32]  # (n, 512), unit rows; a row of zeros if there is no picture
+Shifts = npt.NDArray[np.int64]  # (n_queries,), numbers of places
 
 _LEAST = 20  # frames of a traverse
+_PATCH = 8
+_NOISE = 2.0  # of 255 grey values: what differs less in a patch is no structure
+_AT_ONCE = 1024  # queries
+_TIE = 1e-4  # likeness by which another place has to be better than that of the ground truth
+_CHANGE = 8  # votes that one more change of the shift along a traverse costs
+_CANDIDATES = 20  # shifts that most queries vote for
+_SURE = 20  # votes
 _PARTS_NAMED = 3
 _SPOILT = 0.1  # share of the queries
-_MOST = 0.5
 
 
 @dataclass(frozen=True)
 class _Part:
-    """Queries in a row, by their numbers among the compared queries, that show other places than they should."""
+    """Compared queries in a row, by their numbers, that show other places than they should."""
 
     first: int
     last: int
     shift: int  # places
-
-    @property
-    def queries(self) -> Shifts:
-        """The numbers of its queries."""
-        return np.arange(self.first, self.last + 1)
+    votes: int  # of its queries, those that look most like the place under this shift
 
 
 @dataclass(frozen=True)
 class _Comparison:
     """The queries that have a right place, against one reference traverse."""
 
-    query_numbers: Shifts  # (n,), the numbers of the queries
-    middles: Shifts  # (n,), the place each should show
-    queries: Descriptors  # (n, 512)
-    places: Descriptors  # (n_places, 512)
-    right: Sequence[npt.NDArray[np.int64]]  # per query, all places that count as right
+    numbers: Shifts  # (n,), of the queries
+    middles: Middles  # (n,), the place that each query should show
+    best: Shifts  # (n,), the place that looks most like each query
+    n_places: int
 
-    def wrong(self, part: _Part) -> int:
-        """Return how many queries of a part show a place of the map that does not count as right."""
-        shown = zip(part.queries, self.middles[part.queries] + part.shift, strict=True)
-        return sum(0 <= place < len(self.places) and place not in self.right[number] for number, place in shown)
+    @property
+    def is_reversed(self) -> bool:
+        """Whether queries look like the places counted from the last to the first."""
+        backwards = int(np.bincount(self.best + self.middles).max())
+        return backwards > _CHANGE and backwards > 2 * int(np.unique(self.shifts, return_counts=True)[1].max())
 
-    def under(self, shifts: Shifts | int) -> Descriptors:
-        """Return how alike queries and places are under some shifts, (n,)."""
-        return offsets.under(self.queries, self.middles + shifts, self.places)
+    @property
+    def shifts(self) -> Shifts:
+        """By how many places each query looks later than it should."""
+        return self.best - self.middles
+
+    def parts(self) -> list[_Part]:
+        """Return the stretches under one shift other than 0, by the sequence of shifts that most queries vote for.
+
+        The best path through the shifts (Viterbi 1967), on which each change costs some votes.
+        """
+        voted, counts = np.unique(self.shifts, return_counts=True)
+        states = np.union1d(voted[np.argsort(-counts, kind="stable")[:_CANDIDATES]], 0)
+        gains = (self.shifts[:, None] == states).astype(float)
+        total = np.where(states == 0, 0.0, -_CHANGE)
+        came_from = np.empty(gains.shape, np.int64)
+        for query, gain in enumerate(gains):
+            leader = int(total.argmax())
+            came_from[query] = np.where(total[leader] - _CHANGE > total, leader, np.arange(len(states)))
+            total = np.maximum(total, total[leader] - _CHANGE) + gain
+        path, state = np.empty(len(gains), np.int64), int(total.argmax())
+        for query in range(len(gains) - 1, -1, -1):
+            path[query], state = states[state], int(came_from[query, state])
+        ends = np.append(np.flatnonzero(np.diff(path)), len(path) - 1).tolist()
+        firsts = [0, *(end + 1 for end in ends[:-1])]
+        return [
+            _Part(first, last, int(path[first]), int((self.shifts[first : last + 1] == path[first]).sum()))
+            for first, last in zip(firsts, ends, strict=True)
+            if path[first]
+        ]
 
 
-@dataclass(frozen=True)
-class _Verdict:
-    """What a comparison says."""
-
-    parts: tuple[_Part, ...]  # shifted parts; a single part of all queries if the whole traverse is shifted
-    backwards: bool
-    sure: bool  # whether the traverses look more alike there than elsewhere
-    won: int  # stretches of the traverse that speak for this
-    stretches: int
-    before: float  # mean likeness at the ground truth; elsewhere, if nothing is shifted
-    after: float  # the same under the shift; at the ground truth, if nothing is shifted
-
-
-def alignment(dataset: Dataset, references: Sequence[Looks], query: Looks) -> list[Finding]:
-    """Compare the query traverse with every reference traverse, by small pictures of their frames.
+def check_alignment(dataset: Dataset, looks: Sequence[Looks]) -> Iterator[Finding]:
+    """Compare the query traverse, the last of `looks`, with every reference traverse by small pictures of frames.
 
     Only if the right place advances with the query: else nothing says what a shift would be.
     """
-    middles = middles_of(dataset)
-    if not advances(middles):
-        return [_note("not checked: the right place does not advance from query to query")]
-    query_numbers = np.flatnonzero((middles >= 0) & query.readable)
-    fewest = min(len(query_numbers), *(int(looks.readable.sum()) for looks in references))
+    references, queries = traverses_of(dataset)
+    seen = looks[-1]
+    numbers = np.flatnonzero((queries.places >= 0) & seen.readable)
+    fewest = min(len(numbers), *(int(each.readable.sum()) for each in looks[:-1]))
+    if not advances(queries.places):
+        yield _note("not checked: the right place does not advance from query to query")
+        return
     if fewest < _LEAST:
-        told = f"a traverse has {plural(fewest, 'frame')} to compare, and {_LEAST} are needed"
-        return [_note(f"not checked: {told}")]
-    traverses, queries = traverses_of(dataset)
-    right = [dataset.positives[query] for query in query_numbers]
-    described = offsets.described(query.small[query_numbers])
-    compared = []
-    for traverse, looks in zip(traverses, references, strict=True):
-        there = looks.readable
-        shown = offsets.described(looks.small[there])
-        places = offsets.of_places(shown, traverse.places[there], dataset.n_places)
-        compared.append(_Comparison(query_numbers, middles[query_numbers], described, places, right))
-    verdicts = [_verdict(comparison) for comparison in compared]
-    moves = {(verdict.backwards, *(part.shift for part in verdict.parts)) for verdict in verdicts}
-    if len(verdicts) > 1 and len(moves) == 1 and moves != {(False,)}:  # then the queries are what differs
-        everyone = f"each of the {len(verdicts)} reference traverses"
-        return [_finding(queries, traverses[0], compared[0], verdicts[0], everyone)]
-    return [
-        _finding(queries, traverse, comparison, verdict, traverse.name)
-        for traverse, comparison, verdict in zip(traverses, compared, verdicts, strict=True)
-    ]
+        yield _note(f"not checked: a traverse has {format_count(fewest, 'frame')} to compare, and {_LEAST} are needed")
+        return
+    descriptors, middles = describe(seen.small[numbers]), queries.places[numbers]
+    for traverse, each in zip(references, looks[:-1], strict=True):
+        places = np.zeros((dataset.n_places, descriptors.shape[1]), np.float32)
+        np.add.at(places, traverse.places[each.readable], describe(each.small[each.readable]))
+        best = find_most_alike(descriptors, middles, _unit(places))
+        yield _judge(dataset, queries, traverse, _Comparison(numbers, middles, best, dataset.n_places))
 
 
-def _verdict(compared: _Comparison) -> _Verdict:
-    path = offsets.shifts_along(offsets.around(compared.queries, compared.middles, compared.places))
-    along = compared.under(path)
-    at_truth = compared.under(0)
-    peak = offsets.peak(compared.queries, compared.middles, compared.places)
-    won, stretches, sure = offsets.stretches_won(peak.likeness, along)
-    if sure and (peak.backwards or abs(peak.shift) > offsets.REACH):
-        whole = _Part(0, len(path) - 1, peak.shift)
-        return _Verdict((whole,), peak.backwards, True, won, stretches, _mean(at_truth), _mean(peak.likeness))
-    parts = tuple(
-        part for part in _shifted(path) if offsets.stretches_won(along[part.queries], at_truth[part.queries])[2]
-    )
-    if parts:
-        inside = np.concatenate([part.queries for part in parts])
-        won, stretches, _ = offsets.stretches_won(along[inside], at_truth[inside])
-        return _Verdict(parts, False, True, won, stretches, _mean(at_truth[inside]), _mean(along[inside]))
-    elsewhere = compared.queries @ compared.places.mean(0)
-    won, stretches, alike = offsets.stretches_won(at_truth, elsewhere)
-    elsewhere_best = compared.wrong(_Part(0, len(path) - 1, peak.shift)) > _MOST * len(path)
-    sure = alike and not peak.backwards and not elsewhere_best
-    return _Verdict((), False, sure, won, stretches, _mean(elsewhere), _mean(at_truth))
+def describe(small: Small) -> Descriptors:
+    """Return patch-normalised frames without what all frames of the traverse share, as unit rows."""
+    n, height, width = small.shape
+    patches = small.reshape(n, height // _PATCH, _PATCH, width // _PATCH, _PATCH).astype(np.float32)
+    patches -= patches.mean((2, 4), keepdims=True)
+    patches /= patches.std((2, 4), keepdims=True) + _NOISE
+    rows = patches.reshape(n, height * width)
+    return _unit(rows - rows.mean(0))
 
 
-def _shifted(path: Shifts) -> list[_Part]:
-    """Return the stretches of a path that are shifted by one number of places other than 0."""
-    ends = np.append(np.flatnonzero(np.diff(path)), len(path) - 1).tolist()
-    firsts = [0, *(end + 1 for end in ends[:-1])]
-    return [_Part(first, last, int(path[first])) for first, last in zip(firsts, ends, strict=True) if path[first]]
+def find_most_alike(queries: Descriptors, middles: Middles, places: Descriptors) -> Shifts:
+    """Return the place that looks most like each query; that of the ground truth where none is better."""
+    best = middles.copy()
+    for start in range(0, len(queries), _AT_ONCE):
+        part = slice(start, start + _AT_ONCE)
+        likeness = queries[part] @ places.T
+        rows = np.arange(len(likeness))
+        better = likeness.max(1) > likeness[rows, middles[part]] + _TIE
+        best[part][better] = likeness[better].argmax(1)
+    return best
 
 
-def _finding(queries: Traverse, shown: Traverse, compared: _Comparison, verdict: _Verdict, other: str) -> Finding:
-    """Return what is said of a verdict on `shown`; `other` names all reference traverses that it holds for."""
-    after, before = (f"{round(likeness, 2) + 0.0:.2f}" for likeness in (verdict.after, verdict.before))
-    agree = f"{verdict.won} of {verdict.stretches} stretches agree"
-    if not verdict.parts:
-        text = f"likeness {after} at the ground truth, {before} elsewhere; {agree}"
-        if verdict.sure:
-            return _note(f"{queries.name} and {other} are aligned: {text}")
-        text = f"{queries.name} and {other} look too different to tell whether they are aligned: {text}"
+def _judge(dataset: Dataset, queries: Traverse, shown: Traverse, compared: _Comparison) -> Finding:
+    """Return what the votes of the queries say about one reference traverse."""
+    n = len(compared.numbers)
+    names = queries.images.names
+    if compared.is_reversed:
+        advice = "compare some frames by eye; then reverse the order of one of them"
+        return Finding("error", "alignment", f"{queries.name} runs the other way than {shown.name}", advice)
+    parts = compared.parts()
+    if not parts:
+        at_truth = int((np.abs(compared.shifts) <= 1).sum())
+        votes = f"{at_truth:,} of {format_count(n, 'query')} look most like their place or one beside it"
+        if at_truth > max(_SURE, 12 * n / compared.n_places):
+            return _note(f"{queries.name} and {shown.name} are aligned: {votes}")
+        text = f"{queries.name} and {shown.name} look too different to tell whether they are aligned: {votes}"
         return _note(text, "compare some frames by eye")
-    evidence = f"likeness {after} there, {before} at the ground truth; {agree}"
-    compare = f"compare {_pair(queries, shown, compared, verdict)} by eye"
-    if verdict.backwards:
-        text = f"{queries.name} runs the other way than {other} ({evidence})"
-        return Finding("error", "alignment", text, f"{compare}; then reverse the order of one of them")
-    spoilt = sum(compared.wrong(part) for part in verdict.parts)
-    level: Level = "error" if spoilt > _SPOILT * len(compared.query_numbers) else "warning" if spoilt else "note"
-    told = "; ".join(_part(queries, compared, part, other) for part in verdict.parts[:_PARTS_NAMED])
-    more = len(verdict.parts) - _PARTS_NAMED
-    told += f"; and {plural(more, 'part')} more" * (more > 0)
-    text = f"{queries.name} is shifted against {other}: {told} ({evidence})"
+    texts, spoilt = [], 0
+    for part in parts:
+        numbers = np.arange(part.first, part.last + 1)
+        places = compared.middles[numbers] + part.shift
+        there = (places >= 0) & (places < compared.n_places)
+        right = [dataset.positives[query] for query in compared.numbers[numbers[there]]]
+        spoilt += sum(place not in own for place, own in zip(places[there].tolist(), right, strict=True))
+        ends = [names[compared.numbers[number]] for number in (part.first, part.last)]
+        texts.append(
+            f"about {ends[0]} to {ends[1]} ({len(numbers):,} of {format_count(n, 'query')}) show what it shows "
+            f"{format_count(abs(part.shift), 'place')} {'later' if part.shift > 0 else 'earlier'}, "
+            f"by {part.votes:,} of them"
+        )
+    level: Level = "error" if spoilt > _SPOILT * n else "warning" if spoilt else "note"
+    text = f"{queries.name} is shifted against {shown.name}: {join_names(texts, _PARTS_NAMED)}"
     if not spoilt:
         return Finding(level, "alignment", text, "the ground truth counts these places as right")
-    advice = f"{compare}; then look for a file too many or too few, or for a traverse that begins at another frame"
-    return Finding(level, "alignment", text, advice)
-
-
-def _part(queries: Traverse, compared: _Comparison, part: _Part, other: str) -> str:
-    size = part.last - part.first + 1
-    names = queries.images.names
-    first, last = names[compared.query_numbers[part.first]], names[compared.query_numbers[part.last]]
-    whole = size == len(compared.query_numbers)
-    who = (
-        "all of it shows"
-        if whole
-        else f"about {first} to {last} ({size:,} of {len(compared.query_numbers):,} queries) show"
-    )
-    return f"{who} what {other} shows {plural(abs(part.shift), 'place')} {'later' if part.shift > 0 else 'earlier'}"
-
-
-def _pair(queries: Traverse, shown: Traverse, compared: _Comparison, verdict: _Verdict) -> str:
-    """Return the names of two frames that look alike where they should not, from the middle of the first part."""
-    part = verdict.parts[0]
-    last_place = len(compared.places) - 1
-    places = compared.middles[part.queries] + part.shift
-    there = np.flatnonzero((places >= 0) & (places <= last_place))
-    amid = there[len(there) // 2]
-    place = last_place - places[amid] if verdict.backwards else places[amid]
-    query = queries.images.names[compared.query_numbers[part.first + amid]]
+    amid = (parts[0].first + parts[0].last) // 2
+    place = min(max(0, int(compared.middles[amid]) + parts[0].shift), compared.n_places - 1)
     image = shown.images.names[int(np.abs(shown.places - place).argmin())]
-    return f"{query} of {queries.name} with {image} of {shown.name}"
+    advice = (
+        f"compare {names[compared.numbers[amid]]} of {queries.name} with {image} of {shown.name} by eye; then look for "
+        "a file too many or too few, or for a traverse that begins at another frame"
+    )
+    return Finding(level, "alignment", text, advice)
 
 
 def _note(text: str, advice: str = "") -> Finding:
     return Finding("note", "alignment", text, advice)
 
 
-def _mean(likeness: Descriptors) -> float:
-    return float(np.nanmean(likeness)) if np.isfinite(likeness).any() else 0.0
+def _unit(rows: Descriptors) -> Descriptors:
+    norms = np.linalg.norm(rows, axis=1, keepdims=True)
+    unit: Descriptors = np.divide(rows, norms, out=np.zeros_like(rows), where=norms > 1e-6)
+    return unit

@@ -10,19 +10,16 @@ from typing import Literal
 import numpy as np
 
 from vprbench.api.dataset import Dataset
-from vprbench.api.images import Images
 from vprbench.errors import BadInput
 
-from . import files, ground_truth, names, pictures
-from .alignment import alignment
-from .files import Contents
+from .alignment import check_alignment
+from .files import check_folder
 from .finding import LEVELS, Finding, as_text, is_wrong
-from .looking import Looks, look_at
-from .recordings import of_recordings
-from .shared_frames import allowed, shared_frames
+from .frames import check_frames, check_shared_files, check_shared_pixels, look_at
+from .lists import check_lists
+from .recordings import check_recordings
 from .traverse import traverses_of
 
-_UNUSED_LOOKED_AT = 1000  # images of a folder
 _SOME_LOOKED_AT = 200  # frames of a traverse, before a comparison
 
 
@@ -32,17 +29,9 @@ def quick(dataset: Dataset, sequences: bool = False) -> tuple[Finding, ...]:
     They decode nothing but queries that are among the references. `sequences` tells whether answers of neighbouring
     queries are put together, for which their order matters.
     """
-    unused: list[Finding] = []
-
-    def one_by_one() -> Iterator[Contents | None]:  # all together they would be larger than the dataset
-        for folder in dataset.folders:
-            found = files.contents(folder, len(dataset.folders))
-            unused.extend(files.unused_images(found) if found else ())
-            yield found
-
-    found = [*_cheap(dataset, one_by_one(), sequences), *unused]
-    shared = () if any(finding.level == "error" for finding in found) else shared_frames(dataset)
-    return _sorted([*found, *shared])
+    found = [*_check_cheaply(dataset, sequences)]
+    shared = () if any(finding.level == "error" for finding in found) else check_shared_files(dataset)
+    return _sort([*found, *shared])
 
 
 def examine(dataset: Dataset) -> tuple[Finding, ...]:
@@ -50,19 +39,14 @@ def examine(dataset: Dataset) -> tuple[Finding, ...]:
 
     Reports its progress. The worst findings come first.
     """
-    known = [files.contents(folder, len(dataset.folders)) for folder in dataset.folders]
     references, query = traverses_of(dataset)
     looks = [look_at(traverse.images, traverse.name) for traverse in (*references, query)]
-    broken = {path for found in known if found for path in found.broken}
-    return _sorted([
-        *_cheap(dataset, known),
-        *(finding for found in known if found for finding in _unused(found)),
-        *(finding for seen in looks for finding in pictures.unreadable(seen, broken)),
-        *(finding for seen in looks for finding in _of_traverse(dataset, seen)),
-        *pictures.between(looks),
-        *pictures.find_shared_frames(looks, allowed(dataset)),
-        *alignment(dataset, looks[:-1], looks[-1]),
-        *of_recordings(dataset),
+    return _sort([
+        *_check_cheaply(dataset),
+        *(finding for seen in looks for finding in check_frames(dataset, seen)),
+        *check_shared_pixels(dataset, looks),
+        *check_alignment(dataset, looks),
+        *check_recordings(dataset),
     ])  # fmt: skip
 
 
@@ -120,38 +104,13 @@ def command(
     return int(is_wrong(found))
 
 
-def _cheap(dataset: Dataset, known: Iterable[Contents | None], sequences: bool = False) -> Iterator[Finding]:
+def _check_cheaply(dataset: Dataset, sequences: bool = False) -> Iterator[Finding]:
     """Check the lists of the dataset, and its folders by the names and sizes of their files."""
-    references, query = traverses_of(dataset)
     yield from (Finding("note", "dataset", note) for note in dataset.notes)
-    yield from names.repeated_names([*references, query])
-    yield from names.order([*references, query], dataset.by_order or sequences, dataset.protocol.get("numbers"))
-    yield from names.names_of_places(references, query)
-    yield from ground_truth.right_places(dataset)
-    yield from ground_truth.course(dataset)
-    yield from ground_truth.drives(dataset)
-    for folder, found in zip(dataset.folders, known, strict=True):
-        yield from files.of_folder(folder, found)
+    yield from check_lists(dataset, sequences)
+    for folder in dataset.folders:
+        yield from check_folder(folder)
 
 
-def _of_traverse(dataset: Dataset, seen: Looks) -> Iterator[Finding]:
-    """Check the frames of a traverse, but not whether those that count events are dark or have few levels."""
-    yield from pictures.turned(seen, dataset.protocol.get("exif", "obey"))
-    for finding in pictures.of_traverse(seen, "levels" in dataset.protocol):
-        if not dataset.recordings or finding.check not in ("black frames", "levels"):
-            yield finding
-
-
-def _unused(found: Contents) -> Iterator[Finding]:
-    """Look at images that are not used, as far as they are not too many."""
-    unused = found.unused
-    if not unused:
-        return
-    chosen = np.linspace(0, len(unused) - 1, min(len(unused), _UNUSED_LOOKED_AT)).astype(int)
-    images = Images.from_files([found.folder.path / unused[number] for number in chosen])
-    looks = look_at(images, f"what {found.folder.path.name} holds beside")
-    yield from files.unused_images(found, len(images), int(looks.black.sum()))
-
-
-def _sorted(found: Iterable[Finding]) -> tuple[Finding, ...]:
+def _sort(found: Iterable[Finding]) -> tuple[Finding, ...]:
     return tuple(sorted(found, key=lambda finding: LEVELS.index(finding.level)))

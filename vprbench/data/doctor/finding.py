@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from vprbench.text import plural
+from vprbench.text import format_count
 
 Level = Literal["error", "warning", "note"]
 LEVELS: tuple[Level, ...] = get_args(Level)  # the worst first
@@ -37,7 +37,7 @@ def as_text(name: str, found: Sequence[Finding]) -> str:
         lines += ["", *_paragraph(finding.level, f"{finding.check}: {finding.text}")]
         if finding.advice:
             lines += _paragraph("  do", finding.advice)
-    counts = [plural(sum(finding.level == level for finding in found), level) for level in LEVELS]
+    counts = [format_count(sum(finding.level == level for finding in found), level) for level in LEVELS]
     verdict = "something is wrong" if is_wrong(found) else "nothing is wrong"
     return "\n".join([*lines, "", f"{verdict}: {', '.join(counts)}"])
 

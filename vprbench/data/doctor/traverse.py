@@ -13,7 +13,7 @@ from vprbench.api.arrays import Places
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
 
-Middles = npt.NDArray[np.int64]  # (n_queries,), the middle right place of each; -1 if there is none
+Middles = npt.NDArray[np.int64]  # (n_queries,), the middle right place of each query; -1 if there is none
 
 _MOSTLY = 0.9  # of the steps from query to query
 
@@ -24,7 +24,7 @@ class Traverse:
 
     name: str  # as the protocol calls it
     images: Images
-    places: Places  # (n_images,), what they show; of queries the middle right place, -1 for none
+    places: Places  # (n_images,), the place of each reference; of queries the middle right place, -1 for none
 
 
 def traverses_of(dataset: Dataset) -> tuple[tuple[Traverse, ...], Traverse]:
@@ -37,7 +37,7 @@ def traverses_of(dataset: Dataset) -> tuple[tuple[Traverse, ...], Traverse]:
     if rest or not np.array_equal(dataset.places, np.tile(np.arange(dataset.n_places), count)):
         count = 1
     size = len(dataset.references) // count
-    names = [*_reference_names(dataset.protocol, count), _query_name(dataset.protocol)]
+    names = [*_name_references(dataset.protocol, count), _name_queries(dataset.protocol)]
     if len(set(names)) < len(names):
         names = [f"{role} {name}" for role, name in zip([*["reference"] * count, "query"], names, strict=True)]
     if len(set(names)) < len(names):
@@ -55,21 +55,17 @@ def middles_of(dataset: Dataset) -> Middles:
 
     Right places that the first or the last place cuts off are completed to the usual number.
     """
-    last_place = dataset.n_places - 1
+    last = dataset.n_places - 1
     positives = [np.sort(right) for right in dataset.positives]
-    inside = [len(right) for right in positives if len(right) and right[0] > 0 and right[-1] < last_place]
+    inside = [len(right) for right in positives if len(right) and right[0] > 0 and right[-1] < last]
     reach = int(np.median(inside)) // 2 if inside else 0
-    return np.array([_middle(right, reach, last_place) for right in positives], np.int64)
 
+    def find_middle(right: Places) -> int:
+        if len(right) and right[0] == 0 and len(right) <= 2 * reach:
+            return max(0, int(right[-1]) - reach)
+        return int(right[0] + min(reach, len(right) - 1) if right[-1] == last else right[len(right) // 2])
 
-def _middle(right: npt.NDArray[np.int64], reach: int, last_place: int) -> int:
-    if not len(right):
-        return -1
-    if right[0] == 0 and len(right) <= 2 * reach:
-        return max(0, int(right[-1]) - reach)
-    if right[-1] == last_place and len(right) <= 2 * reach:
-        return min(last_place, int(right[0]) + reach)
-    return int(right[len(right) // 2])
+    return np.array([find_middle(right) if len(right) else -1 for right in positives], np.int64)
 
 
 def advances(middles: Middles) -> bool:
@@ -78,12 +74,7 @@ def advances(middles: Middles) -> bool:
     return len(steps) > 0 and bool((steps > 0).mean() >= _MOSTLY)
 
 
-def one_by_one(middles: Middles) -> bool:
-    """Tell whether every next query shows the next place."""
-    return len(middles) > 1 and bool((middles >= 0).all() and (np.diff(middles) == 1).all())
-
-
-def _reference_names(protocol: Mapping[str, Any], count: int) -> list[str]:
+def _name_references(protocol: Mapping[str, Any], count: int) -> list[str]:
     named = protocol.get("references", protocol.get("reference"))
     listed = [named] if isinstance(named, str) else named if isinstance(named, Sequence) else []
     if len(listed) == count:
@@ -91,6 +82,6 @@ def _reference_names(protocol: Mapping[str, Any], count: int) -> list[str]:
     return ["references"] if count == 1 else [f"reference traverse {number}" for number in range(1, count + 1)]
 
 
-def _query_name(protocol: Mapping[str, Any]) -> str:
+def _name_queries(protocol: Mapping[str, Any]) -> str:
     named = protocol.get("query", protocol.get("queries"))
     return named if isinstance(named, str) and named else "queries"

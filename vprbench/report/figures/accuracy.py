@@ -26,7 +26,7 @@ from vprbench.runs.corruption import KINDS
 from vprbench.runs.recall_intervals import order_along_journey
 from vprbench.runs.record import Run
 from vprbench.runs.rows import describe_sequence
-from vprbench.runs.views import select_queries, window_of
+from vprbench.runs.views import get_window_length, select_queries
 
 LARGEST_N = 25
 LARGEST_WIDENING = 10  # places to either side
@@ -71,7 +71,7 @@ def draw_precision_recall(series: Sequence[MethodRuns]) -> Drawing:
     caption = (
         "Precision-recall curves of the best match of each query; recall is over the queries with a right place (curve "
         "A). AP: the area under the steps. Band of a single run: 95 % interval of precision, block bootstrap of "
-        f"{_RESAMPLES} resamples. {describe_runs(series, f'{_SEEDS}; AP ± standard deviation')}"
+        f"{_RESAMPLES} resamples. Several seeds: {_SEEDS}; AP ± standard deviation. {describe_runs(series)}"
     )
     return Drawing(figure, caption)
 
@@ -127,7 +127,7 @@ def draw_recall_at_length(views: Iterable[Sequence[MethodRuns]]) -> Drawing:
 
     A row has a point at each length that its runs were seen in. Raises BadInput if no query has a right place.
     """
-    of_length = {window_of(rows[0].runs[0]): rows for rows in map(choose_answerable, views)}
+    of_length = {get_window_length(rows[0].runs[0]): rows for rows in map(choose_answerable, views)}
     lengths = sorted(of_length)
     figure, (axes,) = new_figure(style.SINGLE_MM, _HEIGHT_MM, grid=True)
     for name, look in choose_looks(row.name for length in lengths for row in of_length[length]).items():
@@ -158,7 +158,8 @@ def draw_metric(series: Sequence[MethodRuns], metric: Metric) -> Drawing:
         axes.plot(line, [place] * 3, color=look.colour, marker=look.marker, markevery=[1])
     axes.set(yticks=range(len(known)), yticklabels=[fill(row.name, _LETTERS) for row in known], xlabel=metric.head)
     axes.invert_yaxis()
-    return Drawing(figure, f"{metric.explained} {describe_runs(known, 'mean, and a line from lowest to highest')}")
+    caption = f"{metric.explained} Several seeds: the mean, and a line from lowest to highest. {describe_runs(known)}"
+    return Drawing(figure, caption)
 
 
 @use_style
@@ -184,13 +185,13 @@ def draw_robustness(robustness: Robustness) -> Drawing:
     effects = (f" {kind.capitalize()}: queries {effect}." for kind, effect in robustness.words.items())
     caption = (
         "Recall at 1 over all queries against the strength of corruptions of the queries; references are clean."
-        f"{''.join(effects)} {f'Bands: {INTERVALS}. ' if with_bands else ''}{describe_runs(robustness.clean, 'means')}"
+        f"{''.join(effects)} {f'Bands: {INTERVALS}. ' if with_bands else ''}{describe_runs(robustness.clean)}"
     )
     return Drawing(figure, caption)
 
 
 def _describe_recalls(series: Sequence[MethodRuns]) -> str:
-    return f"Bands: {INTERVALS}. {describe_runs(series, f'{_SEEDS}; the band is of mean hits')}"
+    return f"Bands: {INTERVALS}. Several seeds: {_SEEDS}; the band is of mean hits. {describe_runs(series)}"
 
 
 def _draw_recalls(series: Sequence[MethodRuns], xs: Sequence[int], hits: Callable[[Run], Values]) -> Figure:
@@ -211,7 +212,7 @@ def _measure_recalls(runs: Sequence[Run], hits: Callable[[Run], Values]) -> tupl
 
     The ends are NaN where there is no interval.
     """
-    order, window = order_along_journey(runs[0]), window_of(runs[0])
+    order, window = order_along_journey(runs[0]), get_window_length(runs[0])
     mean_hits = np.mean([hits(run)[:, order] for run in runs], axis=0)
     intervals = [share_interval(each, window=window) for each in mean_hits]
     low, high = np.transpose([(each.low, each.high) if each else (np.nan, np.nan) for each in intervals])
@@ -248,7 +249,7 @@ def _resample_precision(run: Run, end: float) -> tuple[Values, Values, Values]:
     """Return recalls up to `end` and the 95 % interval of precision there, by a circular block bootstrap."""
     run = replace(run, scores=None)
     random, order = np.random.default_rng(0), order_along_journey(run)
-    n, block = len(order), max(block_length(hits_at(run.outcome, 1)[order]), window_of(run))
+    n, block = len(order), max(block_length(hits_at(run.outcome, 1)[order]), get_window_length(run))
     grid = np.linspace(0, end, _GRID_POINTS)
     precisions = np.full((_RESAMPLES, _GRID_POINTS), np.nan)
     for precision in precisions:

@@ -11,7 +11,7 @@ from vprbench.report.selection import MethodRuns
 from vprbench.report.table.best import describe_machine, is_disturbed
 from vprbench.runs.record import Run
 from vprbench.runs.tuned import describe_tuning
-from vprbench.text import plural
+from vprbench.text import format_count
 
 INTERVALS = "95 % intervals over the queries, the wider of Wilson's and a block bootstrap's"
 
@@ -40,23 +40,22 @@ def describe_machines(runs: Iterable[Run]) -> str:
     return f"Measured on {'; '.join(dict.fromkeys(map(describe_machine, runs)))}."
 
 
-def describe_runs(series: Sequence[MethodRuns], seeds: str, of_times: bool = False) -> str:
-    """Return the end of a caption: datasets, seeds and tuned rows, for times also machines and disturbed rows.
+def describe_runs(series: Sequence[MethodRuns]) -> str:
+    """Return the end of a caption: datasets, rows of several seeds and tuned rows."""
+    datasets = dict.fromkeys(_describe_dataset(run) for row in series for run in row.runs)
+    seeds = list_names("Seeds", (f"{row.name} {len(row.runs)}" for row in series if len(row.runs) > 1))
+    tuned = [f" {row.name}: {note}." for row in series if (note := describe_tuning(row.runs))]
+    return f"Dataset: {'; '.join(datasets)}.{seeds}{''.join(tuned)}"
 
-    `seeds` says how the figure draws several seeds of a row.
-    """
-    runs = [run for row in series for run in row.runs]
+
+def describe_timed_runs(series: Sequence[MethodRuns]) -> str:
+    """Return the end of a caption of times: `describe_runs`, machines and disturbed rows."""
+    machines = describe_machines(run for row in series for run in row.runs)
     disturbed = [row.name for row in series if any(map(is_disturbed, row.runs))]
-    facts = [
-        f"Dataset: {'; '.join(dict.fromkeys(map(_describe_dataset, runs)))}.",
-        list_names(f"Seeds ({seeds})", (f"{row.name} {len(row.runs)}" for row in series if len(row.runs) > 1)),
-        f" {describe_machines(runs)}{list_names('Disturbed machine or too few laps', disturbed)}" if of_times else "",
-        *(f" {row.name}: {note}." for row in series if (note := describe_tuning(row.runs))),
-    ]
-    return "".join(facts)
+    return f"{describe_runs(series)} {machines}{list_names('Disturbed machine or too few laps', disturbed)}"
 
 
 def _describe_dataset(run: Run) -> str:
     unanswerable = int(np.count_nonzero(~run.outcome.answerable))
-    counts = f"{plural(len(run.outcome), 'query')}, {plural(run.outcome.n_places, 'place')}"
+    counts = f"{format_count(len(run.outcome), 'query')}, {format_count(run.outcome.n_places, 'place')}"
     return f"{run.dataset} ({counts}{f', {unanswerable:,} without a right place' if unanswerable else ''})"

@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from vprbench.errors import BadInput
 from vprbench.metrics.growth import fit_power
 from vprbench.report.figures import style
-from vprbench.report.figures.captions import choose_runs, describe_machines, describe_runs
+from vprbench.report.figures.captions import choose_runs, describe_machines, describe_timed_runs
 from vprbench.report.figures.style import Drawing, Look, choose_looks, new_figure, use_style
 from vprbench.report.growth import GrowthSamples
 from vprbench.report.selection import MethodRuns
@@ -39,13 +39,14 @@ def draw_growth(rows: Sequence[GrowthSamples], claim: str = "") -> Drawing:
     labels = {row.name: row.name for row in rows}
     looks = choose_looks(labels)
     for axes, step, columns, unit in ((left, "training", _TRAINING, 1.0), (right, "query", _QUERY, _MS)):
+        times = table.dropna(subset=columns[0])
+        if times.empty:
+            axes.set_visible(False)
+            continue
         for row in rows:
             labels[row.name] += _draw_times(axes, row.table, columns, unit, looks[row.name], step)
-        times = table.dropna(subset=columns[0])
-        axes.set_visible(len(times) > 0)
-        if len(times):
-            style.scale_log(axes, "x", times["places"])
-            style.scale_log(axes, "y", unit * times[columns[0]].astype(float))
+        style.scale_log(axes, "x", times["places"])
+        style.scale_log(axes, "y", unit * times[columns[0]].astype(float))
     style.add_legend(figure, [Line2D([], [], **looks[name].of_line, label=label) for name, label in labels.items()])
     places = sorted({*table["places"]})
     caption = (
@@ -80,8 +81,8 @@ def draw_growing_map(series: Sequence[MethodRuns]) -> Drawing:
     style.add_legend(figure)
     caption = (
         "Left: recall at 1 of a map that grows place by place, over queries whose right place it holds (dotted: over "
-        "those of its first fit). Right: median time of a new place, its images in memory. "
-        f"{describe_runs(series, 'the first is drawn', of_times=True)}"
+        "those of its first fit). Right: median time of a new place, its images in memory. Of several seeds the first. "
+        f"{describe_timed_runs(series)}"
     )
     return Drawing(figure, caption)
 
@@ -94,7 +95,7 @@ def _draw_times(axes: Axes, table: pd.DataFrame, columns: Sequence[str], unit: f
     known = table.dropna(subset=columns[0]).astype(dict.fromkeys(columns, float))
     for disturbed, drawn in known.groupby("disturbed"):
         seconds, low, high = (unit * drawn[name].fillna(drawn[columns[0]]) for name in columns)
-        points = {**look.of_line, "linestyle": "none", "markerfacecolor": "white" if disturbed else look.colour}
+        points = {**look.of_points, "markerfacecolor": "white" if disturbed else look.colour}
         axes.errorbar(drawn["places"], seconds, [seconds - low, high - seconds], zorder=3, **points)
     try:
         power = fit_power(known["places"].tolist(), known[columns[0]].tolist())

@@ -53,8 +53,8 @@ def write_figures(drawings: Iterable[tuple[str, Drawing]], folder: Path) -> Iter
     remove_leftovers(folder)
     captions = ["# Captions\n"]
     for name, drawing in drawings:
-        replace_bytes(folder / f"{name}.pdf", style.render_pdf(drawing))
         replace_bytes(folder / f"{name}.png", style.render_png(drawing))
+        replace_bytes(folder / f"{name}.pdf", style.render_pdf(drawing))
         captions.append(f"**{escape_markdown(name)}.** {escape_markdown(drawing.caption)}\n")
         yield folder / f"{name}.pdf"
     replace_text(folder / "captions.md", "\n".join(captions))
@@ -114,14 +114,12 @@ def _choose_growth_rows(found: Report) -> list[Row]:
 
 
 def _list_growth(found: Report, runs: Sequence[Run], columns: Sequence[ResolvedColumn]) -> Iterator[FigureCall]:
-    """Yield time against places, of each row of the growth that has runs."""
+    """Yield time against places, of each row of the growth that has runs; nothing without columns."""
     grown = []
-    for row in _choose_growth_rows(found):
-        of_sizes = [
-            one for group in group_runs_by_column(runs, (), columns, [row]) for one in list_method_runs(group, [row])
-        ]
-        if of_sizes:
-            grown.append(collect_growth_samples(row, [run for one in of_sizes for run in one.runs]))
+    for row in _choose_growth_rows(found) if columns else ():
+        groups = group_runs_by_column(runs, (), columns, [row])
+        if of_sizes := [run for group in groups for one in list_method_runs(group, [row]) for run in one.runs]:
+            grown.append(collect_growth_samples(row, of_sizes))
     if columns:
         published = found.chosen.plan.published
         yield "growth", growth.draw_growth, grown, published.growth_claim if published else ""
@@ -129,54 +127,44 @@ def _list_growth(found: Report, runs: Sequence[Run], columns: Sequence[ResolvedC
 
 def _list_speed(found: Report) -> Iterator[FigureCall]:
     """Yield training time and query rate of the first group that was timed."""
-    there = (group for group in found.groups if group.runs)
-    group = max(there, key=lambda group: any(run.timing for run in group.runs))
-    rows = found.chosen.rows
-    given = (
-        [*list_method_runs(group, rows), *list_method_runs(group, rows, "cuda")],
-        rows,
-        group.column.planned,
-        found.chosen.plan.published,
-    )
-    yield "training-time", speed.draw_training_time, *given
-    yield "query-rate", speed.draw_query_rate, *given
+    group = max(found.groups, key=lambda group: (any(run.timing for run in group.runs), len(group.runs) > 0))
+    rows, plan = found.chosen.rows, found.chosen.plan
+    series = [*list_method_runs(group, rows), *list_method_runs(group, rows, "cuda")]
+    yield "training-time", speed.draw_training_time, series, rows, group.column.planned, plan.published
+    yield "query-rate", speed.draw_query_rate, series, rows, group.column.planned, plan.published
 
 
 def _list_by_group(found: Report, group: DatasetRuns, shown: Sequence[MethodRuns]) -> Iterator[FigureCall]:
     """Yield the figures of a group; without ground truth of spikes alone."""
-    if shown[0].runs[0].is_judged:
-        yield from _list_accuracy(found, group, shown)
-    yield f"spikes-{group.name}", spikes.draw_spikes, shown
-    if any(spikes.has_spike_times(run) for row in shown for run in row.runs):
-        yield f"raster-{group.name}", spikes.draw_raster, shown
-
-
-def _list_accuracy(found: Report, group: DatasetRuns, shown: Sequence[MethodRuns]) -> Iterator[FigureCall]:
-    """Yield the figures of a group that need to know which places are right."""
-    name, timed = group.name, list_method_runs(group, found.chosen.rows)
-    if thumbnails := thumbnails_of(group, found.chosen):
-        yield f"frames-{name}", pictures.draw_frames, thumbnails, format_title(group, found.groups)
-    published = found.chosen.plan.published
-    wanted = published.shown_row if published else None
-    best = max(shown, key=lambda row: (row.name == wanted, average_recall(row.runs) or 0.0))
-    yield f"similarity-{name}", pictures.draw_similarity, best.runs[0], best.name
-    yield f"precision-recall-{name}", accuracy.draw_precision_recall, shown
-    yield f"recall-at-n-{name}", accuracy.draw_recall_at_n, shown
-    yield f"tolerance-{name}", accuracy.draw_recall_at_tolerance, shown
-    for metric in found.chosen.metrics:
-        yield f"{metric.replace('_', '-')}-{name}", accuracy.draw_metric, shown, METRICS[metric]
-    yield f"rate-{name}", tradeoff.draw_rate_tradeoff, timed
-    yield f"memory-{name}", tradeoff.draw_memory_tradeoff, timed
-    if any(run.stream for row in shown for run in row.runs):
-        yield f"growing-map-{name}", growth.draw_growing_map, shown
+    name, runs = group.name, [run for row in shown for run in row.runs]
+    if runs[0].is_judged:
+        if thumbnails := thumbnails_of(group, found.chosen):
+            yield f"frames-{name}", pictures.draw_frames, thumbnails, format_title(group, found.groups)
+        published = found.chosen.plan.published
+        wanted = published.shown_row if published else None
+        best = max(shown, key=lambda row: (row.name == wanted, average_recall(row.runs) or 0.0))
+        yield f"similarity-{name}", pictures.draw_similarity, best.runs[0], best.name
+        yield f"precision-recall-{name}", accuracy.draw_precision_recall, shown
+        yield f"recall-at-n-{name}", accuracy.draw_recall_at_n, shown
+        yield f"tolerance-{name}", accuracy.draw_recall_at_tolerance, shown
+        for metric in found.chosen.metrics:
+            yield f"{metric.replace('_', '-')}-{name}", accuracy.draw_metric, shown, METRICS[metric]
+        timed = list_method_runs(group, found.chosen.rows)
+        yield f"rate-{name}", tradeoff.draw_rate_tradeoff, timed
+        yield f"memory-{name}", tradeoff.draw_memory_tradeoff, timed
+        if any(run.stream for run in runs):
+            yield f"growing-map-{name}", growth.draw_growing_map, shown
+    yield f"spikes-{name}", spikes.draw_spikes, shown
+    if any(map(spikes.has_spike_times, runs)):
+        yield f"raster-{name}", spikes.draw_raster, shown
 
 
 def _list_sequences(shown: Sequence[tuple[DatasetRuns, list[MethodRuns]]]) -> Iterator[FigureCall]:
     """Yield recall over the length of sequences for each column that is seen in several."""
     columns: dict[str, list[list[MethodRuns]]] = {}
-    for group, of_group in shown:
-        if of_group[0].runs[0].is_judged and "sequence" in of_group[0].runs[0].protocol:
-            columns.setdefault(group.column.planned.name, []).append(of_group)
+    for group, rows in shown:
+        if rows[0].runs[0].is_judged and "sequence" in rows[0].runs[0].protocol:
+            columns.setdefault(group.column.planned.name, []).append(rows)
     for name, views in columns.items():
         if len(views) > 1:
             yield f"sequences-{name}", accuracy.draw_recall_at_length, views

@@ -6,16 +6,13 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.patches import Patch
-from matplotlib.ticker import FuncFormatter
 
 from vprbench.report.figures import style
 from vprbench.report.figures.captions import choose_runs, describe_runs
-from vprbench.report.figures.style import Drawing, Look, choose_looks, new_figure, use_style
+from vprbench.report.figures.style import Drawing, choose_looks, new_figure, use_style
 from vprbench.report.selection import MethodRuns
 from vprbench.runs.record import Run
-from vprbench.text import plural
 
 _HEIGHT_MM = 52.0  # of a line of panels, without the legend
 _COLUMNS = 2  # of panels: their type is as large as that of other figures
@@ -37,22 +34,47 @@ def draw_spikes(series: Sequence[MethodRuns]) -> Drawing:
     """
     looks = choose_looks(row.name for row in series)
     rows = choose_runs(series, _list_layers, "holds spikes: run a spiking method, such as method=vprtempo force=true")
-    names = list(dict.fromkeys(layer["name"] for row in rows for run in row.runs for layer in _list_layers(run)))
+    layers = [(row.name, layer) for row in rows for run in row.runs for layer in _list_layers(run)]
+    names = list(dict.fromkeys(layer["name"] for _, layer in layers))
     n_lines = len(names) // _COLUMNS + 1
     figure, cells = new_figure(style.SINGLE_MM, _HEIGHT_MM * n_lines, n_lines, _COLUMNS)
     *panels, active = cells[: len(names) + 1]
     for empty in cells[len(names) + 1 :]:
         empty.remove()
-    room = _GROUP / len(rows)
+    width = _GROUP / len(rows) * _FILLED
     for position, (panel, name) in enumerate(zip(panels, names, strict=True)):
-        of_rows = [[one for run in row.runs for one in _list_layers(run) if one["name"] == name] for row in rows]
-        for number, (row, layers) in enumerate(zip(rows, of_rows, strict=True)):
-            if layers:
-                x = position + (number - (len(rows) - 1) / 2) * room
-                _draw_box(panel, number, layers, looks[row.name])
-                _draw_bar(active, x, room * _FILLED, layers, looks[row.name])
-        _finish_panel(panel, name, [layer for layers in of_rows for layer in layers])
-        panel.set(xticks=[], xlim=(-0.5, len(rows) - 0.5), ylabel="" if position % _COLUMNS else "Spikes of a query")
+        for number, row in enumerate(rows):
+            seeds = [layer for owner, layer in layers if (owner, layer["name"]) == (row.name, name)]
+            if not seeds:
+                continue
+            look = looks[row.name]
+            panel.boxplot(
+                np.concatenate([layer["spikes_per_query"] for layer in seeds]),
+                positions=[number],
+                widths=_GROUP * _FILLED,
+                whis=_WHISKERS,
+                showfliers=False,
+                manage_ticks=False,
+                patch_artist=True,
+                boxprops=look.of_bar,
+                medianprops={"color": "black", "linewidth": 1.2},
+                whiskerprops={"color": look.colour},
+                capprops={"color": look.colour},
+            )
+            x, shares = position + (number / len(rows) - 0.5) * _GROUP, [100 * layer["active_share"] for layer in seeds]
+            active.bar(x, np.mean(shares), width, align="edge", **look.of_bar)
+            if len(shares) > 1:
+                active.plot(
+                    [x + width / 2] * len(shares), shares, linestyle="", marker=".", color="black", markersize=3
+                )
+        neurons = sorted({layer["neurons"] for _, layer in layers if layer["name"] == name})
+        panel.set(title=f"{name},\n{'/'.join(f'{count:,}' for count in neurons)} neurons", xticks=[])
+        panel.set(xlim=(-0.5, len(rows) - 0.5), ylabel="" if position % _COLUMNS else "Spikes of a query")
+        low, high = panel.dataLim.intervaly
+        if high >= _WIDE * max(low, 1):
+            panel.set_yscale("symlog", linthresh=1)
+        panel.yaxis.set_major_formatter("{x:,g}")
+        panel.grid(True, axis="y")
     active.set(title="Neurons that\nspike (%)", ylim=(0, 103), xlim=(-0.5, len(names) - 0.5))
     active.set_xticks(range(len(names)), names, rotation=90 if len(names) > _UPRIGHT else 0)
     active.grid(True, axis="y")
@@ -62,7 +84,7 @@ def draw_spikes(series: Sequence[MethodRuns]) -> Drawing:
     caption = (
         "Spikes of a query in each layer: box from quartile to quartile with the median, whiskers from the "
         f"{_WHISKERS[0]}th to the {_WHISKERS[1]}th percentile. Last panel: share of neurons that spike in any sampled "
-        f"query, {queries} of a seed. {describe_runs(rows, 'a box holds all; bars are means, dots the seeds')}"
+        f"query, {queries} of a seed; bars are means, dots the seeds. {describe_runs(rows)}"
     )
     return Drawing(figure, caption)
 
@@ -85,8 +107,8 @@ def draw_raster(series: Sequence[MethodRuns]) -> Drawing:
         panel.set(xlim=(0, 1 + max(max(each["times"]) for each in layers)), ylim=(-1, layer["neurons"]))
     panels[-1].set_xlabel("Time step since the query was shown")
     caption = (
-        f"Spikes of {rows[0].name} for one query, a dot a neuron; an earlier spike is a larger amplitude. "
-        f"{describe_runs(rows[:1], 'the first is drawn')}"
+        f"Spikes of {rows[0].name}, its first seed, for one query, a dot a neuron; an earlier spike is a larger "
+        f"amplitude. {describe_runs(rows[:1])}"
     )
     return Drawing(figure, caption)
 
@@ -95,38 +117,3 @@ def _list_layers(run: Run) -> Sequence[Layer]:
     """Return the layers of a run's network; none for a run that holds no spikes."""
     layers: Sequence[Layer] = (run.spikes or {}).get("layers", ())
     return layers
-
-
-def _draw_box(axes: Axes, x: float, layers: Sequence[Layer], look: Look) -> None:
-    axes.boxplot(
-        np.concatenate([layer["spikes_per_query"] for layer in layers]),
-        positions=[x],
-        widths=_GROUP * _FILLED,
-        whis=_WHISKERS,
-        showfliers=False,
-        manage_ticks=False,
-        patch_artist=True,
-        boxprops=look.of_bar,
-        medianprops={"color": "black", "linewidth": 1.2},
-        whiskerprops={"color": look.colour},
-        capprops={"color": look.colour},
-    )
-
-
-def _draw_bar(axes: Axes, x: float, width: float, layers: Sequence[Layer], look: Look) -> None:
-    shares = [100 * layer["active_share"] for layer in layers]
-    axes.bar(x, np.mean(shares), width, **look.of_bar)
-    if len(shares) > 1:
-        axes.plot([x] * len(shares), shares, linestyle="", marker=look.marker, color="black", markersize=2.5)
-
-
-def _finish_panel(axes: Axes, name: str, layers: Sequence[Layer]) -> None:
-    """Add the title of a layer, with its neurons if all rows have as many; if rows differ by far, the axis is a log."""
-    neurons = {layer["neurons"] for layer in layers}
-    counts = np.concatenate([layer["spikes_per_query"] for layer in layers])
-    axes.set_title(f"{name},\n{plural(neurons.pop(), 'neuron')}" if len(neurons) == 1 else name)
-    if counts.max() >= _WIDE * max(counts.min(), 1):
-        axes.set_yscale("symlog", linthresh=1)
-        axes.set_ylim(0, 2 * counts.max())
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda spikes, _: f"{spikes:,g}"))
-    axes.grid(True, axis="y")

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from functools import cache
 from io import BytesIO
 from itertools import cycle
-from math import log10, sqrt
+from math import ceil, log10, sqrt
 from pathlib import Path
 from textwrap import fill
 from typing import Any, Literal, NamedTuple
@@ -58,6 +58,11 @@ class Look(NamedTuple):
         return {"color": self.colour, "marker": self.marker, "linestyle": self.dash}
 
     @property
+    def of_points(self) -> dict[str, Any]:
+        """How points without a line are drawn."""
+        return {"color": self.colour, "marker": self.marker, "linestyle": "none"}
+
+    @property
     def of_bar(self) -> dict[str, Any]:
         """How a bar or a box is filled."""
         return {"facecolor": "white", "edgecolor": self.colour, "hatch": self.hatch}
@@ -100,12 +105,15 @@ def choose_looks(names: Iterable[str]) -> dict[str, Look]:
 
 
 def new_figure(
-    width_mm: float, height_mm: float, rows: int = 1, columns: int = 1, grid: bool = False
+    width_mm: float, height_mm: float, rows: int = 1, columns: int = 1, grid: bool = False, **subplots: Any
 ) -> tuple[Figure, tuple[Axes, ...]]:
-    """Return an empty figure and its axes, row by row; labels make room for themselves within the given size."""
+    """Return an empty figure and its axes, row by row; labels make room for themselves within the given size.
+
+    `subplots` are further arguments of `Figure.subplots`.
+    """
     figure = NotebookFigure(figsize=(width_mm / 25.4, height_mm / 25.4), layout="constrained")
     FigureCanvasAgg(figure)
-    panels = tuple(figure.subplots(rows, columns, squeeze=False).flat)
+    panels = tuple(figure.subplots(rows, columns, squeeze=False, **subplots).flat)
     for axes in panels:
         axes.grid(grid)
     return figure, panels
@@ -117,11 +125,10 @@ def add_legend(figure: Figure, handles: Sequence[Any] = (), title: str = "") -> 
     Without `handles` it names the lines of the first panel.
     """
     handles = handles or figure.axes[0].get_legend_handles_labels()[0]
-    width = figure.get_figwidth() * 25.4
-    labels = [fill(str(handle.get_label()), int((width - _KEY_MM) / _LETTER_MM)) for handle in handles]
-    longest = max(len(line) for label in labels for line in label.split("\n"))
-    columns = max(1, min(len(labels), int(width / (_KEY_MM + _LETTER_MM * longest))))
-    lines = -(-len(labels) // columns) * max(1 + label.count("\n") for label in labels) + bool(title)
+    letters = int((figure.get_figwidth() * 25.4 - _KEY_MM) / _LETTER_MM)
+    labels = [fill(str(handle.get_label()), letters) for handle in handles]
+    columns = max(1, min(len(labels), letters // (max(map(len, labels)) + int(_KEY_MM / _LETTER_MM))))
+    lines = ceil(len(labels) / columns) * max(1 + label.count("\n") for label in labels) + bool(title)
     figure.set_figheight(figure.get_figheight() + lines * _LEGEND_ROW_MM / 25.4)
     figure.legend(handles, labels, loc="outside upper left", ncols=columns, title=title or None, alignment="left")
 
@@ -133,17 +140,21 @@ def scale_log(axes: Axes, which: Literal["x", "y"], values: Iterable[float], roo
     widening = max(1.0, sqrt(_NARROWEST / (high / low)))
     axes.set(**{f"{which}scale": "log", f"{which}lim": (low / widening, high * widening)})
     axis = axes.xaxis if which == "x" else axes.yaxis
-    named = (1.0, 2.0, 5.0) if log10(high / low) < _FEW_DECADES else (1.0,)
-    axis.set_major_locator(LogLocator(subs=named, numticks=_MOST_DECADES))
-    axis.set_minor_locator(LogLocator(subs=range(2, 10), numticks=20))
+    subs = (1.0, 2.0, 5.0) if log10(high / low) < _FEW_DECADES else (1.0,)
+    axis.set_major_locator(LogLocator(subs=subs, numticks=_MOST_DECADES))
     axis.set_major_formatter(FuncFormatter(lambda value, _: format_three_digits(value)))
     axis.set_minor_formatter(NullFormatter())
 
 
 @cache
 def render_png(drawing: Drawing) -> bytes:
-    """Return a figure as PNG, 300 dots per inch, its caption as the description; the same bytes for the same data."""
-    return _render(drawing.figure, "png", {"Software": None, "Description": drawing.caption})
+    """Return a figure as PNG, 300 dots per inch, its caption as the description; the same bytes for the same data.
+
+    Its panels keep the places that they get here: a later PDF has the same layout.
+    """
+    png = _render(drawing.figure, "png", {"Software": None, "Description": drawing.caption})
+    drawing.figure.set_layout_engine("none")
+    return png
 
 
 def render_pdf(drawing: Drawing) -> bytes:

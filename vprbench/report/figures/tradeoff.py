@@ -2,22 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from statistics import mean
 
 import numpy as np
 from matplotlib.axes import Axes
 
 from vprbench.report.figures import style
-from vprbench.report.figures.captions import INTERVALS, choose_answerable, choose_runs, describe_runs, list_names
-from vprbench.report.figures.style import Drawing, choose_looks, new_figure, use_style
+from vprbench.report.figures.captions import (
+    INTERVALS,
+    choose_answerable,
+    choose_runs,
+    describe_timed_runs,
+    list_names,
+)
+from vprbench.report.figures.style import Drawing, Look, choose_looks, new_figure, use_style
 from vprbench.report.selection import MethodRuns
 from vprbench.report.table.best import average_recall, compute_rate
-from vprbench.runs.recall_intervals import recall_interval
+from vprbench.runs.recall_intervals import estimate_recall_interval
 from vprbench.runs.record import Run
 
 _HEIGHT_MM = 60.0  # of a panel, without the legend
 _ROOM = 3.0  # times the costs, to either side
+_FRONT = f"Grey steps: Pareto front. Bars: {INTERVALS}, of several seeds of their mean hits."
 
 
 @use_style
@@ -29,11 +36,12 @@ def draw_rate_tradeoff(series: Sequence[MethodRuns]) -> Drawing:
     timed = choose_runs(choose_answerable(series), lambda run: run.timing, "was timed: run with timing=quick")
     untimed = [row.name for row in series if not any(run.timing for run in row.runs)]
     figure, (axes,) = new_figure(style.SINGLE_MM, _HEIGHT_MM, grid=True)
-    best = _draw_points(axes, timed, compute_rate, "Queries per second, encode and match", lower_is_better=False)
+    looks = choose_looks(row.name for row in series)
+    _draw_points(axes, timed, looks, compute_rate, "Queries per second, encode and match", lower_is_better=False)
     style.add_legend(figure, title=timed[0].runs[0].dataset)
     caption = (
-        "R@1 against queries per second, one query from memory, encode and match; up and right is better."
-        f"{list_names('Not timed', untimed)}{_describe_front(best, timed)}"
+        "R@1 against queries per second, one query from memory, encode and match; up and right is better. "
+        f"{_FRONT}{list_names('Not timed', untimed)} {describe_timed_runs(timed)}"
     )
     return Drawing(figure, caption)
 
@@ -48,16 +56,16 @@ def draw_memory_tradeoff(series: Sequence[MethodRuns]) -> Drawing:
     maps = [row for row in series if all(map(_measure_map, row.runs))]
     n_panels = 1 + bool(maps)
     figure, panels = new_figure(style.SINGLE_MM, _HEIGHT_MM * n_panels, n_panels, grid=True)
-    best = _draw_points(panels[0], series, lambda run: run.peak_memory_bytes / 1e6, "Peak memory (MB)")
+    looks = choose_looks(row.name for row in series)
+    _draw_points(panels[0], series, looks, lambda run: run.peak_memory_bytes / 1e6, "Peak memory (MB)")
     if maps:
-        _draw_points(panels[1], maps, _measure_map, "Map (bytes per place)")
+        _draw_points(panels[1], maps, looks, _measure_map, "Map (bytes per place)")
     style.add_legend(figure, title=series[0].runs[0].dataset)
     on_gpu = [row.name for row in series if any(run.config["device"] != "cpu" for run in row.runs)]
     caption = (
-        "R@1 against the peak main memory of the whole process, libraries included; up and left is better."
-        f"{list_names('On a GPU, whose memory is not in it', on_gpu)}"
-        f"{' Below: bytes of the map per place, of rows that keep descriptors.' if maps else ''}"
-        f"{_describe_front(best, series)}"
+        "R@1 against the peak main memory of the whole process, libraries included, and against the bytes of a place "
+        f"in the map where descriptors are kept; up and left is better. {_FRONT}"
+        f"{list_names('On a GPU, whose memory is not in it', on_gpu)} {describe_timed_runs(series)}"
     )
     return Drawing(figure, caption)
 
@@ -72,35 +80,31 @@ def find_front(costs: Sequence[float], gains: Sequence[float]) -> list[int]:
     return [i for i in sorted(range(len(points)), key=lambda i: points[i]) if points[i] not in beaten]
 
 
-def _describe_front(best: Sequence[str], series: Sequence[MethodRuns]) -> str:
-    ending = describe_runs(series, "means, the bar is of mean hits", of_times=True)
-    return f" Grey steps: Pareto front ({', '.join(best)}). Bars: {INTERVALS}. {ending}"
-
-
 def _measure_map(run: Run) -> float:
     """Return the bytes of the map per place; 0 for a method that keeps no descriptors."""
     return float((run.search or {}).get("bytes_per_place") or 0)
 
 
 def _draw_points(
-    axes: Axes, series: Sequence[MethodRuns], measure: Callable[[Run], float], label: str, lower_is_better: bool = True
-) -> list[str]:
-    """Draw R@1 with its interval over a cost of each row, and their front; returns the names on the front."""
+    axes: Axes,
+    series: Sequence[MethodRuns],
+    looks: Mapping[str, Look],
+    measure: Callable[[Run], float],
+    label: str,
+    lower_is_better: bool = True,
+) -> None:
+    """Draw R@1 with its interval over a cost of each row, and their front."""
     costs = [mean(map(measure, row.runs)) for row in series]
     recalls = [100 * (average_recall(row.runs) or 0.0) for row in series]
-    intervals = [recall_interval(row.runs) for row in series]
-    lows, highs = 100 * np.array([(each.low, each.high) if each else (np.nan, np.nan) for each in intervals]).T
-    lowest, highest = np.nanmin([*recalls, *lows]), np.nanmax([*recalls, *highs])
-    room = 0.08 * (highest - lowest)
+    for row, cost, recall in zip(series, costs, recalls, strict=True):
+        interval = estimate_recall_interval(row.runs)
+        ends = np.array([interval.low, interval.high] if interval else [np.nan, np.nan])
+        bars = np.abs(100 * ends[:, None] - recall)
+        axes.errorbar(cost, recall, bars, label=row.name, elinewidth=0.9, **looks[row.name].of_points)
     style.scale_log(axes, "x", costs, _ROOM)
-    axes.set(xlabel=label, ylabel="R@1 (%)", ylim=(max(lowest - room, 0), min(highest + room, 100)))
+    low, high = axes.get_ylim()
+    axes.set(xlabel=label, ylabel="R@1 (%)", ylim=(max(low, 0), min(high, 100)))
     front = find_front([cost if lower_is_better else -cost for cost in costs], recalls)
     corners = [*(costs[i] for i in front), axes.get_xlim()[lower_is_better]]
     steps = [*(recalls[i] for i in front), recalls[front[-1]]]
     axes.step(corners, steps, where="post", color=style.GREY, linewidth=0.9, marker="", zorder=1)
-    looks = choose_looks(row.name for row in series)
-    for row, cost, recall, low, high in zip(series, costs, recalls, lows, highs, strict=True):
-        ends = np.maximum([[recall - low], [high - recall]], 0)  # rounding
-        look = {**looks[row.name].of_line, "linestyle": "none"}
-        axes.errorbar(cost, recall, ends, label=row.name, elinewidth=0.9, **look)
-    return [series[i].name for i in front]

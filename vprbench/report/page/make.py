@@ -5,21 +5,26 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from vprbench.progress import progress_shown
+from vprbench.progress import show_progress
 from vprbench.report.figures.make import draw_all, thumbnails_of
+from vprbench.report.figures.style import Drawing, render_png
 from vprbench.report.gather import Report
-from vprbench.report.selection import DatasetRuns, ResolvedColumn, format_title, list_accuracy_runs, list_method_runs
+from vprbench.report.page.page import TITLE, Picture, Section, page
+from vprbench.report.selection import (
+    DEVICES,
+    DatasetRuns,
+    ResolvedColumn,
+    format_title,
+    list_accuracy_runs,
+    list_method_runs,
+)
 from vprbench.report.table import formats
 from vprbench.runs.store import Store
 from vprbench.runs.thumbnails import Thumbnails
-from vprbench.runs.views import queries_shown
+from vprbench.runs.views import list_shown_queries
 from vprbench.storage.atomic import replace_text
-from vprbench.text import format_bytes
-
-if TYPE_CHECKING:
-    from vprbench.report.figures.style import Drawing
+from vprbench.text import format_bytes, format_count
 
 
 def print_page(found: Report, name: str, growth: Sequence[ResolvedColumn] = ()) -> None:
@@ -30,41 +35,34 @@ def print_page(found: Report, name: str, growth: Sequence[ResolvedColumn] = ()) 
     print(f"{path}: {format_bytes(path.stat().st_size)}, opens from disk")
 
 
-def _frames_of(group: DatasetRuns, found: Report) -> Thumbnails | None:
-    """Return the frames that were kept of the queries that a group's runs show."""
-    kept = thumbnails_of(group, found.chosen)
-    if kept is None or group.runs[0].view is None:
-        return kept
-    shown = queries_shown(group.runs[0]).tolist()
-    return replace(kept, **{name: tuple(getattr(kept, name)[i] for i in shown) for name in ("query_names", "queries")})
-
-
 def write_page(found: Report, drawings: Iterable[tuple[str, Drawing]], path: Path, absent: Sequence[str] = ()) -> Path:
     """Write the page of a table with these figures; returns `path`.
 
     The page has the title of the table, if that is its own. `absent` says of each figure that is not drawn why.
     """
-    from vprbench.report.figures.style import render_png
-    from vprbench.report.page.page import TITLE, Picture, Section, page
-
-    with progress_shown("report"):
-        pictures = [Picture(name, drawing.caption, render_png(drawing)) for name, drawing in drawings]
     rows = found.chosen.rows
     groups = [(format_title(group, found.groups), group) for group in found.groups if group.runs]
     sections = [
-        Section(heading, tuple(list_accuracy_runs(group, rows)), _frames_of(group, found)) for heading, group in groups
+        Section(title, tuple(list_accuracy_runs(group, rows)), _load_frames(group, found)) for title, group in groups
     ]
     measured = [
-        (heading, one)
-        for heading, group in groups
-        for one in (*list_method_runs(group, rows), *list_method_runs(group, rows, "cuda"))
+        (title, one) for title, group in groups for device in DEVICES for one in list_method_runs(group, rows, device)
     ]
-    runs = [run for _, one in measured for run in one.runs]
-    newest = max(str(run.environment.get("time_utc", ""))[:10] for run in runs)
-    made_from = f"Made from {len(runs)} stored run{'s' * (len(runs) != 1)}, the newest of {newest}."
-    heading = found.table.title or TITLE
-    with progress_shown("report"):
-        text = page(formats.to_html(found.table), pictures, sections, heading, made_from, measured, absent)
+    times = [str(run.environment.get("time_utc", "")) for _, one in measured for run in one.runs]
+    made_from = f"Made from {format_count(len(times), 'stored run')}, the newest of {max(times)[:10]}."
+    with show_progress("report"):
+        pictures = [Picture(name, drawing.caption, render_png(drawing)) for name, drawing in drawings]
+        table, title = formats.to_html(found.table), found.table.title or TITLE
+        text = page(table, pictures, sections, title, made_from, measured, absent)
     Store(path.parent).prepare()
     replace_text(path, text)
     return path
+
+
+def _load_frames(group: DatasetRuns, found: Report) -> Thumbnails | None:
+    """Return the frames that were kept of the queries that a group's runs show."""
+    kept = thumbnails_of(group, found.chosen)
+    if kept is None or group.runs[0].view is None:
+        return kept
+    shown = list_shown_queries(group.runs[0]).tolist()
+    return replace(kept, **{name: tuple(getattr(kept, name)[i] for i in shown) for name in ("query_names", "queries")})

@@ -15,7 +15,6 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from vprbench.progress import report
 from vprbench.report.page import words
 from vprbench.report.page.columns import format_place_ranges, list_columns, list_places_shown
 from vprbench.report.selection import MethodRuns
@@ -61,11 +60,7 @@ class Section:
         """The judged answers of each run; raises ValueError for runs of several datasets."""
         if len({run.fingerprint for run in self.runs.values()}) > 1:
             raise ValueError(f"the runs of {self.title} are of different images: a section shows one dataset")
-        answers = {}
-        for number, (name, run) in enumerate(self.runs.items()):
-            report(f"judging answers, {self.title}", number / len(self.runs))
-            answers[name] = judge_answers(run)
-        return answers
+        return {name: judge_answers(run) for name, run in self.runs.items()}
 
 
 def page(
@@ -96,33 +91,33 @@ def page(
     measured = measured or [(section.title, series) for section in sections for series in section.series]
     sections = [section for section in sections if section.series]
     frames = [_choose_frames(section, MOST_FRAMES // len(sections)) for section in sections]
+    judged = any(run.is_judged for section in sections for run in section.runs.values())
+    fact_lists = [
+        ("protocol", "Protocol", [(one.title, describe_protocol(one.series[0].runs[0])) for one in sections]),
+        ("machines", "Machines", words.list_machines(series for _, series in measured)),
+        ("notes", "Notes of the runs", words.list_run_notes(measured)),
+    ]
+    fact_lists = [(id, heading, facts) for id, heading, facts in fact_lists if facts]
+    browsing = [("findings", "Findings"), ("browser", "Failures" if judged else "Queries")] if sections else []
+    fixed = [("table", "Table"), ("figures", "Figures"), ("terms", "Terms")]
     style, script = ((_FOLDER / name).read_text(encoding="utf-8") for name in ("style.css", "report.js"))
     templates = Environment(
-        loader=FileSystemLoader(_FOLDER),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
+        loader=FileSystemLoader(_FOLDER), autoescape=True, undefined=StrictUndefined, trim_blocks=True
     )
     text = templates.get_template("template.html").render(
         title=title,
         made_from=made_from,
+        parts=[*browsing, *fixed, *(each[:2] for each in fact_lists)],
         table=Markup(table_html),
         pictures=[{"name": one.name, "caption": one.caption, "png": _base64(one.png)} for one in pictures],
         absent=absent,
         sections=[
-            {
-                "title": one.title,
-                "findings": words.list_findings(one.series, one.answers.values()),
-                "protocol": describe_protocol(one.series[0].runs[0]),
-            }
-            for one in sections
+            {"title": one.title, "findings": words.list_findings(one.series, one.answers.values())} for one in sections
         ],
         interval_method=METHOD,
         training_time=TRAINING_TIME,
-        machines=words.list_machines(series for _, series in measured),
-        notes=words.list_run_notes(measured),
-        judged=any(run.is_judged for section in sections for run in section.runs.values()),
+        fact_lists=fact_lists,
+        judged=judged,
         style=Markup(style),
         script=Markup(script),
         style_hash=_hash(style),
@@ -153,8 +148,8 @@ def _choose_frames(section: Section, most: int) -> dict[str, Any]:
 
 def _list_answers(section: Section, frames: Mapping[str, Any]) -> dict[str, Any]:
     """Return the part of a section that the page's script reads."""
-    runs, kept = [*section.runs.values()], section.thumbnails
-    run, places = runs[0], list_places_shown(section.answers.values())
+    kept, places = section.thumbnails, list_places_shown(section.answers.values())
+    run = section.series[0].runs[0]
     place_names = None if kept is None else {place: kept.reference_names[place] for place in places}
     n_shown, n_wanted = sum(map(bool, frames["queries"])) + len(frames["places"]), len(run.outcome) + len(places)
     missing = _NO_FRAMES if kept is None else _SOME_FRAMES.format(n_shown, n_wanted)
@@ -165,7 +160,6 @@ def _list_answers(section: Section, frames: Mapping[str, Any]) -> dict[str, Any]
         "nQueries": len(run.outcome),
         "queryNames": kept and kept.query_names,
         "placeNames": place_names,
-        "firstReferences": words.describe_first_references(runs, place_names.values()) if place_names else "",
         "rightPlaces": [format_place_ranges(right) for right in run.positives],
         "framesMissing": "" if n_shown == n_wanted else missing,
         "runs": [{"name": name, **list_columns(one)} for name, one in section.answers.items()],

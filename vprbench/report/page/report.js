@@ -215,19 +215,17 @@ const Strip = (() => {
   return { bars, lane };
 })();
 
-// Tabs that share a panel: `turn(i)` is called for the one that is chosen, by click or by key. `list` may be null.
+// Tabs that share a panel: `turn(i)` is called for the one that is chosen, by click or by key. One tab is not shown.
 function Tabs(list, panel, turn) {
-  const tabs = [...(list?.children ?? [])];
+  const tabs = [...list.children];
   const steps = {
     ArrowRight: (i) => (i + 1) % tabs.length,
     ArrowLeft: (i) => (i + tabs.length - 1) % tabs.length,
     Home: () => 0,
     End: () => tabs.length - 1,
   };
-  if (list) {
-    list.hidden = false;
-    panel.setAttribute("role", "tabpanel");
-  }
+  list.hidden = tabs.length < 2;
+  if (!list.hidden) panel.setAttribute("role", "tabpanel");
   tabs.forEach((tab, i) => {
     tab.addEventListener("click", () => turn(i));
     tab.addEventListener("keydown", (event) => {
@@ -243,7 +241,7 @@ function Tabs(list, panel, turn) {
       tab.setAttribute("aria-selected", String(i === chosen));
       tab.tabIndex = i === chosen ? 0 : -1;
     });
-    if (tabs.length) panel.setAttribute("aria-labelledby", tabs[chosen].id);
+    if (!list.hidden) panel.setAttribute("aria-labelledby", tabs[chosen].id);
   }
 
   return { mark };
@@ -371,11 +369,7 @@ function Tabs(list, panel, turn) {
     section = sections[number];
     tabs.mark(number);
     document.querySelectorAll("#findings .found").forEach((found, i) => (found.hidden = i !== number));
-    const remarks = { "frames-missing": section.framesMissing, "first-references": section.firstReferences };
-    for (const [id, text] of Object.entries(remarks)) {
-      element(id).hidden = !text;
-      element(id).textContent = text;
-    }
+    element("frames-missing").textContent = section.framesMissing;
     const runs = section.runs.map(({ name }) => ({ value: name, text: name }));
     const named = (name, otherwise) => (section.runs.some((run) => run.name === name) ? name : otherwise);
     fill(choices["method-a"], runs, named(wanted.get("a"), runs[0].value));
@@ -536,7 +530,7 @@ function Tabs(list, panel, turn) {
   follow();
 })();
 
-// The table: sorted by a column, filtered by a word, with its footnotes where the pointer or the focus is.
+// The table: sorted by a column, filtered by a word, with its footnotes where the pointer is.
 (() => {
   const { make } = Queries;
   const table = document.querySelector("#table table");
@@ -581,46 +575,7 @@ function Tabs(list, panel, turn) {
   });
   document.getElementById("table-controls").hidden = false;
 
-  // Footnotes
-
-  const EDGE = 8; // pixels to the border of the window
-  const note = document.getElementById("footnote");
-
-  let shownFor = null; // the link whose footnote is shown
-
-  function place() {
-    if (!shownFor) return;
-    const mark = shownFor.getBoundingClientRect();
-    const below = mark.bottom + note.offsetHeight + EDGE < innerHeight;
-    note.style.left = `${Math.max(EDGE, Math.min(mark.left, innerWidth - note.offsetWidth - EDGE))}px`;
-    note.style.top = `${below ? mark.bottom : mark.top - note.offsetHeight}px`;
-  }
-
-  function showNote(link) {
-    shownFor = link;
-    note.textContent = document.getElementById(link.hash.slice(1)).textContent;
-    note.showPopover();
-    place();
-  }
-
-  function hide() {
-    shownFor = null;
-    note.hidePopover();
-  }
-
   for (const link of table.querySelectorAll("sup a")) {
-    link.setAttribute("aria-describedby", link.hash.slice(1));
-    link.addEventListener("mouseenter", () => showNote(link));
-    link.addEventListener("focus", () => showNote(link));
-    link.addEventListener("mouseleave", (event) => event.relatedTarget === note || hide());
-    link.addEventListener("blur", hide);
-    link.addEventListener("click", (event) => {
-      if (event.pointerType !== "touch") return; // a mouse has read it already, and follows the link
-      event.preventDefault();
-      showNote(link);
-    });
+    link.title = document.getElementById(link.hash.slice(1)).textContent;
   }
-  note.addEventListener("mouseleave", hide);
-  document.addEventListener("keydown", (event) => event.key === "Escape" && hide());
-  document.addEventListener("scroll", place, { capture: true, passive: true });
 })();

@@ -11,11 +11,11 @@ from vprbench.runs.machine import Machine
 from vprbench.runs.query_results import RIGHT, UNANSWERABLE, UNJUDGED, Answers
 from vprbench.runs.record import Run
 from vprbench.runs.tuned import list_notes
-from vprbench.text import plural
+from vprbench.text import format_count
 
 _FINDINGS = 3  # sentences
 
-Facts = tuple[tuple[str, str], ...]  # (term, text)
+Facts = list[tuple[str, str]]  # (term, text)
 
 
 def list_findings(series: Sequence[MethodRuns], answers: Iterable[Answers]) -> list[str]:
@@ -30,49 +30,33 @@ def list_findings(series: Sequence[MethodRuns], answers: Iterable[Answers]) -> l
     if n_runs > 1 and wrong:
         by_some = sum(RIGHT in kind and len(kind) > 1 for kind in kinds)
         missed = f"all {n_runs} runs miss {sum(wrong):,}, some runs miss {by_some:,} more"
-        found.append(f"Of {plural(len(wrong), 'query')} {missed}.")
+        found.append(f"Of {format_count(len(wrong), 'query')} {missed}.")
     return found[:_FINDINGS]
 
 
-def list_machines(series: Iterable[MethodRuns]) -> list[tuple[str, str, str]]:
-    """Return each machine with its versions, and the runs made there, in the order of the runs."""
+def list_machines(series: Iterable[MethodRuns]) -> Facts:
+    """Return each machine with its versions, and on a line of its own the runs made there, in the order of the runs."""
     found: dict[tuple[str, str], dict[str, None]] = {}
     for one in series:
         for run in one.runs:
             made_on = Machine.of(run.environment).line, _list_versions(run.environment)
             found.setdefault(made_on, {})[f"{one.name} ({run.dataset})"] = None
-    return [(*made_on, ", ".join(runs)) for made_on, runs in found.items()]
+    return [(machine, f"{versions}\n{', '.join(runs)}") for (machine, versions), runs in found.items()]
 
 
 def list_run_notes(measured: Iterable[tuple[str, MethodRuns]]) -> Facts:
     """Return the notes of runs, each after the run's name; `measured` is rows with the titles of their datasets."""
-    return tuple(
-        (f"{title}: {name_run(one, run)}{_name_device(run)}", note.text)
-        for title, one in measured
-        for run in one.runs
-        for note in list_notes(run)
-    )
-
-
-def describe_first_references(runs: Sequence[Run], names: Iterable[str]) -> str:
-    """Return which of several reference images of a place is shown; empty if no place has several.
-
-    `names` are those of the reference images that are shown; a folder that holds all of them names the traverse.
-    """
-    if all(run.n_references <= run.outcome.n_places for run in runs):
-        return ""
-    folders = {name.rpartition("/")[0] for name in names}
-    traverse = f" ({folders.pop()})" if len(folders) == 1 and folders != {""} else ""
-    return f"The frame of a place is its first reference image{traverse}; methods learnt the other ones too."
+    facts = []
+    for title, one in measured:
+        for run in one.runs:
+            device = "" if run.config.get("device") in (None, "cpu") else f", on {run.config['device']}"
+            facts += [(f"{title}: {name_run(one, run)}{device}", note.text) for note in list_notes(run)]
+    return facts
 
 
 def name_run(series: MethodRuns, run: Run) -> str:
     """Return the name of a run within its dataset: that of its row, and its seed if the row has several."""
     return f"{series.name}, seed {run.config['seed']}" if len(series.runs) > 1 else series.name
-
-
-def _name_device(run: Run) -> str:
-    return "" if run.config.get("device") in (None, "cpu") else f", on {run.config['device']}"
 
 
 def _list_versions(environment: Mapping[str, Any]) -> str:

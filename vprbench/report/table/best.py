@@ -15,7 +15,7 @@ from vprbench.runs.notes import DISTURBED
 from vprbench.runs.recall_intervals import list_values
 from vprbench.runs.record import Run
 from vprbench.runs.stopwatch import Seconds
-from vprbench.runs.views import window_of
+from vprbench.runs.views import get_window_length
 
 CHANCE = 0.05  # of any false difference in an accuracy among all comparisons of a column
 RATE_CHANCE = 0.01
@@ -120,7 +120,7 @@ def _find_winner(
 
 
 def _is_better(one: Contestant, other: Contestant, metric: Metric, chance: float) -> bool:
-    sign, window = 1 if metric.higher_is_better else -1, window_of(one.runs[0])
+    sign, window = 1 if metric.higher_is_better else -1, get_window_length(one.runs[0])
     ours = [list_values(run, metric, "pessimistic") for run in one.runs]
     theirs = [list_values(run, metric, "optimistic") for run in other.runs]
     for better, worse in (pair[::sign] for pair in product(ours, theirs)):

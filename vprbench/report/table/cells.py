@@ -14,8 +14,7 @@ from typing import Any, Literal
 import pandas as pd
 
 from vprbench.metrics.accuracy import recall_at
-from vprbench.report.plan import PlanFile, Row
-from vprbench.report.published import Published
+from vprbench.report.plan import PlanFile, Published, Row
 from vprbench.report.selection import (
     DEVICES,
     DatasetRuns,

@@ -15,7 +15,7 @@ from vprbench.report.table import words
 from vprbench.report.table.cells import FACTS, Column, Table
 from vprbench.report.table.quantities import TRAINING
 from vprbench.runs.frame import iterate_rows
-from vprbench.terminal.console import line_text, table_text
+from vprbench.terminal.console import format_line, format_table
 
 _IN_LATEX = str.maketrans(
     {
@@ -152,13 +152,13 @@ def to_terminal(table: Table, wide: bool = False) -> str:
     """Return a table as text that fits the terminal, unless `wide`, with its notes; the legend is in the files."""
     of_gpu = [quantity.heading for quantity in table.quantities if quantity.device == "cuda"]
     least = [*dict.fromkeys([*of_gpu, *(quantity.heading for quantity in TRAINING)])]
-    parts = [line_text(table.heading, "bold")]
+    parts = [format_line(table.heading, "bold")]
     for column in table.columns:
         frame = lay_out(table, [column], _TEXT)
         lines = [[name, *line] for name, line in zip(frame.index, frame.to_numpy().tolist(), strict=True)]
-        parts += ["", line_text(column.title, "bold"), line_text(words.describe_data(column), "dim")]
-        parts.append(table_text(["method", *frame.columns.get_level_values(1)], lines, wide, least))
-    notes = [line_text(f"{number} {note}", "dim") for number, note in enumerate(table.notes, 1)]
+        parts += ["", format_line(column.title, "bold"), format_line(words.describe_data(column), "dim")]
+        parts.append(format_table(["method", *frame.columns.get_level_values(1)], lines, wide, least))
+    notes = [format_line(f"{number} {note}", "dim") for number, note in enumerate(table.notes, 1)]
     return "\n".join([*parts, "", *notes, *words.list_machines(table), ""])
 
 

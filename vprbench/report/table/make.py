@@ -15,7 +15,7 @@ from vprbench.runs import frame
 from vprbench.runs.sequences import name_views, parse_views
 from vprbench.runs.store import Store
 from vprbench.storage.atomic import replace_text
-from vprbench.terminal.console import console
+from vprbench.terminal.console import make_console
 
 
 def make_table(request: TableRequest, options: Sequence[str]) -> int:
@@ -33,7 +33,7 @@ def make_table(request: TableRequest, options: Sequence[str]) -> int:
         results = [*found.job_results, *(run_growth(found, growth, options, executor) if request.figures else [])]
     if request.figures:
         found = replace(found, runs=tuple(load_stored_runs(chosen)[0]))
-    is_narrow = console().is_terminal
+    is_narrow = make_console().is_terminal
     printed = formats.to_terminal(found.table, request.wide) if is_narrow else formats.to_markdown(found.table)
     print(printed, end="", flush=True)  # first: it is there to be read even where nothing is written
     name = file_name(request)

@@ -10,7 +10,7 @@ from vprbench.report.table.cells import Column, Table
 from vprbench.report.table.quantities import RATES, TRAINING, TRAINING_TIME, Quantity
 from vprbench.runs.frame import iterate_rows
 from vprbench.runs.recall_intervals import METHOD
-from vprbench.text import format_spread, plural
+from vprbench.text import format_count, format_spread
 
 INAPPLICABLE = "-"
 _ELSEWHERE = "elsewhere"
@@ -85,7 +85,7 @@ def list_facts(table: Table) -> list[str]:
     facts += [f"{c.title} is rendered and stands in for {c.stand_in_for}." for c in table.columns if c.stand_in_for]
     facts += dict.fromkeys(column.remark for column in table.columns if column.remark is not None)
     if table.n_aside:
-        facts.append(f"Not shown: {plural(table.n_aside, 'stored run')} of other code, settings or seeds.")
+        facts.append(f"Not shown: {format_count(table.n_aside, 'stored run')} of other code, settings or seeds.")
     facts += [quantity.metric.explained for quantity in table.quantities if quantity.metric]
     facts += _INTERVAL_WORDS if any(table.cells["low"].notna()) else ()
     if any(quantity in TRAINING for quantity in table.quantities):

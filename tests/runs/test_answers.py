@@ -1,0 +1,146 @@
+"""What a run keeps of a method's answers, and what it gives the method."""
+
+import json
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pytest
+from little import Lookup, journey, number_in, numbers_in, picture
+from little_runs import asked_for, execute, kinds, run_of, table
+
+from vprbench.api.descriptor import DescriptorMethod
+from vprbench.api.images import Images
+from vprbench.api.method import LayerSpikes
+from vprbench.errors import BadInput
+from vprbench.metrics import ranking
+from vprbench.metrics.ranking import outcome
+from vprbench.runs import frame, rows, scorers
+
+pytestmark = pytest.mark.usefixtures("surroundings")
+
+
+@pytest.mark.parametrize("levels", [5, 100_000], ids=["many ties", "few ties"])
+def test_queries_are_scored_in_order_in_blocks_and_have_the_outcome_of_the_whole_matrix(levels, monkeypatch):
+    scores = table(300, 40, levels)
+    dataset = journey(300, 40, [list(range(i % 4)) for i in range(300)])  # every fourth query has no right place
+    whole = outcome(scores, dataset.positives)
+    for cells, size in ((scorers._BLOCK_CELLS, 128), (40 * 7, 7)):  # many places are scored in smaller blocks
+        monkeypatch.setattr(scorers, "_BLOCK_CELLS", cells)
+        monkeypatch.setattr(ranking, "_RANKED_CELLS", min(ranking._RANKED_CELLS, cells // 2))
+        method = Lookup(scores)
+        run = run_of(method, dataset)
+        blocks = method.asked[1 : 2 + 299 // size]
+        assert [number for numbers in blocks for number in numbers] == list(range(300))
+        assert {len(numbers) for numbers in blocks[:-1]} == {size}
+        assert all(np.array_equal(getattr(run.outcome, name), getattr(whole, name)) for name in vars(whole))
+        if levels > 5:
+            assert run.top_places[:, 0].tolist() == scores.argmax(axis=1).tolist()
+    large = type("Large", (Lookup,), {"code_bytes": 200 << 20})(table(12, 4))  # five are less than 1 GiB
+    run_of(large, journey(12, 4))
+    assert [len(numbers) for numbers in large.asked[1:4]] == [5, 5, 2]
+
+
+@pytest.mark.parametrize("kind", [np.uint8, np.float64])
+def test_of_places_that_tie_the_lower_comes_first_whatever_the_type(kind):
+    for scores, depth, best in (
+        ([0, 1, 1, 1, 9, 1, 1, 1, 1, 1], 3, [4, 1, 2]),
+        ([0, 3, 2, 1], 100, [1, 2, 3, 0]),  # no more than there are
+    ):
+        run = run_of(Lookup(np.array([scores], kind)), journey(1, len(scores)), depth=depth)
+        assert run.top_places.tolist() == [best]
+        assert run.top_scores.tolist() == [[scores[place] for place in best]]
+        assert (run.scores.dtype, run.top_scores.dtype) == (np.float32, np.float32)
+
+
+def test_scores_of_a_wrong_shape_or_that_cannot_be_ranked_are_refused_by_name(monkeypatch):
+    for spoil, named in (
+        (lambda scores, _: scores[:, :-1], r"shape.*4\b"),
+        (lambda scores, _: scores[:, :, None], r"shape.*4\b"),
+        (lambda scores, _: scores[:1], r"shape.*4\b"),
+        (lambda scores, queries: np.where(queries[:, None] == 2, np.nan, scores), r"NaN.*query 2\b"),
+        (lambda scores, queries: np.where(queries[:, None] == 200, np.inf, scores), r"\+inf.*query 200\b"),
+    ):
+        monkeypatch.setattr(Lookup, "match", lambda method, codes, spoil=spoil: spoil(method.table[codes], codes))
+        with pytest.raises(BadInput, match=named):
+            run_of(Lookup(table(300, 4)), journey(300, 4))
+
+
+def test_scores_and_spikes_are_kept_of_a_method_that_overwrites_what_it_gave():
+    class Reusing(Lookup):
+        """Gives the same two arrays each time."""
+
+        codes, answer = np.empty(1000, np.int64), np.empty((1000, 4), np.float32)
+
+        def encode(self, images):
+            self.codes[: len(images)] = numbers_in(images)
+            return self.codes[: len(images)]
+
+        def match(self, codes):
+            self.answer[: len(codes)] = super().match(codes)
+            return self.answer[: len(codes)]
+
+        def spikes(self, codes):
+            return [LayerSpikes("input", codes[:, None])]
+
+    run = run_of(Reusing(table(300, 4)), journey(300, 4))
+    assert np.array_equal(run.scores, table(300, 4))
+    sample = np.linspace(0, 299, 256).astype(int)
+    assert run.spikes["layers"][0]["spikes_per_query"] == sample.tolist()
+
+
+@dataclass(kw_only=True)
+class Reading(DescriptorMethod):
+    """Notes the names of the images that it encodes after the fit."""
+
+    names: list[str] = field(default_factory=list)
+
+    def encode(self, images):
+        if self.searched is not None:
+            self.names += images.names
+        return np.array([[number_in(image) + 1, 1] for image in images], np.float32)
+
+    def keeps_descriptors(self):
+        return True
+
+    def spikes(self, codes):
+        return [LayerSpikes("input", codes)]
+
+
+@pytest.mark.parametrize("cached", [False, True])
+def test_no_query_is_given_under_its_name(tmp_path, cached):
+    named = Images.from_arrays([picture(i) for i in range(6)], [f"place {i % 4}" for i in range(6)])
+    method, dataset = Reading(), replace(journey(6, 4), queries=named)
+    execute(asked_for(method, dataset, cache=tmp_path if cached else None))
+    assert len(method.names) > 3 * 6
+    assert all(name.startswith("image ") for name in method.names)
+
+
+def test_fit_sees_every_reference_and_its_place_which_cannot_be_written():
+    seen = []
+
+    class Writing(Lookup):
+        def fit(self, references, places):
+            seen.append((numbers_in(references), places.tolist()))
+            places[0] = 1
+
+    dataset = journey(6, 4)
+    with pytest.raises(ValueError, match="read-only"):
+        run_of(Writing(table(6, 4)), dataset)
+    assert dataset.places.flags.writeable
+    assert seen == [([0, 1, 2, 3], [0, 1, 2, 3])]
+
+
+def test_candidates_stand_before_places_that_are_none(store):
+    scores = table(12, 40, 100_000)
+    scores[:, np.arange(40) % 10 != 3] = -np.inf  # one of each ten places is a candidate
+    run = run_of(Lookup(scores), journey(12, 40), depth=6)
+    assert set(run.top_places[:, :4].ravel().tolist()) == {3, 13, 23, 33}
+    assert run.top_places[:, 4:].tolist() == [[0, 1]] * 12
+    assert np.array_equal(np.isneginf(run.top_scores), np.tile(np.arange(6) > 3, (12, 1)))
+    nowhere = run_of(Lookup(np.full((12, 40), -np.inf, np.float32)), journey(12, 40))
+    assert "answers" not in kinds(run) + kinds(nowhere)
+    json.dumps(frame.list_numbers(nowhere), allow_nan=False)
+    assert rows.format_row(nowhere)["R@1 % [95 %]"]
+    store.save(nowhere)
+    (found,) = store.runs()
+    assert np.array_equal(found.top_scores, nowhere.top_scores)
