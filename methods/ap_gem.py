@@ -76,27 +76,16 @@ class _APGeM(nn.Module):
         self.adpool = GeM()
         self.fc = nn.Linear(n_channels(_BACKBONE), n_dimensions)
         self.unit_features = False  # whether what was pooled gets unit length
-        self.whitening = _Whitening(n_dimensions)
+        self.whitening = nn.ParameterDict(
+            {"mean": torch.zeros(n_dimensions), "components": torch.zeros(n_dimensions, n_dimensions)}
+        )
 
     def forward(self, images: Tensor) -> Tensor:
         pooled = self.adpool(self.backbone(images))
         if self.unit_features:
             pooled = functional.normalize(pooled, dim=1)
         vectors = functional.normalize(self.fc(pooled.to(images.dtype)).float(), dim=1)
-        whitened: Tensor = self.whitening(vectors)
-        return whitened
-
-
-class _Whitening(nn.Module):
-    """Vectors (n, n_dimensions) less their mean, on weighted components."""
-
-    def __init__(self, n_dimensions: int) -> None:
-        super().__init__()
-        self.mean = nn.Parameter(torch.zeros(n_dimensions))
-        self.components = nn.Parameter(torch.zeros(n_dimensions, n_dimensions))
-
-    def forward(self, vectors: Tensor) -> Tensor:
-        return (vectors - self.mean.float()) @ self.components.float().T
+        return cast(Tensor, (vectors - self.whitening["mean"].float()) @ self.whitening["components"].float().T)
 
 
 def _whitening(content: Mapping[str, Any], path: Path) -> dict[str, Tensor]:

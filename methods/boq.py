@@ -9,9 +9,8 @@ from typing import ClassVar, Self
 
 import torch
 from torch import Tensor, nn
-from torch.nn import functional
 
-from vprbench.api import BadInput, Interpolation, Resize
+from vprbench.api import Interpolation, Resize
 
 from .parts.backbones.resnet import n_channels, resnet
 from .parts.backbones.vit import VisionTransformer
@@ -96,7 +95,7 @@ class BoQResNet50(BoQ):
 
     def loaded(self, tensors: Tensors, path: Path) -> nn.Module:
         """Return the network with tensors of either wrapper; raises BadInput if they are another network's."""
-        return super().loaded(_renamed(tensors, path), path)
+        return super().loaded(_renamed(tensors), path)
 
     def network(self, tensors: Tensors) -> nn.Module:
         """Return the network of 16384 dimensions, or in the sizes of a file."""
@@ -153,12 +152,12 @@ class _Aggregator(nn.Module):
         self.fc = nn.Linear(sizes.n_blocks * sizes.n_queries, sizes.n_rows)
 
     def forward(self, features: Tensor) -> Tensor:
-        x = self.norm_input(self.proj_c(features).flatten(2).transpose(1, 2))  # (n, positions, dim)
+        x = self.norm_input(self.proj_c(features).flatten(2).permute(2, 0, 1))  # (positions, n, dim), as torch has it
         found = []
         for block in self.boqs:
             x, gathered = block(x)
             found.append(gathered)
-        joined: Tensor = self.fc(torch.cat(found, 1).transpose(1, 2))  # (n, dim, n_rows)
+        joined: Tensor = self.fc(torch.cat(found).permute(1, 2, 0))  # (n, dim, n_rows)
         return joined.flatten(1)
 
 
@@ -167,69 +166,28 @@ class _Block(nn.Module):
 
     def __init__(self, sizes: Sizes) -> None:
         super().__init__()
-        self.encoder = _Encoder(sizes.dim, sizes.n_hidden)
+        n_heads = sizes.dim // _HEAD
+        self.encoder = nn.TransformerEncoderLayer(sizes.dim, n_heads, sizes.n_hidden, dropout=0.0)
         self.queries = nn.Parameter(torch.zeros(1, sizes.n_queries, sizes.dim))
-        self.self_attn = _Attention(sizes.dim)
+        self.self_attn = nn.MultiheadAttention(sizes.dim, n_heads)
         self.norm_q = nn.LayerNorm(sizes.dim)
-        self.cross_attn = _Attention(sizes.dim)
+        self.cross_attn = nn.MultiheadAttention(sizes.dim, n_heads)
         self.norm_out = nn.LayerNorm(sizes.dim)
 
     def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the refined features (n, positions, dim) and what was gathered (n, n_queries, dim)."""
+        """Return the refined features (positions, n, dim) and what was gathered (n_queries, n, dim)."""
         x = self.encoder(x)
-        queries = self.norm_q(self.queries + self.self_attn(self.queries, self.queries))  # the same for all images
-        return x, self.norm_out(self.cross_attn(queries.expand(len(x), -1, -1), x))
+        queries = self.queries.transpose(0, 1)  # (n_queries, 1, dim)
+        own, _ = self.self_attn(queries, queries, queries, need_weights=False)  # the same for all images
+        queries = self.norm_q(queries + own)
+        found, _ = self.cross_attn(queries.expand(-1, x.shape[1], -1), x, x, need_weights=False)
+        return x, self.norm_out(found)
 
 
-class _Encoder(nn.Module):
-    """A transformer layer that normalises after each addition."""
-
-    def __init__(self, dim: int, n_hidden: int) -> None:
-        super().__init__()
-        self.self_attn = _Attention(dim)
-        self.linear1 = nn.Linear(dim, n_hidden)
-        self.linear2 = nn.Linear(n_hidden, dim)
-        self.norm1 = nn.LayerNorm(dim)
-        self.norm2 = nn.LayerNorm(dim)
-
-    def forward(self, x: Tensor) -> Tensor:
-        x = self.norm1(x + self.self_attn(x, x))
-        out: Tensor = self.norm2(x + self.linear2(functional.relu(self.linear1(x))))
-        return out
-
-
-class _Attention(nn.Module):
-    """Attention in heads of 64 dimensions, under the names of `torch.nn.MultiheadAttention`."""
-
-    def __init__(self, dim: int) -> None:
-        super().__init__()
-        self.in_proj_weight = nn.Parameter(torch.zeros(3 * dim, dim))
-        self.in_proj_bias = nn.Parameter(torch.zeros(3 * dim))
-        self.out_proj = nn.Linear(dim, dim)
-
-    def forward(self, queries: Tensor, memory: Tensor) -> Tensor:
-        """Return for each of (n, n_asking, dim) what it takes from (n, n_asked, dim)."""
-        dim = queries.shape[-1]
-        weight, bias = self.in_proj_weight, self.in_proj_bias
-        query = functional.linear(queries, weight[:dim], bias[:dim])
-        key, value = functional.linear(memory, weight[dim:], bias[dim:]).chunk(2, -1)
-        seen = functional.scaled_dot_product_attention(_heads(query), _heads(key), _heads(value))
-        out: Tensor = self.out_proj(seen.transpose(1, 2).flatten(2))
-        return out
-
-
-def _heads(x: Tensor) -> Tensor:
-    """Return what each head gets of (n, positions, dim): (n, heads, positions, 64)."""
-    return x.view(*x.shape[:2], -1, _HEAD).transpose(1, 2)
-
-
-def _renamed(tensors: Tensors, path: Path) -> dict[str, Tensor]:
-    """Return tensors of either wrapper under the names of this network; raises BadInput if two get one name."""
-    renamed: dict[str, Tensor] = {}
+def _renamed(tensors: Tensors) -> dict[str, Tensor]:
+    """Return tensors of either wrapper under the names of this network."""
+    renamed = {}
     for name, tensor in tensors.items():
         old = next((old for old in _OTHER_NAMES if name.startswith(old)), "")
-        new = _OTHER_NAMES.get(old, "") + name.removeprefix(old)
-        if new in renamed:
-            raise BadInput(f"{path} holds {new} twice, under names of two wrappers: give a file with one network")
-        renamed[new] = tensor
+        renamed[_OTHER_NAMES.get(old, "") + name.removeprefix(old)] = tensor
     return renamed

@@ -24,7 +24,7 @@ from vprbench.api import (
     count_operations,
 )
 
-from .parts.stored import State, require_map
+from .parts.checks import require_arguments
 
 Grey = npt.NDArray[np.uint8]  # (height, width)
 
@@ -92,21 +92,9 @@ class CoHOG(Method):
                 own[:] = mean_best_cosine(torch.from_numpy(good).to(self.device), self._references).cpu().numpy()
         return best_image_of_place(similarity, self._places)
 
-    def state(self) -> State:
-        """Return the regions of the references and their places."""
-        if self._references is None:
-            raise NotFittedError("CoHOG has no map yet: call fit(references, places) first")
-        return {"references": self._references.cpu().numpy(), "places": self._places}
-
-    def restore(self, state: State) -> Self:
-        """Take over stored regions and their places."""
-        self._references = None
-        n_references = np.size(state.get("places", ()))
-        shape = (n_references, *self._region_shape())
-        require_map(state, {"references": (np.float32, shape), "places": (np.int64, (n_references,))})
-        self._references = torch.from_numpy(state["references"].copy()).to(self.device)
-        self._places = state["places"].copy()
-        return self
+    def map_bytes(self) -> int | None:
+        """Return the bytes of the references' regions and of their places."""
+        return None if self._references is None else self._references.nbytes + self._places.nbytes
 
     def _grey(self, image: Image) -> Grey:
         return _resized(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), self.size).astype(np.uint8, copy=False)
@@ -124,18 +112,16 @@ class CoHOG(Method):
 
     def _region_shape(self) -> tuple[int, int]:
         """Return the number of regions and their length; raises BadInput for arguments that do not fit."""
-        wanted = {
-            "cell": (self.cell >= 1, "at least 1 pixel"),
-            "bins": (self.bins >= 2, "at least 2"),
-            "region_cells": (self.region_cells >= 1, "at least 1"),
-            "sobel": (self.sobel in (3, 5, 7), "3, 5 or 7 pixels"),
-            "entropy_size": (self.entropy_size >= 1, "at least 1 pixel"),
-            "entropy_radius": (self.entropy_radius >= 0, "0 pixels or more"),
-            "entropy_threshold": (math.isfinite(self.entropy_threshold), "a finite number"),
-        }
-        for name, (holds, what) in wanted.items():
-            if not holds:
-                raise BadInput(f"method.{name}={getattr(self, name)}: give {what}")
+        require_arguments(
+            self,
+            cell=(self.cell >= 1, "at least 1 pixel"),
+            bins=(self.bins >= 2, "at least 2"),
+            region_cells=(self.region_cells >= 1, "at least 1"),
+            sobel=(self.sobel in (3, 5, 7), "3, 5 or 7 pixels"),
+            entropy_size=(self.entropy_size >= 1, "at least 1 pixel"),
+            entropy_radius=(self.entropy_radius >= 0, "0 pixels or more"),
+            entropy_threshold=(math.isfinite(self.entropy_threshold), "a finite number"),
+        )
         if self.size % self.cell or self.size < self.region_cells * self.cell:
             raise BadInput(
                 f"method.size={self.size}: give a multiple of method.cell={self.cell} that holds at least one region, "

@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from vprbench.api import Interpolation
 
 from .parts.backbones.resnet import n_channels, resnet
-from .parts.published import PublishedNetwork, Tensors, require_size, size
+from .parts.published import PublishedNetwork, Tensors
 
 _BACKBONE = "resnet50"
 _QUARTERS = (2, 2)  # down and across
@@ -30,8 +30,7 @@ class ConvAP(PublishedNetwork):
     interpolation: Interpolation = "bicubic"
 
     def network(self, tensors: Tensors) -> nn.Module:
-        """Return the network of these channels; raises BadInput if the file has others."""
-        require_size("channels", self.channels, size(tensors, "aggregator.channel_pool.bias", 0, self.channels))
+        """Return the network of these channels."""
         return _ConvAP(self.channels)
 
 

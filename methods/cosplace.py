@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from types import MappingProxyType
-from typing import ClassVar, Literal
+from typing import Literal
 
 from torch import Tensor, nn
 from torch.nn import functional
 
-from vprbench.api import BadInput, Resize
+from vprbench.api import Resize
 
 from .parts.backbones.resnet import n_channels, resnet
 from .parts.backbones.vgg import N_CHANNELS, vgg16_features
 from .parts.pooling import GeM
-from .parts.published import PublishedNetwork, Tensors, require_size, size
+from .parts.published import PublishedNetwork, Tensors
 
 Backbone = Literal["VGG16", "ResNet18", "ResNet50", "ResNet101", "ResNet152"]
 
@@ -36,48 +33,19 @@ class CosPlace(PublishedNetwork):
     n_dimensions: int = 2048
     resize: Resize = "tensor"
 
-    #: The dimensions that there are published files for.
-    published: ClassVar[Mapping[Backbone, Sequence[int]]] = MappingProxyType(
-        {
-            "VGG16": (64, 128, 256, 512),
-            "ResNet18": (32, 64, 128, 256, 512),
-            **dict.fromkeys(("ResNet50", "ResNet101", "ResNet152"), (32, 64, 128, 256, 512, 1024, 2048)),
-        }
-    )
-
     @property
     def smallest_side(self) -> int:  # type: ignore[override]  # here it depends on an argument
         """The pixels under which nothing is left to pool: VGG16 halves four times, a ResNet rounds up."""
         return 16 if self.backbone == "VGG16" else 1
 
-    def files(self) -> Sequence[Path]:
-        """Return the file of weights; raises BadInput if it is missing, and for a network that was never published."""
-        there = self.published.get(self.backbone, ())
-        if self.weights.path is None and self.n_dimensions not in there:
-            known = "; ".join(f"{name} {', '.join(map(str, sizes))}" for name, sizes in self.published.items())
-            raise BadInput(
-                f"method.backbone={self.backbone}, method.n_dimensions={self.n_dimensions}: {type(self).__name__} was "
-                f"published with {known}; give one of these, or method.weights.path=FILE"
-            )
-        return super().files()
-
     def network(self, tensors: Tensors) -> nn.Module:
-        """Return the network of this backbone and these dimensions; raises BadInput if the file has others."""
-        require_size("n_dimensions", self.n_dimensions, size(tensors, "aggregation.3.weight", 0, self.n_dimensions))
+        """Return the network of this backbone and these dimensions."""
         return _CosPlace(self.backbone, self.n_dimensions)
 
 
 @dataclass(kw_only=True)
 class EigenPlaces(CosPlace):
     """CosPlace's network trained for robustness to viewpoint: Berton et al. 2023, gmberton/EigenPlaces a2969f7."""
-
-    published: ClassVar[Mapping[Backbone, Sequence[int]]] = MappingProxyType(
-        {
-            "VGG16": (512,),
-            "ResNet18": (256, 512),
-            **dict.fromkeys(("ResNet50", "ResNet101"), (128, 256, 512, 1024, 2048)),  # 1024 stands in its hubconf alone
-        }
-    )
 
 
 class _CosPlace(nn.Module):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -14,7 +14,7 @@ from torch.nn import functional
 
 from vprbench.api import BadInput, NeuralDescriptor, Resize, count_operations, load_strictly, state_dict
 
-from .parts.backbones.compiled_blocks import CompiledBlocks
+from .parts.backbones.compiled_blocks import compile_blocks
 from .parts.backbones.efficientnet_lite import (
     EfficientNetLite,
     Variant,
@@ -69,14 +69,17 @@ class EfficientNet(NeuralDescriptor):
         """Describe images with this network from now on."""
         super().use(network)
         own = cast(_Network, self._network)
-        own.compiled = CompiledBlocks(own.model) if self.device == "cpu" else None
+        own.compiled = None
+        if self.device == "cpu":
+            shown = torch.zeros(1, 3, *self.target(0, 0)).contiguous(memory_format=torch.channels_last)
+            own.compiled = compile_blocks(own.model, shown, self.blocks)
 
     def pixels(self, levels: Tensor) -> Tensor:
         """Return what the network sees of RGB levels 0..255, (n, 3, height, width)."""
         return (levels - 127) / 128
 
     def block_lengths(self) -> list[int]:
-        """Return the numbers that each block gives; raises BadInput where they depend on an image's size."""
+        """Return the numbers that each block gives; raises BadInput for arguments that do not fit."""
         self._check_arguments()
         return [
             count_channels(self.variant, block) * rows * columns
@@ -85,25 +88,17 @@ class EfficientNet(NeuralDescriptor):
 
     def _cells(self) -> list[tuple[int, int]]:
         """Return the rows and columns that are kept of each block; raises BadInput for cells that no map has."""
-        found = []
-        for block, grid in zip(self.blocks, self.grid, strict=True):
-            if self.height is None or self.width is None:
-                if grid is None:
-                    raise BadInput(
-                        f"method.grid={_written(self.grid)} keeps every position of block {block}, as many as an "
-                        "image has: set method.height and method.width, or give rows and columns"
-                    )
-                found.append(grid)
-                continue
-            most = map_size(self.variant, block, self.height, self.width)
-            cells = most if grid is None else grid
-            if not all(1 <= n <= of for n, of in zip(cells, most, strict=True)):
+        if self.height is None or self.width is None:
+            raise BadInput(f"method.height={self.height}, method.width={self.width}: give both")
+        maps = [map_size(self.variant, block, self.height, self.width) for block in self.blocks]
+        cells = [most if grid is None else grid for most, grid in zip(maps, self.grid, strict=True)]
+        for block, most, own in zip(self.blocks, maps, cells, strict=True):
+            if not (1 <= own[0] <= most[0] and 1 <= own[1] <= most[1]):
                 raise BadInput(
-                    f"method.grid={_written(self.grid)}: give block {block} 1 to {most[0]} rows and 1 to {most[1]} "
-                    "columns, or null for all"
+                    f"method.grid={[*self.grid]}: give block {block} 1 to {most[0]} rows and 1 to {most[1]} columns, "
+                    "or null for all"
                 )
-            found.append(cells)
-        return found
+        return cells
 
     def _described(self, batch: npt.NDArray[Any]) -> Tensor:
         size = self.target(*batch.shape[1:3])
@@ -123,8 +118,8 @@ class EfficientNet(NeuralDescriptor):
             raise BadInput(f"method.blocks={[*self.blocks]}: give blocks of {self.variant}, 0 to {last}, ascending")
         if len(self.grid) != len(self.blocks):
             raise BadInput(
-                f"method.grid={_written(self.grid)} has {len(self.grid)} entries for {len(self.blocks)} blocks: give "
-                "rows and columns for each, as in [[8,14],[4,7],[2,4]], null for every position"
+                f"method.grid={[*self.grid]} has {len(self.grid)} entries for {len(self.blocks)} blocks: give rows and "
+                "columns for each, null for every position"
             )
         self._cells()
 
@@ -135,11 +130,11 @@ class _Network(nn.Module):
     def __init__(self, model: EfficientNetLite, blocks: Sequence[int], grid: Sequence[Grid]) -> None:
         super().__init__()
         self.model = model
-        self.compiled: CompiledBlocks | None = None  # the same outputs, faster
+        self.compiled: Callable[[Tensor], Sequence[Tensor]] | None = None  # the same outputs of one image, faster
         self._blocks, self._grid = blocks, grid
 
     def forward(self, images: Tensor) -> Tensor:
-        maps = (self.compiled or self.model)(images, self._blocks)
+        maps = self.model(images, self._blocks) if self.compiled is None else self.compiled(images)
         pairs = zip(maps, self._grid, strict=True)
         cells = [each if grid is None else functional.adaptive_avg_pool2d(each, grid) for each, grid in pairs]
         return torch.cat([functional.normalize(each.flatten(1).float(), dim=1) for each in cells], dim=1)
@@ -148,9 +143,3 @@ class _Network(nn.Module):
 def _block_of(name: str) -> int:
     """Return the number of the block that a tensor belongs to; -1 for the stem's."""
     return int(name.split(".")[1]) if name.startswith("blocks.") else -1
-
-
-def _written(grid: Sequence[Grid]) -> str:
-    """Return a grid as it is given on the command line."""
-    cells = ["null" if each is None else f"[{each[0]},{each[1]}]" for each in grid]
-    return f"[{','.join(cells)}]"

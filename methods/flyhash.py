@@ -10,8 +10,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy import sparse
 
-from vprbench.api import BadInput, Images, Method, NotFittedError, Places, Scores, best_image_of_place, count_operations
+from vprbench.api import Images, Method, NotFittedError, Places, Scores, best_image_of_place, count_operations
 
+from .parts.checks import require_arguments
 from .parts.filters.patches import PatchNormalisation, Variant
 
 Winners = npt.NDArray[np.int32]  # (n_images, winners): numbers of units, ascending; -1 where fewer units fire
@@ -87,13 +88,12 @@ class FlyHash(Method):
 
     def _check_arguments(self) -> None:
         n_pixels = self.height * self.width
-        for name, most, what in (
-            ("units", np.inf, "at least 1"),
-            ("summed", n_pixels, f"1 to the {n_pixels} pixels of a frame"),
-            ("winners", self.units, f"1 to method.units={self.units}"),
-        ):
-            if not 1 <= getattr(self, name) <= most:
-                raise BadInput(f"method.{name}={getattr(self, name)}: give {what}")
+        require_arguments(
+            self,
+            units=(self.units >= 1, "at least 1"),
+            summed=(1 <= self.summed <= n_pixels, f"1 to the {n_pixels} pixels of a frame"),
+            winners=(1 <= self.winners <= self.units, f"1 to method.units={self.units}"),
+        )
 
 
 @lru_cache(maxsize=4)

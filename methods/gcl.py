@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import ClassVar, Literal, Self
@@ -27,7 +27,6 @@ _POOLINGS: Mapping[Pooling, Callable[[], nn.Module]] = MappingProxyType(
 )
 _ONE_BY_ONE = "a batch gives what its single images give"
 _SMALLEST_NORM = 1e-6
-_TOGETHER = 4096  # descriptors
 
 
 @dataclass(frozen=True)
@@ -43,35 +42,22 @@ class Whitening:
 
         There are fewer than `n_components` if the descriptors vary in fewer directions, n - 1 at most.
         """
-        n, n_dimensions = descriptors.shape
-        mean = sum(block.sum(0) for block in _precise(descriptors)) / n
-        few = n < n_dimensions
-        if few:  # what varies in n descriptors is found in n x n products as well, and far sooner
-            centred = np.concatenate([*_precise(descriptors)]) - mean
-            products = centred @ centred.T
-        else:
-            products = np.zeros((n_dimensions, n_dimensions))
-            for block in _precise(descriptors):
-                products += (block - mean).T @ (block - mean)
-        variances, directions = np.linalg.eigh(products / (2 * n))  # the 2 is the authors'
+        precise = descriptors[:].astype(np.float64)
+        mean = precise.mean(0)
+        precise -= mean
+        variances, directions = np.linalg.eigh(precise.T @ precise / (2 * len(precise)))  # the 2 is the authors'
         # In directions without variance there is rounding noise left, which whitening would make as large as any.
-        rounding = max(n, n_dimensions) * np.finfo(np.float64).eps
+        rounding = max(precise.shape) * np.finfo(np.float64).eps
         kept = np.flatnonzero(variances > rounding * variances[-1])[::-1][:n_components]
-        directions, deviations = directions[:, kept], np.sqrt(variances[kept])
-        if few:
-            directions = centred.T @ directions / (np.sqrt(2 * n) * deviations)
-        projection = directions / deviations
+        projection = directions[:, kept] / np.sqrt(variances[kept])
         if not len(kept):  # all are equal: nothing tells them apart, but an index wants a dimension
-            projection = np.zeros((n_dimensions, 1))
+            projection = np.zeros((len(mean), 1))
         return cls(mean.astype(np.float32), projection.astype(np.float32))
 
     def __call__(self, descriptors: Descriptors) -> npt.NDArray[np.float32]:
         """Return whitened descriptors of unit length, (n, n_components); zero for the mean."""
-        whitened = np.empty((len(descriptors), self.projection.shape[1]), np.float32)
-        for first in range(0, len(descriptors), _TOGETHER):
-            own = slice(first, first + _TOGETHER)
-            rounded = descriptors[own].astype(np.float16)  # as the authors apply it, not as they learn it
-            whitened[own] = (rounded.astype(np.float32) - self.mean) @ self.projection
+        rounded = descriptors[:].astype(np.float16).astype(np.float32)  # as the authors apply it, not as they learn it
+        whitened = np.asarray((rounded - self.mean) @ self.projection, np.float32)
         whitened /= np.linalg.norm(whitened, axis=1, keepdims=True) + np.float32(_SMALLEST_NORM)
         return whitened
 
@@ -81,8 +67,7 @@ class GCL(PublishedNetwork):
     """Scores a place by the cosine between the pooled features of query and most similar reference image.
 
     `loss` says what the network was trained with, graded (GCL) or binary (CL) labels, and changes nothing but the file.
-    Images are resized to `height` and `width`, or so that their shorter side has `shorter_side` pixels. Source:
-    Leyva-Vallina et al. 2023 and marialeyvallina/generalized_contrastive_loss 3f02752.
+    Source: Leyva-Vallina et al. 2023 and marialeyvallina/generalized_contrastive_loss 3f02752.
 
     With `n_components` descriptors are whitened, of references and queries alike, rounded to float16 first, as the
     authors do it. The whitening is learnt from what the references look like, before any rounding, never from their
@@ -95,7 +80,6 @@ class GCL(PublishedNetwork):
     loss: Literal["GCL", "CL"] = "GCL"
     height: int | None = 480
     width: int | None = 640
-    shorter_side: int | None = None  # pixels; wants height and width to be none
     n_components: int | None = None  # of the whitening; None: no whitening
 
     search_arguments: ClassVar[frozenset[str]] = PublishedNetwork.search_arguments | {"loss", "n_components"}
@@ -119,20 +103,6 @@ class GCL(PublishedNetwork):
     def network(self, tensors: Tensors) -> nn.Module:
         """Return the network of this backbone and this pooling, whose sizes are the same in every file."""
         return _GCL(self.backbone, self.pooling)
-
-    def target(self, height: int, width: int) -> tuple[int, int]:
-        """Return the size that an image is resized to; raises BadInput for a `shorter_side` beside other sizes."""
-        if self.shorter_side is None:
-            return super().target(height, width)
-        if self.height is not None or self.width is not None:
-            raise BadInput(
-                f"method.shorter_side={self.shorter_side} with method.height={self.height} and "
-                f"method.width={self.width}: set method.height=null method.width=null, or method.shorter_side=null"
-            )
-        if self.shorter_side < 1:
-            raise BadInput(f"method.shorter_side={self.shorter_side}: give at least 1 pixel, or null")
-        longer = self.shorter_side * max(height, width) // min(height, width)
-        return (self.shorter_side, longer) if height <= width else (longer, self.shorter_side)
 
     def fit_descriptors(self, descriptors: Descriptors, places: Places) -> Self:
         """Learn the whitening, if one is wanted, and keep the whitened references."""
@@ -165,9 +135,3 @@ class _GCL(nn.Module):
     def forward(self, images: Tensor) -> Tensor:
         pooled: Tensor = self.pool(self.backbone(images)).flatten(1)
         return pooled
-
-
-def _precise(descriptors: Descriptors) -> Iterator[npt.NDArray[np.float64]]:
-    """Yield descriptors in blocks."""
-    for first in range(0, len(descriptors), _TOGETHER):
-        yield descriptors[first : first + _TOGETHER].astype(np.float64)

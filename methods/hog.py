@@ -12,6 +12,8 @@ import numpy.typing as npt
 
 from vprbench.api import BadInput, DescriptorMethod, Images, count_operations
 
+from .parts.checks import require_arguments
+
 _INTERPOLATIONS = {"linear": cv2.INTER_LINEAR, "area": cv2.INTER_AREA}
 
 # A normalised block's largest number, before it is normalised again. No argument: OpenCV (4.14) keeps the value of the
@@ -80,15 +82,13 @@ class HOG(DescriptorMethod):
 
     def _check_arguments(self) -> None:
         """Raise BadInput for arguments under which OpenCV has no descriptor."""
-        wanted = {
-            "cell": (self.cell >= 1, "at least 1 pixel"),
-            "stride": (self.stride >= 1, "at least 1 pixel"),
-            "bins": (1 <= self.bins <= 255, "1 to 255"),
-            "sigma": (self.sigma is None or self.sigma > 0, "more than 0 pixels"),
-        }
-        for name, (fits, what) in wanted.items():
-            if not fits:
-                raise BadInput(f"method.{name}={getattr(self, name)}: give {what}")
+        require_arguments(
+            self,
+            cell=(self.cell >= 1, "at least 1 pixel"),
+            stride=(self.stride >= 1, "at least 1 pixel"),
+            bins=(1 <= self.bins <= 255, "1 to 255"),
+            sigma=(self.sigma is None or self.sigma > 0, "more than 0 pixels"),
+        )
         if self.block < 1 or self.block % self.cell:
             raise BadInput(f"method.block={self.block}: give a multiple of method.cell={self.cell}")
         for name in ("height", "width"):

@@ -9,8 +9,9 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.api import BadInput, DescriptorMethod, Images, count_operations
+from vprbench.api import DescriptorMethod, Images, count_operations
 
+from .parts.checks import require_arguments
 from .parts.filters.oriented import OrientedEdges
 from .parts.filters.patches import MEAN_LEVEL, PatchNormalisation, Variant
 from .parts.vectors import unit
@@ -72,15 +73,14 @@ class HyperDimensional(DescriptorMethod):
         return edges(images).reshape(len(images), edges.rows, edges.columns, edges.orientations)
 
     def _check_arguments(self) -> None:
-        wanted = {
-            "cell": (1 <= self.cell <= min(self.height, self.width), "1 pixel to the frame's smaller side"),
-            "stride": (1 <= self.stride <= min(self.height, self.width), "1 pixel to the frame's smaller side"),
-            "reach": (self.reach > 0, "more than 0 cells"),
-            "components": (self.components >= 1, "at least 1"),
-        }
-        for name, (fits, what) in wanted.items():
-            if not fits:
-                raise BadInput(f"method.{name}={getattr(self, name)}: give {what}")
+        side = min(self.height, self.width)
+        require_arguments(
+            self,
+            cell=(1 <= self.cell <= side, "1 pixel to the frame's smaller side"),
+            stride=(1 <= self.stride <= side, "1 pixel to the frame's smaller side"),
+            reach=(self.reach > 0, "more than 0 cells"),
+            components=(self.components >= 1, "at least 1"),
+        )
 
 
 @lru_cache(maxsize=4)

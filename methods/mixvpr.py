@@ -14,7 +14,7 @@ from torch.nn import functional
 from vprbench.api import BadInput
 
 from .parts.backbones.resnet import n_channels, resnet
-from .parts.published import PublishedNetwork, Tensors, require_size, size
+from .parts.published import PublishedNetwork, Tensors, size
 
 _BACKBONE, _N_STAGES = "resnet50", 3
 _SIDE = 320  # pixels
@@ -39,16 +39,14 @@ class MixVPR(PublishedNetwork):
     fixed_size: ClassVar[bool] = True
 
     def network(self, tensors: Tensors) -> nn.Module:
-        """Return a published network, or one in the sizes of a file; raises BadInput for other dimensions."""
+        """Return the network of these dimensions; raises BadInput for others than the published ones without a file."""
         if not tensors and self.n_dimensions not in _CHANNELS:
             raise BadInput(
                 f"method.n_dimensions={self.n_dimensions}: MixVPR was published with {', '.join(map(str, _CHANNELS))}"
             )
         channels = size(tensors, "aggregator.channel_proj.weight", 0, _CHANNELS.get(self.n_dimensions, 1))
-        rows = size(tensors, "aggregator.row_proj.weight", 0, self.n_dimensions // channels)
-        if "aggregator.channel_proj.weight" in tensors:
-            require_size("n_dimensions", self.n_dimensions, channels * rows)
-        return _MixVPR(size(tensors, "aggregator.row_proj.weight", 1, (_SIDE // _PIXELS) ** 2), channels, rows)
+        n_positions = size(tensors, "aggregator.row_proj.weight", 1, (_SIDE // _PIXELS) ** 2)
+        return _MixVPR(n_positions, channels, self.n_dimensions // channels)
 
 
 class _MixVPR(nn.Module):

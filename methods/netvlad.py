@@ -1,4 +1,4 @@
-"""NetVLAD: the local descriptors of VGG16, gathered in soft clusters, from three families of published weights."""
+"""NetVLAD: the local descriptors of VGG16 in soft clusters, of three families of published weights, and SFRS."""
 
 from __future__ import annotations
 
@@ -23,6 +23,8 @@ STRIDE = 16  # pixels between local descriptors
 
 _BEFORE_RELU = 29  # layers of VGG16: its last ReLU and pool are left out
 _USUAL_MEAN = (123.68, 116.78, 103.94)  # RGB levels; each file of MatConvNet brings its own
+
+_SFRS_MEAN = (123.68, 116.779, 103.939)  # RGB levels
 
 _MATCONVNET_LAYERS = 35
 _MATCONVNET_VLAD, _MATCONVNET_WHITENING = 30, 33  # the layers before them are VGG16's, numbered alike
@@ -100,6 +102,35 @@ class NetVLAD(PublishedNetwork):
         for name in ("n_dimensions", "longest_side"):
             if (value := getattr(self, name)) is not None and value < 1:
                 raise BadInput(f"method.{name}={value}: give at least 1, or null for all")
+
+
+@dataclass(kw_only=True)
+class SFRS(PublishedNetwork):
+    """Scores a place by the cosine between the whitened VLADs of query and most similar reference image.
+
+    VGG16 in 64 clusters, whitened to 4096 dimensions, channels fastest; it sees levels less their mean. The authors
+    evaluate at 640x480 (on Tokyo 24/7 with a shorter side of 640).
+    Source: Ge et al. 2020 and yxgeee/OpenIBL dea9d41.
+    """
+
+    height: int | None = 480
+    width: int | None = 640
+
+    smallest_side: ClassVar[int] = STRIDE
+
+    def pixels(self, levels: Tensor) -> Tensor:
+        """Return RGB levels 0..255 less their mean."""
+        return levels - levels.new_tensor(_SFRS_MEAN)[:, None, None]
+
+    def network(self, tensors: Tensors) -> nn.Module:
+        """Return the network of 64 clusters and 4096 dimensions, or in the sizes of a file."""
+        return Network(size(tensors, "net_vlad.centroids", 0, 64), size(tensors, "pca_layer.weight", 0, 4096))
+
+    def named(self, network: nn.Module) -> nn.Module:
+        """Return the parts of the network under their names in the file."""
+        own = cast(Network, network)
+        base = nn.ModuleDict({"base": own.encoder})
+        return nn.ModuleDict({"base_model": base, "net_vlad": own.pool, "pca_layer": cast(nn.Sequential, own.WPCA)[0]})
 
 
 class Clusters(nn.Module):

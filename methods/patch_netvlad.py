@@ -9,23 +9,27 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, ClassVar, Literal, Self
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 import psutil
 import torch
-from torch import nn
+from torch import Tensor, nn
+from torch.nn import functional
 
 from vprbench.api import BadInput, Descriptors, Images, NotFittedError, Places, Scores
 
-from .netvlad import STRIDE, sizes
-from .parts.patch_geometry import Geometry, mutual, score
-from .parts.patch_network import PatchNetwork
-from .parts.published import PublishedNetwork, Tensors, require_size
+from .netvlad import STRIDE, Network, sizes
+from .parts.published import PublishedNetwork, Tensors
 from .parts.vectors import unit
 
 Configuration = Literal["performance", "speed", "storage"]
-# float32_as_published: that of the public code, whose sums over a patch cancel
-PatchPrecision = Literal["float32", "float16", "bfloat16", "float32_as_published"]
+Geometry = Literal["homography", "displacement"]
+Pairs = tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]  # patches of the query, and theirs of the reference
+
+_RECEPTIVE_FIELD, _PADDING = 196, 90  # pixels of a local descriptor
+_TOLERANCE = 1.5 * STRIDE  # pixels that an inlier of the homography may be off
+_FEWEST_PAIRS: Mapping[Geometry, int] = MappingProxyType({"homography": 4, "displacement": 1})
 
 
 @dataclass(frozen=True)
@@ -70,8 +74,8 @@ class PatchNetVLAD(PublishedNetwork):
     `encode` gives the descriptors of the image and of its patches one after the other as one unit vector.
     `components` says how many principal components the file of each configuration has; a patch takes 4 bytes for each
     of them, or 2 with `patches`=float16, which holds for the references. For images of 480x640 that is 46 MB an image
-    for performance, 1.9 MB for speed and 0.5 MB for storage: `fit` and `encode`, which keep that in memory, raise
-    BadInput if there is not enough. Source: Hausler et al. 2021 and QVPR/Patch-NetVLAD 39ab4e4.
+    for performance, 1.9 MB for speed and 0.5 MB for storage: `fit` raises BadInput if there is not enough memory.
+    Source: Hausler et al. 2021 and QVPR/Patch-NetVLAD 39ab4e4.
     """
 
     configuration: Configuration = "performance"
@@ -82,7 +86,6 @@ class PatchNetVLAD(PublishedNetwork):
     patches: Literal["float32", "float16"] = "float32"
     height: int | None = 480
     width: int | None = 640
-    precision: PatchPrecision = "float32"  # type: ignore[assignment]  # one more than other networks have
 
     fixed_size: ClassVar[bool] = True
     adapts: ClassVar[bool] = False  # its patches have no mean in common
@@ -95,11 +98,13 @@ class PatchNetVLAD(PublishedNetwork):
         """Encode the references, block by block."""
         self._map = None
         length, kind = self._code_length(), np.dtype(self.patches)
-        _require_memory(
-            f"{len(references)} reference images",
-            len(references) * length * kind.itemsize,
-            "set method.configuration=storage or method.patches=float16, or take fewer images",
-        )
+        needed_bytes, free = len(references) * length * kind.itemsize, psutil.virtual_memory().available
+        if needed_bytes > free:
+            raise BadInput(
+                f"the patches of {len(references)} reference images need {needed_bytes / 1e9:.1f} GB of memory, "
+                f"{free / 1e9:.1f} GB are free: set method.configuration=storage or method.patches=float16, "
+                "or take fewer images"
+            )
         codes = np.empty((len(references), length), kind)
         done = 0
         for block in references.blocks(self.batch_size):
@@ -129,15 +134,6 @@ class PatchNetVLAD(PublishedNetwork):
         """
         return self._code_length() * np.dtype(np.float32).itemsize
 
-    def encode(self, images: Images) -> npt.NDArray[np.float32]:
-        """Return the descriptors of each image and of its patches, (n_images, (1 + n_patches) * n_components)."""
-        _require_memory(
-            f"{len(images)} images at once",
-            len(images) * self.code_bytes,
-            "set method.configuration=storage, or encode fewer images together",
-        )
-        return super().encode(images)
-
     def match(self, codes: npt.NDArray[np.float32]) -> Scores:
         """Return the cosine with the best reference image of each place, and more for the best by their patches."""
         if self._map is None:
@@ -153,17 +149,9 @@ class PatchNetVLAD(PublishedNetwork):
         return scores
 
     def network(self, tensors: Tensors) -> nn.Module:
-        """Return the network in the sizes of a file; raises BadInput for another number of components."""
-        clusters, components = sizes(tensors, self.weights.file)
-        wanted = self.components[self.configuration]
-        if "WPCA.0.bias" in tensors:
-            require_size(f"components.{self.configuration}", wanted, components)
-        sides = SETTINGS[self.configuration].sides
-        return PatchNetwork(clusters, wanted, sides, integral=self.precision == "float32_as_published")
-
-    @property
-    def _number_type(self) -> torch.dtype:
-        return torch.float32 if self.precision == "float32_as_published" else super()._number_type
+        """Return the network in the clusters of a file, of the components of the configuration."""
+        clusters, _ = sizes(tensors, self.weights.file)
+        return _Network(clusters, self.components[self.configuration], SETTINGS[self.configuration].sides)
 
     def _split(self, codes: npt.NDArray[Any]) -> npt.NDArray[Any]:
         """Return the descriptors in codes, first that of the image, (n_images, 1 + n_patches, n_components)."""
@@ -199,19 +187,10 @@ class PatchNetVLAD(PublishedNetwork):
         return torch.stack(nearest).cpu().numpy()
 
     def _grids(self) -> list[npt.NDArray[np.int64]]:
-        """Return for each patch size the column and row of each patch, (n_patches, 2), row by row.
-
-        Raises BadInput for sizes of images that hold none.
-        """
+        """Return for each patch size the column and row of each patch, (n_patches, 2), row by row."""
         self._check_arguments()
         sides = SETTINGS[self.configuration].sides
         height, width = (side // STRIDE for side in self.target(0, 0))
-        if min(height, width) < max(sides):
-            least = max(sides) * STRIDE
-            raise BadInput(
-                f"method.height={self.height}, method.width={self.width}: the patches of "
-                f"method.configuration={self.configuration} need at least {least}x{least} pixels"
-            )
         shapes = [(height - side + 1, width - side + 1) for side in sides]
         return [np.stack(np.divmod(np.arange(rows * columns), columns)[::-1], axis=1) for rows, columns in shapes]
 
@@ -230,6 +209,79 @@ class PatchNetVLAD(PublishedNetwork):
             raise BadInput(f"method.candidates={self.candidates}: give at least 1 place")
         if self.components.get(self.configuration, 0) < 1:
             raise BadInput(f"method.components={dict(self.components)}: give those of {self.configuration}, at least 1")
+        sides = SETTINGS[self.configuration].sides
+        if min(self.target(0, 0)) // STRIDE < max(sides):
+            least = max(sides) * STRIDE
+            raise BadInput(
+                f"method.height={self.height}, method.width={self.width}: the patches of "
+                f"method.configuration={self.configuration} need at least {least}x{least} pixels"
+            )
+
+
+class _Network(Network):
+    """Images (n, 3, height, width) to the unit vectors of image and patches, (n, (1 + n_patches) * n_components)."""
+
+    def __init__(self, clusters: int, components: int, sides: tuple[int, ...]) -> None:
+        super().__init__(clusters, components)
+        self.sides = sides
+
+    def forward(self, images: Tensor) -> Tensor:
+        """Describe images and, one image after the other for they take much memory, their patches."""
+        local, shares = self.pool.assigned(self.encoder(images))
+        whole = self.described(self.pool.gathered(local, shares))
+        return torch.stack(
+            [
+                torch.cat([vector, *(vectors.flatten() for vectors in self._patches(*one))])
+                for vector, *one in zip(whole, local, shares, strict=True)
+            ]
+        )
+
+    def _patches(self, local: Tensor, shares: Tensor) -> Iterator[Tensor]:
+        """Yield the descriptors of the patches of each size, (n_patches, n_components), row by row."""
+        residuals = local - self.pool.centroids.float()[:, :, None, None]  # (clusters, channels, h, w)
+        residuals *= shares[:, None]
+        for side in self.sides:
+            means = functional.avg_pool2d(functional.avg_pool2d(residuals, (side, 1), 1), (1, side), 1)
+            yield self.described(means.flatten(2).permute(2, 0, 1))
+
+
+def mutual(best_of_query: npt.NDArray[np.int64], best_of_reference: npt.NDArray[np.int64]) -> Pairs:
+    """Return the pairs of patches that are nearest to one another, in the order of the reference's patches.
+
+    The arguments are, for each patch of the reference, the nearest of the query, and the other way round.
+    """
+    patches = np.arange(len(best_of_query))
+    kept = best_of_reference[best_of_query] == patches
+    return best_of_query[kept], patches[kept]
+
+
+def score(geometry: Geometry, grid: npt.NDArray[np.int64], side: int, pairs: Pairs) -> float:
+    """Return how well pairs of patches fit together, 0 or more. `grid` is (n_patches, 2).
+
+    Fewer than 4 pairs have no homography and score 0; of displacements one pair is enough.
+    """
+    query, reference = (grid[ends] for ends in pairs)
+    if len(query) < _FEWEST_PAIRS[geometry]:
+        return 0.0
+    if geometry == "homography":
+        return inliers(centres(query, side), centres(reference, side)) / len(grid)
+    displacements = reference - query
+    residuals = np.abs(displacements - displacements.mean(0))
+    return float(((grid.max(0) - residuals) ** 2).sum() / len(grid))
+
+
+def centres(cells: npt.NDArray[np.int64], side: int) -> npt.NDArray[np.float32]:
+    """Return the middle of what patches see of the image, whole pixels, (n, 2), from their first columns and rows."""
+    first = STRIDE * cells - _PADDING
+    last = first + STRIDE * (side - 1) + _RECEPTIVE_FIELD - 1
+    return np.trunc((first + last) / 2).astype(np.float32)
+
+
+def inliers(query: npt.NDArray[np.float32], reference: npt.NDArray[np.float32]) -> int:
+    """Return how many points (n, 2) of the reference one homography takes to within 24 pixels of the query's."""
+    cv2.setRNGSeed(0)  # the answer must not depend on what was asked before
+    _, fitting = cv2.findHomography(reference, query, cv2.RANSAC, _TOLERANCE)
+    return 0 if fitting is None else int(np.count_nonzero(fitting))
 
 
 def above_cosines(agreement: npt.NDArray[np.float64], cosines: Scores) -> Scores:
@@ -247,16 +299,6 @@ def above_cosines(agreement: npt.NDArray[np.float64], cosines: Scores) -> Scores
     result = np.empty_like(scores)
     result[order] = scores
     return result
-
-
-def _require_memory(images: str, needed_bytes: int, advice: str) -> None:
-    """Raise BadInput if the descriptors of images do not fit into memory."""
-    free = psutil.virtual_memory().available
-    if needed_bytes > free:
-        raise BadInput(
-            f"the patches of {images} need {needed_bytes / 1e9:.1f} GB of memory, {free / 1e9:.1f} GB are free: "
-            f"{advice}"
-        )
 
 
 def _most_similar(query: npt.NDArray[np.float32], known: Map, place: int) -> int:

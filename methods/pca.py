@@ -12,7 +12,6 @@ from sklearn import decomposition
 from vprbench.api import BadInput, Images, Method, NotFittedError, Places, Scores, best_image_of_place, count_operations
 
 from .parts.filters.patches import Preprocessing, pixels
-from .parts.stored import State, require_map
 
 
 @dataclass(frozen=True)
@@ -65,31 +64,16 @@ class PCA(Method):
 
     def match(self, codes: npt.NDArray[np.uint8]) -> Scores:
         """Project the pixels and return their cosines with the best reference image of each place."""
-        known = self._fitted()
+        known = self._map
+        if known is None:
+            raise NotFittedError("PCA has no map yet: call fit(references, places) first")
         count_operations(len(codes) * (known.projection.size + known.references.size))
         similarity = _project(codes, known.mean, known.projection) @ known.references.T
         return best_image_of_place(similarity, known.places)
 
-    def state(self) -> State:
-        """Return the projection and the projected references."""
-        return dict(vars(self._fitted()))
-
-    def restore(self, state: State) -> Self:
-        """Take over a stored projection with its references."""
-        self._map = None
-        n_pixels, n_references = self.height * self.width, np.size(state.get("places", ()))
-        n_components = np.size(state.get("projection", ())) // n_pixels
-        require_map(
-            state,
-            {
-                "mean": (np.float64, (n_pixels,)),
-                "projection": (np.float64, (n_pixels, n_components)),
-                "references": (np.float32, (n_references, n_components)),
-                "places": (np.int64, (n_references,)),
-            },
-        )
-        self._map = Map(**state)
-        return self
+    def map_bytes(self) -> int | None:
+        """Return the bytes of the projection, and of the projected references with their places."""
+        return None if self._map is None else sum(array.nbytes for array in vars(self._map).values())
 
     def _learn(self, levels: npt.NDArray[np.uint8]) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
         """Return mean (n_pixels,) and projection (n_pixels, n_components)."""
@@ -103,11 +87,6 @@ class PCA(Method):
         real = pca.singular_values_ > rounding
         scale = np.sqrt(pca.explained_variance_[real]) if self.whiten else 1.0
         return pca.mean_, np.ascontiguousarray(pca.components_[real].T / scale)
-
-    def _fitted(self) -> Map:
-        if self._map is None:
-            raise NotFittedError("PCA has no map yet: call fit(references, places) first")
-        return self._map
 
 
 def _project(

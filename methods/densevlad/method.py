@@ -14,8 +14,7 @@ from torch import Tensor
 
 from vprbench.api import BadInput, DescriptorMethod, Image, Images, NotFittedError, Places, progress
 
-from ..parts.stored import State, require_map
-from ..parts.vectors import k_means, unit
+from ..parts.vectors import unit
 from .dense_sift import (
     DIMENSIONS,
     SMALLEST_SIDE,
@@ -26,8 +25,7 @@ from .dense_sift import (
     n_descriptors,
     root_sift,
 )
-from .vlad import vlad, whitening
-from .vocabulary import PUBLISHED_WORDS, WORD_OF_ZERO, read_words, wanted_vocabulary
+from .vlad import PUBLISHED_WORDS, WORD_OF_ZERO, learn_words, read_words, vlad, whitening
 
 _VGA = 640  # pixels
 _TOGETHER = 64  # images
@@ -101,44 +99,13 @@ class DenseVLAD(DescriptorMethod):
             done += len(block)
         return codes
 
-    def state(self) -> State:
-        """Return the words, the whitening if there is one, and the references with their places."""
-        if self._words is None or self.searched is None:
-            raise NotFittedError("DenseVLAD has no map yet: call fit(references, places) first")
-        known = self.searched
-        learnt = {"words": self._words.cpu().numpy(), "references": known.references[:], "places": known.places}
-        rest = {"projection": self._projection, "reference_mean": self.reference_mean}
-        return learnt | {name: array for name, array in rest.items() if array is not None}
-
-    def restore(self, state: State) -> Self:
-        """Take over what `state` gave."""
-        self._check_arguments()
-        self._words = self.searched = self._projection = None
-        n_dimensions = self.words * DIMENSIONS
-        places, projection = np.asarray(state.get("places", ())), state.get("projection")
-        n_components = projection.shape[-1] if projection is not None and projection.ndim else n_dimensions
-        wanted: dict[str, tuple[type[np.generic], tuple[int, ...]]] = {
-            "words": (np.float32, (self.words, DIMENSIONS)),
-            "places": (np.int64, (places.size,)),
-            "references": (np.float32, (places.size, n_components)),
-            **({"projection": (np.float32, (n_dimensions, n_components))} if self.n_components else {}),
-            **({} if self.adapt == "none" else {"reference_mean": (np.float32, (n_components,))}),
-        }
-        require_map(state, wanted)
-        self._words = torch.tensor(state["words"], device=self.device)
-        self._projection, self.reference_mean = projection, state.get("reference_mean")
-        return self.fit_descriptors(state["references"], places)
-
     def files(self) -> Sequence[Path]:
         """Return the file of the vocabulary if one was given; raises BadInput if it is missing."""
         if self.vocabulary is None:
             return ()
         path = Path(self.vocabulary).expanduser()
         if not path.is_file():
-            raise BadInput(
-                f"method.vocabulary={self.vocabulary} is no file: {wanted_vocabulary(self.words)}, or leave it out for "
-                "words of the references"
-            )
+            raise BadInput(f"method.vocabulary={self.vocabulary} is no file: leave it out for words of the references")
         return (path,)
 
     def _check_arguments(self) -> None:
@@ -159,7 +126,7 @@ class DenseVLAD(DescriptorMethod):
             for block in dense_sift(grey, self.arctan):
                 picked = block[torch.from_numpy(generator.random(len(block)) < share).to(self.device)]
                 drawn.append(root_sift(picked[picked.any(1)]).cpu().numpy())
-        return unit(k_means(np.concatenate(drawn), self.words, generator))
+        return learn_words(np.concatenate(drawn), self.words, generator)
 
     def _vlads(self, images: Images, words: Tensor) -> npt.NDArray[np.float32]:
         """Return the VLAD of each image before whitening, (n_images, words * 128)."""

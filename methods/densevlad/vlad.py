@@ -1,8 +1,9 @@
-"""VLAD: what an image's local descriptors differ by from their words, and the whitening of such vectors."""
+"""Visual words, learnt or published, VLAD of the descriptors around them, and the whitening of such vectors."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -10,9 +11,43 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from vprbench.api import BadInput, read_mat
+
+from ..parts.vectors import k_means, unit
+from .dense_sift import DIMENSIONS
+
+PUBLISHED_WORDS = 128
+#: The published word, counted from 0, that the authors' kd-tree gives to a zero descriptor, equally far from all.
+WORD_OF_ZERO = 60
+
 _ROUNDING = 1e-5  # of a residual, per descriptor: a word whose descriptors all equal it has none
 _TOGETHER = 1024  # dimensions in double precision at a time
 _SMALLEST_VARIANCE = 1e-5  # of the largest; what lies below is rounding
+
+
+def learn_words(
+    descriptors: npt.NDArray[np.float32], n_words: int, generator: np.random.Generator
+) -> npt.NDArray[np.float32]:
+    """Return the centres of k-means on descriptors (n, 128), made unit vectors (n_words, 128).
+
+    Raises BadInput if fewer descriptors than words are different.
+    """
+    return unit(k_means(descriptors, n_words, generator))
+
+
+def read_words(path: Path, n_words: int) -> npt.NDArray[np.float32]:
+    """Return published words made unit vectors, (n_words, 128): the columns of a .mat's CX, or the rows of a .npy.
+
+    Raises BadInput for any other file.
+    """
+    wanted = f"wanted a CX of {DIMENSIONS}x{n_words} finite numbers in a .mat, or {n_words}x{DIMENSIONS} in a .npy"
+    try:
+        words = np.load(path, allow_pickle=False) if path.suffix == ".npy" else read_mat(path, ["CX"])["CX"].T
+    except (OSError, ValueError, EOFError, KeyError) as error:  # MatFileError is a ValueError
+        raise BadInput(f"method.vocabulary={path} holds no words: {wanted}") from error
+    if words.shape != (n_words, DIMENSIONS) or words.dtype.kind != "f" or not np.isfinite(words).all():
+        raise BadInput(f"method.vocabulary={path} holds {words.dtype} {words.shape}: {wanted}")
+    return unit(words)
 
 
 def vlad(blocks: Iterable[Tensor], words: Tensor, word_of_zero: int = 0) -> Tensor:

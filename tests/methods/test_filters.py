@@ -127,8 +127,6 @@ def test_neighbours_threads_and_layout_in_memory_change_nothing_and_frames_stay_
 def test_arguments_without_a_code_are_refused_by_name(encoder, argument, value, wanted):
     with pytest.raises(BadInput, match=rf"method\.\w*{argument}={value}\b.*{wanted}"):
         encoder(**{argument: value})
-    with pytest.raises(BadInput, match="2 thresholds came: give one for each of 32 filters"):
-        GaborBank(thresholds=(0.1, 0.2))
 
 
 FRAMES = [smooth_frame(90, 160, seed) for seed in range(3)] + [saturated_frame(32, 64, seed) for seed in range(3)]
@@ -149,7 +147,7 @@ FILTERS = [
 ]
 
 
-def by_hand(levels, block, epsilon, thresholds):
+def by_hand(levels, block, epsilon):
     """The codes of patch-normalised frames (n, h, w) before anything is clipped, (n, rows * columns * 32)."""
     windows = np.lib.stride_tricks.sliding_window_view(levels / 255, (5, 5), (1, 2)).reshape(
         *levels[:, 4:, 4:].shape, 25
@@ -163,27 +161,23 @@ def by_hand(levels, block, epsilon, thresholds):
     for r in range(rows):
         for c in range(columns):
             near = energy[:, around[0][r : r + block]][:, :, around[1][c : c + block]]
-            codes.append(4 * (strongest[:, r, c] - thresholds) / (np.sqrt(near.mean((1, 2))) + epsilon)[:, None])
+            codes.append(4 * strongest[:, r, c] / (np.sqrt(near.mean((1, 2))) + epsilon)[:, None])
     return np.concatenate(codes, axis=1)
 
 
-def test_the_filters_are_32_different_waves_and_adapted_thresholds_give_each_its_share_of_active_cells():
+def test_the_filters_are_32_different_waves():
     assert gabor_filters().shape == (32, 5, 5)
     np.testing.assert_allclose(gabor_filters().reshape(32, 25), FILTERS, atol=1e-6)
     alike = np.abs(np.corrcoef(gabor_filters().reshape(32, 25))) - np.eye(32)
     assert alike.max() < 0.999
-    images = Images.from_arrays(FRAMES * 3)
-    active = (GaborBank().adapted(images, 0.2, 0.9)(images).reshape(-1, 32) > 0).mean(0)
-    np.testing.assert_allclose(active, np.linspace(0.2, 0.9, 32), atol=0.01)
 
 
 @pytest.mark.parametrize(("block", "epsilon"), [(1, 0.3), (3, 0.1), (7, 0.01)])
 def test_codes_are_those_of_the_formula_within_0_and_1(block, epsilon):
     images = Images.from_arrays([*FRAMES[2:5], np.full((48, 64, 3), 97, np.uint8)])
-    thresholds = np.linspace(0, 0.01, 32)
-    bank = GaborBank(10, 13, 5, block, epsilon, tuple(thresholds))
+    bank = GaborBank(10, 13, 5, block, epsilon)
     levels = PatchNormalisation("C", 10, 13, 5)(images)
-    wanted = by_hand(levels.reshape(4, 10, 13).astype(float), block, epsilon, thresholds)
+    wanted = by_hand(levels.reshape(4, 10, 13).astype(float), block, epsilon)
     np.testing.assert_allclose(bank(images), np.clip(wanted, 0, 1), atol=2e-5)
     assert 0.05 < np.mean(np.clip(wanted, 0, 1) != wanted) < 0.95  # some are clipped
 

@@ -1,4 +1,4 @@
-"""What methods without a published network refuse of arguments and stored maps, and how they learn places later."""
+"""What methods without a published network refuse of arguments, and how they learn places later."""
 
 import numpy as np
 import pytest
@@ -6,10 +6,7 @@ from described_images import drawn_images
 
 from vprbench.api.images import Images
 from vprbench.errors import BadInput, NotFittedError
-from vprbench.methods.cohog import CoHOG
-from vprbench.methods.densevlad.method import DenseVLAD
 from vprbench.methods.hog import HOG
-from vprbench.methods.pca import PCA
 from vprbench.methods.sad import SAD
 from vprbench.methods.vprtempo.ensemble import VPRTempoEnsemble
 from vprbench.methods.vprtempo.method import VPRTempo
@@ -17,7 +14,6 @@ from vprbench.plugins import registry
 from vprbench.plugins.rules import Journey
 
 IMAGES = Images.from_arrays(drawn_images(*[(40, 48)] * 12))
-STORING = [CoHOG(size=64, cell=8, entropy_size=20, entropy_radius=3), DenseVLAD(words=6, n_components=0), PCA()]
 
 #: Arguments of which each does not fit.
 REFUSED = {
@@ -54,25 +50,6 @@ def test_arguments_that_do_not_fit_are_named(name, arguments):
     argument, value = next(iter(arguments.items()))
     with pytest.raises(BadInput, match=rf"method\.{argument}={value}\b"):
         registry.find_entries("method")[name].target()(**arguments).fit(IMAGES, np.arange(12))
-
-
-@pytest.mark.parametrize("method", STORING)
-def test_arrays_that_are_no_map_are_refused_by_name(method):
-    state = dict(method.fit(IMAGES, np.arange(12)).state())
-    broken = [
-        ("weights", state | {"weights": np.zeros(3)}),
-        ("places", state | {"places": state["places"] + 1}),
-        ("places", state | {"places": np.array(0)}),
-    ]
-    for array, values in state.items():
-        broken += [(array, state | {array: wrong}) for wrong in (values[:-1], values.astype(np.float16))]
-        broken.append((array, {name: kept for name, kept in state.items() if name != array}))
-        broken += [] if array == "places" else [(array, state | {array: np.full_like(values, np.nan)})]
-    for array, wrong in broken:
-        with pytest.raises(BadInput, match=array):
-            method.restore(wrong)
-    with pytest.raises(NotFittedError):
-        method.state()
 
 
 WORLD = Journey.draw(3)

@@ -1,7 +1,6 @@
 """NetVLAD in its three published layouts, and SFRS, against a float64 version written from the names in the files."""
 
 from functools import partial
-from pathlib import Path
 
 import backbones_oracle as oracle
 import numpy as np
@@ -134,14 +133,6 @@ SFRS = PublishedNetwork(
 @with_checks(MATCONVNET, PYTORCH, MSLS, SFRS)
 def test_it_is_the_published_network(check, folder):
     check(folder)
-
-
-@pytest.mark.parametrize(
-    ("size", "target"),
-    [((1080, 1920), (576, 1024)), ((1500, 1000), (1024, 683)), ((1024, 768), (1024, 768)), ((3, 4000), (1, 1024))],
-)
-def test_only_images_of_more_than_the_longest_side_change_their_size(size, target):
-    assert MATCONVNET.method(Path("none"), longest_side=1024).target(*size) == target
 
 
 MATLAB_OBJECT = scipy.io.matlab.MatlabObject(np.zeros((1, 1), [("a", object)]), "dagnn.DagNN")

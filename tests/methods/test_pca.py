@@ -69,9 +69,9 @@ def test_scores_equal_those_of_the_covariances_eigenvectors(arguments, tolerance
 )
 def test_components_are_no_more_than_different_references_or_pixels(levels, found):
     method = fitted(levels, components=128, whiten=True)
-    assert method.state()["projection"].shape == found
+    assert method._map.projection.shape == found
     assert np.diagonal(method.query(images(levels))) == pytest.approx(float(found[1] > 0), abs=1e-6)
-    np.testing.assert_allclose(np.linalg.norm(method.state()["references"], axis=1), float(found[1] > 0), atol=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(method._map.references, axis=1), float(found[1] > 0), atol=1e-6)
 
 
 def test_pixels_are_antialiased_grey_of_rgb_or_patch_normalised_as_those_of_sad():

@@ -26,7 +26,12 @@ NETWORKS = [  # but for the one whose weights a package brings
 ]
 
 #: Options in which a yaml departs from the defaults of its class.
-OWN = {"gcl_whitened": {"n_components": 2048}, "mixvpr_128": {"n_dimensions": 128}, "mixvpr_512": {"n_dimensions": 512}}
+OWN = {
+    "salad_indoor": {"height": None, "width": None, "resize": "tensor"},
+    "gcl_whitened": {"n_components": 2048},
+    "mixvpr_128": {"n_dimensions": 128},
+    "mixvpr_512": {"n_dimensions": 512},
+}
 
 
 #: The files whose names follow from options.

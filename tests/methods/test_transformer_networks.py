@@ -83,6 +83,7 @@ SALAD_INDOOR = PublishedNetwork(
     [image(50, 90), image(50, 90, 1)],
     7 * 12 + 10,
     described_indoors,
+    arguments=OWN_SIZE | {"resize": "tensor"},
     tolerance=2e-5,
 )
 

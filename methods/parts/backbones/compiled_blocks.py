@@ -12,34 +12,17 @@ from torch.nn import functional
 
 from .efficientnet_lite import Block, Convolution, EfficientNetLite
 
-_MOST_SIZES = 8  # of images that are compiled for; the network itself is called for others
 _WARMING_CALLS = 3  # PyTorch compiles a graph during the first ones
 
 
-class CompiledBlocks:
-    """Computes the outputs of a network's blocks by oneDNN's graphs, which the first image of each size compiles.
-
-    The numbers are the network's but for the order of sums. Where oneDNN makes no graph the network itself is called.
-    """
-
-    def __init__(self, network: EfficientNetLite) -> None:
-        """Compile nothing yet; the network is on the CPU."""
-        self._network = network
-        self._graphs: dict[tuple[int, ...], Callable[[Tensor], Sequence[Tensor]] | None] = {}
-
-    def __call__(self, images: Tensor, blocks: Sequence[int]) -> Sequence[Tensor]:
-        """Return the outputs of `blocks`, as `EfficientNetLite.forward` does, for images that lie channels last."""
-        key = (*images.shape, *blocks)
-        if key not in self._graphs and len(self._graphs) < _MOST_SIZES:
-            self._graphs[key] = compile_blocks(self._network, images, blocks)
-        graph = self._graphs.get(key)
-        return self._network(images, blocks) if graph is None else graph(images)
-
-
+@torch.inference_mode()
 def compile_blocks(
     network: EfficientNetLite, images: Tensor, blocks: Sequence[int]
 ) -> Callable[[Tensor], Sequence[Tensor]] | None:
-    """Return a function from images of this shape to the outputs of `blocks`; None where oneDNN makes no graph."""
+    """Return a function from images of this shape, channels last, to the outputs of `blocks`.
+
+    The numbers are the network's but for the order of sums. None where oneDNN makes no graph.
+    """
     sized = _SizedNetwork(network, cast(tuple[int, int], images.shape[-2:]), blocks)
     compiler: Any = torch.jit  # whose functions have no type hints
     try:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import cache
 from types import MappingProxyType
 from typing import Literal, cast
@@ -22,25 +21,15 @@ _WIDTH_AND_DEPTH: Mapping[str, tuple[float, float]] = MappingProxyType(
 )
 
 
-@dataclass(frozen=True)
-class _Stage:
-    """Blocks of one kind; the first one has the stride."""
-
-    n_blocks: int
-    kernel: int
-    stride: int
-    expansion: int
-    channels: int
-
-
+#: Of each stage: blocks, kernel, stride of the first block, expansion and channels.
 _STAGES = (
-    _Stage(1, 3, 1, 1, 16),
-    _Stage(2, 3, 2, 6, 24),
-    _Stage(2, 5, 2, 6, 40),
-    _Stage(3, 3, 2, 6, 80),
-    _Stage(3, 5, 1, 6, 112),
-    _Stage(4, 5, 2, 6, 192),
-    _Stage(1, 3, 1, 6, 320),
+    (1, 3, 1, 1, 16),
+    (2, 3, 2, 6, 24),
+    (2, 5, 2, 6, 40),
+    (3, 3, 2, 6, 80),
+    (3, 5, 1, 6, 112),
+    (4, 5, 2, 6, 192),
+    (1, 3, 1, 6, 320),
 )
 
 
@@ -138,12 +127,11 @@ def _plan_blocks(variant: Variant) -> list[tuple[int, int, int, int, int]]:
     """Return input and output channels, kernel, stride and expansion of each block."""
     width, depth = _WIDTH_AND_DEPTH[variant]
     plans, n_inputs = list[tuple[int, int, int, int, int]](), _STEM
-    for number, stage in enumerate(_STAGES):
-        channels = _scale_channels(stage.channels, width)
+    for number, (n_blocks, kernel, stride, expansion, n_outputs) in enumerate(_STAGES):
+        channels = _scale_channels(n_outputs, width)
         repeated = 0 < number < len(_STAGES) - 1
-        for block in range(math.ceil(stage.n_blocks * depth) if repeated else stage.n_blocks):
-            stride = stage.stride if block == 0 else 1
-            plans.append((n_inputs, channels, stage.kernel, stride, stage.expansion))
+        for block in range(math.ceil(n_blocks * depth) if repeated else n_blocks):
+            plans.append((n_inputs, channels, kernel, stride if block == 0 else 1, expansion))
             n_inputs = channels
     return plans
 

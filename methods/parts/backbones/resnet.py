@@ -26,7 +26,6 @@ class _Kind:
 _KINDS: Mapping[str, _Kind] = MappingProxyType(
     {
         "resnet18": _Kind((2, 2, 2, 2), bottleneck=False),
-        "resnet34": _Kind((3, 4, 6, 3), bottleneck=False),
         "resnet50": _Kind((3, 4, 6, 3), bottleneck=True),
         "resnet101": _Kind((3, 4, 23, 3), bottleneck=True),
         "resnet152": _Kind((3, 8, 36, 3), bottleneck=True),

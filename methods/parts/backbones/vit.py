@@ -147,7 +147,7 @@ class _Block(nn.Module):
         self.attn = _Attention(sizes.dim)
         self.ls1 = _LayerScale(sizes.dim)
         self.norm2 = nn.LayerNorm(sizes.dim, eps=_EPSILON)
-        self.mlp = (_SwiGLU if sizes.swiglu else _MLP)(sizes.dim, sizes.n_hidden)
+        self.mlp = _SwiGLU(sizes.dim, sizes.n_hidden) if sizes.swiglu else _mlp(sizes.dim, sizes.n_hidden)
         self.ls2 = _LayerScale(sizes.dim)
 
     def forward(self, x: Tensor) -> Tensor:
@@ -188,19 +188,6 @@ class _LayerScale(nn.Module):
         return x * self.gamma
 
 
-class _MLP(nn.Module):
-    """Two linear layers around an exact GELU."""
-
-    def __init__(self, dim: int, n_hidden: int) -> None:
-        super().__init__()
-        self.fc1 = nn.Linear(dim, n_hidden)
-        self.fc2 = nn.Linear(n_hidden, dim)
-
-    def forward(self, x: Tensor) -> Tensor:
-        out: Tensor = self.fc2(functional.gelu(self.fc1(x)))
-        return out
-
-
 class _SwiGLU(nn.Module):
     """Two linear layers, of which the first gives a gate and what passes it (Shazeer 2020)."""
 
@@ -213,6 +200,11 @@ class _SwiGLU(nn.Module):
         gate, passing = self.w12(x).chunk(2, -1)
         out: Tensor = self.w3(functional.silu(gate) * passing)
         return out
+
+
+def _mlp(dim: int, n_hidden: int) -> nn.Sequential:
+    """Return two linear layers around an exact GELU."""
+    return nn.Sequential(OrderedDict(fc1=nn.Linear(dim, n_hidden), gelu=nn.GELU(), fc2=nn.Linear(n_hidden, dim)))
 
 
 def _on_grid(patches: Tensor, grid: tuple[int, int]) -> Tensor:

@@ -5,9 +5,8 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
-from typing import Self
 
 import numpy as np
 import numpy.typing as npt
@@ -51,7 +50,7 @@ class GaborBank:
     """How strongly each of 32 Gabor filters answers in every 2x2 pixels of a patch-normalised frame, 0 to 1.
 
     A frame is patch-normalised (variant C), filtered, and the strongest response of each filter in 2x2 pixels is kept,
-    with its sign. A code is what of it exceeds the filter's threshold (none: 0), divided by the root of the responses'
+    with its sign. A code is the positive part of it, divided by the root of the responses'
     energy, averaged over `block` x `block` cells (borders reflected), plus `epsilon`, times 4.
     All threads that PyTorch may use share the frames.
     Filters as in lrp-666/VPRTempo (30635ee), `B5`, but for its shorter wavelength of 2 pixels, under which a sine is
@@ -63,7 +62,6 @@ class GaborBank:
     patch: int = 11
     block: int = 5  # cells
     epsilon: float = 0.1  # in shares of the grey levels
-    thresholds: tuple[float, ...] = ()  # one a filter, in shares of the grey levels
 
     def __post_init__(self) -> None:
         """Check the sizes."""
@@ -74,8 +72,6 @@ class GaborBank:
             raise BadInput(f"method.block={self.block}: a block needs a cell in its centre, give an odd number")
         if not 0 < self.epsilon < math.inf:
             raise BadInput(f"method.epsilon={self.epsilon}: give more than 0")
-        if len(self.thresholds) not in (0, N_FILTERS):
-            raise BadInput(f"{len(self.thresholds)} thresholds came: give one for each of {N_FILTERS} filters, or none")
         self._normalisation()
 
     @property
@@ -100,7 +96,7 @@ class GaborBank:
         return maps.reshape(len(images), self.n_inputs)
 
     def responses(self, images: Images) -> Maps:
-        """Return the strongest responses, -0.5 to 0.5, neither normalised nor cut off at thresholds."""
+        """Return the strongest responses, -0.5 to 0.5, neither normalised nor cut off at 0."""
         levels = self._normalisation()(images)
         maps = np.empty((len(images), self.rows * self.columns, N_FILTERS), np.float32)
         filtered = len(images) * (self.height - SIZE + 1) * (self.width - SIZE + 1) * N_FILTERS
@@ -109,16 +105,6 @@ class GaborBank:
         )  # the largest of four; energies, divisions
         self._share(lambda own: self._filter(levels[own], maps[own]), len(images))
         return maps
-
-    def adapted(self, images: Images, rate_min: float = 0.2, rate_max: float = 0.9) -> Self:
-        """Return this bank with thresholds by which the filters are active in their shares of the cells of `images`.
-
-        The shares rise evenly from `rate_min` to `rate_max`: where intrinsic threshold plasticity comes to rest.
-        """
-        of_filters = self.responses(images).reshape(-1, N_FILTERS).T
-        silent = 1 - np.linspace(rate_min, rate_max, N_FILTERS)
-        thresholds = [float(np.quantile(own, share)) for own, share in zip(of_filters, silent, strict=True)]
-        return replace(self, thresholds=tuple(thresholds))
 
     def _normalisation(self) -> PatchNormalisation:
         return PatchNormalisation("C", self.height, self.width, self.patch)
@@ -133,10 +119,7 @@ class GaborBank:
     def _normalise(self, maps: Maps) -> None:
         beside = [np.pad(np.arange(n), self.block // 2, mode="symmetric") for n in (self.rows, self.columns)]
         cells = maps.reshape(-1, self.rows, self.columns, N_FILTERS)
-        gabor_compiled.normalise(cells, *beside, self.block, self.epsilon, self._thresholds(), _GAIN)
-
-    def _thresholds(self) -> npt.NDArray[np.float32]:
-        return np.array(self.thresholds or np.zeros(N_FILTERS), np.float32)
+        gabor_compiled.normalise(cells, *beside, self.block, self.epsilon, _GAIN)
 
 
 @cache

@@ -9,7 +9,7 @@ from vprbench.api import compiled
 
 _FRAMES = types.Array(types.uint8, 3, "C", readonly=True)
 _MAPS, _TAPS = types.float32[:, :, :, ::1], types.Array(types.float32, 3, "C", readonly=True)
-_NUMBERS, _PLACES = types.float32[::1], types.int64[::1]
+_PLACES = types.int64[::1]
 
 
 @compiled(_FRAMES, types.float32, _TAPS, _MAPS, fastmath={"contract"})
@@ -39,8 +39,8 @@ def filter_frames(frames, mean_level, taps, maps):  # type: ignore[no-untyped-de
                         best[k] = max(best[k], response[k])
 
 
-@compiled(_MAPS, _PLACES, _PLACES, types.int64, types.float32, _NUMBERS, types.float32)
-def normalise(maps, beside_rows, beside_columns, block, epsilon, thresholds, gain):  # type: ignore[no-untyped-def]
+@compiled(_MAPS, _PLACES, _PLACES, types.int64, types.float32, types.float32)
+def normalise(maps, beside_rows, beside_columns, block, epsilon, gain):  # type: ignore[no-untyped-def]
     """Make of responses (n, rows, columns, n_filters) codes 0..1, in place.
 
     The cells of a block around row i are rows `beside_rows`[i : i + block], and so with columns.
@@ -68,4 +68,4 @@ def normalise(maps, beside_rows, beside_columns, block, epsilon, thresholds, gai
                 scale = gain / (np.sqrt(total / np.float32(block * block)) + epsilon)
                 code = maps[image, row, column]
                 for k in range(n_filters):
-                    code[k] = min(max((code[k] - thresholds[k]) * scale, np.float32(0)), np.float32(1))
+                    code[k] = min(max(code[k] * scale, np.float32(0)), np.float32(1))
