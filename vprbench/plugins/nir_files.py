@@ -46,7 +46,7 @@ def format_network(method: Method, references: Images, content: bytes) -> bytes:
     circuit = method.circuit()
     graph = _build_graph(circuit)
     examples = references[np.linspace(0, len(references) - 1, min(_EXAMPLES, len(references))).astype(int)]
-    graph.metadata = _describe_graph(graph, circuit, np.asarray(method.encode(examples), np.float32))
+    graph.metadata = _make_graph_metadata(graph, circuit, np.asarray(method.encode(examples), np.float32))
     buffer = BytesIO()
     nir.write(buffer, graph)
     with h5py.File(buffer, "r+") as file:
@@ -90,7 +90,7 @@ def _build_graph(circuit: Circuit) -> Any:
     return nir.NIRGraph.from_list(*nodes, nir.Affine(weights * spike_value, bias))
 
 
-def _describe_graph(graph: Any, circuit: Circuit, inputs: Array) -> dict[str, Any]:
+def _make_graph_metadata(graph: Any, circuit: Circuit, inputs: Array) -> dict[str, Any]:
     """Return the metadata of a graph; the check vector is the input, of (n, n_in), that tells most about the reset."""
     steps = 1 if circuit.clip is None else STEPS
     answers, reset_to_zero = (_simulate(graph, inputs, steps, subtracts) for subtracts in (True, False))

@@ -86,7 +86,7 @@ class Subject:
         return np.array(self.shared.query(self.queries), copy=True)
 
 
-def _check_constructor(subject: Subject) -> None:
+def _check_arguments_stored(subject: Subject) -> None:
     method = subject.make()
     for name, value in subject.arguments.items():
         stored = getattr(method, name, "not stored")
@@ -246,7 +246,7 @@ class Rule:
 
 #: The rules by the text that `check` prints, in its order.
 RULES: dict[str, Rule] = {
-    "the constructor only stores its arguments": Rule(_check_constructor),
+    "the constructor only stores its arguments": Rule(_check_arguments_stored),
     ENCODE_RULE: Rule(_check_codes),
     "fit forgets an earlier fit and returns the method": Rule(_check_second_fit),
     "query before fit raises NotFittedError": Rule(_check_unfitted),

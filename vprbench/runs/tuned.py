@@ -32,7 +32,7 @@ def find_tuned_queries(run: Run) -> npt.NDArray[np.bool_] | None:
     tuned = np.zeros(int(shown.max(initial=0)) + 1)  # of the stored queries
     if run.tuned_queries:  # known by the content of their frames
         tuned[[query for query in run.tuned_queries if query < len(tuned)]] = 1
-    elif places := _format_declared_places(run):
+    elif places := _format_tuned_places(run):
         on_places = _find_queries_of_places(run, places)
         if on_places is None:
             return None
@@ -55,7 +55,7 @@ def _find_queries_of_places(run: Run, places: str) -> npt.NDArray[np.bool_] | No
     return np.array([tuned[right].any() for right in run.positives], np.bool_)
 
 
-def _format_declared_places(run: Run) -> str:
+def _format_tuned_places(run: Run) -> str:
     """Return the places of a run's dataset that its method was tuned on, as declared; empty if there are none."""
     declared = run.tuned_on
     return str({**declared.get("also_in", {}), declared.get("dataset"): declared.get("places")}.get(run.dataset, ""))
