@@ -49,7 +49,7 @@ def make_run(request: RunRequest, say: Callable[[str], None], lock: TimingLock |
     from vprbench.runs.run_lock import HeldElsewhereError
 
     try:
-        return JobResult(0, key=_get_or_make_run(request, say, lock))
+        return JobResult(0, key=_get_or_make_run_key(request, say, lock))
     except HeldElsewhereError as error:
         logging.info("%s: it is left to that", error)
         return JobResult(0, lock=str(error.path))
@@ -69,7 +69,7 @@ def make_run(request: RunRequest, say: Callable[[str], None], lock: TimingLock |
     return JobResult(code, describe_failure(request, words, is_missing, trace, environment))
 
 
-def _get_or_make_run(request: RunRequest, say: Callable[[str], None], lock: TimingLock | None) -> str:
+def _get_or_make_run_key(request: RunRequest, say: Callable[[str], None], lock: TimingLock | None) -> str:
     """Make the run of a request, or one for each of its corruptions, and return the key of the last."""
     from vprbench.runs.experiment import build_experiment, corrupt_experiment
     from vprbench.runs.get_or_run import UnstoredRunError, get_or_run
