@@ -63,28 +63,35 @@ class Exact(Flat):
 class EightBits(Flat):
     """Faiss's scalar quantiser: each dimension in 256 even steps between its extremes.
 
-    All images are decoded block by block and scored. Faiss's search, which returns the best, takes twice as long for
-    many queries at once.
+    A number is lowest + (code + 1/2) * step, so codes are compared with step * query, made floats block by block. All
+    images are scored: faiss's search, which returns the best, takes twice as long for many queries at once.
     """
 
     def __init__(self, references: Vectors) -> None:
+        faiss = import_faiss()
         n_images, n_dimensions = references.shape
         blocks = [*parts(n_images, rows_together(references))]
         extremes = [extreme(references[rows], 0) for rows in blocks for extreme in (np.min, np.max)]
-        self._index = import_faiss().index_factory(n_dimensions, "SQ8")
-        self._index.train(np.stack([np.min(extremes, 0), np.max(extremes, 0)]))
+        quantiser = faiss.ScalarQuantizer(n_dimensions, faiss.ScalarQuantizer.QT_8bit)
+        quantiser.train(np.stack([np.min(extremes, 0), np.max(extremes, 0)]))
+        self._codes = np.empty((n_images, n_dimensions), np.uint8)
         for rows in blocks:
-            self._index.add(references[rows])
+            self._codes[rows] = quantiser.compute_codes(references[rows])
+        lowest, extent = faiss.vector_to_array(quantiser.trained).reshape(2, n_dimensions)
+        self._step: npt.NDArray[np.float32] = extent / np.float32(255)
+        self._middle: npt.NDArray[np.float32] = lowest + self._step / 2  # of the lowest step
         self.n_bytes = (n_images + 8) * n_dimensions
 
     def similarity(self, codes: Vectors, first: int, last: int) -> Vectors:
         """Return the inner products with images `first` to `last`, (n_queries, last - first)."""
         found = np.empty((len(codes), last - first), np.float32)
-        together = max(1, CELLS // codes.shape[1])
+        stepped, together = codes * self._step, max(1, CELLS // codes.shape[1])
+        floats = np.empty((min(last - first, together), codes.shape[1]), np.float32)
         for images in parts(last - first, together):
-            decoded = self._index.reconstruct_n(first + images.start, images.stop - images.start)
-            found[:, images] = inner_products(decoded, codes)
-        return found
+            numbers = self._codes[first + images.start : first + images.stop]
+            floats[: len(numbers)] = numbers
+            found[:, images] = stepped @ floats[: len(numbers)].T
+        return found + (codes @ self._middle)[:, None]
 
 
 class Retrieving(ABC):
