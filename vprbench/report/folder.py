@@ -35,6 +35,8 @@ def read_report(request: FolderRequest) -> Report:
     Raises BadInput for a name that no run of the folder has, and where nothing is left to show.
     """
     runs, failures = load_stored_runs(request)
+    if not runs:
+        raise BadInput(f"results={request.results} holds no run: give the folder of a run, a table or a comparison")
     for option in ("dataset", "methods"):
         field = option.removesuffix("s")
         known = {getattr(run, field) for run in runs}
