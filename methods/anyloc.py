@@ -103,7 +103,7 @@ class AnyLoc(PublishedNetwork):
         model = VisionTransformer.sized(tensors, self.backbone, n_blocks=self.layer + 1)
         return _Network(model, self.words)
 
-    def named(self, network: nn.Module) -> nn.Module:
+    def name_parts(self, network: nn.Module) -> nn.Module:
         """Return the transformer alone."""
         return cast(_Network, network).values.model
 

@@ -61,7 +61,7 @@ class APGeM(PublishedNetwork):
         """Return the network of 2048 dimensions, or as many as a file has."""
         return _APGeM(size(tensors, "fc.bias", 0, _N_DIMENSIONS))
 
-    def named(self, network: nn.Module) -> nn.Module:
+    def name_parts(self, network: nn.Module) -> nn.Module:
         """Return the parts of the backbone beside the others, as the file has them."""
         parts = dict(network.named_children())
         return nn.ModuleDict(dict(parts.pop("backbone").named_children()) | parts)

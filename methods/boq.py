@@ -95,7 +95,7 @@ class BoQResNet50(BoQ):
 
     def loaded(self, tensors: Tensors, path: Path) -> nn.Module:
         """Return the network with tensors of either wrapper; raises BadInput if they are another network's."""
-        return super().loaded(_renamed(tensors), path)
+        return super().loaded(_rename_wrapper(tensors), path)
 
     def network(self, tensors: Tensors) -> nn.Module:
         """Return the network of 16384 dimensions, or in the sizes of a file."""
@@ -184,7 +184,7 @@ class _Block(nn.Module):
         return x, self.norm_out(found)
 
 
-def _renamed(tensors: Tensors) -> dict[str, Tensor]:
+def _rename_wrapper(tensors: Tensors) -> dict[str, Tensor]:
     """Return tensors of either wrapper under the names of this network."""
     renamed = {}
     for name, tensor in tensors.items():

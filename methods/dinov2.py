@@ -38,7 +38,7 @@ class DINOv2(PublishedNetwork):
         """Return the network in the sizes of `backbone`, or of a file."""
         return _Network(VisionTransformer.sized(tensors, self.backbone), self.pooling)
 
-    def named(self, network: nn.Module) -> nn.Module:
+    def name_parts(self, network: nn.Module) -> nn.Module:
         """Return the transformer alone."""
         return cast(_Network, network).model
 

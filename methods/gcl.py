@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import ClassVar, Literal, Self
@@ -27,6 +27,7 @@ _POOLINGS: Mapping[Pooling, Callable[[], nn.Module]] = MappingProxyType(
 )
 _ONE_BY_ONE = "a batch gives what its single images give"
 _SMALLEST_NORM = 1e-6
+_TOGETHER = 4096  # descriptors
 
 
 @dataclass(frozen=True)
@@ -42,22 +43,35 @@ class Whitening:
 
         There are fewer than `n_components` if the descriptors vary in fewer directions, n - 1 at most.
         """
-        precise = descriptors[:].astype(np.float64)
-        mean = precise.mean(0)
-        precise -= mean
-        variances, directions = np.linalg.eigh(precise.T @ precise / (2 * len(precise)))  # the 2 is the authors'
+        n, n_dimensions = descriptors.shape
+        mean = sum(block.sum(0) for block in _read_blocks(descriptors)) / n
+        few = n < n_dimensions
+        if few:  # what varies in n descriptors is found in n x n products as well, and far sooner
+            centred = np.concatenate([*_read_blocks(descriptors)]) - mean
+            products = centred @ centred.T
+        else:
+            products = np.zeros((n_dimensions, n_dimensions))
+            for block in _read_blocks(descriptors):
+                products += (block - mean).T @ (block - mean)
+        variances, directions = np.linalg.eigh(products / (2 * n))  # the 2 is the authors'
         # In directions without variance there is rounding noise left, which whitening would make as large as any.
-        rounding = max(precise.shape) * np.finfo(np.float64).eps
+        rounding = max(n, n_dimensions) * np.finfo(np.float64).eps
         kept = np.flatnonzero(variances > rounding * variances[-1])[::-1][:n_components]
-        projection = directions[:, kept] / np.sqrt(variances[kept])
+        directions, deviations = directions[:, kept], np.sqrt(variances[kept])
+        if few:
+            directions = centred.T @ directions / (np.sqrt(2 * n) * deviations)
+        projection = directions / deviations
         if not len(kept):  # all are equal: nothing tells them apart, but an index wants a dimension
-            projection = np.zeros((len(mean), 1))
+            projection = np.zeros((n_dimensions, 1))
         return cls(mean.astype(np.float32), projection.astype(np.float32))
 
     def __call__(self, descriptors: Descriptors) -> npt.NDArray[np.float32]:
         """Return whitened descriptors of unit length, (n, n_components); zero for the mean."""
-        rounded = descriptors[:].astype(np.float16).astype(np.float32)  # as the authors apply it, not as they learn it
-        whitened = np.asarray((rounded - self.mean) @ self.projection, np.float32)
+        whitened = np.empty((len(descriptors), self.projection.shape[1]), np.float32)
+        for first in range(0, len(descriptors), _TOGETHER):
+            own = slice(first, first + _TOGETHER)
+            rounded = descriptors[own].astype(np.float16)  # as the authors apply it, not as they learn it
+            whitened[own] = (rounded.astype(np.float32) - self.mean) @ self.projection
         whitened /= np.linalg.norm(whitened, axis=1, keepdims=True) + np.float32(_SMALLEST_NORM)
         return whitened
 
@@ -135,3 +149,9 @@ class _GCL(nn.Module):
     def forward(self, images: Tensor) -> Tensor:
         pooled: Tensor = self.pool(self.backbone(images)).flatten(1)
         return pooled
+
+
+def _read_blocks(descriptors: Descriptors) -> Iterator[npt.NDArray[np.float64]]:
+    """Yield descriptors in blocks, (n, n_dimensions), as float64."""
+    for first in range(0, len(descriptors), _TOGETHER):
+        yield descriptors[first : first + _TOGETHER].astype(np.float64)

@@ -126,7 +126,7 @@ class SFRS(PublishedNetwork):
         """Return the network of 64 clusters and 4096 dimensions, or in the sizes of a file."""
         return Network(size(tensors, "net_vlad.centroids", 0, 64), size(tensors, "pca_layer.weight", 0, 4096))
 
-    def named(self, network: nn.Module) -> nn.Module:
+    def name_parts(self, network: nn.Module) -> nn.Module:
         """Return the parts of the network under their names in the file."""
         own = cast(Network, network)
         base = nn.ModuleDict({"base": own.encoder})

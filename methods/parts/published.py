@@ -30,7 +30,7 @@ class PublishedNetwork(NeuralDescriptor):
         It is called on the device "meta". Raises BadInput for sizes that the method's arguments exclude.
         """
 
-    def named(self, network: nn.Module) -> nn.Module:
+    def name_parts(self, network: nn.Module) -> nn.Module:
         """Return the parts of a network under the names that the file has for them."""
         return network
 
@@ -46,7 +46,7 @@ class PublishedNetwork(NeuralDescriptor):
                 network = self.network(tensors)
         except BadInput as error:
             raise BadInput(f"{path}: {error}") from error
-        load_strictly(self.named(network), tensors, path)
+        load_strictly(self.name_parts(network), tensors, path)
         return network
 
     def blank(self) -> nn.Module:

@@ -78,7 +78,7 @@ AROUND = st.tuples(st.integers(-6000, 6000), st.integers(-6000, 6000))
 EDGE = st.sampled_from([(700, 2400), (-1500, 2000), (2500, 0), (2400, 701), (2401, 700), (0, 2501)])  # 7-24-25
 
 
-def named(centimetres, zone="@10@S"):
+def name_file(centimetres, zone="@10@S"):
     east, north = centimetres
     return Path(f"@{(EASTING + east) / 100:.2f}@{(NORTHING + north) / 100:.2f}{zone}@.jpg")
 
@@ -87,8 +87,8 @@ def named(centimetres, zone="@10@S"):
 @given(st.lists(st.tuples(AROUND | EDGE, st.integers(31, 32)), min_size=1, max_size=20), st.integers(31, 33))
 @example([((700, 2400), 31), ((701, 2400), 31), ((0, 0), 32)], 31)
 def test_right_is_what_whole_centimetres_say_is_within_25_metres_the_edge_included_and_in_the_zone(references, zone):
-    files = [named(at, f"@{own}@V") for at, own in references]
-    truth = by_names(files, [named((0, 0), f"@{zone}@V")], 25.0, "apart")
+    files = [name_file(at, f"@{own}@V") for at, own in references]
+    truth = by_names(files, [name_file((0, 0), f"@{zone}@V")], 25.0, "apart")
     near = [i for i, ((x, y), own) in enumerate(references) if x * x + y * y <= 2500**2 and own == zone]
     assert truth.positives[0].tolist() == near
     assert truth.places.tolist() == [*range(len(references))]
@@ -106,7 +106,7 @@ def test_right_is_what_whole_centimetres_say_is_within_25_metres_the_edge_includ
     ],
 )
 def test_metres_of_several_zones_or_sides_of_the_equator_do_not_compare(first, second, zones, told):
-    names = [named((0, 0), first)], [named((0, 0), second)]
+    names = [name_file((0, 0), first)], [name_file((0, 0), second)]
     if told:
         assert re.search(told, answer(by_names, *names, 25.0, zones))
     else:

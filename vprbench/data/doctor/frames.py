@@ -75,7 +75,7 @@ class Looks:
         """Which frames show nothing, black or not, (n,)."""
         return self.readable & (self.std < UNIFORM_STD)
 
-    def named(self, which: Which) -> list[str]:
+    def list_names(self, which: Which) -> list[str]:
         """Return the names of some of the frames."""
         return [self.names[number] for number in np.flatnonzero(which)]
 
@@ -155,7 +155,7 @@ def _check_reading(seen: Looks) -> Iterator[Finding]:
 
 
 def _check_exif(seen: Looks, exif: str) -> Iterator[Finding]:
-    if names := seen.named(seen.turned):
+    if names := seen.list_names(seen.turned):
         has = f"{seen.share(names)} {'has' if len(names) == 1 else 'have'} an EXIF tag that turns {join_names(names)}"
         if exif == "ignore":
             advice = "look at some: if they lie on their side, give dataset.exif=obey"
@@ -171,7 +171,7 @@ def _check_sizes(seen: Looks) -> Iterator[Finding]:
     if len(sizes) < 2:
         return
     (usual, times), *_ = sizes.most_common(1)
-    others = seen.named(seen.readable & (seen.sizes != usual).any(1))
+    others = seen.list_names(seen.readable & (seen.sizes != usual).any(1))
     yield Finding(
         "note" if times < _USUAL * sizes.total() else "warning",
         "size",
@@ -187,7 +187,7 @@ def _check_light(seen: Looks, is_deep: bool) -> Iterator[Finding]:
         (seen.black, f"black (mean below {BLACK_MEAN:g} of 255)"),
         (seen.uniform & ~seen.black, f"of one grey value (standard deviation below {UNIFORM_STD:g} of 255)"),
     ):
-        if names := seen.named(which):
+        if names := seen.list_names(which):
             yield Finding(
                 "warning",
                 "black frames",
@@ -196,7 +196,7 @@ def _check_light(seen: Looks, is_deep: bool) -> Iterator[Finding]:
                 "by dataset=image_list with CSV files (image,place) of the others",
             )
     few = seen.readable & (seen.n_levels < FEW_LEVELS) & (is_deep | ~(seen.black | seen.uniform))
-    if names := seen.named(few):
+    if names := seen.list_names(few):
         yield Finding(
             "warning",
             "levels",
