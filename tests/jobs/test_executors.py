@@ -164,12 +164,11 @@ def test_an_interruption_ends_the_runs_of_workers(place, tmp_path, monkeypatch, 
 
 def test_a_worker_of_another_version_or_disk_makes_no_run(tmp_path):
     cluster = pytest.importorskip("vprbench.jobs.cluster", reason=NEEDS)
-    inode = tmp_path.stat().st_ino
+    probe = tmp_path / "elsewhere" / "probe"
     with pytest.raises(BadInput, match=r"0\.0\.1"):
-        cluster.run_on_worker("{}", tmp_path, tmp_path, inode, "0.0.1")
-    for root, number in ((tmp_path, inode + 1), (tmp_path / "elsewhere", inode)):
-        with pytest.raises(BadInput, match=f"does not share {root}"):
-            cluster.run_on_worker("{}", tmp_path, root, number, __version__)
+        cluster.run_on_worker("{}", tmp_path, probe, "0.0.1")
+    with pytest.raises(BadInput, match=f"does not share {probe.parent}"):
+        cluster.run_on_worker("{}", tmp_path, probe, __version__)
 
 
 def test_runs_on_a_gpu_take_those_of_the_machine_in_turn(monkeypatch):

@@ -9,6 +9,7 @@ import multiprocessing
 import pkgutil
 import signal
 import socket
+import tempfile
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
@@ -25,6 +26,7 @@ from vprbench.jobs.job import JobResult, describe_failure
 from vprbench.jobs.options import ClusterOptions
 from vprbench.runs.request import RunRequest
 from vprbench.runs.store import Store
+from vprbench.storage.atomic import PARTIAL
 
 _MOST_JOBS = 16  # of a batch system, if workers= says nothing
 _DURATIONS = {"distributed.scheduler.default-task-durations": {"run_on_worker": "1h"}}  # a job for each run
@@ -39,6 +41,7 @@ class DaskExecutor(Executor):
         self.is_distributed = True
         self._options = options
         self._opened = contextlib.ExitStack()
+        self._probes: dict[Path, Path] = {}  # by results folder: a file there, which a worker has to see
 
     def __exit__(self, *_: object) -> None:
         """End the connection and the jobs; workers interrupt the runs that go on."""
@@ -78,9 +81,11 @@ class DaskExecutor(Executor):
     def submit(self, request: RunRequest, is_shown: bool) -> concurrent.futures.Future[JobResult]:
         """Let a worker make a run; the lines of its standard error come with its outcome."""
         root = Path(request.results).expanduser().absolute()
-        Store(root).prepare()
-        inode = root.stat().st_ino
-        return self.open_pool().submit(run_on_worker, request.to_json(), Path.cwd(), root, inode, __version__)
+        if root not in self._probes:
+            Store(root).prepare()
+            probe = tempfile.NamedTemporaryFile(prefix=PARTIAL, suffix="-shared", dir=root)  # noqa: SIM115 - below
+            self._probes[root] = Path(self._opened.enter_context(probe).name)
+        return self.open_pool().submit(run_on_worker, request.to_json(), Path.cwd(), self._probes[root], __version__)
 
     def collect(self, request: RunRequest, future: concurrent.futures.Future[JobResult]) -> JobResult:
         """Return the outcome of a run.
@@ -129,14 +134,13 @@ def start_jobs(arguments: Mapping[str, Any], most: int) -> Any:
     return cluster
 
 
-def run_on_worker(request_json: str, folder: Path, root: Path, inode: int, version: str) -> JobResult:
+def run_on_worker(request_json: str, folder: Path, probe: Path, version: str) -> JobResult:
     """Make a run in a child of this worker.
 
     Args:
         request_json: the run.
         folder: the working folder of the client.
-        root: the client's results folder.
-        inode: its number on the disk, by which a worker knows that it sees the same folder.
+        probe: a file in the client's results folder; a worker that sees it shares the folder.
         version: the client's version of vprbench.
 
     Raises:
@@ -145,8 +149,8 @@ def run_on_worker(request_json: str, folder: Path, root: Path, inode: int, versi
     host = socket.gethostname()
     if version != __version__:
         raise BadInput(f"the worker on {host} has vprbench {__version__}, this is {version}: install the same on both")
-    if not (root.exists() and root.stat().st_ino == inode):
-        raise BadInput(f"the worker on {host} does not share {root}: give results= on a disk of all machines")
+    if not probe.exists():
+        raise BadInput(f"the worker on {host} does not share {probe.parent}: give results= on a disk of all machines")
     multiprocessing.current_process().daemon = False  # as dask starts it, and a daemon may have no children
     tasks, key = get_worker().state.tasks, get_worker().get_current_task()
     with contextlib.chdir(folder if folder.is_dir() else "."):
