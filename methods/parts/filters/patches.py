@@ -130,6 +130,9 @@ def _power(grey: npt.NDArray[np.float32], mean: npt.NDArray[np.float64] | np.flo
     return np.clip(grey, 0, 255, out=grey)
 
 
+# The kernels below have no type hints: numba compiles each for the types of its first call.
+
+
 @compiled()
 def _multiply_add(a, b, c):  # type: ignore[no-untyped-def]
     """Return a * b + c in float32 with a single rounding, as processors with such an instruction do."""
