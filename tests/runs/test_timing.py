@@ -67,18 +67,8 @@ def interrupt(*_):
     raise KeyboardInterrupt
 
 
-def test_a_run_that_is_ended_while_it_is_timed_leaves_its_answers_and_what_was_timed_before(store, monkeypatch):
-    whole = asked(Store(store.root.parent / "other"), QUICK).run
-    with monkeypatch.context() as patch:
-        patch.setattr(Stopwatch, "measure", interrupt)
-        with pytest.raises(KeyboardInterrupt):
-            asked(store, QUICK)
-    (kept,) = store.runs()
-    assert (kept.timing, kept.config["timing"], kinds(kept)) == (None, None, kinds(whole))
-    np.testing.assert_array_equal(kept.outcome.above, whole.outcome.above)
-    np.testing.assert_array_equal(kept.top_places, whole.top_places)
-    assert asked(store, UNTIMED).from_store
-    assert not asked(store, QUICK).from_store
+def test_a_stored_run_stays_while_it_is_timed_anew(store, monkeypatch):
+    asked(store, QUICK)
     monkeypatch.setattr(Stopwatch, "measure", interrupt)
     for force in (False, True):
         with pytest.raises(KeyboardInterrupt):

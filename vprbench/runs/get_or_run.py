@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -115,14 +114,8 @@ def _make_run(experiment: Experiment, key: str, store: Store, held: TimingLock |
     scores = needed or (stored is not None and stored.scores is not None)
     experiment = replace(experiment, request=replace(request, scores=scores), networks=files)
 
-    def keep(scored: Run) -> None:
-        """Store the answers before they are timed; a stored run stays until the new one is whole."""
-        if stored is None:
-            with suppress(BadInput):  # which is raised when it is stored with its times
-                store.save(scored)
-
     with show_progress(f"{request.method_name} on {experiment.dataset.name}"), share_host(held) as lock:
-        run = execute(experiment, key, lock, keep)
+        run = execute(experiment, key, lock)
         if stored is not None:
             run = replace(run, stream=stored.stream, energy=stored.energy)
         if experiment.stream:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import asdict, replace
 
 from vprbench import progress
@@ -21,7 +20,7 @@ from vprbench.runs.timing_lock import TimingLock
 from vprbench.runs.watch import MachineWatch
 
 
-def execute(experiment: Experiment, key: str, lock: TimingLock, keep: Callable[[Run], None] = lambda run: None) -> Run:
+def execute(experiment: Experiment, key: str, lock: TimingLock) -> Run:
     """Fit a method or load its network, score every query and measure its rates.
 
     A network is stored before the first query; whether it can be is seen before it is trained. Timed queries are
@@ -31,7 +30,6 @@ def execute(experiment: Experiment, key: str, lock: TimingLock, keep: Callable[[
         experiment: method, dataset and request.
         key: identifies the run.
         lock: by which this process computes.
-        keep: takes the run without its rates before these are measured, unless the request asks for none.
     """
     request, method, dataset = experiment.request, experiment.method, experiment.dataset
     queries, views = dataset.queries.unnamed(), () if experiment.views is None else experiment.views.all
@@ -54,7 +52,7 @@ def execute(experiment: Experiment, key: str, lock: TimingLock, keep: Callable[[
     with stopwatch.lap() as auditing:
         search = describe_search(method, queries)
         counted, spike_notes = spikes.count_spikes(method, queries)
-    scored = Run(
+    run = Run(
         method=request.method_name,
         dataset=dataset.name,
         key=key,
@@ -91,13 +89,10 @@ def execute(experiment: Experiment, key: str, lock: TimingLock, keep: Callable[[
         data=experiment.data,
         **watched,
     )
-    kept = replace(scored, notes=(*scored.notes, *note_measurements(scored)))
-    if not request.timing.rates:
-        return kept
-    keep(kept)
-    with watch.alone():
-        timing = stopwatch.measure(scorer.begin_traverse(), queries, first_query_seconds)
-        timed = replace(scored, timing=timing, **watch.record())
-    progress.report("timing", 1.0)
-    timed = replace(timed, config={**scored.config, "timing": asdict(request.timing)})
-    return replace(timed, notes=(*timed.notes, *note_measurements(timed)))
+    if request.timing.rates:
+        with watch.alone():
+            timing = stopwatch.measure(scorer.begin_traverse(), queries, first_query_seconds)
+            run = replace(run, timing=timing, **watch.record())
+        progress.report("timing", 1.0)
+        run = replace(run, config={**run.config, "timing": asdict(request.timing)})
+    return replace(run, notes=(*run.notes, *note_measurements(run)))
