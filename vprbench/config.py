@@ -63,6 +63,7 @@ def make_request(
     config = cast(dict[str, Any], OmegaConf.to_container(composed, resolve=True))
     name = _choose("method", options)
     require_homes(config)
+    declared = config["method"].get("tuned_on")
     own = {option: config[option] for option in OPTIONS if option not in _GROUPS}
     given = [f"{key}={value if isinstance(value, str) else json.dumps(value)}" for key, value in values.items()]
     fields = {
@@ -71,7 +72,7 @@ def make_request(
         "dataset_name": str(config["dataset"].get("name") or _choose("dataset", options)),
         "dataset": config["dataset"],
         "changed": _find_changed(options, values, composed),
-        "tuned_on": parse_tuned_on(config["method"].get("tuned_on"), f"method {name}"),
+        "tuned_on": {} if declared is None else parse_tuned_on(declared, f"method {name}"),
         "overrides": [*map(entries.spell_out_plugin_paths, options), *given],
         "timing": Protocol(**_check_values(Protocol, config["timing"], "timing.")),
         **_check_values(RunRequest, own),
@@ -116,7 +117,7 @@ def _quote_option(option: str) -> str:
     name, equals, value = option.partition("=")
     if name.startswith("dataset."):
         _refuse_cut_path(name, value)
-    if name in ("method", "methods", "dataset"):
+    if name in ("method", "methods", "dataset") and ".py" in value:
         group: Group = "dataset" if name == "dataset" else "method"
         value = re.sub(r"[^][,]+", lambda each: loose.resolve_name(group, each[0]), value)
     forms = [value, _quote(value)]

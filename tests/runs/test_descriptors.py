@@ -59,7 +59,7 @@ def run(method, dataset, folder, arguments=(), **changes):
     asked = {"depth": 5, "threads": 1, "timing": PROTOCOL, **changes}
     request = RunRequest("counting", given, dataset.name, {"name": dataset.name}, **asked)
     return execute(
-        Experiment(request, method, dataset, "fingerprint", hash_frames(dataset)[1], files=files, cache=folder)
+        Experiment(request, method, dataset, "fingerprint", hash_frames(dataset)[1], dataset, files=files, cache=folder)
     )
 
 

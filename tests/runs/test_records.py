@@ -21,9 +21,10 @@ from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
 
 from vprbench.errors import BadInput
-from vprbench.runs import run_files
+from vprbench.runs import identity
+from vprbench.runs.identity import hash_content
 from vprbench.runs.notes import Note
-from vprbench.runs.run_files import SCHEMA, OtherLayoutError, hash_content, load
+from vprbench.runs.run_files import SCHEMA, OtherLayoutError, load
 from vprbench.runs.store import Store
 from vprbench.runs.views import select_queries
 from vprbench.storage import tensors
@@ -341,5 +342,5 @@ def test_a_key_depends_on_the_layout_of_the_store_and_not_on_the_order_of_its_in
     for content in ({"name": "sad", "window": 5}, {"window": 5, "name": "sad"}):
         key = hash_content({"method": content, "code": "c0de"})
         assert key == hashlib.sha256(text.encode()).hexdigest()[:16]
-    monkeypatch.setattr(run_files, "SCHEMA", SCHEMA + 1)
+    monkeypatch.setattr(identity, "SCHEMA", SCHEMA + 1)
     assert hash_content({"method": content, "code": "c0de"}) != key

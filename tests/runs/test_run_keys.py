@@ -19,7 +19,7 @@ from vprbench.cli import main
 from vprbench.methods.hog import HOG
 from vprbench.plugins import registry
 from vprbench.plugins.networks import Files
-from vprbench.runs import identity, machine, sources
+from vprbench.runs import identity, machine
 from vprbench.runs.corruption import corrupt_queries
 from vprbench.runs.identity import compute_fingerprint, hash_code
 
@@ -93,7 +93,7 @@ def test_another_harness_changes_the_hash_of_every_method_and_nobody_changes_it_
     decided = json.loads(DECIDED.read_text())
     files = [Path(inspect.getfile(importlib.import_module(name))) for name in identity.MODULES]
     files += (ROOT / "vprbench/api").rglob("*.py")
-    now = {"version": identity.VERSION, "code": sources.hash_files(files)}
+    now = {"version": identity.VERSION, "code": identity.hash_files(files)}
     assert now == decided, (
         "the harness changed: if a run may now have other answers or times, raise identity.VERSION; in any case write "
         f"{json.dumps(now)} to {DECIDED}"
@@ -132,12 +132,12 @@ def test_all_files_that_a_method_imports_in_any_way_or_inherits_from_count_and_n
     for name, text in files.items():
         (package / f"{name}.py").write_text(text)
     method = importlib.import_module("meadow.method").Method
-    before = sources.hash_class(method)
+    before = identity.hash_class(method)
     for name in files:
         path = package / f"{name}.py"
         path.write_text(f"{files[name]}# another byte\n")
-        sources.hash_class.cache_clear()
-        assert (sources.hash_class(method) == before) is (name in ("unused", "inner/__init__")), name
+        identity.hash_class.cache_clear()
+        assert (identity.hash_class(method) == before) is (name in ("unused", "inner/__init__")), name
         path.write_text(files[name])
 
 
@@ -178,4 +178,4 @@ def test_a_class_of_a_script_counts_with_its_file_and_a_class_without_a_file_is_
     assert hash_code(script.Mine) != hash_code(script.Mine)
     (tmp_path / "script.py").write_text("class Mine:\n    pass\n")
     script.__file__ = str(tmp_path / "script.py")
-    assert sources.hash_class(script.Mine) == sources.hash_files([tmp_path / "script.py"])
+    assert identity.hash_class(script.Mine) == identity.hash_files([tmp_path / "script.py"])

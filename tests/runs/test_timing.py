@@ -21,7 +21,6 @@ from vprbench.runs import frame, machine, rows, timing_lock
 from vprbench.runs.get_or_run import get_or_run
 from vprbench.runs.machine import Machine
 from vprbench.runs.stopwatch import Protocol, Stopwatch
-from vprbench.runs.store import Store
 
 pytestmark = pytest.mark.usefixtures("surroundings")
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from vprbench.plugins.networks import Files
-from vprbench.runs import descriptors, machine, run, sources, watch
+from vprbench.runs import descriptors, identity, machine, run, watch
 from vprbench.runs.experiment import Experiment
 from vprbench.runs.identity import hash_frames
 from vprbench.runs.request import RunRequest
@@ -28,7 +28,7 @@ CONFIG: dict[str, Any] = {
 QUICK = Protocol(minimum_seconds=0, minimum_queries=5, sample=16, warmup_queries=2, batch_sizes=[1, 4])
 
 
-hash_class = functools.cache(sources.hash_class)
+hash_class = functools.cache(identity.hash_class)
 
 
 def run_of(method, dataset, protocol=QUICK, **changes):
@@ -53,7 +53,7 @@ def asked_for(
     """Return the experiment of a little run; `changes` are made to its request."""
     given = {**CONFIG, "timing": protocol, "threads": threads, **changes}
     request = RunRequest(method_name="little", dataset_name=dataset.name, **given)
-    return Experiment(request, method, dataset, "fingerprint", hash_frames(dataset)[1], files, cache=cache)
+    return Experiment(request, method, dataset, "fingerprint", hash_frames(dataset)[1], dataset, files, cache=cache)
 
 
 def table(n_queries, n_places, levels=1000):
@@ -72,7 +72,7 @@ def quiet_surroundings():
         stand_in = SimpleNamespace(**{**vars(machine), **quick})
         patch.setattr(watch, "machine", stand_in)
         patch.setattr(run, "hash_code", lambda method: method.__qualname__)  # a class here has many files behind it
-        for module in (sources, descriptors):
+        for module in (identity, descriptors):
             patch.setattr(module, "hash_class", hash_class)
         gc.freeze()  # a measurement collects garbage first, which takes long among all that a test session imports
         try:

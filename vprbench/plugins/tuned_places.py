@@ -35,8 +35,6 @@ class TunedOn:
 
 def parse_tuned_on(given: Any, where: object) -> dict[str, Any]:
     """Return a declared `tuned_on` as plain values; raises BadInput that names the yaml or method `where` it stands."""
-    if given is None:
-        return {}
     tuned: TunedOn = check_value(f"{where}: tuned_on", given, TunedOn)
     also = tuned.also_in if isinstance(tuned.also_in, Mapping) else dict.fromkeys(tuned.also_in, UNKNOWN)
     return {**asdict(tuned), "also_in": dict(also)}

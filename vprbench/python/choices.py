@@ -20,7 +20,7 @@ from vprbench.config import make_request
 from vprbench.errors import BadInput
 from vprbench.plugins import loose, registry
 from vprbench.plugins.entries import Group
-from vprbench.runs.sources import hash_class
+from vprbench.runs.identity import hash_class
 from vprbench.text import shorten
 
 _MOST_NUMBERS = 1 << 16  # of an array that a record holds; of a larger one it holds the hash

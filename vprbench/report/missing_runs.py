@@ -18,8 +18,8 @@ from vprbench.progress import show_progress
 from vprbench.report.plan import Row
 from vprbench.runs.experiment import build_experiment, corrupt_experiment
 from vprbench.runs.get_or_run import find_run
+from vprbench.runs.identity import hash_content
 from vprbench.runs.request import RunRequest
-from vprbench.runs.run_files import hash_content
 from vprbench.runs.store import Store
 from vprbench.runs.thumbnails import load_thumbnails
 from vprbench.terminal.live import LiveTable

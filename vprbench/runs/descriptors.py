@@ -16,8 +16,7 @@ from vprbench.api.images import Images
 from vprbench.api.method import Method
 from vprbench.api.weights import Weights
 from vprbench.runs import machine
-from vprbench.runs.run_files import hash_content
-from vprbench.runs.sources import hash_class
+from vprbench.runs.identity import hash_class, hash_content
 from vprbench.storage.row_files import keep_rows
 
 

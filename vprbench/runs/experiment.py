@@ -15,9 +15,9 @@ from vprbench.errors import BadInput
 from vprbench.plugins import loose, networks, registry
 from vprbench.plugins.tuned_places import find_tuned_queries
 from vprbench.progress import show_progress
-from vprbench.runs import machine, sequences, stream
+from vprbench.runs import machine, stream
 from vprbench.runs.corruption import corrupt_queries
-from vprbench.runs.identity import DataRecord, hash_code, hash_frames, run_key
+from vprbench.runs.identity import DataRecord, hash_code, hash_content, hash_frames
 from vprbench.runs.request import RunRequest
 from vprbench.runs.viewpoints import Viewpoints, parse_viewpoints, record_viewpoints
 from vprbench.storage.hashes import hash_file
@@ -35,6 +35,7 @@ class Experiment:
     dataset: Dataset  # its queries corrupted, if the request says so
     fingerprint: str  # of the dataset
     data: DataRecord  # of the dataset
+    clean: Dataset  # the dataset before any corruption
     networks: networks.Files = field(default_factory=networks.Files)  # to load or to store
     files: Sequence[tuple[str, str]] = ()  # name and hash of each data file behind the method
     cache: Path | None = None  # a folder for descriptors worth keeping
@@ -45,7 +46,7 @@ class Experiment:
     @property
     def views(self) -> Viewpoints | None:
         """The viewpoints of each query; None: the frames as they are."""
-        return parse_viewpoints(self.request.views)
+        return None if self.request.views is None else parse_viewpoints(self.request.views)
 
     @cached_property
     def config(self) -> dict[str, Any]:
@@ -53,14 +54,26 @@ class Experiment:
         return {**self.request.record(), "files": [[*each] for each in self.files]}
 
     def key(self) -> str:
-        """Return the hash of all that can change the outcome of the run."""
-        return run_key(
-            self.request,
-            self.dataset,
-            images=self.fingerprint,
-            code=hash_code(type(self.method)),
-            files=self.files,
-            network=self.networks.sha256,
+        """Return the hash of all that can change the record of the run, but for its timing protocol."""
+        request, dataset = self.request, self.dataset
+        return hash_content(
+            {
+                "method": {k: v for k, v in request.method.items() if k not in ("_target_", "device")},
+                "code": hash_code(type(self.method)),
+                "dataset": dataset.name,
+                "protocol": dict(dataset.protocol),
+                "images": self.fingerprint,
+                "breaks": [None if at is None else at.tolist() for at in (dataset.query_breaks, dataset.place_breaks)],
+                "held_out": None if dataset.held_out is None else dataset.held_out.fingerprint(),
+                "tuned_on": request.tuned_on,
+                "files": [[*each] for each in self.files],
+                "seed": request.seed,
+                "device": machine.classify_device(request.device),
+                "threads": request.n_threads,
+                "depth": request.depth,
+                "libraries": machine.list_library_versions(),
+                "network": self.networks.sha256,
+            }
         )
 
 
@@ -78,41 +91,53 @@ def build_experiment(
         BadInput: an option, the data or this machine does not fit; MissingData where weights or frames are missing.
     """
     for option in request.overrides:
-        loose.register_loose_file(option)
+        if ".py" in option:
+            loose.register_loose_file(option)
     request.require_machine()
     machine.pin_threads(request.n_threads)
-    if dataset is None:
-        dataset = registry.make_dataset(request.dataset)
-    files = networks.find_network_files(request.save, request.load, request.force)
+    clean = registry.make_dataset(request.dataset) if dataset is None else dataset
     method = (make or registry.make_method)(request.method)
     if method.adapt != "none" and not method.adapts:
         raise BadInput(f"method.adapt={method.adapt}: {type(method).__name__} has no codes with a mean; use none")
-    warnings = check_dataset(dataset, bool(sequences.parse_views(request.sequence, request.filter)))
-    dataset = replace(dataset, notes=(*dataset.notes, *warnings))
-    tuned_queries = find_tuned_queries(dataset, request.tuned_on)
-    if isinstance(request.corruption, str):
-        dataset = corrupt_queries(dataset, request.corruption)
-    dataset = record_viewpoints(dataset, parse_viewpoints(request.views))
     with show_progress(request.method_name):  # frames may have to be hashed, and a file be downloaded
-        dataset_hash, data = hash_frames(dataset)
-        behind = [(path.name, hash_file(path)) for path in registry.list_data_files(method, request.method)]
+        shown = _show_queries(clean, request)
+        dataset_hash, data = hash_frames(shown)
         return Experiment(
             request,
             method,
-            dataset,
+            shown,
             dataset_hash,
             data,
-            files,
-            behind,
+            clean=clean,
+            networks=networks.find_network_files(request.save, request.load, request.force)
+            if request.save or request.load
+            else networks.Files(),
+            files=[(path.name, hash_file(path)) for path in registry.list_data_files(method, request.method)],
             cache=Path(request.results).expanduser().absolute() / "descriptors" if request.cache else None,
-            stream=stream.parse_step(request.stream, method, dataset.n_places),
-            tuned_queries=tuned_queries,
+            stream=stream.parse_step(request.stream, method, clean.n_places) if request.stream else 0,
         )
 
 
 def corrupt_experiment(clean: Experiment, corruption: str) -> Experiment:
     """Return the same experiment on corrupted query frames; the method of both is fitted once."""
-    dataset = corrupt_queries(clean.dataset, corruption)
-    dataset_hash, data = hash_frames(dataset)
     request = clean.request.with_corruption(corruption)
-    return replace(clean, request=request, dataset=dataset, fingerprint=dataset_hash, data=data)
+    shown = _show_queries(clean.clean, request)
+    dataset_hash, data = hash_frames(shown)
+    return replace(clean, request=request, dataset=shown, fingerprint=dataset_hash, data=data)
+
+
+def examine_dataset(experiment: Experiment) -> Experiment:
+    """Return the experiment with the doctor's warnings, and with the queries of places that the method was tuned on.
+
+    Raises BadInput for the doctor's first error.
+    """
+    request, clean = experiment.request, experiment.clean
+    warnings = check_dataset(clean, bool(request.list_views()))
+    dataset = replace(experiment.dataset, notes=(*clean.notes, *warnings))
+    return replace(experiment, dataset=dataset, tuned_queries=find_tuned_queries(clean, request.tuned_on))
+
+
+def _show_queries(clean: Dataset, request: RunRequest) -> Dataset:
+    """Return a dataset whose queries are seen as a request wants: corrupted, and from several viewpoints."""
+    dataset = corrupt_queries(clean, request.corruption) if isinstance(request.corruption, str) else clean
+    return dataset if request.views is None else record_viewpoints(dataset, parse_viewpoints(request.views))

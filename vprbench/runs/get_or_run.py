@@ -11,13 +11,12 @@ from vprbench.errors import BadInput
 from vprbench.plugins import networks
 from vprbench.progress import show_progress
 from vprbench.runs import energy, stream, thumbnails
-from vprbench.runs.experiment import Experiment
+from vprbench.runs.experiment import Experiment, examine_dataset
 from vprbench.runs.query_results import judge_answers, order_by_interest
 from vprbench.runs.record import Run
 from vprbench.runs.request import RunRequest
 from vprbench.runs.run import execute
 from vprbench.runs.run_lock import lock_run
-from vprbench.runs.sequences import parse_views
 from vprbench.runs.store import Store
 from vprbench.runs.timing_lock import TimingLock, share_host
 
@@ -55,23 +54,25 @@ def get_or_run(experiment: Experiment, store: Store, lock: TimingLock | None = N
         UnstoredRunError: the run was made and the disk refuses it.
         BadInput: nothing can be written to the results folder; and whatever the method raises.
     """
-    key, request, dataset = experiment.key(), experiment.request, experiment.dataset
-    folder = store.folder(dataset.name, request.method_name, key)
+    key, request, name = experiment.key(), experiment.request, experiment.dataset.name
+    folder = store.folder(name, request.method_name, key)
     store = Store(store.root.absolute())  # a method may change the working folder
 
     run, from_store = find_run(experiment, store), True
+    if run is None or request.list_views():  # the order of frames matters to sequences alone
+        experiment = examine_dataset(experiment)
     if run is None:
-        store.prepare(dataset.name)
-        about = {"method": request.method_name, "dataset": dataset.name}
+        store.prepare(name)
+        about = {"method": request.method_name, "dataset": name}
         about |= {name: getattr(request, name) for name in ("seed", "device", "corruption")}
-        with lock_run(store.root, f"{dataset.name}/{folder.name}", about, wait=lock is None):
+        with lock_run(store.root, f"{name}/{folder.name}", about, wait=lock is None):
             run = find_run(experiment, store)  # another process may have made it meanwhile
             if run is None:
                 run, from_store = _make_run(experiment, key, store, lock), False
     if from_store:
         run = replace(run, config={**run.config, "overrides": request.overrides})  # under the names of this request
     if request.frames:
-        _keep_frames(store, run, dataset)
+        _keep_frames(store, run, experiment.dataset)
     return RunResult(run, folder, from_store)
 
 
@@ -110,7 +111,7 @@ def _make_run(experiment: Experiment, key: str, store: Store, held: TimingLock |
     if files.save is not None and networks.read_run_key(files.save) == key:
         # the network of this very run, left by a process that was killed before it stored the run
         files = replace(files, replace=True)
-    needed = request.scores or bool(parse_views(request.sequence, request.filter))
+    needed = request.scores or bool(request.list_views())
     scores = needed or (stored is not None and stored.scores is not None)
     experiment = replace(experiment, request=replace(request, scores=scores), networks=files)
 

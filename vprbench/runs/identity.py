@@ -1,18 +1,25 @@
-"""What identifies a run: the key of all that can change it, and hashes of its code and frames."""
+"""Hashes by which a run is known: of plain values, of the frames of a dataset, and of the code of a method.
+
+The code of a method is its own file and all files that it imports from its package.
+"""
 
 from __future__ import annotations
 
+import ast
 import hashlib
+import importlib.util
+import inspect
+import json
 import uuid
-from collections.abc import Sequence
-from typing import TypedDict
+from collections.abc import Iterable, Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any, TypedDict
 
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import names_hash
 from vprbench.api.method import Method
-from vprbench.runs import machine, sources
-from vprbench.runs.request import RunRequest
-from vprbench.runs.run_files import hash_content
+from vprbench.runs.run_files import SCHEMA
 
 #: Raise it with a change by which a run may have other answers or times; a test holds that nobody forgets to decide.
 VERSION = 6
@@ -26,45 +33,10 @@ MODULES = (
 )
 
 
-def run_key(
-    request: RunRequest,
-    dataset: Dataset,
-    *,
-    images: str,
-    code: str,
-    files: Sequence[tuple[str, str]],
-    network: str | None,
-) -> str:
-    """Return the hash of all that can change the record of a run, but for its timing protocol.
-
-    Args:
-        request: the run to be made; the place of its method's file does not count.
-        dataset: its dataset, built.
-        images: the fingerprint of the dataset.
-        code: the `hash_code` of the method's class.
-        files: name and hash of each data file behind the method.
-        network: the hash of the file that the run loads; None for a run that trains.
-    """
-    arguments = {name: value for name, value in request.method.items() if name not in ("_target_", "device")}
-    return hash_content(
-        {
-            "method": arguments,
-            "code": code,
-            "dataset": dataset.name,
-            "protocol": dict(dataset.protocol),
-            "images": images,
-            "breaks": [None if at is None else at.tolist() for at in (dataset.query_breaks, dataset.place_breaks)],
-            "held_out": None if dataset.held_out is None else dataset.held_out.fingerprint(),
-            "tuned_on": request.tuned_on,
-            "files": [[*each] for each in files],
-            "seed": request.seed,
-            "device": machine.classify_device(request.device),
-            "threads": request.n_threads,
-            "depth": request.depth,
-            "libraries": machine.list_library_versions(),
-            "network": network,
-        }
-    )
+def hash_content(content: Mapping[str, Any]) -> str:
+    """Return the hash of plain values, as of all that can change an outcome."""
+    text = json.dumps({"schema": SCHEMA, **content}, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 class DataRecord(TypedDict):
@@ -82,7 +54,7 @@ def hash_code(method: type[Method]) -> str:
     Of a class without source it is another one each time: its runs are never found again.
     """
     try:
-        code = sources.hash_class(method)
+        code = hash_class(method)
     except OSError:
         return uuid.uuid4().hex
     return hashlib.sha256(f"{code} {method.__qualname__} {VERSION}".encode()).hexdigest()
@@ -114,3 +86,67 @@ def hash_frames(dataset: Dataset) -> tuple[str, DataRecord]:
 def compute_fingerprint(dataset: Dataset) -> str:
     """Return the hash of a dataset's images, order and ground truth; raises BadInput if a file cannot be read."""
     return hash_frames(dataset)[0]
+
+
+def hash_class(kind: type) -> str:
+    """Return the hash of the code of a class: its own file, and all of its package, or beside it, that this imports.
+
+    Raises OSError for a class without a file, as a class that a cell of a notebook defines.
+    """
+    try:
+        return _hash_with_imports(kind.__module__, Path(inspect.getfile(kind)))
+    except (OSError, TypeError) as error:
+        raise OSError(f"{kind.__qualname__} has no file: put the class into a file, as mine.py") from error
+
+
+def hash_files(files: Iterable[Path]) -> str:
+    """Return the hash of the bytes of files; their order and names do not count."""
+    hashes = sorted(hashlib.sha256(path.read_bytes()).hexdigest() for path in files)
+    return hashlib.sha256("".join(hashes).encode()).hexdigest()
+
+
+def _hash_with_imports(name: str, file: Path) -> str:
+    """Return the hash of the module `name`, which is `file`, and of all its own modules that it imports."""
+    found, waiting = {name: file}, [name]
+    while waiting:
+        module = waiting.pop()
+        package = module if found[module].name == "__init__.py" else module.rpartition(".")[0]
+        for imported in _list_imports(package, found[module].read_bytes()):
+            if imported not in found and _is_own(imported, name, file) and (path := _find_file(imported)) is not None:
+                found[imported] = path
+                waiting.append(imported)
+    return hash_files(found.values())
+
+
+def _is_own(module: str, method: str, file: Path) -> bool:
+    """Tell whether a module is of the package of a method's module, or lies beside a method that has no package."""
+    top, package = module.partition(".")[0], method.partition(".")[0]
+    if top == "vprbench":  # a method of this project; the version of the harness stands for all else in it
+        return module.startswith("vprbench.methods.") and package == top
+    beside = (file.with_name(f"{top}.py"), file.parent / top / "__init__.py")
+    return top == package or (method == package and any(path.is_file() for path in beside))
+
+
+@cache
+def _list_imports(package: str, code: bytes) -> tuple[str, ...]:
+    """Return the full names of all imports of a module's code: of modules, and of names that may be modules."""
+    found: list[str] = []
+    for node in ast.walk(ast.parse(code)):
+        if isinstance(node, ast.Import):
+            found += (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and (package or not node.level):
+            name = importlib.util.resolve_name("." * node.level + (node.module or ""), package)
+            found += (name, *(f"{name}.{alias.name}" for alias in node.names))
+    return tuple(found)
+
+
+def _find_file(module: str) -> Path | None:
+    """Return the source file of a module; None for a name that is no module or has no source."""
+    above = module.rpartition(".")[0]
+    if above and (path := _find_file(above)) is not None and path.name != "__init__.py":
+        return None  # a name in a module, which find_spec would import
+    try:
+        spec = importlib.util.find_spec(module)
+    except (ImportError, AttributeError, ValueError):
+        return None
+    return Path(spec.origin) if spec is not None and spec.origin is not None and spec.origin.endswith(".py") else None

@@ -15,7 +15,7 @@ from vprbench.metrics.bounds import Positive
 from vprbench.metrics.catalogue import GROUPS, METRICS, load_plug_in_metrics
 from vprbench.runs.corruption import parse_corruptions
 from vprbench.runs.predictions import require_depth
-from vprbench.runs.sequences import parse_views
+from vprbench.runs.sequences import Views, parse_views
 from vprbench.runs.timing_protocol import Protocol
 from vprbench.runs.viewpoints import parse_viewpoints
 from vprbench.storage.cores import count_cores
@@ -69,10 +69,11 @@ class RunRequest:
         metrics = spell_out_metrics(self.metrics)
         object.__setattr__(self, "metrics", metrics)
         object.__setattr__(self, "energy", self.energy or bool({*metrics} & {*GROUPS["energy"]}))
-        parse_views(self.sequence, self.filter)
-        if parse_viewpoints(self.views) is not None and (self.stream or self.energy):
+        self.list_views()
+        if self.views is not None and parse_viewpoints(self.views) and (self.stream or self.energy):
             raise BadInput(f"views={self.views}: stream= and energy= are of one view a query, leave them out")
-        parse_corruptions(self.corruptions)
+        if self.corruptions:
+            parse_corruptions(self.corruptions)
         if isinstance(self.corruption, list) and (self.save, self.load) != (None, None):
             raise BadInput(f"corruption={','.join(self.corruption)}: save= and load= take a run of one corruption")
         if self.predictions is not None:
@@ -97,6 +98,10 @@ class RunRequest:
     def n_threads(self) -> int:
         """How many threads the run uses on this machine."""
         return self.threads or count_cores()
+
+    def list_views(self) -> tuple[Views, ...]:
+        """Return the sequences and the filter that are applied to the run."""
+        return () if self.sequence is None and self.filter is None else parse_views(self.sequence, self.filter)
 
     def with_corruption(self, name: str) -> RunRequest:
         """Return the request of one corruption."""

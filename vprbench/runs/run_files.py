@@ -34,12 +34,6 @@ class OtherLayoutError(DamagedRunError):
     """A folder of the store holds a run of an earlier or later version of this program; the message names both."""
 
 
-def hash_content(content: Mapping[str, Any]) -> str:
-    """Return the hash of plain values, as of all that can change an outcome."""
-    text = json.dumps({"schema": SCHEMA, **content}, sort_keys=True, separators=(",", ":"))
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
-
-
 def write(run: Run, folder: Path) -> None:
     """Write a run into an empty folder.
 

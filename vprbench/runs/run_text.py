@@ -10,7 +10,6 @@ from pathlib import Path
 from vprbench.runs import energy, frame, rows, stream
 from vprbench.runs.record import Run
 from vprbench.runs.request import RunRequest
-from vprbench.runs.sequences import parse_views
 from vprbench.runs.tuned import list_notes
 from vprbench.terminal.console import format_line, format_table
 
@@ -22,7 +21,7 @@ def format_run(
 
     `predictions` are the files that hold the best places of each query.
     """
-    views = [view(run) for view in parse_views(request.sequence, request.filter)]
+    views = [view(run) for view in request.list_views()]
     if request.output == "json":
         return _format_json(run, views, folder, from_store, request, predictions)
     shown = views or [run]

@@ -11,6 +11,7 @@ from typing import Any
 
 from vprbench.errors import BadInput
 from vprbench.runs import run_files
+from vprbench.runs.identity import hash_content
 from vprbench.runs.record import Failure, Run
 from vprbench.runs.run_files import FAILURE, SUMMARY, DamagedRunError, OtherLayoutError
 from vprbench.storage import atomic
@@ -107,7 +108,7 @@ class Store:
 
     def _failure_folder(self, method: str, dataset: str, config: Mapping[str, Any]) -> Path:
         names = ("method", "dataset", "seed", "device", "load", "corruption", "views")
-        key = run_files.hash_content({name: config.get(name) for name in names})
+        key = hash_content({name: config.get(name) for name in names})
         return self.root / dataset / f"{method}-failed-{key}"
 
 

@@ -22,9 +22,7 @@ from vprbench.metrics.intervals import WiderInterval, difference_interval
 from vprbench.plugins import registry
 from vprbench.report.plan import PLAN_FILE, read_plan
 from vprbench.runs import machine
-from vprbench.runs.identity import compute_fingerprint, hash_code
-from vprbench.runs.run_files import hash_content
-from vprbench.runs.sources import hash_files
+from vprbench.runs.identity import compute_fingerprint, hash_code, hash_content, hash_files
 from vprbench.storage.cores import count_cores
 from vprbench.tuning import places, space, trial
 from vprbench.tuning.settings import Settings
