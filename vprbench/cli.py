@@ -23,7 +23,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     log_to_stderr()
     try:
-        code = _call([*(sys.argv[1:] if arguments is None else arguments)])
+        code = _call_command([*(sys.argv[1:] if arguments is None else arguments)])
         sys.stdout.flush()
         return code
     except BadInput as error:
@@ -39,7 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return code
 
 
-def _call(arguments: list[str]) -> int:
+def _call_command(arguments: list[str]) -> int:
     """Answer a request for help, or call the command that the first argument names; raises BadInput for none."""
     name = arguments[0] if arguments else "help"
     rest = [each for each in arguments if each not in ("--help", "-h")]
@@ -52,16 +52,16 @@ def _call(arguments: list[str]) -> int:
         if name == _COMPLETE:
             print("\n".join(complete(" ".join(rest))))
         elif rest:
-            print_options(*_split(rest))
+            print_options(*_split_command(rest))
         else:
             print_commands()
     else:
-        name, options = _split(arguments)
+        name, options = _split_command(arguments)
         return COMMANDS[name].call(options)
     return 0
 
 
-def _split(arguments: list[str]) -> tuple[str, list[str]]:
+def _split_command(arguments: list[str]) -> tuple[str, list[str]]:
     """Return the command that the arguments name, and its own arguments; raises BadInput for an unknown one."""
     name = arguments[0]
     if re.fullmatch(r"\w[\w-]*", name) is None:

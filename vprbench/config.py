@@ -59,9 +59,9 @@ def make_request(
         BadInput: an option is unknown or does not fit.
     """
     options, values = quote_options(options), values or {}
-    composed = _compose(options, values)
+    composed = _compose_config(options, values)
     config = cast(dict[str, Any], OmegaConf.to_container(composed, resolve=True))
-    name = _choose("method", options)
+    name = _choose_name("method", options)
     require_homes(config)
     declared = config["method"].get("tuned_on")
     own = {option: config[option] for option in OPTIONS if option not in _GROUPS}
@@ -69,9 +69,9 @@ def make_request(
     fields = {
         "method_name": name,
         "method": registry.take_arguments(config["method"]),
-        "dataset_name": str(config["dataset"].get("name") or _choose("dataset", options)),
+        "dataset_name": str(config["dataset"].get("name") or _choose_name("dataset", options)),
         "dataset": config["dataset"],
-        "changed": _find_changed(options, values, composed),
+        "changed": _find_changed_arguments(options, values, composed),
         "tuned_on": {} if declared is None else parse_tuned_on(declared, f"method {name}"),
         "overrides": [*map(entries.spell_out_plugin_paths, options), *given],
         "timing": Protocol(**_check_values(Protocol, config["timing"], "timing.")),
@@ -100,7 +100,7 @@ def split_sweep(options: Sequence[str]) -> list[list[str]]:
 @_refuse_hydra_errors()
 def show_config(options: Sequence[str]) -> str:
     """Return the configuration that options make, as YAML; raises BadInput."""
-    return OmegaConf.to_yaml(_compose(quote_options(options), {}), resolve=True)
+    return OmegaConf.to_yaml(_compose_config(quote_options(options), {}), resolve=True)
 
 
 def quote_options(options: Sequence[str]) -> list[str]:
@@ -120,9 +120,9 @@ def _quote_option(option: str) -> str:
     if name in ("method", "methods", "dataset") and ".py" in value:
         group: Group = "dataset" if name == "dataset" else "method"
         value = re.sub(r"[^][,]+", lambda each: loose.resolve_name(group, each[0]), value)
-    forms = [value, _quote(value)]
+    forms = [value, _quote_value(value)]
     if value[:1] + value[-1:] == "[]":
-        forms.insert(1, f"[{','.join(map(_quote, value[1:-1].split(',')))}]")
+        forms.insert(1, f"[{','.join(map(_quote_value, value[1:-1].split(',')))}]")
     for form in forms if equals and not option.startswith(("-", "~")) else ():
         with suppress(HydraException):
             OverridesParser.create().parse_override(f"{name}={form}")
@@ -141,10 +141,12 @@ def _refuse_cut_path(name: str, value: str) -> None:
             raise BadInput(f"{name}={value}: {path} holds a comma: put the path in quotes, as in '{name}={wanted}'")
 
 
-def _compose(options: Sequence[str], values: Mapping[str, Any]) -> DictConfig:
+def _compose_config(options: Sequence[str], values: Mapping[str, Any]) -> DictConfig:
     """Return Hydra's composition of conf/run.yaml and these options; raises BadInput and Hydra's errors."""
-    _require_known(options, values)
-    folders = [_quote(f"file://{folder}") for name, folder in entries.find_conf_folders().items() if name != "vprbench"]
+    _require_known_options(options, values)
+    folders = [
+        _quote_value(f"file://{folder}") for name, folder in entries.find_conf_folders().items() if name != "vprbench"
+    ]
     kept, GlobalHydra.instance().hydra = GlobalHydra.instance().hydra, None  # a program may use Hydra itself
     try:
         with hydra.initialize_config_module(_CONF, version_base="1.3"):
@@ -156,20 +158,20 @@ def _compose(options: Sequence[str], values: Mapping[str, Any]) -> DictConfig:
     return config
 
 
-def _require_known(options: Sequence[str], values: Iterable[str]) -> None:
+def _require_known_options(options: Sequence[str], values: Iterable[str]) -> None:
     """Raise BadInput, with near names, for an option that neither a run nor its method, dataset or timing has.
 
     The declarations in the yaml of a method or dataset, as `tuned_on`, are no options.
     """
     known: dict[str, list[str]] = {}  # options by group
     for group in _GROUPS:
-        choices, name = entries.find_entries(group), _choose(group, options)
+        choices, name = entries.find_entries(group), _choose_name(group, options)
         if name in choices:
             known[group] = choices[name].options  # raises BadInput, with the line, for a yaml that cannot be read
         elif "," not in name:
             raise BadInput(f"{group}={name} is unknown: {suggest_names(name, choices)}")
     for option in (*options, *values):
-        name = _name_option(option)
+        name = _get_option_name(option)
         above, _, inner = name.partition(".")
         if above not in OPTIONS:
             raise BadInput(f"option {name} is unknown: {suggest_names(above, OPTIONS)}")
@@ -177,16 +179,16 @@ def _require_known(options: Sequence[str], values: Iterable[str]) -> None:
         is_new = option.startswith("+") and above != "timing" and argument not in entries.DECLARED
         if inner and argument not in known.get(above, [argument]) and not is_new:
             raise BadInput(
-                f"option {name} is unknown to {_choose(above, options)}: {suggest_names(argument, known[above])}"
+                f"option {name} is unknown to {_choose_name(above, options)}: {suggest_names(argument, known[above])}"
             )
 
 
-def _find_changed(options: Sequence[str], values: Iterable[str], given: DictConfig) -> dict[str, Any]:
+def _find_changed_arguments(options: Sequence[str], values: Iterable[str], given: DictConfig) -> dict[str, Any]:
     """Return the arguments of the method that options set to other values than its yaml does, but seed and device."""
-    names = {name for name in map(_name_option, (*options, *values)) if name.startswith("method.")}
+    names = {name for name in map(_get_option_name, (*options, *values)) if name.startswith("method.")}
     if not names:
         return {}
-    own = _compose([option for option in options if _name_option(option) not in names], {})
+    own = _compose_config([option for option in options if _get_option_name(option) not in names], {})
     changed = OmegaConf.create()
     for name in sorted(names.difference(_SET_BY_RUN)):
         value = OmegaConf.select(given, name)
@@ -195,15 +197,15 @@ def _find_changed(options: Sequence[str], values: Iterable[str], given: DictConf
     return cast(dict[str, dict[str, Any]], OmegaConf.to_container(changed, resolve=True)).get("method", {})
 
 
-def _name_option(option: str) -> str:
+def _get_option_name(option: str) -> str:
     return option.partition("=")[0].lstrip("+")
 
 
-def _choose(group: str, options: Sequence[str]) -> str:
+def _choose_name(group: str, options: Sequence[str]) -> str:
     """Return the name of the method, dataset or timing that options choose, the last one if there are several."""
     given = [option.partition("=")[2].strip("'\"") for option in options if option.startswith(f"{group}=")]
     return given[-1] if given else entries.find_default(cast(Folder, group))
 
 
-def _quote(value: str) -> str:
+def _quote_value(value: str) -> str:
     return "'" + value.replace("\\", "\\\\").replace("'", "\\'") + "'"

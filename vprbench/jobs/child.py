@@ -78,7 +78,7 @@ def run_in_child(
             variables = {**os.environ, **(environment or {}), **({} if is_shown else {QUIET: "1"})}
             child = start_server().Process(target=make_job, args=(request_json, place, variables), daemon=True)
             child.start()
-        code = _follow(child, place / _STDERR, note, request.limit_minutes, stopped)
+        code = _follow_process(child, place / _STDERR, note, request.limit_minutes, stopped)
         if (place / _RESULT).exists():
             content = json.loads((place / _RESULT).read_bytes())
             failure = content.pop("failure")
@@ -143,7 +143,7 @@ def start_server() -> ForkServerContext:
     return context
 
 
-def _follow(
+def _follow_process(
     child: ForkServerProcess,
     stderr: Path,
     note: Callable[[str], None],

@@ -42,7 +42,7 @@ def check_method(config: Mapping[str, Any], given: Set[str] = frozenset()) -> It
         BadInput: a file is missing that the method needs.
     """
     if config.get("tuned_on") is not None:
-        yield _apply(TUNED_RULE, partial(_check_tuned_on, config["tuned_on"]))
+        yield _apply_rule(TUNED_RULE, partial(_check_tuned_on, config["tuned_on"]))
     method = make_method(config)
     method.files()
     own = {name: value for name, value in method.conformance_arguments.items() if name not in given}
@@ -53,7 +53,7 @@ def check_method(config: Mapping[str, Any], given: Set[str] = frozenset()) -> It
         if name in exceptions:
             yield Result(name, "excepted", exceptions.pop(name))
             continue
-        result = _apply(name, partial(rule.check, subject), partial(rule.excuse, subject))
+        result = _apply_rule(name, partial(rule.check, subject), partial(rule.excuse, subject))
         yield result
         if name == ENCODE_RULE and result.state == "broken":
             return
@@ -68,7 +68,7 @@ def check_dataset(config: Mapping[str, Any]) -> Iterator[Result]:
     """
     built = BuiltDataset(make_dataset(config), partial(make_dataset, config))
     for rule, test in DATASET_RULES.items():
-        yield _apply(rule, partial(test, built))
+        yield _apply_rule(rule, partial(test, built))
 
 
 def _check_tuned_on(tuned_on: Any) -> None:
@@ -80,7 +80,7 @@ def _check_tuned_on(tuned_on: Any) -> None:
         require(numbered, f"places of {name}: {places} came, wanted their numbers, as in 0-99,200-299")
 
 
-def _apply(rule: str, test: Callable[[], None], excuse: Callable[[], str] = str) -> Result:
+def _apply_rule(rule: str, test: Callable[[], None], excuse: Callable[[], str] = str) -> Result:
     """Return the outcome of a rule; any error of a plug-in breaks that rule alone."""
     try:
         if reason := excuse():

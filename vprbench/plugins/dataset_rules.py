@@ -37,7 +37,7 @@ def _check_again(built: BuiltDataset) -> None:
         require(one == other, f"{name} is {one}, and {other} when it is made again")
     for part, images in built.parts.items():
         others: Images = getattr(second, part)
-        sample = np.array(_sample(images))
+        sample = np.array(_sample_numbers(images))
         same = images.names == others.names and images[sample].fingerprint() == others[sample].fingerprint()
         require(same, f"{part} are others when it is made again: draw from a seed, and sort the names in a folder")
     truth = zip((first.places, *first.positives), (second.places, *second.positives), strict=True)
@@ -55,7 +55,7 @@ def _check_positives(built: BuiltDataset) -> None:
 
 def _check_images(built: BuiltDataset) -> None:
     for part, images in built.parts.items():
-        for i in _sample(images):
+        for i in _sample_numbers(images):
             image: Any = images[i]
             right = isinstance(image, np.ndarray) and image.dtype == np.uint8 and image.size > 0
             right = right and image.ndim == 3 and image.shape[2] == 3
@@ -65,7 +65,7 @@ def _check_images(built: BuiltDataset) -> None:
 
 def _check_reading(built: BuiltDataset) -> None:
     for part, images in built.parts.items():
-        sample = _sample(images)
+        sample = _sample_numbers(images)
         for i, in_a_row in zip(sample, images[np.array(sample)], strict=True):  # threads read the row ahead
             first = np.array(images[i], copy=True)
             same = np.array_equal(first, images[i]) and np.array_equal(first, in_a_row)
@@ -87,13 +87,13 @@ def _check_held_out(built: BuiltDataset) -> None:
         return
     held_out, queries = built.dataset.held_out.queries, built.dataset.queries
     numbers = {name: i for i, name in enumerate(queries.names)}
-    for i in _sample(held_out):
+    for i in _sample_numbers(held_out):
         name = held_out.names[i]
         same = name in numbers and np.array_equal(held_out[i], queries[numbers[name]])
         require(not same, f"the held-out query {name} is one of the queries: leave it out there")
 
 
-def _sample(images: Images) -> list[int]:
+def _sample_numbers(images: Images) -> list[int]:
     """Return the numbers of some images, spread over all."""
     return sorted({round(i) for i in np.linspace(0, len(images) - 1, _N_SAMPLES).tolist()})
 

@@ -73,11 +73,11 @@ class Entry:
         if self.config is not None:
             return dict(self.config)
         below = {name: value for base in self.bases() for name, value in base.values().items()}
-        return {**below, **{name: value for name, value in self._read().items() if name != "defaults"}}
+        return {**below, **{name: value for name, value in self._read_own_values().items() if name != "defaults"}}
 
     def bases(self) -> list[Entry]:
         """Return the yamls that this one builds on: `/shared/index@_here_`, or a name in the folder of this yaml."""
-        given = self._read().get("defaults") or ()
+        given = self._read_own_values().get("defaults") or ()
         names = [name for name in given if isinstance(name, str) and name not in ("_self_", self.name)]
         above = self.path.parent.name
         paths = [name[1:].partition("@")[0] if name.startswith("/") else f"{above}/{name}" for name in names]
@@ -86,7 +86,7 @@ class Entry:
         ]
         return [Entry(self.group, path.stem, path, package) for package, path in found if path.is_file()]
 
-    def _read(self) -> dict[str, Any]:
+    def _read_own_values(self) -> dict[str, Any]:
         if self.rivals:
             packages = " and from ".join((self.provider, *self.rivals))
             raise BadInput(f"{self.group}={self.name} comes from {packages}: rename it in one of them")

@@ -32,7 +32,7 @@ def take_arguments(config: Mapping[str, Any]) -> dict[str, Any]:
 
 def make_method(config: Mapping[str, Any]) -> Method:
     """Build a method from its configuration; raises BadInput for arguments that do not fit."""
-    method = _build("method", config)
+    method = _build_plugin("method", config)
     if not isinstance(method, Method):
         raise BadInput(f"{config['_target_']} made a {type(method).__name__}; a method has to subclass Method")
     return method
@@ -45,7 +45,7 @@ def make_dataset(config: Mapping[str, Any]) -> Dataset:
     """
     shared = check_value("dataset.shared_frames", config.get("shared_frames", "error"), SharedFrames)
     try:
-        dataset = _build("dataset", {name: value for name, value in config.items() if name != "shared_frames"})
+        dataset = _build_plugin("dataset", {name: value for name, value in config.items() if name != "shared_frames"})
     except OSError as error:  # as for a path that no disk takes
         raise BadInput(f"dataset {config.get('name', '')} cannot be read ({error}): correct the path") from error
     if not isinstance(dataset, Dataset):
@@ -118,7 +118,7 @@ def locate_error(error: BaseException) -> str:
     return _format_place(*own[-1]) if own else ""
 
 
-def _build(group: Group, config: Mapping[str, Any]) -> Any:
+def _build_plugin(group: Group, config: Mapping[str, Any]) -> Any:
     target, given = check_arguments(group, config)
     try:
         return target(**given)

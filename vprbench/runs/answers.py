@@ -67,7 +67,7 @@ class QueryScoring:
         if described is not None:
             kept, _ = described.descriptors(
                 self._queries,
-                lambda block: np.asarray(self._encode(block)),
+                lambda block: np.asarray(self._encode_block(block)),
                 lambda done: progress.report("query", done / n_queries),
             )
         if not self._scorer.adaptation.is_causal:
@@ -80,7 +80,7 @@ class QueryScoring:
             with self._stopwatch.lap() as lap:
                 answer = self._scorer.match(codes)
             self.method_seconds += lap[0]
-            self._keep(len(codes), answer)
+            self._keep_answer(len(codes), answer)
             progress.report("query" if kept is None else "search", self._done / n_queries)
 
     def _iterate_codes(self, kept: Any) -> Iterator[npt.NDArray[Any]]:
@@ -89,16 +89,16 @@ class QueryScoring:
             yield from (kept[start : start + self._size] for start in range(0, len(self._queries), self._size))
             return
         for block in self._queries.blocks(self._size):
-            yield self._encode(block)
+            yield self._encode_block(block)
             del block  # or it would be held while the next one is decoded
 
-    def _encode(self, block: Images) -> npt.NDArray[Any]:
+    def _encode_block(self, block: Images) -> npt.NDArray[Any]:
         with self._stopwatch.lap() as lap:
             codes = require_codes(self._scorer.encode(block), len(block))
         self.method_seconds += lap[0]
         return codes
 
-    def _keep(self, n_queries: int, answer: Answer) -> None:
+    def _keep_answer(self, n_queries: int, answer: Answer) -> None:
         """Keep the outcome, the best places and, of a small map, the scores of the next queries."""
         right = self._positives[self._done : self._done + n_queries]
         if isinstance(answer, Nearest):

@@ -131,11 +131,11 @@ def _count_operations(method: Method, singles: Sequence[Images], synops: tuple[f
     """Return the operations of a query and the joules that they would take."""
     encodes, matches = list[Arithmetic](), list[Arithmetic]()
     for single in singles:
-        codes, arithmetic = _count_call(partial(method.encode, single))
+        codes, arithmetic = _count_call_operations(partial(method.encode, single))
         encodes += arithmetic
         if method.reference_mean is not None:
             codes = method.centre(codes, method.reference_mean)
-        matches += _count_call(partial(method.match, codes))[1]
+        matches += _count_call_operations(partial(method.match, codes))[1]
     encode, match = (sum(one.operations for one in stage) / len(singles) for stage in (encodes, matches))
     if not encode or not match:
         unknown = f"{'match' if encode else 'encode'}: no formula, and no product of PyTorch"
@@ -150,7 +150,7 @@ def _count_operations(method: Method, singles: Sequence[Images], synops: tuple[f
     return [counted, (joules, f"{stages} in 45 nm, without memory")]
 
 
-def _count_call(work: Callable[[], Any]) -> tuple[Any, Sequence[Arithmetic]]:
+def _count_call_operations(work: Callable[[], Any]) -> tuple[Any, Sequence[Arithmetic]]:
     """Return the result of `work` and its arithmetic: by the method's formulas, or PyTorch's count if that is more."""
     from torch.utils.flop_counter import FlopCounterMode
 

@@ -112,13 +112,17 @@ def _hash_with_imports(name: str, file: Path) -> str:
         module = waiting.pop()
         package = module if found[module].name == "__init__.py" else module.rpartition(".")[0]
         for imported in _list_imports(package, found[module].read_bytes()):
-            if imported not in found and _is_own(imported, name, file) and (path := _find_file(imported)) is not None:
+            if (
+                imported not in found
+                and _is_own_module(imported, name, file)
+                and (path := _find_source_file(imported)) is not None
+            ):
                 found[imported] = path
                 waiting.append(imported)
     return hash_files(found.values())
 
 
-def _is_own(module: str, method: str, file: Path) -> bool:
+def _is_own_module(module: str, method: str, file: Path) -> bool:
     """Tell whether a module is of the package of a method's module, or lies beside a method that has no package."""
     top, package = module.partition(".")[0], method.partition(".")[0]
     if top == "vprbench":  # a method of this project; the version of the harness stands for all else in it
@@ -140,10 +144,10 @@ def _list_imports(package: str, code: bytes) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _find_file(module: str) -> Path | None:
+def _find_source_file(module: str) -> Path | None:
     """Return the source file of a module; None for a name that is no module or has no source."""
     above = module.rpartition(".")[0]
-    if above and (path := _find_file(above)) is not None and path.name != "__init__.py":
+    if above and (path := _find_source_file(above)) is not None and path.name != "__init__.py":
         return None  # a name in a module, which find_spec would import
     try:
         spec = importlib.util.find_spec(module)

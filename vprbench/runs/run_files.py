@@ -44,8 +44,8 @@ def write(run: Run, folder: Path) -> None:
     _build_run(json.loads(text), arrays)
     partial = folder / "arrays"
     write_arrays(partial, arrays)
-    sha256 = _digest(partial)
-    partial.rename(_arrays_file(folder, sha256))
+    sha256 = _hash_file(partial)
+    partial.rename(_get_arrays_path(folder, sha256))
     content = {"schema": SCHEMA, "sha256": sha256, **json.loads(text)}
     (folder / SUMMARY).write_text(json.dumps(content, indent=1), encoding="utf-8")
 
@@ -59,8 +59,8 @@ def load(folder: Path) -> Run:
         summary: dict[str, Any] = json.loads((folder / SUMMARY).read_bytes())
         if (layout := int(summary.pop("schema"))) != SCHEMA:
             raise OtherLayoutError(f"its layout is version {layout}, this program reads {SCHEMA}: run it again")
-        path = _arrays_file(folder, sha256 := summary.pop("sha256"))
-        if _digest(path) != sha256:
+        path = _get_arrays_path(folder, sha256 := summary.pop("sha256"))
+        if _hash_file(path) != sha256:
             raise ValueError(f"{path.name} is not what was written")
         return _build_run(summary, map_arrays(path))
     except OtherLayoutError:
@@ -77,7 +77,7 @@ def write_failure(failure: Failure, folder: Path) -> None:
 def read_failure(path: Path) -> Failure | None:
     """Read the file of a failure; None, with a warning, if it is damaged."""
     try:
-        failure: Failure = _validate(_FAILURE, json.loads(path.read_bytes()), {})
+        failure: Failure = _validate_content(_FAILURE, json.loads(path.read_bytes()), {})
         return failure
     except Exception as error:  # a damaged file may upset its reader in any way
         logger.warning("%s cannot be used (%s)", path, error)
@@ -106,11 +106,11 @@ def _build_run(summary: dict[str, Any], arrays: Arrays) -> Run:
         part[last] = array
     n_places, n_queries = summary["outcome"]["n_places"], len(summary["outcome"]["best_score"])
     lengths = {"places": n_places, "queries": n_queries, "last place": n_places - 1, "last query": n_queries - 1}
-    run: Run = _validate(_RUN, summary, lengths)
+    run: Run = _validate_content(_RUN, summary, lengths)
     return run
 
 
-def _validate(adapter: TypeAdapter[Any], content: Any, lengths: dict[str, int]) -> Any:
+def _validate_content(adapter: TypeAdapter[Any], content: Any, lengths: dict[str, int]) -> Any:
     try:
         return adapter.validate_python(content, context=lengths)
     except ValidationError as error:
@@ -119,10 +119,10 @@ def _validate(adapter: TypeAdapter[Any], content: Any, lengths: dict[str, int]) 
         raise ValueError(f"{where} is {value[:60]}: {first['msg']}") from None
 
 
-def _arrays_file(folder: Path, sha256: str) -> Path:
+def _get_arrays_path(folder: Path, sha256: str) -> Path:
     return folder / f"arrays-{sha256[:16]}.safetensors"
 
 
-def _digest(path: Path) -> str:
+def _hash_file(path: Path) -> str:
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

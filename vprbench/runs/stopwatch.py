@@ -106,26 +106,28 @@ class Stopwatch:
         A pass takes 4 s at most, unless the minimum of queries takes more: the sample of a slow method is smaller.
         `first_query_seconds` are the seconds of its first query, which was measured before.
         """
-        chosen = _spread(len(images), self._protocol.sample)
-        chosen = chosen[_spread(len(chosen), len(chosen) * _SAMPLE_BYTES // max(1, images[chosen].decoded_bytes()))]
+        chosen = _spread_numbers(len(images), self._protocol.sample)
+        chosen = chosen[
+            _spread_numbers(len(chosen), len(chosen) * _SAMPLE_BYTES // max(1, images[chosen].decoded_bytes()))
+        ]
         sample = images[chosen].in_memory()
         with _pause_garbage_collection():
             progress.report("timing", 0.0)
             warmup = self._warm_up(scorer, sample)
             usual = float(np.median(warmup[-_STEADY_QUERIES:])) if warmup else 0.0
             if usual:
-                some = _spread(len(sample), max(self._protocol.minimum_queries, int(_LONG_PASS / usual)))
+                some = _spread_numbers(len(sample), max(self._protocol.minimum_queries, int(_LONG_PASS / usual)))
                 chosen, sample = chosen[some], sample[some]
             singles = [sample[i : i + 1] for i in range(len(sample))]
-            streaming, answers = self._time(scorer, singles)
+            streaming, answers = self._time_calls(scorer, singles)
             offline = self._time_batches(scorer, sample, streaming)
         return Timing(first_query_seconds, len(warmup), streaming, offline, chosen, answers)
 
-    def _now(self) -> float:
+    def _read_clock(self) -> float:
         """Return the clock in seconds."""
         return self._clock() / 1e9
 
-    def _call(self, scorer: QueryScorer, images: Images) -> tuple[float, float, Answer]:
+    def _time_call(self, scorer: QueryScorer, images: Images) -> tuple[float, float, Answer]:
         """Return the seconds of encode and match, and the scores or the best places."""
         self._synchronise()
         start = self._clock()
@@ -141,7 +143,7 @@ class Stopwatch:
         laps: list[float] = []
         while len(laps) < self._protocol.warmup_queries and sum(laps) <= self._protocol.maximum_seconds:
             number = len(laps) % len(sample)
-            encode, match, _ = self._call(scorer, sample[number : number + 1])
+            encode, match, _ = self._time_call(scorer, sample[number : number + 1])
             laps.append(encode + match)
             last = laps[-_STEADY_QUERIES:]
             if len(last) == _STEADY_QUERIES and max(last) - min(last) <= _STEADY_SPREAD * max(last):
@@ -164,12 +166,12 @@ class Stopwatch:
                 offline.append(streaming)
             elif call <= min(_LONG_BATCH, self._protocol.maximum_seconds):
                 batches = [sample[start : start + size] for start in range(0, len(sample) - size + 1, size)]
-                self._call(scorer, batches[0])
-                last, _ = self._time(scorer, batches)
+                self._time_call(scorer, batches[0])
+                last, _ = self._time_calls(scorer, batches)
                 offline.append(last)
         return tuple(offline) or (streaming,)
 
-    def _time(self, scorer: QueryScorer, calls: Sequence[Images]) -> tuple[Laps, npt.NDArray[np.int64]]:
+    def _time_calls(self, scorer: QueryScorer, calls: Sequence[Images]) -> tuple[Laps, npt.NDArray[np.int64]]:
         """Return the laps of `calls`, shuffled in each pass, and the best place of each one's first query.
 
         Laps end after a pass by which all minima are met, and after `maximum_seconds`.
@@ -177,13 +179,13 @@ class Stopwatch:
         protocol, size = self._protocol, len(calls[0])
         minimum = max(protocol.minimum_queries, protocol.minimum_passes * len(calls) * size)
         laps, answers = list[tuple[float, float]](), np.full(len(calls), -1)
-        is_enough, is_late, started = False, False, self._now()
+        is_enough, is_late, started = False, False, self._read_clock()
         while not (is_enough or is_late):
             for number in self._generator.permutation(len(calls)).tolist():
-                encode, match, answer = self._call(scorer, calls[number])
+                encode, match, answer = self._time_call(scorer, calls[number])
                 laps.append((encode, match))
                 answers[number] = find_best_place(answer)
-                now = self._now()
+                now = self._read_clock()
                 if is_late := now - started > protocol.maximum_seconds:
                     break
             is_enough = now - started >= protocol.minimum_seconds and len(laps) * size >= minimum
@@ -191,7 +193,7 @@ class Stopwatch:
         return Laps(encodes, matches, size, is_enough), answers
 
 
-def _spread(n: int, wanted: int) -> npt.NDArray[np.int64]:
+def _spread_numbers(n: int, wanted: int) -> npt.NDArray[np.int64]:
     """Return the numbers of `wanted` of `n` images, spread over all: at least one, and no more than there are."""
     return np.linspace(0, n - 1, max(1, min(n, wanted))).astype(np.int64)
 

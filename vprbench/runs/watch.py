@@ -20,9 +20,9 @@ class MachineWatch:
         self._lock, self._was_alone = lock, lock.is_only_run()
         self._environment = machine.describe_machine(device, threads)
         machine.reset_peak_memory()
-        self._begin()
+        self._begin_watching()
 
-    def _begin(self) -> None:
+    def _begin_watching(self) -> None:
         """Look at the load from now on."""
         self._canary_seconds = machine.time_canary()
         self._began, self._pressure = time.perf_counter(), machine.read_cpu_wait_seconds()
@@ -38,7 +38,7 @@ class MachineWatch:
             progress.report("waiting to be timed", 0.0)
         with self._lock.hold_alone():
             self._environment |= {"timed_alone": True}
-            self._begin()
+            self._begin_watching()
             yield
 
     def record(self) -> dict[str, Any]:

@@ -59,9 +59,9 @@ def unpack(
     try:
         destination.mkdir(parents=True, exist_ok=True)
         with TemporaryDirectory(prefix=UNFINISHED, dir=destination, ignore_cleanup_errors=True) as folder:
-            n_files = _fill(Path(folder), archive, wanted)
+            n_files = _unpack_members(Path(folder), archive, wanted)
             approve(Path(folder))
-            _move(Path(folder), destination)
+            _move_entries(Path(folder), destination)
             return n_files
     except BadInput as error:
         raise type(error)(f"{archive} {error}; nothing was unpacked") from error
@@ -73,7 +73,7 @@ def unpack(
         raise DamagedArchive(f"{archive} is damaged, or no archive ({reason}): download it anew") from error
 
 
-def _fill(folder: Path, archive: Path, wanted: Wanted) -> int:
+def _unpack_members(folder: Path, archive: Path, wanted: Wanted) -> int:
     """Unpack the wanted files into an empty folder; returns how many files."""
     if wanted.plain:
         members: Iterable[_Member] = [(archive.name, archive.stat().st_size, True, lambda: archive.open("rb"))]
@@ -130,7 +130,7 @@ def _choose_place(name: PurePosixPath, wanted: Wanted) -> Path | None:
     return None if is_hidden or not kept or not fnmatchcase(str(name), wanted.only) else Path(wanted.into, *kept)
 
 
-def _move(folder: Path, destination: Path) -> None:
+def _move_entries(folder: Path, destination: Path) -> None:
     """Rename every entry of a folder to its place in the destination, where nothing but empty folders may be."""
     targets = {entry: destination / entry.name for entry in folder.iterdir()}
     for target in targets.values():
