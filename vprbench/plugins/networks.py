@@ -182,7 +182,7 @@ def _list_differences(stored: Origin, wanted: Origin, method: Method) -> list[st
 def _read_network(path: Path) -> tuple[Origin, Arrays]:
     """Return origin and arrays; raises BadInput for a file that is damaged or that this version did not store."""
     try:
-        content = nir_files.read_content(path) if path.suffix == nir_files.SUFFIX else path.read_bytes()
+        content = nir_files.read_stored_network(path) if path.suffix == nir_files.SUFFIX else path.read_bytes()
         state = load(content)
         header = json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")])
         return Origin.model_validate_json(header.get("__metadata__", {}).get(_METADATA, "{}")), state

@@ -54,7 +54,7 @@ def format_network(method: Method, references: Images, content: bytes) -> bytes:
     return buffer.getvalue()
 
 
-def read_content(path: Path) -> bytes:
+def read_stored_network(path: Path) -> bytes:
     """Return the `content` of a file that `format_network` made; raises what h5py raises of any other file."""
     _require_nir(path)
     import h5py
