@@ -12,11 +12,11 @@ import numpy as np
 
 from vprbench.api import BadInput, Dataset, Images, MissingData, Recording, event_frames
 
-from .folders import by_index
+from .folders import match_indices
 from .readers.event_files import events_in
 from .readers.file_dataset import GroundTruth, Unmatched, dataset_of_files, unknown
-from .readers.positions import Metres, by_radius
-from .readers.tracks import Track, track_of
+from .readers.positions import Metres, match_metres
+from .readers.tracks import Track, read_track
 
 
 def event_folders(
@@ -52,11 +52,11 @@ def event_folders(
         if not file.is_file():
             raise MissingData(f"{file} is no file: dataset.references and dataset.queries name a recording each")
     counting = Counting(window_ms, events_per_frame, hot_factor, height, width)
-    drives = [counting.read_drive(file, track_of(file) if ground_truth == "gps" else None) for file in files]
+    drives = [counting.read_drive(file, read_track(file) if ground_truth == "gps" else None) for file in files]
     *mapped, queried = drives
     chosen: dict[str, Any] = {"ground_truth": ground_truth}
     if ground_truth == "gps":
-        truth = by_radius(np.concatenate([drive.at for drive in mapped]), queried.at, radius_metres)
+        truth = match_metres(np.concatenate([drive.at for drive in mapped]), queried.at, radius_metres)
         chosen["radius_metres"] = radius_metres
     elif ground_truth == "none":
         truth = unknown(sum(len(drive.images) for drive in mapped), len(queried.images))
@@ -133,7 +133,7 @@ class Counting:
 def _by_number(shown: Sequence[Images], names: list[str], tolerance: int) -> GroundTruth:
     """Return the ground truth of frames that show the same place under the same number; a note where counts differ."""
     n_places, n_queries = len(shown[0]), len(shown[-1])
-    truth = by_index(shown[:-1], names, n_queries, tolerance)
+    truth = match_indices(shown[:-1], names, n_queries, tolerance)
     if n_queries == n_places:
         return truth
     note = (

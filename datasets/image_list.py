@@ -17,8 +17,8 @@ from .readers.csv_tables import read_csv
 from .readers.drives import Breaks
 from .readers.file_dataset import GroundTruth, Unmatched, dataset_of_files, unknown
 from .readers.image_files import find_listed
-from .readers.positions import MOST_METRES, Positions, WithoutPosition, by_positions
-from .readers.traverses import right_places
+from .readers.positions import MOST_METRES, Positions, WithoutPosition, match_positions
+from .readers.traverses import match_numbers
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -85,7 +85,7 @@ def image_list(
         chosen = {"tolerance_places": tolerance}
     else:
         *known, sought = (table.positions(kind, without_position) for table in tables)
-        truth = by_positions(known, sought, radius_metres, without_position)
+        truth = match_positions(known, sought, radius_metres, without_position)
         chosen = {"radius_metres": radius_metres}
     return dataset_of_files(
         name,
@@ -186,7 +186,7 @@ def _by_place(references: list[Label], queries: list[Label], tolerance: int) -> 
     nowhere = first - max(at.values()) - 1  # further from every place than the tolerance can reach
     journey, places = np.unique([at[label] for label in references], return_inverse=True)
     sought = np.array([at[label] - first if label in at else nowhere for label in queries])
-    positives = right_places(sought, journey - first, tolerance)
+    positives = match_numbers(sought, journey - first, tolerance)
     numbers = journey if are_numbers and not np.array_equal(journey, np.arange(len(journey))) else None
     return GroundTruth(places, positives, "a place that no reference shows", place_numbers=numbers)
 

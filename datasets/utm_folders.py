@@ -7,13 +7,13 @@ from typing import Any, Literal
 
 from vprbench.api import BadInput, Dataset, Exif, MissingData, Paths
 
-from .readers.csv_tables import encoding_of
+from .readers.csv_tables import find_encoding
 from .readers.drives import Breaks
 from .readers.file_dataset import Unmatched, dataset_of_files, unknown
-from .readers.frame_folders import folders_in, root_folder
+from .readers.frame_folders import find_root, list_folders
 from .readers.image_files import find_listed, images_in
 from .readers.positions import WithoutPosition
-from .readers.utm_names import Zones, by_names
+from .readers.utm_names import Zones, match_names
 
 _LAYOUT = (
     "github.com/gmberton/VPR-datasets-downloader makes such folders and says for which you have to register or to ask "
@@ -50,7 +50,7 @@ def utm_folders(
     is missing, BadInput for names without a position and for a list that is no text.
     """
     layout = f"{_LAYOUT} so that <root>/images/{split} holds {database}/ and {queries}/"
-    top = root_folder(name, root, f"{database}/ and {queries}/", layout)
+    top = find_root(name, root, f"{database}/ and {queries}/", layout)
     found, holding = _find_split(top, split, (database, queries), layout)
     folders = holding / database, holding / queries
     lists = [beside.name for folder in folders if (beside := _list_beside(folder)).is_file()]
@@ -59,7 +59,7 @@ def utm_folders(
     if lists:
         protocol["lists"] = lists
     if ground_truth == "utm":
-        truth = by_names(map_files, query_files, radius_metres, zones, without_position)
+        truth = match_names(map_files, query_files, radius_metres, zones, without_position)
         protocol |= {"radius_metres": radius_metres, "zones": zones}
     else:
         truth = unknown(len(map_files), len(query_files))
@@ -70,7 +70,7 @@ def utm_folders(
 
 def _find_split(top: Path, split: str, wanted: tuple[str, str], layout: str) -> tuple[str | None, Path]:
     """Return the split, None if the root is not divided, and the folder that holds both wanted folders."""
-    for outer in ([top], folders_in(top)):  # the only folder of the root comes after the root, as a zip is unpacked
+    for outer in ([top], list_folders(top)):  # the only folder of the root comes after the root, as a zip is unpacked
         for found, way in ((split, Path("images", split)), (split, Path(split)), (None, Path())):
             holding = [each / way for each in outer if all((each / way / part).is_dir() for part in wanted)]
             if len(holding) == 1:
@@ -87,7 +87,7 @@ def _images(folder: Path, layout: str) -> Paths:
     if not beside.is_file():
         return images_in(folder, "dataset.root", layout, order="plain")
     try:
-        named = [line for line in beside.read_text(encoding=encoding_of(beside)).splitlines() if line.strip()]
+        named = [line for line in beside.read_text(encoding=find_encoding(beside)).splitlines() if line.strip()]
     except UnicodeError as error:
         raise BadInput(f"{beside} is no text in UTF-8 ({error}): save it as such, or delete it") from error
     if not named:

@@ -8,8 +8,8 @@ from typing import Any, Literal
 from vprbench.api import BadInput, Dataset, Exif, MissingData
 
 from .readers.csv_tables import read_csv
-from .readers.file_dataset import Unmatched, dataset_of_files, each_a_place, unknown
-from .readers.frame_folders import find_folder, root_folder
+from .readers.file_dataset import Unmatched, dataset_of_files, make_ground_truth, unknown
+from .readers.frame_folders import find_folder, find_root
 from .readers.image_files import images_in
 from .readers.name_order import Numbers, by_numbers
 from .readers.pickled_lists import read_lists
@@ -49,7 +49,7 @@ def vpr_bench(
     files are decoded (`decoding_of`). Raises MissingData for what is missing, BadInput for a ground truth that does not
     fit.
     """
-    top = root_folder(name, root, "query/ and ref/", _LAYOUT, default_root=default_root, parts=("query", "ref"))
+    top = find_root(name, root, "query/ and ref/", _LAYOUT, default_root=default_root, parts=("query", "ref"))
     folders = (find_folder(top, part) for part in ("query", "ref"))
     found = [images_in(folder, "dataset.root", _LAYOUT, deep=False) for folder in folders]
     (query_files, map_files), read, notes = by_numbers(found, numbers)
@@ -59,7 +59,7 @@ def vpr_bench(
         stored = _find_ground_truth(top, ground_truth)
         rows = _read_csv_rows(stored) if stored.suffix.lower() == ".csv" else _read_pickled_rows(stored)
         by_query, corrected = require_range(stored.name, rows, len(query_files), len(map_files), out_of_range)
-        truth = each_a_place(len(map_files), by_query, f"no right reference in {stored.name}")
+        truth = make_ground_truth(len(map_files), by_query, f"no right reference in {stored.name}")
         protocol |= {"ground_truth": stored.name, "out_of_range": out_of_range, "out_of_range_queries": len(corrected)}
         if corrected:
             count = f"{stored.name} names numbers without an image in {len(corrected)} of {len(rows)} rows"

@@ -393,7 +393,7 @@ GRID = "image;east;north\n0.jpg;0,5;-1,25\n1.jpg;60;0,0\n2.jpg;120,75;0\n"
 @pytest.mark.parametrize(
     ("references", "queries"),
     [
-        *((PLACES.encode(encoding), ASKED) for encoding in ("utf-16", "utf-16-le", "utf-16-be", "utf-8-sig")),
+        *((PLACES.encode(encoding), ASKED) for encoding in ("utf-16", "utf-8-sig")),
         (b"\xfe\xff" + PLACES.encode("utf-16-be"), ASKED.replace("\n", "\r\n")),
         (f"sep=,\n{PLACES}", ASKED),
         (f"sep=;\n{PLACES}".replace(",", ";"), ASKED.replace(",", "\t")),

@@ -83,8 +83,8 @@ def test_only_frames_that_some_method_needs_have_to_be_there(tiny_root, options,
 def test_missing_frames_are_counted_with_what_to_do(tiny_root, monkeypatch, frames, others, told):
     for frame in frames:
         (tiny_root / "fall" / f"images-{frame:05d}.png").unlink()
-    there, more = frame_folders.files_in, {f"{number}.png" for number in range(others)}
-    monkeypatch.setattr(frame_folders, "files_in", lambda folder: there(folder) | more)
+    there, more = frame_folders.list_files, {f"{number}.png" for number in range(others)}
+    monkeypatch.setattr(frame_folders, "list_files", lambda folder: there(folder) | more)
     if others < 0:
         (tiny_root / "fall").rmdir()
     elif not others:  # a folder under the name of a frame is no frame
@@ -139,7 +139,7 @@ def test_without_a_root_the_shared_download_is_taken_before_the_default_root(tin
     [
         ({"references": ["spring", "spring"]}, "dataset.references=['spring', 'spring']"),
         ({"query": "tea"}, "dataset.query=tea: Nordland has spring, summer, fall, winter"),
-        ({"places": 3450}, "dataset.places=3450: the list of 27592 names at stride 8 has 3449 places"),
+        ({"places": 3450}, "dataset.places=3450: the list of 27592 names at dataset.stride=8 has 3449 places"),
         ({"stride": 0}, "dataset.stride=0"),
         ({"frame_multiple": 0}, "dataset.frame_multiple=0"),
     ],
@@ -203,7 +203,7 @@ PUBLISHED = {
 def test_each_way_asks_the_frames_and_seasons_that_are_published(tmp_path, monkeypatch, name):
     for season in SEASON_LEVEL:
         (tmp_path / season).mkdir()
-    monkeypatch.setattr(frame_folders, "files_in", lambda _: {*FRAMES})  # that seem to be there: nothing is read
+    monkeypatch.setattr(frame_folders, "list_files", lambda _: {*FRAMES})  # that seem to be there: nothing is read
     config = make_request([f"dataset={name}"]).dataset
     dataset = registry.make_dataset({**config, "root": str(tmp_path)})
     references, query, mapped, queried, tolerance = PUBLISHED[name]

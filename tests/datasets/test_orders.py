@@ -183,7 +183,7 @@ def test_another_sub_folder_begins_another_drive_at_which_tolerance_and_sequence
         assert rights(dataset)[5:7] + rights(dataset)[10:12] == [[4, 5], [6, 7], [9, 10], [11, 12]]
         assert dataset.protocol["breaks"] == "folders"
     for dataset in made(options, tolerance=1, breaks="none"):
-        assert (dataset.query_breaks, dataset.place_breaks, rights(dataset)[5]) == (None, None, [4, 5, 6])
+        assert (len(dataset.query_breaks), len(dataset.place_breaks), rights(dataset)[5]) == (0, 0, [4, 5, 6])
         assert "breaks" not in dataset.protocol
 
 
@@ -235,7 +235,7 @@ def by_database():
 def test_a_journey_breaks_off_where_the_folder_changes_or_the_position_jumps(kind):
     reader, options, (places, queries, seen_by) = BROKEN[kind]()
     dataset = vprbench.dataset(reader, **options).build()
-    found = [[] if breaks is None else breaks.tolist() for breaks in (dataset.place_breaks, dataset.query_breaks)]
+    found = [breaks.tolist() for breaks in (dataset.place_breaks, dataset.query_breaks)]
     assert (*found, dataset.protocol.get("breaks")) == (places, queries, seen_by)
     said = [one.text for one in quick(dataset) if one.check == "drives"]
     assert len(said) == bool(places) + bool(queries)

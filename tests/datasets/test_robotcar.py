@@ -248,7 +248,7 @@ def test_the_queries_of_the_paper_are_places_90_to_449_and_it_is_told_what_is_od
     [
         ({}, "https://mrgdatashare.robots.ox.ac.uk/register/"),
         ({"query": "night"}, "dataset.query=night: Oxford RobotCar has sun, rain, dusk"),
-        ({"places": 483}, "dataset.places=483: the list of 3369 names at stride 7 has 482 places"),
+        ({"places": 483}, "dataset.places=483: the list of 3369 names at dataset.stride=7 has 482 places"),
     ],
 )
 def test_a_bad_option_is_named_in_one_line(arguments, message, tmp_path):
