@@ -17,8 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vprbench.api.arrays import Image
-from vprbench.api.decoding import Decoding, as_rgb, decoded_bytes, read_image
-from vprbench.api.heads import UPRIGHT, head_of
+from vprbench.api.decoding import UPRIGHT, Decoding, as_rgb, read_head, read_image
 from vprbench.errors import BadInput
 from vprbench.storage.cores import count_cores
 from vprbench.storage.hashes import FileHash, hash_each_file
@@ -174,7 +173,7 @@ class Images(Sequence[Image]):
     def decoded_bytes(self) -> int:
         """Return the bytes of all images once they are decoded: of files by their heads, of others by the first."""
         if self._files is not None:
-            return sum(map(decoded_bytes, self._files))
+            return sum(read_head(path).n_bytes for path in self._files)
         return len(self) * self[0].nbytes if len(self) else 0
 
     def blocks(self, size: int, n_bytes: int = _BLOCK_BYTES) -> Iterator[Images]:
@@ -232,7 +231,7 @@ class Images(Sequence[Image]):
         Looks at the head of every file.
         """
         files: Sequence[Path] = () if self._files is None else self._files
-        return np.flatnonzero([head_of(path).orientation != UPRIGHT for path in files])
+        return np.flatnonzero([read_head(path).orientation != UPRIGHT for path in files])
 
     def file_hashes(self) -> list[FileHash] | None:
         """Return the size and SHA-256 of the file behind each image; None if there are no files."""
