@@ -9,8 +9,8 @@ import pytest
 
 from vprbench.api import nearest, search, search_indexes
 from vprbench.api.binary import BinaryMap
-from vprbench.api.hamming import pack_bits
-from vprbench.api.search import Search, agreement
+from vprbench.api.nearest import pack_bits
+from vprbench.api.search import Search, compare_best
 from vprbench.errors import BadInput
 
 N_IMAGES, N_DIMENSIONS = 2000, 64
@@ -274,7 +274,7 @@ BEST_FIRST = np.linspace(1, 0, 20, dtype=np.float32)  # the best are 0 to 9
     ],
 )
 def test_what_an_index_agrees_on_are_the_places_as_good_as_the_exactly_best(scores, exact, shares):
-    found = agreement(np.array([scores], np.float32), np.array([exact], np.float32))
+    found = compare_best(np.array([scores], np.float32), np.array([exact], np.float32))
     assert found.tolist() == [pytest.approx(shares)]
 
 

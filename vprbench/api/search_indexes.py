@@ -10,15 +10,17 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.api.hamming import Words, compare_bits, pack_bits
 from vprbench.api.nearest import (
     CELLS,
     Compared,
     Numbers,
     Vectors,
+    Words,
+    compare_bits,
     find_best,
     import_faiss,
     inner_products,
+    pack_bits,
     parts,
     rows_together,
 )
