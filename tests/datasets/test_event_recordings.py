@@ -226,18 +226,6 @@ def test_a_brisbane_drive_is_placed_by_its_gps_log(tmp_path, kinds):
     assert dataset.protocol["references"] == ["dvs_vpr_2020-04-22-17-24-21.hdf5"]
 
 
-def test_an_own_gps_log_is_read_on_the_clock_of_1970(tmp_path):
-    begin = datetime(2026, 3, 4, 5, 6, 7, tzinfo=UTC)
-    for name in ("map", "drive"):
-        write_hdf5(tmp_path / f"{name}.h5", by_chance(4000, seconds=9.0), round(begin.timestamp() * 1e9))
-        (tmp_path / f"{name}.nmea").write_text(log(begin, 20, 10))
-    files = {"references": [str(tmp_path / "map.h5")], "queries": str(tmp_path / "drive.h5")}
-    dataset = event_folders(**files, **OPTIONS, ground_truth="gps", radius_metres=1.0)
-    assert rights(dataset) == [[place] for place in range(8)]
-    (tmp_path / "map.nmea").write_text(sentence("RMC", begin, 0.0, fix=False))
-    assert "map.nmea" in answer(event_folders, **files, **OPTIONS, ground_truth="gps")
-
-
 def test_a_qcr_drive_is_placed_by_the_points_that_it_passes(tmp_path):
     write_aedat2(tmp_path / "bags_2021-08-19-08-25-42_denoised.aedat", by_chance(20_000, 1, 170.0))  # normal1
     write_aedat2(tmp_path / "bags_2021-08-20-10-19-45_denoised.aedat", by_chance(20_000, 2, 70.0))  # fast2

@@ -480,14 +480,6 @@ def test_positions_in_degrees_are_right_within_the_radius(moved, metres):
     assert rights(listed(references, query, radius_metres=metres - 0.05, unmatched="keep")) == [[]]
 
 
-@pytest.mark.parametrize("way", ["images/val", "val", "."])
-def test_both_folders_are_found_in_each_of_the_three_layouts(way):
-    fill(Path(way) / "database", at((0, 0)))
-    fill(Path(way) / "queries", at((1, 1)))
-    dataset = utm_folders(root=".", split="val")
-    assert (rights(dataset), dataset.protocol["split"]) == ([[0]], None if way == "." else "val")
-
-
 def test_images_come_in_the_order_of_their_whole_paths_or_of_the_list_beside_their_folder(monkeypatch):
     fill(Path("me@7@8/gallery"), ["b/@1@0@.jpg", "a/@9@0@.jpg", "@5@0@.jpg", "a/@10@0@.jpg"])
     fill(Path("me@7@8/queries"), at((-900, 0), (3, 4), (30, 0)))
@@ -560,17 +552,3 @@ def test_the_matches_that_vpr_bench_stored_of_corridor_give_the_recalls_that_it_
             matched = answers[f"{technique}__match"]
             right = [best in right for best, right in zip(matched, corridor.positives, strict=True)]
             assert np.mean(right) == pytest.approx(recall, abs=1e-6)
-
-
-SOFT = np.array([[1, 1, 0, 0], [1, 1, 1, 0], [0, 1, 1, 0]], bool)
-
-
-def test_columns_of_a_matrix_are_queries_and_the_folders_of_the_tutorial_are_set():
-    fill(Path("dry"), ["image10.jpg", "image11.jpg", "image9.jpg"])
-    fill(Path("jan"), numbered(4))
-    np.savez("GT.npz", GThard=HARD, GTsoft=SOFT.astype(float))
-    dataset = with_matrix("sfu", ".", "dry", "jan", ground_truth="soft", unmatched="keep")
-    assert rights(dataset) == [[0, 1], [0, 1, 2], [1, 2], []]
-    assert dataset.references.names == ("image10.jpg", "image11.jpg", "image9.jpg")
-    protocol = configured("sfu_mountain", root=".").protocol
-    assert (protocol["ground_truth"], protocol["unmatched"]) == ("hard", "drop")

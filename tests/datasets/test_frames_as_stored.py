@@ -5,7 +5,7 @@ import json
 import cv2
 import numpy as np
 import pytest
-from image_folders import answer, lists
+from image_folders import lists
 from PIL import Image as PillowImage
 
 import vprbench
@@ -123,26 +123,6 @@ def test_sad_finds_every_place_however_frames_are_stored_and_the_protocol_says_h
         levels = {level for image in dataset.queries for level in np.unique(image)}
         assert len(levels) > 128
     assert len({dataset.references.fingerprint() for dataset in made}) == 1
-
-
-def test_frames_keep_the_brightness_that_tells_them_apart_under_one_range(tmp_path):
-    bright = np.zeros((4, 48, 64), np.uint16)
-    bright[:] = (1000 * np.arange(1, 5))[:, None, None]
-    folder = write(tmp_path / "map", bright)
-    dataset = folders(references=[str(folder)], queries=str(write(tmp_path / "asked", bright[::-1])))
-    # a quarter of the way from 1000 to 4000 is 85 of 255
-    assert [int(image[0, 0, 0]) for image in dataset.references] == [0, 85, 170, 255]
-    assert [int(image[0, 0, 0]) for image in dataset.queries] == [255, 170, 85, 0]
-
-
-def test_levels_that_are_given_bring_back_the_upper_8_bits(tmp_path):
-    folder = write(tmp_path / "map", thermal(MAP))
-    asked = {"references": [str(folder)], "queries": str(write(tmp_path / "asked", thermal(ASKED)))}
-    dataset = folders(**asked, levels="0..65535")
-    assert dataset.protocol["levels"] == "0..65535"
-    np.testing.assert_array_equal(dataset.references[0][:, :, 0], thermal(MAP)[0] >> 8)
-    asked["queries"] = str(write(tmp_path / "kelvin", (ASKED + 300).astype(np.float32), ".tif"))
-    assert "dataset.levels=LOW..HIGH" in answer(folders, **asked)
 
 
 def in_folders(top, **options):

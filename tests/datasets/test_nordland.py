@@ -92,20 +92,6 @@ def test_missing_frames_are_counted_with_what_to_do(tiny_root, monkeypatch, fram
     assert told.format(tiny_root / "fall") in refusal(kind=MissingData, root=str(tiny_root), **TINY)
 
 
-@pytest.mark.parametrize("way", ["{season}/{season}", "{Season}", "Nordland/{season}", "Nordland/{Season}/frames"])
-def test_seasons_are_found_in_capitals_or_one_folder_deeper(tiny_root, tmp_path, way):
-    wanted = nordland(root=str(tiny_root), **TINY)
-    fingerprint = wanted.references.fingerprint()
-    for season in SEASON_LEVEL:
-        (tiny_root / season).rename(tiny_root / f"{season} aside")
-        there = tiny_root / way.format(season=season, Season=season.title())
-        there.parent.mkdir(parents=True, exist_ok=True)
-        (tiny_root / f"{season} aside").rename(there)
-    found = nordland(root=str(tiny_root), **TINY)
-    assert found.references.fingerprint() == fingerprint
-    assert dict(found.protocol) == dict(wanted.protocol)
-
-
 def test_of_a_season_under_another_name_the_nearest_folder_is_named(tiny_root):
     (tiny_root / "winter").rename(tiny_root / "winter_2")
     assert str(tiny_root / "winter_2") in refusal(kind=MissingData, root=str(tiny_root), query="winter", **TINY)
@@ -125,13 +111,6 @@ def test_places_before_the_first_one_are_left_out_and_converted_frames_answered_
         kind=MissingData, root=str(tiny_root), **TINY
     )
     assert nordland(root=str(tiny_root), suffix=".jpg", **TINY).queries.names[0] == "images-00206.jpg"
-
-
-@pytest.mark.parametrize("name", ["nordland", "nordland_27k"])
-def test_without_a_root_the_shared_download_is_taken_before_the_default_root(tiny_root, no_downloads, tmp_path, name):
-    (no_downloads / "nordland").symlink_to(tiny_root)
-    (tmp_path / "other").mkdir()
-    assert reds(nordland(name, default_root=str(tmp_path / "other"), **TINY).queries) == [22, 23, 24, 25]
 
 
 @pytest.mark.parametrize(

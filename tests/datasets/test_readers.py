@@ -5,14 +5,13 @@ import re
 from collections import namedtuple
 from pathlib import Path
 
-import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from image_folders import answer, fill
 
 from vprbench.datasets.readers.image_files import images_in
-from vprbench.datasets.readers.traverses import find_breaks, match_numbers, split_places
+from vprbench.datasets.readers.traverses import match_numbers, split_places
 from vprbench.datasets.readers.utm_names import match_names
 from vprbench.errors import MissingData
 
@@ -63,14 +62,6 @@ def test_places_stay_in_order_queries_lie_in_the_map_and_right_is_what_lies_with
 )
 def test_a_split_that_does_not_fit_six_places_is_refused_with_its_options(protocol, asked, told):
     assert told in answer(split_places, protocol, 6, *asked)
-
-
-def test_frames_that_are_missing_between_places_break_the_journey():
-    numbers = [10, 20, 30, 60, 70, 110]
-    assert find_breaks(np.arange(6), numbers).tolist() == [3, 5]
-    assert find_breaks(np.array([1, 2, 4]), numbers).tolist() == [2]
-    for places, broken in (([0, 1, 4, 5], [2]), ([0, 2, 4], []), ([7], [])):
-        assert find_breaks(np.array(places)).tolist() == broken
 
 
 EASTING, NORTHING = 54_325_696, 417_890_670  # centimetres, a corner of San Francisco

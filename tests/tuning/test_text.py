@@ -71,13 +71,6 @@ def test_a_report_tells_the_best_settings_and_how_sure_their_gain_is():
     assert [cell.strip() for cell in line.split("|")[1:-1]] == ["f_min", "method.rate_min", "0.35", "0.2", "0.05 to 1"]
 
 
-@pytest.mark.parametrize(
-    ("gain", "verdict"), [(0.25, "better"), (-0.25, "worse"), (0.0, "not told apart")], ids=["better", "worse", "open"]
-)
-def test_the_verdict_is_told(gain, verdict):
-    assert text.VERDICTS[verdict] in text.format_report(a_search(gain))
-
-
 @pytest.mark.parametrize("name", ["synthetic", "nordland", "oxford_robotcar"])
 def test_the_command_runs_the_best_settings_on_the_dataset(name):
     dataset = make_request(["method=vprtempo", f"dataset={name}"]).dataset
