@@ -13,7 +13,7 @@ from scipy.spatial import KDTree
 from vprbench.api import BadInput, Dataset, MissingData
 
 from .event_folders import Counting
-from .readers.event_files import READERS, events_in
+from .readers.event_files import READERS, read_events
 from .readers.file_dataset import Unmatched, make_ground_truth
 from .readers.frame_folders import find_root
 from .readers.positions import match_metres
@@ -68,7 +68,7 @@ def brisbane_event_vpr(
         drives.append(counting.read_drive(file, read_nmea_track(log, begin_s)))
     truth = match_metres(np.concatenate([drive.at for drive in drives[:-1]]), drives[-1].at, radius_metres)
     chosen = {"ground_truth": "gps", "radius_metres": radius_metres}
-    return counting.dataset_of_drives(name, drives, truth, unmatched, chosen)
+    return counting.make_dataset(name, drives, truth, unmatched, chosen)
 
 
 def qcr_event_vpr(
@@ -97,7 +97,7 @@ def qcr_event_vpr(
 
     def track_of(drive: str, file: Path) -> Track:
         _, begin_s, passed = _QCR[drive]
-        first_us = next(int(chunk.t[0]) for chunk in events_in(file) if len(chunk.t))
+        first_us = next(int(chunk.t[0]) for chunk in read_events(file) if len(chunk.t))
         return first_us + np.round((begin_s + np.array(passed)) * 1e6).astype(np.int64), percent
 
     drives = [counting.read_drive(file, track_of(drive, file)) for drive, file in found]
@@ -105,7 +105,7 @@ def qcr_event_vpr(
     near = KDTree(mapped).query_ball_point(drives[-1].at, radius_percent + 1e-9, return_sorted=True)
     truth = make_ground_truth(len(mapped), near, f"no reference within {radius_percent:g} % of the way")
     chosen = {"ground_truth": "gps", "radius_percent": radius_percent}
-    return counting.dataset_of_drives(name, drives, truth, unmatched, chosen)
+    return counting.make_dataset(name, drives, truth, unmatched, chosen)
 
 
 def _find_recordings(

@@ -79,7 +79,7 @@ def folders(
     elif ground_truth == "none":
         truth = unknown(len(map_files), len(query_files))
     else:
-        truth, chosen = _by_file(
+        truth, chosen = _read_truth(
             Path(ground_truth).expanduser(), map_files, query_files, radius_metres, without_position
         )
     return dataset_of_files(
@@ -136,7 +136,7 @@ def match_indices(traverses: Sequence[Sized], names: list[str], n_queries: int, 
     return GroundTruth(np.tile(places, len(traverses)), positives, lacking, by_order=True)
 
 
-def _by_file(
+def _read_truth(
     file: Path, references: Paths, queries: Paths, radius_metres: float, without: WithoutPosition
 ) -> tuple[GroundTruth, dict[str, float]]:
     """Return the ground truth of an .npz file of all images, and the radius where positions decide."""

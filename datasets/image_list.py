@@ -80,11 +80,11 @@ def image_list(
     if kind == "none":
         truth = unknown(sum(len(table.images) for table in map_tables), len(query_table.images))
     elif kind == "place":
-        shown = [label for table in map_tables for label in table.labels()]
-        truth = _by_place(shown, query_table.labels(), tolerance)
+        shown = [label for table in map_tables for label in table.read_labels()]
+        truth = _match_labels(shown, query_table.read_labels(), tolerance)
         chosen = {"tolerance_places": tolerance}
     else:
-        *known, sought = (table.positions(kind, without_position) for table in tables)
+        *known, sought = (table.read_positions(kind, without_position) for table in tables)
         truth = match_positions(known, sought, radius_metres, without_position)
         chosen = {"radius_metres": radius_metres}
     return dataset_of_files(
@@ -114,12 +114,12 @@ class _Table:
     images: Paths
     cells: pd.DataFrame  # text, by our names of the columns
 
-    def labels(self) -> list[Label]:
+    def read_labels(self) -> list[Label]:
         """Return the place of every row, whole numbers as such: 7, 007 and 7.0 are one place."""
         words = _require_words(self.file, self.cells, "place")
         return [int(whole[1]) if (whole := _WHOLE.fullmatch(word)) else word for word in words]
 
-    def positions(self, kind: Kind, without: WithoutPosition) -> Positions:
+    def read_positions(self, kind: Kind, without: WithoutPosition) -> Positions:
         """Return the position of every row; numbers that are none are an error, or NaN where such rows are left out."""
         given = np.stack([self._read_numbers(column, without) for column in _COLUMNS[kind]], axis=1)
         return Positions(self.images, given, in_degrees=kind == "lat_lon")
@@ -173,7 +173,7 @@ def _find_kind(tables: Sequence[_Table]) -> Kind:
     raise BadInput(f"{held}: wanted are {_WANTED}, the same in all files, or dataset.ground_truth=none")
 
 
-def _by_place(references: list[Label], queries: list[Label], tolerance: int) -> GroundTruth:
+def _match_labels(references: list[Label], queries: list[Label], tolerance: int) -> GroundTruth:
     """Return the ground truth of places by their labels.
 
     Whole numbers lie where they say; other labels in the order in which the references first name them.

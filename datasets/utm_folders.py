@@ -54,7 +54,7 @@ def utm_folders(
     found, holding = _find_split(top, split, (database, queries), layout)
     folders = holding / database, holding / queries
     lists = [beside.name for folder in folders if (beside := _list_beside(folder)).is_file()]
-    map_files, query_files = (_images(folder, layout) for folder in folders)
+    map_files, query_files = (_list_images(folder, layout) for folder in folders)
     protocol: dict[str, Any] = {"protocol": "utm_folders", "split": found, "database": database, "queries": queries}
     if lists:
         protocol["lists"] = lists
@@ -81,7 +81,7 @@ def _find_split(top: Path, split: str, wanted: tuple[str, str], layout: str) -> 
     )
 
 
-def _images(folder: Path, layout: str) -> Paths:
+def _list_images(folder: Path, layout: str) -> Paths:
     """Return the images of a folder: the images of the list beside it, if there is a list, else all, by their paths."""
     beside = _list_beside(folder)
     if not beside.is_file():

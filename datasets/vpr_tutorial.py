@@ -51,11 +51,11 @@ def gardens_point(
         f"set dataset.root to the folder that holds {', '.join([*traverses, query])}"
     )
     top = find_root(name, root, "the traverses", layout, parts=[*traverses, query])
-    map_files = Paths.joined(_first(find_folder(top, traverse), images, layout) for traverse in traverses)
+    map_files = Paths.joined(_take_first(find_folder(top, traverse), images, layout) for traverse in traverses)
     return dataset_of_files(
         name,
         map_files,
-        _first(find_folder(top, query), images, layout),
+        _take_first(find_folder(top, query), images, layout),
         GroundTruth(np.tile(places, len(traverses)), right, "no reference", by_order=True),
         "error",
         {
@@ -109,7 +109,7 @@ def with_matrix(
     )
 
 
-def _first(folder: Path, count: int, layout: str) -> Paths:
+def _take_first(folder: Path, count: int, layout: str) -> Paths:
     """Return the first images of a folder; raises MissingData if there are fewer."""
     files = images_in(folder, "dataset.root", layout, deep=False)
     if len(files) < count:

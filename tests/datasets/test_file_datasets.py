@@ -267,9 +267,9 @@ REFUSED = {
         *(
             ({"ground_truth_new.npy": lists(*rows)}, {}, f"ground_truth_new.npy {told}")
             for rows, told in (
-                ([*OWN[:10], [10, 11]], "names reference 11 for query 10, but ref/ holds 11 images"),
+                ([*OWN[:10], [10, 11]], "names reference 11 for query 10, but query/ holds 11 and ref/ 11 images"),
                 ([*OWN[:10], [-1]], "names reference -1 for query 10"),
-                ([*OWN, [0]], "names query 11, but query/ holds 11 images"),
+                ([*OWN, [0]], "names reference 0 for query 11, but query/ holds 11"),
                 (OWN[:9], "has no row for 2 of 11 queries (first: query 9)"),
                 *(([*OWN[:10], bad], "is no [query, [references]]") for bad in (5, [0.5], [True])),
             )

@@ -23,17 +23,26 @@ from vprbench.api.nearest import (
     parts,
     rows_together,
 )
-from vprbench.api.search_indexes import FEWEST_OF_CODES, Bits, EightBits, Exact, Flat, Graph, Kind, Lists, Retrieving
+from vprbench.api.search_indexes import (
+    FEWEST_OF_CODES,
+    Bits,
+    EightBits,
+    Exact,
+    Kind,
+    Retrieving,
+    build_graph,
+    build_lists,
+)
 from vprbench.errors import BadInput
 
 _TOGETHER = 1 << 16  # reference images, if several show a place
 
-_INDEXES: dict[Kind, Callable[[Vectors, int], Flat | Retrieving]] = {
+_INDEXES: dict[Kind, Callable[[Vectors, int], Exact | Retrieving]] = {
     "exact": lambda references, _: Exact(references),
     "sq8": lambda references, _: EightBits(references),
-    "hnsw": lambda references, _: Graph(references),
-    "ivfpq": partial(Lists, "ivfpq"),
-    "rabitq": partial(Lists, "rabitq"),
+    "hnsw": lambda references, _: build_graph(references),
+    "ivfpq": partial(build_lists, "ivfpq"),
+    "rabitq": partial(build_lists, "rabitq"),
     "binary": lambda references, _: Bits(references, with_graph=False),
     "binary_hnsw": lambda references, _: Bits(references, with_graph=True),
 }
@@ -138,7 +147,7 @@ class Search:
         for queries in parts(len(codes), max(1, CELLS // self._n_places)):
             yield codes[queries]
 
-    def _compare(self, index: Flat, places: Numbers | None) -> Compared:
+    def _compare(self, index: Exact, places: Numbers | None) -> Compared:
         """Return how an index compares all images; without `places`, images are found."""
         return Compared(len(self.references), rows_together(self.references), places, index.similarity, None)
 
