@@ -42,10 +42,9 @@ def dbstruct(
 
     Database names start from `<root>/<database_folder>`, query names from `<root>/<query_folder>` (queries_real for
     Pittsburgh). `database_suffix` replaces that of the database names, for Tokyo 24/7 says .jpg and holds .png. Every
-    database image is a place; right is what lies within `radius_metres` of a query, the radius included. Images whose
-    position is none are an error, left out (`without_position` drop), or count where they say (`keep`). Under the
-    `breaks` auto another folder, or a position that jumps, begins another drive. `exif` and `levels` say how files are
-    decoded (`decoding_of`). Raises MissingData for missing files, BadInput for a file without such a structure.
+    database image is a place; right is what lies within `radius_metres` of a query, the radius included. `unmatched`,
+    `breaks`, `exif` and `levels` are those of `dataset_of_files`, `without_position` is that of `match_positions`.
+    Raises MissingData for missing files, BadInput for a file without such a structure.
     """
     top = find_root(name, root, "the images that the .mat file names", _LAYOUT)
     if mat is None:

@@ -45,18 +45,16 @@ def folders(
 ) -> Dataset:
     """Return the images of your own folders in natural order (2.jpg before 10.jpg), sub-folders included.
 
-    `numbers` says whether numbers in names are decimal (0.25 before 0.5) or whole; by default the names tell. Another
-    sub-folder, or a position that jumps, begins another drive unless `breaks` is none: sequences and tolerance end
-    there. `exif` and `levels` say how files are decoded (`decoding_of`).
+    `numbers` says whether numbers in names are decimal (0.25 before 0.5) or whole; by default the names tell.
+    `unmatched`, `breaks`, `exif` and `levels` are those of `dataset_of_files`; tolerance ends where a drive ends.
 
     With `index` the i-th image of every reference folder (a traverse each) shows place i, and right for the i-th
     query are the places i - tolerance to i + tolerance. With `utm` every reference image is a place, names are
     `@UTM_east@UTM_north@...` in metres of one zone, and right is what lies within `radius_metres`, the radius
     included. With an .npz file every reference image is a place, and right is what its matrix `positives`,
     (n_queries, n_references), says, or what lies within the radius by its `utmQ` and `utmDb`, (n, 2) metres. With
-    `none` every reference image is a place, nobody knows which are right, and no answer is judged. A query without a
-    right place is an error, kept as a miss, or dropped. An image whose position is none is an error, dropped, or kept
-    where its position says (`without_position`). Raises MissingData for folders that are missing or hold no images,
+    `none` every reference image is a place, nobody knows which are right, and no answer is judged.
+    `without_position` is that of `match_positions`. Raises MissingData for folders that are missing or hold no images,
     BadInput for bad names, arguments and matrices.
     """
     if not references or queries is None:

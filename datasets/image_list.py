@@ -58,12 +58,9 @@ def image_list(
     Whole numbers count as themselves: 8 is 8 places from 0. Words are numbered in the order in which the references
     first name them, whole numbers too if any place is a word. By position every reference is a place, and right is what
     lies within `radius_metres`, the radius included; the distance between latitudes and longitudes is the straight line
-    through the ellipsoid. Images whose position is none (0, 0 far from all others; a fix that stood still) are an
-    error, left out (`without_position` drop), or count where they say (`keep`). With `ground_truth` none the column
-    `image` is enough: every reference is a place, and no answer is judged.
-
-    Another folder, or a position that jumps, begins another drive unless `breaks` is none. `exif` and `levels` say how
-    files are decoded (`decoding_of`).
+    through the ellipsoid. With `ground_truth` none the column `image` is enough: every reference is a place, and no
+    answer is judged. `unmatched`, `breaks`, `exif` and `levels` are those of `dataset_of_files`, `without_position` is
+    that of `match_positions`.
 
     Raises MissingData for missing files, BadInput for tables that do not fit.
     """

@@ -40,14 +40,11 @@ def utm_folders(
 
     The two folders lie in `<root>/images/<split>`, in `<root>/<split>` or in `root` itself. Where a file
     `<folder>_images_paths.txt` lies beside a folder, it alone says which images are used, and in which order. Every
-    reference is a place; right is what lies within `radius_metres`, the radius included. Queries without a right place
-    count as misses (`keep`, as in gmberton/VPR-methods-evaluation), are left out (`drop`, as in VPRTempo and
-    VPR_Tutorial) or are an error. So are names of several UTM zones, unless images of different zones never show one
-    place (`zones` apart), and images whose position is none (0, 0 far from all others; a fix that stood still), unless
-    they are left out (`without_position` drop) or count where they say (`keep`). With `ground_truth`
-    none any name is taken, and no answer is judged. Another sub-folder, or a position that jumps, begins another drive
-    unless `breaks` is none. `exif` and `levels` say how files are decoded (`decoding_of`). Raises MissingData for what
-    is missing, BadInput for names without a position and for a list that is no text.
+    reference is a place; right is what lies within `radius_metres`, the radius included. Names of several UTM zones are
+    an error, unless images of different zones never show one place (`zones` apart). With `ground_truth` none any name
+    is taken, and no answer is judged. `unmatched` (keep, as in gmberton/VPR-methods-evaluation), `breaks`, `exif` and
+    `levels` are those of `dataset_of_files`, `without_position` is that of `match_positions`. Raises MissingData for
+    what is missing, BadInput for names without a position and for a list that is no text.
     """
     layout = f"{_LAYOUT} so that <root>/images/{split} holds {database}/ and {queries}/"
     top = find_root(name, root, f"{database}/ and {queries}/", layout)

@@ -88,8 +88,8 @@ def check_rows(
         if out_of_range == "error":
             raise BadInput(
                 f"{owner} names reference {', '.join(map(str, (wrong or right)[:5]))} for query {query}, but query/ "
-                f"holds {n_queries} and ref/ {n_references} images, numbered from 0: check that no image is missing, or pass "
-                "dataset.out_of_range=clip to leave such numbers out"
+                f"holds {n_queries} and ref/ {n_references} images, numbered from 0: check that no image is missing, "
+                "or pass dataset.out_of_range=clip to leave such numbers out"
             )
     if without := [query for query in range(n_queries) if query not in by_query]:
         raise BadInput(

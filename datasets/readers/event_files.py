@@ -10,7 +10,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from vprbench.api import BadInput, Events, MissingData, compiled
+from vprbench.api import BadInput, Events, MissingData
 
 _CHUNK = 1 << 20  # events
 _NAMES = {
@@ -123,45 +123,36 @@ def _read_aedat2(stored: BinaryIO) -> Iterator[Events]:
 
 
 def _read_evt3(file: Path) -> Iterator[Events]:
-    """Yield the events of Prophesee's EVT 3.0 (docs.prophesee.ai); its 24-bit clock may wrap."""
+    """Yield the events of Prophesee's EVT 3.0 (docs.prophesee.ai); its 24-bit clock may wrap.
+
+    A word of 16 bits is a row, a column, a part of the time, or says which of the next 12 or 8 pixels sent an event;
+    what it leaves open is said by the last words of the other kinds.
+    """
     with file.open("rb") as stored:
         head = _read_head(stored, b"%", b"% end")
         if head and b"evt 3" not in head and b"evt3" not in head:
             raise BadInput(f"{file} is no EVT 3.0 by its head: convert it")
-        state = np.zeros(6, np.int64)
-        while words := stored.read(_CHUNK // 4):
-            most = 12 * (len(words) // 2)
-            t, (x, y), p = np.empty(most, np.int64), np.empty((2, most), np.uint16), np.empty(most, np.bool_)
-            n = _decode(np.frombuffer(words, "<u2", len(words) // 2), state, t, x, y, p)
-            yield Events(t[:n], x[:n], y[:n], p[:n])
-
-
-@compiled()
-def _decode(words, state, t, x, y, p):  # type: ignore[no-untyped-def]
-    """Write the events of words of 16 bits, whose first four say what the others mean; return how many they are."""
-    row, base, brighter, high, low, wrapped = state
-    n = 0
-    for word in words:
-        kind, value = word >> 12, np.int64(word & 0xFFF)
-        pixels = np.int64(0)
-        if kind == 0:
-            row = value & 0x7FF
-        elif kind in (2, 3):
-            base, brighter, pixels = value & 0x7FF, value >> 11, np.int64(kind == 2)
-        elif kind in (4, 5):
-            pixels = value if kind == 4 else value & 0xFF
-        elif kind == 6:
-            low = value
-        elif kind == 8 and value != high:
-            wrapped += (high - value > 0x800) << 24
-            high, low = value, 0
-        for k in range(12):
-            if pixels >> k & 1:
-                t[n], x[n], y[n], p[n] = wrapped + (high << 12) + low, base + k, row, brighter != 0
-                n += 1
-        base += 12 * (kind == 4) + 8 * (kind == 5)
-    state[:] = row, base, brighter, high, low, wrapped
-    return n
+        last, wrapped = np.array([0x8000, 0x6000, 0x3000, 0x0000]), 0  # high and low bits of the time, column, row
+        while content := stored.read(_CHUNK // 4):
+            words = np.append(last, np.frombuffer(content, "<u2", len(content) // 2).astype(np.int64))
+            kind, value, at = words >> 12, words & 0xFFF, np.arange(len(words))
+            highs, lows, columns, rows = (
+                np.maximum.accumulate(np.where(np.isin(kind, own), at, 0)) for own in ((8,), (6,), (2, 3), (0,))
+            )
+            high = value[highs]
+            steps = np.diff(high, prepend=high[0])
+            turns = wrapped + np.cumsum(steps < -0x800)
+            low = np.where(lows > np.maximum.accumulate(at * (steps != 0)), value[lows], 0)  # it begins anew
+            widths = 12 * (kind == 4) + 8 * (kind == 5)
+            passed = np.cumsum(widths)
+            column = (value[columns] & 0x7FF) + passed - passed[columns]  # behind each word
+            bits = np.select([kind == 2, kind == 4, kind == 5], [1, value, value & 0xFF], 0)
+            n, pixel = np.nonzero(bits[:, None] >> np.arange(12) & 1)
+            t = ((turns << 24) + (high << 12) + low)[n]
+            yield _make_events(t, (column - widths)[n] + pixel, (value[rows] & 0x7FF)[n], value[columns][n] >> 11)
+            behind = value[columns[-1]] & 0x800 | column[-1] & 0x7FF
+            last = np.array([0x8000 | high[-1], 0x6000 | low[-1], 0x3000 | behind, value[rows[-1]]])
+            wrapped = turns[-1]
 
 
 def _read_head(stored: BinaryIO, mark: bytes, last: bytes) -> bytes:

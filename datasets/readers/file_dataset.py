@@ -60,12 +60,25 @@ def dataset_of_files(
     exif: Exif = "obey",
     levels: str | None = None,
 ) -> Dataset:
-    """Return the dataset of these files or images; how queries without a right place are treated is noted.
+    """Return the dataset of these files or images.
 
-    Under the `breaks` auto the journey breaks off where another drive begins. `exif` and `levels` say how all files are
-    decoded (`decoding_of`). The protocol says either where it matters. Of an unknown ground truth all queries stay.
-    Raises BadInput if `unmatched` is error and such queries exist, or drop and no other queries exist, and for levels
-    that the files leave open.
+    Datasets of files share these options; the protocol names each where it matters.
+
+    Args:
+        name: the name of the dataset.
+        references: the images of the map.
+        queries: the images that are queried.
+        truth: the ground truth; of an unknown one all queries stay.
+        unmatched: queries without a right place are an error, count as misses (keep), or are left out (drop).
+        protocol: the protocol of the dataset.
+        notes: what a reader of results has to know.
+        breaks: auto: another folder, or a position that jumps, begins another drive, where sequences end; none: all is
+            one drive.
+        exif: obey or ignore the tag of a camera that was held on its side.
+        levels: LOW..HIGH, that become 0 and 255 where files are deeper than 8 bits; None: the files tell (`decoding_of`).
+
+    Raises:
+        BadInput: queries without a right place are an error, or no others are left; levels that the files leave open.
     """
     files = Paths.joined(Paths.of(part) for part in (references, queries) if not isinstance(part, Images))
     decoding, decoded = decoding_of(files, exif, levels, "dataset.")
