@@ -75,7 +75,7 @@ def dataset_of_files(
         breaks: auto: another folder, or a position that jumps, begins another drive, where sequences end; none: all is
             one drive.
         exif: obey or ignore the tag of a camera that was held on its side.
-        levels: LOW..HIGH, that become 0 and 255 where files are deeper than 8 bits; None: the files tell (`decoding_of`).
+        levels: LOW..HIGH, that become 0 and 255 where files are deeper than 8 bits; None: the files tell.
 
     Raises:
         BadInput: queries without a right place are an error, or no others are left; levels that the files leave open.

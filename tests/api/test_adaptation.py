@@ -36,9 +36,6 @@ class Table(DescriptorMethod):
     def encode(self, images):
         return TABLE[np.array(numbers_in(images), int)]
 
-    def keeps_descriptors(self):
-        return False
-
 
 @pytest.fixture(autouse=True)
 def _quick(tmp_path, monkeypatch):

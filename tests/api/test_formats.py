@@ -126,7 +126,6 @@ TAGGED = {
     "PNG, 16 bits": lambda exif: saved(wide(GREY), "PNG", exif=exif),
     "TIFF": lambda exif: saved(COLOUR, "TIFF", exif=exif),
     "TIFF, grey": lambda exif: saved(GREY, "TIFF", exif=exif),
-    "TIFF, compressed": lambda exif: saved(COLOUR, "TIFF", exif=exif, compression="tiff_lzw"),
     "TIFF, 16 bits": lambda exif: saved(wide(GREY), "TIFF", exif=exif),
     "WEBP": lambda exif: saved(COLOUR, "WEBP", exif=exif),
 }

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from archive_files import special, tarred, zipped
 from checkout import SHARED
-from filelock import FileLock
 from image_folders import answer
 
 from vprbench.data.fetch import (
@@ -125,16 +124,6 @@ def test_a_person_is_told_what_to_do_where_all_fail_or_downloads_are_forbidden(s
     monkeypatch.setenv("VPRBENCH_OFFLINE", "1")
     refused(entry, root, r"VPRBENCH_OFFLINE forbids downloads: get http.*/two elsewhere and store it", MissingData)
     assert len(server.asked) == 2
-
-
-def test_two_fetches_do_not_share_a_folder_and_leftovers_of_a_killed_one_are_removed(server, url, root):
-    (root / ".unpacking-12345678" / "spring").mkdir(parents=True)
-    with FileLock(root / ".fetch.lock"):
-        refused(little(url), root, "another fetch is under way in")
-    assert server.asked == []
-    get(little(url), root)
-    assert visible(root) == COMPLETE
-    assert not (root / ".unpacking-12345678").exists()
 
 
 def test_a_hostile_archive_or_one_of_other_folders_or_files_changes_nothing_and_is_kept(server, root, capsys):

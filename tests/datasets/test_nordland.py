@@ -92,12 +92,6 @@ def test_missing_frames_are_counted_with_what_to_do(tiny_root, monkeypatch, fram
     assert told.format(tiny_root / "fall") in refusal(kind=MissingData, root=str(tiny_root), **TINY)
 
 
-def test_of_a_season_under_another_name_the_nearest_folder_is_named(tiny_root):
-    (tiny_root / "winter").rename(tiny_root / "winter_2")
-    assert str(tiny_root / "winter_2") in refusal(kind=MissingData, root=str(tiny_root), query="winter", **TINY)
-    assert "unpacked" in refusal(kind=MissingData, root=str(tiny_root / "nordland.zip"), **TINY)
-
-
 def test_places_before_the_first_one_are_left_out_and_converted_frames_answered_with_the_suffix_to_set(tiny_root):
     options = {**TINY, "places": 4, "query_places": 3, "first_query_place": 1, "first_place": 2}
     dataset = nordland(root=str(tiny_root), references=["winter"], query="fall", **options)

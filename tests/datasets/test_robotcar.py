@@ -217,19 +217,6 @@ def test_the_queries_of_the_paper_are_places_90_to_449_and_it_is_told_what_is_od
     assert steps == ["55", "449", "59", "449", "4", "359"]
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({}, "https://mrgdatashare.robots.ox.ac.uk/register/"),
-        ({"query": "night"}, "dataset.query=night: Oxford RobotCar has sun, rain, dusk"),
-        ({"places": 483}, "dataset.places=483: the list of 3369 names at dataset.stride=7 has 482 places"),
-    ],
-)
-def test_a_bad_option_is_named_in_one_line(arguments, message, tmp_path):
-    top = {"root": str(tmp_path)} if arguments else {}
-    assert message in answer(oxford_robotcar, kind=BadInput if arguments else MissingData, **top, **arguments)
-
-
 START = {"sun": 1439388276045321, "rain": 1446121117630140, "dusk": 1416586027583964}
 
 

@@ -21,8 +21,6 @@ def column(*options):
     return PlannedColumn("a column", "A column", options)
 
 
-
-
 def test_a_rendered_journey_is_another_one_than_every_reported_one_and_all_of_its_places_are_queried():
     name = "synthetic"
     reported = [column(f"dataset={name}"), column(f"dataset={name}", "dataset.seed=7")]

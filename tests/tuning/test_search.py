@@ -10,7 +10,6 @@ from search_stub import Stub, recall
 
 from vprbench.errors import BadInput
 from vprbench.plugins import registry
-from vprbench.plugins.options import parse_options
 from vprbench.tuning import places, space
 from vprbench.tuning.search import (
     JOURNAL,
@@ -22,7 +21,7 @@ from vprbench.tuning.search import (
     open_study,
     search,
 )
-from vprbench.tuning.settings import QUICK, Settings
+from vprbench.tuning.settings import Settings
 from vprbench.tuning.space import PAPER
 from vprbench.tuning.trial import encode_stretch, train_and_query
 
@@ -86,12 +85,6 @@ def test_a_journal_that_cannot_be_read_or_is_in_use_is_named(tmp_path):
     (tmp_path / JOURNAL).write_bytes(b"no json\n{}\n")
     with pytest.raises(BadInput, match=rf"{JOURNAL} cannot be read .* move it away"), open_study(tmp_path):
         pass
-
-
-def test_settings_under_which_nothing_is_searched_are_refused_by_name():
-    for option in ("places=9", "trials=0", "jobs=0", "seed=-1"):
-        with pytest.raises(BadInput, match=f"^{option}: give at least"):
-            parse_options(Settings, [option], QUICK)
 
 
 def hits_at(*queries):
