@@ -6,6 +6,7 @@ import difflib
 import os
 from collections.abc import Sequence
 from functools import cache
+from itertools import chain, islice
 from pathlib import Path
 from typing import Literal, NoReturn
 
@@ -69,26 +70,35 @@ def find_listed(files: Sequence[Path], listed_in: str, advice: str) -> Paths:
     A file that is missing is the one under slashes for backslashes, or the only one whose name differs in capitals
     alone. Raises MissingData, with the first row, the names nearest to its name and `advice`, if none is there.
     """
-    names_in = cache(lambda folder: sorted(each.name for each in folder.iterdir()) if folder.is_dir() else [])
+    names_in = cache(_group_names)
     found, gone = [], []
     for row, path in enumerate(files, 1):
         there = path
         if not there.is_file():
             there = Path(str(path).replace("\\", "/"))
-            alike = [name for name in names_in(there.parent) if name.casefold() == there.name.casefold()]
+            alike = names_in(there.parent).get(there.name.casefold(), [])
             if not there.is_file() and len(alike) == 1:
                 there = there.with_name(alike[0])
             gone += [] if there.is_file() else [(row, path, there)]
         found.append(there)
     if gone:
         row, path, there = gone[0]
-        close = difflib.get_close_matches(there.name, names_in(there.parent)[:_MOST_NAMES])
+        around = islice(chain(*names_in(there.parent).values()), _MOST_NAMES)
+        close = difflib.get_close_matches(there.name, around)
         near = f"did you mean {' or '.join(close)}? else " * bool(close)
         raise MissingData(
             f"{path} does not exist ({len(gone)} of {len(files)} images in {listed_in} are missing), named in row "
             f"{row}: {near}{advice}"
         )
     return Paths.of(found)
+
+
+def _group_names(folder: Path) -> dict[str, list[str]]:
+    """Return the names in a folder by their small letters, in their order; none if it is no folder."""
+    groups: dict[str, list[str]] = {}
+    for name in sorted(os.listdir(folder) if folder.is_dir() else ()):  # noqa: PTH208 (names alone)
+        groups.setdefault(name.casefold(), []).append(name)
+    return groups
 
 
 def _list_entries(top: Path, deep: bool) -> tuple[list[str], list[Path]]:

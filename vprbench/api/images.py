@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import cache
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 from typing import overload
 
@@ -31,7 +31,6 @@ _AHEAD_BYTES = 1 << 26  # that these have, at most, unless a chunk has more
 _BLOCK_BYTES = 1 << 28  # of decoded images that are held together, unless a single one has more
 _REPORT_EVERY = 50  # images
 _FINGERPRINT_SAMPLE = 16
-_NAMES_AT_ONCE = 10_000  # in a hash
 _READERS = min(64, count_cores())
 
 
@@ -290,12 +289,7 @@ class Images(Sequence[Image]):
 
 def names_hash(*lists: Sequence[str]) -> hashlib._Hash:
     """Return the SHA-256 of all names of all lists, joined by line feeds."""
-    digest, between = hashlib.sha256(), ""
-    for names in lists:
-        for at in range(0, len(names), _NAMES_AT_ONCE):
-            digest.update((between + "\n".join(names[at : at + _NAMES_AT_ONCE])).encode(errors="surrogateescape"))
-            between = "\n"
-    return digest
+    return hashlib.sha256("\n".join(chain(*lists)).encode(errors="surrogateescape"))
 
 
 def codes_to_compare(one: Images, other: Images) -> tuple[Codes, Codes] | None:
