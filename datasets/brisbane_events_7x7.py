@@ -8,7 +8,7 @@ from vprbench.api import Dataset
 
 from .folders import folders
 from .readers.file_dataset import Unmatched
-from .readers.frame_folders import root_folder
+from .readers.frame_folders import find_root
 
 _HOLDING = "sunset1, sunset2 and ground_truth.npz"
 _NOTE = "LENS is scored on sequences of 2 within 3 places; here each frame is asked, by the ground truth as it is"
@@ -23,7 +23,7 @@ def brisbane_events_7x7(
     ground truth.
     """
     layout = f"run python -m vprbench fetch brisbane_events_7x7, or set dataset.root to what holds {_HOLDING}"
-    top = root_folder(name, root, _HOLDING, layout, default_root=default_root)
+    top = find_root(name, root, _HOLDING, layout, default_root=default_root)
     places, queries, truth = (str(top / part) for part in ("sunset2", "sunset1", "ground_truth.npz"))
     whole = folders(name, [places], queries, truth, unmatched=unmatched)
     return replace(whole, protocol={**whole.protocol, "protocol": "lens_frames"}, notes=(*whole.notes, _NOTE))

@@ -11,9 +11,9 @@ from vprbench.api import BadInput, Dataset, Exif, MatFileError, MissingData, rea
 
 from .readers.drives import Breaks
 from .readers.file_dataset import Unmatched, dataset_of_files
-from .readers.frame_folders import root_folder
+from .readers.frame_folders import find_root
 from .readers.image_files import find_listed
-from .readers.positions import Positions, WithoutPosition, as_metres, by_positions
+from .readers.positions import Positions, WithoutPosition, match_positions, require_metres
 
 _NAMES, _UTM, _QUERY_NAMES, _QUERY_UTM = 1, 2, 3, 4  # fields by position, as Relja/netvlad writes them
 
@@ -42,12 +42,11 @@ def dbstruct(
 
     Database names start from `<root>/<database_folder>`, query names from `<root>/<query_folder>` (queries_real for
     Pittsburgh). `database_suffix` replaces that of the database names, for Tokyo 24/7 says .jpg and holds .png. Every
-    database image is a place; right is what lies within `radius_metres` of a query, the radius included. Images whose
-    position is none are an error, left out (`without_position` drop), or count where they say (`keep`). Under the
-    `breaks` auto another folder, or a position that jumps, begins another drive. `exif` and `levels` say how files are
-    decoded (`decoding_of`). Raises MissingData for missing files, BadInput for a file without such a structure.
+    database image is a place; right is what lies within `radius_metres` of a query, the radius included. `unmatched`,
+    `breaks`, `exif` and `levels` are those of `dataset_of_files`, `without_position` is that of `match_positions`.
+    Raises MissingData for missing files, BadInput for a file without such a structure.
     """
-    top = root_folder(name, root, "the images that the .mat file names", _LAYOUT)
+    top = find_root(name, root, "the images that the .mat file names", _LAYOUT)
     if mat is None:
         raise MissingData(f"dataset.mat is not set: {_LAYOUT}")
     file = top / Path(mat).expanduser()
@@ -60,14 +59,14 @@ def dbstruct(
     map_files = find_listed(database, f"the database of {file.name}", advice)
     query_files = find_listed(queries, f"the queries of {file.name}", "set dataset.root or dataset.query_folder")
     known, sought = (
-        Positions(files, as_metres(f"field {at + 1} of dbStruct in {file}", np.asarray(fields[at]).T, len(files)))
+        Positions(files, require_metres(f"field {at + 1} of dbStruct in {file}", np.asarray(fields[at]).T, len(files)))
         for files, at in ((map_files, _UTM), (query_files, _QUERY_UTM))
     )
     return dataset_of_files(
         name,
         map_files,
         query_files,
-        by_positions([known], sought, radius_metres, without_position),
+        match_positions([known], sought, radius_metres, without_position),
         unmatched,
         {
             "protocol": "dbstruct",

@@ -12,11 +12,11 @@ import numpy as np
 
 from vprbench.api import BadInput, Dataset, Images, MissingData, Recording, event_frames
 
-from .folders import by_index
-from .readers.event_files import events_in
+from .folders import match_indices
+from .readers.event_files import read_events
 from .readers.file_dataset import GroundTruth, Unmatched, dataset_of_files, unknown
-from .readers.positions import Metres, by_radius
-from .readers.tracks import Track, track_of
+from .readers.positions import Metres, match_metres
+from .readers.tracks import Track, read_track
 
 
 def event_folders(
@@ -52,18 +52,18 @@ def event_folders(
         if not file.is_file():
             raise MissingData(f"{file} is no file: dataset.references and dataset.queries name a recording each")
     counting = Counting(window_ms, events_per_frame, hot_factor, height, width)
-    drives = [counting.read_drive(file, track_of(file) if ground_truth == "gps" else None) for file in files]
+    drives = [counting.read_drive(file, read_track(file) if ground_truth == "gps" else None) for file in files]
     *mapped, queried = drives
     chosen: dict[str, Any] = {"ground_truth": ground_truth}
     if ground_truth == "gps":
-        truth = by_radius(np.concatenate([drive.at for drive in mapped]), queried.at, radius_metres)
+        truth = match_metres(np.concatenate([drive.at for drive in mapped]), queried.at, radius_metres)
         chosen["radius_metres"] = radius_metres
     elif ground_truth == "none":
         truth = unknown(sum(len(drive.images) for drive in mapped), len(queried.images))
     else:
-        truth = _by_number([drive.images for drive in drives], references, tolerance)
+        truth = _match_frames([drive.images for drive in drives], references, tolerance)
         chosen["tolerance_places"] = tolerance
-    return counting.dataset_of_drives(name, drives, truth, unmatched, chosen)
+    return counting.make_dataset(name, drives, truth, unmatched, chosen)
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class Counting:
     height: int
     width: int
 
-    def options(self) -> dict[str, int]:
+    def describe(self) -> dict[str, int]:
         """Return the window in microseconds, or the number of events of a frame."""
         if self.events_per_frame is None:
             return {"window_us": round(1000 * self.window_ms)}
@@ -94,9 +94,9 @@ class Counting:
 
     def read_drive(self, file: Path, track: Track | None) -> Drive:
         """Count the frames of a recording; with a track, those of the times that it covers."""
-        recording, state = Recording(file.stem, partial(events_in, file), self.height, self.width), file.stat()
+        recording, state = Recording(file.stem, partial(read_events, file), self.height, self.width), file.stat()
         what = {"file": str(file.resolve()), "bytes": state.st_size, "changed_ns": state.st_mtime_ns}
-        images, middle = event_frames(recording, what, self.hot_factor, **self.options())
+        images, middle = event_frames(recording, what, self.hot_factor, **self.describe())
         if track is None:
             return Drive(file, replace(recording, middle_us=middle), images, np.empty((0, 3)))
         at_us, metres = track
@@ -112,7 +112,7 @@ class Counting:
         whole = replace(recording, positions_us=at_us, positions_metres=metres, middle_us=middle)
         return Drive(file, whole, images[known], at)
 
-    def dataset_of_drives(
+    def make_dataset(
         self, name: str, drives: Sequence[Drive], truth: GroundTruth, unmatched: Unmatched, chosen: Mapping[str, Any]
     ) -> Dataset:
         """Return the dataset of these drives, the last of which is queried; `chosen` belongs to the protocol."""
@@ -122,18 +122,18 @@ class Counting:
             "references": [drive.file.name for drive in references],
             "queries": queries.file.name,
             "hot_factor": self.hot_factor,
-            **self.options(),
+            **self.describe(),
             **chosen,
         }
-        mapped = _join([drive.images for drive in references])
+        mapped = _join_images([drive.images for drive in references])
         dataset = dataset_of_files(name, mapped, queries.images, truth, unmatched, protocol)
         return replace(dataset, recordings=tuple(drive.recording for drive in drives))
 
 
-def _by_number(shown: Sequence[Images], names: list[str], tolerance: int) -> GroundTruth:
+def _match_frames(shown: Sequence[Images], names: list[str], tolerance: int) -> GroundTruth:
     """Return the ground truth of frames that show the same place under the same number; a note where counts differ."""
     n_places, n_queries = len(shown[0]), len(shown[-1])
-    truth = by_index(shown[:-1], names, n_queries, tolerance)
+    truth = match_indices(shown[:-1], names, n_queries, tolerance)
     if n_queries == n_places:
         return truth
     note = (
@@ -143,7 +143,7 @@ def _by_number(shown: Sequence[Images], names: list[str], tolerance: int) -> Gro
     return replace(truth, notes=(*truth.notes, note))
 
 
-def _join(parts: Sequence[Images]) -> Images:
+def _join_images(parts: Sequence[Images]) -> Images:
     """Return the images of all parts, one part after the other."""
     views = [part[i : i + 1] for part in parts for i in range(len(part))]
     names = [view.names[0] for view in views]

@@ -13,11 +13,11 @@ from scipy.spatial import KDTree
 from vprbench.api import BadInput, Dataset, MissingData
 
 from .event_folders import Counting
-from .readers.event_files import READERS, events_in
-from .readers.file_dataset import Unmatched, each_a_place
-from .readers.frame_folders import root_folder
-from .readers.positions import by_radius
-from .readers.tracks import Track, nmea_track
+from .readers.event_files import READERS, read_events
+from .readers.file_dataset import Unmatched, make_ground_truth
+from .readers.frame_folders import find_root
+from .readers.positions import match_metres
+from .readers.tracks import Track, read_nmea_track
 
 #: Of each drive of Brisbane its date in the names of its files, and when the GPS log begins on the clock of the events,
 #: seconds since 1970: `video_beginning` of github.com/Tobias-Fischer/ensemble-event-vpr.
@@ -65,10 +65,10 @@ def brisbane_event_vpr(
     for drive, file in _find_recordings(name, root, _BRISBANE, [*references, queries]):
         stamp, begin_s = _BRISBANE[drive]
         log = _find_file(name, root, drive, [f"*{drive}*.nmea", f"*{stamp}*.nmea"])
-        drives.append(counting.read_drive(file, nmea_track(log, begin_s)))
-    truth = by_radius(np.concatenate([drive.at for drive in drives[:-1]]), drives[-1].at, radius_metres)
+        drives.append(counting.read_drive(file, read_nmea_track(log, begin_s)))
+    truth = match_metres(np.concatenate([drive.at for drive in drives[:-1]]), drives[-1].at, radius_metres)
     chosen = {"ground_truth": "gps", "radius_metres": radius_metres}
-    return counting.dataset_of_drives(name, drives, truth, unmatched, chosen)
+    return counting.make_dataset(name, drives, truth, unmatched, chosen)
 
 
 def qcr_event_vpr(
@@ -97,15 +97,15 @@ def qcr_event_vpr(
 
     def track_of(drive: str, file: Path) -> Track:
         _, begin_s, passed = _QCR[drive]
-        first_us = next(int(chunk.t[0]) for chunk in events_in(file) if len(chunk.t))
+        first_us = next(int(chunk.t[0]) for chunk in read_events(file) if len(chunk.t))
         return first_us + np.round((begin_s + np.array(passed)) * 1e6).astype(np.int64), percent
 
     drives = [counting.read_drive(file, track_of(drive, file)) for drive, file in found]
     mapped = np.concatenate([drive.at for drive in drives[:-1]])
     near = KDTree(mapped).query_ball_point(drives[-1].at, radius_percent + 1e-9, return_sorted=True)
-    truth = each_a_place(len(mapped), near, f"no reference within {radius_percent:g} % of the way")
+    truth = make_ground_truth(len(mapped), near, f"no reference within {radius_percent:g} % of the way")
     chosen = {"ground_truth": "gps", "radius_percent": radius_percent}
-    return counting.dataset_of_drives(name, drives, truth, unmatched, chosen)
+    return counting.make_dataset(name, drives, truth, unmatched, chosen)
 
 
 def _find_recordings(
@@ -124,7 +124,7 @@ def _find_recordings(
 def _find_file(name: str, root: str | None, drive: str, patterns: Sequence[str]) -> Path:
     """Return the first file by name, anywhere below the root, that fits a pattern; raises MissingData without any."""
     layout = f"run python -m vprbench fetch {name}, or set dataset.root"
-    top = root_folder(name, root, "its recordings", layout)
+    top = find_root(name, root, "its recordings", layout)
     files = sorted(chain.from_iterable(top.rglob(pattern) for pattern in patterns))
     if not files:
         raise MissingData(f"{top} holds no file of {drive} ({' or '.join(patterns)}): {layout}")

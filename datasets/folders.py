@@ -10,14 +10,14 @@ import numpy as np
 
 from vprbench.api import BadInput, Dataset, Exif, Images, MissingData, Paths
 
-from .readers.drives import Breaks, check_by_order, drive_starts, right_in_drive
-from .readers.file_dataset import GroundTruth, Unmatched, dataset_of_files, each_a_place, unknown
+from .readers.drives import Breaks, check_by_order, find_drives, keep_in_drive
+from .readers.file_dataset import GroundTruth, Unmatched, dataset_of_files, make_ground_truth, unknown
 from .readers.image_files import images_in
-from .readers.matrix_files import arrays_in, matrix_in
 from .readers.name_order import Numbers, by_numbers
-from .readers.positions import Positions, WithoutPosition, as_metres, by_positions
-from .readers.traverses import right_places
-from .readers.utm_names import by_names
+from .readers.positions import Positions, WithoutPosition, match_positions, require_metres
+from .readers.positives import load_arrays, read_matrix_file
+from .readers.traverses import match_numbers
+from .readers.utm_names import match_names
 
 _ADVICE = "give a folder of images"
 _MATRIX = "positives"
@@ -45,18 +45,16 @@ def folders(
 ) -> Dataset:
     """Return the images of your own folders in natural order (2.jpg before 10.jpg), sub-folders included.
 
-    `numbers` says whether numbers in names are decimal (0.25 before 0.5) or whole; by default the names tell. Another
-    sub-folder, or a position that jumps, begins another drive unless `breaks` is none: sequences and tolerance end
-    there. `exif` and `levels` say how files are decoded (`decoding_of`).
+    `numbers` says whether numbers in names are decimal (0.25 before 0.5) or whole; by default the names tell.
+    `unmatched`, `breaks`, `exif` and `levels` are those of `dataset_of_files`; tolerance ends where a drive ends.
 
     With `index` the i-th image of every reference folder (a traverse each) shows place i, and right for the i-th
     query are the places i - tolerance to i + tolerance. With `utm` every reference image is a place, names are
     `@UTM_east@UTM_north@...` in metres of one zone, and right is what lies within `radius_metres`, the radius
     included. With an .npz file every reference image is a place, and right is what its matrix `positives`,
     (n_queries, n_references), says, or what lies within the radius by its `utmQ` and `utmDb`, (n, 2) metres. With
-    `none` every reference image is a place, nobody knows which are right, and no answer is judged. A query without a
-    right place is an error, kept as a miss, or dropped. An image whose position is none is an error, dropped, or kept
-    where its position says (`without_position`). Raises MissingData for folders that are missing or hold no images,
+    `none` every reference image is a place, nobody knows which are right, and no answer is judged.
+    `without_position` is that of `match_positions`. Raises MissingData for folders that are missing or hold no images,
     BadInput for bad names, arguments and matrices.
     """
     if not references or queries is None:
@@ -75,11 +73,11 @@ def folders(
         chosen = {"tolerance_places": tolerance}
     elif ground_truth == "utm":
         chosen = {"radius_metres": radius_metres}
-        truth = by_names(map_files, query_files, radius_metres, without=without_position)
+        truth = match_names(map_files, query_files, radius_metres, without=without_position)
     elif ground_truth == "none":
         truth = unknown(len(map_files), len(query_files))
     else:
-        truth, chosen = _by_file(
+        truth, chosen = _read_truth(
             Path(ground_truth).expanduser(), map_files, query_files, radius_metres, without_position
         )
     return dataset_of_files(
@@ -111,14 +109,14 @@ def match_by_order(
     tolerance: int,
     breaks: Breaks,
 ) -> GroundTruth:
-    """Return the ground truth of `by_index`, within the drive of each query; `references` are all traverses in turn."""
-    truth = by_index(traverses, names, len(queries), tolerance)
-    starts = drive_starts(references, queries, breaks)
-    drives = np.union1d(starts.of_places(truth.places), starts.queries)
-    return replace(truth, positives=right_in_drive(truth.positives, drives))
+    """Return the ground truth by index within the drive of each query; `references` are all traverses in turn."""
+    truth = match_indices(traverses, names, len(queries), tolerance)
+    starts = find_drives(references, queries, breaks)
+    drives = np.union1d(starts.find_place_starts(truth.places), starts.queries)
+    return replace(truth, positives=keep_in_drive(truth.positives, drives))
 
 
-def by_index(traverses: Sequence[Sized], names: list[str], n_queries: int, tolerance: int) -> GroundTruth:
+def match_indices(traverses: Sequence[Sized], names: list[str], n_queries: int, tolerance: int) -> GroundTruth:
     """Return the place of every reference and the right places of every query, by their number in the traverse.
 
     Raises BadInput for traverses of different lengths.
@@ -131,12 +129,12 @@ def by_index(traverses: Sequence[Sized], names: list[str], n_queries: int, toler
             "of every folder has to show the same place"
         )
     places = np.arange(counts.pop())
-    positives = right_places(np.arange(n_queries), places, tolerance)
+    positives = match_numbers(np.arange(n_queries), places, tolerance)
     lacking = f"no reference within {tolerance} places"
     return GroundTruth(np.tile(places, len(traverses)), positives, lacking, by_order=True)
 
 
-def _by_file(
+def _read_truth(
     file: Path, references: Paths, queries: Paths, radius_metres: float, without: WithoutPosition
 ) -> tuple[GroundTruth, dict[str, float]]:
     """Return the ground truth of an .npz file of all images, and the radius where positions decide."""
@@ -145,15 +143,16 @@ def _by_file(
     n_queries, n_references = len(queries), len(references)
     most = {_MATRIX: n_queries * n_references, "utmQ": 2 * n_queries, "utmDb": 2 * n_references, "posDistThr": 1}
     wanted = f"the matrix {_MATRIX}, {n_queries} queries by {n_references} references, or the positions utmQ and utmDb"
-    arrays = arrays_in(file, most, wanted, _ADVICE_FILE)
+    arrays = load_arrays(file, most, wanted, _ADVICE_FILE)
     if not {"utmQ", "utmDb"} <= {*arrays}:
-        right = matrix_in(file, _MATRIX, (n_queries, n_references), ("queries", "references"), _ADVICE_FILE)
-        return each_a_place(n_references, right, f"no right reference in {file.name}"), {}
+        shape, axes = (n_queries, n_references), ("queries", "references")
+        right = read_matrix_file(file, _MATRIX, shape, axes, _ADVICE_FILE)
+        return make_ground_truth(n_references, right, f"no right reference in {file.name}"), {}
     query_positions, map_positions = (
-        Positions(files, as_metres(f"{key} in {file}", arrays[key], len(files)))
+        Positions(files, require_metres(f"{key} in {file}", arrays[key], len(files)))
         for key, files in (("utmQ", queries), ("utmDb", references))
     )
-    truth = by_positions([map_positions], query_positions, radius_metres, without)
+    truth = match_positions([map_positions], query_positions, radius_metres, without)
     own = arrays.get("posDistThr", np.array(radius_metres))
     if own.size == 1 and own.dtype.kind in "fiu" and own.item() != radius_metres:
         note = f"{file.name} is for a radius of {own.item():g} m; dataset.radius_metres={radius_metres:g} counts"

@@ -17,8 +17,8 @@ from .readers.csv_tables import read_csv
 from .readers.drives import Breaks
 from .readers.file_dataset import GroundTruth, Unmatched, dataset_of_files, unknown
 from .readers.image_files import find_listed
-from .readers.positions import MOST_METRES, Positions, WithoutPosition, by_positions
-from .readers.traverses import right_places
+from .readers.positions import MOST_METRES, Positions, WithoutPosition, match_positions
+from .readers.traverses import match_numbers
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -58,12 +58,9 @@ def image_list(
     Whole numbers count as themselves: 8 is 8 places from 0. Words are numbered in the order in which the references
     first name them, whole numbers too if any place is a word. By position every reference is a place, and right is what
     lies within `radius_metres`, the radius included; the distance between latitudes and longitudes is the straight line
-    through the ellipsoid. Images whose position is none (0, 0 far from all others; a fix that stood still) are an
-    error, left out (`without_position` drop), or count where they say (`keep`). With `ground_truth` none the column
-    `image` is enough: every reference is a place, and no answer is judged.
-
-    Another folder, or a position that jumps, begins another drive unless `breaks` is none. `exif` and `levels` say how
-    files are decoded (`decoding_of`).
+    through the ellipsoid. With `ground_truth` none the column `image` is enough: every reference is a place, and no
+    answer is judged. `unmatched`, `breaks`, `exif` and `levels` are those of `dataset_of_files`, `without_position` is
+    that of `match_positions`.
 
     Raises MissingData for missing files, BadInput for tables that do not fit.
     """
@@ -80,12 +77,12 @@ def image_list(
     if kind == "none":
         truth = unknown(sum(len(table.images) for table in map_tables), len(query_table.images))
     elif kind == "place":
-        shown = [label for table in map_tables for label in table.labels()]
-        truth = _by_place(shown, query_table.labels(), tolerance)
+        shown = [label for table in map_tables for label in table.read_labels()]
+        truth = _match_labels(shown, query_table.read_labels(), tolerance)
         chosen = {"tolerance_places": tolerance}
     else:
-        *known, sought = (table.positions(kind, without_position) for table in tables)
-        truth = by_positions(known, sought, radius_metres, without_position)
+        *known, sought = (table.read_positions(kind, without_position) for table in tables)
+        truth = match_positions(known, sought, radius_metres, without_position)
         chosen = {"radius_metres": radius_metres}
     return dataset_of_files(
         name,
@@ -114,12 +111,12 @@ class _Table:
     images: Paths
     cells: pd.DataFrame  # text, by our names of the columns
 
-    def labels(self) -> list[Label]:
+    def read_labels(self) -> list[Label]:
         """Return the place of every row, whole numbers as such: 7, 007 and 7.0 are one place."""
         words = _require_words(self.file, self.cells, "place")
         return [int(whole[1]) if (whole := _WHOLE.fullmatch(word)) else word for word in words]
 
-    def positions(self, kind: Kind, without: WithoutPosition) -> Positions:
+    def read_positions(self, kind: Kind, without: WithoutPosition) -> Positions:
         """Return the position of every row; numbers that are none are an error, or NaN where such rows are left out."""
         given = np.stack([self._read_numbers(column, without) for column in _COLUMNS[kind]], axis=1)
         return Positions(self.images, given, in_degrees=kind == "lat_lon")
@@ -173,7 +170,7 @@ def _find_kind(tables: Sequence[_Table]) -> Kind:
     raise BadInput(f"{held}: wanted are {_WANTED}, the same in all files, or dataset.ground_truth=none")
 
 
-def _by_place(references: list[Label], queries: list[Label], tolerance: int) -> GroundTruth:
+def _match_labels(references: list[Label], queries: list[Label], tolerance: int) -> GroundTruth:
     """Return the ground truth of places by their labels.
 
     Whole numbers lie where they say; other labels in the order in which the references first name them.
@@ -186,7 +183,7 @@ def _by_place(references: list[Label], queries: list[Label], tolerance: int) -> 
     nowhere = first - max(at.values()) - 1  # further from every place than the tolerance can reach
     journey, places = np.unique([at[label] for label in references], return_inverse=True)
     sought = np.array([at[label] - first if label in at else nowhere for label in queries])
-    positives = right_places(sought, journey - first, tolerance)
+    positives = match_numbers(sought, journey - first, tolerance)
     numbers = journey if are_numbers and not np.array_equal(journey, np.arange(len(journey))) else None
     return GroundTruth(places, positives, "a place that no reference shows", place_numbers=numbers)
 

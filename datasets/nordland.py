@@ -9,8 +9,8 @@ from typing import Literal
 
 from vprbench.api import BadInput, Dataset, Exif, FrameFolder, Images, Paths, decoding_of
 
-from .readers.frame_folders import check_folders, find_folder, root_folder
-from .readers.traverses import Evaluation, check_recorded, dataset_of, every, split
+from .readers.frame_folders import check_folders, find_folder, find_root
+from .readers.traverses import Evaluation, check_traverses, make_dataset, split_places, take_every
 
 SEASONS = ("spring", "summer", "fall", "winter")
 
@@ -62,14 +62,14 @@ def nordland(
     BadInput for other arguments.
     """
     seasons = ["spring", "fall"] if references is None else references
-    check_recorded("Nordland", "season", SEASONS, seasons, query)
+    check_traverses("Nordland", "season", SEASONS, seasons, query)
     names = chosen_names(stride, places, frame_multiple, suffix, first_place)
     evaluation: Evaluation = "vprsnn" if protocol == "vprsnn" else "vprtempo"
-    parts = split(evaluation, places, first_query_place, query_places, tolerance, query_stride)
-    used = {query: [names[place] for place in parts.needed_of_query()]} | dict.fromkeys(seasons, names)
+    parts = split_places(evaluation, places, first_query_place, query_places, tolerance, query_stride)
+    used = {query: [names[place] for place in parts.list_needed_queries()]} | dict.fromkeys(seasons, names)
     first = f"<root>/{seasons[0]}/{names[0]}"
     layout = f"get the frames from {source}, and set dataset.root so that {first} is the first"
-    top = root_folder(name, root, "the seasons", layout, download, default_root, [*used])
+    top = find_root(name, root, "the seasons", layout, download, default_root, [*used])
     counts = _count_images(frame_multiple)
     folders = {
         season: FrameFolder(find_folder(top, season), tuple(wanted), counts, _WRONG_COUNTS)
@@ -83,7 +83,7 @@ def nordland(
         return Images.from_files([folders[season].path / names[place] for season, place in shown], decoding)
 
     numbers = [int(name.removeprefix("images-").removesuffix(suffix)) for name in names]
-    dataset = dataset_of(
+    dataset = make_dataset(
         name,
         parts,
         seasons,
@@ -94,7 +94,7 @@ def nordland(
             "references": seasons,
             "query": query,
             "stride": stride,
-            **parts.record(),
+            **parts.describe(),
             "frame_multiple": frame_multiple,
             **({"first_place": first_place} if first_place else {}),
             **decoded,
@@ -115,7 +115,7 @@ def chosen_names(
             f"dataset.frame_multiple={frame_multiple}, dataset.first_place={first_place}: give 1 or more, and 0 or more"
         )
     names = [f"images-{frame:05d}{suffix}" for frame in published_frames() if frame % frame_multiple == 0]
-    return every(names[first_place * stride :], stride, places)
+    return take_every(names[first_place * stride :], stride, places)
 
 
 def published_frames() -> list[int]:

@@ -7,13 +7,13 @@ from typing import Any, Literal
 
 from vprbench.api import BadInput, Dataset, Exif, MissingData, Paths
 
-from .readers.csv_tables import encoding_of
+from .readers.csv_tables import find_encoding
 from .readers.drives import Breaks
 from .readers.file_dataset import Unmatched, dataset_of_files, unknown
-from .readers.frame_folders import folders_in, root_folder
+from .readers.frame_folders import find_root, list_folders
 from .readers.image_files import find_listed, images_in
 from .readers.positions import WithoutPosition
-from .readers.utm_names import Zones, by_names
+from .readers.utm_names import Zones, match_names
 
 _LAYOUT = (
     "github.com/gmberton/VPR-datasets-downloader makes such folders and says for which you have to register or to ask "
@@ -40,26 +40,23 @@ def utm_folders(
 
     The two folders lie in `<root>/images/<split>`, in `<root>/<split>` or in `root` itself. Where a file
     `<folder>_images_paths.txt` lies beside a folder, it alone says which images are used, and in which order. Every
-    reference is a place; right is what lies within `radius_metres`, the radius included. Queries without a right place
-    count as misses (`keep`, as in gmberton/VPR-methods-evaluation), are left out (`drop`, as in VPRTempo and
-    VPR_Tutorial) or are an error. So are names of several UTM zones, unless images of different zones never show one
-    place (`zones` apart), and images whose position is none (0, 0 far from all others; a fix that stood still), unless
-    they are left out (`without_position` drop) or count where they say (`keep`). With `ground_truth`
-    none any name is taken, and no answer is judged. Another sub-folder, or a position that jumps, begins another drive
-    unless `breaks` is none. `exif` and `levels` say how files are decoded (`decoding_of`). Raises MissingData for what
-    is missing, BadInput for names without a position and for a list that is no text.
+    reference is a place; right is what lies within `radius_metres`, the radius included. Names of several UTM zones are
+    an error, unless images of different zones never show one place (`zones` apart). With `ground_truth` none any name
+    is taken, and no answer is judged. `unmatched` (keep, as in gmberton/VPR-methods-evaluation), `breaks`, `exif` and
+    `levels` are those of `dataset_of_files`, `without_position` is that of `match_positions`. Raises MissingData for
+    what is missing, BadInput for names without a position and for a list that is no text.
     """
     layout = f"{_LAYOUT} so that <root>/images/{split} holds {database}/ and {queries}/"
-    top = root_folder(name, root, f"{database}/ and {queries}/", layout)
+    top = find_root(name, root, f"{database}/ and {queries}/", layout)
     found, holding = _find_split(top, split, (database, queries), layout)
     folders = holding / database, holding / queries
     lists = [beside.name for folder in folders if (beside := _list_beside(folder)).is_file()]
-    map_files, query_files = (_images(folder, layout) for folder in folders)
+    map_files, query_files = (_list_images(folder, layout) for folder in folders)
     protocol: dict[str, Any] = {"protocol": "utm_folders", "split": found, "database": database, "queries": queries}
     if lists:
         protocol["lists"] = lists
     if ground_truth == "utm":
-        truth = by_names(map_files, query_files, radius_metres, zones, without_position)
+        truth = match_names(map_files, query_files, radius_metres, zones, without_position)
         protocol |= {"radius_metres": radius_metres, "zones": zones}
     else:
         truth = unknown(len(map_files), len(query_files))
@@ -70,7 +67,7 @@ def utm_folders(
 
 def _find_split(top: Path, split: str, wanted: tuple[str, str], layout: str) -> tuple[str | None, Path]:
     """Return the split, None if the root is not divided, and the folder that holds both wanted folders."""
-    for outer in ([top], folders_in(top)):  # the only folder of the root comes after the root, as a zip is unpacked
+    for outer in ([top], list_folders(top)):  # the only folder of the root comes after the root, as a zip is unpacked
         for found, way in ((split, Path("images", split)), (split, Path(split)), (None, Path())):
             holding = [each / way for each in outer if all((each / way / part).is_dir() for part in wanted)]
             if len(holding) == 1:
@@ -81,13 +78,13 @@ def _find_split(top: Path, split: str, wanted: tuple[str, str], layout: str) -> 
     )
 
 
-def _images(folder: Path, layout: str) -> Paths:
+def _list_images(folder: Path, layout: str) -> Paths:
     """Return the images of a folder: the images of the list beside it, if there is a list, else all, by their paths."""
     beside = _list_beside(folder)
     if not beside.is_file():
         return images_in(folder, "dataset.root", layout, order="plain")
     try:
-        named = [line for line in beside.read_text(encoding=encoding_of(beside)).splitlines() if line.strip()]
+        named = [line for line in beside.read_text(encoding=find_encoding(beside)).splitlines() if line.strip()]
     except UnicodeError as error:
         raise BadInput(f"{beside} is no text in UTF-8 ({error}): save it as such, or delete it") from error
     if not named:

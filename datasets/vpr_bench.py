@@ -8,8 +8,8 @@ from typing import Any, Literal
 from vprbench.api import BadInput, Dataset, Exif, MissingData
 
 from .readers.csv_tables import read_csv
-from .readers.file_dataset import Unmatched, dataset_of_files, each_a_place, unknown
-from .readers.frame_folders import find_folder, root_folder
+from .readers.file_dataset import Unmatched, dataset_of_files, make_ground_truth, unknown
+from .readers.frame_folders import find_folder, find_root
 from .readers.image_files import images_in
 from .readers.name_order import Numbers, by_numbers
 from .readers.pickled_lists import read_lists
@@ -49,7 +49,7 @@ def vpr_bench(
     files are decoded (`decoding_of`). Raises MissingData for what is missing, BadInput for a ground truth that does not
     fit.
     """
-    top = root_folder(name, root, "query/ and ref/", _LAYOUT, default_root=default_root, parts=("query", "ref"))
+    top = find_root(name, root, "query/ and ref/", _LAYOUT, default_root=default_root, parts=("query", "ref"))
     folders = (find_folder(top, part) for part in ("query", "ref"))
     found = [images_in(folder, "dataset.root", _LAYOUT, deep=False) for folder in folders]
     (query_files, map_files), read, notes = by_numbers(found, numbers)
@@ -58,8 +58,8 @@ def vpr_bench(
     if ground_truth != "none":
         stored = _find_ground_truth(top, ground_truth)
         rows = _read_csv_rows(stored) if stored.suffix.lower() == ".csv" else _read_pickled_rows(stored)
-        by_query, corrected = require_range(stored.name, rows, len(query_files), len(map_files), out_of_range)
-        truth = each_a_place(len(map_files), by_query, f"no right reference in {stored.name}")
+        by_query, corrected = check_rows(stored.name, rows, len(query_files), len(map_files), out_of_range)
+        truth = make_ground_truth(len(map_files), by_query, f"no right reference in {stored.name}")
         protocol |= {"ground_truth": stored.name, "out_of_range": out_of_range, "out_of_range_queries": len(corrected)}
         if corrected:
             count = f"{stored.name} names numbers without an image in {len(corrected)} of {len(rows)} rows"
@@ -67,36 +67,29 @@ def vpr_bench(
     return dataset_of_files(name, map_files, query_files, truth, unmatched, protocol, notes, exif=exif, levels=levels)
 
 
-def require_range(
+def check_rows(
     owner: str, rows: Rows, n_queries: int, n_references: int, out_of_range: OutOfRange
 ) -> tuple[list[list[int]], list[int]]:
     """Return the right references of every query, ascending, and the queries whose rows held numbers without an image.
 
-    Such numbers are left out with `clip`, else BadInput names the first of them. Raises BadInput as well for a query
-    with two rows or none. `owner` is the file that messages name.
+    Such numbers are left out with `clip`, else BadInput names the first row with one. Raises BadInput as well for a
+    query with two rows or none. `owner` is the file that messages name.
     """
     by_query: dict[int, list[int]] = {}
     corrected = []
     for query, right in rows:
-        known = [reference for reference in right if 0 <= reference < n_references]
-        exists = 0 <= query < n_queries
         if query in by_query:
             raise BadInput(f"{owner} has two rows for query {query}: leave one")
-        if exists:
-            by_query[query] = sorted({*known})
-        if exists and len(known) == len(right):
+        by_query[query] = sorted({reference for reference in right if 0 <= reference < n_references})
+        wrong = [reference for reference in right if not 0 <= reference < n_references]
+        if 0 <= query < n_queries and not wrong:
             continue
         corrected.append(query)
         if out_of_range == "error":
-            wrong = (
-                f"reference {next(n for n in right if n not in known)} for query {query}"
-                if exists
-                else f"query {query}"
-            )
-            holds = f"ref/ holds {n_references}" if exists else f"query/ holds {n_queries}"
             raise BadInput(
-                f"{owner} names {wrong}, but {holds} images, numbered from 0: check that no image is missing, or pass "
-                "dataset.out_of_range=clip to leave such numbers out"
+                f"{owner} names reference {', '.join(map(str, (wrong or right)[:5]))} for query {query}, but query/ "
+                f"holds {n_queries} and ref/ {n_references} images, numbered from 0: check that no image is missing, "
+                "or pass dataset.out_of_range=clip to leave such numbers out"
             )
     if without := [query for query in range(n_queries) if query not in by_query]:
         raise BadInput(

@@ -9,11 +9,11 @@ import numpy as np
 
 from vprbench.api import BadInput, Dataset, Exif, MissingData, Paths
 
-from .readers.file_dataset import GroundTruth, Unmatched, dataset_of_files, each_a_place
-from .readers.frame_folders import find_folder, root_folder
+from .readers.file_dataset import GroundTruth, Unmatched, dataset_of_files, make_ground_truth
+from .readers.frame_folders import find_folder, find_root
 from .readers.image_files import images_in
-from .readers.matrix_files import matrix_in
-from .readers.traverses import check_references, right_places
+from .readers.positives import read_matrix_file
+from .readers.traverses import check_references, match_numbers
 
 Strictness = Literal["hard", "soft"]
 
@@ -44,18 +44,18 @@ def gardens_point(
         raise BadInput(f"dataset.images={images}: give 1 or more")
     reach = (0 if ground_truth == "hard" else _SOFT_BAND) if tolerance is None else tolerance
     places = np.arange(images)
-    right = right_places(places, places, reach)
+    right = match_numbers(places, places, reach)
     layout = (
         "run python -m vprbench fetch gardens_point, or get GardensPoint_Walking.zip from "
         "www.tu-chemnitz.de/etit/proaut/datasets (all frames: doi 10.5281/zenodo.4590133) and "
         f"set dataset.root to the folder that holds {', '.join([*traverses, query])}"
     )
-    top = root_folder(name, root, "the traverses", layout, parts=[*traverses, query])
-    map_files = Paths.joined(_first(find_folder(top, traverse), images, layout) for traverse in traverses)
+    top = find_root(name, root, "the traverses", layout, parts=[*traverses, query])
+    map_files = Paths.joined(_take_first(find_folder(top, traverse), images, layout) for traverse in traverses)
     return dataset_of_files(
         name,
         map_files,
-        _first(find_folder(top, query), images, layout),
+        _take_first(find_folder(top, query), images, layout),
         GroundTruth(np.tile(places, len(traverses)), right, "no reference", by_order=True),
         "error",
         {
@@ -90,18 +90,18 @@ def with_matrix(
     for what is missing, BadInput for a matrix that does not fit.
     """
     layout = f"{source} and set dataset.root to the folder that holds {reference}, {query} and GT.npz"
-    top = root_folder(name, root, f"{reference}, {query} and GT.npz", layout, parts=[reference, query])
+    top = find_root(name, root, f"{reference}, {query} and GT.npz", layout, parts=[reference, query])
     map_files, query_files = (
         images_in(find_folder(top, folder), "dataset.root", layout, order="plain", deep=False)
         for folder in (reference, query)
     )
     shape, axes = (len(map_files), len(query_files)), ("references", "queries")
-    right = matrix_in(top / "GT.npz", _MATRICES[ground_truth], shape, axes, layout, of_columns=True)
+    right = read_matrix_file(top / "GT.npz", _MATRICES[ground_truth], shape, axes, layout, of_columns=True)
     return dataset_of_files(
         name,
         map_files,
         query_files,
-        each_a_place(len(map_files), right, f"no right reference in {_MATRICES[ground_truth]}"),
+        make_ground_truth(len(map_files), right, f"no right reference in {_MATRICES[ground_truth]}"),
         unmatched,
         {"protocol": "vpr_tutorial", "reference": reference, "query": query, "ground_truth": ground_truth},
         exif=exif,
@@ -109,7 +109,7 @@ def with_matrix(
     )
 
 
-def _first(folder: Path, count: int, layout: str) -> Paths:
+def _take_first(folder: Path, count: int, layout: str) -> Paths:
     """Return the first images of a folder; raises MissingData if there are fewer."""
     files = images_in(folder, "dataset.root", layout, deep=False)
     if len(files) < count:

@@ -8,8 +8,8 @@ from typing import Literal
 
 from vprbench.api import Dataset, Images, data_folder
 
-from ..readers.frame_folders import root_folder
-from ..readers.traverses import Evaluation, check_recorded, dataset_of, every, right_places, split
+from ..readers.frame_folders import find_root
+from ..readers.traverses import Evaluation, check_traverses, make_dataset, match_numbers, split_places, take_every
 from .calibration import STEREO_LEFT
 from .lists import RECORDINGS, count_steps_back, describe_list, published_timestamps, vprsnn_timestamps
 from .recordings import Recordings
@@ -50,19 +50,19 @@ def oxford_robotcar(
     for files that are not what they should be.
     """
     mapped = ["sun", "rain"] if references is None else references
-    check_recorded("Oxford RobotCar", "traverse", RECORDINGS, mapped, query)
+    check_traverses("Oxford RobotCar", "traverse", RECORDINGS, mapped, query)
     traverses = [*dict.fromkeys([*mapped, query])]
     layout = _describe_layout(traverses, mapped[0])
-    parts = split(protocol, places, first_query_place, query_places, tolerance)
-    top = root_folder(name, root, "the traverses", layout, _DOWNLOAD)
+    parts = split_places(protocol, places, first_query_place, query_places, tolerance)
+    top = find_root(name, root, "the traverses", layout, _DOWNLOAD)
     folder = _find_lists(top, lists)
     listed = {
         traverse: published_timestamps(traverse) if image_list == "vprtempo" else vprsnn_timestamps(folder, traverse)
         for traverse in traverses
     }
-    stamps = {traverse: every(rows, stride, places) for traverse, rows in listed.items()}
+    stamps = {traverse: take_every(rows, stride, places) for traverse, rows in listed.items()}
     files = {traverse: [f"{stamp}.png" for stamp in rows] for traverse, rows in stamps.items()}
-    wanted = {**files, query: [files[query][place] for place in parts.needed_of_query()]}
+    wanted = {**files, query: [files[query][place] for place in parts.list_needed_queries()]}
     wanted |= {traverse: files[traverse] for traverse in mapped}  # the query may be one of them
     all_files = {traverse: [f"{stamp}.png" for stamp in rows] for traverse, rows in listed.items()}
     recordings = Recordings(top, wanted, all_files, STEREO_LEFT, layout, calibration)
@@ -73,8 +73,8 @@ def oxford_robotcar(
     used = {traverse: [stamps[traverse][place] for place in parts.mapped] for traverse in mapped}
     query_stamps = [stamps[query][place] for place in parts.queried]
     rows = {**used, "queries": query_stamps}
-    positives = right_places(parts.queried, parts.mapped, tolerance)
-    return dataset_of(
+    positives = match_numbers(parts.queried, parts.mapped, tolerance)
+    return make_dataset(
         name,
         parts,
         mapped,
@@ -86,7 +86,7 @@ def oxford_robotcar(
             "references": mapped,
             "query": query,
             "stride": stride,
-            **parts.record(),
+            **parts.describe(),
             "also_tolerance_places": [*_ALSO_TOLERATED],
             "repeated_images": {which: len(stamps) - len(set(stamps)) for which, stamps in rows.items()},
             "steps_back_in_time": {which: count_steps_back(stamps) for which, stamps in rows.items()},

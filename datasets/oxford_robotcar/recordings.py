@@ -7,7 +7,7 @@ from pathlib import Path
 
 from vprbench.api import BadInput, Decoding, FrameFolder, Image, Images, Paths, cached_frames
 
-from ..readers.frame_folders import check_folders, files_in
+from ..readers.frame_folders import check_folders, list_files
 from .calibration import (
     VERSION,
     Calibration,
@@ -118,7 +118,7 @@ def _find_folder(root: Path, traverse: str, names: Sequence[str]) -> Path:
     """Return the first folder that has all frames of a traverse, else one that should have them."""
     raw = _raw_folder(root, traverse)
     places = [root / RECORDINGS[traverse] / _PROCESSED, root / traverse, raw]
-    whole = (folder for folder in places if folder.is_dir() and {*names} <= files_in(folder))
+    whole = (folder for folder in places if folder.is_dir() and {*names} <= list_files(folder))
     return next(whole, raw if raw.is_dir() else next(filter(Path.is_dir, places), root / traverse))
 
 

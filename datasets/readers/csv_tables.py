@@ -21,15 +21,14 @@ _THOUSANDS = r"\s*[-+]?\d{1,3},\d{3}\s*"
 def read_csv(file: Path, wanted: str) -> pd.DataFrame:
     """Return the cells of a CSV file as text, by the names of its first row in small letters; blank lines are none.
 
-    Its text is UTF-8 or UTF-16, and its cells stand between commas. Where the header has none they stand between
-    semicolons or tabs, and decimal commas are points. A line `sep=;` above the header names another sign. Cells that a
-    row lacks are empty. Raises BadInput, with the columns that are `wanted`, for any other file, and for a row of more
-    cells.
+    Cells stand between commas. Where the header has none they stand between semicolons or tabs, and decimal commas are
+    points. A line `sep=;` above the header names another sign. Cells that a row lacks are empty. Raises BadInput, with
+    the columns that are `wanted`, for any other file, and for a row of more cells.
     """
     import pandas as pd
 
     try:
-        encoding = encoding_of(file)
+        encoding = find_encoding(file)
         with file.open(encoding=encoding) as text:
             first = text.readline(_LONGEST_HEADER)
         named = _SEPARATOR_LINE.fullmatch(first)
@@ -52,15 +51,11 @@ def read_csv(file: Path, wanted: str) -> pd.DataFrame:
     return table if separator == "," else table.apply(_write_points)
 
 
-def encoding_of(file: Path) -> str:
-    """Return the encoding of a text whose first character is of ASCII: UTF-8, or UTF-16 as Excel and Notepad write."""
+def find_encoding(file: Path) -> str:
+    """Return the encoding of a text: UTF-16 if its first bytes say so, as Excel and Notepad write, else UTF-8."""
     with file.open("rb") as raw:
-        start = raw.read(4)
-    if start.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        return "utf-16"
-    if start[:1] == b"\0":
-        return "utf-16-be"
-    return "utf-16-le" if start[1:2] == b"\0" else "utf-8-sig"
+        start = raw.read(2)
+    return "utf-16" if start in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE) else "utf-8-sig"
 
 
 def _write_points(cells: pd.Series[str]) -> pd.Series[str]:

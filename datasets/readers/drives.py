@@ -17,7 +17,7 @@ Starts = npt.NDArray[np.int64]  # the frames of a traverse, ascending, that are 
 
 NO_STARTS: Starts = np.empty(0, np.int64)
 _JUMP = 10  # times the usual step
-_SHOWN = 5  # sub-folders in a message
+_SHOWN = 9  # sub-folders in a message
 
 
 @dataclass(frozen=True)
@@ -28,18 +28,17 @@ class DriveStarts:
     queries: Starts
     seen_by: str  # folders, positions, or both
 
-    def of_places(self, places: Places) -> Starts:
+    def find_place_starts(self, places: Places) -> Starts:
         """Return the places that no drive shows beside the place before; `places` (n_references,) are those shown."""
         if not len(self.references):
             return NO_STARTS
-        drives = np.zeros(len(places), np.int64)
-        drives[self.references] = 1
-        shown = np.unique(np.stack([np.cumsum(drives), places], axis=1), axis=0)
+        drives = np.searchsorted(self.references, np.arange(len(places)), side="right")
+        shown = np.unique(np.stack([drives, places], axis=1), axis=0)
         joined = shown[1:][(np.diff(shown, axis=0) == (0, 1)).all(axis=1), 1]
         return np.setdiff1d(np.arange(1, int(places.max()) + 1), joined)
 
 
-def drive_starts(
+def find_drives(
     references: Sequence[Path] | Images,
     queries: Sequence[Path] | Images,
     breaks: Breaks,
@@ -51,13 +50,13 @@ def drive_starts(
     """
     if breaks == "none":
         return DriveStarts(NO_STARTS, NO_STARTS, "")
-    folders = [_folder_starts(files) for files in (references, queries)]
+    folders = [_find_folder_starts(files) for files in (references, queries)]
     found = {"folders": folders, "positions": jumps}
     seen_by = " and ".join(name for name, starts in found.items() if any(map(len, starts)))
     return DriveStarts(np.union1d(folders[0], jumps[0]), np.union1d(folders[1], jumps[1]), seen_by)
 
 
-def _folder_starts(files: Sequence[Path] | Images) -> Starts:
+def _find_folder_starts(files: Sequence[Path] | Images) -> Starts:
     """Return which files are the first of another folder; none where most files have a folder of their own."""
     if isinstance(files, Images):
         return NO_STARTS
@@ -65,7 +64,7 @@ def _folder_starts(files: Sequence[Path] | Images) -> Starts:
     return starts if 2 * len(starts) < len(files) else NO_STARTS
 
 
-def position_jumps(metres: npt.NDArray[np.float64], radius_metres: float) -> Starts:
+def find_jumps(metres: npt.NDArray[np.float64], radius_metres: float) -> Starts:
     """Return which frames lie beyond the radius from the frame before, and beyond 10 usual steps; metres (n, d)."""
     steps = np.linalg.norm(np.diff(metres, axis=0), axis=1)
     moves = steps[steps > 0]
@@ -80,17 +79,16 @@ def check_by_order(traverses: Sequence[Sized], names: Sequence[str], breaks: Bre
     comes before the names of options. Frames that are no files have no sub-folders.
     """
     counts = [_count_by_folder(files) for files in traverses]
-    compared = [own for own, files in zip(counts, traverses, strict=True) if isinstance(files, Paths)]
+    in_folders = {own for own, files in zip(counts, traverses, strict=True) if isinstance(files, Paths)}
     if len(set(map(sum, counts))) > 1:
         differing = "different numbers of images"
-    elif breaks == "auto" and any(own != compared[0] for own in compared):
+    elif breaks == "auto" and len(in_folders) > 1:
         differing = "sub-folders with different numbers of images"
         remedy += f"; {option}breaks=none takes all as one drive"
     else:
         return
     listed = ", ".join(
-        f"{name} {sum(own)}"
-        + (f" = {'+'.join(map(str, own[:_SHOWN]))}" + "+..." * (len(own) > _SHOWN)) * (len(own) > 1)
+        f"{name} {'+'.join(map(str, own)) if len(own) <= _SHOWN else sum(own)}"
         for name, own in zip(names, counts, strict=True)
     )
     raise BadInput(
@@ -99,15 +97,13 @@ def check_by_order(traverses: Sequence[Sized], names: Sequence[str], breaks: Bre
     )
 
 
-def _count_by_folder(files: Sized) -> list[int]:
+def _count_by_folder(files: Sized) -> tuple[int, ...]:
     """Return how many files follow one another in each folder."""
-    if not isinstance(files, Paths):
-        return [len(files)]
-    ends = np.flatnonzero(np.diff(files.numbers)) + 1
-    return list(map(int, np.diff([0, *ends.tolist(), len(files)])))
+    starts = np.flatnonzero(np.diff(files.numbers)) + 1 if isinstance(files, Paths) else NO_STARTS
+    return tuple(np.diff([0, *starts, len(files)]).tolist())
 
 
-def right_in_drive(right: Sequence[Places], starts: Starts) -> list[Places]:
+def keep_in_drive(right: Sequence[Places], starts: Starts) -> list[Places]:
     """Return of the right places of each query, the i-th of which is at place i, those that lie in its own drive."""
     drives = np.searchsorted(starts, np.arange(len(right)), side="right")
     return [own[np.searchsorted(starts, own, side="right") == drives[query]] for query, own in enumerate(right)]

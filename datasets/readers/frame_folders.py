@@ -11,11 +11,10 @@ from pathlib import Path
 from vprbench.api import FrameFolder, MissingData, checkout_folder, data_folder, is_folder_beside
 
 _SUFFIXES = (".png", ".jpg", ".jpeg")
-_PACKED = (".zip", ".tar", ".gz", ".tgz", ".bz2", ".xz", ".rar", ".7z")
 _ARCHIVES = "archives"  # what was downloaded and not unpacked yet
 
 
-def root_folder(
+def find_root(
     name: str,
     root: str | None,
     holding: str,
@@ -31,35 +30,28 @@ def root_folder(
     A `root` of None is the folder that downloads of the dataset lie in, if it holds anything, else `default_root`
     (relative to the checkout) if it exists; `download` names the download folder if several datasets share one.
     """
-    if root is not None:
-        folder = Path(root).expanduser()
-        if not is_readable_folder(folder):
-            raise MissingData(
-                f"dataset.root={root} is no folder that can be read: {name} needs the one that holds {holding}; "
-                f"{layout}" + ", unpacked" * (folder.suffix.lower() in _PACKED)
-            )
-        return _choose_folder(folder, parts)
     kept = data_folder(download or name)
-    started = is_readable_folder(kept)
-    if started and any(not entry.name.startswith(".") and entry.name != _ARCHIVES for entry in kept.iterdir()):
-        return _choose_folder(kept, parts)
-    default = checkout_folder() / (default_root or "")
-    if default_root is not None and is_readable_folder(default):
-        return default
-    raise MissingData(
-        f"dataset.root is not set: {name} needs the folder that holds {holding}; {layout}, or call that folder {kept}"
-        + " (which holds no frames yet: a download was not finished)" * started
-    )
+    if root is not None:
+        top = Path(root).expanduser()
+        if not top.is_dir():
+            raise MissingData(
+                f"dataset.root={root} is no folder: {name} needs the unpacked one that holds {holding}; {layout}"
+            )
+    elif kept.is_dir() and any(each.name != _ARCHIVES and not each.name.startswith(".") for each in kept.iterdir()):
+        top = kept
+    elif default_root is not None and (checkout_folder() / default_root).is_dir():
+        top = checkout_folder() / default_root
+    else:
+        raise MissingData(
+            f"dataset.root is not set: {name} needs the folder that holds {holding}; {layout}, or call that folder "
+            f"{kept}" + " (which holds no frames yet: a download was not finished)" * kept.is_dir()
+        )
+    inner = [] if _has_folders(top, parts) else [each for each in list_folders(top) if _has_folders(each, parts)]
+    return inner[0] if len(inner) == 1 else top
 
 
-def _choose_folder(folder: Path, parts: Collection[str]) -> Path:
-    """Return a folder, or the only one in it that has these parts where the folder itself has not."""
-
-    def has_all(each: Path) -> bool:
-        return all(is_readable_folder(find_folder(each, part)) for part in parts)
-
-    within = [] if has_all(folder) else list(filter(has_all, folders_in(folder)))
-    return within[0] if len(within) == 1 else folder
+def _has_folders(top: Path, parts: Collection[str]) -> bool:
+    return all(find_folder(top, part).is_dir() for part in parts)
 
 
 def find_folder(top: Path, name: str) -> Path:
@@ -67,37 +59,29 @@ def find_folder(top: Path, name: str) -> Path:
 
     Where it holds nothing but one folder, the frames lie in that, as in summer/summer.
     """
-    alike = [folder for folder in folders_in(top) if folder.name.casefold() == name.casefold()]
-    found = top / name
-    if len(alike) == 1 and not found.is_dir():
-        found = alike[0]
-    inner = folders_in(found)
-    return inner[0] if len(inner) == 1 and not files_in(found) else found
+    alike = [folder for folder in list_folders(top) if folder.name.casefold() == name.casefold()]
+    found = alike[0] if len(alike) == 1 else top / name
+    inner = list_folders(found)
+    return inner[0] if len(inner) == 1 and not list_files(found) else found
 
 
-def folders_in(folder: Path) -> list[Path]:
+def list_folders(folder: Path) -> list[Path]:
     """Return the folders in a folder, by their names, but for hidden ones and those that systems put there."""
-    if not is_readable_folder(folder):
-        return []
-    return sorted(each for each in folder.iterdir() if is_readable_folder(each) and not is_folder_beside(each.name))
+    inner = folder.iterdir() if folder.is_dir() else ()
+    return sorted(each for each in inner if each.is_dir() and not is_folder_beside(each.name))
 
 
-def nearest_folder(path: Path) -> str:
+def suggest_folder(path: Path) -> str:
     """Return words for the folder that may be meant by a path where there is none; empty if none is alike."""
-    while path.parent != path and not is_readable_folder(path.parent):
+    while path.parent != path and not path.parent.is_dir():
         path = path.parent
-    around = folders_in(path.parent)
-    known = {folder.name.casefold(): folder for folder in [*chain(*map(folders_in, around)), *around]}
+    around = list_folders(path.parent)
+    known = {folder.name.casefold(): folder for folder in [*chain(*map(list_folders, around)), *around]}
     close = difflib.get_close_matches(path.name.casefold(), known, n=1)
     return f"did you mean {known[close[0]]}? else " if close else ""
 
 
-def is_readable_folder(folder: Path) -> bool:
-    """Tell whether a path is a folder whose files this process may list and open."""
-    return folder.is_dir() and os.access(folder, os.R_OK | os.X_OK)
-
-
-def files_in(folder: Path) -> set[str]:
+def list_files(folder: Path) -> set[str]:
     """Return the names of the files in a folder, links to files included."""
     with os.scandir(folder) as entries:
         return {entry.name for entry in entries if entry.is_file()}
@@ -110,9 +94,9 @@ def check_folders(folders: Sequence[FrameFolder], layout: str, suffix_option: st
     suffix, which the option `suffix_option` chooses.
     """
     for folder in folders:
-        if not is_readable_folder(folder.path):
-            raise MissingData(f"{folder.path} does not exist or cannot be read: {nearest_folder(folder.path)}{layout}")
-        present = files_in(folder.path)
+        if not folder.path.is_dir():
+            raise MissingData(f"{folder.path} does not exist: {suggest_folder(folder.path)}{layout}")
+        present = list_files(folder.path)
         missing = [name for name in folder.used if name not in present]
         if not missing:
             continue

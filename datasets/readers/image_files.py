@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import difflib
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import cache
+from itertools import chain, islice
 from pathlib import Path
 from typing import Literal, NoReturn
 
@@ -20,7 +21,7 @@ from vprbench.api import (
     natural_keys,
 )
 
-from .frame_folders import nearest_folder
+from .frame_folders import suggest_folder
 
 _MOST_NAMES = 10_000  # of a folder that are compared with a missing one
 
@@ -43,7 +44,7 @@ def images_in(
     """
     top = Path(folder).expanduser()
     if not str(folder) or not top.is_dir():
-        raise MissingData(f"{option}: {folder or 'nothing'} is no folder: {nearest_folder(top)}{advice}")
+        raise MissingData(f"{option}: {folder or 'nothing'} is no folder: {suggest_folder(top)}{advice}")
     frames, strangers = _list_entries(top, deep)
     if not frames:
         raise MissingData(f"{option}: {folder} holds no images ({', '.join(IMAGE_SUFFIXES)}): {advice}")
@@ -69,31 +70,35 @@ def find_listed(files: Sequence[Path], listed_in: str, advice: str) -> Paths:
     A file that is missing is the one under slashes for backslashes, or the only one whose name differs in capitals
     alone. Raises MissingData, with the first row, the names nearest to its name and `advice`, if none is there.
     """
-    files = Paths.of(files)
-    missing = [number for number, path in enumerate(files) if not path.is_file()]
-    in_folder = cache(_list_names)
-    found = {number: there for number in missing if (there := _find_alike(files[number], in_folder))}
-    if gone := [number for number in missing if number not in found]:
-        slashed = Path(str(files[gone[0]]).replace("\\", "/"))
-        close = difflib.get_close_matches(slashed.name, in_folder(slashed.parent)[:_MOST_NAMES])
+    names_in = cache(_group_names)
+    found, gone = [], []
+    for row, path in enumerate(files, 1):
+        there = path
+        if not there.is_file():
+            there = Path(str(path).replace("\\", "/"))
+            alike = names_in(there.parent).get(there.name.casefold(), [])
+            if not there.is_file() and len(alike) == 1:
+                there = there.with_name(alike[0])
+            gone += [] if there.is_file() else [(row, path, there)]
+        found.append(there)
+    if gone:
+        row, path, there = gone[0]
+        around = islice(chain(*names_in(there.parent).values()), _MOST_NAMES)
+        close = difflib.get_close_matches(there.name, around)
         near = f"did you mean {' or '.join(close)}? else " * bool(close)
         raise MissingData(
-            f"{files[gone[0]]} does not exist ({len(gone)} of {len(files)} images in {listed_in} are missing), named "
-            f"in row {gone[0] + 1}: {near}{advice}"
+            f"{path} does not exist ({len(gone)} of {len(files)} images in {listed_in} are missing), named in row "
+            f"{row}: {near}{advice}"
         )
-    return Paths.of(found.get(number, path) for number, path in enumerate(files)) if found else files
+    return Paths.of(found)
 
 
-def _list_names(folder: Path) -> list[str]:
-    return sorted(entry.name for entry in folder.iterdir()) if folder.is_dir() else []
-
-
-def _find_alike(path: Path, in_folder: Callable[[Path], list[str]]) -> Path | None:
-    """Return the file that a path means under other slashes or capitals; None if there is none, or are several."""
-    slashed = Path(str(path).replace("\\", "/"))
-    alike = [name for name in in_folder(slashed.parent) if name.casefold() == slashed.name.casefold()]
-    named = [name for name in alike if name == slashed.name] or alike
-    return slashed.parent / named[0] if len(named) == 1 and (slashed.parent / named[0]).is_file() else None
+def _group_names(folder: Path) -> dict[str, list[str]]:
+    """Return the names in a folder by their small letters, in their order; none if it is no folder."""
+    groups: dict[str, list[str]] = {}
+    for name in sorted(os.listdir(folder) if folder.is_dir() else ()):  # noqa: PTH208 (names alone)
+        groups.setdefault(name.casefold(), []).append(name)
+    return groups
 
 
 def _list_entries(top: Path, deep: bool) -> tuple[list[str], list[Path]]:

@@ -22,24 +22,21 @@ def by_numbers(
     some traverses in one way and some in the other.
     """
     found = [find_decimals(files.names, files.numbers.tolist()) for files in traverses]
-    by_reading = {each.reading: each for each in found if each is not None}
-    if numbers == "auto" and len(by_reading) == 2:
-        both = [" before ".join(by_reading[way].first[:: 1 if way == "decimal" else -1]) for way in sorted(by_reading)]
-        raise BadInput(
-            f"{option}=auto: the names of some traverses hold decimal numbers ({both[0]}), those of others whole ones "
-            f"({both[1]}): pass {option}=decimal or {option}=whole, for all of them"
-        )
-    taken = numbers if numbers != "auto" else next(iter(by_reading), "whole")
-    first = next((each.first for each in found if each is not None), None)
-    if first is None:
+    first = {each.reading: each.first for each in found if each is not None}
+    if not first:
         return [*traverses], {}, []
-    if taken == "whole":
-        note = (
-            f"numbers in names are read as whole ones, {first[1]} before {first[0]}; {option}=decimal: {first[0]} first"
+    if numbers == "auto" and len(first) == 2:
+        (one, two), (three, four) = first["decimal"], first["whole"]
+        raise BadInput(
+            f"{option}=auto: the names of some traverses hold decimal numbers ({one} before {two}), those of others "
+            f"whole ones ({four} before {three}): pass {option}=decimal or {option}=whole, for all of them"
         )
+    taken = next(iter(first)) if numbers == "auto" else numbers
+    one, two = next(iter(first.values()))
+    if taken == "whole":
+        note = f"numbers in names are read as whole ones, {two} before {one}; {option}=decimal: {one} first"
         return [*traverses], {}, [note]
-    ordered = [
-        files if each is None else files[np.array(each.order)] for files, each in zip(traverses, found, strict=True)
-    ]
-    note = f"numbers in names are read as decimals, {first[0]} before {first[1]}; {option}=whole: {first[1]} first"
+    pairs = zip(traverses, found, strict=True)
+    ordered = [files if each is None else files[np.array(each.order)] for files, each in pairs]
+    note = f"numbers in names are read as decimals, {one} before {two}; {option}=whole: {two} first"
     return ordered, {"numbers": "decimal"}, [note]

@@ -9,7 +9,7 @@ from __future__ import annotations
 import pickle
 import re
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 from numpy.lib import format as npy
@@ -23,7 +23,7 @@ _NUMBER = re.compile("[iuf][1248]")
 
 
 def read_lists(path: Path, advice: str) -> list[Any]:
-    """Return the nested lists of numbers that a .npy file of objects, or a bare pickle, holds, three deep at most.
+    """Return the nested lists of numbers that a .npy file of objects holds, three deep at most.
 
     Raises BadInput, with `advice`, for a pickle that names anything but numpy's arrays, that is too large or damaged,
     or that holds something else.
@@ -32,7 +32,9 @@ def read_lists(path: Path, advice: str) -> list[Any]:
         raise BadInput(f"{path} has {path.stat().st_size} bytes, more than the {_MOST_BYTES} that are read: {advice}")
     try:
         with path.open("rb") as file:
-            _skip_header(file)
+            read_header = npy.read_array_header_1_0 if npy.read_magic(file) == (1, 0) else npy.read_array_header_2_0
+            if read_header(file)[2] != np.dtype(object):
+                raise ValueError("it holds an array of plain numbers, where lists of different lengths are wanted")
             lists = _copy_numbers(_Unpickler(file, encoding="latin1").load(), _DEPTH, [_MOST_NUMBERS])
     except Exception as error:  # a damaged pickle can fail in any way
         reason = (str(error).splitlines() or [""])[0] or type(error).__name__
@@ -42,25 +44,14 @@ def read_lists(path: Path, advice: str) -> list[Any]:
     return lists
 
 
-def _skip_header(file: BinaryIO) -> None:
-    """Move to the pickle in a .npy file; raises ValueError if the file holds plain numbers instead."""
-    is_npy = file.read(len(npy.MAGIC_PREFIX)) == npy.MAGIC_PREFIX
-    file.seek(0)
-    if is_npy:
-        read_header = npy.read_array_header_1_0 if npy.read_magic(file) == (1, 0) else npy.read_array_header_2_0
-        if read_header(file)[2] != np.dtype(object):
-            raise ValueError("it holds an array of plain numbers, where lists of different lengths are wanted")
-
-
-class _Kind:
+class _Type:
     """Stands for a dtype."""
 
     def __init__(self, code: str, *_: Any) -> None:
         self.code = code
-        self.order = "<"
 
     def __setstate__(self, state: Any) -> None:
-        self.order = ">" if state[1] == ">" else "<"
+        self.code = state[1].replace("|", "") + self.code  # the order of its bytes
 
 
 class _Array(list[Any]):
@@ -70,30 +61,25 @@ class _Array(list[Any]):
         """Begin empty; the elements come as the state."""
 
     def __setstate__(self, state: Any) -> None:
-        self[:] = _list_elements(*state[-4:])
+        _, shape, kind, columns_first, content = state
+        self[:] = _list_elements(shape, kind, "F" if columns_first else "C", content)
 
 
-def _list_elements(shape: Any, kind: _Kind, columns_first: Any, stored: Any) -> Any:
+def _list_elements(shape: Any, kind: _Type, order: Any, content: Any) -> Any:
     """Return the elements of an array, nested as `shape` says: a number for the shape ()."""
-    if not len(stored):
-        return []
     if kind.code.startswith("O"):  # row by row in any case
-        return np.fromiter(stored, object, len(stored)).reshape(shape).tolist()
-    if not _NUMBER.fullmatch(kind.code):
+        return np.fromiter(content, object, len(content)).reshape(shape).tolist()
+    if not _NUMBER.fullmatch(kind.code.lstrip("<>")):
         raise ValueError(f"it holds elements of type {kind.code[:20]}")
-    content = stored.encode("latin1") if isinstance(stored, str) else stored  # Python 2 wrote bytes as text
-    numbers = np.frombuffer(content, kind.order + kind.code)
-    return numbers.reshape(shape, order="F" if columns_first else "C").tolist()
+    return np.frombuffer(content, kind.code).reshape(shape, order=order).tolist()
 
 
 _STAND_INS: dict[str, Any] = {
     "numpy.ndarray": _Array,
-    "numpy.dtype": _Kind,
+    "numpy.dtype": _Type,
     "numpy.core.multiarray._reconstruct": _Array,
-    "numpy.core.multiarray.scalar": lambda kind, stored: _list_elements((), kind, False, stored),
-    "numpy.core.numeric._frombuffer": lambda data, kind, shape, order: _list_elements(shape, kind, order == "F", data),
-    "_codecs.encode": lambda text, encoding: text.encode({"latin1": "latin1"}[encoding]),
-    "builtins.bytes": lambda: b"",
+    "numpy.core.multiarray.scalar": lambda kind, content: _list_elements((), kind, "C", content),
+    "_codecs.encode": lambda text, encoding: text.encode({"latin1": "latin1"}[encoding]),  # bytes of protocol 2
     "__builtin__.bytes": lambda: b"",
 }
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -13,11 +12,11 @@ from scipy.spatial import KDTree
 
 from vprbench.api import BadInput, Paths
 
-from .drives import position_jumps
-from .file_dataset import GroundTruth, each_a_place
+from .drives import find_jumps
+from .file_dataset import GroundTruth, make_ground_truth
 
 Metres = npt.NDArray[np.float64]  # (n, 2) east and north, or (n, 3)
-Mask = npt.NDArray[np.bool_]  # (n,), of the images of a traverse
+Mask = npt.NDArray[np.bool_]  # (n,), of images
 WithoutPosition = Literal["error", "keep", "drop"]  # of images without a position: keep takes the position as given
 
 MOST_METRES = 1e8  # the way round the Earth is 4e7; of much larger numbers centimetres are lost, and squares overflow
@@ -25,7 +24,6 @@ _APART_METRES = 1e9  # between two grids
 _EQUATOR_METRES = 6378137.0  # WGS 84
 _FLATTENING = 1 / 298.257223563
 _ROUNDING_METRES = 1e-7  # of coordinates of some million metres: decides about nothing but the edge of the radius
-_AT_ONCE = 1024  # queries whose neighbours are lists of Python
 _APART_RADII = 10  # from a number that stands twice to all other positions
 _STANDING = 10  # times as many images at one position as usual
 _LEAST = 10  # images before their extent tells anything
@@ -43,20 +41,15 @@ class Positions:
     in_degrees: bool = False
     grids: npt.NDArray[np.int64] | None = None  # (n,), of metres of several grids; images of two never show one place
 
-    @cached_property
+    @property
     def metres(self) -> Metres:
         """The positions in metres."""
         if self.grids is not None:
             return np.column_stack([self.given, self.grids * _APART_METRES])
-        return earth_centred(*self.given.T) if self.in_degrees else self.given
-
-    def choose(self, which: Mask) -> Positions:
-        """Return the positions of some images."""
-        grids = None if self.grids is None else self.grids[which]
-        return Positions(self.files[which], self.given[which], self.in_degrees, grids)
+        return convert_degrees(*self.given.T) if self.in_degrees else self.given
 
 
-def as_metres(named: str, array: npt.ArrayLike, n_images: int) -> Metres:
+def require_metres(named: str, array: npt.ArrayLike, n_images: int) -> Metres:
     """Return east and north of an array, (n, 2) or (2, n) of two images or more; raises BadInput for any other."""
     metres = np.asarray(array)
     if metres.shape == (2,) and n_images == 1:
@@ -68,7 +61,7 @@ def as_metres(named: str, array: npt.ArrayLike, n_images: int) -> Metres:
     return metres.astype(np.float64)
 
 
-def earth_centred(latitude: npt.NDArray[np.float64], longitude: npt.NDArray[np.float64]) -> Metres:
+def convert_degrees(latitude: npt.NDArray[np.float64], longitude: npt.NDArray[np.float64]) -> Metres:
     """Return points of the WGS 84 ellipsoid, given in degrees, in metres from the centre of the Earth, (n, 3).
 
     The straight line between two points is shorter than the way on the ground by about its share d^2 / 24 R^2, at
@@ -81,115 +74,63 @@ def earth_centred(latitude: npt.NDArray[np.float64], longitude: npt.NDArray[np.f
     return np.stack([x, y, across * (1 - eccentricity_squared) * np.sin(phi)], axis=1)
 
 
-def by_radius(references: Metres, queries: Metres, radius_metres: float) -> GroundTruth:
+def match_metres(references: Metres, queries: Metres, radius_metres: float) -> GroundTruth:
     """Return every reference as a place of its own; right is what lies within the radius, the radius included.
 
     Raises BadInput for a radius that is not above 0, or that spans more than the Earth.
     """
     _check_radius(radius_metres)
-    tree, reach = KDTree(references), radius_metres + _ROUNDING_METRES
-    near = (
-        right
-        for first in range(0, len(queries), _AT_ONCE)
-        for right in tree.query_ball_point(queries[first : first + _AT_ONCE], reach, return_sorted=True)
-    )
-    truth = each_a_place(len(references), near, f"no reference within {radius_metres:g} m")
-    return replace(truth, jumps=(position_jumps(references, radius_metres), position_jumps(queries, radius_metres)))
+    near = KDTree(references).query_ball_point(queries, radius_metres + _ROUNDING_METRES, return_sorted=True)
+    truth = make_ground_truth(len(references), near, f"no reference within {radius_metres:g} m")
+    return replace(truth, jumps=(find_jumps(references, radius_metres), find_jumps(queries, radius_metres)))
 
 
-def by_positions(
+def match_positions(
     references: Sequence[Positions], queries: Positions, radius_metres: float, without: WithoutPosition = "error"
 ) -> GroundTruth:
-    """Return the ground truth `by_radius` of traverses, in which some images may have no position.
+    """Return the ground truth by the radius (`match_metres`) of traverses, in which some images may have no position.
 
-    These (`find_without_position`) are an error, are left out (`drop`), or count where they say (`keep`). Raises
-    BadInput for them, for a bad radius, and for coordinates that are no metres.
+    An image has no position where nothing is given, where one number stands twice (0, 0 or -1, -1) and no other
+    position is near, and where a fix stood still. Such images are an error, are left out (`drop`), or count where they
+    say (`keep`). Raises BadInput for them, for a bad radius, and for coordinates that are no metres.
     """
     _check_radius(radius_metres)
     traverses = [*references, queries]
-    for each in traverses:
-        wrong = (np.abs(each.given) > MOST_METRES) | (np.isnan(each.given) & (without == "keep"))
-        if wrong.any():
-            first = int(wrong.any(axis=1).argmax())
-            raise BadInput(
-                f"the position of {each.files[first]} is {_pair(each.given[first])}: wanted are metres from -1e8 to "
-                "1e8, or NaN with dataset.without_position=drop"
-            )
-    lacking = find_without_position(traverses, radius_metres)
-    lack = _describe_lacking(traverses, lacking)
-    if without == "error" and lack:
+    files = Paths.joined(each.files for each in traverses)
+    given, metres = (np.concatenate(parts) for parts in zip(*((e.given, e.metres) for e in traverses), strict=True))
+    is_query = np.arange(len(files)) >= len(files) - len(queries.files)
+    wrong = ((np.abs(given) > MOST_METRES) | (np.isnan(given) & (without == "keep"))).any(axis=1)
+    if wrong.any():
+        raise BadInput(
+            f"the position of {files[int(wrong.argmax())]} is {_format_pair(given[wrong.argmax()])}: wanted are metres "
+            "from -1e8 to 1e8, or NaN with dataset.without_position=drop"
+        )
+    stale = np.concatenate([_find_stale(each) for each in traverses])
+    lacking = stale | _find_lonely(given, metres, radius_metres)
+    first = int(lacking.argmax())
+    lack = f"{lacking.sum()} of {len(files)} images have no position (first: {files[first]} at "
+    lack += f"{_format_pair(given[first])}{', where its fix stands still' if stale[first] else ''})"
+    if without == "error" and lacking.any():
         raise BadInput(
             f"{lack}: correct them, or pass dataset.without_position=drop to leave them out, "
             "dataset.without_position=keep if they were taken there"
         )
-    drops = without == "drop"
-    kept = [~lacks if drops else np.full(len(lacks), True) for lacks in lacking]
-    kept_references, kept_queries = np.flatnonzero(np.concatenate(kept[:-1])), np.flatnonzero(kept[-1])
-    if not (len(kept_references) and len(kept_queries)):
+    kept = ~lacking | (without != "drop")
+    if not ((kept & is_query).any() and (kept & ~is_query).any()):
         raise BadInput(f"{lack}, and dataset.without_position=drop leaves none")
-    left = [each.choose(which) for each, which in zip(traverses, kept, strict=True)]
-    _check_coordinates(left, radius_metres)
-    truth = by_radius(np.concatenate([each.metres for each in left[:-1]]), left[-1].metres, radius_metres)
+    _check_coordinates(files, given[kept], metres[kept], queries.in_degrees, radius_metres)
     counts = {
-        "references_without_position": sum(int(lacks.sum()) for lacks in lacking[:-1]),
-        "queries_without_position": int(lacking[-1].sum()),
+        "references_without_position": int((lacking & ~is_query).sum()),
+        "queries_without_position": int((lacking & is_query).sum()),
     }
-    note = f"{lack}; they {'are left out' if drops else 'count where they say'}" if lack else ""
+    note = f"{lack}; they {'are left out' if without == 'drop' else 'count where they say'}"
     return replace(
-        truth,
-        references=kept_references if drops else None,
-        queries=kept_queries if drops else None,
+        match_metres(metres[kept & ~is_query], metres[kept & is_query], radius_metres),
+        references=np.flatnonzero(kept[~is_query]) if without == "drop" else None,
+        queries=np.flatnonzero(kept[is_query]) if without == "drop" else None,
         protocol={} if without == "error" else {"without_position": without, **counts},
-        notes=(note,) if note else (),
+        notes=[note] if lacking.any() else [],
     )
-
-
-def find_without_position(traverses: Sequence[Positions], radius_metres: float) -> list[Mask]:
-    """Tell of every image of each traverse whether its position is none.
-
-    That is so where nothing is given, where one number stands twice (0, 0 or -1, -1) and no other position is near, and
-    where a fix stood still: a position that holds for `_STANDING` times as many images as usual, and then leaps at
-    least half as far as that many usual steps lead.
-    """
-    nothing: list[Mask] = [np.isnan(each.given[:, 0] + each.given[:, 1]) for each in traverses]
-    twice = [each.given[:, 0] == each.given[:, 1] for each in traverses]
-    others = np.concatenate([
-        each.metres[~(none | same)] for each, none, same in zip(traverses, nothing, twice, strict=True)
-    ])  # fmt: skip
-    if len(others) and any(map(np.any, twice)):
-        tree = KDTree(others)
-        for each, none, same in zip(traverses, nothing, twice, strict=True):
-            none[same] = tree.query(each.metres[same])[0] > _APART_RADII * radius_metres
-    lacking: list[Mask] = list(map(np.logical_or, nothing, map(_find_stale, traverses)))
-    return lacking
-
-
-def _find_stale(positions: Positions) -> Mask:
-    """Tell of every image whether its position is that of an earlier image, which the camera has left since."""
-    moves = (np.diff(positions.given, axis=0) != 0).any(axis=1) | (np.diff(positions.files.numbers) != 0)
-    ends = np.flatnonzero(moves)
-    first, last = np.append(0, ends + 1), np.append(ends, len(positions.given) - 1)  # of each run at one position
-    steps = np.linalg.norm(positions.metres[first[1:]] - positions.metres[last[:-1]], axis=1)
-    steps[positions.files.numbers[first[1:]] != positions.files.numbers[last[:-1]]] = np.nan  # another drive
-    fixes = (last - first + 1)[:-1] / np.median(last - first + 1)
-    usual = np.median(steps[np.isfinite(steps)]) if np.isfinite(steps).any() else np.nan
-    stale = np.full(len(positions.given), False)
-    for run in np.flatnonzero((fixes >= _STANDING) & (steps >= fixes * usual / 2)):
-        stale[first[run] + 1 : last[run] + 1] = True
-    return stale
-
-
-def _describe_lacking(traverses: Sequence[Positions], lacking: Sequence[Mask]) -> str:
-    """Return how many images have no position, with the first of them; empty if all have one."""
-    each, lacks = next(((e, lacks) for e, lacks in zip(traverses, lacking, strict=True) if lacks.any()), (None, None))
-    if each is None or lacks is None:
-        return ""
-    first = int(lacks.argmax())
-    given = each.given[first]
-    why = "far from all others" if given[0] == given[1] else "where its fix stands still"
-    at = "" if np.isnan(given).any() else f" at {_pair(given)}, {why}"
-    total, n = sum(int(lacks.sum()) for lacks in lacking), sum(map(len, lacking))
-    return f"{total} of {n} images have no position (first: {each.files[first]}{at})"
 
 
 def _check_radius(radius_metres: float) -> None:
@@ -197,18 +138,44 @@ def _check_radius(radius_metres: float) -> None:
         raise BadInput(f"dataset.radius_metres={radius_metres:g}: give more than 0 metres, at most {MOST_METRES:g}")
 
 
-def _check_coordinates(traverses: Sequence[Positions], radius_metres: float) -> None:
+def _find_lonely(given: npt.NDArray[np.float64], metres: Metres, radius_metres: float) -> Mask:
+    """Tell of every image whether its position is not given, or one number twice that is far from all others."""
+    lonely: Mask = np.isnan(given[:, 0] + given[:, 1])
+    twice = given[:, 0] == given[:, 1]
+    others = metres[~lonely & ~twice]
+    if len(others) and twice.any():
+        lonely[twice] = KDTree(others).query(metres[twice])[0] > _APART_RADII * radius_metres
+    return lonely
+
+
+def _find_stale(positions: Positions) -> Mask:
+    """Tell of every image whether its position is that of an earlier image, which the camera has left since.
+
+    So it is where a position holds for `_STANDING` times as many images as usual, and then leaps at least half as far
+    as that many usual steps lead.
+    """
+    folders, metres = positions.files.numbers, positions.metres
+    ends = np.flatnonzero((np.diff(positions.given, axis=0) != 0).any(axis=1) | (np.diff(folders) != 0))
+    first, last = np.append(0, ends + 1), np.append(ends, len(folders) - 1)  # of each run at one position
+    steps = np.linalg.norm(metres[first[1:]] - metres[last[:-1]], axis=1)
+    steps[folders[first[1:]] != folders[last[:-1]]] = np.nan  # another drive
+    fixes = (last - first + 1)[:-1] / np.median(last - first + 1)
+    usual = np.median(steps[np.isfinite(steps)]) if np.isfinite(steps).any() else np.nan
+    runs = np.append((fixes >= _STANDING) & (steps >= fixes * usual / 2), False)
+    stale: Mask = np.repeat(runs, last - first + 1)
+    stale[first] = False
+    return stale
+
+
+def _check_coordinates(
+    files: Paths, given: npt.NDArray[np.float64], metres: Metres, in_degrees: bool, radius_metres: float
+) -> None:
     """Raise BadInput for degrees where metres are wanted, for coarse degrees, and where all lies within the radius."""
-    given = np.concatenate([each.given for each in traverses])
-    metres = np.concatenate([each.metres for each in traverses])
     own = given[:, 0] != given[:, 1]  # 0, 0 beside degrees is no place
     if own.any():
         given, metres = given[own], metres[own]
-    in_degrees = traverses[0].in_degrees
-    found = (
-        f"the positions of {traverses[0].files[0]} and {sum(len(each.given) for each in traverses) - 1} more images "
-        f"run from {_pair(given.min(axis=0))} to {_pair(given.max(axis=0))}"
-    )
+    found = f"the positions of {files[0]} and {len(files) - 1} more images run from "
+    found += f"{_format_pair(given.min(axis=0))} to {_format_pair(given.max(axis=0))}"
     if not in_degrees and _look_like_degrees(given):
         raise BadInput(f"{found}, which look like degrees: give {_OR_DEGREES}")
     if len(given) < _LEAST:
@@ -223,8 +190,7 @@ def _check_coordinates(traverses: Sequence[Positions], radius_metres: float) -> 
     if extent <= radius_metres:
         raise BadInput(
             f"{found}, all within dataset.radius_metres={radius_metres:g}, so that every place is right for every "
-            f"query: give {'degrees with all decimals' if in_degrees else _OR_DEGREES}"
-            f"{f', or a radius below {extent:.3g}' if extent else ''}"
+            f"query: give a radius below {extent:.3g}, {'degrees with all decimals' if in_degrees else _OR_DEGREES}"
         )
 
 
@@ -236,5 +202,5 @@ def _look_like_degrees(given: npt.NDArray[np.float64]) -> bool:
     return len(different) > 1 and bool(np.median(KDTree(different).query(different, 2)[0][:, 1]) < _NEAR)
 
 
-def _pair(numbers: npt.NDArray[np.float64]) -> str:
+def _format_pair(numbers: npt.NDArray[np.float64]) -> str:
     return ", ".join(f"{number:.10g}" for number in numbers)

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from vprbench.api import BadInput
 
 from .csv_tables import read_csv
-from .positions import Metres, earth_centred
+from .positions import Metres, convert_degrees
 
 Track = tuple[npt.NDArray[np.int64], Metres]  # microseconds (n,), ascending, and positions (n, d)
 
@@ -21,13 +21,11 @@ _DAY_S = 86_400
 _FAR_DEGREES = 5.0  # from 0, 0, farther than a drive
 
 
-def track_of(recording: Path) -> Track:
+def read_track(recording: Path) -> Track:
     """Return the track beside a recording: of its name and `.csv`, or of its name and `.nmea`; raises BadInput."""
-    table, log = (recording.with_suffix(suffix) for suffix in (".csv", ".nmea"))
-    return nmea_track(log) if log.is_file() and not table.is_file() else _csv_track(table)
-
-
-def _csv_track(file: Path) -> Track:
+    file, log = (recording.with_suffix(suffix) for suffix in (".csv", ".nmea"))
+    if log.is_file() and not file.is_file():
+        return read_nmea_track(log)
     if not file.is_file():
         raise BadInput(f"{file} does not exist: wanted are {_WANTED}")
     table = read_csv(file, _WANTED)
@@ -43,10 +41,10 @@ def _csv_track(file: Path) -> Track:
             f"{file} holds {len(wrong)} positions that are none (first: {lat[wrong[0]]:g}, {lon[wrong[0]]:g} at "
             f"{time[wrong[0]]:g} s): leave such rows out; wanted are {_WANTED}"
         )
-    return np.round(time * 1e6).astype(np.int64), earth_centred(lat, lon)
+    return np.round(time * 1e6).astype(np.int64), convert_degrees(lat, lon)
 
 
-def nmea_track(file: Path, begin_s: float | None = None) -> Track:
+def read_nmea_track(file: Path, begin_s: float | None = None) -> Track:
     """Return the fixes of an NMEA 0183 log, RMC and GGA, at seconds since 1970 (UTC).
 
     With `begin_s` its first sentence was written then, on the clock of the events. Broken sentences, those without a
@@ -76,4 +74,4 @@ def nmea_track(file: Path, begin_s: float | None = None) -> Track:
         raise BadInput(f"{file} holds no position: wanted are RMC or GGA sentences of NMEA 0183 with a fix, and a date")
     ahead = begin_s - clock[0] if begin_s is not None else (days + seconds - clock)[dated[0]]
     times, firsts = np.unique(clock[fixes], return_index=True)
-    return np.round((times + ahead) * 1e6).astype(np.int64), earth_centred(lat[fixes][firsts], lon[fixes][firsts])
+    return np.round((times + ahead) * 1e6).astype(np.int64), convert_degrees(lat[fixes][firsts], lon[fixes][firsts])

@@ -25,19 +25,14 @@ class Split:
     The dataset numbers the places of its map anew: 0 is the first of `mapped`.
     """
 
-    protocol: Evaluation
     mapped: Numbers
     queried: Numbers
     held_out: Numbers
+    held_out_in_map: bool  # whether the references of held-out places are searched too
     tolerance: int  # places along the journey
     query_stride: int = 1  # places of the map from one query to the next
 
-    @property
-    def held_out_in_map(self) -> bool:
-        """Tell whether the references of held-out places are searched too."""
-        return self.protocol == "vprtempo"
-
-    def needed_of_query(self) -> list[int]:
+    def list_needed_queries(self) -> list[int]:
         """Return the places whose images of the query traverse have to be there whatever the method.
 
         Those of held-out places that the map holds matter to a method that calibrates alone.
@@ -45,7 +40,7 @@ class Split:
         needed = self.queried if self.held_out_in_map else np.union1d(self.queried, self.held_out)
         return [int(place) for place in needed]
 
-    def record(self) -> dict[str, Any]:
+    def describe(self) -> dict[str, Any]:
         """Return what of the split belongs to the protocol of a dataset, but for its name."""
         held_out = len(self.held_out)
         return {
@@ -59,13 +54,8 @@ class Split:
         }
 
 
-def split(
-    protocol: Evaluation,
-    places: int,
-    first_query_place: int,
-    query_places: int,
-    tolerance: int,
-    query_stride: int = 1,
+def split_places(
+    protocol: Evaluation, places: int, first_query_place: int, query_places: int, tolerance: int, query_stride: int = 1
 ) -> Split:
     """Split the places 0 to `places` - 1 as the authors of VPRTempo or of VPRSNN do.
 
@@ -86,23 +76,21 @@ def split(
             f"(dataset.query_stride={query_stride}, dataset.protocol={protocol}) need {last + 1} places, and there are "
             f"{places}: give 0 or more before the first query, or to set aside, and 1 or more queries, so that both fit"
         )
-    numbers, first = np.arange(places, dtype=np.int64), first_query_place
+    numbers = np.arange(places, dtype=np.int64)
     if protocol == "vprtempo":
-        return Split(
-            protocol, numbers, numbers[first::query_stride][:query_places], numbers[:first], tolerance, query_stride
-        )
-    drawn = np.random.RandomState(_SET_ASIDE_SEED).permutation(places)[:first]
-    held_out = np.sort(drawn).astype(np.int64)
+        queried = numbers[first_query_place::query_stride][:query_places]
+        return Split(numbers, queried, numbers[:first_query_place], True, tolerance, query_stride)
+    held_out = np.sort(np.random.RandomState(_SET_ASIDE_SEED).permutation(places)[:first_query_place])
     mapped = np.setdiff1d(numbers, held_out)
-    return Split(protocol, mapped, mapped[:query_places], held_out, tolerance)
+    return Split(mapped, mapped[:query_places], held_out, False, tolerance)
 
 
-def dataset_of(
+def make_dataset(
     name: str,
-    parts: Split,
+    split: Split,
     references: Sequence[str],
     query: str,
-    frames: Callable[[Sequence[tuple[str, int]]], Images],
+    show: Callable[[Sequence[tuple[str, int]]], Images],
     protocol: Mapping[str, Any],
     *,
     folders: Sequence[FrameFolder] = (),
@@ -113,41 +101,41 @@ def dataset_of(
 
     Args:
         name: the name of the dataset.
-        parts: which places are mapped, queried and held out.
+        split: which places are mapped, queried and held out.
         references: the traverses of the map.
         query: the traverse of the queries.
-        frames: returns the images of (traverse, place), numbered along the journey.
+        show: returns the images of (traverse, place), numbered along the journey.
         protocol: the protocol of the dataset.
         folders: where the frames lie.
         numbers: of the frames of all places; None: no frames are missing between them.
         notes: what a reader of results has to know.
     """
 
-    def show(traverses: Sequence[str], places: Numbers) -> Images:
-        return frames([(traverse, place) for traverse in traverses for place in places.tolist()])
+    def show_all(traverses: Sequence[str], places: Numbers) -> Images:
+        return show([(traverse, place) for traverse in traverses for place in places.tolist()])
 
     held_out = (
         HeldOut(
-            references=show(references, parts.held_out),
-            places=np.tile(np.arange(len(parts.held_out)), len(references)),
-            queries=show([query], parts.held_out),
-            right=np.arange(len(parts.held_out), dtype=np.int64),
-            in_map=parts.held_out_in_map,
+            references=show_all(references, split.held_out),
+            places=np.tile(np.arange(len(split.held_out)), len(references)),
+            queries=show_all([query], split.held_out),
+            right=np.arange(len(split.held_out)),
+            in_map=split.held_out_in_map,
         )
-        if len(parts.held_out)
+        if len(split.held_out)
         else None
     )
     return Dataset(
         name=name,
-        references=show(references, parts.mapped),
-        places=np.tile(np.arange(len(parts.mapped)), len(references)),
-        queries=show([query], parts.queried),
-        positives=right_places(parts.queried, parts.mapped, parts.tolerance),
+        references=show_all(references, split.mapped),
+        places=np.tile(np.arange(len(split.mapped)), len(references)),
+        queries=show_all([query], split.queried),
+        positives=match_numbers(split.queried, split.mapped, split.tolerance),
         protocol=protocol,
         held_out=held_out,
-        place_numbers=None if parts.held_out_in_map else parts.mapped,
-        query_breaks=find_breaks(parts.queried, numbers),
-        place_breaks=find_breaks(parts.mapped, numbers),
+        place_numbers=None if split.held_out_in_map else split.mapped,
+        query_breaks=find_breaks(split.queried, numbers),
+        place_breaks=find_breaks(split.mapped, numbers),
         folders=tuple(folders),
         notes=tuple(notes),
     )
@@ -162,7 +150,7 @@ def find_breaks(places: Numbers, numbers: Sequence[int] | None = None) -> Number
     return np.flatnonzero(steps > steps.min(initial=np.iinfo(np.int64).max)) + 1
 
 
-def right_places(queried: Numbers, mapped: Numbers, tolerance: int) -> tuple[Numbers, ...]:
+def match_numbers(queried: Numbers, mapped: Numbers, tolerance: int) -> tuple[Numbers, ...]:
     """Return for each query which of the mapped places lie at most `tolerance` places away, by their places in it.
 
     Raises BadInput for a negative tolerance.
@@ -175,20 +163,18 @@ def right_places(queried: Numbers, mapped: Numbers, tolerance: int) -> tuple[Num
     return tuple(np.arange(low, high, dtype=np.int64) for low, high in zip(first, last, strict=True))
 
 
-def every(listed: Sequence[Listed], stride: int, places: int) -> list[Listed]:
+def take_every(listed: Sequence[Listed], stride: int, places: int) -> list[Listed]:
     """Return every `stride`-th entry of a list, one a place; raises BadInput if the list is too short."""
-    if min(stride, places) < 1:
-        raise BadInput(f"dataset.stride={stride}, dataset.places={places}: both have to be at least 1")
-    most = len(range(0, len(listed), stride))
-    if places > most:
+    most = len(listed[::stride]) if stride > 0 else 0
+    if not 1 <= places <= most:
         raise BadInput(
-            f"dataset.places={places}: the list of {len(listed)} names at stride {stride} has {most} places, so set "
-            "dataset.places and dataset.query_places to fit"
+            f"dataset.places={places}: the list of {len(listed)} names at dataset.stride={stride} has {most} places, "
+            "so set dataset.places and dataset.query_places to fit, from 1 on"
         )
     return list(listed[: places * stride : stride])
 
 
-def check_recorded(owner: str, kind: str, known: Collection[str], references: Sequence[str], query: str) -> None:
+def check_traverses(owner: str, kind: str, known: Collection[str], references: Sequence[str], query: str) -> None:
     """Raise BadInput for traverses that the recordings of `owner` lack, and for references named twice or not at all.
 
     `kind` is what a traverse is called there, as in "season".

@@ -12,27 +12,28 @@ import numpy as np
 from vprbench.api import BadInput, Paths
 
 from .file_dataset import GroundTruth
-from .positions import MOST_METRES, Positions, WithoutPosition, by_positions
+from .positions import MOST_METRES, Positions, WithoutPosition, match_positions
 
 Zones = Literal["error", "apart"]  # of images in different UTM zones: apart means that they never show one place
 
-_GRID = re.compile("(0?[1-9]|[1-5][0-9]|60)@([C-HJ-NP-X])(?:@|$)", re.IGNORECASE)  # zone and latitude band
+#: Zone and latitude band, behind east and north.
+_GRID = re.compile("(?:[^@]*@){3}(0?[1-9]|[1-5][0-9]|60)@([C-HJ-NP-X])(?:@|$)", re.IGNORECASE)
 
 
-def by_names(
+def match_names(
     references: Sequence[Path],
     queries: Sequence[Path],
     radius_metres: float,
     zones: Zones = "error",
     without: WithoutPosition = "error",
 ) -> GroundTruth:
-    """Return the ground truth `by_positions` of file names.
+    """Return the ground truth (`match_positions`) of file names.
 
     Raises BadInput for a name without a position, unless such images are left out (`drop`), and for names of several
     UTM zones or sides of the equator, unless these are kept apart.
     """
-    grids: dict[str, tuple[int, str]] = {}  # number of each, and a name that holds it
-    traverses = [_read_names(Paths.of(files), grids, zones, without) for files in (references, queries)]
+    grids: dict[str, tuple[int, str]] = {}  # number of each, and the first name that holds it
+    mapped, queried = (_read_names(Paths.of(files), grids, zones, without) for files in (references, queries))
     named = [grid for grid in grids if grid]
     if zones == "apart" and "" in grids and named:
         raise BadInput(f"{grids[''][1]} names no UTM zone: with dataset.zones=apart every name has to hold its zone")
@@ -42,32 +43,27 @@ def by_names(
             f"names of {len(named)} UTM zones came ({first}, {second}), whose metres do not compare: choose images of "
             "one zone, or pass dataset.zones=apart to dataset=utm_folders where two zones never show one place"
         )
-    return by_positions(traverses[:1], traverses[1], radius_metres, without)
+    return match_positions([mapped], queried, radius_metres, without)
 
 
 def _read_names(files: Paths, grids: dict[str, tuple[int, str]], zones: Zones, without: WithoutPosition) -> Positions:
     """Return east and north of the names of files, NaN of a name that has none; new grids are added to `grids`."""
     given, of_each = np.full((len(files), 2), np.nan), np.zeros(len(files), np.int64)
     for number, name in enumerate(files.names):
-        east, north, grid = _split_name(name)
-        if abs(east) <= MOST_METRES and abs(north) <= MOST_METRES:
-            given[number] = east, north
-            if east != north:  # else it may be 0, 0 for a position that is not known
-                of_each[number] = grids.setdefault(grid, (len(grids), name))[0]
-        elif without != "drop":
-            raise BadInput(
-                f"{files[number]} names no position: a name has to begin with @UTM_east@UTM_north@, metres from -1e8 "
-                "to 1e8; or pass dataset.without_position=drop"
-            )
+        try:
+            _, east, north, *_ = name.split("@")
+            given[number] = float(east), float(north)
+        except ValueError:
+            given[number] = np.nan
+        if not (np.abs(given[number]) <= MOST_METRES).all():
+            if without != "drop":
+                raise BadInput(
+                    f"{files[number]} names no position: a name has to begin with @UTM_east@UTM_north@, metres from "
+                    "-1e8 to 1e8; or pass dataset.without_position=drop"
+                )
+            given[number] = np.nan
+        elif given[number, 0] != given[number, 1]:  # else it may be 0, 0 for a position that is not known
+            found = _GRID.match(name)
+            grid = f"{int(found[1])} {'north' if found[2].upper() >= 'N' else 'south'}" if found else ""
+            of_each[number] = grids.setdefault(grid, (len(grids), name))[0]
     return Positions(files, given, grids=of_each if zones == "apart" else None)
-
-
-def _split_name(name: str) -> tuple[float, float, str]:
-    """Return east, north and grid of a file name, as "33 north"; NaN where it has no metres, and "" for no grid."""
-    parts = name.split("@", 3)
-    try:
-        east, north = float(parts[1]), float(parts[2])
-    except (IndexError, ValueError):
-        return np.nan, np.nan, ""
-    found = _GRID.match(parts[3]) if len(parts) > 3 else None
-    return east, north, f"{int(found[1])} {'north' if found[2].upper() >= 'N' else 'south'}" if found else ""

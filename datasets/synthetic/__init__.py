@@ -11,7 +11,7 @@ import numpy as np
 
 from vprbench.api import BadInput, Dataset, Images, cached_frames
 
-from ..readers.traverses import Evaluation, check_recorded, dataset_of, split
+from ..readers.traverses import Evaluation, check_traverses, make_dataset, split_places
 from .film import HEIGHT, WIDTH
 from .renderer import VERSION, Renderer
 from .seasons import SEASONS
@@ -50,19 +50,19 @@ def synthetic(
     """
     if not _FEWEST <= places <= _MOST:
         raise BadInput(f"dataset.places={places}: {_JOURNEY} has {_FEWEST} to {_MOST} places")
-    check_recorded(_JOURNEY, "season", tuple(SEASONS), references, query)
+    check_traverses(_JOURNEY, "season", tuple(SEASONS), references, query)
     for option, number in (("seed", seed), ("unanswerable", unanswerable)):
         if number < 0:
             raise BadInput(f"dataset.{option}={number}: give 0 or more")
     first = round(places * 2 / 11) if first_query_place is None else first_query_place
     count = places - first if query_places is None else query_places
-    parts = split(protocol, places, first, count, tolerance)
+    parts = split_places(protocol, places, first, count, tolerance)
     if first + query_shift < 0:
         raise BadInput(f"dataset.query_shift={query_shift}: the first query, of place {first}, has no such frame")
     appearance = {"seed": seed, "width": WIDTH, "height": HEIGHT, "renderer": VERSION}
     frames = partial(_frames, Renderer(seed), {"journey": _JOURNEY, **appearance})
     damage = {"query_shift": query_shift, "unanswerable": unanswerable}
-    dataset = dataset_of(
+    dataset = make_dataset(
         name,
         parts,
         references,
@@ -72,7 +72,7 @@ def synthetic(
             "protocol": protocol,
             "references": list(references),
             "query": query,
-            **parts.record(),
+            **parts.describe(),
             **appearance,
             **{option: amount for option, amount in damage.items() if amount},
         },

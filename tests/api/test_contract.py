@@ -5,7 +5,6 @@ import subprocess
 import sys
 import tracemalloc
 from dataclasses import dataclass
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,7 +14,6 @@ from vprbench import api
 from vprbench.api.dataset import Dataset
 from vprbench.api.descriptor import DescriptorMethod
 from vprbench.api.images import Images
-from vprbench.api.method import batch_size_for
 from vprbench.errors import BadInput, NotFittedError
 
 
@@ -110,16 +108,6 @@ class Drawn(DescriptorMethod):
     def encode(self, images):
         vectors = np.array([np.random.default_rng(image[0, 0]).standard_normal(self.n_dimensions) for image in images])
         return (vectors / np.linalg.norm(vectors, axis=1, keepdims=True)).astype(np.float32)
-
-
-# 1024x1024 pixels are 3 MiB
-@pytest.mark.parametrize(("height", "count", "at_most"), [(2, 70, 64), (1024, 30, 21), (10_000, 3, 2)])
-def test_large_references_are_encoded_in_smaller_blocks_and_large_codes_held_in_fewer(height, count, at_most):
-    method = Colour()
-    method.fit(Images.from_arrays([np.full((height, 1024, 3), 9, np.uint8)] * count), np.zeros(count, np.int64))
-    assert max(method.encoded) == at_most
-    for code_bytes, together in (0, 100), (1 << 24, 64), ((1 << 28) + 1, 3), (1 << 40, 1):
-        assert batch_size_for(SimpleNamespace(code_bytes=code_bytes), 100) == together
 
 
 @pytest.mark.parametrize(

@@ -125,17 +125,3 @@ def test_frames_are_made_once_and_read_in_any_order_and_other_frames_have_their_
         painter.check()
         other.check(seed=1)
     assert (painter.made, other.made) == (N, N)
-
-
-@pytest.mark.parametrize("damage", [b"", b"short", None])
-def test_a_damaged_or_missing_frame_is_made_anew(frames_folder, damage):
-    painter = Painter()
-    painter.check()
-    first, *_ = sorted(frames_folder.rglob("*.png"))
-    if damage is None:
-        first.unlink()
-    else:
-        first.write_bytes(damage)
-    for _ in range(2):
-        painter.check()
-    assert painter.made == N + 1

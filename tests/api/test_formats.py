@@ -49,26 +49,11 @@ def deep(counts, suffix):
     return content.tobytes()
 
 
-def pnm(counts, most):
-    """A binary PGM or PPM, with a comment, of counts up to `most`."""
-    magic = b"P5" if counts.ndim == 2 else b"P6"
-    return magic + b"\n# camera 7\n%d %d\n%d\n" % (WIDTH, HEIGHT, most) + counts.astype(">u2").tobytes()
-
-
-def unsigned(counts):
-    """A TIFF that says that its 32 bits have no sign; Pillow writes the sign alone."""
-    with_sign, without = (struct.pack("<HHIH", 339, 3, 1, sample_format) for sample_format in (2, 1))
-    content = saved(counts.view(np.int32), "TIFF")
-    assert content.count(with_sign) == 1
-    return content.replace(with_sign, without)
-
-
 def wide(pixels):
     return pixels.astype(np.uint16) * FULL
 
 
 MILLIONS = (0, 255_000)  # a thousand counts a level, more than 16 bits hold
-UNSIGNED = (0, (1 << 32) - 1)
 PLAIN = Decoding()
 # By format and kind: the file, the frame, and what has to be said of its levels.
 MATRIX = {
@@ -80,19 +65,15 @@ MATRIX = {
     **{("16 bits", kind): (saved(wide(GREY), kind), REPEATED, PLAIN) for kind in ("PNG", "TIFF", "PPM")},
     **{
         (f"16 bits, {what}", kind): (deep(wide(pixels), suffix), COLOUR, PLAIN)
-        for kind, suffix in (("PNG", ".png"), ("TIFF", ".tiff"), ("PPM", ".ppm"))
+        for kind, suffix in (("PNG", ".png"), ("TIFF", ".tiff"))
         for what, pixels in (("colour", COLOUR), ("alpha", ALPHA))
-        if (kind, what) != ("PPM", "alpha")
     },
-    ("12 bits", "PPM"): (pnm(GREY.astype(int) * 16, 4095), REPEATED, Decoding(levels=(0, 4095))),
-    ("12 bits, colour", "PPM"): (pnm(COLOUR.astype(int) * 16, 4095), COLOUR, Decoding(levels=(0, 4095))),
     ("32 bits", "TIFF"): (saved(GREY.astype(np.int32) * 1000, "TIFF"), REPEATED, Decoding(levels=MILLIONS)),
     ("32 bits, below zero", "TIFF"): (
         saved(GREY.astype(np.int32) * 1000 - 100_000, "TIFF"),
         REPEATED,
         Decoding(levels=(-100_000, 155_000)),
     ),
-    ("32 bits, no sign", "TIFF"): (unsigned(GREY.astype(np.uint32) << 24), REPEATED, Decoding(levels=UNSIGNED)),
     ("floats of 0 to 1", "TIFF"): (saved(GREY.astype(np.float32) / 255, "TIFF"), REPEATED, Decoding(levels=(0, 1))),
     ("floats of 0 to 255", "TIFF"): (saved(GREY.astype(np.float32), "TIFF"), REPEATED, Decoding(levels=(0, 255))),
 }
@@ -145,7 +126,6 @@ TAGGED = {
     "PNG, 16 bits": lambda exif: saved(wide(GREY), "PNG", exif=exif),
     "TIFF": lambda exif: saved(COLOUR, "TIFF", exif=exif),
     "TIFF, grey": lambda exif: saved(GREY, "TIFF", exif=exif),
-    "TIFF, compressed": lambda exif: saved(COLOUR, "TIFF", exif=exif, compression="tiff_lzw"),
     "TIFF, 16 bits": lambda exif: saved(wide(GREY), "TIFF", exif=exif),
     "WEBP": lambda exif: saved(COLOUR, "WEBP", exif=exif),
 }
@@ -197,7 +177,6 @@ RANGES = {
     "12 bits, of the darkest and the brightest frame": ([counts(9, 4095), counts(0, 70)], "0..4095"),
     "what a thermal camera counts": ([counts(7612, 7700), counts(7650, 8441)], "7612..8441"),
     "more than 16 bits": ([counts(3, 70_000, kind=np.int32)], "3..70000"),
-    "more than 31 bits": ([unsigned(counts(3, 3_000_000_000, kind=np.uint32))], "3..3000000000"),
     "below zero": ([counts(-20, 5000, kind=np.int32)], "-20..5000"),
     "8 bits in 16 or 32": ([counts(9, 250), counts(9, 30, kind=np.int32), COLOUR], "0..255"),
     "floats of 0 to 1, beside 8 bits": ([counts(0.1, 0.7, kind=np.float32), COLOUR], "0..1"),
@@ -213,8 +192,7 @@ RANGES = {
 def test_one_range_for_all_files_is_told_from_them_and_named(tmp_path, case):
     frames, told = RANGES[case]
     files = written(tmp_path, *frames)
-    for _ in range(2):  # kept, and found again
-        assert decoding_of(files)[1].get("levels") == told
+    assert decoding_of(files)[1].get("levels") == told
     if told:
         low, high = map(float, told.split("..", 1)) if not told.startswith("-") else (-20.0, 5000.0)
         assert decoding_of(files)[0].levels == (low, high)

@@ -216,23 +216,6 @@ def test_arguments_that_do_not_fit_are_named_before_the_file_is_looked_for(kind,
             ask()
 
 
-TOO_SMALL = slowly([*noise(3, (300, 300)), *noise(4)])
-
-
-@pytest.mark.parametrize(
-    ("kind", "images", "wanted"),
-    [
-        (Tiny, slowly(noise(9), broken=5), "image 5 is torn"),
-        (Large, TOO_SMALL, r"26x20.*400x20.*Large needs 300 pixels.*method\.height"),
-    ],
-)
-@pytest.mark.parametrize("how", ["pillow", "tensor"])
-@pytest.mark.parametrize("device", ["cpu", GPU])
-def test_no_description_is_the_callers_error(device, how, kind, images, wanted, weights, pinned, no_thread_stays):
-    with pytest.raises(BadInput, match=wanted):
-        kind(weights=weights, batch_size=2, device=device, width=400, resize=how).encode(images)
-
-
 @pytest.mark.parametrize("how", ["pillow", "tensor"])
 @pytest.mark.parametrize(
     ("precision", "least", "most"), [("float32", 0, 1e-6), ("float16", 1e-6, 5e-3), ("bfloat16", 1e-6, 4e-2)]

@@ -3,14 +3,13 @@
 import re
 import tracemalloc
 
-import faiss
 import numpy as np
 import pytest
 
 from vprbench.api import nearest, search, search_indexes
 from vprbench.api.binary import BinaryMap
-from vprbench.api.hamming import pack_bits
-from vprbench.api.search import Search, agreement
+from vprbench.api.nearest import pack_bits
+from vprbench.api.search import Search, compare_best
 from vprbench.errors import BadInput
 
 N_IMAGES, N_DIMENSIONS = 2000, 64
@@ -104,19 +103,6 @@ def test_the_nearest_places_are_those_of_all_scores_with_equals_in_the_order_of_
     np.testing.assert_allclose(similarity, wanted_similarity, rtol=1e-7)
 
 
-@pytest.mark.usefixtures("in_small_blocks")
-def test_a_map_in_a_file_gives_the_same_bits(tmp_path):
-    references, codes = clustered(2200, 20)
-    places = np.arange(2200) // 2
-    here, wanted = Search(references, places).nearest(codes, 5), oracle(codes, references, places)
-    for searched in (references, in_file(tmp_path, references)):
-        there = Search(searched, places).nearest(codes, 5)
-        assert all(np.array_equal(*both) for both in zip(here, there, strict=True))
-        np.testing.assert_allclose(Search(searched, places).scores(codes), wanted, atol=1e-6)
-    one_by_one = [Search(references, places).nearest(code[None], 5) for code in codes[:30]]
-    assert np.array_equal(np.concatenate([similarity for similarity, _ in one_by_one]), here[0][:30])
-
-
 @pytest.mark.parametrize("kind", APPROXIMATE)
 def test_the_best_of_an_index_are_compared_again_exactly(kind):
     exact = oracle(CODES, REFERENCES, PLACES)
@@ -190,22 +176,6 @@ def test_places_that_were_not_retrieved_are_no_candidates_and_of_several_images_
     assert np.isfinite(all_of_them).sum(1).max() <= 300
 
 
-def test_eight_bits_are_decoded_as_faiss_does(monkeypatch):
-    monkeypatch.setattr(search_indexes, "CELLS", 77 * N_DIMENSIONS)  # 77 images at a time
-    theirs = faiss.IndexScalarQuantizer(N_DIMENSIONS, faiss.ScalarQuantizer.QT_8bit, faiss.METRIC_INNER_PRODUCT)
-    theirs.train(REFERENCES)
-    theirs.add(REFERENCES)
-    wanted = CODES @ theirs.reconstruct_n(0, N_IMAGES).T
-    np.testing.assert_allclose(Search(REFERENCES, PLACES, "sq8").scores(CODES), wanted, atol=1e-5)
-
-
-@pytest.mark.parametrize("kind", ["hnsw", "sq8", "rabitq", "binary", "binary_hnsw"])
-def test_few_references_are_enough(kind):
-    for n_images in (1, 30):
-        scores = Search(REFERENCES[:n_images], np.arange(n_images), kind, rerank=30).scores(REFERENCES[:30])
-        np.testing.assert_allclose(scores, REFERENCES[:30] @ REFERENCES[:n_images].T, atol=0.01)
-
-
 @pytest.mark.parametrize(
     ("spoilt", "wanted"),
     [
@@ -247,19 +217,6 @@ def test_bytes_of_a_place_count_what_answers_need(kind, wanted):
     assert Search(REFERENCES, PLACES // 2, kind).bytes_per_place == pytest.approx(2 * one_each, abs=2)
 
 
-@pytest.mark.parametrize(("kind", "index"), [("hnsw", faiss.IndexHNSWFlat), ("binary_hnsw", faiss.IndexBinaryHNSW)])
-def test_a_graph_is_made_by_one_thread_and_leaves_faiss_its_threads(kind, index, monkeypatch):
-    # Of several threads the fastest would decide what is linked, another one each time.
-    add, seen, before = index.add, [], faiss.omp_get_max_threads()
-    monkeypatch.setattr(index, "add", lambda *given: seen.append(faiss.omp_get_max_threads()) or add(*given))
-    try:
-        faiss.omp_set_num_threads(3)
-        Search(REFERENCES[:300], np.arange(300), kind)
-        assert (seen, faiss.omp_get_max_threads()) == ([1], 3)
-    finally:
-        faiss.omp_set_num_threads(before)
-
-
 BEST_FIRST = np.linspace(1, 0, 20, dtype=np.float32)  # the best are 0 to 9
 
 
@@ -274,7 +231,7 @@ BEST_FIRST = np.linspace(1, 0, 20, dtype=np.float32)  # the best are 0 to 9
     ],
 )
 def test_what_an_index_agrees_on_are_the_places_as_good_as_the_exactly_best(scores, exact, shares):
-    found = agreement(np.array([scores], np.float32), np.array([exact], np.float32))
+    found = compare_best(np.array([scores], np.float32), np.array([exact], np.float32))
     assert found.tolist() == [pytest.approx(shares)]
 
 

@@ -5,8 +5,7 @@ import pytest
 from scipy.spatial.distance import cdist
 
 from vprbench.api import Search
-from vprbench.api.hamming import compare_bits, pack_bits
-from vprbench.api.nearest import import_faiss
+from vprbench.api.nearest import compare_bits, import_faiss, pack_bits
 from vprbench.metrics.ranking import best_places
 
 BEST = 100  # references that a library's search returns

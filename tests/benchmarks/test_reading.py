@@ -13,7 +13,7 @@ from PIL import Image as PillowImage
 import vprbench
 from vprbench.api import Images, Paths
 from vprbench.api.decoding import Decoding, read_image
-from vprbench.datasets.readers.positions import Positions, by_positions
+from vprbench.datasets.readers.positions import Positions, match_positions
 from vprbench.runs.identity import compute_fingerprint
 
 
@@ -86,7 +86,7 @@ def test_positions(measure, size):
     drives = np.random.default_rng(0).normal(0, 1, (2, n, 2)) + np.stack([543_000 + np.arange(n), np.full(n, 4.1e6)], 1)
     files = Paths.below(Path("drive"), [f"{number}.png" for number in range(n)])
     mapped, asked = (Positions(files, metres) for metres in drives)
-    measure(f"{n:,} positions looked for among as many, within 25 m", lambda: by_positions([mapped], asked, 25.0), n)
+    measure(f"{n:,} positions looked for among as many, within 25 m", lambda: match_positions([mapped], asked, 25.0), n)
 
 
 def test_events(measure, size, tmp_path, monkeypatch):

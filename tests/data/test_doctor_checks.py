@@ -5,11 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from checkout import SHARED
-from doctored import NAMES, PLACES, coded, dataset_of, healthy, notes, season, wrong
+from doctored import NAMES, PLACES, coded, dataset_of, healthy, season
 from little import picture
 
-from vprbench.api.dataset import Dataset, FrameFolder
+from vprbench.api.dataset import Dataset
 from vprbench.api.events import Events, Recording
 from vprbench.api.images import Images
 from vprbench.data.doctor import examine, quick
@@ -70,13 +69,6 @@ def test_other_orders_are_not_taken_for_dictionary_order(names):
     assert not [finding for finding in checked(names=names, query_names=names) if finding.check == "order"]
 
 
-def test_the_notes_of_a_dataset_are_shown():
-    frames, others = Images.from_arrays([picture(0)] * 2), Images.from_arrays([picture(1)] * 2)
-    own = (np.array([0]), np.array([1]))
-    dataset = Dataset("noted", frames, np.arange(2), others, own, {}, notes=("41 rows step back in time",))
-    assert notes(quick(dataset), "dataset") == ["41 rows step back in time"]
-
-
 def compared(references, queries, right=None, tolerance=0):
     """Return what alignment says where query i shows place i, give or take the tolerance, or `right` if given."""
     n = len(references[0])
@@ -107,15 +99,6 @@ def noise(seed, places=PLACES):
 def test_traverses_are_aligned_shifted_or_too_different_to_tell(references, queries, tolerance, told):
     (found,) = compared([references], queries, tolerance=tolerance)
     assert re.match(told, f"{found.level} {found.text}")
-
-
-def test_each_reference_traverse_is_compared_and_two_frames_are_named():
-    shifted, aligned = compared([season(0)[:57], season(2)[3:]], season(1)[:57])
-    assert (shifted.level, aligned.level) == ("error", "note")
-    assert "summer and spring are aligned" in aligned.text
-    assert "summer is shifted against fall: about image 0 to image 56 (57 of 57 queries)" in shifted.text
-    assert "3 places earlier" in shifted.text
-    assert shifted.advice.startswith("compare image 28 of summer with image 82 of fall by eye; ")  # the 25th of fall
 
 
 def test_a_part_that_is_shifted_is_named_with_its_ends_and_places_may_be_skipped_but_not_shuffled():
@@ -204,20 +187,3 @@ def test_the_doctor_finds_in_a_recording(damage, tmp_path):
     found = coded(examine(replace(dataset_of([winter], summer), recordings=recordings)), tmp_path)
     told = [code for code in found if not code.startswith("note alignment")]
     assert [code[: len(start)] for code, start in zip(told, expected, strict=True)] == expected
-
-
-NORDLAND = SHARED / "data" / "nordland_64x32"
-
-
-@pytest.mark.extended
-@pytest.mark.real_frames
-def test_nordland_is_aligned():
-    names = (NORDLAND / "frames_clean_qvpr.txt").read_text().split()
-    folders = [NORDLAND / season for season in ("winter", "summer")]
-    winter, summer = (Images.from_files([folder / name for name in names]) for folder in folders)
-    given = winter, np.arange(2761), summer, tuple(np.array([place]) for place in range(2761))
-    protocol = {"references": ["winter"], "query": "summer", "tolerance_places": 0}
-    kept = tuple(FrameFolder(folder, tuple(names)) for folder in folders)
-    found = examine(Dataset("ride", *given, protocol, folders=kept))
-    assert not wrong(found)
-    assert notes(found, "alignment")[0].startswith("summer and winter are aligned")

@@ -10,11 +10,8 @@ from checkout import ROOT
 from doctored import NAMES, PLACES, coded, dataset_of, healthy, save, season
 from PIL import Image as PillowImage
 
-from vprbench.api.dataset import Dataset
-from vprbench.api.images import Images
-from vprbench.data.doctor import as_text, check_dataset, command, examine, look_at_some, quick
+from vprbench.data.doctor import as_text, check_dataset, command, examine, look_at_some
 from vprbench.errors import BadInput, MissingData
-from vprbench.progress import send_reports_to
 
 PAGE = b"<!DOCTYPE html><html><body>Sign in to download</body></html>"
 DOCUMENT = (ROOT / "docs" / "doctor.md").read_text(encoding="utf-8")
@@ -115,18 +112,6 @@ def test_the_document_shows_what_the_doctor_says(title, tmp_path, spoilt):
     assert " ".join(shown) == " ".join(SHOWN[title].split())
 
 
-@pytest.mark.parametrize(
-    ("damage", "expected"),
-    [
-        pytest.param(lambda winter, _: shutil.rmtree(winter), ["error files:"], id="a folder that is gone"),
-        pytest.param(lambda *_: {"counts": (35_768,)}, ["note count: 60 35,768"] * 2, id="a part of a copy"),
-        pytest.param(lambda *_: {"counts": (50, 55)}, ["warning count: 60 50 55"] * 2, id="more than a copy"),
-    ],
-)
-def test_the_cheap_checks_find(damage, expected, tmp_path, spoilt):
-    assert coded(quick(spoilt(damage)), tmp_path) == expected
-
-
 def copied(winter, summer):
     shutil.copy(summer / "011.png", summer / "012.png")
     PillowImage.open(summer / "030.png").save(summer / "031.png", compress_level=0)  # other bytes, the same pixels
@@ -169,19 +154,6 @@ def test_the_look_at_every_frame_finds(damage, tmp_path, spoilt):
     assert (compared == "note alignment: 0 20") == (damage == "no frame of a traverse")  # frames to compare, and needed
 
 
-def test_two_traverses_of_the_same_frames_are_an_error_and_the_cheap_checks_decode_nothing(spoilt, tmp_path):
-    dataset = spoilt(lambda *_: {})
-    blind = Images(lambda number: pytest.fail(f"frame {number} was decoded"), NAMES)
-    places, positives, protocol = dataset.places, dataset.positives, dataset.protocol
-    assert quick(Dataset("blind", blind, places, blind, positives, protocol, folders=dataset.folders)) == ()
-    winter, summer = tmp_path / "winter", tmp_path / "summer"
-    fall, heard = save(tmp_path / "fall", season(0)), {}
-    with send_reports_to(lambda stage, done: heard.__setitem__(stage, done)):
-        first, *_ = coded(examine(dataset_of([winter, fall], summer)), tmp_path)
-    assert first.startswith("error shared frames: 60 60 000 000 001 001")
-    assert heard == {"looking at winter": 1.0, "looking at fall": 1.0, "looking at summer": 1.0}
-
-
 def test_a_run_is_refused_with_one_line_for_the_first_error_and_given_warnings_but_no_notes(tmp_path, spoilt):
     lines = check_dataset(spoilt(lambda *_: {"counts": (55,)}))
     assert lines == tuple(f"{tmp_path / one} holds 60 images; a whole copy has 55" for one in ("winter", "summer"))
@@ -217,11 +189,3 @@ def test_sound_frames_exit_with_0_and_a_dataset_that_cannot_be_built_with_1(spoi
 )
 def test_a_look_at_some_frames_counts_those_that_show_nothing_or_cannot_be_read(spoil, counts, spoilt):
     assert [" ".join(re.findall(r"\d+", line)) for line in look_at_some(spoilt(spoil))] == counts
-
-
-def test_a_look_at_some_frames_of_a_long_traverse_says_that_it_was_at_some(tmp_path):
-    names = [f"{number:03d}.png" for number in range(399)]
-    dark = save(tmp_path / "dark", [np.zeros((2, 2, 3), np.uint8)] * 399, names)
-    light = save(tmp_path / "light", [np.full((2, 2, 3), 100, np.uint8)] * 399, names)
-    dataset = dataset_of([dark], light, names)
-    assert [line.startswith("200 of 200 ") for line in look_at_some(dataset)] == [True, True]

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from archive_files import special, tarred, zipped
 from checkout import SHARED
-from filelock import FileLock
 from image_folders import answer
 
 from vprbench.data.fetch import (
@@ -23,13 +22,12 @@ from vprbench.data.fetch import (
     count_files,
     downloads,
     fetch,
-    fetch_command,
     hash_content,
     read_entry,
 )
 from vprbench.errors import BadInput, MissingData
 from vprbench.plugins import registry
-from vprbench.storage.unpack import Wanted, unpack
+from vprbench.storage.unpack import Wanted
 
 CHUNK = 512 * 1024  # bytes that a download writes at once
 NOISE = np.random.default_rng(0).bytes(3 * CHUNK)
@@ -104,26 +102,6 @@ def test_a_dataset_is_fetched_once(server, url, tmp_path, monkeypatch, capsys, k
     assert re.search(r"spring is there already, fetched on \d+-\d+-\d+\.\n.*2 files\n", capsys.readouterr().out)
 
 
-def test_named_or_usual_parts_are_fetched_and_what_is_no_archive_kept_as_it_is(server, url, root):
-    wanted = Wanted(unpacked_bytes=100)
-    summer = Part("summer.tar.gz", (server.serve("/summer", SUMMER),), wanted, {"summer": FetchedFile(files=2)})
-    wanted = Wanted(plain=True, into="drive", unpacked_bytes=100)
-    drive = Part("drive.h5", (server.serve("/drive", b"events"),), wanted, {"drive": FetchedFile(files=1)})
-    both = little(parts={"spring": spring(url), "summer": summer, "drive": drive})
-    refused(both, root, "parts: little has no sumer: did you mean summer", parts=["sumer"])
-    get(little(parts=both.parts, default=("summer",)), root)
-    assert visible(root) == ["fetched.json", "summer", "summer/1.png", "summer/2.png"]
-    assert {asked.path for asked in server.asked} == {"/summer"}
-    server.asked.clear()
-    get(both, root)
-    assert {asked.path for asked in server.asked} == {"/spring", "/drive"}
-    assert sorted(recorded(root)) == ["drive", "spring", "summer"]
-    assert (root / "drive" / "drive.h5").read_bytes() == b"events"
-    shutil.rmtree(root)
-    get(both, root, parts=["summer"])
-    assert sorted(recorded(root)) == ["summer"]
-
-
 def test_the_next_address_is_tried_where_a_file_is_gone_or_wrong_or_its_server_stalls(server, url, root, caplog):
     gone, stalling = f"{server.url}/gone", server.serve("/stalling", SPRING, stalls_after=0)
     other, damaged = server.serve("/other", zipped({"spring/1.png": b"another"})), server.serve("/cut", SPRING[:-CHUNK])
@@ -146,16 +124,6 @@ def test_a_person_is_told_what_to_do_where_all_fail_or_downloads_are_forbidden(s
     monkeypatch.setenv("VPRBENCH_OFFLINE", "1")
     refused(entry, root, r"VPRBENCH_OFFLINE forbids downloads: get http.*/two elsewhere and store it", MissingData)
     assert len(server.asked) == 2
-
-
-def test_two_fetches_do_not_share_a_folder_and_leftovers_of_a_killed_one_are_removed(server, url, root):
-    (root / ".unpacking-12345678" / "spring").mkdir(parents=True)
-    with FileLock(root / ".fetch.lock"):
-        refused(little(url), root, "another fetch is under way in")
-    assert server.asked == []
-    get(little(url), root)
-    assert visible(root) == COMPLETE
-    assert not (root / ".unpacking-12345678").exists()
 
 
 def test_a_hostile_archive_or_one_of_other_folders_or_files_changes_nothing_and_is_kept(server, root, capsys):
@@ -193,24 +161,6 @@ def test_an_archive_put_there_by_hand_needs_no_net_and_is_compared_with_what_is_
     assert f"SHA-256 {SHA256} (as stated)" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(
-    ("missing", "said"),
-    [
-        ([], "Checked as dataset=little:\nlittle is fine\nno black frame\n"),
-        (["little", "less"], "dataset=little cannot run yet: summer is missing\n"),
-    ],
-)
-def test_the_first_dataset_that_has_its_frames_is_checked(url, root, capsys, missing, said):
-    def check(name, folder):
-        assert folder == root
-        if name in missing:
-            raise MissingData("summer is missing")
-        return (f"{name} is fine", "no black frame")
-
-    assert get(little(url, datasets=("little", "less")), root, check) == 0
-    assert said in capsys.readouterr().out
-
-
 def test_a_person_is_told_what_to_do_and_what_the_person_put_there_is_checked(server, url, root, capsys):
     entry = little(url, register="Register at https://example.org, and put frames/ into {folder}.\n")
 
@@ -231,21 +181,8 @@ def test_a_person_is_told_what_to_do_and_what_the_person_put_there_is_checked(se
     assert re.search(r"/gone gives no file [^\n]*\n.*\n2 frames, as expected\n$", capsys.readouterr().out)
 
 
-def test_the_command_lists_what_there_is_and_hands_its_options_on(root, capsys):
-    assert fetch_command([]) == 0
-    printed = capsys.readouterr().out
-    assert "spring (14.2 GB), fall (11.9 GB), summer (11.8 GB), winter (9.6 GB)" in printed
-    assert printed.count("  licence: ") == len(downloads())
-    assert fetch_command(["msls", f"root={root}"]) == 2
-    assert str(root) in capsys.readouterr().out
-    for name, told in (("synthetic", "nothing to download"), ("nordlund", "did you mean nordland")):
-        with pytest.raises(BadInput, match=f"fetch {name}: .*{told}"):
-            fetch_command([name])
-
-
 KNOWN = downloads()
 DATA = SHARED / "data"
-LENS = "LENS-f44a08c/lens/dataset"
 
 
 @pytest.mark.parametrize("entry", KNOWN.values(), ids=KNOWN)
@@ -265,23 +202,6 @@ def test_an_entry_says_what_a_person_has_to_know_and_its_parts_are_apart(entry):
     for names in ([part.file for part in parts], [folder for part in parts for folder in part.holds]):
         assert len({*names}) == len(names)
         assert not {"archives", "fetched.json"} & {Path(name).parts[0] for name in names}
-
-
-@pytest.mark.parametrize(
-    ("where", "folder", "inside", "outside"),
-    [
-        ("nordland spring", "", "spring/images-00001.png", "spring/read.me"),
-        ("corridor frames", "VPR-Bench-77ad30f/datasets/", "corridor/query/0.jpg", "17places/query/0.jpg"),
-        ("brisbane_events_7x7 frames", f"{LENS}/brisevent/davis346/", "sunset1/images_00000.png", "night/1.png"),
-    ],
-)
-def test_a_part_takes_its_files_out_of_an_archive(tmp_path, where, folder, inside, outside):
-    name, part = where.split()
-    wanted, holds = KNOWN[name].parts[part].unpack, KNOWN[name].parts[part].holds
-    (tmp_path / "archive.zip").write_bytes(zipped({folder + inside: b"frame", folder + outside: b"other"}))
-    assert unpack(tmp_path / "archive.zip", tmp_path / "to", wanted) == 1
-    there = next(tmp_path / "to" / held for held in holds if (tmp_path / "to" / held).exists())
-    assert (there / Path(inside).name).read_bytes() == b"frame"
 
 
 @pytest.mark.real_frames

@@ -13,7 +13,7 @@ from vprbench.datasets.brisbane_events_7x7 import brisbane_events_7x7
 from vprbench.datasets.event_folders import event_folders
 from vprbench.datasets.event_vpr import brisbane_event_vpr, qcr_event_vpr
 from vprbench.datasets.readers import event_files
-from vprbench.datasets.readers.event_files import events_in
+from vprbench.datasets.readers.event_files import read_events
 from vprbench.errors import MissingData
 from vprbench.methods.sad import SAD
 
@@ -49,7 +49,7 @@ def test_layouts_of_hdf5_are_found_by_name(layout, tmp_path):
         for name, column in LAYOUTS[layout].items():
             file[name] = column
     since = SINCE_1970 if layout == "nanoseconds" else 0
-    assert same(joined(events_in(tmp_path / "drive.h5")), replace(EVENTS, t=EVENTS.t + since))
+    assert same(joined(read_events(tmp_path / "drive.h5")), replace(EVENTS, t=EVENTS.t + since))
 
 
 def test_parquet_is_read_and_hdf5_without_events_or_its_library_refused(tmp_path, monkeypatch):
@@ -59,33 +59,33 @@ def test_parquet_is_read_and_hdf5_without_events_or_its_library_refused(tmp_path
     )
     columns = {"t": EVENTS.t, "x": EVENTS.x, "y": EVENTS.y, "p": EVENTS.p}
     parquet.write_table(arrow.table(columns), tmp_path / "drive.parquet")
-    assert same(joined(events_in(tmp_path / "drive.parquet")), EVENTS)
+    assert same(joined(read_events(tmp_path / "drive.parquet")), EVENTS)
     parquet.write_table(arrow.table({"t": EVENTS.t, "x": EVENTS.x}), tmp_path / "drive.parquet")
-    assert "drive.parquet holds no" in answer(joined, events_in(tmp_path / "drive.parquet"))
+    assert "drive.parquet holds no" in answer(joined, read_events(tmp_path / "drive.parquet"))
     h5py = pytest.importorskip("h5py", reason="needs vprbench[events]")
     with h5py.File(tmp_path / "drive.h5", "w") as file:
         file["events/t"] = EVENTS.t
-    assert "drive.h5 holds no" in answer(joined, events_in(tmp_path / "drive.h5"))
+    assert "drive.h5 holds no" in answer(joined, read_events(tmp_path / "drive.h5"))
     monkeypatch.setitem(sys.modules, "h5py", None)
-    assert "vprbench[events]" in answer(joined, events_in(tmp_path / "drive.h5"))
+    assert "vprbench[events]" in answer(joined, read_events(tmp_path / "drive.h5"))
 
 
 @pytest.mark.parametrize("begin", [0, 2**31 - 10_000_000, 2**32 - 20_000_000])
 def test_aedat_2_is_read_though_its_clock_wraps(begin, tmp_path):
-    found = joined(events_in(write_aedat2(tmp_path / "drive.aedat", EVENTS, begin)))
+    found = joined(read_events(write_aedat2(tmp_path / "drive.aedat", EVENTS, begin)))
     since = begin - 2**32 * (begin >= 2**31)  # its numbers are signed
     assert same(found, replace(EVENTS, t=EVENTS.t + since))
 
 
 def test_evt3_is_read_though_its_clock_wraps_and_its_vectors_are_events_and_aedat_4_too(tmp_path):
-    assert same(joined(events_in(write_evt3(tmp_path / "drive.raw", EVENTS))), EVENTS)
+    assert same(joined(read_events(write_evt3(tmp_path / "drive.raw", EVENTS))), EVENTS)
     words = [0x8001, 0x6005, 0x0007, 0x3800 | 100, 0x4803, 0x5081]  # base 100, brighter: twelve, then eight pixels
     (tmp_path / "drive.raw").write_bytes(b"% evt 3.0\n% end\n" + np.array(words, "<u2").tobytes())
-    found = joined(events_in(tmp_path / "drive.raw"))
+    found = joined(read_events(tmp_path / "drive.raw"))
     assert found.x.tolist() == [100, 101, 111, 112, 119]
     assert [*found.y, *found.t, *found.p] == [7] * 5 + [4096 + 5] * 5 + [True] * 5
     pytest.importorskip("aedat", reason="needs vprbench[events]")
-    assert same(joined(events_in(write_aedat4(tmp_path / "drive.aedat4", EVENTS))), EVENTS)
+    assert same(joined(read_events(write_aedat4(tmp_path / "drive.aedat4", EVENTS))), EVENTS)
 
 
 @pytest.mark.parametrize(
@@ -101,7 +101,7 @@ def test_what_is_no_recording_is_refused_by_name(name, content, told, tmp_path):
     if name == "drive.h5":
         pytest.importorskip("h5py", reason="needs vprbench[events]")
     (tmp_path / name).write_bytes(content)
-    assert told in answer(joined, events_in(tmp_path / name))
+    assert told in answer(joined, read_events(tmp_path / name))
 
 
 METRES_A_DEGREE = 110_574  # of latitude, at the equator
@@ -224,18 +224,6 @@ def test_a_brisbane_drive_is_placed_by_its_gps_log(tmp_path, kinds):
     assert (dataset.n_places, len(dataset.queries)) == (9, 7)  # until 14 s, where the log ends
     assert rights(dataset) == [np.flatnonzero(abs(mapped - metres) <= 13).tolist() for metres in asked]
     assert dataset.protocol["references"] == ["dvs_vpr_2020-04-22-17-24-21.hdf5"]
-
-
-def test_an_own_gps_log_is_read_on_the_clock_of_1970(tmp_path):
-    begin = datetime(2026, 3, 4, 5, 6, 7, tzinfo=UTC)
-    for name in ("map", "drive"):
-        write_hdf5(tmp_path / f"{name}.h5", by_chance(4000, seconds=9.0), round(begin.timestamp() * 1e9))
-        (tmp_path / f"{name}.nmea").write_text(log(begin, 20, 10))
-    files = {"references": [str(tmp_path / "map.h5")], "queries": str(tmp_path / "drive.h5")}
-    dataset = event_folders(**files, **OPTIONS, ground_truth="gps", radius_metres=1.0)
-    assert rights(dataset) == [[place] for place in range(8)]
-    (tmp_path / "map.nmea").write_text(sentence("RMC", begin, 0.0, fix=False))
-    assert "map.nmea" in answer(event_folders, **files, **OPTIONS, ground_truth="gps")
 
 
 def test_a_qcr_drive_is_placed_by_the_points_that_it_passes(tmp_path):

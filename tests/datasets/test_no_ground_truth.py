@@ -3,8 +3,6 @@
 The frame of place k is a texture of its own, which query k shows with noise: what is retrieved first is known.
 """
 
-import csv
-import json
 from pathlib import Path
 
 import numpy as np
@@ -23,8 +21,6 @@ from vprbench.datasets.folders import folders
 from vprbench.datasets.image_list import image_list
 from vprbench.datasets.utm_folders import utm_folders
 from vprbench.datasets.vpr_bench import vpr_bench
-from vprbench.errors import BadInput
-from vprbench.plugins import conformance, registry
 from vprbench.report import comparison
 
 PLACES, QUERIES = 7, 5
@@ -78,13 +74,6 @@ def test_recordings_of_different_lengths_need_none_either(tmp_path):
     assert (dataset.n_places, len(dataset.queries), dataset.protocol["ground_truth"]) == (5, 3, "none")
 
 
-@pytest.mark.parametrize("given", [{"positives": [0]}, {"tolerance": 1}, {"ground_truth": "nothing"}])
-def test_in_python_right_places_are_either_given_or_not_known(given):
-    frames = np.zeros((1, 6, 8), np.uint8)
-    with pytest.raises(BadInput, match="ground_truth"):
-        vprbench.dataset_of(frames, frames, **(NONE | given))
-
-
 @pytest.fixture
 def drives(tmp_path, monkeypatch):
     """Stand beside a map and a drive of fewer queries; returns the options of a run."""
@@ -97,20 +86,6 @@ def drives(tmp_path, monkeypatch):
 
 def asked(references, queries):
     return [f"dataset.references=[{references}]", f"dataset.queries={queries}", "dataset.ground_truth=none"]
-
-
-def test_a_run_retrieves_and_shows_no_accuracy_and_its_json_holds_null(drives, capsys):
-    assert main(["method=sad", *drives, "metrics=[r100p]", "wide=true"]) == 0
-    shown = capsys.readouterr().out
-    assert all(word not in shown for word in ("R@", "AUC", "wrong", "miss", "undefined"))
-    assert "peak MB" in shown
-    assert main(["method=sad", *drives, "metrics=[r100p,p100r]", "output=json", "predictions=1"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    names = [name for name in told if name.startswith(("recall", "auc", "average"))]
-    assert {told[name] for name in [*names, "r100p", "p100r"]} == {None}
-    with Path(*told["predictions"]).open(encoding="utf-8", newline="") as file:
-        lines = list(csv.DictReader(file))
-    assert [(line["place"], line["right"]) for line in lines] == [(str(place), "") for place in range(QUERIES)]
 
 
 def test_a_comparison_ranks_nothing_and_draws_no_accuracy(drives, capsys, monkeypatch, tmp_path):
@@ -139,9 +114,3 @@ def test_in_python_a_result_and_a_comparison_have_no_accuracy(drives):
     two = result.predictions(2)["score"].to_numpy().reshape(QUERIES, 2)
     np.testing.assert_allclose(frame["margin"], two[:, 0] - two[:, 1], rtol=1e-6)
     assert all("R@" not in text for text in (repr(result), result._repr_html_(), found.to_markdown()))
-
-
-def test_a_dataset_without_ground_truth_keeps_every_rule(drives):
-    config = registry.find_entries("dataset")["folders"].values() | {"references": ["map"], "queries": "drive", **NONE}
-    states = {result.state for result in conformance.check_dataset(config)}
-    assert states == {"kept"}

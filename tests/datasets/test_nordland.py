@@ -83,33 +83,13 @@ def test_only_frames_that_some_method_needs_have_to_be_there(tiny_root, options,
 def test_missing_frames_are_counted_with_what_to_do(tiny_root, monkeypatch, frames, others, told):
     for frame in frames:
         (tiny_root / "fall" / f"images-{frame:05d}.png").unlink()
-    there, more = frame_folders.files_in, {f"{number}.png" for number in range(others)}
-    monkeypatch.setattr(frame_folders, "files_in", lambda folder: there(folder) | more)
+    there, more = frame_folders.list_files, {f"{number}.png" for number in range(others)}
+    monkeypatch.setattr(frame_folders, "list_files", lambda folder: there(folder) | more)
     if others < 0:
         (tiny_root / "fall").rmdir()
     elif not others:  # a folder under the name of a frame is no frame
         (tiny_root / "fall" / f"images-{frames[0]:05d}.png").mkdir()
     assert told.format(tiny_root / "fall") in refusal(kind=MissingData, root=str(tiny_root), **TINY)
-
-
-@pytest.mark.parametrize("way", ["{season}/{season}", "{Season}", "Nordland/{season}", "Nordland/{Season}/frames"])
-def test_seasons_are_found_in_capitals_or_one_folder_deeper(tiny_root, tmp_path, way):
-    wanted = nordland(root=str(tiny_root), **TINY)
-    fingerprint = wanted.references.fingerprint()
-    for season in SEASON_LEVEL:
-        (tiny_root / season).rename(tiny_root / f"{season} aside")
-        there = tiny_root / way.format(season=season, Season=season.title())
-        there.parent.mkdir(parents=True, exist_ok=True)
-        (tiny_root / f"{season} aside").rename(there)
-    found = nordland(root=str(tiny_root), **TINY)
-    assert found.references.fingerprint() == fingerprint
-    assert dict(found.protocol) == dict(wanted.protocol)
-
-
-def test_of_a_season_under_another_name_the_nearest_folder_is_named(tiny_root):
-    (tiny_root / "winter").rename(tiny_root / "winter_2")
-    assert str(tiny_root / "winter_2") in refusal(kind=MissingData, root=str(tiny_root), query="winter", **TINY)
-    assert "unpacked" in refusal(kind=MissingData, root=str(tiny_root / "nordland.zip"), **TINY)
 
 
 def test_places_before_the_first_one_are_left_out_and_converted_frames_answered_with_the_suffix_to_set(tiny_root):
@@ -127,19 +107,12 @@ def test_places_before_the_first_one_are_left_out_and_converted_frames_answered_
     assert nordland(root=str(tiny_root), suffix=".jpg", **TINY).queries.names[0] == "images-00206.jpg"
 
 
-@pytest.mark.parametrize("name", ["nordland", "nordland_27k"])
-def test_without_a_root_the_shared_download_is_taken_before_the_default_root(tiny_root, no_downloads, tmp_path, name):
-    (no_downloads / "nordland").symlink_to(tiny_root)
-    (tmp_path / "other").mkdir()
-    assert reds(nordland(name, default_root=str(tmp_path / "other"), **TINY).queries) == [22, 23, 24, 25]
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         ({"references": ["spring", "spring"]}, "dataset.references=['spring', 'spring']"),
         ({"query": "tea"}, "dataset.query=tea: Nordland has spring, summer, fall, winter"),
-        ({"places": 3450}, "dataset.places=3450: the list of 27592 names at stride 8 has 3449 places"),
+        ({"places": 3450}, "dataset.places=3450: the list of 27592 names at dataset.stride=8 has 3449 places"),
         ({"stride": 0}, "dataset.stride=0"),
         ({"frame_multiple": 0}, "dataset.frame_multiple=0"),
     ],
@@ -203,7 +176,7 @@ PUBLISHED = {
 def test_each_way_asks_the_frames_and_seasons_that_are_published(tmp_path, monkeypatch, name):
     for season in SEASON_LEVEL:
         (tmp_path / season).mkdir()
-    monkeypatch.setattr(frame_folders, "files_in", lambda _: {*FRAMES})  # that seem to be there: nothing is read
+    monkeypatch.setattr(frame_folders, "list_files", lambda _: {*FRAMES})  # that seem to be there: nothing is read
     config = make_request([f"dataset={name}"]).dataset
     dataset = registry.make_dataset({**config, "root": str(tmp_path)})
     references, query, mapped, queried, tolerance = PUBLISHED[name]

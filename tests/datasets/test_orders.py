@@ -9,7 +9,6 @@ from PIL import Image as PillowImage
 
 import vprbench
 from vprbench.api import BadInput
-from vprbench.cli import main
 from vprbench.data.doctor import quick
 
 DECIMAL = {  # names in the order of the road, of which the order of whole numbers is another one
@@ -114,61 +113,10 @@ def test_vpr_bench_numbers_its_frames_by_whole_numbers_as_published_and_says_so(
     assert (stems(decimal.queries), decimal.protocol["numbers"]) == (["0.25", "0.5"], "decimal")
 
 
-AT = ["@545012.369@4184025.717@", "@545012.47@4184025.717@", "@545020.5@4184025.717@"]
-SHUFFLED = ["1", "10", "2"]  # the order of a dictionary
-
-
-def by_utm_folders():
-    road("database", AT)
-    road("queries", ["@545012@4184025@"], noisy)
-    return {"dataset": "utm_folders", "root": "."}
-
-
 def table(file, names, columns, *cells_of):
     rows = [f"image,{columns}", *(f"{name}.png,{of}" for name, of in zip(names, cells_of, strict=True))]
     Path(file).write_text("\n".join(rows), encoding="utf-8")
     return file
-
-
-def by_list(columns, *cells_of):
-    road(".", SHUFFLED)
-    road(".", ["q"], noisy)
-    references = [table("map.csv", SHUFFLED, columns, *cells_of)]
-    return {
-        "dataset": "image_list",
-        "references": references,
-        "queries": table("asked.csv", ["q"], columns, cells_of[0]),
-    }
-
-
-ANY_ORDER = {
-    "positions of different lengths": by_utm_folders,
-    "places in a list": lambda: by_list("place", "yard", "hall", "stairs"),
-    "positions in a list": lambda: by_list("east,north", "0,0", "100,0", "200,0"),
-}
-
-
-@pytest.mark.parametrize("source", ANY_ORDER)
-def test_the_order_of_names_is_asked_for_only_where_it_matters(source, capsys):
-    given = ANY_ORDER[source]()
-    options = [f"dataset.{name}={value}".replace("'", "") for name, value in given.items() if name != "dataset"]
-    asked = ["method=sad", f"dataset={given['dataset']}", *options, "timing=none", "results=runs"]
-    assert main(asked) == 0
-    main([*asked, "sequence={length:2,incomplete:shortened}"])
-    assert ("dictionary" in capsys.readouterr().err) == (source != "positions of different lengths")
-
-
-def test_files_in_dictionary_order_are_right_where_the_right_places_are_given(caplog):
-    files = sorted(Path(road("a", [str(number) for number in range(12)])).iterdir())
-    asked = road("b", [str(number) for number in range(12)], noisy)
-    right = [[file.stem for file in files].index(str(place)) for place in range(12)]
-    assert recall(vprbench.dataset_of(files, asked, positives=right)) == 1.0
-    assert "dictionary" not in caplog.text
-    queried = sorted(Path(asked).iterdir())
-    assert recall(vprbench.dataset_of(files, queried, positives=range(12)), 2) == 1.0
-    assert "dictionary" in caplog.text
-    with pytest.raises(BadInput, match="dictionary"):
-        recall(vprbench.dataset_of(files, asked))
 
 
 def drives(*lengths):
@@ -183,7 +131,7 @@ def test_another_sub_folder_begins_another_drive_at_which_tolerance_and_sequence
         assert rights(dataset)[5:7] + rights(dataset)[10:12] == [[4, 5], [6, 7], [9, 10], [11, 12]]
         assert dataset.protocol["breaks"] == "folders"
     for dataset in made(options, tolerance=1, breaks="none"):
-        assert (dataset.query_breaks, dataset.place_breaks, rights(dataset)[5]) == (None, None, [4, 5, 6])
+        assert (len(dataset.query_breaks), len(dataset.place_breaks), rights(dataset)[5]) == (0, 0, [4, 5, 6])
         assert "breaks" not in dataset.protocol
 
 
@@ -235,16 +183,10 @@ def by_database():
 def test_a_journey_breaks_off_where_the_folder_changes_or_the_position_jumps(kind):
     reader, options, (places, queries, seen_by) = BROKEN[kind]()
     dataset = vprbench.dataset(reader, **options).build()
-    found = [[] if breaks is None else breaks.tolist() for breaks in (dataset.place_breaks, dataset.query_breaks)]
+    found = [breaks.tolist() for breaks in (dataset.place_breaks, dataset.query_breaks)]
     assert (*found, dataset.protocol.get("breaks")) == (places, queries, seen_by)
     said = [one.text for one in quick(dataset) if one.check == "drives"]
     assert len(said) == bool(places) + bool(queries)
-
-
-def test_breaks_stay_where_they_are_when_queries_without_a_right_place_are_left_out():
-    options = pair([f"@{east}@0@" for east in EASTS], ["@0@1@", "@5@1@", "@10@1@", "@500@1@", "@900@1@", "@905@1@"])
-    dataset = vprbench.dataset("folders", **options, ground_truth="utm", unmatched="drop").build()
-    assert (len(dataset.queries), dataset.query_breaks.tolist()) == (5, [3])
 
 
 @pytest.mark.parametrize(

@@ -16,8 +16,11 @@ WANTED = [[0, [0, 1]], [1, []], [2, [1, 2, 700]]]
 
 
 def write(folder, content):
+    """Write a pickle as numpy stores arrays of objects."""
     path = folder / "ground_truth_new.npy"
-    path.write_bytes(content)
+    with path.open("wb") as file:
+        np.lib.format.write_array_header_1_0(file, {"descr": "|O", "fortran_order": False, "shape": (3, 2)})
+        file.write(content)
     return path
 
 
@@ -47,28 +50,14 @@ def held(kind):
 
 
 @pytest.mark.parametrize("kind", ["lists", "numpy numbers", "arrays", "rows of lists", "columns first", "a list"])
-def test_a_bare_pickle_of_every_protocol_and_a_file_that_numpy_wrote_are_read(tmp_path, kind):
-    for protocol in range(6):
+def test_a_pickle_of_every_protocol_that_numpy_writes_is_read(tmp_path, kind):
+    for protocol in range(5):
         content = pickle.dumps(held(kind), protocol=protocol)
         assert read_lists(write(tmp_path, content), ADVICE) == WANTED
-        older = content.replace(b"numpy._core.", b"numpy.core.")
         if protocol in (1, 2):  # which state no length of these names
+            older = content.replace(b"numpy._core.", b"numpy.core.")
             assert read_lists(write(tmp_path, older), ADVICE) == WANTED
-    for version in [(1, 0), (2, 0)] if kind != "a list" else []:
-        with write(tmp_path, b"").open("wb") as file:
-            np.lib.format.write_array(file, held(kind), version=version, allow_pickle=True)
-        assert read_lists(Path(file.name), ADVICE) == WANTED
-
-
-def test_bytes_that_python_2_wrote_as_text_are_numbers(tmp_path):
-    # array([5, 200]) as int16, protocol 2, the bytes as SHORT_BINSTRING: 05 00 c8 00
-    content = (
-        b"\x80\x02]q\x00cnumpy.core.multiarray\n_reconstruct\nq\x01cnumpy\nndarray\nq\x02K\x00\x85q\x03U\x01bq\x04"
-        b"\x87Rq\x05(K\x01K\x02\x85q\x06cnumpy\ndtype\nq\x07U\x02i2K\x00K\x01\x87Rq\x08(K\x03U\x01<NNN"
-        b"J\xff\xff\xff\xffJ\xff\xff\xff\xffK\x00tb\x89U\x04\x05\x00\xc8\x00tba."
-    )
-    assert read_lists(write(tmp_path, content), ADVICE) == [[5, 200]]
-    path = write(tmp_path, b"")
+    path = tmp_path / "plain.npy"
     np.save(path, np.zeros((3, 2)))
     assert "plain numbers" in refusal(path)
 
@@ -94,8 +83,8 @@ class Calls:
 )
 def test_what_a_pickle_wants_to_call_is_named_and_not_called(tmp_path, monkeypatch, asked, call, protocol, wrapped):
     monkeypatch.chdir(tmp_path)
-    Path("stored").write_bytes(pickle.dumps(lists([0], call) if wrapped else call, protocol=protocol))
-    assert f"{asked}, which no list of numbers needs: nothing was run" in refusal(Path("stored"))
+    path = write(tmp_path, pickle.dumps(lists([0], call) if wrapped else call, protocol=protocol))
+    assert f"{asked}, which no list of numbers needs: nothing was run" in refusal(path)
     assert not Path("called").exists()
 
 
@@ -115,7 +104,7 @@ REFUSED = {
     "a name that moves the cursor": (b"c\x1b[2Jos\nsystem\n.", r"asks for \x1b[2Jos.system"),
     "an instance": (b"(ios\nsystem\n.", "asks for os.system"),
     "the state of a stand-in": (b"\x80\x02cnumpy\nndarray\n}b.", "cannot be read"),
-    "too large a file": (bytes((1 << 24) + 1), f"has {(1 << 24) + 1} bytes"),
+    "too large a file": (bytes((1 << 24) + 1), "bytes, more than"),
     "a place in the memo beyond the file": (b"\x80\x02Nr\xff\xff\xff\x7f.", "holds a NoneType"),
     "a frame beyond the file": (b"\x80\x04\x95" + struct.pack("<Q", 1 << 40) + b"].", ""),
     "bytes beyond the file": (b"\x80\x04\x8e" + struct.pack("<Q", 1 << 40) + b"x.", ""),

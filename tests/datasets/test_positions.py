@@ -24,7 +24,7 @@ def named(positions):
     return [f"@{east}@{north}@10@S@@@{number:02}@.jpg" for number, (east, north) in enumerate(positions)]
 
 
-def by_names(references, queries, **options):
+def match_names(references, queries, **options):
     fill(Path("database"), named(references))
     fill(Path("queries"), named(queries))
     return utm_folders(root=".", **options)
@@ -55,7 +55,7 @@ def by_arrays(references, queries, turned=False, **options):
     return folders(references=["a"], queries="b", ground_truth="truth.npz", **options)
 
 
-READERS = [by_names, by_table, by_degrees, by_arrays]
+READERS = [match_names, by_table, by_degrees, by_arrays]
 
 
 def but(numbers, at, drive=DRIVE):
@@ -90,12 +90,6 @@ def test_images_without_a_position_are_refused_or_left_out_and_counted(reader, a
         assert {**kept.protocol, **counts, "without_position": "keep"} == kept.protocol
 
 
-def test_breaks_stand_where_images_without_a_position_were_left_out():
-    left = by_table(but({3, 4}, (0, 0)), but({0, 7}, ("", "")), without_position="drop", unmatched="keep")
-    assert (left.place_breaks.tolist(), left.query_breaks.tolist()) == ([3], [6])
-    assert left.notes[0].startswith("4 of 80 images have no position")
-
-
 FAR = [(east + 5000 * (k >= 20), north) for k, (east, north) in enumerate(DRIVE)]  # 5 km from image 19 to image 20
 
 
@@ -120,15 +114,6 @@ def test_drives_are_counted_among_the_images_that_have_a_position(second, drive,
     assert made.query_breaks.tolist() == [3, 4, *[18] * (seen_by is not None)]
 
 
-def test_places_with_numbers_of_their_own_break_off_where_another_drive_begins():
-    fill(Path(), names := ["one/0.jpg", "one/1.jpg", "two/2.jpg", "two/3.jpg"])
-    rows = [f"{name},{place}" for name, place in zip(names, (0, 8, 16, 24), strict=True)]
-    Path("map.csv").write_text("\n".join(["image,place", *rows]))
-    made = image_list(references=["map.csv"], queries="map.csv")
-    assert made.place_numbers.tolist() == [0, 8, 16, 24]
-    assert (made.place_breaks.tolist(), made.query_breaks.tolist()) == ([2], [2])
-
-
 @pytest.mark.parametrize(
     "drive",
     [
@@ -146,11 +131,6 @@ def test_strange_positions_of_real_drives_are_taken(drive):
     assert all(query in right for query, right in enumerate(rights(made)))
 
 
-def test_two_traverses_that_wait_at_their_ends_are_taken():
-    by_table(but({*range(25, N)}, DRIVE[24]), DRIVE[:25])  # the next traverse begins far from there
-    assert not image_list(references=["map.csv", "map.csv"], queries="asked.csv").notes
-
-
 BRISBANE = [(-27.5 + 0.0003 * k, 153.02 + 0.0001 * k) for k in range(N)]
 
 
@@ -158,7 +138,7 @@ BRISBANE = [(-27.5 + 0.0003 * k, 153.02 + 0.0001 * k) for k in range(N)]
     ("reader", "drive", "told"),
     [
         *((reader, BRISBANE, "degrees") for reader in READERS if reader is not by_degrees),
-        (by_names, but({3, 4}, (0, 0), BRISBANE), "degrees"),
+        (match_names, but({3, 4}, (0, 0), BRISBANE), "degrees"),
         (by_table, BRISBANE[:3], "degrees"),
         (by_table, [(153.02, -27.5)] * N, "degrees"),
         (by_table, [(-27.5 + 40 * (k % 2), 153.02 + 1e-4 * k) for k in range(N)], "degrees"),  # two cities
@@ -208,4 +188,4 @@ def test_places_that_are_whole_numbers_count_as_themselves(references, queries, 
     made = by_places(references, queries, **options)
     assert rights(made) == right
     assert (None if made.place_numbers is None else made.place_numbers.tolist()) == numbers
-    assert made.place_breaks is None if numbers is None else not len(made.place_breaks)
+    assert not len(made.place_breaks)

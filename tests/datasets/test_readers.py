@@ -5,15 +5,14 @@ import re
 from collections import namedtuple
 from pathlib import Path
 
-import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from image_folders import answer, fill
 
 from vprbench.datasets.readers.image_files import images_in
-from vprbench.datasets.readers.traverses import find_breaks, right_places, split
-from vprbench.datasets.readers.utm_names import by_names
+from vprbench.datasets.readers.traverses import match_numbers, split_places
+from vprbench.datasets.readers.utm_names import match_names
 from vprbench.errors import MissingData
 
 quickly = settings(derandomize=True, deadline=None, max_examples=60, database=None)
@@ -36,7 +35,7 @@ def asked(draw):
 @quickly
 @given(asked())
 def test_places_stay_in_order_queries_lie_in_the_map_and_right_is_what_lies_within_the_tolerance(given):
-    parts = split(*given)
+    parts = split_places(*given)
     mapped, queried, held_out = parts.mapped.tolist(), parts.queried.tolist(), parts.held_out.tolist()
     assert all(numbers == sorted({*numbers}) for numbers in (mapped, queried, held_out))
     assert (len(queried), len(held_out)) == (given.query_places, given.first_query_place)
@@ -44,7 +43,7 @@ def test_places_stay_in_order_queries_lie_in_the_map_and_right_is_what_lies_with
     assert ({*held_out} <= {*mapped}) if given.protocol == "vprtempo" else not {*held_out} & {*mapped}
     allowed = [place for place in mapped if place not in {*held_out}]
     assert queried == allowed[:: given.query_stride][: given.query_places]
-    found = right_places(parts.queried, parts.mapped, given.tolerance)
+    found = match_numbers(parts.queried, parts.mapped, given.tolerance)
     for query, right in zip(queried, found, strict=True):
         assert right.tolist() == [i for i, place in enumerate(mapped) if abs(place - query) <= given.tolerance]
 
@@ -62,15 +61,7 @@ def test_places_stay_in_order_queries_lie_in_the_map_and_right_is_what_lies_with
     ],
 )
 def test_a_split_that_does_not_fit_six_places_is_refused_with_its_options(protocol, asked, told):
-    assert told in answer(split, protocol, 6, *asked)
-
-
-def test_frames_that_are_missing_between_places_break_the_journey():
-    numbers = [10, 20, 30, 60, 70, 110]
-    assert find_breaks(np.arange(6), numbers).tolist() == [3, 5]
-    assert find_breaks(np.array([1, 2, 4]), numbers).tolist() == [2]
-    for places, broken in (([0, 1, 4, 5], [2]), ([0, 2, 4], []), ([7], [])):
-        assert find_breaks(np.array(places)).tolist() == broken
+    assert told in answer(split_places, protocol, 6, *asked)
 
 
 EASTING, NORTHING = 54_325_696, 417_890_670  # centimetres, a corner of San Francisco
@@ -88,7 +79,7 @@ def name_file(centimetres, zone="@10@S"):
 @example([((700, 2400), 31), ((701, 2400), 31), ((0, 0), 32)], 31)
 def test_right_is_what_whole_centimetres_say_is_within_25_metres_the_edge_included_and_in_the_zone(references, zone):
     files = [name_file(at, f"@{own}@V") for at, own in references]
-    truth = by_names(files, [name_file((0, 0), f"@{zone}@V")], 25.0, "apart")
+    truth = match_names(files, [name_file((0, 0), f"@{zone}@V")], 25.0, "apart")
     near = [i for i, ((x, y), own) in enumerate(references) if x * x + y * y <= 2500**2 and own == zone]
     assert truth.positives[0].tolist() == near
     assert truth.places.tolist() == [*range(len(references))]
@@ -108,9 +99,9 @@ def test_right_is_what_whole_centimetres_say_is_within_25_metres_the_edge_includ
 def test_metres_of_several_zones_or_sides_of_the_equator_do_not_compare(first, second, zones, told):
     names = [name_file((0, 0), first)], [name_file((0, 0), second)]
     if told:
-        assert re.search(told, answer(by_names, *names, 25.0, zones))
+        assert re.search(told, answer(match_names, *names, 25.0, zones))
     else:
-        assert len(by_names(*names, 25.0, zones).positives[0]) == 1
+        assert len(match_names(*names, 25.0, zones).positives[0]) == 1
 
 
 def names_in(folder, **options):

@@ -16,7 +16,6 @@ import vprbench.datasets.oxford_robotcar as robotcar
 from vprbench.datasets.oxford_robotcar import oxford_robotcar, recordings
 from vprbench.datasets.oxford_robotcar.calibration import (
     Camera,
-    find_calibration,
     read_calibration,
     undistort,
 )
@@ -86,15 +85,6 @@ def test_a_table_that_is_none_is_refused(tmp_path, spoil, told):
     path.write_bytes(spoil(np.frombuffer(path.read_bytes())).tobytes())
     with pytest.raises(BadInput, match=f"{path} .*{told}.*robotcar-dataset-sdk"):
         read_calibration(path, frames.SMALL)
-
-
-@pytest.mark.parametrize(("folder", "given"), [("models", None), ("a", "a"), ("a", f"a/{frames.TABLE}")])
-def test_the_table_is_found_in_the_root_or_where_the_option_says(tmp_path, folder, given):
-    asked = given and str(tmp_path / given)
-    told = answer(find_calibration, tmp_path, asked, kind=MissingData)
-    assert "https://github.com/ori-mrg/robotcar-dataset-sdk" in told
-    path = frames.write_table(tmp_path / folder, *frames.grid())
-    assert find_calibration(tmp_path, asked) == path
 
 
 @pytest.fixture
@@ -177,22 +167,6 @@ def test_a_file_that_is_no_raw_frame_is_named_when_it_is_read(root, mode, size, 
             [*dataset(root).references]
 
 
-def test_raw_frames_among_processed_ones_are_refused_and_without_a_root_the_download_is_taken(tmp_path, monkeypatch):
-    root = tmp_path / "oxford_robotcar"
-    for name in frames.RECORDINGS:
-        write_processed(root / name, name)
-    monkeypatch.setenv("VPRBENCH_DATA", str(tmp_path))
-    found = robotcar.oxford_robotcar("mine", **frames.TINY)
-    assert [image[0, 0].tolist() for image in found.queries] == [[250, place, 0] for place in (1, 2, 3)]
-    for name in ("dusk", "rain"):
-        write_processed(root / name, name, mode="L")
-        message = answer(dataset, root)
-        assert str(root / name) in message
-        assert "raw Bayer frames" in message
-    (root / "sun" / f"{frames.STAMPS['sun'][0]}.png").write_bytes(b"")
-    assert f"{frames.STAMPS['sun'][0]}.png cannot be read as an image" in answer(dataset, root)
-
-
 PUBLISHED = {traverse: published_timestamps(traverse)[:3150:7] for traverse in frames.RECORDINGS}
 
 
@@ -243,19 +217,6 @@ def test_the_queries_of_the_paper_are_places_90_to_449_and_it_is_told_what_is_od
     assert steps == ["55", "449", "59", "449", "4", "359"]
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({}, "https://mrgdatashare.robots.ox.ac.uk/register/"),
-        ({"query": "night"}, "dataset.query=night: Oxford RobotCar has sun, rain, dusk"),
-        ({"places": 483}, "dataset.places=483: the list of 3369 names at stride 7 has 482 places"),
-    ],
-)
-def test_a_bad_option_is_named_in_one_line(arguments, message, tmp_path):
-    top = {"root": str(tmp_path)} if arguments else {}
-    assert message in answer(oxford_robotcar, kind=BadInput if arguments else MissingData, **top, **arguments)
-
-
 START = {"sun": 1439388276045321, "rain": 1446121117630140, "dusk": 1416586027583964}
 
 
@@ -276,12 +237,6 @@ def column(line, traverse="sun"):
 
 
 NAMED, PLAIN = column("{row:06d}.png,{stamp}.png"), column("{stamp}.png")
-
-
-@pytest.mark.parametrize("lines", [["Image from this repo,Image from ORC", *NAMED], column("{stamp}")])
-def test_timestamps_are_found_whatever_stands_beside_and_above_them(tmp_path, lines):
-    write_list(tmp_path, "sun", lines)
-    assert vprsnn_timestamps(tmp_path, "sun") == stamps("sun")
 
 
 @pytest.mark.parametrize(

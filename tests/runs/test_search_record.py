@@ -10,7 +10,7 @@ from little_runs import run_of, table
 
 from vprbench.api.binary import BinaryMethod
 from vprbench.api.descriptor import DescriptorMethod
-from vprbench.api.hamming import pack_bits
+from vprbench.api.nearest import pack_bits
 
 pytestmark = pytest.mark.usefixtures("surroundings")
 

@@ -20,6 +20,7 @@ from .decoding import Exif as Exif
 from .decoding import is_beside as is_beside
 from .decoding import is_folder_beside as is_folder_beside
 from .decoding import is_image_name as is_image_name
+from .decoding import open_image as open_image
 from .decoding import read_image as read_image
 from .descriptor import DescriptorMethod as DescriptorMethod
 from .descriptor import Growing as Growing
@@ -32,8 +33,6 @@ from .events import counted as counted
 from .events import event_frames as event_frames
 from .events import hot_pixels as hot_pixels
 from .frame_cache import cached_frames as cached_frames
-from .hamming import pack_bits as pack_bits
-from .heads import open_image as open_image
 from .images import Images as Images
 from .levels import decoding_of as decoding_of
 from .method import Circuit as Circuit
@@ -41,6 +40,7 @@ from .method import HasCircuit as HasCircuit
 from .method import LayerSpikes as LayerSpikes
 from .method import Method as Method
 from .nearest import import_faiss as import_faiss
+from .nearest import pack_bits as pack_bits
 from .neural import Interpolation as Interpolation
 from .neural import NeuralDescriptor as NeuralDescriptor
 from .neural import Resize as Resize

@@ -11,8 +11,8 @@ import numpy as np
 from vprbench.api.arithmetic import count_operations
 from vprbench.api.arrays import Places, Scores
 from vprbench.api.descriptor import best_image_of_place, encoded_blocks
-from vprbench.api.hamming import Words, compare_bits
 from vprbench.api.method import Method, require_codes
+from vprbench.api.nearest import Words, compare_bits
 from vprbench.errors import BadInput, NotFittedError
 
 if TYPE_CHECKING:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import io
+import struct
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -15,7 +16,6 @@ import numpy.typing as npt
 from PIL import Image as PillowImage
 
 from vprbench.api.arrays import Image
-from vprbench.api.heads import FORMATS, UNREADABLE, UPRIGHT, open_image, read_head
 from vprbench.errors import BadInput
 
 IMAGE_SUFFIXES = (
@@ -56,13 +56,30 @@ def is_folder_beside(name: str) -> bool:
 
 Exif = Literal["obey", "ignore"]  # the tag by which a camera says how it was held
 Levels = tuple[float, float]  # those that become 0 and 255
-Counts = npt.NDArray[Any]  # (height, width) or (height, width, 3), integers of 16 or 32 bits, or floats
+Counts = npt.NDArray[Any]  # (height, width), integers of 16 or 32 bits, or floats
 
-_FULL = {np.dtype(np.uint16): (0.0, 65_535.0)}
+UPRIGHT = 1  # EXIF 2.32
+_ORIENTATION = 0x0112  # the number of the tag
 _TURNED_BACK = {6: 8, 8: 6}  # all other orientations are their own inverse
 _FLIPS = {2: 1, 3: -1, 4: 0, 6: 1, 7: -1, 8: 0}  # as OpenCV calls them, after a transposition from 5 on
 _N_LEVELS = 256
-_SAMPLE_FORMAT = 339  # tag of a TIFF; 1: unsigned integers
+_FULL = {np.dtype(np.uint16): (0.0, 65_535.0)}
+#: Pillow knows many more, some of which start other programs (EPS) or have no use here.
+_FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "WEBP", "PPM")
+#: The errors by which Pillow reports a file that it cannot read.
+_UNREADABLE = (
+    *(OSError, SyntaxError, ValueError),
+    *(PillowImage.DecompressionBombError, PillowImage.DecompressionBombWarning),
+)
+
+
+@dataclass(frozen=True, slots=True)  # one for each of millions of files
+class Head:
+    """The facts of a file that are known before its pixels are decoded."""
+
+    orientation: int = UPRIGHT  # 1 to 8, of the EXIF tag; 2 to 8 turn or mirror the frame
+    deep: bool = False  # whether it is grey of more than 8 bits
+    n_bytes: int = 1  # of the frame once it is decoded
 
 
 @dataclass(frozen=True)
@@ -76,7 +93,7 @@ class Decoding:
     exif: Exif = "obey"  # as phones and browsers do; ignore: frames as they are stored
     levels: Levels | None = None
 
-    def scaled(self, counts: Counts, path: Path) -> npt.NDArray[np.uint8]:
+    def scale(self, counts: Counts, path: Path) -> npt.NDArray[np.uint8]:
         """Return the deep levels of a file as 0 to 255; a level outside the range becomes the range's nearer end.
 
         Integers of 256 levels and more fall into 256 bins of equal width: of 0..65535 the upper 8 bits are kept. Fewer
@@ -108,74 +125,84 @@ def read_image(path: Path, decoding: Decoding = _USUAL) -> Image:
     levels, and, undecoded, if it has more pixels than `PIL.Image.MAX_IMAGE_PIXELS` (89,478,485 unless a program sets
     another number).
     """
-    with _open(path) as (image, content):
-        head = read_head(image)
-        is_turned = image.format == "TIFF"  # Pillow and OpenCV obey the tag of a TIFF
-        pixels = _deep_pixels(image, content) if head.deep else _shallow_pixels(image)
-    if head.deep:
-        pixels = as_rgb(decoding.scaled(pixels, path))
-    if head.orientation == UPRIGHT or is_turned == (decoding.exif == "obey"):
+    with _open(path) as image:
+        orientation, deep, is_turned = _read_orientation(image), _is_deep(image), image.format == "TIFF"  # by Pillow
+        if deep:
+            pixels = as_rgb(decoding.scale(_read_counts(image), path))
+        else:  # a palette with transparency has to become RGBA first
+            colours = image.convert("RGBA") if image.mode == "P" else image
+            pixels = np.array(colours if colours.mode == "RGB" else colours.convert("RGB"))
+    if orientation == UPRIGHT or is_turned == (decoding.exif == "obey"):
         return pixels
-    orientation = _TURNED_BACK.get(head.orientation, head.orientation) if is_turned else head.orientation
-    return _turn(pixels, orientation)
+    return _turn(pixels, _TURNED_BACK.get(orientation, orientation) if is_turned else orientation)
 
 
 def read_counts(path: Path) -> Counts:
     """Decode the levels of a file deeper than 8 bits as they stand there; raises what `read_image` raises."""
-    with _open(path) as (image, content):
-        return _deep_pixels(image, content)
+    with _open(path) as image:
+        return _read_counts(image)
+
+
+def read_head(path: Path) -> Head:
+    """Return the head of an image file; that of an upright frame of 8 bits for a file that cannot be read."""
+    try:
+        with open_image(path) as image:
+            return Head(_read_orientation(image), _is_deep(image), max(1, 3 * image.width * image.height))
+    except _UNREADABLE:  # read_image reports it
+        return Head()
+
+
+def open_image(path: Path) -> PillowImage.Image:
+    """Open an image of one of the formats without decoding its pixels; the caller closes it.
+
+    Raises Pillow's errors: UnidentifiedImageError, an OSError, for any other content, whatever its name.
+    """
+    return PillowImage.open(path, formats=_FORMATS)
 
 
 @contextmanager
-def _open(path: Path) -> Iterator[tuple[PillowImage.Image, bytes]]:
-    """Open an image for decoding, and yield its bytes too; errors of the decoders become BadInput with the path."""
+def _open(path: Path) -> Iterator[PillowImage.Image]:
+    """Open an image for decoding; errors of the decoders become BadInput with the path."""
     file = io.BytesIO()
     try:
-        file = io.BytesIO(path.read_bytes())
-        with PillowImage.open(file, formats=FORMATS) as image:
+        file = io.BytesIO(path.read_bytes())  # of a path Pillow maps some TIFF, and then turns their shape alone
+        with PillowImage.open(file, formats=_FORMATS) as image:
             most = PillowImage.MAX_IMAGE_PIXELS
             if most is not None and image.width * image.height > most:
                 raise ValueError(f"{image.width} x {image.height} pixels; at most {most:,} may be decoded")
-            yield image, file.getvalue()
+            yield image
     except FileNotFoundError as error:
         raise BadInput(f"{path} does not exist: restore the file or choose other places") from error
-    except UNREADABLE as error:
+    except _UNREADABLE as error:
         reason = str(error).replace(f" {file!r}", "").replace(str(path), "it").splitlines()[0]
         raise BadInput(f"{path} cannot be read as an image ({reason}): replace the file; none is skipped") from error
 
 
-def _shallow_pixels(image: PillowImage.Image) -> Image:
-    # A palette with transparency has to become RGBA first.
-    colours = image.convert("RGBA") if image.mode == "P" else image
-    return np.array(colours if colours.mode == "RGB" else colours.convert("RGB"))
+def _read_counts(image: PillowImage.Image) -> Counts:
+    counts = np.array(image)
+    return counts.astype(np.uint16) if image.format == "PPM" else counts  # which Pillow scales to 0..65535
 
 
-def _deep_pixels(image: PillowImage.Image, content: bytes) -> Counts:
-    """Return all bits of a file; Pillow, which keeps 8 bits of colours and scales PNM, only sees that it is whole."""
-    image.load()
-    if image.mode == "F" or (image.format != "PPM" and image.mode.startswith("I")):
-        counts: Counts = np.array(image)
-        unsigned = image.mode == "I" and getattr(image, "tag_v2", {}).get(_SAMPLE_FORMAT, (1,))[0] == 1
-        return counts.view(np.uint32) if unsigned else counts
-    colours = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
-    if colours is None:
-        raise ValueError(f"its levels of more than 8 bits in mode {image.mode} are not read")
-    return colours if colours.ndim == 2 else colours[:, :, 2::-1]  # from BGR
+def _is_deep(image: PillowImage.Image) -> bool:
+    return image.mode.startswith(("I", "F"))  # of colours Pillow keeps the upper 8 bits alone
+
+
+def _read_orientation(image: PillowImage.Image) -> int:
+    """Return the tag of an image that is opened and not yet loaded.
+
+    A tag counts where browsers look for it: of PNG before the pixels, of JPEG before the first scan.
+    """
+    exif: Any = PillowImage.Exif()
+    with suppress(SyntaxError, ValueError, struct.error):  # a damaged block turns nothing
+        exif.load(image.info.get("exif", b""))
+    orientation = getattr(image, "tag_v2", exif).get(_ORIENTATION)  # of a TIFF its own tags
+    return orientation if orientation in range(1, 9) else UPRIGHT
 
 
 def _turn(pixels: Image, orientation: int) -> Image:
     """Return the frame that a tag of 2 to 8 tells of stored pixels: 6 turns it clockwise, 8 the other way."""
     turned = cv2.transpose(pixels) if orientation >= 5 else pixels  # in a tenth of the time of NumPy's copy
     return np.asarray(turned if orientation == 5 else cv2.flip(turned, _FLIPS[orientation]), np.uint8)
-
-
-def decoded_bytes(path: Path) -> int:
-    """Return the bytes of an image once it is decoded, from the head of its file; 1 if the head cannot be read."""
-    try:
-        with open_image(path) as image:
-            return max(1, 3 * image.width * image.height)
-    except UNREADABLE:  # said when the image is read
-        return 1
 
 
 def as_rgb(array: Image) -> Image:

@@ -16,7 +16,7 @@ from vprbench import progress
 from vprbench.api.adaptation import Adapt
 from vprbench.api.arrays import Descriptors, Places, Scores
 from vprbench.api.method import Method, require_codes
-from vprbench.api.search import Audit, Search, agreement, check_index
+from vprbench.api.search import Audit, Search, check_index, compare_best
 from vprbench.api.search_indexes import Kind
 from vprbench.errors import BadInput, NotFittedError
 from vprbench.storage.atomic import name_unfinished, remove_leftovers
@@ -147,7 +147,7 @@ class DescriptorMethod(Method):
 
     def extend(self, references: Images, places: Places) -> Self:
         """Encode the references of new places and append their vectors."""
-        known = self._indexed()
+        known = self._require_index()
         if not self.extends:
             return super().extend(references, places)
         require_new_places(places, len(references), int(known.places.max()) + 1)
@@ -170,7 +170,7 @@ class DescriptorMethod(Method):
 
     def match(self, codes: npt.NDArray[np.float32]) -> Scores:
         """Return the inner product with the best reference image of each place; -inf if none was retrieved."""
-        return self._indexed().scores(codes)
+        return self._require_index().scores(codes)
 
     def nearest(self, codes: npt.NDArray[np.float32], n: int) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.int64]]:
         """Return the scores of the best `n` places of each code, best first, and these places, as `Search.nearest`.
@@ -178,25 +178,24 @@ class DescriptorMethod(Method):
         So queries of a large map are answered. A subclass that overrides `match` overrides this as well, or all places
         are scored.
         """
-        return self._indexed().nearest(codes, n)
+        return self._require_index().nearest(codes, n)
 
     def keeps_descriptors(self) -> bool:
         """Tell whether descriptors of whole traverses are worth keeping on disk; False if `fit` changes descriptors."""
         return False
 
     def audit(self, codes: npt.NDArray[np.float32]) -> Audit:
-        """Return the share of the places found by exact search for `codes` that the index finds too."""
-        index = self._indexed()
-        if index.kind == "exact":
-            return Audit(1.0, 1.0)
-        exact = index.exactly()
-        if type(self).match is DescriptorMethod.match:
-            return index.audit(exact, codes)
-        blocks = [*index.blocks(codes)]
-        shares = [agreement(self._matched(index, block), self._matched(exact, block)) for block in blocks]
+        """Return the share of the places found by exact search for `codes` that the index finds too.
+
+        Of places that are exactly as good as one another each counts as found.
+        """
+        index = self._require_index()
+        exact = Search(index.references, index.places)
+        blocks = [*index.split_codes(codes)]
+        shares = [compare_best(self._match_by(index, block), self._match_by(exact, block)) for block in blocks]
         return Audit(*np.concatenate(shares).mean(0).tolist())
 
-    def _matched(self, index: Search, codes: npt.NDArray[np.float32]) -> Scores:
+    def _match_by(self, index: Search, codes: npt.NDArray[np.float32]) -> Scores:
         """Call `match`, as a subclass may override it, with another index."""
         kept, self.searched = self.searched, index
         try:
@@ -204,7 +203,7 @@ class DescriptorMethod(Method):
         finally:
             self.searched = kept
 
-    def _indexed(self) -> Search:
+    def _require_index(self) -> Search:
         if self.searched is None:
             raise NotFittedError(f"{type(self).__name__} has no map yet: call fit(references, places) first")
         return self.searched

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import cache
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 from typing import overload
 
@@ -17,8 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vprbench.api.arrays import Image
-from vprbench.api.decoding import Decoding, as_rgb, decoded_bytes, read_image
-from vprbench.api.heads import UPRIGHT, head_of
+from vprbench.api.decoding import UPRIGHT, Decoding, as_rgb, read_head, read_image
 from vprbench.errors import BadInput
 from vprbench.storage.cores import count_cores
 from vprbench.storage.hashes import FileHash, hash_each_file
@@ -32,7 +31,6 @@ _AHEAD_BYTES = 1 << 26  # that these have, at most, unless a chunk has more
 _BLOCK_BYTES = 1 << 28  # of decoded images that are held together, unless a single one has more
 _REPORT_EVERY = 50  # images
 _FINGERPRINT_SAMPLE = 16
-_NAMES_AT_ONCE = 10_000  # in a hash
 _READERS = min(64, count_cores())
 
 
@@ -174,7 +172,7 @@ class Images(Sequence[Image]):
     def decoded_bytes(self) -> int:
         """Return the bytes of all images once they are decoded: of files by their heads, of others by the first."""
         if self._files is not None:
-            return sum(map(decoded_bytes, self._files))
+            return sum(read_head(path).n_bytes for path in self._files)
         return len(self) * self[0].nbytes if len(self) else 0
 
     def blocks(self, size: int, n_bytes: int = _BLOCK_BYTES) -> Iterator[Images]:
@@ -232,7 +230,7 @@ class Images(Sequence[Image]):
         Looks at the head of every file.
         """
         files: Sequence[Path] = () if self._files is None else self._files
-        return np.flatnonzero([head_of(path).orientation != UPRIGHT for path in files])
+        return np.flatnonzero([read_head(path).orientation != UPRIGHT for path in files])
 
     def file_hashes(self) -> list[FileHash] | None:
         """Return the size and SHA-256 of the file behind each image; None if there are no files."""
@@ -291,12 +289,7 @@ class Images(Sequence[Image]):
 
 def names_hash(*lists: Sequence[str]) -> hashlib._Hash:
     """Return the SHA-256 of all names of all lists, joined by line feeds."""
-    digest, between = hashlib.sha256(), ""
-    for names in lists:
-        for at in range(0, len(names), _NAMES_AT_ONCE):
-            digest.update((between + "\n".join(names[at : at + _NAMES_AT_ONCE])).encode(errors="surrogateescape"))
-            between = "\n"
-    return digest
+    return hashlib.sha256("\n".join(chain(*lists)).encode(errors="surrogateescape"))
 
 
 def codes_to_compare(one: Images, other: Images) -> tuple[Codes, Codes] | None:

@@ -1,4 +1,4 @@
-"""The places nearest to a code in a map of any size: block by block, the best of each kept."""
+"""How codes are compared, and the places nearest to one in a map of any size: of each block the best are kept."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ import numpy.typing as npt
 Vectors = npt.NDArray[np.float32]  # (n_images, n_dimensions)
 Codes = npt.NDArray[Any]  # (n_queries, ...)
 Numbers = npt.NDArray[np.int64]
+Words = npt.NDArray[np.uint64]  # (n_images, n_words): bits packed, in any order that all share
 
 CELLS = 1 << 24  # numbers of an intermediate result: 64 MiB
 ROUNDING = 1e-6  # of inner products of unit vectors
@@ -29,6 +30,23 @@ def import_faiss() -> Any:
     import faiss
 
     return faiss
+
+
+def pack_bits(bits: npt.NDArray[Any]) -> Words:
+    """Return truth values (n_images, n_bits) as words of 64 bits, (n_images, n_words), zeros at the end."""
+    missing = -bits.shape[1] % 64
+    return np.packbits(np.pad(bits.astype(bool), ((0, 0), (0, missing))), axis=1).view(np.uint64)
+
+
+def compare_bits(codes: Words, references: Words) -> Vectors:
+    """Return minus the bits in which codes (n_queries, n_words) and references differ, (n_queries, n_references)."""
+    faiss = import_faiss()
+    differing = np.empty((len(codes), len(references)), np.int32)
+    if differing.size:
+        ours, theirs = (np.ascontiguousarray(words).view(np.uint8) for words in (codes, references))
+        pointers = faiss.swig_ptr(ours), faiss.swig_ptr(theirs)
+        faiss.hammings(*pointers, *differing.shape, ours.shape[1], faiss.swig_ptr(differing))
+    return -differing.astype(np.float32)
 
 
 @dataclass(frozen=True)

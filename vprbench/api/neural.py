@@ -33,19 +33,6 @@ _PILLOW = {"bilinear": PillowImage.Resampling.BILINEAR, "bicubic": PillowImage.R
 _OPENCV = {"bilinear": cv2.INTER_LINEAR, "bicubic": cv2.INTER_CUBIC}
 
 
-@dataclass(frozen=True)
-class Way:
-    """How an image gets the size that a network wants."""
-
-    resize: Resize
-    interpolation: Interpolation
-    crops: bool = False  # to the multiple that the network wants, from the middle; otherwise resized to it
-
-
-#: gmberton/VPR-methods-evaluation adbb6e2: tensors after their normalisation, by torchvision's default.
-VPR_METHODS_EVALUATION = Way("tensor", "bilinear")
-
-
 def resize_image(
     image: Image, height: int, width: int, how: Literal["pillow", "opencv", "area"], kind: Interpolation
 ) -> npt.NDArray[Any]:
@@ -168,7 +155,11 @@ class NeuralDescriptor(DescriptorMethod):
         codes: npt.NDArray[np.float32] | None = None
         done = 0
         # Closed at once, whatever fails: otherwise its threads would live as long as somebody holds the error.
-        with torch.inference_mode(), _exact_convolutions(), contextlib.closing(self._batches(images)) as batches:
+        with (
+            torch.inference_mode(),
+            _forbid_tf32(),
+            contextlib.closing(self._read_batches(images)) as batches,
+        ):
             for batch in batches:
                 vectors = functional.normalize(self._described(batch).float(), dim=1).cpu().numpy()
                 if not np.isfinite(vectors).all():
@@ -197,10 +188,9 @@ class NeuralDescriptor(DescriptorMethod):
         return cast(torch.dtype, getattr(torch, self.precision))
 
     @property
-    def _way(self) -> Way:
-        if self.preprocessing == "authors":
-            return Way(self.resize, self.interpolation, self.crops)
-        return VPR_METHODS_EVALUATION
+    def _resizing(self) -> tuple[Resize, Interpolation]:
+        """How images are resized; gmberton/VPR-methods-evaluation adbb6e2 resizes tensors after their normalisation."""
+        return (self.resize, self.interpolation) if self.preprocessing == "authors" else ("tensor", "bilinear")
 
     def _described(self, batch: npt.NDArray[Any]) -> Tensor:
         """Return the output for images of one size, (n, height, width, 3)."""
@@ -210,15 +200,16 @@ class NeuralDescriptor(DescriptorMethod):
             levels = levels.pin_memory().to(self.device, non_blocking=True)
         # Channels come last in the array already, which convolutions like best.
         seen = self.pixels(levels.permute(0, 3, 1, 2).float())
-        if self._way.resize == "tensor":
-            seen = resize_batch(seen, *self.target(*batch.shape[1:3]), self._way.interpolation)
-        if self._way.crops:
+        how, kind = self._resizing
+        if how == "tensor":
+            seen = resize_batch(seen, *self.target(*batch.shape[1:3]), kind)
+        if self.crops and self.preprocessing == "authors":
             seen = centre_crop(seen, self.multiple)
         return cast(Tensor, network(seen.to(self._number_type)))
 
-    def _batches(self, images: Images) -> Generator[npt.NDArray[Any]]:
+    def _read_batches(self, images: Images) -> Generator[npt.NDArray[Any]]:
         """Yield the images in order, in batches of one size, the next one made while the last is looked at."""
-        batches = self._made(images)
+        batches = self._gather_batches(images)
         if self.device == "cpu":  # another thread would take the cores from the network
             yield from batches
             return
@@ -228,9 +219,9 @@ class NeuralDescriptor(DescriptorMethod):
                 coming = ahead.submit(next, batches, None)
                 yield batch
 
-    def _made(self, images: Images) -> Iterator[npt.NDArray[Any]]:
+    def _gather_batches(self, images: Images) -> Iterator[npt.NDArray[Any]]:
         batch: list[npt.NDArray[Any]] = []
-        for image in map(self._sized, images):
+        for image in map(self._resize_image, images):
             if batch and (image.shape != batch[0].shape or len(batch) == self._at_most(batch[0])):
                 yield np.stack(batch)
                 batch = []
@@ -242,7 +233,7 @@ class NeuralDescriptor(DescriptorMethod):
         n_pixels = max(image.size // 3, math.prod(self.target(*image.shape[:2])))  # a tensor may become larger
         return min(self.batch_size, max(1, _BATCH_BYTES // (12 * n_pixels)))
 
-    def _sized(self, image: Image) -> npt.NDArray[Any]:
+    def _resize_image(self, image: Image) -> npt.NDArray[Any]:
         """Resize an image if that comes before its levels become floats; raises BadInput for one too small."""
         height, width = self.target(*image.shape[:2])
         if min(height, width) < self.smallest_side:
@@ -250,8 +241,8 @@ class NeuralDescriptor(DescriptorMethod):
                 f"an image of {image.shape[1]}x{image.shape[0]} pixels, seen as {width}x{height}: "
                 f"{type(self).__name__} needs {self.smallest_side} pixels a side; set method.height and method.width"
             )
-        way = self._way
-        return image if way.resize == "tensor" else resize_image(image, height, width, way.resize, way.interpolation)
+        how, kind = self._resizing
+        return image if how == "tensor" else resize_image(image, height, width, how, kind)
 
     def _check_arguments(self) -> None:
         """Raise BadInput for arguments that do not fit."""
@@ -266,7 +257,7 @@ class NeuralDescriptor(DescriptorMethod):
 
 
 @contextlib.contextmanager
-def _exact_convolutions() -> Iterator[None]:
+def _forbid_tf32() -> Iterator[None]:
     """Keep TF32 out of float32 convolutions on a GPU: it changes descriptors by thousandths."""
     kept = torch.backends.cudnn.allow_tf32
     torch.backends.cudnn.allow_tf32 = False

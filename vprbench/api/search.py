@@ -23,20 +23,26 @@ from vprbench.api.nearest import (
     parts,
     rows_together,
 )
-from vprbench.api.search_indexes import FEWEST_OF_CODES, Bits, EightBits, Exact, Flat, Graph, Kind, Lists, Retrieving
+from vprbench.api.search_indexes import (
+    FEWEST_OF_CODES,
+    Bits,
+    EightBits,
+    Exact,
+    Kind,
+    Retrieving,
+    build_graph,
+    build_lists,
+)
 from vprbench.errors import BadInput
 
 _TOGETHER = 1 << 16  # reference images, if several show a place
 
-_BEST = 10  # places that an audit compares
-
-
-_INDEXES: dict[Kind, Callable[[Vectors, int], Flat | Retrieving]] = {
+_INDEXES: dict[Kind, Callable[[Vectors, int], Exact | Retrieving]] = {
     "exact": lambda references, _: Exact(references),
     "sq8": lambda references, _: EightBits(references),
-    "hnsw": lambda references, _: Graph(references),
-    "ivfpq": partial(Lists, "ivfpq"),
-    "rabitq": partial(Lists, "rabitq"),
+    "hnsw": lambda references, _: build_graph(references),
+    "ivfpq": partial(build_lists, "ivfpq"),
+    "rabitq": partial(build_lists, "rabitq"),
     "binary": lambda references, _: Bits(references, with_graph=False),
     "binary_hnsw": lambda references, _: Bits(references, with_graph=True),
 }
@@ -106,9 +112,9 @@ class Search:
 
         Beside the result, memory is bounded: about 200 MB. Raises ValueError for codes of another length.
         """
-        codes = self._checked(codes)
+        codes = self._require_codes(codes)
         if self.rerank or isinstance(self._index, Retrieving):
-            return self._best_of_retrieved(codes)
+            return self._score_retrieved(codes)
         count_operations(float(len(codes)) * self.references.shape[0] * self.references.shape[1])
         if self._blocks is None:
             return self._index.similarity(codes, 0, len(self.references))
@@ -127,38 +133,21 @@ class Search:
         place -1. Exact similarities are sums in float64, then rounded: the same in any batch. Raises ValueError for
         codes of another length.
         """
-        codes = self._checked(codes)
+        codes = self._require_codes(codes)
         if self.rerank or isinstance(self._index, Retrieving):
-            best = best_places(*self._retrieved(codes), len(codes), n)
+            best = best_places(*self._retrieve(codes), len(codes), n)
         elif self.kind == "exact":
             best = find_best(codes, n, replace(self._compare(self._index, self._shown), exactly=self._multiply_pairs))
         else:
             best = find_best(codes, n, self._compare(self._index, self._shown))
         return best.similarity, best.places
 
-    def audit(self, exact: Search, codes: Vectors) -> Audit:
-        """Return the share of the places found by exact search of the same references that this one finds too.
-
-        Of places that are exactly as good as the last one wanted each counts as found, up to as many again.
-        """
-        shares = []
-        _, own = self.nearest(codes, _BEST)
-        similarity, places = exact.nearest(codes, 2 * _BEST)
-        for n in (1, min(_BEST, self._n_places)):
-            wanted = np.where(similarity >= similarity[:, n - 1, None] - ROUNDING, places, -2)
-            shares.append((own[:, :n, None] == wanted[:, None]).any(2).mean())
-        return Audit(*map(float, shares))
-
-    def exactly(self) -> Search:
-        """Return exact search of the same references."""
-        return Search(self.references, self.places)
-
-    def blocks(self, codes: Vectors) -> Iterator[Vectors]:
+    def split_codes(self, codes: Vectors) -> Iterator[Vectors]:
         """Yield `codes` in parts whose scores take up to 64 MiB."""
         for queries in parts(len(codes), max(1, CELLS // self._n_places)):
             yield codes[queries]
 
-    def _compare(self, index: Flat, places: Numbers | None) -> Compared:
+    def _compare(self, index: Exact, places: Numbers | None) -> Compared:
         """Return how an index compares all images; without `places`, images are found."""
         return Compared(len(self.references), rows_together(self.references), places, index.similarity, None)
 
@@ -167,13 +156,13 @@ class Search:
 
         return multiply_pairs(self.references, codes, queries, images)
 
-    def _best_of_retrieved(self, codes: Vectors) -> Vectors:
+    def _score_retrieved(self, codes: Vectors) -> Vectors:
         scores = np.full((len(codes), self._n_places), -np.inf, np.float32)
-        rows, similarity, places = self._retrieved(codes)
+        rows, similarity, places = self._retrieve(codes)
         np.maximum.at(scores, (rows, places), similarity)
         return scores
 
-    def _retrieved(self, codes: Vectors) -> tuple[Numbers, Vectors, Numbers]:
+    def _retrieve(self, codes: Vectors) -> tuple[Numbers, Vectors, Numbers]:
         """Return the query, the similarity and the place of each image that an index finds."""
         if isinstance(self._index, Retrieving):
             similarity, images = self._index.retrieve(codes, self._neighbours)
@@ -185,7 +174,7 @@ class Search:
         values = self._multiply_pairs(codes, rows, chosen) if self.rerank else similarity[rows, columns]
         return rows, values, self.places[chosen]
 
-    def _checked(self, codes: Vectors) -> Vectors:
+    def _require_codes(self, codes: Vectors) -> Vectors:
         n_dimensions = self.references.shape[1]
         if codes.ndim != 2 or codes.shape[1] != n_dimensions:
             raise ValueError(f"codes {codes.shape} came; this map compares (n_queries, {n_dimensions})")
@@ -208,7 +197,7 @@ def check_index(kind: str, neighbours: int, n_images: int, rerank: int = 0, prob
         )
 
 
-def agreement(scores: Vectors, exact: Vectors) -> npt.NDArray[np.float64]:
+def compare_best(scores: Vectors, exact: Vectors) -> npt.NDArray[np.float64]:
     """Return how many of the best 1 and 10 places by `exact` are so by `scores`, as shares: (n_queries, 2).
 
     Both are (n_queries, n_places). Of places that are exactly as good as one another each counts as found.

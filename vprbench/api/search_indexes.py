@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, Literal
@@ -10,15 +9,17 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.api.hamming import Words, compare_bits, pack_bits
 from vprbench.api.nearest import (
     CELLS,
     Compared,
     Numbers,
     Vectors,
+    Words,
+    compare_bits,
     find_best,
     import_faiss,
     inner_products,
+    pack_bits,
     parts,
     rows_together,
 )
@@ -38,18 +39,8 @@ _TRAINED_PER_CENTROID = 39  # images: what faiss asks for at least
 _ROTATED = 2048  # dimensions, at most: more are even enough, and a rotation would take long
 
 
-class Flat(ABC):
-    """An index that compares all images."""
-
-    n_bytes: int
-
-    @abstractmethod
-    def similarity(self, codes: Vectors, first: int, last: int) -> Vectors:
-        """Return the inner products with images `first` to `last`, (n_queries, last - first)."""
-
-
-class Exact(Flat):
-    """The vectors themselves."""
+class Exact:
+    """The vectors themselves; all of them are compared."""
 
     def __init__(self, references: Vectors) -> None:
         self._references = references
@@ -60,8 +51,8 @@ class Exact(Flat):
         return inner_products(self._references[first:last], codes)
 
 
-class EightBits(Flat):
-    """Faiss's scalar quantiser: each dimension in 256 even steps between its extremes.
+class EightBits(Exact):
+    """Faiss's scalar quantiser: each dimension in 256 even steps between its extremes; all images are compared.
 
     A number is lowest + (code + 1/2) * step, so codes are compared with step * query, made floats block by block. All
     images are scored: faiss's search, which returns the best, takes twice as long for many queries at once.
@@ -94,27 +85,12 @@ class EightBits(Flat):
         return found + (codes @ self._middle)[:, None]
 
 
-class Retrieving(ABC):
-    """An index that looks for the most similar images among a part of them."""
+class Retrieving:
+    """An index of faiss that looks for the most similar images among a part of them."""
 
-    n_bytes: int
-
-    @abstractmethod
-    def retrieve(self, codes: Vectors, n: int) -> tuple[Vectors, Numbers]:
-        """Return similarities and images, (n_queries, n) each, best first; the image is -1 if there is none."""
-
-
-class Graph(Retrieving):
-    """A graph of near images, climbed from layer to layer (Malkov and Yashunin 2018); it holds the vectors."""
-
-    def __init__(self, references: Vectors) -> None:
-        faiss = import_faiss()
-        self._index = faiss.index_factory(references.shape[1], "HNSW32", faiss.METRIC_INNER_PRODUCT)
-        self._index.hnsw.efSearch = _CANDIDATES  # faiss takes more where more neighbours are asked for
-        with _use_one_thread(faiss):
-            for images in parts(len(references), max(1, _ADDED // references.shape[1])):
-                self._index.add(references[images])
-        self.n_bytes = references.nbytes + _count_link_bytes(self._index.hnsw)
+    def __init__(self, index: Any, n_bytes: int) -> None:
+        self._index = index
+        self.n_bytes = n_bytes
 
     def retrieve(self, codes: Vectors, n: int) -> tuple[Vectors, Numbers]:
         """Return similarities and images, (n_queries, n) each, best first; the image is -1 if there is none."""
@@ -122,50 +98,54 @@ class Graph(Retrieving):
         return similarity, images
 
 
-class Lists(Retrieving):
-    """Inverted lists of codes, each of the images near one centroid; a query looks at `probes` of them.
+def build_graph(references: Vectors) -> Retrieving:
+    """Return a graph of near images, climbed from layer to layer (Malkov and Yashunin 2018); it holds the vectors."""
+    faiss = import_faiss()
+    index = faiss.index_factory(references.shape[1], "HNSW32", faiss.METRIC_INNER_PRODUCT)
+    index.hnsw.efSearch = _CANDIDATES  # faiss takes more where more neighbours are asked for
+    with _use_one_thread(faiss):
+        for images in parts(len(references), max(1, _ADDED // references.shape[1])):
+            index.add(references[images])
+    return Retrieving(index, references.nbytes + _count_link_bytes(index.hnsw))
+
+
+def build_lists(kind: Kind, references: Vectors, probes: int) -> Retrieving:
+    """Return inverted lists of codes, each of the images near one centroid; a query looks at `probes` of them.
 
     `ivfpq`: product codes (Jégou et al. 2011). A vector is cut into parts of 4 numbers, or more if that would make more
     than 512 parts; each is the number of one of 256 centroids. There are about sqrt(n) lists, a quarter looked at.
     `rabitq`: a bit for each dimension of what a list's centroid leaves (Gao and Long 2024), of vectors that are rotated
     first. There are about 4 sqrt(n) lists; one in 64 is looked at, 16 at least.
     """
-
-    def __init__(self, kind: Kind, references: Vectors, probes: int) -> None:
-        faiss = import_faiss()
-        n_images, n_dimensions = references.shape
-        n_lists = round(n_images**0.5)
-        if kind == "ivfpq":
-            part = max(_SHORTEST_PART, -(-n_dimensions // _MOST_PARTS))
-            n_parts = -(-n_dimensions // part)
-            length, looked_at = n_parts * part, -(-n_lists // 4)
-            prepared = f"Pad{length}," * (length > n_dimensions)
-            code = f"PQ{n_parts}x8np"  # np: its codes are not ordered for a comparison bit by bit, which takes long
-            n_trained, n_learnt = _TRAINED_PER_CENTROID * max(n_lists, 256), n_lists + 256
-        else:
-            length = -(-n_dimensions // 8) * 8
-            n_lists = max(1, min(round(4 * n_images**0.5), n_images // _TRAINED_PER_CENTROID))
-            is_rotated = n_dimensions <= _ROTATED
-            prepared, code = f"{'RR' if is_rotated else 'Pad'}{length},", "RaBitQfs_32"
-            looked_at = max(16, -(-n_lists // 64))
-            n_trained, n_learnt = 16 * n_lists, n_lists + n_dimensions * is_rotated
-        self._index = faiss.index_factory(n_dimensions, f"{prepared}IVF{n_lists},{code}", faiss.METRIC_INNER_PRODUCT)
-        lists = faiss.downcast_index(faiss.extract_index_ivf(self._index))
-        lists.nprobe = min(probes or looked_at, n_lists)
-        lists.cp.min_points_per_centroid = 1  # faiss would print that there are few
-        if kind == "ivfpq":
-            lists.pq.cp.min_points_per_centroid, lists.pq.cp.niter = 1, 10
-        else:
-            lists.qb = 4  # bits of each dimension of a query
-        self._index.train(_sample(references, n_trained))
-        for images in parts(n_images, rows_together(references)):
-            self._index.add(references[images])
-        self.n_bytes = n_images * (lists.code_size + 8) + 4 * length * n_learnt  # 8: the number of an image
-
-    def retrieve(self, codes: Vectors, n: int) -> tuple[Vectors, Numbers]:
-        """Return similarities and images, (n_queries, n) each, best first; the image is -1 if there is none."""
-        similarity, images = self._index.search(codes, n)
-        return similarity, images
+    faiss = import_faiss()
+    n_images, n_dimensions = references.shape
+    n_lists = round(n_images**0.5)
+    if kind == "ivfpq":
+        part = max(_SHORTEST_PART, -(-n_dimensions // _MOST_PARTS))
+        n_parts = -(-n_dimensions // part)
+        length, looked_at = n_parts * part, -(-n_lists // 4)
+        prepared = f"Pad{length}," * (length > n_dimensions)
+        code = f"PQ{n_parts}x8np"  # np: its codes are not ordered for a comparison bit by bit, which takes long
+        n_trained, n_learnt = _TRAINED_PER_CENTROID * max(n_lists, 256), n_lists + 256
+    else:
+        length = -(-n_dimensions // 8) * 8
+        n_lists = max(1, min(round(4 * n_images**0.5), n_images // _TRAINED_PER_CENTROID))
+        is_rotated = n_dimensions <= _ROTATED
+        prepared, code = f"{'RR' if is_rotated else 'Pad'}{length},", "RaBitQfs_32"
+        looked_at = max(16, -(-n_lists // 64))
+        n_trained, n_learnt = 16 * n_lists, n_lists + n_dimensions * is_rotated
+    index = faiss.index_factory(n_dimensions, f"{prepared}IVF{n_lists},{code}", faiss.METRIC_INNER_PRODUCT)
+    lists = faiss.downcast_index(faiss.extract_index_ivf(index))
+    lists.nprobe = min(probes or looked_at, n_lists)
+    lists.cp.min_points_per_centroid = 1  # faiss would print that there are few
+    if kind == "ivfpq":
+        lists.pq.cp.min_points_per_centroid, lists.pq.cp.niter = 1, 10
+    else:
+        lists.qb = 4  # bits of each dimension of a query
+    index.train(_sample(references, n_trained))
+    for images in parts(n_images, rows_together(references)):
+        index.add(references[images])
+    return Retrieving(index, n_images * (lists.code_size + 8) + 4 * length * n_learnt)  # 8: the number of an image
 
 
 class Bits(Retrieving):

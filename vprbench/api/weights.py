@@ -146,7 +146,6 @@ def load_strictly(module: nn.Module, tensors: Mapping[str, Tensor], path: Path, 
                 there.copy_(values)
     _refuse({"not finite": wild}, path, module)
     module.load_state_dict(assigned, strict=False, assign=True)
-    _require_real(module)
 
 
 def without_prefix(tensors: Mapping[str, Tensor], *prefixes: str) -> dict[str, Tensor]:
@@ -218,12 +217,4 @@ def _refuse(problems: Mapping[str, list[str]], path: Path, module: nn.Module) ->
         raise BadInput(
             f"{path} does not fit {type(module).__name__}: {'; '.join(found)}: "
             "give the weights that belong to this network, or the options that belong to these weights"
-        )
-
-
-def _require_real(module: nn.Module) -> None:
-    unreal = [name for name, value in [*module.named_parameters(), *module.named_buffers()] if value.is_meta]
-    if unreal:
-        raise RuntimeError(
-            f"{type(module).__name__} keeps {join_few(unreal)} on meta: no file holds them, make them real"
         )

@@ -35,7 +35,7 @@ def choose_places(name: str, config: Mapping[str, Any], places: int, columns: It
     aside: the longest stretch is searched, the longest left then is checked. Raises BadInput if there are too few,
     and for a protocol that sets places aside here and there.
     """
-    if _is_scattered(config):
+    if config.get("protocol") in SCATTERING:
         raise BadInput(
             f"dataset.protocol={config['protocol']}: a search needs places in a row, and that protocol draws those "
             "that it sets aside: leave it out"
@@ -50,19 +50,16 @@ def choose_places(name: str, config: Mapping[str, Any], places: int, columns: It
         raise BadInput(f"dataset={name}: nothing says which of its places no reported result queries; {_ELSEWHERE}")
     free = np.ones(config["places"], np.bool_)
     for each in reported:
-        first, count = (0, len(free)) if _is_scattered(each) else (each["first_query_place"], each["query_places"])
-        count *= each.get("query_stride", 1)
-        free[first:][:count] = False
-    longest = _find_longest(free)
-    if not longest:
-        raise BadInput(f"dataset={name}: reported results query all of its {config['places']} places; {_ELSEWHERE}")
-    searched = longest[:places]
+        first = 0 if each.get("protocol") in SCATTERING else each["first_query_place"]
+        count = len(free) if each.get("protocol") in SCATTERING else each["query_places"] * each.get("query_stride", 1)
+        free[first : first + count] = False
+    searched = _find_longest(free)[:places]
     free[searched.start : searched.stop] = False
     checked = _find_longest(free)[:places]
     if len(searched) < places or len(checked) < FEWEST_PLACES:
         raise BadInput(
-            f"places={places}: of dataset={name} {len(longest)} places in a row are queried by no reported result, and "
-            f"{FEWEST_PLACES} or more have to be left to check what is found: give fewer, or {_ELSEWHERE}"
+            f"places={places}: of dataset={name} {len(searched)} places in a row are queried by no reported result, "
+            f"and {FEWEST_PLACES} or more have to be left to check what is found: give fewer, or {_ELSEWHERE}"
         )
     whole = {"first_query_place": 0, "query_places": config["places"]}
     return Searchable({**config, **whole}, searched, checked)
@@ -84,11 +81,6 @@ def cut_dataset(dataset: Dataset, stretch: range) -> Dataset:
         query_breaks=None,
         place_breaks=None,
     )
-
-
-def _is_scattered(dataset: Mapping[str, Any]) -> bool:
-    """Tell whether a dataset's protocol draws the places that it does not query from all over its journey."""
-    return dataset.get("protocol") in SCATTERING
 
 
 def _read_arguments(column: PlannedColumn) -> dict[str, Any]:

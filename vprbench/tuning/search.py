@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
-from functools import partial
+from itertools import islice
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Literal
 
+import filelock
 import numpy as np
 import numpy.typing as npt
 import optuna
-from optuna.trial import FrozenTrial
+from optuna.storages.journal import JournalFileBackend, JournalStorage
+from optuna.trial import FrozenTrial, TrialState
 
 from vprbench import progress
+from vprbench.errors import BadInput
 from vprbench.metrics.intervals import WiderInterval, difference_interval
 from vprbench.plugins import registry
 from vprbench.report.plan import PLAN_FILE, read_plan
@@ -26,26 +28,27 @@ from vprbench.runs.identity import compute_fingerprint, hash_code, hash_content,
 from vprbench.storage.cores import count_cores
 from vprbench.tuning import places, space, trial
 from vprbench.tuning.settings import Settings
-from vprbench.tuning.space import PAPER, Values
-from vprbench.tuning.study import explore, find_best, list_trials, open_study, rank_parameters
+from vprbench.tuning.space import PAPER, PARAMETERS, Values
 from vprbench.tuning.trial import Hits, encode_stretch, train_and_query
 
-Verdict = Literal["better", "worse", "not told apart"]
 Train = Callable[[Values, str, int], Hits]  # settings, name of the stretch, seed
 
+JOURNAL = "journal.log"
 SEEDS = 5  # of the comparison with the paper
 AGREE = 4  # seeds of one sign, at least, for a verdict
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """The best settings and the paper's on the queries of one stretch, both trained with the same seeds."""
+    """The best settings and the paper's on the places held out, both trained with the same seeds."""
 
-    n_places: int
-    seeds: tuple[int, ...]
     best: npt.NDArray[np.float64]  # (n_seeds, n_queries), expected hits
     paper: npt.NDArray[np.float64]
-    interval: WiderInterval | None  # 95 % of the difference over the queries; None: too few queries
+
+    @property
+    def interval(self) -> WiderInterval | None:
+        """The 95 % interval of the difference over the queries, of each the mean over the seeds; None: too few."""
+        return difference_interval(self.best.mean(axis=0), self.paper.mean(axis=0))
 
     @property
     def differences(self) -> npt.NDArray[np.float64]:
@@ -53,7 +56,7 @@ class Comparison:
         return np.asarray(self.best.mean(axis=1) - self.paper.mean(axis=1))
 
     @property
-    def verdict(self) -> Verdict:
+    def verdict(self) -> Literal["better", "worse", "not told apart"]:
         """Whether best is better or worse: the interval has to exclude 0, and nearly all seeds have to agree."""
         if self.interval is not None and self.interval.low > 0 and sum(self.differences > 0) >= AGREE:
             return "better"
@@ -67,16 +70,12 @@ class Found:
     """The results of a search."""
 
     settings: Settings
-    protocols: Mapping[str, Mapping[str, Any]]  # the dataset's, of each stretch
+    searched: range  # of places
+    checked: range
     folder: Path  # of the study
     trials: tuple[FrozenTrial, ...]  # all that are stored, in the order of their settings
-    tried_now: int  # how many of them this call tried
     best: Values
-    importance: Mapping[str, float]  # by parameter, the largest first
-    compared: Mapping[str, Comparison]  # by stretch
-    jobs: int  # processes that there were
-    minutes: float  # of this call
-    environment: Mapping[str, Any]
+    compared: Comparison
 
 
 def search(settings: Settings, method: Mapping[str, Any], dataset: Mapping[str, Any]) -> Found:
@@ -85,20 +84,18 @@ def search(settings: Settings, method: Mapping[str, Any], dataset: Mapping[str, 
     `method` is a configuration of the method that conf/search.yaml names, `dataset` that of the dataset named in the
     settings. Raises BadInput if its places are not free to be searched.
     """
-    started, environment = time.perf_counter(), machine.describe_machine("cpu", 1)
     columns = read_plan(registry.find_conf_folders()["vprbench"] / PLAN_FILE).columns.values()
     allowed = places.choose_places(settings.dataset, dataset, settings.places, columns)
     whole = registry.make_dataset(allowed.dataset)
     parts = {"searched": places.cut_dataset(whole, allowed.searched)}
     parts["checked"] = places.cut_dataset(whole, allowed.checked)
-    seed = settings.seed
-    method = {**method, "seed": seed, "device": "cpu"}
+    method = {**method, "seed": settings.seed, "device": "cpu"}
     encoder = registry.make_method(method)
     origin = {
         "method": {name: value for name, value in method.items() if name != "_target_"},
         "code": [hash_code(type(encoder)), hash_files([Path(trial.__file__)])],
         "stretches": {name: [dict(part.protocol), compute_fingerprint(part)] for name, part in parts.items()},
-        "space": [asdict(parameter) for parameter in space.PARAMETERS],
+        "space": [asdict(parameter) for parameter in PARAMETERS],
         "libraries": {**machine.list_library_versions(), "optuna": optuna.__version__},
     }
     folder = Path(settings.results).expanduser() / "search" / hash_content(origin)
@@ -109,42 +106,99 @@ def search(settings: Settings, method: Mapping[str, Any], dataset: Mapping[str, 
             arguments = {**method, **values, "seed": seed}
             return executor.submit(train_and_query, arguments, stretches[stretch]).result()
 
-        tried_now = explore(study, partial(train, stretch="searched", seed=seed), settings.trials, seed, jobs)
+        explore(study, train, settings.trials, settings.seed, jobs)
         best = find_best(study).params
-        compared = {
-            name: compare_with_paper(train, best, name, part.n_places, seed, jobs) for name, part in parts.items()
-        }
-        return Found(
-            settings=settings,
-            protocols={name: part.protocol for name, part in parts.items()},
-            folder=folder,
-            trials=tuple(list_trials(study)),
-            tried_now=tried_now,
-            best=best,
-            importance=rank_parameters(study),
-            compared=compared,
-            jobs=jobs,
-            minutes=(time.perf_counter() - started) / 60,
-            environment=environment,
-        )
+        compared = compare_with_paper(train, best, settings.seed, jobs)
+        trials = tuple(list_trials(study))
+    return Found(settings, allowed.searched, allowed.checked, folder, trials, best, compared)
 
 
-def compare_with_paper(train: Train, best: Values, stretch: str, n_places: int, seed: int, jobs: int) -> Comparison:
-    """Train under the best settings and the paper's with the seeds that follow `seed`, on one stretch.
+@contextmanager
+def open_study(folder: Path) -> Iterator[optuna.Study]:
+    """Open the study in a folder, or begin one; trials that a killed search was making count as cut off.
 
-    The interval is that of a paired test over everything: of each query the mean hits over the seeds, best minus
-    paper (`intervals.difference_interval`). Raises what a training raises.
+    Raises BadInput if another process has the study open or if its journal cannot be read.
     """
-    seeds = tuple(range(seed + 1, seed + 1 + SEEDS))
-    tasks = [(values, stretch, each) for values in (best, PAPER) for each in seeds]
+    folder.mkdir(parents=True, exist_ok=True)
+    journal = folder / JOURNAL
+    try:
+        with filelock.FileLock(folder / "in-use.lock").acquire(timeout=0):
+            Path(f"{journal}.lock").unlink(missing_ok=True)  # of a killed search
+            try:
+                storage = JournalStorage(JournalFileBackend(str(journal)))
+                study = optuna.create_study(
+                    storage=storage, study_name=space.METHOD, direction="maximize", load_if_exists=True
+                )
+            except (ValueError, KeyError, TypeError) as error:
+                raise BadInput(f"{journal} cannot be read ({error}): move it away to search anew") from error
+            for killed in study.get_trials(states=[TrialState.RUNNING]):
+                study.tell(killed.number, state=TrialState.FAIL)
+            yield study
+    except filelock.Timeout:
+        raise BadInput(f"{folder} is in use by another search of the same settings: wait for its end") from None
+
+
+def explore(study: optuna.Study, train: Train, trials: int, seed: int, jobs: int) -> None:
+    """Try random settings, then a grid around the best of them, but none that the study holds already.
+
+    Raises RuntimeError if all trials fail.
+    """
+    n_random = trials - trials // 3
+
+    def objective(trial: optuna.Trial) -> float:
+        settings = {one.name: trial.suggest_float(one.name, one.low, one.high, log=one.log) for one in PARAMETERS}
+        try:
+            hits = train(settings, "searched", seed)
+        except Exception as error:  # whatever a method raises costs its own trial
+            trial.set_user_attr("failed", f"{type(error).__name__}: {error}")
+            raise
+        trial.set_user_attr("diverged", hits.diverged)
+        return float(hits.expected.mean())
+
+    def report(study: optuna.Study, _: FrozenTrial) -> None:
+        progress.report("trying settings", len(list_trials(study)) / trials)
+
+    def try_all(stage: str, points: Sequence[Values]) -> None:
+        known = [*list_trials(study), *study.get_trials(states=[TrialState.WAITING])]
+        for point, values in enumerate(points):
+            if values not in [one.system_attrs["fixed_params"] for one in known]:
+                study.enqueue_trial(dict(values), {"stage": stage, "point": point})
+        if waiting := study.get_trials(states=[TrialState.WAITING]):
+            study.optimize(objective, n_trials=len(waiting), n_jobs=jobs, catch=(Exception,), callbacks=[report])
+
+    drawn = space.draw_settings(n_random, seed)
+    try_all("random", drawn)
+    grid = (values for values in space.list_grid(find_best(study, "random").params) if values not in drawn)
+    try_all("grid", list(islice(grid, trials - n_random)))
+
+
+def list_trials(study: optuna.Study) -> list[FrozenTrial]:
+    """Return the trials that gave a recall or failed, in the order of their settings, however many ran side by side.
+
+    A trial that the end of its process cut off is left out: it is tried again.
+    """
+    ended = [one for one in study.trials if one.state == TrialState.COMPLETE or "failed" in one.user_attrs]
+    return sorted(ended, key=lambda one: (one.user_attrs["stage"] == "grid", one.user_attrs["point"], one.number))
+
+
+def find_best(study: optuna.Study, stage: str | None = None) -> FrozenTrial:
+    """Return the trial with the highest recall, of equals the first; raises RuntimeError if all failed."""
+    trials = [one for one in list_trials(study) if stage in (None, one.user_attrs["stage"])]
+    done = [one for one in trials if one.state == TrialState.COMPLETE]
+    if not done:
+        raise RuntimeError(f"all {len(trials)} trials failed; the last: {trials[-1].user_attrs['failed']}")
+    return max(done, key=lambda one: one.value or 0.0)
+
+
+def compare_with_paper(train: Train, best: Values, seed: int, jobs: int) -> Comparison:
+    """Train under the best settings and the paper's with the seeds after `seed`; raises what a training raises."""
+    tasks = [(values, seed + 1 + n) for values in (best, PAPER) for n in range(SEEDS)]
     answers: list[Hits] = []
     with ThreadPoolExecutor(jobs) as threads:
-        for hits in threads.map(lambda task: train(*task), tasks):
+        for hits in threads.map(lambda task: train(task[0], "checked", task[1]), tasks):
             answers.append(hits)
-            progress.report(f"best against paper, {stretch} places", len(answers) / len(tasks))
-    of_best, of_paper = np.split(np.array([hits.expected for hits in answers]), 2)
-    interval = difference_interval(of_best.mean(axis=0), of_paper.mean(axis=0))
-    return Comparison(n_places, seeds, of_best, of_paper, interval)
+            progress.report("best against paper", len(answers) / len(tasks))
+    return Comparison(*np.split(np.array([hits.expected for hits in answers]), 2))
 
 
 @contextmanager

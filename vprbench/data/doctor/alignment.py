@@ -13,7 +13,7 @@ from vprbench.text import format_count, join_names
 
 from .finding import Finding, Level
 from .frames import Looks, Small
-from .traverse import Middles, Traverse, advances, traverses_of
+from .traverse import Middles, Traverse, advances, split_traverses
 
 Descriptors = npt.NDArray[np.float32]  # (n, 512), unit rows; a row of zeros if there is no picture
 Shifts = npt.NDArray[np.int64]  # (n_queries,), numbers of places
@@ -60,7 +60,7 @@ class _Comparison:
         """By how many places each query looks later than it should."""
         return self.best - self.middles
 
-    def parts(self) -> list[_Part]:
+    def find_parts(self) -> list[_Part]:
         """Return the stretches under one shift other than 0, by the sequence of shifts that most queries vote for.
 
         The best path through the shifts (Viterbi 1967), on which each change costs some votes.
@@ -91,21 +91,23 @@ def check_alignment(dataset: Dataset, looks: Sequence[Looks]) -> Iterator[Findin
 
     Only if the right place advances with the query: else nothing says what a shift would be.
     """
-    references, queries = traverses_of(dataset)
+    references, queries = split_traverses(dataset)
     seen = looks[-1]
     numbers = np.flatnonzero((queries.places >= 0) & seen.readable)
     fewest = min(len(numbers), *(int(each.readable.sum()) for each in looks[:-1]))
     if not advances(queries.places):
-        yield _note("not checked: the right place does not advance from query to query")
+        yield _make_note("not checked: the right place does not advance from query to query")
         return
     if fewest < _LEAST:
-        yield _note(f"not checked: a traverse has {format_count(fewest, 'frame')} to compare, and {_LEAST} are needed")
+        yield _make_note(
+            f"not checked: a traverse has {format_count(fewest, 'frame')} to compare, and {_LEAST} are needed"
+        )
         return
     descriptors, middles = describe(seen.small[numbers]), queries.places[numbers]
     for traverse, each in zip(references, looks[:-1], strict=True):
         places = np.zeros((dataset.n_places, descriptors.shape[1]), np.float32)
         np.add.at(places, traverse.places[each.readable], describe(each.small[each.readable]))
-        best = find_most_alike(descriptors, middles, _unit(places))
+        best = find_most_alike(descriptors, middles, _normalise_rows(places))
         yield _judge(dataset, queries, traverse, _Comparison(numbers, middles, best, dataset.n_places))
 
 
@@ -116,7 +118,7 @@ def describe(small: Small) -> Descriptors:
     patches -= patches.mean((2, 4), keepdims=True)
     patches /= patches.std((2, 4), keepdims=True) + _NOISE
     rows = patches.reshape(n, height * width)
-    return _unit(rows - rows.mean(0))
+    return _normalise_rows(rows - rows.mean(0))
 
 
 def find_most_alike(queries: Descriptors, middles: Middles, places: Descriptors) -> Shifts:
@@ -138,14 +140,14 @@ def _judge(dataset: Dataset, queries: Traverse, shown: Traverse, compared: _Comp
     if compared.is_reversed:
         advice = "compare some frames by eye; then reverse the order of one of them"
         return Finding("error", "alignment", f"{queries.name} runs the other way than {shown.name}", advice)
-    parts = compared.parts()
+    parts = compared.find_parts()
     if not parts:
         at_truth = int((np.abs(compared.shifts) <= 1).sum())
         votes = f"{at_truth:,} of {format_count(n, 'query')} look most like their place or one beside it"
         if at_truth > max(_SURE, 12 * n / compared.n_places):
-            return _note(f"{queries.name} and {shown.name} are aligned: {votes}")
+            return _make_note(f"{queries.name} and {shown.name} are aligned: {votes}")
         text = f"{queries.name} and {shown.name} look too different to tell whether they are aligned: {votes}"
-        return _note(text, "compare some frames by eye")
+        return _make_note(text, "compare some frames by eye")
     texts, spoilt = [], 0
     for part in parts:
         numbers = np.arange(part.first, part.last + 1)
@@ -173,11 +175,11 @@ def _judge(dataset: Dataset, queries: Traverse, shown: Traverse, compared: _Comp
     return Finding(level, "alignment", text, advice)
 
 
-def _note(text: str, advice: str = "") -> Finding:
+def _make_note(text: str, advice: str = "") -> Finding:
     return Finding("note", "alignment", text, advice)
 
 
-def _unit(rows: Descriptors) -> Descriptors:
+def _normalise_rows(rows: Descriptors) -> Descriptors:
     norms = np.linalg.norm(rows, axis=1, keepdims=True)
     unit: Descriptors = np.divide(rows, norms, out=np.zeros_like(rows), where=norms > 1e-6)
     return unit

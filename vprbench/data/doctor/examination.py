@@ -18,7 +18,7 @@ from .finding import LEVELS, Finding, as_text, is_wrong
 from .frames import check_frames, check_shared_files, check_shared_pixels, look_at
 from .lists import check_lists
 from .recordings import check_recordings
-from .traverse import traverses_of
+from .traverse import split_traverses
 
 _SOME_LOOKED_AT = 200  # frames of a traverse, before a comparison
 
@@ -39,7 +39,7 @@ def examine(dataset: Dataset) -> tuple[Finding, ...]:
 
     Reports its progress. The worst findings come first.
     """
-    references, query = traverses_of(dataset)
+    references, query = split_traverses(dataset)
     looks = [look_at(traverse.images, traverse.name) for traverse in (*references, query)]
     return _sort([
         *_check_cheaply(dataset),
@@ -67,7 +67,7 @@ def look_at_some(dataset: Dataset) -> tuple[str, ...]:
     """
     if not dataset.folders or dataset.recordings:
         return ()
-    references, query = traverses_of(dataset)
+    references, query = split_traverses(dataset)
     lines = []
     for traverse in (*references, query):
         n = len(traverse.images)

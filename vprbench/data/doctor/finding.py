@@ -34,15 +34,15 @@ def as_text(name: str, found: Sequence[Finding]) -> str:
     """Return findings as lines of at most 110 characters, but for names that are longer; the last line counts them."""
     lines = [name]
     for finding in found:
-        lines += ["", *_paragraph(finding.level, f"{finding.check}: {finding.text}")]
+        lines += ["", *_format_paragraph(finding.level, f"{finding.check}: {finding.text}")]
         if finding.advice:
-            lines += _paragraph("  do", finding.advice)
+            lines += _format_paragraph("  do", finding.advice)
     counts = [format_count(sum(finding.level == level for finding in found), level) for level in LEVELS]
     verdict = "something is wrong" if is_wrong(found) else "nothing is wrong"
     return "\n".join([*lines, "", f"{verdict}: {', '.join(counts)}"])
 
 
-def _paragraph(title: str, text: str) -> list[str]:
+def _format_paragraph(title: str, text: str) -> list[str]:
     first, later = title.ljust(_MARGIN), " " * _MARGIN
     wrapper = textwrap.TextWrapper(_WIDTH, first, later, break_long_words=False, break_on_hyphens=False)
     return wrapper.wrap(text)

@@ -79,12 +79,12 @@ class Looks:
         """Return the names of some of the frames."""
         return [self.names[number] for number in np.flatnonzero(which)]
 
-    def telling(self) -> list[tuple[str, bytes]]:
+    def list_telling(self) -> list[tuple[str, bytes]]:
         """Return name and content of the frames that can be told from others."""
         numbers = np.flatnonzero(self.readable & ~self.black & ~self.uniform)
         return [(self.names[number], self.contents[number]) for number in numbers]
 
-    def share(self, names: Sequence[str]) -> str:
+    def count_share(self, names: Sequence[str]) -> str:
         """Return how many of the frames have these names, in words."""
         return f"{len(names):,} of {format_count(len(self.names), 'frame')} of {self.traverse}"
 
@@ -149,14 +149,15 @@ def _check_reading(seen: Looks) -> Iterator[Finding]:
         yield Finding(
             "error",
             "decoding",
-            f"{seen.share(names)} cannot be decoded ({reason}): {join_names(names)}",
+            f"{seen.count_share(names)} cannot be decoded ({reason}): {join_names(names)}",
             "copy or download them again; none is skipped, for that would shift all that follow",
         )
 
 
 def _check_exif(seen: Looks, exif: str) -> Iterator[Finding]:
     if names := seen.list_names(seen.turned):
-        has = f"{seen.share(names)} {'has' if len(names) == 1 else 'have'} an EXIF tag that turns {join_names(names)}"
+        has = f"{seen.count_share(names)} {'has' if len(names) == 1 else 'have'} an EXIF tag that turns "
+        has += join_names(names)
         if exif == "ignore":
             advice = "look at some: if they lie on their side, give dataset.exif=obey"
             yield Finding("warning", "exif", f"{has}: it is ignored", advice)
@@ -191,7 +192,7 @@ def _check_light(seen: Looks, is_deep: bool) -> Iterator[Finding]:
             yield Finding(
                 "warning",
                 "black frames",
-                f"{seen.share(names)} {pick_verb(names)} {kind}: {join_names(names)}",
+                f"{seen.count_share(names)} {pick_verb(names)} {kind}: {join_names(names)}",
                 "every method guesses there, for gamma and patch normalisation are undefined: leave such places out, "
                 "by dataset=image_list with CSV files (image,place) of the others",
             )
@@ -200,8 +201,8 @@ def _check_light(seen: Looks, is_deep: bool) -> Iterator[Finding]:
         yield Finding(
             "warning",
             "levels",
-            f"{seen.share(names)} {'has' if len(names) == 1 else 'have'} fewer than {FEW_LEVELS} of 256 grey levels: "
-            f"{join_names(names)}",
+            f"{seen.count_share(names)} {'has' if len(names) == 1 else 'have'} fewer than {FEW_LEVELS} of 256 grey "
+            f"levels: {join_names(names)}",
             "if the files hold more than 8 bits, give dataset.levels=LOW..HIGH, the levels that matter; else save them "
             "with more",
         )
@@ -210,7 +211,7 @@ def _check_light(seen: Looks, is_deep: bool) -> Iterator[Finding]:
 def _check_repeats(seen: Looks) -> Iterator[Finding]:
     """Find frames that are the same under different names."""
     names_of: dict[bytes, dict[str, None]] = {}
-    for name, content in seen.telling():
+    for name, content in seen.list_telling():
         names_of.setdefault(content, {})[name] = None
     if groups := [[*names] for names in names_of.values() if len(names) > 1]:
         extra = sum(len(group) - 1 for group in groups)
@@ -230,8 +231,8 @@ def check_shared_pixels(dataset: Dataset, looks: Sequence[Looks]) -> Iterator[Fi
     Queries that are among the references are an error, unless the dataset allows them.
     """
     for seen, other in combinations([looks[-1], *looks[:-1]], 2):
-        known = {content: name for name, content in other.telling()}
-        telling = seen.telling()
+        known = {content: name for name, content in other.list_telling()}
+        telling = seen.list_telling()
         pairs = [f"{name} = {known[content]}" for name, content in telling if content in known]
         most = len(pairs) > _WRONG_FOLDER * len(telling)
         if pairs:
@@ -240,7 +241,8 @@ def check_shared_pixels(dataset: Dataset, looks: Sequence[Looks]) -> Iterator[Fi
             yield Finding(
                 level,
                 "shared frames",
-                f"{seen.share(pairs)} {pick_verb(pairs)} also in {other.traverse}, pixel by pixel: {join_names(pairs)}",
+                f"{seen.count_share(pairs)} {pick_verb(pairs)} also in {other.traverse}, pixel by pixel: "
+                f"{join_names(pairs)}",
                 "one of the two folders holds the wrong traverse: compare a frame of each by eye" if most else _IN_MAP,
             )
 

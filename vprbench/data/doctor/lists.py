@@ -13,7 +13,7 @@ from vprbench.storage.paths import natural_keys
 from vprbench.text import format_count, join_names, pick_verb
 
 from .finding import Finding
-from .traverse import Traverse, traverses_of
+from .traverse import Traverse, split_traverses
 
 _HALF = 0.5
 _MOST = 0.5  # mean share of the places that is right for a query
@@ -23,7 +23,7 @@ _ANY_DIGIT = str.maketrans("123456789", "0" * 9)
 
 def check_lists(dataset: Dataset, sequences: bool = False) -> Iterator[Finding]:
     """Check names and ground truth; `sequences` says whether answers of neighbouring queries are put together."""
-    references, queries = traverses_of(dataset)
+    references, queries = split_traverses(dataset)
     yield from _check_order(dataset, [*references, queries], dataset.by_order or sequences)
     if (np.diff(queries.places) == 1).all() and (queries.places >= 0).all():  # elsewhere equal names mean nothing
         yield from _check_pairs(queries, references[0])

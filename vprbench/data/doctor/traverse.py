@@ -27,7 +27,7 @@ class Traverse:
     places: Places  # (n_images,), the place of each reference; of queries the middle right place, -1 for none
 
 
-def traverses_of(dataset: Dataset) -> tuple[tuple[Traverse, ...], Traverse]:
+def split_traverses(dataset: Dataset) -> tuple[tuple[Traverse, ...], Traverse]:
     """Return the reference traverses of a dataset, and the traverse of its queries.
 
     References that show the places 0 to n - 1 in this order, again and again, are several traverses; all others are
@@ -47,10 +47,10 @@ def traverses_of(dataset: Dataset) -> tuple[tuple[Traverse, ...], Traverse]:
         Traverse(name, dataset.references[part], dataset.places[part])
         for name, part in zip(names[:-1], parts, strict=True)
     )
-    return references, Traverse(names[-1], dataset.queries, middles_of(dataset))
+    return references, Traverse(names[-1], dataset.queries, find_middles(dataset))
 
 
-def middles_of(dataset: Dataset) -> Middles:
+def find_middles(dataset: Dataset) -> Middles:
     """Return the middle right place of every query; -1 if there is none.
 
     Right places that the first or the last place cuts off are completed to the usual number.
