@@ -12,11 +12,15 @@ from quick_runs import quick_runs
 
 import vprbench
 from vprbench.api import descriptor
-from vprbench.api.adaptation import adapt_traverse
+from vprbench.api.adaptation import Adaptation, adapt_traverse
 from vprbench.api.dataset import Dataset
 from vprbench.api.descriptor import DescriptorMethod
 from vprbench.api.images import Images
 from vprbench.errors import BadInput
+from vprbench.methods.hog import HOG
+from vprbench.plugins.rules import Journey
+from vprbench.runs.stream import grow_map
+from vprbench.runs.viewpoints import Viewpoint, render_view
 
 N_PLACES, N_QUERIES, N_DIMENSIONS = 80, 150, 12
 DRAW = np.random.default_rng(0)
@@ -35,6 +39,9 @@ class Table(DescriptorMethod):
 
     def encode(self, images):
         return TABLE[np.array(numbers_in(images), int)]
+
+    def keeps_descriptors(self):
+        return False
 
 
 @pytest.fixture(autouse=True)
@@ -86,6 +93,20 @@ def test_codes_are_without_the_mean_that_plain_loops_take_and_the_views_of_a_que
     assert method.searched.references[:] == pytest.approx(known, abs=1e-6)
     assert method.reference_mean == pytest.approx(REFERENCES.mean(0), abs=1e-6)
     assert np.array_equal(codes, kept)
+
+
+@ADAPTED
+@pytest.mark.parametrize("n_views", [None, 3])
+@pytest.mark.parametrize("sizes", [[1] * 150, [64, 0, 1, 63, 22], [149, 1], [7] * 21 + [3]], ids=len)
+def test_batches_of_any_split_give_the_same_bits_as_all_queries_at_once(adapt, n_views, sizes):
+    draw, shape = np.random.default_rng(1), (150, 1000) if n_views is None else (150, n_views, 1000)
+    references, codes = (draw.normal(size=size).astype(np.float32) for size in ((20, 1000), shape))
+    method = Table(adapt=adapt).fit_encoded(references, np.arange(20))
+    adaptation, blocks = Adaptation(method), np.split(codes, np.cumsum(sizes)[:-1])
+    for block in [] if adaptation.is_causal else blocks:
+        adaptation.survey(block)
+    found = np.concatenate([adaptation.apply(block) for block in blocks])
+    assert np.array_equal(found, adapt_traverse(method, codes))
 
 
 @ADAPTED
@@ -143,3 +164,42 @@ def test_what_knows_no_mean_is_refused_before_an_image_is_read(method, named):
 
 
 # Beside other options
+
+WORLD = Journey.draw(0)
+SMALL = {"height": 32, "width": 40}
+JOURNEY = Dataset(
+    "world",
+    Images.from_arrays(WORLD.references),
+    WORLD.places,
+    Images.from_arrays(WORLD.queries),
+    tuple(WORLD.right[:, None]),
+    {},
+)
+
+
+def described(images):
+    return HOG(**SMALL).encode(images)
+
+
+@ADAPTED
+def test_a_place_has_the_score_of_the_view_that_shows_it_best_whose_query_loses_one_mean(adapt):
+    shifts = [-0.1, 0, 0.1]
+    views = np.stack(
+        [described(Images.from_arrays([render_view(i, Viewpoint(shift)) for i in WORLD.queries])) for shift in shifts],
+        1,
+    )
+    wanted = scores_of(adapt, described(JOURNEY.references), views, WORLD.places)
+    assert run(HOG(**SMALL, adapt=adapt), JOURNEY, views=shifts).scores == pytest.approx(wanted, abs=1e-5)
+
+
+@ADAPTED
+def test_places_of_a_growing_map_lose_the_mean_of_its_first_ones(adapt):
+    stops = grow_map(replace(asked_for(Table(adapt=adapt), RIDE), stream=30))
+    first, mean = REFERENCES[:30], REFERENCES[:30].astype(np.float64).mean(0)
+    _, asked = slowly(adapt, first, QUERIES)
+    for stop in stops:
+        known = unit(REFERENCES[: stop["places"]] - mean)
+        right = np.arange(N_QUERIES) % N_PLACES
+        hits = ((asked @ known.T).argmax(1) == right)[right < stop["places"]]
+        assert (stop["queries"], stop["recall_at_1"]) == (len(hits), pytest.approx(hits.mean()))
+    assert [stop["places"] for stop in stops] == [30, 60, 80]

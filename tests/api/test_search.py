@@ -3,6 +3,7 @@
 import re
 import tracemalloc
 
+import faiss
 import numpy as np
 import pytest
 
@@ -215,6 +216,19 @@ def test_bytes_of_a_place_count_what_answers_need(kind, wanted):
     one_each = Search(REFERENCES, PLACES, kind).bytes_per_place
     assert round(wanted) <= one_each <= 1.1 * wanted + 5
     assert Search(REFERENCES, PLACES // 2, kind).bytes_per_place == pytest.approx(2 * one_each, abs=2)
+
+
+@pytest.mark.parametrize(("kind", "index"), [("hnsw", faiss.IndexHNSWFlat), ("binary_hnsw", faiss.IndexBinaryHNSW)])
+def test_a_graph_is_made_by_one_thread_and_leaves_faiss_its_threads(kind, index, monkeypatch):
+    # Of several threads the fastest would decide what is linked, another one each time.
+    add, seen, before = index.add, [], faiss.omp_get_max_threads()
+    monkeypatch.setattr(index, "add", lambda *given: seen.append(faiss.omp_get_max_threads()) or add(*given))
+    try:
+        faiss.omp_set_num_threads(3)
+        Search(REFERENCES[:300], np.arange(300), kind)
+        assert (seen, faiss.omp_get_max_threads()) == ([1], 3)
+    finally:
+        faiss.omp_set_num_threads(before)
 
 
 BEST_FIRST = np.linspace(1, 0, 20, dtype=np.float32)  # the best are 0 to 9
