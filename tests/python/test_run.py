@@ -138,7 +138,7 @@ def test_results_is_a_row_for_each_stored_run_and_tells_data_of_one_name_apart()
         (3, "synthetic", {}, BadInput, "int"),
         ("sad", 3, {}, BadInput, "int"),
         ("sad", "synthetic", {"sed": 1}, BadInput, "seed"),
-        ("sad", "synthetic", {"limit_minutes": 1}, BadInput, "limit_minutes is the command line's"),
+        ("sad", "synthetic", {"limit_minutes": 1}, BadInput, "limit_minutes"),
         ("sad", "synthetic", {"timing": {"minimum_second": 1}}, BadInput, "minimum_second"),
         ("sad", "folders", {}, MissingData, "references"),
         (Prototypes(), "synthetic", {"device": "gpu"}, BadInput, "gpu"),

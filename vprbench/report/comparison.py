@@ -318,7 +318,7 @@ def write_comparison(
             replace_text(files[-1], text)
     absent: list[str] = []
     with show_progress("compare, figures"):
-        drawings = list(draw_all(found, found.runs, report=absent.append))
+        drawings = list(draw_all(found, report=absent.append))
         if robust is not None:
             drawings.append((f"robustness-{found.chosen.columns[0].planned.name}", draw_robustness(robust)))
         *_, captions = write_figures(drawings, folder / "figures" / name)

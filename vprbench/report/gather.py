@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -17,7 +17,16 @@ from vprbench.jobs.job import JobResult
 from vprbench.metrics.catalogue import GROUPS
 from vprbench.plugins import registry
 from vprbench.report.missing_runs import Cell, make_missing_runs, resolve_results_folder
-from vprbench.report.plan import NO_PLAN, PLAN_FILE, PlanFile, PlannedColumn, Row, add_plug_ins, read_plan
+from vprbench.report.plan import (
+    NO_PLAN,
+    PLAN_FILE,
+    PlanFile,
+    PlannedColumn,
+    Row,
+    add_plug_ins,
+    flatten_arguments,
+    read_plan,
+)
 from vprbench.report.ranking import Ranking, rank_rows
 from vprbench.report.run_options import ShowOptions, TableRequest
 from vprbench.report.selection import DatasetRuns, ResolvedColumn, apply_views, group_runs_by_column, list_accuracy_runs
@@ -132,20 +141,11 @@ def list_cells(chosen: Plan, column: ResolvedColumn, rows: Sequence[Row], option
         values["views"] = column.views
     for row in rows:
         _require_known("method", row.method, entries)
-        arguments = {f"method.{name}": value for name, value in _flatten(row.arguments)}
+        arguments = flatten_arguments(row.arguments, "method.")
         devices = [each for each in chosen.devices if each == "cpu" or "device" in entries[row.method].options]
         for device, seed in itertools.product(devices, row.seeds):
             given = {**values, "seed": seed, "device": device, **arguments}
             yield Cell(row, planned.title, make_request([*planned.options, *options, f"method={row.method}"], given))
-
-
-def _flatten(arguments: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-    """Yield arguments; a value inside a mapping has a dotted name."""
-    for name, value in arguments.items():
-        if isinstance(value, Mapping) and value:
-            yield from ((f"{name}.{inner}", given) for inner, given in _flatten(value))
-        else:
-            yield name, value
 
 
 def run_missing(chosen: Plan, cells: Sequence[Cell], executor: Executor | None = None) -> list[JobResult]:

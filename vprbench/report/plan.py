@@ -123,6 +123,18 @@ class PlanFile:
 NO_PLAN = PlanFile({}, {}, {}, Growth((), (), (), 0))
 
 
+def flatten_arguments(arguments: Mapping[str, Any], above: str = "") -> dict[str, Any]:
+    """Return arguments by their names after `above`; a value inside a mapping has a dotted name."""
+    found: dict[str, Any] = {}
+    for name, value in arguments.items():
+        found |= (
+            flatten_arguments(value, f"{above}{name}.")
+            if isinstance(value, Mapping) and value
+            else {f"{above}{name}": value}
+        )
+    return found
+
+
 def read_plan(path: Path) -> PlanFile:
     """Read the plan; raises BadInput, naming the file, where a part is missing or unknown."""
     plan = PlanFile(**_read_parts(path, {*_BY_NAME, *_WHOLE}))

@@ -31,7 +31,6 @@ from vprbench.report.selection import (
 )
 from vprbench.report.table.best import average_recall
 from vprbench.report.table.formats import escape_markdown
-from vprbench.runs.record import Run
 from vprbench.runs.thumbnails import Thumbnails, load_thumbnails
 from vprbench.storage.atomic import remove_leftovers, replace_bytes, replace_text
 
@@ -43,7 +42,7 @@ FigureCall = tuple[Any, ...]  # the name of the files, the function that draws, 
 def print_figures(found: Report, columns: Sequence[ResolvedColumn] = ()) -> None:
     """Draw all figures of a report, those of growth over `columns`, under its results folder, and print the files."""
     folder = Path(found.chosen.results).expanduser() / "figures"
-    for path in write_figures(draw_all(found, found.runs, columns), folder):
+    for path in write_figures(draw_all(found, columns), folder):
         print(f"{path} and .png" if path.suffix == ".pdf" else f"what each shows: {path}")
 
 
@@ -62,20 +61,17 @@ def write_figures(drawings: Iterable[tuple[str, Drawing]], folder: Path) -> Iter
 
 
 def draw_all(
-    found: Report,
-    runs: Sequence[Run],
-    columns: Sequence[ResolvedColumn] = (),
-    report: Callable[[str], None] = logger.info,
+    found: Report, columns: Sequence[ResolvedColumn] = (), report: Callable[[str], None] = logger.info
 ) -> Iterator[tuple[str, Drawing]]:
     """Yield each figure with the name of its files; `report` gets a line for each that has nothing to show.
 
-    Growth is drawn from `runs` in `columns`. Names of figures begin with their published numbers, unless the table has
+    Growth is drawn in `columns`. Names of figures begin with their published numbers, unless the table has
     a title of its own.
     """
     shown = [(group, rows) for group in found.groups if (rows := list_accuracy_runs(group, found.chosen.rows))]
     calls = [
         *_list_speed(found),
-        *_list_growth(found, runs, columns),
+        *_list_growth(found, columns),
         *(call for group, rows in shown for call in _list_by_group(found, group, rows)),
         *_list_sequences(shown),
     ]
@@ -113,11 +109,11 @@ def _choose_growth_rows(found: Report) -> list[Row]:
     return [replace(plan.rows[name], seeds=plan.rows[name].seeds[:1]) for name in plan.growth.rows]
 
 
-def _list_growth(found: Report, runs: Sequence[Run], columns: Sequence[ResolvedColumn]) -> Iterator[FigureCall]:
+def _list_growth(found: Report, columns: Sequence[ResolvedColumn]) -> Iterator[FigureCall]:
     """Yield time against places, of each row of the growth that has runs; nothing without columns."""
     grown = []
     for row in _choose_growth_rows(found) if columns else ():
-        groups = group_runs_by_column(runs, (), columns, [row])
+        groups = group_runs_by_column(found.runs, (), columns, [row])
         if of_sizes := [run for group in groups for one in list_method_runs(group, [row]) for run in one.runs]:
             grown.append(collect_growth_samples(row, of_sizes))
     if columns:

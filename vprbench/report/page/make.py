@@ -30,7 +30,7 @@ from vprbench.text import format_bytes, format_count
 def print_page(found: Report, name: str, growth: Sequence[ResolvedColumn] = ()) -> None:
     """Write the page of a report, NAME.html, into its results folder, and print the file."""
     absent: list[str] = []
-    drawings = draw_all(found, found.runs, growth, absent.append)
+    drawings = draw_all(found, growth, absent.append)
     path = write_page(found, drawings, Path(found.chosen.results).expanduser() / f"{name}.html", absent)
     print(f"{path}: {format_bytes(path.stat().st_size)}, opens from disk")
 
