@@ -9,7 +9,7 @@ from little import pictures
 from vprbench.api.dataset import Dataset
 from vprbench.errors import BadInput
 from vprbench.plugins import registry
-from vprbench.report.plan import PlannedColumn
+from vprbench.report.plan import Column
 from vprbench.tuning.places import Searchable, choose_places, cut_dataset
 
 
@@ -18,7 +18,7 @@ def config(name):
 
 
 def column(*options):
-    return PlannedColumn("a column", "A column", options)
+    return Column("a column", "A column", options)
 
 
 NORDLAND = config("nordland")

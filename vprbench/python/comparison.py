@@ -17,13 +17,13 @@ from vprbench.metrics.catalogue import METRICS
 from vprbench.python.choices import AnyDataset, AnyMethod, Choice, choose_dataset
 from vprbench.python.result import Result
 from vprbench.python.running import Options, finish_run, request_run
-from vprbench.report.folder import group_runs, report_runs
-from vprbench.report.gather import Report
+from vprbench.report.folder import report_runs
 from vprbench.report.ranking import NUMBERS, Ranking
 from vprbench.report.robustness import Robustness, measure_robustness
-from vprbench.report.selection import MethodRuns, list_accuracy_runs
+from vprbench.report.selection import MethodRuns, group_runs_by_column, list_method_runs
 from vprbench.report.table import formats
 from vprbench.report.table.best import average_seeds
+from vprbench.report.table.cells import Report
 from vprbench.runs.corruption import Corruption, parse_corruptions
 from vprbench.runs.experiment import Experiment, build_experiment, corrupt_experiment
 from vprbench.runs.frame import format_label
@@ -120,14 +120,14 @@ class Comparison:
 
     def to_markdown(self) -> str:
         """Return the table in Markdown, with its notes and its legend."""
-        return formats.to_markdown(self.report.table)
+        return formats.to_markdown(self.report)
 
     def to_latex(self) -> str:
         """Return the table in LaTeX; it needs the package booktabs."""
-        return formats.to_latex(self.report.table)
+        return formats.to_latex(self.report)
 
     def __str__(self) -> str:
-        return "\n".join([formats.to_terminal(self.report.table, wide=True), *self.ranking.sentences])
+        return formats.to_terminal(self.report, wide=True)
 
     def __repr__(self) -> str:
         methods = format_count(len(self.ranking.table), "method")
@@ -135,7 +135,7 @@ class Comparison:
 
     def _repr_html_(self) -> str:
         sentences = pd.DataFrame({"Findings": self.ranking.sentences})
-        return formats.to_html(self.report.table) + sentences.to_html(index=False, border=0)
+        return formats.to_html(self.report) + sentences.to_html(index=False, border=0)
 
     def _change(self, change: Callable[[Result], Result]) -> Comparison:
         corrupted = {one: tuple(map(change, results)) for one, results in self.corrupted.items()}
@@ -143,8 +143,9 @@ class Comparison:
 
     def _list_rows(self, results: Sequence[Result]) -> list[MethodRuns]:
         """Return the runs of some results by method, the best first."""
-        group = group_runs([result.run for result in results], ())[0]
-        return list_accuracy_runs(group, self.report.chosen.rows)
+        plan, runs = self.report.plan, [result.run for result in results]
+        columns = [replace(plan.columns[0], corruption=runs[0].config.get("corruption"))]
+        return list_method_runs(group_runs_by_column(runs, (), columns, plan.rows)[0], plan.rows)
 
 
 def compare(

@@ -201,7 +201,7 @@ class Result:
         """Return the figure of precision and recall; raises BadInput if no query has a right place."""
         from vprbench.report.figures.accuracy import draw_precision_recall
 
-        return draw_precision_recall([MethodRuns(self.name, self.run.spikes is not None, (self.run,))]).figure
+        return draw_precision_recall([MethodRuns(self.name, (self.run,))]).figure
 
     def plot_matrix(self) -> Figure:
         """Return the figure of ground truth and scores; raises BadInput if there were too many scores to keep."""

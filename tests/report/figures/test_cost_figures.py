@@ -15,8 +15,7 @@ from vprbench.metrics.intervals import share_interval
 from vprbench.report.figures.growth import draw_growing_map, draw_growth
 from vprbench.report.figures.speed import draw_query_rate, draw_training_time
 from vprbench.report.figures.tradeoff import draw_memory_tradeoff, draw_rate_tradeoff, find_front
-from vprbench.report.growth import collect_growth_samples
-from vprbench.report.plan import Row, read_plan
+from vprbench.report.plan import read_plan
 from vprbench.runs.notes import Note
 
 approx = pytest.approx
@@ -166,7 +165,7 @@ SIZES = (100, 300, 1000, 3000, 9000, 27000)
 
 
 def grown(runs):
-    return collect_growth_samples(Row("VPRTempo", "vprtempo", boundary="match"), runs)
+    return series("VPRTempo", *runs)
 
 
 def sizes(fit, match=lambda n: 0.001, **changes):

@@ -27,7 +27,7 @@ pytestmark = pytest.mark.extended
 
 
 def one(run, title="Journey", name="SAD"):
-    return Section(title, (MethodRuns(name, False, (run,)),), None)
+    return Section(title, (MethodRuns(name, (run,)),), None)
 
 
 def right_colour(query):
@@ -145,7 +145,7 @@ def test_without_a_ground_truth_each_query_shows_its_best_five_places_by_score_a
     for query, (first, second) in enumerate([(0.875, 0.75), (0.75, 0.25), (1.0, 0.625)]):
         scores[query, [query, query + 1]] = first, second
     of_a, of_b = (answered(table, [[]] * 3, protocol={"ground_truth": "none"}) for table in (scores, scores[:, ::-1]))
-    both = Section("Journey", (MethodRuns("SAD", False, (of_a,)), MethodRuns("HOG", False, (of_b,))), None)
+    both = Section("Journey", (MethodRuns("SAD", (of_a,)), MethodRuns("HOG", (of_b,))), None)
     tab = reader.read(page("<table></table>", [], [both]))
     orders = {"by margin, lowest first": [0, 2, 1], HIGHEST: [1, 2, 0], ROUTE: [0, 1, 2]}
     orders |= {"by score, lowest first": [1, 0, 2], "by score, highest first": [2, 0, 1]}
