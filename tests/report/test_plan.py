@@ -177,20 +177,6 @@ def test_a_method_on_request_is_a_run_a_seed_where_it_learns_from_one(method, se
     assert all((run.request.method_name, run.request.changed) == asked for run in runs)
 
 
-def test_rows_of_vprsnn_run_on_the_smaller_map_with_one_seed_unless_all_is_to_run_in_full():
-    rows = {"rows": ["VPRSNN"], "methods": ["vprsnn_fast", "vprsnn_all_neurons", "vprsnn_ensemble"]}
-    for full, seeds in ((False, (0,)), (True, (0, 1, 2))):
-        here = chosen(**rows, columns=["railway", "railway_winter"], full=full)
-        railway, smaller = here.columns
-        assert [here.is_slow(railway, row) for row in here.rows] == [not full] * 4
-        assert not any(here.is_slow(smaller, row) for row in here.rows)
-        assert [row.seeds for row in here.rows] == [seeds] * 4
-    assert chosen(rows=["VPRSNN"], seeds=2).rows[0].seeds == (0, 1)
-    (smaller,) = (here := chosen(rows=["NetVLAD"], columns=["railway_winter"])).columns
-    assert smaller.dataset["places"] == here.rows[0].most_places
-    assert not here.is_slow(smaller, here.rows[0])
-
-
 def test_columns_take_the_folder_of_their_frames_and_those_on_request_are_not_among_the_others(tmp_path):
     for given, columns in (
         ([], ["railway", "railway_winter"]),

@@ -81,13 +81,6 @@ def test_a_run_belongs_to_the_row_with_its_arguments(changed, row):
     assert [each for each in ROWS if select_row_runs(group, each, "cpu").runs] == ([row] if row else [])
 
 
-def test_a_failure_belongs_where_its_options_say():
-    failed = lost(), lost(seed=1), lost(changed={"rules": "reference"})
-    assert [stored_of(row, failures=failed).failures for row in (VPRTEMPO, PUBLIC)] == [failed[:2], failed[2:]]
-    elsewhere = lost(dataset=STREET)
-    assert select_row_runs(*grouped([], [elsewhere], TOWN), VPRTEMPO, "cpu").failures == (elsewhere,)
-
-
 OTHERS = {
     "code": {"config": {"code": "beef"}},
     "weights": {"config": {"files": [["net.pth", "a1"]]}},

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -24,14 +23,13 @@ from vprbench.report.gather import assemble_report, list_cells, load_stored_runs
 from vprbench.report.missing_runs import Cell, make_missing_runs, resolve_results_folder
 from vprbench.report.page.make import write_page
 from vprbench.report.plan import Column, Plan, Row
-from vprbench.report.robustness import Robustness, format_csv, format_markdown, list_lines, measure_robustness
+from vprbench.report.robustness import Robustness, format_markdown, list_lines, measure_robustness
 from vprbench.report.run_options import CompareRequest
 from vprbench.report.selection import describe_condition, group_runs_by_column, list_method_runs
 from vprbench.report.table import formats
 from vprbench.report.table.cells import Report
 from vprbench.report.table.make import choose_exit_code, write_table
 from vprbench.runs.corruption import corrupt_queries, parse_corruptions
-from vprbench.runs.frame import format_label
 from vprbench.runs.identity import compute_fingerprint
 from vprbench.runs.predictions import require_depth, tabulate_predictions, write_csv
 from vprbench.runs.request import OPTIONS
@@ -42,9 +40,6 @@ from vprbench.runs.viewpoints import parse_viewpoints, record_viewpoints
 from vprbench.storage.atomic import replace_text
 from vprbench.terminal.console import format_line, show_table
 from vprbench.terminal.streams import complain
-from vprbench.text import join_names
-
-logger = logging.getLogger(__name__)
 
 
 def make_comparison(options: Sequence[str]) -> int:
@@ -256,18 +251,15 @@ def write_comparison(
     column, images = found.plan.columns[0], found.runs[0].fingerprint
     beside_others, name = not name, name or column.title
     name += "-views" * (column.views is not None) + name_views(found.plan.views)
-    if beside_others and not _read_earlier(folder / f"{name}-runs.csv")["fingerprint"].map(images.startswith).all():
+    earlier = folder / f"{name}-runs.csv"
+    if beside_others and earlier.is_file() and not pd.read_csv(earlier)["fingerprint"].map(images.startswith).all():
         name = f"{name}-{images[:6]}"
-    replaced = {*_read_earlier(folder / f"{name}-runs.csv")["method"]} - {format_label(run) for run in found.runs}
-    if replaced:
-        logger.warning(
-            "%s: the earlier comparison with %s makes room: name=NAME keeps both", name, join_names(replaced)
-        )
     files = write_table(found, folder, name)
     if best is not None:
         files.append(write_csv(best, folder / f"{name}-predictions.csv"))
     if robust is not None:
-        for ending, text in (("md", format_markdown(robust, found.plan.heading)), ("csv", format_csv(robust))):
+        table = robust.points.to_csv(index=False, lineterminator="\n")
+        for ending, text in (("md", format_markdown(robust, found.plan.heading)), ("csv", table)):
             files.append(folder / f"{name}-robustness.{ending}")
             replace_text(files[-1], text)
     absent: list[str] = []
@@ -280,8 +272,3 @@ def write_comparison(
             if path.stem not in dict(drawings):
                 path.unlink()
     return [*files, captions, write_page(found, drawings, folder / f"{name}.html", absent)]
-
-
-def _read_earlier(path: Path) -> pd.DataFrame:
-    """Return the runs of an earlier comparison whose files have this name; without any no line."""
-    return pd.read_csv(path, dtype=str) if path.is_file() else pd.DataFrame(columns=["method", "fingerprint"])

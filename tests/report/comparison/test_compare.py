@@ -160,9 +160,7 @@ def test_a_sequence_says_of_runs_without_scores_what_to_do(apart, capsys, tmp_pa
     assert "scores=true" in capsys.readouterr().err
 
 
-def test_files_of_another_ground_truth_stay_and_those_of_other_methods_make_room_with_a_warning(
-    tmp_path, monkeypatch, caplog
-):
+def test_files_of_another_ground_truth_stay_and_those_of_other_methods_make_room(tmp_path, monkeypatch):
     quick_figures(monkeypatch)
     install(monkeypatch, tmp_path)
     for methods, tolerance in (("sad", 0), ("sad", 1), ("pca", 0)):
@@ -170,7 +168,6 @@ def test_files_of_another_ground_truth_stay_and_those_of_other_methods_make_room
         assert main(["compare", *asked, "timing=none", "threads=1"]) == 0
     first, second = sorted(Path("results").glob("synthetic*-runs.csv"), key=lambda path: len(path.name), reverse=True)
     assert [lines(path.name)[0]["method"] for path in (first, second)] == ["sad", "pca"]
-    assert [record.args for record in caplog.records if record.levelname == "WARNING"] == [("synthetic", "sad")]
 
 
 def test_a_column_that_was_asked_for_stays_where_the_terminal_is_narrow(apart, capsys):

@@ -74,17 +74,6 @@ def test_the_front_is_that_of_a_slow_search_over_all_pairs():
         assert sorted(costs[i] for i in found) == [costs[i] for i in found]
 
 
-def test_the_steps_run_from_the_best_to_the_worse_end_of_the_costs():
-    fast, slow, beaten = method("A", 0.25, 100, 100), method("B", 0.5, 10, 1000), method("C", 0.2, 5, 2000)
-    for draw, corners, end in (
-        (draw_rate_tradeoff, [[100, 25], [10, 50]], 0),
-        (draw_memory_tradeoff, [[100, 25], [1000, 50]], 1),
-    ):
-        (axes,) = draw([fast, slow, beaten]).figure.axes
-        (front,) = (line for line in axes.lines if line.get_drawstyle() == "steps-post")
-        assert front.get_xydata() == approx(np.array([*corners, [axes.get_xlim()[end], 50]]))
-
-
 def test_memory_is_the_mean_of_the_seeds_and_the_map_has_a_panel_for_the_rows_that_keep_descriptors():
     seeds = [figure_runs.run("t", 0.5 + 0.2 * i, seed=i, peak_memory_bytes=10**8 * (i + 1)) for i in (0, 1)]
     (axes,) = draw_memory_tradeoff([series("VPRTempo", *seeds)]).figure.axes
@@ -143,12 +132,6 @@ def test_rates_are_of_encode_and_match_together_with_the_middle_four_fifths_of_l
         assert bars(axes, hatched=False) == {4: approx(bar)}
         rates = [10, 0.5, 2, 2, 353] if column == NORDLAND else [185, 0.5, 0.4, 2, 1670]
         assert [bars(axes, hatched=True)[i] for i in range(5)] == approx(rates)
-
-
-def test_a_row_that_trained_nothing_here_has_no_bar():
-    loaded = series("VPRSNN", figure_runs.run("vprsnn", fit_seconds=None, network={"run": "ab"}))
-    (axes,) = draw_training_time([loaded], ROWS, UNPUBLISHED, PLAN.published).figure.axes
-    assert words(axes) == ["none"] * 5
 
 
 def test_a_gpu_gets_a_panel_of_its_own_and_a_column_that_the_paper_does_not_have_measured_bars_alone():

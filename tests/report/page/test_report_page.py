@@ -65,14 +65,6 @@ def test_the_page_holds_its_table_figures_and_sentences_and_allows_nothing_else(
     assert (rules["default-src"], rules["img-src"]) == ("'none'", "data:")
 
 
-def test_a_figure_that_is_not_drawn_is_told_under_the_others():
-    sentence = f"growth: no run at other numbers of places is stored{HOSTILE}"
-    for pictures in ([], [Picture("speed", "How long a query takes.", b"")]):
-        parsed = Parsed(report.page(TABLE, pictures, [], absent=[sentence]))
-        assert sentence in parsed.text.split("Figures")[-1]
-        assert "#figures" in [link["href"] for link in parsed.all("a")]
-
-
 def test_hostile_names_are_text_everywhere_and_those_that_are_no_text_are_written():
     drawn = [Picture(HOSTILE, HOSTILE, b"")]
     text = report.page("", drawn, [made.hostile_section()], title=HOSTILE, made_from=HOSTILE)
@@ -119,18 +111,6 @@ def test_a_frame_stands_in_the_page_once_if_a_query_shows_it_and_the_page_names_
     kept = embedded(text)
     assert list(kept["places"]) == ["15"]
     assert [query for query, frame in enumerate(kept["queries"]) if frame] == [10]
-
-
-def test_the_queries_that_a_page_opens_with_have_their_frames_however_few_it_holds(monkeypatch):
-    wrong = {query: 0.01 * query for query in range(5, 45)}
-    monkeypatch.setattr(report, "MOST_FRAMES", 45)
-    text = report.page("", [], [section(journey_run(wrong), thumbnails=made.journey_thumbnails())])
-    run, kept = answers(text)["runs"][0], embedded(text)
-    opening = sorted(wrong, key=lambda query: run["margins"][query])[:10]
-    assert opening == [*range(44, 34, -1)]
-    assert all(kept["queries"][query] for query in opening)
-    shown = {place for query in opening for place in (run["places"][3 * query], run["right"][query])}
-    assert {*map(str, shown)} <= {*kept["places"]}
 
 
 def test_a_page_shows_so_many_frames_at_most_and_those_of_wrong_answers_first(monkeypatch):

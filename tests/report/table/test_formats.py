@@ -95,16 +95,6 @@ def test_a_time_shows_as_many_digits_as_it_has(runs, told):
     assert shown("train_cpu", *runs, row=Row("new", "new", seeds=tuple(range(len(runs))))) == [told]
 
 
-def test_a_recall_shows_a_decimal_and_stands_above_the_printed_one_with_the_difference():
-    for right, told in ((48, "48 (0.0)"), (47, "48 (-1.0)"), (100, "48 (+52.0)")):
-        above, below = shown("recall_at_1", run(hits=[1] * right + [0] * (100 - right)))
-        assert (above.startswith(f"{right}.0 ["), below) == (True, told)
-    same = shown("recall_at_1", run("new", 0), run("new", 1), row=Row("new", "new", seeds=(0, 1)))
-    assert same == ["50.0 ± 0 [15.0, 85.0]"]
-    assert shown("query_cpu", run(match_seconds=[0.1] * 5))[1] == "10 (match alone here: 10; 0)"
-    assert shown("query_cpu", run(match_seconds=[0.0012] * 5))[1] == "10 (match alone here: 833; +823)"
-
-
 def test_links_of_notes_lead_to_their_anchors_and_no_style_is_in_the_html():
     tags = Parsed(formats.to_html(whole())).elements
     anchors = {attributes["id"] for _, attributes in tags if "id" in attributes}
