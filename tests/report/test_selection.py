@@ -35,7 +35,7 @@ ELSEWHERE = run(dataset={**STREET, "root": "/there", "source": "a shop", "_targe
 LISTED = replace(RAIL, dataset={"name": "r", "references": ("a", "b"), "places": 10})
 SAME = run(dataset={"places": 10, "references": ["a", "b"], "name": "r"})
 FOG = tempo(dataset={**RAILWAY, "fog": 0.5})
-OTHER_NAME = replace(failure(), config={**failure().config, "dataset": {}})
+OTHER_NAME = replace(failure(), dataset="river", config={**failure().config, "dataset": {}})
 
 
 @pytest.mark.parametrize(

@@ -17,9 +17,8 @@ _SHOWN = ("name", "description", "provider")
 def methods() -> pd.DataFrame:
     """Return the registered methods, a row each; imports none of them."""
     found = _tabulate("method")
-    return found.assign(spiking=["spiking" in tags for tags in found.pop("tags")])[
-        [*_SHOWN, "spiking", "needs_weights"]
-    ]
+    spiking = found["tags"].map(lambda tags: "spiking" in tags)
+    return found.assign(spiking=spiking)[[*_SHOWN, "spiking", "needs_weights"]]
 
 
 def datasets() -> pd.DataFrame:

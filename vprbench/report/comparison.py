@@ -252,7 +252,11 @@ def write_comparison(
     beside_others, name = not name, name or column.title
     name += "-views" * (column.views is not None) + name_views(found.plan.views)
     earlier = folder / f"{name}-runs.csv"
-    if beside_others and earlier.is_file() and not pd.read_csv(earlier)["fingerprint"].map(images.startswith).all():
+    if (
+        beside_others
+        and earlier.is_file()
+        and not pd.read_csv(earlier, dtype=str)["fingerprint"].map(images.startswith).all()
+    ):
         name = f"{name}-{images[:6]}"
     files = write_table(found, folder, name)
     if best is not None:

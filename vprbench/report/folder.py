@@ -94,10 +94,9 @@ def _list_columns(runs: Iterable[Run]) -> tuple[Column, ...]:
     """Return a column for each dataset and its viewpoints."""
     columns = {}
     for run in sorted(runs, key=lambda run: run.dataset):
-        name, views = run.dataset, run.config.get("views")
-        dataset = {"name": run.config["dataset"]["name"]}
-        column = Column(name + "-views" * (views is not None), name, (), dataset=dataset, views=views)
-        columns[format_plain_values([name, views])] = column
+        views, dataset = run.config.get("views"), {"name": run.config["dataset"].get("name", run.dataset)}
+        name = run.dataset + "-views" * (views is not None)
+        columns[format_plain_values([dataset, views])] = Column(name, run.dataset, (), dataset=dataset, views=views)
     return tuple(columns.values())
 
 

@@ -148,7 +148,7 @@ def _belongs_to_column(result: Run | Failure, column: Column) -> bool:
     if isinstance(result, Run) and column.condition is not None:
         threads = result.environment.get("threads")
         return column.condition == describe_condition(result.fingerprint, result.protocol, threads)
-    ours, theirs = column.dataset, given.get("dataset", {})
+    ours, theirs = column.dataset, {"name": result.dataset, **given.get("dataset", {})}
     ignored = {"_target_", "on_disk", *ours.get("on_disk", ()), *theirs.get("on_disk", ())}
     both = ours.keys() & theirs.keys() - ignored
     return "name" in both and all(format_plain_values(ours[name]) == format_plain_values(theirs[name]) for name in both)

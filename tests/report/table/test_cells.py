@@ -145,6 +145,8 @@ def test_two_protocols_are_two_columns_with_titles_that_tell_them_apart():
     assert {column.name: column.title for column in made.groups} == titles
     assert measured(made, "SAD", "recall_at_1", "railway-2").value == approx(100)
     assert cell(made, "VPRSNN", "recall_at_1", "railway-2").mark == "not run"
+    other_images = table([run(), run(fingerprint="0" * 64)], rows=[SAD])
+    assert [group.title for group in other_images.groups] == ["Railway (rendered)", "Railway (rendered), version 2"]
 
 
 def test_the_order_of_a_store_changes_nothing():
