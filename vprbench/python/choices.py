@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import dataclasses
 import hashlib
 import inspect
 import json
@@ -173,12 +172,7 @@ def _describe_object(given: Method, per_run: Mapping[str, Any]) -> Choice:
 
 
 def _read_arguments(given: Method) -> tuple[dict[str, Any], str | None]:
-    """Return the arguments that an object was made of, and the reason if they are not known.
-
-    They are the fields of a dataclass, else the attributes of the same names.
-    """
-    if dataclasses.is_dataclass(given):
-        return {one.name: getattr(given, one.name) for one in dataclasses.fields(given) if one.init}, None
+    """Return the attributes of an object that have the names of its arguments, and the reason if one is missing."""
     found: dict[str, Any] = {}
     for name in inspect.signature(type(given)).parameters:
         kept = next((one for one in (name, f"_{name}") if hasattr(given, one)), None)

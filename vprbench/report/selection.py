@@ -61,6 +61,11 @@ class MethodRuns:
     failures: tuple[Failure, ...] = ()  # the newest of each missing seed, ascending
     n_aside: int = 0  # stored runs that are not shown: of other code or settings, older, or of other seeds
 
+    @property
+    def coverage(self) -> tuple[int, int]:
+        """How many seeds have a run, and how many a failure; accuracies are of the device with the most."""
+        return len(self.runs), len(self.failures)
+
 
 def group_runs_by_column(
     runs: Iterable[Run], failures: Iterable[Failure], columns: Sequence[Column], rows: Sequence[Row]
@@ -101,8 +106,7 @@ def select_row_runs(group: DatasetRuns, row: Row, device: Device | None) -> Meth
     equals the CPU; without any run that of a failure.
     """
     if device is None:
-        found = [select_row_runs(group, row, each) for each in DEVICES]
-        return max(found, key=lambda one: (len(one.runs), len(one.failures)))
+        return max((select_row_runs(group, row, each) for each in DEVICES), key=lambda found: found.coverage)
 
     def select(results: Sequence[Result]) -> list[Result]:
         return [each for each in results if _belongs_to_row(each, row) and _get_device(each) == device]

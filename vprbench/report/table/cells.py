@@ -114,8 +114,10 @@ def tabulate(plan: Plan, groups: Sequence[DatasetRuns], quantities: tuple[Quanti
     for group in groups:
         entries = []
         for row in plan.rows:
-            found = {device: select_row_runs(group, row, device) for device in (*DEVICES, None)}
+            found: dict[Device | None, MethodRuns] = {each: select_row_runs(group, row, each) for each in DEVICES}
             facts = {device: tabulate_with_records(one.runs, metrics) for device, one in found.items()}
+            of_accuracy = max(DEVICES, key=lambda device: found[device].coverage)
+            found[None], facts[None] = found[of_accuracy], facts[of_accuracy]
             entries.append(_Entry(row, group, plan.is_slow(group.column, row), found, facts))
             n_aside += sum(found[device].n_aside for device in DEVICES)
         for quantity in quantities:
@@ -143,12 +145,8 @@ def _find_best(entries: Sequence[_Entry], quantity: Quantity) -> str | None:
 
 def _make_cell(entry: _Entry, quantity: Quantity, plan: Plan) -> dict[str, Any]:
     """Return one cell, its notes as text and its machine by name and day."""
-    row, column, found, facts = (
-        entry.row,
-        entry.group.column,
-        entry.found[quantity.device],
-        entry.select_facts(quantity),
-    )
+    row, column = entry.row, entry.group.column
+    found, facts = entry.found[quantity.device], entry.select_facts(quantity)
     dataset = "" if entry.group.view else column.published or ""  # no number of a view is published
     printed = plan.published.numbers.get((row.name, dataset), {}) if plan.published else {}
     value = printed.get(quantity.name)
