@@ -91,7 +91,7 @@ def run(method="little", share=0.5, n_queries=40, n_places=50, **changes):
     return little.a_run(**{**made, **changes})
 
 
-def series(name, *runs, spiking=False):
+def series(name, *runs):
     return MethodRuns(name, runs)
 
 

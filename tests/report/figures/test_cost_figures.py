@@ -89,7 +89,7 @@ def tempo(*minutes, device="cpu"):
     """Return VPRTempo with a run for each number of minutes of training; the n-th matches in n ms and encodes in 1."""
     times = [{"fit_seconds": 60 * each, "match_seconds": 0.001 * i} for i, each in enumerate(minutes, 1)]
     runs = [figure_runs.run("vprtempo", seed=i, device=device, **each) for i, each in enumerate(times, 1)]
-    return series("VPRTempo", *runs, spiking=True)
+    return series("VPRTempo", *runs)
 
 
 def bars(axes, hatched):

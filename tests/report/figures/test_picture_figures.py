@@ -83,7 +83,7 @@ def test_cells_of_a_large_matrix_are_the_maxima_of_blocks_so_that_no_right_place
 def spiking(name, *seeds):
     """Return a row with a run for each seed, of the layers of its network."""
     kept = [{"queries": len(layers[0]["spikes_per_query"]), "layers": list(layers)} for layers in seeds]
-    return series(name, *(little.a_run(spikes=spikes) for spikes in kept), spiking=True)
+    return series(name, *(little.a_run(spikes=spikes) for spikes in kept))
 
 
 def layer(name, spikes, active_share=0.5, neurons=100):
