@@ -96,9 +96,9 @@ def test_a_comparison_ranks_nothing_and_draws_no_accuracy(drives, capsys, monkey
     shown = capsys.readouterr().out
     assert all(word not in shown for word in ("R@", "AUC", "F1", "wrong", "miss"))
     found, best = given[0][0], given[0][-1]
-    assert {quantity.kind for quantity in found.table.quantities} == {"fit", "rate", "memory"}
+    assert {quantity.kind for quantity in found.quantities} == {"fit", "rate", "memory"}
     assert best["right"].isna().all()
-    names = [name for name, _ in comparison.draw_all(found, found.runs)]
+    names = [name for name, _ in comparison.draw_all(found)]
     assert not any(part in name for name in names for part in ("recall", "precision", "similarity", "rate-", "frames"))
     assert main(["compare", "methods=sad", *drives, "corruptions=blur-1"]) == 2
 

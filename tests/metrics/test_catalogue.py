@@ -21,9 +21,9 @@ from vprbench.metrics import catalogue
 from vprbench.metrics.accuracy import average_precision, hits_at, pr_curve_multi
 from vprbench.metrics.catalogue import METRICS, Metric, average_metric
 from vprbench.report.figures.accuracy import draw_metric
-from vprbench.report.selection import group_runs_by_column, list_method_runs
+from vprbench.report.selection import MethodRuns, group_runs_by_column, list_method_runs
 from vprbench.report.table import formats
-from vprbench.report.table.best import Contestant, find_most_accurate
+from vprbench.report.table.best import find_most_accurate
 from vprbench.report.table.quantities import QUANTITIES, list_quantities
 from vprbench.runs.energy import count_synops, estimate_joules
 
@@ -113,7 +113,7 @@ def test_every_accuracy_per_query_is_bold_where_a_test_separates_it_and_lower_ma
     misses = average_metric(
         "miss", "Miss", lambda one, ties: 1 - hits_at(one.outcome, 1, ties), "", higher_is_better=False
     )
-    contest = [Contestant(name, (run(name, hits=each),), True) for name, each in hits.items()]
+    contest = [MethodRuns(name, (run(name, hits=each),)) for name, each in hits.items()]
     assert find_most_accurate(contest, misses) == find_most_accurate(contest, METRICS["recall_at_1"]) == "vprsnn"
     assert find_most_accurate(contest, METRICS["recall_at_5"]) is None  # both find all
 

@@ -8,12 +8,10 @@ import pytest
 
 from vprbench.errors import BadInput
 from vprbench.metrics.growth import fit_power
-from vprbench.report.growth import collect_growth_samples, compute_median_interval
-from vprbench.report.plan import Row
+from vprbench.report.figures.growth import compute_median_interval, tabulate_growth
 from vprbench.runs.notes import Note
 
 SIZES = np.array([100.0, 300, 1000, 3000, 9000, 27000])
-TEMPO = Row("VPRTempo", "vprtempo", boundary="match")
 OLD = {"time_utc": "2024-01-01T00:00:00Z"}
 
 
@@ -60,27 +58,22 @@ def test_samples_stand_in_the_order_of_places_and_seeds_and_the_newest_run_of_ea
         for seed in (1, 0)
     ]
     runs.append(figure_runs.sized(100, 9.0, 0.009, seed=0, time_utc="2020-01-01T00:00:00Z"))
-    found = collect_growth_samples(TEMPO, runs).table
+    found = tabulate_growth(runs)
     assert [*zip(found.places, found.seed, strict=True)] == [(100, 0), (100, 1), (300, 0), (300, 1)]
     assert found.fit_compute_seconds.tolist() == [1, 1, 3, 3]
     assert found.query_seconds.iloc[-1] == pytest.approx(0.301)  # 1 ms to encode
     carts = figure_runs.sized(500, 1.0, 0.001, notes=(Note("noisy", "noisy: a cart"),))
-    found = collect_growth_samples(
-        TEMPO, [*runs, carts, figure_runs.sized(900, None, 0.001)]
-    ).table  # the last one loaded its network
+    found = tabulate_growth([*runs, carts, figure_runs.sized(900, None, 0.001)])  # the last one loaded its network
     assert [*zip(found.places, found.disturbed, strict=True)][3:] == [(300, False), (500, True), (900, False)]
     assert found.fit_compute_seconds.isna().tolist() == [False] * 5 + [True]
-    with pytest.raises(BadInput, match="no run of VPRTempo"):
-        collect_growth_samples(TEMPO, [])
 
 
-def test_runs_under_other_conditions_than_the_newest_are_counted_and_not_shown():
+def test_runs_under_other_conditions_than_the_newest_are_not_shown():
     old = [figure_runs.sized(n, 9.0, 0.009, code="older", **OLD) for n in (100, 300, 1000)]
     slow = [figure_runs.sized(300, 9.0, 0.009, processor="Slide rule", time_utc="2024-06-01T00:00:00Z")]
     new = [figure_runs.sized(n, 1.0, 0.001) for n in (100, 300)]
-    found = collect_growth_samples(TEMPO, [*old, *new, *slow])
-    assert found.table.fit_compute_seconds.tolist() == [1.0, 1.0]
-    assert found.n_aside == 4
+    found = tabulate_growth([*old, *new, *slow])
+    assert found.fit_compute_seconds.tolist() == [1.0, 1.0]
 
 
 def test_runs_with_other_arguments_weights_or_protocol_are_another_growth():
@@ -95,8 +88,6 @@ def test_runs_with_other_arguments_weights_or_protocol_are_another_growth():
     runs["weights"] = replace(heavier, config={**heavier.config, "files": [{"name": "weights", "sha256": "ab"}]})
     fewer = {"arguments": given, "protocol": {**protocol, "query_places": 9}}
     smaller = figure_runs.sized(300, 9.0, 0.001, **fewer, **OLD)
-    assert collect_growth_samples(TEMPO, [new, smaller]).runs == (smaller, new)
+    assert [*tabulate_growth([new, smaller])["record"]] == [smaller, new]
     for other in runs.values():
-        found = collect_growth_samples(TEMPO, [new, other])
-        assert found.runs == (new,)
-        assert found.n_aside == 1
+        assert [*tabulate_growth([new, other])["record"]] == [new]

@@ -8,8 +8,9 @@ from checkout import ROOT
 from vprbench.config import make_request
 from vprbench.errors import BadInput
 from vprbench.plugins import registry
-from vprbench.report.gather import TableRequest, list_cells, resolve_plan
+from vprbench.report.gather import list_cells, resolve_plan
 from vprbench.report.plan import PLAN_FILE, add_plug_ins, read_plan
+from vprbench.report.run_options import TableRequest
 
 PLAN = ROOT / "conf" / PLAN_FILE
 
@@ -134,7 +135,7 @@ def plugged_in(folder, **contents):
 def test_a_plug_in_brings_rows_and_columns_that_are_asked_for_by_name_and_others_are_refused(tmp_path, monkeypatch):
     folders = plugged_in(tmp_path, shelf=PLUG_IN)
     monkeypatch.setattr(registry, "find_conf_folders", lambda: folders)
-    assert "short" not in [column.planned.name for column in chosen().columns]
+    assert "short" not in [column.name for column in chosen().columns]
     (made,) = of_last_row(chosen(rows=["SAD"], methods=["mine"], columns=["short"]))
     assert (made.row.name, made.title, made.request.dataset["places"]) == ("Mine", "Short route", 12)
     assert made.request.changed == {"patch": 9}
@@ -176,27 +177,13 @@ def test_a_method_on_request_is_a_run_a_seed_where_it_learns_from_one(method, se
     assert all((run.request.method_name, run.request.changed) == asked for run in runs)
 
 
-def test_rows_of_vprsnn_run_on_the_smaller_map_with_one_seed_unless_all_is_to_run_in_full():
-    rows = {"rows": ["VPRSNN"], "methods": ["vprsnn_fast", "vprsnn_all_neurons", "vprsnn_ensemble"]}
-    for full, seeds in ((False, (0,)), (True, (0, 1, 2))):
-        here = chosen(**rows, columns=["railway", "railway_winter"], full=full)
-        railway, smaller = here.columns
-        assert [here.slow(railway, row) for row in here.rows] == [not full] * 4
-        assert not any(here.slow(smaller, row) for row in here.rows)
-        assert [row.seeds for row in here.rows] == [seeds] * 4
-    assert chosen(rows=["VPRSNN"], seeds=2).rows[0].seeds == (0, 1)
-    (smaller,) = (here := chosen(rows=["NetVLAD"], columns=["railway_winter"])).columns
-    assert smaller.dataset["places"] == here.rows[0].most_places
-    assert not here.slow(smaller, here.rows[0])
-
-
 def test_columns_take_the_folder_of_their_frames_and_those_on_request_are_not_among_the_others(tmp_path):
     for given, columns in (
         ([], ["railway", "railway_winter"]),
         (["nordland", "robotcar"], ["nordland", "oxford_robotcar"]),
     ):
         here = chosen(**dict.fromkeys(given, str(tmp_path)))
-        assert [column.planned.name for column in here.columns] == columns
+        assert [column.name for column in here.columns] == columns
     nordland, held_out = chosen(columns=["nordland_vprsnn", "nordland_64x32_held_out"], nordland=str(tmp_path)).columns
     assert (nordland.dataset["root"], nordland.dataset["protocol"]) == (str(tmp_path), "vprsnn")
     options = ("protocol", "places", "first_query_place", "query_places")

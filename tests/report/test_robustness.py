@@ -62,7 +62,7 @@ def test_the_table_brackets_what_no_test_separates_from_clean_frames_and_dashes_
     document = text.format_markdown(found, "a_route")
     assert re.search(r"^\| shift 1/8 px +\| \(2.5\)/40.0 +\| \(5.0\)/60.0 +\|$", document, re.MULTILINE)
     assert "- shift: queries moved left or right by 1, 8 px" in document
-    rows = list(csv.DictReader(StringIO(text.format_csv(found))))
+    rows = list(csv.DictReader(StringIO(found.points.to_csv(index=False))))
     assert [(line["method"], line["kind"], line["amount"]) for line in rows][2] == ("sad", "shift", "1 px")
 
 

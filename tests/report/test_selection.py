@@ -8,16 +8,14 @@ from stored_runs import ABACUS, PUBLIC, RAIL, RAILWAY, SAD, STREET, TOWN, VPRTEM
 
 from vprbench.report.selection import (
     DatasetRuns,
-    ResolvedColumn,
     describe_protocol,
     group_runs_by_column,
-    list_accuracy_runs,
     list_method_runs,
     select_row_runs,
 )
 
 ROWS = (SAD, VPRTEMPO, PUBLIC)
-FOGGY = ResolvedColumn(RAIL.planned, {**RAILWAY, "fog": 0.5})
+FOGGY = replace(RAIL, dataset={**RAILWAY, "fog": 0.5})
 
 
 def lost(seed=0, *more, **changes):
@@ -34,10 +32,10 @@ def stored_of(row, *runs, failures=(), column=RAIL):
 
 MINE = run()
 ELSEWHERE = run(dataset={**STREET, "root": "/there", "source": "a shop", "_target_": "moved.street"}, fingerprint="s")
-LISTED = ResolvedColumn(RAIL.planned, {"name": "r", "references": ("a", "b"), "places": 10})
+LISTED = replace(RAIL, dataset={"name": "r", "references": ("a", "b"), "places": 10})
 SAME = run(dataset={"places": 10, "references": ["a", "b"], "name": "r"})
 FOG = tempo(dataset={**RAILWAY, "fog": 0.5})
-OTHER_NAME = replace(failure(), config={**failure().config, "dataset": {}})
+OTHER_NAME = replace(failure(), dataset="river", config={**failure().config, "dataset": {}})
 
 
 @pytest.mark.parametrize(
@@ -81,13 +79,6 @@ def test_two_protocols_are_two_groups_the_newest_first_and_corrupted_queries_sta
 def test_a_run_belongs_to_the_row_with_its_arguments(changed, row):
     group = DatasetRuns(RAIL, 1, (tempo(changed=changed),), ())
     assert [each for each in ROWS if select_row_runs(group, each, "cpu").runs] == ([row] if row else [])
-
-
-def test_a_failure_belongs_where_its_options_say():
-    failed = lost(), lost(seed=1), lost(changed={"rules": "reference"})
-    assert [stored_of(row, failures=failed).failures for row in (VPRTEMPO, PUBLIC)] == [failed[:2], failed[2:]]
-    elsewhere = lost(dataset=STREET)
-    assert select_row_runs(*grouped([], [elsewhere], TOWN), VPRTEMPO, "cpu").failures == (elsewhere,)
 
 
 OTHERS = {
@@ -145,8 +136,8 @@ def test_a_seed_without_a_run_has_its_newest_failure(stored, told):
 
 def test_series_are_the_rows_with_runs_under_the_names_of_the_table_and_a_protocol_is_told_without_its_numbers():
     group = DatasetRuns(RAIL, 1, (tempo(1), tempo(0), run(device="cuda:1")), ())
-    (cpu,) = list_method_runs(group, ROWS)
-    assert (cpu.name, cpu.spiking) == ("VPRTempo", True)
+    (cpu,) = list_method_runs(group, ROWS, "cpu")
+    assert cpu.name == "VPRTempo"
     assert [stored.config["seed"] for stored in cpu.runs] == [0, 1]
     assert [one.name for one in list_method_runs(group, ROWS, "cuda")] == ["SAD"]
     protocol = {"references": ("sun", "rain"), "places": 450, "query_places": 360}
@@ -160,6 +151,6 @@ def test_accuracy_is_taken_from_the_device_with_more_seeds_and_of_equals_the_cpu
     two = cpu[:2]
     for runs, taken in (cpu + gpu, cpu), (two + gpu, gpu), ([*two, gpu[0]], two), (gpu[1:2], gpu[1:2]):
         for failures in ((), failed[:1], failed[1:]):
-            (one,) = list_accuracy_runs(DatasetRuns(RAIL, 1, tuple(runs), failures), ROWS)
+            (one,) = list_method_runs(DatasetRuns(RAIL, 1, tuple(runs), failures), ROWS)
             assert (one.name, list(one.runs)) == ("VPRTempo", taken)
-    assert list_accuracy_runs(DatasetRuns(RAIL, 1, (), (lost(),)), ROWS) == []
+    assert list_method_runs(DatasetRuns(RAIL, 1, (), (lost(),)), ROWS) == []

@@ -11,8 +11,8 @@ from vprbench.api.images import Images
 from vprbench.config import make_request
 from vprbench.errors import BadInput
 from vprbench.methods.sad import SAD
-from vprbench.report.plan import PlannedColumn, Row
-from vprbench.report.selection import ResolvedColumn, group_runs_by_column
+from vprbench.report.plan import Column, Row
+from vprbench.report.selection import group_runs_by_column
 from vprbench.runs.scorers import choose_scorer
 from vprbench.runs.viewpoints import Viewpoint, Viewpoints, parse_viewpoints, record_viewpoints, render_view
 
@@ -124,7 +124,7 @@ def test_runs_from_other_viewpoints_stand_in_no_column_of_plain_ones(moved):
     seen = run_with(moved, {"horizontal": (0.0, 0.125)})
     row = Row(plain.method, plain.method)
     for views, wanted in ((None, plain), ([0.0, 0.125], seen)):
-        column = ResolvedColumn(PlannedColumn("c", "C", ()), plain.config["dataset"], views=views)
+        column = replace(Column("c", "C", ()), dataset=plain.config["dataset"], views=views)
         assert [
             run.key for group in group_runs_by_column([plain, seen], [], [column], [row]) for run in group.runs
         ] == [wanted.key]

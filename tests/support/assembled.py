@@ -1,16 +1,19 @@
 """Tables of made-up runs, and how tests look into them."""
 
-from stored_runs import PLAN, RAIL, ROWS, run
+from stored_runs import PUBLISHED, RAIL, ROWS, run
 
-from vprbench.report.selection import group_runs_by_column
-from vprbench.report.table.cells import assemble_table
+from vprbench.report.plan import Plan
+from vprbench.report.selection import group_runs_by_column, title_groups
+from vprbench.report.table.cells import tabulate
 from vprbench.report.table.quantities import QUANTITIES
 
 NAMES = ("recall_at_1", "train_cpu", "query_cpu", "train_gpu", "query_gpu")
 
 
-def table(runs=(), failures=(), rows=ROWS, asked=(RAIL,), slow=(), quantities=QUANTITIES):
-    return assemble_table(group_runs_by_column(runs, failures, asked, rows), rows, PLAN, slow, quantities)
+def table(runs=(), failures=(), rows=ROWS, asked=(RAIL,), slow=False, quantities=QUANTITIES, title=None):
+    published = None if title else PUBLISHED
+    plan = Plan(rows=tuple(rows), columns=tuple(asked), published=published, full=not slow, title=title)
+    return tabulate(plan, [*title_groups(group_runs_by_column(runs, failures, asked, rows))], quantities)
 
 
 def cell(made, row, quantity, column="railway"):

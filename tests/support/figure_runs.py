@@ -91,8 +91,8 @@ def run(method="little", share=0.5, n_queries=40, n_places=50, **changes):
     return little.a_run(**{**made, **changes})
 
 
-def series(name, *runs, spiking=False):
-    return MethodRuns(name, spiking, runs)
+def series(name, *runs):
+    return MethodRuns(name, runs)
 
 
 def sized(n_places, fit_seconds, match_seconds, **changes):

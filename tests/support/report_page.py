@@ -88,8 +88,8 @@ def journey_section(title="Journey", thumbnails=None):
     return Section(
         title,
         (
-            MethodRuns("SAD", False, (journey_run(SAD_WRONG, notes=(Note("noisy", "noisy: two carts passed"),)),)),
-            MethodRuns("VPRTempo", True, (journey_run(TEMPO_WRONG, 0), journey_run({10: 0.125}, 1))),
+            MethodRuns("SAD", (journey_run(SAD_WRONG, notes=(Note("noisy", "noisy: two carts passed"),)),)),
+            MethodRuns("VPRTempo", (journey_run(TEMPO_WRONG, 0), journey_run({10: 0.125}, 1))),
         ),
         thumbnails,
     )
@@ -112,4 +112,4 @@ def hostile_section():
         SAD_WRONG, notes=(Note("dataset", HOSTILE),), dataset=HOSTILE, protocol={"query": HOSTILE, HOSTILE: HOSTILE}
     )
     names = {"query_names": (HOSTILE,) * N_QUERIES, "reference_names": (HOSTILE,) * N_PLACES}
-    return Section(HOSTILE, (MethodRuns(HOSTILE, False, (run,)),), journey_thumbnails(**names))
+    return Section(HOSTILE, (MethodRuns(HOSTILE, (run,)),), journey_thumbnails(**names))

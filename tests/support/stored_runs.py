@@ -8,8 +8,7 @@ import numpy as np
 from checkout import ROOT
 
 from vprbench.metrics.ranking import Outcome
-from vprbench.report.plan import PLAN_FILE, Growth, PlanFile, PlannedColumn, Row, read_plan
-from vprbench.report.selection import ResolvedColumn
+from vprbench.report.plan import PLAN_FILE, Column, Row, read_plan
 from vprbench.runs.record import Failure
 
 RAILWAY = {"name": "railway", "places": 10, "seed": 0}
@@ -22,22 +21,15 @@ VPRSNN = Row("VPRSNN", "vprsnn", boundary="match", spiking=True)
 VPRTEMPO = Row("VPRTempo", "vprtempo", boundary="match", spiking=True, seeds=(0, 1, 2))
 PUBLIC = Row("VPRTempo (public code)", "vprtempo", boundary="match", spiking=True, arguments={"rules": "reference"})
 
-NORDLAND = PlannedColumn("nordland", "Nordland", ("dataset=nordland",), "Nordland")
-PLANNED = PlannedColumn("railway", "Railway (rendered)", ("dataset=railway",), "Nordland", stand_in_for="nordland")
-CITY = PlannedColumn("street", "City street", ("dataset=street",))
+NORDLAND = Column("nordland", "Nordland", ("dataset=nordland",), "Nordland")
+PLANNED = Column("railway", "Railway (rendered)", ("dataset=railway",), "Nordland", stand_in_for="Nordland")
+CITY = Column("street", "City street", ("dataset=street",))
 
 PUBLISHED = read_plan(ROOT / "conf" / PLAN_FILE).published
-PLAN = PlanFile(
-    {row.name: row for row in (SAD, NETVLAD, VPRSNN, VPRTEMPO)},
-    {"vprtempo_public": PUBLIC},
-    {column.name: column for column in (NORDLAND, PLANNED, CITY)},
-    Growth(("VPRTempo",), ("dataset=railway",), (10,), 8),
-    published=PUBLISHED,
-)
 ROWS = (SAD, NETVLAD, VPRSNN, VPRTEMPO)
 
-RAIL = ResolvedColumn(PLANNED, RAILWAY)
-TOWN = ResolvedColumn(CITY, STREET)
+RAIL = replace(PLANNED, dataset=RAILWAY)
+TOWN = replace(CITY, dataset=STREET)
 
 ABACUS = {"processor": "Abacus 9", "threads": 1, "cores": 2, "libraries": {"torch": "2.6.0"}}
 LOOM = {**ABACUS, "processor": "Loom 3", "cores": 8, "accelerator": "Spindle 80GB"}

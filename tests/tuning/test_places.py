@@ -9,7 +9,7 @@ from little import pictures
 from vprbench.api.dataset import Dataset
 from vprbench.errors import BadInput
 from vprbench.plugins import registry
-from vprbench.report.plan import PlannedColumn
+from vprbench.report.plan import Column
 from vprbench.tuning.places import Searchable, choose_places, cut_dataset
 
 
@@ -18,7 +18,7 @@ def config(name):
 
 
 def column(*options):
-    return PlannedColumn("a column", "A column", options)
+    return Column("a column", "A column", options)
 
 
 def test_a_rendered_journey_is_another_one_than_every_reported_one_and_all_of_its_places_are_queried():

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import copy
-import dataclasses
 import hashlib
 import inspect
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
@@ -20,28 +19,49 @@ from vprbench.config import make_request
 from vprbench.errors import BadInput
 from vprbench.plugins import loose, registry
 from vprbench.plugins.entries import Group
+from vprbench.report.plan import flatten_arguments
 from vprbench.runs.identity import hash_class
+from vprbench.runs.request import RunRequest
 from vprbench.text import shorten
 
 _MOST_NUMBERS = 1 << 16  # of an array that a record holds; of a larger one it holds the hash
 _LONGEST = 60  # letters of an argument in the name of a row
 
 
+@dataclass(frozen=True)
+class Choice:
+    """The parts of a request that a method or a dataset of a program decides."""
+
+    overrides: tuple[str, ...]  # name and options as on the command line
+    described: Mapping[str, Any] = field(default_factory=dict)  # fields of the request, for what is not registered
+    values: Mapping[str, Any] = field(default_factory=dict)  # options by the names that a request has for them
+    make: Callable[[Mapping[str, Any]], Method] | None = None  # a method of the same class and arguments
+    unstored_reason: str | None = None  # why it cannot be told from others, so that its runs are not stored
+
+
 @dataclass(frozen=True, repr=False)
 class _Named:
-    """A registered method or dataset with options of its own."""
+    """A registered method or dataset with options of its own; raises BadInput, with near names, for unknown ones."""
 
     group: ClassVar[Group]
     name: str
     options: Mapping[str, Any]
 
-    def values(self) -> dict[str, Any]:
-        """Return the options by the names that a request has for them, those of a mapping one by one."""
-        return {f"{self.group}.{name}": as_plain(value) for name, value in _flatten(self.options)}
+    def __post_init__(self) -> None:
+        """Register a loose file, and check name and options."""
+        object.__setattr__(self, "name", loose.resolve_name(self.group, self.name))
+        self.resolve()
 
-    def overrides(self) -> tuple[str, ...]:
-        """Return name and options as on the command line."""
-        return (f"{self.group}={self.name}", *(f"{name}={_as_text(value)}" for name, value in self.values().items()))
+    def resolve(self, **per_run: Any) -> RunRequest:
+        """Return a request with this method or dataset; raises BadInput for options that do not fit."""
+        choice = self.choose()
+        return make_request(choice.overrides[:1], {**choice.values, **per_run})
+
+    def choose(self) -> Choice:
+        """Return the parts of a request that it decides."""
+        values = flatten_arguments(as_plain(self.options), f"{self.group}.")
+        given = (f"{name}={_write_option(value)}" for name, value in values.items())
+        return Choice((f"{self.group}={self.name}", *given), values=values)
 
     def __repr__(self) -> str:
         given = ", ".join([repr(self.name), *(f"{name}={value!r}" for name, value in self.options.items())])
@@ -55,8 +75,7 @@ class NamedMethod(_Named):
 
     def build(self, seed: int = 0, device: str = "cpu") -> Method:
         """Return a new method, which is not fitted; raises BadInput for options that do not fit."""
-        values = {**self.values(), "seed": seed, "device": device}
-        return registry.make_method(make_request([f"method={self.name}"], values).method)
+        return registry.make_method(self.resolve(seed=seed, device=device).method)
 
 
 class NamedDataset(_Named):
@@ -66,7 +85,7 @@ class NamedDataset(_Named):
 
     def build(self) -> Dataset:
         """Return the dataset; raises BadInput for options that do not fit, MissingData where its frames are missing."""
-        return registry.make_dataset(make_request([f"dataset={self.name}"], self.values()).dataset)
+        return registry.make_dataset(self.resolve().dataset)
 
 
 AnyMethod = str | NamedMethod | Method | type[Method]
@@ -78,9 +97,7 @@ def method(name: str, /, **options: Any) -> NamedMethod:
 
     Raises BadInput, with the near names, for an unknown method or option.
     """
-    chosen = NamedMethod(loose.resolve_name("method", name), options)
-    make_request(chosen.overrides()[:1], chosen.values())
-    return chosen
+    return NamedMethod(name, options)
 
 
 def dataset(name: str, /, **options: Any) -> NamedDataset:
@@ -88,73 +105,42 @@ def dataset(name: str, /, **options: Any) -> NamedDataset:
 
     Raises BadInput, with the near names, for an unknown dataset or option.
     """
-    chosen = NamedDataset(loose.resolve_name("dataset", name), options)
-    make_request(chosen.overrides()[:1], chosen.values())
-    return chosen
-
-
-@dataclass(frozen=True)
-class Choice:
-    """The parts of a request that a method or a dataset decides."""
-
-    name: str
-    overrides: tuple[str, ...]  # name and options as on the command line
-    values: Mapping[str, Any] = field(default_factory=dict)  # options by their dotted names
-    described: Mapping[str, Any] = field(default_factory=dict)  # fields of the request that describe an object
-
-    @property
-    def options(self) -> tuple[str, ...]:
-        """The option that chooses a registered one; none for an object."""
-        return () if self.described else self.overrides[:1]
-
-    @property
-    def label(self) -> str:
-        """The name with the options, as tables show it."""
-        return " ".join([self.name, *(option.partition(".")[2] for option in self.overrides[1:])])
-
-
-@dataclass(frozen=True)
-class MethodChoice(Choice):
-    """The parts of a request that a method decides."""
-
-    make: Callable[[Mapping[str, Any]], Method] | None = None  # makes an object anew, of the request's arguments
-    unstored_reason: str | None = None  # why its runs cannot be told from others, and so are not stored
+    return NamedDataset(name, options)
 
 
 def choose_dataset(chosen: AnyDataset) -> tuple[Choice, Dataset]:
     """Build a dataset; raises what its builder raises, BadInput for any other object."""
     chosen = dataset(chosen) if isinstance(chosen, str) else chosen
     if isinstance(chosen, NamedDataset):
-        return Choice(chosen.name, chosen.overrides(), chosen.values()), chosen.build()
-    if not isinstance(chosen, Dataset):
-        raise BadInput(
-            f"a dataset of type {type(chosen).__name__} came; wanted a name, vprbench.dataset(...) or a Dataset, as "
-            "vprbench.dataset_of(...) makes one of images"
-        )
-    described = {"dataset_name": chosen.name, "dataset": {"name": chosen.name}}
-    return Choice(chosen.name, (f"dataset={chosen.name}",), {}, described), chosen
+        return chosen.choose(), chosen.build()
+    if isinstance(chosen, Dataset):
+        described = {"dataset_name": chosen.name, "dataset": {"name": chosen.name}}
+        return Choice((f"dataset={chosen.name}",), described), chosen
+    raise BadInput(
+        f"a dataset of type {type(chosen).__name__} came; wanted a name, vprbench.dataset(...) or a Dataset, as "
+        "vprbench.dataset_of(...) makes one of images"
+    )
 
 
-def choose_method(chosen: AnyMethod, seed: int | None = None, device: str | None = None) -> MethodChoice:
-    """Return the parts of a request; without seed and device those of an object, else 0 and the CPU.
+def choose_method(chosen: AnyMethod, per_run: Mapping[str, Any]) -> Choice:
+    """Return the parts of a request; an object keeps a seed and a device that `per_run` does not have.
 
     Raises BadInput for any other object.
     """
     chosen = method(chosen) if isinstance(chosen, str) else chosen
     if isinstance(chosen, NamedMethod):
-        values = {**chosen.values(), "seed": seed or 0, "device": device or "cpu"}
-        return MethodChoice(chosen.name, chosen.overrides(), values)
+        return chosen.choose()
     if isinstance(chosen, type) and issubclass(chosen, Method):
         chosen = chosen()
-    if not isinstance(chosen, Method):
-        raise BadInput(
-            f"a method of type {type(chosen).__name__} came; wanted a name, vprbench.method(...) or an object whose "
-            "class subclasses vprbench.api.Method"
-        )
-    return _describe_object(chosen, {"seed": seed, "device": device})
+    if isinstance(chosen, Method):
+        return _describe_object(chosen, {name: per_run.get(name) for name in ("seed", "device")})
+    raise BadInput(
+        f"a method of type {type(chosen).__name__} came; wanted a name, vprbench.method(...) or an object whose "
+        "class subclasses vprbench.api.Method"
+    )
 
 
-def _describe_object(given: Method, per_run: Mapping[str, Any]) -> MethodChoice:
+def _describe_object(given: Method, per_run: Mapping[str, Any]) -> Choice:
     """Return the choice of methods of the class and arguments of an object, which is never fitted itself."""
     kind = type(given)
     arguments, reason = _read_arguments(given)
@@ -169,37 +155,30 @@ def _describe_object(given: Method, per_run: Mapping[str, Any]) -> MethodChoice:
         hash_class(kind)
     except OSError as error:
         reason = str(error)
-
-    def make(wanted: Mapping[str, Any]) -> Method:
-        if not arguments:
-            return copy.deepcopy(given)
-        return kind(
-            **{name: wanted[name] if wanted.get(name) != recorded.get(name) else arguments[name] for name in arguments}
-        )
-
     defaults = {name: one.default for name, one in inspect.signature(kind).parameters.items()}
-    own = {name: value for name, value in recorded.items() if name not in per_run}
-    changed = {name: value for name, value in own.items() if not _equals_default(value, defaults.get(name))}
-    overrides = (f"method={kind.__name__}", *(f"method.{name}={_abbreviate(value)}" for name, value in changed.items()))
+    changed = {
+        name: value
+        for name, value in recorded.items()
+        if name not in per_run and not _equals_default(value, defaults.get(name))
+    }
     config = {"_target_": f"{kind.__module__}.{kind.__qualname__}", **recorded}
-    described = {"method_name": kind.__name__, "method": config, "changed": changed, "tuned_on": {}}
-    values = {name: recorded[name] for name in per_run if name in recorded}
-    return MethodChoice(kind.__name__, overrides, values, described, make, reason)
+    return Choice(
+        (f"method={kind.__name__}", *(f"method.{name}={_abbreviate(value)}" for name, value in changed.items())),
+        {"method_name": kind.__name__, "method": config, "changed": changed, "tuned_on": {}},
+        {name: recorded[name] for name in per_run if name in recorded},
+        lambda _: kind(**arguments) if arguments else copy.deepcopy(given),
+        reason,
+    )
 
 
 def _read_arguments(given: Method) -> tuple[dict[str, Any], str | None]:
-    """Return the arguments that an object was made of, and the reason if they are not known.
-
-    They are the fields of a dataclass, else the attributes of the same names.
-    """
-    if dataclasses.is_dataclass(given):
-        return {one.name: getattr(given, one.name) for one in dataclasses.fields(given) if one.init}, None
+    """Return the attributes of an object that have the names of its arguments, and the reason if one is missing."""
     found: dict[str, Any] = {}
     for name in inspect.signature(type(given)).parameters:
-        held = next((one for one in (name, f"_{name}") if hasattr(given, one)), None)
-        if held is None:
+        kept = next((one for one in (name, f"_{name}") if hasattr(given, one)), None)
+        if kept is None:
             return {}, f"its argument {name} is not known: keep it as an attribute of that name, or use a dataclass"
-        found[name] = getattr(given, held)
+        found[name] = getattr(given, kept)
     return found, None
 
 
@@ -214,11 +193,11 @@ def as_plain(value: Any) -> Any:
 def _array_as_plain(value: Any) -> Any:
     if isinstance(value, np.generic):
         return value.item()
-    if isinstance(value, np.ndarray) and value.dtype != object:
-        if value.size <= _MOST_NUMBERS:
-            return value.tolist()
-        return f"{value.dtype} {value.shape} {hashlib.sha256(value.tobytes()).hexdigest()}"
-    raise ValueError(f"{type(value).__name__} has no plain content")
+    if not isinstance(value, np.ndarray) or value.dtype == object:
+        raise ValueError(f"{type(value).__name__} has no plain content")
+    if value.size <= _MOST_NUMBERS:
+        return value.tolist()
+    return f"{value.dtype} {value.shape} {hashlib.sha256(value.tobytes()).hexdigest()}"
 
 
 def _equals_default(recorded: Any, default: Any) -> bool:
@@ -228,19 +207,11 @@ def _equals_default(recorded: Any, default: Any) -> bool:
         return False
 
 
-def _flatten(options: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
-    for name, value in options.items():
-        if isinstance(value, Mapping):
-            yield from _flatten(value, f"{above}{name}.")
-        else:
-            yield f"{above}{name}", value
-
-
-def _as_text(value: Any) -> str:
+def _write_option(value: Any) -> str:
     return value if isinstance(value, str) else json.dumps(value)
 
 
 def _abbreviate(value: Any) -> str:
     """Return an argument of an object as text; of a long one, such as an array, the first digits of its hash."""
-    text = _as_text(value)
+    text = _write_option(value)
     return text if len(text) <= _LONGEST else f"#{hashlib.sha256(text.encode()).hexdigest()[:8]}"

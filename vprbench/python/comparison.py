@@ -1,4 +1,4 @@
-"""Several methods on one dataset, ranked: a table, a sentence and a figure."""
+"""Several methods on one dataset, ranked: the report of `vprbench compare`, and its results as objects."""
 
 from __future__ import annotations
 
@@ -14,23 +14,24 @@ import pandas as pd
 from vprbench.api.dataset import Dataset
 from vprbench.errors import BadInput, MissingData
 from vprbench.metrics.catalogue import METRICS
-from vprbench.python.choices import AnyDataset, AnyMethod, Choice, choose_dataset, choose_method
+from vprbench.python.choices import AnyDataset, AnyMethod, Choice, choose_dataset
 from vprbench.python.result import Result
-from vprbench.python.running import Options, finish, prepare
+from vprbench.python.running import Options, finish_run, request_run
 from vprbench.report.folder import report_runs
-from vprbench.report.gather import Report
-from vprbench.report.ranking import NUMBERS, Ranking, rank_rows
+from vprbench.report.ranking import NUMBERS, Ranking
 from vprbench.report.robustness import Robustness, measure_robustness
-from vprbench.report.selection import MethodRuns
-from vprbench.report.table.quantities import RATES
+from vprbench.report.selection import MethodRuns, group_runs_by_column, list_method_runs
+from vprbench.report.table import formats
+from vprbench.report.table.best import average_seeds
+from vprbench.report.table.cells import Report
 from vprbench.runs.corruption import Corruption, parse_corruptions
-from vprbench.runs.experiment import Experiment, corrupt_experiment
-from vprbench.runs.frame import iterate_rows
+from vprbench.runs.experiment import Experiment, build_experiment, corrupt_experiment
+from vprbench.runs.frame import format_label
+from vprbench.runs.record import Failure
 from vprbench.runs.request import spell_out_metrics
-from vprbench.runs.rows import UNTIMED
 from vprbench.runs.sequences import parse_views
 from vprbench.runs.timing_protocol import Protocol
-from vprbench.text import NOTHING, format_count, format_interval, format_percent, format_two_digits, shorten
+from vprbench.text import format_count, shorten
 
 if TYPE_CHECKING:
     from vprbench.report.figures.style import Figure
@@ -42,29 +43,28 @@ logger = logging.getLogger(__name__)
 class Comparison:
     """Results of several methods on the same queries, and their ranking by R@1; printed, it is its table."""
 
-    methods: tuple[tuple[Result, ...], ...]  # of each method a result a seed, in the order given
+    results: tuple[Result, ...]  # one a method and seed, in the order given
     metrics: tuple[str, ...] = ()  # more columns of the table
-    left_out: Mapping[str, str] = field(default_factory=dict)  # the reason of each method that could not run
-    corrupted: Mapping[Corruption, tuple[tuple[Result, ...], ...]] = field(default_factory=dict)  # as `methods`
+    left_out: tuple[Failure, ...] = ()  # methods without their weights
+    corrupted: Mapping[Corruption, tuple[Result, ...]] = field(default_factory=dict)  # in the order of `results`
+
+    @cached_property
+    def report(self) -> Report:
+        """The report of the runs, as `vprbench compare` and `vprbench report` make it."""
+        first = self.results[0]
+        folder = "" if first.folder is None else str(first.folder.parents[1])
+        runs = [result.run for result in self.results]
+        return report_runs(runs, self.left_out, first.run.dataset, folder, self.metrics)
 
     @property
-    def results(self) -> tuple[Result, ...]:
-        """The results of all methods and seeds, in the order given."""
-        return tuple(result for of_seeds in self.methods for result in of_seeds)
-
-    @cached_property
     def ranking(self) -> Ranking:
         """The methods, best first, and the sentences of the tests."""
-        return rank_rows(_list_runs(self.methods))
+        return self.report.rankings[0]
 
-    @cached_property
-    def robustness(self) -> Robustness:
-        """R@1 under the corruptions, beside that on clean frames: `points` is a DataFrame, a line for each.
-
-        Raises BadInput if no query has a right place.
-        """
-        corrupted = {one: _list_runs(methods) for one, methods in self.corrupted.items()}
-        return measure_robustness(_list_runs(self.methods), corrupted)
+    @property
+    def sentence(self) -> str:
+        """The result of the test of the best method, as a sentence."""
+        return self.ranking.sentences[0]
 
     @property
     def table(self) -> pd.DataFrame:
@@ -73,18 +73,24 @@ class Comparison:
         `elsewhere` is R@1 on the places that a method was not tuned on, if it was tuned on others of these. Methods
         that were left out stand last, with the reason.
         """
-        found = self.ranking.table.drop(columns="runs").assign(left_out="")
+        found = self.ranking.table.assign(left_out="")
         for name in self.metrics:
-            of_seeds = ([METRICS[name].of(run) for run in runs] for runs in self.ranking.table["runs"])
-            found.insert([*found].index("hz"), name, [pd.Series(each, dtype=float).mean() for each in of_seeds])
-        last = [{"method": name, "seeds": 0, "left_out": reason} for name, reason in self.left_out.items()]
-        every = pd.concat([found, pd.DataFrame(last)], ignore_index=True) if last else found
-        return every.astype({**dict.fromkeys(NUMBERS, float), "method": str, "seeds": int, "left_out": str})
+            values = [average_seeds(runs, METRICS[name]) for runs in found["runs"]]
+            found.insert([*found].index("hz"), name, values)
+        lines = found.drop(columns="runs").to_dict("records")
+        lines += [{"method": format_label(one), "seeds": 0, "left_out": one.error} for one in self.left_out]
+        kinds = {"method": str, **dict.fromkeys([*NUMBERS, *self.metrics], float), "seeds": int, "left_out": str}
+        return pd.DataFrame(lines, columns=[name for name in found if name != "runs"]).astype(kinds)
 
-    @property
-    def sentence(self) -> str:
-        """The result of the test of the best method, as a sentence."""
-        return self.ranking.sentences[0]
+    @cached_property
+    def robustness(self) -> Robustness:
+        """R@1 under the corruptions, beside that on clean frames: `points` is a DataFrame, a line for each.
+
+        Raises BadInput if no query has a right place.
+        """
+        return measure_robustness(
+            self._list_rows(self.results), {one: self._list_rows(results) for one, results in self.corrupted.items()}
+        )
 
     def in_sequences(self, length: int, **options: Any) -> Comparison:
         """Return the comparison of the same runs by sequences, with the options of `Result.in_sequences`."""
@@ -94,25 +100,11 @@ class Comparison:
         """Return the comparison of the same runs by a Bayes filter, with the options of `Result.filter`."""
         return self._change(lambda result: result.filter(**options))
 
-    def plot_pr(self) -> Figure:
-        """Return the figure of precision and recall of all methods; raises BadInput if no query has a right place."""
-        from vprbench.report.figures.accuracy import draw_precision_recall
-
-        ranked = [row.method for row in iterate_rows(self.ranking.table)]
-        return draw_precision_recall(sorted(_list_runs(self.methods), key=lambda one: ranked.index(one.name))).figure
-
-    @cached_property
-    def report(self) -> Report:
-        """The report of the runs, as `vprbench compare` and `vprbench report` make it."""
-        first = self.results[0]
-        folder = "" if first.folder is None else str(first.folder.parents[1])
-        return report_runs([result.run for result in self.results], (), first.run.dataset, folder, self.metrics)
-
     def figures(self) -> dict[str, Figure]:
         """Return all figures of the comparison by their names, as `vprbench compare` draws them."""
         from vprbench.report.figures.make import draw_all
 
-        return {name: drawing.figure for name, drawing in draw_all(self.report, self.report.runs)}
+        return {name: drawing.figure for name, drawing in draw_all(self.report)}
 
     def write(self, folder: str | Path = "results", name: str = "") -> list[Path]:
         """Write table (Markdown, CSV, LaTeX), runs, best places, figures and page into a folder; returns the files.
@@ -127,51 +119,33 @@ class Comparison:
         return write_comparison(self.report, Path(folder).expanduser(), name, robust, best)
 
     def to_markdown(self) -> str:
-        """Return the table in Markdown."""
-        return str(self._format_table().to_markdown(index=False, disable_numparse=True))
+        """Return the table in Markdown, with its notes and its legend."""
+        return formats.to_markdown(self.report)
 
     def to_latex(self) -> str:
         """Return the table in LaTeX; it needs the package booktabs."""
-        return str(self._format_table().to_latex(index=False, escape=True))
+        return formats.to_latex(self.report)
 
     def __str__(self) -> str:
-        return "\n".join([self._format_table().to_string(index=False), *self.ranking.sentences])
+        return formats.to_terminal(self.report, wide=True)
 
     def __repr__(self) -> str:
-        methods = format_count(len(self.methods), "method")
+        methods = format_count(len(self.ranking.table), "method")
         return shorten(f"<{methods} on {self.results[0].run.dataset}: {self.sentence}>")
 
     def _repr_html_(self) -> str:
-        sentences = pd.DataFrame({self.results[0].run.dataset: self.ranking.sentences})
-        return "".join(table.to_html(index=False, border=0) for table in (self._format_table(), sentences))
+        sentences = pd.DataFrame({"Findings": self.ranking.sentences})
+        return formats.to_html(self.report) + sentences.to_html(index=False, border=0)
 
     def _change(self, change: Callable[[Result], Result]) -> Comparison:
-        parts = [self.methods, *self.corrupted.values()]
-        methods, *corrupted = (tuple(tuple(map(change, of_seeds)) for of_seeds in part) for part in parts)
-        return replace(self, methods=methods, corrupted=dict(zip(self.corrupted, corrupted, strict=True)))
+        corrupted = {one: tuple(map(change, results)) for one, results in self.corrupted.items()}
+        return replace(self, results=tuple(map(change, self.results)), corrupted=corrupted)
 
-    def _format_table(self) -> pd.DataFrame:
-        """Return the table as text for people: percent, and a dash where there is no number."""
-        numbers = self.table.astype(object).where(self.table.notna(), None)
-        judged = self.results[0].run.is_judged
-        elsewhere = self.table["elsewhere"].notna().any()
-        metrics = [METRICS[name] for name in self.metrics if judged or METRICS[name].cost is not None]
-        lines = []
-        for row in iterate_rows(numbers):
-            accuracy = {"R@1 %": format_percent(row.recall_at_1), "95 %": _format_ends(row.low, row.high)}
-            others = f"{format_percent(row.elsewhere)} {_format_ends(row.elsewhere_low, row.elsewhere_high)}"
-            lines.append(
-                {
-                    "Method": row.method,
-                    **(accuracy if judged else {}),
-                    **({"Elsewhere": others} if elsewhere else {}),
-                    **{metric.head: metric.text(getattr(row, metric.name)) for metric in metrics},
-                    "Queries/s": UNTIMED if row.hz is None else RATES[0].text(row.hz),
-                    "Fit s": NOTHING if row.fit_seconds is None else format_two_digits(row.fit_seconds),
-                    **({"Left out": shorten(row.left_out)} if self.left_out else {}),
-                }
-            )
-        return pd.DataFrame(lines)
+    def _list_rows(self, results: Sequence[Result]) -> list[MethodRuns]:
+        """Return the runs of some results by method, the best first."""
+        plan, runs = self.report.plan, [result.run for result in results]
+        columns = [replace(plan.columns[0], corruption=runs[0].config.get("corruption"))]
+        return list_method_runs(group_runs_by_column(runs, (), columns, plan.rows)[0], plan.rows)
 
 
 def compare(
@@ -208,65 +182,49 @@ def compare(
     unusable = not numbers or min(numbers) < 0 or len({*numbers}) < len(numbers)
     if not len(methods) or isinstance(methods, str) or unusable or "seed" in options:
         raise BadInput(f"methods={methods}, seeds={seeds}: give a list of methods, and different seeds with seeds=")
-    data = choose_dataset(dataset)
-    ready, left_out = _prepare_all(methods, data, {**options, "seed": numbers[0]})
-    found: list[tuple[Result, ...]] = []
-    spoilt: dict[Corruption, list[tuple[Result, ...]]] = {one: [] for one in parse_corruptions(corruptions)}
+    where, data = choose_dataset(dataset)
+    ready, left_out = _build_all(methods, where, data, {**options, "seed": numbers[0]})
+    results: list[Result] = []
+    corrupted: dict[Corruption, list[Result]] = {one: [] for one in parse_corruptions(corruptions)}
     for method, first in ready:
-        more = numbers[1:] if "seed" in first.request.method else []
-        experiments = [first, *(prepare(method, data, {**options, "seed": seed}) for seed in more)]
-        found.append(tuple(map(finish, experiments)))
-        for one, results in spoilt.items():
-            results.append(tuple(finish(_corrupt_untimed(each, one)) for each in experiments))
-    corrupted = {one: tuple(results) for one, results in spoilt.items()}
-    comparison = Comparison(tuple(found), tuple(metrics), left_out, corrupted)
+        for seed in numbers if "seed" in first.request.method else numbers[:1]:
+            request, make = request_run(method, where, {**options, "seed": seed})
+            experiment = first if seed == numbers[0] else build_experiment(request, data, make)
+            results.append(finish_run(experiment))
+            untimed = replace(experiment.request, timing=Protocol(rates=False), frames=False)
+            for one, of_one in corrupted.items():
+                of_one.append(finish_run(corrupt_experiment(replace(experiment, request=untimed), one.name)))
+    spoilt = {one: tuple(of_one) for one, of_one in corrupted.items()}
+    comparison = Comparison(tuple(results), tuple(metrics), tuple(left_out), spoilt)
     return comparison._change(lambda result: result.seen(views[0])) if views else comparison
 
 
-def _corrupt_untimed(experiment: Experiment, one: Corruption) -> Experiment:
-    """Return the same experiment on corrupted query frames, its rates not timed and its frames not kept."""
-    request = replace(experiment.request, timing=Protocol(rates=False), frames=False)
-    return corrupt_experiment(replace(experiment, request=request), one.name)
-
-
-def _list_runs(methods: Sequence[Sequence[Result]]) -> list[MethodRuns]:
-    """Return the runs of methods as rankings and figures take them."""
-    runs = [tuple(result.run for result in of_seeds) for of_seeds in methods]
-    return [MethodRuns(of[0].name, each[0].spikes is not None, each) for of, each in zip(methods, runs, strict=True)]
-
-
-def _prepare_all(
-    methods: Sequence[AnyMethod], data: tuple[Choice, Dataset], options: Options
-) -> tuple[list[tuple[AnyMethod, Experiment]], dict[str, str]]:
-    """Return the methods that can run, and of those without weights the reason by their names.
+def _build_all(
+    methods: Sequence[AnyMethod], where: Choice, data: Dataset, options: Options
+) -> tuple[list[tuple[AnyMethod, Experiment]], list[Failure]]:
+    """Return the methods that can run, and the failures of those without weights.
 
     Raises BadInput, a line for each error, and MissingData if no method can run.
     """
     ready: list[tuple[AnyMethod, Experiment]] = []
-    left_out: dict[str, str] = {}
-    wrong: dict[str, list[str]] = {}  # the methods of each error
-    names: list[str] = []
+    left_out: list[Failure] = []
+    wrong: list[str] = []
+    known: list[Mapping[str, Any]] = []
     for method in methods:
-        name = shorten(method if isinstance(method, str) else repr(method))
         try:
-            label = choose_method(method).label
-            names.append(label)
-            ready.append((method, prepare(method, data, options)))
+            request, make = request_run(method, where, options)
+            if request.method in known:
+                raise BadInput("given twice")
+            known.append(request.method)
+            ready.append((method, build_experiment(request, data, make)))
         except MissingData as error:
-            left_out[label] = str(error)
+            left_out.append(Failure(request.method_name, data.name, request.record(), str(error), missing=True))
+            logger.warning("%s is left out: %s", request.method_name, error)
         except Exception as error:  # a plug-in may raise anything
             text = str(error) if isinstance(error, BadInput) else f"{type(error).__name__}: {error}"
-            wrong.setdefault(text, []).append(name)
-    if twice := [name for name in dict.fromkeys(names) if names.count(name) > 1]:
-        wrong["given twice"] = twice
+            wrong.append(f"{shorten(method if isinstance(method, str) else repr(method))}: {text}")
     if wrong:
-        raise BadInput("\n".join(f"{', '.join(given)}: {error}" for error, given in wrong.items()))
+        raise BadInput("\n".join(wrong))
     if not ready:
-        raise MissingData("\n".join(f"{name}: {reason}" for name, reason in left_out.items()))
-    for name, reason in left_out.items():
-        logger.warning("%s is left out: %s", name, reason)
+        raise MissingData("\n".join(f"{one.method}: {one.error}" for one in left_out))
     return ready, left_out
-
-
-def _format_ends(low: float | None, high: float | None) -> str:
-    return NOTHING if low is None or high is None else format_interval(low, high)

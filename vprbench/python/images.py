@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from itertools import chain
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_type_hints
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +19,7 @@ from vprbench.api.images import Images
 from vprbench.api.levels import decoding_of
 from vprbench.errors import BadInput
 from vprbench.plugins import registry
-from vprbench.plugins.options import check_value
+from vprbench.plugins.options import check_values
 from vprbench.python.choices import as_plain
 from vprbench.storage.paths import Paths
 
@@ -38,7 +38,7 @@ def dataset_of(
     references: Traverse | Sequence[Traverse],
     queries: Traverse,
     name: str = "images",
-    tolerance: int = 0,
+    tolerance: NonNegativeInt = 0,
     positives: Sequence[int] | Sequence[Sequence[int]] | npt.NDArray[Any] | spmatrix | sparray | None = None,
     numbers: Literal["auto", "decimal", "whole"] = "auto",
     breaks: Literal["auto", "none"] = "auto",
@@ -68,15 +68,9 @@ def dataset_of(
         MissingData: a folder has no images.
         BadInput: an image cannot be read, or parts do not fit one another.
     """
-    for option, value, hint in (
-        ("tolerance", as_plain(tolerance), NonNegativeInt),
-        ("numbers", numbers, Literal["auto", "decimal", "whole"]),
-        ("breaks", breaks, Literal["auto", "none"]),
-        ("exif", exif, Exif),
-        ("shared_frames", shared_frames, SharedFrames),
-        ("ground_truth", ground_truth, Literal["index", "none"]),
-    ):
-        check_value(option, value, hint)
+    choices: dict[str, Any] = {"numbers": numbers, "breaks": breaks, "exif": exif, "shared_frames": shared_frames}
+    choices |= {"tolerance": as_plain(tolerance), "ground_truth": ground_truth}
+    check_values("", choices, get_type_hints(dataset_of, include_extras=True))
     by_order = positives is None and ground_truth == "index"
     if tolerance and not by_order:
         raise BadInput(f"tolerance={tolerance}: leave it out with positives= and with ground_truth=none")

@@ -2,26 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 
 import pandas as pd
 
 from vprbench.errors import BadInput
-from vprbench.plugins.entries import find_entries
-from vprbench.plugins.listing import Listed, describe_entry
+from vprbench.plugins.entries import Group, find_entries
+from vprbench.plugins.listing import describe_entry
+
+_SHOWN = ("name", "description", "provider")
 
 
 def methods() -> pd.DataFrame:
     """Return the registered methods, a row each; imports none of them."""
-    shown = [describe_entry(entry) for entry in find_entries("method").values()]
-    spiking = ["spiking" in each.tags for each in shown]
-    return _tabulate(shown).assign(spiking=spiking, needs_weights=[each.needs_weights for each in shown])
+    found = _tabulate("method")
+    spiking = found["tags"].map(lambda tags: "spiking" in tags)
+    return found.assign(spiking=spiking)[[*_SHOWN, "spiking", "needs_weights"]]
 
 
 def datasets() -> pd.DataFrame:
     """Return the registered datasets, a row each; looks for no frames."""
-    return _tabulate([describe_entry(entry) for entry in find_entries("dataset").values()])
+    return _tabulate("dataset")[[*_SHOWN]]
 
 
 def results(folder: str | Path = "results") -> pd.DataFrame:
@@ -44,6 +46,5 @@ def results(folder: str | Path = "results") -> pd.DataFrame:
     return found.astype(dict.fromkeys(numbers, float)).assign(hz=found["streaming_total_hz"].astype(float))
 
 
-def _tabulate(shown: Sequence[Listed]) -> pd.DataFrame:
-    columns = ("name", "description", "provider")
-    return pd.DataFrame([{column: getattr(each, column) for column in columns} for each in shown])
+def _tabulate(group: Group) -> pd.DataFrame:
+    return pd.DataFrame(map(asdict, map(describe_entry, find_entries(group).values())))

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
+from pydantic import NonNegativeInt
 
 from vprbench.api.arrays import Scores
 from vprbench.api.dataset import Dataset
@@ -19,6 +20,8 @@ from vprbench.metrics.accuracy import PRCurve, hits_at, pr_curve, recall_at
 from vprbench.metrics.catalogue import METRICS
 from vprbench.metrics.intervals import WiderInterval
 from vprbench.metrics.ranking import outcome_of_best
+from vprbench.plugins.options import check_value
+from vprbench.report.selection import MethodRuns
 from vprbench.runs import frame, rows
 from vprbench.runs.predictions import require_depth, tabulate_predictions
 from vprbench.runs.query_results import RIGHT, UNANSWERABLE, UNJUDGED, judge_answers
@@ -79,8 +82,11 @@ class Result:
         """
         run, answers = self.run, self.run.outcome
         if tolerance:
+            check_value("tolerance", tolerance, NonNegativeInt)
             require_depth(n, run.top_places.shape[1], answers.n_places)
-            wider = _widen_positives(run, tolerance)
+            numbers = np.arange(answers.n_places) if run.place_numbers is None else run.place_numbers
+            reach = np.arange(-tolerance, tolerance + 1)
+            wider = [np.flatnonzero(np.isin(numbers, np.add.outer(numbers[right], reach))) for right in run.positives]
             answers = outcome_of_best(run.top_scores, run.top_places.astype(np.int64), wider, answers.n_places)
         found = recall_at(answers, n)
         return NAN if found is None else found.expected
@@ -194,9 +200,8 @@ class Result:
     def plot_pr(self) -> Figure:
         """Return the figure of precision and recall; raises BadInput if no query has a right place."""
         from vprbench.report.figures.accuracy import draw_precision_recall
-        from vprbench.report.selection import MethodRuns
 
-        return draw_precision_recall([MethodRuns(self.name, self.run.spikes is not None, (self.run,))]).figure
+        return draw_precision_recall([MethodRuns(self.name, (self.run,))]).figure
 
     def plot_matrix(self) -> Figure:
         """Return the figure of ground truth and scores; raises BadInput if there were too many scores to keep."""
@@ -214,17 +219,3 @@ class Result:
         row = pd.DataFrame([{"dataset": self.run.dataset, **rows.format_row(self.run)}])
         notes = pd.DataFrame({"notes": self.notes}, dtype=object)
         return "".join(table.to_html(index=False, border=0) for table in (row, notes) if len(table))
-
-
-def _widen_positives(run: Run, tolerance: int) -> list[npt.NDArray[np.int64]]:
-    """Return per query the places that lie at most so many places, along the journey, from a right one, ascending."""
-    if tolerance < 0:
-        raise BadInput(f"tolerance={tolerance}: give 0 or more places")
-    numbers = np.arange(run.outcome.n_places) if run.place_numbers is None else run.place_numbers
-    wider = []
-    for right in run.positives:
-        first = np.searchsorted(numbers, numbers[right] - tolerance, side="left")
-        end = np.searchsorted(numbers, numbers[right] + tolerance, side="right")
-        near = [np.arange(*each) for each in zip(first, end, strict=True)]
-        wider.append(np.unique(np.concatenate([np.empty(0, np.int64), *near])))
-    return wider

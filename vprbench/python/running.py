@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, TypedDict, Unpack
+from typing import Any, TypedDict, Unpack, get_type_hints
 
-from vprbench.api.dataset import Dataset
+from vprbench.api.method import Method
 from vprbench.config import make_request
-from vprbench.errors import BadInput
-from vprbench.python.choices import AnyDataset, AnyMethod, Choice, choose_dataset, choose_method
+from vprbench.plugins.options import check_values
+from vprbench.python.choices import AnyDataset, AnyMethod, Choice, as_plain, choose_dataset, choose_method
 from vprbench.python.result import Result
+from vprbench.report.plan import flatten_arguments
 from vprbench.runs.experiment import Experiment, build_experiment
 from vprbench.runs.get_or_run import get_or_run
-from vprbench.runs.request import OPTIONS
+from vprbench.runs.request import RunRequest
 from vprbench.runs.store import Store
-from vprbench.text import suggest_names
 
 logger = logging.getLogger(__name__)
 
@@ -49,37 +49,39 @@ def run(method: AnyMethod, dataset: AnyDataset, **options: Unpack[Options]) -> R
     Dataset, as `vprbench.dataset_of(...)` makes one. Raises BadInput for values that do not fit, MissingData where
     weights or frames are missing, and what the method raises.
     """
-    return finish(prepare(method, choose_dataset(dataset), options))
+    where, data = choose_dataset(dataset)
+    request, make = request_run(method, where, options)
+    return finish_run(build_experiment(request, data, make))
 
 
-def prepare(method: AnyMethod, data: tuple[Choice, Dataset], options: Options) -> Experiment:
-    """Build and check a run whose results folder is empty if nothing is stored; raises BadInput, MissingData."""
-    for name in options:
-        if name in OPTIONS and name not in Options.__annotations__:
-            raise BadInput(f"option {name} is the command line's, where each run has a process: leave it out")
-        if name not in Options.__annotations__:
-            raise BadInput(f"option {name} is unknown: {suggest_names(name, Options.__annotations__)}")
-    if not isinstance(options.get("corruption"), str | None):
-        raise BadInput(f"corruption={options['corruption']}: give one name, as in corruption='shift-1'")
-    chosen = choose_method(method, options.get("seed"), options.get("device"))
-    where, dataset = data
-    values: dict[str, Any] = {name: str(each) if isinstance(each, Path) else each for name, each in options.items()}
-    timing = values.pop("timing", "quick")
-    if isinstance(timing, Mapping):
-        values |= {f"timing.{name}": value for name, value in timing.items()}
-    if chosen.unstored_reason is not None and values.get("results", "results") is not None:
-        logger.warning("the run of %s will not be stored: %s", chosen.name, chosen.unstored_reason)
-        values["results"] = None
-    if values.get("results", "results") is None:
-        values |= {"results": "", "cache": False, "frames": False}
-    values |= {**chosen.values, **where.values}
-    named = [*chosen.options, *where.options, *([f"timing={timing}"] if isinstance(timing, str) else [])]
+def request_run(
+    method: AnyMethod, dataset: Choice, options: Options
+) -> tuple[RunRequest, Callable[[Mapping[str, Any]], Method] | None]:
+    """Return the request of a run, whose results folder is empty if nothing is stored, and what makes an object.
+
+    Raises BadInput for a method and for options that do not fit.
+    """
+    given = check_values("", as_plain(options), get_type_hints(Options))
+    chosen = choose_method(method, given)
+    timing = given.pop("timing", "quick")
+    if chosen.unstored_reason is not None and given.get("results", "") is not None:
+        logger.warning("the run of %s will not be stored: %s", chosen.overrides[0], chosen.unstored_reason)
+        given["results"] = None
+    if given.get("results", "") is None:
+        given |= {"results": "", "cache": False, "frames": False}
+    values = {**given, **chosen.values, **dataset.values}
+    named = [each.overrides[0] for each in (chosen, dataset) if not each.described]
+    if isinstance(timing, str):
+        named.append(f"timing={timing}")
+    else:
+        values |= flatten_arguments(timing, "timing.")
     per_run = [f"{name}={values[name]}" for name in ("corruption", "seed") if values.get(name) is not None]
-    described = {**chosen.described, **where.described, "overrides": [*chosen.overrides, *where.overrides, *per_run]}
-    return build_experiment(make_request(named, values, described), dataset, chosen.make)
+    described = {**chosen.described, **dataset.described}
+    overrides = [*chosen.overrides, *dataset.overrides, *per_run]
+    return make_request(named, values, {**described, "overrides": overrides}), chosen.make
 
 
-def finish(experiment: Experiment) -> Result:
+def finish_run(experiment: Experiment) -> Result:
     """Return the result of a run, from the store or made now; raises what the method raises."""
     dataset, request = experiment.dataset, experiment.request
     if request.results:

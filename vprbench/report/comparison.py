@@ -20,23 +20,24 @@ from vprbench.plugins import registry
 from vprbench.plugins.options import parse_options
 from vprbench.progress import show_progress
 from vprbench.report.figures.make import draw_all, write_figures
-from vprbench.report.gather import Plan, Report, assemble_report, list_cells, load_stored_runs, run_missing
-from vprbench.report.missing_runs import Cell
+from vprbench.report.gather import assemble_report, list_cells, load_stored_runs
+from vprbench.report.missing_runs import Cell, make_missing_runs, resolve_results_folder
 from vprbench.report.page.make import write_page
-from vprbench.report.plan import PlannedColumn, Row
-from vprbench.report.robustness import Robustness, format_csv, format_markdown, list_lines, measure_robustness
+from vprbench.report.plan import Column, Plan, Row
+from vprbench.report.robustness import Robustness, format_markdown, list_lines, measure_robustness
 from vprbench.report.run_options import CompareRequest
-from vprbench.report.selection import ResolvedColumn, describe_frames, group_runs_by_column, list_accuracy_runs
-from vprbench.report.table import words
+from vprbench.report.selection import describe_condition, group_runs_by_column, list_method_runs
+from vprbench.report.table import formats
+from vprbench.report.table.cells import Report
 from vprbench.report.table.make import choose_exit_code, write_table
-from vprbench.report.table.quantities import RECALL
 from vprbench.runs.corruption import corrupt_queries, parse_corruptions
-from vprbench.runs.frame import format_label, iterate_rows
+from vprbench.runs.frame import format_label
 from vprbench.runs.identity import compute_fingerprint
 from vprbench.runs.predictions import require_depth, tabulate_predictions, write_csv
 from vprbench.runs.request import OPTIONS
 from vprbench.runs.rows import describe_sequence
 from vprbench.runs.sequences import name_views, parse_views
+from vprbench.runs.store import Store
 from vprbench.runs.viewpoints import parse_viewpoints, record_viewpoints
 from vprbench.storage.atomic import replace_text
 from vprbench.terminal.console import format_line, show_table
@@ -44,8 +45,6 @@ from vprbench.terminal.streams import complain
 from vprbench.text import join_names
 
 logger = logging.getLogger(__name__)
-
-_LEAST = ("peak MB", "AUC-PR (A)", "R@5 %")  # columns that a narrow terminal lacks first
 
 
 def make_comparison(options: Sequence[str]) -> int:
@@ -57,26 +56,27 @@ def make_comparison(options: Sequence[str]) -> int:
     if not request.stored and not request.needs_dask:
         start_server()  # imports while the comparison is checked
     with show_progress("compare"):
-        chosen, dataset = _plan_comparison(request, of_methods, of_dataset, of_runs)
+        plan, dataset = _plan_comparison(request, of_methods, of_dataset, of_runs)
     if dataset is not None and not request.stored and (found := look_at_some(dataset)):
         doctor = shlex.join(["vprbench", "doctor", *of_dataset])
         print(format_line(f"note: {'; '.join(found)}: {doctor} says more", "yellow"), flush=True)
     with choose_executor(request) as executor:
-        results = run_missing(chosen, [] if request.stored else _list_missing(chosen, of_runs), executor)
-    groups = group_runs_by_column(*load_stored_runs(chosen), chosen.columns, chosen.rows)
+        cells = [] if plan.stored else _list_missing(plan, of_runs)
+        results = make_missing_runs(cells, Store(resolve_results_folder(plan.results)), executor)
+    groups = group_runs_by_column(*load_stored_runs(plan), plan.columns, plan.rows)
     clean, *corrupted = (group for group in groups if group.number == 1)
-    compared = assemble_report(chosen, [clean], clean.runs, results)
-    show_comparison(compared, request.wide)
+    compared = assemble_report(plan, [clean], clean.runs, results)
+    print(formats.to_terminal(compared, request.wide))
     robust = None
     if corrupted:
-        of_clean, *of_each = (list_accuracy_runs(group, compared.chosen.rows) for group in (clean, *corrupted))
+        of_clean, *of_each = (list_method_runs(group, compared.plan.rows) for group in (clean, *corrupted))
         robust = measure_robustness(of_clean, dict(zip(parse_corruptions(request.corruptions), of_each, strict=True)))
         table = list_lines(robust)
-        print()
         show_table([*table[0]], [[*line.values()] for line in table], request.wide)
+        print()
     best = predict_places(compared, dataset, request.predictions)
     files = write_comparison(compared, Path(request.results).expanduser(), request.name or "", robust, best)
-    print("\nwritten to", *files, sep="\n  ")
+    print("written to", *files, sep="\n  ")
     return choose_exit_code(results)
 
 
@@ -87,40 +87,38 @@ def sort_options(options: Sequence[str]) -> tuple[CompareRequest, dict[str, list
     """
     own: list[str] = []
     of_dataset: list[str] = []
-    rest: list[str] = []
+    rest: list[tuple[str, str, str]] = []  # option, its part above the dot, and the part below
     for option in options:
-        name = option.partition("=")[0]
-        above = name.partition(".")[0]
+        above, _, argument = option.partition("=")[0].partition(".")
         if above in CompareRequest.refused:
             raise BadInput(
                 f"{option}: a comparison takes methods=NAME,NAME, seeds=NUMBER, corruptions=NAME,NAME, and "
                 "NAME.option=value for an option of one of the methods"
             )
-        if name == "device":
+        if above == "device":
             own.append(f"devices{option.removeprefix('device')}")
         elif CompareRequest.has(option):
             own.append(option)
+        elif above == "dataset":
+            of_dataset.append(option)
         else:
-            (of_dataset if above == "dataset" else rest).append(option)
+            rest.append((option, above, argument))
     for name, given in (("methods", own), ("dataset", of_dataset)):
         if not any(option.startswith(f"{name}=") for option in given):
             raise BadInput(f"{name}= is missing: give names, as in methods=sad,hog dataset=folders; see vprbench list")
     request = parse_options(CompareRequest, own, {})
     of_methods: dict[str, list[str]] = {name: [] for name in request.methods}
-    of_runs: list[str] = []
-    for option in rest:
-        above, dot, argument = option.partition("=")[0].partition(".")
-        if dot and above in of_methods:
+    of_runs = [] if any(option.startswith("timing=") for option in options) else ["timing=quick"]
+    for option, above, argument in rest:
+        if argument and above in of_methods:
             if argument in ("seed", "device"):
                 raise BadInput(f"{option}: give seeds=NUMBER and device=, for all methods")
             of_methods[above].append(f"method{option.removeprefix(above)}")
-        elif dot and above not in OPTIONS:
+        elif argument and above not in OPTIONS:
             wanted = ", ".join(f"{name}.{argument}" for name in of_methods)
             raise BadInput(f"option {above}.{argument} is of no method here: give {wanted}")
         else:
             of_runs.append(option)
-    if not any(option.startswith("timing=") for option in of_runs):
-        of_runs = ["timing=quick", *of_runs]
     return request, of_methods, of_dataset, [*of_runs, *request.threads(of_runs)]
 
 
@@ -156,7 +154,7 @@ def _plan_comparison(
     if wrong:
         raise BadInput(wrong[-1])
     title = request.name or run.dataset_name
-    clean = ResolvedColumn(PlannedColumn(title, title, tuple(of_dataset)), run.dataset, views=request.views)
+    clean = Column(title, title, tuple(of_dataset), dataset=run.dataset, views=request.views)
     plan = Plan(
         rows=tuple(rows),
         columns=tuple(_list_columns(clean, request.corruptions, dataset, run.n_threads)),
@@ -171,9 +169,7 @@ def _plan_comparison(
     return plan, dataset
 
 
-def _list_columns(
-    clean: ResolvedColumn, corruptions: Sequence[str], dataset: Dataset | None, threads: int
-) -> Iterator[ResolvedColumn]:
+def _list_columns(clean: Column, corruptions: Sequence[str], dataset: Dataset | None, threads: int) -> Iterator[Column]:
     """Yield the clean column and that of each corruption, by the frames of the dataset if there is one.
 
     Raises BadInput if there is no accuracy that a corruption could lower.
@@ -181,11 +177,11 @@ def _list_columns(
     if corruptions and dataset is not None and not any(map(len, dataset.positives)):
         raise BadInput(f"corruptions={','.join(corruptions)}: no query of {dataset.name} has a right place to lose")
     for name in (None, *(one.name for one in parse_corruptions(corruptions))):
-        frames = None
+        condition = None
         if dataset is not None:
             seen = corrupt_queries(dataset, name)
-            frames = describe_frames(compute_fingerprint(seen), seen.protocol, threads)
-        yield replace(clean, corruption=name, frames=frames)
+            condition = describe_condition(compute_fingerprint(seen), seen.protocol, threads)
+        yield replace(clean, corruption=name, condition=condition)
 
 
 def _make_row(name: str, options: Sequence[str], request: CompareRequest) -> Row:
@@ -202,63 +198,22 @@ def _make_row(name: str, options: Sequence[str], request: CompareRequest) -> Row
                 raise
     entry = registry.find_entries("method")[name]
     own = [option.removeprefix("method.") for option in options if option.startswith("method.")]
-    return Row(
-        " ".join([name, *own]),
-        name,
-        training="own" if "seed" in entry.options else "map",
-        spiking="spiking" in entry.tags,
-        arguments=run.changed,
-        seeds=tuple(range(request.seeds)) if "seed" in entry.options else (0,),
-    )
+    seeds = tuple(range(request.seeds)) if "seed" in entry.options else None
+    return Row.of_method(" ".join([name, *own]), name, seeds, spiking="spiking" in entry.tags, arguments=run.changed)
 
 
-def _list_missing(chosen: Plan, of_runs: Sequence[str]) -> list[Cell]:
+def _list_missing(plan: Plan, of_runs: Sequence[str]) -> list[Cell]:
     """Return the runs on clean frames, then those of corrupted queries: on the first device, and untimed.
 
     A process fits a row's method once for all corruptions.
     """
-    clean, *corrupted = chosen.columns
-    cells = [*list_cells(chosen, clean, chosen.rows, [*of_runs, *["scores=true"] * bool(chosen.views)])]
+    clean, *corrupted = plan.columns
+    cells = [*list_cells(plan, clean, plan.rows, [*of_runs, *["scores=true"] * bool(plan.views)])]
     if corrupted:
         untimed = [*(option for option in of_runs if not option.startswith("timing")), "timing=none", "frames=false"]
         together = replace(clean, corruption=[str(column.corruption) for column in corrupted])
-        cells += list_cells(replace(chosen, devices=chosen.devices[:1]), together, chosen.rows, untimed)
+        cells += list_cells(replace(plan, devices=plan.devices[:1]), together, plan.rows, untimed)
     return cells
-
-
-def show_comparison(found: Report, wide: bool = False) -> None:
-    """Print notes, the ranked table and the results of tests; of several views R@1 alone, side by side."""
-    table, groups_shown = found.table, [group for group in found.groups if group.runs]
-    heads = ["method", *(quantity.heading for quantity in table.quantities)]
-    cells = words.describe_cells(table)
-    print(format_line(f"{table.title}: {table.columns[0].data}", fits=True))
-    if len(table.columns) > 1:
-        for run in (group.runs[0] for group in groups_shown):
-            print(format_line(f"{describe_sequence(run)}: {len(run.outcome):,} queries"))
-        heads = ["R@1 %", *(describe_sequence(group.runs[0]) for group in groups_shown)]
-        cells = cells[(table.cells["quantity"] == RECALL.name).to_numpy()]
-    for row, of_row in table.cells.groupby("row", sort=False):
-        for number in sorted({number for notes in of_row["notes"] for number in notes}):
-            print(format_line(f"note: {row}: {table.notes[number - 1]}", "yellow"))
-    print()
-    texts = [[str(name), *_list_texts(of_row)] for name, of_row in cells.groupby("row", sort=False)]
-    usual = [one.heading for one in table.quantities if one.metric is None or one.name not in found.chosen.metrics]
-    show_table(heads, texts, wide, [*dict.fromkeys([*_LEAST, *usual[:0:-1]])])
-    if any(table.cells["disturbed"]):
-        print(format_line("~ a busy machine or too few laps", "dim"))
-    print()
-    for group, ranking in zip(groups_shown, found.rankings, strict=True):
-        above = f"{describe_sequence(group.runs[0])}: " if len(groups_shown) > 1 else ""
-        print(*(format_line(f"{above}{sentence}", "bold") for sentence in ranking.sentences), sep="\n")
-
-
-def _list_texts(cells: pd.DataFrame) -> Iterator[str]:
-    """Yield the text of a row's cells, the word for an absent number once in a column."""
-    for _, of_column in cells.groupby("column", sort=False):
-        first = of_column["absence"].iloc[0]
-        for number, cell in enumerate(iterate_rows(of_column)):
-            absence = cell.absence if number == 0 or cell.text or cell.absence != first else ""
-            yield " ".join(filter(None, [absence, cell.text, cell.extent]))
 
 
 def predict_places(compared: Report, dataset: Dataset | None, n: int | None) -> pd.DataFrame | None:
@@ -271,7 +226,7 @@ def predict_places(compared: Report, dataset: Dataset | None, n: int | None) -> 
         return None
     tables = []
     for group in compared.groups:
-        for one in list_accuracy_runs(group, compared.chosen.rows):
+        for one in list_method_runs(group, compared.plan.rows):
             for run in one.runs:
                 table = tabulate_predictions(run, min(n or 10, run.top_places.shape[1]), dataset)
                 about = {"method": one.name, "seed": run.config["seed"], "answers": describe_sequence(run)}
@@ -298,9 +253,9 @@ def write_comparison(
     """
     from vprbench.report.figures.accuracy import draw_robustness
 
-    beside_others, name = not name, name or found.chosen.columns[0].planned.name
-    name += "-views" * (found.chosen.columns[0].views is not None) + name_views(found.chosen.views)
-    images = found.runs[0].fingerprint
+    column, images = found.plan.columns[0], found.runs[0].fingerprint
+    beside_others, name = not name, name or column.title
+    name += "-views" * (column.views is not None) + name_views(found.plan.views)
     if beside_others and not _read_earlier(folder / f"{name}-runs.csv")["fingerprint"].map(images.startswith).all():
         name = f"{name}-{images[:6]}"
     replaced = {*_read_earlier(folder / f"{name}-runs.csv")["method"]} - {format_label(run) for run in found.runs}
@@ -312,15 +267,15 @@ def write_comparison(
     if best is not None:
         files.append(write_csv(best, folder / f"{name}-predictions.csv"))
     if robust is not None:
-        title = str(found.table.title)
-        for ending, text in (("md", format_markdown(robust, title)), ("csv", format_csv(robust))):
+        table = robust.points.to_csv(index=False, lineterminator="\n")
+        for ending, text in (("md", format_markdown(robust, found.plan.heading)), ("csv", table)):
             files.append(folder / f"{name}-robustness.{ending}")
             replace_text(files[-1], text)
     absent: list[str] = []
     with show_progress("compare, figures"):
-        drawings = list(draw_all(found, found.runs, report=absent.append))
+        drawings = list(draw_all(found, absent.append))
         if robust is not None:
-            drawings.append((f"robustness-{found.chosen.columns[0].planned.name}", draw_robustness(robust)))
+            drawings.append((f"robustness-{column.name}", draw_robustness(robust)))
         *_, captions = write_figures(drawings, folder / "figures" / name)
         for path in captions.parent.glob("*.p[dn][fg]"):  # of an earlier comparison of this name
             if path.stem not in dict(drawings):

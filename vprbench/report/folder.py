@@ -2,30 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
-from typing import Any
 
 from vprbench.errors import BadInput
-from vprbench.report.gather import Plan, Report, assemble_report, load_stored_runs
+from vprbench.report.gather import assemble_report, load_stored_runs
 from vprbench.report.missing_runs import resolve_results_folder
-from vprbench.report.plan import PlannedColumn, Row
+from vprbench.report.plan import Column, Plan, Row
 from vprbench.report.run_options import FolderRequest
-from vprbench.report.selection import (
-    DatasetRuns,
-    ResolvedColumn,
-    format_plain_values,
-    number_groups,
-    split_by_frames,
-)
+from vprbench.report.selection import format_plain_values, group_runs_by_column
 from vprbench.report.table import formats
+from vprbench.report.table.cells import Report
 from vprbench.report.table.make import write_table
 from vprbench.runs.frame import format_label
 from vprbench.runs.record import Failure, Run
 from vprbench.runs.request import RunRequest
-from vprbench.runs.rows import format_value
 from vprbench.runs.sequences import Views, parse_views
-from vprbench.runs.store import Store
 from vprbench.text import suggest_names
 
 
@@ -60,10 +52,11 @@ def print_sweep(keys: Collection[str], request: RunRequest) -> None:
     are not in the table.
     """
     views = parse_views(request.sequence, request.filter)
-    runs = [run for run in Store(resolve_results_folder(request.results)).runs() if run.key in keys]
+    shown = FolderRequest(results=request.results)
+    runs = [run for run in load_stored_runs(shown)[0] if run.key in keys]
     if any(run.config.get("corruption") is None for run in runs):
         found = report_runs(runs, (), "sweep", request.results, request.metrics, views=views)
-        print(f"\n{formats.to_terminal(found.table, request.wide)}")
+        print(f"\n{formats.to_terminal(found, request.wide)}")
         print("written to", *write_table(found, resolve_results_folder(request.results), "sweep"), sep="\n  ")
 
 
@@ -82,10 +75,9 @@ def report_runs(
     """
     runs = [run for run in runs if run.config.get("corruption") is None]
     failures = [failure for failure in failures if failure.config.get("corruption") is None]
-    groups = group_runs(runs, failures)
-    chosen = Plan(
-        rows=describe_rows([*runs, *failures]),
-        columns=tuple(group.column for group in groups),
+    plan = Plan(
+        rows=_describe_rows([*runs, *failures]),
+        columns=_list_columns(runs),
         devices=tuple(sorted({str(run.config["device"]) for run in runs})),
         metrics=tuple(metrics),
         results=results,
@@ -94,10 +86,21 @@ def report_runs(
         title=title,
         views=tuple(views),
     )
-    return assemble_report(chosen, groups, [run for group in groups for run in group.runs])
+    groups = group_runs_by_column(runs, failures, plan.columns, plan.rows)
+    return assemble_report(plan, groups, [run for group in groups for run in group.runs])
 
 
-def describe_rows(results: Iterable[Run | Failure]) -> tuple[Row, ...]:
+def _list_columns(runs: Iterable[Run]) -> tuple[Column, ...]:
+    """Return a column for each dataset and its viewpoints."""
+    columns = {}
+    for run in sorted(runs, key=lambda run: run.dataset):
+        views, dataset = run.config.get("views"), {"name": run.config["dataset"].get("name", run.dataset)}
+        name = run.dataset + "-views" * (views is not None)
+        columns[format_plain_values([dataset, views])] = Column(name, run.dataset, (), dataset=dataset, views=views)
+    return tuple(columns.values())
+
+
+def _describe_rows(results: Iterable[Run | Failure]) -> tuple[Row, ...]:
     """Return a row for each method and its arguments, named as on the command line, with the seeds of its runs."""
     alike: dict[str, list[Run | Failure]] = {}
     for result in results:
@@ -106,40 +109,13 @@ def describe_rows(results: Iterable[Run | Failure]) -> tuple[Row, ...]:
     for of_row in alike.values():
         first, label = of_row[0], format_label(of_row[0])
         seeds = tuple(sorted({int(result.config["seed"]) for result in of_row}))
-        learns = "seed" in first.config["method"]
         name = label if label not in rows else f"{label} ({sum(each.startswith(label) for each in rows) + 1})"
-        rows[name] = Row(
+        rows[name] = Row.of_method(
             name,
             first.method,
-            training="own" if learns else "map",
+            seeds if "seed" in first.config["method"] else None,
+            seeds[0],
             spiking=any(isinstance(result, Run) and result.spikes is not None for result in of_row),
             arguments=first.config["changed"],
-            seeds=seeds if learns else seeds[:1],
         )
     return tuple(rows.values())
-
-
-def group_runs(runs: Sequence[Run], failures: Sequence[Failure]) -> list[DatasetRuns]:
-    """Return the runs of each dataset by protocol and frames, the group with the newest run first."""
-    found: list[DatasetRuns] = []
-    for dataset in sorted({run.dataset for run in runs}):
-        sets = split_by_frames(run for run in runs if run.dataset == dataset)
-        titles = _name_protocols(dataset, [members[0].protocol for members in sets])
-        columns = [
-            ResolvedColumn(PlannedColumn(dataset, title, ()), first.config["dataset"], views=first.config.get("views"))
-            for title, (first, *_) in zip(titles, sets, strict=True)
-        ]
-        found += number_groups(columns, sets, (failure for failure in failures if failure.dataset == dataset))
-    return found
-
-
-def _name_protocols(dataset: str, protocols: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return a title for each protocol of a dataset: its name, and the first parts that tell the protocols apart."""
-    names = dict.fromkeys(name for protocol in protocols for name in protocol)
-    titles = [dataset] * len(protocols)
-    for name in names:
-        values = [each.get(name) for each in protocols]
-        if len({*titles}) < len(titles) and any(value != values[0] for value in values):
-            part = name.replace("_", " ")
-            titles = [f"{title}, {part} {format_value(value)}" for title, value in zip(titles, values, strict=True)]
-    return titles

@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 import csv
+import json
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, TypeVar
 
 import yaml
-from pydantic import Field
+from pydantic import Field, TypeAdapter, ValidationError
 
 from vprbench.errors import BadInput
-from vprbench.plugins.options import check_value
+from vprbench.runs.sequences import Views
+from vprbench.text import shorten
 
 Boundary = Literal["encode", "match"]  # the step that the published query rate of a row covers
 Training = Literal["own", "none", "pretrained", "map"]  # map: it builds the map and trains nothing
 Seeds = Annotated[tuple[int, ...], Field(min_length=1)]
 Numbers = Mapping[tuple[str, str], Mapping[str, float | None]]
 _FORBID = {"extra": "forbid"}
+Content = TypeVar("Content", bound="MoreRows")
 
 PLAN_FILE = "paper/table2.yaml"  # in conf/: the plan of `vprbench table`
 
@@ -40,6 +43,11 @@ class Row:
     most_places: int | None = None  # with more it takes too long for a table; None: any number
     seeds_unless_full: int | None = None  # the first so many of `seeds` unless slow rows are to run in full; None: all
 
+    @classmethod
+    def of_method(cls, name: str, method: str, seeds: tuple[int, ...] | None, seed: int = 0, **more: Any) -> Row:
+        """Return the row of a method that learns from `seeds`; None: it takes none, and its run has this `seed`."""
+        return cls(name, method, training="map" if seeds is None else "own", seeds=seeds or (seed,), **more)
+
     @property
     def learns_here(self) -> bool:
         """Tell whether there is a time in which it learns the map, by training or without."""
@@ -47,7 +55,7 @@ class Row:
 
 
 @dataclass(frozen=True)
-class PlannedColumn:
+class Column:
     """A group of columns: a dataset with its options, and the published dataset that it stands beside."""
 
     __pydantic_config__: ClassVar[Any] = _FORBID
@@ -60,6 +68,11 @@ class PlannedColumn:
     on_request: bool = False  # shown only where columns= names it
     frames: str | None = None  # the option of a table that gives the root of its dataset
     remark: str | None = None  # fixed words on the data
+    # Of a request:
+    dataset: Mapping[str, Any] = field(default_factory=dict)  # its resolved arguments
+    corruption: str | list[str] | None = None  # of the query frames; None: they are clean
+    views: Any = None  # the option that says from which viewpoints queries are asked
+    condition: str | None = None  # of its runs alone (`selection.describe_condition`); None: runs of these arguments
 
 
 @dataclass(frozen=True)
@@ -73,11 +86,11 @@ class Growth:
     sizes: tuple[int, ...]  # places
     queries: int  # at most
 
-    def column(self, places: int) -> PlannedColumn:
+    def column(self, places: int) -> Column:
         """Return the column of one size; of the synthetic route the first 2/11 of the places are not queried."""
         queries = min(self.queries, places - round(places * 2 / 11))
         options = (*self.options, f"dataset.places={places}", f"dataset.query_places={queries}")
-        return PlannedColumn(f"growth_{places}", f"{places:,} places", options)
+        return Column(f"growth_{places}", f"{places:,} places", options)
 
 
 @dataclass(frozen=True)
@@ -103,29 +116,71 @@ class Published:
         return next((f"{self.figures[kind]}-{name}" for kind in kinds), name)
 
 
-_BY_NAME: dict[str, type] = {"rows": Row, "more_rows": Row, "columns": PlannedColumn}
-_WHOLE: dict[str, Any] = {"growth": Growth, "seeds": Seeds, "published": Published}
-
-
 @dataclass(frozen=True)
-class PlanFile:
+class MoreRows:
+    """The rows and columns that a plug-in brings, by name."""
+
+    __pydantic_config__: ClassVar[Any] = _FORBID
+
+    rows: Mapping[str, Row] = field(default_factory=dict)  # of a plug-in: on request
+    columns: Mapping[str, Column] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlanFile(MoreRows):
     """Everything in conf/paper/table2.yaml, by name."""
 
-    rows: Mapping[str, Row]  # shown unless a request names others
     more_rows: Mapping[str, Row]  # on request
-    columns: Mapping[str, PlannedColumn]
     growth: Growth
-    seeds: tuple[int, ...] = (0,)  # of rows that methods= names by their method and that learn from a seed
+    seeds: Seeds  # of rows that methods= names by their method and that learn from a seed
     published: Published | None = None
 
 
-#: The plan of runs that no table names.
-NO_PLAN = PlanFile({}, {}, {}, Growth((), (), (), 0))
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """The rows and columns of a request, resolved."""
+
+    rows: tuple[Row, ...]
+    columns: tuple[Column, ...]
+    devices: tuple[str, ...] = ("cpu",)
+    full: bool = True
+    metrics: tuple[str, ...] = ()
+    results: str = "results"
+    stores: tuple[str, ...] = ()  # results folders of other machines
+    stored: bool = False  # nothing is run
+    views: tuple[Views, ...] = ()  # views of the stored runs that are shown; none: the runs themselves
+    title: str | None = None  # None: of the published table, whose rows stay in their order
+    published: Published | None = None  # the table that it stands beside
+    growth_rows: tuple[Row, ...] = ()  # whose time against places is drawn, with one seed each
+    growth_columns: tuple[Column, ...] = ()  # one of each size
+
+    @property
+    def heading(self) -> str:
+        """The title above its table."""
+        return self.title or (self.published.title if self.published else "Runs")
+
+    def is_slow(self, column: Column, row: Row) -> bool:
+        """Tell whether a row takes too long in a column for the time that a table has."""
+        places = column.dataset.get("places")
+        too_many = row.most_places is not None and isinstance(places, int) and places > row.most_places
+        return too_many and not self.full
+
+
+def flatten_arguments(arguments: Mapping[str, Any], above: str = "") -> dict[str, Any]:
+    """Return arguments by their names after `above`; a value inside a mapping has a dotted name."""
+    found: dict[str, Any] = {}
+    for name, value in arguments.items():
+        found |= (
+            flatten_arguments(value, f"{above}{name}.")
+            if isinstance(value, Mapping) and value
+            else {f"{above}{name}": value}
+        )
+    return found
 
 
 def read_plan(path: Path) -> PlanFile:
     """Read the plan; raises BadInput, naming the file, where a part is missing or unknown."""
-    plan = PlanFile(**_read_parts(path, {*_BY_NAME, *_WHOLE}))
+    plan = _read_file(path, PlanFile)
     if plan.published is None:
         return plan
     numbers = _read_published_numbers(path.parent / plan.published.numbers_file)
@@ -138,50 +193,42 @@ def add_plug_ins(plan: PlanFile, folders: Mapping[str, Path]) -> PlanFile:
     A plug-in's `table/*.yaml` may hold `rows` and `columns` as ours does; a request names what it shows of them. Raises
     BadInput if a name is taken.
     """
-    rows, columns = dict(plan.more_rows), dict(plan.columns)
     for provider, folder in folders.items():
         for path in sorted((folder / "table").glob("*.yaml")) if provider != "vprbench" else ():
-            more = _read_parts(path, {"rows", "columns"}, columns)
-            if taken := _list_names(more["rows"], more["columns"]) & _list_names({**plan.rows, **rows}, columns):
+            more = _read_file(path, MoreRows, plan.columns)
+            known = {**plan.rows, **plan.more_rows}
+            if taken := _list_names(more.rows, more.columns) & _list_names(known, plan.columns):
                 raise BadInput(
                     f"{path}: {', '.join(sorted(taken))} of {provider} is the name of another one: rename it"
                 )
-            rows |= more["rows"]
-            columns |= {name: replace(column, on_request=True) for name, column in more["columns"].items()}
-    return replace(plan, more_rows=rows, columns=columns)
+            columns = {name: replace(column, on_request=True) for name, column in more.columns.items()}
+            plan = replace(plan, more_rows={**plan.more_rows, **more.rows}, columns={**plan.columns, **columns})
+    return plan
 
 
 def _list_names(rows: Mapping[str, Row], columns: Collection[str]) -> set[str]:
     return {*rows, *(row.name for row in rows.values()), *columns}
 
 
-def _read_parts(path: Path, names: Collection[str], known: Collection[str] = ()) -> dict[str, Any]:
-    """Return the parts of a yaml, rows and columns by name; `known` columns may be stood in for too."""
+def _read_file(path: Path, kind: type[Content], known: Collection[str] = ()) -> Content:
+    """Return the content of a yaml, whose rows and columns have the names of their keys; raises BadInput.
+
+    A column may stand in for `known` ones too.
+    """
     try:
-        content: dict[str, Any] = {"rows": {}, "columns": {}, **yaml.safe_load(path.read_text(encoding="utf-8"))}
-        if wrong := (content.keys() ^ names) - ({"published"} & {*names}):
-            raise ValueError(f"{', '.join(wrong)} is missing or unknown")
-        named = {
-            group: {name: {"name": name, **given} for name, given in content[group].items()}
-            for group in content.keys() & _BY_NAME.keys()
-        }
-    except (OSError, yaml.YAMLError, TypeError, ValueError, AttributeError) as error:
+        content: dict[str, Any] = yaml.safe_load(path.read_text(encoding="utf-8"))
+        for group in content.keys() & {"rows", "more_rows", "columns"}:
+            content[group] = {name: {"name": name, **given} for name, given in content[group].items()}
+        found = TypeAdapter(kind).validate_json(json.dumps(content), strict=True)  # a list there may be a tuple here
+    except ValidationError as error:
+        wrong = (shorten(f"{'.'.join(map(str, one['loc']))}={one['input']}: {one['msg']}") for one in error.errors())
+        raise BadInput(f"{path}: {'; '.join(wrong)}") from error
+    except (OSError, yaml.YAMLError, TypeError, AttributeError) as error:
         raise BadInput(f"{path} is no plan of a table ({error}): compare it with the one of this project") from error
-    parts = {
-        group: check_value(f"{path}: {group}", content[group], kind)
-        for group, kind in _WHOLE.items()
-        if group in content
-    }
-    for group, given in named.items():
-        parts[group] = {
-            name: check_value(f"{path}: {group}.{name}", each, _BY_NAME[group]) for name, each in given.items()
-        }
-    columns = [*known, *parts["columns"]]
-    for column in parts["columns"].values():
-        if column.stand_in_for not in (None, *columns):
-            stood_in = f"names {column.stand_in_for}, which is none: there are {columns}"
-            raise BadInput(f"{path}: column {column.name} {stood_in}")
-    return parts
+    for name, column in found.columns.items():
+        if column.stand_in_for not in (None, *known, *found.columns):
+            raise BadInput(f"{path}: column {name} stands in for {column.stand_in_for}, which is no column")
+    return found
 
 
 def _read_published_numbers(path: Path) -> Numbers:

@@ -12,7 +12,7 @@ import pandas as pd
 
 from vprbench.metrics.intervals import difference_interval
 from vprbench.report.selection import MethodRuns
-from vprbench.report.table.best import Contestant, average_recall, compute_rate, find_best_rate
+from vprbench.report.table.best import average_recall, compute_rate, find_best_rate
 from vprbench.report.table.quantities import RATES, RECALL
 from vprbench.runs.frame import iterate_rows
 from vprbench.runs.recall_intervals import estimate_recall_interval, list_hits
@@ -86,7 +86,7 @@ def _describe_first(rows: Sequence[Any]) -> list[str]:
     percent = f"{format_percent(first.recall_at_1)} %"
     if len(rows) == 1:
         return [f"{name} finds {percent}."]
-    contest = [Contestant(row.method, row.runs, True) for row in rows]
+    contest = [MethodRuns(row.method, row.runs) for row in rows]
     is_best = RECALL.best(contest) is not None
     verdict = f"is best: {percent}," if is_best else f"leads with {percent}, but no test separates it from all others:"
     sentences = [f"{name} {verdict} {_describe_difference(first, rows[1])}."]

@@ -120,8 +120,3 @@ def format_markdown(found: Robustness, title: str) -> str:
             "",
         ]
     )
-
-
-def format_csv(found: Robustness) -> str:
-    """Return a line for each row and corruption, unrounded."""
-    return str(found.points.to_csv(index=False, lineterminator="\n"))

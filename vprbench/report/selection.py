@@ -8,10 +8,10 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, TypeVar
 
-from vprbench.report.plan import PlannedColumn, Row
+from vprbench.report.plan import Column, Row
 from vprbench.runs.machine import Machine
 from vprbench.runs.record import Failure, Run
-from vprbench.runs.rows import describe_sequence, format_value
+from vprbench.runs.rows import format_value
 from vprbench.runs.sequences import NoScoresError, Views, name_views
 from vprbench.runs.viewpoints import parse_viewpoints
 
@@ -21,56 +21,54 @@ DEVICES: tuple[Device, ...] = ("cpu", "cuda")
 Result = TypeVar("Result", Run, Failure)
 
 _PER_RUN = ("_target_", "seed", "device")  # arguments of a method in which the runs of a row differ
-
-
-@dataclass(frozen=True)
-class ResolvedColumn:
-    """A column of the table and the arguments of its dataset."""
-
-    planned: PlannedColumn
-    dataset: Mapping[str, Any]  # the resolved arguments of the dataset, as a run's configuration holds them
-    corruption: str | list[str] | None = None  # of the query frames; None: they are clean
-    views: Any = None  # the option that says from which viewpoints queries are asked
-    frames: str | None = None  # runs of these frames alone belong to it (`describe_frames`); None: of these arguments
+_COUNTS = {"places", "query_places", "reference_places"}  # of a protocol, which follow from the rest of it
 
 
 @dataclass(frozen=True)
 class DatasetRuns:
     """The runs of one column that answer the same question: one protocol, the same images and ground truth."""
 
-    column: ResolvedColumn
+    column: Column
     number: int  # 1 holds the newest run of the column; older protocols and images are numbered on
     runs: tuple[Run, ...]  # of all rows, devices and seeds
     failures: tuple[Failure, ...]  # all in number 1, for a failure has no images
     view: str = ""  # in the names of files, where runs are shown in a view
+    title: str = ""  # for people, different from that of other groups
 
     @property
     def name(self) -> str:
         """The name of the group in columns and files."""
-        return "-".join(filter(None, [self.column.planned.name, self.view, str(self.number) * (self.number > 1)]))
+        return "-".join(filter(None, [self.column.name, self.view, str(self.number) * (self.number > 1)]))
 
-
-@dataclass(frozen=True)
-class RowRuns:
-    """The runs of one row in one column on one kind of device, alike in all but their seed."""
-
-    runs: tuple[Run, ...]  # one a seed, ascending
-    n_aside: int  # stored runs that are not shown: of other code or settings, older, or of other seeds
-    missing_seeds: tuple[int, ...]
-    failures: tuple[Failure, ...]  # the newest of each missing seed, ascending
+    @property
+    def data(self) -> str:
+        """Places, queries and protocol in one line."""
+        facts = ["no run is stored"]
+        if self.runs:
+            run = self.runs[0]
+            facts = [f"{run.outcome.n_places:,} places", f"{len(run.outcome):,} queries", describe_protocol(run)]
+        facts += [f"stands in for {self.column.stand_in_for}"] if self.column.stand_in_for else []
+        return "; ".join(filter(None, facts))
 
 
 @dataclass(frozen=True)
 class MethodRuns:
-    """Runs of one method that differ in their seed alone, on one dataset, protocol and kind of device."""
+    """Runs of one row that differ in their seed alone, on one dataset, protocol and kind of device."""
 
     name: str  # the row's, as in the table
-    spiking: bool
-    runs: tuple[Run, ...]  # one a seed, ascending; at least one
+    runs: tuple[Run, ...]  # one a seed, ascending
+    missing_seeds: tuple[int, ...] = ()
+    failures: tuple[Failure, ...] = ()  # the newest of each missing seed, ascending
+    n_aside: int = 0  # stored runs that are not shown: of other code or settings, older, or of other seeds
+
+    @property
+    def coverage(self) -> tuple[int, int]:
+        """How many seeds have a run, and how many a failure; accuracies are of the device with the most."""
+        return len(self.runs), len(self.failures)
 
 
 def group_runs_by_column(
-    runs: Iterable[Run], failures: Iterable[Failure], columns: Sequence[ResolvedColumn], rows: Sequence[Row]
+    runs: Iterable[Run], failures: Iterable[Failure], columns: Sequence[Column], rows: Sequence[Row]
 ) -> list[DatasetRuns]:
     """Put runs and failures of the rows into the columns, in the columns' order.
 
@@ -78,31 +76,20 @@ def group_runs_by_column(
     empty group where it has no run. The order of `runs` changes nothing.
     """
 
-    def select(results: Iterable[Result]) -> list[Result]:
-        return [one for one in results if any(_belongs_to_row(one, row) for row in rows)]
+    def select(results: Iterable[Result], column: Column) -> list[Result]:
+        inside = [one for one in results if _belongs_to_column(one, column)]
+        return [one for one in inside if any(_belongs_to_row(one, row) for row in rows)]
 
-    runs, failures, found = select(runs), select(failures), list[DatasetRuns]()
+    runs, failures, found = [*runs], [*failures], list[DatasetRuns]()
     for column in columns:
-        sets = split_by_frames(run for run in runs if _belongs_to_column(run, column))
-        failed = [failure for failure in failures if _belongs_to_column(failure, column)]
-        found += number_groups([column] * max(1, len(sets)), sets or [()], failed)
+        failed = sorted(select(failures, column), key=lambda one: (one.method, get_time(one), one.error))
+        for number, members in enumerate(_split_by_frames(select(runs, column)) or [()], 1):
+            found.append(DatasetRuns(column, number, members, tuple(failed) if number == 1 else ()))
     return found
 
 
-def number_groups(
-    columns: Sequence[ResolvedColumn], sets: Sequence[tuple[Run, ...]], failures: Iterable[Failure]
-) -> Iterator[DatasetRuns]:
-    """Yield a group for each set of runs in its column; failures, which have no frames, stand in the first."""
-    failed = tuple(sorted(failures, key=lambda failure: (failure.method, get_time(failure), failure.error)))
-    for number, (column, members) in enumerate(zip(columns, sets, strict=True), 1):
-        yield DatasetRuns(column, number, members, failed if number == 1 else ())
-
-
-def split_by_frames(runs: Iterable[Run]) -> list[tuple[Run, ...]]:
-    """Return the runs of each protocol and version of the images, the set with the newest run first.
-
-    The order of `runs` changes nothing.
-    """
+def _split_by_frames(runs: Iterable[Run]) -> list[tuple[Run, ...]]:
+    """Return the runs of each protocol and version of the images, the set with the newest run first."""
     alike: dict[str, list[Run]] = defaultdict(list)
     for run in sorted(runs, key=lambda run: (run.dataset, run.method, *get_sort_key(run))):
         alike[f"{format_plain_values(run.protocol)} {run.fingerprint}"].append(run)
@@ -110,18 +97,16 @@ def split_by_frames(runs: Iterable[Run]) -> list[tuple[Run, ...]]:
     return [tuple(members) for _, members in newest_first]
 
 
-def describe_frames(fingerprint: str, protocol: Mapping[str, Any], threads: int | None) -> str:
-    """Return the frames, places and threads of a run as text that is the same for equal ones."""
-    return format_plain_values([fingerprint, protocol, threads])
-
-
-def select_row_runs(group: DatasetRuns, row: Row, device: Device) -> RowRuns:
+def select_row_runs(group: DatasetRuns, row: Row, device: Device | None) -> MethodRuns:
     """Return one run per seed, all made by the same code, settings and machine.
 
     Runs that differ in code, defaults, weights, libraries, threads or machine are never put together. Of such sets the
     complete ones come first, then sets that trained instead of loading, then the one with the newest run; all other
-    runs are counted. A seed without a run has its newest failure.
+    runs are counted. A seed without a run has its newest failure. Without a `device` it is that of the most seeds, of
+    equals the CPU; without any run that of a failure.
     """
+    if device is None:
+        return max((select_row_runs(group, row, each) for each in DEVICES), key=lambda found: found.coverage)
 
     def select(results: Sequence[Result]) -> list[Result]:
         return [each for each in results if _belongs_to_row(each, row) and _get_device(each) == device]
@@ -138,38 +123,25 @@ def select_row_runs(group: DatasetRuns, row: Row, device: Device) -> RowRuns:
     chosen = {run.config["seed"]: run for run in max(sets.values(), key=rank, default=[])}
     failed = {failure.config["seed"]: failure for failure in select(group.failures)}
     missing = tuple(seed for seed in row.seeds if seed not in chosen)
-    return RowRuns(
-        runs=tuple(run for _, run in sorted(chosen.items())),
-        n_aside=len(there) - len(chosen),
-        missing_seeds=missing,
-        failures=tuple(failed[seed] for seed in missing if seed in failed),
+    return MethodRuns(
+        row.name,
+        tuple(run for _, run in sorted(chosen.items())),
+        missing,
+        tuple(failed[seed] for seed in missing if seed in failed),
+        len(there) - len(chosen),
     )
 
 
-def list_method_runs(group: DatasetRuns, rows: Sequence[Row], device: Device | None = "cpu") -> list[MethodRuns]:
+def list_method_runs(group: DatasetRuns, rows: Sequence[Row], device: Device | None = None) -> list[MethodRuns]:
     """Return the rows of a group that have runs on a kind of device, None: on that of their accuracy."""
-    found = []
-    for row in rows:
-        devices = {each: select_row_runs(group, row, each) for each in DEVICES}
-        runs = devices[device or choose_accuracy_device(devices)].runs
-        found += [MethodRuns(row.name, row.spiking, runs)] if runs else []
-    return found
+    found = (select_row_runs(group, row, device) for row in rows)
+    return [one for one in found if one.runs]
 
 
-def list_accuracy_runs(group: DatasetRuns, rows: Sequence[Row]) -> list[MethodRuns]:
-    """Return the rows of a group that have runs, each from the device that the table takes its R@1 from."""
-    return list_method_runs(group, rows, None)
-
-
-def choose_accuracy_device(found: Mapping[Device, RowRuns]) -> Device:
-    """Return the device of a row's accuracy: that with the most seeds, of equals the CPU; without any, of a failure."""
-    return max(DEVICES, key=lambda device: (len(found[device].runs), len(found[device].failures)))
-
-
-def _belongs_to_column(result: Run | Failure, column: ResolvedColumn) -> bool:
+def _belongs_to_column(result: Run | Failure, column: Column) -> bool:
     """Tell whether a run has the dataset, corruption and viewpoints of a column.
 
-    A run is compared by the frames of the column. Without these, and for a failure, all options count that both have,
+    A run is compared by the condition of the column. Without one, and for a failure, all options count that both have,
     except places on disk (`on_disk` in the dataset's yaml): a dataset gains and loses options over time.
     """
     given = result.config
@@ -177,9 +149,10 @@ def _belongs_to_column(result: Run | Failure, column: ResolvedColumn) -> bool:
         return False
     if parse_viewpoints(given.get("views")) != parse_viewpoints(column.views):
         return False
-    if isinstance(result, Run) and column.frames is not None:
-        return column.frames == describe_frames(result.fingerprint, result.protocol, result.environment.get("threads"))
-    ours, theirs = column.dataset, given.get("dataset", {})
+    if isinstance(result, Run) and column.condition is not None:
+        threads = result.environment.get("threads")
+        return column.condition == describe_condition(result.fingerprint, result.protocol, threads)
+    ours, theirs = column.dataset, {"name": result.dataset, **given.get("dataset", {})}
     ignored = {"_target_", "on_disk", *ours.get("on_disk", ()), *theirs.get("on_disk", ())}
     both = ours.keys() & theirs.keys() - ignored
     return "name" in both and all(format_plain_values(ours[name]) == format_plain_values(theirs[name]) for name in both)
@@ -194,6 +167,11 @@ def _belongs_to_row(result: Run | Failure, row: Row) -> bool:
     return all(
         name in given and format_plain_values(given[name]) == format_plain_values(wanted[name]) for name in wanted
     )
+
+
+def describe_condition(fingerprint: str, protocol: Mapping[str, Any], threads: int | None) -> str:
+    """Return the frames, places and threads of a run as text that is the same for equal ones."""
+    return format_plain_values([fingerprint, protocol, threads])
 
 
 def _get_device(result: Run | Failure) -> str:
@@ -234,9 +212,8 @@ def apply_views(groups: Sequence[DatasetRuns], rows: Sequence[Row], views: Seque
     found: list[DatasetRuns] = []
     lacking: list[NoScoresError] = []
     for group in groups if views else ():
-        chosen = {
-            run.key: run for row in rows for device in DEVICES for run in select_row_runs(group, row, device).runs
-        }
+        shown_runs = (select_row_runs(group, row, device).runs for row in rows for device in DEVICES)
+        chosen = {run.key: run for runs in shown_runs for run in runs}
         of_views: list[DatasetRuns] = []
         for view in views:
             shown: list[Run] = []
@@ -255,18 +232,24 @@ def apply_views(groups: Sequence[DatasetRuns], rows: Sequence[Row], views: Seque
     return found if views else [*groups]
 
 
-def format_title(group: DatasetRuns, among: Sequence[DatasetRuns]) -> str:
-    """Return the title of a group's column; of several of one title, with its view and its number from the newest."""
-    planned = group.column.planned
-    if sum(other.column.planned.title == planned.title for other in among if other.runs) < 2:
-        return planned.title
-    version = f"version {group.number}" if group.number > 1 else ""
-    return ", ".join(filter(None, [planned.title, describe_sequence(group.runs[0]), version]))
+def title_groups(groups: Sequence[DatasetRuns]) -> Iterator[DatasetRuns]:
+    """Yield groups with their titles: that of the column, and parts of their protocols where several have it."""
+    titles = [group.column.title for group in groups]
+    protocols = [group.runs[0].protocol if group.runs else {} for group in groups]
+    for title in {*titles}:
+        alike = [number for number, each in enumerate(titles) if each == title]
+        for name in dict.fromkeys(part for number in alike for part in protocols[number]):
+            values = [protocols[number].get(name) for number in alike]
+            if len({titles[number] for number in alike}) < len(alike) and any(value != values[0] for value in values):
+                for number, value in zip(alike, values, strict=True):
+                    titles[number] += f", {name.replace('_', ' ')} {format_value(value)}"
+    for number, group in enumerate(groups):
+        version = titles[: number + 1].count(titles[number])
+        yield replace(group, title=f"{titles[number]}, version {version}" if version > 1 else titles[number])
 
 
 def describe_protocol(run: Run) -> str:
     """Return the protocol of a run in words, without counts that follow from the rest of it."""
-    follows = {"places", "query_places", "reference_places"}
-    follows |= {"held_out_places"} if "first_query_place" in run.protocol else set()
+    follows = {*_COUNTS, *(["held_out_places"] if "first_query_place" in run.protocol else [])}
     shown = {name: value for name, value in run.protocol.items() if name not in follows}
     return ", ".join(f"{name.replace('_', ' ')} {format_value(value)}" for name, value in shown.items())

@@ -11,7 +11,7 @@ import yaml
 
 from vprbench.api.dataset import Dataset
 from vprbench.errors import BadInput
-from vprbench.report.plan import PlannedColumn
+from vprbench.report.plan import Column
 from vprbench.tuning.settings import FEWEST_PLACES
 from vprbench.tuning.space import SCATTERING
 
@@ -27,7 +27,7 @@ class Searchable:
     checked: range
 
 
-def choose_places(name: str, config: Mapping[str, Any], places: int, columns: Iterable[PlannedColumn]) -> Searchable:
+def choose_places(name: str, config: Mapping[str, Any], places: int, columns: Iterable[Column]) -> Searchable:
     """Return where to search with `places` places, and where to check what was found.
 
     A rendered dataset is another journey than the reported ones, `places` to search and as many to check. Of a
@@ -83,7 +83,7 @@ def cut_dataset(dataset: Dataset, stretch: range) -> Dataset:
     )
 
 
-def _read_arguments(column: PlannedColumn) -> dict[str, Any]:
+def _read_arguments(column: Column) -> dict[str, Any]:
     """Return the arguments of its dataset that a column changes."""
     pairs = (option.partition("=") for option in column.options)
     return {name.removeprefix("dataset."): yaml.safe_load(value) for name, _, value in pairs if "." in name}

@@ -92,7 +92,7 @@ def test_a_run_keeps_spike_times_which_a_raster_draws(tmp_path, monkeypatch):
     options = ["method.max_module=12", "method.steps=8", "dataset.places=12", "dataset.first_query_place=0", *RUN]
     assert main(["method=vprtempo_latencies", *options]) == 0
     (run,) = Store(tmp_path / "results").runs()
-    rows = [MethodRuns("without", True, (little_run(),)), MethodRuns("in time", True, (run,))]
+    rows = [MethodRuns("without", (little_run(),)), MethodRuns("in time", (run,))]
     dots = [panel.collections[0].get_offsets() for panel in draw_raster(rows).figure.axes]
     cycles = [np.ceil(np.asarray(each)[:, 0] / 8) for each in dots]
     assert [set(cycle.tolist()) for cycle in cycles] == [{1}, {2}, {3}]

@@ -15,8 +15,7 @@ from vprbench.metrics.intervals import share_interval
 from vprbench.report.figures.growth import draw_growing_map, draw_growth
 from vprbench.report.figures.speed import draw_query_rate, draw_training_time
 from vprbench.report.figures.tradeoff import draw_memory_tradeoff, draw_rate_tradeoff, find_front
-from vprbench.report.growth import collect_growth_samples
-from vprbench.report.plan import Row, read_plan
+from vprbench.report.plan import read_plan
 from vprbench.runs.notes import Note
 
 approx = pytest.approx
@@ -75,17 +74,6 @@ def test_the_front_is_that_of_a_slow_search_over_all_pairs():
         assert sorted(costs[i] for i in found) == [costs[i] for i in found]
 
 
-def test_the_steps_run_from_the_best_to_the_worse_end_of_the_costs():
-    fast, slow, beaten = method("A", 0.25, 100, 100), method("B", 0.5, 10, 1000), method("C", 0.2, 5, 2000)
-    for draw, corners, end in (
-        (draw_rate_tradeoff, [[100, 25], [10, 50]], 0),
-        (draw_memory_tradeoff, [[100, 25], [1000, 50]], 1),
-    ):
-        (axes,) = draw([fast, slow, beaten]).figure.axes
-        (front,) = (line for line in axes.lines if line.get_drawstyle() == "steps-post")
-        assert front.get_xydata() == approx(np.array([*corners, [axes.get_xlim()[end], 50]]))
-
-
 def test_memory_is_the_mean_of_the_seeds_and_the_map_has_a_panel_for_the_rows_that_keep_descriptors():
     seeds = [figure_runs.run("t", 0.5 + 0.2 * i, seed=i, peak_memory_bytes=10**8 * (i + 1)) for i in (0, 1)]
     (axes,) = draw_memory_tradeoff([series("VPRTempo", *seeds)]).figure.axes
@@ -101,7 +89,7 @@ def tempo(*minutes, device="cpu"):
     """Return VPRTempo with a run for each number of minutes of training; the n-th matches in n ms and encodes in 1."""
     times = [{"fit_seconds": 60 * each, "match_seconds": 0.001 * i} for i, each in enumerate(minutes, 1)]
     runs = [figure_runs.run("vprtempo", seed=i, device=device, **each) for i, each in enumerate(times, 1)]
-    return series("VPRTempo", *runs, spiking=True)
+    return series("VPRTempo", *runs)
 
 
 def bars(axes, hatched):
@@ -146,12 +134,6 @@ def test_rates_are_of_encode_and_match_together_with_the_middle_four_fifths_of_l
         assert [bars(axes, hatched=True)[i] for i in range(5)] == approx(rates)
 
 
-def test_a_row_that_trained_nothing_here_has_no_bar():
-    loaded = series("VPRSNN", figure_runs.run("vprsnn", fit_seconds=None, network={"run": "ab"}))
-    (axes,) = draw_training_time([loaded], ROWS, UNPUBLISHED, PLAN.published).figure.axes
-    assert words(axes) == ["none"] * 5
-
-
 def test_a_gpu_gets_a_panel_of_its_own_and_a_column_that_the_paper_does_not_have_measured_bars_alone():
     cpu, gpu = draw_query_rate([tempo(3.0), tempo(0.1, device="cuda")], ROWS, NORDLAND, PLAN.published).figure.axes
     assert (cpu.get_title(loc="left"), gpu.get_title(loc="left")) == ("CPU", "GPU")
@@ -166,7 +148,7 @@ SIZES = (100, 300, 1000, 3000, 9000, 27000)
 
 
 def grown(runs):
-    return collect_growth_samples(Row("VPRTempo", "vprtempo", boundary="match"), runs)
+    return series("VPRTempo", *runs)
 
 
 def sizes(fit, match=lambda n: 0.001, **changes):

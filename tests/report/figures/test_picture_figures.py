@@ -83,7 +83,7 @@ def test_cells_of_a_large_matrix_are_the_maxima_of_blocks_so_that_no_right_place
 def spiking(name, *seeds):
     """Return a row with a run for each seed, of the layers of its network."""
     kept = [{"queries": len(layers[0]["spikes_per_query"]), "layers": list(layers)} for layers in seeds]
-    return series(name, *(little.a_run(spikes=spikes) for spikes in kept), spiking=True)
+    return series(name, *(little.a_run(spikes=spikes) for spikes in kept))
 
 
 def layer(name, spikes, active_share=0.5, neurons=100):
@@ -128,7 +128,3 @@ def test_seeds_share_a_box_with_a_dot_each_at_the_bar_and_rows_with_spikes_stand
     assert sorted(bars(active)) == [25, 50, 75, 100]
     assert [text.get_text() for text in drawn.figure.legends[0].get_texts()] == ["VPRSNN", "VPRTempo"]
     assert len({patch.get_hatch() for patch in layers[1].patches}) == 2
-
-
-def test_rows_that_differ_by_far_share_a_logarithmic_axis():
-    assert panels(spiking("VPRSNN", [layer("output", [0, 0, 5000])]))[0].get_yscale() == "symlog"

@@ -27,7 +27,7 @@ pytestmark = pytest.mark.extended
 
 
 def one(run, title="Journey", name="SAD"):
-    return Section(title, (MethodRuns(name, False, (run,)),), None)
+    return Section(title, (MethodRuns(name, (run,)),), None)
 
 
 def right_colour(query):
@@ -145,7 +145,7 @@ def test_without_a_ground_truth_each_query_shows_its_best_five_places_by_score_a
     for query, (first, second) in enumerate([(0.875, 0.75), (0.75, 0.25), (1.0, 0.625)]):
         scores[query, [query, query + 1]] = first, second
     of_a, of_b = (answered(table, [[]] * 3, protocol={"ground_truth": "none"}) for table in (scores, scores[:, ::-1]))
-    both = Section("Journey", (MethodRuns("SAD", False, (of_a,)), MethodRuns("HOG", False, (of_b,))), None)
+    both = Section("Journey", (MethodRuns("SAD", (of_a,)), MethodRuns("HOG", (of_b,))), None)
     tab = reader.read(page("<table></table>", [], [both]))
     orders = {"by margin, lowest first": [0, 2, 1], HIGHEST: [1, 2, 0], ROUTE: [0, 1, 2]}
     orders |= {"by score, lowest first": [1, 0, 2], "by score, highest first": [2, 0, 1]}
@@ -163,21 +163,6 @@ def test_without_a_ground_truth_each_query_shows_its_best_five_places_by_score_a
     tab.locator("#queries").press("End")
 
 
-def test_several_datasets_are_chosen_between_and_their_frames_kept_apart(reader):
-    swapped = made.journey_thumbnails(queries=tuple(reversed(made.journey_thumbnails().queries)))
-    other = replace(one(journey_run({4: 0.25}, n_references=120), "Other", "GCL"), thumbnails=swapped)
-    whole = replace(one(journey_run(SAD_WRONG, n_references=60)), thumbnails=made.journey_thumbnails())
-    tab = reader.read(made_up_page([whole, other, journey_section("No frames")]))
-    choose(tab, dataset="Other")
-    assert listed(tab) == [4]
-    assert colours(row(tab, 4))[0] == query_colour(made.N_QUERIES - 1 - 4)
-    choose(tab, dataset="Journey")
-    assert colours(row(tab, 11))[0] == query_colour(11)
-    choose(tab, dataset="No frames")
-    expect(tab.locator("#frames-missing")).to_contain_text("The frames of this dataset are not stored")
-    assert row(tab, 10).locator(".no-frame").all_text_contents() == ["query 10", "place 22", "place 15"]
-
-
 def test_the_strip_shows_hits_and_misses_and_leads_to_the_nearest_query_that_is_shown(tab):
     choose(tab, method_b="VPRTempo, seed 0")
     lanes = tab.locator("#lanes .lane")
@@ -190,21 +175,6 @@ def test_the_strip_shows_hits_and_misses_and_leads_to_the_nearest_query_that_is_
     box = strip.bounding_box()
     strip.click(position={"x": box["width"] * 32.5 / made.N_QUERIES, "y": box["height"] / 2})
     assert (current(tab), focused(tab)) == (30, "query-30")
-
-
-def test_the_slider_steps_from_one_shown_query_to_the_next_along_the_route(tab):
-    slider = tab.locator("#along")
-    slider.focus()
-    assert current(tab) == 11
-    keys = ("ArrowRight", 20), ("ArrowLeft", 11), ("ArrowLeft", 10), ("End", 30), ("End", 30), ("Home", 3)
-    for key, query in keys:
-        slider.press(key)
-        assert (current(tab), slider.input_value()) == (query, str(query))
-    expect(slider).to_have_attribute("aria-valuetext", "query 3: wrong")
-    box = slider.bounding_box()
-    for x, query in [(box["width"] - 3, 30), (3, 3)]:
-        slider.click(position={"x": x, "y": box["height"] / 2})
-        assert current(tab) == query
 
 
 def test_arrow_keys_walk_the_list_over_the_ends_of_its_pages_which_buttons_turn(tab):

@@ -13,7 +13,6 @@ from PIL import Image
 from report_page import HOSTILE, SAD_WRONG, TABLE, answered, journey_run, journey_section, made_up_page
 
 from vprbench.report.page import page as report
-from vprbench.report.page import words
 from vprbench.report.page.page import Picture, Section
 from vprbench.report.selection import MethodRuns
 from vprbench.runs.notes import Note
@@ -33,7 +32,7 @@ def answers(text):
 
 def section(*runs, thumbnails=None, title="Journey"):
     """Return a section of one method with a run a seed."""
-    return Section(title, (MethodRuns("SAD", False, runs),), thumbnails)
+    return Section(title, (MethodRuns("SAD", runs),), thumbnails)
 
 
 def pictured(text):
@@ -64,14 +63,6 @@ def test_the_page_holds_its_table_figures_and_sentences_and_allows_nothing_else(
         (digest,) = [base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in texts]
         assert rules[f"{kind}-src"] == f"'sha256-{digest}'"
     assert (rules["default-src"], rules["img-src"]) == ("'none'", "data:")
-
-
-def test_a_figure_that_is_not_drawn_is_told_under_the_others():
-    sentence = f"growth: no run at other numbers of places is stored{HOSTILE}"
-    for pictures in ([], [Picture("speed", "How long a query takes.", b"")]):
-        parsed = Parsed(report.page(TABLE, pictures, [], absent=[sentence]))
-        assert sentence in parsed.text.split("Figures")[-1]
-        assert "#figures" in [link["href"] for link in parsed.all("a")]
 
 
 def test_hostile_names_are_text_everywhere_and_those_that_are_no_text_are_written():
@@ -122,18 +113,6 @@ def test_a_frame_stands_in_the_page_once_if_a_query_shows_it_and_the_page_names_
     assert [query for query, frame in enumerate(kept["queries"]) if frame] == [10]
 
 
-def test_the_queries_that_a_page_opens_with_have_their_frames_however_few_it_holds(monkeypatch):
-    wrong = {query: 0.01 * query for query in range(5, 45)}
-    monkeypatch.setattr(report, "MOST_FRAMES", 45)
-    text = report.page("", [], [section(journey_run(wrong), thumbnails=made.journey_thumbnails())])
-    run, kept = answers(text)["runs"][0], embedded(text)
-    opening = sorted(wrong, key=lambda query: run["margins"][query])[:10]
-    assert opening == [*range(44, 34, -1)]
-    assert all(kept["queries"][query] for query in opening)
-    shown = {place for query in opening for place in (run["places"][3 * query], run["right"][query])}
-    assert {*map(str, shown)} <= {*kept["places"]}
-
-
 def test_a_page_shows_so_many_frames_at_most_and_those_of_wrong_answers_first(monkeypatch):
     sections = [journey_section(title=title, thumbnails=made.journey_thumbnails()) for title in ("one", "other")]
     monkeypatch.setattr(report, "MOST_FRAMES", 24)
@@ -158,9 +137,9 @@ def test_a_page_shows_so_many_frames_at_most_and_those_of_wrong_answers_first(mo
 def test_the_last_finding_counts_what_all_and_what_some_missed(wrong, seeds, sentence):
     """Query 20 is tied, and query 49 has no right place."""
     runs = [journey_run(one, seed) for seed, one in enumerate(wrong)]
-    alone = [MethodRuns(f"method {number}", False, (run,)) for number, run in enumerate(runs)]
-    each = [MethodRuns("VPRTempo", True, tuple(runs))] if seeds > 1 else alone
-    found = words.list_findings(each, [judge_answers(run) for run in runs])
+    alone = [MethodRuns(f"method {number}", (run,)) for number, run in enumerate(runs)]
+    each = [MethodRuns("VPRTempo", tuple(runs))] if seeds > 1 else alone
+    found = report.list_findings(each, [judge_answers(run) for run in runs])
     assert len(found) <= 3
     assert (found[-1] == sentence) is (sentence is not None)
 
@@ -172,7 +151,7 @@ def on(run, **changes):
 def test_the_page_lists_the_protocol_each_machine_once_with_versions_and_runs_and_the_notes_of_all_runs():
     first = on(a_run(), python="3.11.2", git={"commit": "0123456789abcdef0123", "changed": True})
     given = {"SAD": first, "GCL": first, "HOG": on(first, processor="Difference Engine", accelerator="Mill")}
-    found = words.list_machines([MethodRuns(name, False, (run,)) for name, run in given.items()])
+    found = report.list_machines([MethodRuns(name, (run,)) for name, run in given.items()])
     versions = "commit 0123456789ab with changes, Python 3.11.2, torch 2.6.0"
     machines = "Abacus 9, 1 of 2 cores, torch 2.6.0", "Difference Engine, 1 of 2 cores, Mill, torch 2.6.0"
     runs = "SAD (journey), GCL (journey)", "HOG (journey)"
@@ -181,7 +160,7 @@ def test_the_page_lists_the_protocol_each_machine_once_with_versions_and_runs_an
     on_gpu = on(replace(run, config={**run.config, "device": "cuda"}), processor="Difference Engine")
     browsed = journey_section()
     seeds = (journey_run({}, 0, notes=(Note("answers", "other answers"),)), journey_run({}, 1))
-    measured = [("Journey", MethodRuns("VPRTempo", True, runs)) for runs in ((on_gpu,), seeds)]
+    measured = [("Journey", MethodRuns("VPRTempo", runs)) for runs in ((on_gpu,), seeds)]
     text = Parsed(report.page(TABLE, [], [browsed], measured=[("Journey", browsed.series[0]), *measured])).text
     notes = "VPRTempo, on cuda", "the clock was not locked", "two carts passed", "VPRTempo, seed 0", "other answers"
     protocol = "journey: 50 queries, 60 places"

@@ -6,18 +6,15 @@ import numpy as np
 import pytest
 from assembled import NAMES, absences, cell, measured, notes, table, tempo
 from pandas.testing import assert_frame_equal
-from stored_runs import NETVLAD, NORDLAND, PLAN, RAIL, RAILWAY, SAD, STREET, TOWN, VPRSNN, VPRTEMPO, failure, run
+from stored_runs import NORDLAND, RAILWAY, SAD, STREET, VPRSNN, VPRTEMPO, failure, run
 
-from vprbench.report.plan import PlannedColumn, Row
-from vprbench.report.selection import ResolvedColumn, group_runs_by_column
-from vprbench.report.table.cells import assemble_table
+from vprbench.report.plan import Column, Row
+from vprbench.report.table.formats import list_facts
 from vprbench.report.table.quantities import list_quantities
-from vprbench.report.table.words import list_facts
 from vprbench.runs.notes import Note
 
 approx = pytest.approx
 WILSON = (approx(15.00, abs=0.005), approx(85.00, abs=0.005))  # 95 % of 2 hits of 4
-LOST = failure("vprtempo", 0, "lost: find it; then go on", missing=True)
 HOG = Row("hog", "hog", training="map")  # outside the plan
 FAST = [0.0010, 0.0011, 0.0012, 0.0013, 0.0014]
 SLOW = [10 * each for each in FAST]
@@ -31,7 +28,7 @@ def test_the_numbers_of_one_run_and_of_several_seeds_are_those_worked_by_hand():
     for row, alone in (("SAD", 400), ("NetVLAD", 100)):
         query = measured(made, row, "query_cpu")
         assert (query.value, query.at_boundary, query.low) == (approx(80), approx(alone), None)
-    (column,) = made.columns
+    (column,) = made.groups
     protocol = "references spring+fall, query summer, tolerance places 0"
     assert column.data == f"10 places; 4 queries; {protocol}; stands in for Nordland"
     # R@1 75, 50 and 25 %: mean 50, sample deviation 25, 2 of 4 hits in the mean; rates 80, 66.7 and 50 Hz, to match
@@ -52,16 +49,15 @@ def test_the_numbers_of_one_run_and_of_several_seeds_are_those_worked_by_hand():
 def test_a_difference_to_the_paper_is_given_on_its_own_frames_alone_and_a_comparison_has_no_published_numbers():
     runs = [run(), *(tempo(seed, fit_compute_seconds=120) for seed in (0, 1, 2))]
     cells = [("SAD", "recall_at_1"), ("SAD", "query_cpu"), ("VPRTempo", "train_cpu")]
-    real = table(runs, asked=[ResolvedColumn(NORDLAND, RAILWAY)])
+    real = table(runs, asked=[replace(NORDLAND, dataset=RAILWAY)])
     assert [cell(real, row, q, "nordland").difference for row, q in cells] == approx([50 - 48, 400 - 10, 2 - 60])
     rendered = table(runs)
     assert [cell(rendered, row, q).published for row, q in cells] == [48, 10, 60]
     assert {*rendered.cells["difference"]} == {None}
-    mine = PlannedColumn("mine", "My street", ("dataset=street",))
-    asked, rows = [ResolvedColumn(mine, STREET)], [replace(VPRTEMPO, seeds=(0,)), SAD]
-    found = group_runs_by_column([run(dataset=STREET), tempo(dataset=STREET)], (), asked, rows)
-    made = assemble_table(found, rows, PLAN, (), list_quantities(["recall_at_5"]), "My street")
-    assert (made.heading, [row.name for row in made.rows]) == ("My street", ["VPRTempo", "SAD"])
+    mine = Column("mine", "My street", ("dataset=street",))
+    asked, rows = [replace(mine, dataset=STREET)], [replace(VPRTEMPO, seeds=(0,)), SAD]
+    runs = [run(dataset=STREET), tempo(dataset=STREET)]
+    made = table(runs, (), rows, asked, quantities=list_quantities(["recall_at_5"]), title="My street")
     assert [q.name for q in made.quantities] == [*NAMES, "recall_at_5"]
     assert {*made.cells["published_mark"]} == {"none"}
     assert list_facts(made)[0].endswith("query GPU in Hz, R@5 in %.")
@@ -69,7 +65,7 @@ def test_a_difference_to_the_paper_is_given_on_its_own_frames_alone_and_a_compar
 
 def test_an_empty_store_shows_words_in_every_cell_and_without_runs_on_a_cpu_accuracy_is_of_the_gpu():
     made = table()
-    (column,) = made.columns
+    (column,) = made.groups
     assert (column.data.split(";")[0], made.machines) == ("no run is stored", ())
     assert absences(made, "SAD") == ["unfinished", "not applicable", "unfinished", "not applicable", "not run"]
     assert absences(made, "VPRTempo") == ["unfinished", "unfinished", "unfinished", "not run", "not run"]
@@ -77,37 +73,6 @@ def test_an_empty_store_shows_words_in_every_cell_and_without_runs_on_a_cpu_accu
     made = table([run(device="cuda", day="2025-03-04"), run("vprsnn", device="cuda", day="2025-03-01")])
     assert absences(made, "SAD") == ["measured", "not applicable", "not run", "not applicable", "measured"]
     assert made.machines == ("Loom 3, 1 of 8 cores, Spindle 80GB, torch 2.6.0, 2025-03-04",)
-
-
-@pytest.mark.parametrize("runs", [[], [run("netvlad")]])
-def test_the_training_of_a_pretrained_row_is_quoted_whether_it_runs_or_not(runs):
-    made = table(runs, [failure("netvlad", missing=True)], rows=[NETVLAD], asked=[RAIL, TOWN])
-    facts = ("quoted", 15120, 15120, "quoted"), ("not applicable", None, None, "none")
-    for column, wanted in zip(("railway", "street"), facts, strict=True):
-        found = cell(made, "NetVLAD", "train_gpu", column)
-        assert (found.mark, found.value, found.published, found.published_mark) == wanted
-        assert found.difference is None
-    known = table(runs, rows=[NETVLAD], slow=[("railway", "NetVLAD")])
-    assert absences(known, "NetVLAD")[0] == ("measured" if runs else "left out")
-
-
-@pytest.mark.parametrize(
-    ("failures", "mark", "note"),
-    [
-        ([LOST], "not there", "missing: lost: find it; then go on"),
-        ([LOST, failure("vprtempo", 1, "broke\nin two")], "failed", "failed: broke"),
-        ([failure("vprtempo", error="x" + " thread" * 40)], "failed", "failed: x" + " thread" * 40),
-    ],
-)
-def test_a_row_that_failed_or_lacks_its_weights_says_so_with_the_first_line_of_the_error(failures, mark, note):
-    made = table([], failures, rows=[VPRTEMPO])
-    assert absences(made, "VPRTempo") == [mark, mark, mark, "not run", "not run"]
-    assert notes(made, "VPRTempo", "recall_at_1") == [note]
-
-
-def test_a_seed_that_failed_is_named_beside_the_numbers_of_the_others():
-    made = table([tempo(0), tempo(1)], [failure("vprtempo", 2, "broke")], rows=[VPRTEMPO])
-    assert notes(made, "VPRTempo", "recall_at_1")[:2] == ["seeds: 2 of 3", "failed seed 2: broke"]
 
 
 @pytest.mark.parametrize("changes", [{"network": "5a" * 32}, {}])
@@ -153,14 +118,6 @@ def test_recall_tells_its_ties_its_notes_and_that_it_is_undefined_and_a_cost_tha
     assert notes(made, "SAD", "joules_measured") == ["undefined: no counter here"]
 
 
-def test_a_method_outside_the_plan_shows_the_time_to_build_its_map_and_no_training_is_bold():
-    runs = [run("hog", fit_compute_seconds=6), run("vprsnn", fit_compute_seconds=60), tempo(fit_compute_seconds=600)]
-    made = table(runs, rows=[HOG, VPRSNN, replace(VPRTEMPO, seeds=(0,))])
-    assert measured(made, "hog", "train_cpu").value == approx(0.1)
-    assert notes(made, "hog", "train_cpu") == ["time to build the map"]
-    assert not any(measured(made, row.name, "train_cpu").best for row in made.rows)
-
-
 @pytest.mark.parametrize(
     ("tuned_on", "best"),
     [
@@ -181,25 +138,15 @@ def test_a_row_that_was_tuned_on_a_columns_places_says_so_and_is_in_no_contest_t
     assert measured(others, "VPRSNN", "recall_at_1").best == (not best)  # it beats the others that are in the contest
 
 
-@pytest.mark.parametrize(("kind", "marked"), [("noisy", True), ("invalid", True), ("answers", False)])
-def test_times_of_a_busy_machine_or_of_too_few_laps_are_marked_and_recall_is_not(kind, marked):
-    made = table([tempo(0), tempo(1, notes=(Note(kind, "noisy: carts"),)), tempo(2)], rows=[VPRTEMPO])
-    assert [measured(made, "VPRTempo", quantity).disturbed for quantity in NAMES[:3]] == [False, marked, marked]
-
-
 def test_two_protocols_are_two_columns_with_titles_that_tell_them_apart():
     old = run(protocol={"query": "summer", "renderer": 1}, day="2025-01-01", hits=[1, 1, 1, 1])
     made = table([run(protocol={"query": "summer", "renderer": 2}), old], rows=[SAD, VPRSNN])
-    titles = {"railway": "Railway (rendered)", "railway-2": "Railway (rendered), version 2"}
-    assert {column.name: column.title for column in made.columns} == titles
+    titles = {"railway": "Railway (rendered), renderer 2", "railway-2": "Railway (rendered), renderer 1"}
+    assert {column.name: column.title for column in made.groups} == titles
     assert measured(made, "SAD", "recall_at_1", "railway-2").value == approx(100)
     assert cell(made, "VPRSNN", "recall_at_1", "railway-2").mark == "not run"
-
-
-def test_a_rate_carries_the_plans_words_on_the_papers():
-    made = table([run(), run("netvlad")])
-    assert notes(made, "SAD", "query_cpu") == [SAD.rate_remark]
-    assert notes(made, "SAD", "recall_at_1") == []
+    other_images = table([run(), run(fingerprint="0" * 64)], rows=[SAD])
+    assert [group.title for group in other_images.groups] == ["Railway (rendered)", "Railway (rendered), version 2"]
 
 
 def test_the_order_of_a_store_changes_nothing():

@@ -16,28 +16,26 @@ import pytest
 from assembled import NAMES, table
 from made_table import table as whole
 from parsed_page import Parsed
-from stored_runs import ABACUS, NORDLAND, PLAN, RAILWAY, SAD, STREET, failure, run
+from stored_runs import ABACUS, NORDLAND, RAILWAY, SAD, STREET, failure, run
 
-from vprbench.report.plan import PlannedColumn, Row
-from vprbench.report.selection import ResolvedColumn, group_runs_by_column
+from vprbench.report.plan import Column, Row
 from vprbench.report.table import formats
-from vprbench.report.table.cells import assemble_table
 from vprbench.report.table.quantities import list_quantities
 from vprbench.runs.notes import Note
 from vprbench.terminal import console
 
 STORED = Path(__file__).parent / "stored"
 HOSTILE = "<script>alert(1)</script> a|b *c* _d_ `e` [f](g) \\ &amp; ~h~ $i$ é η"
-REAL = [ResolvedColumn(NORDLAND, RAILWAY)]
+REAL = [replace(NORDLAND, dataset=RAILWAY)]
 
 
 def comparison():
     """Return a table with a title of its own, a column for another metric, and rows that stay in their order."""
-    asked = [ResolvedColumn(PlannedColumn("mine", "Corridor_1", ("dataset=street",)), STREET)]
+    asked = [replace(Column("mine", "Corridor_1", ("dataset=street",)), dataset=STREET)]
     rows = [Row("VPRTempo", "vprtempo", spiking=True), Row("SAD", "sad", training="none")]
     runs = [run("vprtempo", dataset=STREET, timing=None), run(dataset=STREET, hits=[1, 0, 0, 0], timing=None)]
-    found = group_runs_by_column(runs, [failure("vprtempo", dataset=STREET)], asked, rows)
-    return assemble_table(found, rows, PLAN, (), list_quantities(["recall_at_5"]), "Corridor_1")
+    more = {"quantities": list_quantities(["recall_at_5"]), "title": "Corridor_1"}
+    return table(runs, [failure("vprtempo", dataset=STREET)], rows, asked, **more)
 
 
 @pytest.mark.parametrize(
@@ -97,16 +95,6 @@ def test_a_time_shows_as_many_digits_as_it_has(runs, told):
     assert shown("train_cpu", *runs, row=Row("new", "new", seeds=tuple(range(len(runs))))) == [told]
 
 
-def test_a_recall_shows_a_decimal_and_stands_above_the_printed_one_with_the_difference():
-    for right, told in ((48, "48 (0.0)"), (47, "48 (-1.0)"), (100, "48 (+52.0)")):
-        above, below = shown("recall_at_1", run(hits=[1] * right + [0] * (100 - right)))
-        assert (above.startswith(f"{right}.0 ["), below) == (True, told)
-    same = shown("recall_at_1", run("new", 0), run("new", 1), row=Row("new", "new", seeds=(0, 1)))
-    assert same == ["50.0 ± 0 [15.0, 85.0]"]
-    assert shown("query_cpu", run(match_seconds=[0.1] * 5))[1] == "10 (match alone here: 10; 0)"
-    assert shown("query_cpu", run(match_seconds=[0.0012] * 5))[1] == "10 (match alone here: 833; +823)"
-
-
 def test_links_of_notes_lead_to_their_anchors_and_no_style_is_in_the_html():
     tags = Parsed(formats.to_html(whole())).elements
     anchors = {attributes["id"] for _, attributes in tags if "id" in attributes}
@@ -119,23 +107,23 @@ def test_links_of_notes_lead_to_their_anchors_and_no_style_is_in_the_html():
 def test_a_terminal_shows_each_row_and_note_in_its_columns(columns, monkeypatch):
     monkeypatch.setattr(console, "LEAST_WIDTH", columns)
     monkeypatch.delenv("COLUMNS", raising=False)
-    made = replace(whole(), columns=whole().columns[:1])
+    made = replace(whole(), groups=whole().groups[:1])
     lines = formats.to_terminal(made).splitlines()
     table = [line for line in lines if "  " in line]
     assert max(map(len, table)) <= columns
     if columns == 100:
-        assert {row.name for row in made.rows} <= {line.split("  ")[0] for line in lines}
+        assert {row.name for row in made.plan.rows} <= {line.split("  ")[0] for line in lines}
     assert {*map(str, range(1, 1 + len(made.notes)))} <= {line.split(" ")[0] for line in lines}
     assert max(map(len, formats.to_terminal(made, wide=True).splitlines())) > 100
 
 
 def named(text, *more):
     """Return a table that holds a text wherever it holds any, and more rows."""
-    column = PlannedColumn("rail", text, (), remark=text)
+    column = Column("rail", text, (), remark=text)
     note = Note("dataset", text)
     rows = [Row(name, f"m{i}", rate_remark=text) for i, name in enumerate((text, "second", *more))]
     runs = [run(row.method, notes=(note,), machine={**ABACUS, "processor": text}) for row in rows]
-    return table(runs, [failure("m0", error=text, day="2025-04-01")], rows, [ResolvedColumn(column, RAILWAY)])
+    return table(runs, [failure("m0", error=text, day="2025-04-01")], rows, [replace(column, dataset=RAILWAY)])
 
 
 def test_hostile_text_is_only_text():
@@ -196,7 +184,7 @@ def read(folder, *command):
 
 
 def test_a_dataset_is_a_table_and_a_name_in_brackets_is_no_argument_of_the_line_above():
-    asked = [ResolvedColumn(PlannedColumn(name, name.upper(), ()), STREET) for name in "abcd"]
+    asked = [replace(Column(name, name.upper(), ()), dataset=STREET) for name in "abcd"]
     source = formats.to_latex(table(rows=[SAD, Row("[2cm]", "other")], asked=asked))
     assert source.count(r"\begin{tabular}") == 4
     lines = re.findall(r"^\{SAD\}.*", source, re.MULTILINE)

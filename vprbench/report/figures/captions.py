@@ -18,7 +18,7 @@ INTERVALS = "95 % intervals over the queries, the wider of Wilson's and a block 
 
 def choose_runs(series: Sequence[MethodRuns], fits: Callable[[Run], object], wanted: str) -> list[MethodRuns]:
     """Return the rows with their runs that fit; raises BadInput, "no stored run" and `wanted`, if there is none."""
-    chosen = [MethodRuns(row.name, row.spiking, runs) for row in series if (runs := tuple(filter(fits, row.runs)))]
+    chosen = [MethodRuns(row.name, runs) for row in series if (runs := tuple(filter(fits, row.runs)))]
     if not chosen:
         raise BadInput(f"no stored run {wanted}")
     return chosen

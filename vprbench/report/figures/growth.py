@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import numpy.typing as npt
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
@@ -14,28 +15,32 @@ from vprbench.metrics.growth import fit_power
 from vprbench.report.figures import style
 from vprbench.report.figures.captions import choose_runs, describe_machines, describe_timed_runs
 from vprbench.report.figures.style import Drawing, Look, choose_looks, new_figure, use_style
-from vprbench.report.growth import GrowthSamples
-from vprbench.report.selection import MethodRuns
+from vprbench.report.selection import MethodRuns, format_plain_values, get_sort_key, list_conditions
+from vprbench.report.table.best import list_laps
+from vprbench.runs.frame import tabulate_with_records
+from vprbench.runs.record import Run
 
 _TRAINING = ("fit_compute_seconds",) * 3  # columns of the samples: time, low and high; one fit has no interval
 _QUERY = ("query_seconds", "query_low", "query_high")
+_PER_SIZE = {"places", "query_places", "first_query_place", "reference_places", "held_out_places"}  # of a protocol
 _MS = 1e3  # milliseconds of a second
 _HEIGHT_MM = 74.0  # without the legend
 
 
 @use_style
-def draw_growth(rows: Sequence[GrowthSamples], claim: str = "") -> Drawing:
+def draw_growth(rows: Sequence[MethodRuns], claim: str = "") -> Drawing:
     """Draw training time (left) and the time of a query (right) against the number of places, with fitted powers.
 
-    A panel without times is not shown. `claim` is a published sentence for the caption. Raises BadInput if there is no
-    row.
+    A row has the runs of maps of different sizes, of which those count that share conditions with the newest. A panel
+    without times is not shown. `claim` is a published sentence for the caption. Raises BadInput if there is no row.
     """
     if not rows:
         raise BadInput("no run with different numbers of places is stored: there is no growth to draw")
     figure, (left, right) = new_figure(style.DOUBLE_MM, _HEIGHT_MM, 1, 2, grid=True)
     left.set(xlabel="Places", ylabel="Training time (s)", title="Training")
     right.set(xlabel="Places", ylabel="Time of a query (ms)", title="Query")
-    table = pd.concat([row.table for row in rows])
+    tables = {row.name: tabulate_growth(row.runs) for row in rows}
+    table = pd.concat(tables.values())
     labels = {row.name: row.name for row in rows}
     looks = choose_looks(labels)
     for axes, step, columns, unit in ((left, "training", _TRAINING, 1.0), (right, "query", _QUERY, _MS)):
@@ -44,7 +49,7 @@ def draw_growth(rows: Sequence[GrowthSamples], claim: str = "") -> Drawing:
             axes.set_visible(False)
             continue
         for row in rows:
-            labels[row.name] += _draw_times(axes, row.table, columns, unit, looks[row.name], step)
+            labels[row.name] += _draw_times(axes, tables[row.name], columns, unit, looks[row.name], step)
         style.scale_log(axes, "x", times["places"])
         style.scale_log(axes, "y", unit * times[columns[0]].astype(float))
     style.add_legend(figure, [Line2D([], [], **looks[name].of_line, label=label) for name, label in labels.items()])
@@ -54,7 +59,7 @@ def draw_growth(rows: Sequence[GrowthSamples], claim: str = "") -> Drawing:
         f"{places[-1]:,} places. Left: training without waiting for images. Right: one query from memory, encode and "
         "match; median and its 95 % interval. Lines: powers fitted to the logarithms of the medians over seeds, "
         "their exponents in the legend. Hollow: disturbed machine or too few laps. "
-        f"{claim}{describe_machines(run for row in rows for run in row.runs)}"
+        f"{claim}{describe_machines(table['record'])}"
     )
     return Drawing(figure, caption)
 
@@ -85,6 +90,47 @@ def draw_growing_map(series: Sequence[MethodRuns]) -> Drawing:
         f"{describe_timed_runs(series)}"
     )
     return Drawing(figure, caption)
+
+
+def tabulate_growth(runs: Sequence[Run]) -> pd.DataFrame:
+    """Return the frame of the runs of one row that share code, arguments, machine and protocol with the newest.
+
+    It ascends by places and seed, and has the runs as `record` and the times of a query: `query_seconds`, `query_low`
+    and `query_high`, encode and match together, their median and its 95 % interval.
+    """
+    newest = _format_conditions(max(runs, key=get_sort_key))
+    alike = [run for run in sorted(runs, key=get_sort_key) if _format_conditions(run) == newest]
+    kept = {(run.outcome.n_places, run.config["seed"]): run for run in alike}
+    ordered = [kept[size] for size in sorted(kept)]
+    times = pd.DataFrame(map(_list_times, ordered), columns=[*_QUERY], dtype=object)
+    return tabulate_with_records(ordered).join(times)
+
+
+def compute_median_interval(values: npt.NDArray[np.float64]) -> tuple[float, float] | None:
+    """Return the 95 % interval of the median of `values` (n,) from their order; None for fewer than six.
+
+    With k the largest number for which Binomial(n, 1/2) lies below k with a chance of at most 2.5 %, it runs from the
+    k-th lowest to the k-th highest value. It assumes nothing about the distribution, only independent values.
+    """
+    from scipy.stats import binom  # takes long to import
+
+    k = int(binom.ppf(0.025, len(values), 0.5))
+    ordered = np.sort(values)
+    return (float(ordered[k - 1]), float(ordered[-k])) if k else None
+
+
+def _list_times(run: Run) -> tuple[float | None, ...]:
+    if run.timing is None:
+        return (None, None, None)
+    return (float(np.median(list_laps(run))), *(compute_median_interval(list_laps(run)) or (None, None)))
+
+
+def _format_conditions(run: Run) -> str:
+    """Return the conditions that must be equal for times to compare, as text."""
+    protocol = {name: value for name, value in run.protocol.items() if name not in _PER_SIZE}
+    return format_plain_values(
+        [list_conditions(run), run.config.get("timing"), run.config["device"], run.dataset, protocol]
+    )
 
 
 def _draw_times(axes: Axes, table: pd.DataFrame, columns: Sequence[str], unit: float, look: Look, step: str) -> str:

@@ -110,7 +110,7 @@ def draw_similarity(run: Run, name: str) -> Drawing:
         f"Ground truth (left) and scores of {name}, seed {run.config['seed']} (right); rows are queries, columns are "
         "places. Scores of each query run from 0, its worst place, to 1, its best. "
         f"{f'A cell is the maximum of {block} x {block} scores. ' if block > 1 else ''}"
-        f"{describe_runs([MethodRuns(name, False, (run,))])}"
+        f"{describe_runs([MethodRuns(name, (run,))])}"
     )
     return Drawing(figure, caption)
 

@@ -17,7 +17,7 @@ from matplotlib.patheffects import withStroke
 from vprbench.report.figures import style
 from vprbench.report.figures.captions import choose_runs, describe_timed_runs
 from vprbench.report.figures.style import Drawing, choose_looks, new_figure, use_style
-from vprbench.report.plan import PlannedColumn, Published, Row
+from vprbench.report.plan import Column, Published, Row
 from vprbench.report.selection import MethodRuns
 from vprbench.report.table.best import compute_rate, list_laps
 from vprbench.runs.record import Run
@@ -39,7 +39,7 @@ Bar = tuple[float, float, float, float]  # its end, the ends of the line over it
 
 @use_style
 def draw_training_time(
-    series: Sequence[MethodRuns], rows: Sequence[Row], column: PlannedColumn, published: Published | None = None
+    series: Sequence[MethodRuns], rows: Sequence[Row], column: Column, published: Published | None = None
 ) -> Drawing:
     """Draw the seconds of training of each row, measured above published, a panel for each kind of device with runs.
 
@@ -58,7 +58,7 @@ def draw_training_time(
 
 @use_style
 def draw_query_rate(
-    series: Sequence[MethodRuns], rows: Sequence[Row], column: PlannedColumn, published: Published | None = None
+    series: Sequence[MethodRuns], rows: Sequence[Row], column: Column, published: Published | None = None
 ) -> Drawing:
     """Draw the queries per second of each row, measured above published, a panel for each kind of device with runs.
 
@@ -75,7 +75,7 @@ def draw_query_rate(
     return Drawing(figure, caption)
 
 
-def _describe_published(published: Published | None, column: PlannedColumn, more: str) -> str:
+def _describe_published(published: Published | None, column: Column, more: str) -> str:
     """Return a sentence on the published bars, and a space; empty where there are none."""
     if published is None or column.published is None:
         return ""
@@ -87,7 +87,7 @@ def _draw_bars(
     quantity: Literal["train", "query"],
     series: Sequence[MethodRuns],
     rows: Sequence[Row],
-    column: PlannedColumn,
+    column: Column,
     published: Published | None,
 ) -> Figure:
     """Draw a bar for each row, and below it the published bar; a panel for each kind of device, on the same axis."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import chain
@@ -15,20 +15,26 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from vprbench.report.page import words
 from vprbench.report.page.columns import format_place_ranges, list_columns, list_places_shown
+from vprbench.report.ranking import rank_rows
 from vprbench.report.selection import MethodRuns
 from vprbench.report.table.quantities import TRAINING_TIME
-from vprbench.runs.query_results import Answers, judge_answers, order_by_interest
+from vprbench.runs.machine import Machine
+from vprbench.runs.query_results import RIGHT, UNANSWERABLE, UNJUDGED, Answers, judge_answers, order_by_interest
 from vprbench.runs.recall_intervals import METHOD
 from vprbench.runs.record import Run
 from vprbench.runs.rows import describe_protocol
 from vprbench.runs.thumbnails import Thumbnails, choose_frames
+from vprbench.runs.tuned import list_notes
+from vprbench.text import format_count
 
 TITLE = "Visual place recognition, measured"
 MOST_FRAMES = 6000  # of a page, about 1.3 kB each
 
 _FOLDER = Path(__file__).parent
+_FINDINGS = 3  # sentences
+
+Facts = list[tuple[str, str]]  # (term, text)
 _NO_FRAMES = "The frames of this dataset are not stored, so names stand in their places."
 _SOME_FRAMES = "{:,} of {:,} frames are shown; names stand in the places of the others."
 
@@ -53,7 +59,7 @@ class Section:
     @property
     def runs(self) -> dict[str, Run]:
         """The runs of all rows and seeds, by the names that the page has for them."""
-        return {words.name_run(series, run): run for series in self.series for run in series.runs}
+        return {name_run(series, run): run for series in self.series for run in series.runs}
 
     @cached_property
     def answers(self) -> dict[str, Answers]:
@@ -94,8 +100,8 @@ def page(
     judged = any(run.is_judged for section in sections for run in section.runs.values())
     fact_lists = [
         ("protocol", "Protocol", [(one.title, describe_protocol(one.series[0].runs[0])) for one in sections]),
-        ("machines", "Machines", words.list_machines(series for _, series in measured)),
-        ("notes", "Notes of the runs", words.list_run_notes(measured)),
+        ("machines", "Machines", list_machines(series for _, series in measured)),
+        ("notes", "Notes of the runs", list_run_notes(measured)),
     ]
     fact_lists = [(id, heading, facts) for id, heading, facts in fact_lists if facts]
     browsing = [("findings", "Findings"), ("browser", "Failures" if judged else "Queries")] if sections else []
@@ -112,7 +118,7 @@ def page(
         pictures=[{"name": one.name, "caption": one.caption, "png": _base64(one.png)} for one in pictures],
         absent=absent,
         sections=[
-            {"title": one.title, "findings": words.list_findings(one.series, one.answers.values())} for one in sections
+            {"title": one.title, "findings": list_findings(one.series, one.answers.values())} for one in sections
         ],
         interval_method=METHOD,
         training_time=TRAINING_TIME,
@@ -179,3 +185,53 @@ def _json(content: Any) -> Markup:
 def _hash(text: str) -> str:
     """Return the name of a script or a style in a content security policy."""
     return f"sha256-{_base64(hashlib.sha256(text.encode()).digest())}"
+
+
+def list_findings(series: Sequence[MethodRuns], answers: Iterable[Answers]) -> list[str]:
+    """Return at most three sentences on the rows of one dataset: results of tests, then counts of missed queries.
+
+    `answers` are those of their runs.
+    """
+    found = list(rank_rows(series).sentences)
+    kinds = [set(verdicts) for verdicts in zip(*(one.verdicts for one in answers), strict=True)]
+    wrong = [RIGHT not in kind for kind in kinds if kind not in ({UNANSWERABLE}, {UNJUDGED})]
+    n_runs = sum(len(one.runs) for one in series)
+    if n_runs > 1 and wrong:
+        by_some = sum(RIGHT in kind and len(kind) > 1 for kind in kinds)
+        missed = f"all {n_runs} runs miss {sum(wrong):,}, some runs miss {by_some:,} more"
+        found.append(f"Of {format_count(len(wrong), 'query')} {missed}.")
+    return found[:_FINDINGS]
+
+
+def list_machines(series: Iterable[MethodRuns]) -> Facts:
+    """Return each machine with its versions, and on a line of its own the runs made there, in the order of the runs."""
+    found: dict[tuple[str, str], dict[str, None]] = {}
+    for one in series:
+        for run in one.runs:
+            made_on = Machine.of(run.environment).line, _list_versions(run.environment)
+            found.setdefault(made_on, {})[f"{one.name} ({run.dataset})"] = None
+    return [(machine, f"{versions}\n{', '.join(runs)}") for (machine, versions), runs in found.items()]
+
+
+def list_run_notes(measured: Iterable[tuple[str, MethodRuns]]) -> Facts:
+    """Return the notes of runs, each after the run's name; `measured` is rows with the titles of their datasets."""
+    facts = []
+    for title, one in measured:
+        for run in one.runs:
+            device = "" if run.config.get("device") in (None, "cpu") else f", on {run.config['device']}"
+            facts += [(f"{title}: {name_run(one, run)}{device}", note.text) for note in list_notes(run)]
+    return facts
+
+
+def name_run(series: MethodRuns, run: Run) -> str:
+    """Return the name of a run within its dataset: that of its row, and its seed if the row has several."""
+    return f"{series.name}, seed {run.config['seed']}" if len(series.runs) > 1 else series.name
+
+
+def _list_versions(environment: Mapping[str, Any]) -> str:
+    """Return the versions of vprbench, its commit, Python and the libraries."""
+    git = environment.get("git") or {}
+    changed = " with changes" if git.get("changed") else ""
+    versions = {"vprbench": environment.get("vprbench"), "commit": f"{git['commit'][:12]}{changed}" if git else None}
+    versions |= {"Python": environment.get("python"), **environment.get("libraries", {})}
+    return ", ".join(f"{name} {version}" for name, version in versions.items() if version)

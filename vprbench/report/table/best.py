@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
 
 from vprbench.metrics.catalogue import METRICS, Metric
 from vprbench.metrics.intervals import difference_interval, mcnemar_exact
+from vprbench.report.selection import MethodRuns
 from vprbench.runs.machine import Machine
 from vprbench.runs.notes import DISTURBED
 from vprbench.runs.recall_intervals import list_values
@@ -22,16 +22,7 @@ RATE_CHANCE = 0.01
 FASTER = 1.25  # times the rate: less is within the variation of machines
 
 
-@dataclass(frozen=True)
-class Contestant:
-    """One measured row."""
-
-    name: str
-    runs: tuple[Run, ...]  # one a seed, at least one
-    finished: bool  # all its seeds are stored: otherwise it may be beaten but cannot win
-
-
-def find_most_accurate(rows: Sequence[Contestant], metric: Metric) -> str | None:
+def find_most_accurate(rows: Sequence[MethodRuns], metric: Metric) -> str | None:
     """Return the row with the best mean of a metric per query if a paired test separates it from every other row.
 
     For every pair of seeds the exact McNemar test gives p < 0.05 / number of other rows, and the interval of the
@@ -45,18 +36,18 @@ def find_most_accurate(rows: Sequence[Contestant], metric: Metric) -> str | None
     return _find_winner(rows, lambda row: known[row.name], lambda one, other: _is_better(one, other, metric, chance))
 
 
-def find_best_rate(rows: Sequence[Contestant]) -> str | None:
+def find_best_rate(rows: Sequence[MethodRuns]) -> str | None:
     """Return the row with the highest query rate if the laps separate it from every other row, else None.
 
     All rows ran undisturbed on one machine and were timed alike. For every pair of seeds it is at least 1.25 times as
     fast, and the Mann-Whitney U test of the streaming laps, encode and match together, gives p < 0.01. A row with a run
     that gave other answers when it was timed may be beaten but cannot win.
     """
-    doubted = {row.name for row in rows for run in row.runs for note in run.notes if note.kind == "answers"}
-    rows = [replace(row, finished=row.finished and row.name not in doubted) for row in rows]
     if not _are_comparable(rows):
         return None
-    return _find_winner(rows, lambda row: float(np.mean([compute_rate(run) for run in row.runs])), _is_faster)
+    best = _find_winner(rows, lambda row: float(np.mean([compute_rate(run) for run in row.runs])), _is_faster)
+    doubted = {row.name for row in rows for run in row.runs for note in run.notes if note.kind == "answers"}
+    return None if best in doubted else best
 
 
 def average_seeds(runs: Sequence[Run], metric: Metric) -> float | None:
@@ -91,18 +82,18 @@ def describe_machine(run: Run) -> str:
 
 
 def _find_winner(
-    rows: Sequence[Contestant],
-    value: Callable[[Contestant], float],
-    beats: Callable[[Contestant, Contestant], bool],
+    rows: Sequence[MethodRuns],
+    value: Callable[[MethodRuns], float],
+    beats: Callable[[MethodRuns, MethodRuns], bool],
 ) -> str | None:
     """Return the row of the highest value if it beats all others one by one."""
     if len(rows) < 2:
         return None
     leader, *others = sorted(rows, key=value, reverse=True)
-    return leader.name if leader.finished and all(beats(leader, other) for other in others) else None
+    return leader.name if not leader.missing_seeds and all(beats(leader, other) for other in others) else None
 
 
-def _is_better(one: Contestant, other: Contestant, metric: Metric, chance: float) -> bool:
+def _is_better(one: MethodRuns, other: MethodRuns, metric: Metric, chance: float) -> bool:
     sign, window = 1 if metric.higher_is_better else -1, get_window_length(one.runs[0])
     ours = [list_values(run, metric, "pessimistic") for run in one.runs]
     theirs = [list_values(run, metric, "optimistic") for run in other.runs]
@@ -116,7 +107,7 @@ def _is_better(one: Contestant, other: Contestant, metric: Metric, chance: float
     return True
 
 
-def _is_faster(one: Contestant, other: Contestant) -> bool:
+def _is_faster(one: MethodRuns, other: MethodRuns) -> bool:
     from scipy.stats import mannwhitneyu  # takes long to import
 
     return all(
@@ -126,7 +117,7 @@ def _is_faster(one: Contestant, other: Contestant) -> bool:
     )
 
 
-def _are_comparable(rows: Sequence[Contestant]) -> bool:
+def _are_comparable(rows: Sequence[MethodRuns]) -> bool:
     """Tell whether all times were taken in one way on one machine that did nothing else."""
     runs = [run for row in rows for run in row.runs]
     around = [

@@ -6,49 +6,34 @@ put beside published numbers. Remarks are short codes, or fixed words of the pla
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from statistics import mean, stdev
-from typing import Any, Literal
+from typing import Any
 
 import pandas as pd
 
+from vprbench.jobs.job import JobResult
 from vprbench.metrics.accuracy import recall_at
-from vprbench.report.plan import PlanFile, Published, Row
-from vprbench.report.selection import (
-    DEVICES,
-    DatasetRuns,
-    Device,
-    RowRuns,
-    choose_accuracy_device,
-    describe_protocol,
-    select_row_runs,
-)
-from vprbench.report.selection import format_title as title_of
-from vprbench.report.table.best import Contestant
-from vprbench.report.table.quantities import QUANTITIES, RECALL, TIMES, Quantity
+from vprbench.report.plan import Plan, Row
+from vprbench.report.ranking import Ranking, rank_rows
+from vprbench.report.selection import DEVICES, DatasetRuns, Device, MethodRuns, list_method_runs, select_row_runs
+from vprbench.report.table.quantities import RECALL, TIMES, Quantity
 from vprbench.runs.frame import tabulate_with_records
 from vprbench.runs.notes import DISTURBED
 from vprbench.runs.recall_intervals import estimate_interval
 from vprbench.runs.record import Failure, Run
 from vprbench.runs.tuned import all_without_tuning_places, describe_tuning, overlaps_tuning_places
-
-Mark = Literal[
-    "measured",  # by this harness, on the machine that the cell names
-    "quoted",  # copied from a publication: in italics, in no contest
-    "not applicable",  # there is no such step: printed as -
-    "not there",  # the method, its weights or the frames are missing; the row fills by itself once they are there
-    "failed",
-    "left out",  # too many places for this row within the time of the table
-    "unfinished",  # some of the seeds are not stored yet, or none
-    "not timed",  # answers are stored, and no rates with them
-    "not run",  # no run of this kind is stored, as on a machine without a GPU
-]
+from vprbench.text import NOTHING, format_spread
 
 #: The columns of the frame of cells. Numbers are in the unit of the quantity; an absent one is None.
 FACTS = (
     *("row", "column", "quantity"),  # their names
-    "mark",  # "measured", or the word for a cell without a number (`Mark`)
+    # "measured" by this harness, "quoted" from a publication, or the word for a cell without a number: "not applicable"
+    # (there is no such step), "not there" (weights or frames are missing), "failed", "left out" (too many places for
+    # the time of the table), "unfinished" (some seeds are not stored), "not timed", "not run"
+    "mark",
     "value",  # over the seeds: the mean, of minutes and seconds of a fit the median; the published one of a quoted cell
     *("low", "high", "interval", "block"),  # of accuracies per query: 95 % over the queries, kind, queries a block
     *("elsewhere", "elsewhere_low", "elsewhere_high"),  # of an accuracy, on places not tuned on
@@ -64,6 +49,14 @@ FACTS = (
     "notes",  # numbers, from 1, into the table's notes
 )
 
+#: More columns: the same as text; empty where there is none.
+TEXTS = (
+    "absence",  # "failed", "-" ...
+    "text",  # the number
+    "extent",  # its spread, interval, in brackets with waiting for images, and the number elsewhere
+    "printed",  # the published number, in brackets the rate of the same step here and the difference
+)
+
 #: Kinds of quantities that show a run's notes of some kinds; a tilde or another cell shows the others.
 _SHOWN_BY = {
     **dict.fromkeys([*DISTURBED, "offline", "described"], ()),
@@ -72,127 +65,93 @@ _SHOWN_BY = {
 }
 
 
-@dataclass(frozen=True)
-class Column:
-    """A group of columns: one dataset under one protocol."""
+@dataclass(frozen=True, kw_only=True)
+class Report:
+    """The content of a table in every format, and the runs behind it, its figures and its page."""
 
-    name: str
-    title: str
-    data: str  # places, queries and protocol in one line
-    stand_in_for: str | None  # the title of the real dataset that a rendered one stands in for
-    published: str | None = None  # its name in the published table
-    remark: str | None = None  # fixed words on the data
-
-
-@dataclass(frozen=True)
-class Table:
-    """The content of a table in every format."""
-
-    cells: pd.DataFrame  # a line for each row, column and quantity: `FACTS`
-    columns: tuple[Column, ...]
-    rows: tuple[Row, ...]
+    plan: Plan
+    groups: tuple[DatasetRuns, ...]  # the columns
+    quantities: tuple[Quantity, ...]
+    cells: pd.DataFrame  # a line for each row, column and quantity: `FACTS` and `TEXTS`
     notes: tuple[str, ...]  # remarks on cells; note n is notes[n - 1]
     machines: tuple[str, ...]  # one line each
-    quantities: tuple[Quantity, ...] = QUANTITIES
-    title: str | None = None  # None: of the published table, whose spiking rows stand apart
-    n_aside: int = 0  # stored runs of its rows that it does not show
-    published: Published | None = None  # the table that it stands beside
+    n_aside: int  # stored runs of its rows that it does not show
+    runs: tuple[Run, ...] = ()  # all that are stored
+    job_results: tuple[JobResult, ...] = ()  # of the runs that were tried now
 
-    @property
-    def heading(self) -> str:
-        """Return the title above it."""
-        return self.title or (self.published.title if self.published else "Runs")
+    @cached_property
+    def rankings(self) -> list[Ranking]:
+        """The rows of each group that has runs, the best first, and the results of tests on them."""
+        return [rank_rows(list_method_runs(group, self.plan.rows)) for group in self.groups if group.runs]
 
 
 @dataclass(frozen=True)
 class _Entry:
-    """The stored runs of one row in one column."""
+    """The stored runs of one row in one column, by the kind of device; None: that of the accuracy."""
 
     row: Row
     group: DatasetRuns
     is_slow: bool
-    found: Mapping[Device, RowRuns]
-    facts: Mapping[Device, pd.DataFrame]  # the frame of the runs that are shown, and the runs themselves as `record`
+    found: Mapping[Device | None, MethodRuns]
+    facts: Mapping[Device | None, pd.DataFrame]  # the frame of the runs, and the runs themselves as `record`
 
-    def select(self, quantity: Quantity) -> tuple[RowRuns, pd.DataFrame]:
-        """Return the runs of the device that a cell shows, and the frame of the runs that measured its quantity."""
-        device = quantity.device or choose_accuracy_device(self.found)
-        facts = self.facts[device]
+    def select_facts(self, quantity: Quantity) -> pd.DataFrame:
+        """Return the frame of the runs that measured a quantity."""
+        facts = self.facts[quantity.device]
         if quantity.find_source(self.row) != "measured":
-            facts = facts[:0]
-        elif quantity.kind in TIMES:
-            facts = facts[facts[quantity.fact].notna()]
-        return self.found[device], facts
+            return facts[:0]
+        return facts[facts[quantity.fact].notna()] if quantity.kind in TIMES else facts
 
 
-def assemble_table(
-    groups: Sequence[DatasetRuns],
-    rows: Sequence[Row],
-    plan: PlanFile,
-    slow: Collection[tuple[str, str]] = (),
-    quantities: tuple[Quantity, ...] = QUANTITIES,
-    title: str | None = None,
-) -> Table:
-    """Return the table of some rows, a group of columns for each group of runs, one for each of the quantities.
+def tabulate(plan: Plan, groups: Sequence[DatasetRuns], quantities: tuple[Quantity, ...], **more: Any) -> Report:
+    """Return the table of a plan's rows, a group of columns for each group of runs, one for each of the quantities.
 
-    `slow` holds the column and row of cells that are left out for their number of places. Under a `title` of their
-    own the rows stay in their order.
+    `more` are the further fields of the report.
     """
-    columns = tuple(_describe_column(group, groups, plan) for group in groups)
-    ordered = tuple(sorted(rows, key=lambda row: title is None and row.spiking))
     metrics = [quantity.name for quantity in quantities if quantity.metric]
     made: list[dict[str, Any]] = []
     n_aside = 0
-    for group, column in zip(groups, columns, strict=True):
+    for group in groups:
         entries = []
-        for row in ordered:
-            found = {device: select_row_runs(group, row, device) for device in DEVICES}
-            facts = {device: tabulate_with_records(found[device].runs, metrics) for device in DEVICES}
-            entries.append(_Entry(row, group, (column.name, row.name) in slow, found, facts))
-            n_aside += sum(each.n_aside for each in found.values())
+        for row in plan.rows:
+            found: dict[Device | None, MethodRuns] = {each: select_row_runs(group, row, each) for each in DEVICES}
+            facts = {device: tabulate_with_records(one.runs, metrics) for device, one in found.items()}
+            of_accuracy = max(DEVICES, key=lambda device: found[device].coverage)
+            found[None], facts[None] = found[of_accuracy], facts[of_accuracy]
+            entries.append(_Entry(row, group, plan.is_slow(group.column, row), found, facts))
+            n_aside += sum(found[device].n_aside for device in DEVICES)
         for quantity in quantities:
             best = _find_best(entries, quantity)
             for entry in entries:
-                cell = _make_cell(entry, column, quantity, plan.published)
-                made.append({**cell, "best": best == entry.row.name})
-    names = [row.name for row in ordered]
+                cell = _make_cell(entry, quantity, plan)
+                made.append({**cell, "best": best == entry.row.name, **_format_cell(cell, entry.row, quantity)})
+    names = [row.name for row in plan.rows]
     made.sort(key=lambda cell: names.index(cell["row"]))
     notes, machines = _number_notes_and_machines(made)
-    frame = pd.DataFrame(made, columns=[*FACTS], dtype=object)
-    return Table(frame, columns, ordered, notes, machines, quantities, title, n_aside, plan.published)
-
-
-def _describe_column(group: DatasetRuns, groups: Sequence[DatasetRuns], plan: PlanFile) -> Column:
-    planned = group.column.planned
-    name, title, data = planned.name, planned.title, ["no run is stored"]
-    if group.runs:
-        run = group.runs[0]
-        name, title = group.name, title_of(group, groups)
-        data = [f"{run.outcome.n_places:,} places", f"{len(run.outcome):,} queries", describe_protocol(run)]
-    real = plan.columns[planned.stand_in_for].title if planned.stand_in_for else None
-    data += [f"stands in for {real}"] if real else []
-    return Column(name, title, "; ".join(filter(None, data)), real, planned.published, planned.remark)
+    frame = pd.DataFrame(made, columns=[*FACTS, *TEXTS], dtype=object)
+    parts = {"notes": notes, "machines": machines, "n_aside": n_aside, **more}
+    return Report(plan=plan, groups=tuple(groups), quantities=quantities, cells=frame, **parts)
 
 
 def _find_best(entries: Sequence[_Entry], quantity: Quantity) -> str | None:
     """Return the row of a column that is best by a test; rows tuned on places of the column are in no contest."""
     contest = []
     for entry in entries:
-        found, facts = entry.select(quantity)
-        runs = tuple(facts["record"])
+        runs = tuple(entry.select_facts(quantity)["record"])
         if runs and not any(map(overlaps_tuning_places, runs)):
-            contest.append(Contestant(entry.row.name, runs, not found.missing_seeds))
+            contest.append(MethodRuns(entry.row.name, runs, entry.found[quantity.device].missing_seeds))
     return quantity.best(contest)
 
 
-def _make_cell(entry: _Entry, column: Column, quantity: Quantity, published: Published | None) -> dict[str, Any]:
+def _make_cell(entry: _Entry, quantity: Quantity, plan: Plan) -> dict[str, Any]:
     """Return one cell, its notes as text and its machine by name and day."""
-    row, (found, facts) = entry.row, entry.select(quantity)
+    row, column = entry.row, entry.group.column
+    found, facts = entry.found[quantity.device], entry.select_facts(quantity)
     dataset = "" if entry.group.view else column.published or ""  # no number of a view is published
-    printed = published.numbers.get((row.name, dataset), {}) if published else {}
+    printed = plan.published.numbers.get((row.name, dataset), {}) if plan.published else {}
     value = printed.get(quantity.name)
     mark = "none" if quantity.name not in printed else "not applicable" if value is None else "measured"
-    cell: dict[str, Any] = {**dict.fromkeys(FACTS), "row": row.name, "column": column.name, "quantity": quantity.name}
+    cell = {**dict.fromkeys(FACTS), "row": row.name, "column": entry.group.name, "quantity": quantity.name}
     cell |= {"mark": "not applicable", "published": value, "published_mark": mark, "disturbed": False, "notes": []}
     if (source := quantity.find_source(row)) != "measured":
         is_quoted = source == "quoted" and value is not None
@@ -243,9 +202,9 @@ def _compute_numbers(facts: pd.DataFrame, quantity: Quantity) -> dict[str, Any] 
     return found
 
 
-def _find_absence(entry: _Entry, quantity: Quantity) -> Mark:
+def _find_absence(entry: _Entry, quantity: Quantity) -> str:
     """Return the word in a cell that no run measured."""
-    found, _ = entry.select(quantity)
+    found = entry.found[quantity.device]
     if found.failures:
         return "not there" if all(failure.missing for failure in found.failures) else "failed"
     if found.runs:
@@ -269,7 +228,7 @@ def _explain_undefined(quantity: Quantity, runs: Sequence[Run]) -> str:
 
 def _list_remarks(entry: _Entry, quantity: Quantity, runs: Sequence[Run]) -> Iterator[str]:
     """Yield the remark on tuning, the codes `time to build the map` and `ties`, and the runs' notes on a quantity."""
-    if tuning := describe_tuning(tuple(entry.select(RECALL)[1]["record"])):
+    if tuning := describe_tuning(entry.found[None].runs):
         yield tuning
     if quantity.kind == "training" and entry.row.training == "map":
         yield "time to build the map"
@@ -295,3 +254,46 @@ def _number_notes_and_machines(cells: Sequence[dict[str, Any]]) -> tuple[tuple[s
         cell["notes"] = tuple(sorted({notes.index(note) + 1 for note in cell["notes"]}))
         cell["machine"] = None if cell["machine"] is None else machines.index(cell["machine"][0])
     return tuple(notes), tuple(f"{name}, {day}" for name, day in days.items())
+
+
+def _format_cell(cell: Mapping[str, Any], row: Row, quantity: Quantity) -> dict[str, str]:
+    """Return the `TEXTS` of a cell."""
+    mark, text, extent, printed = str(cell["mark"]), "", "", ""
+    absence = {"measured": "", "quoted": "", "not applicable": NOTHING}.get(mark, mark)
+    if mark == "quoted":
+        text = _format_published(cell["value"])
+    elif cell["seeds"] is not None:
+        absence = absence and f"{absence}:"
+        text, extent = f"{'~' * cell['disturbed']}{quantity.text(cell['value'])}", _describe_extent(cell, quantity)
+    if cell["published_mark"] != "none":
+        published, beside = cell["published"], _describe_beside(cell, row.boundary, quantity)
+        printed = NOTHING if published is None else f"{_format_published(published)}{beside}"
+    return dict(zip(TEXTS, (absence, text, extent, printed), strict=True))
+
+
+def _describe_extent(cell: Mapping[str, Any], quantity: Quantity) -> str:
+    """Return the spread over the seeds, the interval, the total, and the number elsewhere, as far as they are known."""
+    value, text = quantity.text(cell["value"]), quantity.text
+    parts = [] if cell["spread"] is None else [f"± {format_spread(cell['spread'], value)}"]
+    parts += [] if cell["low"] is None else [f"[{text(cell['low'])}, {text(cell['high'])}]"]
+    parts += [] if cell["total"] is None else [f"({text(cell['total'])})"]
+    parts += [] if cell["elsewhere"] is None else [f"elsewhere {text(cell['elsewhere'])}"]
+    if cell["elsewhere_low"] is not None:
+        parts.append(f"[{text(cell['elsewhere_low'])}, {text(cell['elsewhere_high'])}]")
+    return " ".join(parts)
+
+
+def _describe_beside(cell: Mapping[str, Any], boundary: str | None, quantity: Quantity) -> str:
+    """Return in brackets the rate of the published step alone, and the measured number less the printed."""
+    alone, difference = cell["at_boundary"], cell["difference"]
+    parts = [] if alone is None else [f"{boundary} alone here: {quantity.text(alone)}"]
+    if difference is not None:
+        size = quantity.text(abs(difference))
+        sign = "" if float(size.replace(",", "")) == 0 else "-" if difference < 0 else "+"
+        parts.append(f"{sign}{size}")
+    return f" ({'; '.join(parts)})" if parts else ""
+
+
+def _format_published(value: float) -> str:
+    """Return a number as a publication printed it: 48 and 0.5, never 48.0 or 0.50."""
+    return f"{value:,}".removesuffix(".0")

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 from vprbench.jobs.executors import choose_executor
 from vprbench.jobs.job import JobResult
-from vprbench.report.gather import Report, load_stored_runs, make_report, resolve_plan
+from vprbench.report.gather import make_report, resolve_plan
 from vprbench.report.run_options import TableRequest
 from vprbench.report.table import formats
+from vprbench.report.table.cells import Report
 from vprbench.runs import frame
 from vprbench.runs.sequences import name_views, parse_views
 from vprbench.runs.store import Store
@@ -23,27 +23,23 @@ def make_table(request: TableRequest, options: Sequence[str]) -> int:
 
     Figures and page follow where the request has them. The runs of growth are made for the figures alone.
     """
-    from vprbench.report.figures.make import list_growth_columns, print_figures, run_growth  # takes long
+    from vprbench.report.figures.make import print_figures  # takes long
     from vprbench.report.page.make import print_page
 
-    chosen = resolve_plan(request)
+    plan = resolve_plan(request)
     with choose_executor(request) as executor:
-        found = make_report(chosen, options, executor)
-        growth = list_growth_columns(found) if request.figures or request.page else []
-        results = [*found.job_results, *(run_growth(found, growth, options, executor) if request.figures else [])]
-    if request.figures:
-        found = replace(found, runs=tuple(load_stored_runs(chosen)[0]))
+        found = make_report(plan, options, executor, request.figures)
     is_narrow = make_console().is_terminal
-    printed = formats.to_terminal(found.table, request.wide) if is_narrow else formats.to_markdown(found.table)
+    printed = formats.to_terminal(found, request.wide) if is_narrow else formats.to_markdown(found)
     print(printed, end="", flush=True)  # first: it is there to be read even where nothing is written
     name = file_name(request)
     written = write_table(found, Path(request.results).expanduser(), name)
     print(f"\nwritten to {', '.join(str(path) for path in written)}", flush=True)
     if request.figures:
-        print_figures(found, growth)
+        print_figures(found)
     if request.page:
-        print_page(found, "report" if name == "table" else f"report-{name}", growth)
-    return choose_exit_code(results)
+        print_page(found, "report" if name == "table" else f"report-{name}")
+    return choose_exit_code(found.job_results)
 
 
 def write_table(found: Report, folder: Path, name: str) -> list[Path]:
@@ -51,10 +47,10 @@ def write_table(found: Report, folder: Path, name: str) -> list[Path]:
     Store(folder).prepare()
     runs = [run for group in found.groups for run in group.runs]
     texts = {
-        f"{name}.md": formats.to_markdown(found.table),
-        f"{name}.csv": formats.to_csv(found.table),
-        f"{name}.tex": formats.to_latex(found.table),
-        f"{name}-runs.csv": frame.format_csv(runs, found.chosen.metrics),
+        f"{name}.md": formats.to_markdown(found),
+        f"{name}.csv": formats.to_csv(found),
+        f"{name}.tex": formats.to_latex(found),
+        f"{name}-runs.csv": frame.format_csv(runs, found.plan.metrics),
     }
     for file, text in texts.items():
         replace_text(folder / file, text)

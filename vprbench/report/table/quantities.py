@@ -10,8 +10,8 @@ from typing import Literal
 
 from vprbench.metrics.catalogue import METRICS, Metric
 from vprbench.report.plan import Row
-from vprbench.report.selection import DEVICES, Device
-from vprbench.report.table.best import Contestant, find_best_rate, find_most_accurate
+from vprbench.report.selection import DEVICES, Device, MethodRuns
+from vprbench.report.table.best import find_best_rate, find_most_accurate
 from vprbench.text import format_two_digits
 
 TRAINING_TIME = (  # of the table, the page and the README
@@ -43,7 +43,7 @@ class Quantity:
     over_seeds: Callable[[Sequence[float]], float] = mean
     text: Callable[[float], str] = format_two_digits
     total: str | None = None  # the fact that takes in the steps that `fact` leaves out
-    best: Callable[[Sequence[Contestant]], str | None] = lambda rows: None  # the row that a test separates from all
+    best: Callable[[Sequence[MethodRuns]], str | None] = lambda rows: None  # the row that a test separates from all
     metric: Metric | None = None  # of an accuracy or a cost
 
     @property
