@@ -77,7 +77,7 @@ class Arguments:
             return GaborBank(self.height, self.width, self.patch)
         return Patches(PatchNormalisation(self.preprocessing, self.height, self.width, self.patch))
 
-    def chosen_rules(self) -> Rules:
+    def choose_rules(self) -> Rules:
         """Return the rules, single choices replaced by arguments; raises BadInput if two exclude each other."""
         names = {choice.name for choice in fields(Rules)}
         given = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
@@ -91,7 +91,7 @@ class Arguments:
 
     def check(self) -> None:
         """Raise BadInput for arguments under which there is no network."""
-        rules = self.chosen_rules()
+        rules = self.choose_rules()
         wanted = {
             "epochs": (self.epochs >= 1, "at least 1"),
             "max_module": (self.max_module >= 1, "at least 1 place"),

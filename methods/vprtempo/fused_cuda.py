@@ -26,7 +26,7 @@ _LEAST, _MOST = tl.constexpr(SMALLEST), tl.constexpr(LARGEST)
 def train_features(layer: Layer, schedule: Schedule, training: Training, report: Callable[[float], None]) -> None:
     """Train a feature layer in place, as `training.train_features` does, all modules at once."""
     rules = training.rules
-    for image, _, factor in _launches(schedule, training.spikes.shape[1], report):
+    for image, _, factor in _split_launches(schedule, training.spikes.shape[1], report):
         _launch(
             _learn_features,
             layer,
@@ -42,7 +42,7 @@ def train_places(
     """Train an output layer in place, as `training.train_places` does, all modules at once."""
     weights, rules = features.weights.mT, training.rules
     share = 1.0 if rules.error_to_each_sign else 0.5
-    for image, neuron, factor in _launches(schedule, sum(weights.shape[1:]), report):
+    for image, neuron, factor in _split_launches(schedule, sum(weights.shape[1:]), report):
         net = torch.baddbmm(features.constant[:, None], training.spikes[image], weights)
         stdp = training.output_stdp * factor
         _launch(
@@ -54,7 +54,7 @@ def train_places(
         )
 
 
-def _launches(
+def _split_launches(
     schedule: Schedule, values: int, report: Callable[[float], None]
 ) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
     """Yield image, neuron and factor, each (modules, n_steps), of the steps of one launch after another.

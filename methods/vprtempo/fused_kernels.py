@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .compiled import compiled
-from .layer import LARGEST, SMALLEST
+from .layer import LARGEST, SMALLEST, compiled
 
 SPIKE, AMPLITUDE, DECAY = 0, 1, 2  # the rules of thresholds
 _LEAST, _MOST = np.float32(SMALLEST), np.float32(LARGEST)

@@ -56,7 +56,7 @@ class LatencyQuery(SpikingQuery):
                 add_active(self._by_feature[module], came[query, module], added[own])
                 net[query, own] += added[own]
             above = net[going] - self._full * np.float32(step / self._steps)
-            scores[going], steps[going] = self._fired(torch.from_numpy(above)).numpy(), step
+            scores[going], steps[going] = self._activate(torch.from_numpy(above)).numpy(), step
             second, first = np.partition(np.pad(scores, ((0, 0), (1, 0))), -2, axis=1)[:, -2:].T
             going &= first - second <= self._lead * first
             if not going.any():
@@ -66,7 +66,7 @@ class LatencyQuery(SpikingQuery):
     def _levels(self, spikes: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
         """Return how many steps before the end of their cycle the features spike, (n_queries, n_neurons); 0: never."""
         shown = torch.tensor(np.rint(spikes * np.float32(self._steps)) / np.float32(self._steps), device=self._device)
-        return np.rint(self._features(shown).cpu().numpy() * (self._steps / self._clip))
+        return np.rint(self._fire_features(shown).cpu().numpy() * (self._steps / self._clip))
 
 
 @dataclass
@@ -85,9 +85,9 @@ class VPRTempoLatencies(VPRTempo):
         """The arguments that may differ in a stored network."""
         return super().query_arguments | {"steps", "lead"}
 
-    def chosen_rules(self) -> Rules:
+    def choose_rules(self) -> Rules:
         """Return the rules; raises BadInput where spikes have no times."""
-        rules = super().chosen_rules()
+        rules = super().choose_rules()
         if not 4 <= self.steps <= 1000 or not (self.lead is None or 0 < self.lead < 1):
             raise BadInput(f"method.steps={self.steps}, method.lead={self.lead}: give 4 to 1000, and between 0 and 1")
         if rules.query_rule == "linear" or rules.calibrated_scores:
@@ -100,7 +100,7 @@ class VPRTempoLatencies(VPRTempo):
 
     def spikes(self, codes: npt.NDArray[np.float32]) -> list[LayerSpikes]:
         """Return the spikes of each layer until the query ends; outputs spike in a cycle of their own, best first."""
-        found, clip = super().spikes(codes), self.chosen_rules().clip
+        found, clip = super().spikes(codes), self.choose_rules().clip
         best = found[-1].values.max(1, keepdims=True, initial=1e-9)
         for cycle, most in enumerate((1, clip, best)):
             levels = np.rint(found[cycle].values * (self.steps / most)).astype(int)

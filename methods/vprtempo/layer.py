@@ -10,7 +10,12 @@ import torch
 from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
 
+from vprbench.api import compiled as compiled_exactly
+
 from .rules import Rules
+
+#: Compiles inner loops. Sums may be reordered; infinities still count.
+compiled = compiled_exactly(fastmath={"reassoc", "contract", "arcp", "nsz"})
 
 # Limits of a weight's magnitude; kernels are cached with them, so a change has to touch `fused_kernels.py` too.
 SMALLEST, LARGEST = 1e-6, 10.0
@@ -120,7 +125,7 @@ def _balance(layer: Layer, net_input: Tensor, stdp: Tensor, rules: Rules) -> Non
     layer.inhibition.mul_((1 + rules.homeostasis_gain * stdp * net_input).clamp_(min=0)[:, :, None])
 
 
-def feature_rates(n: int, lowest: float, highest: float) -> Tensor:
+def ramp_rates(n: int, lowest: float, highest: float) -> Tensor:
     """Return the fixed ramp of target firing rates, (n,), from just above `lowest` to `highest`."""
     return (lowest + (highest - lowest) * torch.arange(1, n + 1, dtype=torch.float64) / n).float()
 
@@ -184,7 +189,7 @@ def _draw_synapses(
 ) -> tuple[Tensor, Tensor]:
     """Return the magnitudes of the synapses of one sign, (n_post, n_pre), and which of them exist."""
     magnitude = torch.randn(n_post, n_pre, generator=generator)
-    exists = _connections(generator, n_post, n_pre, probability, rules)
+    exists = _draw_connections(generator, n_post, n_pre, probability, rules)
     if not exists.any():
         return magnitude.zero_(), exists
     magnitude.div_(6).add_(0.5).clamp_(min=0).mul_(exists)
@@ -193,7 +198,7 @@ def _draw_synapses(
     return magnitude.div_(torch.where(divisor == 0, 1.0, divisor)), exists
 
 
-def _connections(generator: torch.Generator, n_post: int, n_pre: int, probability: float, rules: Rules) -> Tensor:
+def _draw_connections(generator: torch.Generator, n_post: int, n_pre: int, probability: float, rules: Rules) -> Tensor:
     """Return which synapses exist, (n_post, n_pre)."""
     if not rules.even_connections or probability == 0:
         return torch.rand(n_post, n_pre, generator=generator) < probability

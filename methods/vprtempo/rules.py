@@ -90,7 +90,7 @@ V1 = replace(
 RULES: dict[RuleSet, Rules] = {"paper": PAPER, "reference": REFERENCE, "v1": V1}
 
 
-def annealing(epochs: int, steps_per_epoch: int, rules: Rules) -> npt.NDArray[np.float64]:
+def list_annealing(epochs: int, steps_per_epoch: int, rules: Rules) -> npt.NDArray[np.float64]:
     """Return the factor on the learning rates for each step, (epochs * steps_per_epoch,), Eq. 3.
 
     A step uses what was set after the last earlier step whose number is a multiple of the interval.

@@ -14,7 +14,7 @@ from torch.nn.utils.rnn import pad_sequence
 from vprbench.api import BadInput, Scores, TrainingDivergedError
 
 from .layer import LARGEST, SMALLEST, Layer, learn_features, learn_places
-from .rules import Rules, annealing
+from .rules import Rules, list_annealing
 
 _REPORT_EVERY = 100  # steps
 _SPREAD = 0.03  # that an output neuron's net input has over the references after the covariance rule
@@ -55,7 +55,7 @@ class Training:
     output_stdp: float  # and of the output layer
 
 
-def module_sizes(n_places: int, max_module: int) -> list[int]:
+def split_places(n_places: int, max_module: int) -> list[int]:
     """Split consecutive places into as few modules as `max_module` places allow; sizes differ by at most one."""
     n_modules = -(-n_places // max_module)
     least, larger = divmod(n_places, n_modules)
@@ -84,7 +84,7 @@ def draw_schedule(
         image = torch.cat([own[order] for order in orders]) if rules.shuffle else own.repeat(epochs)
         images.append(image)
         neurons.append(torch.tensor(places)[image] - int(start))
-        factors.append(torch.from_numpy(annealing(epochs, len(own), rules)).float())
+        factors.append(torch.from_numpy(list_annealing(epochs, len(own), rules)).float())
     return Schedule(pad_sequence(images), pad_sequence(neurons), pad_sequence(factors))
 
 

@@ -16,7 +16,7 @@ from vprbench.errors import BadInput, NotFittedError, TrainingDivergedError
 from vprbench.methods.parts.filters.gabor import GaborBank
 from vprbench.methods.parts.filters.oriented import OrientedEdges
 from vprbench.methods.parts.filters.patches import PatchNormalisation
-from vprbench.methods.vprtempo.encoding import spikes_of
+from vprbench.methods.vprtempo.encoding import make_spikes
 from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.methods.vprtempo.rules import PAPER, RULES, V1, QueryRule, Rules, RuleSet
 
@@ -53,10 +53,10 @@ def another_value(name):
 
 def test_an_argument_replaces_the_one_choice_of_its_name_and_none_leaves_the_rules_as_they_are():
     for rules in get_args(RuleSet):
-        assert VPRTempo(rules=rules).chosen_rules() == RULES[rules]
+        assert VPRTempo(rules=rules).choose_rules() == RULES[rules]
     for name in CHOICES:
         value = another_value(name)
-        assert VPRTempo(rules="paper", **{name: value}).chosen_rules() == replace(PAPER, **{name: value})
+        assert VPRTempo(rules="paper", **{name: value}).choose_rules() == replace(PAPER, **{name: value})
     choices = {name: getattr(V1, name) for name in CHOICES}
     assert np.array_equal(scores_of(rules="paper", **choices), scores_of(rules="v1"))
 
@@ -148,7 +148,7 @@ def test_spikes_are_the_levels_over_255_in_variant_c_by_the_8_bit_step(variant):
     assert 127 < largest[-1] < 255
     expected = np.round(levels * 255 / largest) * largest / 255 / 255 if variant == "C" else levels / 255
     found = VPRTempo(preprocessing=variant, height=12, width=12).encode(shown)
-    assert not spikes_of(np.zeros((1, 3), np.uint8), True).any()
+    assert not make_spikes(np.zeros((1, 3), np.uint8), True).any()
     assert found.dtype == np.float32
     assert found == pytest.approx(expected, abs=1e-6)
 

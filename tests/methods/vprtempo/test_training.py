@@ -7,7 +7,7 @@ import vprtempo_oracle as oracle
 
 from vprbench.errors import TrainingDivergedError
 from vprbench.methods.vprtempo.rules import PAPER, REFERENCE, V1
-from vprbench.methods.vprtempo.training import check_winners, draw_schedule, module_sizes
+from vprbench.methods.vprtempo.training import check_winners, draw_schedule, split_places
 
 SIZES = [12, 12, 5]  # places of each module
 TRAVERSES = np.tile(np.arange(29), 2)  # the place of each of 58 reference images
@@ -29,9 +29,9 @@ def images_shown(rules, module, epoch):
 
 
 def test_places_are_split_so_that_only_the_last_module_is_smaller():
-    assert module_sizes(2761, 1100) == [921, 920, 920]
-    assert module_sizes(3300, 1100) == [1100] * 3
-    assert module_sizes(450, 1100) == [450]
+    assert split_places(2761, 1100) == [921, 920, 920]
+    assert split_places(3300, 1100) == [1100] * 3
+    assert split_places(450, 1100) == [450]
 
 
 @ALL_RULES
