@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from .fused_kernels import AMPLITUDE, DECAY, NEARLY_NOTHING, SPIKE, learn_features, learn_places
+from .fused_kernels import AMPLITUDE, DECAY, SPIKE, learn_features, learn_places
 from .layer import Layer
 from .rules import Rules
 from .training import Schedule, Training
@@ -76,13 +76,9 @@ def train_places(
 def _lend_rows(layer: Layer, module: int, rules: Rules) -> Iterator[tuple[Any, ...]]:
     """Lend a module's weights to a kernel: excitation, inhibition, thresholds, C and whether both are one array.
 
-    Where a synapse has one sign only, its signed weight is all there is to pass over. A synapse that exists is lent
-    as more than 0.
+    Where a synapse has one sign only, its signed weight is all there is to pass over.
     """
     excitation, inhibition = layer.excitation[module], layer.inhibition[module]
-    for weights, largest in ((excitation, layer.largest_excitation), (inhibition, layer.largest_inhibition)):
-        exists = True if largest is None else largest[module] > 0
-        weights[(weights == 0) & exists] = NEARLY_NOTHING
     rest = (layer.thresholds[module].numpy(), layer.constant[module].numpy())
     if rules.one_sign_per_synapse:
         signed = excitation - inhibition

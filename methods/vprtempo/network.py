@@ -125,7 +125,7 @@ class Network:
 def take_last_features(members: Sequence[Network]) -> Layer:
     """Return the last feature layer of each network, side by side."""
     signed, constant, thresholds = (torch.cat([getattr(one, name)[-1:] for one in members]) for name in _FEATURES)
-    return Layer(signed.clamp(min=0), (-signed).clamp_(min=0), None, None, thresholds, constant)
+    return Layer(signed.clamp(min=0), (-signed).clamp_(min=0), thresholds, constant)
 
 
 def join_states(members: Sequence[Network]) -> dict[str, npt.NDArray[np.float32]]:

@@ -13,7 +13,7 @@ from torch.nn.utils.rnn import pad_sequence
 
 from vprbench.api import BadInput, Scores, TrainingDivergedError
 
-from .layer import LARGEST, SMALLEST, Layer, learn_features, learn_places
+from .layer import LARGEST, NEARLY_NOTHING, SMALLEST, Layer, learn_features, learn_places
 from .rules import Rules, list_annealing
 
 _REPORT_EVERY = 100  # steps
@@ -121,6 +121,8 @@ def set_thresholds(layer: Layer, schedule: Schedule, training: Training) -> None
 
     The references of a module count once each, however often `schedule` shows them.
     """
+    for drawn in (layer.excitation, layer.inhibition):  # which stay as they are
+        drawn[drawn <= NEARLY_NOTHING] = 0
     for module, weights in enumerate(layer.weights):
         own = torch.unique(schedule.image[schedule.factor[:, module] > 0, module])
         net = torch.addmm(layer.constant[module, :, None], weights, training.spikes[own].T).sort(1).values

@@ -43,8 +43,6 @@ def same(one, other):
     [
         *({"rules": rules, "engine": engine} for rules in get_args(RuleSet) for engine in get_args(Engine)),
         {"max_module": 7},
-        # At this probability some of the feature layers have all 41,472 excitatory synapses, others lack one or two.
-        {"p_excitatory": 0.99998, "max_module": 20},
     ],
     ids=str,
 )

@@ -10,7 +10,7 @@ import torch
 import vprtempo_oracle as oracle
 
 from vprbench.methods.vprtempo import fused, training
-from vprbench.methods.vprtempo.layer import LARGEST, Layer, draw_layer, ramp_rates
+from vprbench.methods.vprtempo.layer import Layer, draw_layer, ramp_rates
 from vprbench.methods.vprtempo.rules import PAPER, REFERENCE, RULES, V1
 from vprbench.methods.vprtempo.training import Schedule, Training, draw_schedule
 
@@ -55,8 +55,7 @@ def parts(layer):
 
 def exists(layer):
     """Return which excitatory and which inhibitory synapses exist."""
-    pairs = ((layer.largest_excitation, layer.excitation), (layer.largest_inhibition, layer.inhibition))
-    return [(torch.ones_like(weights) if largest is None else largest)[0].numpy() > 0 for largest, weights in pairs]
+    return [weights[0].numpy() > 0 for weights in (layer.excitation, layer.inhibition)]
 
 
 def signs_apart(w, thresholds):
@@ -140,8 +139,7 @@ def test_200_steps_agree_with_the_oracle(name, engine):
 def test_a_weight_is_held_at_10_and_keeps_its_sign(rules, excitation, inhibition, learnt, engine):
     nothing, first = torch.zeros(1, 1), torch.zeros(1, 1, dtype=torch.int64)
     weights = [torch.tensor([[[w]]]) for w in (excitation, inhibition)]
-    largest = [LARGEST * (w > 0).float() for w in weights]  # a weight of 0 is no synapse
-    layer = Layer(*weights, *largest, nothing.clone(), nothing)
+    layer = Layer(*weights, nothing.clone(), nothing)  # a weight of 0 is no synapse
     lesson = Training(torch.ones(1, 1), torch.tensor([0.2]), rules, 0.01, 0.15, 0.01)
     engine.train_features(layer, Schedule(first, first, torch.ones(1, 1)), lesson, lambda _: None)
     found = [float(part) for part in (layer.excitation, layer.inhibition, layer.thresholds)]
