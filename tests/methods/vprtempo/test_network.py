@@ -1,10 +1,8 @@
 """A trained VPRTempo network as arrays: stored, restored, published by the authors, refused, and how fast it learns."""
 
-from functools import cache
-
 import numpy as np
 import pytest
-from tempo_networks import QUERIES, REFERENCES, RULE_SETS, SMALL, WORLD, fitted
+from tempo_networks import QUERIES, SMALL, fitted
 
 from vprbench.errors import BadInput, NotFittedError
 from vprbench.methods.vprtempo.method import VPRTempo
@@ -102,28 +100,3 @@ def test_published_thresholds_act_where_the_query_is_spiking():
     state = {name: np.full_like(array, values[name[8:]]) for name, array in checkpoint((1,), 1).items()}
     restored = method(rules="reference", query_rule="spiking").restore(state)
     assert restored.match(np.ones((1, SIDE * SIDE), np.float32)) == pytest.approx(0.5, abs=1e-4)
-
-
-FIRST_8 = np.flatnonzero(WORLD.places < 8)  # so few that an untrained output layer is not taken for a diverged one
-
-
-@cache
-def trained(**arguments):
-    return method(max_module=5, **arguments).fit(REFERENCES[FIRST_8], WORLD.places[FIRST_8]).state()
-
-
-def differing(one, other):
-    """Return the names of arrays that differ, without the number of their module."""
-    return {name.rstrip("_0123456789") for name, array in one.items() if not np.array_equal(array, other[name])}
-
-
-@RULE_SETS
-def test_the_output_layer_alone_learns_at_a_rate_of_its_own_by_default_at_stdp_rate(rules):
-    slow = trained(rules=rules, stdp_rate=0.003)
-    assert not differing(slow, trained(rules=rules, stdp_rate=0.003, output_stdp_rate=0.003))
-    learnt = {"outputs", "output_thresholds"} if rules == "v1" else {"outputs"}
-    assert differing(slow, trained(rules=rules, stdp_rate=0.003, output_stdp_rate=0.002)) == learnt
-    still = {"rules": rules, "output_stdp_rate": 0.0}
-    changed = differing(trained(**still), trained(**still, epochs=7))
-    assert "features" in changed
-    assert not changed & {"outputs", "output_thresholds"}
