@@ -16,7 +16,7 @@ Counts = npt.NDArray[np.int32]
 SIDE = 8  # neurons whose weights lie side by side: a line of the cache
 STRETCH = 512  # steps for which the input of a neuron that fired lately is summed
 TILE = 64  # steps that are simulated from one look for silence to the next
-NEVER = -(1 << 60)  # the step of what has not happened yet
+NEVER = -(1 << 60)  # the step of an event that has not happened yet
 
 
 class Synapses(NamedTuple):
@@ -32,7 +32,7 @@ class Synapses(NamedTuple):
 
 
 class State(NamedTuple):
-    """What a module carries from one presentation to the next; `NEVER` is the step of what has not happened."""
+    """The state that a module carries from one presentation to the next; `NEVER`: an event has not happened."""
 
     v: Floats  # (n_padded,) mV, of excitatory neurons
     ge: Floats
@@ -79,13 +79,13 @@ class Train(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """Memory that a simulation works in; what it held before does not matter."""
+    """Memory that a simulation works in; its earlier content does not matter."""
 
-    drive: Floats  # (n_blocks, n_steps, SIDE) what arrives at each neuron
+    drive: Floats  # (n_blocks, n_steps, SIDE) the input that arrives at each neuron
     tile: Floats  # (TILE, n_padded) the same for steps that come next
-    row: Floats  # (n_steps,) what arrives at one neuron
-    change: Floats  # (n_steps,) by how much its weights change at what arrives
-    running: Floats  # (n_padded, n_inputs) weights that change, after what has arrived before step `until`
+    row: Floats  # (n_steps,) the input that arrives at one neuron
+    change: Floats  # (n_steps,) by how much its weights change with an arrival
+    running: Floats  # (n_padded, n_inputs) weights that change, after all arrivals before step `until`
     settled: Floats  # (n_padded, n_inputs) the same before step `since`
     since: Steps  # (n_padded,)
     until: Steps  # (n_padded,) 0 for a neuron whose weights do not change

@@ -36,7 +36,7 @@ def make_generator(seed: int, *words: int) -> np.random.Generator:
 
 
 def make_image_generator(seed: int, levels: npt.NDArray[np.uint8]) -> np.random.Generator:
-    """Return the generator of one image: the same image has the same spikes, whatever is asked before it."""
+    """Return the generator of one image: the same image has the same spikes, wherever it stands among the queries."""
     words = np.frombuffer(hashlib.blake2b(levels.tobytes(), digest_size=16).digest(), np.uint32)
     return make_generator(seed, _IMAGE, *map(int, words))
 

@@ -1,8 +1,8 @@
 """A module of VPRSNN for one image after the other: exact in time, and compiled.
 
 Between spikes of the excitatory neurons nothing but the input acts on them, and the input of a whole presentation is
-known when it begins. So what arrives at each neuron in each step is summed first, synapse by synapse, and one light
-pass a step does the rest. Only a neuron that fired lately has weights that change at what arrives. Its input is summed
+known when it begins. So the input of each neuron in each step is summed first, synapse by synapse, and one light
+pass a step does the rest. Only a neuron that fired lately has weights that change with its input. Its input is summed
 in stretches, each weight as it is by then; should it fire within a stretch, that stretch is summed again.
 """
 
@@ -57,7 +57,7 @@ def find_largest(weights, largest):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _arrive(steps, sources, delays, first, until, row, change, weights, most):  # type: ignore[no-untyped-def]
-    """Sum in `row` what arrives at a neuron from step `first` to `until` - 1, and change each weight that has acted."""
+    """Sum in `row` the input that arrives at a neuron from step `first` to `until` - 1, and change each weight that has acted."""
     begin, length = np.uint64(first), np.uint64(until - first)
     for spike in range(len(steps)):
         source = np.uint64(sources[spike])
@@ -72,7 +72,7 @@ def _arrive(steps, sources, delays, first, until, row, change, weights, most):  
 
 @compiled()
 def _hear(synapses, train, scratch, post, since_spike, physics, j, first, until):  # type: ignore[no-untyped-def]
-    """Let arrive at neuron `j` what arrives from step `first` to `until` - 1: sum it, change the weights.
+    """Sum the input of neuron `j` from step `first` to `until` - 1, and change the weights by which it arrives.
 
     An arrival adds the trace `post` of the neuron's last spike, `since_spike` steps before the presentation, to the
     weight by which it has just acted.
@@ -91,7 +91,7 @@ def _hear(synapses, train, scratch, post, since_spike, physics, j, first, until)
 
 @compiled()
 def _sum_stretch(synapses, train, scratch, post, since_spike, physics, j, first, until):  # type: ignore[no-untyped-def]
-    """Replace what arrives at neuron `j` from step `first` to `until` - 1, each weight as it is by then."""
+    """Replace the input that arrives at neuron `j` from step `first` to `until` - 1, each weight as it is by then."""
     scratch.settled[j] = scratch.running[j]
     scratch.since[j] = first
     scratch.until[j] = max(first, until)
@@ -106,7 +106,7 @@ def _sum_stretch(synapses, train, scratch, post, since_spike, physics, j, first,
 
 @compiled()
 def _lay_out(scratch, first, until):  # type: ignore[no-untyped-def]
-    """Lay out what arrives in steps `first` to `until` - 1 for one pass over all neurons a step."""
+    """Lay out the input of steps `first` to `until` - 1 for one pass over all neurons a step."""
     drive, tile = scratch.drive, scratch.tile
     for block in range(len(drive)):
         for step in range(first, until):
@@ -209,7 +209,7 @@ def _relax(state, physics, steps):  # type: ignore[no-untyped-def]
 def present(synapses, state, train, scratch, physics, traces, now, learning, resting):  # type: ignore[no-untyped-def]
     """Show one image, which begins at step `now`: change the state and, if `learning`, the weights, in place.
 
-    `scratch` holds what arrives by the weights as they are and, if `learning`, the largest weight of each neuron. Fills
+    `scratch` holds the input by the weights as they are and, if `learning`, the largest weight of each neuron. Fills
     `state.counts`; spikes of the rest that follows are counted for the next image. If not `resting`, the simulation
     ends with the presentation. Order within a step (the default of Brian2): state update, thresholds, synapses
     (presynaptic, then postsynaptic), resets.

@@ -1,4 +1,4 @@
-"""The arguments of VPRTempo, with the paper's values as defaults, and what they choose: rules and input."""
+"""The arguments of VPRTempo, with the paper's values as defaults, and the rules and the encoder that they choose."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Engine = Literal["fused", "readable"]
 
 @dataclass
 class Arguments:
-    """What VPRTempo is constructed with: the values of the paper's Table I; None: what the rules say."""
+    """The arguments of VPRTempo: the values of the paper's Table I; None: as `rules` say."""
 
     rules: RuleSet = "paper"
     encoding: Encoding = "patches"
@@ -69,7 +69,7 @@ class Arguments:
     device: str = "cpu"
 
     def encoder(self) -> Encoder:
-        """Return what makes input spikes of frames; raises BadInput for sizes under which there are none."""
+        """Return the encoder; raises BadInput for sizes under which there are none."""
         if self.encoding == "oriented":
             cells = (self.rows, self.columns, self.orientations)
             return OrientedEdges(self.height, self.width, *cells, power=self.contrast_power)
@@ -110,9 +110,9 @@ class Arguments:
             "homeostasis_gain": (0 <= rules.homeostasis_gain < math.inf, "0 or more"),
             "annealing_interval": (rules.annealing_interval >= 1, "at least 1 step"),
         }
-        for name, (fits, what) in wanted.items():
+        for name, (fits, demand) in wanted.items():
             if not fits:
-                raise BadInput(f"method.{name}={getattr(self, name)}: give {what}")
+                raise BadInput(f"method.{name}={getattr(self, name)}: give {demand}")
         if self.equal_output_weights and rules.one_sign_per_synapse:
             raise BadInput(
                 "method.equal_output_weights=true leaves nothing where excitation and inhibition are one weight: "

@@ -30,8 +30,6 @@ class LatencyQuery(SpikingQuery):
         """Lay out the weights; a query ends when the best place is ahead by a share `lead` of its state, or last."""
         super().__init__(network, rules)
         self._steps, self._lead, self._clip = steps, lead or 1.0, np.float32(rules.clip)
-        self._by_feature = [weights.cpu().numpy() for weights in network.outputs]
-        self._full = torch.cat(network.output_thresholds).cpu().numpy()
 
     def scores(self, spikes: npt.NDArray[np.float32]) -> Scores:
         """Return the state of every place's output neuron where the query ends."""
@@ -45,17 +43,20 @@ class LatencyQuery(SpikingQuery):
 
     def _run(self, spikes: npt.NDArray[np.float32]) -> tuple[npt.NDArray[np.int64], Scores]:
         """Return the step of the features' cycle at which each query ends, (n_queries,), and its scores there."""
-        features = self._levels(spikes).reshape(len(spikes), len(self._by_feature), -1)
-        added, scores = np.empty(len(self._full), np.float32), np.zeros((len(spikes), len(self._full)), np.float32)
+        features = self._levels(spikes).reshape(len(spikes), len(self._columns), -1)
+        added, scores = (
+            np.empty(len(self._thresholds), np.float32),
+            np.zeros((len(spikes), len(self._thresholds)), np.float32),
+        )
         net, steps, going = scores.copy(), np.zeros(len(spikes), np.int64), np.ones(len(spikes), bool)
         for step in range(1, self._steps + 1):
             level = self._steps + 1 - step
             came = (features == level) * (self._clip * level / self._steps)
-            for query, module in product(np.flatnonzero(going), range(len(self._by_feature))):
+            for query, module in product(np.flatnonzero(going), range(len(self._columns))):
                 own = slice(*self._ends[module : module + 2])
-                add_active(self._by_feature[module], came[query, module], added[own])
+                add_active(self._columns[module], came[query, module], added[own])
                 net[query, own] += added[own]
-            above = net[going] - self._full * np.float32(step / self._steps)
+            above = net[going] - self._thresholds * np.float32(step / self._steps)
             scores[going], steps[going] = self._activate(torch.from_numpy(above)).numpy(), step
             second, first = np.partition(np.pad(scores, ((0, 0), (1, 0))), -2, axis=1)[:, -2:].T
             going &= first - second <= self._lead * first

@@ -57,12 +57,11 @@ _PROBES = 200  # reference images shown to a trained network to see whether it d
 class VPRTempo(Arguments, Method, HasCircuit):
     """The spiking network of the VPRTempo paper, its public code (64154e5) or the submission's (v1.0.0).
 
-    `rules` chooses one of the three; an argument of None is what the rules say, any other value replaces that
-    one choice (`Rules` describes them). Rates, probabilities and thresholds come from the paper's Table I.
+    `rules` chooses one of the three; an argument of None follows the rules, any other value replaces that one
+    choice (`Rules` describes them). Rates, probabilities and thresholds come from the paper's Table I.
     `encoding` chooses the input: patches (published, by the variant `preprocessing`), oriented (edges, in `rows` x
-    `columns` cells of `orientations`) or gabor (filters over patches); `height` and `width` are what each of them sees.
-    `engine` chooses what trains and preprocesses: fused (compiled, the default) or readable (PyTorch; the same
-    results, slower).
+    `columns` cells of `orientations`) or gabor (filters over patches); each of them sees `height` x `width` pixels.
+    `engine` trains: fused (compiled, the default) or readable (PyTorch; the same results, slower).
     A network whose training diverged raises TrainingDivergedError, references of which most look alike BadInput.
     """
 
@@ -138,7 +137,7 @@ class VPRTempo(Arguments, Method, HasCircuit):
         return self
 
     def _join_networks(self) -> list[Network]:
-        """Return the networks with all places, those that were learnt after `fit` too."""
+        """Return the networks with all places, also with places that were learnt after `fit`."""
         by_seed = zip(*(members for members, _ in self._require_parts()), strict=True)
         return [reduce(Network.followed_by, networks) for networks in by_seed]
 
@@ -187,7 +186,7 @@ class VPRTempo(Arguments, Method, HasCircuit):
     def _draw(
         self, sizes: list[int], n_pixels: int, places: Places, rules: Rules, n_known: int
     ) -> tuple[Layer, Layer, Schedule, Schedule]:
-        """Draw both layers of all networks and what each of the layers will see."""
+        """Draw both layers of all networks and the schedule of each layer."""
         generators = [
             torch.Generator().manual_seed(int(state))
             for seed in self._seeds()
@@ -291,7 +290,7 @@ class VPRTempo(Arguments, Method, HasCircuit):
         if n_read != n_inputs:
             raise BadInput(
                 f"the stored network reads {n_read} inputs, not the {n_inputs} of method.encoding={self.encoding}, "
-                f"method.height={self.height} x method.width={self.width}: give what it was trained on"
+                f"method.height={self.height} x method.width={self.width}: set them as it was trained"
             )
         if self.choose_rules().calibrated_scores != is_calibrated:
             raise BadInput(

@@ -1,4 +1,4 @@
-"""A trained VPRTempo network: what its modules have learnt, taken from training or from stored arrays."""
+"""A trained VPRTempo network: the weights and thresholds of its modules, from training or from stored arrays."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ from .layer import Layer
 
 _CALIBRATION = ("score_mean", "score_spread")
 _FEATURES = ("features", "constant", "feature_thresholds")
-_LEAST_SPREAD = 0.01  # of the mean spread
 _PUBLISHED = ("feature_layer.w.weight", "feature_layer.thr", "output_layer.w.weight", "output_layer.thr")
 
 
@@ -64,7 +63,7 @@ class Network:
 
     @classmethod
     def from_state(cls, state: Mapping[str, npt.NDArray[Any]], device: str) -> Self:
-        """Read what `state` returned, or the layout of the published checkpoints (QVPR/VPRTempo 64154e5).
+        """Read the arrays of `state`, or the layout of the published checkpoints (QVPR/VPRTempo 64154e5).
 
         Raises BadInput where an array is missing, too many, or of a shape that does not fit the others.
         """
@@ -112,15 +111,6 @@ class Network:
         known = (torch.cat([mean for mean, _ in parts]), torch.cat([spread for _, spread in parts])) if parts else None
         return replace(self, **joined, outputs=outputs, output_thresholds=thresholds, calibration=known)
 
-    def with_score_statistics(self, total: Tensor, total_of_squares: Tensor, count: int) -> Self:
-        """Return the network with its mean score and spread a place, from sums (n_places,) over `count` references."""
-        mean = total / count
-        spread = (total_of_squares / count - mean.square()).clamp(min=0).sqrt()
-        # A place that hardly answers to any reference must not shout at the first query that it answers to.
-        spread = spread.clamp(min=float(_LEAST_SPREAD * spread.mean()) or 1.0)
-        device = self.features.device
-        return replace(self, calibration=(mean.float().to(device), spread.float().to(device)))
-
 
 def take_last_features(members: Sequence[Network]) -> Layer:
     """Return the last feature layer of each network, side by side."""
@@ -137,9 +127,9 @@ def join_states(members: Sequence[Network]) -> dict[str, npt.NDArray[np.float32]
 
 
 def read_members(state: Mapping[str, npt.NDArray[Any]], n_members: int, device: str) -> list[Network]:
-    """Read what `join_states` returned, or a published checkpoint.
+    """Read the arrays of `join_states`, or a published checkpoint.
 
-    Raises BadInput for another number of networks, and what `Network.from_state` refuses.
+    Raises BadInput for another number of networks, and for arrays that `Network.from_state` refuses.
     """
     prefixes = [f"member_{number}." for number in range(n_members)] if n_members > 1 else [""]
     own = [{name.removeprefix(p): array for name, array in state.items() if name.startswith(p)} for p in prefixes]

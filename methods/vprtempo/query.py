@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -20,6 +21,7 @@ from .rules import Rules
 Amplitudes = npt.NDArray[np.float32]  # (n_queries, n_neurons), 0: silent
 
 _BLOCK, _BLOCK_ON_GPU = 256, 4096  # queries whose feature spikes are held together
+_LEAST_SPREAD = 0.01  # of the mean spread
 _FEW = 0.02  # of the synapses, up to which those that exist are read alone
 _SIDE_BY_SIDE = 8  # features whose output weights are added in one pass over the scores
 
@@ -96,8 +98,8 @@ class SpikingQuery:
         self._ends = np.cumsum([0, *(len(thresholds) for thresholds in network.output_thresholds)])
         if self._device.type == "cpu":
             self._rows = features.numpy(), bias.numpy()
-            self._columns = [weights.numpy() for weights in network.outputs]
-            self._thresholds = torch.cat(network.output_thresholds).numpy()
+        self._columns = [weights.cpu().numpy() for weights in network.outputs]
+        self._thresholds = torch.cat(network.output_thresholds).cpu().numpy()
 
     def scores(self, spikes: npt.NDArray[np.float32]) -> Scores:
         """Return the state of every place's output neuron."""
@@ -180,7 +182,12 @@ def calibrate_network(network: Network, spikes: Tensor, rules: Rules) -> Network
         scores = torch.from_numpy(query.scores(block.cpu().numpy())).double()
         total = total + scores.sum(0)
         total_of_squares = total_of_squares + scores.square().sum(0)
-    return network.with_score_statistics(total, total_of_squares, len(spikes))
+    mean = total / len(spikes)
+    spread = (total_of_squares / len(spikes) - mean.square()).clamp(min=0).sqrt()
+    # A place that hardly answers to any reference must not shout at the first query that it answers to.
+    spread = spread.clamp(min=float(_LEAST_SPREAD * spread.mean()) or 1.0)
+    device = network.features.device
+    return replace(network, calibration=(mean.float().to(device), spread.float().to(device)))
 
 
 def _make_layer(weights: Tensor, bias: Tensor) -> Callable[[Tensor], Tensor]:

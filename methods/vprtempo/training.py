@@ -1,4 +1,4 @@
-"""The training of VPRTempo: what each module sees at which step, and whether the result can be trusted."""
+"""The training of VPRTempo: the images of each module in their order, and whether the result can be trusted."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Schedule:
 
 @dataclass(frozen=True)
 class Training:
-    """What a network learns from, by which rules, and how fast at first."""
+    """The input, the rules and the first learning rates of a training."""
 
     spikes: Tensor  # (n_references, n_pixels)
     rates: Tensor  # (n_features,), target firing rates of the feature neurons
@@ -89,7 +89,7 @@ def draw_schedule(
 
 
 def train_features(layer: Layer, schedule: Schedule, training: Training, report: Callable[[float], None]) -> None:
-    """Train a feature layer in place; `report` is told the share done."""
+    """Train a feature layer in place; `report` receives the share done."""
     total = len(schedule.image)
     for step in range(total):
         factor = schedule.factor[step, :, None]
@@ -102,7 +102,7 @@ def train_features(layer: Layer, schedule: Schedule, training: Training, report:
 def train_places(
     layer: Layer, features: Layer, schedule: Schedule, training: Training, report: Callable[[float], None]
 ) -> None:
-    """Train an output layer in place on the spikes of a trained feature layer; `report` is told the share done."""
+    """Train an output layer in place on the spikes of a trained feature layer; `report` receives the share done."""
     weights, rules = features.weights, training.rules
     total = len(schedule.image)
     for start in range(0, total, _REPORT_EVERY):
