@@ -57,7 +57,7 @@ def find_largest(weights, largest):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _arrive(steps, sources, delays, first, until, row, change, weights, most):  # type: ignore[no-untyped-def]
-    """Sum in `row` the input that arrives at a neuron from step `first` to `until` - 1, and change each weight that has acted."""
+    """Sum in `row` the input of a neuron from step `first` to `until` - 1, and change each weight that has acted."""
     begin, length = np.uint64(first), np.uint64(until - first)
     for spike in range(len(steps)):
         source = np.uint64(sources[spike])
