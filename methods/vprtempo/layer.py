@@ -157,7 +157,7 @@ def _draw_module(
         signed = excitation - inhibition
         return signed.clamp(min=0), (-signed).clamp_(min=0), thresholds, constant
     for weights, exists in drawn:
-        weights[exists & (weights == 0)] = NEARLY_NOTHING
+        weights.masked_fill_(exists & (weights == 0), NEARLY_NOTHING)
     return excitation, inhibition, thresholds, constant
 
 
