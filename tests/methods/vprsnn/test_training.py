@@ -132,14 +132,6 @@ def test_a_module_learns_the_same_whether_or_not_others_follow_and_each_draws_di
     assert not np.allclose(weights[0], weights[1], rtol=0.1)
 
 
-def test_the_last_presentations_are_recorded_which_changes_nothing_else():
-    # Of 30 presentations, 10 an epoch, the last 12: places 3 and 4 of the second traverse, then two of every place
-    found, whole = (fitted(epochs=3, recorded_presentations=last).state() for last in (12, 250))
-    assert (found["shown"].tolist(), whole["shown"].tolist()) == ([[2, 2, 2, 3, 3]], [[6] * 5])
-    assert 0 < found["sums"].sum() < whole["sums"].sum()
-    assert np.array_equal(found["weights"], whole["weights"])
-
-
 def test_two_threads_train_and_answer_what_one_does():
     alone = fitted(15, epochs=2)
     codes = alone.encode(images(WORLD.queries))
