@@ -140,7 +140,9 @@ def draw_layer(
     # Padding counts as synapses that exist where all do, for kernels then read no masks.
     weight = 0.0 if rules.one_sign_per_synapse else NEARLY_NOTHING
     excitation, inhibition, thresholds, constant = (
-        pad_sequence([module[part] for module in modules], batch_first=True, padding_value=value)
+        modules[0][part][None]
+        if len(modules) == 1
+        else pad_sequence([module[part] for module in modules], batch_first=True, padding_value=value)
         for part, value in enumerate((weight, weight, 0.0, 0.0))
     )
     return Layer(excitation, inhibition, threshold_max * thresholds, constant_max * constant)
@@ -151,28 +153,26 @@ def _draw_module(
 ) -> tuple[Tensor, ...]:
     """Return excitation, inhibition, (n_post, n_pre), thresholds and constant input (n_post,), each from 0 to 1."""
     thresholds, constant = (torch.rand(n_post, generator=generator) for _ in range(2))
-    drawn = [_draw_synapses(generator, n_post, n_pre, probability, rules) for probability in probabilities]
-    (excitation, _), (inhibition, _) = drawn
+    excitation, inhibition = (_draw_synapses(generator, n_post, n_pre, each, rules) for each in probabilities)
     if rules.one_sign_per_synapse:
         signed = excitation - inhibition
-        return signed.clamp(min=0), (-signed).clamp_(min=0), thresholds, constant
-    for weights, exists in drawn:
-        weights.masked_fill_(exists & (weights == 0), NEARLY_NOTHING)
+        excitation, inhibition = signed.clamp(min=0), (-signed).clamp_(min=0)
     return excitation, inhibition, thresholds, constant
 
 
-def _draw_synapses(
-    generator: torch.Generator, n_post: int, n_pre: int, probability: float, rules: Rules
-) -> tuple[Tensor, Tensor]:
-    """Return the magnitudes of the synapses of one sign, (n_post, n_pre), and which of them exist."""
+def _draw_synapses(generator: torch.Generator, n_post: int, n_pre: int, probability: float, rules: Rules) -> Tensor:
+    """Return the magnitudes of the synapses of one sign, (n_post, n_pre)."""
     magnitude = torch.randn(n_post, n_pre, generator=generator)
     exists = _draw_connections(generator, n_post, n_pre, probability, rules)
     if not exists.any():
-        return magnitude.zero_(), exists
+        return magnitude.zero_()
     magnitude.div_(6).add_(0.5).clamp_(min=0).mul_(exists)
     norm = magnitude.sum(1, keepdim=True)
     divisor = norm[-1:] if rules.normalise_by_last_neuron else norm
-    return magnitude.div_(torch.where(divisor == 0, 1.0, divisor)), exists
+    magnitude.div_(torch.where(divisor == 0, 1.0, divisor))
+    if not rules.one_sign_per_synapse:  # where a synapse drawn as 0 does not exist
+        magnitude.masked_fill_(exists & (magnitude == 0), NEARLY_NOTHING)
+    return magnitude
 
 
 def _draw_connections(generator: torch.Generator, n_post: int, n_pre: int, probability: float, rules: Rules) -> Tensor:

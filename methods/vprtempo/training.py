@@ -122,7 +122,7 @@ def set_thresholds(layer: Layer, schedule: Schedule, training: Training) -> None
     The references of a module count once each, however often `schedule` shows them.
     """
     for drawn in (layer.excitation, layer.inhibition):  # which stay as they are
-        drawn.masked_fill_(drawn <= NEARLY_NOTHING, 0)
+        torch.threshold_(drawn, NEARLY_NOTHING, 0)
     for module, weights in enumerate(layer.weights):
         own = torch.unique(schedule.image[schedule.factor[:, module] > 0, module])
         net = torch.addmm(layer.constant[module, :, None], weights, training.spikes[own].T).sort(1).values
