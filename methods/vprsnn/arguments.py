@@ -3,26 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, field, fields
 from typing import Any, Literal
-
-import numpy as np
 
 from vprbench.api import BadInput
 
 from ..parts.filters.patches import Variant
 
-# More than 0, as all time constants
-_POSITIVE = {"places_per_module", "n_excitatory", "epochs", "recorded_presentations", "levels_per_hz"}
-_POSITIVE |= {"time_step_ms", "presentation_ms", "weight_sum", "weight_max"}
-# 0 or more, as all durations
-_NOT_NEGATIVE = {"weight_scale", "weight_offset", "excitatory_to_inhibitory_weight", "inhibitory_to_excitatory_weight"}
-_CHOICES = {
-    "module_order": ("contiguous", "shuffled"),
-    "assignment": ("standard", "weighted"),
-    "delays_at_query": ("new", "trained"),
-}
+_POSITIVE = (
+    *("places_per_module", "n_excitatory", "epochs", "recorded_presentations", "weight_sum", "weight_max"),
+    *("time_step_ms", "presentation_ms"),
+)
+_NOT_NEGATIVE = (
+    *("weight_scale", "weight_offset", "excitatory_to_inhibitory_weight", "inhibitory_to_excitatory_weight"),
+    *("first_rest_ms", "rest_ms", "excitatory_refractory_ms", "inhibitory_refractory_ms"),
+    "excitatory_minimum_interval_ms",
+)
 
 
 @dataclass
@@ -86,60 +82,43 @@ class Arguments:
     post_rate: float = 0.01
     seed: int = 0
 
-    def given(self) -> dict[str, Any]:
+    def list_arguments(self) -> dict[str, Any]:
         """Return the arguments by name."""
         return {each.name: getattr(self, each.name) for each in fields(self) if each.init}
 
     def check(self) -> None:
         """Raise BadInput for arguments under which there is no network."""
-        for complaints in (self._wrong_by_itself(), self._wrong_beside_others()):
-            for name, advice in complaints:
-                raise BadInput(f"method.{name}={getattr(self, name)}: {advice}")
-
-    def _wrong_by_itself(self) -> Iterator[tuple[str, str]]:
-        """Yield each argument whose value no network has, and what to give."""
-        for name, value in self.given().items():
-            is_time_constant = name.endswith("_tau_ms")
-            if isinstance(value, float) and not math.isfinite(value):
-                yield name, "give a finite number"
-            elif (name in _POSITIVE or is_time_constant) and value <= 0:
-                yield name, "give more than 0"
-            elif (name in _NOT_NEGATIVE or name.endswith("_ms")) and value < 0:
-                yield name, "give 0 or more"
-            elif is_time_constant and value <= self.time_step_ms:
-                step = f"method.time_step_ms={self.time_step_ms}"
-                yield name, f"a time constant has to be longer than {step}, or the steps of Euler's method run away"
-            elif name in _CHOICES and value not in _CHOICES[name]:
-                yield name, f"there are {', '.join(map(str, _CHOICES[name]))}"
-        if not 0 <= self.seed < 2**32:
-            yield "seed", f"give 0 to {2**32 - 1}"
-        if self.hyperactive_threshold is not None and self.hyperactive_threshold < 0:
-            yield "hyperactive_threshold", "give 0 references or more"
-        if not self.hyperactive_candidates or min(self.hyperactive_candidates) < 0:
-            yield "hyperactive_candidates", "give at least one, 0 or more each"
-
-    def _wrong_beside_others(self) -> Iterator[tuple[str, str]]:
-        """Yield each argument that another one bounds and that is beyond its bound, and what to give."""
-        step, most_steps = f"method.time_step_ms={self.time_step_ms}", np.iinfo(np.int16).max
-        if self.levels_per_hz * 1000 <= 255 * self.time_step_ms:
-            yield "levels_per_hz", f"a level of 255 would fire in every step of {step}: give more"
-        if self.input_delay_max_ms > self.rest_ms:
-            rest = f"method.rest_ms={self.rest_ms}"
-            yield "input_delay_max_ms", f"spikes would still be under way after {rest}: give at most that"
-        if self.input_delay_max_ms > most_steps * self.time_step_ms:
-            yield "input_delay_max_ms", f"give at most {most_steps} steps of {step}"
-        if self.first_rest_ms < self.excitatory_minimum_interval_ms:
-            interval = f"method.excitatory_minimum_interval_ms={self.excitatory_minimum_interval_ms}"
-            yield "first_rest_ms", f"neurons are not ready to fire before {interval}: give at least that"
-        if self.presentation_ms < self.time_step_ms:
-            yield "presentation_ms", f"give at least {step}"
-        if self.theta_start_mv + self.excitatory_threshold_mv <= self.excitatory_rest_mv:
-            threshold = f"method.excitatory_threshold_mv={self.excitatory_threshold_mv}"
-            rest = f"rest, {self.excitatory_rest_mv} mV"
-            yield "theta_start_mv", f"with {threshold} neurons would fire at {rest}: give more"
-        if self.inhibitory_threshold_mv <= self.inhibitory_rest_mv:
-            rest = f"rest, {self.inhibitory_rest_mv} mV"
-            yield "inhibitory_threshold_mv", f"inhibitory neurons would fire at {rest}: give more"
-        if self.calibration_places < 0 or (self.calibration_places and self.module_order == "contiguous"):
-            meaning = "it tells how many places were set aside before the others were shuffled"
-            yield "calibration_places", f"{meaning}; give 0, or more with method.module_order=shuffled"
+        step, given = self.time_step_ms, self.list_arguments()
+        wanted: dict[str, tuple[bool, str]] = {
+            **{
+                name: (math.isfinite(value), "a finite number") for name, value in given.items() if type(value) is float
+            },
+            **{name: (0 < given[name] < math.inf, "more than 0") for name in _POSITIVE},
+            **{name: (0 <= given[name] < math.inf, "0 or more") for name in _NOT_NEGATIVE},
+            **{
+                name: (step < value < math.inf, f"more than method.time_step_ms={step}, or Euler's steps run away")
+                for name, value in given.items()
+                if name.endswith("_tau_ms")
+            },
+            "levels_per_hz": (
+                0.255 * step < self.levels_per_hz < math.inf,
+                f"more than {0.255 * step:g}, or a level of 255 fires in every step of method.time_step_ms={step}",
+            ),
+            "input_delay_max_ms": (
+                0 <= self.input_delay_max_ms <= self.rest_ms,
+                f"0 to method.rest_ms={self.rest_ms}, after which no spike is under way",
+            ),
+            "calibration_places": (
+                self.calibration_places == 0 or (self.calibration_places > 0 and self.module_order == "shuffled"),
+                "0, or with method.module_order=shuffled how many places were set aside before that",
+            ),
+            "hyperactive_threshold": ((self.hyperactive_threshold or 0) >= 0, "0 references or more"),
+            "hyperactive_candidates": (
+                min(self.hyperactive_candidates, default=-1) >= 0,
+                "at least one, 0 or more each",
+            ),
+            "seed": (0 <= self.seed < 2**32, f"0 to {2**32 - 1}"),
+        }
+        for name, (fits, demand) in wanted.items():
+            if not fits:
+                raise BadInput(f"method.{name}={given[name]}: give {demand}")

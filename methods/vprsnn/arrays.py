@@ -16,7 +16,7 @@ Counts = npt.NDArray[np.int32]
 SIDE = 8  # neurons whose weights lie side by side: a line of the cache
 STRETCH = 512  # steps for which the input of a neuron that fired lately is summed
 TILE = 64  # steps that are simulated from one look for silence to the next
-NEVER = -(1 << 60)  # the step of what has not happened yet
+NEVER = -(1 << 60)  # the step of an event that has not happened yet
 
 
 class Synapses(NamedTuple):
@@ -28,11 +28,11 @@ class Synapses(NamedTuple):
     @classmethod
     def of(cls, weights: Floats, delays: npt.NDArray[np.int16]) -> Self:
         """Return the synapses of (n_inputs, n_neurons) weights and delays."""
-        return cls(side_by_side(weights), side_by_side(delays))
+        return cls(pack_neurons(weights), pack_neurons(delays))
 
 
 class State(NamedTuple):
-    """What a module carries from one presentation to the next; `NEVER` is the step of what has not happened."""
+    """The state that a module carries from one presentation to the next; `NEVER`: an event has not happened."""
 
     v: Floats  # (n_padded,) mV, of excitatory neurons
     ge: Floats
@@ -52,7 +52,7 @@ class State(NamedTuple):
     @classmethod
     def at_rest(cls, physics: Physics, theta: Floats, n_inputs: int) -> Self:
         """Return a module whose neurons, of thresholds `theta` (mV), have been silent for ever."""
-        n = padded(len(theta))
+        n = pad_count(len(theta))
         return cls(
             v=np.full(n, physics.e_rest),
             ge=np.zeros(n),
@@ -72,22 +72,20 @@ class State(NamedTuple):
 
 
 class Train(NamedTuple):
-    """Input spikes of one presentation, in both orders."""
+    """Input spikes of one presentation."""
 
     step: npt.NDArray[np.int32]  # (n_spikes,) rising
-    source: npt.NDArray[np.int32]  # the input of each
-    first: npt.NDArray[np.int32]  # (n_inputs + 1,) where each input's spikes begin in `of_source`
-    of_source: npt.NDArray[np.int32]  # (n_spikes,) steps, rising for each input
+    source: npt.NDArray[np.int32]  # (n_spikes,) the input of each
 
 
 class Scratch(NamedTuple):
-    """Memory that a simulation works in; what it held before does not matter."""
+    """Memory that a simulation works in; its earlier content does not matter."""
 
-    drive: Floats  # (n_blocks, n_steps, SIDE) what arrives at each neuron
+    drive: Floats  # (n_blocks, n_steps, SIDE) the input that arrives at each neuron
     tile: Floats  # (TILE, n_padded) the same for steps that come next
-    row: Floats  # (n_steps,) what arrives at one neuron
-    change: Floats  # (n_steps,) by how much its weights change at what arrives
-    running: Floats  # (n_padded, n_inputs) weights that change, after what has arrived before step `until`
+    row: Floats  # (n_steps,) the input that arrives at one neuron
+    change: Floats  # (n_steps,) by how much its weights change with an arrival
+    running: Floats  # (n_padded, n_inputs) weights that change, after all arrivals before step `until`
     settled: Floats  # (n_padded, n_inputs) the same before step `since`
     since: Steps  # (n_padded,)
     until: Steps  # (n_padded,) 0 for a neuron whose weights do not change
@@ -103,7 +101,7 @@ class Scratch(NamedTuple):
     @classmethod
     def of(cls, physics: Physics, n_neurons: int, n_inputs: int, longest_delay: int, learning: bool) -> Self:
         """Return memory for modules of this size."""
-        n = padded(n_neurons)
+        n = pad_count(n_neurons)
         changing, n_steps = n if learning else 0, physics.shown + longest_delay
         return cls(
             drive=np.empty((n // SIDE, n_steps, SIDE)),
@@ -125,19 +123,19 @@ class Scratch(NamedTuple):
         )
 
 
-def padded(n_neurons: int) -> int:
-    """Return how many neurons the arrays hold: whole blocks."""
+def pad_count(n_neurons: int) -> int:
+    """Return the number of neurons rounded up to whole blocks of SIDE."""
     return -(-n_neurons // SIDE) * SIDE
 
 
-def unpadded(blocks: npt.NDArray[Any], n_neurons: int) -> npt.NDArray[Any]:
-    """Return (n_inputs, n_neurons) of what lies side by side."""
+def unpack_neurons(blocks: npt.NDArray[Any], n_neurons: int) -> npt.NDArray[Any]:
+    """Return the array (n_inputs, n_neurons) that `pack_neurons` packed."""
     return np.ascontiguousarray(blocks.transpose(1, 0, 2).reshape(blocks.shape[1], -1)[:, :n_neurons])
 
 
-def side_by_side(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
+def pack_neurons(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """Return (n_blocks, n_inputs, SIDE) of (n_inputs, n_neurons); neurons past the last are zero."""
     n_inputs, n_neurons = array.shape
-    whole = np.zeros((n_inputs, padded(n_neurons)), array.dtype)
+    whole = np.zeros((n_inputs, pad_count(n_neurons)), array.dtype)
     whole[:, :n_neurons] = array
     return np.ascontiguousarray(whole.reshape(n_inputs, -1, SIDE).transpose(1, 0, 2))

@@ -27,13 +27,13 @@ class VPRSNNEnsemble(VPRSNN):
     conformance_arguments: ClassVar[Mapping[str, Any]] = {**VPRSNN.conformance_arguments, "seeds": [0, 10]}
     stored_as: ClassVar[str] = "vprsnn_ensemble"
 
-    def _thresholds(self) -> Sequence[int | None]:
-        return self.member_thresholds or [self.hyperactive_threshold] * len(self.seeds)
-
-    def _models(self) -> list[Model]:
+    def _members(self) -> list[tuple[Model, int | None]]:
         epochs = self.member_epochs or [self.epochs] * len(self.seeds)
-        members = zip(self.seeds, epochs, strict=True)
-        return [Model.of(self, seed=self.seed + seed, epochs=times) for seed, times in members]
+        thresholds: Sequence[int | None] = self.member_thresholds or [self.hyperactive_threshold] * len(self.seeds)
+        return [
+            (Model.of(self, seed=self.seed + seed, epochs=times), threshold)
+            for seed, times, threshold in zip(self.seeds, epochs, thresholds, strict=True)
+        ]
 
     def check(self) -> None:
         """Raise BadInput for arguments under which there is no network."""

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar, Self
@@ -19,17 +18,12 @@ from . import published, scoring
 from .arguments import Arguments
 from .checkpoints import Checkpoints
 from .model import Model
-from .network import Network, ReadyNetwork, by_member
+from .network import Network, ReadyNetwork, split_members
 from .parallel import Stage
 from .query import Answers, Levels, ask
-from .training import Training
-from .training_sets import Lesson, lesson, modules
+from .training import Training, make_lessons
 
 _ASIDE = 1_000_000  # numbers of modules that learn held-out places begin here
-_QUERY_TIME = frozenset(
-    {"assignment", "carried_potentials", "delays_at_query", "hyperactive_threshold", "probabilities"}
-    | {"engine"}  # an argument that networks of version 0.6 were stored with
-)
 
 
 @dataclass
@@ -52,14 +46,13 @@ class VPRSNN(Arguments, Method):
         "width": 12,
     }
     stored_as: ClassVar[str] = "vprsnn"
-    query_arguments: ClassVar[frozenset[str]] = _QUERY_TIME
+    query_arguments: ClassVar[frozenset[str]] = frozenset(
+        {"assignment", "carried_potentials", "delays_at_query", "hyperactive_threshold", "probabilities"}
+    )
 
     _ready: list[ReadyNetwork] = field(default_factory=list, init=False, repr=False, compare=False)
-    #: The first image of each place, and what decided the training; None where nothing was fitted.
-    _fitted: tuple[Levels, dict[str, Any]] | None = field(default=None, init=False, repr=False, compare=False)
-    #: Of the trainings that have ended; they are removed once the network is asked.
-    _checkpoints: list[Checkpoints] = field(default_factory=list, init=False, repr=False, compare=False)
-    _resumed_parts: int = field(default=0, init=False, repr=False, compare=False)
+    #: The first image of each place, and the parts of the training, which are removed once the network is asked.
+    _fitted: tuple[Levels, Checkpoints] | None = field(default=None, init=False, repr=False, compare=False)
 
     @property
     def conformance_exceptions(self) -> Mapping[str, str]:  # type: ignore[override]  # it depends on another argument
@@ -72,7 +65,7 @@ class VPRSNN(Arguments, Method):
     @property
     def calibrates(self) -> bool:
         """Whether a threshold is left to be chosen; published weights come without modules to choose it by."""
-        return self.published_weights is None and None in self._thresholds()
+        return self.published_weights is None and any(threshold is None for _, threshold in self._members())
 
     def fit(self, references: Images, places: Places) -> Self:
         """Train every module from its own images, and learn which place each neuron speaks for.
@@ -80,22 +73,18 @@ class VPRSNN(Arguments, Method):
         A training that was interrupted goes on with the modules that are missing.
         """
         self.check()
-        self._remove_checkpoints()
-        self._ready, self._resumed_parts = [], 0
+        self._forget()
         levels = self.encode(references)
         first_traverse = levels[np.unique(places, return_index=True)[1]]
-        identity = self._identity(levels, places)
-        networks = []
-        checkpoints = Checkpoints(identity)
-        for training, threshold in self._trainings(checkpoints):
-            lessons = self._lessons(training.model, levels, places, 0)
-            network = training.network(lessons, "training", self._published())
+        networks, given = [], self._read_published()
+        checkpoints = Checkpoints(self._identify_training(levels, places))
+        for training, threshold in self._list_trainings(checkpoints):
+            network = training.learn(make_lessons(training.model, levels, places), "training", given)
             if threshold:
-                network = training.counted(network, first_traverse, "counting reactions")
+                network = training.with_reactions(network, first_traverse, "counting reactions")
             networks.append(replace(network, threshold=threshold or 0))
-        self._end_training(checkpoints)
-        self._fitted = (first_traverse, identity)
-        return self._take(networks)
+        self._fitted = (first_traverse, checkpoints)
+        return self._make_ready(networks)
 
     def calibrate(self, held_out: HeldOut) -> Self:
         """Choose the threshold of hyperactive neurons by held-out places, which have modules of their own.
@@ -105,28 +94,25 @@ class VPRSNN(Arguments, Method):
         """
         if self._fitted is None:
             raise NotFittedError("VPRSNN can choose a threshold only after fit(references, places)")
-        shown, identity = self._fitted
+        shown, checkpoints = self._fitted
         levels, queries = self.encode(held_out.references), self.encode(held_out.queries)
         if not held_out.in_map:
             shown = np.concatenate([shown, levels[np.unique(held_out.places, return_index=True)[1]]])
-        aside_from = {"map": identity, "shown": _digest(shown)}
-        networks = [member.network for member in self._ready]
-        checkpoints = Checkpoints({**self._identity(levels, held_out.places), **aside_from})
-        for number, (training, threshold) in enumerate(self._trainings(checkpoints)):
-            if threshold is not None:
-                continue
-            lessons = self._lessons(training.model, levels, held_out.places, _ASIDE)
-            aside = training.network(lessons, "calibration, training")
-            aside = training.counted(aside, shown, "calibration, counting reactions", _ASIDE)
-            ready = ReadyNetwork.of(training.model, aside, _ASIDE)
-            answers = ask(ready, queries, training.stage("calibration, asking"))
-            best = self._best_threshold(ready, answers, held_out.right)
-            network = replace(networks[number], reactions=None)
-            if best:
-                network = training.counted(network, shown, "counting reactions")
-            networks[number] = replace(network, threshold=best)
-        self._end_training(checkpoints)
-        return self._take(networks)
+        networks, prefix = [], _hash_arrays(shown, levels, held_out.places)
+        for (training, threshold), member in zip(self._list_trainings(checkpoints, prefix), self._ready, strict=True):
+            network = member.network
+            if threshold is None:
+                lessons = make_lessons(training.model, levels, held_out.places, _ASIDE)
+                aside = training.learn(lessons, "calibration, training")
+                aside = training.with_reactions(aside, shown, "calibration, counting reactions", _ASIDE)
+                ready = ReadyNetwork.of(training.model, aside, _ASIDE)
+                answers = ask(ready, queries, training.stage("calibration, asking"))
+                best = self._choose_threshold(ready, answers, held_out.right)
+                network = replace(network, reactions=None, threshold=best)
+                if best:
+                    network = training.with_reactions(network, shown, "counting reactions")
+            networks.append(network)
+        return self._make_ready(networks)
 
     def encode(self, images: Images) -> Levels:
         """Return the grey levels that set the rates of the input, (n_images, height * width), 0 to 255."""
@@ -137,31 +123,30 @@ class VPRSNN(Arguments, Method):
 
         Of several networks the sum. Raises NotFittedError before `fit`.
         """
-        self._require_a_network()
-        scores = np.sum(
-            [self._scores(member, ask(member, codes, Stage()).excitatory) for member in self._ready], axis=0
-        )
-        return scoring.no_match(scoring.normalised(scores) if self.probabilities else scores, scores)
+        self._require_network()
+        parts = [self._score(member, ask(member, codes, Stage()).excitatory) for member in self._ready]
+        scores = np.sum(parts, axis=0)
+        return scoring.mark_silent_queries(scoring.normalise_scores(scores) if self.probabilities else scores, scores)
 
     def notes(self) -> list[str]:
         """Return how many neurons are silenced, and which parts of the training are not of this run."""
         notes = []
-        if self._resumed_parts:
+        if self._fitted and (n_loaded := self._fitted[1].n_loaded):
             notes.append(
-                f"fit was resumed: its time leaves out {self._resumed_parts} modules and counts of reactions that an "
+                f"fit was resumed: its time leaves out {n_loaded} modules and counts of reactions that an "
                 "interrupted run had finished"
             )
         if self.published_weights is not None:
             notes.append("the weights were not trained here: fit learnt only which place each neuron speaks for")
-        for member, ready in zip(self._thresholds(), self._ready, strict=True):
+        for (_, given), ready in zip(self._members(), self._ready, strict=True):
             threshold, silenced = ready.network.threshold, ready.network.silenced
             if threshold:
-                chosen = "chosen by held-out places" if member is None else "given"
+                chosen = "chosen by held-out places" if given is None else "given"
                 notes.append(
                     f"neurons that fired for {threshold} references or more ({chosen}) are silenced: "
                     f"{np.count_nonzero(silenced):,} of {silenced.size:,}"
                 )
-            elif member is None:
+            elif given is None:
                 notes.append("no neuron is silenced: no threshold did better on held-out places, or there are none")
         return notes
 
@@ -170,21 +155,25 @@ class VPRSNN(Arguments, Method):
 
         Raises NotFittedError before `fit`.
         """
-        self._require_a_network()
-        answer, trains = ask(self._ready[0], codes, Stage()), self._ready[0].model.query_spikes(codes)
+        self._require_network()
+        answer, trains = ask(self._ready[0], codes, Stage()), self._ready[0].model.draw_query_trains(codes)
         excitatory, inhibitory = (counts.reshape(len(codes), -1) for counts in answer)
         members, others = len(self._ready), self._ready[0].model.n_excitatory - 1
         modules = [module.weights for member in self._ready for module in member.synapses]
         inputs = np.sum([np.count_nonzero(weights, axis=(0, 2)) for weights in modules], axis=0)
         return [
-            LayerSpikes("input", np.array([np.diff(train.first) for train in trains]), fan_out=inputs),
+            LayerSpikes(
+                "input",
+                np.array([np.bincount(train.source, minlength=inputs.size) for train in trains]),
+                fan_out=inputs,
+            ),
             LayerSpikes("excitatory", excitatory, fan_out=np.full(excitatory.shape[1], members)),
             LayerSpikes("inhibitory", inhibitory, fan_out=np.full(excitatory.shape[1], members * others)),
         ]
 
     def state(self) -> Mapping[str, npt.NDArray[Any]]:
         """Return the arrays of the trained network, those of several numbered."""
-        self._require_a_network()
+        self._require_network()
         if len(self._ready) == 1:
             return self._ready[0].network.state()
         states = [member.network.state() for member in self._ready]
@@ -193,10 +182,9 @@ class VPRSNN(Arguments, Method):
     def restore(self, state: Mapping[str, npt.NDArray[Any]]) -> Self:
         """Take over a stored network; where `hyperactive_threshold` is None, with the threshold that it has."""
         self.check()
-        self._ready, self._fitted, self._resumed_parts = [], None, 0
-        networks = []
-        thresholds = self._thresholds()
-        for arrays, threshold in zip(by_member(state, len(thresholds)), thresholds, strict=True):
+        self._forget()
+        networks, members = [], self._members()
+        for arrays, (_, threshold) in zip(split_members(state, len(members)), members, strict=True):
             network = Network.from_state(arrays, self.height * self.width, self.n_excitatory)
             if threshold and network.reactions is None:
                 raise BadInput(
@@ -204,105 +192,78 @@ class VPRSNN(Arguments, Method):
                     "its neurons; train with a threshold, or set method.hyperactive_threshold=0"
                 )
             networks.append(network if threshold is None else replace(network, threshold=threshold))
-        return self._take(networks)
+        return self._make_ready(networks)
 
     def files(self) -> Sequence[Path]:
         """Return the published weights, where they are used; raises BadInput where they are missing."""
         if self.published_weights is None:
             return []
-        with _named("published_weights"):
-            return published.files_of(Path(self.published_weights))
+        return published.find_files(Path(self.published_weights))
 
-    def _trainings(self, checkpoints: Checkpoints) -> list[tuple[Training, int | None]]:
-        """Return the training of each network, and its threshold."""
-        models = self._models()
-        parts = np.linspace(0, 1, len(models) + 1).tolist()
+    def _members(self) -> list[tuple[Model, int | None]]:
+        """Return the model of each network, and its threshold; None: chosen by held-out places."""
+        return [(Model.of(self), self.hyperactive_threshold)]
+
+    def _list_trainings(self, checkpoints: Checkpoints, prefix: str = "") -> list[tuple[Training, int | None]]:
+        """Return the training of each network, whose parts begin with `prefix`, and its threshold."""
+        members = self._members()
         return [
-            (Training(model, checkpoints, begin, end), threshold)
-            for model, begin, end, threshold in zip(models, parts, parts[1:], self._thresholds(), strict=False)
+            (Training(model, checkpoints, prefix, number / len(members), (number + 1) / len(members)), threshold)
+            for number, (model, threshold) in enumerate(members)
         ]
 
-    def _thresholds(self) -> Sequence[int | None]:
-        return [self.hyperactive_threshold]
-
-    def _models(self) -> list[Model]:
-        return [Model.of(self)]
-
-    def _lessons(self, model: Model, levels: Levels, places: Places, first: int) -> list[Lesson]:
-        """Return what each module is shown; their numbers begin with `first`."""
-        n_places = int(places.max()) + 1
-        groups = modules(n_places, self.places_per_module, self.module_order, model.seed, self.calibration_places)
-        lessons = [lesson(first + number, group, levels, places) for number, group in enumerate(groups)]
-        most = max(len(each.levels) for each in lessons)
-        if most > self.recorded_presentations:
-            raise BadInput(
-                f"method.recorded_presentations={self.recorded_presentations}: a module is shown {most} images, and no "
-                "neuron could speak for those that are not recorded: give at least as many, or fewer places a module"
-            )
-        return lessons
-
-    def _published(self) -> list[published.PublishedModule] | None:
+    def _read_published(self) -> list[published.PublishedModule] | None:
         if self.published_weights is None:
             return None
-        with _named("published_weights"):
-            return published.read_modules(Path(self.published_weights), self.height * self.width, self.n_excitatory)
+        return published.read_modules(Path(self.published_weights), self.height * self.width, self.n_excitatory)
 
-    def _best_threshold(self, aside: ReadyNetwork, answers: Answers, right: Places) -> int:
-        def scores(threshold: int) -> Scores:
-            judged = replace(aside, network=replace(aside.network, threshold=threshold))
-            found = self._scores(judged, answers.excitatory)
-            return scoring.no_match(found, found)
+    def _choose_threshold(self, aside: ReadyNetwork, answers: Answers, right: Places) -> int:
+        def score(threshold: int) -> Scores:
+            network = replace(aside.network, threshold=threshold)
+            found = self._score(replace(aside, network=network), answers.excitatory)
+            return scoring.mark_silent_queries(found, found)
 
-        return scoring.best_threshold(scores, right, self.hyperactive_candidates)
+        return scoring.choose_threshold(score, right, self.hyperactive_candidates)
 
-    def _scores(self, member: ReadyNetwork, responses: npt.NDArray[np.int32]) -> Scores:
+    def _score(self, member: ReadyNetwork, responses: npt.NDArray[np.int32]) -> Scores:
         network = member.network
         if self.assignment == "weighted":
-            return scoring.weighted(responses, network, network.silenced, network.n_places)
-        return scoring.standard(responses, member.labels, network.silenced, network.n_places)
+            return scoring.score_weighted(responses, network, network.silenced, network.n_places)
+        return scoring.score_standard(responses, member.labels, network.silenced, network.n_places)
 
-    def _take(self, networks: Sequence[Network]) -> Self:
-        """Make networks ready to be asked."""
-        self._ready = [ReadyNetwork.of(*member) for member in zip(self._models(), networks, strict=True)]
+    def _make_ready(self, networks: Sequence[Network]) -> Self:
+        """Draw the delays of networks, so that they can be asked."""
+        self._ready = [
+            ReadyNetwork.of(model, network) for (model, _), network in zip(self._members(), networks, strict=True)
+        ]
         return self
 
-    def _require_a_network(self) -> None:
+    def _require_network(self) -> None:
         """Raise NotFittedError without a network; one that is asked needs no checkpoints any more."""
         if not self._ready:
             raise NotFittedError("VPRSNN has no network yet: call fit(references, places) first")
-        self._remove_checkpoints()
+        if self._fitted:
+            self._fitted[1].remove()
 
-    def _end_training(self, checkpoints: Checkpoints) -> None:
-        self._checkpoints.append(checkpoints)
-        self._resumed_parts += checkpoints.n_loaded
+    def _forget(self) -> None:
+        """Forget the network, and remove the parts of its training."""
+        if self._fitted:
+            self._fitted[1].remove()
+        self._ready, self._fitted = [], None
 
-    def _remove_checkpoints(self) -> None:
-        while self._checkpoints:
-            self._checkpoints.pop().remove()
-
-    def _identity(self, levels: Levels, places: Places) -> dict[str, Any]:
-        """Return what decides the outcome of a training, and who spends time on it, as plain values."""
+    def _identify_training(self, levels: Levels, places: Places) -> dict[str, Any]:
+        """Return the plain values that decide the outcome of a training."""
         free = {"assignment", "hyperactive_candidates", "hyperactive_threshold", "probabilities"}
         digest = hashlib.sha256()
-        for file in [*sorted(Path(__file__).parent.rglob("*.py")), *self.files()]:
+        for file in [*sorted(Path(__file__).parent.glob("*.py")), *self.files()]:
             digest.update(file.read_bytes())
         return {
             "method": type(self).__name__,
             "files": digest.hexdigest(),
-            "arguments": {name: value for name, value in self.given().items() if name not in free},
-            "levels": _digest(levels),
-            "places": _digest(places),
+            "arguments": {name: value for name, value in self.list_arguments().items() if name not in free},
+            "references": _hash_arrays(levels, places),
         }
 
 
-@contextmanager
-def _named(argument: str) -> Iterator[None]:
-    """Begin the message of what is wrong with the argument that it was given by."""
-    try:
-        yield
-    except BadInput as error:
-        raise type(error)(f"method.{argument}: {error}") from error
-
-
-def _digest(array: npt.NDArray[Any]) -> str:
-    return hashlib.sha256(array.tobytes()).hexdigest()
+def _hash_arrays(*arrays: npt.NDArray[Any]) -> str:
+    return hashlib.sha256(b"".join(array.tobytes() for array in arrays)).hexdigest()

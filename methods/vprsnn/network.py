@@ -1,4 +1,4 @@
-"""What VPRSNN has learnt: the modules' weights and thresholds, and which place each neuron speaks for."""
+"""A trained network of VPRSNN: the modules' weights and thresholds, and the place that each neuron speaks for."""
 
 from __future__ import annotations
 
@@ -11,9 +11,13 @@ import numpy.typing as npt
 
 from vprbench.api import BadInput
 
-from .arrays import Synapses, side_by_side, unpadded
+from .arrays import Synapses, pack_neurons, unpack_neurons
 from .model import Model
-from .scoring import Responses, hyperactive, labels
+from .scoring import Responses, assign_places
+
+Arrays = Mapping[str, npt.NDArray[Any]]
+
+_TYPES = {"sums": np.float32, "shown": np.int64, "places": np.int64, "theta": np.float64, "reactions": np.int64}
 
 
 @dataclass(frozen=True)
@@ -28,19 +32,19 @@ class Network(Responses):
     @property
     def silenced(self) -> npt.NDArray[np.bool_]:
         """Which neurons are hyperactive, (n_modules, n_neurons)."""
-        if self.reactions is None:
+        if self.reactions is None or not self.threshold:
             return np.zeros(self.theta.shape, np.bool_)
-        return hyperactive(self.reactions, self.threshold)
+        return self.reactions >= self.threshold
 
     def state(self) -> dict[str, npt.NDArray[Any]]:
         """Return the arrays of a stored network; its weights are (n_modules, n_inputs, n_neurons)."""
         arrays = {field.name: getattr(self, field.name) for field in fields(self)}
-        arrays["weights"] = np.stack([unpadded(weights, self.theta.shape[1]) for weights in self.weights])
+        arrays["weights"] = np.stack([unpack_neurons(weights, self.theta.shape[1]) for weights in self.weights])
         arrays["threshold"] = np.array(self.threshold, np.int64)
         return {name: array for name, array in arrays.items() if array is not None}
 
     @classmethod
-    def from_state(cls, state: Mapping[str, npt.NDArray[Any]], n_inputs: int, n_neurons: int) -> Self:
+    def from_state(cls, state: Arrays, n_inputs: int, n_neurons: int) -> Self:
         """Take the arrays of a stored network; raises BadInput where they are no network of this size."""
         required = {field.name for field in fields(cls)} - {"reactions"}
         if set(state) - {"reactions"} != required:
@@ -59,40 +63,33 @@ class Network(Responses):
                     f"the stored network's {name} {array.shape} should be finite and of shape {shapes[name]}: give the "
                     "method.height, method.width and method.n_excitatory that it was trained with"
                 )
-        threshold = int(state["threshold"])
-        if threshold < 0 or (threshold and "reactions" not in state):
-            raise BadInput(
-                f"the stored network's threshold {threshold} needs reactions, and to be 0 or more: train anew"
-            )
-        kept = np.sort(state["places"][state["places"] >= 0])
-        if not np.array_equal(kept, np.arange(len(kept))) or not len(kept):
+        known = np.sort(state["places"][state["places"] >= 0])
+        if not len(known) or not np.array_equal(known, np.arange(len(known))):
             raise BadInput("the stored network's places are not 0, 1, 2 and so on, each in one module: train anew")
-        if (state["sums"].swapaxes(1, 2)[state["places"] < 0] != 0).any() or (state["sums"] < 0).any():
-            raise BadInput("the stored network has spikes for places that its modules do not have: train anew")
         return cls(
-            weights=np.stack([side_by_side(weights.astype(np.float64)) for weights in state["weights"]]),
-            theta=np.ascontiguousarray(state["theta"], np.float64),
-            sums=state["sums"].astype(np.float32),
-            shown=state["shown"].astype(np.int64),
-            places=state["places"].astype(np.int64),
-            threshold=threshold,
-            reactions=state["reactions"].astype(np.int64) if "reactions" in state else None,
+            weights=np.stack([pack_neurons(weights.astype(np.float64)) for weights in state["weights"]]),
+            threshold=int(state["threshold"]),
+            **{name: np.ascontiguousarray(state[name], kind) for name, kind in _TYPES.items() if name in state},
         )
 
     @classmethod
-    def of(cls, modules: Sequence[Mapping[str, npt.NDArray[Any]]]) -> Self:
+    def of(cls, modules: Sequence[Arrays]) -> Self:
         """Lay trained modules side by side; the last may have fewer places than the others."""
         most = max(len(module["places"]) for module in modules)
 
-        def stacked(name: str, value: int) -> npt.NDArray[Any]:
-            return np.stack([_lengthened(module[name], most, value) for module in modules])
+        def stack(name: str, value: int) -> npt.NDArray[Any]:
+            """Return an array of all modules, the last axis filled up with a value."""
+            arrays = [module[name] for module in modules]
+            missing = [[*[(0, 0)] * (array.ndim - 1), (0, most - array.shape[-1])] for array in arrays]
+            padded = [np.pad(array, own, constant_values=value) for array, own in zip(arrays, missing, strict=True)]
+            return np.stack(padded)
 
         return cls(
             weights=np.stack([module["weights"] for module in modules]),
             theta=np.stack([module["theta"] for module in modules]),
-            sums=stacked("sums", 0),
-            shown=stacked("shown", 0),
-            places=stacked("places", -1),
+            sums=stack("sums", 0),
+            shown=stack("shown", 0),
+            places=stack("places", -1),
         )
 
 
@@ -110,29 +107,20 @@ class ReadyNetwork:
         """Draw the delays, new ones or those of the training, of modules whose numbers begin with `first`."""
         new = model.delays_at_query == "new"
         synapses = [
-            Synapses(weights, side_by_side(model.delays(first + number, new)))
+            Synapses(weights, pack_neurons(model.draw_delays(first + number, new)))
             for number, weights in enumerate(network.weights)
         ]
-        return cls(model, network, synapses, labels(network))
+        return cls(model, network, synapses, assign_places(network))
 
 
-def _lengthened(array: npt.NDArray[Any], length: int, value: int) -> npt.NDArray[Any]:
-    """Return an array whose last axis is filled up to a length with a value."""
-    missing = [(0, 0)] * (array.ndim - 1) + [(0, length - array.shape[-1])]
-    return np.pad(array, missing, constant_values=value)
-
-
-def by_member(state: Mapping[str, npt.NDArray[Any]], n_members: int) -> list[dict[str, npt.NDArray[Any]]]:
+def split_members(state: Arrays, n_members: int) -> list[dict[str, npt.NDArray[Any]]]:
     """Return the arrays of each of `n_members` networks; those of a single one have no number.
 
     Raises BadInput for arrays of other numbers.
     """
-    wanted = [f"member_{number}." for number in range(n_members)] if n_members > 1 else [""]
-    own: list[dict[str, npt.NDArray[Any]]] = [
-        {name.removeprefix(prefix): array for name, array in state.items() if name.startswith(prefix)}
-        for prefix in wanted
-    ]
-    if sum(map(len, own)) != len(state) or not all(own) or (n_members == 1 and any("." in name for name in state)):
+    prefixes = [f"member_{number}." for number in range(n_members)] if n_members > 1 else [""]
+    own = [{name.removeprefix(p): array for name, array in state.items() if name.startswith(p)} for p in prefixes]
+    if sum(map(len, own)) != len(state) or not all(own):
         raise BadInput(
             f"the stored network holds {sorted(state)}; wanted {n_members} networks, numbered from 0 where several"
         )

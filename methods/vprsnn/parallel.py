@@ -19,14 +19,14 @@ Tell = Callable[[float], None]  # the share of one module that is done, 0 to 1
 
 @dataclass(frozen=True)
 class Stage:
-    """A stretch of the progress called `name`, from share `begin` to share `end`; None: nobody is told."""
+    """A stretch of the progress called `name`, from share `begin` to share `end`; None: nothing is reported."""
 
     name: str | None = None
     begin: float = 0.0
     end: float = 1.0
 
     def report(self, share: float) -> None:
-        """Tell that a share of the stretch is done, 0 to 1."""
+        """Report that a share of the stretch is done, 0 to 1."""
         if self.name is not None:
             progress.report(self.name, self.begin + (self.end - self.begin) * share)
 
@@ -41,31 +41,27 @@ class _InterruptedError(Exception):
 
 
 def for_each_module(work: Callable[[int, Tell], Result], n_modules: int, stage: Stage) -> list[Result]:
-    """Return what `work` gives for each module, in order.
+    """Return the result of `work` for each module, in order.
 
-    Raises what the first module to fail raises; the others end when they next tell their share.
+    Raises the error of the first module that fails; the others end when they next tell their share.
     """
-    if not n_modules:
-        return []
-    threads = min(torch.get_num_threads(), n_modules)
     shares = [0.0] * n_modules
     stopped = threading.Event()
 
-    def one(module: int) -> Result:
+    def work_on(module: int) -> Result:
         def tell(share: float) -> None:
             shares[module] = share
             if stopped.is_set():
                 raise _InterruptedError
 
-        result = work(module, tell)
-        shares[module] = 1.0
-        return result
+        return work(module, tell)
 
+    threads = min(torch.get_num_threads(), n_modules)
     stage.report(0.0)
-    if threads == 1 and stage.name is None:
-        return [one(module) for module in range(n_modules)]
-    with ThreadPoolExecutor(threads) as pool:
-        futures = [pool.submit(one, module) for module in range(n_modules)]
+    if threads < 2 and stage.name is None:
+        return [work_on(module) for module in range(n_modules)]
+    with ThreadPoolExecutor(max(1, threads)) as pool:
+        futures = [pool.submit(work_on, module) for module in range(n_modules)]
         try:
             left = set(futures)
             while left:

@@ -1,4 +1,4 @@
-"""Constants of VPRSNN's neurons and synapses as the simulation wants them: time steps, millivolts and factors."""
+"""Constants of VPRSNN's neurons and synapses in the units of the simulation: time steps, millivolts and factors."""
 
 from __future__ import annotations
 
@@ -51,34 +51,34 @@ class Traces(NamedTuple):
     post: npt.NDArray[np.float64]  # times the rate of learning at a presynaptic spike
 
 
-def steps(milliseconds: float, step_ms: float) -> int:
+def count_steps(milliseconds: float, step_ms: float) -> int:
     """Return the whole number of steps nearest to a duration."""
     return math.floor(milliseconds / step_ms + 0.5)
 
 
-def physics_of(arguments: Arguments) -> Physics:
+def make_physics(arguments: Arguments) -> Physics:
     """Return the constants that arguments give, in steps and factors.
 
     Source: VPRSNN (QVPR/VPRSNN), whose forward Euler steps give the decay factors 1 - step / time constant.
     """
     step = arguments.time_step_ms
-    refractory = steps(arguments.excitatory_refractory_ms, step)
+    refractory = count_steps(arguments.excitatory_refractory_ms, step)
     return Physics(
         step_ms=step,
-        shown=steps(arguments.presentation_ms, step),
-        rest=steps(arguments.rest_ms, step),
+        shown=count_steps(arguments.presentation_ms, step),
+        rest=count_steps(arguments.rest_ms, step),
         e_rest=float(arguments.excitatory_rest_mv),
         e_reset=float(arguments.excitatory_reset_mv),
         e_gain=step / arguments.excitatory_tau_ms,
         e_refractory=refractory,
         e_threshold=float(arguments.excitatory_threshold_mv),
-        e_interval=max(_interval(arguments.excitatory_minimum_interval_ms, step), refractory),
+        e_interval=max(_count_interval_steps(arguments.excitatory_minimum_interval_ms, step), refractory),
         theta_plus=float(arguments.theta_plus_mv),
         theta_keep=1 - step / arguments.theta_tau_ms,
         i_rest=float(arguments.inhibitory_rest_mv),
         i_reset=float(arguments.inhibitory_reset_mv),
         i_gain=step / arguments.inhibitory_tau_ms,
-        i_refractory=steps(arguments.inhibitory_refractory_ms, step),
+        i_refractory=count_steps(arguments.inhibitory_refractory_ms, step),
         i_threshold=float(arguments.inhibitory_threshold_mv),
         excitation=float(arguments.excitation_reversal_mv),
         e_inhibition=float(arguments.excitatory_inhibition_reversal_mv),
@@ -93,15 +93,15 @@ def physics_of(arguments: Arguments) -> Physics:
     )
 
 
-def traces_of(arguments: Arguments) -> Traces:
+def make_traces(arguments: Arguments) -> Traces:
     """Return the traces that a spike leaves, step by step until they change no weight."""
     return Traces(
-        _decay(arguments.pre_trace_tau_ms, arguments.time_step_ms, 1.0),
-        _decay(arguments.post_trace_tau_ms, arguments.time_step_ms, arguments.pre_rate),
+        _list_decay(arguments.pre_trace_tau_ms, arguments.time_step_ms, 1.0),
+        _list_decay(arguments.post_trace_tau_ms, arguments.time_step_ms, arguments.pre_rate),
     )
 
 
-def _interval(minimum_ms: float, step_ms: float) -> int:
+def _count_interval_steps(minimum_ms: float, step_ms: float) -> int:
     """Return the steps until the timer, which grows by a tenth of the time, is past a tenth of the minimum interval.
 
     The timer is a sum of steps in seconds, and whether its rounding reaches the limit decides about one step.
@@ -113,7 +113,7 @@ def _interval(minimum_ms: float, step_ms: float) -> int:
     return count
 
 
-def _decay(tau_ms: float, step_ms: float, start: float) -> npt.NDArray[np.float64]:
+def _list_decay(tau_ms: float, step_ms: float, start: float) -> npt.NDArray[np.float64]:
     length = max(1, math.ceil(tau_ms / step_ms * math.log(abs(start) / _NOTHING))) if start else 1
     decay: npt.NDArray[np.float64] = start * np.exp(-np.arange(length) * (step_ms / tau_ms))
     return decay

@@ -1,4 +1,4 @@
-"""What trained modules answer: all of them see the same image, and nothing is learnt."""
+"""The answers of trained modules: all of them see the same image, and nothing is learnt."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy.typing as npt
 
 from vprbench.api import count_operations
 
-from .arrays import Scratch, State
-from .module import show
+from .arrays import Scratch
+from .model import Module
 from .network import ReadyNetwork
 from .parallel import Stage, Tell, for_each_module
 
@@ -32,7 +32,7 @@ def ask(ready: ReadyNetwork, levels: Levels, stage: Stage) -> Answers:
     VPRSNN's authors have it: after 150 ms of silence, potentials still have 22 % of their deviation.
     """
     model = ready.model
-    trains, carried = model.query_spikes(levels), model.carried_potentials
+    trains, carried = model.draw_query_trains(levels), model.carried_potentials
     # Each neuron takes three multiply-adds and six other operations a step, each arrival of a spike an addition.
     steps = len(trains) * (model.physics.shown + carried * model.physics.rest)
     neurons, arrivals = ready.labels.size, sum(len(train.step) for train in trains)
@@ -41,27 +41,26 @@ def ask(ready: ReadyNetwork, levels: Levels, stage: Stage) -> Answers:
     answers = Answers(np.empty(shape, np.int32), np.empty(shape, np.int32))
     free: list[Scratch] = []  # that no thread works in
 
-    def one(number: int, tell: Tell) -> None:
+    def ask_module(number: int, tell: Tell) -> None:
         try:
             scratch = free.pop()
         except IndexError:
-            scratch = model.scratch(learning=False)
-        theta = ready.network.theta[number]
-        module = model.module(ready.synapses[number], model.started(theta), scratch, learning=False)
+            scratch = model.make_scratch(learning=False)
+        module = Module(model, ready.synapses[number], ready.network.theta[number], scratch, learning=False)
         for image, train in enumerate(trains):
             if not carried:
-                module.state, module.now = State.at_rest(model.physics, theta, model.n_inputs), 0
-            show(module, train, resting=carried)
+                module.rest()
+            module.show(train, resting=carried)
             answers.excitatory[image, number] = module.state.counts[: model.n_excitatory]
             answers.inhibitory[image, number] = module.state.counts_i[: model.n_excitatory]
             tell((image + 1) / len(trains))
         free.append(scratch)
 
-    for_each_module(one, len(ready.synapses), stage)
+    for_each_module(ask_module, len(ready.synapses), stage)
     return answers
 
 
-def reactions(ready: ReadyNetwork, levels: Levels, stage: Stage) -> npt.NDArray[np.int64]:
+def count_reactions(ready: ReadyNetwork, levels: Levels, stage: Stage) -> npt.NDArray[np.int64]:
     """Return for how many images each neuron fires, (n_modules, n_neurons)."""
     fired = np.zeros(ready.labels.shape, np.int64)
     n_images = len(levels)

@@ -34,7 +34,7 @@ class Responses:
         return int(self.places.max()) + 1
 
 
-def labels(learnt: Responses) -> npt.NDArray[np.int64]:
+def assign_places(learnt: Responses) -> npt.NDArray[np.int64]:
     """Return the place to which each neuron gave most spikes a presentation, (n_modules, n_neurons); -1: it gave none.
 
     Of equals it is the module's first.
@@ -45,12 +45,7 @@ def labels(learnt: Responses) -> npt.NDArray[np.int64]:
     return np.where(fired, np.take_along_axis(learnt.places, best, axis=1), -1)
 
 
-def hyperactive(reactions: npt.NDArray[np.int64], threshold: int) -> Mask:
-    """Return which neurons fired for `threshold` references or more, (n_modules, n_neurons); none where that is 0."""
-    return (reactions >= threshold) & (threshold > 0)
-
-
-def standard(responses: Spikes, labels: npt.NDArray[np.int64], silenced: Mask, n_places: int) -> Scores:
+def score_standard(responses: Spikes, labels: npt.NDArray[np.int64], silenced: Mask, n_places: int) -> Scores:
     """Return the mean spikes of the neurons of each place, (n_queries, n_places); 0 for a place that has none.
 
     `labels` (n_modules, n_neurons) are the places that the neurons speak for, -1: none. Spikes of a silenced neuron do
@@ -60,10 +55,10 @@ def standard(responses: Spikes, labels: npt.NDArray[np.int64], silenced: Mask, n
     assigned = np.bincount(labels[labels >= 0], minlength=n_places)
     heard = np.flatnonzero((labels >= 0) & ~silenced.ravel())
     speaks = sparse.csr_array((np.ones(len(heard)), (heard, labels[heard])), (len(labels), n_places))
-    return _by_blocks(lambda spikes: (spikes @ speaks).toarray() / np.maximum(assigned, 1), responses, n_places)
+    return _score_by_blocks(lambda spikes: (spikes @ speaks).toarray() / np.maximum(assigned, 1), responses, n_places)
 
 
-def weighted(responses: Spikes, learnt: Responses, silenced: Mask, n_places: int) -> Scores:
+def score_weighted(responses: Spikes, learnt: Responses, silenced: Mask, n_places: int) -> Scores:
     """Return the weighted spikes of the neurons of each place, (n_queries, n_places); 0 for a place that has none.
 
     A neuron speaks for each place that drew more than 0.1 of its spikes in training, and its spikes are weighed by that
@@ -80,21 +75,21 @@ def weighted(responses: Spikes, learnt: Responses, silenced: Mask, n_places: int
     spikes_for = drawn[modules, neurons, own]
     heard = ~silenced[modules, neurons]
 
-    def by_neuron(values: npt.NDArray[np.float64]) -> sparse.csr_array:
+    def spread_neurons(values: npt.NDArray[np.float64]) -> sparse.csr_array:
         return sparse.csr_array((values, cells), (silenced.size, n_places))
 
-    weights = by_neuron(heard * spikes_for / divisor[modules, neurons, 0])
-    training = by_neuron(heard * spikes_for)
+    weights = spread_neurons(heard * spikes_for / divisor[modules, neurons, 0])
+    training = spread_neurons(heard * spikes_for)
     every = np.bincount(cells[1], spikes_for, n_places)
     every[every == 0] = 1
 
     def score(spikes: sparse.csr_array) -> npt.NDArray[np.float64]:
         return np.asarray((spikes @ weights).toarray() * (spikes.sign() @ training).toarray() / every)
 
-    return _by_blocks(score, responses, n_places)
+    return _score_by_blocks(score, responses, n_places)
 
 
-def _by_blocks(
+def _score_by_blocks(
     score: Callable[[sparse.csr_array], npt.NDArray[np.float64]], responses: Spikes, n_places: int
 ) -> Scores:
     """Score queries some at a time; few neurons fire for a query, so their spikes are a sparse matrix."""
@@ -107,7 +102,7 @@ def _by_blocks(
     return scores
 
 
-def normalised(scores: Scores) -> Scores:
+def normalise_scores(scores: Scores) -> Scores:
     """Return the scores of each query less its lowest, divided by their sum; where all are equal they stay as they are.
 
     It leaves the order of a query's places as it is, and makes the scores of queries comparable.
@@ -120,7 +115,7 @@ def normalised(scores: Scores) -> Scores:
     return result
 
 
-def no_match(scores: Scores, responses: npt.NDArray[Any]) -> Scores:
+def mark_silent_queries(scores: Scores, responses: npt.NDArray[Any]) -> Scores:
     """Return the scores with -inf for every place where `responses` (n_queries, ...), of neurons that count, are all 0.
 
     A silent query recognises no place; equal scores would make it a guess.
@@ -129,17 +124,16 @@ def no_match(scores: Scores, responses: npt.NDArray[Any]) -> Scores:
     return np.where(np.expand_dims(spoke, 1), scores, np.float32(-np.inf))
 
 
-def best_threshold(scores_of: Callable[[int], Scores], right: Places, candidates: Sequence[int]) -> int:
+def choose_threshold(scores_of: Callable[[int], Scores], right: Places, candidates: Sequence[int]) -> int:
     """Return the candidate with the highest recall at 1, of equals the first.
 
     `right` (n_queries,) are the right places. A query whose best place is tied counts as wrong.
     """
-    return max(candidates, key=lambda threshold: _recall_at_1(scores_of(threshold), right))
 
+    def count_hits(threshold: int) -> int:
+        scores, queries = scores_of(threshold).copy(), np.arange(len(right))
+        own = scores[queries, right]
+        scores[queries, right] = -np.inf
+        return int((own > scores.max(axis=1)).sum())
 
-def _recall_at_1(scores: Scores, right: Places) -> float:
-    queries = np.arange(len(right))
-    own = scores[queries, right]
-    others = scores.copy()
-    others[queries, right] = -np.inf
-    return float((own > others.max(axis=1)).mean())
+    return max(candidates, key=count_hits)

@@ -1,8 +1,8 @@
 """A module of VPRSNN for one image after the other: exact in time, and compiled.
 
 Between spikes of the excitatory neurons nothing but the input acts on them, and the input of a whole presentation is
-known when it begins. So what arrives at each neuron in each step is summed first, synapse by synapse, and one light
-pass a step does the rest. Only a neuron that fired lately has weights that change at what arrives. Its input is summed
+known when it begins. So the input of each neuron in each step is summed first, synapse by synapse, and one light
+pass a step does the rest. Only a neuron that fired lately has weights that change with its input. Its input is summed
 in stretches, each weight as it is by then; should it fire within a stretch, that stretch is summed again.
 """
 
@@ -18,8 +18,46 @@ from .arrays import SIDE, STRETCH, TILE
 
 
 @compiled()
+def normalise_weights(weights, total):  # type: ignore[no-untyped-def]
+    """Scale the weights of each neuron to the sum `total`, in place; one without weights stays without."""
+    for block in range(weights.shape[0]):
+        sums = np.zeros(SIDE)
+        for i in range(weights.shape[1]):
+            for k in range(SIDE):
+                sums[k] += weights[block, i, k]
+        for k in range(SIDE):
+            sums[k] = total / sums[k] if sums[k] > 0 else 1.0
+        for i in range(weights.shape[1]):
+            for k in range(SIDE):
+                weights[block, i, k] *= sums[k]
+
+
+@compiled()
+def sum_arrivals(synapses, train, drive):  # type: ignore[no-untyped-def]
+    """Fill `drive` (n_blocks, n_steps, SIDE) with the weights that arrive at each neuron in each step."""
+    for block in range(len(drive)):
+        weights, delays, arriving = synapses.weights[block], synapses.delays[block], drive[block]
+        arriving[:] = 0
+        for spike in range(len(train.step)):
+            step, source = np.uint64(train.step[spike]), np.uint64(train.source[spike])
+            for k in range(SIDE):
+                arriving[step + np.uint64(delays[source, k]), k] += weights[source, k]
+
+
+@compiled()
+def find_largest(weights, largest):  # type: ignore[no-untyped-def]
+    """Write the largest weight of each neuron."""
+    for block in range(weights.shape[0]):
+        most = largest[block * SIDE : (block + 1) * SIDE]
+        most[:] = 0.0
+        for i in range(weights.shape[1]):
+            for k in range(SIDE):
+                most[k] = weights[block, i, k] if weights[block, i, k] > most[k] else most[k]
+
+
+@compiled()
 def _arrive(steps, sources, delays, first, until, row, change, weights, most):  # type: ignore[no-untyped-def]
-    """Sum in `row` what arrives at a neuron from step `first` to `until` - 1, and change each weight that has acted."""
+    """Sum in `row` the input of a neuron from step `first` to `until` - 1, and change each weight that has acted."""
     begin, length = np.uint64(first), np.uint64(until - first)
     for spike in range(len(steps)):
         source = np.uint64(sources[spike])
@@ -34,7 +72,7 @@ def _arrive(steps, sources, delays, first, until, row, change, weights, most):  
 
 @compiled()
 def _hear(synapses, train, scratch, post, since_spike, physics, j, first, until):  # type: ignore[no-untyped-def]
-    """Let arrive at neuron `j` what arrives from step `first` to `until` - 1: sum it, change the weights.
+    """Sum the input of neuron `j` from step `first` to `until` - 1, and change the weights by which it arrives.
 
     An arrival adds the trace `post` of the neuron's last spike, `since_spike` steps before the presentation, to the
     weight by which it has just acted.
@@ -53,7 +91,7 @@ def _hear(synapses, train, scratch, post, since_spike, physics, j, first, until)
 
 @compiled()
 def _sum_stretch(synapses, train, scratch, post, since_spike, physics, j, first, until):  # type: ignore[no-untyped-def]
-    """Replace what arrives at neuron `j` from step `first` to `until` - 1, each weight as it is by then."""
+    """Replace the input that arrives at neuron `j` from step `first` to `until` - 1, each weight as it is by then."""
     scratch.settled[j] = scratch.running[j]
     scratch.since[j] = first
     scratch.until[j] = max(first, until)
@@ -68,7 +106,7 @@ def _sum_stretch(synapses, train, scratch, post, since_spike, physics, j, first,
 
 @compiled()
 def _lay_out(scratch, first, until):  # type: ignore[no-untyped-def]
-    """Lay out what arrives in steps `first` to `until` - 1 for one pass over all neurons a step."""
+    """Lay out the input of steps `first` to `until` - 1 for one pass over all neurons a step."""
     drive, tile = scratch.drive, scratch.tile
     for block in range(len(drive)):
         for step in range(first, until):
@@ -171,7 +209,7 @@ def _relax(state, physics, steps):  # type: ignore[no-untyped-def]
 def present(synapses, state, train, scratch, physics, traces, now, learning, resting):  # type: ignore[no-untyped-def]
     """Show one image, which begins at step `now`: change the state and, if `learning`, the weights, in place.
 
-    `scratch` holds what arrives by the weights as they are and, if `learning`, the largest weight of each neuron. Fills
+    `scratch` holds the input by the weights as they are and, if `learning`, the largest weight of each neuron. Fills
     `state.counts`; spikes of the rest that follows are counted for the next image. If not `resting`, the simulation
     ends with the presentation. Order within a step (the default of Brian2): state update, thresholds, synapses
     (presynaptic, then postsynaptic), resets.
@@ -316,6 +354,5 @@ def present(synapses, state, train, scratch, physics, traces, now, learning, res
             synapses.weights[j // SIDE, i, j % SIDE] = scratch.running[j, i]
     for j in range(n):
         state.theta[j] *= decayed
-    for i in range(len(state.heard)):
-        if train.first[i + 1] > train.first[i]:
-            state.heard[i] = now + train.of_source[train.first[i + 1] - 1]
+    for spike in range(len(train.step)):
+        state.heard[train.source[spike]] = now + train.step[spike]

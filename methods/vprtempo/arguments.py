@@ -1,4 +1,4 @@
-"""The arguments of VPRTempo, with the paper's values as defaults, and what they choose: rules and input."""
+"""The arguments of VPRTempo, with the paper's values as defaults, and the rules and the encoder that they choose."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Engine = Literal["fused", "readable"]
 
 @dataclass
 class Arguments:
-    """What VPRTempo is constructed with: the values of the paper's Table I; None: what the rules say."""
+    """The arguments of VPRTempo: the values of the paper's Table I; None: as `rules` say."""
 
     rules: RuleSet = "paper"
     encoding: Encoding = "patches"
@@ -69,7 +69,7 @@ class Arguments:
     device: str = "cpu"
 
     def encoder(self) -> Encoder:
-        """Return what makes input spikes of frames; raises BadInput for sizes under which there are none."""
+        """Return the encoder; raises BadInput for sizes under which there are none."""
         if self.encoding == "oriented":
             cells = (self.rows, self.columns, self.orientations)
             return OrientedEdges(self.height, self.width, *cells, power=self.contrast_power)
@@ -77,7 +77,7 @@ class Arguments:
             return GaborBank(self.height, self.width, self.patch)
         return Patches(PatchNormalisation(self.preprocessing, self.height, self.width, self.patch))
 
-    def chosen_rules(self) -> Rules:
+    def choose_rules(self) -> Rules:
         """Return the rules, single choices replaced by arguments; raises BadInput if two exclude each other."""
         names = {choice.name for choice in fields(Rules)}
         given = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
@@ -91,7 +91,7 @@ class Arguments:
 
     def check(self) -> None:
         """Raise BadInput for arguments under which there is no network."""
-        rules = self.chosen_rules()
+        rules = self.choose_rules()
         wanted = {
             "epochs": (self.epochs >= 1, "at least 1"),
             "max_module": (self.max_module >= 1, "at least 1 place"),
@@ -110,9 +110,9 @@ class Arguments:
             "homeostasis_gain": (0 <= rules.homeostasis_gain < math.inf, "0 or more"),
             "annealing_interval": (rules.annealing_interval >= 1, "at least 1 step"),
         }
-        for name, (fits, what) in wanted.items():
+        for name, (fits, demand) in wanted.items():
             if not fits:
-                raise BadInput(f"method.{name}={getattr(self, name)}: give {what}")
+                raise BadInput(f"method.{name}={getattr(self, name)}: give {demand}")
         if self.equal_output_weights and rules.one_sign_per_synapse:
             raise BadInput(
                 "method.equal_output_weights=true leaves nothing where excitation and inhibition are one weight: "

@@ -58,7 +58,7 @@ class VPRTempoEfficientNet(VPRTempo):
     _descriptor: EfficientNet | None = field(default=None, init=False, repr=False, compare=False)
 
     def encoder(self) -> BlockSpikes:
-        """Return what makes input spikes of frames; raises BadInput for blocks or cells that the network lacks."""
+        """Return the encoder; raises BadInput for blocks or cells that the network lacks."""
         if self._descriptor is None:
             self._descriptor = EfficientNet(
                 weights=self.weights,

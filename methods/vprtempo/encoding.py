@@ -11,7 +11,7 @@ import numpy.typing as npt
 from vprbench.api import Images
 
 from ..parts.filters.patches import PatchNormalisation
-from .compiled import compiled
+from .layer import compiled
 
 _SPREADS = 6.0  # of an image's values between the amplitudes 0 and 1
 
@@ -40,7 +40,7 @@ class Patches:
 
     def __call__(self, images: Images) -> npt.NDArray[np.float32]:
         """Return the spikes of each frame."""
-        return spikes_of(self.levels(images), fake_quantised=self.levels.variant == "C")
+        return make_spikes(self.levels(images), fake_quantised=self.levels.variant == "C")
 
 
 def scale_values(values: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
@@ -53,7 +53,7 @@ def scale_values(values: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
     return np.asarray(np.clip(0.5 + deviations, 0, 1), np.float32)
 
 
-def spikes_of(levels: npt.NDArray[np.uint8], fake_quantised: bool) -> npt.NDArray[np.float32]:
+def make_spikes(levels: npt.NDArray[np.uint8], fake_quantised: bool) -> npt.NDArray[np.float32]:
     """Return amplitudes 0 to 1 of levels 0 to 255, both (n_images, n_pixels).
 
     `fake_quantised` adds the public code's 8-bit step (64154e5): a grid of 256 levels up to the image's maximum.

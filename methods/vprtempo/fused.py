@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from .fused_kernels import AMPLITUDE, DECAY, NEARLY_NOTHING, SPIKE, learn_features, learn_places
+from .fused_kernels import AMPLITUDE, DECAY, SPIKE, learn_features, learn_places
 from .layer import Layer
 from .rules import Rules
 from .training import Schedule, Training
@@ -31,7 +31,7 @@ def train_features(layer: Layer, schedule: Schedule, training: Training, report:
     rules = training.rules
     for module in range(len(layer.thresholds)):
         factor = np.ascontiguousarray(schedule.factor[:, module])
-        with _rows(layer, module, rules) as rows:
+        with _lend_rows(layer, module, rules) as rows:
             arguments = (
                 *rows,
                 training.spikes.numpy(),
@@ -44,7 +44,7 @@ def train_features(layer: Layer, schedule: Schedule, training: Training, report:
                 _THRESHOLD_RULES[rules.threshold_rule],
                 rules.stdp_divided_by_rate,
             )
-            _in_threads(learn_features, arguments, layer.thresholds.shape[1], report)
+            _learn_in_threads(learn_features, arguments, layer.thresholds.shape[1], report)
 
 
 def train_places(
@@ -56,7 +56,7 @@ def train_places(
         image, seen = np.unique(schedule.image[:, module].numpy(), return_inverse=True)
         net = torch.addmm(features.constant[module], training.spikes[image], features.weights[module].T)
         shown = net.sub_(features.thresholds[module]).clamp_(0, rules.clip)
-        with _rows(layer, module, rules) as rows:
+        with _lend_rows(layer, module, rules) as rows:
             arguments = (
                 *rows,
                 shown.numpy(),
@@ -69,20 +69,16 @@ def train_places(
                 np.float32(1.0 if rules.error_to_each_sign else 0.5),
                 rules.output_thresholds_learn,
             )
-            _in_threads(learn_places, arguments, layer.thresholds.shape[1], report)
+            _learn_in_threads(learn_places, arguments, layer.thresholds.shape[1], report)
 
 
 @contextmanager
-def _rows(layer: Layer, module: int, rules: Rules) -> Iterator[tuple[Any, ...]]:
+def _lend_rows(layer: Layer, module: int, rules: Rules) -> Iterator[tuple[Any, ...]]:
     """Lend a module's weights to a kernel: excitation, inhibition, thresholds, C and whether both are one array.
 
-    Where a synapse has one sign only, its signed weight is all there is to pass over. A synapse that exists is lent
-    as more than 0.
+    Where a synapse has one sign only, its signed weight is all there is to pass over.
     """
     excitation, inhibition = layer.excitation[module], layer.inhibition[module]
-    for weights, largest in ((excitation, layer.largest_excitation), (inhibition, layer.largest_inhibition)):
-        exists = True if largest is None else largest[module] > 0
-        weights[(weights == 0) & exists] = NEARLY_NOTHING
     rest = (layer.thresholds[module].numpy(), layer.constant[module].numpy())
     if rules.one_sign_per_synapse:
         signed = excitation - inhibition
@@ -93,7 +89,7 @@ def _rows(layer: Layer, module: int, rules: Rules) -> Iterator[tuple[Any, ...]]:
         yield excitation.numpy(), inhibition.numpy(), *rest, False
 
 
-def _in_threads(
+def _learn_in_threads(
     learn: Callable[..., None], arguments: tuple[Any, ...], n_neurons: int, report: Callable[[float], None]
 ) -> None:
     """Call `learn(*arguments, first, last)` for blocks of neurons, in as many threads as PyTorch may use."""

@@ -14,25 +14,26 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-from .layer import LARGEST, SMALLEST, Layer
+from .layer import LARGEST, NEARLY_NOTHING, SMALLEST, Layer
 from .training import Schedule, Training
 
 _STEPS_PER_LAUNCH = 1000
 _VALUES_HELD = 2**28  # of the rows that one launch shows, 1 GiB
 _SYNAPSES_PER_THREAD = 16
 _LEAST, _MOST = tl.constexpr(SMALLEST), tl.constexpr(LARGEST)
+_NEARLY_NOTHING = tl.constexpr(NEARLY_NOTHING)
 
 
 def train_features(layer: Layer, schedule: Schedule, training: Training, report: Callable[[float], None]) -> None:
     """Train a feature layer in place, as `training.train_features` does, all modules at once."""
     rules = training.rules
-    for image, _, factor in _launches(schedule, training.spikes.shape[1], report):
+    for image, _, factor in _split_launches(schedule, training.spikes.shape[1], report):
         _launch(
             _learn_features,
             layer,
             training.spikes[image],
             (training.stdp * factor, training.itp * factor, training.rates, rules.homeostasis_gain, rules.clip),
-            (rules.threshold_rule, rules.stdp_divided_by_rate),
+            (False, rules.threshold_rule, rules.stdp_divided_by_rate),
         )
 
 
@@ -42,7 +43,7 @@ def train_places(
     """Train an output layer in place, as `training.train_places` does, all modules at once."""
     weights, rules = features.weights.mT, training.rules
     share = 1.0 if rules.error_to_each_sign else 0.5
-    for image, neuron, factor in _launches(schedule, sum(weights.shape[1:]), report):
+    for image, neuron, factor in _split_launches(schedule, sum(weights.shape[1:]), report):
         net = torch.baddbmm(features.constant[:, None], training.spikes[image], weights)
         stdp = training.output_stdp * factor
         _launch(
@@ -50,11 +51,11 @@ def train_places(
             layer,
             net.sub_(features.thresholds[:, None]).clamp_(0, rules.clip),
             (neuron, stdp, 1 / training.rates, rules.homeostasis_gain, rules.clip, share),
-            (rules.output_thresholds_learn,),
+            (not rules.one_sign_per_synapse, rules.output_thresholds_learn),
         )
 
 
-def _launches(
+def _split_launches(
     schedule: Schedule, values: int, report: Callable[[float], None]
 ) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
     """Yield image, neuron and factor, each (modules, n_steps), of the steps of one launch after another.
@@ -85,13 +86,11 @@ def _launch(
     # Its weights, limits and two rows take a thread 4 to 6 registers per synapse: with 16 synapses it stays clear of
     # spilling, and wider layers get more warps. With fewer synapses each, more warps would wait for the sum's barrier.
     warps = min(max(width // (32 * _SYNAPSES_PER_THREAD), 1), 16)
-    limits = (layer.largest_excitation, layer.largest_inhibition)
     # Triton launches on the current device, wherever the tensors are.
     with torch.cuda.device_of(shown):  # type: ignore[no-untyped-call]
         kernel[n_post, modules](
             # A view can't be had of what isn't contiguous, and the kernels know no strides.
             *(part.view(-1) for part in (layer.excitation, layer.inhibition)),
-            *(None if limit is None else limit.view(-1) for limit in limits),
             *(part.view(-1) for part in (layer.thresholds, layer.constant, shown)),
             shown.shape[1],
             *arguments,
@@ -102,9 +101,9 @@ def _launch(
         )
 
 
-# The largest magnitude of a synapse that does not exist is 0, which wins over the smallest. That of all synapses is
-# one number where the layer has no limits: None is a constant to the compiler, so nothing is then kept per synapse.
-# A weight that is no number stays one, for `training.check_weights` to see.
+# The largest magnitude of a synapse that does not exist is 0, which wins over the smallest. It is one number where all
+# synapses exist, so that nothing is then kept per synapse. A weight that is no number stays one, for
+# `training.check_weights` to see.
 
 
 @triton.jit
@@ -113,17 +112,17 @@ def _within(values, least, most):  # type: ignore[no-untyped-def]
     return tl.minimum(values, most, propagate_nan=tl.PropagateNan.ALL)
 
 
-@triton.jit
-def _largest(limits, at, inside):  # type: ignore[no-untyped-def]
-    if limits is None:
+@triton.jit  # type: ignore[untyped-decorator]
+def _largest(weights, ALL_EXIST: tl.constexpr):  # type: ignore[no-untyped-def]
+    if ALL_EXIST:
         return _MOST
     else:  # noqa: RET505 (Triton would compile what follows the branch, too)
-        return tl.load(limits + at, inside, 0.0)
+        return tl.where(weights > 0, _MOST, 0.0)
 
 
 @triton.jit
 def _homeostasis(gain, stdp, net):  # type: ignore[no-untyped-def]
-    return tl.maximum(1 + gain * stdp * net, 0.0, propagate_nan=tl.PropagateNan.ALL)
+    return tl.maximum(1 + gain * stdp * net, _NEARLY_NOTHING, propagate_nan=tl.PropagateNan.ALL)
 
 
 @triton.jit
@@ -136,8 +135,6 @@ def _net_input(excitation, inhibition, x, constant):  # type: ignore[no-untyped-
 def _learn_features(  # type: ignore[no-untyped-def]
     excitations,
     inhibitions,
-    excitation_limits,
-    inhibition_limits,
     thresholds,
     constants,
     shown,
@@ -147,6 +144,7 @@ def _learn_features(  # type: ignore[no-untyped-def]
     rates,
     gain,
     clip,
+    ALL_EXIST: tl.constexpr,
     THRESHOLD_RULE: tl.constexpr,
     DIVIDED_BY_RATE: tl.constexpr,
     N_PRE: tl.constexpr,
@@ -159,7 +157,7 @@ def _learn_features(  # type: ignore[no-untyped-def]
     inside = synapse < N_PRE
     at = row * N_PRE + synapse
     excitation, inhibition = tl.load(excitations + at, inside, 0.0), tl.load(inhibitions + at, inside, 0.0)
-    most_excitation, most_inhibition = _largest(excitation_limits, at, inside), _largest(inhibition_limits, at, inside)
+    most_excitation, most_inhibition = _largest(excitation, ALL_EXIST), _largest(inhibition, ALL_EXIST)
     threshold, constant, rate = tl.load(thresholds + row), tl.load(constants + row), tl.load(rates + neuron)
     first = module * n_steps
     x = tl.load(shown + first * N_PRE + synapse, inside, 0.0)
@@ -195,8 +193,6 @@ def _learn_features(  # type: ignore[no-untyped-def]
 def _learn_places(  # type: ignore[no-untyped-def]
     excitations,
     inhibitions,
-    excitation_limits,
-    inhibition_limits,
     thresholds,
     constants,
     shown,
@@ -207,6 +203,7 @@ def _learn_places(  # type: ignore[no-untyped-def]
     gain,
     clip,
     share,
+    ALL_EXIST: tl.constexpr,
     THRESHOLDS_LEARN: tl.constexpr,
     N_PRE: tl.constexpr,
     WIDTH: tl.constexpr,
@@ -218,7 +215,7 @@ def _learn_places(  # type: ignore[no-untyped-def]
     inside = synapse < N_PRE
     at = row * N_PRE + synapse
     excitation, inhibition = tl.load(excitations + at, inside, 0.0), tl.load(inhibitions + at, inside, 0.0)
-    most_excitation, most_inhibition = _largest(excitation_limits, at, inside), _largest(inhibition_limits, at, inside)
+    most_excitation, most_inhibition = _largest(excitation, ALL_EXIST), _largest(inhibition, ALL_EXIST)
     threshold, constant = tl.load(thresholds + row), tl.load(constants + row)
     by_rate = tl.load(rates_inverted + synapse, inside, 0.0)
     first = module * n_steps

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from .compiled import compiled
-from .layer import LARGEST, SMALLEST
+from .layer import LARGEST, NEARLY_NOTHING, SMALLEST, compiled
 
 SPIKE, AMPLITUDE, DECAY = 0, 1, 2  # the rules of thresholds
 _LEAST, _MOST = np.float32(SMALLEST), np.float32(LARGEST)
-# Stands for a synapse that exists with weight 0, until the next limit lifts it: 0 is a synapse that does not exist.
-NEARLY_NOTHING = 1e-30
 
 # The passes over a neuron's row: learn one step, and return the net input of the next image without C.
 # `signed` holds W+ - W- of synapses that have one sign each.

@@ -37,9 +37,8 @@ class VPRTempoInt8(VPRTempo):
 
     def map_bytes(self) -> int:
         """Return the bytes of the weights, one each, and of a scale and a bias for each neuron."""
-        self._trained()
-        members = self._networks()
-        if self.chosen_rules().query_rule == "linear":
+        members = self._join_networks()
+        if self.choose_rules().query_rule == "linear":
             return members[0].n_places * (members[0].features.shape[2] + 8)
         weights = sum(part.numel() for member in members for part in (member.features, *member.outputs))
         return weights + 8 * sum(member.feature_thresholds.numel() + member.n_places for member in members)

@@ -30,8 +30,6 @@ class LatencyQuery(SpikingQuery):
         """Lay out the weights; a query ends when the best place is ahead by a share `lead` of its state, or last."""
         super().__init__(network, rules)
         self._steps, self._lead, self._clip = steps, lead or 1.0, np.float32(rules.clip)
-        self._by_feature = [weights.cpu().numpy() for weights in network.outputs]
-        self._full = torch.cat(network.output_thresholds).cpu().numpy()
 
     def scores(self, spikes: npt.NDArray[np.float32]) -> Scores:
         """Return the state of every place's output neuron where the query ends."""
@@ -45,18 +43,21 @@ class LatencyQuery(SpikingQuery):
 
     def _run(self, spikes: npt.NDArray[np.float32]) -> tuple[npt.NDArray[np.int64], Scores]:
         """Return the step of the features' cycle at which each query ends, (n_queries,), and its scores there."""
-        features = self._levels(spikes).reshape(len(spikes), len(self._by_feature), -1)
-        added, scores = np.empty(len(self._full), np.float32), np.zeros((len(spikes), len(self._full)), np.float32)
+        features = self._levels(spikes).reshape(len(spikes), len(self._columns), -1)
+        added, scores = (
+            np.empty(len(self._thresholds), np.float32),
+            np.zeros((len(spikes), len(self._thresholds)), np.float32),
+        )
         net, steps, going = scores.copy(), np.zeros(len(spikes), np.int64), np.ones(len(spikes), bool)
         for step in range(1, self._steps + 1):
             level = self._steps + 1 - step
             came = (features == level) * (self._clip * level / self._steps)
-            for query, module in product(np.flatnonzero(going), range(len(self._by_feature))):
+            for query, module in product(np.flatnonzero(going), range(len(self._columns))):
                 own = slice(*self._ends[module : module + 2])
-                add_active(self._by_feature[module], came[query, module], added[own])
+                add_active(self._columns[module], came[query, module], added[own])
                 net[query, own] += added[own]
-            above = net[going] - self._full * np.float32(step / self._steps)
-            scores[going], steps[going] = self._fired(torch.from_numpy(above)).numpy(), step
+            above = net[going] - self._thresholds * np.float32(step / self._steps)
+            scores[going], steps[going] = self._activate(torch.from_numpy(above)).numpy(), step
             second, first = np.partition(np.pad(scores, ((0, 0), (1, 0))), -2, axis=1)[:, -2:].T
             going &= first - second <= self._lead * first
             if not going.any():
@@ -66,7 +67,7 @@ class LatencyQuery(SpikingQuery):
     def _levels(self, spikes: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
         """Return how many steps before the end of their cycle the features spike, (n_queries, n_neurons); 0: never."""
         shown = torch.tensor(np.rint(spikes * np.float32(self._steps)) / np.float32(self._steps), device=self._device)
-        return np.rint(self._features(shown).cpu().numpy() * (self._steps / self._clip))
+        return np.rint(self._fire_features(shown).cpu().numpy() * (self._steps / self._clip))
 
 
 @dataclass
@@ -85,9 +86,9 @@ class VPRTempoLatencies(VPRTempo):
         """The arguments that may differ in a stored network."""
         return super().query_arguments | {"steps", "lead"}
 
-    def chosen_rules(self) -> Rules:
+    def choose_rules(self) -> Rules:
         """Return the rules; raises BadInput where spikes have no times."""
-        rules = super().chosen_rules()
+        rules = super().choose_rules()
         if not 4 <= self.steps <= 1000 or not (self.lead is None or 0 < self.lead < 1):
             raise BadInput(f"method.steps={self.steps}, method.lead={self.lead}: give 4 to 1000, and between 0 and 1")
         if rules.query_rule == "linear" or rules.calibrated_scores:
@@ -100,7 +101,7 @@ class VPRTempoLatencies(VPRTempo):
 
     def spikes(self, codes: npt.NDArray[np.float32]) -> list[LayerSpikes]:
         """Return the spikes of each layer until the query ends; outputs spike in a cycle of their own, best first."""
-        found, clip = super().spikes(codes), self.chosen_rules().clip
+        found, clip = super().spikes(codes), self.choose_rules().clip
         best = found[-1].values.max(1, keepdims=True, initial=1e-9)
         for cycle, most in enumerate((1, clip, best)):
             levels = np.rint(found[cycle].values * (self.steps / most)).astype(int)

@@ -4,29 +4,33 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import torch
 from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
 
+from vprbench.api import compiled as compiled_exactly
+
 from .rules import Rules
+
+#: Compiles inner loops. Sums may be reordered; infinities still count.
+compiled = compiled_exactly(fastmath={"reassoc", "contract", "arcp", "nsz"})
 
 # Limits of a weight's magnitude; kernels are cached with them, so a change has to touch `fused_kernels.py` too.
 SMALLEST, LARGEST = 1e-6, 10.0
+# Stands for a synapse that exists with weight 0, until the next limit lifts it: 0 is a synapse that does not exist.
+NEARLY_NOTHING = 1e-30
 
 
 @dataclass
 class Layer:
     """Excitatory and inhibitory weights as magnitudes, with thresholds; every first axis is the module.
 
-    The largest magnitude of a synapse that does not exist is 0; without largest magnitudes all synapses exist.
+    A synapse that does not exist weighs 0, one that exists more.
     """
 
     excitation: Tensor  # (modules, n_post, n_pre)
     inhibition: Tensor  # (modules, n_post, n_pre)
-    largest_excitation: Tensor | None  # (modules, n_post, n_pre)
-    largest_inhibition: Tensor | None  # (modules, n_post, n_pre)
     thresholds: Tensor  # (modules, n_post)
     constant: Tensor  # (modules, n_post)
 
@@ -39,8 +43,7 @@ class Layer:
         return self._with_parts(lambda part: part.to(device))
 
     def _with_parts(self, change: Callable[[Tensor], Tensor]) -> Layer:
-        parts: list[Any] = [part if part is None else change(part) for part in vars(self).values()]
-        return Layer(*parts)
+        return Layer(*map(change, vars(self).values()))
 
     @property
     def weights(self) -> Tensor:
@@ -69,10 +72,9 @@ def learn_features(layer: Layer, x: Tensor, rates: Tensor, stdp: Tensor, itp: Te
     post = stdp * (0.5 - y) * fired
     if rules.stdp_divided_by_rate:
         post /= rates
-    pre = (x > 0).to(x.dtype)
-    layer.excitation.addcmul_(post[:, :, None], pre[:, None, :])
-    layer.inhibition.addcmul_(post[:, :, None], pre[:, None, :])
-    _limit(layer)
+    change = post[:, :, None] * (x > 0)[:, None, :]
+    _change_synapses(layer.excitation, change)
+    _change_synapses(layer.inhibition, change)
     if rules.threshold_rule == "spike":
         layer.thresholds += itp * (fired.to(x.dtype) - rates)
     elif rules.threshold_rule == "amplitude":
@@ -95,32 +97,24 @@ def learn_places(layer: Layer, x: Tensor, target: Tensor, pre_rates: Tensor, std
     if rules.output_thresholds_learn:
         layer.thresholds.sub_(error.sign() * stdp / 5).clamp_(min=0)
     share = 1.0 if rules.error_to_each_sign else 0.5
-    post = (share * stdp * error)[:, :, None]
-    pre = (x / pre_rates)[:, None, :]
-    layer.excitation.addcmul_(post, pre)
-    layer.inhibition.addcmul_(post, pre, value=-1)
-    _limit(layer)
+    change = (share * stdp * error)[:, :, None] * (x / pre_rates)[:, None, :]
+    _change_synapses(layer.excitation, change)
+    _change_synapses(layer.inhibition, -change)
     _balance(layer, net, stdp, rules)
 
 
-def _limit(layer: Layer) -> None:
-    """Keep every weight's sign and size."""
-    for weights, largest in (
-        (layer.excitation, layer.largest_excitation),
-        (layer.inhibition, layer.largest_inhibition),
-    ):
-        weights.clamp_(SMALLEST, LARGEST)
-        if largest is not None:
-            torch.minimum(weights, largest, out=weights)
+def _change_synapses(weights: Tensor, change: Tensor) -> None:
+    """Add a change to the synapses that exist, and keep every weight's sign and size."""
+    weights.copy_(torch.where(weights != 0, (weights + change).clamp_(SMALLEST, LARGEST), 0.0))
 
 
 def _balance(layer: Layer, net_input: Tensor, stdp: Tensor, rules: Rules) -> None:
     """Scale the inhibition with the neuron's own net input (homeostasis)."""
-    # A factor below 0 (a net input under -4) would flip signs; 0 is lifted to the smallest weight in the next step.
-    layer.inhibition.mul_((1 + rules.homeostasis_gain * stdp * net_input).clamp_(min=0)[:, :, None])
+    # A factor below 0 (a net input under -4) would flip signs; the next step lifts the smallest weights again.
+    layer.inhibition.mul_((1 + rules.homeostasis_gain * stdp * net_input).clamp_(min=NEARLY_NOTHING)[:, :, None])
 
 
-def feature_rates(n: int, lowest: float, highest: float) -> Tensor:
+def ramp_rates(n: int, lowest: float, highest: float) -> Tensor:
     """Return the fixed ramp of target firing rates, (n,), from just above `lowest` to `highest`."""
     return (lowest + (highest - lowest) * torch.arange(1, n + 1, dtype=torch.float64) / n).float()
 
@@ -143,57 +137,45 @@ def draw_layer(
         _draw_module(generator, size, n_pre, probabilities, rules)
         for generator, size in zip(generators, n_post, strict=True)
     ]
-    # Padding counts as synapses that exist, so that a layer with all synapses needs no largest magnitudes.
-    padding = (0.0, 0.0, LARGEST, LARGEST, 0.0, 0.0)
-    excitation, inhibition, largest_excitation, largest_inhibition, thresholds, constant = (
+    # Padding counts as synapses that exist where all do, for kernels then read no masks.
+    weight = 0.0 if rules.one_sign_per_synapse else NEARLY_NOTHING
+    excitation, inhibition, thresholds, constant = (
         modules[0][part][None]
         if len(modules) == 1
         else pad_sequence([module[part] for module in modules], batch_first=True, padding_value=value)
-        for part, value in enumerate(padding)
+        for part, value in enumerate((weight, weight, 0.0, 0.0))
     )
-    return Layer(
-        excitation,
-        inhibition,
-        None if bool(largest_excitation.all()) else largest_excitation,
-        None if bool(largest_inhibition.all()) else largest_inhibition,
-        threshold_max * thresholds,
-        constant_max * constant,
-    )
+    return Layer(excitation, inhibition, threshold_max * thresholds, constant_max * constant)
 
 
 def _draw_module(
     generator: torch.Generator, n_post: int, n_pre: int, probabilities: tuple[float, float], rules: Rules
 ) -> tuple[Tensor, ...]:
-    """Return excitation, inhibition, their largest magnitudes (n_post, n_pre), thresholds and constant input (n_post,).
-
-    Thresholds and constant input are drawn from 0 to 1.
-    """
+    """Return excitation, inhibition, (n_post, n_pre), thresholds and constant input (n_post,), each from 0 to 1."""
     thresholds, constant = (torch.rand(n_post, generator=generator) for _ in range(2))
-    drawn = [_draw_synapses(generator, n_post, n_pre, probability, rules) for probability in probabilities]
-    (excitation, excitatory), (inhibition, inhibitory) = drawn
+    excitation, inhibition = (_draw_synapses(generator, n_post, n_pre, each, rules) for each in probabilities)
     if rules.one_sign_per_synapse:
         signed = excitation - inhibition
         excitation, inhibition = signed.clamp(min=0), (-signed).clamp_(min=0)
-        excitatory, inhibitory = signed > 0, signed < 0
-    limits = (torch.where(exists, LARGEST, 0.0) for exists in (excitatory, inhibitory))
-    return excitation, inhibition, *limits, thresholds, constant
+    return excitation, inhibition, thresholds, constant
 
 
-def _draw_synapses(
-    generator: torch.Generator, n_post: int, n_pre: int, probability: float, rules: Rules
-) -> tuple[Tensor, Tensor]:
-    """Return the magnitudes of the synapses of one sign, (n_post, n_pre), and which of them exist."""
+def _draw_synapses(generator: torch.Generator, n_post: int, n_pre: int, probability: float, rules: Rules) -> Tensor:
+    """Return the magnitudes of the synapses of one sign, (n_post, n_pre)."""
     magnitude = torch.randn(n_post, n_pre, generator=generator)
-    exists = _connections(generator, n_post, n_pre, probability, rules)
+    exists = _draw_connections(generator, n_post, n_pre, probability, rules)
     if not exists.any():
-        return magnitude.zero_(), exists
+        return magnitude.zero_()
     magnitude.div_(6).add_(0.5).clamp_(min=0).mul_(exists)
     norm = magnitude.sum(1, keepdim=True)
     divisor = norm[-1:] if rules.normalise_by_last_neuron else norm
-    return magnitude.div_(torch.where(divisor == 0, 1.0, divisor)), exists
+    magnitude.div_(torch.where(divisor == 0, 1.0, divisor))
+    if not rules.one_sign_per_synapse:  # where a synapse drawn as 0 does not exist
+        magnitude.masked_fill_(exists & (magnitude == 0), NEARLY_NOTHING)
+    return magnitude
 
 
-def _connections(generator: torch.Generator, n_post: int, n_pre: int, probability: float, rules: Rules) -> Tensor:
+def _draw_connections(generator: torch.Generator, n_post: int, n_pre: int, probability: float, rules: Rules) -> Tensor:
     """Return which synapses exist, (n_post, n_pre)."""
     if not rules.even_connections or probability == 0:
         return torch.rand(n_post, n_pre, generator=generator) < probability

@@ -1,8 +1,7 @@
-"""A trained VPRTempo network: what its modules have learnt, taken from training or from stored arrays."""
+"""A trained VPRTempo network: the weights and thresholds of its modules, from training or from stored arrays."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Self
@@ -18,7 +17,6 @@ from .layer import Layer
 
 _CALIBRATION = ("score_mean", "score_spread")
 _FEATURES = ("features", "constant", "feature_thresholds")
-_LEAST_SPREAD = 0.01  # of the mean spread
 _PUBLISHED = ("feature_layer.w.weight", "feature_layer.thr", "output_layer.w.weight", "output_layer.thr")
 
 
@@ -65,16 +63,16 @@ class Network:
 
     @classmethod
     def from_state(cls, state: Mapping[str, npt.NDArray[Any]], device: str) -> Self:
-        """Read what `state` returned, or the layout of the published checkpoints (QVPR/VPRTempo 64154e5).
+        """Read the arrays of `state`, or the layout of the published checkpoints (QVPR/VPRTempo 64154e5).
 
         Raises BadInput where an array is missing, too many, or of a shape that does not fit the others.
         """
         if any(name.startswith("model_") for name in state):
-            state = _from_published(state)
+            state = _rename_published(state)
         shapes = {name: np.shape(array) for name, array in state.items()}
-        modules = max(1, *(sum(name.startswith(part) for name in state) for part in ("outputs_", "output_thresholds_")))
-        sizes = [next(iter(shapes.get(f"outputs_{module}", ())), 0) for module in range(modules)]
-        _, n_features, n_pixels = shapes["features"] if len(shapes.get("features", ())) == 3 else (0, 0, 0)
+        modules = sum(name.startswith("outputs_") for name in state)
+        sizes = [(*shapes.get(f"outputs_{module}", ()), 0)[0] for module in range(modules)]
+        n_features, n_pixels = (*shapes.get("features", ()), 0, 0, 0)[1:3]
         wanted: dict[str, tuple[int, ...]] = {
             "features": (modules, n_features, n_pixels),
             "constant": (modules, n_features),
@@ -84,14 +82,13 @@ class Network:
             wanted |= {f"outputs_{module}": (size, n_features), f"output_thresholds_{module}": (size,)}
         if any(name in _CALIBRATION for name in state):
             wanted |= dict.fromkeys(_CALIBRATION, (sum(sizes),))
-        if differing := sorted(wanted.keys() - shapes.keys()) or sorted(shapes.keys() - wanted.keys()):
-            what = f"{'lacks' if differing[0] in wanted else 'has an unexpected'} {differing[0]}"
-            raise BadInput(f"the arrays of a VPRTempo network are wanted, but the stored one {what}")
+        if differing := sorted(wanted.keys() ^ shapes.keys()):
+            raise BadInput(f"the stored network lacks or has besides {', '.join(differing)}: it is none of VPRTempo")
         for name, shape in wanted.items():
-            if shapes[name] != shape or 0 in shape:
-                raise BadInput(f"the stored network's {name} has the shape {shapes[name]}; wanted {shape}, without a 0")
-            if not np.isfinite(state[name]).all():
-                raise BadInput(f"the stored network's {name} holds values that are not finite: its training diverged")
+            if shapes[name] != shape or 0 in shape or not np.isfinite(state[name]).all():
+                raise BadInput(
+                    f"the stored network's {name} {shapes[name]} should be finite and of shape {shape}, without a 0"
+                )
         tensors = {name: torch.tensor(array, dtype=torch.float32, device=device) for name, array in state.items()}
         return cls(
             tensors["features"],
@@ -114,23 +111,14 @@ class Network:
         known = (torch.cat([mean for mean, _ in parts]), torch.cat([spread for _, spread in parts])) if parts else None
         return replace(self, **joined, outputs=outputs, output_thresholds=thresholds, calibration=known)
 
-    def with_score_statistics(self, total: Tensor, total_of_squares: Tensor, count: int) -> Self:
-        """Return the network with its mean score and spread a place, from sums (n_places,) over `count` references."""
-        mean = total / count
-        spread = (total_of_squares / count - mean.square()).clamp(min=0).sqrt()
-        # A place that hardly answers to any reference must not shout at the first query that it answers to.
-        spread = spread.clamp(min=float(_LEAST_SPREAD * spread.mean()) or 1.0)
-        device = self.features.device
-        return replace(self, calibration=(mean.float().to(device), spread.float().to(device)))
 
-
-def last_features(members: Sequence[Network]) -> Layer:
+def take_last_features(members: Sequence[Network]) -> Layer:
     """Return the last feature layer of each network, side by side."""
     signed, constant, thresholds = (torch.cat([getattr(one, name)[-1:] for one in members]) for name in _FEATURES)
-    return Layer(signed.clamp(min=0), (-signed).clamp_(min=0), None, None, thresholds, constant)
+    return Layer(signed.clamp(min=0), (-signed).clamp_(min=0), thresholds, constant)
 
 
-def members_state(members: Sequence[Network]) -> dict[str, npt.NDArray[np.float32]]:
+def join_states(members: Sequence[Network]) -> dict[str, npt.NDArray[np.float32]]:
     """Return the arrays of networks to be stored; the arrays of several networks are numbered."""
     if len(members) == 1:
         return members[0].state()
@@ -138,47 +126,33 @@ def members_state(members: Sequence[Network]) -> dict[str, npt.NDArray[np.float3
     return {f"member_{n}.{name}": array for n, state in enumerate(states) for name, array in state.items()}
 
 
-def members_from_state(state: Mapping[str, npt.NDArray[Any]], n_members: int, device: str) -> list[Network]:
-    """Read what `members_state` returned, or a published checkpoint.
+def read_members(state: Mapping[str, npt.NDArray[Any]], n_members: int, device: str) -> list[Network]:
+    """Read the arrays of `join_states`, or a published checkpoint.
 
-    Raises BadInput for another number of networks, networks of different numbers of places, and what
-    `Network.from_state` refuses.
+    Raises BadInput for another number of networks, and for arrays that `Network.from_state` refuses.
     """
-    own: dict[str, dict[str, npt.NDArray[Any]]] = {}
-    for name, array in state.items():
-        prefix, dot, rest = name.partition(".")
-        numbered = bool(dot) and prefix.startswith("member_")
-        own.setdefault(prefix if numbered else "", {})[rest if numbered else name] = array
-    wanted = [f"member_{number}" for number in range(n_members)] if n_members > 1 else [""]
-    if set(own) != set(wanted):
-        raise BadInput(f"the stored network has {len(own)} members; wanted {n_members}, numbered from 0 where several")
-    members = [Network.from_state(own[member], device) for member in wanted]
-    if len({member.n_places for member in members}) > 1:
-        raise BadInput("the members of the stored network know different numbers of places")
-    return members
+    prefixes = [f"member_{number}." for number in range(n_members)] if n_members > 1 else [""]
+    own = [{name.removeprefix(p): array for name, array in state.items() if name.startswith(p)} for p in prefixes]
+    if sum(map(len, own)) != len(state) or not all(own):
+        raise BadInput(f"the stored network has other members; wanted {n_members}, numbered from 0 where several")
+    return [Network.from_state(arrays, device) for arrays in own]
 
 
-def _from_published(state: Mapping[str, npt.NDArray[Any]]) -> dict[str, npt.NDArray[Any]]:
+def _rename_published(state: Mapping[str, npt.NDArray[Any]]) -> dict[str, npt.NDArray[Any]]:
     """Rename and stack the arrays `model_<module>.<layer>` of a published checkpoint; it has no constant input."""
-    modules = len({number[1] for name in state if (number := re.match(r"model_([0-9]+)\.", name))})
+    modules = len({name.partition(".")[0] for name in state})
     wanted = {f"model_{module}.{name}" for module in range(modules) for name in _PUBLISHED}
     if differing := sorted(wanted ^ set(state)):
-        raise BadInput(
-            f"the checkpoint {'lacks' if differing[0] in wanted else 'has an unexpected'} {differing[0]}: "
-            f"published ones hold model_0 to model_N with {', '.join(_PUBLISHED)}"
-        )
+        raise BadInput(f"the checkpoint lacks or has besides {', '.join(differing)}: it is none of VPRTempo's authors")
     features, thresholds, outputs, output_thresholds = (
         [state[f"model_{module}.{name}"] for module in range(modules)] for name in _PUBLISHED
     )
-    if len({np.shape(weights) for weights in features}) > 1:
-        raise BadInput("the checkpoint's modules have feature layers of different shapes; wanted the same in each")
-    if len({np.size(row) for row in thresholds}) > 1:
-        raise BadInput("the checkpoint's feature_layer.thr has different lengths in its modules; wanted one a feature")
-    found = {"features": np.stack(features), "feature_thresholds": np.stack([np.ravel(row) for row in thresholds])}
-    found["constant"] = np.zeros_like(found["feature_thresholds"])
+    try:
+        stacked = {"features": np.stack(features), "feature_thresholds": np.stack([*map(np.ravel, thresholds)])}
+    except ValueError as error:
+        raise BadInput("the checkpoint's modules have feature layers of different shapes") from error
+    found = {**stacked, "constant": np.zeros_like(stacked["feature_thresholds"])}
     for module in range(modules):
-        found |= {
-            f"outputs_{module}": outputs[module],
-            f"output_thresholds_{module}": np.ravel(output_thresholds[module]),
-        }
+        found[f"outputs_{module}"] = outputs[module]
+        found[f"output_thresholds_{module}"] = np.ravel(output_thresholds[module])
     return found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import platform
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
@@ -13,29 +14,34 @@ import torch
 from vprbench.api import Scores, count_operations
 
 from . import vnni
-from .compiled import compiled
+from .layer import compiled
 from .network import Network
-from .query import Amplitudes, linear_layer, sparse
+from .query import Amplitudes, find_synapses, multiply_layers
 from .rules import Rules
 
 _LEVELS = np.float32(255)  # of an activation
 _STEPS = np.float32(127)  # of a weight to either side of 0
 MOST_INPUTS = 2**31 // (255 * 127)  # of a neuron, whose sums 32 bits hold
+_HAS_ONEDNN = torch.backends.mkldnn.is_available() and platform.machine() in ("x86_64", "AMD64")  # type: ignore[no-untyped-call]
 _WORTH_THREADS = 16  # queries: fewer are answered before a thread has started
-_FEW = 0.02  # of the synapses, up to which those that exist are read alone
+
+
+Levels = npt.NDArray[np.uint8]  # (n_queries, n)
+Floats = npt.NDArray[np.float32]  # (n_out,), or (n_queries, n_out)
+Map = Callable[[Levels, Floats], None]  # writes the net input (n_queries, n_out) of levels (n_queries, n_in)
 
 
 class _Layer:
     """An affine map by rows of 127 steps to either side of 0; the sums are exact, for one input as for many."""
 
-    def __init__(self, weights: npt.NDArray[np.float32], bias: npt.NDArray[np.float32], most: np.float32) -> None:
+    def __init__(self, weights: Floats, bias: Floats, most: np.float32) -> None:
         """Quantise `weights` (n_out, n_in), a row at a time, for inputs from 0 to `most`; `bias` is (n_out,)."""
         step = np.maximum(np.abs(weights).max(1), np.finfo(np.float32).tiny) / _STEPS
         steps = np.ascontiguousarray(np.rint(weights / step[:, None]), np.int8)
         self.n_out = len(steps)
         self.n_weights = steps.size  # of synapses that exist or not
         factor = np.asarray(step * (most / _LEVELS), np.float32)  # of a sum of steps times levels
-        self._map = _by_synapses(steps, factor, bias) or _affine_map(steps, factor, bias)
+        self._map = _make_map(steps, factor, bias)
 
     def __call__(self, levels: Levels, net: Floats | None = None) -> Floats:
         """Return (n_queries, n_out) of the input's levels (n_queries, n_in), written to `net` if it is given."""
@@ -44,73 +50,41 @@ class _Layer:
         return written
 
 
-Levels = npt.NDArray[np.uint8]  # (n_queries, n)
-Floats = npt.NDArray[np.float32]  # (n_out,), or (n_queries, n_out)
-Map = Callable[[Levels, Floats], None]  # writes what levels (n_queries, n_in) give to (n_queries, n_out)
-
-
-def _by_synapses(steps: npt.NDArray[np.int8], factor: Floats, bias: Floats) -> Map | None:
-    """Return the map that reads the synapses that exist; None if they are many."""
-    synapses = sparse(steps, _FEW)
-    if synapses is None:
-        return None
-
-    return lambda levels, net: _add_synapses(*synapses, factor, bias, levels, net)
-
-
-def _affine_map(steps: npt.NDArray[np.int8], factor: Floats, bias: Floats) -> Map:
-    """Return the map by `steps` (n_out, n_in), times `factor`, plus `bias`, in the fastest way that is exact here.
-
-    Without AVX-512 VNNI it is oneDNN's 8-bit product, exact with another VNNI. Without any, x86 adds pairs of products
-    in 16 bits, which hold those of half steps: each step is then two halves, which read the same level.
-    """
+def _make_map(steps: npt.NDArray[np.int8], factor: Floats, bias: Floats) -> Map:
+    """Return the map by `steps` (n_out, n_in), times `factor`, plus `bias`, in the fastest way that is exact here."""
+    if (synapses := find_synapses(steps)) is not None:
+        return lambda levels, net: _add_synapses(*synapses, factor, bias, levels, net)
     if vnni.AVAILABLE:
-        return vnni.affine_map(steps, factor, bias)
-    parts = 1 if _is_exact(1) else 2 if _is_exact(2) else 0
-    return _by_onednn(steps, factor, bias, parts) if parts else _by_loops(steps, factor, bias)
+        return vnni.make_affine_map(steps, factor, bias)
+    if _HAS_ONEDNN:
+        return _map_by_onednn(steps, factor, bias, _count_parts())
+    return lambda levels, net: _multiply(steps, levels, factor, bias, net)
 
 
-def _by_loops(steps: npt.NDArray[np.int8], factor: Floats, bias: Floats) -> Map:
-    """Return the map by sums of our own."""
-
-    def by_loops(levels: Levels, net: Floats) -> None:
-        sums = np.empty((len(levels), len(steps)), np.int32)
-        _multiply(steps, levels, sums)
-        net[:] = sums * factor + bias
-
-    return by_loops
-
-
-def _by_onednn(steps: npt.NDArray[np.int8], factor: Floats, bias: Floats, parts: int) -> Map:
-    """Return oneDNN's map by steps, each in so many parts; raises RuntimeError where PyTorch has none."""
-    halves = [steps] if parts == 1 else [steps // 2, steps - steps // 2]
-    n_out = len(steps)
-    packed = torch.ops.onednn.qlinear_prepack(torch.from_numpy(np.concatenate(halves, axis=1)), None)
-    scales = torch.tensor(factor), torch.zeros(n_out, dtype=torch.int32), torch.tensor(bias)
+def _map_by_onednn(steps: npt.NDArray[np.int8], factor: Floats, bias: Floats, parts: int) -> Map:
+    """Return oneDNN's map by steps, each in so many parts, which read the same level."""
+    shares = [steps] if parts == 1 else [steps // 2, steps - steps // 2]
+    packed = torch.ops.onednn.qlinear_prepack(torch.from_numpy(np.concatenate(shares, axis=1)), None)
+    scales = torch.tensor(factor), torch.zeros(len(steps), dtype=torch.int32), torch.tensor(bias)
     rest: tuple[object, ...] = (packed, *scales, 1.0, 0, torch.float32, "none", [], "")
 
-    def by_onednn(levels: Levels, net: Floats) -> None:
-        given = torch.from_numpy(levels if parts == 1 else np.concatenate([levels] * parts, axis=1))
+    def write(levels: Levels, net: Floats) -> None:
+        given = torch.from_numpy(np.concatenate([levels] * parts, axis=1))
         net[:] = torch.ops.onednn.qlinear_pointwise(given, 1.0, 0, *rest).numpy()
 
-    return by_onednn
+    return write
 
 
 @cache
-def _is_exact(parts: int) -> bool:
-    """Tell whether oneDNN's product by steps in so many parts is exact here, for the largest values there are."""
+def _count_parts() -> int:
+    """Return in how many parts oneDNN multiplies a step exactly: 1 with any VNNI, of AVX too.
+
+    Without VNNI x86 adds pairs of products in 16 bits, which hold those of half steps alone.
+    """
     steps, levels = np.full((16, 64), 127, np.int8), np.full((8, 64), 255, np.uint8)
-    steps[::2] = -127
-    try:
-        product = _by_onednn(steps, np.ones(16, np.float32), np.zeros(16, np.float32), parts)
-    except (AttributeError, RuntimeError):  # a PyTorch without oneDNN
-        return False
-    for some in (levels[:1], levels):
-        found = np.empty((len(some), 16), np.float32)
-        product(some, found)
-        if not np.array_equal(found, some.astype(int) @ steps.T.astype(int)):
-            return False
-    return True
+    net = np.empty((8, 16), np.float32)
+    _map_by_onednn(steps, np.ones(16, np.float32), np.zeros(16, np.float32), 1)(levels, net)
+    return 1 if (net == 64 * 127 * 255).all() else 2
 
 
 class Int8LinearQuery:
@@ -118,14 +92,14 @@ class Int8LinearQuery:
 
     def __init__(self, members: Sequence[Network]) -> None:
         """Quantise the product of both layers, or the mean of several."""
-        weights, bias = linear_layer(members)
+        weights, bias = multiply_layers(members)
         self._layer = _Layer(weights.cpu().numpy(), bias.cpu().numpy(), np.float32(1))
 
     def scores(self, spikes: npt.NDArray[np.float32]) -> Scores:
         """Return the state of every place's output neuron."""
         count_operations(len(spikes) * self._layer.n_weights, kind="int8")
         scores = np.empty((len(spikes), self._layer.n_out), np.float32)
-        _in_threads(lambda own, written: self._layer(_levels(own, np.float32(1)), written), spikes, scores)
+        _score_in_threads(lambda own, written: self._layer(_quantise(own, np.float32(1)), written), spikes, scores)
         return scores
 
 
@@ -149,18 +123,18 @@ class Int8SpikingQuery:
         weights = sum(layer.n_weights for layer in (self._features, *self._outputs))
         count_operations(len(spikes) * weights, kind="int8")
         scores = np.empty((len(spikes), self._n_places), np.float32)
-        _in_threads(lambda own, written: self._fire(self._feature_levels(own), written), spikes, scores)
+        _score_in_threads(lambda own, written: self._fire(self._fire_features(own), written), spikes, scores)
         return scores
 
     def layers(self, spikes: npt.NDArray[np.float32]) -> tuple[Amplitudes, Amplitudes]:
         """Return the spikes of the feature neurons, all modules side by side, and of the output neurons."""
-        levels, scores = self._feature_levels(spikes), np.empty((len(spikes), self._n_places), np.float32)
+        levels, scores = self._fire_features(spikes), np.empty((len(spikes), self._n_places), np.float32)
         self._fire(levels, scores)
         return levels * (self._clip / _LEVELS), scores
 
-    def _feature_levels(self, spikes: npt.NDArray[np.float32]) -> Levels:
+    def _fire_features(self, spikes: npt.NDArray[np.float32]) -> Levels:
         """Return the feature spikes of all modules, (n_queries, modules * n_features), in steps up to the clip."""
-        return _levels(self._features(_levels(spikes, np.float32(1))), self._clip)
+        return _quantise(self._features(_quantise(spikes, np.float32(1))), self._clip)
 
     def _fire(self, levels: Levels, scores: Scores) -> None:
         """Write the activation of Eq. 1 of all output neurons, (n_queries, n_places), for the feature spikes."""
@@ -171,7 +145,7 @@ class Int8SpikingQuery:
         _activate(scores, self._clip, self._outputs[0].n_out if self._silent_winner else 0)
 
 
-def _in_threads(write: Callable[[Amplitudes, Scores], object], spikes: Amplitudes, scores: Scores) -> None:
+def _score_in_threads(write: Callable[[Amplitudes, Scores], object], spikes: Amplitudes, scores: Scores) -> None:
     """Let `write` answer input spikes with scores (n_queries, n_places), in all threads if it computes in its own."""
     threads = torch.get_num_threads() if vnni.AVAILABLE and len(spikes) >= _WORTH_THREADS else 1
     if threads == 1:
@@ -181,7 +155,7 @@ def _in_threads(write: Callable[[Amplitudes, Scores], object], spikes: Amplitude
         list(pool.map(write, np.array_split(spikes, threads), np.array_split(scores, threads)))
 
 
-def _levels(activation: npt.NDArray[np.float32], most: np.float32) -> Levels:
+def _quantise(activation: npt.NDArray[np.float32], most: np.float32) -> Levels:
     """Return activations as the nearest of 256 levels from 0 to `most`; values outside are clipped."""
     levels = np.empty(activation.shape, np.uint8)
     _write_levels(activation.ravel(), _LEVELS / most, levels.ravel())
@@ -215,8 +189,8 @@ def _activate(scores, clip, n_first):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _multiply(steps, levels, sums):  # type: ignore[no-untyped-def]
-    """Write levels @ steps.T, (n_queries, n_out)."""
+def _multiply(steps, levels, factor, bias, net):  # type: ignore[no-untyped-def]
+    """Write the net input and the bias of neurons, (n_queries, n_out), by all steps (n_out, n_in)."""
     for query in range(len(levels)):
         own = levels[query]
         for row in range(len(steps)):
@@ -224,7 +198,7 @@ def _multiply(steps, levels, sums):  # type: ignore[no-untyped-def]
             total = np.int32(0)
             for i in range(len(own)):
                 total = np.int32(total + np.int32(np.int32(weights[i]) * np.int32(own[i])))  # else numba takes 64 bits
-            sums[query, row] = total
+            net[query, row] = np.float32(total) * factor[row] + bias[row]
 
 
 @compiled
@@ -251,7 +225,7 @@ def _compile() -> None:
     _add_synapses(steps, np.zeros((1, 1), np.int32), row, row, levels, row[None].copy())
     net = row[None].copy()
     _activate(net, np.float32(1), 0)
-    _multiply(steps, levels, np.zeros((1, 1), np.int32))
+    _multiply(steps, levels, row, row, net)
 
 
 _compile()

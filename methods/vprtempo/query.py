@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -11,17 +12,17 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from vprbench.api import Scores, count_operations
+from vprbench.api import Circuit, Scores, count_operations
 
-from .compiled import compiled
+from .layer import compiled
 from .network import Network
 from .rules import Rules
 
 Amplitudes = npt.NDArray[np.float32]  # (n_queries, n_neurons), 0: silent
 
 _BLOCK, _BLOCK_ON_GPU = 256, 4096  # queries whose feature spikes are held together
-_SPARSE = 0.2  # of the synapses, up to which a single query reads those alone that exist,
-_VERY_SPARSE = 0.02  # and many queries do
+_LEAST_SPREAD = 0.01  # of the mean spread
+_FEW = 0.02  # of the synapses, up to which those that exist are read alone
 _SIDE_BY_SIDE = 8  # features whose output weights are added in one pass over the scores
 
 
@@ -37,8 +38,8 @@ class LinearQuery:
 
     def __init__(self, members: Sequence[Network]) -> None:
         """Multiply the layers of every module."""
-        self._matrix, self._bias = linear_layer(members)
-        self._layer = _layer(self._matrix, self._bias)
+        self._matrix, self._bias = multiply_layers(members)
+        self._layer = _make_layer(self._matrix, self._bias)
 
     def scores(self, spikes: npt.NDArray[np.float32]) -> Scores:
         """Return the state of every place's output neuron."""
@@ -88,40 +89,39 @@ class SpikingQuery:
         bias = (network.constant - network.feature_thresholds).flatten()
         self._device = features.device
         self._weights = features.numel() + sum(weights.numel() for weights in network.outputs)  # existing or not
-        self._sparse = sparse(features.numpy(), _SPARSE) if self._device.type == "cpu" else None
-        few = self._sparse is not None and self._sparse[0].size <= _VERY_SPARSE * features.numel()
-        self._feature_layer = self._from_synapses if few else _layer(features, bias)
+        self._synapses = find_synapses(features.numpy()) if self._device.type == "cpu" else None
+        self._feature_layer = _make_layer(features, bias) if self._synapses is None else self._read_synapses
         self._output_layers = [
-            _layer(weights.T, -thresholds)
+            _make_layer(weights.T, -thresholds)
             for weights, thresholds in zip(network.outputs, network.output_thresholds, strict=True)
         ]
         self._ends = np.cumsum([0, *(len(thresholds) for thresholds in network.output_thresholds)])
         if self._device.type == "cpu":
             self._rows = features.numpy(), bias.numpy()
-            self._columns = [weights.numpy() for weights in network.outputs]
-            self._thresholds = torch.cat(network.output_thresholds).numpy()
+        self._columns = [weights.cpu().numpy() for weights in network.outputs]
+        self._thresholds = torch.cat(network.output_thresholds).cpu().numpy()
 
     def scores(self, spikes: npt.NDArray[np.float32]) -> Scores:
         """Return the state of every place's output neuron."""
         count_operations(len(spikes) * self._weights)
         if len(spikes) == 1 and self._device.type == "cpu":
-            return self._fired(self._one(np.ascontiguousarray(spikes[0]))).numpy()
+            return self._activate(self._sum_one(np.ascontiguousarray(spikes[0]))).numpy()
         scores = np.empty((len(spikes), self._ends[-1]), np.float32)
         together = _BLOCK if self._device.type == "cpu" else _BLOCK_ON_GPU
         for start in range(0, len(spikes), together):
             block = torch.tensor(spikes[start : start + together], device=self._device)
-            scores[start : start + together] = self._fired(self._above(self._features(block))).cpu().numpy()
+            scores[start : start + together] = self._activate(self._sum_above(self._fire_features(block))).cpu().numpy()
         return scores
 
-    def _one(self, x: npt.NDArray[np.float32]) -> Tensor:
+    def _sum_one(self, x: npt.NDArray[np.float32]) -> Tensor:
         """Return the net input above threshold of all output neurons, (1, n_places), for one input (n_pixels,)."""
         above = np.empty(self._ends[-1], np.float32)
         weights, bias = self._rows
         spikes = np.empty(len(bias), np.float32)
-        if self._sparse is None:
-            _feature_spikes(weights, bias, x, np.float32(self._rules.clip), spikes)
+        if self._synapses is None:
+            _fire_all_features(weights, bias, x, np.float32(self._rules.clip), spikes)
         else:
-            _add_synapses(*self._sparse, bias, x[None], spikes[None])
+            _add_synapses(*self._synapses, bias, x[None], spikes[None])
             np.clip(spikes, 0, np.float32(self._rules.clip), out=spikes)
         n_features = len(spikes) // len(self._columns)
         for module, columns in enumerate(self._columns):
@@ -132,27 +132,27 @@ class SpikingQuery:
 
     def layers(self, spikes: npt.NDArray[np.float32]) -> tuple[Amplitudes, Amplitudes]:
         """Return the spikes of the feature neurons, all modules side by side, and of the output neurons."""
-        features = self._features(torch.tensor(spikes, device=self._device))
-        outputs = self._fired(self._above(features))
+        features = self._fire_features(torch.tensor(spikes, device=self._device))
+        outputs = self._activate(self._sum_above(features))
         return features.cpu().numpy(), outputs.cpu().numpy()
 
-    def _from_synapses(self, x: Tensor) -> Tensor:
+    def _read_synapses(self, x: Tensor) -> Tensor:
         """Return the net input above threshold of all features, (n, n_neurons), reading the synapses that exist."""
-        assert self._sparse is not None
+        assert self._synapses is not None
         net = np.empty((len(x), len(self._rows[1])), np.float32)
-        _add_synapses(*self._sparse, self._rows[1], x.numpy(), net)
+        _add_synapses(*self._synapses, self._rows[1], x.numpy(), net)
         return torch.from_numpy(net)
 
-    def _features(self, x: Tensor) -> Tensor:
+    def _fire_features(self, x: Tensor) -> Tensor:
         """Return the feature spikes of all modules, (n, modules * n_features), for inputs (n, n_pixels)."""
         return self._feature_layer(x).clamp_(0, self._rules.clip)
 
-    def _above(self, features: Tensor) -> Tensor:
+    def _sum_above(self, features: Tensor) -> Tensor:
         """Return the net input above threshold of all output neurons, (n, n_places), for the feature spikes."""
         own = features.view(len(features), len(self._output_layers), -1)
         return torch.cat([layer(own[:, m].contiguous()) for m, layer in enumerate(self._output_layers)], dim=1)
 
-    def _fired(self, above: Tensor) -> Tensor:
+    def _activate(self, above: Tensor) -> Tensor:
         """Return the activation of Eq. 1; of silent queries that of the first module's least inhibited neuron."""
         scores = above.clamp(0, self._rules.clip)
         if self._rules.silent_winner:
@@ -161,7 +161,7 @@ class SpikingQuery:
         return scores
 
 
-def asking(
+def make_query(
     members: Sequence[Network],
     rules: Rules,
     linear: Callable[[Sequence[Network]], Query] = LinearQuery,
@@ -174,18 +174,23 @@ def asking(
     return queries[0] if len(members) == 1 and members[0].calibration is None else MeanQuery(members, queries)
 
 
-def with_score_statistics(network: Network, spikes: Tensor, rules: Rules) -> Network:
+def calibrate_network(network: Network, spikes: Tensor, rules: Rules) -> Network:
     """Return the network with the mean and the spread of the scores that the references give each place."""
-    query = asking([network], rules)
+    query = make_query([network], rules)
     total = total_of_squares = torch.zeros(network.n_places, dtype=torch.float64)
     for block in torch.split(spikes, _BLOCK):
         scores = torch.from_numpy(query.scores(block.cpu().numpy())).double()
         total = total + scores.sum(0)
         total_of_squares = total_of_squares + scores.square().sum(0)
-    return network.with_score_statistics(total, total_of_squares, len(spikes))
+    mean = total / len(spikes)
+    spread = (total_of_squares / len(spikes) - mean.square()).clamp(min=0).sqrt()
+    # A place that hardly answers to any reference must not shout at the first query that it answers to.
+    spread = spread.clamp(min=float(_LEAST_SPREAD * spread.mean()) or 1.0)
+    device = network.features.device
+    return replace(network, calibration=(mean.float().to(device), spread.float().to(device)))
 
 
-def _layer(weights: Tensor, bias: Tensor) -> Callable[[Tensor], Tensor]:
+def _make_layer(weights: Tensor, bias: Tensor) -> Callable[[Tensor], Tensor]:
     """Return the affine map of inputs (n, n_in) by `weights` (n_out, n_in) and `bias` (n_out,)."""
     packable = weights.device.type == "cpu" and torch.backends.mkldnn.is_available()  # type: ignore[no-untyped-call]
     if not packable:
@@ -195,7 +200,7 @@ def _layer(weights: Tensor, bias: Tensor) -> Callable[[Tensor], Tensor]:
     return lambda x: functional.linear(x.to_mkldnn(), *packed).to_dense()
 
 
-def linear_layer(members: Sequence[Network]) -> tuple[Tensor, Tensor]:
+def multiply_layers(members: Sequence[Network]) -> tuple[Tensor, Tensor]:
     """Return the product of both layers, (n_places, n_pixels), and its bias, (n_places,); means over the members."""
     weights, biases = [], []
     for member in members:
@@ -210,12 +215,32 @@ def linear_layer(members: Sequence[Network]) -> tuple[Tensor, Tensor]:
     return sum(weights[1:], weights[0]) / len(members), sum(biases[1:], biases[0]) / len(members)
 
 
-def sparse(weights: npt.NDArray[Any], most: float) -> tuple[npt.NDArray[Any], npt.NDArray[np.int32]] | None:
+def make_circuit(members: Sequence[Network], rules: Rules) -> Circuit:
+    """Return the layers of networks of the same places, whose features lie side by side; scores are their mean."""
+    spiking = rules.query_rule == "spiking"
+    features = torch.cat([member.features.flatten(0, 1) for member in members])
+    above = torch.cat([(member.constant - member.feature_thresholds).flatten() for member in members])
+    outputs, biases = [], []
+    for member in members:
+        weights = torch.block_diag(*(own.T for own in member.outputs))  # type: ignore[no-untyped-call]
+        bias = -torch.cat(member.output_thresholds) * spiking
+        if member.calibration is not None:
+            mean, spread = member.calibration
+            weights, bias = weights / spread[:, None], -mean / spread
+        outputs.append(weights / len(members))
+        biases.append(bias / len(members))
+    layers = (features, above * spiking), (torch.cat(outputs, dim=1), torch.stack(biases).sum(0))
+    return Circuit(
+        tuple((weights.cpu().numpy(), bias.cpu().numpy()) for weights, bias in layers), rules.clip if spiking else None
+    )
+
+
+def find_synapses(weights: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], npt.NDArray[np.int32]] | None:
     """Return the values and the inputs of synapses of weights (n, n_inputs), each (most of a neuron, n).
 
-    Neurons with fewer synapses have more of value 0. None if more than a share `most` of all synapses exist.
+    Neurons with fewer synapses have more of value 0. None if so many synapses exist that reading all is faster.
     """
-    if np.count_nonzero(weights) > most * weights.size:
+    if np.count_nonzero(weights) > _FEW * weights.size:
         return None
     neurons, inputs = np.nonzero(weights)
     number = np.arange(len(neurons)) - np.searchsorted(neurons, neurons)  # among those of its neuron
@@ -240,7 +265,7 @@ def _add_synapses(values, columns, bias, x, net):  # type: ignore[no-untyped-def
 
 
 @compiled
-def _feature_spikes(weights, bias, x, clip, spikes):  # type: ignore[no-untyped-def]
+def _fire_all_features(weights, bias, x, clip, spikes):  # type: ignore[no-untyped-def]
     """Write the spikes of feature neurons (n,) for one input (n_pixels,), `weights` (n, n_pixels)."""
     for neuron in range(len(spikes)):
         net = np.float32(0)
@@ -277,7 +302,7 @@ def add_active(weights, spikes, net):  # type: ignore[no-untyped-def]
 def _compile() -> None:
     """Compile the loops of a single query, or read it from the cache, so that no query waits for it."""
     weights, row = np.zeros((1, 1), np.float32), np.zeros(1, np.float32)
-    _feature_spikes(weights, row, row, np.float32(1), row.copy())
+    _fire_all_features(weights, row, row, np.float32(1), row.copy())
     _add_synapses(weights, np.zeros((1, 1), np.int32), row, weights, weights.copy())
     add_active(weights, row, row.copy())
 

@@ -1,4 +1,4 @@
-"""What distinguishes the three published versions of VPRTempo, as one set of choices each."""
+"""The differences between the three published versions of VPRTempo, as one set of choices each."""
 
 from __future__ import annotations
 
@@ -90,10 +90,10 @@ V1 = replace(
 RULES: dict[RuleSet, Rules] = {"paper": PAPER, "reference": REFERENCE, "v1": V1}
 
 
-def annealing(epochs: int, steps_per_epoch: int, rules: Rules) -> npt.NDArray[np.float64]:
+def list_annealing(epochs: int, steps_per_epoch: int, rules: Rules) -> npt.NDArray[np.float64]:
     """Return the factor on the learning rates for each step, (epochs * steps_per_epoch,), Eq. 3.
 
-    A step uses what was set after the last earlier step whose number is a multiple of the interval.
+    A step uses the factor that was set after the last earlier step whose number is a multiple of the interval.
     """
     total = epochs * steps_per_epoch
     span = steps_per_epoch if rules.annealing_restarts else total

@@ -1,4 +1,4 @@
-"""The training of VPRTempo: what each module sees at which step, and whether the result can be trusted."""
+"""The training of VPRTempo: the images of each module in their order, and whether the result can be trusted."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from torch.nn.utils.rnn import pad_sequence
 
 from vprbench.api import BadInput, Scores, TrainingDivergedError
 
-from .layer import LARGEST, SMALLEST, Layer, learn_features, learn_places
-from .rules import Rules, annealing
+from .layer import LARGEST, NEARLY_NOTHING, SMALLEST, Layer, learn_features, learn_places
+from .rules import Rules, list_annealing
 
 _REPORT_EVERY = 100  # steps
 _SPREAD = 0.03  # that an output neuron's net input has over the references after the covariance rule
@@ -45,7 +45,7 @@ class Schedule:
 
 @dataclass(frozen=True)
 class Training:
-    """What a network learns from, by which rules, and how fast at first."""
+    """The input, the rules and the first learning rates of a training."""
 
     spikes: Tensor  # (n_references, n_pixels)
     rates: Tensor  # (n_features,), target firing rates of the feature neurons
@@ -55,7 +55,7 @@ class Training:
     output_stdp: float  # and of the output layer
 
 
-def module_sizes(n_places: int, max_module: int) -> list[int]:
+def split_places(n_places: int, max_module: int) -> list[int]:
     """Split consecutive places into as few modules as `max_module` places allow; sizes differ by at most one."""
     n_modules = -(-n_places // max_module)
     least, larger = divmod(n_places, n_modules)
@@ -84,12 +84,12 @@ def draw_schedule(
         image = torch.cat([own[order] for order in orders]) if rules.shuffle else own.repeat(epochs)
         images.append(image)
         neurons.append(torch.tensor(places)[image] - int(start))
-        factors.append(torch.from_numpy(annealing(epochs, len(own), rules)).float())
+        factors.append(torch.from_numpy(list_annealing(epochs, len(own), rules)).float())
     return Schedule(pad_sequence(images), pad_sequence(neurons), pad_sequence(factors))
 
 
 def train_features(layer: Layer, schedule: Schedule, training: Training, report: Callable[[float], None]) -> None:
-    """Train a feature layer in place; `report` is told the share done."""
+    """Train a feature layer in place; `report` receives the share done."""
     total = len(schedule.image)
     for step in range(total):
         factor = schedule.factor[step, :, None]
@@ -102,7 +102,7 @@ def train_features(layer: Layer, schedule: Schedule, training: Training, report:
 def train_places(
     layer: Layer, features: Layer, schedule: Schedule, training: Training, report: Callable[[float], None]
 ) -> None:
-    """Train an output layer in place on the spikes of a trained feature layer; `report` is told the share done."""
+    """Train an output layer in place on the spikes of a trained feature layer; `report` receives the share done."""
     weights, rules = features.weights, training.rules
     total = len(schedule.image)
     for start in range(0, total, _REPORT_EVERY):
@@ -121,6 +121,8 @@ def set_thresholds(layer: Layer, schedule: Schedule, training: Training) -> None
 
     The references of a module count once each, however often `schedule` shows them.
     """
+    for drawn in (layer.excitation, layer.inhibition):  # which stay as they are
+        torch.threshold_(drawn, NEARLY_NOTHING, 0)
     for module, weights in enumerate(layer.weights):
         own = torch.unique(schedule.image[schedule.factor[:, module] > 0, module])
         net = torch.addmm(layer.constant[module, :, None], weights, training.spikes[own].T).sort(1).values

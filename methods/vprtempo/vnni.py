@@ -34,10 +34,10 @@ Floats = npt.NDArray[np.float32]
 Levels = npt.NDArray[np.uint8]  # (n_queries, n_in)
 
 
-def affine_map(steps: npt.NDArray[np.int8], factor: Floats, bias: Floats) -> Callable[[Levels, Floats], None]:
-    """Return what writes levels (n, n_in) @ `steps`.T, times `factor`, plus `bias` (n_out,), to an array (n, n_out).
+def make_affine_map(steps: npt.NDArray[np.int8], factor: Floats, bias: Floats) -> Callable[[Levels, Floats], None]:
+    """Return a function that writes levels (n, n_in) @ `steps`.T, times `factor`, plus `bias` (n_out,).
 
-    `steps` are (n_out, n_in), and the sums are exact. Only where `AVAILABLE`.
+    It writes to an array (n, n_out). `steps` are (n_out, n_in), and the sums are exact. Only where `AVAILABLE`.
     """
     n_out, n_in = steps.shape
     padded = np.pad(steps, ((0, -n_out % _NEURONS), (0, -n_in % 4)))
@@ -50,8 +50,8 @@ def affine_map(steps: npt.NDArray[np.int8], factor: Floats, bias: Floats) -> Cal
     return write
 
 
-def _summing(n_queries: int) -> Any:
-    """Return what sums the products of so many queries, in numba's code."""
+def _make_sum_products(n_queries: int) -> Any:
+    """Return a function for numba's code that sums the products of so many queries."""
 
     @intrinsic
     def sum_products(typing_context, levels, steps, sums):  # type: ignore[no-untyped-def]
@@ -67,7 +67,7 @@ def _summing(n_queries: int) -> Any:
             fours = builder.bitcast(ours.data, _INT32.as_pointer())
             step, total = (builder.bitcast(each.data, _VECTOR.as_pointer()) for each in (theirs, out))
             length = builder.extract_value(theirs.shape, 0)
-            added = [[_variable(builder) for _ in range(_REGISTERS)] for _ in range(n_queries)]
+            added = [[_make_variable(builder) for _ in range(_REGISTERS)] for _ in range(n_queries)]
             with cgutils.for_range(builder, length) as place:
                 start = builder.mul(place.index, _INT64(_REGISTERS))
                 weights = [
@@ -75,7 +75,7 @@ def _summing(n_queries: int) -> Any:
                 ]
                 for query, sums_of_query in enumerate(added):
                     at = builder.add(builder.mul(_INT64(query), length), place.index)
-                    four = _in_all_lanes(builder, builder.load(builder.gep(fours, [at]), align=1))
+                    four = _broadcast(builder, builder.load(builder.gep(fours, [at]), align=1))
                     for so_far, own in zip(sums_of_query, weights, strict=True):
                         builder.store(builder.call(_ADD_PRODUCTS, [builder.load(so_far), four, own]), so_far)
             for number, so_far in enumerate(chain(*added)):
@@ -87,18 +87,18 @@ def _summing(n_queries: int) -> Any:
     return sum_products
 
 
-def _variable(builder: ir.IRBuilder) -> ir.Value:
+def _make_variable(builder: ir.IRBuilder) -> ir.Value:
     """Make room for a vector of zeros; LLVM turns it into a register."""
     return cgutils.alloca_once_value(builder, _VECTOR([0] * _LANES))  # type: ignore[no-untyped-call]
 
 
-def _in_all_lanes(builder: ir.IRBuilder, number: ir.Value) -> ir.Value:
+def _broadcast(builder: ir.IRBuilder, number: ir.Value) -> ir.Value:
     nothing = _VECTOR(ir.Undefined)
     one = builder.insert_element(nothing, number, _INT64(0))
     return builder.shuffle_vector(one, nothing, _VECTOR([0] * _LANES))
 
 
-_sum_products_of_one, _sum_products_of_several = _summing(1), _summing(_TOGETHER)
+_sum_products_of_one, _sum_products_of_several = _make_sum_products(1), _make_sum_products(_TOGETHER)
 
 
 @compiled()  # with two roundings, as oneDNN has
@@ -125,4 +125,4 @@ if AVAILABLE:  # compiled now, or read from the cache: no query waits for it
     binding.initialize_native_asmparser()
     _one = np.ones(1, np.float32)
     for _net in np.zeros((1, 1), np.float32), np.zeros((1, 2), np.float32)[:, :1]:
-        affine_map(np.zeros((1, 4), np.int8), _one, _one)(np.zeros((1, 4), np.uint8), _net)
+        make_affine_map(np.zeros((1, 4), np.int8), _one, _one)(np.zeros((1, 4), np.uint8), _net)

@@ -45,7 +45,7 @@ def layers(method, codes):
 
 def recorded_trains(monkeypatch):
     """Return a list to which every train that a network draws is added, as (n_steps, n_inputs)."""
-    trains, draw = [], model.spike_train
+    trains, draw = [], model.draw_spike_train
 
     def record(levels, generator, intensity, steps, step_ms):
         train = draw(levels, generator, intensity, steps, step_ms)
@@ -54,7 +54,7 @@ def recorded_trains(monkeypatch):
         trains.append(spikes)
         return train
 
-    monkeypatch.setattr(model, "spike_train", record)
+    monkeypatch.setattr(model, "draw_spike_train", record)
     return trains
 
 

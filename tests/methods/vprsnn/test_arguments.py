@@ -1,5 +1,7 @@
 """VPRSNN's arguments: the published numbers, what each of them changes, and which are refused."""
 
+import re
+
 import numpy as np
 import pytest
 from little_vprsnn import fitted
@@ -74,7 +76,7 @@ CHOICES = {
 
 
 def test_the_defaults_are_the_published_numbers():
-    assert VPRSNN().given() == {name: published for name, (published, _) in NUMBERS.items()} | CHOICES
+    assert VPRSNN().list_arguments() == {name: published for name, (published, _) in NUMBERS.items()} | CHOICES
 
 
 @pytest.mark.parametrize(
@@ -85,48 +87,33 @@ def test_a_configuration_has_the_defaults_of_its_class(name, kind, differs):
     configured = find_entries("method")[name].values()
     assert configured.pop("_target_") == f"{kind.__module__}.{kind.__name__}"
     assert configured.pop("tags") == ["spiking"]
-    assert configured == {**kind().given(), **differs, "seed": "${seed}"}
+    assert configured == {**kind().list_arguments(), **differs, "seed": "${seed}"}
 
 
-REFUSED = {
-    **{key: [0] for key in ("places_per_module", "n_excitatory", "epochs", "recorded_presentations", "height")},
-    **{key: [0.0] for key in ("levels_per_hz", "time_step_ms", "weight_sum", "weight_max", "excitatory_tau_ms")},
-    **{key: [-1.0] for key in ("rest_ms", "excitatory_refractory_ms", "inhibitory_to_excitatory_weight")},
-    "theta_start_mv": [float("nan"), 7.0],  # a threshold of -65 mV, the rest
-    "weight_scale": [float("inf")],
-    "inhibition_tau_ms": [0.1],  # no longer than a step
-    "input_delay_max_ms": [-1.0, 151.0],  # longer than the rest
-    "first_rest_ms": [-1.0, 49.0],  # shorter than the interval
-    "presentation_ms": [0.0, 0.04],  # less than half a step
-    "weight_offset": [-0.1],
-    "inhibitory_threshold_mv": [-60.0],
-    "module_order": ["random"],
-    "patch": [4],
-    "calibration_places": [-1, 1],  # without an order that is shuffled
-    "hyperactive_threshold": [-1],
-    "hyperactive_candidates": [[], [0, -5]],
-    "published_weights": ["no such folder"],
-    "seed": [-1, 2**32],
-}
+REFUSED = [
+    *({name: 0} for name in ("places_per_module", "n_excitatory", "recorded_presentations", "height")),
+    *({name: 0.0} for name in ("levels_per_hz", "time_step_ms", "presentation_ms", "weight_max", "excitatory_tau_ms")),
+    *({name: -1.0} for name in ("rest_ms", "inhibitory_to_excitatory_weight", "input_delay_max_ms")),
+    *({name: np.nan} for name in ("theta_start_mv", "weight_offset")),
+    {"weight_scale": np.inf},
+    {"inhibition_tau_ms": 0.1},  # no longer than a step
+    {"input_delay_max_ms": 151.0},  # longer than the rest
+    {"levels_per_hz": 0.0255},  # a white pixel in every step
+    {"recorded_presentations": 9},  # fewer than a module has images
+    {"patch": 4},
+    *({"calibration_places": value} for value in (-1, 1)),  # without an order that is shuffled
+    {"hyperactive_threshold": -1},
+    *({"hyperactive_candidates": value} for value in ([], [0, -5])),
+    {"published_weights": "no such folder"},
+    *({"seed": value} for value in (-1, 2**32)),
+]
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        *({name: value} for name, values in REFUSED.items() for value in values),
-        {"levels_per_hz": 0.0255},  # a white pixel in every step
-        {"recorded_presentations": 9},  # fewer than a module has images
-        {"input_delay_max_ms": 4000.0, "rest_ms": 4000.0},  # more steps than a delay can count
-    ],
-    ids=str,
-)
+@pytest.mark.parametrize("change", REFUSED, ids=str)
 def test_an_argument_without_a_network_is_refused_by_name(change):
-    with pytest.raises(BadInput) as error:
+    ((name, value),) = change.items()
+    with pytest.raises(BadInput, match=rf"^method\.{name}={re.escape(str(value))}"):
         fitted(**change)
-    name, value = next(iter(change.items()))
-    assert name == "published_weights" or f"method.{name}=" in str(error.value)
-    assert str(value) in str(error.value)
-    assert "\n" not in str(error.value)
 
 
 OTHERS = [

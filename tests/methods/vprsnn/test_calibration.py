@@ -29,7 +29,7 @@ def by_hand(threshold=0, **arguments):
 def counted(state, sights, carried):
     """Return for how many sights each neuron fires."""
     model = Model(height=1, width=N, n_excitatory=4, carried_potentials=carried)
-    return query.reactions(ReadyNetwork.of(model, Network.from_state(state, N, 4)), sights, Stage()).tolist()
+    return query.count_reactions(ReadyNetwork.of(model, Network.from_state(state, N, 4)), sights, Stage()).tolist()
 
 
 def test_a_reaction_is_an_image_for_which_a_neuron_fires_however_often_and_in_whichever_company(monkeypatch):
@@ -84,7 +84,7 @@ def held_out(in_map=False):
 @pytest.fixture
 def calibrated(monkeypatch):
     """Return a function that calibrates a map of three places by the network `ASIDE`."""
-    monkeypatch.setattr(training.Training, "network", lambda *_, **__: Network.from_state(ASIDE, PIXELS, 7))
+    monkeypatch.setattr(training.Training, "learn", lambda *_, **__: Network.from_state(ASIDE, PIXELS, 7))
 
     def calibrate(held_out, **arguments):
         given = {"height": 1, "width": PIXELS, "n_excitatory": 7, "hyperactive_candidates": CANDIDATES, **arguments}

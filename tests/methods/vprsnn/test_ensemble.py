@@ -78,14 +78,14 @@ def test_a_query_is_no_match_only_where_all_members_are_silent():
     assert np.isneginf(scores[3]).all()
 
 
-def test_what_does_not_fit_the_members_is_refused_by_name():
-    for name, values in {
-        "weight_sum": [0.0],
-        "seeds": [[], [0, 10, 0], [0, -1]],
-        "member_epochs": [[5], [], [5, 0]],
-        "member_thresholds": [[1, 2, 3], [1, -1]],
-    }.items():
-        for value in values:
-            with pytest.raises(BadInput) as error:
-                ensemble(**{name: value})
-            assert str(error.value).startswith(f"method.{name}={value}: ")
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        *(("seeds", value) for value in ([], [0, 10, 0], [0, -1])),
+        *(("member_epochs", value) for value in ([5], [5, 0])),
+        *(("member_thresholds", value) for value in ([1, 2, 3], [1, -1])),
+    ],
+)
+def test_members_that_cannot_be_are_refused_by_name(name, value):
+    with pytest.raises(BadInput, match=rf"^method\.{name}="):
+        ensemble(**{name: value})

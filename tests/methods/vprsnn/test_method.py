@@ -10,8 +10,9 @@ from little_vprsnn import SMALL, WORLD, fitted, images, layers, recorded_trains,
 from vprbench.config import make_request
 from vprbench.errors import BadInput
 from vprbench.methods.vprsnn import scoring
+from vprbench.methods.vprsnn.arrays import Synapses
 from vprbench.methods.vprsnn.method import VPRSNN
-from vprbench.methods.vprsnn.model import Model
+from vprbench.methods.vprsnn.model import Model, Module
 from vprbench.methods.vprsnn.scoring import Responses
 from vprbench.plugins.conformance import check_method
 
@@ -28,7 +29,7 @@ def trained():
 def asked_directly(method, trains, carried):
     """Return the spikes of excitatory and inhibitory neurons, (n_images, n_neurons), of a method of one module."""
     state, model = method.state(), Model.of(method)
-    delays = model.delays(0, new=True)
+    delays = model.draw_delays(0, new=True)
     excitatory, inhibitory = [], []
     for shown in [trains] if carried else [[train] for train in trains]:
         run = direct.simulate(state["weights"][0], delays, state["theta"][0], shown, model, learning=False)
@@ -57,12 +58,13 @@ def test_an_asked_module_starts_as_published_and_relaxes_in_the_first_silence():
     v = -105.0
     for _ in range(5000):  # steps of 0.1 ms
         v += (-65 - v) * 0.1 / 100
-    state, now = Model(height=1, width=3).started(np.array([20.0, 21.0]))
-    assert now == 5000
-    assert state.v[:2] == pytest.approx(v)
-    assert state.theta[:2].tolist() == [20, 21]
-    assert not state.ge.any()
-    assert not state.gi.any()
+    model = Model(height=1, width=3, n_excitatory=2)
+    synapses, theta = Synapses.of(model.draw_weights(0), model.draw_delays(0)), np.array([20.0, 21.0])
+    module = Module(model, synapses, theta, model.make_scratch(False), False)
+    assert module.now == 5000
+    assert module.state.v[:2] == pytest.approx(v)
+    assert module.state.theta[:2].tolist() == [20, 21]
+    assert not module.state.ge.any()
 
 
 def test_new_delays_are_not_those_of_the_training_and_fast_leaves_them_out_and_nothing_else(trained):
@@ -81,11 +83,11 @@ def test_scores_are_those_of_the_spikes_and_of_what_each_neuron_speaks_for(train
     spikes = layers(trained, codes)["excitatory"].reshape(len(codes), 2, -1)
     learnt = Responses(state["sums"], state["shown"], state["places"])
     silenced = np.zeros(spikes.shape[1:], np.bool_)
-    expected = scoring.standard(spikes, scoring.labels(learnt), silenced, 10)
+    expected = scoring.score_standard(spikes, scoring.assign_places(learnt), silenced, 10)
     assert expected.max() > 1
     assert np.array_equal(trained.match(codes), expected)
     weighted = VPRSNN(**SMALL, assignment="weighted").restore(state)
-    of_weights = scoring.weighted(spikes, learnt, silenced, 10)
+    of_weights = scoring.score_weighted(spikes, learnt, silenced, 10)
     assert np.array_equal(weighted.match(codes), of_weights)
     assert not np.allclose(of_weights, expected)
 

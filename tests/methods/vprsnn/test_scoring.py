@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from vprbench.methods.vprsnn import scoring
-from vprbench.methods.vprsnn.scoring import Responses, labels
-from vprbench.methods.vprsnn.training_sets import modules
+from vprbench.methods.vprsnn.scoring import Responses
 
 
 def network(seed, n_places=23, per_module=5, n_neurons=9):
@@ -16,11 +15,10 @@ def network(seed, n_places=23, per_module=5, n_neurons=9):
     Places were shown up to three times, with so few spikes that several often drew equally many a presentation.
     """
     random = np.random.default_rng(seed)
-    groups = modules(n_places, per_module, "shuffled", seed, 4)
-    places = np.full((len(groups), per_module), -1)
-    for module, group in enumerate(groups):
-        places[module, : len(group)] = group
-    shape = len(groups), n_neurons, per_module
+    places = np.full(-(-n_places // per_module) * per_module, -1)
+    places[:n_places] = random.permutation(n_places)
+    places = places.reshape(-1, per_module)
+    shape = len(places), n_neurons, per_module
     fired = random.random(shape) < random.choice([0, 0.3, 1], shape[:2])[:, :, None]
     shown = np.where(places >= 0, random.integers(0, 4, places.shape), 0)
     sums = np.where(fired & (shown > 0)[:, None], random.integers(1, 9, shape), 0)
@@ -62,11 +60,11 @@ def weighted_slowly(responses, learnt, silenced, n_places):
 def test_more_than_a_tenth_of_the_spikes_speak_for_a_place_and_are_divided_from_a_fiftieth_of_the_places_on():
     sums = np.array([[[9, 1], [0, 0]], [[17, 2], [0, 0]]], np.float32)  # 1 of 10, 2 of 19
     learnt = Responses(sums, np.full((2, 2), 10), np.array([[0, 1], [2, 3]]))
-    scores = scoring.weighted(np.array([[[1, 0], [1, 0]]]), learnt, np.zeros((2, 2), np.bool_), 1000)
+    scores = scoring.score_weighted(np.array([[[1, 0], [1, 0]]]), learnt, np.zeros((2, 2), np.bool_), 1000)
     assert scores[0, :4] == pytest.approx([9 / 10, 0, 17 / 19, 2 / 19], rel=1e-6)
     learnt = Responses(np.array([[[90, 5, 5]]], np.float32), np.full((1, 3), 10), np.array([[7, 8, 9]]))
     for n_places, divided in ((150, 1 / 3), (151, 1.0)):
-        score = scoring.weighted(np.array([[[1]]]), learnt, np.zeros((1, 1), np.bool_), n_places)[0, 7]
+        score = scoring.score_weighted(np.array([[[1]]]), learnt, np.zeros((1, 1), np.bool_), n_places)[0, 7]
         assert score == pytest.approx(divided * 0.9, rel=1e-6)
 
 
@@ -81,19 +79,23 @@ def test_places_spoken_for_and_scores_are_those_of_slow_loops_in_blocks_of_any_s
     random, shape = np.random.default_rng([seed, 1]), learnt.sums.shape[:2]
     responses = random.integers(1, 8, (n_queries, *shape)) * (random.random((n_queries, *shape)) < 0.3)
     silenced = random.random(shape) < 0.2
-    spoken_for = labels(learnt)
+    spoken_for = scoring.assign_places(learnt)
     assert np.array_equal(spoken_for, labels_slowly(learnt))
     assert not np.isin(np.arange(23), spoken_for).all()
     assert (spoken_for == -1).any()
     monkeypatch.setattr(scoring, "_BLOCK_CELLS", block_cells)
-    standard = scoring.standard(responses.astype(np.uint8), spoken_for, silenced, n_places)
-    assert standard.dtype == np.float32
-    assert np.allclose(standard, standard_slowly(responses, spoken_for, silenced, n_places), rtol=1e-6, atol=0)
-    weighted = scoring.weighted(responses, learnt, silenced, n_places)
-    expected = weighted_slowly(responses, learnt, silenced, n_places)
-    assert weighted.dtype == np.float32
-    assert weighted.shape == expected.shape
-    assert np.allclose(weighted, expected, rtol=1e-6, atol=0)
+    for found, expected in (
+        (
+            scoring.score_standard(responses.astype(np.uint8), spoken_for, silenced, n_places),
+            standard_slowly(responses, spoken_for, silenced, n_places),
+        ),
+        (
+            scoring.score_weighted(responses, learnt, silenced, n_places),
+            weighted_slowly(responses, learnt, silenced, n_places),
+        ),
+    ):
+        assert (found.dtype, found.shape) == (np.float32, expected.shape)
+        assert np.allclose(found, expected, rtol=1e-6, atol=0)
 
 
 def test_a_query_is_normalised_from_its_lowest_score_to_a_sum_of_one():
@@ -101,5 +103,5 @@ def test_a_query_is_normalised_from_its_lowest_score_to_a_sum_of_one():
     before = scores.copy()
     # (s - min) / (max - min): 0, 1, 1/3, 0, whose sum is 4/3; where all are equal they stay
     expected = np.array([[0, 3 / 4, 1 / 4, 0], [0, 0, 0, 1], [0, 0, 0, 0], [-np.inf] * 4])
-    assert scoring.normalised(scores) == pytest.approx(expected, rel=1e-6)
+    assert scoring.normalise_scores(scores) == pytest.approx(expected, rel=1e-6)
     assert np.array_equal(scores, before)

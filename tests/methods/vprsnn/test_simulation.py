@@ -8,10 +8,9 @@ import pytest
 from direct_vprsnn import simulate
 
 from vprbench.methods.vprsnn.arguments import Arguments
-from vprbench.methods.vprsnn.arrays import Scratch, State, Synapses, Train, side_by_side, unpadded
-from vprbench.methods.vprsnn.module import Module, show
-from vprbench.methods.vprsnn.physics import physics_of, traces_of
-from vprbench.methods.vprsnn.synapses import normalise
+from vprbench.methods.vprsnn.arrays import Synapses, Train, pack_neurons, unpack_neurons
+from vprbench.methods.vprsnn.model import Model, Module
+from vprbench.methods.vprsnn.simulation import normalise_weights
 
 NEVER = -(1 << 60)  # the step of a spike that has not come
 BRIEF = {"presentation_ms": 150.0, "rest_ms": 30.0}
@@ -21,9 +20,7 @@ Spikes = npt.NDArray[np.bool_]  # (n_steps, n_inputs)
 
 
 def train_of(spikes):
-    (steps, sources), (of, of_source) = np.nonzero(spikes), np.nonzero(spikes.T)
-    first = np.searchsorted(of, np.arange(spikes.shape[1] + 1))
-    return Train(*(array.astype(np.int32) for array in (steps, sources, first, of_source)))
+    return Train(*(array.astype(np.int32) for array in np.nonzero(spikes)))
 
 
 def silence(n_steps, n_inputs):
@@ -57,24 +54,26 @@ class Given:
 def agreed(given, learning=True, weight_sum=None):
     """Show the images to both simulations, insist that they agree, and return the direct one's run."""
     n_inputs, n = given.weights.shape
-    theta, physics = np.zeros(n) + given.theta, physics_of(given.values)
+    theta = np.zeros(n) + given.theta
+    delay = float(given.delays.max() * given.values.time_step_ms)
+    model = Model.of(given.values, height=1, width=n_inputs, n_excitatory=n, input_delay_max_ms=delay)
     run = simulate(given.weights, given.delays, theta, given.images, given.values, learning, weight_sum)
     synapses = Synapses.of(given.weights, given.delays.astype(np.int16))
-    state = State.at_rest(physics, theta, n_inputs)
-    scratch = Scratch.of(physics, n, n_inputs, int(given.delays.max()), learning)
-    module = Module(physics, traces_of(given.values), synapses, state, 0, scratch, learning)
+    module = Module(model, synapses, theta, model.make_scratch(learning), learning)
+    module.rest()
+    state = module.state
     counts = []
     for image in given.images:
         if weight_sum is not None:
-            normalise(synapses.weights, weight_sum)
-        show(module, train_of(image))
+            normalise_weights(synapses.weights, weight_sum)
+        module.show(train_of(image))
         counts.append(state.counts[:n].copy())
     np.testing.assert_array_equal(counts, run.counts)
     for fired, spikes in ((state.fired, run.excitatory), (state.fired_i, run.inhibitory)):
         last = np.where(spikes.any(axis=0), len(spikes) - 1 - spikes[::-1].argmax(axis=0), NEVER)
         np.testing.assert_array_equal(fired[:n], last)
     close = {"rtol": 0, "atol": 1e-9}
-    np.testing.assert_allclose(unpadded(synapses.weights, n), run.weights, **close)
+    np.testing.assert_allclose(unpack_neurons(synapses.weights, n), run.weights, **close)
     np.testing.assert_allclose(state.theta[:n], run.theta, **close)
     np.testing.assert_allclose(state.v[:n], run.potentials[-1], **close)
     for found, expected in ((state.ge, run.ge), (state.gi, run.gi), (state.ge_i, run.ge_i)):
@@ -162,8 +161,8 @@ def test_a_threshold_is_a_limit_that_must_be_passed():
 def test_normalised_columns_sum_to_78_and_keep_their_proportions_and_one_without_weights_stays(n_neurons):
     weights = 0.3 * (np.random.default_rng(1).random((784, n_neurons)) + 0.01)
     weights[:, 1:2] = 0
-    padded = side_by_side(weights)
-    normalise(padded, 78.0)
-    found, full = unpadded(padded, n_neurons), weights.any(axis=0)
+    padded = pack_neurons(weights)
+    normalise_weights(padded, 78.0)
+    found, full = unpack_neurons(padded, n_neurons), weights.any(axis=0)
     assert found.sum(axis=0) == pytest.approx(78.0 * full, rel=1e-12)
     assert found[:, full] / found[0, full] == pytest.approx(weights[:, full] / weights[0, full], rel=1e-12)

@@ -1,9 +1,5 @@
 """VPRSNN's training: what a module is shown and learns, in how many threads, and how an interrupted one goes on."""
 
-import os
-import subprocess
-import sys
-import time
 from types import SimpleNamespace
 
 import direct_vprsnn as direct
@@ -15,13 +11,12 @@ from little_vprsnn import SMALL, WORLD, fitted, held_out, images, recorded_train
 
 from vprbench import progress
 from vprbench.methods.vprsnn import training
-from vprbench.methods.vprsnn.arrays import unpadded
+from vprbench.methods.vprsnn.arrays import unpack_neurons
 from vprbench.methods.vprsnn.ensemble import VPRSNNEnsemble
 from vprbench.methods.vprsnn.method import VPRSNN
 from vprbench.methods.vprsnn.model import Model
 from vprbench.methods.vprsnn.parallel import Stage, for_each_module
-from vprbench.methods.vprsnn.training import train
-from vprbench.methods.vprsnn.training_sets import Lesson, lesson, modules
+from vprbench.methods.vprsnn.training import Lesson, make_lessons, split_places, train
 
 SUPPORT = ROOT / "tests" / "support"
 
@@ -56,38 +51,36 @@ def published_order(n_test, n_calibration, seed):
     return rest, shuffled
 
 
+def split(n_places, **arguments):
+    return [group.tolist() for group in split_places(n_places, Model(**arguments))]
+
+
 def test_contiguous_modules_take_places_along_the_route_and_the_last_takes_what_is_left():
-    for n_places, per_module, groups in (
-        (7, 3, [[0, 1, 2], [3, 4, 5], [6]]),
-        (6, 3, [[0, 1, 2], [3, 4, 5]]),
-        (4, 25, [[0, 1, 2, 3]]),
-    ):
-        assert [group.tolist() for group in modules(n_places, per_module, "contiguous", 5, 4)] == groups
+    assert split(7, places_per_module=3, seed=5) == [[0, 1, 2], [3, 4, 5], [6]]
+    assert split(4) == [[0, 1, 2, 3]]
 
 
 @pytest.mark.parametrize(("seed", "n_test", "n_calibration"), [(0, 375, 75), (40, 360, 0), (40, 53, 10)])
 def test_shuffled_modules_hold_the_places_that_the_published_split_gives_them(seed, n_test, n_calibration):
     rest, shuffled = published_order(n_test, n_calibration, seed)
-    groups = modules(n_test, 25, "shuffled", seed, n_calibration)
+    groups = split(n_test, module_order="shuffled", seed=seed, calibration_places=n_calibration)
     assert [len(group) for group in groups[:-1]] == [25] * (-(-n_test // 25) - 1)
     assert [rest[place] for group in groups for place in group] == shuffled
 
 
 @pytest.mark.parametrize(
-    ("places", "members", "shown", "labels"),
+    ("places", "shown", "labels"),
     [
-        pytest.param([0, 1, 2, 3, 0, 1, 2, 3], [1, 2], [1, 2, 5, 6], [0, 1, 0, 1], id="one traverse, then the other"),
-        pytest.param([2, 2, 0, 0, 1], [0, 1, 2], [2, 4, 0, 3, 1], [0, 1, 2, 0, 2], id="by how often seen, one once"),
-        pytest.param([0, 1, 2, 3, 0, 1, 2, 3], [3, 0], [3, 0, 7, 4], [0, 1, 0, 1], id="the order of the module"),
+        pytest.param([0, 1, 2, 0, 1, 2], [0, 1, 3, 4], [0, 1, 0, 1], id="one traverse, then the other"),
+        pytest.param([1, 1, 0, 0, 2, 0], [2, 0, 3, 1, 5], [0, 1, 0, 1, 0], id="by how often seen"),
     ],
 )
-def test_a_module_is_shown_its_places_along_the_first_traverse_and_then_along_the_second(
-    places, members, shown, labels
-):
+def test_a_module_is_shown_its_places_along_the_first_traverse_and_then_along_the_second(places, shown, labels):
     levels = np.arange(len(places), dtype=np.uint8)[:, None]
-    found = lesson(7, np.array(members), levels, np.array(places))
-    assert (found.number, found.places.tolist()) == (7, members)
-    assert (found.levels[:, 0].tolist(), found.labels.tolist()) == (shown, labels)
+    first, second = make_lessons(Model(places_per_module=2), levels, np.array(places), 7)
+    assert (first.number, first.places.tolist()) == (7, [0, 1])
+    assert (first.levels[:, 0].tolist(), first.labels.tolist()) == (shown, labels)
+    assert (second.number, second.places.tolist()) == (8, [2])
 
 
 def test_a_trained_module_equals_the_direct_simulation_from_its_first_silence_on(monkeypatch):
@@ -105,11 +98,13 @@ def test_a_trained_module_equals_the_direct_simulation_from_its_first_silence_on
 
     silence = np.zeros((1000, 30), np.bool_)
     theta = np.full(5, 20.0)
-    expected = direct.simulate(model.weights(4), model.delays(4), theta, [silence, *trains], model, True, 20.0)
+    expected = direct.simulate(
+        model.draw_weights(4), model.draw_delays(4), theta, [silence, *trains], model, True, 20.0
+    )
     counts = expected.counts[1:]
     assert len(counts) == 6
     assert counts.sum() > 20
-    assert unpadded(found["weights"], 5) == pytest.approx(expected.weights, abs=1e-9)
+    assert unpack_neurons(found["weights"], 5) == pytest.approx(expected.weights, abs=1e-9)
     assert found["theta"] == pytest.approx(expected.theta, abs=1e-9)
     assert found["sums"].tolist() == np.stack([counts[[0, 2, 3, 5]].sum(0), counts[[1, 4]].sum(0)], 1).tolist()
     assert found["shown"].tolist() == [4, 2]
@@ -117,12 +112,12 @@ def test_a_trained_module_equals_the_direct_simulation_from_its_first_silence_on
 
 
 def test_initial_weights_are_uniform_from_the_offset_on_and_delays_rounded_to_the_nearest_step():
-    weights = Model(height=1, width=200, n_excitatory=50).weights(0)
+    weights = Model(height=1, width=200, n_excitatory=50).draw_weights(0)
     assert weights.shape == (200, 50)
     shares = (weights / 0.3 - 0.01).ravel()
     assert np.histogram(shares, 10, (0, 1))[0] == pytest.approx(1000, abs=150)  # five standard deviations
     assert 0 <= shares.min() < shares.max() < 1
-    times = np.bincount(Model(height=1, width=300, n_excitatory=1000).delays(0).ravel(), minlength=101)
+    times = np.bincount(Model(height=1, width=300, n_excitatory=1000).draw_delays(0).ravel(), minlength=101)
     assert len(times) == 101
     assert times[1:100] == pytest.approx(3000, abs=300)
     assert times[[0, 100]] == pytest.approx(1500, abs=200)  # half a step is nearest to each of them
@@ -135,14 +130,6 @@ def test_a_module_learns_the_same_whether_or_not_others_follow_and_each_draws_di
     twice = images([*WORLD.references[:5], *WORLD.references[:5]])
     weights = VPRSNN(**SMALL).fit(twice, np.arange(10)).state()["weights"]
     assert not np.allclose(weights[0], weights[1], rtol=0.1)
-
-
-def test_the_last_presentations_are_recorded_which_changes_nothing_else():
-    # Of 30 presentations, 10 an epoch, the last 12: places 3 and 4 of the second traverse, then two of every place
-    found, whole = (fitted(epochs=3, recorded_presentations=last).state() for last in (12, 250))
-    assert (found["shown"].tolist(), whole["shown"].tolist()) == ([[2, 2, 2, 3, 3]], [[6] * 5])
-    assert 0 < found["sums"].sum() < whole["sums"].sum()
-    assert np.array_equal(found["weights"], whole["weights"])
 
 
 def test_two_threads_train_and_answer_what_one_does():
@@ -218,6 +205,7 @@ def test_what_was_interrupted_trains_only_what_is_missing_also_in_other_threads(
     torch.set_num_threads(2)
     found = work()
     assert len(trained.numbers) == n_missing
+    assert [f"leaves out {n_trained} modules" in note for note in found.notes()].count(True) == 1
     assert same(found.state(), expected)
     assert not list(trainings.iterdir())
 
@@ -234,33 +222,3 @@ def test_a_training_goes_on_with_modules_of_the_same_training_alone(trained, cha
     VPRSNN(**{**SMALL, **(change if isinstance(change, dict) else {})}).fit(shown, places)
     # A weighted assignment asks otherwise, but learns the same.
     assert trained.numbers == ([1] if change == {"assignment": "weighted"} else [0, 1])
-
-
-def test_a_training_whose_process_is_killed_goes_on_with_its_modules_and_says_so(trainings, trained):
-    code = f"""
-import sys, time
-sys.path.append({str(SUPPORT)!r})
-from little_vprsnn import SMALL, VPRSNN, references
-from vprbench.methods.vprsnn import training
-train = training.train
-def once(*given):
-    training.train = lambda *_: time.sleep(60)
-    return train(*given)
-training.train = once
-VPRSNN(**SMALL).fit(*references(10))
-"""
-    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
-    with subprocess.Popen([sys.executable, "-c", code], cwd=ROOT, env=environment) as process:
-        while not list(trainings.glob("*/[!.]*")):
-            assert process.poll() is None
-            time.sleep(0.05)
-        process.kill()
-    method = fitted(10)
-    assert trained.numbers == [1]
-    resumed = [note for note in method.notes() if "resumed" in note]
-    assert len(resumed) == 1
-    state = method.state()
-    assert not list(trainings.iterdir())
-    again = fitted(10)
-    assert same(again.state(), state)
-    assert len(again.notes()) == len(method.notes()) - 1

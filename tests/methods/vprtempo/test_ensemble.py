@@ -13,8 +13,8 @@ from vprbench.methods.vprtempo.ensemble import VPRTempoEnsemble
 from vprbench.methods.vprtempo.int8 import VPRTempoInt8
 from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.methods.vprtempo.network import Network
-from vprbench.methods.vprtempo.query import asking
-from vprbench.methods.vprtempo.rules import PAPER, RuleSet
+from vprbench.methods.vprtempo.query import calibrate_network
+from vprbench.methods.vprtempo.rules import REFERENCE, RuleSet
 
 
 def empty(members, **arguments):
@@ -43,8 +43,6 @@ def same(one, other):
     [
         *({"rules": rules, "engine": engine} for rules in get_args(RuleSet) for engine in get_args(Engine)),
         {"max_module": 7},
-        # At this probability some of the feature layers have all 41,472 excitatory synapses, others lack one or two.
-        {"p_excitatory": 0.99998, "max_module": 20},
     ],
     ids=str,
 )
@@ -71,8 +69,8 @@ def test_the_scores_are_the_mean_of_those_of_the_members_also_when_restored(rule
 
 
 @pytest.mark.parametrize(("stored", "wanted"), [(2, 3), (3, 2), (1, 2), (2, 1)])
-def test_another_number_of_members_is_refused_with_both_numbers(stored, wanted):
-    with pytest.raises(BadInput, match=rf"\b{stored} members; wanted {wanted}\b"):
+def test_another_number_of_members_is_refused(stored, wanted):
+    with pytest.raises(BadInput):
         empty(wanted).restore(ensemble(stored).state())
     many = ensemble(12, max_module=20, epochs=1).state()  # more than ten keep their order
     assert same(empty(12).restore(many).state(), many)
@@ -86,7 +84,7 @@ def scores(kind=VPRTempo, **arguments):
 @pytest.mark.parametrize(("kind", "tolerance"), [(VPRTempo, 1e-3), (VPRTempoInt8, 1e-2)])
 def test_scores_are_counted_in_spreads_from_the_mean_over_the_references(kind, tolerance, rules, monkeypatch):
     plain = fitted(rules=rules)
-    assert not plain.chosen_rules().calibrated_scores
+    assert not plain.choose_rules().calibrated_scores
     over_references = plain.query(REFERENCES).astype(np.float64)
     mean, spread = over_references.mean(0), over_references.std(0)
     expected = (scores(kind, rules=rules) - mean) / np.maximum(spread, 0.01 * spread.mean())
@@ -96,12 +94,11 @@ def test_scores_are_counted_in_spreads_from_the_mean_over_the_references(kind, t
     assert anew.query(QUERIES) == pytest.approx(expected, rel=tolerance, abs=tolerance)
 
 
-def test_a_place_that_hardly_answers_is_divided_by_a_hundredth_of_the_mean_spread_or_by_1():
-    nothing = torch.zeros(1, 1)
-    network = Network(torch.ones(1, 1, 1), nothing, nothing, (torch.tensor([[0.5, 0.5]]),), (torch.zeros(2),))
-    for loud, least in ((0.0, 1.0), (4.0, 0.005)):
-        sums = torch.tensor([0.0, loud], dtype=torch.float64)
-        calibrated = network.with_score_statistics(sums, 2 * sums, 4)  # of scores 0, 0, 2 and 2 the spread is 1
-        found = asking([calibrated], PAPER).scores(np.array([[0.5]], np.float32))
-        assert np.isfinite(found).all()
-        assert found[0, 0] == pytest.approx(0.25 / least)
+@pytest.mark.parametrize(("loud", "least"), [(0.0, 1.0), (1.0, 0.005)])
+def test_a_place_that_hardly_answers_has_a_hundredth_of_the_mean_spread_or_1(loud, least):
+    nothing, outputs = torch.zeros(1, 1), torch.tensor([[0.0, loud]])
+    network = Network(torch.ones(1, 1, 1), nothing, nothing, (outputs,), (torch.zeros(2),))
+    shown = torch.tensor([[0.0], [0.0], [2.0], [2.0]])  # the scores' spread is 1 where they are loud
+    calibrated = calibrate_network(network, shown, REFERENCE).calibration
+    assert calibrated is not None
+    assert calibrated[1].tolist() == pytest.approx([least, max(loud, least)])

@@ -18,7 +18,7 @@ import torch
 
 from vprbench.errors import TrainingDivergedError
 from vprbench.methods.vprtempo import fused, training
-from vprbench.methods.vprtempo.layer import Layer, draw_layer, feature_rates
+from vprbench.methods.vprtempo.layer import Layer, draw_layer, ramp_rates
 from vprbench.methods.vprtempo.rules import RULES, RuleSet
 from vprbench.methods.vprtempo.training import Training, draw_schedule
 
@@ -85,7 +85,7 @@ def trained(case, engine, device, report=lambda _: None):
         layer.excitation *= case.strength
         layer.inhibition *= case.strength
     features, outputs = features.to(device), outputs.to(device)
-    rates = feature_rates(case.n_features, 0.2, 0.9).to(device)
+    rates = ramp_rates(case.n_features, 0.2, 0.9).to(device)
     lesson = Training(spikes(case).to(device), rates, rules, case.stdp, 0.15, case.stdp)
     engine.train_features(features, orders[0], lesson, report)
     engine.train_places(outputs, features, orders[1], lesson, report)
@@ -170,7 +170,7 @@ def test_launches_of_few_steps_change_nothing_are_reported_and_leave_no_number_h
 def test_weights_that_are_no_numbers_stay_visible(engine, name):
     for layer in ("features", "outputs"):
         found = {part: by(engine, name)[f"{layer} {part}"] for part in ("excitation", "inhibition", "thresholds")}
-        whole = Layer(found["excitation"], found["inhibition"], None, None, found["thresholds"], found["thresholds"])
+        whole = Layer(found["excitation"], found["inhibition"], found["thresholds"], found["thresholds"])
         with pytest.raises(TrainingDivergedError, match=layer):
             training.check_weights(whole, layer)
 
@@ -183,9 +183,8 @@ def test_inhibition_that_a_step_took_away_comes_back_at_its_least(one_sign):
         generators = [torch.Generator().manual_seed(11)]
         layer = draw_layer(generators, [30], 36, (0.1, 0.5), 0.5, 0.0, RULES["paper"])
         layer.excitation.zero_()  # nothing ever fires: of each step homeostasis alone is left
-        layer.largest_excitation = torch.zeros_like(layer.excitation)
         order = draw_schedule(generators, [6], np.tile(np.arange(6), 2), 4, rules)
-        lesson = Training(spikes(Case()), feature_rates(30, 0.2, 0.9), rules, 0.005, 0.0, 0.005)
+        lesson = Training(spikes(Case()), ramp_rates(30, 0.2, 0.9), rules, 0.005, 0.0, 0.005)
         engine.train_features(layer, order, lesson, lambda _: None)
         found.append(layer.inhibition)
     torch.testing.assert_close(*found, rtol=1e-3, atol=0)

@@ -9,7 +9,7 @@ from tempo_networks import SIZES, WAYS, double, network, one_matrix, shown
 
 from vprbench.methods.vprtempo.network import Network
 from vprbench.methods.vprtempo.quantised import Int8SpikingQuery
-from vprbench.methods.vprtempo.query import SpikingQuery, asking
+from vprbench.methods.vprtempo.query import SpikingQuery, make_query
 from vprbench.methods.vprtempo.rules import PAPER, REFERENCE, V1
 
 
@@ -60,7 +60,7 @@ def test_a_spiking_query_is_eq_1_also_of_few_synapses(sizes, rules, ask):
 def test_several_networks_answer_every_query_of_a_batch_with_their_mean_score(sizes, rules, ask):
     members, spikes = [network(sizes, seed=seed) for seed in range(3)], shown(513)
     expected = [products([member], spikes) if rules is REFERENCE else eq_1(member, spikes, rules) for member in members]
-    assert ask(asking(members, rules), spikes) == pytest.approx(np.mean(expected, axis=0), abs=2e-6)
+    assert ask(make_query(members, rules), spikes) == pytest.approx(np.mean(expected, axis=0), abs=2e-6)
 
 
 @WAYS

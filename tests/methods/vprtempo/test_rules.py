@@ -10,7 +10,7 @@ import torch
 import vprtempo_oracle as oracle
 
 from vprbench.methods.vprtempo import fused, training
-from vprbench.methods.vprtempo.layer import LARGEST, Layer, draw_layer, feature_rates
+from vprbench.methods.vprtempo.layer import Layer, draw_layer, ramp_rates
 from vprbench.methods.vprtempo.rules import PAPER, REFERENCE, RULES, V1
 from vprbench.methods.vprtempo.training import Schedule, Training, draw_schedule
 
@@ -55,8 +55,7 @@ def parts(layer):
 
 def exists(layer):
     """Return which excitatory and which inhibitory synapses exist."""
-    pairs = ((layer.largest_excitation, layer.excitation), (layer.largest_inhibition, layer.inhibition))
-    return [(torch.ones_like(weights) if largest is None else largest)[0].numpy() > 0 for largest, weights in pairs]
+    return [weights[0].numpy() > 0 for weights in (layer.excitation, layer.inhibition)]
 
 
 def signs_apart(w, thresholds):
@@ -80,7 +79,7 @@ def trained(name):
     orders = [draw_schedule(generators, [20], TRAVERSES, 5, rules) for _ in range(2)]
     images = [order.image[:, 0].tolist() for order in orders]
     found = {"oracle": by_oracle(rules, features, outputs, spikes, images)}
-    lesson = Training(torch.from_numpy(spikes), feature_rates(120, 0.2, 0.9), rules, STDP, ITP, STDP)
+    lesson = Training(torch.from_numpy(spikes), ramp_rates(120, 0.2, 0.9), rules, STDP, ITP, STDP)
     for engine in (fused, training):
         own_features, own_outputs = copy.deepcopy((features, outputs))
         engine.train_features(own_features, orders[0], lesson, lambda _: None)
@@ -140,8 +139,7 @@ def test_200_steps_agree_with_the_oracle(name, engine):
 def test_a_weight_is_held_at_10_and_keeps_its_sign(rules, excitation, inhibition, learnt, engine):
     nothing, first = torch.zeros(1, 1), torch.zeros(1, 1, dtype=torch.int64)
     weights = [torch.tensor([[[w]]]) for w in (excitation, inhibition)]
-    largest = [LARGEST * (w > 0).float() for w in weights]  # a weight of 0 is no synapse
-    layer = Layer(*weights, *largest, nothing.clone(), nothing)
+    layer = Layer(*weights, nothing.clone(), nothing)  # a weight of 0 is no synapse
     lesson = Training(torch.ones(1, 1), torch.tensor([0.2]), rules, 0.01, 0.15, 0.01)
     engine.train_features(layer, Schedule(first, first, torch.ones(1, 1)), lesson, lambda _: None)
     found = [float(part) for part in (layer.excitation, layer.inhibition, layer.thresholds)]
@@ -203,7 +201,7 @@ def untrained(n_modules, images_of):
     outputs = draw_layer(generators, images_of, 40, OUTPUT_DRAW, 0.0, 0.0, rules)
     order = draw_schedule(generators, images_of, np.tile(np.arange(sum(images_of)), 2), 5, rules)
     spikes = torch.from_numpy(random_spikes(2 * sum(images_of), 6, 10, seed=0))
-    return features, outputs, order, Training(spikes, feature_rates(40, 0.2, 0.9), rules, STDP, ITP, 0.3)
+    return features, outputs, order, Training(spikes, ramp_rates(40, 0.2, 0.9), rules, STDP, ITP, 0.3)
 
 
 def test_thresholds_are_set_where_a_neuron_fires_at_its_rate_and_never_below_0():
