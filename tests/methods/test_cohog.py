@@ -56,5 +56,3 @@ def test_regions_their_goodness_and_scores_equal_the_slow_implementation(argumen
     ]
     method = CoHOG(**arguments).fit(Images.from_arrays(images), np.arange(len(images)))
     assert method.match(codes) == pytest.approx(np.array(wanted), abs=1e-4)
-
-

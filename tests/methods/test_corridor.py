@@ -1,4 +1,4 @@
-"""What methods find on Corridor, 111 real places seen twice, beside the scores that VPR-Bench (77ad30f) stored of it."""
+"""What methods find on Corridor, 111 real places seen twice, beside the scores VPR-Bench (77ad30f) stored of it."""
 
 import numpy as np
 import pytest

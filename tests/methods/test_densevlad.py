@@ -128,5 +128,3 @@ def test_a_file_that_is_no_vocabulary_is_refused_by_name(tmp_path, name, content
         (tmp_path / name).write_bytes(content)
     with pytest.raises(BadInput, match=rf"method\.vocabulary=.*{name}"):
         fitted(vocabulary=str(tmp_path / name))
-
-

@@ -88,5 +88,3 @@ def test_a_large_frame_is_resized_without_antialiasing_as_published_or_by_area()
         image[:, offset::4] = 90
     assert not encoded(image, **ONE_CELL).any()
     assert encoded(image, **ONE_CELL, interpolation="area").any()
-
-

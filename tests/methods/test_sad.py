@@ -82,5 +82,3 @@ def test_any_number_of_threads_gives_the_same(monkeypatch):
             assert same_bits(fitted(references).match(queries), oracle(queries, references))
     finally:
         torch.set_num_threads(before)
-
-
