@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar, Self
+from typing import ClassVar, Self, cast
 
 import torch
 from torch import Tensor, nn
@@ -75,9 +75,8 @@ class BoQ(PublishedNetwork):
     def network(self, tensors: Tensors) -> nn.Module:
         """Return the network of 12288 dimensions, or in the sizes of a file."""
         dino = under(tensors, "backbone.dino.")
-        return _Network(
-            _Dino(VisionTransformer.sized(dino, norm="norm.weight" in dino)), Sizes.of(tensors, published_dim=384)
-        )
+        model = VisionTransformer.sized(dino, norm="norm.weight" in dino)
+        return _Network("dino", model, model.sizes.dim, Sizes.of(tensors, published_dim=384))
 
 
 @dataclass(kw_only=True)
@@ -99,46 +98,25 @@ class BoQResNet50(BoQ):
 
     def network(self, tensors: Tensors) -> nn.Module:
         """Return the network of 16384 dimensions, or in the sizes of a file."""
-        return _Network(_ResNet(), Sizes.of(tensors, published_dim=512))
+        sizes = Sizes.of(tensors, published_dim=512)
+        return _Network("net", resnet(_RESNET, _STAGES), n_channels(_RESNET, _STAGES), sizes)
 
 
 class _Network(nn.Module):
     """Images (n, 3, height, width) in, descriptors (n, dim * n_rows) out, not yet of unit length."""
 
-    def __init__(self, backbone: _Dino | _ResNet, sizes: Sizes) -> None:
+    def __init__(self, name: str, backbone: nn.Module, n_channels: int, sizes: Sizes) -> None:
         super().__init__()
-        self.backbone = backbone
-        self.aggregator = _Aggregator(backbone.n_channels, sizes)
+        self.backbone = nn.ModuleDict({name: backbone})
+        self.aggregator = _Aggregator(n_channels, sizes)
 
     def forward(self, images: Tensor) -> Tensor:
-        out: Tensor = self.aggregator(self.backbone(images))
-        return out
-
-
-class _Dino(nn.Module):
-    """DINOv2's patch tokens as an image, without the final norm."""
-
-    def __init__(self, dino: VisionTransformer) -> None:
-        super().__init__()
-        self.dino = dino
-        self.n_channels = dino.sizes.dim
-
-    def forward(self, images: Tensor) -> Tensor:
-        return self.dino.tokens(images, normalised=False).patches.permute(0, 3, 1, 2)
-
-
-class _ResNet(nn.Module):
-    """ResNet50 up to its third stage."""
-
-    n_channels = n_channels(_RESNET, _STAGES)
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.net = resnet(_RESNET, _STAGES, names="numbers")
-
-    def forward(self, images: Tensor) -> Tensor:
-        out: Tensor = self.net(images)
-        return out
+        (backbone,) = self.backbone.values()
+        if isinstance(backbone, VisionTransformer):
+            features = backbone.tokens(images, normalised=False).patches.permute(0, 3, 1, 2)
+        else:
+            features = backbone(images)
+        return cast(Tensor, self.aggregator(features))
 
 
 class _Aggregator(nn.Module):

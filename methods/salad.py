@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import ClassVar, Self, cast
 
 import torch
 from torch import Tensor, nn
@@ -136,52 +136,31 @@ def assignment(scores: Tensor, dust_bin: Tensor) -> Tensor:
 
 
 class _Network(nn.Module):
-    """Images (n, 3, height, width) in, descriptors (n, n_dimensions) out."""
+    """Images (n, 3, height, width) in, descriptors (n, n_dimensions) out; the parts have their published names."""
 
     def __init__(self, model: VisionTransformer, sizes: Sizes) -> None:
         super().__init__()
-        self.backbone = _Backbone(model)
+        self.backbone = nn.ModuleDict({"model": model})
         self.aggregator = Aggregator(model.sizes.dim, sizes)
 
     def forward(self, images: Tensor) -> Tensor:
-        tokens = self.backbone.model.tokens(images, normalised=True)
-        out: Tensor = self.aggregator(tokens.cls, tokens.patches)
-        return out
-
-
-class _Backbone(nn.Module):
-    """The transformer under its published name, which has one more part than its own."""
-
-    def __init__(self, model: VisionTransformer) -> None:
-        super().__init__()
-        self.model = model
+        tokens = cast(VisionTransformer, self.backbone["model"]).tokens(images, normalised=True)
+        return cast(Tensor, self.aggregator(tokens.cls, tokens.patches))
 
 
 class _MegaLocNetwork(nn.Module):
     """Images (n, 3, height, width) in, descriptors (n, n_dimensions) out, not yet of unit length."""
 
-    def __init__(self, backbone: VisionTransformer, sizes: Sizes, n_dimensions: int) -> None:
+    def __init__(self, model: VisionTransformer, sizes: Sizes, n_dimensions: int) -> None:
         super().__init__()
-        self.backbone = backbone
-        self.aggregator = _MegaLocAggregator(backbone.sizes.dim, sizes, n_dimensions)
+        self.backbone = model
+        linear = nn.Linear(sizes.n_dimensions, n_dimensions)
+        self.aggregator = nn.ModuleDict({"agg": Aggregator(model.sizes.dim, sizes), "linear": linear})
 
     def forward(self, images: Tensor) -> Tensor:
         tokens = self.backbone.tokens(images, normalised=True)
-        out: Tensor = self.aggregator(tokens.cls, tokens.patches)
-        return out
-
-
-class _MegaLocAggregator(nn.Module):
-    """SALAD's unit vectors, joined linearly."""
-
-    def __init__(self, dim: int, sizes: Sizes, n_dimensions: int) -> None:
-        super().__init__()
-        self.agg = Aggregator(dim, sizes)
-        self.linear = nn.Linear(sizes.n_dimensions, n_dimensions)
-
-    def forward(self, cls: Tensor, patches: Tensor) -> Tensor:
-        out: Tensor = self.linear(self.agg(cls, patches).to(cls.dtype))
-        return out
+        gathered = self.aggregator["agg"](tokens.cls, tokens.patches)
+        return cast(Tensor, self.aggregator["linear"](gathered.to(images.dtype)))
 
 
 def _patch_network(dim: int, n_hidden: int, n_out: int) -> nn.Sequential:
