@@ -14,8 +14,7 @@ from torch.nn import functional
 
 from vprbench.api import BadInput, read_weights, state_dict, without_prefix
 
-from .parts.backbones.resnet import n_channels, resnet
-from .parts.pooling import GeM
+from .parts.backbones.convolutional import GeM, n_channels, resnet
 from .parts.published import PublishedNetwork, Tensors, size
 
 _BACKBONE = "resnet101"

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 from vprbench.api import Interpolation, Resize
 
-from .parts.backbones.resnet import n_channels, resnet
+from .parts.backbones.convolutional import n_channels, resnet
 from .parts.backbones.vit import VisionTransformer
 from .parts.published import PublishedNetwork, Tensors, size, under
 

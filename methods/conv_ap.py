@@ -8,7 +8,7 @@ from torch import Tensor, nn
 
 from vprbench.api import Interpolation
 
-from .parts.backbones.resnet import n_channels, resnet
+from .parts.backbones.convolutional import n_channels, resnet
 from .parts.published import PublishedNetwork, Tensors
 
 _BACKBONE = "resnet50"

@@ -13,9 +13,9 @@ from torch.nn import functional
 
 from vprbench.api import BadInput, Resize
 
+from .parts.backbones.convolutional import GeM
 from .parts.backbones.vit import VisionTransformer
 from .parts.cross_image import CrossImageDescriptor, CrossImageEncoder
-from .parts.pooling import GeM
 from .parts.published import Tensors, under
 
 _SIDE = 224  # pixels, of 16 patches

@@ -13,9 +13,7 @@ from torch import Tensor, nn
 
 from vprbench.api import BadInput, Descriptors, Places, Scores
 
-from .parts.backbones.resnet import resnet
-from .parts.backbones.vgg import vgg16_features
-from .parts.pooling import GeM
+from .parts.backbones.convolutional import GeM, resnet, vgg16_features
 from .parts.published import PublishedNetwork, Tensors
 
 Backbone = Literal["vgg16", "resnet50", "resnet152", "resnext"]

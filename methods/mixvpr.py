@@ -13,7 +13,7 @@ from torch.nn import functional
 
 from vprbench.api import BadInput
 
-from .parts.backbones.resnet import n_channels, resnet
+from .parts.backbones.convolutional import n_channels, resnet
 from .parts.published import PublishedNetwork, Tensors, size
 
 _BACKBONE, _N_STAGES = "resnet50", 3

@@ -14,14 +14,14 @@ from torch.nn import functional
 
 from vprbench.api import BadInput, read_mat
 
-from .parts.backbones.vgg import N_CHANNELS, vgg16_features
+from .parts.backbones.convolutional import VGG16_CHANNELS, vgg16_features
 from .parts.published import PublishedNetwork, Tensors, size
 
 Family = Literal["matconvnet", "pytorch", "patch-netvlad"]
 
 STRIDE = 16  # pixels between local descriptors
 
-_BEFORE_RELU = 29  # layers of VGG16: its last ReLU and pool are left out
+_VGG16_LAYERS = 29  # up to conv5_3
 _USUAL_MEAN = (123.68, 116.78, 103.94)  # RGB levels; each file of MatConvNet brings its own
 
 _SFRS_MEAN = (123.68, 116.779, 103.939)  # RGB levels
@@ -83,7 +83,7 @@ class NetVLAD(PublishedNetwork):
     def network(self, tensors: Tensors) -> nn.Module:
         """Return the network in the sizes of a file; raises BadInput for more dimensions than it has."""
         clusters, components = sizes(tensors, self.weights.file)
-        n_values = components if self.whiten else clusters * N_CHANNELS
+        n_values = components if self.whiten else clusters * VGG16_CHANNELS
         if tensors and self.n_dimensions is not None and self.n_dimensions > n_values:
             raise BadInput(f"method.n_dimensions={self.n_dimensions}: the file gives {n_values}, ask for no more")
         matconvnet = self.family == "matconvnet"
@@ -138,8 +138,8 @@ class Clusters(nn.Module):
 
     def __init__(self, n_clusters: int) -> None:
         super().__init__()
-        self.centroids = nn.Parameter(torch.empty(n_clusters, N_CHANNELS), requires_grad=False)
-        self.conv = nn.Conv2d(N_CHANNELS, n_clusters, 1, bias=False)
+        self.centroids = nn.Parameter(torch.empty(n_clusters, VGG16_CHANNELS), requires_grad=False)
+        self.conv = nn.Conv2d(VGG16_CHANNELS, n_clusters, 1, bias=False)
 
     def assigned(self, features: Tensor) -> tuple[Tensor, Tensor]:
         """Turn features (n, channels, h, w) into unit vectors and their shares in each cluster (n, clusters, h, w).
@@ -169,9 +169,9 @@ class Network(nn.Module):
         n_dimensions: int | None = None,
     ) -> None:
         super().__init__()
-        self.encoder = vgg16_features(_BEFORE_RELU)
+        self.encoder = vgg16_features(last_pool=False)
         self.pool = Clusters(clusters)
-        self.WPCA = None if components is None else nn.Sequential(nn.Conv2d(clusters * N_CHANNELS, components, 1))
+        self.WPCA = None if components is None else nn.Sequential(nn.Conv2d(clusters * VGG16_CHANNELS, components, 1))
         self.mean = mean
         self.cluster_fastest = cluster_fastest
         self.n_dimensions = n_dimensions
@@ -217,7 +217,7 @@ def _named(layers: Any) -> dict[str, Tensor]:
     if len(layers) != _MATCONVNET_LAYERS:
         raise ValueError(f"{len(layers)} layers instead of {_MATCONVNET_LAYERS}")
     tensors: dict[str, Tensor] = {}
-    for number in range(_BEFORE_RELU):
+    for number in range(_VGG16_LAYERS):
         held = np.atleast_1d(layers[number].get("weights", ()))
         if len(held):
             tensors[f"encoder.{number}.weight"] = torch.from_numpy(held[0].transpose(3, 2, 0, 1))

@@ -29,7 +29,6 @@ Pairs = tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]  # patches of the qu
 
 _RECEPTIVE_FIELD, _PADDING = 196, 90  # pixels of a local descriptor
 _TOLERANCE = 1.5 * STRIDE  # pixels that an inlier of the homography may be off
-_FEWEST_PAIRS: Mapping[Geometry, int] = MappingProxyType({"homography": 4, "displacement": 1})
 
 
 @dataclass(frozen=True)
@@ -144,7 +143,8 @@ class PatchNetVLAD(PublishedNetwork):
         for row, query, cue in zip(scores, queries, whole, strict=True):
             candidates = np.argsort(-row, kind="stable")[: self.candidates]
             candidates = candidates[np.isfinite(row[candidates])]
-            images = [_most_similar(cue, self._map, place) for place in candidates.tolist()]
+            own = [self._map.images[place] for place in candidates.tolist()]
+            images = [int(of_place[(self._map.whole[of_place] @ cue).argmax()]) for of_place in own]
             row[candidates] = above_cosines(self._agreement(query[1:], self._map.codes[:, 1:], images), row[candidates])
         return scores
 
@@ -167,24 +167,24 @@ class PatchNetVLAD(PublishedNetwork):
         ends = np.cumsum([len(grid) for grid in grids])
         for side, weight, grid, end in zip(setting.sides, setting.weights, grids, ends, strict=True):
             part = slice(end - len(grid), end)
-            nearest = self._nearest(query[part], (patches[image, part] for image in images))
-            scores = np.array([score(setting.geometry, grid, side, mutual(*both)) for both in nearest])
+            pairs = self._match_patches(query[part], (patches[image, part] for image in images))
+            scores = np.array([score(setting.geometry, grid, side, of_image) for of_image in pairs])
             if np.ptp(scores) > 0:
                 agreement += weight * (scores - scores.mean()) / scores.std()
         return agreement
 
     @torch.inference_mode()
-    def _nearest(self, query: npt.NDArray[np.float32], references: Iterator[npt.NDArray[Any]]) -> npt.NDArray[np.int64]:
-        """Return for each image the nearest patches of the query and of the reference, (n_images, 2, n_patches).
+    def _match_patches(self, query: npt.NDArray[np.float32], references: Iterator[npt.NDArray[Any]]) -> Iterator[Pairs]:
+        """Yield for each image the pairs of patches that are nearest to one another, in the order of the reference.
 
         Those of the highest product, for all descriptors of a code have one length.
         """
         own = torch.from_numpy(np.array(query)).to(self.device)  # a copy, for what lies on disk is read-only
-        nearest = []
         for reference in references:
             products = own @ torch.from_numpy(np.array(reference)).to(self.device).float().T
-            nearest.append(torch.stack([products.argmax(0), products.argmax(1)]))
-        return torch.stack(nearest).cpu().numpy()
+            nearest, back = products.argmax(0).cpu().numpy(), products.argmax(1).cpu().numpy()
+            mutual = np.flatnonzero(back[nearest] == np.arange(len(nearest)))
+            yield nearest[mutual], mutual
 
     def _grids(self) -> list[npt.NDArray[np.int64]]:
         """Return for each patch size the column and row of each patch, (n_patches, 2), row by row."""
@@ -245,23 +245,13 @@ class _Network(Network):
             yield self.described(means.flatten(2).permute(2, 0, 1))
 
 
-def mutual(best_of_query: npt.NDArray[np.int64], best_of_reference: npt.NDArray[np.int64]) -> Pairs:
-    """Return the pairs of patches that are nearest to one another, in the order of the reference's patches.
-
-    The arguments are, for each patch of the reference, the nearest of the query, and the other way round.
-    """
-    patches = np.arange(len(best_of_query))
-    kept = best_of_reference[best_of_query] == patches
-    return best_of_query[kept], patches[kept]
-
-
 def score(geometry: Geometry, grid: npt.NDArray[np.int64], side: int, pairs: Pairs) -> float:
     """Return how well pairs of patches fit together, 0 or more. `grid` is (n_patches, 2).
 
     Fewer than 4 pairs have no homography and score 0; of displacements one pair is enough.
     """
     query, reference = (grid[ends] for ends in pairs)
-    if len(query) < _FEWEST_PAIRS[geometry]:
+    if len(query) < (4 if geometry == "homography" else 1):
         return 0.0
     if geometry == "homography":
         return inliers(centres(query, side), centres(reference, side)) / len(grid)
@@ -299,9 +289,3 @@ def above_cosines(agreement: npt.NDArray[np.float64], cosines: Scores) -> Scores
     result = np.empty_like(scores)
     result[order] = scores
     return result
-
-
-def _most_similar(query: npt.NDArray[np.float32], known: Map, place: int) -> int:
-    """Return the reference image of a place that has the highest cosine with the query."""
-    images = known.images[place]
-    return int(images[(known.whole[images] @ query).argmax()])

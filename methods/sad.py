@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import os
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from functools import cache
-from itertools import pairwise
 from typing import Self
 
 import numpy as np
@@ -24,6 +20,7 @@ from vprbench.api import (
     best_image_of_place,
     compiled,
     count_operations,
+    in_shares,
     require_new_places,
 )
 
@@ -109,25 +106,13 @@ def _similarity(codes: Levels, references: Levels) -> Scores:
     codes = np.ascontiguousarray(codes)
     similarity = np.empty((len(codes), n_references), np.float32)
     worth = len(codes) * references.size // _WORTH_A_THREAD
-    n_threads = max(1, min(torch.get_num_threads(), worth, n_references))
-    ends = [n_references * share // (_SHARES * n_threads) for share in range(_SHARES * n_threads + 1)]
-    shares = iter(list(pairwise(ends if n_threads > 1 else (0, n_references))))  # of a list: threads may share it
-
-    def take_shares() -> None:
-        for first, last in shares:
-            _compare(codes, references, first, last, similarity)
-
-    helping = [_helpers().submit(take_shares) for _ in range(n_threads - 1)]
-    take_shares()
-    for helper in helping:
-        if not helper.cancel():  # one that found no free core in time has nothing left to do
-            helper.result()
+    in_shares(
+        lambda own: _compare(codes, references, own.start, own.stop, similarity),
+        n_references,
+        min(torch.get_num_threads(), worth),
+        _SHARES,
+    )
     return similarity
-
-
-@cache
-def _helpers() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(os.cpu_count())
 
 
 @compiled()

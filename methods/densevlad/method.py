@@ -14,7 +14,7 @@ from torch import Tensor
 
 from vprbench.api import BadInput, DescriptorMethod, Image, Images, NotFittedError, Places, progress
 
-from ..parts.vectors import unit
+from ..parts.vectors import k_means, unit
 from .dense_sift import (
     DIMENSIONS,
     SMALLEST_SIDE,
@@ -25,7 +25,7 @@ from .dense_sift import (
     n_descriptors,
     root_sift,
 )
-from .vlad import PUBLISHED_WORDS, WORD_OF_ZERO, learn_words, read_words, vlad, whitening
+from .vlad import PUBLISHED_WORDS, WORD_OF_ZERO, read_words, vlad, whitening
 
 _VGA = 640  # pixels
 _TOGETHER = 64  # images
@@ -126,7 +126,7 @@ class DenseVLAD(DescriptorMethod):
             for block in dense_sift(grey, self.arctan):
                 picked = block[torch.from_numpy(generator.random(len(block)) < share).to(self.device)]
                 drawn.append(root_sift(picked[picked.any(1)]).cpu().numpy())
-        return learn_words(np.concatenate(drawn), self.words, generator)
+        return unit(k_means(np.concatenate(drawn), self.words, generator))
 
     def _vlads(self, images: Images, words: Tensor) -> npt.NDArray[np.float32]:
         """Return the VLAD of each image before whitening, (n_images, words * 128)."""

@@ -22,14 +22,9 @@ SIZES = [(64, 96), (49, 70), (64, 96)]
 
 def drawn(clusters, components=None, of_levels=False):
     """Random tensors under the names of family C; without `components` those of family B."""
-    tensors = oracle.vgg16_checkpoint(draw := Draw(clusters), "encoder.")
+    tensors = oracle.netvlad_checkpoint(Draw(clusters), clusters, components)
     if of_levels:  # 0 to 255, not divided by deviations
         tensors["encoder.0.weight"] /= torch.tensor(255 * IMAGENET[1], dtype=torch.float32)[:, None, None]
-    tensors["pool.centroids"] = draw.normal(clusters, 512, scale=512**-0.5)
-    tensors["pool.conv.weight"] = draw.normal(clusters, 512, 1, 1, scale=4)
-    if components is not None:
-        tensors["WPCA.0.weight"] = draw.normal(components, clusters * 512, 1, 1).double()
-        tensors["WPCA.0.bias"] = draw.normal(components, scale=0.5).double()
     return tensors
 
 

@@ -4,9 +4,7 @@ import numpy as np
 import torch
 from torch.nn import functional
 
-from vprbench.methods.parts.filters.oriented_compiled import GREY
-
-MEAN_LEVEL, GAIN = 127, 4
+GREY = (299, 587, 114)  # thousandths of red, green and blue
 
 
 def correct_gamma(grey, mean):

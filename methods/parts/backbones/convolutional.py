@@ -1,4 +1,4 @@
-"""The convolutional part of ResNet and ResNeXt, under the two kinds of names that published weights have."""
+"""Convolutional backbones, ResNet, ResNeXt and VGG16, under the names that published weights have, and GeM."""
 
 from __future__ import annotations
 
@@ -8,9 +8,15 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Literal
 
+import torch
 from torch import Tensor, nn
 
 N_STAGES = 4
+
+VGG16_CHANNELS = 512
+
+_VGG16_GROUPS = ((64, 2), (128, 2), (256, 3), (512, 3), (512, 3))  # channels, convolutions; a pool ends each group
+_SMALLEST_FEATURE = 1e-6  # the generalised mean counts smaller ones as this
 
 _WORDS = ("conv1", "bn1", "relu", "maxpool", "layer1", "layer2", "layer3", "layer4")
 
@@ -62,6 +68,40 @@ def resnet(name: str, n_stages: int = N_STAGES, names: Literal["numbers", "words
 def n_channels(name: str, n_stages: int = N_STAGES) -> int:
     """Return how many channels `resnet(name, n_stages)` puts out."""
     return _n_outputs(_KINDS[name], n_stages - 1)
+
+
+def vgg16_features(*, last_pool: bool = True) -> nn.Sequential:
+    """Return VGG16's `features`, in evaluation mode and without gradients.
+
+    The keys are "0.weight", "0.bias", "2.weight" and so on: every convolution, ReLU and pool has a number. Images
+    (n, 3, height, width) become (n, 512, height // 32, width // 32). Without the `last_pool` and the ReLU before it
+    they become (n, 512, height // 16, width // 16).
+    Source: Simonyan and Zisserman 2015, configuration D, in torchvision's numbering.
+    """
+    layers: list[nn.Module] = []
+    n_inputs = 3
+    for n_channels, n_convolutions in _VGG16_GROUPS:
+        for _ in range(n_convolutions):
+            layers += [nn.Conv2d(n_inputs, n_channels, 3, padding=1), nn.ReLU(inplace=True)]
+            n_inputs = n_channels
+        layers.append(nn.MaxPool2d(2))
+    return nn.Sequential(*layers[: None if last_pool else -2]).eval().requires_grad_(False)
+
+
+class GeM(nn.Module):
+    """Generalised mean with a learned power `p`: (n, channels, height, width) to (n, channels), in float32.
+
+    Source: Radenovic et al. 2019: (mean over positions of max(x, 1e-6)^p)^(1/p).
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.p = nn.Parameter(torch.full((1,), 3.0))
+
+    def forward(self, features: Tensor) -> Tensor:
+        """Pool each channel over all positions."""
+        p = self.p.float()
+        return features.float().clamp(min=_SMALLEST_FEATURE).pow(p).mean((2, 3)).pow(1 / p)
 
 
 class _Block(nn.Module):
