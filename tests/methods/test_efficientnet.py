@@ -1,6 +1,5 @@
 """EfficientNet-Lite: block by block the published network, its parts as a descriptor, and VPRTempo that reads them."""
 
-import itertools
 from functools import cache
 
 import numpy as np
@@ -169,10 +168,7 @@ def test_multiply_adds_are_those_that_pytorch_counts_and_are_told_of_every_image
 
 @pytest.mark.parametrize(
     ("method", "adapt"),
-    [
-        *itertools.product(["hog", "vprtempo_oriented"], ["references", "running", "traverse"]),
-        ("efficientnet", "running"),
-    ],
+    [("hog", "references"), ("hog", "traverse"), ("vprtempo_oriented", "running"), ("efficientnet", "running")],
 )
 def test_a_method_keeps_every_rule_under_a_mean_that_is_taken_off(method, adapt):
     small = {"efficientnet": SMALL, "hog": {"height": 32, "width": 40}}.get(method, {})
