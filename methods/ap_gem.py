@@ -14,8 +14,8 @@ from torch.nn import functional
 
 from vprbench.api import BadInput, read_weights, state_dict, without_prefix
 
-from .parts.backbones.convolutional import GeM, n_channels, resnet
-from .parts.published import PublishedNetwork, Tensors, size
+from .parts.backbones.convolutional import GeM, build_resnet, count_channels
+from .parts.published import PublishedNetwork, Tensors, read_size
 
 _BACKBONE = "resnet101"
 _N_DIMENSIONS = 2048
@@ -51,14 +51,14 @@ class APGeM(PublishedNetwork):
         ):
             content = read_weights(path)
             tensors = without_prefix(state_dict(path, "state_dict"), "module.")
-        network = cast(_APGeM, self.loaded({**tensors, **_whitening(content, path)}, path))
+        network = cast(_APGeM, self.loaded({**tensors, **_read_whitening(content, path)}, path))
         options = content.get("model_options")
         network.unit_features = isinstance(options, Mapping) and bool(options.get("norm_features"))
         return network
 
     def network(self, tensors: Tensors) -> nn.Module:
         """Return the network of 2048 dimensions, or as many as a file has."""
-        return _APGeM(size(tensors, "fc.bias", 0, _N_DIMENSIONS))
+        return _APGeM(read_size(tensors, "fc.bias", 0, _N_DIMENSIONS))
 
     def name_parts(self, network: nn.Module) -> nn.Module:
         """Return the parts of the backbone beside the others, as the file has them."""
@@ -71,9 +71,9 @@ class _APGeM(nn.Module):
 
     def __init__(self, n_dimensions: int) -> None:
         super().__init__()
-        self.backbone = resnet(_BACKBONE, names="words")
+        self.backbone = build_resnet(_BACKBONE, names="words")
         self.adpool = GeM()
-        self.fc = nn.Linear(n_channels(_BACKBONE), n_dimensions)
+        self.fc = nn.Linear(count_channels(_BACKBONE), n_dimensions)
         self.unit_features = False  # whether what was pooled gets unit length
         self.whitening = nn.ParameterDict(
             {"mean": torch.zeros(n_dimensions), "components": torch.zeros(n_dimensions, n_dimensions)}
@@ -87,7 +87,7 @@ class _APGeM(nn.Module):
         return cast(Tensor, (vectors - self.whitening["mean"].float()) @ self.whitening["components"].float().T)
 
 
-def _whitening(content: Mapping[str, Any], path: Path) -> dict[str, Tensor]:
+def _read_whitening(content: Mapping[str, Any], path: Path) -> dict[str, Tensor]:
     """Return the tensors of the whitening that a file holds; raises BadInput if it holds no whole one."""
     found = content.get("pca")
     pca = found.get(_LANDMARKS) if isinstance(found, Mapping) else None

@@ -12,9 +12,9 @@ from torch import Tensor, nn
 
 from vprbench.api import Interpolation, Resize
 
-from .parts.backbones.convolutional import n_channels, resnet
+from .parts.backbones.convolutional import build_resnet, count_channels
 from .parts.backbones.vit import VisionTransformer
-from .parts.published import PublishedNetwork, Tensors, size, under
+from .parts.published import PublishedNetwork, Tensors, read_size, select_prefix
 
 _HEAD = 64  # dimensions of an attention head
 _RESNET, _STAGES = "resnet50", 3
@@ -43,15 +43,15 @@ class Sizes:
     @classmethod
     def of(cls, tensors: Tensors, published_dim: int) -> Self:
         """Read the sizes off a file's tensors; a size that no tensor of BoQ has is the published one."""
-        dim = size(tensors, "aggregator.proj_c.weight", 0, published_dim)
+        dim = read_size(tensors, "aggregator.proj_c.weight", 0, published_dim)
         dim = dim if dim % _HEAD == 0 else published_dim
         return cls(
             dim,
-            n_queries=size(tensors, "aggregator.boqs.0.queries", 1, 64),
+            n_queries=read_size(tensors, "aggregator.boqs.0.queries", 1, 64),
             # Counted, not the highest number: strict loading finds a gap.
             n_blocks=len({found[1] for name in tensors if (found := _BLOCK.match(name))}) or 2,
-            n_hidden=size(tensors, "aggregator.boqs.0.encoder.linear1.weight", 0, 4 * dim),
-            n_rows=size(tensors, "aggregator.fc.weight", 0, 32),
+            n_hidden=read_size(tensors, "aggregator.boqs.0.encoder.linear1.weight", 0, 4 * dim),
+            n_rows=read_size(tensors, "aggregator.fc.weight", 0, 32),
         )
 
 
@@ -74,7 +74,7 @@ class BoQ(PublishedNetwork):
 
     def network(self, tensors: Tensors) -> nn.Module:
         """Return the network of 12288 dimensions, or in the sizes of a file."""
-        dino = under(tensors, "backbone.dino.")
+        dino = select_prefix(tensors, "backbone.dino.")
         model = VisionTransformer.sized(dino, norm="norm.weight" in dino)
         return _Network("dino", model, model.sizes.dim, Sizes.of(tensors, published_dim=384))
 
@@ -99,7 +99,7 @@ class BoQResNet50(BoQ):
     def network(self, tensors: Tensors) -> nn.Module:
         """Return the network of 16384 dimensions, or in the sizes of a file."""
         sizes = Sizes.of(tensors, published_dim=512)
-        return _Network("net", resnet(_RESNET, _STAGES), n_channels(_RESNET, _STAGES), sizes)
+        return _Network("net", build_resnet(_RESNET, _STAGES), count_channels(_RESNET, _STAGES), sizes)
 
 
 class _Network(nn.Module):

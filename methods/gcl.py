@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from vprbench.api import BadInput, Descriptors, Places, Scores
 
-from .parts.backbones.convolutional import GeM, resnet, vgg16_features
+from .parts.backbones.convolutional import GeM, build_resnet, build_vgg16
 from .parts.published import PublishedNetwork, Tensors
 
 Backbone = Literal["vgg16", "resnet50", "resnet152", "resnext"]
@@ -118,13 +118,13 @@ class GCL(PublishedNetwork):
 
     def match(self, codes: npt.NDArray[np.float32]) -> Scores:
         """Score every place for every code, (n_queries, n_places); raises NotFittedError before `fit`."""
-        return super().match(self._whitened(codes))
+        return super().match(self._whiten_codes(codes))
 
     def nearest(self, codes: npt.NDArray[np.float32], n: int) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.int64]]:
         """Return the scores of the best `n` places of each code, and these places."""
-        return super().nearest(self._whitened(codes), n)
+        return super().nearest(self._whiten_codes(codes), n)
 
-    def _whitened(self, descriptors: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    def _whiten_codes(self, descriptors: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
         return descriptors if self._whitening is None else self._whitening(descriptors)
 
 
@@ -133,7 +133,7 @@ class _GCL(nn.Module):
 
     def __init__(self, backbone: Backbone, pooling: Pooling) -> None:
         super().__init__()
-        self.backbone = vgg16_features() if backbone == "vgg16" else resnet(_RESNETS[backbone])
+        self.backbone = build_vgg16() if backbone == "vgg16" else build_resnet(_RESNETS[backbone])
         self.pool: nn.Module = _POOLINGS[pooling]()
 
     def forward(self, images: Tensor) -> Tensor:

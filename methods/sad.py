@@ -53,19 +53,19 @@ class SAD(Method):
         """Keep the preprocessed references."""
         levels = self.encode(references)
         on_cpu = torch.device(self.device).type == "cpu"
-        self._references = Growing(np.ascontiguousarray(levels)) if on_cpu else self._to_device(levels)
+        self._references = Growing(np.ascontiguousarray(levels)) if on_cpu else self._move_to_device(levels)
         self._places = Growing(places.copy())
         return self
 
     def extend(self, references: Images, places: Places) -> Self:
         """Append the preprocessed references of new places."""
-        known = self._fitted()
+        known = self._require_references()
         require_new_places(places, len(references), int(self._places.rows.max()) + 1)
         levels = self.encode(references)
         if isinstance(known, Growing):
             known.append(levels)
         else:
-            self._references = torch.cat([known, self._to_device(levels)])
+            self._references = torch.cat([known, self._move_to_device(levels)])
         self._places.append(places)
         return self
 
@@ -75,16 +75,16 @@ class SAD(Method):
 
     def match(self, codes: Levels) -> Scores:
         """Return (n_queries, n_places) in grey levels, -255 to 0."""
-        known = self._fitted()
+        known = self._require_references()
         shape = known.rows.shape if isinstance(known, Growing) else known.shape
         count_operations(single=3.0 * len(codes) * np.prod(shape), kind="int8")  # subtract, drop the sign, add
         if isinstance(known, Growing):
-            return best_image_of_place(_similarity(codes, known.rows), self._places.rows)
+            return best_image_of_place(_compare_all(codes, known.rows), self._places.rows)
         # Sums of up to 65,793 whole levels are exact in float32, so neither batch nor order can change them.
-        total = torch.cdist(self._to_device(codes), known, p=1)
+        total = torch.cdist(self._move_to_device(codes), known, p=1)
         return best_image_of_place((total / -codes.shape[1]).cpu().numpy(), self._places.rows)
 
-    def _fitted(self) -> Growing | torch.Tensor:
+    def _require_references(self) -> Growing | torch.Tensor:
         if self._references is None:
             raise NotFittedError("SAD has no map yet: call fit(references, places) first")
         return self._references
@@ -94,11 +94,11 @@ class SAD(Method):
         known = self._references
         return None if known is None else (known.rows if isinstance(known, Growing) else known).nbytes
 
-    def _to_device(self, levels: Levels) -> torch.Tensor:
+    def _move_to_device(self, levels: Levels) -> torch.Tensor:
         return torch.from_numpy(levels).to(self.device, torch.float32)
 
 
-def _similarity(codes: Levels, references: Levels) -> Scores:
+def _compare_all(codes: Levels, references: Levels) -> Scores:
     """Return minus the mean absolute differences, (n_queries, n_references), threads sharing the references."""
     n_references, n_pixels = references.shape
     if codes.dtype != np.uint8 or codes.ndim != 2 or codes.shape[1] != n_pixels:
@@ -116,7 +116,7 @@ def _similarity(codes: Levels, references: Levels) -> Scores:
 
 
 @compiled()
-def _total_difference(left, right):  # type: ignore[no-untyped-def]
+def _sum_differences(left, right):  # type: ignore[no-untyped-def]
     # In 32 bits throughout LLVM takes the processor's own sum of absolute differences (x86: psadbw); numba's 64 bits,
     # or max - min, cost 1.5 to 3 times as much.
     total = np.int32(0)
@@ -142,5 +142,5 @@ def _compare(codes, references, first, last, similarity):  # type: ignore[no-unt
             for chunk in range(0, n_pixels, _CHUNK):
                 code = codes[query, chunk : chunk + _CHUNK]
                 for row in range(start, end):
-                    total = _total_difference(code, references[row, chunk : chunk + _CHUNK])
+                    total = _sum_differences(code, references[row, chunk : chunk + _CHUNK])
                     similarity[query, row] += np.float64(total) / -n_pixels

@@ -13,7 +13,7 @@ from torch.nn import functional
 from vprbench.api import BadInput, Resize
 
 from .parts.backbones.vit import VisionTransformer
-from .parts.published import PublishedNetwork, Tensors, size, under
+from .parts.published import PublishedNetwork, Tensors, read_size, select_prefix
 
 _ITERATIONS = 3  # of Sinkhorn's algorithm
 
@@ -33,8 +33,8 @@ class SALAD(PublishedNetwork):
 
     def network(self, tensors: Tensors) -> nn.Module:
         """Return the network of 8448 dimensions, or in the sizes of a file."""
-        sizes = Sizes.of(under(tensors, "aggregator."), cluster_dim=128)
-        return _Network(VisionTransformer.sized(under(tensors, "backbone.model.")), sizes)
+        sizes = Sizes.of(select_prefix(tensors, "aggregator."), cluster_dim=128)
+        return _Network(VisionTransformer.sized(select_prefix(tensors, "backbone.model.")), sizes)
 
 
 @dataclass(kw_only=True)
@@ -52,9 +52,9 @@ class MegaLoc(PublishedNetwork):
 
     def network(self, tensors: Tensors) -> nn.Module:
         """Return the network of 8448 dimensions, or in the sizes of a file."""
-        sizes = Sizes.of(under(tensors, "aggregator.agg."), cluster_dim=256)
-        n_dimensions = size(tensors, "aggregator.linear.weight", 0, 8448)
-        return _MegaLocNetwork(VisionTransformer.sized(under(tensors, "backbone.")), sizes, n_dimensions)
+        sizes = Sizes.of(select_prefix(tensors, "aggregator.agg."), cluster_dim=256)
+        n_dimensions = read_size(tensors, "aggregator.linear.weight", 0, 8448)
+        return _MegaLocNetwork(VisionTransformer.sized(select_prefix(tensors, "backbone.")), sizes, n_dimensions)
 
 
 @dataclass(frozen=True)
@@ -70,10 +70,10 @@ class Sizes:
     def of(cls, tensors: Tensors, cluster_dim: int) -> Self:
         """Read the sizes off the aggregator's tensors, or take the published ones, of `cluster_dim`."""
         return cls(
-            n_hidden=size(tensors, "token_features.0.weight", 0, 512),
-            n_clusters=size(tensors, "score.3.weight", 0, 64),
-            cluster_dim=size(tensors, "cluster_features.3.weight", 0, cluster_dim),
-            token_dim=size(tensors, "token_features.2.weight", 0, 256),
+            n_hidden=read_size(tensors, "token_features.0.weight", 0, 512),
+            n_clusters=read_size(tensors, "score.3.weight", 0, 64),
+            cluster_dim=read_size(tensors, "cluster_features.3.weight", 0, cluster_dim),
+            token_dim=read_size(tensors, "token_features.2.weight", 0, 256),
         )
 
     @property
@@ -95,8 +95,8 @@ class Aggregator(nn.Module):
         self.token_features = nn.Sequential(
             nn.Linear(dim, sizes.n_hidden), nn.ReLU(), nn.Linear(sizes.n_hidden, sizes.token_dim)
         )
-        self.cluster_features = _patch_network(dim, sizes.n_hidden, sizes.cluster_dim)
-        self.score = _patch_network(dim, sizes.n_hidden, sizes.n_clusters)
+        self.cluster_features = _build_patch_network(dim, sizes.n_hidden, sizes.cluster_dim)
+        self.score = _build_patch_network(dim, sizes.n_hidden, sizes.n_clusters)
         self.dust_bin = nn.Parameter(torch.ones(()))
 
     def forward(self, cls: Tensor, patches: Tensor) -> Tensor:
@@ -106,12 +106,12 @@ class Aggregator(nn.Module):
         token = functional.normalize(self.token_features(cls).float(), dim=1)
         features = self.cluster_features(grid).flatten(2).float()  # (n, cluster_dim, n_patches)
         scores = self.score(grid).flatten(2).float()  # (n, n_clusters, n_patches)
-        gathered = features @ assignment(scores, self.dust_bin.float()).transpose(1, 2)
+        gathered = features @ assign_patches(scores, self.dust_bin.float()).transpose(1, 2)
         clusters = functional.normalize(gathered, dim=1).flatten(1)
         return functional.normalize(torch.cat([token, clusters], 1), dim=1)
 
 
-def assignment(scores: Tensor, dust_bin: Tensor) -> Tensor:
+def assign_patches(scores: Tensor, dust_bin: Tensor) -> Tensor:
     """Return how much of each patch goes to each cluster, (n, n_clusters, n_patches), from scores of that shape.
 
     The optimal transport, after 3 iterations of Sinkhorn's algorithm on logarithms, that gives every cluster the mass
@@ -163,6 +163,6 @@ class _MegaLocNetwork(nn.Module):
         return cast(Tensor, self.aggregator["linear"](gathered.to(images.dtype)))
 
 
-def _patch_network(dim: int, n_hidden: int, n_out: int) -> nn.Sequential:
+def _build_patch_network(dim: int, n_hidden: int, n_out: int) -> nn.Sequential:
     """Return two layers for each patch; between them stood the dropout of the training, whose number stays."""
     return nn.Sequential(nn.Conv2d(dim, n_hidden, 1), nn.Identity(), nn.ReLU(), nn.Conv2d(n_hidden, n_out, 1))

@@ -61,7 +61,7 @@ def vlad(blocks: Iterable[Tensor], words: Tensor, word_of_zero: int = 0) -> Tens
     return functional.normalize(residuals.flatten(), dim=0, eps=1e-12)
 
 
-def whitening(vlads: npt.NDArray[np.float32], n_components: int) -> npt.NDArray[np.float32]:
+def learn_whitening(vlads: npt.NDArray[np.float32], n_components: int) -> npt.NDArray[np.float32]:
     """Learn from vectors (n, n_dimensions) the projection (n_dimensions, at most n_components) that whitens them.
 
     The directions of largest second moment, each divided by the root of that moment; no mean is subtracted.

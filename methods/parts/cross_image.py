@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 from vprbench.api import BadInput
 
-from .published import PublishedNetwork, Tensors, size
+from .published import PublishedNetwork, Tensors, read_size
 
 _HEADS, _LAYERS = 16, 2
 _REASON = "images that are described together see one another; images_together=1 describes each alone"
@@ -80,7 +80,7 @@ class CrossImageEncoder(nn.Module):
     @classmethod
     def sized(cls, tensors: Tensors, dim: int, together: int) -> Self:
         """Build the encoder of a file's tensors, or the published one, for groups of `together` images."""
-        return cls(dim, size(tensors, "encoder.layers.0.linear1.weight", 0, 2048), together)
+        return cls(dim, read_size(tensors, "encoder.layers.0.linear1.weight", 0, 2048), together)
 
     def forward(self, parts: Tensor) -> Tensor:
         """Return the parts as their group changes them, (n, n_parts, dim)."""

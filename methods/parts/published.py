@@ -55,12 +55,12 @@ class PublishedNetwork(NeuralDescriptor):
             return self.network({})
 
 
-def size(tensors: Tensors, name: str, axis: int, published: int) -> int:
+def read_size(tensors: Tensors, name: str, axis: int, published: int) -> int:
     """Return a length of a file's tensor; the published one if the file has none, which strict loading then tells."""
     tensor = tensors.get(name)
     return published if tensor is None or tensor.ndim <= axis else tensor.shape[axis] or published
 
 
-def under(tensors: Tensors, prefix: str) -> dict[str, Tensor]:
+def select_prefix(tensors: Tensors, prefix: str) -> dict[str, Tensor]:
     """Return the tensors whose names begin with `prefix`, under the rest of their names."""
     return {name.removeprefix(prefix): tensor for name, tensor in tensors.items() if name.startswith(prefix)}

@@ -19,7 +19,7 @@ from vprbench.api.method import batch_size_for
 from vprbench.api.weights import Weights
 from vprbench.errors import BadInput
 from vprbench.methods import netvlad, patch_netvlad
-from vprbench.methods.patch_netvlad import PatchNetVLAD, inliers, score
+from vprbench.methods.patch_netvlad import PatchNetVLAD, count_inliers, score
 
 pytestmark = pytest.mark.extended  # published networks at full size
 
@@ -78,7 +78,7 @@ def test_it_is_the_published_network(check, folder):
 @pytest.mark.parametrize("configuration", ["performance", "storage"])
 def test_the_contract_is_kept(configuration, tmp_path, monkeypatch):
     """With one convolution in VGG16's place."""
-    monkeypatch.setattr(netvlad, "vgg16_features", lambda **_: nn.Sequential(nn.Conv2d(3, 512, 16, stride=16)))
+    monkeypatch.setattr(netvlad, "build_vgg16", lambda **_: nn.Sequential(nn.Conv2d(3, 512, 16, stride=16)))
     draw = oracle.Draw()
     tensors = {name: t for name, t in oracle.netvlad_checkpoint(draw, 2, 24).items() if "encoder" not in name}
     tensors |= {"encoder.0.weight": draw.normal(512, 3, 16, 16, scale=1 / 16), "encoder.0.bias": draw.normal(512)}
@@ -125,8 +125,8 @@ def test_points_are_inliers_within_24_pixels_of_the_query_image_whatever_was_ask
     near[7, 0], far[7, 0] = near[7, 0] + 18, far[7, 0] + 40
     for seed in range(5):
         cv2.setRNGSeed(seed)
-        assert [inliers(points, reference) for points in (query, near, far)] == [30, 40, 39]
-    assert 0 <= inliers(reference[[0] * 6], reference[[0] * 6]) <= 6
+        assert [count_inliers(points, reference) for points in (query, near, far)] == [30, 40, 39]
+    assert 0 <= count_inliers(reference[[0] * 6], reference[[0] * 6]) <= 6
 
 
 N_PLACES, ROWS, COLUMNS, COMPONENTS = 7, 9, 10, 12

@@ -62,7 +62,7 @@ def test_scores_have_the_bits_that_pytorch_gives_on_other_devices():
     method = fitted(references)
     compiled = method.match(queries)
     assert method.map_bytes() == references.nbytes
-    method._references = method._to_device(references)
+    method._references = method._move_to_device(references)
     assert same_bits(compiled, method.match(queries))
     assert np.signbit(compiled[3, 5])
     assert method.map_bytes() == 4 * references.size

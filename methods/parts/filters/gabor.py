@@ -32,7 +32,7 @@ Maps = npt.NDArray[np.float32]  # (n_images, rows * columns, 32)
 
 
 @cache
-def gabor_filters() -> npt.NDArray[np.float32]:
+def draw_gabor_filters() -> npt.NDArray[np.float32]:
     """Return the bank, (32, 5, 5): 4 orientations x 2 wavelengths x 2 phases x 2 envelopes, zero mean, L1 norm 1."""
     y, x = np.mgrid[:SIZE, :SIZE] - SIZE // 2
     bank = []
@@ -72,7 +72,7 @@ class GaborBank:
             raise BadInput(f"method.block={self.block}: a block needs a cell in its centre, give an odd number")
         if not 0 < self.epsilon < math.inf:
             raise BadInput(f"method.epsilon={self.epsilon}: give more than 0")
-        self._normalisation()
+        self._make_normalisation()
 
     @property
     def rows(self) -> int:
@@ -91,30 +91,30 @@ class GaborBank:
 
     def __call__(self, images: Images) -> npt.NDArray[np.float32]:
         """Return (n_images, rows * columns * 32): the filters of a cell side by side."""
-        maps = self.responses(images)
-        self._share(lambda own: self._normalise(maps[own]), len(images))
+        maps = self.compute_responses(images)
+        self._share_frames(lambda own: self._normalise(maps[own]), len(images))
         return maps.reshape(len(images), self.n_inputs)
 
-    def responses(self, images: Images) -> Maps:
+    def compute_responses(self, images: Images) -> Maps:
         """Return the strongest responses, -0.5 to 0.5, neither normalised nor cut off at 0."""
-        levels = self._normalisation()(images)
+        levels = self._make_normalisation()(images)
         maps = np.empty((len(images), self.rows * self.columns, N_FILTERS), np.float32)
         filtered = len(images) * (self.height - SIZE + 1) * (self.width - SIZE + 1) * N_FILTERS
         count_operations(
             SIZE**2 * filtered + maps.size, filtered + 4 * maps.size
         )  # the largest of four; energies, divisions
-        self._share(lambda own: self._filter(levels[own], maps[own]), len(images))
+        self._share_frames(lambda own: self._filter_levels(levels[own], maps[own]), len(images))
         return maps
 
-    def _normalisation(self) -> PatchNormalisation:
+    def _make_normalisation(self) -> PatchNormalisation:
         return PatchNormalisation("C", self.height, self.width, self.patch)
 
-    def _share(self, work: Callable[[slice], None], n: int) -> None:
+    def _share_frames(self, work: Callable[[slice], None], n: int) -> None:
         in_shares(work, n, torch.get_num_threads())
 
-    def _filter(self, levels: npt.NDArray[np.uint8], maps: Maps) -> None:
+    def _filter_levels(self, levels: npt.NDArray[np.uint8], maps: Maps) -> None:
         frames = levels.reshape(-1, self.height, self.width)
-        _filter_frames(frames, _MEAN_LEVEL, _taps(), maps.reshape(-1, self.rows, self.columns, N_FILTERS))
+        _filter_frames(frames, _MEAN_LEVEL, _draw_taps(), maps.reshape(-1, self.rows, self.columns, N_FILTERS))
 
     def _normalise(self, maps: Maps) -> None:
         beside = [np.pad(np.arange(n), self.block // 2, mode="symmetric") for n in (self.rows, self.columns)]
@@ -123,9 +123,9 @@ class GaborBank:
 
 
 @cache
-def _taps() -> npt.NDArray[np.float32]:
+def _draw_taps() -> npt.NDArray[np.float32]:
     """Return the filters pixel by pixel, for grey levels 0..255: (5, 5, 32)."""
-    return np.ascontiguousarray(gabor_filters().transpose(1, 2, 0) / np.float32(255))
+    return np.ascontiguousarray(draw_gabor_filters().transpose(1, 2, 0) / np.float32(255))
 
 
 _FRAMES = types.Array(types.uint8, 3, "C", readonly=True)

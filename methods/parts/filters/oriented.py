@@ -84,7 +84,7 @@ _loop = compiled(fastmath={"reassoc", "contract", "arcp", "nsz"})
 
 
 @_loop
-def _areas(parts, size):  # type: ignore[no-untyped-def]
+def _share_areas(parts, size):  # type: ignore[no-untyped-def]
     """Return the first of `size` pixels in each of equal parts, (parts,), and how much of each lies in the part.
 
     The shares are (parts, most pixels of a part), the last ones 0 where a part has fewer; a whole pixel is `parts`.
@@ -100,13 +100,13 @@ def _areas(parts, size):  # type: ignore[no-untyped-def]
 
 
 @_loop
-def _shrink(image, grey):  # type: ignore[no-untyped-def]
+def _shrink_image(image, grey):  # type: ignore[no-untyped-def]
     """Write thousandths of grey levels, (height, width), summed over areas of `image` (h, w, 3): whole numbers."""
     h, w, _ = image.shape
     height, width = grey.shape
     pixels = image.reshape(h, 3 * w)
-    top, down = _areas(height, h)
-    left, across = _areas(width, w)
+    top, down = _share_areas(height, h)
+    left, across = _share_areas(width, w)
     weights = np.empty((width, across.shape[1], 3))
     weights[:, :, 0], weights[:, :, 1], weights[:, :, 2] = _RED * across, _GREEN * across, _BLUE * across
     flat_weights = weights.reshape(width, -1)
@@ -138,7 +138,7 @@ def _shrink(image, grey):  # type: ignore[no-untyped-def]
 
 
 @_loop
-def _votes(across, down, bins, votes, first):  # type: ignore[no-untyped-def]
+def _split_votes(across, down, bins, votes, first):  # type: ignore[no-untyped-def]
     """Write which bin of half a turn lies below the orientation of each slope, (n,), and the votes (2, n) of two.
 
     The bin below the first is -1. The arctangent is the polynomial of Moshier's Cephes for float32, which a processor
@@ -165,14 +165,14 @@ def _votes(across, down, bins, votes, first):  # type: ignore[no-untyped-def]
 
 
 @_loop
-def _vote(grey, scale, cells):  # type: ignore[no-untyped-def]
+def _add_votes(grey, scale, cells):  # type: ignore[no-untyped-def]
     """Write the mean votes of `grey` (height, width), times `scale` grey levels, to (rows, columns, orientations)."""
     height, width = grey.shape
     rows, columns, bins = cells.shape
     across, down = np.empty(width, np.float32), np.empty(width, np.float32)
     votes, first = np.empty((2, width), np.float32), np.empty(width, np.int32)
-    top, row_shares = _areas(rows, height)
-    left, column_shares = _areas(columns, width)
+    top, row_shares = _share_areas(rows, height)
+    left, column_shares = _share_areas(columns, width)
     cells[:] = 0
     for row in range(rows):
         for j in range(row_shares.shape[1]):
@@ -186,7 +186,7 @@ def _vote(grey, scale, cells):  # type: ignore[no-untyped-def]
                 across[x] = np.float32((here[x + 1] - here[x - 1]) * scale)
             across[0] = np.float32((here[min(1, width - 1)] - here[0]) * scale)
             across[width - 1] = np.float32((here[width - 1] - here[max(width - 2, 0)]) * scale)
-            _votes(across, down, bins, votes, first)
+            _split_votes(across, down, bins, votes, first)
             for column in range(columns):
                 own = cells[row, column]
                 for k in range(column_shares.shape[1]):
@@ -199,7 +199,7 @@ def _vote(grey, scale, cells):  # type: ignore[no-untyped-def]
 
 
 @_loop
-def _reflected(size, half):  # type: ignore[no-untyped-def]
+def _reflect_indices(size, half):  # type: ignore[no-untyped-def]
     """Return the indices of `size` values and of `half` more on both sides; the border itself is repeated."""
     indices = np.empty(size + 2 * half, np.int64)
     for k in range(len(indices)):
@@ -213,14 +213,14 @@ def _encode(image, height, width, block, epsilon, code):  # type: ignore[no-unty
     """Write the code (rows, columns, orientations) of `image` (h, w, 3), brought to `height` x `width` pixels."""
     rows, columns, bins = code.shape
     grey = np.empty((height, width))
-    _shrink(image, grey)
-    _vote(grey, 1.0 / ((_RED + _GREEN + _BLUE) * image.shape[0] * image.shape[1]), code)
+    _shrink_image(image, grey)
+    _add_votes(grey, 1.0 / ((_RED + _GREEN + _BLUE) * image.shape[0] * image.shape[1]), code)
     energy = np.zeros((rows, columns), np.float32)
     for row in range(rows):
         for column in range(columns):
             for bin in range(bins):
                 energy[row, column] += code[row, column, bin] * code[row, column, bin]
-    down, across = _reflected(rows, block // 2), _reflected(columns, block // 2)
+    down, across = _reflect_indices(rows, block // 2), _reflect_indices(columns, block // 2)
     for row in range(rows):
         for column in range(columns):
             total = np.float32(0)
