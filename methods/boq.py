@@ -44,7 +44,6 @@ class Sizes:
     def of(cls, tensors: Tensors, published_dim: int) -> Self:
         """Read the sizes off a file's tensors; a size that no tensor of BoQ has is the published one."""
         dim = read_size(tensors, "aggregator.proj_c.weight", 0, published_dim)
-        dim = dim if dim % _HEAD == 0 else published_dim
         return cls(
             dim,
             n_queries=read_size(tensors, "aggregator.boqs.0.queries", 1, 64),

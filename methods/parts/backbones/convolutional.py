@@ -66,7 +66,7 @@ def build_resnet(name: str, n_stages: int = N_STAGES, names: Literal["numbers", 
 
 
 def count_channels(name: str, n_stages: int = N_STAGES) -> int:
-    """Return how many channels `resnet(name, n_stages)` puts out."""
+    """Return how many channels `build_resnet(name, n_stages)` puts out."""
     return _count_outputs(_KINDS[name], n_stages - 1)
 
 

@@ -17,6 +17,7 @@ from torch.nn import functional
 from ..published import Tensors, read_size
 
 _HEAD = 64  # dimensions of an attention head, in all published sizes
+_PATCH = 14  # pixels along a side
 _EPSILON = 1e-6
 _OFFSET = 0.1  # patches that DINOv2 adds to a grid's side, against rounding, when it stretches the position embedding
 _BLOCK = re.compile(r"blocks\.(\d{1,9})\.")
@@ -30,7 +31,6 @@ class Sizes:
     n_blocks: int
     n_hidden: int  # between the two linear layers of a block
     swiglu: bool = False  # a gate instead of GELU
-    patch: int = 14  # pixels along a side
     grid: int = 37  # patches along a side of the image that the position embedding belongs to
 
 
@@ -55,7 +55,7 @@ class Tokens:
 class VisionTransformer(nn.Module):
     """DINOv2's Vision Transformer, in evaluation mode and without gradients.
 
-    Images are (n, 3, height, width) of the parameters' type, both sides multiples of the patch size. `norm` and
+    Images are (n, 3, height, width) of the parameters' type, both sides multiples of 14 pixels. `norm` and
     `mask_token` say if there are parameters for the final norm and for the token that masks patches in training,
     which has no use here: some published files hold it and some don't.
     Source: Oquab et al. 2024 and facebookresearch/dinov2; no register tokens.
@@ -70,7 +70,7 @@ class VisionTransformer(nn.Module):
         self.pos_embed = nn.Parameter(torch.zeros(1, 1 + sizes.grid**2, sizes.dim))
         self.mask_token = nn.Parameter(torch.zeros(1, sizes.dim)) if mask_token else None
         self.patch_embed = nn.Sequential(
-            OrderedDict(proj=nn.Conv2d(3, sizes.dim, kernel_size=sizes.patch, stride=sizes.patch))
+            OrderedDict(proj=nn.Conv2d(3, sizes.dim, kernel_size=_PATCH, stride=_PATCH))
         )
         self.blocks = nn.ModuleList(_Block(sizes) for _ in range(sizes.n_blocks))
         self.norm = nn.LayerNorm(sizes.dim, eps=_EPSILON) if norm else nn.Identity()
@@ -109,7 +109,7 @@ class VisionTransformer(nn.Module):
 
     def _embed_images(self, images: Tensor) -> tuple[Tensor, tuple[int, int]]:
         """Return the first block's input (n, 1 + rows * columns, dim), the CLS token first, and (rows, columns)."""
-        grid = (images.shape[2] // self.sizes.patch, images.shape[3] // self.sizes.patch)
+        grid = (images.shape[2] // _PATCH, images.shape[3] // _PATCH)
         patches = self.patch_embed(images).flatten(2).transpose(1, 2)
         x = torch.cat([self.cls_token.expand(len(images), -1, -1), patches], 1)
         return x + self._stretch_positions(*grid).to(x.dtype), grid
@@ -216,15 +216,13 @@ def _read_sizes(tensors: Tensors, published: Sizes) -> Sizes:
     """Read the sizes off a checkpoint's tensors; a size that no tensor of DINOv2 has is the published one."""
     if not tensors:
         return published
-    dim = read_size(tensors, "patch_embed.proj.weight", 0, published.dim)
     swiglu = "blocks.0.mlp.w3.weight" in tensors
     hidden, axis = ("blocks.0.mlp.w3.weight", 1) if swiglu else ("blocks.0.mlp.fc1.weight", 0)
     return Sizes(
-        dim if dim % _HEAD == 0 else published.dim,
+        read_size(tensors, "patch_embed.proj.weight", 0, published.dim),
         # Counted, not the highest number: a file may hold any, and a gap is what strict loading finds.
         len({found[1] for key in tensors if (found := _BLOCK.match(key))}) or published.n_blocks,
         read_size(tensors, hidden, axis, published.n_hidden),
         swiglu,
-        read_size(tensors, "patch_embed.proj.weight", 2, published.patch),
         math.isqrt(read_size(tensors, "pos_embed", 1, 1 + published.grid**2) - 1) or published.grid,
     )
