@@ -24,7 +24,7 @@ _POWER = 0.25  # of the variances that the whitening divides by
 
 
 class _PCA:
-    """What stands in the place of scikit-learn's PCA when a file is read: its arrays, and no code."""
+    """A stand-in for scikit-learn's PCA: a file fills its arrays, and no code of the file runs."""
 
     mean_: Any = None
     components_: Any = None

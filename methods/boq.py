@@ -20,7 +20,7 @@ _HEAD = 64  # dimensions of an attention head
 _RESNET, _STAGES = "resnet50", 3
 _BLOCK = re.compile(r"aggregator\.boqs\.(\d+)\.")
 
-#: What the published ResNet's parts may be called, by another wrapper of the same network, and what they are here.
+#: Names that another public wrapper gives the parts of the same ResNet, and the names here.
 _OTHER_NAMES = {
     "backbone.frozen_layers.0.0.": "backbone.net.0.",
     "backbone.frozen_layers.0.1.": "backbone.net.1.",
@@ -32,7 +32,7 @@ _OTHER_NAMES = {
 
 @dataclass(frozen=True)
 class Sizes:
-    """What the tensors of BoQ's aggregator are sized by."""
+    """The sizes of BoQ's aggregator."""
 
     dim: int  # a multiple of 64: one attention head for each 64
     n_queries: int  # of a block

@@ -75,7 +75,7 @@ class _Network(nn.Module):
 
 
 def _add_adapters(model: VisionTransformer) -> VisionTransformer:
-    """Put an adapter beside the MLP of every block: what it makes of the MLP's input is added to the output."""
+    """Put an adapter beside the MLP of every block: its output for the MLP's input is added to the MLP's."""
 
     def attach(block: nn.Module) -> None:
         block.adapter = adapter = _Adapter(model.sizes.dim)

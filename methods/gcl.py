@@ -30,7 +30,7 @@ _TOGETHER = 4096  # descriptors
 
 @dataclass(frozen=True)
 class Whitening:
-    """What whitens descriptors: their mean, and a projection that leaves components of equal variance."""
+    """The mean of descriptors, and a projection that leaves components of equal variance."""
 
     mean: npt.NDArray[np.float32]  # (n_dimensions,)
     projection: npt.NDArray[np.float32]  # (n_dimensions, n_components)
@@ -94,7 +94,7 @@ class GCL(PublishedNetwork):
 
     @property
     def conformance_exceptions(self) -> Mapping[str, str]:  # type: ignore[override]  # whitening alone has one
-        """What whitening cannot keep, of the conformance suite's rules."""
+        """The rule of the conformance suite that whitening cannot keep, and the reason."""
         if self.n_components is None:
             return {}
         return {_ONE_BY_ONE: "a last digit may round to another float16, which the weakest components make visible"}

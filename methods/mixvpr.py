@@ -82,8 +82,8 @@ class _Aggregator(nn.Module):
 
     def forward(self, features: Tensor) -> Tensor:
         mixed = self.mix(features.flatten(2))  # (n, channels, positions)
-        # The published order, channels first and then rows, is a hundred times the work and gives the same: what the
-        # first projection's bias becomes in the second is what each row's weights sum to.
+        # The published order, channels first and then rows, is a hundred times the work and gives the same: the
+        # second projection multiplies the first one's bias by the sum of each row's weights.
         projected = self.channel_proj.weight @ functional.linear(mixed, self.row_proj.weight)
         projected = projected + torch.outer(self.channel_proj.bias, self.row_proj.weight.sum(1)) + self.row_proj.bias
         return projected.flatten(1)

@@ -33,7 +33,7 @@ _TOLERANCE = 1.5 * STRIDE  # pixels that an inlier of the homography may be off
 
 @dataclass(frozen=True)
 class Setting:
-    """What a configuration of the paper compares."""
+    """The patches that a configuration of the paper compares, and how."""
 
     sides: tuple[int, ...]  # of square patches, local descriptors
     weights: tuple[float, ...]  # of their scores, together 1
@@ -51,7 +51,7 @@ SETTINGS: Mapping[Configuration, Setting] = MappingProxyType(
 
 @dataclass(frozen=True)
 class Map:
-    """What is kept of the references."""
+    """The descriptors of the references, and the images of each place."""
 
     codes: npt.NDArray[Any]  # (n_references, 1 + n_patches, n_components), all of one length
     whole: npt.NDArray[np.float32]  # (n_references, n_components), unit vectors
@@ -181,7 +181,7 @@ class PatchNetVLAD(PublishedNetwork):
 
         Those of the highest product, for all descriptors of a code have one length.
         """
-        own = torch.from_numpy(np.array(query)).to(self.device)  # a copy, for what lies on disk is read-only
+        own = torch.from_numpy(np.array(query)).to(self.device)  # a copy, for arrays on disk are read-only
         for reference in references:
             products = own @ torch.from_numpy(np.array(reference)).to(self.device).float().T
             nearest, back = products.argmax(0).cpu().numpy(), products.argmax(1).cpu().numpy()
@@ -271,7 +271,7 @@ def centres(cells: npt.NDArray[np.int64], side: int) -> npt.NDArray[np.float32]:
 
 def count_inliers(query: npt.NDArray[np.float32], reference: npt.NDArray[np.float32]) -> int:
     """Return how many points (n, 2) of the reference one homography takes to within 24 pixels of the query's."""
-    cv2.setRNGSeed(0)  # the answer must not depend on what was asked before
+    cv2.setRNGSeed(0)  # the answer must not depend on earlier queries
     _, fitting = cv2.findHomography(reference, query, cv2.RANSAC, _TOLERANCE)
     return 0 if fitting is None else int(np.count_nonzero(fitting))
 

@@ -59,7 +59,7 @@ class MegaLoc(PublishedNetwork):
 
 @dataclass(frozen=True)
 class Sizes:
-    """What the tensors of SALAD's aggregator are sized by."""
+    """The sizes of SALAD's aggregator."""
 
     n_hidden: int  # between the two layers of each of its networks
     n_clusters: int
@@ -83,7 +83,7 @@ class Sizes:
 
 
 class Aggregator(nn.Module):
-    """What SALAD makes of DINOv2's normalised tokens: unit vectors, float32 (n, n_dimensions).
+    """Gathers DINOv2's normalised tokens: unit vectors, float32 (n, n_dimensions).
 
     The parts are the image's token through a small network, of unit length, then for each dimension l and cluster k,
     as l * n_clusters + k, the sum of the patches' features weighted by their assignment, of unit length per cluster.

@@ -22,7 +22,7 @@ WORD_OF_ZERO = 60
 
 _ROUNDING = 1e-5  # of a residual, per descriptor: a word whose descriptors all equal it has none
 _TOGETHER = 1024  # dimensions in double precision at a time
-_SMALLEST_VARIANCE = 1e-5  # of the largest; what lies below is rounding
+_SMALLEST_VARIANCE = 1e-5  # of the largest; smaller ones are rounding
 
 
 def read_words(path: Path, n_words: int) -> npt.NDArray[np.float32]:

@@ -1,4 +1,4 @@
-"""What all published networks share: a network in the sizes of its file's tensors, with their values or without."""
+"""The base of all published networks: a network in the sizes of its file's tensors, with their values or without."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Tensors = Mapping[str, Tensor]
 class PublishedNetwork(NeuralDescriptor):
     """A descriptor whose network has the sizes that its file's tensors have; `network` is left to write."""
 
-    #: What a training on several devices puts before the names of some tensors, or of parts of the network.
+    #: A prefix that a training on several devices puts before names of tensors, or of parts of the network.
     prefix: ClassVar[str] = ""
 
     @abstractmethod

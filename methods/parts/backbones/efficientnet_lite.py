@@ -95,7 +95,7 @@ def fold_batch_norms(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
     """Return the weight and the bias of each convolution, the batch norm behind it folded in, by this module's names.
 
     `tensors` are those of a published file: "_conv_stem.weight", "_bn0.running_mean", "_blocks.3._expand_conv.weight"
-    and so on; what comes after the blocks is left out. A convolution that lacks a part of its batch norm is left out
+    and so on; layers after the blocks are left out. A convolution that lacks a part of its batch norm is left out
     too, which strict loading then reports.
     """
     folded: dict[str, Tensor] = {}

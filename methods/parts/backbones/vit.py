@@ -25,7 +25,7 @@ _BLOCK = re.compile(r"blocks\.(\d{1,9})\.")
 
 @dataclass(frozen=True)
 class Sizes:
-    """What a Vision Transformer's tensors are sized by."""
+    """The sizes of a Vision Transformer."""
 
     dim: int  # a multiple of 64: one attention head for each 64
     n_blocks: int
@@ -46,7 +46,7 @@ SIZES: Mapping[str, Sizes] = MappingProxyType(
 
 @dataclass(frozen=True)
 class Tokens:
-    """What a Vision Transformer says of images."""
+    """The output of a Vision Transformer for images."""
 
     cls: Tensor  # (n, dim), of the whole image
     patches: Tensor  # (n, rows, columns, dim)
@@ -69,9 +69,7 @@ class VisionTransformer(nn.Module):
         self.cls_token = nn.Parameter(torch.zeros(1, 1, sizes.dim))
         self.pos_embed = nn.Parameter(torch.zeros(1, 1 + sizes.grid**2, sizes.dim))
         self.mask_token = nn.Parameter(torch.zeros(1, sizes.dim)) if mask_token else None
-        self.patch_embed = nn.Sequential(
-            OrderedDict(proj=nn.Conv2d(3, sizes.dim, kernel_size=_PATCH, stride=_PATCH))
-        )
+        self.patch_embed = nn.Sequential(OrderedDict(proj=nn.Conv2d(3, sizes.dim, kernel_size=_PATCH, stride=_PATCH)))
         self.blocks = nn.ModuleList(_Block(sizes) for _ in range(sizes.n_blocks))
         self.norm = nn.LayerNorm(sizes.dim, eps=_EPSILON) if norm else nn.Identity()
         self.eval().requires_grad_(False)
@@ -220,7 +218,7 @@ def _read_sizes(tensors: Tensors, published: Sizes) -> Sizes:
     hidden, axis = ("blocks.0.mlp.w3.weight", 1) if swiglu else ("blocks.0.mlp.fc1.weight", 0)
     return Sizes(
         read_size(tensors, "patch_embed.proj.weight", 0, published.dim),
-        # Counted, not the highest number: a file may hold any, and a gap is what strict loading finds.
+        # Counted, not the highest number: a file may hold any, and strict loading finds a gap.
         len({found[1] for key in tensors if (found := _BLOCK.match(key))}) or published.n_blocks,
         read_size(tensors, hidden, axis, published.n_hidden),
         swiglu,

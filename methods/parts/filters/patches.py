@@ -125,7 +125,7 @@ def _power(grey: npt.NDArray[np.float32], mean: npt.NDArray[np.float64] | np.flo
     has no finite positive value, is left unchanged: a black frame stays black.
     """
     exponent = np.where(mean > 1, np.log(127.5) / np.log(np.maximum(mean, 1 + 1e-9)), 1)
-    with np.errstate(over="ignore"):  # a nearly black image has a huge exponent; what overflows is clipped
+    with np.errstate(over="ignore"):  # a nearly black image has a huge exponent; overflows are clipped
         np.power(grey, exponent.astype(np.float32), out=grey)
     return np.clip(grey, 0, 255, out=grey)
 
