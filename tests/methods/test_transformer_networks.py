@@ -11,7 +11,7 @@ import pytest
 import torch
 from backbones_oracle import Draw, imagenet, prefixed, under, vit_checkpoint, vit_tokens
 from described_images import distance, encoded, image
-from published_networks import PublishedNetwork, saved, saved_training, unit, with_checks, without
+from published_networks import PublishedNetwork, saved, saved_training, unit, with_checks
 from safetensors.torch import save_file
 from torch.nn import functional
 
@@ -146,7 +146,7 @@ def supervlad_together(tensors, *images):
 
 SUPERVLAD = PublishedNetwork(
     "supervlad",
-    lambda: without(".encoder.")(draw_supervlad()),
+    lambda: {name: tensor for name, tensor in draw_supervlad().items() if ".encoder." not in name},
     [*SMALL[:2], image(42, 70)],
     CLUSTERS * DIM,
     lambda tensors, seen: clusters(tensors, seen).flatten(),
