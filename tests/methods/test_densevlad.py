@@ -118,8 +118,6 @@ def mat(**arrays):
         ("other.mat", mat(CX=np.zeros((128, 7), np.float32))),
         ("whole.mat", mat(CX=np.zeros((128, 6), np.int32))),
         ("wild.mat", mat(CX=np.full((128, 6), np.nan))),
-        ("without.mat", mat(X=np.zeros(3))),
-        ("cut.mat", mat(CX=np.ones((128, 6)))[:700]),
         ("broken.npy", b"no array"),
     ],
 )
