@@ -103,7 +103,9 @@ class VisionTransformer(nn.Module):
         x, grid = self._embed_images(images)
         for earlier in self.blocks[:-1]:
             x = earlier(x)
-        return _lay_on_grid(cast(_Block, self.blocks[-1]).values(x[:, 1:]), grid)
+        last = cast(_Block, self.blocks[-1])
+        qkv, inner = last.attn.qkv, last.norm1(x[:, 1:])
+        return _lay_on_grid(functional.linear(inner, qkv.weight.chunk(3)[2], qkv.bias.chunk(3)[2]), grid)
 
     def _embed_images(self, images: Tensor) -> tuple[Tensor, tuple[int, int]]:
         """Return the first block's input (n, 1 + rows * columns, dim), the CLS token first, and (rows, columns)."""
@@ -153,9 +155,6 @@ class _Block(nn.Module):
         out: Tensor = x + self.ls2(self.mlp(self.norm2(x)))
         return out
 
-    def values(self, x: Tensor) -> Tensor:
-        return self.attn.values(self.norm1(x))
-
 
 class _Attention(nn.Module):
     """Every token looks at all, in heads of 64 dimensions."""
@@ -170,9 +169,6 @@ class _Attention(nn.Module):
         seen = functional.scaled_dot_product_attention(query, key, value)  # (n, heads, tokens, 64)
         out: Tensor = self.proj(seen.transpose(1, 2).flatten(2))
         return out
-
-    def values(self, x: Tensor) -> Tensor:
-        return functional.linear(x, self.qkv.weight.chunk(3)[2], self.qkv.bias.chunk(3)[2])
 
 
 class _LayerScale(nn.Module):
