@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 
@@ -92,7 +91,7 @@ class GaborBank:
     def __call__(self, images: Images) -> npt.NDArray[np.float32]:
         """Return (n_images, rows * columns * 32): the filters of a cell side by side."""
         maps = self.compute_responses(images)
-        self._share_frames(lambda own: self._normalise(maps[own]), len(images))
+        in_shares(lambda own: self._normalise(maps[own]), len(images), torch.get_num_threads())
         return maps.reshape(len(images), self.n_inputs)
 
     def compute_responses(self, images: Images) -> Maps:
@@ -103,14 +102,11 @@ class GaborBank:
         count_operations(
             SIZE**2 * filtered + maps.size, filtered + 4 * maps.size
         )  # the largest of four; energies, divisions
-        self._share_frames(lambda own: self._filter_levels(levels[own], maps[own]), len(images))
+        in_shares(lambda own: self._filter_levels(levels[own], maps[own]), len(images), torch.get_num_threads())
         return maps
 
     def _make_normalisation(self) -> PatchNormalisation:
         return PatchNormalisation("C", self.height, self.width, self.patch)
-
-    def _share_frames(self, work: Callable[[slice], None], n: int) -> None:
-        in_shares(work, n, torch.get_num_threads())
 
     def _filter_levels(self, levels: npt.NDArray[np.uint8], maps: Maps) -> None:
         frames = levels.reshape(-1, self.height, self.width)
