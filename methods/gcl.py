@@ -43,14 +43,22 @@ class Whitening:
         """
         n, n_dimensions = descriptors.shape
         mean = sum(block.sum(0) for block in _read_blocks(descriptors)) / n
-        products = np.zeros((n_dimensions, n_dimensions))
-        for block in _read_blocks(descriptors):
-            products += (block - mean).T @ (block - mean)
+        few = n < n_dimensions
+        if few:  # n x n products vary in the same directions, and are far smaller
+            centred = np.concatenate([*_read_blocks(descriptors)]) - mean
+            products = centred @ centred.T
+        else:
+            products = np.zeros((n_dimensions, n_dimensions))
+            for block in _read_blocks(descriptors):
+                products += (block - mean).T @ (block - mean)
         variances, directions = np.linalg.eigh(products / (2 * n))  # the 2 is the authors'
         # In directions without variance there is rounding noise left, which whitening would make as large as any.
         rounding = max(n, n_dimensions) * np.finfo(np.float64).eps
         kept = np.flatnonzero(variances > rounding * variances[-1])[::-1][:n_components]
-        projection = directions[:, kept] / np.sqrt(variances[kept])
+        directions, deviations = directions[:, kept], np.sqrt(variances[kept])
+        if few:
+            directions = centred.T @ directions / (np.sqrt(2 * n) * deviations)
+        projection = directions / deviations
         if not len(kept):  # all are equal: nothing tells them apart, but an index wants a dimension
             projection = np.zeros((n_dimensions, 1))
         return cls(mean.astype(np.float32), projection.astype(np.float32))
