@@ -205,7 +205,7 @@ class _Network(nn.Module):
         self.register_buffer("centres", torch.zeros(n_centres, model.sizes.dim))
 
     def forward(self, images: Tensor) -> Tensor:
-        return vlad(self.values(images), self.centres)
+        return gather_residuals(self.values(images), self.centres)
 
 
 class _Values(nn.Module):
@@ -219,7 +219,7 @@ class _Values(nn.Module):
         return functional.normalize(self.model.values(images).flatten(1, 2).float(), dim=2)
 
 
-def vlad(values: Tensor, centres: Tensor) -> Tensor:
+def gather_residuals(values: Tensor, centres: Tensor) -> Tensor:
     """Return (n, n_centres * dim): per centre, at unit length, the sum of residuals of the unit vectors nearest to it.
 
     `values` is (n, n_patches, dim). Nearest is what has the most similar direction; the residual is from the centre

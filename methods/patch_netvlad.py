@@ -256,13 +256,13 @@ def score(geometry: Geometry, grid: npt.NDArray[np.int64], side: int, pairs: Pai
     if len(query) < (4 if geometry == "homography" else 1):
         return 0.0
     if geometry == "homography":
-        return count_inliers(centres(query, side), centres(reference, side)) / len(grid)
+        return count_inliers(find_centres(query, side), find_centres(reference, side)) / len(grid)
     displacements = reference - query
     residuals = np.abs(displacements - displacements.mean(0))
     return float(((grid.max(0) - residuals) ** 2).sum() / len(grid))
 
 
-def centres(cells: npt.NDArray[np.int64], side: int) -> npt.NDArray[np.float32]:
+def find_centres(cells: npt.NDArray[np.int64], side: int) -> npt.NDArray[np.float32]:
     """Return the middle of what patches see of the image, whole pixels, (n, 2), from their first columns and rows."""
     first = STRIDE * cells - _PADDING
     last = first + STRIDE * (side - 1) + _RECEPTIVE_FIELD - 1
