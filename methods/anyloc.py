@@ -27,7 +27,7 @@ from vprbench.api import (
 )
 
 from .dinov2 import Backbone
-from .parts.backbones.vit import SIZES, VisionTransformer, first_blocks
+from .parts.backbones.vit import SIZES, VisionTransformer, keep_first_blocks
 from .parts.published import PublishedNetwork, Tensors
 from .parts.vectors import k_means
 
@@ -78,7 +78,7 @@ class AnyLoc(PublishedNetwork):
         """Return the files of the network and of published centres; raises BadInput if one is missing."""
         self._check_arguments()  # before gigabytes are fetched
         files = [*super().files()]
-        return files if self.vocabulary == "references" else [*files, self._centres_file()]
+        return files if self.vocabulary == "references" else [*files, self._find_centres()]
 
     def target(self, height: int, width: int) -> tuple[int, int]:
         """Return the height and width that an image is resized to, before its borders are cut off."""
@@ -92,7 +92,7 @@ class AnyLoc(PublishedNetwork):
 
     def loaded(self, tensors: Tensors, path: Path) -> nn.Module:
         """Return the network of the blocks up to `layer`, and the centres; raises BadInput if they do not fit."""
-        network = cast(_Network, super().loaded(first_blocks(tensors, self.layer + 1), path))
+        network = cast(_Network, super().loaded(keep_first_blocks(tensors, self.layer + 1), path))
         dim = network.values.model.sizes.dim
         learnt = self.vocabulary == "references"
         network.centres = torch.zeros(self.words, dim) if learnt else self._read_centres(dim)
@@ -149,7 +149,7 @@ class AnyLoc(PublishedNetwork):
         if self.longest_side is not None and self.longest_side < self.multiple:
             raise BadInput(f"method.longest_side={self.longest_side}: give at least {self.multiple}, or null for any")
 
-    def _centres_file(self) -> Path:
+    def _find_centres(self) -> Path:
         if self.centres is None:
             raise BadInput("method.centres is missing: give the file with centres, or set method.vocabulary=references")
         if self.centres.path is None and (self.backbone, self.layer, self.words) != _PUBLISHED:
@@ -162,7 +162,7 @@ class AnyLoc(PublishedNetwork):
         return find_weights(self.centres, f"{type(self).__name__} in the domain {self.domain}", "centres")
 
     def _read_centres(self, dim: int) -> Tensor:
-        path = self._centres_file()
+        path = self._find_centres()
         centres = read_tensor(path)
         if centres.shape != (self.words, dim) or not centres.is_floating_point() or not centres.isfinite().all():
             raise BadInput(
@@ -205,7 +205,7 @@ class _Network(nn.Module):
         self.register_buffer("centres", torch.zeros(n_centres, model.sizes.dim))
 
     def forward(self, images: Tensor) -> Tensor:
-        return vlad(self.values(images), self.centres)
+        return gather_residuals(self.values(images), self.centres)
 
 
 class _Values(nn.Module):
@@ -219,7 +219,7 @@ class _Values(nn.Module):
         return functional.normalize(self.model.values(images).flatten(1, 2).float(), dim=2)
 
 
-def vlad(values: Tensor, centres: Tensor) -> Tensor:
+def gather_residuals(values: Tensor, centres: Tensor) -> Tensor:
     """Return (n, n_centres * dim): per centre, at unit length, the sum of residuals of the unit vectors nearest to it.
 
     `values` is (n, n_patches, dim). Nearest is what has the most similar direction; the residual is from the centre

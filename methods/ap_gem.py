@@ -14,9 +14,8 @@ from torch.nn import functional
 
 from vprbench.api import BadInput, read_weights, state_dict, without_prefix
 
-from .parts.backbones.resnet import n_channels, resnet
-from .parts.pooling import GeM
-from .parts.published import PublishedNetwork, Tensors, size
+from .parts.backbones.convolutional import GeM, build_resnet, count_channels
+from .parts.published import PublishedNetwork, Tensors, read_size
 
 _BACKBONE = "resnet101"
 _N_DIMENSIONS = 2048
@@ -25,7 +24,7 @@ _POWER = 0.25  # of the variances that the whitening divides by
 
 
 class _PCA:
-    """What stands in the place of scikit-learn's PCA when a file is read: its arrays, and no code."""
+    """A stand-in for scikit-learn's PCA: a file fills its arrays, and no code of the file runs."""
 
     mean_: Any = None
     components_: Any = None
@@ -52,14 +51,14 @@ class APGeM(PublishedNetwork):
         ):
             content = read_weights(path)
             tensors = without_prefix(state_dict(path, "state_dict"), "module.")
-        network = cast(_APGeM, self.loaded({**tensors, **_whitening(content, path)}, path))
+        network = cast(_APGeM, self.loaded({**tensors, **_read_whitening(content, path)}, path))
         options = content.get("model_options")
         network.unit_features = isinstance(options, Mapping) and bool(options.get("norm_features"))
         return network
 
     def network(self, tensors: Tensors) -> nn.Module:
         """Return the network of 2048 dimensions, or as many as a file has."""
-        return _APGeM(size(tensors, "fc.bias", 0, _N_DIMENSIONS))
+        return _APGeM(read_size(tensors, "fc.bias", 0, _N_DIMENSIONS))
 
     def name_parts(self, network: nn.Module) -> nn.Module:
         """Return the parts of the backbone beside the others, as the file has them."""
@@ -72,9 +71,9 @@ class _APGeM(nn.Module):
 
     def __init__(self, n_dimensions: int) -> None:
         super().__init__()
-        self.backbone = resnet(_BACKBONE, names="words")
+        self.backbone = build_resnet(_BACKBONE, names="words")
         self.adpool = GeM()
-        self.fc = nn.Linear(n_channels(_BACKBONE), n_dimensions)
+        self.fc = nn.Linear(count_channels(_BACKBONE), n_dimensions)
         self.unit_features = False  # whether what was pooled gets unit length
         self.whitening = nn.ParameterDict(
             {"mean": torch.zeros(n_dimensions), "components": torch.zeros(n_dimensions, n_dimensions)}
@@ -88,7 +87,7 @@ class _APGeM(nn.Module):
         return cast(Tensor, (vectors - self.whitening["mean"].float()) @ self.whitening["components"].float().T)
 
 
-def _whitening(content: Mapping[str, Any], path: Path) -> dict[str, Tensor]:
+def _read_whitening(content: Mapping[str, Any], path: Path) -> dict[str, Tensor]:
     """Return the tensors of the whitening that a file holds; raises BadInput if it holds no whole one."""
     found = content.get("pca")
     pca = found.get(_LANDMARKS) if isinstance(found, Mapping) else None
@@ -96,6 +95,4 @@ def _whitening(content: Mapping[str, Any], path: Path) -> dict[str, Tensor]:
     if not all(isinstance(array, np.ndarray) and array.dtype.kind == "f" for array in arrays):
         raise BadInput(f"{path} holds no pca of {_LANDMARKS}: give the authors' file as it was unpacked")
     mean, components, variances = (torch.from_numpy(np.array(array, np.float64)) for array in arrays)
-    if components.ndim != 2 or variances.shape != components.shape[:1] or not (variances > 0).all():
-        raise BadInput(f"{path}: pca of {_LANDMARKS} has other shapes or no variance: give the authors' file")
     return {"whitening.mean": mean, "whitening.components": components / variances[:, None] ** _POWER}

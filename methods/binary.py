@@ -37,7 +37,7 @@ class GaborBinary(BinaryMethod):
         bank = GaborBank(self.height, self.width, self.patch, self.block, self.epsilon)
         n_cells = bank.rows * bank.columns
         codes = bank(images).reshape(len(images), n_cells, bank.n_inputs // n_cells)
-        return pack_bits(strongest(codes, self.within, self.shares))
+        return pack_bits(mark_strongest(codes, self.within, self.shares))
 
 
 @dataclass
@@ -63,10 +63,10 @@ class OrientedBinary(BinaryMethod):
         sizes = (self.height, self.width, self.rows, self.columns, self.orientations)
         edges = OrientedEdges(*sizes, self.block, self.epsilon)
         codes = edges(images).reshape(len(images), self.rows * self.columns, self.orientations)
-        return pack_bits(strongest(codes, self.within, self.shares))
+        return pack_bits(mark_strongest(codes, self.within, self.shares))
 
 
-def strongest(values: npt.NDArray[np.float32], within: Within, shares: list[float]) -> npt.NDArray[np.bool_]:
+def mark_strongest(values: npt.NDArray[np.float32], within: Within, shares: list[float]) -> npt.NDArray[np.bool_]:
     """Return for each share which values are among the strongest, (n_images, len(shares) * n_cells * n_maps).
 
     `values` (n_images, n_cells, n_maps) are 0 or more; a 0 is never among the strongest, and values as strong as the

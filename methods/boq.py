@@ -5,22 +5,22 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar, Self
+from typing import ClassVar, Self, cast
 
 import torch
 from torch import Tensor, nn
 
 from vprbench.api import Interpolation, Resize
 
-from .parts.backbones.resnet import n_channels, resnet
+from .parts.backbones.convolutional import build_resnet, count_channels
 from .parts.backbones.vit import VisionTransformer
-from .parts.published import PublishedNetwork, Tensors, size, under
+from .parts.published import PublishedNetwork, Tensors, read_size, select_prefix
 
 _HEAD = 64  # dimensions of an attention head
 _RESNET, _STAGES = "resnet50", 3
 _BLOCK = re.compile(r"aggregator\.boqs\.(\d+)\.")
 
-#: What the published ResNet's parts may be called, by another wrapper of the same network, and what they are here.
+#: Names that another public wrapper gives the parts of the same ResNet, and the names here.
 _OTHER_NAMES = {
     "backbone.frozen_layers.0.0.": "backbone.net.0.",
     "backbone.frozen_layers.0.1.": "backbone.net.1.",
@@ -32,7 +32,7 @@ _OTHER_NAMES = {
 
 @dataclass(frozen=True)
 class Sizes:
-    """What the tensors of BoQ's aggregator are sized by."""
+    """The sizes of BoQ's aggregator."""
 
     dim: int  # a multiple of 64: one attention head for each 64
     n_queries: int  # of a block
@@ -43,15 +43,14 @@ class Sizes:
     @classmethod
     def of(cls, tensors: Tensors, published_dim: int) -> Self:
         """Read the sizes off a file's tensors; a size that no tensor of BoQ has is the published one."""
-        dim = size(tensors, "aggregator.proj_c.weight", 0, published_dim)
-        dim = dim if dim % _HEAD == 0 else published_dim
+        dim = read_size(tensors, "aggregator.proj_c.weight", 0, published_dim)
         return cls(
             dim,
-            n_queries=size(tensors, "aggregator.boqs.0.queries", 1, 64),
+            n_queries=read_size(tensors, "aggregator.boqs.0.queries", 1, 64),
             # Counted, not the highest number: strict loading finds a gap.
             n_blocks=len({found[1] for name in tensors if (found := _BLOCK.match(name))}) or 2,
-            n_hidden=size(tensors, "aggregator.boqs.0.encoder.linear1.weight", 0, 4 * dim),
-            n_rows=size(tensors, "aggregator.fc.weight", 0, 32),
+            n_hidden=read_size(tensors, "aggregator.boqs.0.encoder.linear1.weight", 0, 4 * dim),
+            n_rows=read_size(tensors, "aggregator.fc.weight", 0, 32),
         )
 
 
@@ -74,10 +73,9 @@ class BoQ(PublishedNetwork):
 
     def network(self, tensors: Tensors) -> nn.Module:
         """Return the network of 12288 dimensions, or in the sizes of a file."""
-        dino = under(tensors, "backbone.dino.")
-        return _Network(
-            _Dino(VisionTransformer.sized(dino, norm="norm.weight" in dino)), Sizes.of(tensors, published_dim=384)
-        )
+        dino = select_prefix(tensors, "backbone.dino.")
+        model = VisionTransformer.sized(dino, norm="norm.weight" in dino)
+        return _Network("dino", model, model.sizes.dim, Sizes.of(tensors, published_dim=384))
 
 
 @dataclass(kw_only=True)
@@ -99,46 +97,25 @@ class BoQResNet50(BoQ):
 
     def network(self, tensors: Tensors) -> nn.Module:
         """Return the network of 16384 dimensions, or in the sizes of a file."""
-        return _Network(_ResNet(), Sizes.of(tensors, published_dim=512))
+        sizes = Sizes.of(tensors, published_dim=512)
+        return _Network("net", build_resnet(_RESNET, _STAGES), count_channels(_RESNET, _STAGES), sizes)
 
 
 class _Network(nn.Module):
     """Images (n, 3, height, width) in, descriptors (n, dim * n_rows) out, not yet of unit length."""
 
-    def __init__(self, backbone: _Dino | _ResNet, sizes: Sizes) -> None:
+    def __init__(self, name: str, backbone: nn.Module, n_channels: int, sizes: Sizes) -> None:
         super().__init__()
-        self.backbone = backbone
-        self.aggregator = _Aggregator(backbone.n_channels, sizes)
+        self.backbone = nn.ModuleDict({name: backbone})
+        self.aggregator = _Aggregator(n_channels, sizes)
 
     def forward(self, images: Tensor) -> Tensor:
-        out: Tensor = self.aggregator(self.backbone(images))
-        return out
-
-
-class _Dino(nn.Module):
-    """DINOv2's patch tokens as an image, without the final norm."""
-
-    def __init__(self, dino: VisionTransformer) -> None:
-        super().__init__()
-        self.dino = dino
-        self.n_channels = dino.sizes.dim
-
-    def forward(self, images: Tensor) -> Tensor:
-        return self.dino.tokens(images, normalised=False).patches.permute(0, 3, 1, 2)
-
-
-class _ResNet(nn.Module):
-    """ResNet50 up to its third stage."""
-
-    n_channels = n_channels(_RESNET, _STAGES)
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.net = resnet(_RESNET, _STAGES, names="numbers")
-
-    def forward(self, images: Tensor) -> Tensor:
-        out: Tensor = self.net(images)
-        return out
+        (backbone,) = self.backbone.values()
+        if isinstance(backbone, VisionTransformer):
+            features = backbone.tokens(images, normalised=False).patches.permute(0, 3, 1, 2)
+        else:
+            features = backbone(images)
+        return cast(Tensor, self.aggregator(features))
 
 
 class _Aggregator(nn.Module):

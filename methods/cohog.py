@@ -61,9 +61,9 @@ class CoHOG(Method):
 
     def fit(self, references: Images, places: Places) -> Self:
         """Keep the regions of the references; their goodness does not count."""
-        regions = np.empty((len(references), *self._region_shape()), np.float32)
+        regions = np.empty((len(references), *self._measure_regions()), np.float32)
         for own, image in zip(regions, references, strict=True):
-            own[:] = self._describe(self._grey(image))
+            own[:] = self._describe(self._make_grey(image))
         self._references = torch.from_numpy(regions).to(self.device)
         self._places = places.copy()
         return self
@@ -73,12 +73,12 @@ class CoHOG(Method):
 
         The shape is (n_images, n_regions, region_cells**2 * bins + 1); a region is a unit vector or zero.
         """
-        n_regions, n_dimensions = self._region_shape()
+        n_regions, n_dimensions = self._measure_regions()
         codes = np.empty((len(images), n_regions, n_dimensions + 1), np.float32)
         for number, image in enumerate(images):
-            grey = self._grey(image)
+            grey = self._make_grey(image)
             codes[number, :, :-1] = self._describe(grey)
-            codes[number, :, -1] = self._entropy(grey) >= self.entropy_threshold
+            codes[number, :, -1] = self._measure_entropy(grey) >= self.entropy_threshold
         return codes
 
     def match(self, codes: npt.NDArray[np.float32]) -> Scores:
@@ -96,21 +96,21 @@ class CoHOG(Method):
         """Return the bytes of the references' regions and of their places."""
         return None if self._references is None else self._references.nbytes + self._places.nbytes
 
-    def _grey(self, image: Image) -> Grey:
-        return _resized(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), self.size).astype(np.uint8, copy=False)
+    def _make_grey(self, image: Image) -> Grey:
+        return _resize_square(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), self.size).astype(np.uint8, copy=False)
 
     def _describe(self, grey: Grey) -> npt.NDArray[np.float32]:
-        return region_vectors(gradient_histograms(grey, self.cell, self.bins, self.sobel), self.region_cells)
+        return describe_regions(compute_histograms(grey, self.cell, self.bins, self.sobel), self.region_cells)
 
-    def _entropy(self, grey: Grey) -> npt.NDArray[np.float64]:
+    def _measure_entropy(self, grey: Grey) -> npt.NDArray[np.float64]:
         """Return the mean entropy of each region, (n_regions,), 0 to 1."""
-        small = _resized(grey, self.entropy_size).astype(np.uint8, copy=False)
-        entropy = _resized(local_entropy(small, self.entropy_radius), self.size)
+        small = _resize_square(grey, self.entropy_size).astype(np.uint8, copy=False)
+        entropy = _resize_square(compute_entropy(small, self.entropy_radius), self.size)
         cells = entropy.reshape(self.size // self.cell, self.cell, -1, self.cell).sum((1, 3))
         pixels = (self.region_cells * self.cell) ** 2
-        return np.asarray(_windows(cells, self.region_cells).sum(1) / (_ENTROPY_BITS * pixels))
+        return np.asarray(_cut_windows(cells, self.region_cells).sum(1) / (_ENTROPY_BITS * pixels))
 
-    def _region_shape(self) -> tuple[int, int]:
+    def _measure_regions(self) -> tuple[int, int]:
         """Return the number of regions and their length; raises BadInput for arguments that do not fit."""
         require_arguments(
             self,
@@ -141,7 +141,7 @@ def mean_best_cosine(query: torch.Tensor, references: torch.Tensor) -> torch.Ten
     return torch.cat([(own @ query.T).amax(1).mean(1) for own in torch.split(references, block)])
 
 
-def gradient_histograms(grey: Grey, cell: int, bins: int, sobel: int) -> npt.NDArray[np.float64]:
+def compute_histograms(grey: Grey, cell: int, bins: int, sobel: int) -> npt.NDArray[np.float64]:
     """Return the histogram of the gradient's angle in each cell, (height // cell, width // cell, bins).
 
     The gradient is that of the root of the grey level, the brightest pixel being 1. A pixel votes with |gx + gy| / 2
@@ -169,14 +169,14 @@ def gradient_histograms(grey: Grey, cell: int, bins: int, sobel: int) -> npt.NDA
     return votes[:, :, :bins] / _GRADIENT_UNITS
 
 
-def region_vectors(histograms: npt.NDArray[np.float64], region_cells: int) -> npt.NDArray[np.float32]:
+def describe_regions(histograms: npt.NDArray[np.float64], region_cells: int) -> npt.NDArray[np.float32]:
     """Return the histograms of each region as one unit vector, or zero, (n_regions, region_cells**2 * bins)."""
-    regions = _windows(histograms, region_cells)
+    regions = _cut_windows(histograms, region_cells)
     length = np.linalg.norm(regions, axis=1, keepdims=True)
     return (regions / np.where(length > 0, length, 1)).astype(np.float32)
 
 
-def local_entropy(levels: Grey, radius: int) -> npt.NDArray[np.float64]:
+def compute_entropy(levels: Grey, radius: int) -> npt.NDArray[np.float64]:
     """Return the Shannon entropy in bits of the levels in a disk around each pixel, (height, width).
 
     The disk holds the pixels at most `radius` away that lie inside the image, as skimage.filters.rank.entropy has it.
@@ -200,11 +200,11 @@ def local_entropy(levels: Grey, radius: int) -> npt.NDArray[np.float64]:
     return np.maximum(entropy, 0)  # of one level rounding may leave less
 
 
-def _windows(cells: npt.NDArray[np.float64], side: int) -> npt.NDArray[np.float64]:
+def _cut_windows(cells: npt.NDArray[np.float64], side: int) -> npt.NDArray[np.float64]:
     """Return the cells (rows, columns, ...) of each side x side square, (n_squares, side * side * ...), row by row."""
     squares = np.lib.stride_tricks.sliding_window_view(cells, (side, side), axis=(0, 1))
     return np.moveaxis(squares, (-2, -1), (2, 3)).reshape(squares.shape[0] * squares.shape[1], -1)
 
 
-def _resized(image: npt.NDArray[Any], size: int) -> npt.NDArray[Any]:
+def _resize_square(image: npt.NDArray[Any], size: int) -> npt.NDArray[Any]:
     return np.asarray(cv2.resize(image, (size, size), interpolation=cv2.INTER_LINEAR))

@@ -8,7 +8,7 @@ from torch import Tensor, nn
 
 from vprbench.api import Interpolation
 
-from .parts.backbones.resnet import n_channels, resnet
+from .parts.backbones.convolutional import build_resnet, count_channels
 from .parts.published import PublishedNetwork, Tensors
 
 _BACKBONE = "resnet50"
@@ -39,8 +39,8 @@ class _ConvAP(nn.Module):
 
     def __init__(self, channels: int) -> None:
         super().__init__()
-        self.backbone = nn.ModuleDict({"model": resnet(_BACKBONE, names="words")})
-        self.aggregator = nn.ModuleDict({"channel_pool": nn.Conv2d(n_channels(_BACKBONE), channels, 1)})
+        self.backbone = nn.ModuleDict({"model": build_resnet(_BACKBONE, names="words")})
+        self.aggregator = nn.ModuleDict({"channel_pool": nn.Conv2d(count_channels(_BACKBONE), channels, 1)})
 
     def forward(self, images: Tensor) -> Tensor:
         features = self.aggregator["channel_pool"](self.backbone["model"](images))

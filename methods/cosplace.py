@@ -10,14 +10,10 @@ from torch.nn import functional
 
 from vprbench.api import Resize
 
-from .parts.backbones.resnet import n_channels, resnet
-from .parts.backbones.vgg import N_CHANNELS, vgg16_features
-from .parts.pooling import GeM
+from .parts.backbones.convolutional import VGG16_CHANNELS, GeM, build_resnet, build_vgg16, count_channels
 from .parts.published import PublishedNetwork, Tensors
 
 Backbone = Literal["VGG16", "ResNet18", "ResNet50", "ResNet101", "ResNet152"]
-
-_BEFORE_RELU = 29  # layers of VGG16: its last ReLU and pool are left out
 
 
 @dataclass(kw_only=True)
@@ -54,9 +50,9 @@ class _CosPlace(nn.Module):
     def __init__(self, backbone: Backbone, n_dimensions: int) -> None:
         super().__init__()
         if backbone == "VGG16":
-            self.backbone, n_inputs = vgg16_features(_BEFORE_RELU), N_CHANNELS
+            self.backbone, n_inputs = build_vgg16(last_pool=False), VGG16_CHANNELS
         else:
-            self.backbone, n_inputs = resnet(backbone.lower()), n_channels(backbone.lower())
+            self.backbone, n_inputs = build_resnet(backbone.lower()), count_channels(backbone.lower())
         # Under these numbers the published files know them.
         self.aggregation = nn.ModuleDict({"1": GeM(), "3": nn.Linear(n_inputs, n_dimensions)})
 

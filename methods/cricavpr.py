@@ -13,10 +13,10 @@ from torch.nn import functional
 
 from vprbench.api import BadInput, Resize
 
+from .parts.backbones.convolutional import GeM
 from .parts.backbones.vit import VisionTransformer
 from .parts.cross_image import CrossImageDescriptor, CrossImageEncoder
-from .parts.pooling import GeM
-from .parts.published import Tensors, under
+from .parts.published import Tensors, select_prefix
 
 _SIDE = 224  # pixels, of 16 patches
 _CUTS = ((0, 16), (0, 8, 16), (0, 5, 11, 16))  # patches, of the three levels of the pyramid; the first is the token's
@@ -44,7 +44,7 @@ class CricaVPR(CrossImageDescriptor):
 
     def network(self, tensors: Tensors) -> nn.Module:
         """Return the network of 10752 dimensions, or as many as a file has."""
-        model = VisionTransformer.sized(under(tensors, "backbone."))
+        model = VisionTransformer.sized(select_prefix(tensors, "backbone."))
         return _Network(model, CrossImageEncoder.sized(tensors, model.sizes.dim, self.images_together))
 
 
@@ -53,7 +53,7 @@ class _Network(nn.Module):
 
     def __init__(self, model: VisionTransformer, encoder: CrossImageEncoder) -> None:
         super().__init__()
-        self.backbone = _adapted(model)
+        self.backbone = _add_adapters(model)
         self.aggregation = nn.ModuleDict({"1": GeM()})
         self.encoder = encoder
 
@@ -74,8 +74,8 @@ class _Network(nn.Module):
         return cast(Tensor, self.encoder(torch.stack(parts, 1).to(images.dtype)).flatten(1))
 
 
-def _adapted(model: VisionTransformer) -> VisionTransformer:
-    """Put an adapter beside the MLP of every block: what it makes of the MLP's input is added to the output."""
+def _add_adapters(model: VisionTransformer) -> VisionTransformer:
+    """Put an adapter beside the MLP of every block: its output for the MLP's input is added to the MLP's."""
 
     def attach(block: nn.Module) -> None:
         block.adapter = adapter = _Adapter(model.sizes.dim)

@@ -51,11 +51,11 @@ class EfficientNet(NeuralDescriptor):
         network = cast(_Network, self.blank())
         tensors = state_dict(path)
         folded = fold_batch_norms(tensors)
-        n_blocks, of_variant = 1 + max(map(_block_of, folded), default=-1), count_blocks(self.variant)
+        n_blocks, of_variant = 1 + max(map(_find_block, folded), default=-1), count_blocks(self.variant)
         if folded and n_blocks != of_variant:
             wanted = f"{n_blocks} blocks, wanted {of_variant}; set method.variant"
             raise BadInput(f"{path} does not fit {self.variant}: {wanted}")
-        known = {name: tensor for name, tensor in folded.items() if _block_of(name) <= self.blocks[-1]}
+        known = {name: tensor for name, tensor in folded.items() if _find_block(name) <= self.blocks[-1]}
         load_strictly(network.model, known or tensors, path)  # which names what another network has
         return network
 
@@ -83,10 +83,10 @@ class EfficientNet(NeuralDescriptor):
         self._check_arguments()
         return [
             count_channels(self.variant, block) * rows * columns
-            for block, (rows, columns) in zip(self.blocks, self._cells(), strict=True)
+            for block, (rows, columns) in zip(self.blocks, self._resolve_cells(), strict=True)
         ]
 
-    def _cells(self) -> list[tuple[int, int]]:
+    def _resolve_cells(self) -> list[tuple[int, int]]:
         """Return the rows and columns that are kept of each block; raises BadInput for cells that no map has."""
         if self.height is None or self.width is None:
             raise BadInput(f"method.height={self.height}, method.width={self.width}: give both")
@@ -121,7 +121,7 @@ class EfficientNet(NeuralDescriptor):
                 f"method.grid={[*self.grid]} has {len(self.grid)} entries for {len(self.blocks)} blocks: give rows and "
                 "columns for each, null for every position"
             )
-        self._cells()
+        self._resolve_cells()
 
 
 class _Network(nn.Module):
@@ -140,6 +140,6 @@ class _Network(nn.Module):
         return torch.cat([functional.normalize(each.flatten(1).float(), dim=1) for each in cells], dim=1)
 
 
-def _block_of(name: str) -> int:
+def _find_block(name: str) -> int:
     """Return the number of the block that a tensor belongs to; -1 for the stem's."""
     return int(name.split(".")[1]) if name.startswith("blocks.") else -1

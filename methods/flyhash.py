@@ -44,7 +44,7 @@ class FlyHash(Method):
     def fit(self, references: Images, places: Places) -> Self:
         """Keep for every unit the references in which it wins, (units, n_references), and their places."""
         self._map = None
-        self._map = sparse.csr_array(self._firing(self.encode(references)).T), places.copy()
+        self._map = sparse.csr_array(self._mark_firing(self.encode(references)).T), places.copy()
         return self
 
     def encode(self, images: Images) -> Winners:
@@ -54,14 +54,14 @@ class FlyHash(Method):
         """
         self._check_arguments()
         levels = PatchNormalisation(self.preprocessing, self.height, self.width, self.patch)(images)
-        sampling = _sampling(self.units, levels.shape[1], self.summed, self.seed)
+        sampling = _draw_sampling(self.units, levels.shape[1], self.summed, self.seed)
         winners = np.empty((len(levels), self.winners), np.int32)
         for start in range(0, len(levels), _TOGETHER):
             block = slice(start, start + _TOGETHER)
-            winners[block] = self._winners(levels[block], sampling)
+            winners[block] = self._choose_winners(levels[block], sampling)
         return winners
 
-    def _winners(self, levels: npt.NDArray[np.uint8], sampling: sparse.csr_array) -> Winners:
+    def _choose_winners(self, levels: npt.NDArray[np.uint8], sampling: sparse.csr_array) -> Winners:
         count_operations(single=len(levels) * self.units * self.summed, kind="int64")
         pixels = np.ascontiguousarray(levels.T, np.int64)  # whole numbers: no rounding decides between two units
         above = (sampling @ pixels).T * len(pixels) - self.summed * pixels.sum(0)[:, None]  # (n_images, units)
@@ -77,10 +77,10 @@ class FlyHash(Method):
         references, places = self._map
         # A unit has won in so many references.
         count_operations(single=np.diff(references.indptr)[codes[codes >= 0]].sum())
-        common = (self._firing(codes) @ references).toarray() / np.float32(self.winners)
+        common = (self._mark_firing(codes) @ references).toarray() / np.float32(self.winners)
         return best_image_of_place(common, places)
 
-    def _firing(self, winners: Winners) -> sparse.csr_array:
+    def _mark_firing(self, winners: Winners) -> sparse.csr_array:
         """Return 1 for every unit that fires, else 0, (n_images, units)."""
         fires = winners >= 0
         ends = np.concatenate(([0], np.cumsum(fires.sum(1))))
@@ -97,7 +97,7 @@ class FlyHash(Method):
 
 
 @lru_cache(maxsize=4)
-def _sampling(n_units: int, n_pixels: int, n_summed: int, seed: int) -> sparse.csr_array:
+def _draw_sampling(n_units: int, n_pixels: int, n_summed: int, seed: int) -> sparse.csr_array:
     """Draw which pixels each unit sums, (n_units, n_pixels): 1 for each of `n_summed` of them, else 0."""
     generator = np.random.default_rng(seed)
     chosen = [np.sort(generator.choice(n_pixels, n_summed, replace=False)) for _ in range(n_units)]

@@ -30,6 +30,6 @@ class Gabor(DescriptorMethod):
     def encode(self, images: Images) -> npt.NDArray[np.float32]:
         """Return unit vectors, (n_images, cells * 32)."""
         bank = GaborBank(self.height, self.width, self.patch, self.block, self.epsilon)
-        codes = bank(images) if self.normalised else bank.responses(images).reshape(len(images), bank.n_inputs)
+        codes = bank(images) if self.normalised else bank.compute_responses(images).reshape(len(images), bank.n_inputs)
         codes /= np.maximum(np.linalg.norm(codes, axis=1, keepdims=True), 1e-12)
         return codes

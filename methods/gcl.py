@@ -13,9 +13,7 @@ from torch import Tensor, nn
 
 from vprbench.api import BadInput, Descriptors, Places, Scores
 
-from .parts.backbones.resnet import resnet
-from .parts.backbones.vgg import vgg16_features
-from .parts.pooling import GeM
+from .parts.backbones.convolutional import GeM, build_resnet, build_vgg16
 from .parts.published import PublishedNetwork, Tensors
 
 Backbone = Literal["vgg16", "resnet50", "resnet152", "resnext"]
@@ -32,7 +30,7 @@ _TOGETHER = 4096  # descriptors
 
 @dataclass(frozen=True)
 class Whitening:
-    """What whitens descriptors: their mean, and a projection that leaves components of equal variance."""
+    """The mean of descriptors, and a projection that leaves components of equal variance."""
 
     mean: npt.NDArray[np.float32]  # (n_dimensions,)
     projection: npt.NDArray[np.float32]  # (n_dimensions, n_components)
@@ -46,7 +44,7 @@ class Whitening:
         n, n_dimensions = descriptors.shape
         mean = sum(block.sum(0) for block in _read_blocks(descriptors)) / n
         few = n < n_dimensions
-        if few:  # what varies in n descriptors is found in n x n products as well, and far sooner
+        if few:  # n x n products vary in the same directions, and are far smaller
             centred = np.concatenate([*_read_blocks(descriptors)]) - mean
             products = centred @ centred.T
         else:
@@ -104,7 +102,7 @@ class GCL(PublishedNetwork):
 
     @property
     def conformance_exceptions(self) -> Mapping[str, str]:  # type: ignore[override]  # whitening alone has one
-        """What whitening cannot keep, of the conformance suite's rules."""
+        """The rule of the conformance suite that whitening cannot keep, and the reason."""
         if self.n_components is None:
             return {}
         return {_ONE_BY_ONE: "a last digit may round to another float16, which the weakest components make visible"}
@@ -128,13 +126,13 @@ class GCL(PublishedNetwork):
 
     def match(self, codes: npt.NDArray[np.float32]) -> Scores:
         """Score every place for every code, (n_queries, n_places); raises NotFittedError before `fit`."""
-        return super().match(self._whitened(codes))
+        return super().match(self._whiten_codes(codes))
 
     def nearest(self, codes: npt.NDArray[np.float32], n: int) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.int64]]:
         """Return the scores of the best `n` places of each code, and these places."""
-        return super().nearest(self._whitened(codes), n)
+        return super().nearest(self._whiten_codes(codes), n)
 
-    def _whitened(self, descriptors: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    def _whiten_codes(self, descriptors: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
         return descriptors if self._whitening is None else self._whitening(descriptors)
 
 
@@ -143,7 +141,7 @@ class _GCL(nn.Module):
 
     def __init__(self, backbone: Backbone, pooling: Pooling) -> None:
         super().__init__()
-        self.backbone = vgg16_features() if backbone == "vgg16" else resnet(_RESNETS[backbone])
+        self.backbone = build_vgg16() if backbone == "vgg16" else build_resnet(_RESNETS[backbone])
         self.pool: nn.Module = _POOLINGS[pooling]()
 
     def forward(self, images: Tensor) -> Tensor:

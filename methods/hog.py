@@ -49,7 +49,7 @@ class HOG(DescriptorMethod):
 
         Raises BadInput if blocks do not fill the image or cells a block.
         """
-        hog = self._descriptor()
+        hog = self._make_descriptor()
         size, interpolation = (self.width, self.height), _INTERPOLATIONS[self.interpolation]
         codes = np.empty((len(images), hog.getDescriptorSize()), np.float32)
         # A pixel: resized, lengths in each channel, votes for two bins in up to four cells of each block that it is in.
@@ -64,7 +64,7 @@ class HOG(DescriptorMethod):
             code /= max(float(np.linalg.norm(code)), 1e-12)
         return codes
 
-    def _descriptor(self) -> cv2.HOGDescriptor:
+    def _make_descriptor(self) -> cv2.HOGDescriptor:
         self._check_arguments()
         return cv2.HOGDescriptor(
             (self.width, self.height),

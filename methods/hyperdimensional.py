@@ -52,23 +52,23 @@ class HyperDimensional(DescriptorMethod):
         Raises BadInput if a frame has no cell and for other sizes that make no vector.
         """
         self._check_arguments()
-        cells = self._oriented(images) if self.features == "oriented" else self._patches(images)
+        cells = self._encode_edges(images) if self.features == "oriented" else self._cut_patches(images)
         n_images, rows, columns, n_features = cells.shape
-        signs, positions = _drawn(rows, columns, n_features, self.components, self.reach, self.seed)
+        signs, positions = _draw_vectors(rows, columns, n_features, self.components, self.reach, self.seed)
         count_operations(cells.size * self.components, cells.size)
         bundles = np.zeros((n_images, self.components), np.float32)
         for number, sign in enumerate(signs):  # one feature of all cells: their sum comes before its projection
             bundles += (cells[..., number].reshape(n_images, rows * columns) @ positions) * sign
         return unit(bundles)
 
-    def _patches(self, images: Images) -> Cells:
+    def _cut_patches(self, images: Images) -> Cells:
         levels = PatchNormalisation(self.preprocessing, self.height, self.width, self.patch)(images)
         frames = levels.reshape(-1, self.height, self.width).astype(np.float32) - MEAN_LEVEL
         windows = np.lib.stride_tricks.sliding_window_view(frames, (self.cell, self.cell), axis=(1, 2))
         cells = windows[:, :: self.stride, :: self.stride]
         return cells.reshape(*cells.shape[:3], self.cell**2)
 
-    def _oriented(self, images: Images) -> Cells:
+    def _encode_edges(self, images: Images) -> Cells:
         edges = OrientedEdges(self.height, self.width, self.height // self.stride, self.width // self.stride)
         return edges(images).reshape(len(images), edges.rows, edges.columns, edges.orientations)
 
@@ -84,23 +84,23 @@ class HyperDimensional(DescriptorMethod):
 
 
 @lru_cache(maxsize=4)
-def _drawn(
+def _draw_vectors(
     rows: int, columns: int, n_features: int, n_components: int, reach: float, seed: int
 ) -> tuple[Hypervectors, Hypervectors]:
     """Draw the signs that project a cell, (n_features, n_components), and the positions, (cells, n_components)."""
     generator = np.random.default_rng(seed)
-    signs = _signs(generator, n_features, n_components)
-    down, right = (_graded(generator, n, n_components, reach) for n in (rows, columns))
+    signs = _draw_signs(generator, n_features, n_components)
+    down, right = (_draw_positions(generator, n, n_components, reach) for n in (rows, columns))
     return signs, (down[:, None] * right).reshape(rows * columns, n_components)
 
 
-def _graded(generator: np.random.Generator, n: int, n_components: int, reach: float) -> Hypervectors:
+def _draw_positions(generator: np.random.Generator, n: int, n_components: int, reach: float) -> Hypervectors:
     """Draw hypervectors of positions 0 to n - 1 whose similarity is 1 - distance / reach, 0 from `reach` on."""
     scaled = np.arange(n)[:, None] / reach
-    anchors = _signs(generator, int(scaled.max()) + 2, n_components)
+    anchors = _draw_signs(generator, int(scaled.max()) + 2, n_components)
     passed = scaled + generator.random(n_components)  # which anchor each component has reached
     return anchors[passed.astype(np.int64), np.arange(n_components)]
 
 
-def _signs(generator: np.random.Generator, n: int, n_components: int) -> Hypervectors:
+def _draw_signs(generator: np.random.Generator, n: int, n_components: int) -> Hypervectors:
     return np.where(generator.random((n, n_components)) < 0.5, np.float32(-1), np.float32(1))

@@ -68,31 +68,31 @@ class Lens(Method):
 
     def match(self, codes: Floats) -> Scores:
         """Return the spikes of all output neurons, (n_queries, n_places)."""
-        return self._fired(codes)[2]
+        return self._count_spikes(codes)[2]
 
     def spikes(self, codes: Floats) -> list[LayerSpikes]:
         """Return how often each neuron spikes; raises NotFittedError before `fit`."""
-        return [*map(LayerSpikes, ("input", "feature", "output"), self._fired(codes))]
+        return [*map(LayerSpikes, ("input", "feature", "output"), self._count_spikes(codes))]
 
-    def _fired(self, codes: Floats) -> tuple[Floats, Floats, Floats]:
+    def _count_spikes(self, codes: Floats) -> tuple[Floats, Floats, Floats]:
         """Return the spikes of inputs, features and outputs, each (n_queries, n_neurons)."""
-        features, outputs = self._trained()
+        features, outputs = self._require_weights()
         if self.steps < 1:
             raise BadInput(f"method.steps={self.steps}: give at least 1")
         codes = np.ascontiguousarray(codes, np.float32).reshape(-1, len(features))
         counts = tuple(np.zeros((len(codes), n), np.float32) for n in (*features.shape, outputs.shape[1]))
         drawn = torch.rand(self.steps, len(features), generator=torch.Generator().manual_seed(self.input_seed))
-        _fire(codes, drawn.numpy(), features, outputs, *counts)
+        _run_neurons(codes, drawn.numpy(), features, outputs, *counts)
         return counts[0], counts[1], counts[2]
 
-    def _trained(self) -> tuple[Floats, Floats]:
+    def _require_weights(self) -> tuple[Floats, Floats]:
         if self._weights is None:
             raise NotFittedError("LENS has no network yet: call fit(references, places) first")
         return self._weights
 
     def state(self) -> Mapping[str, Floats]:
         """Return the weights under their published names, (n_features, n_pixels) and (n_places, n_features)."""
-        features, outputs = self._trained()
+        features, outputs = self._require_weights()
         return {_FEATURES: features.T.copy(), _OUTPUTS: outputs.T.copy()}
 
     def restore(self, state: Mapping[str, npt.NDArray[Any]]) -> Self:
@@ -130,7 +130,7 @@ _ROWS, _READ = types.float32[:, ::1], types.Array(types.float32, 2, "C", readonl
 
 
 @compiled(_READ, _READ, _READ, _READ, _ROWS, _ROWS, _ROWS)
-def _fire(codes, drawn, features, outputs, of_inputs, of_features, of_outputs):  # type: ignore[no-untyped-def]
+def _run_neurons(codes, drawn, features, outputs, of_inputs, of_features, of_outputs):  # type: ignore[no-untyped-def]
     """Count the spikes of all layers, each query from rest; only what spikes is added to the next layer's membranes."""
     for query in range(len(codes)):
         hidden, membranes = np.zeros(features.shape[1], np.float32), np.zeros(outputs.shape[1], np.float32)

@@ -13,8 +13,8 @@ from torch.nn import functional
 
 from vprbench.api import BadInput
 
-from .parts.backbones.resnet import n_channels, resnet
-from .parts.published import PublishedNetwork, Tensors, size
+from .parts.backbones.convolutional import build_resnet, count_channels
+from .parts.published import PublishedNetwork, Tensors, read_size
 
 _BACKBONE, _N_STAGES = "resnet50", 3
 _SIDE = 320  # pixels
@@ -44,8 +44,8 @@ class MixVPR(PublishedNetwork):
             raise BadInput(
                 f"method.n_dimensions={self.n_dimensions}: MixVPR was published with {', '.join(map(str, _CHANNELS))}"
             )
-        channels = size(tensors, "aggregator.channel_proj.weight", 0, _CHANNELS.get(self.n_dimensions, 1))
-        n_positions = size(tensors, "aggregator.row_proj.weight", 1, (_SIDE // _PIXELS) ** 2)
+        channels = read_size(tensors, "aggregator.channel_proj.weight", 0, _CHANNELS.get(self.n_dimensions, 1))
+        n_positions = read_size(tensors, "aggregator.row_proj.weight", 1, (_SIDE // _PIXELS) ** 2)
         return _MixVPR(n_positions, channels, self.n_dimensions // channels)
 
 
@@ -54,7 +54,7 @@ class _MixVPR(nn.Module):
 
     def __init__(self, n_positions: int, channels: int, rows: int) -> None:
         super().__init__()
-        self.backbone = nn.ModuleDict({"model": resnet(_BACKBONE, _N_STAGES, names="words")})
+        self.backbone = nn.ModuleDict({"model": build_resnet(_BACKBONE, _N_STAGES, names="words")})
         self.aggregator = _Aggregator(n_positions, channels, rows)
 
     def forward(self, images: Tensor) -> Tensor:
@@ -77,13 +77,13 @@ class _Aggregator(nn.Module):
         super().__init__()
         self.n_positions = n_positions
         self.mix = nn.Sequential(*(_Mixer(n_positions) for _ in range(_N_MIXERS)))
-        self.channel_proj = nn.Linear(n_channels(_BACKBONE, _N_STAGES), channels)
+        self.channel_proj = nn.Linear(count_channels(_BACKBONE, _N_STAGES), channels)
         self.row_proj = nn.Linear(n_positions, rows)
 
     def forward(self, features: Tensor) -> Tensor:
         mixed = self.mix(features.flatten(2))  # (n, channels, positions)
-        # The published order, channels first and then rows, is a hundred times the work and gives the same: what the
-        # first projection's bias becomes in the second is what each row's weights sum to.
+        # The published order, channels first and then rows, is a hundred times the work and gives the same: the
+        # second projection multiplies the first one's bias by the sum of each row's weights.
         projected = self.channel_proj.weight @ functional.linear(mixed, self.row_proj.weight)
         projected = projected + torch.outer(self.channel_proj.bias, self.row_proj.weight.sum(1)) + self.row_proj.bias
         return projected.flatten(1)

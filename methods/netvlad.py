@@ -14,14 +14,14 @@ from torch.nn import functional
 
 from vprbench.api import BadInput, read_mat
 
-from .parts.backbones.vgg import N_CHANNELS, vgg16_features
-from .parts.published import PublishedNetwork, Tensors, size
+from .parts.backbones.convolutional import VGG16_CHANNELS, build_vgg16
+from .parts.published import PublishedNetwork, Tensors, read_size
 
 Family = Literal["matconvnet", "pytorch", "patch-netvlad"]
 
 STRIDE = 16  # pixels between local descriptors
 
-_BEFORE_RELU = 29  # layers of VGG16: its last ReLU and pool are left out
+_VGG16_LAYERS = 29  # up to conv5_3
 _USUAL_MEAN = (123.68, 116.78, 103.94)  # RGB levels; each file of MatConvNet brings its own
 
 _SFRS_MEAN = (123.68, 116.779, 103.939)  # RGB levels
@@ -82,8 +82,8 @@ class NetVLAD(PublishedNetwork):
 
     def network(self, tensors: Tensors) -> nn.Module:
         """Return the network in the sizes of a file; raises BadInput for more dimensions than it has."""
-        clusters, components = sizes(tensors, self.weights.file)
-        n_values = components if self.whiten else clusters * N_CHANNELS
+        clusters, components = read_sizes(tensors, self.weights.file)
+        n_values = components if self.whiten else clusters * VGG16_CHANNELS
         if tensors and self.n_dimensions is not None and self.n_dimensions > n_values:
             raise BadInput(f"method.n_dimensions={self.n_dimensions}: the file gives {n_values}, ask for no more")
         matconvnet = self.family == "matconvnet"
@@ -124,7 +124,7 @@ class SFRS(PublishedNetwork):
 
     def network(self, tensors: Tensors) -> nn.Module:
         """Return the network of 64 clusters and 4096 dimensions, or in the sizes of a file."""
-        return Network(size(tensors, "net_vlad.centroids", 0, 64), size(tensors, "pca_layer.weight", 0, 4096))
+        return Network(read_size(tensors, "net_vlad.centroids", 0, 64), read_size(tensors, "pca_layer.weight", 0, 4096))
 
     def name_parts(self, network: nn.Module) -> nn.Module:
         """Return the parts of the network under their names in the file."""
@@ -138,10 +138,10 @@ class Clusters(nn.Module):
 
     def __init__(self, n_clusters: int) -> None:
         super().__init__()
-        self.centroids = nn.Parameter(torch.empty(n_clusters, N_CHANNELS), requires_grad=False)
-        self.conv = nn.Conv2d(N_CHANNELS, n_clusters, 1, bias=False)
+        self.centroids = nn.Parameter(torch.empty(n_clusters, VGG16_CHANNELS), requires_grad=False)
+        self.conv = nn.Conv2d(VGG16_CHANNELS, n_clusters, 1, bias=False)
 
-    def assigned(self, features: Tensor) -> tuple[Tensor, Tensor]:
+    def assign(self, features: Tensor) -> tuple[Tensor, Tensor]:
         """Turn features (n, channels, h, w) into unit vectors and their shares in each cluster (n, clusters, h, w).
 
         In float32 whatever the precision of the network.
@@ -150,7 +150,7 @@ class Clusters(nn.Module):
         scores = self.conv.weight.float().flatten(1) @ local.flatten(2)
         return local, functional.softmax(scores, dim=1).reshape(*scores.shape[:2], *features.shape[2:])
 
-    def gathered(self, local: Tensor, shares: Tensor) -> Tensor:
+    def gather_residuals(self, local: Tensor, shares: Tensor) -> Tensor:
         """Return the sum of residuals, (n, clusters, channels): sum_i a_ik x_i - (sum_i a_ik) c_k."""
         shares = shares.flatten(2)
         return shares @ local.flatten(2).transpose(1, 2) - shares.sum(2, keepdim=True) * self.centroids.float()
@@ -169,19 +169,19 @@ class Network(nn.Module):
         n_dimensions: int | None = None,
     ) -> None:
         super().__init__()
-        self.encoder = vgg16_features(_BEFORE_RELU)
+        self.encoder = build_vgg16(last_pool=False)
         self.pool = Clusters(clusters)
-        self.WPCA = None if components is None else nn.Sequential(nn.Conv2d(clusters * N_CHANNELS, components, 1))
+        self.WPCA = None if components is None else nn.Sequential(nn.Conv2d(clusters * VGG16_CHANNELS, components, 1))
         self.mean = mean
         self.cluster_fastest = cluster_fastest
         self.n_dimensions = n_dimensions
 
     def forward(self, images: Tensor) -> Tensor:
         """Describe images."""
-        vectors = self.described(self.pool.gathered(*self.pool.assigned(self.encoder(images))))
+        vectors = self.describe_residuals(self.pool.gather_residuals(*self.pool.assign(self.encoder(images))))
         return vectors if self.n_dimensions is None else functional.normalize(vectors[:, : self.n_dimensions], dim=1)
 
-    def described(self, residuals: Tensor) -> Tensor:
+    def describe_residuals(self, residuals: Tensor) -> Tensor:
         """Turn sums of residuals (n, clusters, channels) into unit vectors: the VLAD, whitened if asked."""
         columns = functional.normalize(residuals, dim=2)
         columns = columns.transpose(1, 2) if self.cluster_fastest else columns
@@ -203,7 +203,7 @@ def read_struct(path: Path) -> tuple[dict[str, Tensor], tuple[float, ...]]:
     try:
         net = read_mat(path, ["net"])["net"]
         mean = np.asarray(net["meta"]["normalization"]["averageImage"], np.float64).reshape(-1, 3)[0]
-        tensors = _named(net["layers"])
+        tensors = _name_tensors(net["layers"])
     except OSError as error:
         raise BadInput(f"{path} cannot be read ({error.strerror or error}): {wanted}") from error
     except Exception as error:  # whatever a damaged file, or a network of another layout, leads to
@@ -212,12 +212,12 @@ def read_struct(path: Path) -> tuple[dict[str, Tensor], tuple[float, ...]]:
     return tensors, tuple(mean.tolist())
 
 
-def _named(layers: Any) -> dict[str, Tensor]:
+def _name_tensors(layers: Any) -> dict[str, Tensor]:
     """Return the tensors of MatConvNet's layers as a checkpoint of PyTorch has them."""
     if len(layers) != _MATCONVNET_LAYERS:
         raise ValueError(f"{len(layers)} layers instead of {_MATCONVNET_LAYERS}")
     tensors: dict[str, Tensor] = {}
-    for number in range(_BEFORE_RELU):
+    for number in range(_VGG16_LAYERS):
         held = np.atleast_1d(layers[number].get("weights", ()))
         if len(held):
             tensors[f"encoder.{number}.weight"] = torch.from_numpy(held[0].transpose(3, 2, 0, 1))
@@ -231,10 +231,10 @@ def _named(layers: Any) -> dict[str, Tensor]:
     return tensors
 
 
-def sizes(tensors: Tensors, file: str) -> tuple[int, int]:
+def read_sizes(tensors: Tensors, file: str) -> tuple[int, int]:
     """Return the clusters and components of tensors; without a tensor, of the published file of a name."""
     found = re.search(r"WPCA(\d+)", file)
     return (
-        size(tensors, "pool.centroids", 0, 16 if file.startswith("mapillary") else 64),
-        size(tensors, "WPCA.0.bias", 0, int(found[1]) if found else 4096),
+        read_size(tensors, "pool.centroids", 0, 16 if file.startswith("mapillary") else 64),
+        read_size(tensors, "WPCA.0.bias", 0, int(found[1]) if found else 4096),
     )

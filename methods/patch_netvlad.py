@@ -19,7 +19,7 @@ from torch.nn import functional
 
 from vprbench.api import BadInput, Descriptors, Images, NotFittedError, Places, Scores
 
-from .netvlad import STRIDE, Network, sizes
+from .netvlad import STRIDE, Network, read_sizes
 from .parts.published import PublishedNetwork, Tensors
 from .parts.vectors import unit
 
@@ -29,12 +29,11 @@ Pairs = tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]  # patches of the qu
 
 _RECEPTIVE_FIELD, _PADDING = 196, 90  # pixels of a local descriptor
 _TOLERANCE = 1.5 * STRIDE  # pixels that an inlier of the homography may be off
-_FEWEST_PAIRS: Mapping[Geometry, int] = MappingProxyType({"homography": 4, "displacement": 1})
 
 
 @dataclass(frozen=True)
 class Setting:
-    """What a configuration of the paper compares."""
+    """The patches that a configuration of the paper compares, and how."""
 
     sides: tuple[int, ...]  # of square patches, local descriptors
     weights: tuple[float, ...]  # of their scores, together 1
@@ -52,7 +51,7 @@ SETTINGS: Mapping[Configuration, Setting] = MappingProxyType(
 
 @dataclass(frozen=True)
 class Map:
-    """What is kept of the references."""
+    """The descriptors of the references, and the images of each place."""
 
     codes: npt.NDArray[Any]  # (n_references, 1 + n_patches, n_components), all of one length
     whole: npt.NDArray[np.float32]  # (n_references, n_components), unit vectors
@@ -97,7 +96,7 @@ class PatchNetVLAD(PublishedNetwork):
     def fit(self, references: Images, places: Places) -> Self:
         """Encode the references, block by block."""
         self._map = None
-        length, kind = self._code_length(), np.dtype(self.patches)
+        length, kind = self._count_numbers(), np.dtype(self.patches)
         needed_bytes, free = len(references) * length * kind.itemsize, psutil.virtual_memory().available
         if needed_bytes > free:
             raise BadInput(
@@ -132,7 +131,7 @@ class PatchNetVLAD(PublishedNetwork):
 
         Raises BadInput for arguments that do not fit.
         """
-        return self._code_length() * np.dtype(np.float32).itemsize
+        return self._count_numbers() * np.dtype(np.float32).itemsize
 
     def match(self, codes: npt.NDArray[np.float32]) -> Scores:
         """Return the cosine with the best reference image of each place, and more for the best by their patches."""
@@ -144,49 +143,52 @@ class PatchNetVLAD(PublishedNetwork):
         for row, query, cue in zip(scores, queries, whole, strict=True):
             candidates = np.argsort(-row, kind="stable")[: self.candidates]
             candidates = candidates[np.isfinite(row[candidates])]
-            images = [_most_similar(cue, self._map, place) for place in candidates.tolist()]
-            row[candidates] = above_cosines(self._agreement(query[1:], self._map.codes[:, 1:], images), row[candidates])
+            own = [self._map.images[place] for place in candidates.tolist()]
+            images = [int(of_place[(self._map.whole[of_place] @ cue).argmax()]) for of_place in own]
+            row[candidates] = lift_scores(
+                self._score_patches(query[1:], self._map.codes[:, 1:], images), row[candidates]
+            )
         return scores
 
     def network(self, tensors: Tensors) -> nn.Module:
         """Return the network in the clusters of a file, of the components of the configuration."""
-        clusters, _ = sizes(tensors, self.weights.file)
+        clusters, _ = read_sizes(tensors, self.weights.file)
         return _Network(clusters, self.components[self.configuration], SETTINGS[self.configuration].sides)
 
     def _split(self, codes: npt.NDArray[Any]) -> npt.NDArray[Any]:
         """Return the descriptors in codes, first that of the image, (n_images, 1 + n_patches, n_components)."""
         return codes.reshape(len(codes), -1, self.components[self.configuration])
 
-    def _agreement(
+    def _score_patches(
         self, query: npt.NDArray[np.float32], patches: npt.NDArray[Any], images: Sequence[int]
     ) -> npt.NDArray[np.float64]:
         """Return the weighted sum of standard scores for each of the reference images, (n_images,)."""
         setting = SETTINGS[self.configuration]
         agreement = np.zeros(len(images))
-        grids = self._grids()
+        grids = self._lay_grids()
         ends = np.cumsum([len(grid) for grid in grids])
         for side, weight, grid, end in zip(setting.sides, setting.weights, grids, ends, strict=True):
             part = slice(end - len(grid), end)
-            nearest = self._nearest(query[part], (patches[image, part] for image in images))
-            scores = np.array([score(setting.geometry, grid, side, mutual(*both)) for both in nearest])
+            pairs = self._match_patches(query[part], (patches[image, part] for image in images))
+            scores = np.array([score(setting.geometry, grid, side, of_image) for of_image in pairs])
             if np.ptp(scores) > 0:
                 agreement += weight * (scores - scores.mean()) / scores.std()
         return agreement
 
     @torch.inference_mode()
-    def _nearest(self, query: npt.NDArray[np.float32], references: Iterator[npt.NDArray[Any]]) -> npt.NDArray[np.int64]:
-        """Return for each image the nearest patches of the query and of the reference, (n_images, 2, n_patches).
+    def _match_patches(self, query: npt.NDArray[np.float32], references: Iterator[npt.NDArray[Any]]) -> Iterator[Pairs]:
+        """Yield for each image the pairs of patches that are nearest to one another, in the order of the reference.
 
         Those of the highest product, for all descriptors of a code have one length.
         """
-        own = torch.from_numpy(np.array(query)).to(self.device)  # a copy, for what lies on disk is read-only
-        nearest = []
+        own = torch.from_numpy(np.array(query)).to(self.device)  # a copy, for arrays on disk are read-only
         for reference in references:
             products = own @ torch.from_numpy(np.array(reference)).to(self.device).float().T
-            nearest.append(torch.stack([products.argmax(0), products.argmax(1)]))
-        return torch.stack(nearest).cpu().numpy()
+            nearest, back = products.argmax(0).cpu().numpy(), products.argmax(1).cpu().numpy()
+            mutual = np.flatnonzero(back[nearest] == np.arange(len(nearest)))
+            yield nearest[mutual], mutual
 
-    def _grids(self) -> list[npt.NDArray[np.int64]]:
+    def _lay_grids(self) -> list[npt.NDArray[np.int64]]:
         """Return for each patch size the column and row of each patch, (n_patches, 2), row by row."""
         self._check_arguments()
         sides = SETTINGS[self.configuration].sides
@@ -194,9 +196,9 @@ class PatchNetVLAD(PublishedNetwork):
         shapes = [(height - side + 1, width - side + 1) for side in sides]
         return [np.stack(np.divmod(np.arange(rows * columns), columns)[::-1], axis=1) for rows, columns in shapes]
 
-    def _code_length(self) -> int:
+    def _count_numbers(self) -> int:
         """Return how many numbers a code has: (1 + n_patches) * n_components."""
-        return (1 + sum(len(grid) for grid in self._grids())) * self.components[self.configuration]
+        return (1 + sum(len(grid) for grid in self._lay_grids())) * self.components[self.configuration]
 
     def _check_arguments(self) -> None:
         super()._check_arguments()
@@ -227,32 +229,22 @@ class _Network(Network):
 
     def forward(self, images: Tensor) -> Tensor:
         """Describe images and, one image after the other for they take much memory, their patches."""
-        local, shares = self.pool.assigned(self.encoder(images))
-        whole = self.described(self.pool.gathered(local, shares))
+        local, shares = self.pool.assign(self.encoder(images))
+        whole = self.describe_residuals(self.pool.gather_residuals(local, shares))
         return torch.stack(
             [
-                torch.cat([vector, *(vectors.flatten() for vectors in self._patches(*one))])
+                torch.cat([vector, *(vectors.flatten() for vectors in self._describe_patches(*one))])
                 for vector, *one in zip(whole, local, shares, strict=True)
             ]
         )
 
-    def _patches(self, local: Tensor, shares: Tensor) -> Iterator[Tensor]:
+    def _describe_patches(self, local: Tensor, shares: Tensor) -> Iterator[Tensor]:
         """Yield the descriptors of the patches of each size, (n_patches, n_components), row by row."""
         residuals = local - self.pool.centroids.float()[:, :, None, None]  # (clusters, channels, h, w)
         residuals *= shares[:, None]
         for side in self.sides:
             means = functional.avg_pool2d(functional.avg_pool2d(residuals, (side, 1), 1), (1, side), 1)
-            yield self.described(means.flatten(2).permute(2, 0, 1))
-
-
-def mutual(best_of_query: npt.NDArray[np.int64], best_of_reference: npt.NDArray[np.int64]) -> Pairs:
-    """Return the pairs of patches that are nearest to one another, in the order of the reference's patches.
-
-    The arguments are, for each patch of the reference, the nearest of the query, and the other way round.
-    """
-    patches = np.arange(len(best_of_query))
-    kept = best_of_reference[best_of_query] == patches
-    return best_of_query[kept], patches[kept]
+            yield self.describe_residuals(means.flatten(2).permute(2, 0, 1))
 
 
 def score(geometry: Geometry, grid: npt.NDArray[np.int64], side: int, pairs: Pairs) -> float:
@@ -261,30 +253,30 @@ def score(geometry: Geometry, grid: npt.NDArray[np.int64], side: int, pairs: Pai
     Fewer than 4 pairs have no homography and score 0; of displacements one pair is enough.
     """
     query, reference = (grid[ends] for ends in pairs)
-    if len(query) < _FEWEST_PAIRS[geometry]:
+    if len(query) < (4 if geometry == "homography" else 1):
         return 0.0
     if geometry == "homography":
-        return inliers(centres(query, side), centres(reference, side)) / len(grid)
+        return count_inliers(find_centres(query, side), find_centres(reference, side)) / len(grid)
     displacements = reference - query
     residuals = np.abs(displacements - displacements.mean(0))
     return float(((grid.max(0) - residuals) ** 2).sum() / len(grid))
 
 
-def centres(cells: npt.NDArray[np.int64], side: int) -> npt.NDArray[np.float32]:
+def find_centres(cells: npt.NDArray[np.int64], side: int) -> npt.NDArray[np.float32]:
     """Return the middle of what patches see of the image, whole pixels, (n, 2), from their first columns and rows."""
     first = STRIDE * cells - _PADDING
     last = first + STRIDE * (side - 1) + _RECEPTIVE_FIELD - 1
     return np.trunc((first + last) / 2).astype(np.float32)
 
 
-def inliers(query: npt.NDArray[np.float32], reference: npt.NDArray[np.float32]) -> int:
+def count_inliers(query: npt.NDArray[np.float32], reference: npt.NDArray[np.float32]) -> int:
     """Return how many points (n, 2) of the reference one homography takes to within 24 pixels of the query's."""
-    cv2.setRNGSeed(0)  # the answer must not depend on what was asked before
+    cv2.setRNGSeed(0)  # the answer must not depend on earlier queries
     _, fitting = cv2.findHomography(reference, query, cv2.RANSAC, _TOLERANCE)
     return 0 if fitting is None else int(np.count_nonzero(fitting))
 
 
-def above_cosines(agreement: npt.NDArray[np.float64], cosines: Scores) -> Scores:
+def lift_scores(agreement: npt.NDArray[np.float64], cosines: Scores) -> Scores:
     """Return scores of candidates, all above any cosine, in the order of their agreement and then of their cosine.
 
     A standard score among n is at least -sqrt(n - 1), so that the sum with 2 + sqrt(n - 1) is at least 2.
@@ -299,9 +291,3 @@ def above_cosines(agreement: npt.NDArray[np.float64], cosines: Scores) -> Scores
     result = np.empty_like(scores)
     result[order] = scores
     return result
-
-
-def _most_similar(query: npt.NDArray[np.float32], known: Map, place: int) -> int:
-    """Return the reference image of a place that has the highest cosine with the query."""
-    images = known.images[place]
-    return int(images[(known.whole[images] @ query).argmax()])

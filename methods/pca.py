@@ -16,7 +16,7 @@ from .parts.filters.patches import Preprocessing, pixels
 
 @dataclass(frozen=True)
 class Map:
-    """What is learnt from the references: the projection, and where it puts each of them."""
+    """The projection that the references teach, and the projected references."""
 
     mean: npt.NDArray[np.float64]  # (n_pixels,), grey levels
     projection: npt.NDArray[np.float64]  # (n_pixels, n_components)

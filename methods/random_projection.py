@@ -41,11 +41,11 @@ class RandomProjection(DescriptorMethod):
         levels = PatchNormalisation(self.preprocessing, self.height, self.width, self.patch)(images)
         contrasts = levels.astype(np.float32) - MEAN_LEVEL
         count_operations(levels.size * self.components)
-        return unit(contrasts @ _directions(self.directions, levels.shape[1], self.components, self.seed))
+        return unit(contrasts @ _draw_directions(self.directions, levels.shape[1], self.components, self.seed))
 
 
 @lru_cache(maxsize=4)
-def _directions(kind: Directions, n_pixels: int, n_components: int, seed: int) -> npt.NDArray[np.float32]:
+def _draw_directions(kind: Directions, n_pixels: int, n_components: int, seed: int) -> npt.NDArray[np.float32]:
     """Draw the directions, (n_pixels, n_components)."""
     generator = np.random.default_rng(seed)
     if kind == "gaussian":

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import os
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from functools import cache
-from itertools import pairwise
 from typing import Self
 
 import numpy as np
@@ -24,6 +20,7 @@ from vprbench.api import (
     best_image_of_place,
     compiled,
     count_operations,
+    in_shares,
     require_new_places,
 )
 
@@ -33,7 +30,7 @@ Levels = npt.NDArray[np.uint8]  # (n_images, n_pixels)
 
 _TILE = 1 << 16  # bytes of references that stay in the cache while every query passes over them
 _CHUNK = 1 << 22  # pixels whose differences cannot overflow 32 bits
-_WORTH_A_THREAD = 1 << 23  # differences: about 0.2 ms of work, against 0.04 ms to wake a thread and wait for it
+_WORTH_A_THREAD = 1 << 25  # differences: about 0.8 ms of work, against 0.2 ms to start a thread and wait for it
 _SHARES = 4  # a thread: whoever is ready first takes the next
 
 
@@ -56,19 +53,19 @@ class SAD(Method):
         """Keep the preprocessed references."""
         levels = self.encode(references)
         on_cpu = torch.device(self.device).type == "cpu"
-        self._references = Growing(np.ascontiguousarray(levels)) if on_cpu else self._to_device(levels)
+        self._references = Growing(np.ascontiguousarray(levels)) if on_cpu else self._move_to_device(levels)
         self._places = Growing(places.copy())
         return self
 
     def extend(self, references: Images, places: Places) -> Self:
         """Append the preprocessed references of new places."""
-        known = self._fitted()
+        known = self._require_references()
         require_new_places(places, len(references), int(self._places.rows.max()) + 1)
         levels = self.encode(references)
         if isinstance(known, Growing):
             known.append(levels)
         else:
-            self._references = torch.cat([known, self._to_device(levels)])
+            self._references = torch.cat([known, self._move_to_device(levels)])
         self._places.append(places)
         return self
 
@@ -78,16 +75,16 @@ class SAD(Method):
 
     def match(self, codes: Levels) -> Scores:
         """Return (n_queries, n_places) in grey levels, -255 to 0."""
-        known = self._fitted()
+        known = self._require_references()
         shape = known.rows.shape if isinstance(known, Growing) else known.shape
         count_operations(single=3.0 * len(codes) * np.prod(shape), kind="int8")  # subtract, drop the sign, add
         if isinstance(known, Growing):
-            return best_image_of_place(_similarity(codes, known.rows), self._places.rows)
+            return best_image_of_place(_compare_all(codes, known.rows), self._places.rows)
         # Sums of up to 65,793 whole levels are exact in float32, so neither batch nor order can change them.
-        total = torch.cdist(self._to_device(codes), known, p=1)
+        total = torch.cdist(self._move_to_device(codes), known, p=1)
         return best_image_of_place((total / -codes.shape[1]).cpu().numpy(), self._places.rows)
 
-    def _fitted(self) -> Growing | torch.Tensor:
+    def _require_references(self) -> Growing | torch.Tensor:
         if self._references is None:
             raise NotFittedError("SAD has no map yet: call fit(references, places) first")
         return self._references
@@ -97,11 +94,11 @@ class SAD(Method):
         known = self._references
         return None if known is None else (known.rows if isinstance(known, Growing) else known).nbytes
 
-    def _to_device(self, levels: Levels) -> torch.Tensor:
+    def _move_to_device(self, levels: Levels) -> torch.Tensor:
         return torch.from_numpy(levels).to(self.device, torch.float32)
 
 
-def _similarity(codes: Levels, references: Levels) -> Scores:
+def _compare_all(codes: Levels, references: Levels) -> Scores:
     """Return minus the mean absolute differences, (n_queries, n_references), threads sharing the references."""
     n_references, n_pixels = references.shape
     if codes.dtype != np.uint8 or codes.ndim != 2 or codes.shape[1] != n_pixels:
@@ -109,29 +106,17 @@ def _similarity(codes: Levels, references: Levels) -> Scores:
     codes = np.ascontiguousarray(codes)
     similarity = np.empty((len(codes), n_references), np.float32)
     worth = len(codes) * references.size // _WORTH_A_THREAD
-    n_threads = max(1, min(torch.get_num_threads(), worth, n_references))
-    ends = [n_references * share // (_SHARES * n_threads) for share in range(_SHARES * n_threads + 1)]
-    shares = iter(list(pairwise(ends if n_threads > 1 else (0, n_references))))  # of a list: threads may share it
-
-    def take_shares() -> None:
-        for first, last in shares:
-            _compare(codes, references, first, last, similarity)
-
-    helping = [_helpers().submit(take_shares) for _ in range(n_threads - 1)]
-    take_shares()
-    for helper in helping:
-        if not helper.cancel():  # one that found no free core in time has nothing left to do
-            helper.result()
+    in_shares(
+        lambda own: _compare(codes, references, own.start, own.stop, similarity),
+        n_references,
+        min(torch.get_num_threads(), worth),
+        _SHARES,
+    )
     return similarity
 
 
-@cache
-def _helpers() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(os.cpu_count())
-
-
 @compiled()
-def _total_difference(left, right):  # type: ignore[no-untyped-def]
+def _sum_differences(left, right):  # type: ignore[no-untyped-def]
     # In 32 bits throughout LLVM takes the processor's own sum of absolute differences (x86: psadbw); numba's 64 bits,
     # or max - min, cost 1.5 to 3 times as much.
     total = np.int32(0)
@@ -157,5 +142,5 @@ def _compare(codes, references, first, last, similarity):  # type: ignore[no-unt
             for chunk in range(0, n_pixels, _CHUNK):
                 code = codes[query, chunk : chunk + _CHUNK]
                 for row in range(start, end):
-                    total = _total_difference(code, references[row, chunk : chunk + _CHUNK])
+                    total = _sum_differences(code, references[row, chunk : chunk + _CHUNK])
                     similarity[query, row] += np.float64(total) / -n_pixels

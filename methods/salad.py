@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import ClassVar, Self, cast
 
 import torch
 from torch import Tensor, nn
@@ -13,7 +13,7 @@ from torch.nn import functional
 from vprbench.api import BadInput, Resize
 
 from .parts.backbones.vit import VisionTransformer
-from .parts.published import PublishedNetwork, Tensors, size, under
+from .parts.published import PublishedNetwork, Tensors, read_size, select_prefix
 
 _ITERATIONS = 3  # of Sinkhorn's algorithm
 
@@ -33,8 +33,8 @@ class SALAD(PublishedNetwork):
 
     def network(self, tensors: Tensors) -> nn.Module:
         """Return the network of 8448 dimensions, or in the sizes of a file."""
-        sizes = Sizes.of(under(tensors, "aggregator."), cluster_dim=128)
-        return _Network(VisionTransformer.sized(under(tensors, "backbone.model.")), sizes)
+        sizes = Sizes.of(select_prefix(tensors, "aggregator."), cluster_dim=128)
+        return _Network(VisionTransformer.sized(select_prefix(tensors, "backbone.model.")), sizes)
 
 
 @dataclass(kw_only=True)
@@ -52,14 +52,14 @@ class MegaLoc(PublishedNetwork):
 
     def network(self, tensors: Tensors) -> nn.Module:
         """Return the network of 8448 dimensions, or in the sizes of a file."""
-        sizes = Sizes.of(under(tensors, "aggregator.agg."), cluster_dim=256)
-        n_dimensions = size(tensors, "aggregator.linear.weight", 0, 8448)
-        return _MegaLocNetwork(VisionTransformer.sized(under(tensors, "backbone.")), sizes, n_dimensions)
+        sizes = Sizes.of(select_prefix(tensors, "aggregator.agg."), cluster_dim=256)
+        n_dimensions = read_size(tensors, "aggregator.linear.weight", 0, 8448)
+        return _MegaLocNetwork(VisionTransformer.sized(select_prefix(tensors, "backbone.")), sizes, n_dimensions)
 
 
 @dataclass(frozen=True)
 class Sizes:
-    """What the tensors of SALAD's aggregator are sized by."""
+    """The sizes of SALAD's aggregator."""
 
     n_hidden: int  # between the two layers of each of its networks
     n_clusters: int
@@ -70,10 +70,10 @@ class Sizes:
     def of(cls, tensors: Tensors, cluster_dim: int) -> Self:
         """Read the sizes off the aggregator's tensors, or take the published ones, of `cluster_dim`."""
         return cls(
-            n_hidden=size(tensors, "token_features.0.weight", 0, 512),
-            n_clusters=size(tensors, "score.3.weight", 0, 64),
-            cluster_dim=size(tensors, "cluster_features.3.weight", 0, cluster_dim),
-            token_dim=size(tensors, "token_features.2.weight", 0, 256),
+            n_hidden=read_size(tensors, "token_features.0.weight", 0, 512),
+            n_clusters=read_size(tensors, "score.3.weight", 0, 64),
+            cluster_dim=read_size(tensors, "cluster_features.3.weight", 0, cluster_dim),
+            token_dim=read_size(tensors, "token_features.2.weight", 0, 256),
         )
 
     @property
@@ -83,7 +83,7 @@ class Sizes:
 
 
 class Aggregator(nn.Module):
-    """What SALAD makes of DINOv2's normalised tokens: unit vectors, float32 (n, n_dimensions).
+    """Gathers DINOv2's normalised tokens: unit vectors, float32 (n, n_dimensions).
 
     The parts are the image's token through a small network, of unit length, then for each dimension l and cluster k,
     as l * n_clusters + k, the sum of the patches' features weighted by their assignment, of unit length per cluster.
@@ -95,8 +95,8 @@ class Aggregator(nn.Module):
         self.token_features = nn.Sequential(
             nn.Linear(dim, sizes.n_hidden), nn.ReLU(), nn.Linear(sizes.n_hidden, sizes.token_dim)
         )
-        self.cluster_features = _patch_network(dim, sizes.n_hidden, sizes.cluster_dim)
-        self.score = _patch_network(dim, sizes.n_hidden, sizes.n_clusters)
+        self.cluster_features = _build_patch_network(dim, sizes.n_hidden, sizes.cluster_dim)
+        self.score = _build_patch_network(dim, sizes.n_hidden, sizes.n_clusters)
         self.dust_bin = nn.Parameter(torch.ones(()))
 
     def forward(self, cls: Tensor, patches: Tensor) -> Tensor:
@@ -106,12 +106,12 @@ class Aggregator(nn.Module):
         token = functional.normalize(self.token_features(cls).float(), dim=1)
         features = self.cluster_features(grid).flatten(2).float()  # (n, cluster_dim, n_patches)
         scores = self.score(grid).flatten(2).float()  # (n, n_clusters, n_patches)
-        gathered = features @ assignment(scores, self.dust_bin.float()).transpose(1, 2)
+        gathered = features @ assign_patches(scores, self.dust_bin.float()).transpose(1, 2)
         clusters = functional.normalize(gathered, dim=1).flatten(1)
         return functional.normalize(torch.cat([token, clusters], 1), dim=1)
 
 
-def assignment(scores: Tensor, dust_bin: Tensor) -> Tensor:
+def assign_patches(scores: Tensor, dust_bin: Tensor) -> Tensor:
     """Return how much of each patch goes to each cluster, (n, n_clusters, n_patches), from scores of that shape.
 
     The optimal transport, after 3 iterations of Sinkhorn's algorithm on logarithms, that gives every cluster the mass
@@ -136,54 +136,33 @@ def assignment(scores: Tensor, dust_bin: Tensor) -> Tensor:
 
 
 class _Network(nn.Module):
-    """Images (n, 3, height, width) in, descriptors (n, n_dimensions) out."""
+    """Images (n, 3, height, width) in, descriptors (n, n_dimensions) out; the parts have their published names."""
 
     def __init__(self, model: VisionTransformer, sizes: Sizes) -> None:
         super().__init__()
-        self.backbone = _Backbone(model)
+        self.backbone = nn.ModuleDict({"model": model})
         self.aggregator = Aggregator(model.sizes.dim, sizes)
 
     def forward(self, images: Tensor) -> Tensor:
-        tokens = self.backbone.model.tokens(images, normalised=True)
-        out: Tensor = self.aggregator(tokens.cls, tokens.patches)
-        return out
-
-
-class _Backbone(nn.Module):
-    """The transformer under its published name, which has one more part than its own."""
-
-    def __init__(self, model: VisionTransformer) -> None:
-        super().__init__()
-        self.model = model
+        tokens = cast(VisionTransformer, self.backbone["model"]).tokens(images, normalised=True)
+        return cast(Tensor, self.aggregator(tokens.cls, tokens.patches))
 
 
 class _MegaLocNetwork(nn.Module):
     """Images (n, 3, height, width) in, descriptors (n, n_dimensions) out, not yet of unit length."""
 
-    def __init__(self, backbone: VisionTransformer, sizes: Sizes, n_dimensions: int) -> None:
+    def __init__(self, model: VisionTransformer, sizes: Sizes, n_dimensions: int) -> None:
         super().__init__()
-        self.backbone = backbone
-        self.aggregator = _MegaLocAggregator(backbone.sizes.dim, sizes, n_dimensions)
+        self.backbone = model
+        linear = nn.Linear(sizes.n_dimensions, n_dimensions)
+        self.aggregator = nn.ModuleDict({"agg": Aggregator(model.sizes.dim, sizes), "linear": linear})
 
     def forward(self, images: Tensor) -> Tensor:
         tokens = self.backbone.tokens(images, normalised=True)
-        out: Tensor = self.aggregator(tokens.cls, tokens.patches)
-        return out
+        gathered = self.aggregator["agg"](tokens.cls, tokens.patches)
+        return cast(Tensor, self.aggregator["linear"](gathered.to(images.dtype)))
 
 
-class _MegaLocAggregator(nn.Module):
-    """SALAD's unit vectors, joined linearly."""
-
-    def __init__(self, dim: int, sizes: Sizes, n_dimensions: int) -> None:
-        super().__init__()
-        self.agg = Aggregator(dim, sizes)
-        self.linear = nn.Linear(sizes.n_dimensions, n_dimensions)
-
-    def forward(self, cls: Tensor, patches: Tensor) -> Tensor:
-        out: Tensor = self.linear(self.agg(cls, patches).to(cls.dtype))
-        return out
-
-
-def _patch_network(dim: int, n_hidden: int, n_out: int) -> nn.Sequential:
+def _build_patch_network(dim: int, n_hidden: int, n_out: int) -> nn.Sequential:
     """Return two layers for each patch; between them stood the dropout of the training, whose number stays."""
     return nn.Sequential(nn.Conv2d(dim, n_hidden, 1), nn.Identity(), nn.ReLU(), nn.Conv2d(n_hidden, n_out, 1))

@@ -12,7 +12,7 @@ from vprbench.api import Resize
 
 from .parts.backbones.vit import VisionTransformer
 from .parts.cross_image import CrossImageDescriptor, CrossImageEncoder
-from .parts.published import PublishedNetwork, Tensors, size, under
+from .parts.published import PublishedNetwork, Tensors, read_size, select_prefix
 
 _CLUSTERS, _GHOSTS = 4, 1
 
@@ -34,8 +34,8 @@ class SuperVLAD(PublishedNetwork):
 
     def network(self, tensors: Tensors) -> nn.Module:
         """Return the network of 3072 dimensions, or as many as a file has."""
-        n_shares = size(tensors, "aggregation.conv.weight", 0, _CLUSTERS + _GHOSTS)
-        return _Network(VisionTransformer.sized(under(tensors, "backbone.")), n_shares)
+        n_shares = read_size(tensors, "aggregation.conv.weight", 0, _CLUSTERS + _GHOSTS)
+        return _Network(VisionTransformer.sized(select_prefix(tensors, "backbone.")), n_shares)
 
 
 @dataclass(kw_only=True)

@@ -31,20 +31,20 @@ _EPSILON = float(np.finfo(np.float32).eps)
 _TOGETHER = 1 << 15  # descriptors; 16 MiB
 
 
-def grey_levels(image: Image) -> npt.NDArray[np.uint8]:
+def make_grey(image: Image) -> npt.NDArray[np.uint8]:
     """Return (height, width), 0..255, with the weights of MATLAB's rgb2gray, rounded half up."""
     weights = np.array([0.298936021293776, 0.587043074451121, 0.114020904255103])
     return np.asarray(np.floor(image @ weights + 0.5), np.uint8)
 
 
-def halved(grey: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+def halve_image(grey: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
     """Return every second pixel from the first on, without the last row and column (VLFeat's vl_imdown)."""
     return grey[:-1:2, :-1:2]
 
 
-def n_descriptors(height: int, width: int) -> int:
+def count_descriptors(height: int, width: int) -> int:
     """Return how many descriptors an image of this size has, over all scales."""
-    return sum(len(_corners(height, size)) * len(_corners(width, size)) for size in BIN_SIZES)
+    return sum(len(_place_corners(height, size)) * len(_place_corners(width, size)) for size in BIN_SIZES)
 
 
 def dense_sift(grey: Tensor, arctan: ArcTangent = "exact") -> Iterator[Tensor]:
@@ -56,58 +56,58 @@ def dense_sift(grey: Tensor, arctan: ArcTangent = "exact") -> Iterator[Tensor]:
     the root is left out.
     """
     for size in BIN_SIZES:
-        yield from _one_scale(grey, size, arctan)
+        yield from _describe_scale(grey, size, arctan)
 
 
-def root_sift(unit: Tensor) -> Tensor:
+def compute_root_sift(unit: Tensor) -> Tensor:
     """Return the RootSIFT (n, 128) of SIFT unit vectors, which are first cut to whole levels 0..255 of 1 / 512."""
     levels = (512 * unit).clamp_(max=255).floor_()
     levels /= levels.sum(1, keepdim=True) + 1e-12
     return levels.sqrt_()
 
 
-def _one_scale(grey: Tensor, size: int, arctan: ArcTangent) -> Iterator[Tensor]:
-    rows, columns = (_corners(length, size) for length in grey.shape)
+def _describe_scale(grey: Tensor, size: int, arctan: ArcTangent) -> Iterator[Tensor]:
+    rows, columns = (_place_corners(length, size) for length in grey.shape)
     if not (len(rows) and len(columns)):
         return
-    maps = _orientation_maps(_smoothed(grey, size / 6), arctan)
+    maps = _map_orientations(_smooth_image(grey, size / 6), arctan)
     bins = size * np.arange(BINS)
     at_rows, row_of = np.unique(rows[:, None] + bins, return_inverse=True)
     at_columns, column_of = np.unique(columns[:, None] + bins, return_inverse=True)
-    down = _filter(grey.shape[0], at_rows, size, lambda t: 1 - np.abs(t) / size).to(grey)
-    across = _filter(grey.shape[1], at_columns, size, lambda t: 1 - np.abs(t) / size).to(grey)
+    down = _build_filter(grey.shape[0], at_rows, size, lambda t: 1 - np.abs(t) / size).to(grey)
+    across = _build_filter(grey.shape[1], at_columns, size, lambda t: 1 - np.abs(t) / size).to(grey)
     sampled = (down @ (maps @ across.T)).permute(1, 2, 0).contiguous()  # (rows, columns, orientations)
-    window = torch.from_numpy(_window(size)).to(grey)
+    window = torch.from_numpy(_weigh_bins(size)).to(grey)
     row_of, column_of = row_of.reshape(len(rows), BINS), column_of.reshape(len(columns), BINS)
     together = max(1, _TOGETHER // len(columns))
     for first in range(0, len(rows), together):
         own = row_of[first : first + together]
         picked = sampled[own[:, None, :, None], column_of[None, :, None, :]]
-        yield _normalised(picked.mul_(window[:, :, None]).view(-1, DIMENSIONS), size)
+        yield _normalise_histograms(picked.mul_(window[:, :, None]).view(-1, DIMENSIONS), size)
 
 
-def _corners(length: int, size: int) -> npt.NDArray[np.int64]:
+def _place_corners(length: int, size: int) -> npt.NDArray[np.int64]:
     """Return where the first bin's centre of each descriptor lies along a side; all scales share their first centre."""
     first = math.floor(1.5 * (max(BIN_SIZES) - size))
     return np.arange(first, max(first, length - (BINS - 1) * size), STEP)
 
 
-def _smoothed(grey: Tensor, sigma: float) -> Tensor:
+def _smooth_image(grey: Tensor, sigma: float) -> Tensor:
     """Return the image under a Gaussian of this standard deviation (pixels), cut at four of them."""
     radius = math.ceil(4 * sigma)
     total = np.exp(-0.5 * (np.arange(-radius, radius + 1) / sigma) ** 2).sum()
     down, across = (
-        _filter(length, np.arange(length), radius + 1, lambda t: np.exp(-0.5 * (t / sigma) ** 2) / total).to(grey)
+        _build_filter(length, np.arange(length), radius + 1, lambda t: np.exp(-0.5 * (t / sigma) ** 2) / total).to(grey)
         for length in grey.shape
     )
     return down @ grey @ across.T
 
 
-def _orientation_maps(grey: Tensor, arctan: ArcTangent) -> Tensor:
+def _map_orientations(grey: Tensor, arctan: ArcTangent) -> Tensor:
     """Return (orientations, height, width): each pixel's gradient, shared between the two nearest orientations."""
     down, right = torch.gradient(grey)
     strength = torch.hypot(down, right)
-    angle = _vlfeat_atan2(down, right) if arctan == "vlfeat" else torch.atan2(down, right)
+    angle = _approximate_atan2(down, right) if arctan == "vlfeat" else torch.atan2(down, right)
     angle = torch.remainder(angle * (ORIENTATIONS / (2 * math.pi)), ORIENTATIONS)
     lower = angle.floor()
     share = angle - lower
@@ -118,7 +118,7 @@ def _orientation_maps(grey: Tensor, arctan: ArcTangent) -> Tensor:
     return maps
 
 
-def _vlfeat_atan2(y: Tensor, x: Tensor) -> Tensor:
+def _approximate_atan2(y: Tensor, x: Tensor) -> Tensor:
     """Return VLFeat's vl_fast_atan2_f: a cubic in each quadrant, up to 0.006 radians off the arc tangent."""
     above = y.abs() + _EPSILON
     ahead = x >= 0
@@ -127,7 +127,7 @@ def _vlfeat_atan2(y: Tensor, x: Tensor) -> Tensor:
     return torch.where(y < 0, -angle, angle)
 
 
-def _filter(
+def _build_filter(
     length: int,
     at: npt.NDArray[np.int64],
     reach: int,
@@ -141,7 +141,7 @@ def _filter(
     return torch.from_numpy(matrix)
 
 
-def _window(size: int) -> npt.NDArray[np.float64]:
+def _weigh_bins(size: int) -> npt.NDArray[np.float64]:
     """Return the weight of each spatial bin, (bins, bins): the Gaussian window's mean over its pixels."""
     offsets = np.arange(1 - size, size)
     centres = size * (np.arange(BINS) - (BINS - 1) / 2)
@@ -149,7 +149,7 @@ def _window(size: int) -> npt.NDArray[np.float64]:
     return np.outer(means, means)
 
 
-def _normalised(histograms: Tensor, size: int) -> Tensor:
+def _normalise_histograms(histograms: Tensor, size: int) -> Tensor:
     """Make histograms (n, 128) unit vectors, in place; their contrast is the sum per pixel of a descriptor's frame."""
     contrast = histograms.sum(1, keepdim=True) / ((BINS - 1) * size + 1) ** 2
     histograms /= histograms.norm(dim=1, keepdim=True) + _EPSILON

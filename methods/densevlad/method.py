@@ -14,18 +14,18 @@ from torch import Tensor
 
 from vprbench.api import BadInput, DescriptorMethod, Image, Images, NotFittedError, Places, progress
 
-from ..parts.vectors import unit
+from ..parts.vectors import k_means, unit
 from .dense_sift import (
     DIMENSIONS,
     SMALLEST_SIDE,
     ArcTangent,
+    compute_root_sift,
+    count_descriptors,
     dense_sift,
-    grey_levels,
-    halved,
-    n_descriptors,
-    root_sift,
+    halve_image,
+    make_grey,
 )
-from .vlad import PUBLISHED_WORDS, WORD_OF_ZERO, learn_words, read_words, vlad, whitening
+from .vlad import PUBLISHED_WORDS, WORD_OF_ZERO, learn_whitening, read_words, vlad
 
 _VGA = 640  # pixels
 _TOGETHER = 64  # images
@@ -78,14 +78,14 @@ class DenseVLAD(DescriptorMethod):
         ).to(self.device)
         at_most = max(_WHITENED_IMAGES, _IMAGES_PER_COMPONENT * self.n_components)
         chosen = _sample(references, at_most if self.n_components else len(references), generator)
-        vlads = self._vlads(references[chosen].watched(_reporting("describing", len(chosen))), words)
+        vlads = self._compute_vlads(references[chosen].watched(_report_stage("describing", len(chosen))), words)
         n_components = min(self.n_components, len(chosen) // _IMAGES_PER_COMPONENT)
-        self._projection = whitening(vlads, max(1, n_components)) if self.n_components else None
+        self._projection = learn_whitening(vlads, max(1, n_components)) if self.n_components else None
         self._words = words
         if len(chosen) == len(references):
-            return self.fit_encoded(_projected(vlads, self._projection), places)
+            return self.fit_encoded(_project_vlads(vlads, self._projection), places)
         del vlads
-        return self.fit_encoded(self.encode(references.watched(_reporting("encoding", len(references)))), places)
+        return self.fit_encoded(self.encode(references.watched(_report_stage("encoding", len(references)))), places)
 
     def encode(self, images: Images) -> npt.NDArray[np.float32]:
         """Return the whitened VLAD of each image, (n_images, n_components), unit vectors."""
@@ -95,7 +95,7 @@ class DenseVLAD(DescriptorMethod):
         codes = np.empty((len(images), n_dimensions), np.float32)
         done = 0
         for block in images.blocks(_TOGETHER):
-            codes[done : done + len(block)] = _projected(self._vlads(block, self._words), self._projection)
+            codes[done : done + len(block)] = _project_vlads(self._compute_vlads(block, self._words), self._projection)
             done += len(block)
         return codes
 
@@ -120,29 +120,29 @@ class DenseVLAD(DescriptorMethod):
         chosen = _sample(references, _SAMPLED_IMAGES, generator)
         per_image = _SAMPLED_PER_WORD * self.words / len(chosen)
         drawn = [np.empty((0, DIMENSIONS), np.float32)]
-        for image in references[chosen].watched(_reporting("sampling", len(chosen))):
-            grey = self._grey(image)
-            share = per_image / n_descriptors(*grey.shape)
+        for image in references[chosen].watched(_report_stage("sampling", len(chosen))):
+            grey = self._make_grey(image)
+            share = per_image / count_descriptors(*grey.shape)
             for block in dense_sift(grey, self.arctan):
                 picked = block[torch.from_numpy(generator.random(len(block)) < share).to(self.device)]
-                drawn.append(root_sift(picked[picked.any(1)]).cpu().numpy())
-        return learn_words(np.concatenate(drawn), self.words, generator)
+                drawn.append(compute_root_sift(picked[picked.any(1)]).cpu().numpy())
+        return unit(k_means(np.concatenate(drawn), self.words, generator))
 
-    def _vlads(self, images: Images, words: Tensor) -> npt.NDArray[np.float32]:
+    def _compute_vlads(self, images: Images, words: Tensor) -> npt.NDArray[np.float32]:
         """Return the VLAD of each image before whitening, (n_images, words * 128)."""
         vectors = np.empty((len(images), words.numel()), np.float32)
         published = self.vocabulary is not None and len(words) == PUBLISHED_WORDS
         for number, image in enumerate(images):
-            blocks = (root_sift(block) for block in dense_sift(self._grey(image), self.arctan))
+            blocks = (compute_root_sift(block) for block in dense_sift(self._make_grey(image), self.arctan))
             vectors[number] = vlad(blocks, words, WORD_OF_ZERO if published else 0).cpu().numpy()
         return vectors
 
-    def _grey(self, image: Image) -> Tensor:
+    def _make_grey(self, image: Image) -> Tensor:
         """Return the grey image, halved if asked for, 0 to 1; raises BadInput for one that is too small."""
-        grey = grey_levels(image)
+        grey = make_grey(image)
         halve = max(grey.shape) > _VGA if self.halve is None else self.halve
         if halve:
-            grey = halved(grey)
+            grey = halve_image(grey)
         height, width = grey.shape
         if min(height, width) < SMALLEST_SIDE:
             raise BadInput(
@@ -152,7 +152,9 @@ class DenseVLAD(DescriptorMethod):
         return torch.from_numpy(grey).to(self.device, torch.float32) / 255
 
 
-def _projected(vlads: npt.NDArray[np.float32], projection: npt.NDArray[np.float32] | None) -> npt.NDArray[np.float32]:
+def _project_vlads(
+    vlads: npt.NDArray[np.float32], projection: npt.NDArray[np.float32] | None
+) -> npt.NDArray[np.float32]:
     """Return the whitened vectors at unit length, or the vectors themselves if there is no projection."""
     return vlads if projection is None else unit(vlads @ projection)
 
@@ -163,6 +165,6 @@ def _sample(images: Images, at_most: int, generator: np.random.Generator) -> npt
     return np.arange(n) if n <= at_most else np.sort(generator.choice(n, at_most, replace=False))
 
 
-def _reporting(stage: str, total: int) -> Callable[[int], None]:
+def _report_stage(stage: str, total: int) -> Callable[[int], None]:
     """Return a function that reports how many of a stage's images are done."""
     return lambda done: progress.report(stage, done / total)

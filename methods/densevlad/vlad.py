@@ -13,7 +13,7 @@ from torch.nn import functional
 
 from vprbench.api import BadInput, read_mat
 
-from ..parts.vectors import k_means, unit
+from ..parts.vectors import unit
 from .dense_sift import DIMENSIONS
 
 PUBLISHED_WORDS = 128
@@ -22,17 +22,7 @@ WORD_OF_ZERO = 60
 
 _ROUNDING = 1e-5  # of a residual, per descriptor: a word whose descriptors all equal it has none
 _TOGETHER = 1024  # dimensions in double precision at a time
-_SMALLEST_VARIANCE = 1e-5  # of the largest; what lies below is rounding
-
-
-def learn_words(
-    descriptors: npt.NDArray[np.float32], n_words: int, generator: np.random.Generator
-) -> npt.NDArray[np.float32]:
-    """Return the centres of k-means on descriptors (n, 128), made unit vectors (n_words, 128).
-
-    Raises BadInput if fewer descriptors than words are different.
-    """
-    return unit(k_means(descriptors, n_words, generator))
+_SMALLEST_VARIANCE = 1e-5  # of the largest; smaller ones are rounding
 
 
 def read_words(path: Path, n_words: int) -> npt.NDArray[np.float32]:
@@ -71,7 +61,7 @@ def vlad(blocks: Iterable[Tensor], words: Tensor, word_of_zero: int = 0) -> Tens
     return functional.normalize(residuals.flatten(), dim=0, eps=1e-12)
 
 
-def whitening(vlads: npt.NDArray[np.float32], n_components: int) -> npt.NDArray[np.float32]:
+def learn_whitening(vlads: npt.NDArray[np.float32], n_components: int) -> npt.NDArray[np.float32]:
     """Learn from vectors (n, n_dimensions) the projection (n_dimensions, at most n_components) that whitens them.
 
     The directions of largest second moment, each divided by the root of that moment; no mean is subtracted.

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 from vprbench.api import BadInput
 
-from .published import PublishedNetwork, Tensors, size
+from .published import PublishedNetwork, Tensors, read_size
 
 _HEADS, _LAYERS = 16, 2
 _REASON = "images that are described together see one another; images_together=1 describes each alone"
@@ -23,7 +23,7 @@ class CrossImageDescriptor(PublishedNetwork):
     """A descriptor of an image that may look at its neighbours too; `network` is left to write.
 
     `images_together` consecutive images of one call of `encode` attend to one another, the last ones to as many as are
-    left. With 1 each image is described alone, and no answer depends on what else is asked. The authors evaluate with
+    left. With 1 each image is described alone, and no answer depends on other queries. The authors evaluate with
     16, which helps if neighbours show one place: a query then has the help of other queries. A batch holds whole
     groups, even if they are more than `batch_size`. With `resize=tensor` only images of one size go together.
     """
@@ -32,7 +32,7 @@ class CrossImageDescriptor(PublishedNetwork):
 
     @property
     def conformance_exceptions(self) -> Mapping[str, str]:  # type: ignore[override]  # 1 image has none
-        """What images that see one another cannot keep, of the conformance suite's rules."""
+        """The rule of the conformance suite that images of one group cannot keep, and the reason."""
         return {} if self.images_together == 1 else {"a batch gives what its single images give": _REASON}
 
     @property
@@ -80,7 +80,7 @@ class CrossImageEncoder(nn.Module):
     @classmethod
     def sized(cls, tensors: Tensors, dim: int, together: int) -> Self:
         """Build the encoder of a file's tensors, or the published one, for groups of `together` images."""
-        return cls(dim, size(tensors, "encoder.layers.0.linear1.weight", 0, 2048), together)
+        return cls(dim, read_size(tensors, "encoder.layers.0.linear1.weight", 0, 2048), together)
 
     def forward(self, parts: Tensor) -> Tensor:
         """Return the parts as their group changes them, (n, n_parts, dim)."""

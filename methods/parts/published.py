@@ -1,4 +1,4 @@
-"""What all published networks share: a network in the sizes of its file's tensors, with their values or without."""
+"""The base of all published networks: a network in the sizes of its file's tensors, with their values or without."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Tensors = Mapping[str, Tensor]
 class PublishedNetwork(NeuralDescriptor):
     """A descriptor whose network has the sizes that its file's tensors have; `network` is left to write."""
 
-    #: What a training on several devices puts before the names of some tensors, or of parts of the network.
+    #: A prefix that a training on several devices puts before names of tensors, or of parts of the network.
     prefix: ClassVar[str] = ""
 
     @abstractmethod
@@ -55,12 +55,12 @@ class PublishedNetwork(NeuralDescriptor):
             return self.network({})
 
 
-def size(tensors: Tensors, name: str, axis: int, published: int) -> int:
+def read_size(tensors: Tensors, name: str, axis: int, published: int) -> int:
     """Return a length of a file's tensor; the published one if the file has none, which strict loading then tells."""
     tensor = tensors.get(name)
     return published if tensor is None or tensor.ndim <= axis else tensor.shape[axis] or published
 
 
-def under(tensors: Tensors, prefix: str) -> dict[str, Tensor]:
+def select_prefix(tensors: Tensors, prefix: str) -> dict[str, Tensor]:
     """Return the tensors whose names begin with `prefix`, under the rest of their names."""
     return {name.removeprefix(prefix): tensor for name, tensor in tensors.items() if name.startswith(prefix)}

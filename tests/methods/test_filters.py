@@ -8,27 +8,32 @@ import preprocess_oracle as oracle
 import pytest
 import readable_encoders as readable
 import torch
-from preprocess_frames import saturated_frame, smooth_frame
+from described_images import drawn_images
 
 from vprbench.api.images import Images
-from vprbench.errors import BadInput
-from vprbench.methods.parts.filters.gabor import GaborBank, gabor_filters
+from vprbench.methods.parts.filters.gabor import GaborBank
 from vprbench.methods.parts.filters.oriented import OrientedEdges
 from vprbench.methods.parts.filters.patches import PatchNormalisation
 
-VARIANTS = ("A", "B", "C")
 SIZES = [(28, 28), (32, 64), (90, 160), (20, 17), (53, 37), (1, 9)]
 
 
-def grey_frame(levels):
-    return np.repeat(np.asarray(levels, np.uint8)[:, :, None], 3, axis=2)
+def draw_frame(height, width, seed=0):
+    return drawn_images((height, width), seed=seed)[0]
+
+
+def saturated_frame(height, width, seed=0):
+    """A frame whose upper third is a sky of one level, as of an overexposed camera."""
+    frame = draw_frame(height, width, seed)
+    frame[: height // 3] = 255 if seed % 2 else 203
+    return frame
 
 
 def preprocess(variant, *frames, **arguments):
     return PatchNormalisation(variant, **arguments)(Images.from_arrays(frames))
 
 
-@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("variant", "ABC")
 def test_a_constant_frame_is_127_everywhere(variant):
     colours = [(0, 0, 0), (1, 1, 1), (2, 2, 2), (100,) * 3, (255,) * 3, (10, 200, 30)]
     frames = [np.full((56, 56, 3), colour, np.uint8) for colour in colours]
@@ -51,7 +56,7 @@ BRIGHT[0, :2] = 255  # the mean is 1.275, the exponent 20: beyond float32, so cl
     ids=str,
 )
 def test_gamma_maps_the_mean_level_to_127_and_a_half_and_clips_in_variant_c_and_truncates_in_b(levels):
-    frame = grey_frame(levels)
+    frame = np.repeat(np.asarray(levels, np.uint8)[:, :, None], 3, axis=2)
     expected = oracle.gamma_c(np.asarray(levels, np.float64))
     b, c = (PatchNormalisation(variant, *frame.shape[:2]).shrink(frame) for variant in "BC")
     assert c == pytest.approx(expected, abs=0.01)
@@ -61,7 +66,7 @@ def test_gamma_maps_the_mean_level_to_127_and_a_half_and_clips_in_variant_c_and_
 @pytest.mark.parametrize("size", SIZES, ids=str)
 @pytest.mark.parametrize("target", [(28, 28), (12, 20), (5, 4)])
 def test_levels_are_the_oracles_but_for_one_where_a_window_is_not_flat(size, target):
-    frame = smooth_frame(*size)
+    frame = draw_frame(*size)
     grey = oracle.resize_bilinear(oracle.gamma_c(oracle.grey_c(frame)), *target)
     for variant, ddof in (("A", 0), ("B", 0), ("C", 1)):
         small = grey if variant == "C" else PatchNormalisation(variant, *target).shrink(frame).astype(np.float64)
@@ -72,7 +77,7 @@ def test_levels_are_the_oracles_but_for_one_where_a_window_is_not_flat(size, tar
 
 
 def test_variant_b_has_the_oracles_whole_levels_and_a_no_gamma_and_resizes_before_it_takes_the_grey():
-    frame = smooth_frame(28, 28)
+    frame = draw_frame(28, 28)
     difference = np.abs(PatchNormalisation("B").shrink(frame) - oracle.gamma_b(oracle.grey_b(frame)))
     assert difference.max() <= 2  # near-ties of OpenCV's fixed-point grey
     assert np.count_nonzero(difference) <= 8
@@ -88,11 +93,11 @@ ENCODERS = [*map(PatchNormalisation, "ABC"), GaborBank(), OrientedEdges()]
 
 @pytest.mark.parametrize("encoder", ENCODERS, ids=str)
 def test_neighbours_threads_and_layout_in_memory_change_nothing_and_frames_stay_as_they_were(encoder):
-    frame, before = smooth_frame(32, 64, 5), torch.get_num_threads()
+    frame, before = draw_frame(32, 64, 5), torch.get_num_threads()
     locked = frame.copy()
     locked.flags.writeable = False
     frames = [frame, locked, np.asfortranarray(frame), frame[:, ::-1][:, ::-1], np.zeros((90, 160, 3), np.uint8)]
-    frames += [smooth_frame(20 + i % 3, 30, seed=i) for i in range(195)]
+    frames += [draw_frame(20 + i % 3, 30, seed=i) for i in range(195)]
     alone = np.concatenate([encoder(Images.from_arrays([each])) for each in frames])
     try:
         for threads in (1, 3):
@@ -104,32 +109,7 @@ def test_neighbours_threads_and_layout_in_memory_change_nothing_and_frames_stay_
         torch.set_num_threads(before)
     assert (alone[:4] == alone[0]).all()
     assert encoder(Images.from_arrays([])).shape == (0, alone.shape[1])
-    assert np.array_equal(frame, smooth_frame(32, 64, 5))
-
-
-@pytest.mark.parametrize(
-    ("encoder", "argument", "value", "wanted"),
-    [
-        *((PatchNormalisation, "patch", patch, "the window needs a centre") for patch in (1, 6, -7)),
-        *((PatchNormalisation, name, value, "at least 1") for name, value in (("height", 0), ("width", -1))),
-        (GaborBank, "height", 5, "give at least 6 pixels"),
-        (GaborBank, "block", 4, "a block needs a cell in its centre"),
-        (GaborBank, "epsilon", 0.0, "give more than 0"),
-        (GaborBank, "patch", 4, "the window needs a centre"),
-        (OrientedEdges, "height", 0, "give at least 1"),
-        (OrientedEdges, "columns", 0, "give at least 1"),
-        (OrientedEdges, "orientations", 1, "give at least 2"),
-        (OrientedEdges, "block", 4, "odd"),
-        *((OrientedEdges, "epsilon", value, "more than 0") for value in (0.0, math.nan)),
-        (OrientedEdges, "power", 0.0, "more than 0"),
-    ],
-)
-def test_arguments_without_a_code_are_refused_by_name(encoder, argument, value, wanted):
-    with pytest.raises(BadInput, match=rf"method\.\w*{argument}={value}\b.*{wanted}"):
-        encoder(**{argument: value})
-
-
-FRAMES = [smooth_frame(90, 160, seed) for seed in range(3)] + [saturated_frame(32, 64, seed) for seed in range(3)]
+    assert np.array_equal(frame, draw_frame(32, 64, 5))
 
 
 def filter_by_hand(angle, wavelength, phase, width):
@@ -165,16 +145,10 @@ def by_hand(levels, block, epsilon):
     return np.concatenate(codes, axis=1)
 
 
-def test_the_filters_are_32_different_waves():
-    assert gabor_filters().shape == (32, 5, 5)
-    np.testing.assert_allclose(gabor_filters().reshape(32, 25), FILTERS, atol=1e-6)
-    alike = np.abs(np.corrcoef(gabor_filters().reshape(32, 25))) - np.eye(32)
-    assert alike.max() < 0.999
-
-
 @pytest.mark.parametrize(("block", "epsilon"), [(1, 0.3), (3, 0.1), (7, 0.01)])
 def test_codes_are_those_of_the_formula_within_0_and_1(block, epsilon):
-    images = Images.from_arrays([*FRAMES[2:5], np.full((48, 64, 3), 97, np.uint8)])
+    plain = np.full((48, 64, 3), 97, np.uint8)
+    images = Images.from_arrays([draw_frame(90, 160), *(saturated_frame(32, 64, seed) for seed in (0, 1)), plain])
     bank = GaborBank(10, 13, 5, block, epsilon)
     levels = PatchNormalisation("C", 10, 13, 5)(images)
     wanted = by_hand(levels.reshape(4, 10, 13).astype(float), block, epsilon)
@@ -194,7 +168,7 @@ def both(frames, **sizes):
 
 @pytest.mark.parametrize("size", EDGE_SIZES, ids=str)
 def test_edges_are_those_of_the_readable_twin_and_zeros_for_one_level(size):
-    found, twins = both([smooth_frame(*size, 4), saturated_frame(*size, 5)])
+    found, twins = both([draw_frame(*size, 4), saturated_frame(*size, 5)])
     assert found.dtype == np.float32
     assert np.abs(found - twins).max() < 1e-6
     flat = [np.full((*size, 3), level, np.uint8) for level in (0, 1, 77, 255)]
@@ -209,25 +183,6 @@ def test_edges_are_those_of_the_readable_twin_and_zeros_for_one_level(size):
 )
 def test_edges_of_any_sizes_are_those_of_the_readable_twin(sizes, power):
     names = ("height", "width", "rows", "columns", "orientations", "block", "epsilon")
-    found, twins = both([smooth_frame(45, 70, 3)], **dict(zip(names, sizes, strict=True)), power=power)
+    found, twins = both([draw_frame(45, 70, 3)], **dict(zip(names, sizes, strict=True)), power=power)
     assert found.shape == (1, sizes[2] * sizes[3] * sizes[4])
     assert np.abs(found - twins).max() < (1e-6 if power == 1 else 1e-5)
-
-
-@pytest.mark.parametrize("power", [1.0, 0.75])
-@pytest.mark.parametrize(("shape", "turned"), [((64, 32, 16, 8), True), ((32, 64, 8, 16), False)])
-def test_an_edge_votes_in_its_own_cells_and_orientations_alone(shape, turned, power):
-    # Left half 0, right half of a colour whose grey is 0.299 * 100 + 0.587 * 200 + 0.114 * 50 = 153: slopes of 153
-    # across in the two columns beside the step, theta = 0, halfway between the first bin (pi / 16) and the last: half a
-    # vote each. A cell of 4 x 4 pixels beside the step has one such column: 153 / 4 / 2 in both bins, twice its square
-    # in energy; of the 9 cells of its block 6 hold it at every row. Turned, theta = pi / 2 lies between bins 3 and 4.
-    frame = np.zeros((32, 64, 3), np.uint8)
-    frame[:, 32:] = (100, 200, 50)
-    expected = np.zeros((8, 16, 8))
-    vote = 153 / 4 / 2
-    expected[:, 7:9, [3, 4] if turned else [0, 7]] = (vote / (math.sqrt(2 * vote**2 * 6 / 9) + 16)) ** power
-    if turned:
-        frame, expected = frame.swapaxes(0, 1), expected.swapaxes(0, 1)
-    sizes = dict(zip(("height", "width", "rows", "columns"), shape, strict=True))
-    for codes in both([frame], **sizes, power=power):
-        assert np.abs(codes.reshape(expected.shape) - expected).max() < 1e-6

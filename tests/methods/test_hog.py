@@ -1,10 +1,9 @@
-"""HOG against a float64 implementation of the rules, worked examples and VPR-Bench's stored results."""
+"""HOG against a float64 implementation of the rules and worked examples."""
 
 import math
 
 import numpy as np
 import pytest
-from corridor import needs_corridor, right, scored, stored
 
 from vprbench.api.images import Images
 from vprbench.methods.hog import HOG
@@ -89,11 +88,3 @@ def test_a_large_frame_is_resized_without_antialiasing_as_published_or_by_area()
         image[:, offset::4] = 90
     assert not encoded(image, **ONE_CELL).any()
     assert encoded(image, **ONE_CELL, interpolation="area").any()
-
-
-@needs_corridor
-def test_corridor_scores_are_those_that_vpr_bench_stored():
-    # 53 right stored; another OpenCV and JPEG decoder move descriptors by thousandths. A resize by area is 0.13 off.
-    scores = scored(HOG())
-    assert 51 <= right(scores) <= 57
-    assert np.abs(scores - stored("HOG")).max() < 0.01

@@ -1,5 +1,8 @@
 """What methods without a published network refuse of arguments, and how they learn places later."""
 
+import math
+import re
+
 import numpy as np
 import pytest
 from described_images import drawn_images
@@ -15,41 +18,44 @@ from vprbench.plugins.rules import Journey
 
 IMAGES = Images.from_arrays(drawn_images(*[(40, 48)] * 12))
 
-#: Arguments of which each does not fit.
+#: Of a method, arguments of which each does not fit.
 REFUSED = {
-    "cohog": {"size": [16, 500], "cell": [0], "bins": [1], "sobel": [4], "entropy_radius": [-1], "entropy_size": [0]},
+    "cohog": {
+        **{"size": [16, 500], "cell": [0], "bins": [1], "region_cells": [0], "sobel": [4]},
+        **{"entropy_radius": [-1], "entropy_size": [0], "entropy_threshold": [math.nan]},
+    },
     "densevlad": {"words": [0], "n_components": [-1]},
     "flyhash": {"units": [0], "summed": [0, 785], "winners": [7841]},
+    "gabor": {"height": [5], "block": [4], "epsilon": [0.0], "patch": [4]},
     "hog": {
-        "height": [500],
-        "width": [8],
-        "cell": [0, 12],
-        "block": [0],
-        "stride": [0],
-        "bins": [0, 256],
-        "sigma": [0.0],
+        **{"height": [500], "width": [8], "cell": [0, 12], "block": [0]},
+        **{"stride": [0], "bins": [0, 256], "sigma": [0.0]},
     },
     "hyperdimensional": {"cell": [33], "stride": [0], "reach": [0.0], "components": [0]},
+    "oriented_binary": {
+        **{"height": [0], "columns": [0], "orientations": [1], "block": [4]},
+        **{"epsilon": [0.0, math.nan], "shares": [[], [0.0], [0.5, 1.2]]},
+    },
     "pca": {"components": [0]},
     "random_projection": {"components": [0]},
+    "sad": {"patch": [1, 6, -7], "height": [0], "width": [-1]},
 }
-REFUSED["cohog"] |= {"region_cells": [0], "entropy_threshold": [float("nan")]}
+ALONE = [(name, {one: value}) for name, own in REFUSED.items() for one, values in own.items() for value in values]
 #: Arguments of which the first does not fit the others.
 TOGETHER = [
     ("hyperdimensional", {"stride": 33, "features": "oriented"}),
     ("pca", {"height": 0, "preprocessing": "grey"}),
     ("sad", {"width": 0, "preprocessing": "grey"}),
+    ("vprtempo", {"contrast_power": 0.0, "encoding": "oriented"}),
 ]
-
-
-ALONE = [(name, {one: value}) for name, own in REFUSED.items() for one, values in own.items() for value in values]
 
 
 @pytest.mark.parametrize(("name", "arguments"), [*ALONE, *TOGETHER])
 def test_arguments_that_do_not_fit_are_named(name, arguments):
     argument, value = next(iter(arguments.items()))
-    with pytest.raises(BadInput, match=rf"method\.{argument}={value}\b"):
-        registry.find_entries("method")[name].target()(**arguments).fit(IMAGES, np.arange(12))
+    method = registry.find_entries("method")[name].target()(**arguments)
+    with pytest.raises(BadInput, match=rf"method\.{argument}={re.escape(str(value))}(?![\d.])"):
+        method.fit(IMAGES, np.arange(12))
 
 
 WORLD = Journey.draw(3)

@@ -9,7 +9,7 @@ import backbones_oracle as oracle
 import cv2
 import numpy as np
 import pytest
-from described_images import drawn_images, encoded, pillow
+from described_images import drawn_images, pillow
 from published_networks import PublishedNetwork, saved_training, unit, with_checks
 from scipy.stats import zscore
 from torch import nn
@@ -19,7 +19,7 @@ from vprbench.api.method import batch_size_for
 from vprbench.api.weights import Weights
 from vprbench.errors import BadInput
 from vprbench.methods import netvlad, patch_netvlad
-from vprbench.methods.patch_netvlad import PatchNetVLAD, inliers, score
+from vprbench.methods.patch_netvlad import PatchNetVLAD, count_inliers, score
 
 pytestmark = pytest.mark.extended  # published networks at full size
 
@@ -28,24 +28,14 @@ GEOMETRY = {"performance": "homography", "speed": "displacement", "storage": "di
 SHARES = {"performance": (0.45, 0.15, 0.4), "speed": (1.0,), "storage": (1.0,)}
 
 
-def drawn(clusters=3, components=10, encoder=None):
-    draw = oracle.Draw(5)
-    return {
-        **(encoder or oracle.vgg16_checkpoint(draw, "encoder.")),
-        "pool.centroids": draw.normal(clusters, 512, scale=512**-0.5),
-        "pool.conv.weight": draw.normal(clusters, 512, 1, 1, scale=4),
-        "WPCA.0.weight": draw.normal(components, clusters * 512, 1, 1).double(),
-        "WPCA.0.bias": draw.normal(components, scale=0.3).double(),
-    }
-
-
 def made(path="none", n_components=10, **arguments):
     arguments = {"components": dict.fromkeys(SIDES, n_components), "height": 144, "width": 160, **arguments}
     return PatchNetVLAD(weights=Weights("x", "", "", path=str(path)), **arguments)
 
 
 def described(tensors, seen, sides=(2, 5, 8)):
-    """Descriptors of an image and of its patches, patch by patch, (1 + n_patches, 10)."""
+    """Descriptors of an image and of its patches, patch by patch, each of 10 numbers."""
+    seen = pillow(seen, 144, 160)
     features = oracle.vgg16(tensors, "encoder.", oracle.imagenet(seen), 28)[0]
     residuals = oracle.residuals(features, tensors["pool.conv.weight"], tensors["pool.centroids"])
     grid = residuals.unflatten(0, (9, 10))
@@ -53,19 +43,21 @@ def described(tensors, seen, sides=(2, 5, 8)):
     for side in sides:
         places = [(y, x) for y in range(9 - side + 1) for x in range(10 - side + 1)]
         sums += [grid[y : y + side, x : x + side].mean((0, 1)) for y, x in places]
-    return np.stack([oracle.vlad(one, tensors["WPCA.0.weight"], tensors["WPCA.0.bias"]).numpy() for one in sums])
+    whitening = tensors["WPCA.0.weight"], tensors["WPCA.0.bias"]
+    return np.concatenate([oracle.vlad(one, *whitening).numpy() for one in sums])
 
 
 NETWORK = PublishedNetwork(
     "patch_netvlad",
-    drawn,
+    lambda: oracle.netvlad_checkpoint(oracle.Draw(5), 3, 10),
     drawn_images((150, 170), (90, 90)),
     10 * (1 + 8 * 9 + 5 * 6 + 2 * 3),
-    lambda tensors, image: described(tensors, pillow(image, 144, 160)).ravel(),
+    described,
     partial(saved_training, key="state_dict"),
     arguments={"components": dict.fromkeys(SIDES, 10), "height": 144, "width": 160},
     alike_in_half=0.95,
     tolerance=1e-4,
+    options={"one size": ({"configuration": "speed"}, drawn_images((90, 90))[0], {"sides": (5,)})},
     refused=[
         ("other", {"components": {"speed": 512}, "configuration": "speed"}, (150, 170)),
         ("method.height=None, method.width=160", {"height": None}, (32, 32)),
@@ -86,20 +78,17 @@ def test_it_is_the_published_network(check, folder):
 @pytest.mark.parametrize("configuration", ["performance", "storage"])
 def test_the_contract_is_kept(configuration, tmp_path, monkeypatch):
     """With one convolution in VGG16's place."""
-    monkeypatch.setattr(netvlad, "vgg16_features", lambda _: nn.Sequential(nn.Conv2d(3, 512, 16, stride=16)))
+    monkeypatch.setattr(netvlad, "build_vgg16", lambda **_: nn.Sequential(nn.Conv2d(3, 512, 16, stride=16)))
     draw = oracle.Draw()
-    encoder = {"encoder.0.weight": draw.normal(512, 3, 16, 16, scale=1 / 16), "encoder.0.bias": draw.normal(512)}
+    tensors = {name: t for name, t in oracle.netvlad_checkpoint(draw, 2, 24).items() if "encoder" not in name}
+    tensors |= {"encoder.0.weight": draw.normal(512, 3, 16, 16, scale=1 / 16), "encoder.0.bias": draw.normal(512)}
     arguments = {"components": dict.fromkeys(SIDES, 24), "candidates": 2, "height": 128, "width": 128}
-    network = replace(NETWORK, draw=lambda: drawn(2, 24, encoder), arguments=arguments)
+    network = replace(NETWORK, draw=lambda: tensors, arguments=arguments)
     assert network.check_contract(tmp_path, configuration=configuration) == set()
 
 
-def test_a_configuration_of_one_size_has_those_patches_alone_and_the_bytes_of_a_code_are_known(folder):
-    code = NETWORK.codes(folder)[0].reshape(-1, 10)
-    method = NETWORK.method(NETWORK.file(folder), configuration="speed")
-    found = encoded(method, NETWORK.images[0])[0]
-    np.testing.assert_allclose(unit(found.reshape(-1, 10)), unit(np.concatenate([code[:1], code[73:103]])), atol=1e-5)
-    assert method.code_bytes == found.nbytes
+def test_the_bytes_of_a_code_are_known_and_the_smallest_codes_alone_are_kept(folder):
+    assert NETWORK.method(NETWORK.file(folder)).code_bytes == NETWORK.codes(folder)[0].nbytes
     assert [made(configuration=each).keeps_descriptors() for each in SIDES] == [False, False, True]
     published = made(n_components=4096, height=480, width=640)
     assert published.code_bytes == 4 * 4096 * (1 + 1131 + 936 + 759)
@@ -136,8 +125,8 @@ def test_points_are_inliers_within_24_pixels_of_the_query_image_whatever_was_ask
     near[7, 0], far[7, 0] = near[7, 0] + 18, far[7, 0] + 40
     for seed in range(5):
         cv2.setRNGSeed(seed)
-        assert [inliers(points, reference) for points in (query, near, far)] == [30, 40, 39]
-    assert 0 <= inliers(reference[[0] * 6], reference[[0] * 6]) <= 6
+        assert [count_inliers(points, reference) for points in (query, near, far)] == [30, 40, 39]
+    assert 0 <= count_inliers(reference[[0] * 6], reference[[0] * 6]) <= 6
 
 
 N_PLACES, ROWS, COLUMNS, COMPONENTS = 7, 9, 10, 12

@@ -2,7 +2,6 @@
 
 import re
 from dataclasses import replace
-from functools import partial
 from itertools import pairwise, product
 from pathlib import Path
 
@@ -12,7 +11,7 @@ import pytest
 import torch
 from backbones_oracle import Draw, imagenet, prefixed, under, vit_checkpoint, vit_tokens
 from described_images import distance, encoded, image
-from published_networks import PublishedNetwork, saved, saved_training, unit, with_checks, without
+from published_networks import PublishedNetwork, saved, saved_training, unit, with_checks
 from safetensors.torch import save_file
 from torch.nn import functional
 
@@ -48,20 +47,14 @@ DINOV2 = PublishedNetwork(
 )
 
 
-# SALAD, with a linear layer MegaLoc, and SALAD trained indoors, one module deeper in its file
+# SALAD, and with a linear layer MegaLoc
 
 PARTS, N_DIMENSIONS = {"clusters": 7, "cluster_dim": 12, "token_dim": 10}, 40
 
 
-def draw_salad(prefix=""):
+def draw_salad():
     backbone, aggregator = vit_checkpoint(draw := Draw(1)), oracle.salad_checkpoint(draw, **PARTS)
-    return prefixed(prefix, prefixed("backbone.model.", backbone) | prefixed("aggregator.", aggregator))
-
-
-def described_indoors(tensors, seen):
-    """Images are seen at the nearest multiples of 14."""
-    tokens = vit_tokens(tensors, "model.backbone.model.", floats(seen, 56, 84))[0]
-    return oracle.salad(tensors, "model.aggregator.", tokens)
+    return prefixed("backbone.model.", backbone) | prefixed("aggregator.", aggregator)
 
 
 SALAD = PublishedNetwork(
@@ -76,15 +69,6 @@ SALAD = PublishedNetwork(
     alike_in_half=0.995,
     options={"one patch more than clusters": ({}, image(28, 56), {})},
     refused=[("need more: set method.height and method.width to 42", {}, (14, 98))],
-)
-SALAD_INDOOR = PublishedNetwork(
-    "salad_indoor",
-    partial(draw_salad, "model."),
-    [image(50, 90), image(50, 90, 1)],
-    7 * 12 + 10,
-    described_indoors,
-    arguments=OWN_SIZE | {"resize": "tensor"},
-    tolerance=2e-5,
 )
 
 
@@ -162,7 +146,7 @@ def supervlad_together(tensors, *images):
 
 SUPERVLAD = PublishedNetwork(
     "supervlad",
-    lambda: without(".encoder.")(draw_supervlad()),
+    lambda: {name: tensor for name, tensor in draw_supervlad().items() if ".encoder." not in name},
     [*SMALL[:2], image(42, 70)],
     CLUSTERS * DIM,
     lambda tensors, seen: clusters(tensors, seen).flatten(),
@@ -346,6 +330,6 @@ def test_the_names_of_the_other_public_wrapper_are_those_of_the_same_tensors(fol
     assert distance(encoded(method, *BOQ_RESNET.images), BOQ_RESNET.codes(folder)) < 1e-5
 
 
-@with_checks(DINOV2, SALAD, SALAD_INDOOR, MEGALOC, SUPERVLAD, CROSS_IMAGE, CRICAVPR, BOQ, BOQ_RESNET)
+@with_checks(DINOV2, SALAD, MEGALOC, SUPERVLAD, CROSS_IMAGE, CRICAVPR, BOQ, BOQ_RESNET)
 def test_it_is_the_published_network(check, folder):
     check(folder)

@@ -217,6 +217,17 @@ def vgg16_checkpoint(draw, prefix=""):
     return prefixed(prefix, tensors)
 
 
+def netvlad_checkpoint(draw, clusters, components=None):
+    """Random values of VGG16 and NetVLAD under the names of QVPR/Patch-NetVLAD; no whitening without `components`."""
+    tensors = vgg16_checkpoint(draw, "encoder.")
+    tensors["pool.centroids"] = draw.normal(clusters, 512, scale=512**-0.5)
+    tensors["pool.conv.weight"] = draw.normal(clusters, 512, 1, 1, scale=4)
+    if components is not None:
+        tensors["WPCA.0.weight"] = draw.normal(components, clusters * 512, 1, 1).double()
+        tensors["WPCA.0.bias"] = draw.normal(components, scale=0.5).double()
+    return tensors
+
+
 RESNETS = {  # blocks of each stage, groups, channels of a group in the first stage
     "resnet18": ((2, 2, 2, 2), 1, 64),
     "resnet50": ((3, 4, 6, 3), 1, 64),

@@ -1,55 +1,16 @@
-"""Readable twins of the compiled encoders, step by step in PyTorch and numpy, that judge them."""
+"""Readable twins of the compiled encoders, step by step in numpy, that judge them."""
 
 import numpy as np
-import torch
-from torch.nn import functional
+import preprocess_oracle as oracle
 
-from vprbench.methods.parts.filters.oriented_compiled import GREY
-
-MEAN_LEVEL, GAIN = 127, 4
-
-
-def correct_gamma(grey, mean):
-    """Map the mean of grey levels 0..255 to 127.5 and clip to 0..255; a mean of at most 1 changes nothing."""
-    exponent = np.log(127.5) / np.log(mean) if mean > 1 else 1.0
-    with np.errstate(over="ignore"):
-        return np.clip(np.power(grey, np.float32(exponent)), 0, 255)
-
-
-def shrink_c(image, height, width):
-    """Return the grey, gamma-corrected image of variant C, (height, width), as VPRTempo 64154e5 makes it."""
-    red, green, blue = (image[:, :, c].astype(np.float32) for c in range(3))
-    weighted = np.float32(0.299) * red + np.float32(0.587) * green + np.float32(0.114) * blue
-    sums = image.sum((0, 1), dtype=np.int64)
-    corrected = correct_gamma(weighted, (0.299 * sums[0] + 0.587 * sums[1] + 0.114 * sums[2]) / weighted.size)
-    if corrected.min() == corrected.max():  # the weights of the resize would leave rounding noise
-        return np.full((height, width), corrected[0, 0])
-    pixels = torch.from_numpy(corrected)[None, None]
-    resized = functional.interpolate(pixels, (height, width), mode="bilinear", align_corners=False)
-    return np.asarray(resized[0, 0], dtype=np.float32)
-
-
-def normalise_patches(grey, patch, ddof):
-    """Compare each pixel with its window: (n, height, width) -> (n, height * width), 127 at the window's mean."""
-    n, height, width = grey.shape
-    pixels = torch.from_numpy(grey).reshape(n, 1, height, width)
-    inside = functional.unfold(torch.ones(1, 1, height, width), patch, padding=patch // 2)  # (1, patch**2, h*w)
-    windows = functional.unfold(pixels, patch, padding=patch // 2)  # (n, patch**2, h*w), 0 outside
-    centre = pixels.reshape(n, -1)
-    count = inside.sum(1)  # (1, h*w)
-    # float32 and this order of operations are the public code's: in a flat window the rounding decides the level.
-    mean = windows.sum(1) / count
-    deviation = ((windows - mean[:, None]) * inside).square().sum(1)
-    z = ((centre - mean) / (deviation / (count - ddof)).sqrt()).nan_to_num(nan=0.0).clamp(-1, 1)
-    flat = ((windows == centre[:, None]) | (inside == 0)).all(1)  # no noise in an exactly constant window
-    return (255 * (1 + z.masked_fill(flat, 0.0)) / 2).to(torch.uint8).numpy()
+GREY = (299, 587, 114)  # thousandths of red, green and blue
 
 
 def encode_patches(encoder, images):
-    """Return the levels of `PatchNormalisation`, (n_images, height * width)."""
-    is_c = encoder.variant == "C"
-    small = [shrink_c(image, encoder.height, encoder.width) if is_c else encoder.shrink(image) for image in images]
-    return normalise_patches(np.stack(small), encoder.patch, int(is_c))
+    """Return the levels of a `PatchNormalisation` of variant C, (n_images, height * width)."""
+    size, grey = (encoder.height, encoder.width), (oracle.gamma_c(oracle.grey_c(image)) for image in images)
+    small = (oracle.resize_bilinear(levels, *size) for levels in grey)
+    return np.stack([oracle.patch_normalise(levels, encoder.patch, 1).ravel() for levels in small])
 
 
 def encode_edges(edges, image):

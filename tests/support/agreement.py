@@ -29,29 +29,22 @@ def compare_networks(here, there, queries):
     """Compare what two networks learnt, and which places are best for their queries."""
     ours, theirs = here.state(), there.state()
     assert ours.keys() == theirs.keys()
-    difference = np.max([share_of_largest(ours[name], theirs[name]) for name in theirs])
-    return Agreement(float(difference), count_other_places(here.query(queries), there.query(queries)), len(queries))
+    return _agree([(ours[name], theirs[name]) for name in theirs], here.query(queries), there.query(queries))
 
 
 def compare_descriptors(here, there, queries):
     """Compare the descriptors of two methods, and which places are best for their queries."""
-    difference = share_of_largest(here.encode(queries), there.encode(queries))
-    return Agreement(difference, count_other_places(here.query(queries), there.query(queries)), len(queries))
+    return _agree([(here.encode(queries), there.encode(queries))], here.query(queries), there.query(queries))
 
 
 def compare_scores(here, there):
     """Compare two arrays of scores, (n_queries, n_places)."""
-    difference = np.max([share_of_largest(*pair) for pair in zip(here, there, strict=True)])
-    return Agreement(float(difference), count_other_places(here, there), len(here))
+    return _agree(zip(here, there, strict=True), here, there)
 
 
-def share_of_largest(here, there):
-    """Return the largest difference as a share of the largest number there; NaN if one is NaN."""
-    return float(np.abs(here - there).max()) / (float(np.abs(there).max()) or 1.0)
-
-
-def count_other_places(here, there):
-    """Return how many queries name a place here whose score there is below the best by more than the tolerance."""
+def _agree(pairs, here, there):
+    """Return the agreement of pairs of arrays; a place is another one if its score there is below the best there."""
+    difference = np.max([np.abs(ours - theirs).max() / (np.abs(theirs).max() or 1.0) for ours, theirs in pairs])
     named = np.take_along_axis(there, here.argmax(1)[:, None], axis=1)
     enough = there.max(1, keepdims=True) - TOLERANCE * np.abs(there).max(1, keepdims=True)
-    return int((~(named >= enough)).sum())
+    return Agreement(float(difference), int((~(named >= enough)).sum()), len(here))

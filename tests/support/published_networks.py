@@ -34,11 +34,6 @@ def saved_training(path, tensors, key="model_state_dict"):
     return saved(path, {key: dict(tensors), "epoch": 30, "optimizer": optimizer, "parallel": False, **recalls})
 
 
-def without(part):
-    """Return what leaves out the tensors of which the name has a part."""
-    return lambda tensors: {name: tensor for name, tensor in tensors.items() if part not in name}
-
-
 def unit(vectors):
     """Return vectors, along the last axis, at unit length."""
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
@@ -97,13 +92,6 @@ class PublishedNetwork:
         own = self.tensors if tensors is None else tensors
         return np.stack([unit(np.asarray(self.expected(own, seen, **how))) for seen in images])
 
-    def refusal(self, path, **arguments):
-        with pytest.raises(BadInput) as error:
-            self.method(path, **arguments).load(path)
-        assert "\n" not in str(error.value)
-        assert str(path) in str(error.value)
-        return str(error.value)
-
     def check_contract(self, folder, **options):
         """Put the method to every rule; returns the rules that it is excepted from. The network is read once."""
         config = composed(f"method={self.name}") | dict(self.arguments) | options
@@ -116,7 +104,6 @@ class PublishedNetwork:
         """Yield each check's name and what runs it, given a folder that files may be written to."""
         yield "descriptors", self._has_the_descriptors_of_the_slow_computation
         yield "half precision", self._half_the_precision_keeps_the_descriptor
-        yield "wrong tensors", self._names_wrong_tensors
         for name, option in self.options.items():
             yield f"option {name}", partial(self._has_the_descriptors_under, *option)
         for told, arguments, size in self.refused:
@@ -144,16 +131,6 @@ class PublishedNetwork:
             half = network(seen.to(torch.bfloat16)).float()
         assert torch.nn.functional.cosine_similarity(half, exact).min() > self.alike_in_half
 
-    def _names_wrong_tensors(self, folder):
-        method, path = self.method(folder / "none"), folder / "x.pth"
-        tensors = {re.sub(r"^mod(ule|el)\.", "", name): tensor for name, tensor in self.tensors.items()}
-        first, *others = tensors
-        lacking = {name: tensors[name] for name in others}
-        shown = re.sub(r"^(model\.)?(backbone\.model\.|backbone\.)?", "", first)  # a part may be left out
-        for changed, name in ((lacking, shown), (tensors | {"other.weight": torch.zeros(3, 3)}, "other.weight")):
-            with pytest.raises(BadInput, match=f"x.pth.*{re.escape(name)}"):
-                method.loaded(changed, path)
-
     def _has_the_descriptors_under(self, arguments, seen, how, folder):
         assert distance(self.encode(folder, seen, **arguments), self.slowly(seen, **how)) < self.tolerance
 
@@ -161,22 +138,6 @@ class PublishedNetwork:
         with pytest.raises(BadInput, match=re.escape(told)) as error:
             self.encode(folder, image(*size), **arguments)
         assert "\n" not in str(error.value)
-
-
-class SmallNetwork(torch.nn.Module):
-    """Stands in a large network's place: means over nine parts of one convolution; remembers what it sees."""
-
-    mean: tuple[float, ...] | None = None  # what NetVLAD asks for
-
-    def __init__(self):
-        super().__init__()
-        self.convolution = torch.nn.Conv2d(3, 32, 8, stride=8)
-        self.convolution.weight.data = torch.randn(32, 3, 8, 8, generator=torch.Generator().manual_seed(0))
-        self.register_buffer("centres", torch.zeros(1))  # what AnyLoc sets
-
-    def forward(self, images):
-        self.seen = images
-        return torch.nn.functional.adaptive_avg_pool2d(self.convolution(images), 3).flatten(1)
 
 
 def excepted(config, network):

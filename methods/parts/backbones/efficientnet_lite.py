@@ -95,7 +95,7 @@ def fold_batch_norms(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
     """Return the weight and the bias of each convolution, the batch norm behind it folded in, by this module's names.
 
     `tensors` are those of a published file: "_conv_stem.weight", "_bn0.running_mean", "_blocks.3._expand_conv.weight"
-    and so on; what comes after the blocks is left out. A convolution that lacks a part of its batch norm is left out
+    and so on; layers after the blocks are left out. A convolution that lacks a part of its batch norm is left out
     too, which strict loading then reports.
     """
     folded: dict[str, Tensor] = {}
@@ -162,9 +162,13 @@ class Convolution(nn.Conv2d):
     def forward(self, maps: Tensor) -> Tensor:
         """Return the output for maps (n, channels, rows, columns)."""
         (top, bottom), (left, right) = self.padding_of(maps.shape[-2:])
-        if (top, left) == (bottom, right):
-            return functional.conv2d(maps, self.weight, self.bias, self.stride, (top, left), groups=self.groups)
-        return super().forward(functional.pad(maps, (left, right, top, bottom)))
+        weight, padding = self.weight, (top, left)
+        if bottom - top == right - left == 1:
+            # PyTorch pads evenly without a copy: zeros in the kernel cost less than a padded copy of the maps.
+            weight, padding = functional.pad(weight, (1, 0, 1, 0)), (bottom, right)
+        elif (top, left) != (bottom, right):
+            maps, padding = functional.pad(maps, (left, right, top, bottom)), (0, 0)
+        return functional.conv2d(maps, weight, self.bias, self.stride, padding, groups=self.groups)
 
 
 class Block(nn.Module):

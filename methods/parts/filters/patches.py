@@ -83,7 +83,7 @@ class PatchNormalisation:
             return cv2.cvtColor(small, cv2.COLOR_RGB2GRAY).astype(np.float32)
         if self.variant == "B":
             grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-            levels = cv2.LUT(grey, _power(_LEVELS.copy(), grey.mean()).astype(np.uint8))
+            levels = cv2.LUT(grey, _correct_gamma(_LEVELS.copy(), grey.mean()).astype(np.uint8))
             return cv2.resize(levels, size, interpolation=cv2.INTER_LINEAR).astype(np.float32)
         shrunk = np.empty((1, self.height, self.width), np.float32)
         self._shrink_block([image], shrunk)
@@ -109,7 +109,7 @@ class PatchNormalisation:
             own = slice(first, first + step)
             images = np.stack(block) if step > 1 else np.ascontiguousarray(block[first])[None]
             take_taps(images, taps[own], means[own])
-        _power(taps, means[:, None, None, None, None])
+        _correct_gamma(taps, means[:, None, None, None, None])
         blend_taps(taps, np.array([image.shape[:2] for image in block]), small)
 
     @property
@@ -118,14 +118,16 @@ class PatchNormalisation:
         return 1 if self.variant == "C" else 0
 
 
-def _power(grey: npt.NDArray[np.float32], mean: npt.NDArray[np.float64] | np.float64) -> npt.NDArray[np.float32]:
+def _correct_gamma(
+    grey: npt.NDArray[np.float32], mean: npt.NDArray[np.float64] | np.float64
+) -> npt.NDArray[np.float32]:
     """Map the mean of grey images, levels 0..255, to 127.5 and clip to 0..255, in place; `mean` is one or one an image.
 
     The exponent is ln(0.5 * 255) / ln(mean) (VPRTempo 64154e5). An image whose mean is at most 1, where the exponent
     has no finite positive value, is left unchanged: a black frame stays black.
     """
     exponent = np.where(mean > 1, np.log(127.5) / np.log(np.maximum(mean, 1 + 1e-9)), 1)
-    with np.errstate(over="ignore"):  # a nearly black image has a huge exponent; what overflows is clipped
+    with np.errstate(over="ignore"):  # a nearly black image has a huge exponent; overflows are clipped
         np.power(grey, exponent.astype(np.float32), out=grey)
     return np.clip(grey, 0, 255, out=grey)
 
@@ -140,7 +142,7 @@ def _multiply_add(a, b, c):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def _source(index, size, source_size):  # type: ignore[no-untyped-def]
+def _find_source(index, size, source_size):  # type: ignore[no-untyped-def]
     """Return the first source pixel of a bilinear resize with half-pixel centres, and the share of the second."""
     scale = np.float32(source_size) / np.float32(size)
     position = max(_multiply_add(scale, np.float32(index) + np.float32(0.5), np.float32(-0.5)), np.float32(0))
@@ -149,13 +151,13 @@ def _source(index, size, source_size):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def _grey(pixel):  # type: ignore[no-untyped-def]
+def _make_grey(pixel):  # type: ignore[no-untyped-def]
     weighted = np.float32(0.299) * np.float32(pixel[0]) + np.float32(0.587) * np.float32(pixel[1])
     return weighted + np.float32(0.114) * np.float32(pixel[2])
 
 
 @compiled()
-def _constant(small, row, column, half):  # type: ignore[no-untyped-def]
+def _is_constant(small, row, column, half):  # type: ignore[no-untyped-def]
     """Tell whether a window, cut at the border, holds one level only."""
     height, width = small.shape
     for y in range(max(row - half, 0), min(row + half + 1, height)):
@@ -166,7 +168,7 @@ def _constant(small, row, column, half):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def _window_means(grey, patch, stride, count, part, mean):  # type: ignore[no-untyped-def]
+def _average_windows(grey, patch, stride, count, part, mean):  # type: ignore[no-untyped-def]
     part[:] = mean[:] = 0
     for dy in range(patch):
         for dx in range(patch):
@@ -182,7 +184,7 @@ def _window_means(grey, patch, stride, count, part, mean):  # type: ignore[no-un
 
 
 @compiled()
-def _window_deviations(grey, inside, patch, stride, mean, part, deviation):  # type: ignore[no-untyped-def]
+def _measure_deviations(grey, inside, patch, stride, mean, part, deviation):  # type: ignore[no-untyped-def]
     part[:] = deviation[:] = 0
     for dy in range(patch):
         for dx in range(patch):
@@ -209,15 +211,15 @@ def take_taps(images, taps, means):  # type: ignore[no-untyped-def]
     for number in range(n):
         image = images[number]
         for row in range(height):
-            above, _ = _source(row, height, h)
+            above, _ = _find_source(row, height, h)
             below = min(above + 1, h - 1)
             for column in range(width):
-                left, _ = _source(column, width, w)
+                left, _ = _find_source(column, width, w)
                 right = min(left + 1, w - 1)
-                taps[number, 0, 0, row, column] = _grey(image[above, left])
-                taps[number, 0, 1, row, column] = _grey(image[above, right])
-                taps[number, 1, 0, row, column] = _grey(image[below, left])
-                taps[number, 1, 1, row, column] = _grey(image[below, right])
+                taps[number, 0, 0, row, column] = _make_grey(image[above, left])
+                taps[number, 0, 1, row, column] = _make_grey(image[above, right])
+                taps[number, 1, 0, row, column] = _make_grey(image[below, left])
+                taps[number, 1, 1, row, column] = _make_grey(image[below, right])
         red = green = blue = np.int64(0)
         for row in range(h):
             red_here = green_here = blue_here = np.int32(0)
@@ -241,10 +243,10 @@ def blend_taps(taps, sizes, small):  # type: ignore[no-untyped-def]
             small[image] = least
             continue
         for row in range(height):
-            _, down = _source(row, height, sizes[image, 0])
+            _, down = _find_source(row, height, sizes[image, 0])
             up = np.float32(1) - down
             for column in range(width):
-                _, right = _source(column, width, sizes[image, 1])
+                _, right = _find_source(column, width, sizes[image, 1])
                 left = np.float32(1) - right
                 level = taps[image, 0, 1, row, column] * (up * right)
                 level = _multiply_add(taps[image, 0, 0, row, column], up * left, level)
@@ -276,13 +278,13 @@ def normalise_patches(small, patch, ddof, levels):  # type: ignore[no-untyped-de
         for row in range(height):
             start = (row + half) * stride + half
             grey[start : start + width] = small[image, row]
-        _window_means(grey, patch, stride, count, part, mean)
-        _window_deviations(grey, inside, patch, stride, mean, part, deviation)
+        _average_windows(grey, patch, stride, count, part, mean)
+        _measure_deviations(grey, inside, patch, stride, mean, part, deviation)
         for row in range(height):
             for column in range(width):
                 k = row * stride + column
                 spread = np.sqrt(deviation[k] / (count[k] - np.float32(ddof)))
                 z = (small[image, row, column] - mean[k]) / spread
-                flat = spread <= _NEARLY_FLAT * mean[k] and _constant(small[image], row, column, half)
+                flat = spread <= _NEARLY_FLAT * mean[k] and _is_constant(small[image], row, column, half)
                 z = np.float32(0) if flat or np.isnan(z) else min(max(z, np.float32(-1)), np.float32(1))
                 levels[image, row * width + column] = np.uint8(np.float32(255) * (np.float32(1) + z) / np.float32(2))

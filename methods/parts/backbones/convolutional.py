@@ -1,4 +1,4 @@
-"""The convolutional part of ResNet and ResNeXt, under the two kinds of names that published weights have."""
+"""Convolutional backbones, ResNet, ResNeXt and VGG16, under the names that published weights have, and GeM."""
 
 from __future__ import annotations
 
@@ -8,9 +8,15 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Literal
 
+import torch
 from torch import Tensor, nn
 
 N_STAGES = 4
+
+VGG16_CHANNELS = 512
+
+_VGG16_GROUPS = ((64, 2), (128, 2), (256, 3), (512, 3), (512, 3))  # channels, convolutions; a pool ends each group
+_SMALLEST_FEATURE = 1e-6  # the generalised mean counts smaller ones as this
 
 _WORDS = ("conv1", "bn1", "relu", "maxpool", "layer1", "layer2", "layer3", "layer4")
 
@@ -34,7 +40,7 @@ _KINDS: Mapping[str, _Kind] = MappingProxyType(
 )
 
 
-def resnet(name: str, n_stages: int = N_STAGES, names: Literal["numbers", "words"] = "numbers") -> nn.Sequential:
+def build_resnet(name: str, n_stages: int = N_STAGES, names: Literal["numbers", "words"] = "numbers") -> nn.Sequential:
     """Return a ResNet without its pooling and classifier, in evaluation mode and without gradients.
 
     Images (n, 3, height, width) become (n, n_channels, height / 2^(n_stages + 1), width / 2^(n_stages + 1)), rounded
@@ -52,16 +58,50 @@ def resnet(name: str, n_stages: int = N_STAGES, names: Literal["numbers", "words
     ]
     n_inputs = 64
     for stage in range(n_stages):
-        layers.append(_stage(kind, stage, n_inputs))
-        n_inputs = _n_outputs(kind, stage)
+        layers.append(_build_stage(kind, stage, n_inputs))
+        n_inputs = _count_outputs(kind, stage)
     keys = _WORDS if names == "words" else tuple(str(number) for number in range(len(_WORDS)))
     # The stages that are left out leave keys over.
     return nn.Sequential(OrderedDict(zip(keys, layers, strict=False))).eval().requires_grad_(False)
 
 
-def n_channels(name: str, n_stages: int = N_STAGES) -> int:
-    """Return how many channels `resnet(name, n_stages)` puts out."""
-    return _n_outputs(_KINDS[name], n_stages - 1)
+def count_channels(name: str, n_stages: int = N_STAGES) -> int:
+    """Return how many channels `build_resnet(name, n_stages)` puts out."""
+    return _count_outputs(_KINDS[name], n_stages - 1)
+
+
+def build_vgg16(*, last_pool: bool = True) -> nn.Sequential:
+    """Return VGG16's `features`, in evaluation mode and without gradients.
+
+    The keys are "0.weight", "0.bias", "2.weight" and so on: every convolution, ReLU and pool has a number. Images
+    (n, 3, height, width) become (n, 512, height // 32, width // 32). Without the `last_pool` and the ReLU before it
+    they become (n, 512, height // 16, width // 16).
+    Source: Simonyan and Zisserman 2015, configuration D, in torchvision's numbering.
+    """
+    layers: list[nn.Module] = []
+    n_inputs = 3
+    for n_channels, n_convolutions in _VGG16_GROUPS:
+        for _ in range(n_convolutions):
+            layers += [nn.Conv2d(n_inputs, n_channels, 3, padding=1), nn.ReLU(inplace=True)]
+            n_inputs = n_channels
+        layers.append(nn.MaxPool2d(2))
+    return nn.Sequential(*layers[: None if last_pool else -2]).eval().requires_grad_(False)
+
+
+class GeM(nn.Module):
+    """Generalised mean with a learned power `p`: (n, channels, height, width) to (n, channels), in float32.
+
+    Source: Radenovic et al. 2019: (mean over positions of max(x, 1e-6)^p)^(1/p).
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.p = nn.Parameter(torch.full((1,), 3.0))
+
+    def forward(self, features: Tensor) -> Tensor:
+        """Pool each channel over all positions."""
+        p = self.p.float()
+        return features.float().clamp(min=_SMALLEST_FEATURE).pow(p).mean((2, 3)).pow(1 / p)
 
 
 class _Block(nn.Module):
@@ -73,7 +113,7 @@ class _Block(nn.Module):
         for number, convolution in enumerate(convolutions, 1):
             self.add_module(f"conv{number}", convolution)
             self.add_module(f"bn{number}", nn.BatchNorm2d(convolution.out_channels))
-        self.downsample = _shortcut(n_inputs, convolutions[-1].out_channels, stride)
+        self.downsample = _build_shortcut(n_inputs, convolutions[-1].out_channels, stride)
 
     def forward(self, x: Tensor) -> Tensor:
         out = x
@@ -84,38 +124,41 @@ class _Block(nn.Module):
         return out.relu_()
 
 
-def _n_outputs(kind: _Kind, stage: int) -> int:
+def _count_outputs(kind: _Kind, stage: int) -> int:
     """Return the channels after a stage; the first stage is 0."""
     return (256 if kind.bottleneck else 64) << stage
 
 
-def _stage(kind: _Kind, stage: int, n_inputs: int) -> nn.Sequential:
+def _build_stage(kind: _Kind, stage: int, n_inputs: int) -> nn.Sequential:
     """Return the blocks of a stage; all but the first stage halve the image in their first block."""
-    n_outputs = _n_outputs(kind, stage)
+    n_outputs = _count_outputs(kind, stage)
     blocks: list[nn.Module] = []
     for number in range(kind.n_blocks[stage]):
         stride = 2 if stage > 0 and number == 0 else 1
         if kind.bottleneck:
             width = kind.n_groups * kind.group_width << stage
             convolutions = [
-                _convolution(n_inputs, width, 1),
-                _convolution(width, width, 3, stride, kind.n_groups),
-                _convolution(width, n_outputs, 1),
+                _build_convolution(n_inputs, width, 1),
+                _build_convolution(width, width, 3, stride, kind.n_groups),
+                _build_convolution(width, n_outputs, 1),
             ]
         else:
-            convolutions = [_convolution(n_inputs, n_outputs, 3, stride), _convolution(n_outputs, n_outputs, 3)]
+            convolutions = [
+                _build_convolution(n_inputs, n_outputs, 3, stride),
+                _build_convolution(n_outputs, n_outputs, 3),
+            ]
         blocks.append(_Block(n_inputs, stride, *convolutions))
         n_inputs = n_outputs
     return nn.Sequential(*blocks)
 
 
-def _convolution(n_inputs: int, n_outputs: int, side: int, stride: int = 1, n_groups: int = 1) -> nn.Conv2d:
+def _build_convolution(n_inputs: int, n_outputs: int, side: int, stride: int = 1, n_groups: int = 1) -> nn.Conv2d:
     """Return a convolution that keeps the size but for its stride."""
     return nn.Conv2d(n_inputs, n_outputs, side, stride=stride, padding=side // 2, groups=n_groups, bias=False)
 
 
-def _shortcut(n_inputs: int, n_outputs: int, stride: int) -> nn.Sequential | None:
+def _build_shortcut(n_inputs: int, n_outputs: int, stride: int) -> nn.Sequential | None:
     """Return what brings a block's input to the shape of its output; none if it has that shape already."""
     if stride == 1 and n_inputs == n_outputs:
         return None
-    return nn.Sequential(_convolution(n_inputs, n_outputs, 1, stride), nn.BatchNorm2d(n_outputs))
+    return nn.Sequential(_build_convolution(n_inputs, n_outputs, 1, stride), nn.BatchNorm2d(n_outputs))
