@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import atexit
 import os
 import signal
 import sys
+from contextlib import suppress
 from types import FrameType
+from typing import NoReturn
 
 _interruptible = False  # whether a command runs that has to undo something
 
@@ -18,7 +21,17 @@ def _handle_signal(number: int, _: FrameType | None) -> None:
     os._exit(128 + number)
 
 
-def main() -> int:
+def main() -> NoReturn:
+    """Run the command line and end the process; without `os._exit` Python would take PyTorch apart for two seconds."""
+    code = run_command_line()
+    atexit._run_exitfuncs()
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError, ValueError):  # nobody may be there to read it
+            stream.flush()
+    os._exit(code)
+
+
+def run_command_line() -> int:
     """Run the command line; returns the exit code, 0 only if every run or command that was asked for is done."""
     global _interruptible
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -42,8 +55,7 @@ def main() -> int:
         if "multiprocessing" in sys.modules:  # Python would wait for the processes that a plug-in has left
             for child in sys.modules["multiprocessing"].active_children():
                 child.terminate()
-        exec("")  # or Python, which keeps in mind that code of another exec() was interrupted, ends by SIGINT
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    main()

@@ -42,7 +42,8 @@ def helped(capsys, *arguments):
 @pytest.mark.parametrize("line", ["", "--version", "list spiking", "compare --help", "__complete v m"])
 def test_nothing_that_is_printed_at_once_imports_pytorch_or_a_plug_in(line):
     heavy = {"torch", "matplotlib", "optuna", "vprbench.methods", "vprbench.datasets"}
-    code = f"import sys; from vprbench.__main__ import main; print(main(), [*{heavy} & {{*sys.modules}}])"
+    code = "import sys; from vprbench.__main__ import run_command_line as run; "
+    code += f"print(run(), [*{heavy} & {{*sys.modules}}])"
     command = [sys.executable, "-c", code, *line.split()]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
     assert (done.stdout.splitlines()[-1], done.stderr) == ("0 []", "")
