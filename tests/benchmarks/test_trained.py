@@ -1,6 +1,5 @@
 """EfficientNet-Lite on frames of 128x224 pixels, encode and match together, beside matrix products as large."""
 
-from contextlib import suppress
 from functools import cache
 from math import ceil
 
@@ -69,24 +68,3 @@ def test_query(name, images, measure, size, route, fitted, products):
     encode = {"encode alone": lambda: method.encode(queries)}
     plainly = {} if descriptor is not method else {"PyTorch's convolutions": lambda: plain(method)(queries)}
     measure(f"{name}, {images} together", lambda: method.query(queries), images, {**encode, **plainly, **floor})
-
-
-@pytest.mark.parametrize("block", [4, 10, 12])
-def test_bfloat16(block, measure, size, fitted):
-    """bfloat16 beside float32: measured, and not offered."""
-    from vprbench.methods.parts.backbones.compiled_blocks import compile_blocks
-
-    network = fitted("efficientnet")._network.model
-    images = torch.ones(1, 3, size(128, 32), size(224, 32)).contiguous(memory_format=torch.channels_last)
-    calls = {}
-    with torch.inference_mode(), suppress(RuntimeError):  # a processor without bfloat16
-        for kind in (torch.float32, torch.bfloat16):
-            shown = images.to(kind)
-            run = compile_blocks(network.to(kind), shown, [block])
-            calls[kind] = lambda run=run, shown=shown: run(shown)
-            calls[kind]()
-    network.float()
-    if len(calls) < 2:
-        pytest.skip("oneDNN has no convolution in bfloat16 here")
-    with torch.inference_mode():
-        measure(f"to block {block}, bfloat16", calls[torch.bfloat16], 1, {"float32": calls[torch.float32]})

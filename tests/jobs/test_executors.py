@@ -13,7 +13,7 @@ from killed_worker import Kills
 
 from vprbench import __version__, cli
 from vprbench.config import make_request
-from vprbench.errors import BadInput, ClusterLostError
+from vprbench.errors import BadInput
 from vprbench.jobs import executors
 from vprbench.jobs import options as cluster_options
 from vprbench.jobs.executors import Executor, choose_executor, choose_gpu, run_all
@@ -126,16 +126,6 @@ def test_a_worker_that_dies_is_made_up_for_three_times(scheduler, tmp_path):
         result = executor.collect(make_request(RUN), functions.submit(Kills(tmp_path), True))
     assert (result.code, "4 times" in result.failure.error) == (1, True)
     assert len([*(tmp_path / "True").iterdir()]) == 4
-
-
-@pytest.mark.extended
-def test_a_scheduler_that_is_gone_is_one_line(tmp_path):
-    distributed = pytest.importorskip("distributed", reason=NEEDS)
-    with distributed.LocalCluster(n_workers=1, dashboard_address=":0", silence_logs=50) as cluster:
-        executor = choose_executor(ClusterOptions(scheduler=cluster.scheduler_address))
-        made = executor.open_pool().submit(time.sleep, 60)
-    with executor, pytest.raises(ClusterLostError, match="give the same command again"):
-        executor.collect(make_request(RUN), made)
 
 
 @pytest.mark.parametrize("place", ["workers", pytest.param("scheduler", marks=pytest.mark.extended)])

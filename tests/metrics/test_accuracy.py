@@ -121,18 +121,6 @@ def test_scores_and_places_that_cannot_be_are_refused_by_name(scores, right, err
             judge(scores, places(*right))
 
 
-def test_a_place_beyond_the_map_and_a_rank_of_0_are_refused():
-    with pytest.raises(BadInput):
-        outcome(np.zeros((1, 2)), places([0]), places([2]))
-    with pytest.raises(BadInput):
-        accuracy.hits_at(WORKED, 0)
-
-
-def test_real_scores_of_any_type_are_ranked():
-    for kind in ("bool", "uint8", "float16", "float64"):
-        assert list(accuracy.hits_at(outcome(np.array([[1, 0], [1, 0]]).astype(kind), places([0], [1])), 1)) == [1, 0]
-
-
 def test_blocks_of_queries_give_what_the_whole_gives(monkeypatch):
     scores, positives = random_case(7, 50, 11, 5)
     band = [np.union1d(right, [4]) for right in positives]

@@ -13,15 +13,14 @@ from checkout import ROOT
 from little import a_run, unanswerable_run
 from little_runs import quiet_surroundings
 from small_plan import RUN, install, run_apart
-from stored_runs import RAIL, ROWS, SAD, VPRSNN, run
+from stored_runs import SAD, VPRSNN, run
 
 from vprbench.api.arithmetic import Arithmetic
 from vprbench.cli import main
 from vprbench.metrics import catalogue
 from vprbench.metrics.accuracy import average_precision, hits_at, pr_curve_multi
 from vprbench.metrics.catalogue import METRICS, Metric, average_metric
-from vprbench.report.figures.accuracy import draw_metric
-from vprbench.report.selection import MethodRuns, group_runs_by_column, list_method_runs
+from vprbench.report.selection import MethodRuns
 from vprbench.report.table import formats
 from vprbench.report.table.best import find_most_accurate
 from vprbench.report.table.quantities import QUANTITIES, list_quantities
@@ -139,15 +138,6 @@ def test_an_unknown_metric_is_told_with_its_neighbours(capfd):
     for options in (["method=sad"], ["table"]):
         assert main([*options, "metrics=[r100]"]) == 2
         assert "did you mean r100p" in capfd.readouterr().err
-
-
-def test_the_figure_of_a_metric_shows_its_rows():
-    (group,) = group_runs_by_column([run(), run("vprsnn")], (), [RAIL], ROWS)
-    drawn = draw_metric(list_method_runs(group, ROWS), METRICS["r100p"])
-    (axes,) = drawn.figure.axes
-    assert [label.get_text() for label in axes.get_yticklabels()] == ["SAD", "VPRSNN"]
-    assert axes.get_xlabel() == "R@100P %"
-    assert METRICS["r100p"].explained in drawn.caption
 
 
 def test_arithmetic_costs_what_the_table_says_and_synaptic_operations_add_up_by_their_kind():

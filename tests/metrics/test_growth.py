@@ -28,12 +28,6 @@ def test_the_exponent_is_a_slope_with_student_s_interval():
         assert exact.at([1, 50]) == pytest.approx(0.003 * np.array([1, 50.0**power]))
 
 
-def test_of_several_times_at_one_size_the_median_counts():
-    seconds = np.array([1.0, 1.4, 2.1, 2.4, 3.2, 3.4])
-    of_seeds = np.concatenate([seconds * factor for factor in (1.0, 0.5, 9.0)])
-    assert fit_power(np.tile(SIZES, 3), of_seeds) == fit_power(SIZES, seconds)
-
-
 def test_too_few_sizes_and_times_that_are_not_above_zero_are_refused():
     for sizes, times, named in (
         ([100, 300] * 3, [1.0] * 6, "^times at 2"),
@@ -66,14 +60,6 @@ def test_samples_stand_in_the_order_of_places_and_seeds_and_the_newest_run_of_ea
     found = tabulate_growth([*runs, carts, figure_runs.sized(900, None, 0.001)])  # the last one loaded its network
     assert [*zip(found.places, found.disturbed, strict=True)][3:] == [(300, False), (500, True), (900, False)]
     assert found.fit_compute_seconds.isna().tolist() == [False] * 5 + [True]
-
-
-def test_runs_under_other_conditions_than_the_newest_are_not_shown():
-    old = [figure_runs.sized(n, 9.0, 0.009, code="older", **OLD) for n in (100, 300, 1000)]
-    slow = [figure_runs.sized(300, 9.0, 0.009, processor="Slide rule", time_utc="2024-06-01T00:00:00Z")]
-    new = [figure_runs.sized(n, 1.0, 0.001) for n in (100, 300)]
-    found = tabulate_growth([*old, *new, *slow])
-    assert found.fit_compute_seconds.tolist() == [1.0, 1.0]
 
 
 def test_runs_with_other_arguments_weights_or_protocol_are_another_growth():

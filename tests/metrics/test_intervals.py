@@ -46,16 +46,6 @@ def test_the_bootstrap_has_the_quantiles_of_all_choices_of_circular_blocks(n, bl
         assert np.mean(means < end - 1e-9) < share <= np.mean(means < end + 1e-9) + 1e-9
 
 
-def test_the_bootstrap_of_any_numbers_has_the_quantiles_of_many_draws():
-    values, random = np.random.default_rng(6).random(200) ** 3, np.random.default_rng(7)
-    starts = random.integers(200, size=(40_000, 8, 1))  # 200 values are 8 blocks of 24 and 8 values
-    drawn = values[(starts + np.arange(24)) % 200].sum(axis=(1, 2))
-    rest = values[(random.integers(200, size=(40_000, 1)) + np.arange(8)) % 200].sum(axis=1)
-    ends = np.quantile((drawn + rest) / 200, [0.025, 0.975])
-    found = block_bootstrap(values, 24)
-    assert (found.low, found.high) == pytest.approx(ends, abs=0.002)
-
-
 def in_runs(n, share, kept, random):
     """Hits of mean `share`, each of which is that before it with chance `kept` and else drawn anew."""
     drawn = (random.random(n) < share).astype(np.float64)
@@ -203,14 +193,6 @@ def test_the_length_is_that_of_a_slow_transcription_of_the_published_rule(n, phi
     series = autoregressive(n, phi, seed=n)
     for row in (series, (series > np.median(series)).astype(np.float64)):
         assert block_length(row) == transcribed(row.tolist())
-
-
-def test_the_length_of_an_autoregressive_series_comes_near_its_best_one():
-    # R(k) = R(0) phi^|k|: G / g(0) = 2 phi / (1 - phi^2), so b = (6 phi^2 n / (1 - phi^2)^2)^(1/3)
-    n, phi = 20_000, 0.7
-    best = (6 * phi**2 * n / (1 - phi**2) ** 2) ** (1 / 3)
-    found = [block_length(autoregressive(n, phi, seed)) for seed in range(20)]
-    assert np.median(found) == pytest.approx(best, rel=0.1)
 
 
 def test_too_few_and_equal_values_have_blocks_of_one_and_all_others_at_least_three_blocks():

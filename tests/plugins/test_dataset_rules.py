@@ -97,13 +97,6 @@ def test_a_right_dataset_keeps_every_rule_and_each_rule_has_a_wrong_one():
     assert list(WRONG) == list(DATASET_RULES)
 
 
-@pytest.mark.extended
-def test_rendered_datasets_keep_every_rule():
-    for arguments in ({}, {"protocol": "vprsnn", "first_query_place": 4}):
-        results = [*check_dataset({"_target_": "vprbench.datasets.synthetic.synthetic", "places": 12, **arguments})]
-        assert {result.state for result in results} == {"kept"}
-
-
 def test_written_folders_keep_every_rule(tmp_path):
     for number, traverse in enumerate(("monday", "tuesday", "friday")):
         (tmp_path / traverse).mkdir()

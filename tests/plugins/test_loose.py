@@ -11,7 +11,7 @@ from PIL import Image
 from small_plan import Apart
 
 from vprbench.cli import main
-from vprbench.config import make_request, quote_options
+from vprbench.config import make_request
 from vprbench.errors import BadInput
 from vprbench.jobs import executors
 from vprbench.plugins import entries, loose, registry
@@ -143,10 +143,6 @@ def test_a_name_that_is_taken_is_refused_of_a_class_as_of_a_file(here):
             loose.resolve_name("method", text)
     assert loose.resolve_name("method", "./means.py:Means") == "Means"
     assert json.loads("1") == 1
-
-
-def test_a_path_among_names_is_read_as_a_name():
-    assert quote_options(["methods=[means.py:Means,sad]", "method="]) == ["methods=[Means,sad]", "method="]
 
 
 def test_another_source_or_another_file_that_it_reads_makes_another_run(here, capsys):

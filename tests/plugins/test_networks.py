@@ -18,12 +18,10 @@ from little import Lookup, Prototypes, journey, pictures, store_network
 from little_runs import quiet_surroundings
 from plugged_in import plugin, see_plugins
 from safetensors.numpy import save_file
-from small_plan import Apart
 from trap import Trap
 
 from vprbench.cli import main
 from vprbench.errors import BadInput, NotFittedError
-from vprbench.jobs import executors
 from vprbench.plugins import networks
 from vprbench.runs.store import Store
 
@@ -294,39 +292,3 @@ def test_a_run_that_loads_trains_nothing_gives_the_same_scores_and_names_its_net
     assert ask("save=net.safetensors", "force=true")["from_store"] is False  # and took another time to train
     second = ask("load=net.safetensors")  # another network in the same file is another run
     assert (second["from_store"], second["network"] == loaded["network"]) == (False, False)
-
-
-@pytest.mark.extended
-def test_a_run_is_answered_from_the_store_where_its_network_was_kept_and_else_made_again(run, ask, caplog):
-    ask()
-    caplog.set_level("INFO")
-    made = ask("save=net.safetensors")
-    assert caplog.messages[0].startswith("prototypes on synthetic is stored without its network")
-    before = Path("net.safetensors").read_bytes()
-    assert (made["from_store"], ask("save=net.safetensors")["from_store"]) == (False, True)
-    assert Path("net.safetensors").read_bytes() == before
-    Path(made["run_folder"], "run.json").unlink()  # as where the run was killed when its network was stored
-    assert [ask("save=net.safetensors")["from_store"] for _ in range(2)] == [False, True]
-    ask("seed=1")
-    assert "net.safetensors is there already" in run("save=net.safetensors", "seed=1", code=2)[1]
-
-
-@pytest.mark.extended
-def test_a_network_outlives_a_failure_at_the_queries_and_a_failed_training_leaves_none(run, ask, monkeypatch):
-    for step, there in (("match", ["net.safetensors"]), ("fit", [])):
-        with monkeypatch.context() as patch:
-            patch.setattr(Prototypes, step, fail)
-            run(f"save={step}/net.safetensors", code=1)
-        assert [path.name for path in Path(step).iterdir()] == there
-    assert ask("load=match/net.safetensors")["queries"] > 0
-
-
-@pytest.mark.extended
-def test_cells_of_a_sweep_store_networks_under_their_own_names_and_none_replaces_another(run, monkeypatch):
-    monkeypatch.setattr(executors, "run_in_child", Apart())
-    run("-m", "seed=0,1", "save=nets/net-${seed}.safetensors")
-    assert sorted(path.name for path in Path("nets").iterdir()) == ["net-0.safetensors", "net-1.safetensors"]
-    errors = run("-m", "seed=2,3", "save=nets/net.safetensors", code=2)[1]
-    assert "nets/net.safetensors is there already: give another name" in errors
-    keys = {record.parent.name for record in Path("results").rglob("run.json")}
-    assert keys == {f"prototypes-{networks.read_run_key(path)}" for path in Path("nets").iterdir()}

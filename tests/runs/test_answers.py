@@ -115,21 +115,6 @@ def test_no_query_is_given_under_its_name(tmp_path, cached):
     assert all(name.startswith("image ") for name in method.names)
 
 
-def test_fit_sees_every_reference_and_its_place_which_cannot_be_written():
-    seen = []
-
-    class Writing(Lookup):
-        def fit(self, references, places):
-            seen.append((numbers_in(references), places.tolist()))
-            places[0] = 1
-
-    dataset = journey(6, 4)
-    with pytest.raises(ValueError, match="read-only"):
-        run_of(Writing(table(6, 4)), dataset)
-    assert dataset.places.flags.writeable
-    assert seen == [([0, 1, 2, 3], [0, 1, 2, 3])]
-
-
 def test_candidates_stand_before_places_that_are_none(store):
     scores = table(12, 40, 100_000)
     scores[:, np.arange(40) % 10 != 3] = -np.inf  # one of each ten places is a candidate

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from little import journey
 
-from vprbench.api.images import Images
 from vprbench.errors import BadInput
 from vprbench.runs.corruption import (
     KINDS,
@@ -126,16 +125,6 @@ def test_the_protocol_says_what_was_done_to_queries_and_nothing_else_is_touched(
     }
     assert len(marks) == 4
     assert compute_fingerprint(corrupt_queries(journey(6, 4), "shift-2")) == compute_fingerprint(spoilt)
-
-
-def test_hashes_of_changed_images_see_the_images_and_the_change():
-    def hashes(level, how):
-        images = Images.from_arrays([grey(level, 4, 4)]).changed(lambda image, name: image, how)
-        return images.fingerprint(), images.content_hash()
-
-    found = [hashes(9, "a"), hashes(8, "a"), hashes(9, "b")]
-    assert [len({*column}) for column in zip(*found, strict=True)] == [3, 3]
-    assert hashes(9, "a") == found[0]
 
 
 def test_names_ask_for_kinds_and_strengths_and_all_of_them():

@@ -1,6 +1,5 @@
 """Costs of a query: operations by formulas and by PyTorch, bytes, and joules of a made-up powercap."""
 
-import json
 import sys
 from types import SimpleNamespace
 
@@ -17,7 +16,6 @@ from vprbench.api.arithmetic import counting_operations
 from vprbench.api.binary import BinaryMap
 from vprbench.api.images import Images
 from vprbench.api.search import Search
-from vprbench.cli import main
 from vprbench.methods.sad import SAD
 from vprbench.methods.vprtempo.ensemble import VPRTempoEnsemble
 from vprbench.methods.vprtempo.int8 import VPRTempoInt8
@@ -116,25 +114,6 @@ def test_what_pytorch_does_is_counted_a_step_without_a_formula_is_not_available_
     assert found["values"]["map_bytes"] == pytest.approx((7 * 4 + 20 * 8) / 6)
     monkeypatch.setattr(Multiplying, "map_bytes", lambda _: 60)
     assert costs_of(request, run)["values"]["map_bytes"] == 10
-
-
-@pytest.mark.extended
-def test_costs_are_asked_for_stored_and_shown(tmp_path, monkeypatch, capfd):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(energy, "POWERCAP", tmp_path / "none")
-    small = ["dataset.places=10", "dataset.first_query_place=4", "threads=1", "timing=none", "frames=false"]
-
-    def said(*options):
-        assert main(["method=sad", *small, *options]) == 0
-        return capfd.readouterr().out
-
-    assert "energy" not in json.loads(said("output=json"))
-    for option, there in (("energy=true", False), ("metrics=[energy]", True)):
-        found = json.loads(said(option, "output=json"))
-        assert (found["from_store"], found["energy"]["values"]["joules_measured"]) == (there, None)
-        assert found["energy"]["values"]["map_bytes"] == 2 * 28 * 28  # two references of each place
-    assert found["operations"] == found["energy"]["values"]["operations"] > 3 * 20 * 28 * 28
-    assert "n/a" in said("energy=true")
 
 
 def powercap(root, **microjoules):

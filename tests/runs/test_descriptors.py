@@ -1,12 +1,10 @@
 """A second run encodes the timed sample alone, and a run on a large map asks for the best places alone."""
 
 import gc
-import tracemalloc
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
-from file_limit import no_file_may_exceed
 from little import Angles, journey, number_in, pictures
 from little_runs import asked_for, execute, kinds, run_of
 
@@ -195,25 +193,6 @@ def test_an_interrupted_encoding_goes_on_after_a_stretch_with_the_same_bits(tmp_
     assert np.array_equal(found, wanted)
 
 
-def test_descriptors_go_through_memory_block_by_block(tmp_path):
-    tracemalloc.start()
-    wide = np.ones((64, 10_000), np.float32)
-    DescriptorCache(tmp_path, {}).descriptors(MANY, lambda images: 2 * wide[: len(images)], lambda done: None)
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert peak < 2000 * 10_000 * 4 / 3
-
-
-def test_a_full_disk_and_no_folder_are_refused_and_the_encoding_goes_on_when_there_is_room(tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(BadInput, match=r"10 descriptors cannot be kept in .*file"):
-        describe(tmp_path / "file")
-    with no_file_may_exceed(1500 * some(pictures([0])).nbytes), pytest.raises(BadInput, match="large"):
-        describe(tmp_path, some, MANY)
-    made, kept, done = describe(tmp_path, some, MANY)
-    assert (len(made), kept, done[-1]) == (2000, 1024, 976)
-
-
 DEPTH = 6
 
 
@@ -270,28 +249,6 @@ def test_a_large_map_is_asked_for_its_best_places_alone_when_scored_and_when_tim
     assert (run.scores, "answers" in kinds(run)) == (None, False)
     (note,) = [note.text for note in run.notes if note.kind == "shortlist"]
     assert ("80 places" in note, f"best {DEPTH} " in note) == (True, True)
-
-
-def test_an_index_gives_what_it_gives_where_all_places_are_scored(monkeypatch):
-    usual = on(Angles(index="hnsw", neighbours=3))
-    monkeypatch.setattr(scorers, "LARGE_MAP", N_PLACES - 1)
-    found = on(Angles(index="hnsw", neighbours=3))
-    assert ("shortlist" in kinds(usual), "shortlist" in kinds(found)) == (False, True)
-    assert np.array_equal(found.top_places, usual.top_places)
-    assert np.array_equal(found.top_scores, usual.top_scores)
-    assert parts(found.outcome) == parts(usual.outcome)
-
-
-@pytest.mark.usefixtures("large")
-def test_all_places_are_scored_where_all_scores_are_wanted_and_where_a_method_matches_in_its_own_way():
-    class OwnWay(Angles):
-        def match(self, codes):
-            return -super().match(codes)
-
-    whole = execute(asked_for(Angles(), journey(N_QUERIES, N_PLACES), scores=True))
-    for run in (whole, on(OwnWay())):
-        assert run.scores.shape == (N_QUERIES, N_PLACES)
-        assert "shortlist" not in kinds(run)
 
 
 @pytest.mark.parametrize("cached", [False, True])

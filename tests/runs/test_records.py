@@ -9,14 +9,13 @@ import os
 import pickle
 import shutil
 import time
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import fields, is_dataclass, replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
-from little import a_failure, a_run, laps, replace_and_die, save_keys, unanswerable_run
+from little import a_failure, a_run, laps, replace_and_die, unanswerable_run
 from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
 
@@ -299,14 +298,6 @@ def test_a_process_killed_at_any_step_of_replacing_a_run_leaves_the_old_or_the_n
     assert [path.name for path in store.root.glob("*/*")] == [f"little-{KEY}"]
 
 
-def test_several_processes_lose_no_run_and_leave_one_of_a_key(store, processes):
-    written = [[KEY, *(f"writer{writer}run{number}" for number in range(6)), KEY] for writer in range(4)]
-    with ProcessPoolExecutor(4, mp_context=processes) as pool:
-        assert list(pool.map(save_keys, [store.root] * 4, written)) == [8] * 4
-    assert sorted(keys(store)) == sorted({key for row in written for key in row})
-    assert sorted(path.name for path in store.root.glob("*/*")) == sorted(f"little-{key}" for key in keys(store))
-
-
 @pytest.mark.parametrize(("of", "call"), [(tensors, "save_file"), (Path, "write_text"), (Path, "mkdir")])
 def test_a_disk_that_refuses_is_named_and_leaves_the_earlier_run_and_no_part_of_another(store, monkeypatch, of, call):
     error = SafetensorError("no space") if of is tensors else OSError(errno.ENOSPC, "No space left on device")
@@ -327,14 +318,6 @@ def test_a_disk_that_refuses_is_named_and_leaves_the_earlier_run_and_no_part_of_
             use()
     assert sorted(store.root.rglob("*")) == before
     assert stored(store).n_references == 21
-
-
-def test_a_results_folder_that_is_no_folder_is_the_users_to_mend(tmp_path):
-    (tmp_path / "file").write_text("no folder")
-    store = Store(tmp_path / "file")
-    for use in (store.prepare, lambda: store.save(a_run())):
-        with pytest.raises(BadInput, match="results="):
-            use()
 
 
 def test_a_key_depends_on_the_layout_of_the_store_and_not_on_the_order_of_its_ingredients(monkeypatch):

@@ -190,9 +190,3 @@ def test_stored_runs_and_failures_are_counted_and_a_run_that_is_being_made_stand
     (made,) = told["claims"]
     assert {name: made[name] for name in ABOUT} == ABOUT
     assert made["process"] == os.getpid()
-
-
-def test_of_a_folder_that_is_not_there_nothing_is_told_or_made(tmp_path, capsys):
-    assert cli.main(["status", f"results={tmp_path}/nowhere"]) == 2
-    assert "/nowhere" in capsys.readouterr().err
-    assert [*tmp_path.iterdir()] == []

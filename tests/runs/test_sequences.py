@@ -149,22 +149,3 @@ BRIDGED = {"velocities": (0.8, 1), "gaps": "bridge"}
 def test_options_in_words_and_the_names_of_their_files(options, wanted, name):
     assert [view.keywords["options"] for view in parse_views(*options)] == wanted
     assert name_views(parse_views(*options)) == name
-
-
-@pytest.mark.parametrize(
-    ("options", "word"),
-    [
-        ((0,), "length=0"),
-        (([],), "sequence"),
-        (([4, 4],), "different"),
-        ((2.5,), "sequence.length=2.5"),
-        (({"length": 4, "windwo": "causal"},), "sequence.windwo is unknown.*window"),
-        (({"length": 4, "window": "lens", "contrast": 9},), "window=lens"),
-        (({"window": "centred"},), "length"),
-        ((None, 3), "filter=3"),
-        ((None, {"back": 3}), "back=3"),
-    ],
-)
-def test_options_that_do_not_fit_are_named(options, word):
-    with pytest.raises(BadInput, match=word):
-        parse_views(*options)

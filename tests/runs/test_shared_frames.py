@@ -129,18 +129,6 @@ def test_shared_images_of_a_program_are_counted_by_their_pixels_and_dark_ones_pa
     assert any(f"{shared} of 12 " in note.text for note in run(shared_frames="allow").notes)
 
 
-def test_a_comparison_is_refused_likewise_before_it_makes_a_run(capsys):
-    assert main(["compare", "methods=sad,hog", *folder_twice(), "timing=none", "threads=1"]) == 2
-    assert capsys.readouterr().err.count("shared_frames=allow") == 1
-    assert [*Path("results").rglob("run.json")] == []
-
-
-@pytest.mark.parametrize("given", ["yes", "true", "error,allow"])
-def test_another_word_than_error_or_allow_is_refused_by_its_option(given, capsys):
-    assert main([*QUICK, *folder_twice(), f"dataset.shared_frames='{given}'"]) == 2
-    assert "dataset.shared_frames" in capsys.readouterr().err
-
-
 def test_the_doctor_calls_it_an_error_and_where_it_is_allowed_a_warning(capsys):
     assert main(["doctor", *folder_twice(), "output=json"]) == 1
     assert [one["level"] for one in json.loads(capsys.readouterr().out) if one["check"] == "shared frames"] == ["error"]

@@ -218,17 +218,6 @@ def test_a_run_is_made_again_for_another_tuning_which_is_told_beside_its_win_whe
     assert "mine (tuned on ride) finds" in won
 
 
-def test_the_thousand_places_of_nordland_are_kept_as_hashes_of_their_frames():
-    kept = registry.find_conf_folders()["vprbench"] / "shared" / "tuned_frames" / "nordland_64x32.txt"
-    lines = [line.split() for line in kept.read_text(encoding="utf-8").splitlines() if line[0] != "#"]
-    assert (len(lines), {len(line) for line in lines}, {len(code) for line in lines for code in line}) == (
-        1000,
-        {4},
-        {12},
-    )
-    assert lines[0][0] == "fbeac16ffea1"  # sha256sum winter/images-00210.png
-
-
 def test_tuned_settings_say_where_they_were_found():
     listed = published_frames()
     last = [frame for frame in listed if frame % 10 == 0][999]

@@ -11,8 +11,6 @@ from vprbench.api.images import Images
 from vprbench.config import make_request
 from vprbench.errors import BadInput
 from vprbench.methods.sad import SAD
-from vprbench.report.plan import Column, Row
-from vprbench.report.selection import group_runs_by_column
 from vprbench.runs.scorers import choose_scorer
 from vprbench.runs.viewpoints import Viewpoint, Viewpoints, parse_viewpoints, record_viewpoints, render_view
 
@@ -117,14 +115,3 @@ def test_a_run_from_shifted_views_finds_the_places_of_a_shifted_camera_and_says_
     assert (run.config["views"], run.protocol["views"]) == ({"horizontal": (-0.125, 0.0)}, "-0.125+0")
     store.save(run)
     assert [back.protocol["views"] for back in store.runs()] == ["-0.125+0"]
-
-
-def test_runs_from_other_viewpoints_stand_in_no_column_of_plain_ones(moved):
-    plain = execute(asked_for(SAD(height=16, width=64), moved))
-    seen = run_with(moved, {"horizontal": (0.0, 0.125)})
-    row = Row(plain.method, plain.method)
-    for views, wanted in ((None, plain), ([0.0, 0.125], seen)):
-        column = replace(Column("c", "C", ()), dataset=plain.config["dataset"], views=views)
-        assert [
-            run.key for group in group_runs_by_column([plain, seen], [], [column], [row]) for run in group.runs
-        ] == [wanted.key]
