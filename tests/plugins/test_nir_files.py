@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from checkout import ROOT
 from little import Prototypes, store_network
 
 from vprbench.api.dataset import Dataset
@@ -27,7 +26,6 @@ KINDS = {
     "linear": (VPRTempo, {"rules": "reference"}),
     "ensemble": (VPRTempoEnsemble, {"members": 2, "calibrated_scores": True, "query_rule": "linear"}),
 }
-BRIAN2 = ROOT / "build" / "brian2" / "bin" / "python"
 
 
 @pytest.fixture(scope="module", params=KINDS)
@@ -65,7 +63,7 @@ def test_a_network_comes_back_from_nir_to_the_bit_and_is_loaded_with_8_bits(trai
     assert np.allclose(back.query(SEEN), plain.query(SEEN), atol=0.02)
 
 
-@pytest.mark.parametrize("simulator", ["plain", "snntorch", pytest.param("brian2", marks=pytest.mark.extended)])
+@pytest.mark.parametrize("simulator", ["plain", "snntorch"])
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::UserWarning")  # of snnTorch
 def test_another_simulator_names_the_same_places(trained, simulator, tmp_path):
     path = stored(trained, tmp_path)
@@ -74,13 +72,9 @@ def test_another_simulator_names_the_same_places(trained, simulator, tmp_path):
 
     if simulator == "plain":
         simulate = simulators.plain
-    elif simulator == "snntorch":
+    else:
         pytest.importorskip("snntorch", reason="snnTorch is not installed")
         simulate = simulators.in_snntorch
-    elif BRIAN2.exists():
-        simulate = partial(simulators.in_brian2, BRIAN2, path, tmp_path)
-    else:
-        pytest.skip(f"make nir-check makes {BRIAN2}, which asks Brian2")
     graph, own = nir.read(path), trained.query(SEEN)
     answers = simulators.scores(graph, simulate, trained.encode(SEEN))
     spikes = "reset" in graph.metadata

@@ -87,15 +87,7 @@ def test_occlusion_hides_a_grey_rectangle_of_its_share_and_resolution_keeps_mean
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_strengths_of_a_kind_go_one_way_and_further_and_alike_in_any_order_and_view(kind):
-    smooth = np.repeat(np.linspace(20, 120, 60)[None, :, None], 40, axis=0).repeat(3, axis=2).astype(np.uint8)
-    image = smooth if kind in ("shift", "rotation", "brightness", "noise") else RANDOM
-    for frame in FRAMES[:4]:
-        changes = [under(f"{kind}-{strength}", image, frame) - image for strength in (1, 2, 3)]
-        amounts = [float(np.abs(change).mean()) for change in changes]
-        assert 0 < amounts[0] < amounts[1] < amounts[2]
-        if kind in ("shift", "brightness"):
-            assert len({np.sign(change.sum()) for change in changes}) == 1
+def test_queries_are_corrupted_alike_in_any_order_and_view(kind):
     queries = corrupt_queries(journey(6, 4), f"{kind}-2").queries
     one_by_one = {i: queries[i] for i in (4, 1, 5, 0, 3, 2)}
     views = [queries, queries.unnamed(), [*queries[:3], *queries[3:]], queries.in_memory()]

@@ -44,13 +44,6 @@ def test_counts_are_added_up_for_each_query_and_an_amplitude_is_one_spike(values
     assert summarise_spikes([]) is None
 
 
-def test_impossible_spikes_are_refused_by_the_name_of_the_layer():
-    impossible = [[np.array([[1.0, wrong]])] for wrong in (np.nan, np.inf, -0.5)]
-    for layers in ([np.ones((2, 3)), np.ones((3, 3))], [np.ones(3)], *impossible):
-        with pytest.raises(BadInput, match="input"):
-            summarise_spikes([LayerSpikes("input", values) for values in layers])
-
-
 @dataclass
 class Ticking(Lookup):
     """A lookup whose one layer spikes as often as the number of the query; remembers what it was asked for."""

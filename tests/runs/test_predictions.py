@@ -55,11 +55,9 @@ def test_a_run_writes_the_best_places_of_each_query_and_a_stored_one_without_run
     assert all(float(one["score"]) >= float(two["score"]) for one, two in zip(lines[::3], lines[1::3], strict=True))
 
 
-@pytest.mark.parametrize("command", [[], ["compare", "methods=sad"]])
 @pytest.mark.parametrize("number", ["-1", "101", "ten"])
-def test_a_number_of_places_that_no_run_keeps_is_refused_before_anything_runs(drives, capsys, command, number):
-    asked = options("dataset.queries=queries", f"predictions={number}")
-    assert main([*command, *asked[bool(command) :]]) == 2
+def test_a_number_of_places_that_no_run_keeps_is_refused_before_anything_runs(drives, capsys, number):
+    assert main(options("dataset.queries=queries", f"predictions={number}")) == 2
     assert "predictions" in capsys.readouterr().err
     assert not list(Path("results").glob("folders/*"))
 

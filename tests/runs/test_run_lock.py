@@ -70,12 +70,6 @@ def test_the_lock_of_a_stopped_process_is_held_and_of_a_killed_one_free_at_once(
             assert len(read_claims(tmp_path)) == 1
 
 
-def test_where_nothing_can_be_locked_a_warning_says_so_and_the_work_is_done(tmp_path, caplog):
-    (tmp_path / ".locks").write_text("no folder")
-    with lock_run(tmp_path, RUN, {}):
-        assert RUN in caplog.text
-
-
 @dataclass
 class Busy(Lookup):
     """Does something while it is fitted, and counts how often it was."""

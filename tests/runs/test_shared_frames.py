@@ -10,7 +10,6 @@ import pytest
 
 import vprbench
 from vprbench.cli import main
-from vprbench.datasets.nordland import published_frames
 from vprbench.errors import BadInput
 
 PLACES = 12
@@ -44,15 +43,6 @@ def drive(tmp_path, monkeypatch):
     written(Path("data/night"), NIGHT)
 
 
-def listed(path, images):
-    Path(path).write_text("\n".join(["image,place", *(f"{image},{k}" for k, image in enumerate(images))]))
-    return path
-
-
-def night_in_map():
-    return ["dataset=folders", "dataset.references=[data]", "dataset.queries=data/night", "dataset.ground_truth=utm"]
-
-
 def folder_twice():
     return ["dataset=folders", "dataset.references=[data/day]", "dataset.queries=data/day"]
 
@@ -64,31 +54,10 @@ def copies_under_other_names():
     return ["dataset=folders", "dataset.references=[data/night,data/day]", "dataset.queries=copies"]
 
 
-def paths_in_two_lists():
-    images = sorted(map(str, Path("data/day").iterdir()))
-    ours, theirs = listed("a.csv", images), listed("b.csv", images)
-    return ["dataset=image_list", f"dataset.references=[{ours}]", f"dataset.queries={theirs}", "dataset.root=."]
-
-
-def database_is_queries():
-    shutil.copytree("data/day", "root/database")
-    shutil.copytree("data/day", "root/queries")
-    return ["dataset=utm_folders", "dataset.root=root"]
-
-
-def season_twice():
-    names = [f"images-{frame:05}.png" for frame in published_frames() if frame % 10 == 0][:PLACES]
-    for frame, name in zip(DAY, names, strict=True):
-        for season in ("winter", "summer"):
-            written(Path("rides") / season, [frame], name)
-    few = ["root=rides", f"places={PLACES}", f"query_places={PLACES}"]
-    return ["dataset=nordland_64x32", *(f"dataset.{option}" for option in few)]
-
-
 @pytest.mark.usefixtures("surroundings")
 @pytest.mark.parametrize(
     "made",
-    [night_in_map, folder_twice, copies_under_other_names, paths_in_two_lists, database_is_queries, season_twice],
+    [folder_twice, copies_under_other_names],
 )
 def test_queries_of_files_in_the_map_are_refused_by_their_number_and_asked_with_a_note_where_allowed(made, capsys):
     options = made()
@@ -106,12 +75,10 @@ def test_queries_of_files_in_the_map_are_refused_by_their_number_and_asked_with_
     ("references", "queries", "shared"),
     [
         (DAY, DAY, 12),
-        ([*DAY], [*np.roll(DAY, 3, axis=0)], 12),
         (DAY, np.concatenate([NIGHT[:10], DAY[10:]]), 2),
         (DAY, np.repeat(DAY[..., None], 3, axis=3), 12),  # grey, and the same as colours
         ("data/day", DAY, 12),  # files against arrays of them
         ("data/day", NIGHT, 0),
-        (DAY, NIGHT, 0),
         (np.concatenate([DAY[:10], np.zeros_like(DAY[:2])]), np.concatenate([NIGHT[:9], np.zeros_like(DAY[:3])]), 0),
         (np.full_like(DAY, 255), np.full_like(DAY, 255), 0),  # say nothing of a place: snow on the lens
     ],
