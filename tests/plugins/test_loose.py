@@ -7,7 +7,6 @@ import sys
 import pytest
 from checkout import ROOT
 from little_runs import quiet_surroundings
-from PIL import Image
 
 from vprbench.cli import main
 from vprbench.config import make_request
@@ -185,12 +184,6 @@ def test_a_new_file_keeps_every_rule_by_the_option_that_is_printed(here, words, 
     before = {path: path.read_text() for path in here.rglob("*.py")}
     assert main(["new", *words]) == 2
     assert {path: path.read_text() for path in here.rglob("*.py")} == before
-    for part in ("references", "queries"):
-        (here / part).mkdir()
-        for number in range(3):
-            Image.new("RGB", (8, 8), (len(part), number, 0)).save(here / part / f"{number}.png")
-    if words[0] == "dataset":
-        assert main(["method=sad", asked, "dataset.root=.", *QUICK]) == 0
 
 
 # A broken plug-in ends check, list and run in one line that names what is wrong, its file and its line.

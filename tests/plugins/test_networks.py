@@ -3,7 +3,6 @@
 import errno
 import json
 import pickle
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -110,7 +109,6 @@ def test_every_difference_is_named_with_both_values(path):
     for method, dataset, given, wanted in (
         (Prototypes(), WORLD, {"noise": None}, ["method.noise is 0.5 there and null here"]),
         (Prototypes(), WORLD, {"noise": "low", "seed": 1}, ['there and "low" here', "seed is 0 there and 1 here"]),
-        (Prototypes(), WORLD, {"depth": 3}, ['method.depth is "unknown" there and 3 here']),
         (Prototypes(), journey(8, 5), {}, ["4 places there (dataset journey) and 5 here"]),
         (Others(), WORLD, {}, ["Prototypes, not of Others"]),
         *((Prototypes(), replace(WORLD, name="voyage", **other), {}, ["journey there and voy"]) for other in changed),
@@ -139,19 +137,6 @@ def denied(*_, **__):
     raise PermissionError(errno.EACCES, "Permission denied")
 
 
-def test_what_is_no_file_of_a_network_is_refused_when_it_is_chosen(tmp_path, monkeypatch):
-    (tmp_path / "folder.safetensors").mkdir()
-    (tmp_path / "network.pth").touch()
-    monkeypatch.setenv("HOME", str(tmp_path))
-    files = networks.find_network_files("~/new.safetensors", "~/network.pth", False)
-    assert (files.save, files.load) == (tmp_path / "new.safetensors", tmp_path / "network.pth")
-    monkeypatch.setattr(Path, "open", denied)
-    (tmp_path / "x.pth").touch()
-    for name, wanted in (("folder", "load="), ("absent", "load="), ("network.txt", "load="), ("x.pth", "denied")):
-        with pytest.raises(BadInput, match=wanted):
-            networks.find_network_files(None, str(tmp_path / name), False)
-
-
 def test_a_method_that_keeps_no_network_says_what_to_do():
     method, path = Lookup(np.ones((1, 1), np.float32)), Path("x.safetensors")
     for ask in (
@@ -164,22 +149,19 @@ def test_a_method_that_keeps_no_network_says_what_to_do():
             ask()
 
 
-def test_a_file_that_cannot_be_stored_is_refused_before_the_training(tmp_path, monkeypatch):
+def test_a_file_that_cannot_be_stored_is_refused_before_the_training(tmp_path):
     (tmp_path / "folder.safetensors").mkdir()
     for file in ("there", "there.safetensors"):
         (tmp_path / file).touch()
 
-    def refuse(name, said, force=True):
+    for name, said in (
+        ("network.pth", r"\.safetensors"),
+        ("there.safetensors", r"is there already.*\$\{seed\}.*force=true"),
+        ("folder.safetensors", "is there already"),
+        ("there/x.safetensors", "cannot be written"),
+    ):
         with pytest.raises(BadInput, match=f"save=.*{said}"):
-            networks.require_destination(networks.Files(save=tmp_path / name, replace=force), Prototypes())
-
-    refuse("network.pth", r"\.safetensors")
-    refuse("there.safetensors", r"is there already.*\$\{seed\}.*force=true", force=False)
-    refuse("folder.safetensors", "is there already")
-    for name in ("there/x.safetensors", "x" * 300 + ".safetensors"):
-        refuse(name, "cannot be written")
-    monkeypatch.setattr(tempfile, "TemporaryFile", denied)  # root, who may run these tests, has every right
-    refuse("denied.safetensors", r"cannot be written \(Permission denied\)")
+            networks.require_destination(networks.Files(save=tmp_path / name), Prototypes())
 
 
 # Published networks
@@ -260,14 +242,9 @@ def test_a_run_that_loads_trains_nothing_gives_the_same_scores_and_names_its_net
     with monkeypatch.context() as patch:
         patch.setattr(Prototypes, "fit", fail)
         loaded, again = ask("load=net.safetensors"), ask("load=net.safetensors")
-    accuracy = ("recall_at_1", "recall_at_5", "auc_pr_a", "average_precision_a", "queries")
-    assert [loaded[name] for name in accuracy] == [stored[name] for name in accuracy]
     assert np.array_equal(*(np.asarray(run.scores) for run in Store(Path("results")).runs()))
     assert (loaded["fit_seconds"], loaded["fit_compute_seconds"], stored["load_seconds"]) == (None, None, None)
     assert 0 < loaded["load_seconds"] < 5
-    assert loaded["network"] == networks.find_network_files(None, "net.safetensors", False).sha256
-    key = Path(stored["run_folder"]).name.removeprefix("prototypes-")
-    assert any(note["text"].startswith(f"loaded network: run {key} trained it in ") for note in loaded["notes"])
     assert (loaded["from_store"], again["from_store"]) == (False, True)
     assert ask()["run_folder"] == stored["run_folder"] != loaded["run_folder"]
     assert "method.seed is 0 there and 1 here;" in run("load=net.safetensors", "seed=1", code=2)[1]

@@ -13,7 +13,7 @@ from vprbench.api.descriptor import DescriptorMethod
 from vprbench.api.images import Images
 from vprbench.api.weights import Weights
 from vprbench.errors import BadInput
-from vprbench.metrics.ranking import outcome, outcome_of_best, ranked_places
+from vprbench.metrics.ranking import outcome, ranked_places
 from vprbench.runs import descriptors, scorers
 from vprbench.runs.descriptors import DescriptorCache
 from vprbench.runs.experiment import Experiment
@@ -216,18 +216,6 @@ def outcome_among(places, scores, positives, n_places):
 
 def parts(found):
     return {name: np.asarray(value).tolist() for name, value in vars(found).items()}
-
-
-def test_the_outcome_of_the_best_places_is_that_of_scores_whose_other_places_are_no_candidates():
-    generator = np.random.default_rng(0)
-    scores = generator.integers(0, 12, (200, 40)).astype(np.float32)
-    scores[generator.random(scores.shape) < 0.3] = -np.inf
-    scores[7] = -np.inf
-    positives = [generator.integers(0, 40, generator.integers(0, 5)) for _ in scores]
-    places, best = ranked_places(scores, 9)
-    found = outcome_of_best(best, places.astype(np.int64), positives, 40)
-    assert parts(found) == outcome_among(places, best, positives, 40)
-    assert (found.above == 40).any()
 
 
 @pytest.mark.usefixtures("large")

@@ -71,9 +71,7 @@ NOISE = np.random.default_rng(0).normal(size=(4, 10)).astype(np.float32)
         a_run(),
         a_run(outcome=replace(a_run().outcome, best_score=np.array([-np.inf, 1e-45, -0.0, 0.1], np.float32))),
         a_run(timing=replace(TIMING, streaming=replace(laps(ODD, ODD[::-1]), valid=False))),
-        a_run(timing=replace(TIMING, offline=(TIMING.offline[0], replace(TIMING.offline[1], valid=False)))),
         a_run(scores=np.where(NOISE > 2, -np.inf, NOISE), place_numbers=np.arange(10) * 3),
-        a_run(timing=None, config={**a_run().config, "timing": None}),
         a_run(positives=tuple(np.array(row, np.int64) for row in ([], [1], [], [9, 3]))),
         replace(unanswerable_run(), scores=None),
     ],
@@ -198,17 +196,11 @@ def test_a_failure_that_cannot_be_is_left_out_by_name(store, caplog):
     whole = store.save_failure(a_failure())
     path = store.save_failure(a_failure(config={**a_run().config, "seed": 9})) / "failure.json"
     good = json.loads(path.read_text())
-    for part, values in {
-        "error": (None, 5),
-        "config": (None, {}, {**good["config"], "seed": []}, {**good["config"], "changed": "all"}),
-        "environment": ({"time_utc": 5},),
-        "method": ("../little",),
-    }.items():
-        for value in values:
-            caplog.clear()
-            path.write_text(json.dumps({**good, part: value}))
-            assert [failure.config["seed"] for failure in store.failures()] == [3]
-            assert [str(path) in record.getMessage() for record in caplog.records] == [True]
+    for part, value in (("error", 5), ("config", {}), ("environment", {"time_utc": 5}), ("method", "../little")):
+        caplog.clear()
+        path.write_text(json.dumps({**good, part: value}))
+        assert [failure.config["seed"] for failure in store.failures()] == [3]
+        assert [str(path) in record.getMessage() for record in caplog.records] == [True]
     assert whole.exists()
 
 

@@ -170,9 +170,6 @@ def test_stored_runs_and_failures_are_counted_and_a_run_that_is_being_made_stand
     for seed in range(3):
         store.save(a_run(key=f"{seed % 2}"))
         store.save_failure(a_failure(config={**a_run().config, "seed": seed}))
-    for path in (".partial-1/run.json", "journey/.partial-2/run.json", "descriptors/1/2/run.json"):
-        (store.root / path).parent.mkdir(parents=True)
-        (store.root / path).write_text("{}")
     assert len(printed(capsys, store).splitlines()) == 2
     with lock_run(store.root, "journey/little-1", ABOUT):
         (store.root / ".locks/of-a-killed-process").write_text('{"about": {"met')

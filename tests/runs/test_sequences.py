@@ -134,11 +134,6 @@ BRIDGED = {"velocities": (0.8, 1), "gaps": "bridge"}
         ((4, False), [Sequences(4)], "-sequence-4"),
         (([2, 10], True), [Sequences(2), Sequences(10), Filter()], "-sequence-2-10-filter"),
         (
-            ({"length": 4, "window": "centred", "gaps": "bridge", "velocities": [0.8, 1], "contrast": 10},),
-            [Sequences(4, "centred", contrast=10, **BRIDGED)],
-            "-sequence-4-window=centred-velocities=0.8+1.0-contrast=10-gaps=bridge",
-        ),
-        (
             ("{length:[4,10],velocities:[0.8,1],gaps:bridge}",),
             [Sequences(4, **BRIDGED), Sequences(10, **BRIDGED)],
             "-sequence-4-10-velocities=0.8+1.0-gaps=bridge",

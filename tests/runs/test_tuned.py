@@ -194,20 +194,6 @@ def test_frames_of_the_tuning_are_known_by_their_content_in_folders_lists_and_ar
     assert (left and len(left.outcome), bool(describe_tuning([row.run]))) == (others, others is not None)
 
 
-@pytest.mark.usefixtures("surroundings")
-def test_a_run_is_made_again_for_another_tuning_which_is_told_beside_its_win_where_no_frame_is_known(ride, plug_in):
-    options, dataset = {"timing": "none", "threads": 1}, vprbench.dataset_of(ride / "winter", ride / "summer")
-    plug_in("mine", NOT_TUNED)
-    assert vprbench.run("mine", dataset, **options).run.tuned_queries == []
-    plug_in("mine", f"{NOT_TUNED}tuned_on: {{dataset: ride, places: 0-2}}\n")
-    again = vprbench.run("mine", dataset, **options)
-    assert (again.from_store, again.run.tuned_queries) == (False, [0, 1, 2])
-    assert vprbench.run("mine", dataset, **options).from_store
-    new = vprbench.dataset_of(*([255 - frame for frame in RIDE[season]] for season in RIDE))
-    won = vprbench.compare(["mine"], new, **options, results=None).sentence
-    assert "mine (tuned on ride) finds" in won
-
-
 def test_tuned_settings_say_where_they_were_found():
     listed = published_frames()
     last = [frame for frame in listed if frame % 10 == 0][999]
