@@ -71,17 +71,6 @@ def test_intervals_of_hits_in_runs_hold_the_truth_far_more_often_than_wilsons_an
     assert covered([block_bootstrap(one - other, 10) for one, other in pairs], 0) < 0.75
 
 
-def test_the_interval_of_independent_hits_is_hardly_wider_than_wilsons():
-    random = np.random.default_rng(1)
-    widths = []
-    for _ in range(50):
-        row = in_runs(800, 0.3, 0, random)
-        found, independent = share_interval(row), wilson(row.sum(), 800)
-        widths.append((found.high - found.low) / (independent.high - independent.low))
-    assert min(widths) == pytest.approx(1)
-    assert np.mean(widths) < 1.06
-
-
 def test_which_interval_is_wider_and_its_block_length_are_told():
     perfect = share_interval(np.ones(200))
     assert perfect == WiderInterval(*vars(wilson(200, 200)).values(), kind="independent", block=1)

@@ -121,13 +121,6 @@ def test_what_does_not_fit_is_told_in_a_line(options, named, capsys):
     assert named in line_of(capsys)
 
 
-def test_an_error_in_a_loose_file_names_its_line(here, capsys):
-    for text in ("import sys\nsys.exit(4)\n", "def f():\n    return 1 / 0\nX = f()\n"):
-        (here / "broken.py").write_text(text)
-        assert main(["method=./broken.py:Broken"]) == 2
-        assert "(broken.py, line 2)" in line_of(capsys)
-
-
 def test_a_name_that_is_taken_is_refused_of_a_class_as_of_a_file(here):
     (here / "mine.py").write_text("def Sad(): pass\n")
     (here / "more.py").write_text("def Means(): pass\n")

@@ -13,7 +13,7 @@ import numpy.typing as npt
 import pytest
 import torch
 from image_folders import answer
-from little import Lookup, Prototypes, journey, pictures, store_network
+from little import Prototypes, journey, pictures, store_network
 from little_runs import quiet_surroundings
 from plugged_in import plugin, see_plugins
 from safetensors.numpy import save_file
@@ -135,18 +135,6 @@ def test_a_damaged_file_is_refused(path):
 
 def denied(*_, **__):
     raise PermissionError(errno.EACCES, "Permission denied")
-
-
-def test_a_method_that_keeps_no_network_says_what_to_do():
-    method, path = Lookup(np.ones((1, 1), np.float32)), Path("x.safetensors")
-    for ask in (
-        method.state,
-        lambda: method.restore({}),
-        lambda: networks.load_network(path, method, ORIGIN),
-        lambda: networks.require_destination(networks.Files(save=path), method),
-    ):
-        with pytest.raises(BadInput, match=r"^Lookup keeps no network.*save=.*load="):
-            ask()
 
 
 def test_a_file_that_cannot_be_stored_is_refused_before_the_training(tmp_path):

@@ -3,15 +3,12 @@
 import re
 import subprocess
 import sys
-from dataclasses import dataclass, field, fields, replace
-from functools import partial
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Literal
 
 import pytest
 from described_images import composed
-from image_folders import answer
-from little import journey
 from omegaconf import OmegaConf
 
 from vprbench.api.method import Method
@@ -146,19 +143,3 @@ def test_an_option_that_does_not_fit_is_refused_by_its_name_and_what_json_cannot
 
 
 # What a dataset plug-in returns
-
-WHOLE = journey(4, 3)
-refusal = partial(answer, registry.make_dataset)
-
-
-def test_what_is_no_dataset_is_refused(monkeypatch):
-    for given, said in (
-        (WHOLE, None),
-        (5, "mine.noise gave int; it has to return a Dataset"),
-        (replace(WHOLE, queries=list(WHOLE.queries)), "mine.noise gave no Images"),
-    ):
-        monkeypatch.setattr(registry, "find_target", lambda *_, given=given: lambda: given)
-        if said is None:
-            assert registry.make_dataset({"_target_": "mine.noise"}) is given
-        else:
-            assert refusal({"_target_": "mine.noise"}).startswith(said)

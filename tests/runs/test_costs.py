@@ -1,6 +1,5 @@
 """Costs of a query: operations by formulas and by PyTorch, bytes, and joules of a made-up powercap."""
 
-import sys
 from types import SimpleNamespace
 
 import numpy as np
@@ -151,14 +150,3 @@ def test_package_and_memory_are_read_and_not_what_lies_within_and_a_counter_that
         monkeypatch.setattr(energy, "POWERCAP", powercap(tmp_path / str(*counters), **counters))
         found = costs_of(request)
         assert (found["values"]["joules_measured"], "Error" in found["how"]["joules_measured"]) == (None, True)
-
-
-def test_the_counter_of_a_gpu_is_found_by_its_uuid(monkeypatch):
-    stand_in = SimpleNamespace(
-        nvmlInit=lambda: None,
-        nvmlDeviceGetHandleByUUID={"GPU-abc": 7}.get,
-        nvmlDeviceGetTotalEnergyConsumption={7: 1234}.get,
-    )
-    monkeypatch.setitem(sys.modules, "pynvml", stand_in)
-    monkeypatch.setattr(torch.cuda, "get_device_properties", lambda _: SimpleNamespace(uuid="abc"))
-    assert energy.read_nvml("cuda") == [(1_234_000, 1 << 64)]

@@ -192,18 +192,6 @@ def test_a_run_that_is_damaged_or_cannot_be_is_named_once_hides_no_other_and_can
     assert sorted(path.name for path in three.parent.iterdir()) == ["little-a", "little-b", "little-c"]
 
 
-def test_a_failure_that_cannot_be_is_left_out_by_name(store, caplog):
-    whole = store.save_failure(a_failure())
-    path = store.save_failure(a_failure(config={**a_run().config, "seed": 9})) / "failure.json"
-    good = json.loads(path.read_text())
-    for part, value in (("error", 5), ("config", {}), ("environment", {"time_utc": 5}), ("method", "../little")):
-        caplog.clear()
-        path.write_text(json.dumps({**good, part: value}))
-        assert [failure.config["seed"] for failure in store.failures()] == [3]
-        assert [str(path) in record.getMessage() for record in caplog.records] == [True]
-    assert whole.exists()
-
-
 def test_a_run_of_another_layout_is_left_as_it_is_and_named(store, caplog):
     folder = store.save(a_run())
     for layout in (SCHEMA - 1, SCHEMA + 1):

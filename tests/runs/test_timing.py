@@ -128,14 +128,6 @@ def test_times_of_fit_computing_first_query_method_and_harness_are_told_apart(cl
     assert run.harness_seconds == pytest.approx(7)
 
 
-def test_every_stage_is_reported_to_its_end():
-    told = []
-    with progress.send_reports_to(lambda stage, done: told.append((stage, done))):
-        run_of(Lookup(table(300, 4)), journey(300, 4))
-    assert list(dict.fromkeys(stage for stage, _ in told)) == ["fit", "query", "timing"]
-    assert [done for stage, done in told if stage == "query"] == pytest.approx([128 / 300, 256 / 300, 1])
-
-
 def test_rates_are_called_invalid_without_their_minima_alone(clock):
     protocol = replace(QUICK, minimum_queries=3000, maximum_seconds=0.005)
     method = Learning(table(12, 4), clock=clock)

@@ -8,7 +8,6 @@ from little import journey
 from little_runs import asked_for, execute
 
 from vprbench.api.images import Images
-from vprbench.config import make_request
 from vprbench.errors import BadInput
 from vprbench.methods.sad import SAD
 from vprbench.runs.scorers import choose_scorer
@@ -70,12 +69,6 @@ def test_an_option_is_a_list_of_shifts_or_a_mapping(option, views, told):
 def test_what_is_no_viewpoint_is_refused_by_the_name_of_the_option(option):
     with pytest.raises(BadInput, match="views"):
         parse_viewpoints(option)
-
-
-@pytest.mark.parametrize("other", ["stream=true", "energy=true"])
-def test_what_is_of_one_view_a_query_is_refused_beside_several(other):
-    with pytest.raises(BadInput, match="views"):
-        make_request(["views=[-0.1,0]", other])
 
 
 def test_a_place_has_the_score_of_the_view_that_shows_it_best_whatever_the_batch():
