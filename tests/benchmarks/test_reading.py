@@ -4,7 +4,6 @@ import os
 from collections import deque
 
 import cv2
-import h5py
 import numpy as np
 import pytest
 
@@ -53,26 +52,3 @@ def test_names_positions_and_hashes(full, measure, size, tmp_path, monkeypatch):
     monkeypatch.setenv("VPRBENCH_HASHES", str(tmp_path / "hashes"))
     dataset = vprbench.dataset("utm_folders", root=str(tmp_path))
     measure(f"{n:,} files with positions in their names, hashes known", lambda: compute_fingerprint(dataset.build()), n)
-
-
-def test_events(measure, size, tmp_path, monkeypatch):
-    n, hour = size(20_000_000, 20_000), 3600 * 1_000_000
-    drawn = np.random.default_rng(0)
-    columns = {"t": np.sort(drawn.integers(hour, size=n)), "p": drawn.integers(2, size=n, dtype=np.uint8)}
-    columns |= {name: drawn.integers(most, size=n, dtype=np.uint16) for name, most in (("x", 346), ("y", 260))}
-    with h5py.File(tmp_path / "hour.h5", "w") as file:
-        for name, values in columns.items():
-            file[f"events/{name}"] = values
-    tries = iter(range(1000))
-    options = {
-        "references": [str(tmp_path / "hour.h5")],
-        "queries": str(tmp_path / "hour.h5"),
-        "height": 260,
-        "width": 346,
-    }
-
-    def counted():  # each time anew: frames are kept
-        monkeypatch.setenv("VPRBENCH_EVENTS", str(tmp_path / str(next(tries))))
-        vprbench.dataset("event_folders", **options).build()
-
-    measure("an hour of a DAVIS346 in HDF5, counted into frames of a second", counted, n)

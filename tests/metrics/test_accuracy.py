@@ -11,8 +11,8 @@ from checkout import SHARED
 from sklearn import metrics as sklearn_metrics
 
 from vprbench.errors import BadInput
-from vprbench.metrics import accuracy, ranking
-from vprbench.metrics.ranking import concatenate, outcome
+from vprbench.metrics import accuracy
+from vprbench.metrics.ranking import outcome
 
 INF = np.inf
 
@@ -41,12 +41,6 @@ def random_case(seed, n_queries, n_places, levels):
 
 # Three right, one wrong and one query without a right place, in falling confidence.
 WORKED = best_matches((0.9, True), (0.8, True), (0.7, False), (0.6, True), (0.5, None))
-
-
-def test_a_right_place_named_twice_counts_once_and_scores_are_left_as_they_were():
-    given = scored([1, 1, 0], [1, 1, 0])
-    assert accuracy.hits_at(outcome(given, places([0], [0, 0]), places([1], [])), 1).tolist() == [1, 0.5]
-    assert given.tolist() == [[1, 1, 0]] * 2
 
 
 @pytest.mark.parametrize("levels", [1, 2, 4])
@@ -117,28 +111,6 @@ def test_scores_and_places_that_cannot_be_are_refused_by_name(scores, right, err
     for judge in (outcome, accuracy.pr_curve_multi):
         with pytest.raises(error, match=named):
             judge(scores, places(*right))
-
-
-def test_blocks_of_queries_give_what_the_whole_gives(monkeypatch):
-    scores, positives = random_case(7, 50, 11, 5)
-    band = [np.union1d(right, [4]) for right in positives]
-    whole = outcome(scores, positives, band)
-    parts = [outcome(scores[s : s + 7], positives[s : s + 7], band[s : s + 7]) for s in range(0, 50, 7)]
-    monkeypatch.setattr(ranking, "_BLOCK_CELLS", 30)
-    for other in (concatenate(parts), outcome(scores, positives, band)):
-        for name in vars(whole):
-            assert np.array_equal(getattr(other, name), getattr(whole, name)), name
-            assert np.asarray(getattr(other, name)).dtype == np.asarray(getattr(whole, name)).dtype
-
-
-def test_the_single_match_curves_of_the_worked_case():
-    precision = [1, 1, 1, 2 / 3, 3 / 4, 3 / 5]
-    recalls = {"A": [0, 1 / 4, 2 / 4, 2 / 4, 3 / 4, 3 / 4], "B": [0, 1 / 3, 2 / 3, 2 / 3, 1, 1]}
-    for kind, recall in recalls.items():
-        curve = accuracy.pr_curve(WORKED, kind)
-        np.testing.assert_allclose(curve.precision, precision, atol=1e-15)
-        np.testing.assert_allclose(curve.recall, recall, atol=1e-15)
-        np.testing.assert_array_equal(curve.threshold, np.float32([INF, 0.9, 0.8, 0.7, 0.6, 0.5]))
 
 
 @pytest.mark.parametrize("seed", range(3))

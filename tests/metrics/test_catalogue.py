@@ -13,16 +13,14 @@ from checkout import ROOT
 from little import a_run, unanswerable_run
 from little_runs import quiet_surroundings
 from small_plan import RUN, install, run_apart
-from stored_runs import SAD, VPRSNN, run
+from stored_runs import run
 
 from vprbench.api.arithmetic import Arithmetic
 from vprbench.cli import main
 from vprbench.metrics import catalogue
-from vprbench.metrics.accuracy import average_precision, hits_at, pr_curve_multi
-from vprbench.metrics.catalogue import METRICS, Metric, average_metric
-from vprbench.report.selection import MethodRuns
+from vprbench.metrics.accuracy import average_precision, pr_curve_multi
+from vprbench.metrics.catalogue import METRICS, Metric
 from vprbench.report.table import formats
-from vprbench.report.table.best import find_most_accurate
 from vprbench.report.table.quantities import list_quantities
 from vprbench.runs.energy import count_synops, estimate_joules
 
@@ -103,18 +101,6 @@ def test_an_entry_point_that_is_no_metric_is_one_line(package, capfd, value):
     package(value)
     assert main(["method=sad", "metrics=mine"]) == 2
     assert f"{value} of vprbench.metrics is" in capfd.readouterr().err
-
-
-def test_every_accuracy_per_query_is_bold_where_a_test_separates_it_and_lower_may_be_better():
-    hits = {"vprsnn": [1] * 40, "sad": [0] * 40}
-    made = table([run(name, hits=each) for name, each in hits.items()], rows=[VPRSNN, SAD])
-    assert measured(made, "VPRSNN", "recall_at_1").best
-    misses = average_metric(
-        "miss", "Miss", lambda one, ties: 1 - hits_at(one.outcome, 1, ties), "", higher_is_better=False
-    )
-    contest = [MethodRuns(name, (run(name, hits=each),)) for name, each in hits.items()]
-    assert find_most_accurate(contest, misses) == find_most_accurate(contest, METRICS["recall_at_1"]) == "vprsnn"
-    assert find_most_accurate(contest, METRICS["recall_at_5"]) is None  # both find all
 
 
 def test_a_metric_without_values_per_query_is_in_the_table_in_its_unit_and_never_bold(lost):

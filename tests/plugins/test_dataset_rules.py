@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from PIL import Image as Pictures
 
 from vprbench.api.dataset import Dataset, HeldOut
 from vprbench.api.images import Images
@@ -91,13 +90,3 @@ def test_the_rule_alone_catches_what_breaks_it(rule, make):
 def test_a_right_dataset_keeps_every_rule_and_each_rule_has_a_wrong_one():
     assert broken(right) == {}
     assert list(WRONG) == list(DATASET_RULES)
-
-
-def test_written_folders_keep_every_rule(tmp_path):
-    for number, traverse in enumerate(("monday", "tuesday", "friday")):
-        (tmp_path / traverse).mkdir()
-        for place in range(4):
-            Pictures.fromarray(picture(10 * number + place)).save(tmp_path / traverse / f"{place}.png")
-    folders = {"references": [str(tmp_path / "monday"), str(tmp_path / "tuesday")], "queries": str(tmp_path / "friday")}
-    results = check_dataset({"_target_": "vprbench.datasets.folders.folders", **folders})
-    assert {result.state for result in results} == {"kept"}

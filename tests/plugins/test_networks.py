@@ -1,11 +1,9 @@
 """Stored networks: what is loaded answers as what was trained, and nothing else is ever loaded."""
 
 import errno
-import json
 import pickle
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,15 +12,11 @@ import pytest
 import torch
 from image_folders import answer
 from little import Prototypes, journey, pictures, store_network
-from little_runs import quiet_surroundings
-from plugged_in import plugin, see_plugins
 from safetensors.numpy import save_file
 from trap import Trap
 
-from vprbench.cli import main
 from vprbench.errors import BadInput, NotFittedError
 from vprbench.plugins import networks
-from vprbench.runs.store import Store
 
 WORLD = journey(8, 4)
 BIG = np.arange(6, dtype=">i4")
@@ -192,50 +186,3 @@ def test_a_published_file_of_anything_but_the_wanted_tensors_is_refused_and_its_
 
 
 # The command line
-
-
-@pytest.fixture
-def run(tmp_path, monkeypatch, capsys):
-    """Runs the little method on the command line, in a folder of its own; returns what is printed and the errors."""
-    yaml = "_target_: little.Prototypes\nnoise: 0.5\ncontrast: 1.0\nseed: ${seed}\ndevice: ${device}"
-    plugin(tmp_path / "plugin", "little", "little", {"prototypes": yaml})
-    see_plugins(tmp_path / "plugin", monkeypatch)
-    (tmp_path / "here").mkdir()
-    monkeypatch.chdir(tmp_path / "here")
-    quick = ("method=prototypes", "dataset.places=12", "dataset.first_query_place=0", "timing=none", "threads=1")
-
-    def call(*options, code=0):
-        capsys.readouterr()
-        ended = main([*quick, *options])
-        printed = capsys.readouterr()
-        assert ended == code, printed.err
-        return printed.out, printed.err
-
-    with quiet_surroundings():
-        yield call
-
-
-@pytest.fixture
-def ask(run):
-    return lambda *options: json.loads(run("output=json", *options)[0])
-
-
-def fail(*_):
-    raise RuntimeError("not today")
-
-
-@pytest.mark.extended
-def test_a_run_that_loads_trains_nothing_gives_the_same_scores_and_names_its_network(run, ask, monkeypatch):
-    stored = ask("save=net.safetensors")
-    with monkeypatch.context() as patch:
-        patch.setattr(Prototypes, "fit", fail)
-        loaded, again = ask("load=net.safetensors"), ask("load=net.safetensors")
-    assert np.array_equal(*(np.asarray(run.scores) for run in Store(Path("results")).runs()))
-    assert (loaded["fit_seconds"], loaded["fit_compute_seconds"], stored["load_seconds"]) == (None, None, None)
-    assert 0 < loaded["load_seconds"] < 5
-    assert (loaded["from_store"], again["from_store"]) == (False, True)
-    assert ask()["run_folder"] == stored["run_folder"] != loaded["run_folder"]
-    assert "method.seed is 0 there and 1 here;" in run("load=net.safetensors", "seed=1", code=2)[1]
-    assert ask("save=net.safetensors", "force=true")["from_store"] is False  # and took another time to train
-    second = ask("load=net.safetensors")  # another network in the same file is another run
-    assert (second["from_store"], second["network"] == loaded["network"]) == (False, False)

@@ -7,8 +7,6 @@ import logging
 import multiprocessing
 import os
 import pickle
-import shutil
-import time
 from dataclasses import fields, is_dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -203,19 +201,6 @@ def test_a_run_of_another_layout_is_left_as_it_is_and_named(store, caplog):
         assert stored(store) is None
     named = [str(folder) in record.getMessage() for record in caplog.records]
     assert named == [False, True, False]  # all of a store in one line, and a folder once
-
-
-@pytest.mark.parametrize(("hours", "newest", "left"), [(25, 25, 0), (23, 23, 1), (25, 1, 1)])  # the newest file counts
-def test_what_nobody_touched_for_a_day_is_removed_and_never_a_run(store, hours, newest, left):
-    half, file = store.root / ".partial-elsewhere-1-0a1b2c3d", store.root / ".partial-0a1b2c3d"
-    shutil.copytree(store.save(a_run()), half)
-    file.write_bytes(b"half")
-    ages = {**dict.fromkeys([*half.iterdir(), half, file], hours), arrays_of(half): newest}
-    for path, age in ages.items():
-        os.utime(path, (time.time() - age * 3600,) * 2)
-    store.prepare()
-    assert (half.exists(), file.exists()) == (left, hours == 23)
-    assert len(keys(store)) == 1
 
 
 def test_a_process_killed_at_any_step_of_replacing_a_run_leaves_the_old_or_the_new_one(store, processes):

@@ -12,10 +12,9 @@ from vprbench.metrics.ranking import outcome, ranked_places
 from vprbench.metrics.sequences import Filter, Sequences
 from vprbench.runs import answers
 from vprbench.runs.get_or_run import get_or_run
-from vprbench.runs.recall_intervals import estimate_recall_interval
-from vprbench.runs.sequences import NoScoresError, apply_filter, apply_sequences, name_views, parse_views
+from vprbench.runs.sequences import NoScoresError, apply_sequences, name_views, parse_views
 from vprbench.runs.store import Store
-from vprbench.runs.views import get_window_length, list_shown_queries, select_queries
+from vprbench.runs.views import list_shown_queries, select_queries
 
 N = 40
 
@@ -92,15 +91,6 @@ def test_queries_without_a_full_window_are_left_out_or_scored_with_what_there_is
         apply_sequences(aligned(), Sequences(41))
     with pytest.raises(NoScoresError, match="scores=true"):
         apply_sequences(aligned(scores=None), Sequences(2))
-
-
-def test_a_filter_follows_the_journey_and_no_block_of_an_interval_is_shorter_than_a_window():
-    view = apply_filter(aligned(), Filter())
-    assert mean_hits(view) > 0.7 > 0.5 > mean_hits(aligned())
-    assert (len(view.outcome), view.protocol["filter"]) == (N, "topological, moves 0 to 2, ratio 5")
-    view = apply_sequences(aligned(200), Sequences(12))
-    assert get_window_length(view) == 12
-    assert estimate_recall_interval([view]).block >= 12
 
 
 def test_a_view_is_never_stored_and_gaps_are(store):

@@ -243,15 +243,3 @@ def test_a_protocol_that_measures_nothing_is_refused_by_name():
         for value in values:
             with pytest.raises(BadInput, match=rf"timing\.{option}\b"):
                 make_request([], {f"timing.{option}": value})
-
-
-QUICK = make_request(["timing=quick"]).timing
-
-
-def test_a_batch_whose_call_would_take_long_is_left_out_and_a_faster_one_is_not():
-    for call, left in (
-        (lambda n_images: 30, [1, 8, 32]),  # all at once
-        (lambda n_images: 60 * n_images, [1, 8]),  # one after the other
-        (lambda n_images: 900 * n_images, [1]),
-    ):
-        assert sizes(measured(QUICK, lambda images, call=call: MS * call(len(images)), images=64)[0]) == left

@@ -19,7 +19,7 @@ from vprbench.config import make_request
 from vprbench.plugins.entries import find_entries
 from vprbench.runs import frame, machine, rows, timing_lock
 from vprbench.runs.get_or_run import get_or_run
-from vprbench.runs.stopwatch import Protocol, Stopwatch
+from vprbench.runs.stopwatch import Protocol
 
 pytestmark = pytest.mark.usefixtures("surroundings")
 
@@ -59,19 +59,6 @@ def test_a_protocol_that_measures_less_falls_short_by_name_and_the_named_ones_an
     assert named["standard"] == Protocol() == make_request().timing
     changed = make_request(["timing=quick", "timing.minimum_seconds=1"]).timing
     assert changed == replace(named["quick"], minimum_seconds=1)
-
-
-def interrupt(*_):
-    raise KeyboardInterrupt
-
-
-def test_a_stored_run_stays_while_it_is_timed_anew(store, monkeypatch):
-    asked(store, QUICK)
-    monkeypatch.setattr(Stopwatch, "measure", interrupt)
-    for force in (False, True):
-        with pytest.raises(KeyboardInterrupt):
-            asked(store, MORE, force)
-        assert [run.timed_by for run in store.runs()] == [QUICK]
 
 
 def test_the_machine_is_described_in_values_that_json_can_hold_and_its_canary_notices_no_interrupted_lap():
