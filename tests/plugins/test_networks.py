@@ -183,6 +183,3 @@ def test_a_published_file_of_anything_but_the_wanted_tensors_is_refused_and_its_
     ):
         torch.save(content, tmp_path / "x.pth")
         assert wanted in refusal(tmp_path / "x.pth")
-
-
-# The command line
