@@ -86,7 +86,6 @@ def test_impossible_options_are_refused_by_name_and_a_single_run_takes_none(give
     [
         ([], [], []),
         (["workers=3"], [], ["threads=2"]),
-        (["workers=9"], [], ["threads=1"]),
         (["workers=2"], ["threads=3"], []),
         (["scheduler=tcp://here:8786"], [], ["threads=1"]),
         (["cluster=pbs", "cluster.cores=6"], [], ["threads=6"]),

@@ -178,7 +178,6 @@ WRONG: dict[str, list[type[Pixels]]] = {
     ],
     "scores are finite float32 of shape (n_queries, n_places)": [
         answering("NotFinite", lambda scores, _: np.where(np.arange(20) == 0, np.float32(np.nan), scores)),
-        answering("NoCandidateAtAll", lambda scores, _: np.full_like(scores, -np.inf)),
     ],
     "higher scores mean more alike": [answering("Distance", lambda scores, _: -scores)],
     "black images and images of other sizes are accepted": [encoding("FailsOnBlack", fail_on_black)],
@@ -188,8 +187,6 @@ WRONG: dict[str, list[type[Pixels]]] = {
     GROWN: [growing("ForgetsThePast", lambda _: 0, 9), growing("LearnsNothing", min, -999)],
     SPIKES: [
         spiking("SpikesBelowZero", lambda codes: codes - 255),
-        wrong("LayersOfOneName", spikes=lambda _, codes: [LayerSpikes("grid", codes), LayerSpikes("grid", codes)]),
-        spiking("CountsOnTheCodes", count_on),
     ],
 }
 

@@ -63,25 +63,18 @@ def test_a_network_comes_back_from_nir_to_the_bit_and_is_loaded_with_8_bits(trai
     assert np.allclose(back.query(SEEN), plain.query(SEEN), atol=0.02)
 
 
-@pytest.mark.parametrize("simulator", ["plain", "snntorch"])
-@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::UserWarning")  # of snnTorch
-def test_another_simulator_names_the_same_places(trained, simulator, tmp_path):
+def test_another_simulator_names_the_same_places(trained, tmp_path):
     path = stored(trained, tmp_path)
     import nir
     import nir_simulators as simulators
 
-    if simulator == "plain":
-        simulate = simulators.plain
-    else:
-        pytest.importorskip("snntorch", reason="snnTorch is not installed")
-        simulate = simulators.in_snntorch
     graph, own = nir.read(path), trained.query(SEEN)
-    answers = simulators.scores(graph, simulate, trained.encode(SEEN))
+    answers = simulators.scores(graph, simulators.plain, trained.encode(SEEN))
     spikes = "reset" in graph.metadata
     # of 46 inputs one may have two best places within a spike; nir-check asks 1000 for 99 %
     assert np.mean(answers.argmax(1) == own.argmax(1)) >= (0.97 if spikes else 1)
     assert np.abs(answers - own).max() <= (0.01 if spikes else 1e-4 * np.abs(own).max())
-    assert simulators.knows_the_neurons(graph, simulate)
+    assert simulators.knows_the_neurons(graph, simulators.plain)
 
 
 def test_a_wrong_neuron_is_noticed(plain, tmp_path):

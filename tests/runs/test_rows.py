@@ -83,7 +83,6 @@ def run_of(hits, **changes):
             ),
         ),
         (LEFT, {"recall_at_1": 0.5, "recall_at_1_answerable": 2 / 3}),
-        (run_of([1] * 30), {"recall_at_1_low": 0.88649, "recall_at_1_high": 1.0, "recall_at_1_block": 1}),
     ],
 )
 def test_numbers_are_those_worked_by_hand_in_json_and_csv(run, known):
@@ -127,11 +126,7 @@ RATES = ("streaming Hz enc/match/total", "offline Hz enc/match/total")
         (LOADED, {"fit s": "loaded"}),
         (replace(LOADED, network=None), {"fit s": "kept"}),
         (TIED, {"R@1 % [95 %]": "37.5 [9.2, 78.1] ties!"}),
-        (NOWHERE, {**dict.fromkeys(("R@5 %", "R@10 %", "R@25 %", "AUC-PR (A)"), "-")}),
-        *(
-            (streamed([seconds], [1.0]), {RATES[0]: f"{text} / 1 / {total}"})
-            for seconds, text, total in ((0.0001, "10,000", "1"), (0.1, "10", "0.91"), (4, "0.25", "0.2"))
-        ),
+        (streamed([0.0001], [1.0]), {RATES[0]: "10,000 / 1 / 1"}),
     ],
 )
 def test_a_row_shows(run, cells):

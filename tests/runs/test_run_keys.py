@@ -43,7 +43,6 @@ def key(dataset=None, protocol=QUICK, threads=1, **changes):
             for part, value in (
                 ("name", "voyage"),
                 ("protocol", {"queries": "dawn", "tolerance_places": 0}),
-                ("queries", pictures([0, 1, 2, 3, 4, 6])),
                 ("queries", pictures([1, 0, 2, 3, 4, 5])),
                 ("references", pictures([0, 1, 2, 4])),
                 ("places", np.array([0, 1, 3, 2])),

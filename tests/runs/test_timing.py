@@ -126,8 +126,6 @@ def test_rates_are_called_invalid_without_their_minima_alone(clock):
     ("scores", "spoil", "differs"),
     [
         (table(12, 4), lambda scores, codes: np.roll(scores, len(codes) == 1, axis=1), True),  # for a single image
-        (table(300, 4, 100_000), lambda scores, codes: -scores if codes.tolist() == [299] else scores, True),
-        (np.ones((12, 200), np.float32), lambda scores, _: scores, False),  # all places tie
         (  # another last digit in a batch
             np.ones((12, 3), np.float32),
             lambda scores, codes: scores * np.where(np.arange(3) == len(codes) % 2, np.float32(1 + 1e-6), 1),
