@@ -14,7 +14,6 @@ from omegaconf import OmegaConf
 from vprbench.api.method import Method
 from vprbench.config import make_request
 from vprbench.errors import BadInput
-from vprbench.methods.sad import SAD
 from vprbench.plugins import registry
 from vprbench.plugins.entries import find_entries
 from vprbench.plugins.options import check_value, parse_options
@@ -51,18 +50,6 @@ def test_a_yaml_holds_what_hydra_reads_in_it_and_tells_what_computes_by_spikes_o
     needy = {name for name, entry in find_entries("method").items() if entry.needs_weights}
     assert {"netvlad", "megaloc", "boq_resnet50"} <= needy
     assert not {"sad", "hog", "vprtempo", "densevlad"} & needy
-
-
-def test_options_are_the_arguments_once_each_those_of_the_yaml_below_included(method):
-    method("lowest", "_target_: vprbench.methods.sad.SAD\nheight: 1\ndepth: 1\n")
-    assert method("lower", "defaults: [lowest, _self_]\nwidth: 2\nheight: 1\n").target() is SAD
-    for text, options in (
-        ("", []),
-        ("defaults: [lower, _self_]\nmembers: 5\nwidth: 3\n", ["height", "depth", "width", "members"]),
-        ("defaults: [elsewhere, one, _self_]\nwidth: 2\n", ["width"]),  # nobody registers elsewhere
-        ("defaults:\n- override /dataset: nordland\n- _self_\nwidth: 2\n", ["width"]),
-    ):
-        assert method("one", text).options == options
 
 
 # Changed arguments
