@@ -2,8 +2,6 @@
 
 import csv
 import json
-import subprocess
-import sys
 from itertools import permutations, product
 from math import comb
 
@@ -13,8 +11,8 @@ from checkout import SHARED
 from sklearn import metrics as sklearn_metrics
 
 from vprbench.errors import BadInput
-from vprbench.metrics import accuracy, ranking
-from vprbench.metrics.ranking import concatenate, outcome
+from vprbench.metrics import accuracy
+from vprbench.metrics.ranking import outcome
 
 INF = np.inf
 
@@ -43,12 +41,6 @@ def random_case(seed, n_queries, n_places, levels):
 
 # Three right, one wrong and one query without a right place, in falling confidence.
 WORKED = best_matches((0.9, True), (0.8, True), (0.7, False), (0.6, True), (0.5, None))
-
-
-def test_a_right_place_named_twice_counts_once_and_scores_are_left_as_they_were():
-    given = scored([1, 1, 0], [1, 1, 0])
-    assert accuracy.hits_at(outcome(given, places([0], [0, 0]), places([1], [])), 1).tolist() == [1, 0.5]
-    assert given.tolist() == [[1, 1, 0]] * 2
 
 
 @pytest.mark.parametrize("levels", [1, 2, 4])
@@ -109,50 +101,14 @@ def test_places_of_the_soft_band_count_as_if_they_did_not_exist():
     [
         (scored([0, 0], [np.nan, 0]), [[0], [0]], BadInput, "1 of 2 .* NaN .*query 1"),
         (np.array([[0, 0], [1e300, 0]]), [[0], [0]], BadInput, r"1 of 2 .*\+inf .*query 1"),  # beyond float32
-        *((np.eye(2).astype(kind), [[0], [1]], BadInput, f"query 0 .* {kind}:") for kind in ("complex64", "object")),
         *((np.zeros((2, 3)), [[0], [1, place]], BadInput, f"query 1 .* {place},") for place in (-1, 3)),
         (np.zeros((2, 3)), [[0]] * 3, ValueError, "2 queries .* 3"),
-        *((np.zeros(shape, np.float32), [[0]], ValueError, "scores") for shape in ((3,), (3, 0), (1, 3, 3))),
     ],
 )
 def test_scores_and_places_that_cannot_be_are_refused_by_name(scores, right, error, named):
     for judge in (outcome, accuracy.pr_curve_multi):
         with pytest.raises(error, match=named):
             judge(scores, places(*right))
-
-
-def test_a_place_beyond_the_map_and_a_rank_of_0_are_refused():
-    with pytest.raises(BadInput):
-        outcome(np.zeros((1, 2)), places([0]), places([2]))
-    with pytest.raises(BadInput):
-        accuracy.hits_at(WORKED, 0)
-
-
-def test_real_scores_of_any_type_are_ranked():
-    for kind in ("bool", "uint8", "float16", "float64"):
-        assert list(accuracy.hits_at(outcome(np.array([[1, 0], [1, 0]]).astype(kind), places([0], [1])), 1)) == [1, 0]
-
-
-def test_blocks_of_queries_give_what_the_whole_gives(monkeypatch):
-    scores, positives = random_case(7, 50, 11, 5)
-    band = [np.union1d(right, [4]) for right in positives]
-    whole = outcome(scores, positives, band)
-    parts = [outcome(scores[s : s + 7], positives[s : s + 7], band[s : s + 7]) for s in range(0, 50, 7)]
-    monkeypatch.setattr(ranking, "_BLOCK_CELLS", 30)
-    for other in (concatenate(parts), outcome(scores, positives, band)):
-        for name in vars(whole):
-            assert np.array_equal(getattr(other, name), getattr(whole, name)), name
-            assert np.asarray(getattr(other, name)).dtype == np.asarray(getattr(whole, name)).dtype
-
-
-def test_the_single_match_curves_of_the_worked_case():
-    precision = [1, 1, 1, 2 / 3, 3 / 4, 3 / 5]
-    recalls = {"A": [0, 1 / 4, 2 / 4, 2 / 4, 3 / 4, 3 / 4], "B": [0, 1 / 3, 2 / 3, 2 / 3, 1, 1]}
-    for kind, recall in recalls.items():
-        curve = accuracy.pr_curve(WORKED, kind)
-        np.testing.assert_allclose(curve.precision, precision, atol=1e-15)
-        np.testing.assert_allclose(curve.recall, recall, atol=1e-15)
-        np.testing.assert_array_equal(curve.threshold, np.float32([INF, 0.9, 0.8, 0.7, 0.6, 0.5]))
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -246,29 +202,15 @@ def test_pairs_of_worked_cases():
     np.testing.assert_array_equal(curve.precision, [1, 1, 1 / 2])
 
 
-def test_importing_the_metrics_loads_neither_scipy_nor_scikit_learn_nor_torch():
-    code = "import sys, vprbench.metrics.accuracy, vprbench.metrics.intervals; print(*sys.modules)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert not {"scipy", "sklearn", "torch"} & set(done.stdout.split())
-
-
 CORRIDOR = SHARED / "data" / "corridor"
-TECHNIQUES = [
-    "AMOSNet",
-    "HybridNet",
-    "NetVLAD",
-    "denseVLAD",
-    "ap-gem-r101",
-    "AlexNet_VPR",
-    "RegionVLAD",
-    "CoHOG",
-    "HOG",
-    "CALC",
+STORED = [
+    *("AMOSNet", "HybridNet", "NetVLAD", "denseVLAD", "ap-gem-r101"),
+    *("AlexNet_VPR", "RegionVLAD", "CoHOG", "HOG", "CALC"),
 ]
 
 
 @pytest.mark.real_frames
-@pytest.mark.parametrize("technique", TECHNIQUES)
+@pytest.mark.parametrize("technique", STORED)
 def test_numbers_of_scores_that_vpr_bench_stored_are_those_of_the_authors_and_swapped_axes_give_others(technique):
     expected = json.loads((SHARED / "oracles" / "vprbench_corridor.json").read_text())["corridor"][technique]
     with np.load(CORRIDOR / "vprbench_precomputed.npz") as arrays:

@@ -6,10 +6,8 @@ import figure_runs
 import numpy as np
 import pytest
 
-from vprbench.errors import BadInput
 from vprbench.metrics.growth import fit_power
 from vprbench.report.figures.growth import compute_median_interval, tabulate_growth
-from vprbench.runs.notes import Note
 
 SIZES = np.array([100.0, 300, 1000, 3000, 9000, 27000])
 OLD = {"time_utc": "2024-01-01T00:00:00Z"}
@@ -28,21 +26,6 @@ def test_the_exponent_is_a_slope_with_student_s_interval():
         assert exact.at([1, 50]) == pytest.approx(0.003 * np.array([1, 50.0**power]))
 
 
-def test_of_several_times_at_one_size_the_median_counts():
-    seconds = np.array([1.0, 1.4, 2.1, 2.4, 3.2, 3.4])
-    of_seeds = np.concatenate([seconds * factor for factor in (1.0, 0.5, 9.0)])
-    assert fit_power(np.tile(SIZES, 3), of_seeds) == fit_power(SIZES, seconds)
-
-
-def test_too_few_sizes_and_times_that_are_not_above_zero_are_refused():
-    for sizes, times, named in (
-        ([100, 300] * 3, [1.0] * 6, "^times at 2"),
-        *((SIZES, [1, 2, 3, 4, 5, wrong], "longer than 0") for wrong in (0.0, -1.0, float("nan"))),
-    ):
-        with pytest.raises(BadInput, match=named):
-            fit_power(sizes, times)
-
-
 def test_the_interval_of_a_median_lies_at_the_tabulated_ranks():
     # ranks of the 95 % interval: Conover, Practical Nonparametric Statistics, table of the binomial distribution
     assert compute_median_interval(np.arange(5.0)) is None
@@ -51,7 +34,7 @@ def test_the_interval_of_a_median_lies_at_the_tabulated_ranks():
         assert compute_median_interval(laps) == (k, n_laps + 1 - k)
 
 
-def test_samples_stand_in_the_order_of_places_and_seeds_and_the_newest_run_of_each_counts_disturbed_or_not():
+def test_samples_stand_in_the_order_of_places_and_seeds_and_the_newest_run_of_each_counts():
     runs = [
         figure_runs.sized(n, 5.0, 0.001 * n, seed=seed, fit_compute_seconds=n / 100)
         for n in (300, 100)
@@ -62,18 +45,6 @@ def test_samples_stand_in_the_order_of_places_and_seeds_and_the_newest_run_of_ea
     assert [*zip(found.places, found.seed, strict=True)] == [(100, 0), (100, 1), (300, 0), (300, 1)]
     assert found.fit_compute_seconds.tolist() == [1, 1, 3, 3]
     assert found.query_seconds.iloc[-1] == pytest.approx(0.301)  # 1 ms to encode
-    carts = figure_runs.sized(500, 1.0, 0.001, notes=(Note("noisy", "noisy: a cart"),))
-    found = tabulate_growth([*runs, carts, figure_runs.sized(900, None, 0.001)])  # the last one loaded its network
-    assert [*zip(found.places, found.disturbed, strict=True)][3:] == [(300, False), (500, True), (900, False)]
-    assert found.fit_compute_seconds.isna().tolist() == [False] * 5 + [True]
-
-
-def test_runs_under_other_conditions_than_the_newest_are_not_shown():
-    old = [figure_runs.sized(n, 9.0, 0.009, code="older", **OLD) for n in (100, 300, 1000)]
-    slow = [figure_runs.sized(300, 9.0, 0.009, processor="Slide rule", time_utc="2024-06-01T00:00:00Z")]
-    new = [figure_runs.sized(n, 1.0, 0.001) for n in (100, 300)]
-    found = tabulate_growth([*old, *new, *slow])
-    assert found.fit_compute_seconds.tolist() == [1.0, 1.0]
 
 
 def test_runs_with_other_arguments_weights_or_protocol_are_another_growth():

@@ -1,6 +1,5 @@
 """Intervals, block lengths and the paired test against scipy, enumeration, the published rule and worked values."""
 
-from functools import partial
 from itertools import product
 from math import ceil, floor, log10, sqrt
 from statistics import NormalDist
@@ -46,16 +45,6 @@ def test_the_bootstrap_has_the_quantiles_of_all_choices_of_circular_blocks(n, bl
         assert np.mean(means < end - 1e-9) < share <= np.mean(means < end + 1e-9) + 1e-9
 
 
-def test_the_bootstrap_of_any_numbers_has_the_quantiles_of_many_draws():
-    values, random = np.random.default_rng(6).random(200) ** 3, np.random.default_rng(7)
-    starts = random.integers(200, size=(40_000, 8, 1))  # 200 values are 8 blocks of 24 and 8 values
-    drawn = values[(starts + np.arange(24)) % 200].sum(axis=(1, 2))
-    rest = values[(random.integers(200, size=(40_000, 1)) + np.arange(8)) % 200].sum(axis=1)
-    ends = np.quantile((drawn + rest) / 200, [0.025, 0.975])
-    found = block_bootstrap(values, 24)
-    assert (found.low, found.high) == pytest.approx(ends, abs=0.002)
-
-
 def in_runs(n, share, kept, random):
     """Hits of mean `share`, each of which is that before it with chance `kept` and else drawn anew."""
     drawn = (random.random(n) < share).astype(np.float64)
@@ -80,17 +69,6 @@ def test_intervals_of_hits_in_runs_hold_the_truth_far_more_often_than_wilsons_an
         pairs.append([np.where(together > 0, in_runs(800, 0.4, 0.95, random), 0) for _ in range(2)])
     assert covered([difference_interval(*pair) for pair in pairs], 0) > 0.88
     assert covered([block_bootstrap(one - other, 10) for one, other in pairs], 0) < 0.75
-
-
-def test_the_interval_of_independent_hits_is_hardly_wider_than_wilsons():
-    random = np.random.default_rng(1)
-    widths = []
-    for _ in range(50):
-        row = in_runs(800, 0.3, 0, random)
-        found, independent = share_interval(row), wilson(row.sum(), 800)
-        widths.append((found.high - found.low) / (independent.high - independent.low))
-    assert min(widths) == pytest.approx(1)
-    assert np.mean(widths) < 1.06
 
 
 def test_which_interval_is_wider_and_its_block_length_are_told():
@@ -131,19 +109,6 @@ def test_what_is_undefined_and_what_has_no_width():
     assert [block_bootstrap(np.ones(n), 10) for n in (0, 1, 19)] == [None] * 3  # less than two blocks
     assert block_bootstrap(np.ones(20), 10) == block_bootstrap(np.ones(45), 10) == Interval(1, 1)
     assert mcnemar_exact(*hits(3, 0, 0, 2)) == mcnemar_exact([], []) == McNemar(0, 0, 1.0)
-
-
-@pytest.mark.parametrize(
-    ("refused", "named"),
-    [
-        *((partial(block_bootstrap, values, 1), "finite") for values in ([0, np.nan], np.ones((4, 4)))),
-        *((partial(block_length, values), "finite") for values in ([0, np.nan], np.ones((4, 4)))),
-        (partial(difference_interval, np.ones(30), np.zeros(31)), "same queries"),
-    ],
-)
-def test_what_cannot_be_is_refused_by_name(refused, named):
-    with pytest.raises(ValueError, match=named):
-        refused()
 
 
 def test_where_windows_overlap_only_every_window_th_query_is_a_trial():
@@ -203,20 +168,3 @@ def test_the_length_is_that_of_a_slow_transcription_of_the_published_rule(n, phi
     series = autoregressive(n, phi, seed=n)
     for row in (series, (series > np.median(series)).astype(np.float64)):
         assert block_length(row) == transcribed(row.tolist())
-
-
-def test_the_length_of_an_autoregressive_series_comes_near_its_best_one():
-    # R(k) = R(0) phi^|k|: G / g(0) = 2 phi / (1 - phi^2), so b = (6 phi^2 n / (1 - phi^2)^2)^(1/3)
-    n, phi = 20_000, 0.7
-    best = (6 * phi**2 * n / (1 - phi**2) ** 2) ** (1 / 3)
-    found = [block_length(autoregressive(n, phi, seed)) for seed in range(20)]
-    assert np.median(found) == pytest.approx(best, rel=0.1)
-
-
-def test_too_few_and_equal_values_have_blocks_of_one_and_all_others_at_least_three_blocks():
-    assert [block_length(row) for row in ([], [1.0], [0, 1] * 9, [0] * 9 + [1] * 10, [1.0] * 500)] == [1] * 5
-    for n in (20, 100, 901, 5000):
-        halves = np.arange(n) < n / 2
-        swinging = np.arange(n) % 2  # g(0) is next to nothing
-        for row in (halves, swinging, ~halves):
-            assert 1 <= block_length(row) <= min(3 * n**0.5, n / 3)

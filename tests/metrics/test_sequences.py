@@ -3,12 +3,10 @@
 import math
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from vprbench.metrics import sequences
 
-Scores = npt.NDArray[np.float32]
 N_QUERIES, N_PLACES = 23, 17
 QUERY_BREAKS, PLACE_BREAKS = [4, 5, 14], [6, 13]
 

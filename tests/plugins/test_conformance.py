@@ -90,14 +90,6 @@ class FewCandidates(Pixels):
         return np.where(scores >= np.sort(scores, axis=1)[:, -10, None], scores, np.float32(-np.inf))
 
 
-class OtherCandidatesInABatch(FewCandidates):
-    def match(self, codes):
-        scores = super().match(codes)
-        if len(codes) > 1:
-            scores[scores == scores.min(where=scores > -np.inf, initial=np.inf)] = -np.inf
-        return scores
-
-
 class KeepsNoNetwork(DescriptorMethod):
     def encode(self, images):
         colours = np.array([image.mean(axis=(0, 1)) for image in images], np.float32).reshape(-1, 3)
@@ -173,7 +165,6 @@ WRONG: dict[str, list[type[Pixels]]] = {
     ],
     FORGETS: [
         wrong("ReturnsNothing", fit=lambda *given: Pixels.fit(*given) and None),
-        wrong("FitsOnce", fit=lambda self, *given: Pixels.fit(self, *given) if self._means is None else self),
     ],
     "query before fit raises NotFittedError": [wrong("AnswersUnfitted", match=answer_unfitted)],
     "arrays that were given or returned are never modified": [
@@ -184,26 +175,18 @@ WRONG: dict[str, list[type[Pixels]]] = {
     REPEATED: [Random],
     BATCH: [
         wrong("LooksAtTheBatch", match=lambda self, codes: Pixels.match(self, codes - codes.mean(0))),
-        OtherCandidatesInABatch,
-        answering("DependsOnOrder", lambda scores, codes: scores + np.arange(len(codes), dtype=np.float32)[:, None]),
     ],
     "scores are finite float32 of shape (n_queries, n_places)": [
-        answering("DoublePrecision", lambda scores, _: scores.astype(np.float64)),
         answering("NotFinite", lambda scores, _: np.where(np.arange(20) == 0, np.float32(np.nan), scores)),
-        answering("NoCandidateAtAll", lambda scores, _: np.full_like(scores, -np.inf)),
     ],
     "higher scores mean more alike": [answering("Distance", lambda scores, _: -scores)],
     "black images and images of other sizes are accepted": [encoding("FailsOnBlack", fail_on_black)],
     STORED: [
         wrong("StoresRounded", state=lambda self: {name: a.round() for name, a in Pixels.state(self).items()}),
-        wrong("RestoresOnce", restore=lambda self, state: Pixels.restore(self, state) if self._means is None else self),
     ],
     GROWN: [growing("ForgetsThePast", lambda _: 0, 9), growing("LearnsNothing", min, -999)],
     SPIKES: [
         spiking("SpikesBelowZero", lambda codes: codes - 255),
-        spiking("SpikesOfTooFewQueries", lambda codes: codes[1:]),
-        wrong("LayersOfOneName", spikes=lambda _, codes: [LayerSpikes("grid", codes), LayerSpikes("grid", codes)]),
-        spiking("CountsOnTheCodes", count_on),
     ],
 }
 
@@ -226,7 +209,7 @@ def test_a_method_that_differs_in_nothing_that_matters_keeps_every_rule_and_each
 def test_the_rule_catches_what_breaks_it(rule, method):
     found = broken(method, **({"bins": 4} if method is ChangesArguments else {}))
     assert rule in found
-    if rule in (ENCODES, STORED, SPIKES) or method is OtherCandidatesInABatch:
+    if rule in (ENCODES, STORED, SPIKES):
         assert found == [rule]
 
 
@@ -247,10 +230,8 @@ def test_a_method_that_replaces_query_is_refused():
     ("tuned_on", "state", "named"),
     [
         ({"places": "0-9, 30-39", "also_in": {"synthetic": "0-4", "nordland": "unknown"}}, "kept", ""),
-        ({"places": "0-9", "also_in": ["synthetic"]}, "kept", ""),
         ({"dataset": "nordlant", "places": "0-9"}, "broken", "nordland"),
         ({"places": "9-0"}, "broken", "9-0"),
-        ({"places": "unknown"}, "broken", "unknown"),
         ({}, "broken", "tuned_on"),
     ],
 )

@@ -3,11 +3,9 @@
 import itertools
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image as Pictures
 
 from vprbench.api.dataset import Dataset, HeldOut
 from vprbench.api.images import Images
@@ -59,10 +57,8 @@ def truth(*places):
 WRONG: dict[str, list[Callable[..., Dataset]]] = {
     "it is the same when it is made again": [
         lambda: right(notes=(f"note {next(COUNT)}",)),
-        lambda: right(references=frames(word=f"frame {next(COUNT)}")),
-        lambda: truth([next(COUNT) % N])(),
     ],
-    "right places are whole numbers, ascending, each once": [truth([0.0]), truth([0, 0]), truth([1, 0])],
+    "right places are whole numbers, ascending, each once": [truth([0.0]), truth([1, 0])],
     "images are uint8 (height, width, 3)": [
         lambda: right(queries=frames(lambda i: picture(i).astype(np.float32))),
         lambda: right(queries=frames(lambda i: picture(i)[:, :, :2])),
@@ -72,7 +68,6 @@ WRONG: dict[str, list[Callable[..., Dataset]]] = {
     ],
     "the protocol holds plain values": [
         protocol(references=("day",), query="night"),
-        protocol(references=Path("day"), query="night"),
         protocol(references="day", query=float("nan")),
     ],
     "held-out queries are none of the queries": [held_out],
@@ -95,20 +90,3 @@ def test_the_rule_alone_catches_what_breaks_it(rule, make):
 def test_a_right_dataset_keeps_every_rule_and_each_rule_has_a_wrong_one():
     assert broken(right) == {}
     assert list(WRONG) == list(DATASET_RULES)
-
-
-@pytest.mark.extended
-def test_rendered_datasets_keep_every_rule():
-    for arguments in ({}, {"protocol": "vprsnn", "first_query_place": 4}):
-        results = [*check_dataset({"_target_": "vprbench.datasets.synthetic.synthetic", "places": 12, **arguments})]
-        assert {result.state for result in results} == {"kept"}
-
-
-def test_written_folders_keep_every_rule(tmp_path):
-    for number, traverse in enumerate(("monday", "tuesday", "friday")):
-        (tmp_path / traverse).mkdir()
-        for place in range(4):
-            Pictures.fromarray(picture(10 * number + place)).save(tmp_path / traverse / f"{place}.png")
-    folders = {"references": [str(tmp_path / "monday"), str(tmp_path / "tuesday")], "queries": str(tmp_path / "friday")}
-    results = check_dataset({"_target_": "vprbench.datasets.folders.folders", **folders})
-    assert {result.state for result in results} == {"kept"}

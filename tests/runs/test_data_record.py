@@ -1,25 +1,20 @@
 """What a run records of its frames: worked out by hand, stored and printed."""
 
-import csv
 import hashlib
-import io
 import json
 import os
 from pathlib import Path
 
 import numpy as np
 import pytest
-from little import a_failure, a_run, picture
+from little import picture
 from little_runs import quiet_surroundings
 from PIL import Image as PillowImage
 
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
 from vprbench.cli import main
-from vprbench.runs import frame, rows
 from vprbench.runs.identity import hash_frames
-
-RECORD = {"names_sha256": "5f74d2dc7bb3" + "0" * 52, "content_sha256": None, "images": 14, "bytes": None}
 
 
 def sha256(content):
@@ -71,37 +66,6 @@ def test_the_record_of_files_is_as_worked_out_by_hand_and_names_content_and_orde
     assert changed(winter, summer) == {"content_sha256"}
     winter[1].write_bytes(b"aaa")
     assert changed([winter[0], winter[1].rename(moved / "e.png"), winter[2]], summer) == {"names_sha256"}
-
-
-def test_frames_that_are_no_files_have_names_alone(frames):
-    named = [Images.from_files(files).names for files in frames]
-    drawn = [Images.from_arrays([picture(0)] * len(names), names) for names in named]
-    for images in ((drawn[0], frames[1]), (frames[0], drawn[1]), drawn):
-        found = record(*images)
-        assert found == {"names_sha256": NAMES, "content_sha256": None, "images": 5, "bytes": None}
-
-
-@pytest.mark.parametrize("hashed", ["fingerprint", "content_hash"])
-def test_what_images_are_made_from_beside_their_files_changes_their_hash(frames, hashed):
-    def made(besides, files):
-        unread = lambda _: pytest.fail("an image was read")  # noqa: E731
-        images = Images(unread, "abc", files=files, stamp=lambda _: besides, content=lambda _: besides)
-        return str(getattr(images[:], hashed)())
-
-    for files in (frames[0], None):
-        assert made(b"lens 1", files) == made(b"lens 1", files) != made(b"lens 2", files)
-    assert made(b"lens 1", frames[0]) != made(b"lens 1", frames[0][::-1])
-
-
-def test_the_protocol_line_and_csv_tell_protocol_and_data_of_each_run_that_knows_them():
-    protocol = {"protocol": "vprtempo", **a_run().protocol}
-    assert rows.describe_protocol(a_run(data=RECORD)).endswith("tolerance_places 0), data 5f74d2dc7bb3")
-    text = frame.format_csv([a_failure(), a_run(), a_run(data=RECORD, protocol=protocol)])
-    names = ("protocol", "names_sha256", "content_sha256")
-    assert [[line[name] for name in names] for line in csv.DictReader(io.StringIO(text))] == [
-        *[["", "", ""]] * 2,
-        ["vprtempo", RECORD["names_sha256"], ""],
-    ]
 
 
 def test_a_run_of_files_prints_and_stores_their_record(tmp_path, monkeypatch, capsys):

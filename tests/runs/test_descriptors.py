@@ -1,12 +1,10 @@
 """A second run encodes the timed sample alone, and a run on a large map asks for the best places alone."""
 
 import gc
-import tracemalloc
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
-from file_limit import no_file_may_exceed
 from little import Angles, journey, number_in, pictures
 from little_runs import asked_for, execute, kinds, run_of
 
@@ -15,7 +13,7 @@ from vprbench.api.descriptor import DescriptorMethod
 from vprbench.api.images import Images
 from vprbench.api.weights import Weights
 from vprbench.errors import BadInput
-from vprbench.metrics.ranking import outcome, outcome_of_best, ranked_places
+from vprbench.metrics.ranking import outcome, ranked_places
 from vprbench.runs import descriptors, scorers
 from vprbench.runs.descriptors import DescriptorCache
 from vprbench.runs.experiment import Experiment
@@ -195,25 +193,6 @@ def test_an_interrupted_encoding_goes_on_after_a_stretch_with_the_same_bits(tmp_
     assert np.array_equal(found, wanted)
 
 
-def test_descriptors_go_through_memory_block_by_block(tmp_path):
-    tracemalloc.start()
-    wide = np.ones((64, 10_000), np.float32)
-    DescriptorCache(tmp_path, {}).descriptors(MANY, lambda images: 2 * wide[: len(images)], lambda done: None)
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert peak < 2000 * 10_000 * 4 / 3
-
-
-def test_a_full_disk_and_no_folder_are_refused_and_the_encoding_goes_on_when_there_is_room(tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(BadInput, match=r"10 descriptors cannot be kept in .*file"):
-        describe(tmp_path / "file")
-    with no_file_may_exceed(1500 * some(pictures([0])).nbytes), pytest.raises(BadInput, match="large"):
-        describe(tmp_path, some, MANY)
-    made, kept, done = describe(tmp_path, some, MANY)
-    assert (len(made), kept, done[-1]) == (2000, 1024, 976)
-
-
 DEPTH = 6
 
 
@@ -239,18 +218,6 @@ def parts(found):
     return {name: np.asarray(value).tolist() for name, value in vars(found).items()}
 
 
-def test_the_outcome_of_the_best_places_is_that_of_scores_whose_other_places_are_no_candidates():
-    generator = np.random.default_rng(0)
-    scores = generator.integers(0, 12, (200, 40)).astype(np.float32)
-    scores[generator.random(scores.shape) < 0.3] = -np.inf
-    scores[7] = -np.inf
-    positives = [generator.integers(0, 40, generator.integers(0, 5)) for _ in scores]
-    places, best = ranked_places(scores, 9)
-    found = outcome_of_best(best, places.astype(np.int64), positives, 40)
-    assert parts(found) == outcome_among(places, best, positives, 40)
-    assert (found.above == 40).any()
-
-
 @pytest.mark.usefixtures("large")
 def test_a_large_map_is_asked_for_its_best_places_alone_when_scored_and_when_timed():
     class Shortlisted(Angles):
@@ -270,28 +237,6 @@ def test_a_large_map_is_asked_for_its_best_places_alone_when_scored_and_when_tim
     assert (run.scores, "answers" in kinds(run)) == (None, False)
     (note,) = [note.text for note in run.notes if note.kind == "shortlist"]
     assert ("80 places" in note, f"best {DEPTH} " in note) == (True, True)
-
-
-def test_an_index_gives_what_it_gives_where_all_places_are_scored(monkeypatch):
-    usual = on(Angles(index="hnsw", neighbours=3))
-    monkeypatch.setattr(scorers, "LARGE_MAP", N_PLACES - 1)
-    found = on(Angles(index="hnsw", neighbours=3))
-    assert ("shortlist" in kinds(usual), "shortlist" in kinds(found)) == (False, True)
-    assert np.array_equal(found.top_places, usual.top_places)
-    assert np.array_equal(found.top_scores, usual.top_scores)
-    assert parts(found.outcome) == parts(usual.outcome)
-
-
-@pytest.mark.usefixtures("large")
-def test_all_places_are_scored_where_all_scores_are_wanted_and_where_a_method_matches_in_its_own_way():
-    class OwnWay(Angles):
-        def match(self, codes):
-            return -super().match(codes)
-
-    whole = execute(asked_for(Angles(), journey(N_QUERIES, N_PLACES), scores=True))
-    for run in (whole, on(OwnWay())):
-        assert run.scores.shape == (N_QUERIES, N_PLACES)
-        assert "shortlist" not in kinds(run)
 
 
 @pytest.mark.parametrize("cached", [False, True])

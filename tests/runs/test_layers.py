@@ -9,23 +9,19 @@ import numpy as np
 import pytest
 from little import Lookup, journey
 from little_runs import asked_for, run_of
-from small_plan import RUN
 
 from vprbench.api.images import Images
 from vprbench.api.method import LayerSpikes
-from vprbench.cli import main
 from vprbench.errors import BadInput, NotFittedError
 from vprbench.methods.pca import PCA
 from vprbench.methods.sad import SAD
 from vprbench.methods.vprtempo.ensemble import VPRTempoEnsemble
-from vprbench.methods.vprtempo.int8 import VPRTempoInt8
 from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.plugins.rules import Journey
 from vprbench.runs.spikes import summarise_spikes
 from vprbench.runs.stream import grow_map, parse_step
 
 SMALL = {"max_module": 8, "height": 12, "width": 12}
-TEN = ["dataset.places=10", "dataset.first_query_place=0", "frames=false", *RUN, "timing=none"]
 
 pytestmark = pytest.mark.usefixtures("surroundings")
 
@@ -46,13 +42,6 @@ def test_counts_are_added_up_for_each_query_and_an_amplitude_is_one_spike(values
     layer_known = {"name": "hidden", "neurons": array.shape[1], **dict(zip(names, known, strict=True))}
     assert (found["queries"], found["layers"][0]["name"], found["layers"][1:]) == (2, "a", [layer_known])
     assert summarise_spikes([]) is None
-
-
-def test_impossible_spikes_are_refused_by_the_name_of_the_layer():
-    impossible = [[np.array([[1.0, wrong]])] for wrong in (np.nan, np.inf, -0.5)]
-    for layers in ([np.ones((2, 3)), np.ones((3, 3))], [np.ones(3)], *impossible):
-        with pytest.raises(BadInput, match="input"):
-            summarise_spikes([LayerSpikes("input", values) for values in layers])
 
 
 @dataclass
@@ -141,14 +130,6 @@ def test_the_spikes_of_vprtempo_are_those_of_eq_1_whatever_acts_on_scores_alone(
         VPRTempo(**SMALL).spikes(codes)
 
 
-def test_the_spikes_of_quantised_queries_are_those_that_they_pass():
-    method, codes = fitted(VPRTempoInt8(**SMALL))
-    features, outputs = (layer.values for layer in method.spikes(codes)[1:])
-    steps = features * 255 / 0.9
-    assert steps == pytest.approx(np.rint(steps), abs=1e-3)
-    assert outputs == pytest.approx(method.match(codes), abs=1e-5)
-
-
 @dataclass
 class Growing(Lookup):
     """A lookup that scores as many places as it was given, and notes what it was given."""
@@ -186,26 +167,6 @@ def test_each_stop_of_a_growing_map_asks_the_queries_whose_place_is_known():
     given = [each for each in method.asked if each[0] < 0]
     assert given == [[-1, 0, 1, 1], [-2, 1, 2], [-2, 1, 3], [-2, 1, 4]]
     assert method.known == 0  # the run's own method is another
-
-
-@pytest.mark.extended
-def test_a_growing_map_is_stored_with_its_run_and_printed(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-
-    def printed(*options):
-        assert main([*TEN, *options]) == 0
-        return capsys.readouterr().out
-
-    assert "stream" not in json.loads(printed("output=json"))
-    made = json.loads(printed("stream=4", "output=json"))
-    assert made["from_store"] is False  # the stored run had none
-    assert [(stop["places"], stop["queries"]) for stop in made["stream"]] == [(4, 4), (8, 8), (10, 10)]
-    assert made["stream"][-1]["recall_at_1"] == made["recall_at_1"]  # SAD learns the same one by one
-    heads = [line.split("  ")[0] for line in printed("stream=4").splitlines()]
-    assert heads[heads.index("places") :][:4] == ["places", "4", "8", "10"]
-    printed("force=true")
-    again = json.loads(printed("stream=4", "output=json"))
-    assert (again["from_store"], again["stream"]) == (True, made["stream"])
 
 
 def test_a_map_grows_by_the_places_asked_for_or_in_ten_stops_and_what_cannot_grow_is_refused():

@@ -55,20 +55,6 @@ def test_a_run_writes_the_best_places_of_each_query_and_a_stored_one_without_run
     assert all(float(one["score"]) >= float(two["score"]) for one, two in zip(lines[::3], lines[1::3], strict=True))
 
 
-def test_a_view_of_a_run_is_written_for_the_queries_that_it_answers(drives):
-    assert main(options("dataset.queries=queries", "predictions=1", "sequence=3")) == 0
-    assert [line["query"] for line in written("*-sequence-3-predictions.csv")] == [*map(str, range(2, PLACES))]
-
-
-@pytest.mark.parametrize("command", [[], ["compare", "methods=sad"]])
-@pytest.mark.parametrize("number", ["-1", "101", "ten"])
-def test_a_number_of_places_that_no_run_keeps_is_refused_before_anything_runs(drives, capsys, command, number):
-    asked = options("dataset.queries=queries", f"predictions={number}")
-    assert main([*command, *asked[bool(command) :]]) == 2
-    assert "predictions" in capsys.readouterr().err
-    assert not list(Path("results").glob("folders/*"))
-
-
 def test_in_python_the_table_is_that_of_the_result_and_of_its_sequences():
     frames = np.random.default_rng(0).integers(0, 256, (4, 48, 64), np.uint8)
     seen = frames ^ np.uint8(1)  # no copies

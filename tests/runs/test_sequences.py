@@ -12,10 +12,9 @@ from vprbench.metrics.ranking import outcome, ranked_places
 from vprbench.metrics.sequences import Filter, Sequences
 from vprbench.runs import answers
 from vprbench.runs.get_or_run import get_or_run
-from vprbench.runs.recall_intervals import estimate_recall_interval
-from vprbench.runs.sequences import NoScoresError, apply_filter, apply_sequences, name_views, parse_views
+from vprbench.runs.sequences import NoScoresError, apply_sequences, name_views, parse_views
 from vprbench.runs.store import Store
-from vprbench.runs.views import get_window_length, list_shown_queries, select_queries
+from vprbench.runs.views import list_shown_queries, select_queries
 
 N = 40
 
@@ -94,15 +93,6 @@ def test_queries_without_a_full_window_are_left_out_or_scored_with_what_there_is
         apply_sequences(aligned(scores=None), Sequences(2))
 
 
-def test_a_filter_follows_the_journey_and_no_block_of_an_interval_is_shorter_than_a_window():
-    view = apply_filter(aligned(), Filter())
-    assert mean_hits(view) > 0.7 > 0.5 > mean_hits(aligned())
-    assert (len(view.outcome), view.protocol["filter"]) == (N, "topological, moves 0 to 2, ratio 5")
-    view = apply_sequences(aligned(200), Sequences(12))
-    assert get_window_length(view) == 12
-    assert estimate_recall_interval([view]).block >= 12
-
-
 def test_a_view_is_never_stored_and_gaps_are(store):
     run = aligned(query_breaks=np.array([3, 7]), place_breaks=np.array([], np.int64))
     with pytest.raises(BadInput, match="view"):
@@ -134,11 +124,6 @@ BRIDGED = {"velocities": (0.8, 1), "gaps": "bridge"}
         ((4, False), [Sequences(4)], "-sequence-4"),
         (([2, 10], True), [Sequences(2), Sequences(10), Filter()], "-sequence-2-10-filter"),
         (
-            ({"length": 4, "window": "centred", "gaps": "bridge", "velocities": [0.8, 1], "contrast": 10},),
-            [Sequences(4, "centred", contrast=10, **BRIDGED)],
-            "-sequence-4-window=centred-velocities=0.8+1.0-contrast=10-gaps=bridge",
-        ),
-        (
             ("{length:[4,10],velocities:[0.8,1],gaps:bridge}",),
             [Sequences(4, **BRIDGED), Sequences(10, **BRIDGED)],
             "-sequence-4-10-velocities=0.8+1.0-gaps=bridge",
@@ -149,22 +134,3 @@ BRIDGED = {"velocities": (0.8, 1), "gaps": "bridge"}
 def test_options_in_words_and_the_names_of_their_files(options, wanted, name):
     assert [view.keywords["options"] for view in parse_views(*options)] == wanted
     assert name_views(parse_views(*options)) == name
-
-
-@pytest.mark.parametrize(
-    ("options", "word"),
-    [
-        ((0,), "length=0"),
-        (([],), "sequence"),
-        (([4, 4],), "different"),
-        ((2.5,), "sequence.length=2.5"),
-        (({"length": 4, "windwo": "causal"},), "sequence.windwo is unknown.*window"),
-        (({"length": 4, "window": "lens", "contrast": 9},), "window=lens"),
-        (({"window": "centred"},), "length"),
-        ((None, 3), "filter=3"),
-        ((None, {"back": 3}), "back=3"),
-    ],
-)
-def test_options_that_do_not_fit_are_named(options, word):
-    with pytest.raises(BadInput, match=word):
-        parse_views(*options)

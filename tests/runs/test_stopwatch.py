@@ -103,20 +103,6 @@ def test_batches_are_whole_and_hold_no_more_than_the_sample_nor_than_a_gibibyte(
         assert {len(numbers) for numbers in method.asked} == {1, *held}
 
 
-def test_a_slow_method_is_asked_no_more_than_the_minima_take():
-    for milliseconds, gain, sample, batches, at_most in (
-        (66, 1, 64, [1, 8], 15),  # VPRSNN on a laptop
-        (66, 4, 64, [1, 8, 32, 64], 15),  # faster in batches
-        (2, 1, 256, [1, 8, 32, 128], 10),
-    ):
-        clock, each = Clock(), milliseconds * MS
-        method = timed_by(clock, lambda n, each=each, gain=gain: each * len(n) // (gain if len(n) > 1 else 1))
-        timing = Stopwatch(Protocol(), clock).measure(method, pictures(range(300)), 0.1)
-        assert (len(timing.sample), sizes(timing)) == (sample, batches)
-        assert all(laps.valid for laps in (timing.streaming, *timing.offline))
-        assert clock.seconds() < at_most
-
-
 def test_by_the_real_clock_calls_last_at_least_as_long_as_a_method_slept_and_all_no_longer_than_it_took():
     began = time.perf_counter()
     method = Timed(lambda nanoseconds: time.sleep(nanoseconds / 1e9), lambda _: 5 * MS, lambda _: 2 * MS)
@@ -257,25 +243,3 @@ def test_a_protocol_that_measures_nothing_is_refused_by_name():
         for value in values:
             with pytest.raises(BadInput, match=rf"timing\.{option}\b"):
                 make_request([], {f"timing.{option}": value})
-
-
-QUICK = make_request(["timing=quick"]).timing
-
-
-@pytest.mark.parametrize(("image_ms", "call_ms"), [(1, 0), (1, 90), (400, 0)])
-def test_all_rates_of_a_quick_look_take_few_seconds(image_ms, call_ms):
-    clock = Clock()
-    method = timed_by(clock, lambda images: (call_ms + image_ms * len(images)) * MS, lambda _: 0)
-    timing = Stopwatch(QUICK, clock).measure(method, pictures(range(64)))
-    assert 0.1 < clock.seconds() <= 6
-    assert compute_streaming_rate(timing.streaming.total_seconds) == pytest.approx(1e3 / (image_ms + call_ms))
-    assert timing.offline[0].images_per_call == 1
-
-
-def test_a_batch_whose_call_would_take_long_is_left_out_and_a_faster_one_is_not():
-    for call, left in (
-        (lambda n_images: 30, [1, 8, 32]),  # all at once
-        (lambda n_images: 60 * n_images, [1, 8]),  # one after the other
-        (lambda n_images: 900 * n_images, [1]),
-    ):
-        assert sizes(measured(QUICK, lambda images, call=call: MS * call(len(images)), images=64)[0]) == left

@@ -7,7 +7,7 @@ import numpy as np
 from little import a_run
 from report_page import SAD_WRONG, TEMPO_WRONG, UNANSWERABLE, answered, journey_run, right_place
 
-from vprbench.report.page.columns import format_place_ranges, list_columns, list_places_shown
+from vprbench.report.page.columns import list_columns
 from vprbench.runs.query_results import judge_answers, order_by_interest
 
 NO = -np.inf  # the score of a place that is no candidate
@@ -66,14 +66,6 @@ def test_what_the_page_reads_is_plain_and_holds_every_query():
         "margins": ["-", "+", None, -0.33333],
         "bounds": "==?=",
     }
-
-
-def test_places_read_as_ranges_and_those_shown_are_the_best_three_and_the_right_ones():
-    for places, text in (([], ""), ([4], "4"), ([7, 3, 4, 5], "3-5, 7")):
-        assert format_place_ranges(np.array(places, np.int64)) == text
-    first = judged_alone([0.5, 0.375, 0.25, 0.125, 0.0, 0.0], [4])
-    second = judged_alone([0.0, 0.0, NO, NO, NO, 0.5], [])
-    assert list_places_shown([first, second]) == [0, 1, 2, 4, 5]
 
 
 def test_queries_that_are_not_answered_right_come_first_with_their_places_and_then_all_others_in_one_order():

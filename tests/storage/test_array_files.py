@@ -65,13 +65,3 @@ def test_paths_below_a_folder_are_those_that_pathlib_makes(texts, top):
     assert [*paths[::-2]] == wanted[::-2]
     assert [*paths[np.arange(len(wanted)) % 3 == 0]] == wanted[::3]
     assert [*Paths.joined([paths, paths[1:]])] == [*wanted, *wanted[1:]]
-
-
-@quiet
-@given(st.lists(st.sampled_from(["a/1", "a/2", "b/1", "1", "b/c/2"]), max_size=9))
-def test_each_of_the_different_paths_comes_once_and_folders_come_as_they_first_appear(texts):
-    paths = Paths.below(Path("/top"), texts)
-    assert [*paths.distinct()] == [*dict.fromkeys(paths)]
-    parents = [path.parent for path in paths]
-    found = [(folder, which.tolist()) for folder, which in paths.in_folders()]
-    assert found == [(one, [i for i, parent in enumerate(parents) if parent == one]) for one in dict.fromkeys(parents)]

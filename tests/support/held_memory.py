@@ -9,29 +9,11 @@ import psutil
 from little import Lookup, journey
 from little_runs import run_of, table
 
-from vprbench.runs import machine
-
 
 def in_a_new_process(measure):
     """Return what a function of this module measures in a process that has done nothing before."""
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("forkserver")) as pool:
         return pool.submit(measure).result()
-
-
-def rise_in_a_window():
-    """Return by how many bytes the peak rises while 200 MB are held for a moment."""
-    machine.reset_peak_memory()
-    before = machine.measure_peak_memory()
-    np.ones(200_000_000, np.uint8)
-    return machine.measure_peak_memory() - before
-
-
-def fall_in_a_new_window():
-    """Return by how many bytes the peak falls when a new window begins after 200 MB were held."""
-    np.ones(200_000_000, np.uint8)
-    high = machine.measure_peak_memory()
-    machine.reset_peak_memory()
-    return high - machine.measure_peak_memory()
 
 
 @dataclass

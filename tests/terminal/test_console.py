@@ -5,7 +5,7 @@ import io
 import pytest
 from rich.cells import cell_len
 
-from vprbench.terminal.console import format_line, format_table, make_console
+from vprbench.terminal.console import format_table, make_console
 
 COLUMNS = ["method", "R@1 %", "R@5 %", "rates"]
 ROWS = [["sad", "12.5", "30.1", "x" * 60], ["a method of many words, " * 2, "1.0", "2.0", "1,000"]]
@@ -50,14 +50,3 @@ def test_colours_are_for_terminals_that_want_them(terminal, none, coloured, monk
     monkeypatch.setattr(stream, "isatty", lambda: terminal)
     make_console(stream).print("word", style="red")
     assert ("\x1b[31m" in stream.getvalue()) == coloured
-
-
-@pytest.mark.parametrize("columns", ["", "40", "140"])
-def test_a_line_that_has_to_fit_is_broken_between_words_and_any_other_stays_whole_in_a_file(columns, monkeypatch):
-    monkeypatch.setenv("COLUMNS", columns)
-    for word in ("tolerance_places 0,", "\N{CJK UNIFIED IDEOGRAPH-5730} ", "x" * 300):
-        line = f"journey: {word * 40}".rstrip()
-        shown = format_line(line, fits=True)
-        assert longest(shown) <= (140 if columns == "140" else 100)
-        assert "".join(shown.split()) == "".join(line.split())
-        assert format_line(line) == line

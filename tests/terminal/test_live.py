@@ -4,7 +4,6 @@ import io
 
 from rich.console import Console
 
-from vprbench.progress import report, show_progress
 from vprbench.terminal.live import LiveTable
 
 
@@ -25,10 +24,3 @@ def test_runs_are_shown_with_their_time_and_cells_with_their_results_and_the_res
         ["HOG", "\N{MIDDLE DOT}"],
     ]
     assert "2 of 6, 1 running, 3 waiting, 1 failed" in text
-
-
-def test_no_other_progress_is_shown_beside_a_live_table():
-    stream = io.StringIO()
-    with LiveTable([], [], 1).shown(), show_progress("a download", stream):
-        report("fetching", 0.5)
-    assert stream.getvalue() == ""
