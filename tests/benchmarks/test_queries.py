@@ -2,6 +2,7 @@
 
 from functools import cache
 
+import numpy as np
 import pytest
 from full_size import FULL
 
@@ -52,3 +53,18 @@ def test_query(name, images, measure, size, route, fitted, reads):
     code = method.encode(queries)
     encode = {"encode alone": lambda: method.encode(queries)}
     measure(f"{name}, {images} together", lambda: method.query(queries), images, {**encode, **floor}, n_codes=len(code))
+
+
+@pytest.mark.parametrize("full", [18, 111])
+@pytest.mark.parametrize("name", ["vprsnn", "vprsnn_fast"])
+def test_many_modules_of_vprsnn(name, full, measure, size, route, build):
+    places, modules = size(25, 2), size(full, full // 18)
+    module = {"places_per_module": places, "epochs": size(30, 1), "n_excitatory": size(400, 8)}
+    state = build(name, **module).fit(*route(places).references(places, 2)).state()
+    many = {
+        key: each if each.ndim == 0 else np.broadcast_to(each[0], (modules, *each.shape[1:]))
+        for key, each in state.items()
+    }
+    many["places"] = state["places"] + places * np.arange(modules)[:, None]
+    network, query = build(name, **module).restore(many), route(places).queries(places, 1)
+    measure(f"{name}, {modules} modules of {places} places", lambda: network.query(query))

@@ -20,6 +20,16 @@ def test_a_module(rules, measure, size, route, build, reads):
     measure(f"a module of {places:,} places, 1 epoch, {rules} rules", one["fused"], 2 * places, beside)
 
 
+@pytest.mark.parametrize("rules", RULES)
+def test_the_fit_that_users_ask_for(rules, measure, size, route, build):
+    places = size(3300, 40)
+    shown = route(places).references(places, 2)
+    arguments = {"rules": rules, "max_module": size(1100, 20), "epochs": size(4, 2)}
+    measure(
+        f"{places:,} places, 4 epochs, {rules} rules", lambda: build("vprtempo", **arguments).fit(*shown), len(shown[1])
+    )
+
+
 @pytest.mark.parametrize("places", [100, 300, 1000, 3300, 10_000, 27_000] if FULL else [100, 200])
 @pytest.mark.parametrize("rules", RULES)
 def test_growth(rules, places, measure, size, route, build):

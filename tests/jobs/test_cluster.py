@@ -68,7 +68,9 @@ def test_a_yaml_of_ones_own_names_any_class_of_dask_jobqueue_and_workers_bounds_
     ("given", "words"),
     [
         (["cluster=torque"], "cluster=torque: .*slurm"),
+        (["cluster=slurm", "cluster.cores=many"], "cores"),
         (["cluster=slurm", "cluster.core=4"], "SLURMCluster: .*core"),
+        (["cluster=slurm", "cluster.memory=lots"], "lots"),
         (["cluster=slurm", "cluster._target_=dask_jobqueue.NoCluster"], "NoCluster"),
     ],
 )

@@ -9,10 +9,11 @@ import threading
 import time
 
 import pytest
+from killed_worker import Kills
 
 from vprbench import __version__, cli
 from vprbench.config import make_request
-from vprbench.errors import BadInput
+from vprbench.errors import BadInput, ClusterLostError
 from vprbench.jobs import executors
 from vprbench.jobs import options as cluster_options
 from vprbench.jobs.executors import Executor, choose_executor, choose_gpu, run_all
@@ -86,6 +87,7 @@ def test_impossible_options_are_refused_by_name_and_a_single_run_takes_none(give
     [
         ([], [], []),
         (["workers=3"], [], ["threads=2"]),
+        (["workers=9"], [], ["threads=1"]),
         (["workers=2"], ["threads=3"], []),
         (["scheduler=tcp://here:8786"], [], ["threads=1"]),
         (["cluster=pbs", "cluster.cores=6"], [], ["threads=6"]),
@@ -116,12 +118,34 @@ def test_workers_of_dask_make_runs_on_the_disk_that_they_share(scheduler, tmp_pa
     assert not [*results.rglob(".partial-*")]
 
 
-def test_an_interruption_ends_the_runs_of_workers(tmp_path, monkeypatch):
+@pytest.mark.extended
+def test_a_worker_that_dies_is_made_up_for_three_times(scheduler, tmp_path):
+    with choose_executor(ClusterOptions(scheduler=scheduler)) as executor:
+        functions = executor.open_pool()
+        assert functions.submit(Kills(tmp_path), False).result() == 2
+        result = executor.collect(make_request(RUN), functions.submit(Kills(tmp_path), True))
+    assert (result.code, "4 times" in result.failure.error) == (1, True)
+    assert len([*(tmp_path / "True").iterdir()]) == 4
+
+
+@pytest.mark.extended
+def test_a_scheduler_that_is_gone_is_one_line(tmp_path):
+    distributed = pytest.importorskip("distributed", reason=NEEDS)
+    with distributed.LocalCluster(n_workers=1, dashboard_address=":0", silence_logs=50) as cluster:
+        executor = choose_executor(ClusterOptions(scheduler=cluster.scheduler_address))
+        made = executor.open_pool().submit(time.sleep, 60)
+    with executor, pytest.raises(ClusterLostError, match="give the same command again"):
+        executor.collect(make_request(RUN), made)
+
+
+@pytest.mark.parametrize("place", ["workers", pytest.param("scheduler", marks=pytest.mark.extended)])
+def test_an_interruption_ends_the_runs_of_workers(place, tmp_path, monkeypatch, request):
     monkeypatch.setattr(entries, "_LOOSE", {"method": {}, "dataset": {}})
     monkeypatch.delitem(sys.modules, "slow", raising=False)
     monkeypatch.setattr(sys, "path", [*sys.path])
     (tmp_path / "slow.py").write_text(SLOW)
     slow = make_request([*RUN[1:], f"method={tmp_path}/slow.py:Slow"], {"results": str(tmp_path / "results")})
+    asked = {"workers": 2} if place == "workers" else {"scheduler": request.getfixturevalue("scheduler")}
 
     def interrupt():
         while not (tmp_path / "begun").exists():
@@ -130,7 +154,7 @@ def test_an_interruption_ends_the_runs_of_workers(tmp_path, monkeypatch):
 
     threading.Thread(target=interrupt, daemon=True).start()
     began = time.monotonic()
-    with pytest.raises(KeyboardInterrupt), choose_executor(ClusterOptions(workers=2)) as executor:
+    with pytest.raises(KeyboardInterrupt), choose_executor(ClusterOptions(**asked)) as executor:
         [*run_all(executor, [(0, slow)])]
     while read_claims(tmp_path / "results") and time.monotonic() - began < 40:
         time.sleep(0.1)

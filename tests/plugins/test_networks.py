@@ -1,9 +1,12 @@
 """Stored networks: what is loaded answers as what was trained, and nothing else is ever loaded."""
 
 import errno
+import json
 import pickle
+import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,12 +14,18 @@ import numpy.typing as npt
 import pytest
 import torch
 from image_folders import answer
-from little import Prototypes, journey, pictures, store_network
+from little import Lookup, Prototypes, journey, pictures, store_network
+from little_runs import quiet_surroundings
+from plugged_in import plugin, see_plugins
 from safetensors.numpy import save_file
+from small_plan import Apart
 from trap import Trap
 
+from vprbench.cli import main
 from vprbench.errors import BadInput, NotFittedError
+from vprbench.jobs import executors
 from vprbench.plugins import networks
+from vprbench.runs.store import Store
 
 WORLD = journey(8, 4)
 BIG = np.arange(6, dtype=">i4")
@@ -103,6 +112,7 @@ def test_every_difference_is_named_with_both_values(path):
     for method, dataset, given, wanted in (
         (Prototypes(), WORLD, {"noise": None}, ["method.noise is 0.5 there and null here"]),
         (Prototypes(), WORLD, {"noise": "low", "seed": 1}, ['there and "low" here', "seed is 0 there and 1 here"]),
+        (Prototypes(), WORLD, {"depth": 3}, ['method.depth is "unknown" there and 3 here']),
         (Prototypes(), journey(8, 5), {}, ["4 places there (dataset journey) and 5 here"]),
         (Others(), WORLD, {}, ["Prototypes, not of Others"]),
         *((Prototypes(), replace(WORLD, name="voyage", **other), {}, ["journey there and voy"]) for other in changed),
@@ -131,19 +141,65 @@ def denied(*_, **__):
     raise PermissionError(errno.EACCES, "Permission denied")
 
 
-def test_a_file_that_cannot_be_stored_is_refused_before_the_training(tmp_path):
+def test_what_is_no_file_of_a_network_is_refused_when_it_is_chosen(tmp_path, monkeypatch):
+    (tmp_path / "folder.safetensors").mkdir()
+    (tmp_path / "network.pth").touch()
+    monkeypatch.setenv("HOME", str(tmp_path))
+    files = networks.find_network_files("~/new.safetensors", "~/network.pth", False)
+    assert (files.save, files.load) == (tmp_path / "new.safetensors", tmp_path / "network.pth")
+    monkeypatch.setattr(Path, "open", denied)
+    (tmp_path / "x.pth").touch()
+    for name, wanted in (("folder", "load="), ("absent", "load="), ("network.txt", "load="), ("x.pth", "denied")):
+        with pytest.raises(BadInput, match=wanted):
+            networks.find_network_files(None, str(tmp_path / name), False)
+
+
+def test_a_method_that_keeps_no_network_says_what_to_do():
+    method, path = Lookup(np.ones((1, 1), np.float32)), Path("x.safetensors")
+    for ask in (
+        method.state,
+        lambda: method.restore({}),
+        lambda: networks.load_network(path, method, ORIGIN),
+        lambda: networks.require_destination(networks.Files(save=path), method),
+    ):
+        with pytest.raises(BadInput, match=r"^Lookup keeps no network.*save=.*load="):
+            ask()
+
+
+def test_a_file_that_cannot_be_stored_is_refused_before_the_training(tmp_path, monkeypatch):
     (tmp_path / "folder.safetensors").mkdir()
     for file in ("there", "there.safetensors"):
         (tmp_path / file).touch()
 
-    for name, said in (
-        ("network.pth", r"\.safetensors"),
-        ("there.safetensors", r"is there already.*\$\{seed\}.*force=true"),
-        ("folder.safetensors", "is there already"),
-        ("there/x.safetensors", "cannot be written"),
-    ):
+    def refuse(name, said, force=True):
         with pytest.raises(BadInput, match=f"save=.*{said}"):
-            networks.require_destination(networks.Files(save=tmp_path / name), Prototypes())
+            networks.require_destination(networks.Files(save=tmp_path / name, replace=force), Prototypes())
+
+    refuse("network.pth", r"\.safetensors")
+    refuse("there.safetensors", r"is there already.*\$\{seed\}.*force=true", force=False)
+    refuse("folder.safetensors", "is there already")
+    for name in ("there/x.safetensors", "x" * 300 + ".safetensors"):
+        refuse(name, "cannot be written")
+    monkeypatch.setattr(tempfile, "TemporaryFile", denied)  # root, who may run these tests, has every right
+    refuse("denied.safetensors", r"cannot be written \(Permission denied\)")
+
+
+def test_a_file_stays_that_appeared_during_the_training_or_that_a_full_disk_cannot_replace(path, monkeypatch):
+    store(path, Prototypes(seed=1))
+    before = path.read_bytes()
+    with pytest.raises(BadInput, match="is there already"):
+        networks.save_network(networks.Files(save=path), fitted(Prototypes(seed=1)), ORIGIN, WORLD.references)
+    monkeypatch.setattr(Path, "write_bytes", denied)  # as a full disk
+    with pytest.raises(BadInput, match=r"stored.*denied"):
+        store(path, Prototypes(seed=1), replace=True)
+    assert path.read_bytes() == before
+    assert [*path.parent.iterdir()] == [path]
+
+
+def test_a_state_that_is_no_array_of_numbers_is_the_methods_mistake(path):
+    for value in (np.array([None]), np.array(["a"]), torch.zeros(1), [1.0]):
+        with pytest.raises(TypeError, match=r"Holding\.state\(\).*means"):
+            networks.save_network(networks.Files(save=path), Holding(arrays={"means": value}), ORIGIN, WORLD.references)
 
 
 # Published networks
@@ -183,3 +239,94 @@ def test_a_published_file_of_anything_but_the_wanted_tensors_is_refused_and_its_
     ):
         torch.save(content, tmp_path / "x.pth")
         assert wanted in refusal(tmp_path / "x.pth")
+
+
+# The command line
+
+
+@pytest.fixture
+def run(tmp_path, monkeypatch, capsys):
+    """Runs the little method on the command line, in a folder of its own; returns what is printed and the errors."""
+    yaml = "_target_: little.Prototypes\nnoise: 0.5\ncontrast: 1.0\nseed: ${seed}\ndevice: ${device}"
+    plugin(tmp_path / "plugin", "little", "little", {"prototypes": yaml})
+    see_plugins(tmp_path / "plugin", monkeypatch)
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    quick = ("method=prototypes", "dataset.places=12", "dataset.first_query_place=0", "timing=none", "threads=1")
+
+    def call(*options, code=0):
+        capsys.readouterr()
+        ended = main([*quick, *options])
+        printed = capsys.readouterr()
+        assert ended == code, printed.err
+        return printed.out, printed.err
+
+    with quiet_surroundings():
+        yield call
+
+
+@pytest.fixture
+def ask(run):
+    return lambda *options: json.loads(run("output=json", *options)[0])
+
+
+def fail(*_):
+    raise RuntimeError("not today")
+
+
+@pytest.mark.extended
+def test_a_run_that_loads_trains_nothing_gives_the_same_scores_and_names_its_network(run, ask, monkeypatch):
+    stored = ask("save=net.safetensors")
+    with monkeypatch.context() as patch:
+        patch.setattr(Prototypes, "fit", fail)
+        loaded, again = ask("load=net.safetensors"), ask("load=net.safetensors")
+    accuracy = ("recall_at_1", "recall_at_5", "auc_pr_a", "average_precision_a", "queries")
+    assert [loaded[name] for name in accuracy] == [stored[name] for name in accuracy]
+    assert np.array_equal(*(np.asarray(run.scores) for run in Store(Path("results")).runs()))
+    assert (loaded["fit_seconds"], loaded["fit_compute_seconds"], stored["load_seconds"]) == (None, None, None)
+    assert 0 < loaded["load_seconds"] < 5
+    assert loaded["network"] == networks.find_network_files(None, "net.safetensors", False).sha256
+    key = Path(stored["run_folder"]).name.removeprefix("prototypes-")
+    assert any(note["text"].startswith(f"loaded network: run {key} trained it in ") for note in loaded["notes"])
+    assert (loaded["from_store"], again["from_store"]) == (False, True)
+    assert ask()["run_folder"] == stored["run_folder"] != loaded["run_folder"]
+    assert "method.seed is 0 there and 1 here;" in run("load=net.safetensors", "seed=1", code=2)[1]
+    assert ask("save=net.safetensors", "force=true")["from_store"] is False  # and took another time to train
+    second = ask("load=net.safetensors")  # another network in the same file is another run
+    assert (second["from_store"], second["network"] == loaded["network"]) == (False, False)
+
+
+@pytest.mark.extended
+def test_a_run_is_answered_from_the_store_where_its_network_was_kept_and_else_made_again(run, ask, caplog):
+    ask()
+    caplog.set_level("INFO")
+    made = ask("save=net.safetensors")
+    assert caplog.messages[0].startswith("prototypes on synthetic is stored without its network")
+    before = Path("net.safetensors").read_bytes()
+    assert (made["from_store"], ask("save=net.safetensors")["from_store"]) == (False, True)
+    assert Path("net.safetensors").read_bytes() == before
+    Path(made["run_folder"], "run.json").unlink()  # as where the run was killed when its network was stored
+    assert [ask("save=net.safetensors")["from_store"] for _ in range(2)] == [False, True]
+    ask("seed=1")
+    assert "net.safetensors is there already" in run("save=net.safetensors", "seed=1", code=2)[1]
+
+
+@pytest.mark.extended
+def test_a_network_outlives_a_failure_at_the_queries_and_a_failed_training_leaves_none(run, ask, monkeypatch):
+    for step, there in (("match", ["net.safetensors"]), ("fit", [])):
+        with monkeypatch.context() as patch:
+            patch.setattr(Prototypes, step, fail)
+            run(f"save={step}/net.safetensors", code=1)
+        assert [path.name for path in Path(step).iterdir()] == there
+    assert ask("load=match/net.safetensors")["queries"] > 0
+
+
+@pytest.mark.extended
+def test_cells_of_a_sweep_store_networks_under_their_own_names_and_none_replaces_another(run, monkeypatch):
+    monkeypatch.setattr(executors, "run_in_child", Apart())
+    run("-m", "seed=0,1", "save=nets/net-${seed}.safetensors")
+    assert sorted(path.name for path in Path("nets").iterdir()) == ["net-0.safetensors", "net-1.safetensors"]
+    errors = run("-m", "seed=2,3", "save=nets/net.safetensors", code=2)[1]
+    assert "nets/net.safetensors is there already: give another name" in errors
+    keys = {record.parent.name for record in Path("results").rglob("run.json")}
+    assert keys == {f"prototypes-{networks.read_run_key(path)}" for path in Path("nets").iterdir()}

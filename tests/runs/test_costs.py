@@ -1,5 +1,7 @@
 """Costs of a query: operations by formulas and by PyTorch, bytes, and joules of a made-up powercap."""
 
+import json
+import sys
 from types import SimpleNamespace
 
 import numpy as np
@@ -15,6 +17,7 @@ from vprbench.api.arithmetic import counting_operations
 from vprbench.api.binary import BinaryMap
 from vprbench.api.images import Images
 from vprbench.api.search import Search
+from vprbench.cli import main
 from vprbench.methods.sad import SAD
 from vprbench.methods.vprtempo.ensemble import VPRTempoEnsemble
 from vprbench.methods.vprtempo.int8 import VPRTempoInt8
@@ -115,6 +118,25 @@ def test_what_pytorch_does_is_counted_a_step_without_a_formula_is_not_available_
     assert costs_of(request, run)["values"]["map_bytes"] == 10
 
 
+@pytest.mark.extended
+def test_costs_are_asked_for_stored_and_shown(tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(energy, "POWERCAP", tmp_path / "none")
+    small = ["dataset.places=10", "dataset.first_query_place=4", "threads=1", "timing=none", "frames=false"]
+
+    def said(*options):
+        assert main(["method=sad", *small, *options]) == 0
+        return capfd.readouterr().out
+
+    assert "energy" not in json.loads(said("output=json"))
+    for option, there in (("energy=true", False), ("metrics=[energy]", True)):
+        found = json.loads(said(option, "output=json"))
+        assert (found["from_store"], found["energy"]["values"]["joules_measured"]) == (there, None)
+        assert found["energy"]["values"]["map_bytes"] == 2 * 28 * 28  # two references of each place
+    assert found["operations"] == found["energy"]["values"]["operations"] > 3 * 20 * 28 * 28
+    assert "n/a" in said("energy=true")
+
+
 def powercap(root, **microjoules):
     """Make counters `package`, `dram` and `core`, up to a joule, as Linux has them: the last is part of the first."""
     for zone, (name, value) in enumerate(microjoules.items()):
@@ -150,3 +172,14 @@ def test_package_and_memory_are_read_and_not_what_lies_within_and_a_counter_that
         monkeypatch.setattr(energy, "POWERCAP", powercap(tmp_path / str(*counters), **counters))
         found = costs_of(request)
         assert (found["values"]["joules_measured"], "Error" in found["how"]["joules_measured"]) == (None, True)
+
+
+def test_the_counter_of_a_gpu_is_found_by_its_uuid(monkeypatch):
+    stand_in = SimpleNamespace(
+        nvmlInit=lambda: None,
+        nvmlDeviceGetHandleByUUID={"GPU-abc": 7}.get,
+        nvmlDeviceGetTotalEnergyConsumption={7: 1234}.get,
+    )
+    monkeypatch.setitem(sys.modules, "pynvml", stand_in)
+    monkeypatch.setattr(torch.cuda, "get_device_properties", lambda _: SimpleNamespace(uuid="abc"))
+    assert energy.read_nvml("cuda") == [(1_234_000, 1 << 64)]

@@ -7,21 +7,26 @@ import logging
 import multiprocessing
 import os
 import pickle
+import shutil
+import time
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import fields, is_dataclass, replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
-from little import a_failure, a_run, laps, replace_and_die, unanswerable_run
+from little import a_failure, a_run, laps, replace_and_die, save_keys, unanswerable_run
 from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
 
 from vprbench.errors import BadInput
 from vprbench.runs import identity
 from vprbench.runs.identity import hash_content
+from vprbench.runs.notes import Note
 from vprbench.runs.run_files import SCHEMA, OtherLayoutError, load
 from vprbench.runs.store import Store
+from vprbench.runs.views import select_queries
 from vprbench.storage import tensors
 
 KEY = "0123456789abcdef"
@@ -69,7 +74,9 @@ NOISE = np.random.default_rng(0).normal(size=(4, 10)).astype(np.float32)
         a_run(),
         a_run(outcome=replace(a_run().outcome, best_score=np.array([-np.inf, 1e-45, -0.0, 0.1], np.float32))),
         a_run(timing=replace(TIMING, streaming=replace(laps(ODD, ODD[::-1]), valid=False))),
+        a_run(timing=replace(TIMING, offline=(TIMING.offline[0], replace(TIMING.offline[1], valid=False)))),
         a_run(scores=np.where(NOISE > 2, -np.inf, NOISE), place_numbers=np.arange(10) * 3),
+        a_run(timing=None, config={**a_run().config, "timing": None}),
         a_run(positives=tuple(np.array(row, np.int64) for row in ([], [1], [], [9, 3]))),
         replace(unanswerable_run(), scores=None),
     ],
@@ -145,28 +152,40 @@ FILES = [
     enlarge,
 ]
 VALUES = [  # of which each cannot be in any of the places beside it
-    (None, "outcome.n_places method config.seed schema"),
-    ("5", "outcome.n_places config.dataset timing.streaming.valid"),
+    (
+        None,
+        "outcome.n_places method fingerprint config protocol environment data notes config.method config.seed schema",
+    ),
+    ("5", "outcome.n_places fit_seconds peak_memory_bytes config.dataset config.seed notes environment.libraries"),
+    ("5", "protocol.tolerance_places config.timing.minimum_seconds timing.streaming.valid"),
     (0, "outcome.n_places timing.offline.0.images_per_call"),
+    (5, "method network protocol.also_tolerance_places"),
     (10**12, "outcome.n_places"),
+    (True, "outcome.n_places"),
     (-1, "fit_seconds peak_memory_bytes"),
     (10.5, "outcome.n_places config.seed"),
     (float("inf"), "fit_seconds load_seconds"),
     *((name, "method") for name in ("", "../../little", ".little")),
     ([], "timing.offline timing spikes search energy data"),
     ({}, "timing view"),
+    ([0], "config.timing.batch_sizes notes"),
+    ({"torch": 2.6}, "environment.libraries"),
+    ({"dataset": "journey"}, "stream sha256"),
 ]
 ARRAYS = {
     "outcome.best_score": [None, np.full(4, np.nan, np.float32), np.full(4, np.inf), np.zeros(3)],
-    "outcome.above": [np.full(4, 11), np.zeros((4, 1), np.int64)],
-    "positives.places": [np.array([0, 1, 5, 2, 10]), np.arange(4)],
+    "outcome.above": [np.full(4, -1), np.full(4, 11), np.zeros(4), np.zeros((4, 1), np.int64)],
+    "positives.places": [np.array([0, 1, 5, 2, 10]), np.arange(4), np.array([0, -1, 5, 2, 3])],
     "positives.counts": [np.array([5, 5, -5, 0]), np.array([5])],
     "top_places": [np.full((4, 2), 10, np.int32), np.zeros((2, 4), np.int32)],
+    "top_scores": [np.zeros((4, 3), np.float32)],
     "scores": [np.zeros((4, 9), np.float32), np.full((4, 10), np.nan, np.float32)],
     "timing.sample": [np.array([0, 1, 2, 4]), np.arange(3)],
     "timing.answers": [np.array([0, 1, 10, -1])],
     "place_numbers": [np.arange(9)],
     "timing.streaming.encode_seconds": [np.full(5, np.nan), np.full(5, -1.0), np.zeros(5)],
+    "timing.streaming.match_seconds": [np.zeros(4)],
+    "timing.offline.1.encode_seconds": [None],
 }
 
 
@@ -190,6 +209,53 @@ def test_a_run_that_is_damaged_or_cannot_be_is_named_once_hides_no_other_and_can
     assert sorted(path.name for path in three.parent.iterdir()) == ["little-a", "little-b", "little-c"]
 
 
+def test_a_run_that_would_not_be_read_is_not_stored(store, three):
+    odd = {"notes": (Note("unheard", "of"),), "method": "a/b", "protocol": {"tolerance_places": "0"}}
+    for part, value in odd.items():
+        with pytest.raises(BadInput, match=part):
+            store.save(a_run(**{"key": "b", part: value}))
+    with pytest.raises(ValueError, match=r"top_places is .*: Value error, is object"):
+        store.save(a_run(top_places=np.array([[None]])))
+    untimed = a_run(timing=None, config={**a_run().config, "timing": None})
+    with pytest.raises(BadInput, match="view"):
+        store.save(select_queries(untimed, np.arange(2), {}))
+    assert keys(store) == ["a", "b", "c"]
+    assert [path.name for path in store.root.iterdir()] == ["journey"]
+
+
+def test_a_failure_that_cannot_be_is_left_out_by_name(store, caplog):
+    whole = store.save_failure(a_failure())
+    path = store.save_failure(a_failure(config={**a_run().config, "seed": 9})) / "failure.json"
+    good = json.loads(path.read_text())
+    for part, values in {
+        "error": (None, 5),
+        "config": (None, {}, {**good["config"], "seed": []}, {**good["config"], "changed": "all"}),
+        "environment": ({"time_utc": 5},),
+        "method": ("../little",),
+    }.items():
+        for value in values:
+            caplog.clear()
+            path.write_text(json.dumps({**good, part: value}))
+            assert [failure.config["seed"] for failure in store.failures()] == [3]
+            assert [str(path) in record.getMessage() for record in caplog.records] == [True]
+    assert whole.exists()
+
+
+def test_a_run_that_the_system_does_not_let_read_stays_and_hides_no_other(store, three, monkeypatch, caplog):
+    system = Path.open
+
+    def refusing(path, *arguments, **options):
+        if three in path.parents:
+            raise OSError(errno.EMFILE, os.strerror(errno.EMFILE), str(path))
+        return system(path, *arguments, **options)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "open", refusing)
+        assert (keys(store), stored(store, "b")) == (["a", "c"], None)
+    assert keys(store) == ["a", "b", "c"]
+    assert [str(three) in line.getMessage() for line in caplog.records] == [True]
+
+
 def test_a_run_of_another_layout_is_left_as_it_is_and_named(store, caplog):
     folder = store.save(a_run())
     for layout in (SCHEMA - 1, SCHEMA + 1):
@@ -201,6 +267,19 @@ def test_a_run_of_another_layout_is_left_as_it_is_and_named(store, caplog):
         assert stored(store) is None
     named = [str(folder) in record.getMessage() for record in caplog.records]
     assert named == [False, True, False]  # all of a store in one line, and a folder once
+
+
+@pytest.mark.parametrize(("hours", "newest", "left"), [(25, 25, 0), (23, 23, 1), (25, 1, 1)])  # the newest file counts
+def test_what_nobody_touched_for_a_day_is_removed_and_never_a_run(store, hours, newest, left):
+    half, file = store.root / ".partial-elsewhere-1-0a1b2c3d", store.root / ".partial-0a1b2c3d"
+    shutil.copytree(store.save(a_run()), half)
+    file.write_bytes(b"half")
+    ages = {**dict.fromkeys([*half.iterdir(), half, file], hours), arrays_of(half): newest}
+    for path, age in ages.items():
+        os.utime(path, (time.time() - age * 3600,) * 2)
+    store.prepare()
+    assert (half.exists(), file.exists()) == (left, hours == 23)
+    assert len(keys(store)) == 1
 
 
 def test_a_process_killed_at_any_step_of_replacing_a_run_leaves_the_old_or_the_new_one(store, processes):
@@ -218,6 +297,14 @@ def test_a_process_killed_at_any_step_of_replacing_a_run_leaves_the_old_or_the_n
         os.utime(path, (0, 0))
     store.prepare()
     assert [path.name for path in store.root.glob("*/*")] == [f"little-{KEY}"]
+
+
+def test_several_processes_lose_no_run_and_leave_one_of_a_key(store, processes):
+    written = [[KEY, *(f"writer{writer}run{number}" for number in range(6)), KEY] for writer in range(4)]
+    with ProcessPoolExecutor(4, mp_context=processes) as pool:
+        assert list(pool.map(save_keys, [store.root] * 4, written)) == [8] * 4
+    assert sorted(keys(store)) == sorted({key for row in written for key in row})
+    assert sorted(path.name for path in store.root.glob("*/*")) == sorted(f"little-{key}" for key in keys(store))
 
 
 @pytest.mark.parametrize(("of", "call"), [(tensors, "save_file"), (Path, "write_text"), (Path, "mkdir")])
@@ -240,6 +327,14 @@ def test_a_disk_that_refuses_is_named_and_leaves_the_earlier_run_and_no_part_of_
             use()
     assert sorted(store.root.rglob("*")) == before
     assert stored(store).n_references == 21
+
+
+def test_a_results_folder_that_is_no_folder_is_the_users_to_mend(tmp_path):
+    (tmp_path / "file").write_text("no folder")
+    store = Store(tmp_path / "file")
+    for use in (store.prepare, lambda: store.save(a_run())):
+        with pytest.raises(BadInput, match="results="):
+            use()
 
 
 def test_a_key_depends_on_the_layout_of_the_store_and_not_on_the_order_of_its_ingredients(monkeypatch):

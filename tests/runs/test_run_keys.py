@@ -13,8 +13,11 @@ import pytest
 from checkout import ROOT
 from little import Lookup, journey, pictures
 from little_runs import QUICK, asked_for, run_of
+from small_plan import RUN
 
+from vprbench.cli import main
 from vprbench.methods.hog import HOG
+from vprbench.plugins import registry
 from vprbench.plugins.networks import Files
 from vprbench.runs import identity, machine
 from vprbench.runs.corruption import corrupt_queries
@@ -43,6 +46,7 @@ def key(dataset=None, protocol=QUICK, threads=1, **changes):
             for part, value in (
                 ("name", "voyage"),
                 ("protocol", {"queries": "dawn", "tolerance_places": 0}),
+                ("queries", pictures([0, 1, 2, 3, 4, 6])),
                 ("queries", pictures([1, 0, 2, 3, 4, 5])),
                 ("references", pictures([0, 1, 2, 4])),
                 ("places", np.array([0, 1, 3, 2])),
@@ -135,6 +139,34 @@ def test_all_files_that_a_method_imports_in_any_way_or_inherits_from_count_and_n
         identity.hash_class.cache_clear()
         assert (identity.hash_class(method) == before) is (name in ("unused", "inner/__init__")), name
         path.write_text(files[name])
+
+
+@pytest.mark.extended
+def test_the_run_of_a_real_method_is_found_after_its_file_moved_and_not_after_another_number(
+    package, monkeypatch, capsys
+):
+    file, yaml = package / "inner/moved.py", package / "method/grass.yaml"
+    yaml.parent.mkdir()
+    text = (ROOT / "methods/sad.py").read_text().replace("from .parts", "from vprbench.methods.parts")
+    given = (ROOT / "conf/method/sad.yaml").read_text()
+    folders = {**registry.find_conf_folders(), "meadow": package}
+    monkeypatch.setattr("vprbench.plugins.entries.find_conf_folders", lambda: folders)
+    monkeypatch.chdir(package.parent)
+    asked = ["method=grass", "dataset.places=10", "dataset.first_query_place=0", "frames=false", "output=json"]
+    found = []
+    for path, old, new in (
+        (package / "sad.py", "", ""),
+        (file, "", ""),
+        (file, "similarity[query, row] = -0.0", "similarity[query, row] = -1.0"),
+    ):
+        assert old in text
+        path.write_text(text.replace(old, new) if old else text)
+        module = ".".join(path.relative_to(package.parent).with_suffix("").parts)
+        yaml.write_text(given.replace("vprbench.methods.sad", module))
+        forget()
+        assert main([*asked, *RUN, "timing=none"]) == 0
+        found.append(json.loads(capsys.readouterr().out)["from_store"])
+    assert found == [False, True, False]
 
 
 def test_a_class_of_a_script_counts_with_its_file_and_a_class_without_a_file_is_another_one_each_time(

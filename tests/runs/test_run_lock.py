@@ -70,6 +70,12 @@ def test_the_lock_of_a_stopped_process_is_held_and_of_a_killed_one_free_at_once(
             assert len(read_claims(tmp_path)) == 1
 
 
+def test_where_nothing_can_be_locked_a_warning_says_so_and_the_work_is_done(tmp_path, caplog):
+    (tmp_path / ".locks").write_text("no folder")
+    with lock_run(tmp_path, RUN, {}):
+        assert RUN in caplog.text
+
+
 @dataclass
 class Busy(Lookup):
     """Does something while it is fitted, and counts how often it was."""
@@ -170,6 +176,9 @@ def test_stored_runs_and_failures_are_counted_and_a_run_that_is_being_made_stand
     for seed in range(3):
         store.save(a_run(key=f"{seed % 2}"))
         store.save_failure(a_failure(config={**a_run().config, "seed": seed}))
+    for path in (".partial-1/run.json", "journey/.partial-2/run.json", "descriptors/1/2/run.json"):
+        (store.root / path).parent.mkdir(parents=True)
+        (store.root / path).write_text("{}")
     assert len(printed(capsys, store).splitlines()) == 2
     with lock_run(store.root, "journey/little-1", ABOUT):
         (store.root / ".locks/of-a-killed-process").write_text('{"about": {"met')
@@ -181,3 +190,9 @@ def test_stored_runs_and_failures_are_counted_and_a_run_that_is_being_made_stand
     (made,) = told["claims"]
     assert {name: made[name] for name in ABOUT} == ABOUT
     assert made["process"] == os.getpid()
+
+
+def test_of_a_folder_that_is_not_there_nothing_is_told_or_made(tmp_path, capsys):
+    assert cli.main(["status", f"results={tmp_path}/nowhere"]) == 2
+    assert "/nowhere" in capsys.readouterr().err
+    assert [*tmp_path.iterdir()] == []

@@ -217,6 +217,13 @@ def unanswerable_run():
     return a_run(positives=(np.empty(0, np.int64),) * 4, outcome=outcome)
 
 
+def save_keys(root, keys):
+    """Save a run under each key, as one of several processes; returns how many were saved."""
+    for key in keys:
+        Store(root).save(a_run(key=key))
+    return len(keys)
+
+
 def die_before(step):
     """Let this process be killed right before so many steps that change or open something on disk are done."""
     steps = count()
