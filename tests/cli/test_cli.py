@@ -4,7 +4,6 @@ import csv
 import errno
 import json
 import re
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -203,33 +202,6 @@ def test_a_path_that_holds_a_comma_is_answered_with_the_quotes_that_it_needs_and
         assert f"'dataset.references={wanted}'" in line
     quoted = ["dataset=folders", f'dataset.references=["{asked}"]', f'dataset.queries="{asked}x"']
     assert f"{asked}x is no folder" in refused(["method=sad", *quoted], capsys)
-
-
-def test_frames_of_differing_sizes_grey_with_alpha_or_black_are_accepted_and_what_is_no_image_is_named(capsys):
-    references, queries = frames(Path("references"), 3), frames(Path("queries"), 5)
-    frames(Path("more"), 1, (30, 20), "L").joinpath("0.png").rename(references / "3.png")
-    frames(Path("alpha"), 1, (24, 24), "RGBA").joinpath("0.png").rename(references / "4.png")
-    for folder in (references, queries):
-        PillowImage.new("RGB", (16, 12)).save(folder / "1.png")
-    asked = ["dataset=folders", f"dataset.references=[{references}]", f"dataset.queries={queries}", *RUN]
-    assert main([*asked, "output=json", "results=elsewhere"]) == 0
-    assert json.loads(capsys.readouterr().out)["queries"] == 5
-    shutil.rmtree("elsewhere")
-    for bad in (queries / "2.png", references / "2.png"):
-        whole = bad.read_bytes()
-        bad.write_bytes(whole[:100])
-        assert f"{bad} cannot be read as an image" in refused(asked, capsys)
-        bad.write_bytes(whole)
-
-
-@pytest.mark.parametrize("where", ["results", "results/synthetic"])
-def test_results_that_cannot_be_written_are_named_before_the_run(capsys, monkeypatch, where):
-    place = Path(where)
-    place.parent.mkdir(exist_ok=True)
-    place.symlink_to("/nowhere/there")
-    capsys.readouterr()
-    monkeypatch.setattr("vprbench.runs.get_or_run.execute", lambda *_: pytest.fail("it ran"))
-    assert f"{place} cannot be written" in refused(["method=sad", *QUICK], capsys)
 
 
 def test_a_sweep_ends_with_one_table_of_the_mean_over_the_seeds_and_its_csv(capsys, monkeypatch):

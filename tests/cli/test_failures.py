@@ -36,12 +36,6 @@ def test_a_failure_is_no_run_leaves_runs_in_place_and_vanishes_when_the_run_succ
     assert list(store.failures()) == []
 
 
-def test_failures_of_later_versions_are_read(store):
-    path = store.save_failure(a_failure()) / "failure.json"
-    path.write_text(json.dumps({**json.loads(path.read_text()), "since": "later"}))
-    assert list(store.failures()) == [a_failure()]
-
-
 MISSING, WRONG = True, False
 
 

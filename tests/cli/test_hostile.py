@@ -1,6 +1,5 @@
 """Plug-ins that crash, leave, hang, print, fork and move: a run is stored once and said alone, or is a failure."""
 
-import json
 import shutil
 import subprocess
 import sys
@@ -32,20 +31,6 @@ def here(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     yield tmp_path
     sys.modules.pop("needy", None)
-
-
-@pytest.mark.extended
-@pytest.mark.usefixtures("here")
-def test_in_a_sweep_the_dead_are_failures_and_the_unruly_is_stored_once_and_said_alone(capfd):
-    assert main(["-m", "method=crashing,dying,unruly", "output=json", *QUICK]) == 1
-    printed = capfd.readouterr()
-    told = [json.loads(line) for line in printed.out.splitlines()]
-    assert [(row["method"], "error" in row) for row in told] == [("crashing", True), ("dying", True), ("unruly", False)]
-    failures = sorted((failure.method, failure.error) for failure in Store(Path("results")).failures())
-    for (method, error), told in zip(failures, ("SIGSEGV", "exit code 0"), strict=True):
-        assert told in error, method
-    assert [run.method for run in Store(Path("results")).runs()] == ["unruly"]
-    assert sum(line.startswith("vprbench: ") for line in printed.err.splitlines()) == 2
 
 
 @pytest.mark.usefixtures("here")
@@ -120,23 +105,3 @@ def test_a_name_of_several_plug_ins_is_one_error_that_names_them_and_a_package_w
     lines = capsys.readouterr().out.splitlines()
     assert {line.split()[0] for line in lines if "BROKEN" in line} >= {"pole", "sad", "plug-in"}
     assert main(["method=hog", *QUICK]) == 0
-
-
-WILD = """import numpy as np
-from vprbench.api import Method
-class Wild(Method):
-    def fit(self, references, places=None): return self
-    def encode(self, images): return np.zeros((len(images), 1), np.float32)
-    def match(self, queries): return np.full((len(queries), 12), np.nan, np.float32)
-"""
-
-
-@pytest.mark.extended
-def test_a_cell_whose_scores_are_nan_is_stored_as_a_failure_with_code_2_and_the_others_go_on(here):
-    (here / "wild.py").write_text(WILD)
-    assert main(["-m", "method=./wild.py:Wild,sad", *QUICK]) == 2
-    (failure,) = Store(Path("results")).failures()
-    assert (failure.method, "NaN" in failure.error, failure.missing, failure.traceback) == ("Wild", True, False, "")
-    assert [run.method for run in Store(Path("results")).runs()] == ["sad"]
-    frame = tabulate_runs([*Store(Path("results")).runs(), failure])
-    assert [*frame["error"]] == ["", failure.error]

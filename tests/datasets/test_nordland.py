@@ -2,11 +2,10 @@
 
 import hashlib
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
-from image_folders import REAL, answer, needs_real_frames, reds, rights
+from image_folders import answer, reds, rights
 from PIL import Image as PillowImage
 
 from vprbench.config import make_request
@@ -145,17 +144,6 @@ def test_the_list_is_byte_for_byte_the_published_one():
     assert [places[place][7:12] for place in (0, 1, 599, 600, 3299)] == ["00202", "00210", "07021", "07029", "34160"]
     assert chosen_names(3, 5, 10) == [name for name in FRAMES if name[11] == "0"][:15:3]
     assert len(chosen_names(8, 3449, 1)) == 3449
-
-
-@needs_real_frames
-def test_the_frames_beside_the_checkout_are_those_divisible_by_ten_and_found_by_their_default_root():
-    listed = (REAL / "nordland_64x32" / "frames_clean_qvpr.txt").read_text().split()
-    assert [Path(name).stem for name in chosen_names(1, 2761, 10)] == [Path(name).stem for name in listed]
-    whole = {"stride": 1, "places": 2761, "query_places": 2761, "first_query_place": 0, "frame_multiple": 10}
-    dataset = nordland("nordland_64x32", references=["winter"], default_root="../shared/data/nordland_64x32", **whole)
-    assert (len(dataset.references), dataset.n_places, len(dataset.queries)) == (2761, 2761, 2761)
-    assert all(len([*folder.path.iterdir()]) == 3576 == folder.counts[0] for folder in dataset.folders)
-    assert dataset.queries[2760].shape == (32, 64, 3)
 
 
 DRAWN = {*np.random.RandomState(42).permutation(3300)[:600].tolist()}  # that VPRSNN's authors set aside

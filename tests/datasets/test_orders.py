@@ -135,19 +135,6 @@ def test_another_sub_folder_begins_another_drive_at_which_tolerance_and_sequence
         assert "breaks" not in dataset.protocol
 
 
-def test_sequences_over_drives_in_another_order_are_right_where_the_drives_end_them():
-    options = pair(drives(8, 8, 8), [])
-    order = [*range(16, 24), *range(8), *range(8, 16)]
-    options["queries"] = road("b", drives(8, 8, 8), noisy, order)
-    truth = np.eye(24, dtype=bool)[order]
-    np.savez("truth.npz", positives=truth)
-    by_reader = vprbench.dataset("folders", **options, ground_truth="truth.npz")
-    for dataset in (by_reader.build(), vprbench.dataset_of(**options, positives=truth)):
-        assert recall(dataset, 5) == 1.0
-    without = vprbench.dataset_of(**options, positives=truth, breaks="none")
-    assert (recall(without), recall(without, 5)) == (1.0, pytest.approx(0.8))  # 2 of 4 sequences over each change
-
-
 BROKEN = {
     "a position that jumps": lambda: (
         "folders",

@@ -50,21 +50,6 @@ def test_dense_sift_equals_the_slow_version_in_blocks_of_any_size(arctan, slow_a
     assert torch.equal(sift(scene(), arctan), fast)
 
 
-def test_grey_is_matlabs_and_halved_without_the_last_row_and_column():
-    # 0.298936 * 255 = 76.2; 0.298936 * 10 + 0.587043 * 20 + 0.114021 * 30 = 18.15; 0.587043 * 83 = 48.72
-    image = np.array([[[255, 0, 0], [10, 20, 30], [0, 83, 0]]], np.uint8)
-    assert dense_sift.make_grey(image).tolist() == [[76, 18, 49]]
-    grey = np.arange(30, dtype=np.uint8).reshape(5, 6)
-    assert dense_sift.halve_image(grey).tolist() == [[0, 2, 4], [12, 14, 16]]
-
-
-def test_a_zero_descriptor_belongs_to_the_first_word_and_what_rounding_leaves_of_a_residual_is_none():
-    zeros = vlad.vlad([torch.zeros(3, 2)], torch.tensor([[0.6, 0.8], [1, 0]]))
-    np.testing.assert_allclose(zeros, [-0.6, -0.8, 0, 0], atol=1e-6)
-    words = torch.from_numpy(unit(np.random.default_rng(0).random((4, 128)))).float()
-    assert not vlad.vlad([words[[2] * 1000]], words).any()
-
-
 def test_whitening_keeps_the_directions_of_largest_moment_and_takes_no_mean():
     # One vector a direction, of lengths 3, 2 and 1: moments 9, 4 and 1 thirds; divided by moment's root
     vectors = np.diag([2, 3, 1]).astype(np.float32)

@@ -1,7 +1,6 @@
 """Every published network: its yaml, its published sizes, the contract, and what it sees of an image."""
 
 from copy import deepcopy
-from dataclasses import fields
 from functools import cache
 
 import cv2
@@ -41,14 +40,6 @@ NETWORKS = [  # but for the one whose weights a package brings
     for name, entry in ENTRIES.items()
     if issubclass(entry.target(), NeuralDescriptor) and not name.startswith("efficientnet")
 ]
-
-#: Options in which a yaml departs from the defaults of its class.
-OWN = {
-    "salad_indoor": {"height": None, "width": None, "resize": "tensor"},
-    "gcl_whitened": {"n_components": 2048},
-    "mixvpr_128": {"n_dimensions": 128},
-    "mixvpr_512": {"n_dimensions": 512},
-}
 
 
 #: The files whose names follow from options.
@@ -131,15 +122,6 @@ def test_a_method_keeps_the_contract_with_a_small_network_in_place_of_its_own(na
     (tmp_path / "there").touch()
     whitened = {"a batch gives what its single images give"}
     assert excepted(config, SmallNetwork()) == (whitened if name == "gcl_whitened" else set())
-
-
-@pytest.mark.parametrize("name", NETWORKS)
-def test_the_yaml_holds_the_arguments_of_the_class_and_their_defaults(name):
-    method = made(name)
-    own = [field.name for field in fields(method) if field.init]
-    plain = type(method)(**{option: getattr(method, option) for option in {"weights", "centres"} & set(own)})
-    departs = {option: value for option in own if (value := getattr(method, option)) != getattr(plain, option)}
-    assert "netvlad" in name or departs == OWN.get(name, {})
 
 
 @pytest.mark.parametrize("words", [*NETWORKS, *(words for words in FILES if " " in words)])

@@ -1,7 +1,5 @@
 """Methods that do to a run what a plug-in may do: each is SAD, after it has done something in `fit`."""
 
-import atexit
-import ctypes
 import os
 import signal
 import sys
@@ -11,12 +9,6 @@ from little import Prototypes
 
 from vprbench.errors import BadInput
 from vprbench.methods.sad import SAD
-
-
-class Crashing(SAD):
-    def fit(self, *given):
-        ctypes.string_at(0)
-        return super().fit(*given)
 
 
 class Leaving(SAD):
@@ -45,18 +37,6 @@ class Colourful(SAD):
 class Rootless(SAD):
     def fit(self, *given):
         raise GeneratorExit("a name\x1b[31m\nvprbench: all is well")
-
-
-class Unruly(SAD):
-    def fit(self, *given):
-        print('{"method": "mine"}')
-        os.write(1, b"{}\n")
-        os.system("echo from a shell")
-        atexit.register(print, "bye")
-        os.close(1)
-        os.chdir("/")
-        os.fork()
-        return super().fit(*given)
 
 
 class Moving(Prototypes):

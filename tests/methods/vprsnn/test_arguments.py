@@ -60,23 +60,6 @@ NUMBERS = {
     "pre_rate": (1e-4, 2e-4),
     "post_rate": (0.01, 0.02),
 }
-# What is no number of theirs: how the simulation runs, or which of their variants.
-CHOICES = {
-    "module_order": "contiguous",
-    "calibration_places": 0,
-    "probabilities": False,
-    "hyperactive_threshold": None,
-    "hyperactive_candidates": [0, 5, 10, 20, *range(40, 301, 20)],
-    "fast": False,
-    "carried_potentials": False,
-    "delays_at_query": "new",
-    "published_weights": None,
-    "seed": 0,
-}
-
-
-def test_the_defaults_are_the_published_numbers():
-    assert VPRSNN().list_arguments() == {name: published for name, (published, _) in NUMBERS.items()} | CHOICES
 
 
 @pytest.mark.parametrize(

@@ -175,21 +175,5 @@ def test_weights_that_are_no_numbers_stay_visible(engine, name):
             training.check_weights(whole, layer)
 
 
-@pytest.mark.parametrize("one_sign", [False, True])
-def test_inhibition_that_a_step_took_away_comes_back_at_its_least(one_sign):
-    rules = replace(RULES["paper"], one_sign_per_synapse=one_sign, homeostasis_gain=1000.0)
-    found = []
-    for engine in (fused, training):
-        generators = [torch.Generator().manual_seed(11)]
-        layer = draw_layer(generators, [30], 36, (0.1, 0.5), 0.5, 0.0, RULES["paper"])
-        layer.excitation.zero_()  # nothing ever fires: of each step homeostasis alone is left
-        order = draw_schedule(generators, [6], np.tile(np.arange(6), 2), 4, rules)
-        lesson = Training(spikes(Case()), ramp_rates(30, 0.2, 0.9), rules, 0.005, 0.0, 0.005)
-        engine.train_features(layer, order, lesson, lambda _: None)
-        found.append(layer.inhibition)
-    torch.testing.assert_close(*found, rtol=1e-3, atol=0)
-    assert float(found[1].max()) < 1e-5
-
-
 if __name__ == "__main__":
     train_in_triton(*sys.argv[1:])

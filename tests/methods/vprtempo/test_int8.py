@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
 from tempo_networks import (
     QUERIES,
     REFERENCES,
@@ -16,7 +15,6 @@ from tempo_networks import (
     double,
     fitted,
     network,
-    one_by_one,
     one_layer,
     one_matrix,
     shown,
@@ -86,28 +84,6 @@ def test_a_linear_query_follows_the_scheme_on_the_mean_matrix(sizes, members, as
     matrix = one_matrix(asked)
     expected = affine(matrix, np.zeros(len(matrix)), levels, 1)
     assert ask(Int8LinearQuery(asked), spikes) == pytest.approx(expected, abs=1e-5)
-
-
-KINDS = pytest.mark.parametrize(
-    "make",
-    [lambda n: Int8SpikingQuery(n, PAPER), lambda n: Int8SpikingQuery(n, V1), lambda n: Int8LinearQuery([n])],
-    ids=["paper", "v1", "linear"],
-)
-
-
-@KINDS
-@pytest.mark.parametrize(
-    ("sizes", "n_features", "n_pixels"), [([5, 5, 3], 37, 20), ([6, 3], 2, 2), ([2, 1], 9, 64), ([6, 3], 130, 65)]
-)
-@pytest.mark.parametrize("threads", [1, 3])
-def test_a_query_scores_in_a_batch_of_any_size_to_the_bit_as_alone(
-    sizes, n_features, n_pixels, make, threads, monkeypatch
-):
-    monkeypatch.setattr(torch, "get_num_threads", lambda: threads)
-    asked = make(network(sizes, n_features, n_pixels))
-    for count in (1, 7, 8, 9, 100):
-        spikes = shown(count, n_pixels)
-        assert np.array_equal(asked.scores(spikes), one_by_one(asked, spikes))
 
 
 @WAYS

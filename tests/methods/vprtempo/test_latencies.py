@@ -2,17 +2,11 @@
 
 import numpy as np
 import pytest
-from little import a_run as little_run
-from small_plan import RUN
 from tempo_networks import QUERIES, SIZES, SMALL, double, fitted, network, one_layer, shown
 
-from vprbench.cli import main
 from vprbench.errors import BadInput
 from vprbench.methods.vprtempo.latencies import LatencyQuery, VPRTempoLatencies
 from vprbench.methods.vprtempo.rules import PAPER
-from vprbench.report.figures.spikes import draw_raster
-from vprbench.report.selection import MethodRuns
-from vprbench.runs.store import Store
 
 
 def simulated(asked, pixels, steps):
@@ -84,15 +78,3 @@ def test_a_network_of_vprtempo_answers_in_time_with_larger_amplitudes_earlier_in
     answered = outputs.values.any(1)
     assert answered.any()
     assert (outputs.times[answered, outputs.values.argmax(1)[answered]] == 21).all()  # the first step of its cycle
-
-
-@pytest.mark.extended
-def test_a_run_keeps_spike_times_which_a_raster_draws(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    options = ["method.max_module=12", "method.steps=8", "dataset.places=12", "dataset.first_query_place=0", *RUN]
-    assert main(["method=vprtempo_latencies", *options]) == 0
-    (run,) = Store(tmp_path / "results").runs()
-    rows = [MethodRuns("without", (little_run(),)), MethodRuns("in time", (run,))]
-    dots = [panel.collections[0].get_offsets() for panel in draw_raster(rows).figure.axes]
-    cycles = [np.ceil(np.asarray(each)[:, 0] / 8) for each in dots]
-    assert [set(cycle.tolist()) for cycle in cycles] == [{1}, {2}, {3}]

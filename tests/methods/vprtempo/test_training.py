@@ -45,11 +45,6 @@ def test_every_epoch_shows_a_module_each_image_of_its_places_once_to_the_neuron_
         assert neurons[: 2 * size * EPOCHS, module].tolist() == (TRAVERSES[np.concatenate(shown)] - first).tolist()
 
 
-def test_without_shuffling_images_come_traverse_after_traverse():
-    assert images_shown(V1, 2, 1) == [24, 25, 26, 27, 28, 53, 54, 55, 56, 57]
-    assert draw_schedule(generators([0]), [3], np.array([2, 0, 1, 0]), 1, V1).neuron[:, 0].tolist() == [2, 0, 1, 0]
-
-
 def test_a_smaller_module_anneals_over_its_own_steps_and_ends_with_a_factor_of_0():
     expected = oracle.learning_rates_v1(EPOCHS, 10, 1.0)  # 5 places, 2 traverses
     assert schedule(V1).factor[: 10 * EPOCHS, 2].numpy() == pytest.approx(expected)
