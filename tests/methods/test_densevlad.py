@@ -50,6 +50,14 @@ def test_dense_sift_equals_the_slow_version_in_blocks_of_any_size(arctan, slow_a
     assert torch.equal(sift(scene(), arctan), fast)
 
 
+def test_grey_is_matlabs_and_halved_without_the_last_row_and_column():
+    # 0.298936 * 255 = 76.2; 0.298936 * 10 + 0.587043 * 20 + 0.114021 * 30 = 18.15; 0.587043 * 83 = 48.72
+    image = np.array([[[255, 0, 0], [10, 20, 30], [0, 83, 0]]], np.uint8)
+    assert dense_sift.make_grey(image).tolist() == [[76, 18, 49]]
+    grey = np.arange(30, dtype=np.uint8).reshape(5, 6)
+    assert dense_sift.halve_image(grey).tolist() == [[0, 2, 4], [12, 14, 16]]
+
+
 def test_whitening_keeps_the_directions_of_largest_moment_and_takes_no_mean():
     # One vector a direction, of lengths 3, 2 and 1: moments 9, 4 and 1 thirds; divided by moment's root
     vectors = np.diag([2, 3, 1]).astype(np.float32)

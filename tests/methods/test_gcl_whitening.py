@@ -6,7 +6,7 @@ from published_networks import unit
 
 from vprbench.api.weights import Weights
 from vprbench.errors import BadInput
-from vprbench.methods.gcl import GCL
+from vprbench.methods.gcl import GCL, Whitening
 
 
 def gcl(**arguments):
@@ -41,6 +41,13 @@ def test_whitened_scores_are_those_of_singular_values(n_references, n_components
     if n_components:
         left, right = (whitened_slowly(references, codes, slice(n_components)) for codes in (queries, references))
     np.testing.assert_allclose(scores(references, queries, n_components), left @ right.T, rtol=0, atol=1e-4)
+
+
+def test_repeated_references_and_constant_dimensions_add_no_components():
+    assert Whitening.learn(vectors(12, 1), 2048).projection.shape == (40, 11)
+    references = np.tile(vectors(6, 1), (20, 1))
+    references[:, :3] = 0
+    assert Whitening.learn(references, 2048).projection.shape == (40, 5)
 
 
 def test_whitening_needs_a_component():

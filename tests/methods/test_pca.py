@@ -58,6 +58,22 @@ def test_scores_equal_those_of_the_covariances_eigenvectors(arguments, tolerance
     assert np.abs(scores - expected).max() < tolerance
 
 
+@pytest.mark.parametrize(
+    ("levels", "found"),
+    [
+        (np.concatenate([frames(5)] * 3), (30, 4)),  # repeated references
+        (frames(50, height=2, width=3), (6, 6)),  # all pixels
+        (frames(1), (30, 0)),
+        (np.zeros((4, 6, 5), np.uint8), (30, 0)),
+    ],
+)
+def test_components_are_no_more_than_different_references_or_pixels(levels, found):
+    method = fitted(levels, components=128, whiten=True)
+    assert method._map.projection.shape == found
+    assert np.diagonal(method.query(images(levels))) == pytest.approx(float(found[1] > 0), abs=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(method._map.references, axis=1), float(found[1] > 0), atol=1e-6)
+
+
 def test_pixels_are_antialiased_grey_of_rgb_or_patch_normalised_as_those_of_sad():
     image = np.random.default_rng(0).integers(0, 256, (24, 20), dtype=np.uint8)
     means = image.reshape(6, 4, 5, 4).mean(axis=(1, 3))

@@ -35,6 +35,20 @@ def test_cosines_of_random_projections_are_those_of_the_frames_but_for_what_chan
         assert 0.5 < errors.std() * components**0.5 < 1.5
 
 
+@pytest.mark.parametrize(
+    ("directions", "shares"),
+    [("signs", {0: 1 / 2, 2: 1 / 2}), ("sparse_signs", {0: 1 / 2, 1: 4 / 9, 2: 1 / 18}), ("gaussian", {0: 0, 2: 0})],
+)
+def test_directions_are_signs_sparse_signs_or_gaussian(directions, shares):
+    # Of two pixels the contrasts are -90 and 90, so a component shows the difference of its two numbers.
+    two = Images.from_arrays([np.array([[0, 255]], np.uint8)])
+    code = RandomProjection(height=1, width=2, components=20000, directions=directions).encode(two)[0]
+    magnitudes = 2 * np.abs(code) / np.abs(code).max()
+    found = {size: np.mean(np.abs(magnitudes - size) < 1e-5) for size in shares}
+    assert found == pytest.approx(shares, abs=0.01)
+    assert abs(np.sign(code).mean()) < 0.03
+
+
 def test_winners_are_the_units_with_the_largest_sums_of_centred_pixels():
     # Dasgupta et al. 2017: mean-centred inputs, summed by each unit; the largest sums above 0 win.
     method = FlyHash(units=300, summed=20, winners=15, seed=4, height=12, width=12)

@@ -65,3 +65,9 @@ def test_scores_have_the_bits_that_pytorch_gives_on_other_devices():
     assert np.signbit(compiled[3, 5])
     assert method.map_bytes() == 4 * references.size
     assert SAD().map_bytes() is None
+
+
+@pytest.mark.parametrize("n_pixels", [64, 70_001, 2**31 // 255 + 1000])  # the last sum takes 33 bits
+def test_black_against_white_is_255_levels_at_any_length(n_pixels):
+    levels = np.repeat(np.array([[0], [255]], np.uint8), n_pixels, axis=1)
+    assert fitted(levels).match(levels) == pytest.approx(np.array([[0, -255], [-255, 0]]), rel=1e-6)
