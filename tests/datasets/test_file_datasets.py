@@ -3,7 +3,6 @@
 import csv
 from collections import namedtuple
 from functools import partial
-from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -374,16 +373,11 @@ def listed(references, queries, **options):
         ("image,place\n3.jpg,0\n3.jpg,1\n", "image,place\n3.jpg,1\n4.jpg,2\n", {"unmatched": "drop"}, [[1]]),
         # the first kind of ground truth that both tables have
         ("image,lat,lon,east,north\n0.jpg,1,2,0,0\n", "image,east,north,place\n1.jpg,25,0,a\n", {}, [[0]]),
-        ("image,lat,lon,east,north\n0.jpg,1,2,0,0\n", "image,lat,lon,place\n1.jpg,1,2,a\n", {}, [[0]]),
         ("image,east,north\n0.jpg,3,4\n1.jpg,4,4\n", "image,east,north\n0.jpg,0,0\n", {"radius_metres": 5}, [[0]]),
     ],
 )
 def test_columns_of_a_list_are_found_by_their_names(references, queries, options, right):
     assert rights(listed(references, queries, **options)) == right
-    fill(Path("frames"), numbered(7))
-    for image in Path().glob("*.jpg"):  # paths may start from another folder
-        image.unlink()
-    assert rights(image_list(references=["map.csv"], queries="asked.csv", root="frames", **options)) == right
 
 
 PLACES, ASKED = "image,place\n0.jpg,7\n1.jpg,8\n2.jpg,9\n", "image,place\n5.jpg,9\n6.jpg,7\n"
@@ -395,14 +389,11 @@ GRID = "image;east;north\n0.jpg;0,5;-1,25\n1.jpg;60;0,0\n2.jpg;120,75;0\n"
     [
         *((PLACES.encode(encoding), ASKED) for encoding in ("utf-16", "utf-8-sig")),
         (b"\xfe\xff" + PLACES.encode("utf-16-be"), ASKED.replace("\n", "\r\n")),
-        (f"sep=,\n{PLACES}", ASKED),
         (f"sep=;\n{PLACES}".replace(",", ";"), ASKED.replace(",", "\t")),
-        (PLACES.replace(",", "|").join(["sep=|\n", ""]), ASKED.replace(",", ";")),
         (PLACES.replace("7", "7.0").replace("9", "009"), ASKED.replace("7", "7.000")),
         (PLACES.replace(",", ";").replace("7", "7,0"), ASKED),
         (GRID, "image;east;north\n5.jpg;100,0;0,25\n6.jpg;1,1;0\n"),
         (GRID.replace(",", ".").replace(";", ","), "image\teast\tnorth\n5.jpg\t100,0\t0,25\n6.jpg\t1,1\t0\n"),
-        (PLACES.replace("0.jpg", "0.JPG"), ASKED.replace("5.jpg", "5.Jpg")),
         (PLACES.replace("0.jpg", "sub\\0.jpg"), ASKED.replace("5.jpg", ".\\sub\\5.JPG")),
     ],
 )
@@ -421,7 +412,6 @@ def test_lists_are_read_as_windows_excel_and_pandas_write_them(references, queri
         ('image,lat,lon\n0.jpg,"51,5",7\n', ("lat 51,5 in row 1 of map.csv", "point")),
         ("image;east;north\n0.jpg;545,012;7\n", ("east 545,012 in row 1 of map.csv", "point")),  # of thousands?
         (PLACES.replace("1.jpg", "1.jpeg"), ("1.jpeg does not exist", "row 2", "1.jpg")),
-        (PLACES.replace("1.jpg", "sub\\11.jpg"), ("11.jpg does not exist", "row 2", "dataset.root")),
         (PLACES.replace("1.jpg", "both.JPG"), ("both.JPG does not exist", "both.Jpg or both.jpg")),
     ],
 )
@@ -433,35 +423,27 @@ def test_what_a_list_may_mean_in_two_ways_is_refused_with_its_row_and_the_remedy
     assert "\n" not in str(error.value)
 
 
-def fingerprints(dataset):
+def fingerprint(dataset):
     return dataset.references.fingerprint(), dataset.queries.fingerprint(), rights(dataset), dict(dataset.protocol)
 
 
-def moved_into(folder, paths):
-    Path(folder).mkdir()
-    for path in paths:
-        path.rename(Path(folder) / path)
-
-
-@pytest.mark.parametrize(
-    ("source", "way"),
-    [
-        ("database", "in one folder"),
-        *product(["numbers", "gardens", "tutorial"], ["in one folder", "in capitals", "deeper"]),
-    ],
-)
-def test_folders_are_found_in_one_folder_as_a_zip_is_unpacked_in_other_capitals_and_one_folder_deeper(source, way):
-    make, options = written(source)
-    before = fingerprints(make(**options))
-    parts = [path for path in Path().iterdir() if path.is_dir()]
-    if way == "in one folder":
-        moved_into("a set of frames", [*Path().iterdir()])
-    for folder in parts if way == "in capitals" else ():
-        folder.rename(folder.name.upper())
-    for folder in parts if way == "deeper" else ():
-        moved_into("outer", [folder])
-        Path("outer").rename(folder)
-    assert fingerprints(make(**options)) == before
+@pytest.mark.parametrize("way", ["in one folder", "in capitals", "deeper"])
+def test_folders_are_found_in_one_folder_as_a_zip_is_unpacked_in_other_capitals_and_one_folder_deeper(way):
+    make, options = written("numbers")
+    before = fingerprint(make(**options))
+    Path("outer").mkdir()
+    for path in [path for path in Path().iterdir() if path.name != "outer"]:
+        if way == "in one folder":
+            path.rename(Path("outer") / path)
+        elif path.is_dir() and way == "in capitals":
+            path.rename(path.name.upper())
+        elif path.is_dir():
+            path.rename(f"{path} of it")
+            path.mkdir()
+            Path(f"{path} of it").rename(path / path.name)
+    if way != "in one folder":
+        Path("outer").rmdir()
+    assert fingerprint(make(**options)) == before
 
 
 def test_the_nearest_folder_is_named():

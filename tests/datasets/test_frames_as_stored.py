@@ -53,20 +53,7 @@ def thermal(levels):
 TURNED = np.rot90(bytes_of(ASKED), 1, axes=(1, 2))  # anticlockwise
 # How the map and the queries are written, the right entries of the protocol, and whether frames are as they are stored.
 CASES = {
-    "all upright": ((bytes_of(MAP), ".jpg", {}), (bytes_of(ASKED), ".png", {}), {}),
-    **{
-        f"queries on their side, {suffix}": (
-            (bytes_of(MAP), ".png", {}),
-            (TURNED, suffix, {"exif": ON_ITS_SIDE}),
-            {"exif": "obey"},
-        )
-        for suffix in (".jpg", ".tif")
-    },
-    "floats of 0 to 1": (
-        ((MAP / 255).astype(np.float32), ".tif", {}),
-        ((ASKED / 255).astype(np.float32), ".tif", {}),
-        {"levels": "0..1"},
-    ),
+    "on their side": ((bytes_of(MAP), ".png", {}), (TURNED, ".jpg", {"exif": ON_ITS_SIDE}), {"exif": "obey"}),
     "floats of 0 to 1 beside 8 bits": (
         (bytes_of(MAP), ".png", {}),
         ((ASKED / 255).astype(np.float32), ".tif", {}),
@@ -77,7 +64,6 @@ CASES = {
         (bytes_of(ASKED).astype(np.uint16) * 16, ".png", {}),
         {"levels": "0..4095"},
     ),
-    "thermal counts": ((thermal(MAP), ".png", {}), (thermal(ASKED), ".tif", {}), {"levels": "7600..8620"}),
     "thermal counts on their side": (
         (thermal(MAP), ".png", {}),
         (np.rot90(thermal(ASKED), 1, axes=(1, 2)), ".tif", {"exif": ON_ITS_SIDE}),
@@ -94,8 +80,7 @@ def test_sad_finds_every_place_however_frames_are_stored_and_the_protocol_says_h
     for dataset in made:
         assert {name: dataset.protocol.get(name) for name in ("exif", "levels") if name in dataset.protocol} == said
         assert recall(dataset) == 1.0
-        levels = {level for image in dataset.queries for level in np.unique(image)}
-        assert len(levels) > 128
+        assert len({level for image in dataset.queries for level in np.unique(image)}) > 128
     assert len({dataset.references.fingerprint() for dataset in made}) == 1
 
 
