@@ -109,12 +109,6 @@ def test_vpr_bench_numbers_its_frames_by_whole_numbers_as_published_and_says_so(
     assert (stems(decimal.queries), decimal.protocol["numbers"]) == (["0.25", "0.5"], "decimal")
 
 
-def table(file, names, columns, *cells_of):
-    rows = [f"image,{columns}", *(f"{name}.png,{of}" for name, of in zip(names, cells_of, strict=True))]
-    Path(file).write_text("\n".join(rows), encoding="utf-8")
-    return file
-
-
 def drives(*lengths):
     """Return the names of frames in a sub-folder for each drive."""
     return [f"drive{number}/{frame}" for number, length in enumerate(lengths) for frame in range(length)]
@@ -137,7 +131,6 @@ BROKEN = {
         {"ground_truth": "utm", **pair([f"@{east}@0@" for east in EASTS], ["@0@1@", "@5@1@", "@10@1@", "@900@1@"])},
         ([4], [3], "positions"),
     ),
-    "folders and positions in a list": lambda: ("image_list", by_drives(), ([4], [3], "folders and positions")),
     "a folder for every frame": lambda: (
         "folders",
         pair([f"{number}/frame" for number in range(6)], [f"{number}/frame" for number in range(6)]),
@@ -145,14 +138,6 @@ BROKEN = {
     ),
 }
 EASTS = [0, 5, 10, 15, 900, 905, 910]
-
-
-def by_drives():
-    road(".", names := drives(4, 3))
-    road(".", asked := ["x/0", "x/1", "x/2", "y/0"], noisy)
-    words = [f"{east},0" for east in EASTS]
-    files = table("map.csv", names, "east,north", *words), table("asked.csv", asked, "east,north", *words[:3], words[4])
-    return {"references": [files[0]], "queries": files[1]}
 
 
 @pytest.mark.parametrize("kind", BROKEN)

@@ -48,7 +48,6 @@ NETWORK = PublishedNetwork(
     lambda tensors, image: vlad(facet(tensors, image), CENTRES.double().numpy()),
     arguments={"layer": LAYER, "words": WORDS},
     beside={"centres": lambda path: written(CENTRES, path.with_suffix(".centres"))},
-    alike_in_half=0.9,  # a value between two centres may go to the other
     refused=[
         ("AnyLoc needs 14 pixels a side", {}, (13, 40)),
         ("method.centres", {"centres": None}, (42, 42)),

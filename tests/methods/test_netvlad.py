@@ -76,7 +76,7 @@ REFUSED = [
 def network(name, family, n_dimensions, **more):
     own = {"family": family, "whiten": family != "pytorch", "longest_side": None, "resize": "pillow"}
     more |= {"images": drawn_images(*SIZES), "expected": partial(expected, family), "arguments": own}
-    return PublishedNetwork(name, n_dimensions=n_dimensions, tolerance=1e-4, alike_in_half=0.98, **more)
+    return PublishedNetwork(name, n_dimensions=n_dimensions, tolerance=1e-4, **more)
 
 
 MATCONVNET = network(

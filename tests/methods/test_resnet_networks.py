@@ -217,7 +217,6 @@ AP_GEM = PublishedNetwork(
     described_by_ap_gem,
     written_by_ap_gem,
     tolerance=1e-4,
-    alike_in_half=0.95,
 )
 
 

@@ -114,15 +114,6 @@ def test_initial_weights_are_uniform_from_the_offset_on_and_delays_rounded_to_th
     assert times[[0, 100]] == pytest.approx(1500, abs=200)  # half a step is nearest to each of them
 
 
-def test_a_module_learns_the_same_whether_or_not_others_follow_and_each_draws_differently():
-    alone, first = fitted(5).state(), fitted(10).state()
-    for name in ("weights", "theta", "sums", "shown", "places"):
-        assert np.array_equal(first[name][:1], alone[name])
-    twice = images([*WORLD.references[:5], *WORLD.references[:5]])
-    weights = VPRSNN(**SMALL).fit(twice, np.arange(10)).state()["weights"]
-    assert not np.allclose(weights[0], weights[1], rtol=0.1)
-
-
 def test_two_threads_train_and_answer_what_one_does():
     alone = fitted(15, epochs=2)
     codes = alone.encode(images(WORLD.queries))

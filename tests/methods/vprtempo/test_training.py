@@ -72,16 +72,13 @@ SOME_ALIKE[::4] = 0
     ("scores", "modules", "diverged"),
     [
         pytest.param(answers(range(PLACES)), (20, 20), None, id="right"),
-        pytest.param(answers([i % 35 for i in range(PLACES)]), (35, 5), None, id="most by the larger"),
         pytest.param(SOME_ALIKE, (40,), None, id="some alike"),
         pytest.param(answers([3] * 9), (40,), None, id="nine probes"),
         pytest.param(answers([3] * 30 + [*range(10, 20)]), (40,), "one output neuron .* 75 % of 40", id="one neuron"),
-        pytest.param(answers([3] * 10), (40,), "one output neuron .* 100 % of 10", id="ten probes"),
         pytest.param(
             answers([0, *(20 + i % 20 for i in range(39))]), (20, 20), "module 1 .* 98 %.* 50 %", id="one module"
         ),
         pytest.param(np.zeros((PLACES, PLACES), np.float32), (40,), "neurons alike", id="silent"),
-        pytest.param(np.full((PLACES, PLACES), 0.9, np.float32), (40,), "neurons alike", id="saturated"),
     ],
 )
 def test_one_neuron_or_module_that_wins_nearly_all_probes_is_divergence(scores, modules, diverged):
