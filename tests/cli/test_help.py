@@ -93,9 +93,7 @@ def test_help_has_each_option_with_its_default_and_meaning_of_the_yaml_that_it_b
     ("words", "there", "not_there"),
     [
         ("spiking", {"vprsnn", "vprtempo_tuned"}, {"sad", "synthetic"}),
-        ("weights=none", {"sad", "vprtempo"}, {"cosplace", "synthetic"}),
         ("weights=needed", {"cosplace"}, {"sad"}),
-        ("datasets", {"synthetic", "folders"}, {"sad"}),
         ("methods gradients", {"hog", "cohog"}, {"sad", "nordland"}),
     ],
 )

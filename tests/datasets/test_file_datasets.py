@@ -214,10 +214,11 @@ METRES = structure()["utmDb"]
 REFUSED = {
     "index": [
         ({"b": ["3.jpg"]}, {}, "hold different numbers of images (a 3, b 4, c 3)"),
+        ({}, {"tolerance": -1}, "dataset.tolerance=-1"),
         ({}, {"ground_truth": "idx"}, "dataset.ground_truth=idx"),
     ],
     "utm": [
-        *(({"c": [name]}, {}, f"c/{name}") for name in ("@east@north@.png", "@nan@4@.png", "@1@-1e9@.png")),
+        *(({"c": [name]}, {}, f"c/{name}") for name in ("@east@north@.png", "@12.png", "@nan@4@.png", "@1@-1e9@.png")),
         ({"c": ["@45@0@11@S@.jpg"]}, {}, "2 UTM zones"),
     ],
     "matrix": [
@@ -238,8 +239,11 @@ REFUSED = {
             for content, told in (
                 ("", "cannot be read as a CSV"),
                 ("image,place,Image name\n0.jpg,1,2\n", "each once"),
+                ("image;place\n", "lists no image"),
                 ('image,place\n"0.jpg,1\n', "cannot be read as a CSV"),
+                ("image,place\n0.jpg,1\n0.jpg,\n", "row 2 of map0.csv"),
                 ("image,place\n0.jpg,1\n0.jpg,1,5\n", "in line 3, saw 3"),
+                ("image,place\n0.jpg\n", "row 1 of map0.csv has no place"),
                 ("image,east,north\n0.jpg,0,0\n1.jpg,inf,1\n", "east inf in row 2 of"),
                 ("image,lat,lon\n0.jpg,90.1,1\n", "lat 90.1 in row 1 of"),
             )
@@ -251,6 +255,7 @@ REFUSED = {
             ({"set.mat": {"dbStruct": structure(**{field: value})}}, {}, f"field {number} of dbStruct")
             for number, field, value in (
                 (2, "dbImageFns", np.zeros((3, 1))),
+                (3, "utmDb", METRES[:, :2]),
                 (4, "qImageFns", cells([1.0, 2.0])),
             )
         ),
@@ -262,6 +267,7 @@ REFUSED = {
             ({"ground_truth_new.npy": lists(*rows)}, {}, f"ground_truth_new.npy {told}")
             for rows, told in (
                 ([*OWN[:10], [10, 11]], "names reference 11 for query 10, but query/ holds 11 and ref/ 11 images"),
+                ([*OWN[:10], [-1]], "names reference -1 for query 10"),
                 ([*OWN, [0]], "names reference 0 for query 11, but query/ holds 11"),
                 (OWN[:9], "has no row for 2 of 11 queries (first: query 9)"),
                 *(([*OWN[:10], bad], "is no [query, [references]]") for bad in (5, [0.5], [True])),
@@ -271,6 +277,7 @@ REFUSED = {
             ({"ground_truth.csv": content}, {"ground_truth": "ground_truth.csv"}, told)
             for content, told in (
                 (b"query,refs\n0,0\n", "has the columns query, refs"),
+                (b"query,matching_refs\n0,0\n1,a b", "row 2 of"),
                 (b"query,matching_refs\n0,0\n0,1\n", "has two rows for query 0"),
                 (b"query,matching_refs\n0,\xe9\n", "cannot be read as a CSV"),
             )
@@ -284,16 +291,19 @@ REFUSED = {
         ({"GT.npz": {"GThard": HARD.T}}, {}, "GT.npz has the shape (4, 3) (it is transposed); wanted is (3, 4)"),
         *(
             ({"GT.npz": {"GThard": values}}, {}, "GT.npz holds " + told)
-            for values, told in ((HARD * 2, "int64 values"), (HARD.astype(str), "<U5"))
+            for values, told in ((HARD * 2, "int64 values"), (HARD * 0.5, "float64"), (HARD.astype(str), "<U5"))
         ),
+        ({"GT.npz": {"hard": HARD}}, {}, "GT.npz holds no GThard, but hard: wanted is a matrix GThard"),
         ({"GT.npz": {"GThard": np.zeros((1000, 1000), bool)}}, {}, "unpacks to 1000128 bytes"),
         ({"GT.npz": {"GThard": HARD.astype(object)}}, {}, "GT.npz cannot be read"),  # nor unpickled
+        ({"GT.npz": lambda content: content[:200]}, {}, "GT.npz cannot be read"),
     ],
 }
 MISSING = {
     "index": [
         *(({}, {option: None}, "dataset.references and dataset.queries") for option in ("references", "queries")),
         ({}, {"queries": "gone"}, "dataset.queries: gone is no folder"),
+        ({}, {"queries": ""}, "dataset.queries: nothing is no folder"),
         ({"d/notes.txt": "no image"}, {"references": ["a", "d"]}, "dataset.references: d holds no images"),
     ],
     "matrix": [({}, {"ground_truth": "gone.npz"}, "gone.npz is no file")],
@@ -309,6 +319,8 @@ MISSING = {
     ],
     "dbstruct": [
         ({"001/c.jpg": None}, {}, "001/c.jpg does not exist (1 of 3 images in the database of set.mat are missing)"),
+        ({"asked/q2.jpg": None}, {}, "asked/q2.jpg does not exist (1 of 2 images in the queries of set.mat"),
+        ({}, {"mat": None}, "dataset.mat"),
         ({}, {"mat": "gone.mat"}, "dataset.mat: gone.mat"),
     ],
     "numbers": [

@@ -100,6 +100,7 @@ def stored_array(shape, code, content):
 REFUSED = {
     "another name": (b"\x80\x04\x8c\x05numpy\x8c\x0endarray.tofile\x93.", "asks for numpy.ndarray.tofile"),
     "a name that moves the cursor": (b"c\x1b[2Jos\nsystem\n.", r"asks for \x1b[2Jos.system"),
+    "an instance": (b"(ios\nsystem\n.", "asks for os.system"),
     "the state of a stand-in": (b"\x80\x02cnumpy\nndarray\n}b.", "cannot be read"),
     "too large a file": (bytes((1 << 24) + 1), "bytes, more than"),
     "a place in the memo beyond the file": (b"\x80\x02Nr\xff\xff\xff\x7f.", "holds a NoneType"),
@@ -108,6 +109,7 @@ REFUSED = {
     "an array without content": (stored_array((10**6,), "i8", b"x" * 8), "cannot be read"),
     "a list in itself": (b"]p0\ng0\na.", "holds a list where"),
     "a number without end": (b"\x80\x02\x8b" + struct.pack("<I", 5000) + b"\x7f" * 5000 + b".", "where an index"),
+    "one number": (pickle.dumps(5), "holds one number"),
     "half a pickle": (pickle.dumps(WANTED, protocol=4)[:-7], "cannot be read as pickled lists"),
 }
 

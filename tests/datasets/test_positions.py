@@ -118,7 +118,9 @@ def test_drives_are_counted_among_the_images_that_have_a_position(second, drive,
     "drive",
     [
         pytest.param([(30 * k, k % 3) for k in range(N)], id="a grid that begins at 0, 0"),
+        pytest.param([(30 * k, 30 * k) for k in range(N)], id="as far north as east"),
         pytest.param([*DRIVE[:10], *[DRIVE[10]] * 20, *DRIVE[11:21]], id="a camera that waits and goes on"),
+        pytest.param([DRIVE[k // 10] for k in range(N)], id="a fix for every tenth image"),
         pytest.param([DRIVE[30 * (k // 20)] for k in range(N)], id="panoramas of twenty views"),
         pytest.param([(90 * np.cos(k / 8), 90 * np.sin(k / 8)) for k in range(N)], id="metres within 180"),
     ],
@@ -137,6 +139,8 @@ BRISBANE = [(-27.5 + 0.0003 * k, 153.02 + 0.0001 * k) for k in range(N)]
     [
         *((reader, BRISBANE, "degrees") for reader in READERS if reader is not by_degrees),
         (match_names, but({3, 4}, (0, 0), BRISBANE), "degrees"),
+        (by_table, BRISBANE[:3], "degrees"),
+        (by_table, [(153.02, -27.5)] * N, "degrees"),
         (by_table, [(-27.5 + 40 * (k % 2), 153.02 + 1e-4 * k) for k in range(N)], "degrees"),  # two cities
         (by_table, [(k % 5, k // 5) for k in range(N)], "radius below 8.06"),  # 4 by 7 metres
     ],
@@ -173,8 +177,10 @@ def by_places(references, queries, **options):
     ("references", "queries", "options", "right", "numbers"),
     [
         ([0, 8, 16, 24], [8, 12], {"tolerance": 8}, [[0, 1, 2], [1, 2]], [0, 8, 16, 24]),
+        ([5, 3, 4], [5, 3], {"tolerance": 1}, [[1, 2], [0, 1]], [3, 4, 5]),
         ([-7, -3, -9], [-20], {"tolerance": 12}, [[0]], [-9, -7, -3]),
         ([0, 1, 2], [4], {"tolerance": 2}, [[2]], None),  # beyond the map
+        ([0, 1, 2], [1], {"tolerance": 1}, [[0, 1, 2]], None),
         (["b", 8, 9], [8], {"tolerance": 1}, [[0, 1, 2]], None),
     ],
 )

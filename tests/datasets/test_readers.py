@@ -52,8 +52,11 @@ def test_places_stay_in_order_queries_lie_in_the_map_and_right_is_what_lies_with
     ("protocol", "asked", "told"),
     [
         ("vprsnn", (4, 3, 0), "dataset.first_query_place=4 and dataset.query_places=3"),
+        ("vprtempo", (-1, 3, 0), "dataset.first_query_place=-1"),
+        ("vprsnn", (0, 0, 0), "dataset.query_places=0"),
         ("vprtempo", (0, 10**30, 0), f"dataset.query_places={10**30}"),
         ("vprtempo", (1, 3, 0, 3), " need 8 places, and there are 6"),
+        ("vprtempo", (1, 3, 0, 0), "dataset.query_stride=0 with"),
         ("vprsnn", (2, 1, 0, 4), "dataset.query_stride=4 with dataset.protocol=vprsnn"),
     ],
 )
@@ -87,6 +90,8 @@ def test_right_is_what_whole_centimetres_say_is_within_25_metres_the_edge_includ
     [
         ("@10@S", "@10@t", "error", ""),
         ("@23@M", "@23@N", "error", "23 south.*23 north"),
+        ("@10@S", "", "error", ""),
+        ("@10@S", "@61@S", "error", ""),
         ("@10@S", "@60@S", "error", "10 north.*60 north"),
         ("@10@S", "", "apart", "no UTM zone"),
     ],

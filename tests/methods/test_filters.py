@@ -149,3 +149,15 @@ def test_edges_of_any_sizes_are_those_of_the_readable_twin(sizes, power):
     found, twins = both([draw_frame(45, 70, 3)], **dict(zip(names, sizes, strict=True)), power=power)
     assert found.shape == (1, sizes[2] * sizes[3] * sizes[4])
     assert np.abs(found - twins).max() < (1e-6 if power == 1 else 1e-5)
+
+
+def test_variant_b_has_the_oracles_whole_levels_and_a_no_gamma_and_resizes_before_it_takes_the_grey():
+    frame = draw_frame(28, 28)
+    difference = np.abs(PatchNormalisation("B").shrink(frame) - oracle.gamma_b(oracle.grey_b(frame)))
+    assert difference.max() <= 2  # near-ties of OpenCV's fixed-point grey
+    assert np.count_nonzero(difference) <= 8
+    assert (PatchNormalisation("A").shrink(np.full((56, 56, 3), 10, np.uint8)) == 10).all()
+    # The mean colour is (1, 0.25, 1.25), rounded (1, 0, 1), grey 0.413. Grey first would give 1 in every pixel
+    # (0.598, 0.587, 0.57, 0.598 rounded), and 1 after the resize.
+    frame = np.array([[[2, 0, 0], [0, 1, 0]], [[0, 0, 5], [2, 0, 0]]], np.uint8)
+    assert PatchNormalisation("A", 1, 1, 3).shrink(frame).tolist() == [[0]]

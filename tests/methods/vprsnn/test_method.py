@@ -7,10 +7,8 @@ from little_vprsnn import SMALL, WORLD, fitted, images, layers, recorded_trains,
 
 from vprbench.config import make_request
 from vprbench.errors import BadInput
-from vprbench.methods.vprsnn import scoring
 from vprbench.methods.vprsnn.method import VPRSNN
 from vprbench.methods.vprsnn.model import Model
-from vprbench.methods.vprsnn.scoring import Responses
 
 QUERIES = images(WORLD.queries)
 SHORT = {"presentation_ms": 120.0, "rest_ms": 30.0, "excitatory_start_mv": -80.0}
@@ -59,20 +57,6 @@ def test_new_delays_are_not_those_of_the_training_and_fast_leaves_them_out_and_n
     assert np.array_equal(fast.match(codes), without.match(codes))
     shown, places = references(10)
     assert np.mean(fast.query(shown).argmax(1) == places) > 0.7
-
-
-def test_scores_are_those_of_the_spikes_and_of_what_each_neuron_speaks_for(trained):
-    codes, state = trained.encode(QUERIES), trained.state()
-    spikes = layers(trained, codes)["excitatory"].reshape(len(codes), 2, -1)
-    learnt = Responses(state["sums"], state["shown"], state["places"])
-    silenced = np.zeros(spikes.shape[1:], np.bool_)
-    expected = scoring.score_standard(spikes, scoring.assign_places(learnt), silenced, 10)
-    assert expected.max() > 1
-    assert np.array_equal(trained.match(codes), expected)
-    weighted = VPRSNN(**SMALL, assignment="weighted").restore(state)
-    of_weights = scoring.score_weighted(spikes, learnt, silenced, 10)
-    assert np.array_equal(weighted.match(codes), of_weights)
-    assert not np.allclose(of_weights, expected)
 
 
 def test_a_gpu_is_refused_to_a_method_without_an_argument_device():

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tempo_networks import QUERIES, SIZES, SMALL, double, fitted, network, one_layer, shown
+from tempo_networks import QUERIES, SIZES, SMALL, double, fitted, network, shown
 
 from vprbench.errors import BadInput
 from vprbench.methods.vprtempo.latencies import LatencyQuery, VPRTempoLatencies
@@ -36,25 +36,6 @@ def test_an_answer_is_that_of_a_simulation_of_single_neurons_where_the_query_end
         second, first = np.sort(np.pad(states, ((0, 0), (1, 0))), axis=1)[:, -2:].T
         ends = [*np.flatnonzero(first - second > (lead or 1.0) * first), 7]
         assert found == pytest.approx(states[ends[0]], abs=1e-5)
-
-
-# Features repeat two pixels; the first leads to places 0 and 2, the second to place 1.
-RIVALS = one_layer(np.array([[0.5, 0.0, 0.4], [0.0, 0.9, 0.0]]))
-PIXELS = np.array([[0.9, 0.5], [0.5, 0.9], [0.0, 0.0]], np.float32)  # the last query spikes nowhere
-
-
-@pytest.mark.parametrize(
-    ("lead", "answers", "features"),
-    [
-        (None, [1, 1], [[0.9, 0.54], [0.54, 0.9], [0, 0]]),
-        (0.1, [0, 1], [[0.9, 0], [0, 0.9], [0, 0]]),  # 0.45 and 0.36; 0.81 alone
-        (0.3, [1, 1], [[0.9, 0.54], [0, 0.9], [0, 0]]),  # the weaker spikes in step 5: 0.486 and 0.45
-    ],
-)
-def test_a_query_ends_once_a_place_is_ahead_by_a_share(lead, answers, features):
-    query = LatencyQuery(RIVALS, PAPER, 10, lead)
-    assert query.scores(PIXELS)[:2].argmax(1).tolist() == answers
-    assert query.layers(PIXELS)[0] == pytest.approx(np.array(features), abs=1e-6)
 
 
 def test_a_network_of_vprtempo_answers_in_time_with_larger_amplitudes_earlier_in_the_cycle_of_their_layer():

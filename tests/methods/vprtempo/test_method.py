@@ -1,6 +1,6 @@
 """VPRTempo as a method: its modules, arguments, seeds and refusals, and what it reads of a frame."""
 
-from dataclasses import fields, replace
+from dataclasses import fields
 from functools import cache
 from typing import get_args, get_type_hints
 
@@ -16,7 +16,7 @@ from vprbench.errors import BadInput, NotFittedError, TrainingDivergedError
 from vprbench.methods.parts.filters.patches import PatchNormalisation
 from vprbench.methods.vprtempo.encoding import make_spikes
 from vprbench.methods.vprtempo.method import VPRTempo
-from vprbench.methods.vprtempo.rules import PAPER, RULES, V1, QueryRule, Rules, RuleSet
+from vprbench.methods.vprtempo.rules import PAPER, V1, QueryRule, Rules
 
 
 @cache
@@ -47,16 +47,6 @@ def another_value(name):
     if isinstance(said, str):
         return next(option for option in get_args(get_type_hints(Rules)[name]) if option != said)
     return said + 1
-
-
-def test_an_argument_replaces_the_one_choice_of_its_name_and_none_leaves_the_rules_as_they_are():
-    for rules in get_args(RuleSet):
-        assert VPRTempo(rules=rules).choose_rules() == RULES[rules]
-    for name in CHOICES:
-        value = another_value(name)
-        assert VPRTempo(rules="paper", **{name: value}).choose_rules() == replace(PAPER, **{name: value})
-    choices = {name: getattr(V1, name) for name in CHOICES}
-    assert np.array_equal(scores_of(rules="paper", **choices), scores_of(rules="v1"))
 
 
 OTHER_VALUES = {
