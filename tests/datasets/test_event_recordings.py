@@ -155,7 +155,9 @@ def test_frames_of_the_same_number_show_the_same_place_or_positions_say_what_lie
     [
         ("time,lat,lon\n900,0,0\n999,0,0\n", "map.aedat run from 900.0 to"),
         ("time,lat,lon\n9,0,0\n8,0,0\n", "map.csv holds times that do not ascend"),
+        ("time,lat,lon\n8,0,0\n9,inf,0\n", "map.csv holds times that do not ascend, or no numbers"),
         ("time,lat,lon\n8,-27,153\n9,0,0\n", "map.csv holds 1 positions that are none (first: 0, 0 at 9 s)"),
+        ("time,lat,lon\n8,545000,4184000\n", "map.csv holds 1 positions that are none (first: 545000"),
         ("time,lat,lon\n8,x,0\n", "map.csv: "),
         ("a,b\n", "map.csv"),
     ],

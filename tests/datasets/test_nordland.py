@@ -108,8 +108,10 @@ def test_places_before_the_first_one_are_left_out_and_converted_frames_answered_
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
+        ({"references": ["spring", "spring"]}, "dataset.references=['spring', 'spring']"),
         ({"query": "tea"}, "dataset.query=tea: Nordland has spring, summer, fall, winter"),
         ({"places": 3450}, "dataset.places=3450: the list of 27592 names at dataset.stride=8 has 3449 places"),
+        ({"stride": 0}, "dataset.stride=0"),
         ({"frame_multiple": 0}, "dataset.frame_multiple=0"),
     ],
 )

@@ -44,10 +44,12 @@ def held(kind):
         flat = np.empty(3, dtype=object)
         flat[:] = [[query, right] for query, right in WANTED]
         return flat
+    if kind == "columns first":
+        return np.asfortranarray(rows)
     return rows.tolist() if kind == "a list" else rows
 
 
-@pytest.mark.parametrize("kind", ["lists", "numpy numbers", "arrays", "rows of lists", "a list"])
+@pytest.mark.parametrize("kind", ["lists", "numpy numbers", "arrays", "rows of lists", "columns first", "a list"])
 def test_a_pickle_of_every_protocol_that_numpy_writes_is_read(tmp_path, kind):
     for protocol in range(5):
         content = pickle.dumps(held(kind), protocol=protocol)
@@ -104,9 +106,12 @@ REFUSED = {
     "the state of a stand-in": (b"\x80\x02cnumpy\nndarray\n}b.", "cannot be read"),
     "too large a file": (bytes((1 << 24) + 1), "bytes, more than"),
     "a place in the memo beyond the file": (b"\x80\x02Nr\xff\xff\xff\x7f.", "holds a NoneType"),
+    "a frame beyond the file": (b"\x80\x04\x95" + struct.pack("<Q", 1 << 40) + b"].", ""),
     "bytes beyond the file": (b"\x80\x04\x8e" + struct.pack("<Q", 1 << 40) + b"x.", ""),
     "lists used again and again": (pickle.dumps([[*range(2100)]] * 2100), "lists of more than 4194304"),
     "an array without content": (stored_array((10**6,), "i8", b"x" * 8), "cannot be read"),
+    "an array of three dimensions": (stored_array((1, 1, 1, 1), "i8", b"x" * 8), "holds a list where"),
+    "an array of text": (stored_array((1,), "S3", b"abc"), "elements of type S3"),
     "a list in itself": (b"]p0\ng0\na.", "holds a list where"),
     "a number without end": (b"\x80\x02\x8b" + struct.pack("<I", 5000) + b"\x7f" * 5000 + b".", "where an index"),
     "one number": (pickle.dumps(5), "holds one number"),

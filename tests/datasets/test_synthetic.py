@@ -67,11 +67,15 @@ def test_places_are_set_aside_and_damage_on_purpose_shifts_the_queries():
 @pytest.mark.parametrize(
     ("options", "named"),
     [
+        ({"places": 9}, "dataset.places=9: the synthetic journey has 10 to 27000 places"),
         ({"places": 27_001}, "dataset.places=27001: the synthetic journey has 10 to 27000 places"),
         ({"references": ["fall", "tea"]}, "dataset.references=tea: the synthetic journey has spring"),
+        ({"references": []}, "dataset.references=[]: name at least one season"),
         ({"references": "fall"}, "dataset.references='fall': name at least one season"),
         ({"places": 11, "query_places": 10}, "dataset.first_query_place=2 and dataset.query_places=10"),
         ({"tolerance": -1}, "dataset.tolerance=-1"),
+        ({"seed": -1}, "dataset.seed=-1"),
+        ({"unanswerable": -1}, "dataset.unanswerable=-1"),
         ({"places": 11, "query_shift": -3}, "dataset.query_shift=-3"),
     ],
 )
