@@ -1,9 +1,7 @@
 """Methods that do to a run what a plug-in may do: each is SAD, after it has done something in `fit`."""
 
 import os
-import signal
 import sys
-import time
 
 from little import Prototypes
 
@@ -14,13 +12,6 @@ from vprbench.methods.sad import SAD
 class Leaving(SAD):
     def fit(self, *given):
         sys.exit()
-
-
-class Hanging(SAD):
-    def fit(self, *given):
-        signal.signal(signal.SIGALRM, signal.SIG_IGN)  # as what has time limits of its own
-        time.sleep(600)
-        return self
 
 
 class Silent(SAD):
