@@ -102,6 +102,7 @@ class PublishedNetwork:
     def checks(self):
         """Yield each check's name and what runs it, given a folder that files may be written to."""
         yield "descriptors", self._has_the_descriptors_of_the_slow_computation
+        yield "half precision", self._half_the_precision_keeps_the_descriptor
         for name, option in self.options.items():
             yield f"option {name}", partial(self._has_the_descriptors_under, *option)
         for told, arguments, size in self.refused:
@@ -116,6 +117,17 @@ class PublishedNetwork:
         assert distance(codes[0], codes[1]) > 1e-3
         alone = encoded(self.method(self.file(folder)), self.images[-1])
         assert distance(alone, codes[-1:]) < 1e-5
+
+    def _half_the_precision_keeps_the_descriptor(self, folder):
+        method = self.method(self.file(folder))
+        network = method.load(self.file(folder))
+        method.use(network)
+        seen = method.pixels(torch.from_numpy(image(*method.target(56, 98))).permute(2, 0, 1)[None].float())
+        with torch.inference_mode():
+            exact = network(seen)
+            self.method(self.file(folder), precision="bfloat16").use(network)
+            half = network(seen.to(torch.bfloat16)).float()
+        assert torch.nn.functional.cosine_similarity(half, exact).min() > 0.9
 
     def _has_the_descriptors_under(self, arguments, seen, how, folder):
         assert distance(self.encode(folder, seen, **arguments), self.slowly(seen, **how)) < self.tolerance
