@@ -207,7 +207,7 @@ def log(begin, seconds, metres_a_second, kinds=("RMC",)):
     return "".join(lines)
 
 
-@pytest.mark.parametrize("kinds", [("RMC",), ("GGA", "RMC")])
+@pytest.mark.parametrize("kinds", [("RMC",), ("GGA",), ("RMC", "GGA"), ("GGA", "RMC")])
 def test_a_brisbane_drive_is_placed_by_its_gps_log(tmp_path, kinds):
     # The log of the camera car has a date of its own; events begin at 5 s, the logs at 3 s before midnight.
     midnight = datetime(2020, 1, 1, 23, 59, 57, tzinfo=UTC)

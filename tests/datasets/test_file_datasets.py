@@ -373,11 +373,16 @@ def listed(references, queries, **options):
         ("image,place\n3.jpg,0\n3.jpg,1\n", "image,place\n3.jpg,1\n4.jpg,2\n", {"unmatched": "drop"}, [[1]]),
         # the first kind of ground truth that both tables have
         ("image,lat,lon,east,north\n0.jpg,1,2,0,0\n", "image,east,north,place\n1.jpg,25,0,a\n", {}, [[0]]),
+        ("image,lat,lon,east,north\n0.jpg,1,2,0,0\n", "image,lat,lon,place\n1.jpg,1,2,a\n", {}, [[0]]),
         ("image,east,north\n0.jpg,3,4\n1.jpg,4,4\n", "image,east,north\n0.jpg,0,0\n", {"radius_metres": 5}, [[0]]),
     ],
 )
 def test_columns_of_a_list_are_found_by_their_names(references, queries, options, right):
     assert rights(listed(references, queries, **options)) == right
+    fill(Path("frames"), numbered(7))
+    for image in Path().glob("*.jpg"):  # paths may start from another folder
+        image.unlink()
+    assert rights(image_list(references=["map.csv"], queries="asked.csv", root="frames", **options)) == right
 
 
 PLACES, ASKED = "image,place\n0.jpg,7\n1.jpg,8\n2.jpg,9\n", "image,place\n5.jpg,9\n6.jpg,7\n"
@@ -390,10 +395,12 @@ GRID = "image;east;north\n0.jpg;0,5;-1,25\n1.jpg;60;0,0\n2.jpg;120,75;0\n"
         *((PLACES.encode(encoding), ASKED) for encoding in ("utf-16", "utf-8-sig")),
         (b"\xfe\xff" + PLACES.encode("utf-16-be"), ASKED.replace("\n", "\r\n")),
         (f"sep=;\n{PLACES}".replace(",", ";"), ASKED.replace(",", "\t")),
+        (PLACES.replace(",", "|").join(["sep=|\n", ""]), ASKED.replace(",", ";")),
         (PLACES.replace("7", "7.0").replace("9", "009"), ASKED.replace("7", "7.000")),
         (PLACES.replace(",", ";").replace("7", "7,0"), ASKED),
         (GRID, "image;east;north\n5.jpg;100,0;0,25\n6.jpg;1,1;0\n"),
         (GRID.replace(",", ".").replace(";", ","), "image\teast\tnorth\n5.jpg\t100,0\t0,25\n6.jpg\t1,1\t0\n"),
+        (PLACES.replace("0.jpg", "0.JPG"), ASKED.replace("5.jpg", "5.Jpg")),
         (PLACES.replace("0.jpg", "sub\\0.jpg"), ASKED.replace("5.jpg", ".\\sub\\5.JPG")),
     ],
 )
@@ -412,6 +419,7 @@ def test_lists_are_read_as_windows_excel_and_pandas_write_them(references, queri
         ('image,lat,lon\n0.jpg,"51,5",7\n', ("lat 51,5 in row 1 of map.csv", "point")),
         ("image;east;north\n0.jpg;545,012;7\n", ("east 545,012 in row 1 of map.csv", "point")),  # of thousands?
         (PLACES.replace("1.jpg", "1.jpeg"), ("1.jpeg does not exist", "row 2", "1.jpg")),
+        (PLACES.replace("1.jpg", "sub\\11.jpg"), ("11.jpg does not exist", "row 2", "dataset.root")),
         (PLACES.replace("1.jpg", "both.JPG"), ("both.JPG does not exist", "both.Jpg or both.jpg")),
     ],
 )

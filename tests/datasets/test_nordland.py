@@ -74,6 +74,7 @@ def test_only_frames_that_some_method_needs_have_to_be_there(tiny_root, options,
     ("frames", "others", "told"),
     [
         ((208, 212), 0, "{} (2 of 6 expected frames are missing, 4 files are there): copy or download"),
+        ((206, 210, 212), 0, "set dataset.root so that <root>/spring/images-00202.png"),
         ((208,), 24_565, "24,570 images are a part of the partition of Olid et al."),
         ((202, 204, 206, 208, 210, 212), -1, "{} does not exist"),
     ],

@@ -16,11 +16,15 @@ DECIMAL = {  # names in the order of the road, of which the order of whole numbe
     "words before": ["t0.25", "t0.5", "t0.625", "t1.0", "t10.5"],
     "ISO": ["2014-12-09T13:21:02.125", "2014-12-09T13:21:02.25", "2014-12-09T13:21:02.5", "2014-12-09T13:21:03.75"],
     "negative": ["x-1.5_y2", "x-1_y2", "x-0.25_y2", "x0.5_y2", "x2_y2"],
+    "whole and negative": ["-10", "-2", "-1", "0", "3", "12"],
+    "exponents": ["1e-05", "2.5e-05", "0.0001", "0.25", "3.0", "1e+16"],
 }
 WHOLE = {  # names in the order of whole numbers, and how often that there is another one is said
     "counters": (["take1.8", "take1.9", "take1.10", "take1.11", "take2.1"], 1),
     "two patterns": (["left_0.5", "left_0.25", "right_0.5"], 1),
     "dates": (["2014.12.9", "2014.12.10"], 0),
+    "dashes": (["frame-1", "frame-2", "frame-10"], 0),
+    "equal lengths": (["t0.05", "t0.10", "t0.15"], 0),
 }
 
 
@@ -159,8 +163,9 @@ def test_a_journey_breaks_off_where_the_folder_changes_or_the_position_jumps(kin
             [*(f"s{n}" for n in (0, 1, 4, 5)), "right/s2", "right/s3"],
             ("6", "2+4"),
         ),
+        (drives(4, 2), drives(3, 3), ("4+2", "3+3")),
     ],
-    ids=["every second place", "a folder in one traverse only"],
+    ids=["every second place", "a folder in one traverse only", "drives of other lengths"],
 )
 def test_folders_that_cannot_match_by_order_are_refused_with_the_ways_out(names, query_names, told):
     options = pair(names, query_names)
@@ -170,6 +175,8 @@ def test_folders_that_cannot_match_by_order_are_refused_with_the_ways_out(names,
     assert [word in str(error.value) for word in wanted] == [True] * len(wanted)
     with pytest.raises(BadInput, match=r"positives=.*image_list"):
         vprbench.dataset_of(**options)
+    if len(names) == len(query_names):
+        assert [rights(dataset)[3] for dataset in made(options, breaks="none")] == [[3], [3]]
     right = np.zeros((len(query_names), len(names)), bool)
     right[:, 0] = True
     np.savez("truth.npz", positives=right)

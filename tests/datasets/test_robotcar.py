@@ -10,6 +10,7 @@ import pytest
 import yaml
 from image_folders import answer, rights
 from PIL import Image as PillowImage
+from scipy.ndimage import map_coordinates
 
 import vprbench.datasets.oxford_robotcar as robotcar
 from vprbench.datasets.oxford_robotcar import oxford_robotcar, recordings
@@ -67,6 +68,20 @@ def test_noise_is_demosaiced_to_the_mean_of_the_nearest_pixels(tmp_path):
                 by_distance.setdefault((dy - 1) ** 2 + (dx - 1) ** 2, []).append(int(raw[y + dy, x + dx]))
         nearest = by_distance[min(by_distance)]
         assert seen[y + 1, x + 1, channel] == sum(nearest) // len(nearest)
+
+
+def test_a_bent_table_is_followed_bilinearly_and_what_lies_outside_is_black(tmp_path):
+    x, y = 1.1 * X - 0.7 - 0.02 * Y * Y, Y + 0.3 + 0.01 * X * X
+    straight, seen = (
+        undistort(noise(), read_calibration(write_table(tmp_path, *at), SMALL)) for at in ((X, Y), (x, y))
+    )
+    outside = (x < 0) | (y < 0) | (x > SMALL.width - 1) | (y > SMALL.height - 1)
+    assert 0.01 < outside.mean() < 0.4
+    assert not seen[outside].any()
+    wanted = np.stack([map_coordinates(channel, [y, x], float, order=1) for channel in straight.transpose(2, 0, 1)], 2)
+    # `straight` has no decimals: what lies between its pixels may be up to a level darker before its own are cut off.
+    difference = seen[~outside] - np.floor(wanted[~outside])
+    assert (difference.min(), difference.max(), difference.mean() < 0.5) == (0, 1, True)
 
 
 @pytest.mark.parametrize(
