@@ -61,6 +61,7 @@ NETWORK = PublishedNetwork(
         ("other", {"components": {"speed": 512}, "configuration": "speed"}, (150, 170)),
         ("method.height=None, method.width=160", {"height": None}, (32, 32)),
         ("128x128 pixels", {"width": 127}, (32, 32)),
+        ("80x80 pixels", {"height": 79, "configuration": "speed"}, (32, 32)),
         ("method.candidates=0", {"candidates": 0}, (32, 32)),
         ("performance", {"components": {"speed": 512}}, (32, 32)),
     ],
@@ -98,6 +99,7 @@ FOUR = [0, 4, 11, 13]
 @pytest.mark.parametrize(
     ("geometry", "query", "reference", "wanted"),
     [
+        ("homography", FOUR[:3], FOUR[:3], 0),  # a homography takes four pairs
         ("homography", FOUR, FOUR, 4 / 15),  # the share of patches that are inliers
         ("displacement", [], [], 0),
         ("displacement", [0, 6], [2, 6], 2 * (3**2 + 2**2) / 15),  # (2, 0) and (0, 0), their mean (1, 0)

@@ -88,9 +88,13 @@ def test_the_configuration_has_every_argument_and_its_default_of_table_1():
     ("arguments", "wanted"),
     [
         ({"epochs": 0}, r"method\.epochs=0"),
+        ({"max_module": 0}, r"method\.max_module=0"),
+        ({"features_per_pixel": 0.0}, r"method\.features_per_pixel=0"),
         ({"output_stdp_rate": -0.1}, r"method\.output_stdp_rate=-0\.1"),
         ({"itp_rate": np.nan}, r"method\.itp_rate=nan"),
         ({"rate_min": 0.95}, r"method\.rate_min=0\.95"),
+        ({"p_excitatory": 1.5}, r"method\.p_excitatory=1\.5"),
+        ({"clip": 0.0}, r"method\.clip=0"),
         ({"annealing_interval": 0}, r"method\.annealing_interval=0"),
         ({"rules": "reference", "equal_output_weights": True}, "equal_output_weights"),
         ({"output_rule": "covariance", "query_rule": "linear"}, r"method\.query_rule=linear"),

@@ -75,6 +75,7 @@ SOME_ALIKE[::4] = 0
         pytest.param(SOME_ALIKE, (40,), None, id="some alike"),
         pytest.param(answers([3] * 9), (40,), None, id="nine probes"),
         pytest.param(answers([3] * 30 + [*range(10, 20)]), (40,), "one output neuron .* 75 % of 40", id="one neuron"),
+        pytest.param(answers([3] * 10), (40,), "one output neuron .* 100 % of 10", id="ten probes"),
         pytest.param(
             answers([0, *(20 + i % 20 for i in range(39))]), (20, 20), "module 1 .* 98 %.* 50 %", id="one module"
         ),
