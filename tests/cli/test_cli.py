@@ -4,7 +4,6 @@ import csv
 import errno
 import json
 import re
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -71,7 +70,7 @@ def test_a_run_prints_one_json_object_and_answers_from_the_store_unless_forced_w
     assert "cannot be written (Read-only file system)" in capsys.readouterr().err
 
 
-def test_a_row_names_its_numbers_and_its_folder_from_the_store_too_under_the_words_of_its_command(capsys):
+def test_a_row_names_its_numbers_and_its_folder_under_the_words_of_its_command(capsys):
     main(["method=sad", "method.patch=7", *QUICK])
     printed = capsys.readouterr()
     assert re.search(r"\d+\.\d \[\d+\.\d, \d+\.\d\]", printed.out)
@@ -79,11 +78,6 @@ def test_a_row_names_its_numbers_and_its_folder_from_the_store_too_under_the_wor
         assert column in printed.out
     assert "stored in results/synthetic/sad-" in printed.out
     assert "sad on synthetic: fit" in printed.err
-    assert [path.name for path in Path().iterdir()] == ["results"]
-    main(["method=sad", *QUICK])
-    printed = capsys.readouterr()
-    assert "from the store: results/synthetic/sad-" in printed.out
-    assert "patch=7" not in printed.out
 
 
 @pytest.mark.parametrize("command", [["check"], []], ids=["check", "run"])
@@ -97,18 +91,10 @@ def test_a_download_shows_its_progress(command, capsys, monkeypatch):
     assert ": downloading dino_salad.ckpt" in capsys.readouterr().err
 
 
-def test_list_shows_methods_and_datasets_and_a_broken_one_with_its_reason_and_check_counts_the_rules(
-    capsys, monkeypatch, tmp_path
-):
-    (tmp_path / "method").mkdir()
-    (tmp_path / "method" / "needy.yaml").write_text("# Needs something\n_target_: not_installed_library.Method\n")
-    entries = [*registry.find_entries("method").values(), *registry.find_entries("dataset").values()]
-    known = registry.find_conf_folders()
-    monkeypatch.setattr("vprbench.plugins.entries.find_conf_folders", lambda: {**known, "needy": tmp_path})
+def test_list_shows_methods_and_datasets_with_their_descriptions_and_check_counts_the_rules(capsys):
     assert main(["list"]) == 0
     printed = capsys.readouterr().out
-    assert re.search(r"needy +BROKEN: .*not_installed_library", printed)
-    for entry in entries:
+    for entry in (*registry.find_entries("method").values(), *registry.find_entries("dataset").values()):
         assert entry.description
         assert re.search(rf"^{entry.name} +{re.escape(entry.description)}$", printed, re.MULTILINE)
     assert main(["check", "method=sad"]) == 0
@@ -203,33 +189,6 @@ def test_a_path_that_holds_a_comma_is_answered_with_the_quotes_that_it_needs_and
         assert f"'dataset.references={wanted}'" in line
     quoted = ["dataset=folders", f'dataset.references=["{asked}"]', f'dataset.queries="{asked}x"']
     assert f"{asked}x is no folder" in refused(["method=sad", *quoted], capsys)
-
-
-def test_frames_of_differing_sizes_grey_with_alpha_or_black_are_accepted_and_what_is_no_image_is_named(capsys):
-    references, queries = frames(Path("references"), 3), frames(Path("queries"), 5)
-    frames(Path("more"), 1, (30, 20), "L").joinpath("0.png").rename(references / "3.png")
-    frames(Path("alpha"), 1, (24, 24), "RGBA").joinpath("0.png").rename(references / "4.png")
-    for folder in (references, queries):
-        PillowImage.new("RGB", (16, 12)).save(folder / "1.png")
-    asked = ["dataset=folders", f"dataset.references=[{references}]", f"dataset.queries={queries}", *RUN]
-    assert main([*asked, "output=json", "results=elsewhere"]) == 0
-    assert json.loads(capsys.readouterr().out)["queries"] == 5
-    shutil.rmtree("elsewhere")
-    for bad in (queries / "2.png", references / "2.png"):
-        whole = bad.read_bytes()
-        bad.write_bytes(whole[:100])
-        assert f"{bad} cannot be read as an image" in refused(asked, capsys)
-        bad.write_bytes(whole)
-
-
-@pytest.mark.parametrize("where", ["results", "results/synthetic"])
-def test_results_that_cannot_be_written_are_named_before_the_run(capsys, monkeypatch, where):
-    place = Path(where)
-    place.parent.mkdir(exist_ok=True)
-    place.symlink_to("/nowhere/there")
-    capsys.readouterr()
-    monkeypatch.setattr("vprbench.runs.get_or_run.execute", lambda *_: pytest.fail("it ran"))
-    assert f"{place} cannot be written" in refused(["method=sad", *QUICK], capsys)
 
 
 def test_a_sweep_ends_with_one_table_of_the_mean_over_the_seeds_and_its_csv(capsys, monkeypatch):

@@ -45,7 +45,6 @@ def shown(clock, reports, stream, title="sad on nordland"):
     ("reports", "lines"),
     [
         ([(0, "fit", 0), (1, "query", 0.1), (1, "fit", 0)], ["fit", "query", "fit"]),
-        ([(0, "query", 0), (5, "query", 0.2), (4.9, "query", 0.4)], ["query"]),
         ([(0, "query", 0), (12, "query", 0.25)], ["query", "query 25 %, 36 s left"]),  # 12 s for a quarter
         ([(0, "fit", 0), (500, "query", 0), (10, "query", 0.5)], ["fit", "query", "query 50 %, 10 s left"]),
         ([(0, "fit", 0), (60, "fit", 0.0), (60, "fit", 1.0)], ["fit"]),
@@ -93,9 +92,7 @@ def test_prints_beside_the_answer_go_to_standard_error_and_names_in_progress_are
     assert text == "a\\nvprbench: b: \\x1b[2Jfit\n"
 
 
-def test_a_process_whose_progress_nobody_sees_and_an_inner_title_draw_nothing_and_nobody_listens_after_a_block(
-    clock, monkeypatch
-):
+def test_a_process_whose_progress_nobody_sees_and_an_inner_title_draw_nothing(clock, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setenv(progress.QUIET, "1")
         assert shown(clock, [(0, "fit", 0.5)], Terminal()) == ""
@@ -105,9 +102,3 @@ def test_a_process_whose_progress_nobody_sees_and_an_inner_title_draw_nothing_an
         raise KeyError
     progress.report("fit", 0.7)
     assert outer.getvalue() == "outer: fit\n"
-    heard = []
-    with progress.send_reports_to(lambda *report: heard.append(("outer", *report))):
-        with progress.send_reports_to(lambda *report: heard.append(("inner", *report))):
-            progress.report("fit", 0.2)
-        progress.report("fit", 0.3)
-    assert heard == [("inner", "fit", 0.2), ("outer", "fit", 0.3)]

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from event_recordings import by_chance, write_aedat2
 from image_folders import fill, numbered
 from quick_runs import quick_runs
 from small_plan import install
@@ -16,7 +15,6 @@ from textures import textures
 import vprbench
 from vprbench.cli import main
 from vprbench.data.doctor import quick
-from vprbench.datasets.event_folders import event_folders
 from vprbench.datasets.folders import folders
 from vprbench.datasets.image_list import image_list
 from vprbench.datasets.utm_folders import utm_folders
@@ -64,14 +62,6 @@ def test_every_reference_is_a_place_and_no_query_has_a_right_one_whatever_their_
     assert dataset.protocol["ground_truth"] == "none"
     assert not {"unmatched", "tolerance_places", "radius_metres"} & {*dataset.protocol}
     assert [f.level for f in quick(dataset) if f.check == "ground truth"] == ["note"]
-
-
-def test_recordings_of_different_lengths_need_none_either(tmp_path):
-    for name, seconds in (("map", 3.0), ("drive", 2.0)):
-        write_aedat2(tmp_path / f"{name}.aedat", by_chance(2000, seconds=seconds))
-    files = {"references": [str(tmp_path / "map.aedat")], "queries": str(tmp_path / "drive.aedat")}
-    dataset = event_folders(**files, window_ms=500.0, height=20, width=30, **NONE)
-    assert (dataset.n_places, len(dataset.queries), dataset.protocol["ground_truth"]) == (5, 3, "none")
 
 
 @pytest.fixture

@@ -1,7 +1,6 @@
 """The rendered railway: frames follow from seed, season and place, and are about as hard as real ones."""
 
 import hashlib
-from concurrent.futures import ThreadPoolExecutor
 
 import cv2
 import numpy as np
@@ -25,15 +24,6 @@ def test_the_same_seed_gives_the_same_pixels_on_every_machine():
     other = synthetic(places=10, references=[season], query=season, seed=1).references[0]
     assert (other.shape, other.dtype) == ((90, 160, 3), np.uint8)
     assert not np.array_equal(other, references[0])
-
-
-def test_threads_render_the_same_frames_and_a_longer_journey_begins_like_a_shorter_one():
-    references, long = synthetic(places=10).references, synthetic(places=27_000).references
-    alone = [references[i] for i in range(20)]
-    with ThreadPoolExecutor(4) as threads:
-        assert np.array_equal(alone, list(threads.map(references.__getitem__, range(20))))
-    assert np.array_equal(alone[9], long[9])
-    assert np.array_equal(alone[10], long[27_000])
 
 
 def test_defaults_are_as_large_as_nordland_and_seasons_places_and_seed_are_chosen():

@@ -58,13 +58,6 @@ def test_grey_is_matlabs_and_halved_without_the_last_row_and_column():
     assert dense_sift.halve_image(grey).tolist() == [[0, 2, 4], [12, 14, 16]]
 
 
-def test_a_zero_descriptor_belongs_to_the_first_word_and_what_rounding_leaves_of_a_residual_is_none():
-    zeros = vlad.vlad([torch.zeros(3, 2)], torch.tensor([[0.6, 0.8], [1, 0]]))
-    np.testing.assert_allclose(zeros, [-0.6, -0.8, 0, 0], atol=1e-6)
-    words = torch.from_numpy(unit(np.random.default_rng(0).random((4, 128)))).float()
-    assert not vlad.vlad([words[[2] * 1000]], words).any()
-
-
 def test_whitening_keeps_the_directions_of_largest_moment_and_takes_no_mean():
     # One vector a direction, of lengths 3, 2 and 1: moments 9, 4 and 1 thirds; divided by moment's root
     vectors = np.diag([2, 3, 1]).astype(np.float32)

@@ -15,8 +15,7 @@ from vprbench.errors import BadInput
 from vprbench.methods.parts.backbones.compiled_blocks import compile_blocks
 from vprbench.methods.parts.backbones.efficientnet_lite import EfficientNetLite, count_multiply_adds
 from vprbench.plugins import registry
-from vprbench.plugins.conformance import check_method
-from vprbench.plugins.rules import RULES, Journey
+from vprbench.plugins.rules import Journey
 
 N_BLOCKS = {"lite0": 16, "lite1": 21, "lite2": 21}
 SMALL = {"blocks": [1, 2], "grid": [[4, 5], [3, 4]], "height": 32, "width": 40}
@@ -64,9 +63,9 @@ def published_outputs(variant, size):
 @pytest.mark.parametrize(
     ("variant", "size"),
     [
-        *(("lite0", size) for size in [(224, 224), (97, 131), (33, 70)]),
+        ("lite0", (224, 224)),
+        ("lite0", (33, 70)),
         ("lite1", (240, 240)),
-        pytest.param("lite2", (260, 260), marks=pytest.mark.extended),
     ],
 )
 def test_every_block_gives_what_that_of_the_published_package_gives(variant, size):
@@ -114,25 +113,6 @@ def test_compiled_blocks_give_what_the_plain_network_gives(size):
 
 
 @pytest.mark.parametrize(
-    ("variant", "blocks", "grid", "size", "lengths"),
-    [
-        ("lite0", [0, 2, 7], [None, None, None], (97, 131), [16 * 49 * 66, 24 * 25 * 33, 80 * 7 * 9]),
-        ("lite0", [0, 15], [[33, 1], [1, 2]], (65, 64), [16 * 33, 320 * 2]),
-        ("lite0", [15], [None], (1, 2), [320]),
-        # One block more in each repeated stage, and a tenth more channels, in whole eights: 24 to 24, 40 to 48.
-        ("lite1", [3, 6], [None, [2, 4]], (128, 224), [24 * 32 * 56, 40 * 2 * 4]),
-        ("lite2", [3, 6], [None, [2, 4]], (128, 224), [24 * 32 * 56, 48 * 2 * 4]),
-    ],
-)
-def test_every_block_has_as_many_numbers_as_its_channels_have_positions_or_cells(variant, blocks, grid, size, lengths):
-    method = made(variant, blocks=blocks, grid=grid, height=size[0], width=size[1])
-    assert method.block_lengths() == lengths
-    codes = encoded(method, *drawn_images((40, 60), (50, 50)))
-    assert codes.shape == (2, sum(lengths))
-    assert np.linalg.norm(codes, axis=1) == pytest.approx([1, 1], abs=1e-6)
-
-
-@pytest.mark.parametrize(
     ("arguments", "named"),
     [
         *(({"blocks": blocks}, r"method\.blocks=") for blocks in ([10, 4], [4, 4], [], [-1, 4], [4, 16])),
@@ -169,19 +149,6 @@ def test_multiply_adds_are_those_of_all_convolutions_and_are_told_of_every_image
 # The contract, where a mean is taken off
 
 
-@pytest.mark.parametrize(
-    ("method", "adapt"),
-    [("hog", "references"), ("hog", "traverse"), ("vprtempo_oriented", "running"), ("efficientnet", "running")],
-)
-def test_a_method_keeps_every_rule_under_a_mean_that_is_taken_off(method, adapt):
-    small = {"efficientnet": SMALL, "hog": {"height": 32, "width": 40}}.get(method, {})
-    results = [*check_method({**config(f"method={method}"), **small, "adapt": adapt})]
-    assert [str(result) for result in results if result.state == "broken"] == []
-    excepted = [result.rule for result in results if result.state == "excepted"]
-    assert len(excepted) == bool(small) + (adapt != "references")  # stored networks; batches
-    assert {result.rule for result in results} >= {*RULES}
-
-
 # VPRTempo
 
 WORLD = Journey.draw(0)
@@ -204,12 +171,3 @@ def test_input_spikes_are_each_block_of_the_descriptor_scaled_on_its_own():
     found = tempo().encode(QUERIES)
     assert found == pytest.approx(np.concatenate(wanted, axis=1), abs=1e-5)
     assert (found.dtype, found.shape[1]) == (np.float32, 24 * 4 * 5 + 24 * 3 * 4)
-
-
-def test_spikes_without_a_mean_are_scaled_anew_and_are_all_one_half_where_they_are_the_mean():
-    spikes = tempo().encode(QUERIES)
-    mean = spikes[1:].mean(0)
-    found = tempo().centre(spikes, mean)
-    assert found == pytest.approx(amplitudes(spikes - mean), abs=1e-5)
-    assert np.array_equal(tempo().centre(spikes[:, None], mean)[:, 0], found)
-    assert np.array_equal(tempo().centre(spikes[:1], spikes[0]), np.full_like(spikes[:1], 0.5))

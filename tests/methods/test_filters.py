@@ -7,7 +7,6 @@ import numpy as np
 import preprocess_oracle as oracle
 import pytest
 import readable_encoders as readable
-import torch
 from described_images import drawn_images
 
 from vprbench.api.images import Images
@@ -74,42 +73,6 @@ def test_levels_are_the_oracles_but_for_one_where_a_window_is_not_flat(size, tar
         got = preprocess(variant, frame, height=target[0], width=target[1])[0].reshape(target)
         told = oracle.local_std(small, 7, ddof) > 1e-3
         assert np.abs(got - expected)[told].max() <= 1
-
-
-def test_variant_b_has_the_oracles_whole_levels_and_a_no_gamma_and_resizes_before_it_takes_the_grey():
-    frame = draw_frame(28, 28)
-    difference = np.abs(PatchNormalisation("B").shrink(frame) - oracle.gamma_b(oracle.grey_b(frame)))
-    assert difference.max() <= 2  # near-ties of OpenCV's fixed-point grey
-    assert np.count_nonzero(difference) <= 8
-    assert (PatchNormalisation("A").shrink(np.full((56, 56, 3), 10, np.uint8)) == 10).all()
-    # The mean colour is (1, 0.25, 1.25), rounded (1, 0, 1), grey 0.413. Grey first would give 1 in every pixel
-    # (0.598, 0.587, 0.57, 0.598 rounded), and 1 after the resize.
-    frame = np.array([[[2, 0, 0], [0, 1, 0]], [[0, 0, 5], [2, 0, 0]]], np.uint8)
-    assert PatchNormalisation("A", 1, 1, 3).shrink(frame).tolist() == [[0]]
-
-
-ENCODERS = [*map(PatchNormalisation, "ABC"), GaborBank(), OrientedEdges()]
-
-
-@pytest.mark.parametrize("encoder", ENCODERS, ids=str)
-def test_neighbours_threads_and_layout_in_memory_change_nothing_and_frames_stay_as_they_were(encoder):
-    frame, before = draw_frame(32, 64, 5), torch.get_num_threads()
-    locked = frame.copy()
-    locked.flags.writeable = False
-    frames = [frame, locked, np.asfortranarray(frame), frame[:, ::-1][:, ::-1], np.zeros((90, 160, 3), np.uint8)]
-    frames += [draw_frame(20 + i % 3, 30, seed=i) for i in range(195)]
-    alone = np.concatenate([encoder(Images.from_arrays([each])) for each in frames])
-    try:
-        for threads in (1, 3):
-            torch.set_num_threads(threads)
-            together = encoder(Images.from_arrays(frames))
-            assert together.dtype == (np.uint8 if isinstance(encoder, PatchNormalisation) else np.float32)
-            assert np.array_equal(together, alone)
-    finally:
-        torch.set_num_threads(before)
-    assert (alone[:4] == alone[0]).all()
-    assert encoder(Images.from_arrays([])).shape == (0, alone.shape[1])
-    assert np.array_equal(frame, draw_frame(32, 64, 5))
 
 
 def filter_by_hand(angle, wavelength, phase, width):
@@ -186,3 +149,15 @@ def test_edges_of_any_sizes_are_those_of_the_readable_twin(sizes, power):
     found, twins = both([draw_frame(45, 70, 3)], **dict(zip(names, sizes, strict=True)), power=power)
     assert found.shape == (1, sizes[2] * sizes[3] * sizes[4])
     assert np.abs(found - twins).max() < (1e-6 if power == 1 else 1e-5)
+
+
+def test_variant_b_has_the_oracles_whole_levels_and_a_no_gamma_and_resizes_before_it_takes_the_grey():
+    frame = draw_frame(28, 28)
+    difference = np.abs(PatchNormalisation("B").shrink(frame) - oracle.gamma_b(oracle.grey_b(frame)))
+    assert difference.max() <= 2  # near-ties of OpenCV's fixed-point grey
+    assert np.count_nonzero(difference) <= 8
+    assert (PatchNormalisation("A").shrink(np.full((56, 56, 3), 10, np.uint8)) == 10).all()
+    # The mean colour is (1, 0.25, 1.25), rounded (1, 0, 1), grey 0.413. Grey first would give 1 in every pixel
+    # (0.598, 0.587, 0.57, 0.598 rounded), and 1 after the resize.
+    frame = np.array([[[2, 0, 0], [0, 1, 0]], [[0, 0, 5], [2, 0, 0]]], np.uint8)
+    assert PatchNormalisation("A", 1, 1, 3).shrink(frame).tolist() == [[0]]

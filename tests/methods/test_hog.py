@@ -74,13 +74,6 @@ def test_descriptors_equal_those_computed_pixel_by_pixel(image, arguments):
     assert np.abs(code - slow_hog(image, **arguments)).max() < 1e-3
 
 
-def test_of_equally_strong_channels_blue_counts_as_in_the_published_order():
-    # From RGB images taken for BGR, red would.
-    image = np.zeros((16, 16, 3), np.uint8)
-    image[:, :, 0], image[:, :, 2] = 5 * np.arange(16)[None], 5 * np.arange(16)[:, None]
-    assert encoded(image, **ONE_CELL).argmax() == 4  # 90 degrees, blue's
-
-
 def test_a_large_frame_is_resized_without_antialiasing_as_published_or_by_area():
     image = noise(64, 64)
     for offset in (1, 2):  # constant between the second and the third of every four pixels

@@ -71,15 +71,6 @@ def learnt(method, first, *more):
     return method
 
 
-@pytest.mark.parametrize("make", [SAD, HOG])
-def test_a_map_that_grew_answers_as_one_that_was_learnt_at_once(make):
-    grown = learnt(make(), 12, 13, 14, 19, 20)
-    at_once = make().fit(TRAVERSES, WORLD.places)
-    assert grown.query(QUERIES) == pytest.approx(at_once.query(QUERIES), rel=1e-6)
-    again = grown.fit(TRAVERSES, WORLD.places)
-    assert np.array_equal(again.query(QUERIES), at_once.query(QUERIES))
-
-
 @pytest.mark.parametrize("make", [SAD, HOG, lambda: VPRTempo(**TEMPO)])
 def test_new_places_follow_the_known_ones_without_a_gap_and_after_a_fit(make):
     new = np.flatnonzero(WORLD.places >= 15)

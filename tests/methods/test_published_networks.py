@@ -1,7 +1,6 @@
 """Every published network: its yaml, its published sizes, the contract, and what it sees of an image."""
 
 from copy import deepcopy
-from dataclasses import fields
 from functools import cache
 
 import cv2
@@ -42,24 +41,12 @@ NETWORKS = [  # but for the one whose weights a package brings
     if issubclass(entry.target(), NeuralDescriptor) and not name.startswith("efficientnet")
 ]
 
-#: Options in which a yaml departs from the defaults of its class.
-OWN = {
-    "salad_indoor": {"height": None, "width": None, "resize": "tensor"},
-    "gcl_whitened": {"n_components": 2048},
-    "mixvpr_128": {"n_dimensions": 128},
-    "mixvpr_512": {"n_dimensions": 512},
-}
-
 
 #: The files whose names follow from options.
 FILES = {
-    "conv_ap method.channels=128": "resnet50_ConvAP_128_2x2.ckpt",
-    "cosplace method.backbone=VGG16 method.n_dimensions=128": "VGG16_128_cosplace.pth",
-    "dinov2 method.backbone=vits14": "dinov2_vits14_pretrain.pth",
     "gcl method.backbone=resnext method.pooling=avg method.loss=CL": "MSLS_resnext_avg_480_CL.pth",
     "gcl_whitened": "MSLS_resnet152_GeM_480_GCL.pth",
     "mixvpr": "resnet50_MixVPR_4096_channels(1024)_rows(4).ckpt",
-    "mixvpr_128": "resnet50_MixVPR_128_channels(64)_rows(2).ckpt",
     "patch_netvlad": "mapillary_WPCA4096.pth.tar",
     "patch_netvlad method.configuration=speed": "mapillary_WPCA512.pth.tar",
 }
@@ -77,21 +64,15 @@ SIZES = {
     "cricavpr": (224, 10752, None),
     # But for the mask token
     "dinov2 method.backbone=vits14": (42, 384, 22_056_576 - 384),
-    "dinov2 method.backbone=vitb14": (42, 768, 86_580_480 - 768),
-    "dinov2 method.backbone=vitl14": (42, 1024, 304_368_640 - 1024),
     "dinov2 method.backbone=vitg14": (42, 1536, 1_136_480_768 - 1536),
     "gcl": (64, 2048, None),
     "megaloc": (126, 8448, pytest.approx(228.6e6, abs=0.1e6)),
     "mixvpr": (320, 4096, 9_829_696 + 1025 * 1024 + 401 * 4),
-    "mixvpr_512": (320, 512, 9_829_696 + 1025 * 256 + 401 * 2),
-    "mixvpr_128": (320, 128, 9_829_696 + 1025 * 64 + 401 * 2),
     "netvlad": (64, 4096, 149_002_048),
     "netvlad_msls": (64, 4096, 14_714_688 + 2 * 16 * 512 + 4096 * 8192 + 4096),
     "netvlad_pytorch": (64, 32768, 14_714_688 + 2 * 64 * 512),
     # The image and the patches of 8x8 positions
     "patch_netvlad": (128, 4096 * (1 + 49 + 16 + 1), 14_714_688 + 2 * 16 * 512 + 4096 * 8193),
-    "patch_netvlad method.configuration=speed": (128, 512 * (1 + 16), 14_714_688 + 2 * 16 * 512 + 512 * 8193),
-    "patch_netvlad method.configuration=storage": (128, 128 * (1 + 16), 14_714_688 + 2 * 16 * 512 + 128 * 8193),
     "salad": (126, 8448, None),
     "sfrs": (64, 4096, None),
     "supervlad": (56, 3072, None),
@@ -131,15 +112,6 @@ def test_a_method_keeps_the_contract_with_a_small_network_in_place_of_its_own(na
     (tmp_path / "there").touch()
     whitened = {"a batch gives what its single images give"}
     assert excepted(config, SmallNetwork()) == (whitened if name == "gcl_whitened" else set())
-
-
-@pytest.mark.parametrize("name", NETWORKS)
-def test_the_yaml_holds_the_arguments_of_the_class_and_their_defaults(name):
-    method = made(name)
-    own = [field.name for field in fields(method) if field.init]
-    plain = type(method)(**{option: getattr(method, option) for option in {"weights", "centres"} & set(own)})
-    departs = {option: value for option in own if (value := getattr(method, option)) != getattr(plain, option)}
-    assert "netvlad" in name or departs == OWN.get(name, {})
 
 
 @pytest.mark.parametrize("words", [*NETWORKS, *(words for words in FILES if " " in words)])

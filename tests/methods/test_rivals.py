@@ -7,9 +7,7 @@ from described_images import drawn_images
 from vprbench.api.images import Images
 from vprbench.methods.binary import mark_strongest
 from vprbench.methods.flyhash import FlyHash
-from vprbench.methods.gabor import Gabor
 from vprbench.methods.hyperdimensional import HyperDimensional
-from vprbench.methods.parts.filters.gabor import GaborBank
 from vprbench.methods.parts.filters.oriented import OrientedEdges
 from vprbench.methods.random_projection import RandomProjection
 from vprbench.methods.sad import SAD
@@ -101,11 +99,3 @@ VALUES = np.array([[[0.9, 0.1], [0.5, 0.0], [0.7, 0.3], [0.0, 0.2]]], np.float32
 )
 def test_bits_are_the_strongest_of_a_map_or_of_a_cell(within, shares, wanted):
     assert mark_strongest(VALUES, within, shares).astype(int).tolist() == [np.ravel(wanted).tolist()]
-
-
-def test_gabor_scores_are_cosines_of_codes_or_of_the_responses_as_they_are():
-    for normalised in (True, False):
-        rows = GaborBank()(FRAMES) if normalised else GaborBank().compute_responses(FRAMES).reshape(12, -1)
-        directions = rows.astype(np.float64) / np.linalg.norm(rows.astype(np.float64), axis=1, keepdims=True)
-        scores = Gabor(normalised=normalised).fit(FRAMES, np.arange(12)).query(FRAMES)
-        np.testing.assert_allclose(scores, directions @ directions.T, atol=1e-5)

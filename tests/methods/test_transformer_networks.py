@@ -66,7 +66,6 @@ SALAD = PublishedNetwork(
         tensors, "aggregator.", vit_tokens(tensors, "backbone.model.", imagenet(seen))[0]
     ),
     arguments=OWN_SIZE,
-    alike_in_half=0.995,
     options={"one patch more than clusters": ({}, image(28, 56), {})},
     refused=[("need more: set method.height and method.width to 42", {}, (14, 98))],
 )
@@ -312,7 +311,6 @@ BOQ = PublishedNetwork(
     DIM * ROWS,
     described_by_boq,
     arguments={"height": 42, "width": 56},
-    alike_in_half=0.998,
     refused=[("method.height=40", {"height": 40}, (64, 96))],
 )
 BOQ_RESNET = PublishedNetwork(

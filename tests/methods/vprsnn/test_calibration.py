@@ -4,8 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from little_vprsnn import WORLD, fitted, images, layers, lit, made, same
-from little_vprsnn import held_out as others
+from little_vprsnn import images, layers, lit, made
 
 from vprbench.api.dataset import HeldOut
 from vprbench.methods.vprsnn import query, training
@@ -127,25 +126,3 @@ def test_reactions_are_counted_over_all_places_once_whether_or_not_the_map_has_t
     alone = [0, 0] if in_map else [1, 1]
     assert found.state()["reactions"].tolist() == [[*alone, hyperactive, 0, 0, 0, 0]]
     assert chosen(calibrated(held_out(in_map), hyperactive_candidates=[0, hyperactive + 1])) == 0
-
-
-def test_calibration_changes_the_threshold_alone_by_reactions_to_first_traverse_and_held_out_places(monkeypatch):
-    seen, learn = [], training.train
-
-    def watch(*called):
-        seen.append(called[1].number)
-        return learn(*called)
-
-    monkeypatch.setattr(training, "train", watch)
-    before = fitted(hyperactive_candidates=[5])
-    state, codes = dict(before.state()), before.encode(images(WORLD.queries))
-    spikes = layers(before, codes)
-    after = before.calibrate(others())
-    assert after is before
-    assert len(set(seen)) == len(seen) == 3  # modules of held-out places have random numbers of their own
-    fires = layers(after, after.encode(images(WORLD.references[:5] + WORLD.references[10:20])))["excitatory"] > 0
-    assert len(set(fires.sum(axis=0).tolist())) > 3
-    assert same(after.state(), {**state, "threshold": np.array(5), "reactions": fires.sum(axis=0)[None]})
-    assert all(np.array_equal(counts, spikes[name]) for name, counts in layers(after, codes).items())
-    after.hyperactive_candidates = [0]
-    assert same(after.calibrate(others()).state(), state)  # it forgets the one before

@@ -4,7 +4,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from little_vprsnn import SMALL, WORLD, fitted, images, layers, lit, made, member, references, same
+from little_vprsnn import SMALL, WORLD, fitted, images, layers, member, references, same
 
 from vprbench.errors import BadInput
 from vprbench.methods.vprsnn.ensemble import VPRSNNEnsemble
@@ -56,26 +56,6 @@ def test_scores_are_the_sum_of_the_members_scores_and_spikes_those_of_the_first(
     less = expected - expected.min(axis=1, keepdims=True)
     together.probabilities = True
     assert together.match(codes) == pytest.approx(less / less.sum(axis=1, keepdims=True), rel=1e-5)
-
-
-def by_hand(*heard, **arguments):
-    """Return an ensemble of networks of two places whose neurons hear the inputs that are said."""
-    state = {
-        f"member_{number}.{name}": array
-        for number, own in enumerate(heard)
-        for name, array in made(own, [0, 1], 4).items()
-    }
-    method = VPRSNNEnsemble(height=2, width=2, n_excitatory=2, seeds=[*range(len(heard))], **arguments)
-    method.restore(state)
-    return method
-
-
-def test_a_query_is_no_match_only_where_all_members_are_silent():
-    # Pixel 0 drives a neuron of the first member, pixel 1 one of the second, pixel 3 nobody.
-    scores = by_hand([[0], []], [[], [1]]).match(lit(4, [0], [1], [0, 1], [3]))
-    assert (scores > 0).tolist() == [[True, False], [False, True], [True, True], [False, False]]
-    assert scores[:2].min(axis=1).tolist() == [0, 0]
-    assert np.isneginf(scores[3]).all()
 
 
 @pytest.mark.parametrize(

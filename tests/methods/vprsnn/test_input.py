@@ -37,12 +37,6 @@ def test_every_step_is_as_probable_whatever_the_step_before_and_the_neighbour_do
         assert int((one & other).sum()) == pytest.approx(wanted, abs=1.5 * spread)
 
 
-def test_spikes_come_in_the_order_of_their_steps_and_of_their_inputs():
-    train = drawn(np.random.default_rng(10).integers(0, 256, 784), 10)
-    order = train.step.astype(int) * 784 + train.source
-    assert (np.diff(order) > 0).all()
-
-
 def test_seeds_images_and_purposes_give_spikes_of_their_own_and_the_same_ones_again():
     image, other = np.random.default_rng(11).integers(0, 256, (2, 784), np.uint8)
 

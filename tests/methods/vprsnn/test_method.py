@@ -3,18 +3,12 @@
 import direct_vprsnn as direct
 import numpy as np
 import pytest
-import yaml
-from checkout import ROOT
 from little_vprsnn import SMALL, WORLD, fitted, images, layers, recorded_trains, references, same
 
 from vprbench.config import make_request
 from vprbench.errors import BadInput
-from vprbench.methods.vprsnn import scoring
-from vprbench.methods.vprsnn.arrays import Synapses
 from vprbench.methods.vprsnn.method import VPRSNN
-from vprbench.methods.vprsnn.model import Model, Module
-from vprbench.methods.vprsnn.scoring import Responses
-from vprbench.plugins.conformance import check_method
+from vprbench.methods.vprsnn.model import Model
 
 QUERIES = images(WORLD.queries)
 SHORT = {"presentation_ms": 120.0, "rest_ms": 30.0, "excitatory_start_mv": -80.0}
@@ -54,19 +48,6 @@ def test_the_answers_are_those_of_the_direct_simulation(carried, monkeypatch):
     assert found["input"].tolist() == [train.sum(axis=0).tolist() for train in trains[:4]]
 
 
-def test_an_asked_module_starts_as_published_and_relaxes_in_the_first_silence():
-    v = -105.0
-    for _ in range(5000):  # steps of 0.1 ms
-        v += (-65 - v) * 0.1 / 100
-    model = Model(height=1, width=3, n_excitatory=2)
-    synapses, theta = Synapses.of(model.draw_weights(0), model.draw_delays(0)), np.array([20.0, 21.0])
-    module = Module(model, synapses, theta, model.make_scratch(False), False)
-    assert module.now == 5000
-    assert module.state.v[:2] == pytest.approx(v)
-    assert module.state.theta[:2].tolist() == [20, 21]
-    assert not module.state.ge.any()
-
-
 def test_new_delays_are_not_those_of_the_training_and_fast_leaves_them_out_and_nothing_else(trained):
     same_again = VPRSNN(**SMALL, delays_at_query="trained").restore(trained.state())
     codes = trained.encode(QUERIES)
@@ -78,30 +59,8 @@ def test_new_delays_are_not_those_of_the_training_and_fast_leaves_them_out_and_n
     assert np.mean(fast.query(shown).argmax(1) == places) > 0.7
 
 
-def test_scores_are_those_of_the_spikes_and_of_what_each_neuron_speaks_for(trained):
-    codes, state = trained.encode(QUERIES), trained.state()
-    spikes = layers(trained, codes)["excitatory"].reshape(len(codes), 2, -1)
-    learnt = Responses(state["sums"], state["shown"], state["places"])
-    silenced = np.zeros(spikes.shape[1:], np.bool_)
-    expected = scoring.score_standard(spikes, scoring.assign_places(learnt), silenced, 10)
-    assert expected.max() > 1
-    assert np.array_equal(trained.match(codes), expected)
-    weighted = VPRSNN(**SMALL, assignment="weighted").restore(state)
-    of_weights = scoring.score_weighted(spikes, learnt, silenced, 10)
-    assert np.array_equal(weighted.match(codes), of_weights)
-    assert not np.allclose(of_weights, expected)
-
-
 def test_a_gpu_is_refused_to_a_method_without_an_argument_device():
     for name, fits in (("vprsnn", False), ("vprsnn_ensemble", False), ("vprtempo", True)):
         with pytest.raises(BadInput, match=r"device=cuda") as error:
             make_request([f"method={name}"], {"device": "cuda:999"}).require_machine()
         assert ("has no option device" in str(error.value)) is not fits
-
-
-@pytest.mark.extended
-def test_with_carried_potentials_batches_are_excepted():
-    config = {**yaml.safe_load((ROOT / "conf" / "method" / "vprsnn.yaml").read_text()), "seed": 0}
-    results = list(check_method({**config, **SMALL, "carried_potentials": True}, set(SMALL)))
-    assert [str(result) for result in results if result.state == "broken"] == []
-    assert sum(result.state == "excepted" for result in results) == 2  # a map that grows is too

@@ -57,17 +57,6 @@ def weighted_slowly(responses, learnt, silenced, n_places):
     return (shared @ (memory / total) * involved).astype(np.float32)
 
 
-def test_more_than_a_tenth_of_the_spikes_speak_for_a_place_and_are_divided_from_a_fiftieth_of_the_places_on():
-    sums = np.array([[[9, 1], [0, 0]], [[17, 2], [0, 0]]], np.float32)  # 1 of 10, 2 of 19
-    learnt = Responses(sums, np.full((2, 2), 10), np.array([[0, 1], [2, 3]]))
-    scores = scoring.score_weighted(np.array([[[1, 0], [1, 0]]]), learnt, np.zeros((2, 2), np.bool_), 1000)
-    assert scores[0, :4] == pytest.approx([9 / 10, 0, 17 / 19, 2 / 19], rel=1e-6)
-    learnt = Responses(np.array([[[90, 5, 5]]], np.float32), np.full((1, 3), 10), np.array([[7, 8, 9]]))
-    for n_places, divided in ((150, 1 / 3), (151, 1.0)):
-        score = scoring.score_weighted(np.array([[[1]]]), learnt, np.zeros((1, 1), np.bool_), n_places)[0, 7]
-        assert score == pytest.approx(divided * 0.9, rel=1e-6)
-
-
 @pytest.mark.parametrize("n_places", [23, 180])  # weighted: neurons of one place are divided, or those of four alone
 @pytest.mark.parametrize(
     ("seed", "n_queries", "block_cells"), [(0, 7, 1), (1, 7, 61), (3, 7, 1 << 20), (0, 0, 1 << 20)]

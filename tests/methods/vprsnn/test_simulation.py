@@ -1,6 +1,6 @@
 """The compiled simulation of VPRSNN equals the direct one, in spikes exactly; and what a presentation counts."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -123,16 +123,6 @@ def test_a_module_equals_the_direct_simulation_whatever_its_constants_delays_and
     assert run.counts.sum() > 5
 
 
-def test_neurons_that_all_fire_in_the_same_step_give_the_same():
-    given = Given.drawn(7, 10)
-    assert agreed(replace(given, theta=6.9)).excitatory[0].all()  # thresholds below the rest
-    alike = replace(given, weights=np.tile(given.weights[:, :1], 10), delays=np.tile(given.delays[:, :1], 10))
-    run = agreed(alike, weight_sum=16.0)
-    together = run.excitatory.sum(axis=1)
-    assert set(together.tolist()) == {0, 10}
-    assert run.excitatory[:, 0].sum() >= 8
-
-
 def test_the_last_step_of_a_presentation_and_of_its_rest_may_bring_a_spike():
     # Neurons below rest fire in steps 0, 501, 1002: the image ends after step 501, its rest after step 1002.
     values = Arguments(presentation_ms=50.2, rest_ms=50.1, theta_plus_mv=0.0)
@@ -142,12 +132,6 @@ def test_the_last_step_of_a_presentation_and_of_its_rest_may_bring_a_spike():
     run = agreed(given)
     assert np.flatnonzero(run.excitatory[:, 0]).tolist() == [501 * k for k in range(7)]
     assert run.counts[:, 0].tolist() == [2, 2, 2]
-
-
-def test_a_threshold_that_falls_quickly_is_reached_in_the_rest():
-    values = Arguments(presentation_ms=20.0, rest_ms=300.0, theta_tau_ms=100.0)
-    given = Given(np.full((1, 1), 0.3), np.zeros((1, 1), int), [silence(200, 1)] * 2, values)
-    assert agreed(given).counts[:, 0].tolist() == [0, 5]
 
 
 def test_a_threshold_is_a_limit_that_must_be_passed():

@@ -6,10 +6,8 @@ import direct_vprsnn as direct
 import numpy as np
 import pytest
 import torch
-from checkout import ROOT
 from little_vprsnn import SMALL, WORLD, fitted, held_out, images, recorded_trains, references, same
 
-from vprbench import progress
 from vprbench.methods.vprsnn import training
 from vprbench.methods.vprsnn.arrays import unpack_neurons
 from vprbench.methods.vprsnn.ensemble import VPRSNNEnsemble
@@ -17,8 +15,6 @@ from vprbench.methods.vprsnn.method import VPRSNN
 from vprbench.methods.vprsnn.model import Model
 from vprbench.methods.vprsnn.parallel import Stage, for_each_module
 from vprbench.methods.vprsnn.training import Lesson, make_lessons, split_places, train
-
-SUPPORT = ROOT / "tests" / "support"
 
 
 @pytest.fixture(autouse=True)
@@ -53,11 +49,6 @@ def published_order(n_test, n_calibration, seed):
 
 def split(n_places, **arguments):
     return [group.tolist() for group in split_places(n_places, Model(**arguments))]
-
-
-def test_contiguous_modules_take_places_along_the_route_and_the_last_takes_what_is_left():
-    assert split(7, places_per_module=3, seed=5) == [[0, 1, 2], [3, 4, 5], [6]]
-    assert split(4) == [[0, 1, 2, 3]]
 
 
 @pytest.mark.parametrize(("seed", "n_test", "n_calibration"), [(0, 375, 75), (40, 360, 0), (40, 53, 10)])
@@ -123,15 +114,6 @@ def test_initial_weights_are_uniform_from_the_offset_on_and_delays_rounded_to_th
     assert times[[0, 100]] == pytest.approx(1500, abs=200)  # half a step is nearest to each of them
 
 
-def test_a_module_learns_the_same_whether_or_not_others_follow_and_each_draws_differently():
-    alone, first = fitted(5).state(), fitted(10).state()
-    for name in ("weights", "theta", "sums", "shown", "places"):
-        assert np.array_equal(first[name][:1], alone[name])
-    twice = images([*WORLD.references[:5], *WORLD.references[:5]])
-    weights = VPRSNN(**SMALL).fit(twice, np.arange(10)).state()["weights"]
-    assert not np.allclose(weights[0], weights[1], rtol=0.1)
-
-
 def test_two_threads_train_and_answer_what_one_does():
     alone = fitted(15, epochs=2)
     codes = alone.encode(images(WORLD.queries))
@@ -141,18 +123,6 @@ def test_two_threads_train_and_answer_what_one_does():
     assert same(alone.state(), together.state())
     assert np.array_equal(together.match(codes), expected)
     assert for_each_module(lambda module, tell: module**2, 20, Stage("squares")) == [n**2 for n in range(20)]
-
-
-def test_the_progress_rises_from_nothing_to_all_and_a_part_goes_on_where_the_one_before_ended():
-    told = []
-    with progress.send_reports_to(lambda stage, done: told.append((stage, done))):
-        fitted(15, epochs=1)
-        for_each_module(lambda module, tell: tell(1.0), 3, Stage("reactions", 0.5, 1.0).part(0.25, 0.75))
-    shares = [done for stage, done in told if stage == "training"]
-    assert shares == sorted(shares)
-    assert (shares[0], shares[-1]) == (0.0, 1.0)
-    part = [done for stage, done in told if stage == "reactions"]
-    assert (part[0], part[-1]) == (0.625, 0.875)
 
 
 @pytest.fixture

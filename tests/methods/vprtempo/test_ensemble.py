@@ -5,7 +5,7 @@ from typing import get_args
 import numpy as np
 import pytest
 import torch
-from tempo_networks import QUERIES, REFERENCES, RULE_SETS, SMALL, WORLD, fitted
+from tempo_networks import QUERIES, REFERENCES, RULE_SETS, SMALL, fitted
 
 from vprbench.errors import BadInput
 from vprbench.methods.vprtempo.arguments import Engine
@@ -55,14 +55,10 @@ def test_each_member_is_to_the_bit_the_network_that_vprtempo_trains_from_its_see
 
 @RULE_SETS
 @pytest.mark.parametrize("members", [1, 3])
-def test_the_scores_are_the_mean_of_those_of_the_members_also_when_restored(rules, members):
+def test_the_scores_are_the_mean_of_those_of_the_members(rules, members):
     trained = ensemble(members, rules=rules, seed=1)
     expected = np.mean([alone(1 + n, rules=rules).query(QUERIES).astype(np.float64) for n in range(members)], axis=0)
     assert trained.query(QUERIES) == pytest.approx(expected, abs=1e-6)
-    assert np.mean(trained.query(REFERENCES).argmax(1) == WORLD.places) > 0.5
-    restored = empty(members, rules=rules).restore(trained.state())
-    assert same(restored.state(), trained.state())
-    assert np.array_equal(restored.query(QUERIES), trained.query(QUERIES))
     if members == 1:
         assert np.array_equal(trained.query(QUERIES), alone(1, rules=rules).query(QUERIES))
         assert same(trained.state(), alone(1, rules=rules).state())

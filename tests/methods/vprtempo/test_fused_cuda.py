@@ -16,9 +16,8 @@ import numpy as np
 import pytest
 import torch
 
-from vprbench.errors import TrainingDivergedError
 from vprbench.methods.vprtempo import fused, training
-from vprbench.methods.vprtempo.layer import Layer, draw_layer, ramp_rates
+from vprbench.methods.vprtempo.layer import draw_layer, ramp_rates
 from vprbench.methods.vprtempo.rules import RULES, RuleSet
 from vprbench.methods.vprtempo.training import Training, draw_schedule
 
@@ -54,13 +53,13 @@ CASES = {
     "at the limits": Case(strength=300.0),
 }
 FEW, MANY = "few steps per launch", "many neurons"
-OVERFLOWING = [f"an overflowing learning rate, {rules}" for rules in RULES]
+OVERFLOWING = "an overflowing learning rate"
 # A step of both modules holds 2 * 36 values in the feature layer and 2 * (36 + 30) in the output layer.
 ALL = {
     **CASES,
     FEW: Case(steps_per_launch=7, values_held=5 * 132),
     MANY: Case(sizes=(40, 40, 20), n_pixels=100, n_features=300),
-    **{name: Case(rules, stdp=1e38) for name, rules in zip(OVERFLOWING, RULES, strict=True)},
+    OVERFLOWING: Case(stdp=1e38),
 }
 
 
@@ -162,33 +161,7 @@ def test_launches_of_few_steps_change_nothing_are_reported_and_leave_no_number_h
         assert distance(by_triton(FEW)[0][part], by_triton("paper")[0][part]) <= ROUNDING
     assert by_triton(FEW)[1] == [step / 16 for step in (7, 14, 16, 5, 10, 15, 16)]
     for layer in ("features", "outputs"):
-        assert not bool(torch.isfinite(by_triton(OVERFLOWING[0])[0][f"{layer} inhibition"]).all())
-
-
-@pytest.mark.parametrize("name", OVERFLOWING)
-@pytest.mark.parametrize("engine", [fused, training], ids=["fused", "readable"])
-def test_weights_that_are_no_numbers_stay_visible(engine, name):
-    for layer in ("features", "outputs"):
-        found = {part: by(engine, name)[f"{layer} {part}"] for part in ("excitation", "inhibition", "thresholds")}
-        whole = Layer(found["excitation"], found["inhibition"], found["thresholds"], found["thresholds"])
-        with pytest.raises(TrainingDivergedError, match=layer):
-            training.check_weights(whole, layer)
-
-
-@pytest.mark.parametrize("one_sign", [False, True])
-def test_inhibition_that_a_step_took_away_comes_back_at_its_least(one_sign):
-    rules = replace(RULES["paper"], one_sign_per_synapse=one_sign, homeostasis_gain=1000.0)
-    found = []
-    for engine in (fused, training):
-        generators = [torch.Generator().manual_seed(11)]
-        layer = draw_layer(generators, [30], 36, (0.1, 0.5), 0.5, 0.0, RULES["paper"])
-        layer.excitation.zero_()  # nothing ever fires: of each step homeostasis alone is left
-        order = draw_schedule(generators, [6], np.tile(np.arange(6), 2), 4, rules)
-        lesson = Training(spikes(Case()), ramp_rates(30, 0.2, 0.9), rules, 0.005, 0.0, 0.005)
-        engine.train_features(layer, order, lesson, lambda _: None)
-        found.append(layer.inhibition)
-    torch.testing.assert_close(*found, rtol=1e-3, atol=0)
-    assert float(found[1].max()) < 1e-5
+        assert not bool(torch.isfinite(by_triton(OVERFLOWING)[0][f"{layer} inhibition"]).all())
 
 
 if __name__ == "__main__":

@@ -2,17 +2,11 @@
 
 import numpy as np
 import pytest
-from little import a_run as little_run
-from small_plan import RUN
-from tempo_networks import QUERIES, SIZES, SMALL, double, fitted, network, one_layer, shown
+from tempo_networks import QUERIES, SIZES, SMALL, double, fitted, network, shown
 
-from vprbench.cli import main
 from vprbench.errors import BadInput
 from vprbench.methods.vprtempo.latencies import LatencyQuery, VPRTempoLatencies
 from vprbench.methods.vprtempo.rules import PAPER
-from vprbench.report.figures.spikes import draw_raster
-from vprbench.report.selection import MethodRuns
-from vprbench.runs.store import Store
 
 
 def simulated(asked, pixels, steps):
@@ -44,25 +38,6 @@ def test_an_answer_is_that_of_a_simulation_of_single_neurons_where_the_query_end
         assert found == pytest.approx(states[ends[0]], abs=1e-5)
 
 
-# Features repeat two pixels; the first leads to places 0 and 2, the second to place 1.
-RIVALS = one_layer(np.array([[0.5, 0.0, 0.4], [0.0, 0.9, 0.0]]))
-PIXELS = np.array([[0.9, 0.5], [0.5, 0.9], [0.0, 0.0]], np.float32)  # the last query spikes nowhere
-
-
-@pytest.mark.parametrize(
-    ("lead", "answers", "features"),
-    [
-        (None, [1, 1], [[0.9, 0.54], [0.54, 0.9], [0, 0]]),
-        (0.1, [0, 1], [[0.9, 0], [0, 0.9], [0, 0]]),  # 0.45 and 0.36; 0.81 alone
-        (0.3, [1, 1], [[0.9, 0.54], [0, 0.9], [0, 0]]),  # the weaker spikes in step 5: 0.486 and 0.45
-    ],
-)
-def test_a_query_ends_once_a_place_is_ahead_by_a_share(lead, answers, features):
-    query = LatencyQuery(RIVALS, PAPER, 10, lead)
-    assert query.scores(PIXELS)[:2].argmax(1).tolist() == answers
-    assert query.layers(PIXELS)[0] == pytest.approx(np.array(features), abs=1e-6)
-
-
 def test_a_network_of_vprtempo_answers_in_time_with_larger_amplitudes_earlier_in_the_cycle_of_their_layer():
     tempo, codes = fitted(), fitted().encode(QUERIES)
     for given in ({"steps": 3}, {"lead": 0.0}, {"query_rule": "linear"}, {"calibrated_scores": True}):
@@ -84,15 +59,3 @@ def test_a_network_of_vprtempo_answers_in_time_with_larger_amplitudes_earlier_in
     answered = outputs.values.any(1)
     assert answered.any()
     assert (outputs.times[answered, outputs.values.argmax(1)[answered]] == 21).all()  # the first step of its cycle
-
-
-@pytest.mark.extended
-def test_a_run_keeps_spike_times_which_a_raster_draws(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    options = ["method.max_module=12", "method.steps=8", "dataset.places=12", "dataset.first_query_place=0", *RUN]
-    assert main(["method=vprtempo_latencies", *options]) == 0
-    (run,) = Store(tmp_path / "results").runs()
-    rows = [MethodRuns("without", (little_run(),)), MethodRuns("in time", (run,))]
-    dots = [panel.collections[0].get_offsets() for panel in draw_raster(rows).figure.axes]
-    cycles = [np.ceil(np.asarray(each)[:, 0] / 8) for each in dots]
-    assert [set(cycle.tolist()) for cycle in cycles] == [{1}, {2}, {3}]

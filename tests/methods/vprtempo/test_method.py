@@ -1,6 +1,6 @@
 """VPRTempo as a method: its modules, arguments, seeds and refusals, and what it reads of a frame."""
 
-from dataclasses import fields, replace
+from dataclasses import fields
 from functools import cache
 from typing import get_args, get_type_hints
 
@@ -16,7 +16,7 @@ from vprbench.errors import BadInput, NotFittedError, TrainingDivergedError
 from vprbench.methods.parts.filters.patches import PatchNormalisation
 from vprbench.methods.vprtempo.encoding import make_spikes
 from vprbench.methods.vprtempo.method import VPRTempo
-from vprbench.methods.vprtempo.rules import PAPER, RULES, V1, QueryRule, Rules, RuleSet
+from vprbench.methods.vprtempo.rules import PAPER, V1, QueryRule, Rules
 
 
 @cache
@@ -47,16 +47,6 @@ def another_value(name):
     if isinstance(said, str):
         return next(option for option in get_args(get_type_hints(Rules)[name]) if option != said)
     return said + 1
-
-
-def test_an_argument_replaces_the_one_choice_of_its_name_and_none_leaves_the_rules_as_they_are():
-    for rules in get_args(RuleSet):
-        assert VPRTempo(rules=rules).choose_rules() == RULES[rules]
-    for name in CHOICES:
-        value = another_value(name)
-        assert VPRTempo(rules="paper", **{name: value}).choose_rules() == replace(PAPER, **{name: value})
-    choices = {name: getattr(V1, name) for name in CHOICES}
-    assert np.array_equal(scores_of(rules="paper", **choices), scores_of(rules="v1"))
 
 
 OTHER_VALUES = {
@@ -167,11 +157,10 @@ def learnt(encoding, kind=VPRTempo, **arguments):
 
 @ENCODINGS
 @pytest.mark.parametrize("query_rule", get_args(QueryRule))
-def test_both_engines_learn_the_same_and_find_the_places(encoding, query_rule):
+def test_both_engines_learn_the_same(encoding, query_rule):
     fused, readable = (learnt(encoding, query_rule=query_rule, engine=engine) for engine in ("fused", "readable"))
     scores = fused.query(QUERIES)
     assert scores == pytest.approx(readable.query(QUERIES), abs=2e-3 * float(np.abs(scores).max()))
-    assert np.mean(fused.query(REFERENCES).argmax(1) == WORLD.places) > 0.5
 
 
 @ENCODINGS
@@ -181,7 +170,5 @@ def test_spikes_begin_with_the_input_and_another_input_is_refused_on_restoring(e
     assert [layer.name for layer in layers] == ["input", "feature", "output"]
     assert np.array_equal(layers[0].values, method.encode(QUERIES))
     assert layers[0].values.shape[1] == n_inputs
-    restored = VPRTempo(**INPUTS[encoding]).restore(method.state())
-    assert np.array_equal(restored.query(QUERIES), method.query(QUERIES))
     with pytest.raises(BadInput, match=rf"reads {n_inputs} inputs, not the 144 of method\.encoding=patches"):
         VPRTempo(**SMALL).restore(method.state())
