@@ -17,12 +17,14 @@ from stored_runs import run
 
 from vprbench.api.arithmetic import Arithmetic
 from vprbench.cli import main
+from vprbench.errors import BadInput
 from vprbench.metrics import catalogue
 from vprbench.metrics.accuracy import average_precision, pr_curve_multi
-from vprbench.metrics.catalogue import METRICS, Metric
+from vprbench.metrics.catalogue import METRICS, Metric, average_metric
 from vprbench.report.table import formats
 from vprbench.report.table.quantities import list_quantities
 from vprbench.runs.energy import count_synops, estimate_joules
+from vprbench.runs.recall_intervals import estimate_interval
 
 
 def unanswerable(answers):
@@ -112,6 +114,15 @@ def test_a_metric_without_values_per_query_is_in_the_table_in_its_unit_and_never
     (line, *_) = [line for line in csv.DictReader(io.StringIO(formats.to_csv(made))) if line["quantity"] == "ep"]
     assert (line["unit"], line["value"]) == ("", "1.0")
     assert lost.explained in formats.to_markdown(made)
+
+
+def test_a_metric_whose_values_per_query_are_no_shares_is_refused_by_name_before_any_interval():
+    ranks = average_metric(
+        "mean_rank", "Mean rank", lambda answers, ties: answers.outcome.above + 1.0, "of all", unit=""
+    )
+    for compute in (ranks.of, lambda answers: estimate_interval([answers], ranks)):
+        with pytest.raises(BadInput, match=r"mean_rank.* 1 to 8.*per_query"):
+            compute(a_run())
 
 
 def test_an_unknown_metric_is_told_with_its_neighbours(capfd):

@@ -63,6 +63,20 @@ class Metric:
         """Return its meaning and which way is better, in one sentence."""
         return f"{self.words}: {self.meaning}; {'higher' if self.higher_is_better else 'lower'} is better."
 
+    def list_values(self, answers: Answers, ties: Ties = "expected") -> Values:
+        """Return the value of each query, (n_queries,), from 0 to 1.
+
+        Raises BadInput for values beyond, of which no interval of shares is right, ValueError without `per_query`.
+        """
+        if self.per_query is None:
+            raise ValueError(f"{self.name} has no value per query")
+        values = self.per_query(answers, ties)
+        if not ((values >= 0) & (values <= 1)).all():
+            ends = f"{values.min():g} to {values.max():g}"
+            remedy = "scale them, or make a Metric of the whole run, without per_query"
+            raise BadInput(f"metric {self.name}: its values per query run from {ends}, wanted 0 to 1: {remedy}")
+        return values
+
     def shown(self, value: float) -> float:
         """Return a stored value in the unit that people read."""
         if self.cost is not None:
@@ -88,9 +102,10 @@ def average_metric(
     """
 
     def average(answers: Answers) -> float | None:
-        return float(per_query(answers, "expected").mean()) if answers.outcome.answerable.any() else None
+        return float(metric.list_values(answers).mean()) if answers.outcome.answerable.any() else None
 
-    return Metric(name, words, average, meaning, per_query=per_query, **written)
+    metric = Metric(name, words, average, meaning, per_query=per_query, **written)
+    return metric
 
 
 @cache

@@ -55,11 +55,9 @@ def list_hits(run: Run, ties: Ties = "expected") -> Values:
 def list_values(run: Run, metric: Metric, ties: Ties = "expected") -> Values:
     """Return the value of a metric for each query, (n_queries,), in the order of the journey.
 
-    Raises ValueError for a metric without values per query.
+    Raises what `Metric.list_values` raises.
     """
-    if metric.per_query is None:
-        raise ValueError(f"{metric.name} has no value per query")
-    return metric.per_query(run, ties)[order_along_journey(run)]
+    return metric.list_values(run, ties)[order_along_journey(run)]
 
 
 def order_along_journey(run: Run) -> npt.NDArray[np.int64]:
