@@ -106,12 +106,13 @@ def _compare_all(codes: Levels, references: Levels) -> Scores:
     codes = np.ascontiguousarray(codes)
     similarity = np.empty((len(codes), n_references), np.float32)
     worth = len(codes) * references.size // _WORTH_A_THREAD
-    in_shares(
-        lambda own: _compare(codes, references, own.start, own.stop, similarity),
-        n_references,
-        min(torch.get_num_threads(), worth),
-        _SHARES,
-    )
+    n_threads = min(torch.get_num_threads(), worth)
+    if n_threads > 1:
+        in_shares(
+            lambda own: _compare(codes, references, own.start, own.stop, similarity), n_references, n_threads, _SHARES
+        )
+    else:
+        _compare(codes, references, 0, n_references, similarity)
     return similarity
 
 
