@@ -1,6 +1,7 @@
 """No test reaches for the internet or for what a person keeps of runs, and none leaves large files behind."""
 
 import os
+import signal
 import tempfile
 from itertools import count
 
@@ -12,6 +13,7 @@ os.environ["VPRBENCH_OFFLINE"] = "1"
 EMPTY = tempfile.TemporaryDirectory(prefix="vprbench-tests-")
 for name in ("VPRBENCH_WEIGHTS", "VPRBENCH_DATA", "VPRBENCH_SLOT", "HYPOTHESIS_STORAGE_DIRECTORY"):
     os.environ[name] = tempfile.mkdtemp(dir=EMPTY.name)
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell lets what runs in its background ignore it
 PARTIAL = "VPRBENCH_PARTIAL"
 NUMBERS = count()
 
