@@ -12,7 +12,7 @@ from vprbench.metrics.ranking import outcome, ranked_places
 from vprbench.metrics.sequences import Filter, Sequences
 from vprbench.runs import answers
 from vprbench.runs.get_or_run import get_or_run
-from vprbench.runs.sequences import NoScoresError, apply_sequences, name_views, parse_views
+from vprbench.runs.sequences import NoScoresError, apply_sequences, format_view_suffix, parse_views
 from vprbench.runs.store import Store
 from vprbench.runs.views import list_shown_queries, select_queries
 
@@ -133,4 +133,4 @@ BRIDGED = {"velocities": (0.8, 1), "gaps": "bridge"}
 )
 def test_options_in_words_and_the_names_of_their_files(options, wanted, name):
     assert [view.keywords["options"] for view in parse_views(*options)] == wanted
-    assert name_views(parse_views(*options)) == name
+    assert format_view_suffix(parse_views(*options)) == name

@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+import pwd
 import shutil
 import sys
 from collections import Counter
@@ -11,7 +12,7 @@ import pytest
 
 from vprbench.errors import BadInput
 from vprbench.storage import hashes
-from vprbench.storage.hashes import hash_each_file
+from vprbench.storage.hashes import find_hashes_folder, hash_each_file
 
 EMPTY = "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855"  # of the standard, FIPS 180-4
 ABC = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
@@ -104,3 +105,19 @@ def test_a_damaged_file_of_hashes_is_made_anew_and_no_folder_needed(tmp_path, fo
     shutil.rmtree(folder)
     folder.write_bytes(b"")  # takes no hashes
     assert are_right(paths)
+
+
+def test_a_user_without_name_and_home_has_to_name_the_folder(monkeypatch):
+    def unknown(_):
+        raise KeyError("uid not found")
+
+    monkeypatch.setattr(pwd, "getpwuid", unknown)  # as in many a container
+    for name in ("HOME", "XDG_CACHE_HOME", "VPRBENCH_HASHES"):
+        monkeypatch.delenv(name, raising=False)
+    with pytest.raises(BadInput, match="HOME, or VPRBENCH_HASHES"):
+        find_hashes_folder()
+    monkeypatch.setenv("VPRBENCH_HASHES", "~/kept")
+    with pytest.raises(BadInput, match="VPRBENCH_HASHES=~/kept"):
+        find_hashes_folder()
+    monkeypatch.setenv("VPRBENCH_HASHES", "kept")
+    assert find_hashes_folder() == Path("kept")

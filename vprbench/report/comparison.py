@@ -36,7 +36,7 @@ from vprbench.runs.identity import compute_fingerprint
 from vprbench.runs.predictions import require_depth, tabulate_predictions, write_csv
 from vprbench.runs.request import OPTIONS
 from vprbench.runs.rows import describe_sequence
-from vprbench.runs.sequences import name_views, parse_views
+from vprbench.runs.sequences import format_view_suffix, parse_views
 from vprbench.runs.store import Store
 from vprbench.runs.viewpoints import parse_viewpoints, record_viewpoints
 from vprbench.storage.atomic import replace_text
@@ -255,7 +255,7 @@ def write_comparison(
 
     column, images = found.plan.columns[0], found.runs[0].fingerprint
     beside_others, name = not name, name or column.title
-    name += "-views" * (column.views is not None) + name_views(found.plan.views)
+    name += "-views" * (column.views is not None) + format_view_suffix(found.plan.views)
     if beside_others and not _read_earlier(folder / f"{name}-runs.csv")["fingerprint"].map(images.startswith).all():
         name = f"{name}-{images[:6]}"
     replaced = {*_read_earlier(folder / f"{name}-runs.csv")["method"]} - {format_label(run) for run in found.runs}

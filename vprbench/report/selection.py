@@ -12,7 +12,7 @@ from vprbench.report.plan import Column, Row
 from vprbench.runs.machine import Machine
 from vprbench.runs.record import Failure, Run
 from vprbench.runs.rows import format_value
-from vprbench.runs.sequences import NoScoresError, Views, name_views
+from vprbench.runs.sequences import NoScoresError, Views, format_view_suffix
 from vprbench.runs.viewpoints import parse_viewpoints
 
 Device = Literal["cpu", "cuda"]
@@ -225,7 +225,9 @@ def apply_views(groups: Sequence[DatasetRuns], rows: Sequence[Row], views: Seque
                 except NoScoresError as error:
                     failures.append(Failure(run.method, run.dataset, run.config, str(error), run.environment, True))
                     lacking.append(error)
-            of_views.append(replace(group, runs=tuple(shown), failures=tuple(failures), view=name_views([view])[1:]))
+            of_views.append(
+                replace(group, runs=tuple(shown), failures=tuple(failures), view=format_view_suffix([view])[1:])
+            )
         found += [one for one in of_views if one.runs] or [replace(of_views[0], view="")]
     if lacking and not any(group.runs for group in found):
         raise lacking[0]

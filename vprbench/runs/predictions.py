@@ -12,7 +12,7 @@ from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
 from vprbench.errors import BadInput
 from vprbench.runs.record import Run
-from vprbench.runs.sequences import name_views
+from vprbench.runs.sequences import format_view_suffix
 from vprbench.runs.views import list_shown_queries
 from vprbench.storage.atomic import replace_bytes
 
@@ -61,7 +61,7 @@ def write_predictions(run: Run, name: str, request: RunRequest, dataset: Dataset
     """
     if request.predictions is None:
         return []
-    shown = {name_views([view]): view(run) for view in request.list_views()} or {"": run}
+    shown = {format_view_suffix([view]): view(run) for view in request.list_views()} or {"": run}
     start = Path(request.results).expanduser() / f"{dataset.name}-{name}"
     return [
         write_csv(tabulate_predictions(one, request.predictions, dataset), Path(f"{start}{ending}-predictions.csv"))

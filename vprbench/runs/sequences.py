@@ -110,7 +110,7 @@ def parse_views(sequence: Any, filter: Any = None) -> tuple[Views, ...]:
     return tuple(found)
 
 
-def name_views(views: Iterable[Views]) -> str:
+def format_view_suffix(views: Iterable[Views]) -> str:
     """Return the ending of names of files of some views: -sequence-2-4, -sequence-4-window=centred, -filter-ahead=3."""
     options = [view.keywords["options"] for view in views if isinstance(view, partial)]
     lengths = [str(one.length) for one in options if isinstance(one, Sequences)]

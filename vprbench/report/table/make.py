@@ -12,7 +12,7 @@ from vprbench.report.run_options import TableRequest
 from vprbench.report.table import formats
 from vprbench.report.table.cells import Report
 from vprbench.runs import frame
-from vprbench.runs.sequences import name_views, parse_views
+from vprbench.runs.sequences import format_view_suffix, parse_views
 from vprbench.runs.store import Store
 from vprbench.storage.atomic import replace_text
 from vprbench.terminal.console import make_console
@@ -60,7 +60,7 @@ def write_table(found: Report, folder: Path, name: str) -> list[Path]:
 def file_name(request: TableRequest) -> str:
     """Return what the files are called: the columns, where some were asked for."""
     default = "-".join(request.columns) if request.columns else "table"
-    seen = "-views" * (request.views is not None) + name_views(parse_views(request.sequence, request.filter))
+    seen = "-views" * (request.views is not None) + format_view_suffix(parse_views(request.sequence, request.filter))
     return request.name or default + seen
 
 
