@@ -23,7 +23,7 @@ from vprbench.plugins import nir_files
 from vprbench.storage.atomic import remove_leftovers, replace_bytes
 from vprbench.storage.hashes import hash_file
 from vprbench.storage.tensors import Arrays, require_plain_numbers
-from vprbench.text import join_names
+from vprbench.text import format_seconds, join_names
 
 _SUFFIXES, _PUBLISHED = (".safetensors", nir_files.SUFFIX), ".pth"  # of stored networks, of published ones
 _METADATA = "vprbench"  # the entry of a file's metadata that holds the origin of its network, as JSON
@@ -153,7 +153,7 @@ def load_network(path: Path, method: Method, wanted: Origin) -> tuple[str, ...]:
         if differences := _list_differences(origin, wanted, method):
             remedy = "give what it was trained with and on, or train anew without load="
             raise BadInput(f"{path} holds another network than this run needs: {'; '.join(differences)}; {remedy}")
-        note = f"loaded network: run {origin.run} trained it in {origin.fit_seconds:.1f} s"
+        note = f"loaded network: run {origin.run} trained it in {format_seconds(origin.fit_seconds)} s"
     try:
         method.restore(state)
     except BadInput as error:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from vprbench.runs.scorers import QueryScorer
+from vprbench.text import format_percent, format_seconds, format_three_digits
 
 if TYPE_CHECKING:
     from vprbench.runs.record import Run
@@ -63,18 +64,20 @@ def note_measurements(run: Run) -> Iterator[Note]:
     """Yield notes on a run's machine, rates and index."""
     slowdown, waited = run.environment["canary_slowdown"], run.environment["cpu_waited_percent"]
     if abs(slowdown - 1) > _NOISE:
-        yield Note("noisy", f"noisy: a fixed computation took {slowdown:.2f} times as long afterwards as before")
+        times = format_three_digits(slowdown)
+        yield Note("noisy", f"noisy: a fixed computation took {times} times as long afterwards as before")
     if waited is not None and waited > _BUSY:
-        yield Note("noisy", f"noisy: processes waited for a core in {waited:.0f} % of the time")
+        yield Note("noisy", f"noisy: processes waited for a core in {format_percent(waited / 100, 0)} % of the time")
     if not run.environment.get("fitted_alone", True):
         yield Note("fitted", "fitted beside other runs, which made it slower")
     if run.timing is not None:
         yield from _note_rates(run, run.timing)
     if run.search is not None and run.search["index"] != "exact":
         again = f", the best {run.search['rerank']} compared again" if run.search["rerank"] else ""
-        first, ten = (100 * run.search[f"recall_at_{n}"] for n in (1, 10))
-        text = f"{first:.1f} % of the exactly best places found, {ten:.1f} % of the best 10"
-        size = f"{run.search['bytes_per_place']:,} bytes a place, built in {run.search['build_seconds']:.1f} s"
+        first, ten = (format_percent(run.search[f"recall_at_{n}"]) for n in (1, 10))
+        text = f"{first} % of the exactly best places found, {ten} % of the best 10"
+        built = format_seconds(run.search["build_seconds"])
+        size = f"{run.search['bytes_per_place']:,} bytes a place, built in {built} s"
         yield Note("index", f"index {run.search['index']}{again}: {text}; {size}")
 
 

@@ -20,6 +20,7 @@ from vprbench.runs.record import Run
 from vprbench.runs.scorers import choose_block_size
 from vprbench.runs.stopwatch import Stopwatch, make_synchroniser
 from vprbench.terminal.console import format_table
+from vprbench.text import NOTHING, format_three_digits
 
 if TYPE_CHECKING:
     from vprbench.runs.experiment import Experiment
@@ -99,7 +100,7 @@ def format_stops(run: Run) -> str:
     for stop in stops:
         recall, low, high, of_first = (percent(stop[f"recall_at_1{end}"]) for end in ("", "_low", "_high", "_of_first"))
         times = (stop["seconds_a_place"], stop["most_seconds_a_place"])
-        milliseconds = ["-" if seconds is None else f"{1000 * seconds:.2f}" for seconds in times]
+        milliseconds = [NOTHING if seconds is None else format_three_digits(1000 * seconds) for seconds in times]
         rows.append([f"{stop['places']:,}", recall, f"[{low}, {high}]", of_first, *milliseconds])
     rows.append([f"{run.outcome.n_places:,} at once", percent(METRICS["recall_at_1"].of(run)), *[""] * 4])
     first = f"of the first {stops[0]['places']:,}"

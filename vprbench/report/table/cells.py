@@ -25,7 +25,7 @@ from vprbench.runs.notes import DISTURBED
 from vprbench.runs.recall_intervals import estimate_interval
 from vprbench.runs.record import Failure, Run
 from vprbench.runs.tuned import all_without_tuning_places, describe_tuning, overlaps_tuning_places
-from vprbench.text import NOTHING, format_spread
+from vprbench.text import NOTHING, format_percent, format_spread
 
 #: The columns of the frame of cells. Numbers are in the unit of the quantity; an absent one is None.
 FACTS = (
@@ -235,7 +235,7 @@ def _list_remarks(entry: _Entry, quantity: Quantity, runs: Sequence[Run]) -> Ite
     recalls = [recall for run in runs if (recall := recall_at(run.outcome, 1))] if quantity.name == RECALL.name else []
     if any(recall.hangs_on_ties for recall in recalls):
         low, high = mean(each.pessimistic for each in recalls), mean(each.optimistic for each in recalls)
-        yield f"ties: R@1 {100 * low:.1f} to {100 * high:.1f} %"
+        yield f"ties: R@1 {format_percent(low)} to {format_percent(high)} %"
     for note in (note for run in runs for note in run.notes):
         if quantity.kind in _SHOWN_BY.get(note.kind, ("accuracy",)):
             yield note.text
