@@ -39,7 +39,7 @@ def test_a_run_records_and_says_how_good_its_index_is_what_is_compared_again_and
     assert np.isneginf(run.scores).sum(1).tolist() == [280] * 300
     _, found, (note,) = searching("hnsw", neighbours=5)
     assert found["recall_at_10"] == pytest.approx(0.5, abs=0.02)  # 5 of the best 10
-    parts = r"index hnsw: (100\.0|9\d\.\d) % .*, (50\.0|4\d\.\d) % of the best 10; 3\d\d bytes a place, .* \d\.\d+ s"
+    parts = r"index hnsw: (100\.0|9\d\.\d) % .*, (50\.0|4\d\.\d) % of the best 10; 3\d\d bytes a place, .* [\d.]+ s"
     assert re.fullmatch(parts, note)
     run, found, (note,) = searching("binary", rerank=40)
     assert (found["rerank"], found["bytes_per_place"]) == (40, 8)  # 16 bits in a word
