@@ -19,7 +19,7 @@ from vprbench.datasets.folders import folders
 from vprbench.datasets.image_list import image_list
 from vprbench.datasets.utm_folders import utm_folders
 from vprbench.datasets.vpr_bench import vpr_bench
-from vprbench.report import comparison
+from vprbench.report.report import Report
 
 PLACES, QUERIES = 7, 5
 NONE = {"ground_truth": "none"}
@@ -81,14 +81,14 @@ def asked(references, queries):
 def test_a_comparison_ranks_nothing_and_draws_no_accuracy(drives, capsys, monkeypatch, tmp_path):
     given = []
     install(monkeypatch, tmp_path)
-    monkeypatch.setattr(comparison, "write_comparison", lambda *each: given.append(each) or [])
+    monkeypatch.setattr(Report, "write", lambda one, *_: given.append(one) or [])
     assert main(["compare", "methods=sad,hog", "metrics=[f1_max]", *drives]) == 0
     shown = capsys.readouterr().out
     assert all(word not in shown for word in ("R@", "AUC", "F1", "wrong", "miss"))
-    found, best = given[0][0], given[0][-1]
+    found, best = given[0], given[0].predictions()
     assert {quantity.kind for quantity in found.quantities} == {"fit", "rate", "memory"}
     assert best["right"].isna().all()
-    names = [name for name, _ in comparison.draw_all(found)]
+    names = [*found.drawings]
     assert not any(part in name for name in names for part in ("recall", "precision", "similarity", "rate-", "frames"))
     assert main(["compare", "methods=sad", *drives, "corruptions=blur-1"]) == 2
 

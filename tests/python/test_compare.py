@@ -8,6 +8,7 @@ from little import Lookup, Prototypes, journey
 
 import vprbench
 from vprbench.api import BadInput, MissingData
+from vprbench.python.comparison import report_results
 
 
 @pytest.fixture(autouse=True)
@@ -73,8 +74,7 @@ def test_a_method_that_was_tuned_on_places_of_the_dataset_has_its_recall_on_the_
     assert given.table["elsewhere"].isna().all()
     other, best = (replace(result.run, dataset="synthetic") for result in given.results)
     tuned = replace(best, tuned_on={"dataset": "synthetic", "places": "0-9"})  # 14 of 24 hits are on 20 other places
-    results = (replace(result, run=run) for result, run in zip(given.results, (other, tuned), strict=True))
-    shown = replace(given, results=tuple(results))
+    shown = report_results([replace(one, run=run) for one, run in zip(given.results, (other, tuned), strict=True)])
     assert shown.table["elsewhere"].tolist() == [pytest.approx(0.7), pytest.approx(np.nan, nan_ok=True)]
     assert shown.table["elsewhere_low"][0] < 0.7 < shown.table["elsewhere_high"][0]
     assert "elsewhere 70.0 [" in shown.to_markdown()

@@ -3,6 +3,7 @@
 from stored_runs import PUBLISHED, RAIL, ROWS, run
 
 from vprbench.report.plan import Plan
+from vprbench.report.report import Report
 from vprbench.report.selection import group_runs_by_column, title_groups
 from vprbench.report.table.cells import tabulate
 from vprbench.report.table.quantities import QUANTITIES
@@ -13,7 +14,9 @@ NAMES = ("recall_at_1", "train_cpu", "query_cpu", "train_gpu", "query_gpu")
 def table(runs=(), failures=(), rows=ROWS, asked=(RAIL,), slow=False, quantities=QUANTITIES, title=None):
     published = None if title else PUBLISHED
     plan = Plan(rows=tuple(rows), columns=tuple(asked), published=published, full=not slow, title=title)
-    return tabulate(plan, [*title_groups(group_runs_by_column(runs, failures, asked, rows))], quantities)
+    groups = (*title_groups(group_runs_by_column(runs, failures, asked, rows)),)
+    cells = tabulate(plan, groups, quantities)._asdict()
+    return Report(plan=plan, groups=groups, quantities=quantities, **cells)
 
 
 def cell(made, row, quantity, column="railway"):

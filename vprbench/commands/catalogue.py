@@ -227,22 +227,25 @@ def _parse_table(options: list[str]) -> tuple[TableRequest, list[str]]:
 
 def figures(options: list[str]) -> int:
     """Draw the figures of the runs that a results folder holds; nothing is run."""
-    from vprbench.report.figures.make import print_figures
     from vprbench.report.folder import read_report
+    from vprbench.report.missing_runs import resolve_results_folder
     from vprbench.report.run_options import FolderRequest
 
-    print_figures(read_report(parse_options(FolderRequest, options, {})))
+    request = parse_options(FolderRequest, options, {})
+    folder = resolve_results_folder(request.results) / "figures"
+    print("written to", *read_report(request).write_figures(folder), sep="\n  ")
     return 0
 
 
 def report(options: list[str]) -> int:
     """Write one page on the runs that a results folder holds, with a browser of failures; nothing is run."""
     from vprbench.report.folder import read_report
-    from vprbench.report.page.make import print_page
+    from vprbench.report.missing_runs import resolve_results_folder
     from vprbench.report.run_options import FolderRequest
 
     request = parse_options(FolderRequest, options, {})
-    print_page(read_report(request), request.name or "report")
+    path = resolve_results_folder(request.results) / f"{request.name or 'report'}.html"
+    print(f"written to {read_report(request).write_page(path)}")
     return 0
 
 

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import logging
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
-
-import pandas as pd
 
 from vprbench.api.dataset import Dataset
 from vprbench.config import make_request, split_sweep
@@ -19,32 +15,23 @@ from vprbench.jobs.executors import choose_executor
 from vprbench.plugins import registry
 from vprbench.plugins.options import parse_options
 from vprbench.progress import show_progress
-from vprbench.report.figures.make import draw_all, write_figures
 from vprbench.report.gather import assemble_report, list_cells, load_stored_runs
 from vprbench.report.missing_runs import Cell, make_missing_runs, resolve_results_folder
-from vprbench.report.page.make import write_page
 from vprbench.report.plan import Column, Plan, Row
-from vprbench.report.robustness import Robustness, format_markdown, list_lines, measure_robustness
+from vprbench.report.robustness import list_lines, measure_robustness
 from vprbench.report.run_options import CompareRequest
 from vprbench.report.selection import describe_condition, group_runs_by_column, list_method_runs
 from vprbench.report.table import formats
-from vprbench.report.table.cells import Report
-from vprbench.report.table.make import choose_exit_code, write_table
+from vprbench.report.table.make import choose_exit_code
 from vprbench.runs.corruption import corrupt_queries, parse_corruptions
-from vprbench.runs.frame import format_label
 from vprbench.runs.identity import compute_fingerprint
-from vprbench.runs.predictions import require_depth, tabulate_predictions, write_csv
+from vprbench.runs.predictions import require_depth
 from vprbench.runs.request import OPTIONS
-from vprbench.runs.rows import describe_sequence
-from vprbench.runs.sequences import format_view_suffix, parse_views
+from vprbench.runs.sequences import parse_views
 from vprbench.runs.store import Store
 from vprbench.runs.viewpoints import parse_viewpoints, record_viewpoints
-from vprbench.storage.atomic import replace_text
 from vprbench.terminal.console import format_line, show_table
 from vprbench.terminal.streams import complain
-from vprbench.text import join_names
-
-logger = logging.getLogger(__name__)
 
 
 def make_comparison(options: Sequence[str]) -> int:
@@ -65,17 +52,16 @@ def make_comparison(options: Sequence[str]) -> int:
         results = make_missing_runs(cells, Store(resolve_results_folder(plan.results)), executor)
     groups = group_runs_by_column(*load_stored_runs(plan), plan.columns, plan.rows)
     clean, *corrupted = (group for group in groups if group.number == 1)
-    compared = assemble_report(plan, [clean], clean.runs, results)
+    compared = assemble_report(plan, [clean], clean.runs, results, dataset)
     print(formats.to_terminal(compared, request.wide))
-    robust = None
     if corrupted:
         of_clean, *of_each = (list_method_runs(group, compared.plan.rows) for group in (clean, *corrupted))
         robust = measure_robustness(of_clean, dict(zip(parse_corruptions(request.corruptions), of_each, strict=True)))
+        compared = replace(compared, robustness=robust)
         table = list_lines(robust)
         show_table([*table[0]], [[*line.values()] for line in table], request.wide)
         print()
-    best = predict_places(compared, dataset, request.predictions)
-    files = write_comparison(compared, Path(request.results).expanduser(), request.name or "", robust, best)
+    files = compared.write(request.results, request.name or "", request.predictions)
     print("written to", *files, sep="\n  ")
     return choose_exit_code(results)
 
@@ -214,75 +200,3 @@ def _list_missing(plan: Plan, of_runs: Sequence[str]) -> list[Cell]:
         together = replace(clean, corruption=[str(column.corruption) for column in corrupted])
         cells += list_cells(replace(plan, devices=plan.devices[:1]), together, plan.rows, untimed)
     return cells
-
-
-def predict_places(compared: Report, dataset: Dataset | None, n: int | None) -> pd.DataFrame | None:
-    """Return the best `n` places of each query by every run that is shown, 10 if None; None if `n` is 0.
-
-    The `dataset` names the images, None leaves them out. `method`, `seed` and `answers` (the view that is shown, or
-    empty) stand before the columns of `predictions`.
-    """
-    if n == 0:
-        return None
-    tables = []
-    for group in compared.groups:
-        for one in list_method_runs(group, compared.plan.rows):
-            for run in one.runs:
-                table = tabulate_predictions(run, min(n or 10, run.top_places.shape[1]), dataset)
-                about = {"method": one.name, "seed": run.config["seed"], "answers": describe_sequence(run)}
-                tables.append(pd.concat([pd.DataFrame(about, index=table.index), table], axis=1))
-    return pd.concat(tables, ignore_index=True)
-
-
-def write_comparison(
-    found: Report,
-    folder: Path,
-    name: str = "",
-    robust: Robustness | None = None,
-    best: pd.DataFrame | None = None,
-) -> list[Path]:
-    """Write the table, its runs, figures and page of a comparison into a folder; returns the files.
-
-    Args:
-        found: the report of the comparison.
-        folder: made if need be.
-        name: of the files; empty: that of the dataset, with the hash of frames and ground truth if files of others
-            have it.
-        robust: R@1 under corruptions.
-        best: the best places of each query.
-    """
-    from vprbench.report.figures.accuracy import draw_robustness
-
-    column, images = found.plan.columns[0], found.runs[0].fingerprint
-    beside_others, name = not name, name or column.title
-    name += "-views" * (column.views is not None) + format_view_suffix(found.plan.views)
-    if beside_others and not _read_earlier(folder / f"{name}-runs.csv")["fingerprint"].map(images.startswith).all():
-        name = f"{name}-{images[:6]}"
-    replaced = {*_read_earlier(folder / f"{name}-runs.csv")["method"]} - {format_label(run) for run in found.runs}
-    if replaced:
-        logger.warning(
-            "%s: the earlier comparison with %s makes room: name=NAME keeps both", name, join_names(replaced)
-        )
-    files = write_table(found, folder, name)
-    if best is not None:
-        files.append(write_csv(best, folder / f"{name}-predictions.csv"))
-    if robust is not None:
-        table = robust.points.to_csv(index=False, lineterminator="\n")
-        for ending, text in (("md", format_markdown(robust, found.plan.heading)), ("csv", table)):
-            files.append(folder / f"{name}-robustness.{ending}")
-            replace_text(files[-1], text)
-    absent: list[str] = []
-    with show_progress("compare, figures"):
-        drawings = list(draw_all(found, absent.append))
-        if robust is not None:
-            drawings.append((f"robustness-{column.name}", draw_robustness(robust)))
-        *_, captions = write_figures(drawings, folder / "figures" / name)
-        for path in captions.parent.glob("*.p[dn][fg]"):  # of an earlier comparison of this name
-            if path.stem not in dict(drawings):
-                path.unlink()
-    return [*files, captions, write_page(found, drawings, folder / f"{name}.html", absent)]
-
-
-def _read_earlier(path: Path) -> pd.DataFrame:
-    """Return the runs of an earlier comparison whose files have this name; without any no line."""
-    return pd.read_csv(path, dtype=str) if path.is_file() else pd.DataFrame(columns=["method", "fingerprint"])

@@ -9,11 +9,10 @@ from vprbench.errors import BadInput
 from vprbench.report.gather import assemble_report, load_stored_runs
 from vprbench.report.missing_runs import resolve_results_folder
 from vprbench.report.plan import Column, Plan, Row
+from vprbench.report.report import Report
 from vprbench.report.run_options import FolderRequest
 from vprbench.report.selection import format_plain_values, group_runs_by_column
 from vprbench.report.table import formats
-from vprbench.report.table.cells import Report
-from vprbench.report.table.make import write_table
 from vprbench.runs.frame import format_label
 from vprbench.runs.record import Failure, Run
 from vprbench.runs.request import RunRequest
@@ -57,7 +56,7 @@ def print_sweep(keys: Collection[str], request: RunRequest) -> None:
     if any(run.config.get("corruption") is None for run in runs):
         found = report_runs(runs, (), "sweep", request.results, request.metrics, views=views)
         print(f"\n{formats.to_terminal(found, request.wide)}")
-        print("written to", *write_table(found, resolve_results_folder(request.results), "sweep"), sep="\n  ")
+        print("written to", *found.write_table(resolve_results_folder(request.results), "sweep"), sep="\n  ")
 
 
 def report_runs(

@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from vprbench.api.dataset import Dataset
 from vprbench.config import make_request
 from vprbench.errors import BadInput
 from vprbench.jobs.executors import Executor
@@ -18,9 +19,10 @@ from vprbench.plugins import registry
 from vprbench.report.missing_runs import Cell, make_missing_runs, resolve_results_folder
 from vprbench.report.plan import PLAN_FILE, Column, Plan, PlanFile, Row, add_plug_ins, flatten_arguments, read_plan
 from vprbench.report.ranking import rank_rows
+from vprbench.report.report import Report
 from vprbench.report.run_options import ShowOptions, TableRequest
 from vprbench.report.selection import DatasetRuns, apply_views, group_runs_by_column, list_method_runs, title_groups
-from vprbench.report.table.cells import Report, tabulate
+from vprbench.report.table.cells import tabulate
 from vprbench.report.table.quantities import drop_accuracies, list_comparison_quantities, list_quantities
 from vprbench.runs.record import Failure, Run
 from vprbench.runs.sequences import parse_views
@@ -113,7 +115,11 @@ def load_stored_runs(request: ShowOptions | Plan) -> tuple[list[Run], list[Failu
 
 
 def assemble_report(
-    plan: Plan, groups: Sequence[DatasetRuns], runs: Sequence[Run], results: Sequence[JobResult] = ()
+    plan: Plan,
+    groups: Sequence[DatasetRuns],
+    runs: Sequence[Run],
+    results: Sequence[JobResult] = (),
+    dataset: Dataset | None = None,
 ) -> Report:
     """Put groups of runs, in the views that the plan names, into the table; raises BadInput if they hold none.
 
@@ -136,7 +142,15 @@ def assemble_report(
         quantities = list_comparison_quantities(plan.metrics, plan.devices)
         if not any(run.is_judged for group in groups for run in group.runs):
             quantities = drop_accuracies(quantities)
-    return tabulate(plan, found, quantities, runs=tuple(runs), job_results=tuple(results))
+    return Report(
+        plan=plan,
+        groups=tuple(found),
+        quantities=quantities,
+        runs=tuple(runs),
+        job_results=tuple(results),
+        dataset=dataset,
+        **tabulate(plan, found, quantities)._asdict(),
+    )
 
 
 def _find_row(plan: PlanFile, name: str) -> Row:

@@ -11,7 +11,7 @@ from quick_runs import quick_runs
 from small_plan import install, quick_figures
 
 from vprbench.cli import main
-from vprbench.report import comparison
+from vprbench.report.report import Report
 from vprbench.runs.store import Store
 
 ASKED = ["compare", "timing=none", "threads=1", "name=mine"]
@@ -46,7 +46,7 @@ def compared(tmp_path_factory):
 @pytest.fixture
 def apart(compared, monkeypatch):
     """Stand in the folder of the comparison, with nothing to be written; returns what stands in for processes."""
-    monkeypatch.setattr(comparison, "write_comparison", lambda *_: [])
+    monkeypatch.setattr(Report, "write", lambda *_: [])
     return install(monkeypatch, compared[0])
 
 
@@ -91,7 +91,12 @@ def test_the_best_ten_places_of_each_query_are_written_for_every_run_or_as_many_
     assert names[1::2] == [(f"{place}.png", f"{place}.png") for place in range(1, 24, 2)]  # the others are noise
     assert {line["right"] for line in of_sad[1::2]} == {"True"}
     given = []
-    monkeypatch.setattr(comparison, "write_comparison", lambda *each: given.append(each[-1]) or [])
+
+    def write(report, folder, name, n):
+        given.append(None if n == 0 else report.predictions(n))
+        return []
+
+    monkeypatch.setattr(Report, "write", write)
     for number in ("0", "2"):
         assert main([*ASKED, *METHODS, *dataset(Path()), "stored=true", f"predictions={number}"]) == 0
     assert (given[0], len(given[1])) == (None, 3 * 24 * 2)
@@ -150,7 +155,7 @@ def test_a_sequence_says_of_runs_without_scores_what_to_do(apart, capsys, tmp_pa
     other.prepare()
     for run in Store(Path("results")).runs():
         other.save(replace(run, scores=None if run.method == "sad" else run.scores))
-    monkeypatch.setattr(comparison, "make_missing_runs", lambda *_: [])
+    monkeypatch.setattr("vprbench.report.comparison.make_missing_runs", lambda *_: [])
     asked = [*dataset(Path()), "sequence=3", f"results={tmp_path}"]
     assert main([*ASKED, *METHODS, *asked]) == 0
     shown = capsys.readouterr().out

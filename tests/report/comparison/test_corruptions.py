@@ -10,7 +10,7 @@ from small_plan import install, quick_figures
 import vprbench
 from vprbench.cli import main
 from vprbench.metrics.accuracy import recall_at
-from vprbench.report import comparison
+from vprbench.report.report import Report
 from vprbench.runs.store import Store
 
 pytestmark = pytest.mark.extended
@@ -76,7 +76,7 @@ def test_what_is_stored_is_found_by_all_commands_and_clean_frames_are_compared_a
     apart, monkeypatch, capsys
 ):
     shown = []
-    monkeypatch.setattr(comparison, "write_comparison", lambda one, *_: shown.append(one) or [])
+    monkeypatch.setattr(Report, "write", lambda one, *_: shown.append(one) or [])
     for more in [], ["stored=true"]:
         assert main([*ASKED, UNDER, *more]) == 0
         assert "noise ±5" in capsys.readouterr().out

@@ -43,7 +43,7 @@ def test_any_two_methods_of_a_figure_look_different_and_those_of_the_paper_the_s
 
 @pytest.mark.extended
 def test_a_figure_has_its_width_and_the_same_bytes_whatever_a_reader_set_and_its_caption_is_no_markup(tmp_path):
-    pdf, captions = write_figures([("three", drawing())], tmp_path)
+    pdf, captions = write_figures({"three": drawing()}, tmp_path)
     written = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     assert {*written} == {pdf.name, captions.name, "three.png"} == {"three.pdf", "captions.md", "three.png"}
     assert b"&lt;script&gt;a \\*made-up\\* method&lt;/script&gt;" in written["captions.md"]
@@ -55,7 +55,7 @@ def test_a_figure_has_its_width_and_the_same_bytes_whatever_a_reader_set_and_its
     assert float(box[2]) == pytest.approx(88 / 25.4 * 72, abs=1)
     settings = dict(matplotlib.rcParams)
     with matplotlib.rc_context({"font.size": 20, "axes.facecolor": "black", "savefig.dpi": 50}):
-        assert [*write_figures([("three", drawing())], tmp_path)] == [pdf, captions]
+        assert [*write_figures({"three": drawing()}, tmp_path)] == [pdf, captions]
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == written
     assert dict(matplotlib.rcParams) == settings
 

@@ -157,4 +157,4 @@ def test_the_order_of_a_store_changes_nothing():
     for order in (runs[::-1], runs[4:] + runs[:4]):
         other = table(order, failures[::-1])
         assert_frame_equal(other.cells, first.cells)
-        assert replace(other, cells=None) == replace(first, cells=None)
+        assert (other.to_markdown(), other.groups, other.n_aside) == (first.to_markdown(), first.groups, first.n_aside)

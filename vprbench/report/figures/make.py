@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +13,9 @@ from vprbench.metrics.catalogue import METRICS
 from vprbench.report.figures import accuracy, growth, pictures, speed, spikes, style, tradeoff
 from vprbench.report.figures.style import Drawing
 from vprbench.report.missing_runs import resolve_results_folder
+from vprbench.report.report import Report
 from vprbench.report.selection import DatasetRuns, MethodRuns, group_runs_by_column, list_method_runs
 from vprbench.report.table.best import average_recall
-from vprbench.report.table.cells import Report
 from vprbench.report.table.formats import escape_markdown
 from vprbench.runs.thumbnails import Thumbnails, load_thumbnails
 from vprbench.storage.atomic import remove_leftovers, replace_bytes, replace_text
@@ -25,19 +25,12 @@ logger = logging.getLogger(__name__)
 FigureCall = tuple[Any, ...]  # the name of the files, the function that draws, and its arguments
 
 
-def print_figures(found: Report) -> None:
-    """Draw all figures of a report under its results folder, and print the files."""
-    folder = Path(found.plan.results).expanduser() / "figures"
-    for path in write_figures(draw_all(found), folder):
-        print(f"{path} and .png" if path.suffix == ".pdf" else f"what each shows: {path}")
-
-
-def write_figures(drawings: Iterable[tuple[str, Drawing]], folder: Path) -> Iterator[Path]:
+def write_figures(drawings: Mapping[str, Drawing], folder: Path) -> Iterator[Path]:
     """Write figures as PDF and PNG into a folder, and at last their captions; yields each PDF, then the captions."""
     folder.mkdir(parents=True, exist_ok=True)
     remove_leftovers(folder)
     captions = ["# Captions\n"]
-    for name, drawing in drawings:
+    for name, drawing in drawings.items():
         replace_bytes(folder / f"{name}.png", style.render_png(drawing))
         replace_bytes(folder / f"{name}.pdf", style.render_pdf(drawing))
         captions.append(f"**{escape_markdown(name)}.** {escape_markdown(drawing.caption)}\n")

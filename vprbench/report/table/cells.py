@@ -8,17 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from statistics import mean, stdev
-from typing import Any
+from typing import Any, NamedTuple
 
 import pandas as pd
 
-from vprbench.jobs.job import JobResult
 from vprbench.metrics.accuracy import recall_at
 from vprbench.report.plan import Plan, Row
-from vprbench.report.ranking import Ranking, rank_rows
-from vprbench.report.selection import DEVICES, DatasetRuns, Device, MethodRuns, list_method_runs, select_row_runs
+from vprbench.report.selection import DEVICES, DatasetRuns, Device, MethodRuns, select_row_runs
 from vprbench.report.table.quantities import RECALL, TIMES, Quantity
 from vprbench.runs.frame import tabulate_with_records
 from vprbench.runs.notes import DISTURBED
@@ -65,24 +62,13 @@ _SHOWN_BY = {
 }
 
 
-@dataclass(frozen=True, kw_only=True)
-class Report:
-    """The content of a table in every format, and the runs behind it, its figures and its page."""
+class Cells(NamedTuple):
+    """The cells of a table with their notes and machines: fields of a `Report`."""
 
-    plan: Plan
-    groups: tuple[DatasetRuns, ...]  # the columns
-    quantities: tuple[Quantity, ...]
     cells: pd.DataFrame  # a line for each row, column and quantity: `FACTS` and `TEXTS`
     notes: tuple[str, ...]  # remarks on cells; note n is notes[n - 1]
     machines: tuple[str, ...]  # one line each
-    n_aside: int  # stored runs of its rows that it does not show
-    runs: tuple[Run, ...] = ()  # all that are stored
-    job_results: tuple[JobResult, ...] = ()  # of the runs that were tried now
-
-    @cached_property
-    def rankings(self) -> list[Ranking]:
-        """The rows of each group that has runs, the best first, and the results of tests on them."""
-        return [rank_rows(list_method_runs(group, self.plan.rows)) for group in self.groups if group.runs]
+    n_aside: int  # stored runs of the rows that the table does not show
 
 
 @dataclass(frozen=True)
@@ -103,11 +89,8 @@ class _Entry:
         return facts[facts[quantity.fact].notna()] if quantity.kind in TIMES else facts
 
 
-def tabulate(plan: Plan, groups: Sequence[DatasetRuns], quantities: tuple[Quantity, ...], **more: Any) -> Report:
-    """Return the table of a plan's rows, a group of columns for each group of runs, one for each of the quantities.
-
-    `more` are the further fields of the report.
-    """
+def tabulate(plan: Plan, groups: Sequence[DatasetRuns], quantities: Sequence[Quantity]) -> Cells:
+    """Return the cells of a plan's rows, a group of columns for each group of runs, one for each of the quantities."""
     metrics = [quantity.name for quantity in quantities if quantity.metric]
     made: list[dict[str, Any]] = []
     n_aside = 0
@@ -129,8 +112,7 @@ def tabulate(plan: Plan, groups: Sequence[DatasetRuns], quantities: tuple[Quanti
     made.sort(key=lambda cell: names.index(cell["row"]))
     notes, machines = _number_notes_and_machines(made)
     frame = pd.DataFrame(made, columns=[*FACTS, *TEXTS], dtype=object)
-    parts = {"notes": notes, "machines": machines, "n_aside": n_aside, **more}
-    return Report(plan=plan, groups=tuple(groups), quantities=quantities, cells=frame, **parts)
+    return Cells(frame, notes, machines, n_aside)
 
 
 def _find_best(entries: Sequence[_Entry], quantity: Quantity) -> str | None:

@@ -7,17 +7,20 @@ import unicodedata
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from html import escape
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
 from vprbench.report.selection import DatasetRuns
-from vprbench.report.table.cells import FACTS, Report
+from vprbench.report.table.cells import FACTS
 from vprbench.report.table.quantities import RATES, RECALL, TRAINING, TRAINING_TIME
 from vprbench.runs.frame import iterate_rows
 from vprbench.runs.recall_intervals import METHOD
 from vprbench.terminal.console import format_line, format_table
 from vprbench.text import NOTHING, format_count
+
+if TYPE_CHECKING:
+    from vprbench.report.report import Report
 
 _IN_LATEX = str.maketrans(
     {

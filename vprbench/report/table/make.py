@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
 from vprbench.jobs.executors import choose_executor
 from vprbench.jobs.job import JobResult
 from vprbench.report.gather import make_report, resolve_plan
+from vprbench.report.missing_runs import resolve_results_folder
 from vprbench.report.run_options import TableRequest
 from vprbench.report.table import formats
-from vprbench.report.table.cells import Report
-from vprbench.runs import frame
 from vprbench.runs.sequences import format_view_suffix, parse_views
-from vprbench.runs.store import Store
-from vprbench.storage.atomic import replace_text
 from vprbench.terminal.console import make_console
 
 
@@ -23,9 +19,6 @@ def make_table(request: TableRequest, options: Sequence[str]) -> int:
 
     Figures and page follow where the request has them. The runs of growth are made for the figures alone.
     """
-    from vprbench.report.figures.make import print_figures  # takes long
-    from vprbench.report.page.make import print_page
-
     plan = resolve_plan(request)
     with choose_executor(request) as executor:
         found = make_report(plan, options, executor, request.figures)
@@ -33,28 +26,13 @@ def make_table(request: TableRequest, options: Sequence[str]) -> int:
     printed = formats.to_terminal(found, request.wide) if is_narrow else formats.to_markdown(found)
     print(printed, end="", flush=True)  # first: it is there to be read even where nothing is written
     name = file_name(request)
-    written = write_table(found, Path(request.results).expanduser(), name)
-    print(f"\nwritten to {', '.join(str(path) for path in written)}", flush=True)
+    folder = resolve_results_folder(request.results)
+    print("\nwritten to", *found.write_table(folder, name), sep="\n  ", flush=True)
     if request.figures:
-        print_figures(found)
+        print(*found.write_figures(folder / "figures"), sep="\n  ", flush=True)
     if request.page:
-        print_page(found, "report" if name == "table" else f"report-{name}")
+        print(found.write_page(folder / f"{'report' if name == 'table' else f'report-{name}'}.html"), flush=True)
     return choose_exit_code(found.job_results)
-
-
-def write_table(found: Report, folder: Path, name: str) -> list[Path]:
-    """Write the table in its three formats, and all numbers of the runs behind it; returns the files."""
-    Store(folder).prepare()
-    runs = [run for group in found.groups for run in group.runs]
-    texts = {
-        f"{name}.md": formats.to_markdown(found),
-        f"{name}.csv": formats.to_csv(found),
-        f"{name}.tex": formats.to_latex(found),
-        f"{name}-runs.csv": frame.format_csv(runs, found.plan.metrics),
-    }
-    for file, text in texts.items():
-        replace_text(folder / file, text)
-    return [folder / file for file in texts]
 
 
 def file_name(request: TableRequest) -> str:
