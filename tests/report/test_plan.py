@@ -166,11 +166,14 @@ def test_a_plug_in_that_takes_a_name_or_means_nothing_is_refused(content, names,
     ("method", "seeds", "training", "asked"),
     [
         ("hog", (0,), "map", ("hog", {})),
+        ("random_projection", (0, 1, 2), "map", ("random_projection", {})),
         ("vprsnn_all_neurons", (0, 1, 2), "own", ("vprsnn", {"hyperactive_threshold": 0})),
         ("vprsnn_ensemble", (0, 1, 2), "own", ("vprsnn_ensemble", {})),
     ],
 )
-def test_a_method_on_request_is_a_run_a_seed_where_it_learns_from_one(method, seeds, training, asked):
+def test_a_method_on_request_runs_once_a_seed_if_it_takes_one_and_its_yaml_says_whether_it_trains(
+    method, seeds, training, asked
+):
     here = chosen(rows=["VPRSNN"], methods=[method], columns=["nordland_64x32"], full=True)
     runs = of_last_row(here)
     assert (here.rows[-1].training, tuple(run.request.seed for run in runs)) == (training, seeds)

@@ -184,8 +184,8 @@ def _make_row(name: str, options: Sequence[str], request: CompareRequest) -> Row
                 raise
     entry = registry.find_entries("method")[name]
     own = [option.removeprefix("method.") for option in options if option.startswith("method.")]
-    seeds = tuple(range(request.seeds)) if "seed" in entry.options else None
-    return Row.of_method(" ".join([name, *own]), name, seeds, spiking="spiking" in entry.tags, arguments=run.changed)
+    seeds = tuple(range(request.seeds)) if "seed" in entry.options else (run.seed,)
+    return Row(" ".join([name, *own]), name, spiking="spiking" in entry.tags, arguments=run.changed, seeds=seeds)
 
 
 def _list_missing(plan: Plan, of_runs: Sequence[str]) -> list[Cell]:

@@ -109,12 +109,7 @@ def _describe_rows(results: Iterable[Run | Failure]) -> tuple[Row, ...]:
         first, label = of_row[0], format_label(of_row[0])
         seeds = tuple(sorted({int(result.config["seed"]) for result in of_row}))
         name = label if label not in rows else f"{label} ({sum(each.startswith(label) for each in rows) + 1})"
-        rows[name] = Row.of_method(
-            name,
-            first.method,
-            seeds if "seed" in first.config["method"] else None,
-            seeds[0],
-            spiking=any(isinstance(result, Run) and result.spikes is not None for result in of_row),
-            arguments=first.config["changed"],
-        )
+        spiking = any(isinstance(result, Run) and result.spikes is not None for result in of_row)
+        arguments, draws = first.config["changed"], "seed" in first.config["method"]
+        rows[name] = Row(name, first.method, spiking=spiking, arguments=arguments, seeds=seeds if draws else seeds[:1])
     return tuple(rows.values())

@@ -156,8 +156,8 @@ def assemble_report(
 def _find_row(plan: PlanFile, name: str) -> Row:
     """Return a row of the plan, or one for a method; raises BadInput for an unknown name.
 
-    A method that the plan has under its own name, and no arguments, is that row. Another one that takes a seed learns
-    from it: it trains, and gets the plan's seeds.
+    A method that the plan has under its own name, and no arguments, is that row. Another one that takes a seed gets the
+    plan's seeds; its yaml says by the tag `trains` that its `fit` trains.
     """
     planned, entries = {**plan.rows, **plan.more_rows}, registry.find_entries("method")
     if name in planned:
@@ -166,7 +166,9 @@ def _find_row(plan: PlanFile, name: str) -> Row:
         if row.method == name and not row.arguments:
             return row
     _require_known("methods", name, [*plan.more_rows, *entries])
-    return Row.of_method(name, name, plan.seeds if "seed" in entries[name].options else None)
+    entry = entries[name]
+    seeds = plan.seeds if "seed" in entry.options else (0,)
+    return Row(name, name, training="own" if "trains" in entry.tags else "map", seeds=seeds)
 
 
 def _choose_columns(plan: PlanFile, request: TableRequest) -> list[str]:

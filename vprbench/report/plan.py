@@ -43,11 +43,6 @@ class Row:
     most_places: int | None = None  # with more it takes too long for a table; None: any number
     seeds_unless_full: int | None = None  # the first so many of `seeds` unless slow rows are to run in full; None: all
 
-    @classmethod
-    def of_method(cls, name: str, method: str, seeds: tuple[int, ...] | None, seed: int = 0, **more: Any) -> Row:
-        """Return the row of a method that learns from `seeds`; None: it takes none, and its run has this `seed`."""
-        return cls(name, method, training="map" if seeds is None else "own", seeds=seeds or (seed,), **more)
-
     @property
     def learns_here(self) -> bool:
         """Tell whether there is a time in which it learns the map, by training or without."""
