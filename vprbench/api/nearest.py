@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ _FIRST = 1 << 14  # images of a block that bound what the others have to exceed
 _FEW_QUERIES = 3  # that are faster compared one by one: a product of matrices first rearranges the references
 
 
+@cache
 def import_faiss() -> Any:
     """Import faiss, quietly, and return it; it is slow to import, so only an index that needs faiss imports it.
 
