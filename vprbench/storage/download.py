@@ -88,7 +88,7 @@ def _download(
     except (requests.RequestException, gdown.FileURLRetrievalError, gdown.DownloadError) as error:
         if "did not honor" in str(error):  # the server does not continue this part
             shutil.rmtree(whole.parent)
-        return f"gives no file ({' '.join(str(error).split()).partition('. ')[0]})"
+        return f"gives no file ({_find_cause(error)})"
     with whole.open("rb") as content:
         start = content.read(512).lstrip(b"\xef\xbb\xbf \t\r\n").lower()
     came = whole.stat().st_size
@@ -99,3 +99,11 @@ def _download(
     if sha256 and digest.hexdigest() != sha256.lower():
         return f"gave a file with SHA-256 {digest.hexdigest()}, expected {sha256}"
     return None
+
+
+def _find_cause(error: BaseException) -> str:
+    """Return the words of the system's error that an error of a library goes back to, else its own first sentence."""
+    deepest = error
+    while cause := deepest.__cause__ or deepest.__context__:
+        deepest = cause
+    return getattr(deepest, "strerror", None) or " ".join(str(error).split()).partition(". ")[0]
