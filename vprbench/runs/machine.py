@@ -98,15 +98,13 @@ def classify_device(device: str) -> str:
     return f"{kind} {read_processor_name() if kind == 'cpu' else _find_accelerator(device)}"
 
 
-def format_software(environment: Mapping[str, Any]) -> str:
-    """Return libraries, source and time in one line."""
-    git = environment["git"]
-    libraries = ", ".join(f"{name} {version or 'missing'}" for name, version in environment["libraries"].items())
-    source = "no checkout" if git is None else f"{git['commit']}{', changed' * git['changed']}"
-    return (
-        f"python {environment['python']}, vprbench {environment['vprbench']}, {libraries}. Source: {source}. "
-        f"{environment['time_utc']}."
-    )
+def format_versions(environment: Mapping[str, Any]) -> str:
+    """Return the versions of vprbench, its commit, Python and the libraries."""
+    git = environment.get("git") or {}
+    changed = " with changes" if git.get("changed") else ""
+    versions = {"vprbench": environment.get("vprbench"), "commit": f"{git['commit'][:12]}{changed}" if git else None}
+    versions |= {"Python": environment.get("python"), **environment.get("libraries", {})}
+    return ", ".join(f"{name} {version}" for name, version in versions.items() if version)
 
 
 def read_cpu_wait_seconds() -> float | None:

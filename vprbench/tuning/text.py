@@ -8,7 +8,7 @@ from pathlib import Path
 import pandas as pd
 from optuna.trial import FrozenTrial
 
-from vprbench.runs.machine import describe_machine, format_software
+from vprbench.runs.machine import describe_machine, format_versions
 from vprbench.runs.rows import format_markdown
 from vprbench.storage.atomic import replace_text
 from vprbench.text import format_percent, format_signed_percent
@@ -68,7 +68,7 @@ def format_report(found: Found) -> str:
         "## Origin",
         f"Places {found.searched[0]} to {found.searched[-1]} were searched, {found.checked[0]} to {found.checked[-1]} "
         f"held out. All trials lie in {found.folder}; the same command goes on there.",
-        format_software(describe_machine("cpu", 1)),
+        format_versions(describe_machine("cpu", 1)),
     ]
     return "\n\n".join(parts) + "\n"
 

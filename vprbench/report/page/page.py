@@ -19,7 +19,7 @@ from vprbench.report.page.columns import format_place_ranges, list_columns, list
 from vprbench.report.ranking import rank_rows
 from vprbench.report.selection import MethodRuns
 from vprbench.report.table.quantities import TRAINING_TIME
-from vprbench.runs.machine import Machine
+from vprbench.runs.machine import Machine, format_versions
 from vprbench.runs.query_results import RIGHT, UNANSWERABLE, UNJUDGED, Answers, judge_answers, order_by_interest
 from vprbench.runs.recall_intervals import METHOD
 from vprbench.runs.record import Run
@@ -208,7 +208,7 @@ def list_machines(series: Iterable[MethodRuns]) -> Facts:
     found: dict[tuple[str, str], dict[str, None]] = {}
     for one in series:
         for run in one.runs:
-            made_on = Machine.of(run.environment).line, _list_versions(run.environment)
+            made_on = Machine.of(run.environment).line, format_versions(run.environment)
             found.setdefault(made_on, {})[f"{one.name} ({run.dataset})"] = None
     return [(machine, f"{versions}\n{', '.join(runs)}") for (machine, versions), runs in found.items()]
 
@@ -226,12 +226,3 @@ def list_run_notes(measured: Iterable[tuple[str, MethodRuns]]) -> Facts:
 def name_run(series: MethodRuns, run: Run) -> str:
     """Return the name of a run within its dataset: that of its row, and its seed if the row has several."""
     return f"{series.name}, seed {run.config['seed']}" if len(series.runs) > 1 else series.name
-
-
-def _list_versions(environment: Mapping[str, Any]) -> str:
-    """Return the versions of vprbench, its commit, Python and the libraries."""
-    git = environment.get("git") or {}
-    changed = " with changes" if git.get("changed") else ""
-    versions = {"vprbench": environment.get("vprbench"), "commit": f"{git['commit'][:12]}{changed}" if git else None}
-    versions |= {"Python": environment.get("python"), **environment.get("libraries", {})}
-    return ", ".join(f"{name} {version}" for name, version in versions.items() if version)
