@@ -76,7 +76,7 @@ check: $(READY) ## Lint, formatting and types.
 	$(VENV)/bin/lint-imports --no-logo
 
 docs: $(VENV)/.docs ## Build the documentation site in build/docs; a broken link is an error.
-	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build --strict --quiet
+	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build --strict
 	@echo "build/docs/index.html"
 
 clean: ## Remove everything that can be made again; stored runs under results/ stay.
