@@ -290,10 +290,7 @@ REFUSED = {
             )
         ),
     ],
-    "gardens": [
-        ({}, {"references": ["day_right", "day_right"]}, "each once"),
-        ({}, {"images": 0}, "dataset.images=0"),
-    ],
+    "gardens": [({}, {"references": ["day_right", "day_right"]}, "each once"), ({}, {"images": 0}, "dataset.images=0")],
     "tutorial": [
         ({"GT.npz": {"GThard": HARD.T}}, {}, "GT.npz has the shape (4, 3) (it is transposed); wanted is (3, 4)"),
         *(

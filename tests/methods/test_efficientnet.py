@@ -60,14 +60,7 @@ def published_outputs(variant, size):
     return image, outputs
 
 
-@pytest.mark.parametrize(
-    ("variant", "size"),
-    [
-        ("lite0", (224, 224)),
-        ("lite0", (33, 70)),
-        ("lite1", (240, 240)),
-    ],
-)
+@pytest.mark.parametrize(("variant", "size"), [("lite0", (224, 224)), ("lite0", (33, 70)), ("lite1", (240, 240))])
 def test_every_block_gives_what_that_of_the_published_package_gives(variant, size):
     image, wanted = published_outputs(variant, size)
     with torch.inference_mode():
