@@ -10,7 +10,6 @@ from tempo_networks import (
     RULE_SETS,
     SIZES,
     WAYS,
-    WORLD,
     double,
     fitted,
     network,
@@ -19,7 +18,6 @@ from tempo_networks import (
     shown,
 )
 
-from vprbench.errors import BadInput
 from vprbench.methods.vprtempo import quantised, query, vnni
 from vprbench.methods.vprtempo.int8 import VPRTempoInt8
 from vprbench.methods.vprtempo.method import VPRTempo
@@ -114,8 +112,3 @@ def test_the_trained_network_is_that_of_vprtempo_and_scores_nearly_alike(rules):
         floating, found = exact.query(images), rounded.query(images)
         assert np.mean(floating.argmax(1) == found.argmax(1)) >= 0.95
         assert 0 < np.abs(found - floating).max() < 0.05 * np.abs(floating).max()
-
-
-def test_more_inputs_than_32_bits_can_sum_are_refused_before_the_training():
-    with pytest.raises(BadInput, match="features_per_pixel=100"):
-        VPRTempoInt8(features_per_pixel=100.0, max_module=8).fit(REFERENCES, WORLD.places)
