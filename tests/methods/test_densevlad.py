@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import scipy.io
 import torch
+from described_images import drawn_images, encoded
 from published_networks import unit
 
 from vprbench.api.images import Images
@@ -25,8 +26,7 @@ def scene(height=38, width=44):
 
 
 def colours(n, height=40, width=48):
-    coarse = np.random.default_rng(0).integers(0, 256, (n, 6, 7, 3), dtype=np.uint8)
-    return Images.from_arrays([cv2.resize(one, (width, height), interpolation=cv2.INTER_CUBIC) for one in coarse])
+    return Images.from_arrays(drawn_images(*[(height, width)] * n))
 
 
 def fitted(n=12, **arguments):
@@ -95,7 +95,7 @@ def test_with_the_authors_words_and_arc_tangent_a_vlad_is_theirs(authors, file, 
     monkeypatch.setenv("HOME", str(folder))
     trained = DenseVLAD(vocabulary=f"~/{file}", arctan="vlfeat", n_components=0).fit(colours(2), np.arange(2))
     assert list(trained.files()) == [folder / file]
-    np.testing.assert_allclose(trained.encode(Images.from_arrays([image]))[0], theirs, atol=1e-5)
+    np.testing.assert_allclose(encoded(trained, image)[0], theirs, atol=1e-5)
 
 
 def mat(**arrays):

@@ -4,7 +4,8 @@ from functools import cache
 
 import numpy as np
 import pytest
-from little_vprsnn import SMALL, WORLD, fitted, images, layers, member, references, same
+from little_vprsnn import SMALL, WORLD, fitted, images, layers, references
+from states import member, same
 
 from vprbench.methods.vprsnn.ensemble import VPRSNNEnsemble
 

@@ -6,7 +6,8 @@ import direct_vprsnn as direct
 import numpy as np
 import pytest
 import torch
-from little_vprsnn import SMALL, WORLD, fitted, held_out, images, recorded_trains, references, same
+from little_vprsnn import SMALL, WORLD, fitted, held_out, images, recorded_trains, references
+from states import same
 
 from vprbench.methods.vprsnn import training
 from vprbench.methods.vprsnn.arrays import unpack_neurons
