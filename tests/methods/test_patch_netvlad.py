@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from types import SimpleNamespace
 
 import backbones_oracle as oracle
@@ -16,7 +17,6 @@ from torch import nn
 
 from vprbench.api.images import Images
 from vprbench.api.method import batch_size_for
-from vprbench.api.weights import Weights
 from vprbench.errors import BadInput
 from vprbench.methods import netvlad, patch_netvlad
 from vprbench.methods.patch_netvlad import PatchNetVLAD, count_inliers, score
@@ -26,11 +26,6 @@ pytestmark = pytest.mark.extended  # published networks at full size
 SIDES = {"performance": (2, 5, 8), "speed": (5,), "storage": (5,)}
 GEOMETRY = {"performance": "homography", "speed": "displacement", "storage": "displacement"}
 SHARES = {"performance": (0.45, 0.15, 0.4), "speed": (1.0,), "storage": (1.0,)}
-
-
-def made(path="none", n_components=10, **arguments):
-    arguments = {"components": dict.fromkeys(SIDES, n_components), "height": 144, "width": 160, **arguments}
-    return PatchNetVLAD(weights=Weights("x", "", "", path=str(path)), **arguments)
 
 
 def described(tensors, seen, sides=(2, 5, 8)):
@@ -66,6 +61,10 @@ NETWORK = PublishedNetwork(
         ("performance", {"components": {"speed": 512}}, (32, 32)),
     ],
 )
+
+
+def made(n_components=10, **arguments):
+    return NETWORK.method(Path("none"), components=dict.fromkeys(SIDES, n_components), **arguments)
 
 
 @with_checks(NETWORK)
