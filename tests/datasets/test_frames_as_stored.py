@@ -48,14 +48,6 @@ def test_thermal_counts_on_their_side_are_turned_and_stretched_and_the_protocol_
     assert len({dataset.references.fingerprint() for dataset in made}) == 1
 
 
-def in_folders(top, **options):
-    return folders(references=[str(top / "0")], queries=str(top / "1"), **options)
-
-
-def in_hand(top, **options):
-    return vprbench.dataset_of(top / "0", top / "1", **options)
-
-
 def in_vpr_bench(top, **options):
     (top / "0").rename(top / "ref")
     (top / "1").rename(top / "query")
@@ -73,16 +65,21 @@ def in_nordland(top, **options):
     return nordland(root=str(top), suffix=".jpg", **asked, **options)
 
 
-OWN, PUBLISHED = [in_folders, in_hand], [in_vpr_bench, in_nordland]
+READERS = {
+    "folders": lambda top, **how: folders(references=[f"{top}/0"], queries=f"{top}/1", **how),
+    "Python": lambda top, **how: vprbench.dataset_of(top / "0", top / "1", **how),
+    "vpr_bench": in_vpr_bench,
+    "nordland": in_nordland,
+}
 
 
 @pytest.mark.parametrize("exif", [None, "obey", "ignore"])
-@pytest.mark.parametrize("reader", [*OWN, *PUBLISHED])
+@pytest.mark.parametrize("reader", READERS)
 def test_every_reader_obeys_tags_of_own_frames_and_ignores_those_of_published_ones(tmp_path, reader, exif):
     write(tmp_path / "0", FRAMES, ".jpg")
     write(tmp_path / "1", TURNED, ".jpg", exif=ON_ITS_SIDE)
-    dataset = reader(tmp_path, **({} if exif is None else {"exif": exif}))
-    meant = exif or ("obey" if reader in OWN else "ignore")
+    dataset = READERS[reader](tmp_path, **({} if exif is None else {"exif": exif}))
+    meant = exif or ("ignore" if reader in ("vpr_bench", "nordland") else "obey")
     assert dataset.protocol["exif"] == meant
     assert shows(dataset.references, FRAMES)
     assert shows(dataset.queries, FRAMES if meant == "obey" else TURNED)

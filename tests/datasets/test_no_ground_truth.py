@@ -57,11 +57,8 @@ def drives(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     textures(Path("map"), PLACES)
     textures(Path("drive"), QUERIES, noise=20)
-    return ["timing=none", "threads=1", "dataset=folders", *asked("map", "drive")]
-
-
-def asked(references, queries):
-    return [f"dataset.references=[{references}]", f"dataset.queries={queries}", "dataset.ground_truth=none"]
+    own = ["dataset.references=[map]", "dataset.queries=drive", "dataset.ground_truth=none"]
+    return ["timing=none", "threads=1", "dataset=folders", *own]
 
 
 def test_a_comparison_ranks_nothing_and_draws_no_accuracy(drives, capsys, monkeypatch, tmp_path):

@@ -29,10 +29,6 @@ def colours(n, height=40, width=48):
     return Images.from_arrays(drawn_images(*[(height, width)] * n))
 
 
-def fitted(n=12, **arguments):
-    return DenseVLAD(**{"words": 6, **arguments}).fit(colours(n), np.arange(n))
-
-
 def sift(grey, arctan="exact"):
     return torch.cat(list(dense_sift.dense_sift(torch.as_tensor(grey), arctan)))
 
@@ -118,4 +114,4 @@ def test_a_file_that_is_no_vocabulary_is_refused_by_name(tmp_path, name, content
     if content is not None:
         (tmp_path / name).write_bytes(content)
     with pytest.raises(BadInput, match=rf"method\.vocabulary=.*{name}"):
-        fitted(vocabulary=str(tmp_path / name))
+        DenseVLAD(words=6, vocabulary=str(tmp_path / name)).fit(colours(12), np.arange(12))

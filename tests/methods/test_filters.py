@@ -92,10 +92,8 @@ FILTERS = [
 
 def by_hand(levels, block, epsilon):
     """The codes of patch-normalised frames (n, h, w) before anything is clipped, (n, rows * columns * 32)."""
-    windows = np.lib.stride_tricks.sliding_window_view(levels / 255, (5, 5), (1, 2)).reshape(
-        *levels[:, 4:, 4:].shape, 25
-    )
-    waves = windows @ np.transpose(FILTERS)
+    windows = np.lib.stride_tricks.sliding_window_view(levels / 255, (5, 5), (1, 2))
+    waves = windows.reshape(*windows.shape[:3], 25) @ np.transpose(FILTERS)
     n, rows, columns = len(waves), waves.shape[1] // 2, waves.shape[2] // 2
     strongest = waves[:, : 2 * rows, : 2 * columns].reshape(n, rows, 2, columns, 2, 32).max((2, 4))
     around = [np.pad(range(size), block // 2, mode="symmetric") for size in (rows, columns)]

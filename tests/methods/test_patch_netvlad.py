@@ -142,12 +142,6 @@ def made_up(configuration="performance"):
     return SimpleNamespace(places=places, codes=codes, references=images[:-3], queries=images[-3:])
 
 
-def fitted(world, monkeypatch, **arguments):
-    codes = world.codes
-    monkeypatch.setattr(PatchNetVLAD, "encode", lambda _, images: codes[[image[0, 0, 0] for image in images]])
-    return made(n_components=COMPONENTS, **arguments).fit(world.references, world.places)
-
-
 def slow_score(configuration, query, other, side):
     """The score, which is worked by hand above, of the patches that are each other's nearest."""
     distances = np.linalg.norm(query[:, None] - other, axis=2)
@@ -176,8 +170,9 @@ def slow_scores(world, code, configuration, n_candidates):
 @pytest.mark.parametrize(("configuration", "n_candidates"), [("performance", 3), ("speed", 100), ("storage", N_PLACES)])
 def test_scores_are_those_of_direct_loops(configuration, n_candidates, monkeypatch):
     world = made_up(configuration)
-    method = fitted(world, monkeypatch, configuration=configuration, candidates=n_candidates)
-    scores = method.query(world.queries)
+    monkeypatch.setattr(PatchNetVLAD, "encode", lambda _, images: world.codes[[image[0, 0, 0] for image in images]])
+    method = made(n_components=COMPONENTS, configuration=configuration, candidates=n_candidates)
+    scores = method.fit(world.references, world.places).query(world.queries)
     n_candidates = min(n_candidates, N_PLACES)
     wanted = np.stack([slow_scores(world, code, configuration, n_candidates) for code in world.codes[-3:]])
     np.testing.assert_allclose(scores, wanted, atol=1e-4)

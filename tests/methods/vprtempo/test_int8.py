@@ -4,19 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tempo_networks import (
-    QUERIES,
-    REFERENCES,
-    RULE_SETS,
-    SIZES,
-    WAYS,
-    double,
-    fitted,
-    network,
-    one_layer,
-    one_matrix,
-    shown,
-)
+from tempo_networks import QUERIES, REFERENCES, RULE_SETS, SIZES, WAYS, double, fitted, network, one_layer, shown
 
 from vprbench.methods.vprtempo import quantised, query, vnni
 from vprbench.methods.vprtempo.int8 import VPRTempoInt8
@@ -30,19 +18,14 @@ def linear(rows):
     return Int8LinearQuery([one_layer(np.asarray(rows, np.float32).T)])
 
 
-def in_127_steps(weights):
-    """Return whole steps (n_out, n_in) and the size of a step of each row (n_out,)."""
-    size = np.abs(weights).max(1) / 127
-    return np.round(weights / np.where(size > 0, size, 1)[:, None]), size  # np.round takes halves to the even side
-
-
 def in_255_levels(activation, most):
     return np.clip(np.round(activation * 255 / most), 0, 255)
 
 
 def affine(weights, bias, levels, most):
-    """Return (n_queries, n_out) of levels (n_queries, n_in), by whole sums."""
-    steps, size = in_127_steps(weights)
+    """Return (n_queries, n_out) of levels (n_queries, n_in), by whole sums of 127 steps of each row's own size."""
+    size = np.abs(weights).max(1) / 127
+    steps = np.round(weights / np.where(size > 0, size, 1)[:, None])  # np.round takes halves to the even side
     return (levels @ steps.T) * size * most / 255 + bias
 
 
@@ -78,7 +61,8 @@ def test_a_spiking_query_follows_the_scheme(sizes, rules, ask):
 def test_a_linear_query_follows_the_scheme_on_the_mean_matrix(sizes, members, ask):
     asked, spikes = [network(sizes, seed=seed) for seed in range(members)], shown(9)
     levels = in_255_levels(spikes.astype(np.float64), 1)
-    matrix = one_matrix(asked)
+    pairs = [zip(one.features, one.outputs, strict=True) for one in asked]
+    matrix = np.mean([np.concatenate([double(o).T @ double(f) for f, o in pair]) for pair in pairs], axis=0)
     expected = affine(matrix, np.zeros(len(matrix)), levels, 1)
     assert ask(Int8LinearQuery(asked), spikes) == pytest.approx(expected, abs=1e-5)
 

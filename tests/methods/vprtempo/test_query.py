@@ -13,22 +13,14 @@ from vprbench.methods.vprtempo.query import SpikingQuery
 from vprbench.methods.vprtempo.rules import PAPER, V1
 
 
-def feature_spikes(asked, x, clip):
-    """Return the feature spikes (modules, n_features) of one input by Eq. 1."""
-    weights, constant, thresholds = map(double, (asked.features, asked.constant, asked.feature_thresholds))
-    return np.clip(weights @ x + constant - thresholds, 0, clip)
-
-
 def eq_1(asked, spikes, rules):
     """Return the scores (n_queries, n_places) by Eq. 1 in both layers, query by query and module by module."""
+    weights, constant, thresholds = map(double, (asked.features, asked.constant, asked.feature_thresholds))
     rows = []
     for x in spikes.astype(np.float64):
-        above = [
-            double(weights).T @ active - double(thresholds)
-            for weights, thresholds, active in zip(
-                asked.outputs, asked.output_thresholds, feature_spikes(asked, x, rules.clip), strict=True
-            )
-        ]
+        features = np.clip(weights @ x + constant - thresholds, 0, rules.clip)
+        layers = zip(asked.outputs, asked.output_thresholds, features, strict=True)
+        above = [double(outputs).T @ active - double(limits) for outputs, limits, active in layers]
         row = np.clip(np.concatenate(above), 0, rules.clip)
         if rules.silent_winner and not row.any():
             row[above[0].argmax()] = 0.5
