@@ -293,13 +293,6 @@ def described_by_boq(tensors, seen):
     return gathered(tensors, tokens[:, 1:].transpose(1, 2).unflatten(2, (3, 4)))
 
 
-def wrapped(tensors):
-    """Tensors under the names of the other public wrapper."""
-    others = {"0": "frozen_layers.0.0", "1": "frozen_layers.0.1", "4": "frozen_layers.1", "5": "frozen_layers.2"}
-    others["6"] = "unfrozen_layers.0"
-    return {re.sub(r"(?<=^backbone\.)net\.(\d)", lambda m: others[m[1]], name): t for name, t in tensors.items()}
-
-
 BOQ = PublishedNetwork(
     "boq",
     lambda: draw_boq(lambda draw: prefixed("dino.", vit_checkpoint(draw, 64)), 64),
@@ -320,7 +313,13 @@ BOQ_RESNET = PublishedNetwork(
 
 
 def test_the_names_of_the_other_public_wrapper_are_those_of_the_same_tensors(folder):
-    method = BOQ_RESNET.method(saved(folder / "wrapped.pth", wrapped(BOQ_RESNET.tensors)))
+    others = {"0": "frozen_layers.0.0", "1": "frozen_layers.0.1", "4": "frozen_layers.1", "5": "frozen_layers.2"}
+    others["6"] = "unfrozen_layers.0"
+    wrapped = {
+        re.sub(r"(?<=^backbone\.)net\.(\d)", lambda number: others[number[1]], name): tensor
+        for name, tensor in BOQ_RESNET.tensors.items()
+    }
+    method = BOQ_RESNET.method(saved(folder / "wrapped.pth", wrapped))
     assert distance(encoded(method, *BOQ_RESNET.images), BOQ_RESNET.codes(folder)) < 1e-5
 
 

@@ -8,6 +8,7 @@ import pytest
 import torch
 from little_vprsnn import SMALL, WORLD, fitted, held_out, images, recorded_trains, references
 from states import same
+from threads import torch_threads
 
 from vprbench.methods.vprsnn import training
 from vprbench.methods.vprsnn.arrays import unpack_neurons
@@ -21,10 +22,8 @@ from vprbench.methods.vprsnn.training import Lesson, make_lessons, split_places,
 @pytest.fixture(autouse=True)
 def one_thread():
     """Modules are trained one after the other, unless a test says otherwise."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
+    with torch_threads(1):
+        yield
 
 
 class Interrupted(Exception):

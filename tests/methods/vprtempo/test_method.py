@@ -111,16 +111,11 @@ INPUTS = {
         **{"p_excitatory": 0.02, "p_inhibitory": 0.02},
     },
 }
-ENCODINGS = pytest.mark.parametrize("encoding", INPUTS)
 
 
-def learnt(encoding, kind=VPRTempo, **arguments):
-    return fitted(kind, **{**INPUTS[encoding], **arguments})
-
-
-@ENCODINGS
+@pytest.mark.parametrize("encoding", INPUTS)
 def test_spikes_begin_with_the_input_and_another_input_is_refused_on_restoring(encoding):
-    method = learnt(encoding)
+    method = fitted(**INPUTS[encoding])
     layers, n_inputs = method.spikes(method.encode(QUERIES)), method.encoder().n_inputs
     assert [layer.name for layer in layers] == ["input", "feature", "output"]
     assert np.array_equal(layers[0].values, method.encode(QUERIES))
