@@ -471,9 +471,8 @@ def test_fields_of_dbstruct_are_taken_by_position_and_gardens_point_is_right_by_
 
 
 def test_the_pickle_comes_before_a_csv_that_says_the_same_and_queries_without_references_are_noted():
-    for part in ("query", "ref"):
-        fill(Path(part), numbered(11))
-    np.save("ground_truth_new.npy", lists(*([query, 0] for query in range(11))), allow_pickle=True)
+    written("numbers")
+    put(Path("ground_truth_new.npy"), lists(*([query, 0] for query in range(11))))
     rows = "".join(f"{query},{query} {query - 1}\n" for query in range(1, 11))
     Path("ground_truth.csv").write_text(f"query,matching_refs\n0,\n{rows}")
     assert rights(vpr_bench(root="."))[10] == [0, 10]
