@@ -42,32 +42,35 @@ LAYOUTS = {
 }
 
 
+def needed(module):
+    return pytest.importorskip(module, reason="needs vprbench[events]")
+
+
+def write_hdf5(file, columns):
+    with needed("h5py").File(file, "w") as stored:
+        for name, column in columns.items():
+            stored[name] = column
+    return file
+
+
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_layouts_of_hdf5_are_found_by_name(layout, tmp_path):
-    h5py = pytest.importorskip("h5py", reason="needs vprbench[events]")
-    with h5py.File(tmp_path / "drive.h5", "w") as file:
-        for name, column in LAYOUTS[layout].items():
-            file[name] = column
     since = SINCE_1970 if layout == "nanoseconds" else 0
-    assert same(joined(read_events(tmp_path / "drive.h5")), replace(EVENTS, t=EVENTS.t + since))
+    found = joined(read_events(write_hdf5(tmp_path / "drive.h5", LAYOUTS[layout])))
+    assert same(found, replace(EVENTS, t=EVENTS.t + since))
 
 
 def test_parquet_is_read_and_hdf5_without_events_or_its_library_refused(tmp_path, monkeypatch):
-    parquet, arrow = (
-        pytest.importorskip("pyarrow.parquet", reason="needs vprbench[events]"),
-        pytest.importorskip("pyarrow", reason="needs vprbench[events]"),
-    )
+    parquet, arrow = needed("pyarrow.parquet"), needed("pyarrow")
     columns = {"t": EVENTS.t, "x": EVENTS.x, "y": EVENTS.y, "p": EVENTS.p}
     parquet.write_table(arrow.table(columns), tmp_path / "drive.parquet")
     assert same(joined(read_events(tmp_path / "drive.parquet")), EVENTS)
     parquet.write_table(arrow.table({"t": EVENTS.t, "x": EVENTS.x}), tmp_path / "drive.parquet")
     assert "drive.parquet holds no" in answer(joined, read_events(tmp_path / "drive.parquet"))
-    h5py = pytest.importorskip("h5py", reason="needs vprbench[events]")
-    with h5py.File(tmp_path / "drive.h5", "w") as file:
-        file["events/t"] = EVENTS.t
-    assert "drive.h5 holds no" in answer(joined, read_events(tmp_path / "drive.h5"))
+    file = write_hdf5(tmp_path / "drive.h5", {"events/t": EVENTS.t})
+    assert "drive.h5 holds no" in answer(joined, read_events(file))
     monkeypatch.setitem(sys.modules, "h5py", None)
-    assert "vprbench[events]" in answer(joined, read_events(tmp_path / "drive.h5"))
+    assert "vprbench[events]" in answer(joined, read_events(file))
 
 
 @pytest.mark.parametrize("begin", [0, 2**31 - 10_000_000, 2**32 - 20_000_000])
@@ -84,7 +87,7 @@ def test_evt3_is_read_though_its_clock_wraps_and_its_vectors_are_events_and_aeda
     found = joined(read_events(tmp_path / "drive.raw"))
     assert found.x.tolist() == [100, 101, 111, 112, 119]
     assert [*found.y, *found.t, *found.p] == [7] * 5 + [4096 + 5] * 5 + [True] * 5
-    pytest.importorskip("aedat", reason="needs vprbench[events]")
+    needed("aedat")
     assert same(joined(read_events(write_aedat4(tmp_path / "drive.aedat4", EVENTS))), EVENTS)
 
 
@@ -99,7 +102,7 @@ def test_evt3_is_read_though_its_clock_wraps_and_its_vectors_are_events_and_aeda
 )
 def test_what_is_no_recording_is_refused_by_name(name, content, told, tmp_path):
     if name == "drive.h5":
-        pytest.importorskip("h5py", reason="needs vprbench[events]")
+        needed("h5py")
     (tmp_path / name).write_bytes(content)
     assert told in answer(joined, read_events(tmp_path / name))
 
@@ -178,15 +181,6 @@ def test_recordings_that_are_missing_are_named(options, tmp_path):
     assert "sunset" in answer(brisbane_event_vpr, root=str(tmp_path), queries="sunset3")
 
 
-def write_hdf5(file, events, nanoseconds):
-    """Write events whose clock of nanoseconds since 1970 is at `nanoseconds` when that of `events` is at 0."""
-    h5py = pytest.importorskip("h5py", reason="h5py is not installed: pip install vprbench[events]")
-    file.parent.mkdir(exist_ok=True)
-    with h5py.File(file, "w") as stored:
-        for name, column in (("t", events.t * 1000 + nanoseconds), ("x", events.x), ("y", events.y), ("p", events.p)):
-            stored[name] = column
-
-
 def sentence(kind, at, lat, fix=True):
     """Return a sentence of NMEA 0183 with its checksum, at 0 degrees of longitude."""
     clock, degrees = f"{at:%H%M%S}.00", int(lat)
@@ -215,8 +209,10 @@ def test_a_brisbane_drive_is_placed_by_its_gps_log(tmp_path, kinds):
         ("sunset2", "2020-04-22-17-24-21", 1587540271.65, 12.0, 10),
         ("sunset1", "2020-04-21-17-03-03", 1587452582.35, 8.0, 20),
     ):
+        (tmp_path / name).mkdir()
         events = by_chance(4000, seed=speed, seconds=seconds)
-        write_hdf5(tmp_path / name / f"dvs_vpr_{date}.hdf5", events, round(begin * 1e9))
+        columns = {"t": events.t * 1000 + round(begin * 1e9), "x": events.x, "y": events.y, "p": events.p}
+        write_hdf5(tmp_path / name / f"dvs_vpr_{date}.hdf5", columns)
         (tmp_path / f"2020-{name}_concat.nmea").write_text(log(midnight, 15, speed, kinds))
     dataset = brisbane_event_vpr(root=str(tmp_path), **OPTIONS, radius_metres=13.0, unmatched="keep")
     mapped, asked = 10 * (5.5 + np.arange(len(dataset.places))), 20 * (5.5 + np.arange(len(dataset.queries)))

@@ -25,38 +25,24 @@ PLACES, QUERIES = 7, 5
 NONE = {"ground_truth": "none"}
 
 
-def of_folders(top):
-    maps = [str(fill(top / name, numbered(count))) for name, count in (("a", PLACES), ("b", 2))]
-    return folders(references=maps, queries=str(fill(top / "q", numbered(QUERIES))), **NONE)
+MADE = {
+    "folders": lambda: folders(references=["a", "b"], queries="query", **NONE),
+    "image_list": lambda: image_list(references=["a/list.csv", "b/list.csv"], queries="query/list.csv", **NONE),
+    "utm_folders": lambda: utm_folders(root=".", database="ref", queries="query", **NONE),
+    "vpr_bench": lambda: vpr_bench(root=".", **NONE),
+    "Python": lambda: vprbench.dataset_of(["a", "b"], "query", **NONE),
+}
 
 
-def of_lists(top):
-    fill(top, numbered(PLACES + 2))
-    for name, count in (("map", PLACES), ("more", 2), ("drive", QUERIES)):
-        (top / f"{name}.csv").write_text("\n".join(["image", *numbered(count)]), encoding="utf-8")
-    return image_list(references=[str(top / "map.csv"), str(top / "more.csv")], queries=str(top / "drive.csv"), **NONE)
-
-
-def of_utm_folders(top):
-    fill(top / "database", numbered(PLACES + 2))
-    fill(top / "queries", numbered(QUERIES))
-    return utm_folders(root=str(top), **NONE)
-
-
-def of_vpr_bench(top):
-    fill(top / "ref", numbered(PLACES + 2))
-    fill(top / "query", numbered(QUERIES))
-    return vpr_bench(root=str(top), **NONE)
-
-
-def of_python(top):
-    drives = [np.zeros((count, 6, 8), np.uint8) for count in (PLACES, 2, QUERIES)]
-    return vprbench.dataset_of(drives[:2], drives[2], **NONE)
-
-
-@pytest.mark.parametrize("made", [of_folders, of_lists, of_utm_folders, of_vpr_bench, of_python])
-def test_every_reference_is_a_place_and_no_query_has_a_right_one_whatever_their_names_and_numbers(made, tmp_path):
-    dataset = made(tmp_path)
+@pytest.mark.parametrize("made", MADE)
+def test_every_reference_is_a_place_and_no_query_has_a_right_one_whatever_their_names_and_numbers(
+    made, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    for folder, count in (("a", PLACES), ("b", 2), ("ref", PLACES + 2), ("query", QUERIES)):
+        fill(Path(folder), numbered(count))
+        Path(folder, "list.csv").write_text("\n".join(["image", *numbered(count)]))
+    dataset = MADE[made]()
     assert (dataset.n_places, len(dataset.queries)) == (PLACES + 2, QUERIES)
     assert not any(map(len, dataset.positives))
     assert dataset.protocol["ground_truth"] == "none"
@@ -71,11 +57,8 @@ def drives(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     textures(Path("map"), PLACES)
     textures(Path("drive"), QUERIES, noise=20)
-    return ["timing=none", "threads=1", "dataset=folders", *asked("map", "drive")]
-
-
-def asked(references, queries):
-    return [f"dataset.references=[{references}]", f"dataset.queries={queries}", "dataset.ground_truth=none"]
+    own = ["dataset.references=[map]", "dataset.queries=drive", "dataset.ground_truth=none"]
+    return ["timing=none", "threads=1", "dataset=folders", *own]
 
 
 def test_a_comparison_ranks_nothing_and_draws_no_accuracy(drives, capsys, monkeypatch, tmp_path):

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from image_folders import answer, fill, numbered, reds, rights
+from image_folders import answer, fill, listed, numbered, reds, rights
 
 from vprbench.datasets.folders import folders
 from vprbench.datasets.image_list import image_list
@@ -31,11 +31,11 @@ def match_names(references, queries, **options):
 
 
 def by_table(references, queries, columns="east,north", **options):
-    fill(Path(), numbered(N))
-    for file, positions in (("map.csv", references), ("asked.csv", queries)):
-        rows = [f"{number}.jpg,{first},{second}" for number, (first, second) in enumerate(positions)]
-        Path(file).write_text("\n".join([f"image,{columns}", *rows]))
-    return image_list(references=["map.csv"], queries="asked.csv", **options)
+    def table(rows):
+        cells = [",".join(map(str, row)) for row in rows]
+        return "\n".join([f"image,{columns}", *(f"{number}.jpg,{row}" for number, row in enumerate(cells))])
+
+    return listed(table(references), table(queries), **options)
 
 
 def by_degrees(references, queries, **options):
@@ -95,12 +95,7 @@ FAR = [(east + 5000 * (k >= 20), north) for k, (east, north) in enumerate(DRIVE)
 
 @pytest.mark.parametrize(
     ("second", "drive", "seen_by"),
-    [
-        ("one", FAR, "positions"),
-        ("two", DRIVE, "folders"),
-        ("two", FAR, "folders and positions"),
-        ("one", DRIVE, None),
-    ],
+    [("one", FAR, "positions"), ("two", DRIVE, "folders"), ("two", FAR, "folders and positions"), ("one", DRIVE, None)],
 )
 def test_drives_are_counted_among_the_images_that_have_a_position(second, drive, seen_by):
     fill(Path(), names := [f"{second if k >= 20 else 'one'}/{k:02}.jpg" for k in range(N)])
@@ -166,13 +161,6 @@ def test_positions_in_a_file_of_truth_are_rows_or_columns_and_another_radius_tha
     assert "utmQ in truth.npz" in answer(folders, references=["a"], queries="c", ground_truth="truth.npz")
 
 
-def by_places(references, queries, **options):
-    fill(Path(), numbered(5))
-    for file, places in (("map.csv", references), ("asked.csv", queries)):
-        Path(file).write_text("\n".join(["image,place", *(f"{k}.jpg,{place}" for k, place in enumerate(places))]))
-    return image_list(references=["map.csv"], queries="asked.csv", **options)
-
-
 @pytest.mark.parametrize(
     ("references", "queries", "options", "right", "numbers"),
     [
@@ -185,7 +173,7 @@ def by_places(references, queries, **options):
     ],
 )
 def test_places_that_are_whole_numbers_count_as_themselves(references, queries, options, right, numbers):
-    made = by_places(references, queries, **options)
+    made = by_table(*([(place,) for place in drive] for drive in (references, queries)), "place", **options)
     assert rights(made) == right
     assert (None if made.place_numbers is None else made.place_numbers.tolist()) == numbers
     assert not len(made.place_breaks)

@@ -14,17 +14,8 @@ from scipy.ndimage import map_coordinates
 
 import vprbench.datasets.oxford_robotcar as robotcar
 from vprbench.datasets.oxford_robotcar import oxford_robotcar, recordings
-from vprbench.datasets.oxford_robotcar.calibration import (
-    Camera,
-    read_calibration,
-    undistort,
-)
-from vprbench.datasets.oxford_robotcar.lists import (
-    RECORDINGS,
-    find_ceiling,
-    published_timestamps,
-    vprsnn_timestamps,
-)
+from vprbench.datasets.oxford_robotcar.calibration import Camera, read_calibration, undistort
+from vprbench.datasets.oxford_robotcar.lists import RECORDINGS, find_ceiling, published_timestamps, vprsnn_timestamps
 from vprbench.errors import BadInput, MissingData
 from vprbench.plugins import registry
 from vprbench.runs.identity import compute_fingerprint
@@ -86,10 +77,7 @@ def test_a_bent_table_is_followed_bilinearly_and_what_lies_outside_is_black(tmp_
 
 @pytest.mark.parametrize(
     ("spoil", "told"),
-    [
-        (lambda table: table[:-1], "holds 3064 bytes; .*holds 3072"),
-        (lambda table: table + 1000, "only 0 %"),
-    ],
+    [(lambda table: table[:-1], "holds 3064 bytes; .*holds 3072"), (lambda table: table + 1000, "only 0 %")],
 )
 def test_a_table_that_is_none_is_refused(tmp_path, spoil, told):
     path = write_table(tmp_path, X, Y)

@@ -7,12 +7,13 @@ import pytest
 import torch
 from backbones_oracle import Draw, imagenet, vit_checkpoint, vit_qkv, vit_tokens
 from described_images import distance, encoded, image
+from image_folders import answer
 from published_networks import PublishedNetwork, unit, with_checks
 from torch.nn.functional import normalize
 
 from vprbench.api.images import Images
 from vprbench.api.weights import Weights
-from vprbench.errors import BadInput, NotFittedError
+from vprbench.errors import BadInput, MissingData, NotFittedError
 
 DIM, LAYER, WORDS = 128, 1, 5
 #: Of lengths so different that the most similar direction is often not the nearest centre.
@@ -108,17 +109,11 @@ def test_a_fit_of_too_few_values_is_refused_and_forgets_the_one_before(folder):
         encoded(fitted, image(42, 42))
 
 
-def refusal(folder, **arguments):
-    with pytest.raises(BadInput) as error:
-        NETWORK.encode(folder, image(42, 42), **arguments)
-    assert "\n" not in str(error.value)
-    return str(error.value)
-
-
 def test_centres_that_do_not_fit_are_refused(folder):
-    assert "method.centres.path=nowhere.pt" in refusal(folder, centres=weights(Path("nowhere.pt")))
     nan = torch.full((WORDS, DIM), torch.nan)
+    told = answer(NETWORK.encode, folder, image(42, 42), kind=MissingData, centres=weights(Path("nowhere.pt")))
+    assert "method.centres.path=nowhere.pt" in told
     for wrong in (torch.zeros(WORDS + 1, DIM), torch.zeros(WORDS, DIM - 1), nan, torch.zeros(WORDS, DIM).long()):
         path = written(wrong, folder / "wrong.pt")
-        message = refusal(folder, centres=weights(path))
-        assert (str(path) in message, f"({WORDS}, {DIM})" in message) == (True, True)
+        told = answer(NETWORK.encode, folder, image(42, 42), centres=weights(path))
+        assert (str(path) in told, f"({WORDS}, {DIM})" in told) == (True, True)

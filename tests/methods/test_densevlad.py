@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import scipy.io
 import torch
+from described_images import drawn_images, encoded
 from published_networks import unit
 
 from vprbench.api.images import Images
@@ -25,12 +26,7 @@ def scene(height=38, width=44):
 
 
 def colours(n, height=40, width=48):
-    coarse = np.random.default_rng(0).integers(0, 256, (n, 6, 7, 3), dtype=np.uint8)
-    return Images.from_arrays([cv2.resize(one, (width, height), interpolation=cv2.INTER_CUBIC) for one in coarse])
-
-
-def fitted(n=12, **arguments):
-    return DenseVLAD(**{"words": 6, **arguments}).fit(colours(n), np.arange(n))
+    return Images.from_arrays(drawn_images(*[(height, width)] * n))
 
 
 def sift(grey, arctan="exact"):
@@ -95,7 +91,7 @@ def test_with_the_authors_words_and_arc_tangent_a_vlad_is_theirs(authors, file, 
     monkeypatch.setenv("HOME", str(folder))
     trained = DenseVLAD(vocabulary=f"~/{file}", arctan="vlfeat", n_components=0).fit(colours(2), np.arange(2))
     assert list(trained.files()) == [folder / file]
-    np.testing.assert_allclose(trained.encode(Images.from_arrays([image]))[0], theirs, atol=1e-5)
+    np.testing.assert_allclose(encoded(trained, image)[0], theirs, atol=1e-5)
 
 
 def mat(**arrays):
@@ -118,4 +114,4 @@ def test_a_file_that_is_no_vocabulary_is_refused_by_name(tmp_path, name, content
     if content is not None:
         (tmp_path / name).write_bytes(content)
     with pytest.raises(BadInput, match=rf"method\.vocabulary=.*{name}"):
-        fitted(vocabulary=str(tmp_path / name))
+        DenseVLAD(words=6, vocabulary=str(tmp_path / name)).fit(colours(12), np.arange(12))

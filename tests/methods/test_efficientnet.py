@@ -60,14 +60,7 @@ def published_outputs(variant, size):
     return image, outputs
 
 
-@pytest.mark.parametrize(
-    ("variant", "size"),
-    [
-        ("lite0", (224, 224)),
-        ("lite0", (33, 70)),
-        ("lite1", (240, 240)),
-    ],
-)
+@pytest.mark.parametrize(("variant", "size"), [("lite0", (224, 224)), ("lite0", (33, 70)), ("lite1", (240, 240))])
 def test_every_block_gives_what_that_of_the_published_package_gives(variant, size):
     image, wanted = published_outputs(variant, size)
     with torch.inference_mode():
@@ -146,19 +139,6 @@ def test_multiply_adds_are_those_of_all_convolutions_and_are_told_of_every_image
     assert sum(each.multiply_adds for each in told) == 3 * sum(wanted)
 
 
-# The contract, where a mean is taken off
-
-
-# VPRTempo
-
-WORLD = Journey.draw(0)
-QUERIES = Images.from_arrays(WORLD.queries)
-
-
-def tempo(**arguments):
-    return made(method="vprtempo_efficientnet", **SMALL, max_module=10, **arguments)
-
-
 def amplitudes(values):
     """Return each row's values as amplitudes: 0.5 is its mean, 0 and 1 are 3 standard deviations away, or more."""
     rows = values.astype(np.float64)
@@ -166,8 +146,9 @@ def amplitudes(values):
 
 
 def test_input_spikes_are_each_block_of_the_descriptor_scaled_on_its_own():
-    codes = made(**SMALL).encode(QUERIES)
+    queries = Images.from_arrays(Journey.draw(0).queries)
+    codes = made(**SMALL).encode(queries)
     wanted = [amplitudes(part) for part in np.split(codes, [24 * 4 * 5], axis=1)]
-    found = tempo().encode(QUERIES)
+    found = made(method="vprtempo_efficientnet", **SMALL, max_module=10).encode(queries)
     assert found == pytest.approx(np.concatenate(wanted, axis=1), abs=1e-5)
     assert (found.dtype, found.shape[1]) == (np.float32, 24 * 4 * 5 + 24 * 3 * 4)

@@ -9,10 +9,6 @@ from vprbench.errors import BadInput
 from vprbench.methods.gcl import GCL, Whitening
 
 
-def gcl(**arguments):
-    return GCL(weights=Weights("none", "", ""), **arguments)
-
-
 def vectors(n, seed, n_dimensions=40):
     """Unit vectors as networks give them: about a mean, with few strong directions and many weak ones."""
     generator = np.random.default_rng(seed)
@@ -31,7 +27,8 @@ def whitened_slowly(references, vectors, kept):
 
 
 def scores(references, queries, n_components):
-    return gcl(n_components=n_components).fit_descriptors(references, np.arange(len(references))).match(queries)
+    method = GCL(weights=Weights("none", "", ""), n_components=n_components)
+    return method.fit_descriptors(references, np.arange(len(references))).match(queries)
 
 
 @pytest.mark.parametrize(("n_references", "n_components"), [(90, None), (90, 10), (90, 40), (25, 24), (5000, 12)])

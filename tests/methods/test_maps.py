@@ -1,7 +1,8 @@
-"""What methods without a published network refuse of arguments, and how they learn places later."""
+"""Defaults of methods without a published network, arguments that they refuse, and how they learn places later."""
 
 import math
 import re
+from dataclasses import fields
 
 import numpy as np
 import pytest
@@ -39,6 +40,28 @@ REFUSED = {
     "pca": {"components": [0]},
     "random_projection": {"components": [0]},
     "sad": {"patch": [1, 6, -7], "height": [0], "width": [-1]},
+    "vprsnn": {
+        **dict.fromkeys(("places_per_module", "n_excitatory", "height"), (0,)),
+        **dict.fromkeys(("time_step_ms", "presentation_ms", "weight_max", "excitatory_tau_ms"), (0.0,)),
+        **dict.fromkeys(("rest_ms", "inhibitory_to_excitatory_weight"), (-1.0,)),
+        **dict.fromkeys(("theta_start_mv", "weight_offset"), (math.nan,)),
+        "inhibition_tau_ms": [0.1],  # no longer than a step
+        "input_delay_max_ms": [-1.0, 151.0],  # longer than the rest
+        "levels_per_hz": [0.0, 0.0255],  # a white pixel in every step
+        "recorded_presentations": [0, 9],  # fewer than a module has images
+        "calibration_places": [-1, 1],  # without an order that is shuffled
+        **{"patch": [4], "hyperactive_threshold": [-1], "hyperactive_candidates": [[], [0, -5]]},
+        **{"weight_scale": [math.inf], "published_weights": ["no such folder"], "seed": [-1, 2**32]},
+    },
+    "vprsnn_ensemble": {
+        **{"seeds": [[], [0, 10, 0], [0, -1]], "member_epochs": [[5], [5, 5, 5, 5, 0]]},
+        "member_thresholds": [[1, 2, 3], [1, 1, 1, 1, -1]],
+    },
+    "vprtempo": {
+        **{"epochs": [0], "max_module": [0], "features_per_pixel": [0.0], "output_stdp_rate": [-0.1]},
+        **{"itp_rate": [math.nan], "rate_min": [0.95], "p_excitatory": [1.5], "clip": [0.0], "annealing_interval": [0]},
+    },
+    "vprtempo_int8": {"features_per_pixel": [100.0]},  # more inputs than 32 bits can sum
 }
 ALONE = [(name, {one: value}) for name, own in REFUSED.items() for one, values in own.items() for value in values]
 #: Arguments of which the first does not fit the others.
@@ -47,6 +70,10 @@ TOGETHER = [
     ("pca", {"height": 0, "preprocessing": "grey"}),
     ("sad", {"width": 0, "preprocessing": "grey"}),
     ("vprtempo", {"contrast_power": 0.0, "encoding": "oriented"}),
+    ("vprtempo", {"rows": 0, "encoding": "oriented"}),
+    ("vprtempo", {"height": 4, "encoding": "gabor"}),
+    ("vprtempo", {"equal_output_weights": True, "rules": "reference"}),
+    ("vprtempo", {"query_rule": "linear", "output_rule": "covariance"}),
 ]
 
 
@@ -54,8 +81,19 @@ TOGETHER = [
 def test_arguments_that_do_not_fit_are_named(name, arguments):
     argument, value = next(iter(arguments.items()))
     method = registry.find_entries("method")[name].target()(**arguments)
-    with pytest.raises(BadInput, match=rf"method\.{argument}={re.escape(str(value))}(?![\d.])"):
+    with pytest.raises(BadInput, match=rf"(?i)method\.{argument}={re.escape(str(value))}(?![\d.])"):
         method.fit(IMAGES, np.arange(12))
+
+
+@pytest.mark.parametrize(
+    ("name", "differs"), [("vprsnn", {}), ("vprsnn_fast", {"fast": True}), ("vprsnn_ensemble", {}), ("vprtempo", {})]
+)
+def test_a_configuration_has_every_argument_and_its_default_of_the_class(name, differs):
+    entry = registry.find_entries("method")[name]
+    configured, own = entry.values(), entry.target()()
+    defaults = {one.name: getattr(own, one.name) for one in fields(own) if one.init} | differs
+    wanted = {**defaults, "seed": "${seed}"} | ({"device": "${device}"} if "device" in defaults else {})
+    assert {key: configured[key] for key in defaults} == wanted
 
 
 WORLD = Journey.draw(3)

@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from types import SimpleNamespace
 
 import backbones_oracle as oracle
@@ -16,7 +17,6 @@ from torch import nn
 
 from vprbench.api.images import Images
 from vprbench.api.method import batch_size_for
-from vprbench.api.weights import Weights
 from vprbench.errors import BadInput
 from vprbench.methods import netvlad, patch_netvlad
 from vprbench.methods.patch_netvlad import PatchNetVLAD, count_inliers, score
@@ -26,11 +26,6 @@ pytestmark = pytest.mark.extended  # published networks at full size
 SIDES = {"performance": (2, 5, 8), "speed": (5,), "storage": (5,)}
 GEOMETRY = {"performance": "homography", "speed": "displacement", "storage": "displacement"}
 SHARES = {"performance": (0.45, 0.15, 0.4), "speed": (1.0,), "storage": (1.0,)}
-
-
-def made(path="none", n_components=10, **arguments):
-    arguments = {"components": dict.fromkeys(SIDES, n_components), "height": 144, "width": 160, **arguments}
-    return PatchNetVLAD(weights=Weights("x", "", "", path=str(path)), **arguments)
 
 
 def described(tensors, seen, sides=(2, 5, 8)):
@@ -66,6 +61,10 @@ NETWORK = PublishedNetwork(
         ("performance", {"components": {"speed": 512}}, (32, 32)),
     ],
 )
+
+
+def made(n_components=10, **arguments):
+    return NETWORK.method(Path("none"), components=dict.fromkeys(SIDES, n_components), **arguments)
 
 
 @with_checks(NETWORK)
@@ -143,12 +142,6 @@ def made_up(configuration="performance"):
     return SimpleNamespace(places=places, codes=codes, references=images[:-3], queries=images[-3:])
 
 
-def fitted(world, monkeypatch, **arguments):
-    codes = world.codes
-    monkeypatch.setattr(PatchNetVLAD, "encode", lambda _, images: codes[[image[0, 0, 0] for image in images]])
-    return made(n_components=COMPONENTS, **arguments).fit(world.references, world.places)
-
-
 def slow_score(configuration, query, other, side):
     """The score, which is worked by hand above, of the patches that are each other's nearest."""
     distances = np.linalg.norm(query[:, None] - other, axis=2)
@@ -177,8 +170,9 @@ def slow_scores(world, code, configuration, n_candidates):
 @pytest.mark.parametrize(("configuration", "n_candidates"), [("performance", 3), ("speed", 100), ("storage", N_PLACES)])
 def test_scores_are_those_of_direct_loops(configuration, n_candidates, monkeypatch):
     world = made_up(configuration)
-    method = fitted(world, monkeypatch, configuration=configuration, candidates=n_candidates)
-    scores = method.query(world.queries)
+    monkeypatch.setattr(PatchNetVLAD, "encode", lambda _, images: world.codes[[image[0, 0, 0] for image in images]])
+    method = made(n_components=COMPONENTS, configuration=configuration, candidates=n_candidates)
+    scores = method.fit(world.references, world.places).query(world.queries)
     n_candidates = min(n_candidates, N_PLACES)
     wanted = np.stack([slow_scores(world, code, configuration, n_candidates) for code in world.codes[-3:]])
     np.testing.assert_allclose(scores, wanted, atol=1e-4)

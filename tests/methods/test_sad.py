@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-import torch
+from threads import torch_threads
 
 from vprbench.api.images import Images
 from vprbench.methods import sad
@@ -34,24 +34,17 @@ def same_bits(left, right):
     return left.dtype == right.dtype and left.shape == right.shape and left.tobytes() == right.tobytes()
 
 
-@pytest.fixture
-def n_threads():
-    before = torch.get_num_threads()
-    yield torch.set_num_threads
-    torch.set_num_threads(before)
-
-
 @pytest.mark.parametrize(
     ("n_pixels", "n_references", "n_queries", "threads"),
     [(1, 7, 2, 1), (63, 1, 1, 2), (65, 300, 9, 1), (784, 7, 130, 1), (784, 301, 9, 5)],
 )
 def test_scores_are_those_of_int64_whatever_the_number_of_threads(
-    n_pixels, n_references, n_queries, threads, n_threads, monkeypatch
+    n_pixels, n_references, n_queries, threads, monkeypatch
 ):
     monkeypatch.setattr(sad, "_WORTH_A_THREAD", 1)
-    n_threads(threads)
     references, queries = codes(n_references, n_pixels, seed=1), codes(n_queries, n_pixels, seed=2)
-    assert same_bits(fitted(references).match(queries), oracle(queries, references))
+    with torch_threads(threads):
+        assert same_bits(fitted(references).match(queries), oracle(queries, references))
 
 
 def test_scores_have_the_bits_that_pytorch_gives_on_other_devices():

@@ -98,34 +98,38 @@ CLUSTERS = 4
 SMALL, LARGE = ([image(*size, seed) for seed in range(5)] for size in ((56, 98), (224, 224)))
 
 
-def encoded_together(tensors, parts):
-    """What becomes of the parts (n_images, n_parts, dim) of images of which each sees all, by 16 heads.
+def norm(t, at, x):
+    return oracle.layer_norm(x, t[f"{at}.weight"], t[f"{at}.bias"], eps=1e-5)
 
-    Norms come after additions; tensors have the names of `torch.nn.TransformerEncoder`.
-    """
+
+def encoder_layer(t, x, heads, activation):
+    """What a `torch.nn.TransformerEncoderLayer`, whose norms come after additions, makes of x (n, dim)."""
+    x = norm(t, "norm1", x + oracle.attention(t, "self_attn", x, x, heads))
+    return norm(t, "norm2", x + oracle.linear(t, "linear2", activation(oracle.linear(t, "linear1", x))))
+
+
+def draw_layer(draw, dim, hidden):
+    layer = draw.attention("self_attn", dim) | draw.norm("norm1", dim) | draw.norm("norm2", dim)
+    return layer | draw.linear("linear1", dim, hidden) | draw.linear("linear2", hidden, dim)
+
+
+def encoded_together(tensors, parts):
+    """What becomes of the parts (n_images, n_parts, dim) of images: a part sees the same part of all images."""
     for number in range(2):
         t = under(tensors, f"encoder.layers.{number}.")
-        together = parts.unbind(1)  # a part sees the same part of all images
-        seen = torch.stack([oracle.attention(t, "self_attn", part, part, 16) for part in together], 1)
-        parts = norm(t, "norm1", parts + seen)
-        inner = oracle.linear(t, "linear2", functional.gelu(oracle.linear(t, "linear1", parts)))
-        parts = norm(t, "norm2", parts + inner)
+        parts = torch.stack([encoder_layer(t, part, 16, functional.gelu) for part in parts.unbind(1)], 1)
     return parts
 
 
-def encoder_checkpoint(draw, dim, hidden):
+def encoder_checkpoint(draw):
     """Random values, so large that images change one another."""
-    tensors = {}
-    for number in range(2):
-        layer = draw.attention("self_attn", dim) | draw.norm("norm1", dim) | draw.norm("norm2", dim)
-        layer |= draw.linear("linear1", dim, hidden) | draw.linear("linear2", hidden, dim)
-        tensors |= prefixed(f"encoder.layers.{number}.", layer)
-    return tensors
+    layers = [prefixed(f"encoder.layers.{number}.", draw_layer(draw, DIM, 48)) for number in range(2)]
+    return layers[0] | layers[1]
 
 
 def draw_supervlad():
     draw = Draw(5)
-    tensors = prefixed("backbone.", vit_checkpoint(draw)) | encoder_checkpoint(draw, DIM, 48)
+    tensors = prefixed("backbone.", vit_checkpoint(draw)) | encoder_checkpoint(draw)
     tensors["aggregation.conv.weight"] = draw.normal(CLUSTERS + 1, DIM, 1, 1, scale=6)
     return prefixed("module.", tensors)
 
@@ -177,7 +181,7 @@ def draw_cricavpr():
             adapter[f"{name}.bn.running_var"] = 0.001 + 0.001 * torch.rand(n_out, generator=draw.generator)
         tensors |= prefixed(f"blocks.{number}.adapter.", adapter)
     tensors = prefixed("backbone.", tensors) | {"aggregation.1.p": torch.tensor([2.4])}
-    return prefixed("module.", tensors | encoder_checkpoint(draw, DIM, 48))
+    return prefixed("module.", tensors | encoder_checkpoint(draw))
 
 
 def adapted(block, tokens):
@@ -262,17 +266,11 @@ def draw_boq(backbone, n_channels):
     tensors |= draw.norm("norm_input", DIM) | draw.linear("fc", 2 * QUERIES, ROWS)
     for number in (0, 1):
         block = {"queries": draw.normal(1, QUERIES, DIM)}
-        for name in ("self_attn", "cross_attn", "encoder.self_attn"):
-            block |= draw.attention(name, DIM)
-        for name in ("norm_q", "norm_out", "encoder.norm1", "encoder.norm2"):
-            block |= draw.norm(name, DIM)
-        block |= draw.linear("encoder.linear1", DIM, 4 * DIM) | draw.linear("encoder.linear2", 4 * DIM, DIM)
+        block |= draw.attention("self_attn", DIM) | draw.attention("cross_attn", DIM)
+        block |= draw.norm("norm_q", DIM) | draw.norm("norm_out", DIM)
+        block |= prefixed("encoder.", draw_layer(draw, DIM, 4 * DIM))
         tensors |= prefixed(f"boqs.{number}.", block)
     return prefixed("backbone.", backbone(draw)) | prefixed("aggregator.", tensors)
-
-
-def norm(t, at, x):
-    return oracle.layer_norm(x, t[f"{at}.weight"], t[f"{at}.bias"], eps=1e-5)
 
 
 def gathered(tensors, features):
@@ -283,9 +281,7 @@ def gathered(tensors, features):
     outs = []
     for number in (0, 1):
         b = under(t, f"boqs.{number}.")
-        x = norm(b, "encoder.norm1", x + oracle.attention(b, "encoder.self_attn", x, x, 2))
-        inner = oracle.linear(b, "encoder.linear1", x).clamp(min=0)
-        x = norm(b, "encoder.norm2", x + oracle.linear(b, "encoder.linear2", inner))
+        x = encoder_layer(under(b, "encoder."), x, 2, torch.relu)
         queries = b["queries"][0]
         asking = norm(b, "norm_q", queries + oracle.attention(b, "self_attn", queries, queries, 2))
         outs.append(norm(b, "norm_out", oracle.attention(b, "cross_attn", asking, x, 2)))
@@ -295,13 +291,6 @@ def gathered(tensors, features):
 def described_by_boq(tensors, seen):
     tokens = vit_tokens(tensors, "backbone.dino.", floats(seen, 42, 56, "bicubic"), final_norm=False)
     return gathered(tensors, tokens[:, 1:].transpose(1, 2).unflatten(2, (3, 4)))
-
-
-def wrapped(tensors):
-    """Tensors under the names of the other public wrapper."""
-    others = {"0": "frozen_layers.0.0", "1": "frozen_layers.0.1", "4": "frozen_layers.1", "5": "frozen_layers.2"}
-    others["6"] = "unfrozen_layers.0"
-    return {re.sub(r"(?<=^backbone\.)net\.(\d)", lambda m: others[m[1]], name): t for name, t in tensors.items()}
 
 
 BOQ = PublishedNetwork(
@@ -324,7 +313,13 @@ BOQ_RESNET = PublishedNetwork(
 
 
 def test_the_names_of_the_other_public_wrapper_are_those_of_the_same_tensors(folder):
-    method = BOQ_RESNET.method(saved(folder / "wrapped.pth", wrapped(BOQ_RESNET.tensors)))
+    others = {"0": "frozen_layers.0.0", "1": "frozen_layers.0.1", "4": "frozen_layers.1", "5": "frozen_layers.2"}
+    others["6"] = "unfrozen_layers.0"
+    wrapped = {
+        re.sub(r"(?<=^backbone\.)net\.(\d)", lambda number: others[number[1]], name): tensor
+        for name, tensor in BOQ_RESNET.tensors.items()
+    }
+    method = BOQ_RESNET.method(saved(folder / "wrapped.pth", wrapped))
     assert distance(encoded(method, *BOQ_RESNET.images), BOQ_RESNET.codes(folder)) < 1e-5
 
 

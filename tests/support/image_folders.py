@@ -1,10 +1,13 @@
 """Folders of little images, and what is asked of every dataset that reads them."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from checkout import SHARED
 from PIL import Image as PillowImage
 
+from vprbench.datasets.image_list import image_list
 from vprbench.errors import BadInput
 
 REAL = SHARED / "data"
@@ -26,6 +29,14 @@ def numbered(count, suffix=".jpg"):
 
 def reds(images):
     return [int(image[0, 0, 0]) for image in images]
+
+
+def listed(references, queries, **options):
+    """Return the dataset of two tables beside the images 0.jpg to 39.jpg."""
+    fill(Path(), numbered(40))
+    for file, content in (("map.csv", references), ("asked.csv", queries)):
+        Path(file).write_bytes(content if isinstance(content, bytes) else content.encode())
+    return image_list(references=["map.csv"], queries="asked.csv", **options)
 
 
 def rights(dataset):

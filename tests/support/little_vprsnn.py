@@ -35,10 +35,6 @@ def fitted(n_places=5, **arguments):
     return VPRSNN(**{**SMALL, **arguments}).fit(*references(n_places))
 
 
-def same(one, other):
-    return one.keys() == other.keys() and all(np.array_equal(array, other[name]) for name, array in one.items())
-
-
 def layers(method, codes):
     return {layer.name: np.asarray(layer.values) for layer in method.spikes(codes)}
 
@@ -56,11 +52,6 @@ def recorded_trains(monkeypatch):
 
     monkeypatch.setattr(model, "draw_spike_train", record)
     return trains
-
-
-def member(state, number):
-    start = f"member_{number}."
-    return {name.removeprefix(start): array for name, array in state.items() if name.startswith(start)}
 
 
 # A network made by hand: `heard[j]` are the inputs that drive neuron j, `spoken_for[j]` the place that it learnt.

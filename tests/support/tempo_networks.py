@@ -54,15 +54,6 @@ def shown(count, n_pixels=N_PIXELS, seed=1):
     return np.random.default_rng(seed).uniform(0, 1, (count, n_pixels)).astype(np.float32)
 
 
-def one_matrix(members):
-    """Return the mean over the members of W_o W_f, (n_places, n_pixels)."""
-
-    def product(part):
-        return np.concatenate([double(o).T @ double(f) for f, o in zip(part.features, part.outputs, strict=True)])
-
-    return np.mean([product(member) for member in members], axis=0)
-
-
 def one_by_one(query, spikes):
     return np.concatenate([query.scores(x[None]) for x in spikes])
 

@@ -4,9 +4,9 @@ from functools import cache
 
 import numpy as np
 import pytest
-from little_vprsnn import SMALL, WORLD, fitted, images, layers, member, references, same
+from little_vprsnn import SMALL, WORLD, fitted, images, layers, references
+from states import member, same
 
-from vprbench.errors import BadInput
 from vprbench.methods.vprsnn.ensemble import VPRSNNEnsemble
 
 QUERIES = images(WORLD.queries)
@@ -56,16 +56,3 @@ def test_scores_are_the_sum_of_the_members_scores_and_spikes_those_of_the_first(
     less = expected - expected.min(axis=1, keepdims=True)
     together.probabilities = True
     assert together.match(codes) == pytest.approx(less / less.sum(axis=1, keepdims=True), rel=1e-5)
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        *(("seeds", value) for value in ([], [0, 10, 0], [0, -1])),
-        *(("member_epochs", value) for value in ([5], [5, 0])),
-        *(("member_thresholds", value) for value in ([1, 2, 3], [1, -1])),
-    ],
-)
-def test_members_that_cannot_be_are_refused_by_name(name, value):
-    with pytest.raises(BadInput, match=rf"^method\.{name}="):
-        ensemble(**{name: value})

@@ -5,11 +5,7 @@ import pytest
 
 from vprbench.methods.vprsnn.input import draw_spike_train, make_generator, make_image_generator
 
-SHOWN, STEP_MS = 3500, 0.1
-
-
-def drawn(levels, seed=0, intensity=4.0, steps=SHOWN):
-    return draw_spike_train(np.array(levels, np.uint8), np.random.default_rng(seed), intensity, steps, STEP_MS)
+SHOWN = 3500  # steps
 
 
 def five_sigma(n_draws, probability):
@@ -18,7 +14,8 @@ def five_sigma(n_draws, probability):
 
 def test_each_input_has_the_rate_of_its_own_level():
     levels = np.arange(256)
-    train = drawn(np.tile(levels, 40), 1)
+    shown = np.tile(levels, 40).astype(np.uint8)
+    train = draw_spike_train(shown, np.random.default_rng(1), 4.0, SHOWN, 0.1)
     counts = np.bincount(train.source, minlength=40 * 256).reshape(40, 256).sum(axis=0)
     probability = levels / 4 * 1e-4
     spread = 6 * np.sqrt(40 * SHOWN * probability)

@@ -3,7 +3,8 @@
 import direct_vprsnn as direct
 import numpy as np
 import pytest
-from little_vprsnn import SMALL, WORLD, fitted, images, layers, recorded_trains, references, same
+from little_vprsnn import SMALL, WORLD, fitted, images, layers, recorded_trains, references
+from states import same
 
 from vprbench.config import make_request
 from vprbench.errors import BadInput

@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from little_vprsnn import SMALL, fitted, same
+from little_vprsnn import SMALL, fitted
+from states import same
 
 from vprbench.errors import BadInput, NotFittedError
 from vprbench.methods.vprsnn.method import VPRSNN

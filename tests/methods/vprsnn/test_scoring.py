@@ -73,16 +73,13 @@ def test_places_spoken_for_and_scores_are_those_of_slow_loops_in_blocks_of_any_s
     assert not np.isin(np.arange(23), spoken_for).all()
     assert (spoken_for == -1).any()
     monkeypatch.setattr(scoring, "_BLOCK_CELLS", block_cells)
-    for found, expected in (
-        (
-            scoring.score_standard(responses.astype(np.uint8), spoken_for, silenced, n_places),
-            standard_slowly(responses, spoken_for, silenced, n_places),
-        ),
-        (
-            scoring.score_weighted(responses, learnt, silenced, n_places),
-            weighted_slowly(responses, learnt, silenced, n_places),
-        ),
-    ):
+    ways = [
+        (scoring.score_standard, standard_slowly, spoken_for, np.uint8),
+        (scoring.score_weighted, weighted_slowly, learnt, np.int64),
+    ]
+    for fast, slow, given, kind in ways:
+        found = fast(responses.astype(kind), given, silenced, n_places)
+        expected = slow(responses, given, silenced, n_places)
         assert (found.dtype, found.shape) == (np.float32, expected.shape)
         assert np.allclose(found, expected, rtol=1e-6, atol=0)
 

@@ -19,10 +19,6 @@ Floats = npt.NDArray[np.float64]
 Spikes = npt.NDArray[np.bool_]  # (n_steps, n_inputs)
 
 
-def train_of(spikes):
-    return Train(*(array.astype(np.int32) for array in np.nonzero(spikes)))
-
-
 def silence(n_steps, n_inputs):
     return np.zeros((n_steps, n_inputs), np.bool_)
 
@@ -66,7 +62,7 @@ def agreed(given, learning=True, weight_sum=None):
     for image in given.images:
         if weight_sum is not None:
             normalise_weights(synapses.weights, weight_sum)
-        module.show(train_of(image))
+        module.show(Train(*(array.astype(np.int32) for array in np.nonzero(image))))
         counts.append(state.counts[:n].copy())
     np.testing.assert_array_equal(counts, run.counts)
     for fired, spikes in ((state.fired, run.excitatory), (state.fired_i, run.inhibitory)):

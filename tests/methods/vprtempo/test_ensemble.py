@@ -5,6 +5,7 @@ from typing import get_args
 import numpy as np
 import pytest
 import torch
+from states import member, same
 from tempo_networks import QUERIES, REFERENCES, RULE_SETS, SMALL, fitted
 
 from vprbench.errors import BadInput
@@ -18,7 +19,7 @@ from vprbench.methods.vprtempo.rules import REFERENCE, RuleSet
 
 
 def empty(members, **arguments):
-    return VPRTempoEnsemble(members=members, **{**SMALL, **arguments})
+    return VPRTempoEnsemble(members=members, **SMALL | arguments)
 
 
 def ensemble(members, **arguments):
@@ -27,15 +28,6 @@ def ensemble(members, **arguments):
 
 def alone(seed, **arguments):
     return fitted(seed=seed, **arguments)
-
-
-def member(state, number):
-    start = f"member_{number}."
-    return {name.removeprefix(start): array for name, array in state.items() if name.startswith(start)}
-
-
-def same(one, other):
-    return one.keys() == other.keys() and all(np.array_equal(array, other[name]) for name, array in one.items())
 
 
 @pytest.mark.parametrize(

@@ -12,20 +12,11 @@ from vprbench.methods.vprtempo.training import check_winners, draw_schedule, spl
 SIZES = [12, 12, 5]  # places of each module
 TRAVERSES = np.tile(np.arange(29), 2)  # the place of each of 58 reference images
 EPOCHS = 4
-ALL_RULES = pytest.mark.parametrize("rules", [REFERENCE, PAPER, V1], ids=["reference", "paper", "v1"])
-
-
-def generators(seeds=(0, 1, 2)):
-    return [torch.Generator().manual_seed(seed) for seed in seeds]
 
 
 def schedule(rules):
-    return draw_schedule(generators(), SIZES, TRAVERSES, EPOCHS, rules)
-
-
-def images_shown(rules, module, epoch):
-    own = 2 * SIZES[module]
-    return schedule(rules).image[epoch * own : (epoch + 1) * own, module].tolist()
+    generators = [torch.Generator().manual_seed(seed) for seed in (0, 1, 2)]
+    return draw_schedule(generators, SIZES, TRAVERSES, EPOCHS, rules)
 
 
 def test_places_are_split_so_that_only_the_last_module_is_smaller():
@@ -34,15 +25,16 @@ def test_places_are_split_so_that_only_the_last_module_is_smaller():
     assert split_places(450, 1100) == [450]
 
 
-@ALL_RULES
+@pytest.mark.parametrize("rules", [REFERENCE, PAPER, V1], ids=["reference", "paper", "v1"])
 def test_every_epoch_shows_a_module_each_image_of_its_places_once_to_the_neuron_of_the_place(rules):
-    neurons = schedule(rules).neuron
+    drawn = schedule(rules)
     for module, (first, size) in enumerate(zip([0, 12, 24], SIZES, strict=True)):
         both_traverses = [start + place for start in (0, 29) for place in range(first, first + size)]
-        shown = [images_shown(rules, module, epoch) for epoch in range(EPOCHS)]
+        images = drawn.image[: 2 * size * EPOCHS, module].tolist()
+        shown = [images[2 * size * epoch :][: 2 * size] for epoch in range(EPOCHS)]
         assert [sorted(epoch) for epoch in shown] == [both_traverses] * EPOCHS
         assert len({tuple(epoch) for epoch in shown}) == (EPOCHS if rules.shuffle else 1)
-        assert neurons[: 2 * size * EPOCHS, module].tolist() == (TRAVERSES[np.concatenate(shown)] - first).tolist()
+        assert drawn.neuron[: 2 * size * EPOCHS, module].tolist() == (TRAVERSES[np.concatenate(shown)] - first).tolist()
 
 
 def test_a_smaller_module_anneals_over_its_own_steps_and_ends_with_a_factor_of_0():
