@@ -64,15 +64,6 @@ def dataset_of(references, queries, names=NAMES, query_names=None, right=None, t
     )
 
 
-def wrong(found):
-    """Return level, check and text of errors and warnings."""
-    return [(finding.level, finding.check, finding.text) for finding in found if finding.level != "note"]
-
-
-def notes(found, check):
-    return [finding.text for finding in found if finding.level == "note" and finding.check == check]
-
-
 def coded(found, folder):
     """Return level, check, numbers and numbered names of every finding, without the path of the tests' `folder`."""
     return [

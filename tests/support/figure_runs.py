@@ -8,7 +8,6 @@ from typing import Any
 import little
 import numpy as np
 
-from vprbench.metrics.ranking import best_places, outcome
 from vprbench.report.selection import MethodRuns
 from vprbench.runs.stopwatch import Laps
 
@@ -52,9 +51,7 @@ def run(method="little", share=0.5, n_queries=40, n_places=50, **changes):
     seed, device = take("seed", 0), take("device", "cpu")
     dataset = changes.get("dataset", "railway")
     scores = scores_with_recall(share, n_queries, n_places, seed)
-    positives = tuple(np.array([query % n_places]) for query in range(n_queries))
-    best = best_places(scores, min(25, n_places))
-    top = np.take_along_axis(best, np.argsort(-np.take_along_axis(scores, best, 1), axis=1, kind="stable"), 1)
+    positives = [[query % n_places] for query in range(n_queries)]
     stored_bytes = take("bytes_per_place", None)
     made: dict[str, Any] = {
         "method": method,
@@ -78,17 +75,11 @@ def run(method="little", share=0.5, n_queries=40, n_places=50, **changes):
             **({"accelerator": "Loom 7"} if device.startswith("cuda") else {}),
             "device": device,
         },
-        "notes": (),
         "n_references": n_places,
         "search": None if stored_bytes is None else {"index": "exact", "bytes_per_place": stored_bytes},
         "timing": timing(take("encode_seconds", 0.001), take("match_seconds", 0.001), take("spread", 0.1)),
-        "outcome": outcome(scores, positives),
-        "positives": positives,
-        "top_places": top.astype(np.int32),
-        "top_scores": np.take_along_axis(scores, top, 1),
-        "scores": scores,
     }
-    return little.a_run(**{**made, **changes})
+    return little.answered(scores, positives, 25, **{**made, **changes})
 
 
 def series(name, *runs):

@@ -3,10 +3,9 @@
 import io
 
 import numpy as np
-from little import a_run
+from little import a_run, answered
 from PIL import Image
 
-from vprbench.metrics.ranking import best_places, outcome
 from vprbench.report.page.page import Picture, Section, page
 from vprbench.report.selection import MethodRuns
 from vprbench.runs.notes import Note
@@ -29,30 +28,15 @@ def mistaken_place(query):
     return (right_place(query) + SHIFT) % N_PLACES
 
 
-def answered(table, positives, depth=10, **changes):
-    """Return a run that gave these scores, (n_queries, n_places)."""
-    table, right = np.asarray(table, np.float32), tuple(np.array(places, np.int64) for places in positives)
-    best = best_places(table, min(depth, table.shape[1]))
-    order = np.argsort(-np.take_along_axis(table, best, axis=1), axis=1, kind="stable")
-    top = np.take_along_axis(best, order, axis=1)
-    kept = {"scores": table, "positives": right, "outcome": outcome(table, right), "notes": ()}
-    kept |= {"top_places": top.astype(np.int32), "top_scores": np.take_along_axis(table, top, axis=1)}
-    return a_run(**{**kept, **changes})
-
-
-def journey_scores(wrong):
+def journey_run(wrong, seed=0, **changes):
     scores = np.full((N_QUERIES, N_PLACES), OTHERS, np.float32)
     for query in range(N_QUERIES):
         scores[query, right_place(query)] = RIGHT
     for query, above in wrong.items():
         scores[query, mistaken_place(query)] = RIGHT + above
-    return scores
-
-
-def journey_run(wrong, seed=0, **changes):
     positives = [[] if query == UNANSWERABLE else [right_place(query)] for query in range(N_QUERIES)]
     config = {**a_run().config, "seed": seed}
-    return answered(journey_scores(wrong), positives, **{"config": config, **changes})
+    return answered(scores, positives, **{"config": config, **changes})
 
 
 def query_colour(query):

@@ -25,7 +25,8 @@ NORDLAND = Column("nordland", "Nordland", ("dataset=nordland",), "Nordland")
 PLANNED = Column("railway", "Railway (rendered)", ("dataset=railway",), "Nordland", stand_in_for="Nordland")
 CITY = Column("street", "City street", ("dataset=street",))
 
-PUBLISHED = read_plan(ROOT / "conf" / PLAN_FILE).published
+PAPER = read_plan(ROOT / "conf" / PLAN_FILE)
+PUBLISHED = PAPER.published
 ROWS = (SAD, NETVLAD, VPRSNN, VPRTEMPO)
 
 RAIL = replace(PLANNED, dataset=RAILWAY)

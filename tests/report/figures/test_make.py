@@ -5,7 +5,6 @@ import shutil
 from pathlib import Path
 
 import pytest
-from quick_runs import quick_runs
 from small_plan import PLAN, RUN, install, quick_figures
 
 from vprbench.cli import main
@@ -26,7 +25,6 @@ def grown(folder, monkeypatch, quick=True):
     """Let the small plan hold in a folder, of only two sizes of the growth, and files of figures be quickly written."""
     if quick:
         quick_figures(monkeypatch)
-    quick_runs(monkeypatch)
     return install(monkeypatch, folder, PLAN.replace("[10, 12, 14, 16]", "[10, 14]"))
 
 

@@ -7,8 +7,9 @@ import made_table
 import numpy as np
 import pytest
 import report_page as made
+from little import answered
 from playwright.sync_api import expect
-from report_page import SAD_WRONG, answered, journey_run, journey_section, made_up_page, place_colour, query_colour
+from report_page import SAD_WRONG, journey_run, journey_section, made_up_page, place_colour, query_colour
 from report_reader import choose, colours, current, focused, listed, queries_of, widest
 
 from vprbench.report.page.page import Picture, Section, page

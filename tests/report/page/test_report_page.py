@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import pytest
 import report_page as made
-from little import a_run
+from little import a_run, answered
 from parsed_page import Parsed
 from PIL import Image
-from report_page import HOSTILE, SAD_WRONG, TABLE, answered, journey_run, journey_section, made_up_page
+from report_page import HOSTILE, SAD_WRONG, TABLE, journey_run, journey_section, made_up_page
 
 from vprbench.report.page import page as report
 from vprbench.report.page.page import Picture, Section

@@ -1,11 +1,10 @@
 """`make table`: what is missing is run once, what cannot run says so, and the stored runs alone give the same table."""
 
-import csv
 import shutil
 from pathlib import Path
 
 import pytest
-from small_plan import RUN, install
+from small_plan import RUN, install, lines
 
 from vprbench.cli import main
 from vprbench.metrics.accuracy import recall_at
@@ -15,25 +14,18 @@ from vprbench.runs.store import Store
 STORED = "rows=[SAD,PCA,Nobody]"
 
 
-def cells(path):
+def cells(name):
     """Return the cells of R@1 in a CSV by row and column."""
-    with path.open(encoding="utf-8", newline="") as file:
-        return {
-            (line["row"], line["column"]): line for line in csv.DictReader(file) if line["quantity"] == "recall_at_1"
-        }
+    return {(line["row"], line["column"]): line for line in lines(name) if line["quantity"] == "recall_at_1"}
 
 
-def runs(folder):
-    return [run for run in Store(folder).runs() if run.method == "sad"]
-
-
-def test_each_run_is_made_once_and_the_files_hold_the_stored_numbers_and_why_there_are_none(made):
-    _, apart, code = made
+def test_each_run_is_made_once_and_the_files_hold_the_stored_numbers_and_why_there_are_none(made, monkeypatch):
+    folder, apart, code = made
+    monkeypatch.chdir(folder)
     assert code == 0  # a row without its method is no failure of the table
     assert sorted(request.method_name for request in apart.asked) == ["cosplace", "cosplace", "pca", "sad", "sad"]
-    results = made[0] / "results"
-    found = cells(results / "table.csv")
-    (run,) = (run for run in runs(results) if run.outcome.n_places == 20)
+    found = cells("table.csv")
+    (run,) = (run for run in Store(Path("results")).runs() if (run.method, run.outcome.n_places) == ("sad", 20))
     recall = recall_at(run.outcome, 1)
     sad, nobody, slow = (found[row, "route"] for row in ("SAD", "Nobody", "PCA"))
     assert (float(sad["value"]), sad["published"]) == (pytest.approx(100 * recall.expected, rel=1e-12), "48.0")
@@ -57,11 +49,11 @@ def test_from_the_store_alone_and_without_the_methods_yaml_the_table_is_the_same
 @pytest.mark.extended
 def test_rows_on_request_stand_below_the_papers_and_full_runs_slow_rows_at_full_size(copied):
     assert main(["table", "rows=[SAD]", "methods=[sad,big_patches]", "columns=[route_12]", *RUN]) == 0
-    found = cells(Path("results/route_12.csv"))
+    found = cells("route_12.csv")
     assert [row for row, _ in found] == ["SAD", "SAD (big patches)"]
     assert found["SAD (big patches)", "route_12"]["mark"] == "measured"
     assert main(["table", "rows=[PCA]", "columns=[route]", "full=true", *RUN]) == 0
-    assert cells(Path("results/route.csv"))["PCA", "route"]["mark"] == "measured"
+    assert cells("route.csv")["PCA", "route"]["mark"] == "measured"
 
 
 @pytest.mark.parametrize(
@@ -90,7 +82,7 @@ def test_an_option_that_cannot_be_is_one_line_and_leaves_the_old_table(tmp_path,
 def test_a_chosen_column_names_the_files_and_stores_of_several_machines_merge(copied):
     before = Path("results/table.md").read_text()
     assert main(["table", STORED, "columns=[route_12,route_12]", "stored=true"]) == 0
-    assert {column for _, column in cells(Path("results/route_12-route_12.csv"))} == {"route_12"}
+    assert {column for _, column in cells("route_12-route_12.csv")} == {"route_12"}
     assert Path("results/route_12-route_12.md").read_text().count("\n## ") == 1
     assert Path("results/table.md").read_text() == before
     shutil.move("results", "else where")
