@@ -20,8 +20,6 @@ from vprbench.errors import BadInput
 
 GPU = "cpu:0"
 MEAN, DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)  # of ImageNet
-
-
 NOWHERE = Weights(file="tiny.safetensors", licence="none", trained_on="nothing", path="nowhere/tiny.safetensors")
 
 
@@ -38,10 +36,6 @@ class Tiny(NeuralDescriptor):
 
 class Fourteen(Tiny):
     multiple = 14
-
-
-class Large(Tiny):
-    smallest_side = 300
 
 
 class Watched(nn.Module):
@@ -100,17 +94,6 @@ def mixed():
     return [*small[:3], *wide[:2], small[3], *wide[2:], *noise(1, (33, 19)), small[4]]
 
 
-def slowly(images, broken=None):
-    """Images that are read by threads, one of which cannot be."""
-
-    def read(i):
-        if i == broken:
-            raise BadInput(f"image {i} is torn")
-        return images[i]
-
-    return Images(read, [str(i) for i in range(len(images))])
-
-
 def numbered(count, size=(4, 4)):
     return [np.full((*size, 3), 10 * (i % 26), np.uint8) for i in range(count)]
 
@@ -131,6 +114,10 @@ def test_a_descriptor_is_what_the_formulas_give_of_unit_length_from_a_network_th
     assert method.keeps_descriptors()
 
 
+class Large(Tiny):
+    smallest_side = 300
+
+
 @pytest.mark.parametrize("kind", [Tiny, Large])
 def test_no_images_give_no_rows_of_the_right_length_and_a_missing_file_is_named(kind, weights):
     codes = kind(weights=weights).encode(Images.from_arrays([]))
@@ -140,35 +127,32 @@ def test_no_images_give_no_rows_of_the_right_length_and_a_missing_file_is_named(
             ask(kind(weights=NOWHERE))
 
 
-def filled(value, **arguments):
-    """A linear layer of which every parameter has this value, for images of 4 x 4."""
-    method = Tiny(weights=NOWHERE, **arguments)
-    method.use(nn.Sequential(nn.Flatten(), nn.Linear(48, 5)))
-    for parameter in method._network.parameters():
-        parameter.fill_(value)
-    return method
-
-
 @pytest.mark.parametrize(
     ("precision", "value", "advice"), [("float32", 3e38, "weights"), ("float16", 6e4, r"method\.precision=float32")]
 )
 def test_an_output_of_zeros_is_a_zero_vector_and_one_that_is_not_finite_is_refused(precision, value, advice, pinned):
-    images = Images.from_arrays(numbered(2))
-    assert np.array_equal(filled(0, precision=precision, device=GPU).encode(images), np.zeros((2, 5), np.float32))
+    def encoded(parameters):
+        """Encode images of 4 x 4 by a linear layer whose parameters all have this value."""
+        method = Tiny(weights=NOWHERE, precision=precision, device=GPU)
+        method.use(nn.Sequential(nn.Flatten(), nn.Linear(48, 5)))
+        for parameter in method._network.parameters():
+            parameter.fill_(parameters)
+        return method.encode(Images.from_arrays(numbered(2)))
+
+    assert np.array_equal(encoded(0), np.zeros((2, 5), np.float32))
     with pytest.raises(BadInput, match=f"^Tiny .* {precision}: .*{advice}"):
-        filled(value, precision=precision, device=GPU).encode(images)
+        encoded(value)
 
 
-TWO_SIZES = [image[:3] if i in (2, 3) else image for i, image in enumerate(numbered(7))]
-TO_ONE_SIZE = [image[: 3 + i % 2] for i, image in enumerate(numbered(4))]
+LOW = numbered(4, (3, 4))
 
 
 @pytest.mark.parametrize(
     ("arguments", "images", "n_bytes", "batches"),
     [
         ({"batch_size": 3}, numbered(8), None, [[0, 1, 2], [3, 4, 5], [6, 7]]),
-        ({"batch_size": 3}, TWO_SIZES, None, [[0, 1], [2, 3], [4, 5, 6]]),
-        ({"batch_size": 9, "height": 5, "width": 5}, TO_ONE_SIZE, None, [[0, 1, 2, 3]]),
+        ({"batch_size": 3}, [*numbered(2), *LOW[2:4], *numbered(7)[4:]], None, [[0, 1], [2, 3], [4, 5, 6]]),
+        ({"batch_size": 9, "height": 5, "width": 5}, [*LOW[:1], *numbered(4)[1:]], None, [[0, 1, 2, 3]]),
         ({}, numbered(5), 4 * 3 * 4 * 4 * 2.5, [[0, 1], [2, 3], [4]]),
         ({"height": 8, "width": 8, "resize": "tensor"}, numbered(3), 4 * 3 * 8 * 8 * 2, [[0, 1], [2]]),
         ({"height": 2, "width": 2, "resize": "tensor"}, numbered(3), 4 * 3 * 4 * 4 * 2, [[0, 1], [2]]),
@@ -223,7 +207,7 @@ def test_arguments_that_do_not_fit_are_named_before_the_file_is_looked_for(kind,
 def test_pinned_batches_give_nearly_what_the_cpu_gives(how, precision, least, most, weights, pinned, no_thread_stays):
     arguments = {"weights": weights, "batch_size": 2, "resize": how, "height": 10}
     method = Tiny(**arguments, device=GPU, precision=precision)
-    codes = method.encode(slowly(mixed()))
+    codes = method.encode(Images(mixed().__getitem__, [*"0123456789"]))
     height = 10 if how == "pillow" else 20
     assert pinned[:3] == [(2, height, 26, 3), (1, height, 26, 3), (2, height, 40, 3)]
     assert least <= np.abs(codes - Tiny(**arguments).encode(Images.from_arrays(mixed()))).max() < most
