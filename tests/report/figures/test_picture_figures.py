@@ -40,17 +40,11 @@ def test_a_row_shows_the_right_place_and_the_query_as_they_are_and_patch_normali
     assert "r1.png and q0.png; r0.png and q1.png" in drawn.caption
 
 
-def matrices(drawn):
-    """The panels of the ground truth and of the scores, without the colour bar."""
-    truth, scores, _ = drawn.figure.axes
-    return truth, scores
-
-
 def test_right_places_are_dark_and_the_scores_of_each_query_run_from_0_to_1():
     no = -np.inf  # no candidate is drawn as the worst
     given = np.array([[10, 20, 30, 15], [-5, -4, -1, -5], [7, 7, 7, 7], [no, 2, 4, 3], [no] * 4], np.float32)
     made = little.answered(given, [[1], [0, 3], [], [0], [1]])
-    truth, scores = matrices(draw_similarity(made, "VPRTempo, five networks"))
+    truth, scores, _ = draw_similarity(made, "VPRTempo, five networks").figure.axes
     assert shown(truth).tolist() == [[0, 1, 0, 0], [1, 0, 0, 1], [0, 0, 0, 0], [1, 0, 0, 0], [0, 1, 0, 0]]
     stretched = [[0, 0.5, 1, 0.25], [0, 0.25, 1, 0], [0, 0, 0, 0], [0, 0, 1, 0.5], [0, 0, 0, 0]]
     np.testing.assert_allclose(shown(scores), stretched)
@@ -62,7 +56,7 @@ def test_right_places_are_dark_and_the_scores_of_each_query_run_from_0_to_1():
 def test_cells_of_a_large_matrix_are_the_maxima_of_blocks_so_that_no_right_place_vanishes():
     """1000 places need blocks of 3, and neither 1000 nor 20 is a multiple of 3."""
     made = run(n_queries=20, n_places=1000)
-    truth, scores = matrices(draw_similarity(made, "SAD"))
+    truth, scores, _ = draw_similarity(made, "SAD").figure.axes
     low, high = made.scores.min(1, keepdims=True), made.scores.max(1, keepdims=True)
     padded = np.zeros((21, 1002))
     padded[:20, :1000] = (made.scores - low) / (high - low)
