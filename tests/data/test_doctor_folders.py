@@ -37,67 +37,53 @@ def again(folder, frames, names=None):
     save(folder, frames, names)
 
 
-def resize(folder, names, size):
+def change(folder, names, how, **options):
+    """Store what becomes of the pixels of frames."""
     for name in names:
-        PillowImage.open(folder / name).resize(size).save(folder / name)
-
-
-def show(folder, names, grey):
-    """Put frames of one grey value in place of these."""
-    for name in names:
-        PillowImage.fromarray(np.full((32, 64, 3), grey, np.uint8)).save(folder / name)
-
-
-def show_few_levels(folder, names):
-    """Keep the upper 4 bits of frames, as of 12 bits that are read as 16."""
-    for name in names:
-        PillowImage.fromarray(np.asarray(PillowImage.open(folder / name)) // 16 * 16).save(folder / name)
+        pixels = how(np.asarray(PillowImage.open(folder / name)))
+        PillowImage.fromarray(pixels.astype(np.uint8)).save(folder / name, **options)
 
 
 def tag(folder, names):
     """Store frames upside down, with the EXIF tag that turns them back, in a dataset that ignores it."""
     exif = PillowImage.Exif()
     exif[0x0112] = 3
-    for name in names:
-        image = PillowImage.open(folder / name).transpose(PillowImage.Transpose.ROTATE_180)
-        image.save(folder / name, exif=exif)
+    change(folder, names, lambda pixels: pixels[::-1, ::-1], exif=exif)
     return {"protocol": {"exif": "ignore"}}
 
 
-def write(folder, names, change):
+def write(folder, names, how):
     for name in names:
-        (folder / name).write_bytes(change((folder / name).read_bytes()))
+        (folder / name).write_bytes(how((folder / name).read_bytes()))
 
 
-def too_few(winter, summer):
-    again(winter, season(0, PLACES + 1)[:PLACES])
-    frames = season(1, PLACES + 1)
-    again(summer, frames[:35] + frames[36:])
+def of_frames(winter, summer, references, queries, names=None):
+    """Store other frames; `names` are those of the places, and the queries come in the order of a dictionary."""
+    again(winter, references, names)
+    again(summer, queries, names)
+    return {"names": names, "query_names": sorted(names)} if names else {}
 
 
-def dictionary_order(winter, summer):
-    again(winter, season(0), UNNAMED)
-    again(summer, season(1), UNNAMED)
-    return {"names": UNNAMED, "query_names": sorted(UNNAMED)}
+LONGER = season(1, PLACES + 1)
 
 
 DOCUMENTED = {
     "Missing files": lambda winter, summer: [(winter / name).unlink() for name in NAMES[10:17]],
-    "Empty file": lambda winter, summer: write(summer, NAMES[5:6], lambda _: b""),
-    "Web page as .png": lambda winter, summer: write(summer, NAMES[31:32], lambda _: PAGE),
-    "Truncated": lambda winter, summer: write(summer, NAMES[3:10], lambda whole: whole[:900]),
-    "Other size": lambda winter, summer: resize(summer, NAMES[40:42], (32, 16)),
+    "Empty file": lambda _, summer: write(summer, NAMES[5:6], lambda _: b""),
+    "Web page as .png": lambda _, summer: write(summer, NAMES[31:32], lambda _: PAGE),
+    "Truncated": lambda _, summer: write(summer, NAMES[3:10], lambda whole: whole[:900]),
+    "Other size": lambda winter, summer: change(summer, NAMES[40:42], lambda pixels: pixels[::2, ::2]),
     "Another partition": lambda *_: {"counts": (70,), "wrong_counts": {PLACES: OLID}},
     "Repeated frame": lambda winter, summer: shutil.copy(summer / "011.png", summer / "012.png"),
-    "Black frames": lambda winter, summer: show(summer, NAMES[20:23], 0),
-    "Few levels": lambda winter, summer: show_few_levels(summer, NAMES[7:9]),
+    "Black frames": lambda winter, summer: change(summer, NAMES[20:23], np.zeros_like),
+    "Few levels": lambda winter, summer: change(summer, NAMES[7:9], lambda p: p // 16 * 16),
     "Tags that are ignored": lambda winter, summer: tag(summer, NAMES[50:]),
     "Shifted by 3": lambda winter, summer: again(summer, [*season(1)[3:], *season(1, PLACES + 3)[PLACES:]]),
-    "A frame too few": too_few,
+    "A frame too few": lambda *both: of_frames(*both, season(0, PLACES + 1)[:PLACES], LONGER[:35] + LONGER[36:]),
     "Reversed": lambda winter, summer: again(summer, season(1)[::-1]),
     "Wrong season folder": lambda winter, summer: again(summer, season(0)),
     "Queries in the map": lambda winter, summer: shutil.copy(winter / "044.png", summer / "044.png"),
-    "Lexicographic order": dictionary_order,
+    "Lexicographic order": lambda *both: of_frames(*both, season(0), season(1), UNNAMED),
     "Query without right place": lambda *_: {"right": [[] if place in (4, 9) else [place] for place in range(PLACES)]},
 }
 
@@ -118,25 +104,23 @@ def copied(winter, summer):
     shutil.copy(winter / "044.png", summer / "044.png")
 
 
+LFS = b"version https://git-lfs.github.com/spec/v1"
 EXAMINED = {
     "a page as large as an image": (
         lambda winter, _: write(winter, ["017.png"], lambda whole: b"Service unavailable. ".ljust(len(whole))),
         ["error decoding: 1 60 017"],
     ),
-    "a Git LFS pointer": (
-        lambda winter, _: write(winter, ["031.png"], lambda _: b"version https://git-lfs.github.com/spec/v1"),
-        ["error decoding: 1 60 031"],
-    ),
+    "a Git LFS pointer": (lambda winter, _: write(winter, ["031.png"], lambda _: LFS), ["error decoding: 1 60 031"]),
     "no frame of a traverse": (
         lambda winter, _: write(winter, NAMES, lambda _: b"nothing"),
         ["error decoding: 60 60 000 001 002 003 004 55"],
     ),
     "two sizes in one traverse": (
-        lambda winter, summer: resize(summer, NAMES[:20], (128, 64)),
+        lambda _, summer: change(summer, NAMES[:20], lambda p: p.repeat(2, 0).repeat(2, 1)),
         ["note size: 20 64x32 40 000 001 002 003 004 15"],
     ),
     "frames of one grey value": (
-        lambda winter, summer: show(summer, NAMES[20:23], 200),
+        lambda _, summer: change(summer, NAMES[20:23], lambda p: 0 * p + 200),
         ["warning black frames: 3 60 3 255 020 021 022"],
     ),
     "frames that are the same": (
@@ -183,7 +167,13 @@ def test_sound_frames_exit_with_0_and_a_dataset_that_cannot_be_built_with_1(spoi
     ("spoil", "counts"),
     [
         (lambda *_: None, []),
-        (lambda winter, summer: (show(winter, NAMES[:4], 0), show(summer, NAMES[8:9], 200)), ["4 60", "1 60"]),
+        (
+            lambda winter, summer: (
+                change(winter, NAMES[:4], np.zeros_like),
+                change(summer, NAMES[8:9], lambda p: 0 * p + 200),
+            ),
+            ["4 60", "1 60"],
+        ),
         (lambda _, summer: write(summer, NAMES[3:10], lambda whole: whole[:900]), ["7 60"]),
     ],
 )

@@ -60,9 +60,9 @@ def get(entry, root, check=None, timeout_seconds=60.0, **settings):
     return fetch(entry, given, check, timeout_seconds=timeout_seconds)
 
 
-def refused(entry, root, message, kind=BadInput, **settings):
+def refused(entry, root, message, kind=BadInput):
     with pytest.raises(kind, match=message):
-        get(entry, root, **settings)
+        get(entry, root)
 
 
 def visible(root):
