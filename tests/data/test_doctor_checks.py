@@ -179,6 +179,6 @@ def test_the_doctor_finds_in_a_recording(damage, tmp_path):
     winter, summer = healthy(tmp_path)
     spoil, expected = FOUND[damage]
     recordings = spoil(drive(1)), recorded(drive(2), "summer")
-    found = coded(examine(replace(dataset_of([winter], summer), recordings=recordings)), tmp_path)
+    found = coded(examine(replace(dataset_of(winter, summer), recordings=recordings)), tmp_path)
     told = [code for code in found if not code.startswith("note alignment")]
     assert [code[: len(start)] for code, start in zip(told, expected, strict=True)] == expected

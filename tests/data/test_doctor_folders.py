@@ -27,7 +27,7 @@ def spoilt(tmp_path):
     def spoilt(damage):
         winter, summer = healthy(tmp_path)
         besides = damage(winter, summer)
-        return dataset_of([winter], summer, **(besides if isinstance(besides, dict) else {}))
+        return dataset_of(winter, summer, **(besides if isinstance(besides, dict) else {}))
 
     return spoilt
 
@@ -144,7 +144,7 @@ def test_a_run_is_refused_with_one_line_for_the_first_error_and_given_warnings_b
     for folder in ("winter", "summer"):
         write(tmp_path / folder, ["000.png"], lambda _: b"")
     with pytest.raises(BadInput) as refused:
-        check_dataset(dataset_of([tmp_path / "winter"], tmp_path / "summer"))
+        check_dataset(dataset_of(tmp_path / "winter", tmp_path / "summer"))
     line = str(refused.value)
     assert line.startswith(f"dataset little: 1 file of {tmp_path / 'winter'} is empty (0 bytes): 000.png: ")
     assert line.endswith("(1 more, which the doctor names)")

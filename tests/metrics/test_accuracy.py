@@ -157,15 +157,6 @@ def test_the_multi_match_curve_is_that_of_scikit_learn_over_all_pairs(levels):
     assert_that_of_scikit_learn(curve, right.ravel(), scores.ravel())
 
 
-def numbers_of(found):
-    """Return AP and area of curve A, AP of curve B, R@100P, P@100R, EP, AUC-ROC and F1."""
-    a, b = accuracy.pr_curve(found, "A"), accuracy.pr_curve(found, "B")
-    areas = ((accuracy.average_precision, a), (accuracy.auc, a), (accuracy.average_precision, b))
-    metrics = (accuracy.recall_at_full_precision, accuracy.precision_at_full_recall)
-    metrics += (accuracy.extended_precision, accuracy.auc_roc, accuracy.f1_max)
-    return [None if curve is None else area(curve) for area, curve in areas] + [metric(found) for metric in metrics]
-
-
 NINES = scored([9, 0, 0], [8, 8, 0], [7, 0, 0])
 
 
@@ -191,7 +182,13 @@ NINES = scored([9, 0, 0], [8, 8, 0], [7, 0, 0])
     ],
 )
 def test_the_single_numbers_of_worked_cases(found, expected):
-    assert numbers_of(found) == pytest.approx(expected, abs=1e-12)
+    """These are AP and area of curve A, AP of curve B, R@100P, P@100R, EP, AUC-ROC and F1."""
+    a, b = accuracy.pr_curve(found, "A"), accuracy.pr_curve(found, "B")
+    areas = ((accuracy.average_precision, a), (accuracy.auc, a), (accuracy.average_precision, b))
+    numbers = [None if curve is None else area(curve) for area, curve in areas]
+    names = ("recall_at_full_precision", "precision_at_full_recall", "extended_precision", "auc_roc", "f1_max")
+    numbers += [getattr(accuracy, name)(found) for name in names]
+    assert numbers == pytest.approx(expected, abs=1e-12)
     assert (accuracy.recall_at(found, 1) is None) == (expected[3] is None)
 
 

@@ -27,21 +27,6 @@ from vprbench.runs.energy import count_synops, estimate_joules
 from vprbench.runs.recall_intervals import estimate_interval
 
 
-def unanswerable(answers):
-    """Return the share of queries without a right place, of which fewer are better."""
-    return 1 - float(answers.outcome.answerable.mean())
-
-
-LOST = Metric("lost", "Lost", unanswerable, "queries without a right place", 2, higher_is_better=False)
-
-
-@pytest.fixture
-def lost(monkeypatch):
-    """A metric that this project does not have."""
-    monkeypatch.setitem(METRICS, "lost", LOST)
-    return LOST
-
-
 @pytest.fixture
 def package(monkeypatch):
     """A function that lets a package name a metric at this entry point."""
@@ -105,12 +90,13 @@ def test_an_entry_point_that_is_no_metric_is_one_line(package, capfd, value):
     assert f"{value} of vprbench.metrics is" in capfd.readouterr().err
 
 
-def test_a_metric_without_values_per_query_is_in_the_table_in_its_unit_and_never_bold(lost):
-    made = table(
-        [run(hits=[1] * 40), run("vprsnn", hits=[0] * 40)], quantities=list_quantities(["r100p", "ep", "lost"])
-    )
-    assert [measured(made, "SAD", name).value for name in ("r100p", "ep", "lost")] == [100, 1, 0]
-    assert not any(measured(made, "SAD", name).best for name in ("r100p", "ep", "lost"))
+def test_a_metric_without_values_per_query_is_in_the_table_in_its_unit_and_never_bold(monkeypatch):
+    lost = Metric("lost", "Lost", lambda run: 1 - float(run.outcome.answerable.mean()), "no right place", 2, False)
+    monkeypatch.setitem(METRICS, "lost", lost)
+    names = ("r100p", "ep", "lost")
+    made = table([run(hits=[1] * 40), run("vprsnn", hits=[0] * 40)], quantities=list_quantities(names))
+    assert [measured(made, "SAD", name).value for name in names] == [100, 1, 0]
+    assert not any(measured(made, "SAD", name).best for name in names)
     (line, *_) = [line for line in csv.DictReader(io.StringIO(formats.to_csv(made))) if line["quantity"] == "ep"]
     assert (line["unit"], line["value"]) == ("", "1.0")
     assert lost.explained in formats.to_markdown(made)

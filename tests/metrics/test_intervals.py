@@ -130,11 +130,6 @@ def test_no_block_is_shorter_than_the_window_that_an_answer_rests_on():
     assert difference_interval(hits[:30], hits[30:60], window=30) is None
 
 
-def autoregressive(n, phi, seed):
-    noise = np.random.default_rng(seed).standard_normal(n + 1000)
-    return np.asarray(lfilter([1], [1, -phi], noise)[1000:])
-
-
 def transcribed(x):
     """Politis and White (2004), section 3, with D of Patton, Politis and White (2009), in plain loops."""
     n = len(x)
@@ -165,6 +160,6 @@ def transcribed(x):
 @pytest.mark.parametrize("n", [20, 150, 400])
 @pytest.mark.parametrize("phi", [-0.6, 0.0, 0.5, 0.99])
 def test_the_length_is_that_of_a_slow_transcription_of_the_published_rule(n, phi):
-    series = autoregressive(n, phi, seed=n)
+    series = np.asarray(lfilter([1], [1, -phi], np.random.default_rng(n).standard_normal(n + 1000))[1000:])
     for row in (series, (series > np.median(series)).astype(np.float64)):
         assert block_length(row) == transcribed(row.tolist())

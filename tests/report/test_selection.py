@@ -6,13 +6,8 @@ import pytest
 from assembled import tempo
 from stored_runs import ABACUS, PUBLIC, RAIL, RAILWAY, SAD, STREET, TOWN, VPRTEMPO, failure, run
 
-from vprbench.report.selection import (
-    DatasetRuns,
-    describe_protocol,
-    group_runs_by_column,
-    list_method_runs,
-    select_row_runs,
-)
+from vprbench.report import selection
+from vprbench.report.selection import DatasetRuns, list_method_runs, select_row_runs
 
 ROWS = (SAD, VPRTEMPO, PUBLIC)
 FOGGY = replace(RAIL, dataset={**RAILWAY, "fog": 0.5})
@@ -23,11 +18,7 @@ def lost(seed=0, *more, **changes):
 
 
 def grouped(runs, failures=(), *asked):
-    return group_runs_by_column(runs, failures, asked or [RAIL], ROWS)
-
-
-def stored_of(row, *runs, failures=(), column=RAIL):
-    return select_row_runs(DatasetRuns(column, 1, runs, tuple(failures)), row, "cpu")
+    return selection.group_runs_by_column(runs, failures, asked or [RAIL], ROWS)
 
 
 MINE = run()
@@ -109,17 +100,11 @@ LOADED = run(day="2025-03-01", network="5a" * 32, fit_seconds=None)
         (VPRTEMPO, [*OLD[:2], NEWER], [NEWER], (1, 2), 2),
         (VPRTEMPO, [*OLD, NEWER], OLD, (), 1),
         (SAD, [LOADED, TRAINED], [TRAINED], (), 1),
-        (
-            SAD,
-            [run(day="2025-01-02"), TRAINED],
-            [run(day="2025-01-02")],
-            (),
-            1,
-        ),
+        (SAD, [run(day="2025-01-02"), TRAINED], [run(day="2025-01-02")], (), 1),
     ],
 )
 def test_runs_that_differ_in_more_than_their_seed_are_never_put_together(row, stored, runs, missing, n_aside):
-    found = stored_of(row, *stored)
+    found = select_row_runs(DatasetRuns(RAIL, 1, tuple(stored), ()), row, "cpu")
     assert [each.key for each in found.runs] == [each.key for each in runs]
     assert (found.missing_seeds, found.n_aside) == (missing, n_aside)
 
@@ -142,7 +127,7 @@ def test_series_are_the_rows_with_runs_under_the_names_of_the_table_and_a_protoc
     assert [one.name for one in list_method_runs(group, ROWS, "cuda")] == ["SAD"]
     protocol = {"references": ("sun", "rain"), "places": 450, "query_places": 360}
     made = run(protocol=protocol | {"repeated_images": {"sun": 5, "rain": 2}})
-    assert describe_protocol(made) == "references sun+rain, repeated images 5 in sun+2 in rain"
+    assert selection.describe_protocol(made) == "references sun+rain, repeated images 5 in sun+2 in rain"
 
 
 def test_accuracy_is_taken_from_the_device_with_more_seeds_and_of_equals_the_cpu():

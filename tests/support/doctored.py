@@ -41,26 +41,18 @@ def healthy(tmp_path):
     return save(tmp_path / "winter", season(0)), save(tmp_path / "summer", season(1))
 
 
-def dataset_of(references, queries, names=NAMES, query_names=None, right=None, tolerance=0, protocol=None, **counts):
-    """Return the dataset of these folders; the i-th query shows the i-th place unless `right` says otherwise."""
+def dataset_of(references, queries, names=NAMES, query_names=None, right=None, protocol=None, **counts):
+    """Return the dataset of two folders; the i-th query shows the i-th place unless `right` says otherwise."""
     asked = names if query_names is None else query_names
-    n = len(names)
-    if right is None:
-        right = [range(max(0, i - tolerance), min(n, i + tolerance + 1)) for i in range(len(asked))]
+    known = {"references": [references.name], "query": queries.name, "tolerance_places": 0}
     return Dataset(
         name="little",
-        references=Images.from_files([folder / name for folder in references for name in names]),
-        places=np.tile(np.arange(n), len(references)),
+        references=Images.from_files([references / name for name in names]),
+        places=np.arange(len(names)),
         queries=Images.from_files([queries / name for name in asked]),
-        positives=tuple(np.array(places, np.int64) for places in right),
-        protocol={
-            **{"references": [folder.name for folder in references], "query": queries.name},
-            **{"tolerance_places": tolerance, **(protocol or {})},
-        },
-        folders=tuple(
-            FrameFolder(folder, tuple(used), **counts)
-            for folder, used in [*((folder, names) for folder in references), (queries, asked)]
-        ),
+        positives=tuple(np.array(places, np.int64) for places in right or [[i] for i in range(len(asked))]),
+        protocol={**known, **(protocol or {})},
+        folders=tuple(FrameFolder(at, tuple(used), **counts) for at, used in ((references, names), (queries, asked))),
     )
 
 

@@ -6,12 +6,8 @@ import pytest
 from figure_runs import run, series
 from little import a_run, answered
 
-from vprbench.report.figures.accuracy import (
-    draw_precision_recall,
-    draw_recall_at_length,
-    draw_recall_at_n,
-    draw_recall_at_tolerance,
-)
+from vprbench.report.figures import accuracy
+from vprbench.report.figures.accuracy import draw_precision_recall, draw_recall_at_n, draw_recall_at_tolerance
 from vprbench.runs.sequences import parse_views
 
 
@@ -125,7 +121,7 @@ def test_sequences_have_their_recall_at_each_length_and_the_caption_counts_the_q
     runs = [answered(scores, [[i] for i in range(30)]) for scores in noisy]
     views = {view(runs[0]).view.window: [view(made) for made in runs] for view in parse_views([1, 2, 5])}
     seen = [[series("first", *runs[:2]), series("second", runs[2])] for runs in views.values()]
-    drawn = draw_recall_at_length(seen[::-1])
+    drawn = accuracy.draw_recall_at_length(seen[::-1])
     first, second = (dict(points(line)) for line in panel(drawn).lines)
     for length, runs in views.items():
         recalls = [100 * np.mean(made.scores.argmax(1) == np.concatenate(made.positives)) for made in runs]
