@@ -8,12 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from assembled import measured, table
 from checkout import ROOT
 from little import a_run, unanswerable_run
 from little_runs import quiet_surroundings
 from small_plan import RUN, install, run_apart
-from stored_runs import run
+from stored_runs import measured, run, table
 
 from vprbench.api.arithmetic import Arithmetic
 from vprbench.cli import main

@@ -2,8 +2,8 @@
 
 import pytest
 import yaml
-from assembled import NAMES
 from checkout import ROOT
+from stored_runs import NAMES
 
 from vprbench.config import make_request
 from vprbench.errors import BadInput

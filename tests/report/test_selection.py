@@ -3,8 +3,7 @@
 from dataclasses import replace
 
 import pytest
-from assembled import tempo
-from stored_runs import ABACUS, PUBLIC, RAIL, RAILWAY, SAD, STREET, TOWN, VPRTEMPO, failure, run
+from stored_runs import ABACUS, PUBLIC, RAIL, RAILWAY, SAD, STREET, TOWN, VPRTEMPO, failure, run, tempo
 
 from vprbench.report import selection
 from vprbench.report.selection import DatasetRuns, list_method_runs, select_row_runs

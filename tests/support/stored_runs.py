@@ -1,6 +1,7 @@
-"""Made-up runs, failures and a plan for what is made of stored runs; every number in them is known."""
+"""Made-up runs, failures, a plan and tables of them, and how tests look into these; every number is known."""
 
 from dataclasses import replace
+from functools import partial
 from types import MappingProxyType
 
 import little
@@ -8,7 +9,11 @@ import numpy as np
 from checkout import ROOT
 
 from vprbench.metrics.ranking import Outcome
-from vprbench.report.plan import PLAN_FILE, Column, Row, read_plan
+from vprbench.report.plan import PLAN_FILE, Column, Plan, Row, read_plan
+from vprbench.report.report import Report
+from vprbench.report.selection import group_runs_by_column, title_groups
+from vprbench.report.table.cells import tabulate
+from vprbench.report.table.quantities import QUANTITIES
 from vprbench.runs.record import Failure
 
 RAILWAY = {"name": "railway", "places": 10, "seed": 0}
@@ -34,6 +39,7 @@ TOWN = replace(CITY, dataset=STREET)
 
 ABACUS = {"processor": "Abacus 9", "threads": 1, "cores": 2, "libraries": {"torch": "2.6.0"}}
 LOOM = {**ABACUS, "processor": "Loom 3", "cores": 8, "accelerator": "Spindle 80GB"}
+NAMES = ("recall_at_1", "train_cpu", "query_cpu", "train_gpu", "query_gpu")
 
 
 def answers(hits, n_places=10):
@@ -93,3 +99,33 @@ def failure(method="sad", seed=0, error="out of thread", **changes):
     day, missing = changes.pop("day", "2025-03-02"), changes.pop("missing", False)
     given = run(method, seed, day=day, **changes)
     return Failure(method, given.dataset, given.config, error, given.environment, missing)
+
+
+tempo = partial(run, "vprtempo")
+
+
+def table(runs=(), failures=(), rows=ROWS, asked=(RAIL,), slow=False, quantities=QUANTITIES, title=None):
+    published = None if title else PUBLISHED
+    plan = Plan(rows=tuple(rows), columns=tuple(asked), published=published, full=not slow, title=title)
+    groups = (*title_groups(group_runs_by_column(runs, failures, asked, rows)),)
+    cells = tabulate(plan, groups, quantities)._asdict()
+    return Report(plan=plan, groups=groups, quantities=quantities, **cells)
+
+
+def cell(made, row, quantity, column="railway"):
+    named = {(each.row, each.column, each.quantity): each for each in made.cells.itertuples()}
+    return named[row, column, quantity]
+
+
+def measured(made, row, quantity, column="railway"):
+    found = cell(made, row, quantity, column)
+    assert found.seeds is not None
+    return found
+
+
+def notes(made, row, quantity):
+    return [made.notes[number - 1] for number in cell(made, row, quantity).notes]
+
+
+def absences(made, row):
+    return [cell(made, row, quantity.name).mark for quantity in QUANTITIES]

@@ -4,8 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from assembled import cell, table
-from stored_runs import ABACUS, run
+from stored_runs import ABACUS, cell, run, table
 
 from vprbench.report.plan import Row
 from vprbench.runs.notes import Note

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from assembled import NAMES, absences, cell, measured, notes, table, tempo
+import stored_runs
 from pandas.testing import assert_frame_equal
-from stored_runs import NORDLAND, RAILWAY, SAD, STREET, VPRSNN, VPRTEMPO, failure, run
+from stored_runs import NAMES, SAD, VPRSNN, VPRTEMPO, absences, cell, failure, measured, notes, run, table, tempo
 
 from vprbench.report.plan import Column, Row
 from vprbench.report.table.formats import list_facts
@@ -47,14 +47,14 @@ def test_the_numbers_of_one_run_and_of_several_seeds_are_those_worked_by_hand():
 def test_a_difference_to_the_paper_is_given_on_its_own_frames_alone_and_a_comparison_has_no_published_numbers():
     runs = [run(), *(tempo(seed, fit_compute_seconds=120) for seed in (0, 1, 2))]
     cells = [("SAD", "recall_at_1"), ("SAD", "query_cpu"), ("VPRTempo", "train_cpu")]
-    real = table(runs, asked=[replace(NORDLAND, dataset=RAILWAY)])
+    real = table(runs, asked=[replace(stored_runs.NORDLAND, dataset=stored_runs.RAILWAY)])
     assert [cell(real, row, q, "nordland").difference for row, q in cells] == approx([50 - 48, 400 - 10, 2 - 60])
     rendered = table(runs)
     assert [cell(rendered, row, q).published for row, q in cells] == [48, 10, 60]
     assert {*rendered.cells["difference"]} == {None}
     mine = Column("mine", "My street", ("dataset=street",))
-    asked, rows = [replace(mine, dataset=STREET)], [replace(VPRTEMPO, seeds=(0,)), SAD]
-    runs = [run(dataset=STREET), tempo(dataset=STREET)]
+    asked, rows = [replace(mine, dataset=stored_runs.STREET)], [replace(VPRTEMPO, seeds=(0,)), SAD]
+    runs = [run(dataset=stored_runs.STREET), tempo(dataset=stored_runs.STREET)]
     made = table(runs, (), rows, asked, quantities=list_quantities(["recall_at_5"]), title="My street")
     assert [q.name for q in made.quantities] == [*NAMES, "recall_at_5"]
     assert {*made.cells["published_mark"]} == {"none"}

@@ -13,10 +13,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from assembled import NAMES, table
 from made_table import table as whole
 from parsed_page import Parsed
-from stored_runs import ABACUS, NORDLAND, RAILWAY, SAD, STREET, failure, run
+from stored_runs import ABACUS, NAMES, NORDLAND, RAILWAY, SAD, STREET, failure, run, table
 
 from vprbench.report.plan import Column, Row
 from vprbench.report.table import formats
