@@ -35,11 +35,8 @@ def test_the_interval_of_a_median_lies_at_the_tabulated_ranks():
 
 
 def test_samples_stand_in_the_order_of_places_and_seeds_and_the_newest_run_of_each_counts():
-    runs = [
-        figure_runs.sized(n, 5.0, 0.001 * n, seed=seed, fit_compute_seconds=n / 100)
-        for n in (300, 100)
-        for seed in (1, 0)
-    ]
+    asked = [(n, seed) for n in (300, 100) for seed in (1, 0)]
+    runs = [figure_runs.sized(n, 5.0, 0.001 * n, seed=seed, fit_compute_seconds=n / 100) for n, seed in asked]
     runs.append(figure_runs.sized(100, 9.0, 0.009, seed=0, time_utc="2020-01-01T00:00:00Z"))
     found = tabulate_growth(runs)
     assert [*zip(found.places, found.seed, strict=True)] == [(100, 0), (100, 1), (300, 0), (300, 1)]

@@ -14,12 +14,6 @@ GAPS = np.array([0, 1, 2, 5, 6])  # 3 and 4 are not in the map
 LOST = -np.inf
 
 
-def hits(best, scores, right, tolerances, numbers=None):
-    """Return the hits of one query, (n_tolerances,)."""
-    given = np.array([best], np.int32), np.array([scores], np.float32), (np.array(right, np.int64),)
-    return hits_within(*given, tolerances, numbers)[:, 0]
-
-
 def test_the_best_places_of_a_query_are_right_from_the_tolerance_on_that_reaches_them():
     for best, scored, right, tolerances, numbers, wanted in (
         ([4, 2], [0.9, 0.8], [2], [0, 1, 2, 3], None, [0, 0, 1, 1]),
@@ -31,7 +25,8 @@ def test_the_best_places_of_a_query_are_right_from_the_tolerance_on_that_reaches
         ([1, 0], [0.5, 0.4], [], [0, 100], None, [0, 0]),
         ([1, 0], [LOST, LOST], [1], [0, 100], None, [0, 0]),
     ):
-        np.testing.assert_allclose(hits(best, scored, right, tolerances, numbers), wanted)
+        given = np.array([best], np.int32), np.array([scored], np.float32), (np.array(right, np.int64),)
+        np.testing.assert_allclose(hits_within(*given, tolerances, numbers)[:, 0], wanted)
 
 
 def test_hits_agree_with_whole_score_matrices_under_widened_ground_truth():

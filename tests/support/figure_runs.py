@@ -31,15 +31,12 @@ def scores_with_recall(share, n_queries, n_places, seed=0):
     scores = random.uniform(0, 0.4, (n_queries, n_places)).astype(np.float32)
     hits = np.zeros(n_queries, bool)
     hits[random.permutation(n_queries)[: round(share * n_queries)]] = True
-    for query, hit in enumerate(hits):
-        right = query % n_places
-        for offset, raised in ((-2, 0.1), (-1, 0.2), (1, 0.2), (2, 0.1)):
-            scores[query, (right + offset) % n_places] += np.float32(raised)
-        best = 0.7 + 0.3 * random.random() if hit else 0.65 + 0.2 * random.random()
-        wrong = (right + int(random.integers(n_places // 3, n_places // 2))) % n_places
-        scores[query, right if hit else wrong] = best
-        if not hit:
-            scores[query, right] = 0.3 + 0.3 * random.random()
+    queries = np.arange(n_queries)
+    right = queries % n_places
+    wrong = (right + random.integers(n_places // 3, n_places // 2, n_queries)) % n_places
+    scores[queries, right] = random.uniform(0.3, 0.6, n_queries)
+    best = np.where(hits, random.uniform(0.7, 1, n_queries), random.uniform(0.65, 0.85, n_queries))
+    scores[queries, np.where(hits, right, wrong)] = best
     return scores
 
 
@@ -62,10 +59,7 @@ def run(method="little", share=0.5, n_queries=40, n_places=50, **changes):
             "changed": dict(arguments),
             "dataset": {"name": dataset, **take("dataset_arguments", {})},
             **{"seed": seed, "device": device, "depth": 25, "code": take("code", "c0de")},
-            "overrides": [
-                *(f"method={method}", f"dataset={dataset}"),
-                *(f"method.{name}={value}" for name, value in arguments.items()),
-            ],
+            "overrides": [f"method={method}", f"dataset={dataset}", *(f"method.{n}={v}" for n, v in arguments.items())],
             "timing": {"minimum_seconds": 2.0},
         },
         "fingerprint": hashlib.sha256(f"{dataset}{n_places}".encode()).hexdigest(),

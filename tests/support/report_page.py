@@ -17,7 +17,6 @@ UNANSWERABLE = 49
 SHIFT = 7  # a mistaken place lies so many places behind the right one
 SAD_WRONG = {3: 0.25, 10: 0.125, 11: 0.375, 20: 0.0, 30: 0.0625}  # by query, how far above the right place; 0: a tie
 TEMPO_WRONG = {10: 0.125, 40: 0.25}
-HOSTILE = "</script><img src=x onerror=\"document.title='broken'\">"
 
 
 def right_place(query):
@@ -88,12 +87,3 @@ def made_up_page(sections=None):
     figure = Picture("speed", "How long a query takes, on Abacus 9.", drawn_figure())
     given = [journey_section(thumbnails=journey_thumbnails())] if sections is None else sections
     return page(TABLE, [figure], given, made_from="Made from 3 stored runs.")
-
-
-def hostile_section():
-    """Return a section where every name that comes from outside tries to be markup."""
-    run = journey_run(
-        SAD_WRONG, notes=(Note("dataset", HOSTILE),), dataset=HOSTILE, protocol={"query": HOSTILE, HOSTILE: HOSTILE}
-    )
-    names = {"query_names": (HOSTILE,) * N_QUERIES, "reference_names": (HOSTILE,) * N_PLACES}
-    return Section(HOSTILE, (MethodRuns(HOSTILE, (run,)),), journey_thumbnails(**names))

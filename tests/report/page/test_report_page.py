@@ -10,13 +10,15 @@ import report_page as made
 from little import a_run, answered
 from parsed_page import Parsed
 from PIL import Image
-from report_page import HOSTILE, SAD_WRONG, TABLE, journey_run, journey_section, made_up_page
+from report_page import SAD_WRONG, TABLE, journey_run, journey_section, made_up_page
 
 from vprbench.report.page import page as report
 from vprbench.report.page.page import Picture, Section
 from vprbench.report.selection import MethodRuns
 from vprbench.runs.notes import Note
 from vprbench.runs.query_results import judge_answers
+
+HOSTILE = "</script><img src=x onerror=\"document.title='broken'\">"
 
 
 def contents(text):
@@ -58,8 +60,12 @@ def test_the_page_holds_its_table_figures_and_sentences_and_allows_nothing_else(
 
 
 def test_hostile_names_are_text_everywhere_and_those_that_are_no_text_are_written():
+    protocol = {"query": HOSTILE, HOSTILE: HOSTILE}
+    run = journey_run(SAD_WRONG, notes=(Note("dataset", HOSTILE),), dataset=HOSTILE, protocol=protocol)
+    names = {"query_names": (HOSTILE,) * made.N_QUERIES, "reference_names": (HOSTILE,) * made.N_PLACES}
+    spoilt = Section(HOSTILE, (MethodRuns(HOSTILE, (run,)),), made.journey_thumbnails(**names))
     drawn = [Picture(HOSTILE, HOSTILE, b"")]
-    text = report.page("", drawn, [made.hostile_section()], title=HOSTILE, made_from=HOSTILE)
+    text = report.page("", drawn, [spoilt], title=HOSTILE, made_from=HOSTILE)
     harmless, parsed = Parsed(made_up_page()), Parsed(text)
     assert HOSTILE not in text
     assert len(parsed.all("script")) == len(harmless.all("script"))
