@@ -174,7 +174,7 @@ def test_sound_frames_exit_with_0_and_a_dataset_that_cannot_be_built_with_1(spoi
             ),
             ["4 60", "1 60"],
         ),
-        (lambda _, summer: write(summer, NAMES[3:10], lambda whole: whole[:900]), ["7 60"]),
+        (DOCUMENTED["Truncated"], ["7 60"]),
     ],
 )
 def test_a_look_at_some_frames_counts_those_that_show_nothing_or_cannot_be_read(spoil, counts, spoilt):

@@ -11,7 +11,7 @@ from matplotlib.colors import to_hex
 from stored_runs import PAPER, PUBLISHED, answers
 
 from vprbench.metrics.intervals import share_interval
-from vprbench.report.figures.growth import draw_growing_map, draw_growth
+from vprbench.report.figures.growth import compute_median_interval, draw_growing_map, draw_growth, tabulate_growth
 from vprbench.report.figures.speed import draw_query_rate, draw_training_time
 from vprbench.report.figures.tradeoff import draw_memory_tradeoff, draw_rate_tradeoff, find_front
 from vprbench.runs.notes import Note
@@ -197,3 +197,39 @@ def test_a_growing_map_has_the_recall_of_all_its_places_and_of_the_first_and_the
     assert [line.get_xydata().tolist() for line in left.lines] == [[[2, 50], [4, 75]], [[2, 50], [4, 100]]]
     assert [line.get_xydata().tolist() for line in right.lines] == [[[4, approx(2)]]]
     assert legend(drawn) == ["SAD", "SAD, of the first 2"]
+
+
+def test_the_interval_of_a_median_lies_at_the_tabulated_ranks():
+    # ranks of the 95 % interval: Conover, Practical Nonparametric Statistics, table of the binomial distribution
+    assert compute_median_interval(np.arange(5.0)) is None
+    for n_laps, k in ((6, 1), (10, 2), (25, 8), (100, 40)):
+        laps = np.random.default_rng(0).permutation(np.arange(1.0, n_laps + 1))
+        assert compute_median_interval(laps) == (k, n_laps + 1 - k)
+
+
+def test_samples_stand_in_the_order_of_places_and_seeds_and_the_newest_run_of_each_counts():
+    asked = [(n, seed) for n in (300, 100) for seed in (1, 0)]
+    runs = [figure_runs.sized(n, 5.0, 0.001 * n, seed=seed, fit_compute_seconds=n / 100) for n, seed in asked]
+    runs.append(figure_runs.sized(100, 9.0, 0.009, seed=0, time_utc="2020-01-01T00:00:00Z"))
+    found = tabulate_growth(runs)
+    assert [*zip(found.places, found.seed, strict=True)] == [(100, 0), (100, 1), (300, 0), (300, 1)]
+    assert found.fit_compute_seconds.tolist() == [1, 1, 3, 3]
+    assert found.query_seconds.iloc[-1] == pytest.approx(0.301)  # 1 ms to encode
+
+
+def test_runs_with_other_arguments_weights_or_protocol_are_another_growth():
+    old = {"time_utc": "2024-01-01T00:00:00Z"}
+    given, protocol = {"max_module": 1100, "rules": "own"}, {"places": 300, "tolerance_places": 0}
+    new = figure_runs.sized(1000, 1.0, 0.001, arguments=given, protocol={**protocol, "places": 1000})
+    heavier = figure_runs.sized(300, 9.0, 0.001, arguments=given, protocol=protocol, **old)
+    others = {
+        "arguments of the method": {"arguments": {**given, "rules": "reference"}, "protocol": protocol},
+        "dataset": {"arguments": given, "protocol": {**protocol, "tolerance_places": 2}},
+    }
+    runs = {part: figure_runs.sized(300, 9.0, 0.001, **changed, **old) for part, changed in others.items()}
+    runs["weights"] = replace(heavier, config={**heavier.config, "files": [{"name": "weights", "sha256": "ab"}]})
+    fewer = {"arguments": given, "protocol": {**protocol, "query_places": 9}}
+    smaller = figure_runs.sized(300, 9.0, 0.001, **fewer, **old)
+    assert [*tabulate_growth([new, smaller])["record"]] == [smaller, new]
+    for other in runs.values():
+        assert [*tabulate_growth([new, other])["record"]] == [new]
