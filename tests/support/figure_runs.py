@@ -1,28 +1,20 @@
 """Made-up runs with known answers, as many methods, seeds, sizes and machines as a figure wants."""
 
-import hashlib
 from dataclasses import replace
 from statistics import NormalDist
-from typing import Any
+from types import MappingProxyType
 
 import little
 import numpy as np
+import stored_runs
 
 from vprbench.report.selection import MethodRuns
-from vprbench.runs.stopwatch import Laps
 
 
 def seconds_around(median, spread, n_laps=101, seed=0):
     """Return times in random order whose median is `median` and whose logarithms are normal with `spread`."""
     quantiles = [NormalDist().inv_cdf((i + 0.5) / n_laps) for i in range(n_laps)]
     return np.random.default_rng(seed).permutation(median * np.exp(spread * np.array(quantiles)))
-
-
-def timing(encode_seconds, match_seconds, spread=0.1):
-    """Return streaming laps with these medians; encode and match vary together, so that the total's is their sum."""
-    encode, match = (seconds_around(median, spread) for median in (encode_seconds, match_seconds))
-    laps = Laps(encode, match, 1, True)
-    return replace(little.a_run().timing, streaming=laps, offline=(laps,))
 
 
 def scores_with_recall(share, n_queries, n_places, seed=0):
@@ -40,40 +32,34 @@ def scores_with_recall(share, n_queries, n_places, seed=0):
     return scores
 
 
-def run(method="little", share=0.5, n_queries=40, n_places=50, **changes):
-    """Return a run whose R@1 is `share`; `changes` are fields of the run, or what is taken from them below."""
-    take = changes.pop
+def run(
+    method="little",
+    share=0.5,
+    n_queries=40,
+    n_places=50,
+    seed=0,
+    *,
+    dataset="railway",
+    dataset_arguments=MappingProxyType({}),
+    arguments=MappingProxyType({}),
+    bytes_per_place=None,
+    encode_seconds=0.001,
+    match_seconds=0.001,
+    spread=0.1,
+    **changes,
+):
+    """Return a run whose R@1 is `share`; encode and match vary together, so that the total's median is their sum."""
     if "fit_seconds" in changes:
         changes.setdefault("fit_compute_seconds", changes["fit_seconds"])
-    seed, device = take("seed", 0), take("device", "cpu")
-    dataset = changes.get("dataset", "railway")
-    scores = scores_with_recall(share, n_queries, n_places, seed)
     positives = [[query % n_places] for query in range(n_queries)]
-    stored_bytes = take("bytes_per_place", None)
-    made: dict[str, Any] = {
-        "method": method,
-        "dataset": dataset,
-        "key": hashlib.sha256(f"{method}{dataset}{n_places}{seed}{device}".encode()).hexdigest()[:16],
-        "config": {
-            "method": {"_target_": f"vprbench.methods.{method}", **(arguments := take("arguments", {}))},
-            "changed": dict(arguments),
-            "dataset": {"name": dataset, **take("dataset_arguments", {})},
-            **{"seed": seed, "device": device, "depth": 25, "code": take("code", "c0de")},
-            "overrides": [f"method={method}", f"dataset={dataset}", *(f"method.{n}={v}" for n, v in arguments.items())],
-            "timing": {"minimum_seconds": 2.0},
-        },
-        "fingerprint": hashlib.sha256(f"{dataset}{n_places}".encode()).hexdigest(),
-        "environment": {
-            **little.a_run().environment,
-            **{"processor": take("processor", "Abacus 9"), "time_utc": take("time_utc", "2025-01-31T12:00:00Z")},
-            **({"accelerator": "Loom 7"} if device.startswith("cuda") else {}),
-            "device": device,
-        },
-        "n_references": n_places,
-        "search": None if stored_bytes is None else {"index": "exact", "bytes_per_place": stored_bytes},
-        "timing": timing(take("encode_seconds", 0.001), take("match_seconds", 0.001), take("spread", 0.1)),
-    }
-    return little.answered(scores, positives, 25, **{**made, **changes})
+    given = little.answered(scores_with_recall(share, n_queries, n_places, seed), positives, 25)
+    made = {name: getattr(given, name) for name in ("outcome", "positives", "top_places", "top_scores", "scores")}
+    made |= {"key": f"{method}-{dataset}-{n_places}-{seed}", "fingerprint": f"{dataset} {n_places}"}
+    made |= {"n_references": n_places, "config": {"depth": 25}, "changed": arguments}
+    made |= {"search": bytes_per_place and {"index": "exact", "bytes_per_place": bytes_per_place}}
+    made |= {"encode_seconds": seconds_around(encode_seconds, spread)}
+    made |= {"match_seconds": seconds_around(match_seconds, spread), "dataset": {"name": dataset, **dataset_arguments}}
+    return stored_runs.run(method, seed, **{**made, **changes})
 
 
 def series(name, *runs):

@@ -210,7 +210,7 @@ def test_the_interval_of_a_median_lies_at_the_tabulated_ranks():
 def test_samples_stand_in_the_order_of_places_and_seeds_and_the_newest_run_of_each_counts():
     asked = [(n, seed) for n in (300, 100) for seed in (1, 0)]
     runs = [figure_runs.sized(n, 5.0, 0.001 * n, seed=seed, fit_compute_seconds=n / 100) for n, seed in asked]
-    runs.append(figure_runs.sized(100, 9.0, 0.009, seed=0, time_utc="2020-01-01T00:00:00Z"))
+    runs.append(figure_runs.sized(100, 9.0, 0.009, seed=0, day="2020-01-01"))
     found = tabulate_growth(runs)
     assert [*zip(found.places, found.seed, strict=True)] == [(100, 0), (100, 1), (300, 0), (300, 1)]
     assert found.fit_compute_seconds.tolist() == [1, 1, 3, 3]
@@ -218,7 +218,7 @@ def test_samples_stand_in_the_order_of_places_and_seeds_and_the_newest_run_of_ea
 
 
 def test_runs_with_other_arguments_weights_or_protocol_are_another_growth():
-    old = {"time_utc": "2024-01-01T00:00:00Z"}
+    old = {"day": "2024-01-01"}
     given, protocol = {"max_module": 1100, "rules": "own"}, {"places": 300, "tolerance_places": 0}
     new = figure_runs.sized(1000, 1.0, 0.001, arguments=given, protocol={**protocol, "places": 1000})
     heavier = figure_runs.sized(300, 9.0, 0.001, arguments=given, protocol=protocol, **old)
