@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from parsed_page import Parsed
 from PIL import Image
 from small_plan import install, lines, quick_figures
 
@@ -65,7 +66,8 @@ def test_the_files_hold_the_asked_runs_in_their_order_and_say_nothing_of_a_paper
     assert sorted(line["method"] for line in lines("mine-runs.csv")) == ["pca", "pca", "sad patch=5"]
     texts = [Path("results", f"mine.{ending}").read_text(encoding="utf-8") for ending in ("md", "tex", "html")]
     assert not any(word in text for text in texts[:2] for word in ("Table II", "ICRA", "GPU", "documentclass"))
-    assert "<title>mine</title>" in texts[2]
+    assert ("<title>mine</title>" in texts[2], "<h1>mine</h1>" in texts[2]) == (True, True)
+    assert not any(word in Parsed(texts[2]).text.lower() for word in ("paper", "table ii"))
     assert "precision-recall-mine" in Path("results/figures/mine/captions.md").read_text(encoding="utf-8")
 
 

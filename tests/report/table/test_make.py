@@ -47,16 +47,6 @@ def test_from_the_store_alone_and_without_the_methods_yaml_the_table_is_the_same
     assert {path.name: path.read_bytes() for path in Path("results").glob("table*")} == before
 
 
-@pytest.mark.extended
-def test_rows_on_request_stand_below_the_papers_and_full_runs_slow_rows_at_full_size(copied):
-    assert main(["table", "rows=[SAD]", "methods=[sad,big_patches]", "columns=[route_12]", *RUN]) == 0
-    found = cells("route_12.csv")
-    assert [row for row, _ in found] == ["SAD", "SAD (big patches)"]
-    assert found["SAD (big patches)", "route_12"]["mark"] == "measured"
-    assert main(["table", "rows=[PCA]", "columns=[route]", "full=true", *RUN]) == 0
-    assert cells("route.csv")["PCA", "route"]["mark"] == "measured"
-
-
 @pytest.mark.parametrize(
     ("option", "words"),
     [
