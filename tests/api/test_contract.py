@@ -37,15 +37,8 @@ def plain(*colours):
 
 
 def dataset(**parts):
-    parts = {
-        "name": "mine",
-        "references": plain(*[RED] * 4),
-        "places": np.arange(4),
-        "queries": plain(RED, RED),
-        "positives": (np.array([0]),) * 2,
-        "protocol": {},
-    } | parts
-    return Dataset(**parts)
+    given = {"name": "mine", "references": plain(*[RED] * 4), "places": np.arange(4), "queries": plain(RED, RED)}
+    return Dataset(**{**given, "positives": (np.array([0]),) * 2, "protocol": {}, **parts})
 
 
 @pytest.mark.parametrize("index", ["exact", "hnsw"])

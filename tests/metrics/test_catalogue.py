@@ -43,13 +43,9 @@ def package(monkeypatch):
 def test_each_metric_of_four_queries_is_the_one_worked_by_hand_and_undefined_without_a_right_place():
     # right, right, wrong, wrong in falling order of confidence, the right places of the last two 3rd and 8th
     found = {name: METRICS[name].of(a_run()) for name, each in METRICS.items() if each.cost is None and name != "ap_c"}
-    assert found == pytest.approx(
-        {
-            **{"recall_at_1": 0.5, "recall_at_5": 0.75, "recall_at_10": 1, "recall_at_25": 1},
-            **{"auc_pr_a": 0.5, "average_precision_a": 0.5, "r100p": 0.5, "p100r": 0.5},
-            **{"auc_roc": 1, "ep": 1, "f1_max": 2 / 3},
-        }
-    )
+    wanted = {"recall_at_1": 0.5, "recall_at_5": 0.75, "recall_at_10": 1, "recall_at_25": 1, "auc_pr_a": 0.5}
+    wanted |= {"average_precision_a": 0.5, "r100p": 0.5, "p100r": 0.5, "auc_roc": 1, "ep": 1, "f1_max": 2 / 3}
+    assert found == pytest.approx(wanted)
     assert {name: METRICS[name].of(unanswerable_run()) for name in METRICS} == dict.fromkeys(METRICS)
 
 

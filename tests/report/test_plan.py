@@ -130,7 +130,9 @@ def test_a_plug_in_brings_rows_and_columns_that_are_asked_for_by_name_and_others
     folders = plugged_in(tmp_path, shelf=PLUG_IN)
     monkeypatch.setattr(registry, "find_conf_folders", lambda: folders)
     assert "short" not in [column.name for column in chosen().columns]
-    (made,) = of_last_row(chosen(rows=["SAD"], methods=["mine"], columns=["short"]))
+    here = chosen(rows=["SAD"], methods=["sad", "mine"], columns=["short"])
+    (made,) = of_last_row(here)
+    assert [row.name for row in here.rows] == ["SAD", "Mine"]
     assert (made.row.name, made.title, made.request.dataset["places"]) == ("Mine", "Short route", 12)
     assert made.request.changed == {"patch": 9}
     for option, name in ("rows", "Nobody"), ("methods", "nobody"), ("columns", "moon"):

@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from statistics import NormalDist
-from types import MappingProxyType
 
 import little
 import numpy as np
@@ -32,34 +31,27 @@ def scores_with_recall(share, n_queries, n_places, seed=0):
     return scores
 
 
-def run(
-    method="little",
-    share=0.5,
-    n_queries=40,
-    n_places=50,
-    seed=0,
-    *,
-    dataset="railway",
-    dataset_arguments=MappingProxyType({}),
-    arguments=MappingProxyType({}),
-    bytes_per_place=None,
-    encode_seconds=0.001,
-    match_seconds=0.001,
-    spread=0.1,
-    **changes,
-):
+def run(method="little", share=0.5, n_queries=40, n_places=50, seed=0, spread=0.1, dataset="railway", **changes):
     """Return a run whose R@1 is `share`; encode and match vary together, so that the total's median is their sum."""
+    take = changes.pop
     if "fit_seconds" in changes:
         changes.setdefault("fit_compute_seconds", changes["fit_seconds"])
     positives = [[query % n_places] for query in range(n_queries)]
     given = little.answered(scores_with_recall(share, n_queries, n_places, seed), positives, 25)
     made = {name: getattr(given, name) for name in ("outcome", "positives", "top_places", "top_scores", "scores")}
-    made |= {"key": f"{method}-{dataset}-{n_places}-{seed}", "fingerprint": f"{dataset} {n_places}"}
-    made |= {"n_references": n_places, "config": {"depth": 25}, "changed": arguments}
-    made |= {"search": bytes_per_place and {"index": "exact", "bytes_per_place": bytes_per_place}}
-    made |= {"encode_seconds": seconds_around(encode_seconds, spread)}
-    made |= {"match_seconds": seconds_around(match_seconds, spread), "dataset": {"name": dataset, **dataset_arguments}}
-    return stored_runs.run(method, seed, **{**made, **changes})
+    for step in ("encode_seconds", "match_seconds"):
+        made[step] = seconds_around(take(step, 0.001), spread)
+    kept = take("bytes_per_place", None)
+    return stored_runs.run(
+        method,
+        seed,
+        dataset={"name": dataset, **take("dataset_arguments", {})},
+        changed=take("arguments", {}),
+        config={"depth": 25},
+        **{"key": f"{method}-{dataset}-{n_places}-{seed}", "fingerprint": f"{dataset} {n_places}"},
+        **{"search": kept and {"index": "exact", "bytes_per_place": kept}, "n_references": n_places},
+        **{**made, **changes},
+    )
 
 
 def series(name, *runs):

@@ -52,8 +52,7 @@ def drawn_frame(colour, size=(48, 27), kind="WEBP"):
     return written.getvalue()
 
 
-def drawn_figure():
-    return drawn_frame((225, 230, 240), (1200, 500), "PNG")
+FIGURE = drawn_frame((225, 230, 240), (1200, 500), "PNG")
 
 
 def journey_thumbnails(**changes):
@@ -68,14 +67,9 @@ def journey_thumbnails(**changes):
 
 
 def journey_section(title="Journey", thumbnails=None):
-    return Section(
-        title,
-        (
-            MethodRuns("SAD", (journey_run(SAD_WRONG, notes=(Note("noisy", "noisy: two carts passed"),)),)),
-            MethodRuns("VPRTempo", (journey_run(TEMPO_WRONG, 0), journey_run({10: 0.125}, 1))),
-        ),
-        thumbnails,
-    )
+    sad = journey_run(SAD_WRONG, notes=(Note("noisy", "noisy: two carts passed"),))
+    tempo = journey_run(TEMPO_WRONG, 0), journey_run({10: 0.125}, 1)
+    return Section(title, (MethodRuns("SAD", (sad,)), MethodRuns("VPRTempo", tempo)), thumbnails)
 
 
 TABLE = """<table class="results"><caption><b>Table II.</b> Measured here.</caption>
@@ -84,6 +78,6 @@ TABLE = """<table class="results"><caption><b>Table II.</b> Measured here.</capt
 
 
 def made_up_page(sections=None):
-    figure = Picture("speed", "How long a query takes, on Abacus 9.", drawn_figure())
+    figure = Picture("speed", "How long a query takes, on Abacus 9.", FIGURE)
     given = [journey_section(thumbnails=journey_thumbnails())] if sections is None else sections
     return page(TABLE, [figure], given, made_from="Made from 3 stored runs.")

@@ -240,7 +240,7 @@ def test_arrow_keys_walk_the_list_over_the_ends_of_its_pages_which_buttons_turn(
 def text():
     """A report of two datasets, with a real table and two figures."""
     other = one(journey_run(dict.fromkeys(range(30), 0.25)), "Other")
-    pictures = [Picture(name, "What is drawn.", made.drawn_figure()) for name in ("speed", "recall")]
+    pictures = [Picture(name, "What is drawn.", made.FIGURE) for name in ("speed", "recall")]
     sections = [journey_section(thumbnails=made.journey_thumbnails()), other]
     return page(formats.to_html(made_table.table()), pictures, sections)
 

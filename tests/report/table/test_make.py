@@ -70,7 +70,7 @@ def test_an_option_that_cannot_be_is_one_line_and_leaves_the_old_table(tmp_path,
     assert Path("results/table.md").read_text() == "the old table"
 
 
-def test_a_chosen_column_names_the_files_and_stores_of_several_machines_merge(copied):
+def test_a_chosen_column_names_the_files_stores_of_several_machines_merge_and_full_runs_slow_rows(copied):
     before = Path("results/table.md").read_text()
     assert main(["table", STORED, "columns=[route_12,route_12]", "stored=true"]) == 0
     assert {column for _, column in cells("route_12-route_12.csv")} == {"route_12"}
@@ -79,6 +79,8 @@ def test_a_chosen_column_names_the_files_and_stores_of_several_machines_merge(co
     shutil.move("results", "else where")
     assert main(["table", STORED, "seeds=1", "stored=true", f"stores=[{Path('else where').absolute()}]"]) == 0
     assert Path("results/table.md").read_text() == before
+    assert main(["table", "rows=[PCA]", "columns=[route]", "full=true", *RUN]) == 0
+    assert cells("route.csv")["PCA", "route"]["mark"] == "measured"
 
 
 ONE = ["rows=[SAD,VPRTempo]", "seeds=1", "columns=[route_12]"]
