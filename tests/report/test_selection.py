@@ -1,6 +1,7 @@
 """Runs belong to the column and row they were asked for, and only equals stand together."""
 
 from dataclasses import replace
+from functools import partial
 
 import pytest
 from stored_runs import ABACUS, PUBLIC, RAIL, RAILWAY, SAD, STREET, TOWN, VPRTEMPO, failure, run, tempo
@@ -12,8 +13,7 @@ ROWS = (SAD, VPRTEMPO, PUBLIC)
 FOGGY = replace(RAIL, dataset={**RAILWAY, "fog": 0.5})
 
 
-def lost(seed=0, *more, **changes):
-    return failure("vprtempo", seed, *more, **changes)
+lost = partial(failure, "vprtempo")
 
 
 def grouped(runs, failures=(), *asked):
@@ -71,15 +71,13 @@ def test_a_run_belongs_to_the_row_with_its_arguments(changed, row):
     assert [each for each in ROWS if select_row_runs(group, each, "cpu").runs] == ([row] if row else [])
 
 
-OTHERS = {
-    "code": {"config": {"code": "beef"}},
-    "weights": {"config": {"files": [["net.pth", "a1"]]}},
-    "arguments of the method": {"config": {"method": {"rules": "paper", "max_module": 1100, "epochs": 3}}},
-    "libraries": {"machine": {**ABACUS, "libraries": {"torch": "2.7.0"}}},
-    "threads": {"machine": {**ABACUS, "threads": 2}},
-    "machine": {"machine": {**ABACUS, "processor": "Loom 3"}},
-    "network": {"network": "5a" * 32, "fit_seconds": None},
-}
+OTHERS = [
+    *({"config": each} for each in ({"code": "beef"}, {"files": [["net.pth", "a1"]]})),
+    {"config": {"method": {"rules": "paper", "max_module": 1100, "epochs": 3}}},
+    *({"machine": {**ABACUS, **each}} for each in ({"libraries": {"torch": "2.7.0"}}, {"threads": 2})),
+    {"machine": {**ABACUS, "processor": "Loom 3"}},
+    {"network": "5a" * 32, "fit_seconds": None},
+]
 OLD = [tempo(seed, day="2025-03-03") for seed in (0, 1, 2)]
 TIMED_OTHERWISE = tempo(2, config={"timing": {"minimum_seconds": 10.0}})
 NEWER = tempo(0, day="2025-03-04", config={"code": "beef"})
@@ -94,7 +92,7 @@ LOADED = run(day="2025-03-01", network="5a" * 32, fit_seconds=None)
         (VPRTEMPO, [*OLD[:2], TIMED_OTHERWISE], [*OLD[:2], TIMED_OTHERWISE], (), 0),
         (SAD, [TRAINED, run(seed=7)], [TRAINED], (), 1),
         (SAD, [TRAINED, run(device="cuda:1")], [TRAINED], (), 0),
-        *((VPRTEMPO, [*OLD[:2], tempo(2, **changes)], OLD[:2], (2,), 1) for changes in OTHERS.values()),
+        *((VPRTEMPO, [*OLD[:2], tempo(2, **changes)], OLD[:2], (2,), 1) for changes in OTHERS),
         # of incomplete sets the one with the newest run, but first a complete one, and a network that was trained
         (VPRTEMPO, [*OLD[:2], NEWER], [NEWER], (1, 2), 2),
         (VPRTEMPO, [*OLD, NEWER], OLD, (), 1),

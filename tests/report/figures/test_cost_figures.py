@@ -27,8 +27,7 @@ def legend(drawn):
 
 def bar_ends(axes):
     """Return the ends of the upright bar of the first point."""
-    ((_, low), (_, high)) = axes.containers[0].lines[2][0].get_segments()[0]
-    return low, high
+    return axes.containers[0].lines[2][0].get_segments()[0][:, 1].tolist()
 
 
 def method(name, share, hz=100.0, megabytes=500.0, kept=None):
@@ -50,7 +49,7 @@ def test_points_stand_at_the_total_rate_and_the_recall_with_its_interval_and_unt
     drawn = draw_rate_tradeoff([series("SAD", slow), method("GCL", 0, 80), method("C", 1, 4), untimed])
     (axes,) = drawn.figure.axes
     assert points(axes) == [approx((500, 60)), approx((80, 0)), approx((4, 100))]
-    assert bar_ends(axes) == approx((100 * share_interval(hits).low, 100 * share_interval(hits).high))
+    assert bar_ends(axes) == approx([100 * share_interval(hits).low, 100 * share_interval(hits).high])
     assert "Not timed: Untimed." in drawn.caption
     assert legend(drawn) == ["SAD", "GCL", "C"]
 
@@ -147,14 +146,9 @@ def grown(runs):
     return draw_growth([series("VPRTempo", *runs)])
 
 
-def sizes(fit, **changes):
-    return [figure_runs.sized(n, fit(n), 0.001, **changes) for n in SIZES]
-
-
 def slope(axes):
     """Return the ends of the fitted line, (2, 2): places and seconds."""
-    (line,) = (line for line in axes.lines if len(line.get_xydata()) == 2)
-    return line.get_xydata()
+    return next(line.get_xydata() for line in axes.lines if len(line.get_xydata()) == 2)
 
 
 def test_points_stand_at_places_seconds_and_milliseconds_and_a_line_is_the_fitted_power():
@@ -171,19 +165,23 @@ def test_points_stand_at_places_seconds_and_milliseconds_and_a_line_is_the_fitte
 
 
 def test_seeds_are_several_points_disturbed_sizes_hollow_and_the_bar_of_a_query_the_interval_of_its_median():
-    runs = [run for seed in range(3) for run in sizes(lambda n, s=seed: n / 100 * (1, 2, 9)[s], seed=seed)]
+    runs = [
+        run
+        for seed in range(3)
+        for run in [figure_runs.sized(n, n / 100 * (1, 2, 9)[seed], 0.001, seed=seed) for n in SIZES]
+    ]
     left, _ = grown(runs).figure.axes
     assert list(left.containers[0].lines[0].get_ydata()[:3]) == approx([1, 2, 9])
     assert slope(left) == approx(np.array([[100, 2], [27000, 540]]))
     noisy = (Note("noisy", "noisy: two carts passed"),)
-    runs = [replace(r, notes=noisy * (r.outcome.n_places in (300, 9000))) for r in sizes(lambda n: 0.01 * n)]
+    runs = [figure_runs.sized(n, 0.01 * n, 0.001, notes=noisy * (n in (300, 9000))) for n in SIZES]
     for axes in grown(runs).figure.axes:
         hollow = [points.lines[0] for points in axes.containers if to_hex(points.lines[0].get_mfc()) == "#ffffff"]
         assert {tuple(line.get_xdata()) for line in hollow} == {(300, 9000)}
     run = figure_runs.sized(100, 1.0, 0.001, spread=0.5)  # 101 laps: ranks 41 and 61 of the ordered ones
     laps = np.sort(1e3 * run.timing.streaming.total_seconds)
     _, right = grown([run]).figure.axes
-    assert bar_ends(right) == approx((laps[40], laps[60]))
+    assert bar_ends(right) == approx([laps[40], laps[60]])
 
 
 def test_a_growing_map_has_the_recall_of_all_its_places_and_of_the_first_and_the_milliseconds_of_a_new_one():

@@ -57,8 +57,8 @@ def tab(reader):
     return reader.read(made_up_page())
 
 
-def one(run, title="Journey", name="SAD"):
-    return Section(title, (MethodRuns(name, (run,)),), None)
+def one(run, title="Journey"):
+    return Section(title, (MethodRuns("SAD", (run,)),), None)
 
 
 def row(tab, query):
