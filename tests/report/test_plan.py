@@ -4,7 +4,7 @@ import pytest
 import yaml
 from checkout import ROOT
 from omegaconf import OmegaConf
-from stored_runs import NAMES
+from stored_runs import NAMES, PAPER
 
 from vprbench.config import make_request
 from vprbench.errors import BadInput
@@ -16,11 +16,6 @@ from vprbench.report.run_options import TableRequest
 PLAN = ROOT / "conf" / PLAN_FILE
 
 
-@pytest.fixture(scope="module")
-def plan():
-    return read_plan(PLAN)
-
-
 def chosen(**asked):
     return resolve_plan(TableRequest(**{"devices": ["cpu"], **asked}))
 
@@ -29,8 +24,8 @@ def of_last_row(here):
     return [*list_cells(here, here.columns[0], here.rows[-1:], [])]
 
 
-def test_rows_and_published_numbers_are_those_of_table_two_in_its_order(plan):
-    rows = {row.name: (row.spiking, row.training, row.boundary) for row in plan.rows.values()}
+def test_rows_and_published_numbers_are_those_of_table_two_in_its_order():
+    rows = {row.name: (row.spiking, row.training, row.boundary) for row in PAPER.rows.values()}
     assert list(rows.items()) == [
         ("SAD", (False, "none", "match")),
         ("NetVLAD", (False, "pretrained", "encode")),
@@ -38,8 +33,8 @@ def test_rows_and_published_numbers_are_those_of_table_two_in_its_order(plan):
         ("VPRSNN", (True, "own", "match")),
         ("VPRTempo", (True, "own", "match")),
     ]
-    printed = plan.published.numbers
-    assert {row for row, _ in printed} == set(plan.rows)
+    printed = PAPER.published.numbers
+    assert {row for row, _ in printed} == set(PAPER.rows)
     assert all(tuple(cells) == NAMES for cells in printed.values())
     assert sum(value is None for cells in printed.values() for value in cells.values()) == 8
     for row, dataset, *numbers in (
@@ -52,9 +47,9 @@ def test_rows_and_published_numbers_are_those_of_table_two_in_its_order(plan):
         assert list(printed[row, dataset].values()) == numbers
 
 
-def test_every_row_that_learns_from_a_seed_has_three_and_says_whether_its_scores_are_calibrated(plan):
+def test_every_row_that_learns_from_a_seed_has_three_and_says_whether_its_scores_are_calibrated():
     methods, calibrated = registry.find_entries("method"), []
-    rows = [*plan.rows.values(), *plan.more_rows.values()]
+    rows = [*PAPER.rows.values(), *PAPER.more_rows.values()]
     assert len({row.name for row in rows}) == len(rows)
     for row in rows:
         options = methods[row.method].options
@@ -67,14 +62,14 @@ def test_every_row_that_learns_from_a_seed_has_three_and_says_whether_its_scores
             calibrated += [row.method] * (arguments["calibrated_scores"] is True)
     assert sorted(calibrated) == ["vprtempo", "vprtempo_ensemble", "vprtempo_tuned_ensemble"]
     for kind in ("", "tuned_", "oriented_"):  # members of seed s, in no two runs: s to s + 4
-        seeds = plan.more_rows[f"vprtempo_{kind}ensemble"].seeds
+        seeds = PAPER.more_rows[f"vprtempo_{kind}ensemble"].seeds
         assert len({seed + member for seed in seeds for member in range(5)}) == 15
 
 
-def test_columns_name_published_datasets_and_what_stands_in_and_the_growth_asks_for_no_more_queries_than_places(plan):
-    columns = plan.columns
+def test_columns_name_published_datasets_and_what_stands_in_and_the_growth_asks_for_no_more_queries_than_places():
+    columns = PAPER.columns
     published = {column.published for column in columns.values()} - {None}
-    assert published == {dataset for _, dataset in plan.published.numbers}
+    assert published == {dataset for _, dataset in PAPER.published.numbers}
     for column in columns.values():
         if column.stand_in_for is not None:
             assert columns[column.stand_in_for].stand_in_for is None
@@ -82,12 +77,12 @@ def test_columns_name_published_datasets_and_what_stands_in_and_the_growth_asks_
     stand_in, real = columns["railway_vprsnn"], columns["nordland_vprsnn"]
     assert (stand_in.stand_in_for, stand_in.published) == ("nordland_vprsnn", real.published)
     assert stand_in.options[1:] == real.options[1:]  # the frames alone differ
-    for size in plan.growth.sizes:
-        column = plan.growth.column(size)
+    for size in PAPER.growth.sizes:
+        column = PAPER.growth.column(size)
         asked = {name: int(value) for name, _, value in (text.partition("=") for text in column.options[-2:])}
         assert asked["dataset.places"] == size
         assert 0 < asked["dataset.query_places"] <= size * 9 / 11 + 1
-    assert [plan.growth.column(n).options[-1][-3:] for n in (100, 27_000)] == ["=82", "300"]
+    assert [PAPER.growth.column(n).options[-1][-3:] for n in (100, 27_000)] == ["=82", "300"]
 
 
 @pytest.mark.parametrize(
@@ -152,9 +147,9 @@ def test_a_plug_in_brings_rows_and_columns_that_are_asked_for_by_name_and_others
         ({"rows": {"x": {"method": "sad", "colour": "red"}}}, ["more.yaml", "colour"]),
     ],
 )
-def test_a_plug_in_that_takes_a_name_or_means_nothing_is_refused(content, names, plan, tmp_path):
+def test_a_plug_in_that_takes_a_name_or_means_nothing_is_refused(content, names, tmp_path):
     with pytest.raises(BadInput) as refused:
-        add_plug_ins(plan, plugged_in(tmp_path, drawer=PLUG_IN, shelf=content))
+        add_plug_ins(PAPER, plugged_in(tmp_path, drawer=PLUG_IN, shelf=content))
     assert [name for name in names if name not in str(refused.value)] == []
 
 
