@@ -165,11 +165,8 @@ def test_points_stand_at_places_seconds_and_milliseconds_and_a_line_is_the_fitte
 
 
 def test_seeds_are_several_points_disturbed_sizes_hollow_and_the_bar_of_a_query_the_interval_of_its_median():
-    runs = [
-        run
-        for seed in range(3)
-        for run in [figure_runs.sized(n, n / 100 * (1, 2, 9)[seed], 0.001, seed=seed) for n in SIZES]
-    ]
+    asked = product(range(3), SIZES)
+    runs = [figure_runs.sized(n, n / 100 * (1, 2, 9)[seed], 0.001, seed=seed) for seed, n in asked]
     left, _ = grown(runs).figure.axes
     assert list(left.containers[0].lines[0].get_ydata()[:3]) == approx([1, 2, 9])
     assert slope(left) == approx(np.array([[100, 2], [27000, 540]]))
@@ -216,18 +213,16 @@ def test_samples_stand_in_the_order_of_places_and_seeds_and_the_newest_run_of_ea
 
 
 def test_runs_with_other_arguments_weights_or_protocol_are_another_growth():
-    old = {"day": "2024-01-01"}
     given, protocol = {"max_module": 1100, "rules": "own"}, {"places": 300, "tolerance_places": 0}
     new = figure_runs.sized(1000, 1.0, 0.001, arguments=given, protocol={**protocol, "places": 1000})
-    heavier = figure_runs.sized(300, 9.0, 0.001, arguments=given, protocol=protocol, **old)
-    others = {
-        "arguments of the method": {"arguments": {**given, "rules": "reference"}, "protocol": protocol},
-        "dataset": {"arguments": given, "protocol": {**protocol, "tolerance_places": 2}},
-    }
-    runs = {part: figure_runs.sized(300, 9.0, 0.001, **changed, **old) for part, changed in others.items()}
-    runs["weights"] = replace(heavier, config={**heavier.config, "files": [{"name": "weights", "sha256": "ab"}]})
-    fewer = {"arguments": given, "protocol": {**protocol, "query_places": 9}}
-    smaller = figure_runs.sized(300, 9.0, 0.001, **fewer, **old)
+
+    def older(**changes):
+        asked = {"day": "2024-01-01", "arguments": given, "protocol": protocol, **changes}
+        return figure_runs.sized(300, 9.0, 0.001, **asked)
+
+    smaller = older(protocol={**protocol, "query_places": 9})
     assert [*tabulate_growth([new, smaller])["record"]] == [smaller, new]
-    for other in runs.values():
+    weights = {**older().config, "files": [{"name": "weights", "sha256": "ab"}]}
+    dataset, arguments = {**protocol, "tolerance_places": 2}, {**given, "rules": "reference"}
+    for other in older(arguments=arguments), older(protocol=dataset), replace(older(), config=weights):
         assert [*tabulate_growth([new, other])["record"]] == [new]
