@@ -34,10 +34,6 @@ class Tiny(NeuralDescriptor):
         return Watched()
 
 
-class Fourteen(Tiny):
-    multiple = 14
-
-
 class Watched(nn.Module):
     """Gives means of the channels that it sees, and remembers what came."""
 
@@ -114,11 +110,7 @@ def test_a_descriptor_is_what_the_formulas_give_of_unit_length_from_a_network_th
     assert method.keeps_descriptors()
 
 
-class Large(Tiny):
-    smallest_side = 300
-
-
-@pytest.mark.parametrize("kind", [Tiny, Large])
+@pytest.mark.parametrize("kind", [Tiny, type("Large", (Tiny,), {"smallest_side": 300})])
 def test_no_images_give_no_rows_of_the_right_length_and_a_missing_file_is_named(kind, weights):
     codes = kind(weights=weights).encode(Images.from_arrays([]))
     assert (codes.shape, codes.dtype) == ((0, 3), np.float32)
@@ -189,7 +181,7 @@ def test_the_network_sees_images_in_the_size_and_resized_in_the_way_asked_for(ho
     [
         (Tiny, {"batch_size": 0}, r"method\.batch_size=0: give at least 1"),
         (Tiny, {"height": 0}, r"method\.height=0: give a multiple of 1"),
-        (Fourteen, {"width": 225}, r"method\.width=225: give a multiple of 14"),
+        (type("Fourteen", (Tiny,), {"multiple": 14}), {"width": 225}, r"method\.width=225: give a multiple of 14"),
         (Tiny, {"precision": "float16"}, r"method\.precision=float16: on the CPU float32 alone.*device=cuda"),
     ],
 )

@@ -62,13 +62,15 @@ def test_two_protocols_are_two_groups_the_newest_first_and_corrupted_queries_sta
     assert [group.runs for group in grouped(images)] == [(images[0],), (images[1],)]
 
 
-@pytest.mark.parametrize(
-    ("changed", "row"),
-    [({}, VPRTEMPO), ({"rules": "reference"}, PUBLIC), ({"rules": "v1"}, None), ({"epochs": 9}, None)],
-)
-def test_a_run_belongs_to_the_row_with_its_arguments(changed, row):
-    group = DatasetRuns(RAIL, 1, (tempo(changed=changed),), ())
-    assert [each for each in ROWS if select_row_runs(group, each, "cpu").runs] == ([row] if row else [])
+def test_a_run_belongs_to_the_row_with_its_arguments():
+    for changed, rows in (
+        ({}, [VPRTEMPO]),
+        ({"rules": "reference"}, [PUBLIC]),
+        ({"rules": "v1"}, []),
+        ({"epochs": 9}, []),
+    ):
+        group = DatasetRuns(RAIL, 1, (tempo(changed=changed),), ())
+        assert [each for each in ROWS if select_row_runs(group, each, "cpu").runs] == rows
 
 
 OTHERS = [
