@@ -121,7 +121,8 @@ def test_rates_are_of_encode_and_match_together_with_the_middle_four_fifths_of_l
     ):
         drawn = draw_query_rate([given], ROWS, column, PUBLISHED)
         (axes,) = drawn.figure.axes
-        assert all(text in drawn.caption for text in (column.published, "i7-9700K", "VPRSNN match, VPRTempo match."))
+        told = (PUBLISHED.source, column.published, "i7-9700K", "VPRSNN match, VPRTempo match.")
+        assert all(text in drawn.caption for text in told)
         assert black_lines(axes)[0] == approx(line)
         assert bars(axes, hatched=False) == {4: approx(bar)}
         rates = [10, 0.5, 2, 2, 353] if column == NORDLAND else [185, 0.5, 0.4, 2, 1670]

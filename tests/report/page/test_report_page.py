@@ -137,11 +137,10 @@ def test_the_last_finding_counts_what_all_and_what_some_missed(wrong, seeds, sen
     assert (found[-1] == sentence) is (sentence is not None)
 
 
-def on(run, **changes):
-    return replace(run, environment={**run.environment, **changes})
-
-
 def test_the_page_lists_the_protocol_each_machine_once_with_versions_and_runs_and_the_notes_of_all_runs():
+    def on(run, **changes):
+        return replace(run, environment={**run.environment, **changes})
+
     first = on(a_run(), python="3.11.2", git={"commit": "0123456789abcdef0123", "changed": True})
     given = {"SAD": first, "GCL": first, "HOG": on(first, processor="Difference Engine", accelerator="Mill")}
     found = report.list_machines([MethodRuns(name, (run,)) for name, run in given.items()])
