@@ -37,15 +37,8 @@ def plain(*colours):
 
 
 def dataset(**parts):
-    parts = {
-        "name": "mine",
-        "references": plain(*[RED] * 4),
-        "places": np.arange(4),
-        "queries": plain(RED, RED),
-        "positives": (np.array([0]),) * 2,
-        "protocol": {},
-    } | parts
-    return Dataset(**parts)
+    given = {"name": "mine", "references": plain(*[RED] * 4), "places": np.arange(4), "queries": plain(RED, RED)}
+    return Dataset(**{**given, "positives": (np.array([0]),) * 2, "protocol": {}, **parts})
 
 
 @pytest.mark.parametrize("index", ["exact", "hnsw"])
@@ -64,7 +57,7 @@ def test_references_are_encoded_in_blocks_in_order_and_held_once():
     assert sum(method.encoded) == 150
     assert max(method.encoded) < 150
     assert method.query(plain(*colours[::-1])).argmax(axis=1).tolist() == list(range(150))[::-1]
-    references = drawn(2000)
+    references = plain(*((*divmod(i, 256), 7) for i in range(2000)))
     tracemalloc.start()
     Drawn().fit(references, np.arange(2000))
     peak = tracemalloc.get_traced_memory()[1]
@@ -93,10 +86,6 @@ def test_without_references_there_is_no_map_and_arguments_of_the_search_come_by_
     with pytest.raises(TypeError):
         Drawn(5, "hnsw")
     assert len({Colour(), Colour()}) == 2  # equal to itself alone
-
-
-def drawn(n):
-    return Images.from_arrays([np.full((2, 2, 3), (*divmod(i, 256), 7), np.uint8) for i in range(n)])
 
 
 @dataclass

@@ -62,6 +62,10 @@ def test_late_events_those_outside_the_sensor_long_gaps_and_no_window_are_refuse
         list(counted([events], *SHAPE, **counting))
 
 
+def recording(events, reads):
+    return Recording("drive", lambda: reads.append("read") or iter([events]), *SHAPE)
+
+
 def test_frames_are_grey_counts_up_to_255_without_hot_pixels_and_kept(tmp_path, monkeypatch):
     monkeypatch.setenv("VPRBENCH_EVENTS", str(tmp_path / "events"))
     t = np.arange(2000) * 1000
@@ -84,44 +88,16 @@ def test_frames_are_grey_counts_up_to_255_without_hot_pixels_and_kept(tmp_path, 
         event_frames(recording(at(0, 5), []), {}, None, window_us=10)
 
 
-def recording(events, reads):
-    return Recording("drive", lambda: reads.append("read") or iter([events]), *SHAPE)
+def test_frames_are_made_once_and_read_in_any_order_and_other_frames_have_their_own_folder(tmp_path, monkeypatch):
+    monkeypatch.setenv("VPRBENCH_FRAMES", str(tmp_path))
+    made, frames = [], np.random.default_rng(0).integers(0, 256, (2, 12, 4, 5, 3), np.uint8)  # of two seeds
 
+    def shown(seed):
+        read = lambda number: made.append(seed) or frames[seed][number]  # noqa: E731 - as short as it is
+        return cached_frames(Images(read, [str(i) for i in range(12)]), {"seed": seed})
 
-N = 12
-
-
-@pytest.fixture(autouse=True)
-def frames_folder(tmp_path, monkeypatch):
-    monkeypatch.setenv("VPRBENCH_FRAMES", str(tmp_path / "frames"))
-    return tmp_path / "frames"
-
-
-class Painter:
-    """Frames of one seed, and how many were made."""
-
-    def __init__(self, seed=0):
-        self.frames = np.random.default_rng(seed).integers(0, 256, (N, 4, 5, 3), np.uint8)
-        self.made = 0
-
-    def read(self, number):
-        self.made += 1
-        return self.frames[number]
-
-    def shown(self, **what):
-        return cached_frames(Images(self.read, [str(i) for i in range(N)]), {"seed": 0, **what})
-
-    def check(self, **what):
-        """Look at all frames, which are those that were made."""
-        np.testing.assert_array_equal(np.stack(list(self.shown(**what))), self.frames)
-
-
-def test_frames_are_made_once_and_read_in_any_order_and_other_frames_have_their_own_folder():
-    painter, other = Painter(), Painter(1)
-    order = np.random.default_rng(1).permutation(N)
-    images = painter.shown()
-    np.testing.assert_array_equal(np.stack([images[i] for i in order]), painter.frames[order])
-    for _ in range(2):
-        painter.check()
-        other.check(seed=1)
-    assert (painter.made, other.made) == (N, N)
+    order, images = np.random.default_rng(1).permutation(12), shown(0)
+    np.testing.assert_array_equal(np.stack([images[i] for i in order]), frames[0][order])
+    for seed in (0, 1, 0, 1):
+        np.testing.assert_array_equal(np.stack(list(shown(seed))), frames[seed])
+    assert sorted(made) == [0] * 12 + [1] * 12

@@ -6,11 +6,14 @@ import struct
 import cv2
 import numpy as np
 import pytest
+from described_images import image
 from image_folders import answer
+from PIL import EpsImagePlugin
 from PIL import Image as PillowImage
 
 from vprbench.api.decoding import Decoding, read_image
 from vprbench.api.levels import decoding_of
+from vprbench.errors import BadInput
 
 HEIGHT, WIDTH = 6, 9
 ROWS, COLUMNS = np.mgrid[:HEIGHT, :WIDTH]
@@ -114,14 +117,11 @@ def with_tag(tag):
     return exif
 
 
-def large_profile(content):
-    """Put a segment of 60 kB, as of a colour profile, before all others of a JPEG."""
-    return content[:2] + b"\xff\xe2" + struct.pack(">H", 60_002) + bytes(60_000) + content[2:]
-
-
+START = b"\xff\xd8"  # of a JPEG
+PROFILE = START + b"\xff\xe2" + struct.pack(">H", 60_002) + bytes(60_000)  # with a segment, as of a large profile
 TAGGED = {
     "JPEG": lambda exif: saved(COLOUR, "JPEG", exif=exif),
-    "JPEG, the tag far behind": lambda exif: large_profile(saved(COLOUR, "JPEG", exif=exif)),
+    "JPEG, the tag far behind": lambda exif: saved(COLOUR, "JPEG", exif=exif).replace(START, PROFILE, 1),
     "PNG": lambda exif: saved(COLOUR, "PNG", exif=exif),
     "PNG, 16 bits": lambda exif: saved(wide(GREY), "PNG", exif=exif),
     "TIFF": lambda exif: saved(COLOUR, "TIFF", exif=exif),
@@ -209,8 +209,10 @@ UNTOLD = {
 
 
 @pytest.mark.parametrize("case", UNTOLD)
-def test_levels_that_cannot_be_told_are_refused_unless_the_option_says_them(tmp_path, case):
+def test_levels_that_cannot_be_told_are_refused_unless_the_option_says_a_range(tmp_path, case):
     files = written(tmp_path, *UNTOLD[case])
+    for text in ("4095", "0..", "10..2", "a..b", "0..inf"):
+        assert f"levels={text}" in answer(decoding_of, files, levels=text)
     said = answer(decoding_of, files, prefix="dataset.")
     assert "dataset.levels=LOW..HIGH" in said
     assert str(tmp_path) in said
@@ -219,6 +221,38 @@ def test_levels_that_cannot_be_told_are_refused_unless_the_option_says_them(tmp_
     assert all(read_image(file, decoding).dtype == np.uint8 for file in files)
 
 
-@pytest.mark.parametrize("text", ["4095", "0..", "10..2", "a..b", "0..inf"])
-def test_levels_that_are_no_range_are_refused(tmp_path, text):
-    assert f"levels={text}" in answer(decoding_of, written(tmp_path, COLOUR), levels=text)
+@pytest.mark.filterwarnings("ignore::PIL.Image.DecompressionBombWarning")
+@pytest.mark.parametrize("kind", ["PNG", "JPEG"])
+def test_an_image_of_more_pixels_than_pillow_allows_is_refused_by_name(tmp_path, monkeypatch, kind):
+    path = tmp_path / "frame.png"
+    path.write_bytes(saved(image(37, 50), kind))
+    monkeypatch.setattr(PillowImage, "MAX_IMAGE_PIXELS", 37 * 50)
+    assert read_image(path).shape == (37, 50, 3)
+    monkeypatch.setattr(PillowImage, "MAX_IMAGE_PIXELS", 37 * 50 - 1)
+    with pytest.raises(BadInput, match=r"frame\.png .*50 x 37 pixels; at most 1,849 "):
+        read_image(path)
+
+
+PNG, JPEG = (saved(image(40, 40), kind) for kind in ("PNG", "JPEG"))
+BAD = {
+    "a truncated PNG": PNG[:2000],
+    "a PNG without its last pixels": PNG[:-40],
+    "a changed byte among the pixels": b"%b%c%b" % (PNG[:2900], PNG[2900] ^ 16, PNG[2901:]),
+    "a changed byte in the header": b"%b%c%b" % (PNG[:20], PNG[20] ^ 16, PNG[21:]),
+    "a truncated JPEG": JPEG[:1000],
+    "empty": b"",
+    "a web page": b"<!doctype html>",
+    "a program": b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 4 4\n%%EndComments\nshowpage\n",
+    "missing": None,
+}
+
+
+@pytest.mark.parametrize("content", BAD.values(), ids=BAD)
+def test_a_file_that_is_no_whole_image_is_answered_in_one_line_with_its_path_and_starts_no_other_program(
+    tmp_path, monkeypatch, content
+):
+    monkeypatch.setattr(EpsImagePlugin, "Ghostscript", lambda *_, **__: pytest.fail("a program was started"))
+    if content is not None:
+        (tmp_path / "frame.png").write_bytes(content)
+    assert f"frame.png {'does not exist' * (content is None)}" in answer(read_image, tmp_path / "frame.png")
+    assert "cannot be read as an image" in answer(read_image, tmp_path)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from described_images import image
 from PIL import Image as PillowImage
 from stopped_clock import Clock, ReadersThatWait
 
@@ -35,26 +36,8 @@ class Reader:
         return Images(self, [f"frame {i}" for i in range(n)])
 
 
-@pytest.fixture
-def chunks(monkeypatch):
-    """The chunks of images that threads were asked to read."""
-    asked = []
-
-    class Watched(futures.ThreadPoolExecutor):
-        def submit(self, *arguments):
-            asked.append(super().submit(*arguments))
-            return asked[-1]
-
-    monkeypatch.setattr(images, "ThreadPoolExecutor", Watched)
-    return asked
-
-
 def levels(images):
-    return [int(image[0, 0, 0]) for image in images]
-
-
-def noise(height, width, seed=0):
-    return np.random.default_rng(seed).integers(0, 256, (height, width, 3), dtype=np.uint8)
+    return [int(each[0, 0, 0]) for each in images]
 
 
 def save(path, pixels, **options):
@@ -99,8 +82,14 @@ def test_each_iteration_reads_every_image_once_in_other_threads(n):
 
 
 @pytest.mark.parametrize("looked_at", [1, 500])
-def test_a_bounded_number_is_read_ahead_and_leaving_early_ends_the_reading(looked_at, chunks):
-    reader = Reader()
+def test_a_bounded_number_is_read_ahead_and_leaving_early_ends_the_reading(looked_at, monkeypatch):
+    class Watched(futures.ThreadPoolExecutor):
+        def submit(self, *arguments):
+            chunks.append(super().submit(*arguments))
+            return chunks[-1]
+
+    monkeypatch.setattr(images, "ThreadPoolExecutor", Watched)
+    chunks, reader = [], Reader()
     iterator = iter(reader.images(5000))
     for _ in range(looked_at):
         next(iterator)
@@ -121,7 +110,7 @@ def test_blocks_hold_the_images_in_order_under_their_names_decoded_already_of_so
     assert len(reader.read) == n
     widths = [1, 1, 30, 3, 4, 3, 10, 11, 1]  # pixels; ten of them are 30 bytes
     whole = Images(lambda i: np.zeros((1, widths[i], 3), np.uint8), [str(i) for i in range(len(widths))])
-    blocks = [[image.shape[1] for image in block] for block in whole.blocks(3, 30)]
+    blocks = [[each.shape[1] for each in block] for block in whole.blocks(3, 30)]
     assert blocks == [[1, 1], [30], [3, 4, 3], [10], [11], [1]]
 
 
@@ -144,9 +133,9 @@ def test_in_memory_reads_every_image_once_and_views_share_the_reading_time_of_th
 
 def test_files_keep_their_own_sizes_errors_name_their_path_and_the_fingerprint_decodes_nothing(tmp_path):
     sizes = [(4, 6), (7, 3), *[(1, 1)] * 118]
-    paths = [save(tmp_path / f"{i:03}.png", noise(*size)) for i, size in enumerate(sizes)]
+    paths = [save(tmp_path / f"{i:03}.png", image(*size)) for i, size in enumerate(sizes)]
     images = Images.from_files(paths)
-    assert [image.shape for image in images] == [(*size, 3) for size in sizes]
+    assert [each.shape for each in images] == [(*size, 3) for size in sizes]
     assert images.names[:2] == ("000.png", "001.png")
     paths[117].write_bytes(b"")
     with pytest.raises(BadInput, match=str(paths[117])):
@@ -161,15 +150,14 @@ def test_files_keep_their_own_sizes_errors_name_their_path_and_the_fingerprint_d
 
 @pytest.mark.parametrize(("shape", "kind"), [((3, 4, 3), "f8"), ((3, 4, 2), "u1"), ((4,), "u1"), ((3, 4), "f8")])
 def test_grey_arrays_are_repeated_in_three_channels_alpha_is_dropped_and_what_is_no_image_refused(shape, kind):
-    image = Images.from_arrays([np.array([[1, 2]], np.uint8)])[0]
-    assert image.tolist() == [[[1, 1, 1], [2, 2, 2]]]
+    assert Images.from_arrays([np.array([[1, 2]], np.uint8)])[0].tolist() == [[[1, 1, 1], [2, 2, 2]]]
     assert Images.from_arrays([np.full((2, 2, 4), 9, np.uint8)])[0].shape == (2, 2, 3)
     array = np.zeros(shape, kind)
     with pytest.raises(BadInput, match=str(array.dtype)) as error:
         Images.from_arrays([array])
     assert str(shape) in str(error.value)
     with pytest.raises(BadInput, match="1 images came with 2 names"):
-        Images.from_arrays([noise(2, 2)], ["a", "b"])
+        Images.from_arrays([image(2, 2)], ["a", "b"])
 
 
 @pytest.mark.parametrize("kind", ["arrays", "rendered", "files"])
@@ -194,6 +182,6 @@ def test_the_fingerprint_changes_with_images_names_and_order_and_else_stays(kind
     assert whole.fingerprint() not in [wrap(*other).fingerprint() for other in others]
 
 
-ARRAYS = [noise(64, 64, seed) for seed in range(3)]
+ARRAYS = [image(64, 64, seed) for seed in range(3)]
 ALTERED = ARRAYS[1].copy()
 ALTERED[32, 32, 0] ^= 1

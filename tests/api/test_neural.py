@@ -1,4 +1,4 @@
-"""What all neural descriptors share, tried on a network of two convolutions.
+"""What all neural descriptors share, tried on a network of two convolutions, and how images are resized for them.
 
 "cpu:0" stands for a GPU here: torch computes on the CPU, and the descriptor takes the way that it takes on a GPU.
 """
@@ -20,8 +20,6 @@ from vprbench.errors import BadInput
 
 GPU = "cpu:0"
 MEAN, DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)  # of ImageNet
-
-
 NOWHERE = Weights(file="tiny.safetensors", licence="none", trained_on="nothing", path="nowhere/tiny.safetensors")
 
 
@@ -34,14 +32,6 @@ class Tiny(NeuralDescriptor):
 
     def blank(self):
         return Watched()
-
-
-class Fourteen(Tiny):
-    multiple = 14
-
-
-class Large(Tiny):
-    smallest_side = 300
 
 
 class Watched(nn.Module):
@@ -100,17 +90,6 @@ def mixed():
     return [*small[:3], *wide[:2], small[3], *wide[2:], *noise(1, (33, 19)), small[4]]
 
 
-def slowly(images, broken=None):
-    """Images that are read by threads, one of which cannot be."""
-
-    def read(i):
-        if i == broken:
-            raise BadInput(f"image {i} is torn")
-        return images[i]
-
-    return Images(read, [str(i) for i in range(len(images))])
-
-
 def numbered(count, size=(4, 4)):
     return [np.full((*size, 3), 10 * (i % 26), np.uint8) for i in range(count)]
 
@@ -131,7 +110,7 @@ def test_a_descriptor_is_what_the_formulas_give_of_unit_length_from_a_network_th
     assert method.keeps_descriptors()
 
 
-@pytest.mark.parametrize("kind", [Tiny, Large])
+@pytest.mark.parametrize("kind", [Tiny, type("Large", (Tiny,), {"smallest_side": 300})])
 def test_no_images_give_no_rows_of_the_right_length_and_a_missing_file_is_named(kind, weights):
     codes = kind(weights=weights).encode(Images.from_arrays([]))
     assert (codes.shape, codes.dtype) == ((0, 3), np.float32)
@@ -140,35 +119,32 @@ def test_no_images_give_no_rows_of_the_right_length_and_a_missing_file_is_named(
             ask(kind(weights=NOWHERE))
 
 
-def filled(value, **arguments):
-    """A linear layer of which every parameter has this value, for images of 4 x 4."""
-    method = Tiny(weights=NOWHERE, **arguments)
-    method.use(nn.Sequential(nn.Flatten(), nn.Linear(48, 5)))
-    for parameter in method._network.parameters():
-        parameter.fill_(value)
-    return method
-
-
 @pytest.mark.parametrize(
     ("precision", "value", "advice"), [("float32", 3e38, "weights"), ("float16", 6e4, r"method\.precision=float32")]
 )
 def test_an_output_of_zeros_is_a_zero_vector_and_one_that_is_not_finite_is_refused(precision, value, advice, pinned):
-    images = Images.from_arrays(numbered(2))
-    assert np.array_equal(filled(0, precision=precision, device=GPU).encode(images), np.zeros((2, 5), np.float32))
+    def encoded(parameters):
+        """Encode images of 4 x 4 by a linear layer whose parameters all have this value."""
+        method = Tiny(weights=NOWHERE, precision=precision, device=GPU)
+        method.use(nn.Sequential(nn.Flatten(), nn.Linear(48, 5)))
+        for parameter in method._network.parameters():
+            parameter.fill_(parameters)
+        return method.encode(Images.from_arrays(numbered(2)))
+
+    assert np.array_equal(encoded(0), np.zeros((2, 5), np.float32))
     with pytest.raises(BadInput, match=f"^Tiny .* {precision}: .*{advice}"):
-        filled(value, precision=precision, device=GPU).encode(images)
+        encoded(value)
 
 
-TWO_SIZES = [image[:3] if i in (2, 3) else image for i, image in enumerate(numbered(7))]
-TO_ONE_SIZE = [image[: 3 + i % 2] for i, image in enumerate(numbered(4))]
+LOW = numbered(4, (3, 4))
 
 
 @pytest.mark.parametrize(
     ("arguments", "images", "n_bytes", "batches"),
     [
         ({"batch_size": 3}, numbered(8), None, [[0, 1, 2], [3, 4, 5], [6, 7]]),
-        ({"batch_size": 3}, TWO_SIZES, None, [[0, 1], [2, 3], [4, 5, 6]]),
-        ({"batch_size": 9, "height": 5, "width": 5}, TO_ONE_SIZE, None, [[0, 1, 2, 3]]),
+        ({"batch_size": 3}, [*numbered(2), *LOW[2:4], *numbered(7)[4:]], None, [[0, 1], [2, 3], [4, 5, 6]]),
+        ({"batch_size": 9, "height": 5, "width": 5}, [*LOW[:1], *numbered(4)[1:]], None, [[0, 1, 2, 3]]),
         ({}, numbered(5), 4 * 3 * 4 * 4 * 2.5, [[0, 1], [2, 3], [4]]),
         ({"height": 8, "width": 8, "resize": "tensor"}, numbered(3), 4 * 3 * 8 * 8 * 2, [[0, 1], [2]]),
         ({"height": 2, "width": 2, "resize": "tensor"}, numbered(3), 4 * 3 * 4 * 4 * 2, [[0, 1], [2]]),
@@ -205,7 +181,7 @@ def test_the_network_sees_images_in_the_size_and_resized_in_the_way_asked_for(ho
     [
         (Tiny, {"batch_size": 0}, r"method\.batch_size=0: give at least 1"),
         (Tiny, {"height": 0}, r"method\.height=0: give a multiple of 1"),
-        (Fourteen, {"width": 225}, r"method\.width=225: give a multiple of 14"),
+        (type("Fourteen", (Tiny,), {"multiple": 14}), {"width": 225}, r"method\.width=225: give a multiple of 14"),
         (Tiny, {"precision": "float16"}, r"method\.precision=float16: on the CPU float32 alone.*device=cuda"),
     ],
 )
@@ -223,7 +199,7 @@ def test_arguments_that_do_not_fit_are_named_before_the_file_is_looked_for(kind,
 def test_pinned_batches_give_nearly_what_the_cpu_gives(how, precision, least, most, weights, pinned, no_thread_stays):
     arguments = {"weights": weights, "batch_size": 2, "resize": how, "height": 10}
     method = Tiny(**arguments, device=GPU, precision=precision)
-    codes = method.encode(slowly(mixed()))
+    codes = method.encode(Images(mixed().__getitem__, [*"0123456789"]))
     height = 10 if how == "pillow" else 20
     assert pinned[:3] == [(2, height, 26, 3), (1, height, 26, 3), (2, height, 40, 3)]
     assert least <= np.abs(codes - Tiny(**arguments).encode(Images.from_arrays(mixed()))).max() < most
@@ -248,3 +224,73 @@ def test_the_network_evaluates_with_exact_convolutions_left_as_they_were(monkeyp
     assert torch.backends.cudnn.allow_tf32 is True
     assert {"batch_size", "device"} <= Tiny.query_arguments
     assert not {"height", "width", "resize", "interpolation", "precision", "weights"} & Tiny.query_arguments
+
+
+CHANGES = [((32, 48), (10, 13)), ((9, 14), (20, 31)), ((40, 20), (7, 41)), ((64, 64), (1, 1))]
+
+
+def filter_of(kind, antialiased, x):
+    """The triangle, or Keys' cubic convolution: a = -0.5 where images are antialiased, -0.75 elsewhere."""
+    x, a = np.abs(x), -0.5 if antialiased else -0.75
+    if kind == "bilinear":
+        return np.maximum(1 - x, 0)
+    near, far = ((a + 2) * x - (a + 3)) * x**2 + 1, a * (x**3 - 5 * x**2 + 8 * x - 4)
+    return np.where(x <= 1, near, np.where(x < 2, far, 0))
+
+
+def taps(n_in, n_out, kind, antialiased):
+    """What each of `n_out` takes from each of `n_in`: pixel centres at half, rows summing to 1.
+
+    An antialiasing filter is as wide as the output's pixels; the other one repeats the outermost input pixels.
+    """
+    scale = n_in / n_out
+    width = max(scale, 1) if antialiased else 1
+    repeated = 0 if antialiased else 4
+    inputs = np.arange(-repeated, n_in + repeated)
+    found = filter_of(kind, antialiased, (inputs + 0.5 - (np.arange(n_out)[:, None] + 0.5) * scale) / width)
+    found /= found.sum(1, keepdims=True)
+    folded = np.zeros((n_out, n_in))
+    for column, place in enumerate(np.clip(inputs, 0, n_in - 1)):
+        folded[:, place] += found[:, column]
+    return folded
+
+
+def filtered_exactly(image, height, width, kind, antialiased):
+    """Resize (h, w, 3) without rounding anything."""
+    down, across = (taps(*sides, kind, antialiased) for sides in zip(image.shape, (height, width), strict=False))
+    return np.einsum("yh,hwc,xw->yxc", down, image.astype(np.float64), across)
+
+
+def random_image(size, low=0, high=256):
+    return np.random.default_rng(sum(size)).integers(low, high, (*size, 3), dtype=np.uint8)
+
+
+def by(how):
+    def as_tensor(image, *size, kind):
+        batch = torch.from_numpy(image.astype(np.float32)).permute(2, 0, 1)[None]
+        return resize_batch(batch, *size, kind)[0].permute(1, 2, 0).numpy()
+
+    return as_tensor if how == "tensor" else lambda image, *size, kind: resize_image(image, *size, how, kind)
+
+
+# Images are rounded twice, for columns, then for rows.
+@pytest.mark.parametrize(("before", "after"), CHANGES)
+@pytest.mark.parametrize("kind", ["bilinear", "bicubic"])
+@pytest.mark.parametrize(
+    ("how", "antialiased", "within"), [("tensor", True, 1e-3), ("pillow", True, 1.2), ("opencv", False, 1.2)]
+)
+def test_antialiasing_filters_are_as_wide_as_the_new_pixels(how, antialiased, within, kind, before, after):
+    image = random_image(before, 64, 192)
+    found = by(how)(image, *after, kind=kind)
+    assert np.abs(found - filtered_exactly(image, *after, kind, antialiased)).max() < within
+
+
+@pytest.mark.parametrize("size", [(10, 13), (64, 96), (70, 40)])
+def test_areas_are_means_that_are_not_rounded_or_bilinear_where_a_side_grows(size):
+    image = random_image((40, 52))
+    found = resize_image(image, *size, "area", "bicubic")
+    assert found.dtype == np.float32
+    if size == (10, 13):
+        np.testing.assert_allclose(found, image.reshape(10, 4, 13, 4, 3).mean((1, 3)), atol=1e-3)
+    else:
+        assert np.abs(found - filtered_exactly(image, *size, "bilinear", False)).max() < 1e-2

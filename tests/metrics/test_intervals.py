@@ -1,4 +1,4 @@
-"""Intervals, block lengths and the paired test against scipy, enumeration, the published rule and worked values."""
+"""Intervals, also of exponents, block lengths and the paired test against scipy, enumeration and worked values."""
 
 from itertools import product
 from math import ceil, floor, log10, sqrt
@@ -9,25 +9,17 @@ import pytest
 from scipy.signal import lfilter
 from scipy.stats import binomtest
 
-from vprbench.metrics.intervals import (
-    Interval,
-    McNemar,
-    WiderInterval,
-    block_bootstrap,
-    block_length,
-    difference_interval,
-    mcnemar_exact,
-    share_interval,
-    wilson,
-)
+from vprbench.metrics import intervals
+from vprbench.metrics.growth import fit_power
+from vprbench.metrics.intervals import block_bootstrap, block_length, difference_interval, mcnemar_exact, share_interval
 
 
 def test_wilson_of_whole_counts_is_that_of_scipy_and_of_expected_hits_solves_its_defining_equation():
     for successes, n, confidence in ((0, 1, 0.95), (7, 20, 0.95), (20, 20, 0.5), (1350, 2700, 0.95)):
         expected = binomtest(successes, n).proportion_ci(confidence, method="wilson")
-        found = wilson(successes, n, confidence)
+        found = intervals.wilson(successes, n, confidence)
         assert (found.low, found.high) == pytest.approx((expected.low, expected.high), abs=1e-12)
-    found = wilson(37.25, 100)
+    found = intervals.wilson(37.25, 100)
     z = NormalDist().inv_cdf(0.975)
     for end in (found.low, found.high):
         assert abs(0.3725 - end) == pytest.approx(z * (end * (1 - end) / 100) ** 0.5, abs=1e-12)
@@ -53,8 +45,8 @@ def in_runs(n, share, kept, random):
     return drawn[np.maximum.accumulate(np.where(anew, np.arange(n), 0))]
 
 
-def covered(intervals, truth):
-    return float(np.mean([each.low - 1e-12 <= truth <= each.high + 1e-12 for each in intervals]))
+def covered(found, truth):
+    return float(np.mean([each.low - 1e-12 <= truth <= each.high + 1e-12 for each in found]))
 
 
 def test_intervals_of_hits_in_runs_hold_the_truth_far_more_often_than_wilsons_and_than_blocks_of_ten():
@@ -62,7 +54,7 @@ def test_intervals_of_hits_in_runs_hold_the_truth_far_more_often_than_wilsons_an
     rows = [in_runs(800, 0.3, 0.95, random) for _ in range(100)]
     assert covered([share_interval(row) for row in rows], 0.3) > 0.85
     assert covered([block_bootstrap(row, 10) for row in rows], 0.3) < 0.75
-    assert covered([wilson(row.sum(), 800) for row in rows], 0.3) < 0.4
+    assert covered([intervals.wilson(row.sum(), 800) for row in rows], 0.3) < 0.4
     pairs = []
     for _ in range(100):  # two methods of equal recall that find some stretches easy together, and each some of its own
         together = in_runs(800, 0.5, 0.98, random)
@@ -73,7 +65,7 @@ def test_intervals_of_hits_in_runs_hold_the_truth_far_more_often_than_wilsons_an
 
 def test_which_interval_is_wider_and_its_block_length_are_told():
     perfect = share_interval(np.ones(200))
-    assert perfect == WiderInterval(*vars(wilson(200, 200)).values(), kind="independent", block=1)
+    assert perfect == intervals.WiderInterval(*vars(intervals.wilson(200, 200)).values(), kind="independent", block=1)
     runs = np.repeat([1, 0, 1, 1, 0, 0, 1, 0, 1, 1], 20)
     found, plain = share_interval(runs), block_bootstrap(runs, block_length(runs))
     assert (found.kind, found.block) == ("blocks", block_length(runs))
@@ -103,12 +95,12 @@ def test_mcnemar_is_the_exact_binomial_test_of_the_queries_on_which_two_disagree
 
 
 def test_what_is_undefined_and_what_has_no_width():
-    assert wilson(0, 0) is share_interval([]) is None
+    assert intervals.wilson(0, 0) is share_interval([]) is None
     assert difference_interval(np.ones(19), np.zeros(19)) is None  # too few
     assert difference_interval(np.ones(20), np.zeros(20)) is not None
     assert [block_bootstrap(np.ones(n), 10) for n in (0, 1, 19)] == [None] * 3  # less than two blocks
-    assert block_bootstrap(np.ones(20), 10) == block_bootstrap(np.ones(45), 10) == Interval(1, 1)
-    assert mcnemar_exact(*hits(3, 0, 0, 2)) == mcnemar_exact([], []) == McNemar(0, 0, 1.0)
+    assert block_bootstrap(np.ones(20), 10) == block_bootstrap(np.ones(45), 10) == intervals.Interval(1, 1)
+    assert mcnemar_exact(*hits(3, 0, 0, 2)) == mcnemar_exact([], []) == intervals.McNemar(0, 0, 1.0)
 
 
 def test_where_windows_overlap_only_every_window_th_query_is_a_trial():
@@ -128,11 +120,6 @@ def test_no_block_is_shorter_than_the_window_that_an_answer_rests_on():
     assert difference_interval(hits, hits[::-1], window=30).block == 30
     assert share_interval(hits[:25], window=25) is None  # one block says nothing of how far blocks differ
     assert difference_interval(hits[:30], hits[30:60], window=30) is None
-
-
-def autoregressive(n, phi, seed):
-    noise = np.random.default_rng(seed).standard_normal(n + 1000)
-    return np.asarray(lfilter([1], [1, -phi], noise)[1000:])
 
 
 def transcribed(x):
@@ -165,6 +152,20 @@ def transcribed(x):
 @pytest.mark.parametrize("n", [20, 150, 400])
 @pytest.mark.parametrize("phi", [-0.6, 0.0, 0.5, 0.99])
 def test_the_length_is_that_of_a_slow_transcription_of_the_published_rule(n, phi):
-    series = autoregressive(n, phi, seed=n)
+    series = np.asarray(lfilter([1], [1, -phi], np.random.default_rng(n).standard_normal(n + 1000))[1000:])
     for row in (series, (series > np.median(series)).astype(np.float64)):
         assert block_length(row) == transcribed(row.tolist())
+
+
+def test_the_exponent_is_a_slope_with_student_s_interval():
+    # ln places 0 to 4; ln seconds 0, 1, 2, 3, 4 with errors 1, 0, -2, 0, 1, orthogonal to a line and a constant: slope
+    # 1, its standard error sqrt(6 / 3 / 10), Student's 97.5 % quantile of 3 degrees of freedom 3.18245
+    places = np.exp(np.arange(5.0))
+    found = fit_power(places, np.exp(np.array([1.0, 1, 0, 3, 5])))
+    half = 3.18245 * 0.2**0.5
+    assert (found.low, found.exponent, found.high) == pytest.approx((1 - half, 1, 1 + half), rel=1e-5)
+    sizes = np.array([100.0, 300, 1000, 3000, 9000, 27000])
+    for power in (-1.0, 0.0, 0.5, 2.0):
+        exact = fit_power(sizes, 0.003 * sizes**power)
+        assert (exact.low, exact.exponent, exact.high) == pytest.approx((power, power, power), abs=1e-6)
+        assert exact.at([1, 50]) == pytest.approx(0.003 * np.array([1, 50.0**power]))

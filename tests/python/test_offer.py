@@ -17,11 +17,9 @@ import vprbench
 def test_importing_the_package_imports_nothing_else():
     code = "import sys; before = {*sys.modules}; import vprbench; print(*({*sys.modules} - before))"
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
-    assert {name for name in done.stdout.split() if name.startswith("vprbench")} == {"vprbench"}
-    assert {name.partition(".")[0] for name in done.stdout.split()} <= {
-        "vprbench",
-        "lazy_loader",
-    } | sys.stdlib_module_names
+    found = done.stdout.split()
+    assert {name for name in found if name.startswith("vprbench")} == {"vprbench"}
+    assert {name.partition(".")[0] for name in found} <= {"vprbench", "lazy_loader"} | sys.stdlib_module_names
 
 
 def test_type_checkers_see_the_names_that_programs_find():

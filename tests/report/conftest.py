@@ -3,7 +3,6 @@
 import shutil
 
 import pytest
-from quick_runs import quick_runs
 from small_plan import RUN, install
 
 from vprbench.cli import main
@@ -14,7 +13,6 @@ def made(tmp_path_factory):
     """A folder in which the table was made, what was run for it, and the exit code; nobody writes there."""
     folder = tmp_path_factory.mktemp("made")
     with pytest.MonkeyPatch.context() as monkeypatch:
-        quick_runs(monkeypatch)
         apart = install(monkeypatch, folder)
         code = main(["table", "rows=[SAD,PCA,Nobody]", "seeds=1", "devices=[cpu]", *RUN])
     yield folder, apart, code
@@ -25,5 +23,4 @@ def made(tmp_path_factory):
 def copied(made, tmp_path, monkeypatch):
     """A copy of that folder to work in; what stands in for processes remembers what is asked from now on."""
     shutil.copytree(made[0] / "results", tmp_path / "results")
-    quick_runs(monkeypatch)
     return install(monkeypatch, tmp_path)

@@ -33,9 +33,8 @@ def children(monkeypatch):
     """Let processes end in these ways, one after the other; returns the requests that they are asked."""
 
     def ending(*answers):
-        asked = []
-        left = list(answers)
-        run = lambda text, *_: asked.append(RunRequest.from_json(text)) or left.pop(0)  # noqa: E731 - as short as it is
+        asked, left = [], iter(answers)
+        run = lambda text, *_: asked.append(RunRequest.from_json(text)) or next(left)  # noqa: E731 - as short as it is
         monkeypatch.setattr(executors, "run_in_child", run)
         return asked
 
@@ -72,10 +71,8 @@ STORED = a_cell()
     [
         (STORED, False, 0),
         (a_cell(seed=1), False, 1),
-        (a_cell(options=["dataset.query_places=5"]), False, 1),
-        (a_cell(options=["dataset.protocol=nobody"]), False, 1),
-        (a_cell(options=["timing.minimum_seconds=0.01"]), False, 1),
-        (a_cell(options=["force=true"]), False, 1),
+        *((a_cell(options=[each]), False, 1) for each in ("dataset.query_places=5", "dataset.protocol=nobody")),
+        *((a_cell(options=[each]), False, 1) for each in ("timing.minimum_seconds=0.01", "force=true")),
         (STORED, True, 1),
     ],
 )

@@ -2,8 +2,9 @@
 
 import pytest
 import yaml
-from assembled import NAMES
 from checkout import ROOT
+from omegaconf import OmegaConf
+from stored_runs import NAMES, PAPER
 
 from vprbench.config import make_request
 from vprbench.errors import BadInput
@@ -15,11 +16,6 @@ from vprbench.report.run_options import TableRequest
 PLAN = ROOT / "conf" / PLAN_FILE
 
 
-@pytest.fixture(scope="module")
-def plan():
-    return read_plan(PLAN)
-
-
 def chosen(**asked):
     return resolve_plan(TableRequest(**{"devices": ["cpu"], **asked}))
 
@@ -28,8 +24,8 @@ def of_last_row(here):
     return [*list_cells(here, here.columns[0], here.rows[-1:], [])]
 
 
-def test_rows_and_published_numbers_are_those_of_table_two_in_its_order(plan):
-    rows = {row.name: (row.spiking, row.training, row.boundary) for row in plan.rows.values()}
+def test_rows_and_published_numbers_are_those_of_table_two_in_its_order():
+    rows = {row.name: (row.spiking, row.training, row.boundary) for row in PAPER.rows.values()}
     assert list(rows.items()) == [
         ("SAD", (False, "none", "match")),
         ("NetVLAD", (False, "pretrained", "encode")),
@@ -37,8 +33,8 @@ def test_rows_and_published_numbers_are_those_of_table_two_in_its_order(plan):
         ("VPRSNN", (True, "own", "match")),
         ("VPRTempo", (True, "own", "match")),
     ]
-    printed = plan.published.numbers
-    assert {row for row, _ in printed} == set(plan.rows)
+    printed = PAPER.published.numbers
+    assert {row for row, _ in printed} == set(PAPER.rows)
     assert all(tuple(cells) == NAMES for cells in printed.values())
     assert sum(value is None for cells in printed.values() for value in cells.values()) == 8
     for row, dataset, *numbers in (
@@ -51,9 +47,9 @@ def test_rows_and_published_numbers_are_those_of_table_two_in_its_order(plan):
         assert list(printed[row, dataset].values()) == numbers
 
 
-def test_every_row_that_learns_from_a_seed_has_three_and_says_whether_its_scores_are_calibrated(plan):
+def test_every_row_that_learns_from_a_seed_has_three_and_says_whether_its_scores_are_calibrated():
     methods, calibrated = registry.find_entries("method"), []
-    rows = [*plan.rows.values(), *plan.more_rows.values()]
+    rows = [*PAPER.rows.values(), *PAPER.more_rows.values()]
     assert len({row.name for row in rows}) == len(rows)
     for row in rows:
         options = methods[row.method].options
@@ -66,15 +62,14 @@ def test_every_row_that_learns_from_a_seed_has_three_and_says_whether_its_scores
             calibrated += [row.method] * (arguments["calibrated_scores"] is True)
     assert sorted(calibrated) == ["vprtempo", "vprtempo_ensemble", "vprtempo_tuned_ensemble"]
     for kind in ("", "tuned_", "oriented_"):  # members of seed s, in no two runs: s to s + 4
-        seeds = plan.more_rows[f"vprtempo_{kind}ensemble"].seeds
+        seeds = PAPER.more_rows[f"vprtempo_{kind}ensemble"].seeds
         assert len({seed + member for seed in seeds for member in range(5)}) == 15
 
 
-def test_columns_name_published_datasets_and_what_stands_in_and_the_growth_asks_for_no_more_queries_than_places(plan):
-    columns = plan.columns
-    assert {column.published for column in columns.values()} - {None} == {
-        dataset for _, dataset in plan.published.numbers
-    }
+def test_columns_name_published_datasets_and_what_stands_in_and_the_growth_asks_for_no_more_queries_than_places():
+    columns = PAPER.columns
+    published = {column.published for column in columns.values()} - {None}
+    assert published == {dataset for _, dataset in PAPER.published.numbers}
     for column in columns.values():
         if column.stand_in_for is not None:
             assert columns[column.stand_in_for].stand_in_for is None
@@ -82,37 +77,31 @@ def test_columns_name_published_datasets_and_what_stands_in_and_the_growth_asks_
     stand_in, real = columns["railway_vprsnn"], columns["nordland_vprsnn"]
     assert (stand_in.stand_in_for, stand_in.published) == ("nordland_vprsnn", real.published)
     assert stand_in.options[1:] == real.options[1:]  # the frames alone differ
-    for size in plan.growth.sizes:
-        column = plan.growth.column(size)
+    for size in PAPER.growth.sizes:
+        column = PAPER.growth.column(size)
         asked = {name: int(value) for name, _, value in (text.partition("=") for text in column.options[-2:])}
         assert asked["dataset.places"] == size
         assert 0 < asked["dataset.query_places"] <= size * 9 / 11 + 1
-    assert [plan.growth.column(n).options[-1][-3:] for n in (100, 27_000)] == ["=82", "300"]
+    assert [PAPER.growth.column(n).options[-1][-3:] for n in (100, 27_000)] == ["=82", "300"]
 
 
 @pytest.mark.parametrize(
-    ("changed", "names"),
+    ("part", "value", "named"),
     [
-        *(({group: None}, [r"table\.yaml", ""]) for group in ("more_rows", "growth", "seeds")),
-        ({"seeds": []}, [r"table\.yaml", ""]),
-        ({"rows": {"SAD": {"colour": "red"}}}, [r"table\.yaml", "colour"]),
-        ({"rows": {"SAD": {"boundary": "everything"}}}, ["rows.SAD", "everything"]),
-        ({"rows": {"SAD": {"training": "somehow"}}}, ["rows.SAD", "somehow"]),
-        ({"rows": {"SAD": {"seeds": []}}}, ["rows.SAD", "seeds"]),
-        ({"columns": {"railway": {"stand_in_for": "moon"}}}, ["column railway", "moon"]),
+        *((group, None, r"table\.yaml") for group in ("more_rows", "growth", "seeds")),
+        ("seeds", [], r"table\.yaml"),
+        ("rows.SAD.colour", "red", r"table\.yaml.*colour"),
+        ("rows.SAD.boundary", "everything", "rows.SAD.*everything"),
+        ("rows.SAD.training", "somehow", "rows.SAD.*somehow"),
+        ("rows.SAD.seeds", [], "rows.SAD.*seeds"),
+        ("columns.railway.stand_in_for", "moon", "column railway.*moon"),
     ],
 )
-def test_a_plan_that_lacks_a_part_or_means_nothing_is_refused_by_name(changed, names, tmp_path):
-    content = yaml.safe_load(PLAN.read_text(encoding="utf-8"))
-    for group, entries in changed.items():
-        if isinstance(entries, dict):
-            for name, parts in entries.items():
-                content[group][name] |= parts
-        else:
-            content[group] = entries
-    path = tmp_path / "table.yaml"
-    path.write_text(yaml.safe_dump({name: value for name, value in content.items() if value is not None}))
-    with pytest.raises(BadInput, match=".*".join(names)):
+def test_a_plan_that_lacks_a_part_or_means_nothing_is_refused_by_name(part, value, named, tmp_path):
+    content, path = OmegaConf.load(PLAN), tmp_path / "table.yaml"
+    content.pop(part) if value is None else OmegaConf.update(content, part, value)
+    OmegaConf.save(content, path)
+    with pytest.raises(BadInput, match=named):
         read_plan(path)
     with pytest.raises(BadInput, match=r"nowhere\.yaml"):
         read_plan(tmp_path / "nowhere.yaml")
@@ -136,7 +125,9 @@ def test_a_plug_in_brings_rows_and_columns_that_are_asked_for_by_name_and_others
     folders = plugged_in(tmp_path, shelf=PLUG_IN)
     monkeypatch.setattr(registry, "find_conf_folders", lambda: folders)
     assert "short" not in [column.name for column in chosen().columns]
-    (made,) = of_last_row(chosen(rows=["SAD"], methods=["mine"], columns=["short"]))
+    here = chosen(rows=["SAD"], methods=["sad", "mine"], columns=["short"])
+    (made,) = of_last_row(here)
+    assert [row.name for row in here.rows] == ["SAD", "Mine"]
     assert (made.row.name, made.title, made.request.dataset["places"]) == ("Mine", "Short route", 12)
     assert made.request.changed == {"patch": 9}
     for option, name in ("rows", "Nobody"), ("methods", "nobody"), ("columns", "moon"):
@@ -156,9 +147,9 @@ def test_a_plug_in_brings_rows_and_columns_that_are_asked_for_by_name_and_others
         ({"rows": {"x": {"method": "sad", "colour": "red"}}}, ["more.yaml", "colour"]),
     ],
 )
-def test_a_plug_in_that_takes_a_name_or_means_nothing_is_refused(content, names, plan, tmp_path):
+def test_a_plug_in_that_takes_a_name_or_means_nothing_is_refused(content, names, tmp_path):
     with pytest.raises(BadInput) as refused:
-        add_plug_ins(plan, plugged_in(tmp_path, drawer=PLUG_IN, shelf=content))
+        add_plug_ins(PAPER, plugged_in(tmp_path, drawer=PLUG_IN, shelf=content))
     assert [name for name in names if name not in str(refused.value)] == []
 
 
@@ -181,12 +172,9 @@ def test_a_method_on_request_runs_once_a_seed_if_it_takes_one_and_its_yaml_says_
 
 
 def test_columns_take_the_folder_of_their_frames_and_those_on_request_are_not_among_the_others(tmp_path):
-    for given, columns in (
-        ([], ["railway", "railway_winter"]),
-        (["nordland", "robotcar"], ["nordland", "oxford_robotcar"]),
-    ):
+    for given, columns in ((), "railway railway_winter"), (("nordland", "robotcar"), "nordland oxford_robotcar"):
         here = chosen(**dict.fromkeys(given, str(tmp_path)))
-        assert [column.name for column in here.columns] == columns
+        assert " ".join(column.name for column in here.columns) == columns
     nordland, held_out = chosen(columns=["nordland_vprsnn", "nordland_64x32_held_out"], nordland=str(tmp_path)).columns
     assert (nordland.dataset["root"], nordland.dataset["protocol"]) == (str(tmp_path), "vprsnn")
     options = ("protocol", "places", "first_query_place", "query_places")

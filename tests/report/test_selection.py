@@ -1,33 +1,23 @@
 """Runs belong to the column and row they were asked for, and only equals stand together."""
 
 from dataclasses import replace
+from functools import partial
 
 import pytest
-from assembled import tempo
-from stored_runs import ABACUS, PUBLIC, RAIL, RAILWAY, SAD, STREET, TOWN, VPRTEMPO, failure, run
+from stored_runs import ABACUS, PUBLIC, RAIL, RAILWAY, SAD, STREET, TOWN, VPRTEMPO, failure, run, tempo
 
-from vprbench.report.selection import (
-    DatasetRuns,
-    describe_protocol,
-    group_runs_by_column,
-    list_method_runs,
-    select_row_runs,
-)
+from vprbench.report import selection
+from vprbench.report.selection import DatasetRuns, list_method_runs, select_row_runs
 
 ROWS = (SAD, VPRTEMPO, PUBLIC)
 FOGGY = replace(RAIL, dataset={**RAILWAY, "fog": 0.5})
 
 
-def lost(seed=0, *more, **changes):
-    return failure("vprtempo", seed, *more, **changes)
+lost = partial(failure, "vprtempo")
 
 
 def grouped(runs, failures=(), *asked):
-    return group_runs_by_column(runs, failures, asked or [RAIL], ROWS)
-
-
-def stored_of(row, *runs, failures=(), column=RAIL):
-    return select_row_runs(DatasetRuns(column, 1, runs, tuple(failures)), row, "cpu")
+    return selection.group_runs_by_column(runs, failures, asked or [RAIL], ROWS)
 
 
 MINE = run()
@@ -72,24 +62,24 @@ def test_two_protocols_are_two_groups_the_newest_first_and_corrupted_queries_sta
     assert [group.runs for group in grouped(images)] == [(images[0],), (images[1],)]
 
 
-@pytest.mark.parametrize(
-    ("changed", "row"),
-    [({}, VPRTEMPO), ({"rules": "reference"}, PUBLIC), ({"rules": "v1"}, None), ({"epochs": 9}, None)],
-)
-def test_a_run_belongs_to_the_row_with_its_arguments(changed, row):
-    group = DatasetRuns(RAIL, 1, (tempo(changed=changed),), ())
-    assert [each for each in ROWS if select_row_runs(group, each, "cpu").runs] == ([row] if row else [])
+def test_a_run_belongs_to_the_row_with_its_arguments():
+    for changed, rows in (
+        ({}, [VPRTEMPO]),
+        ({"rules": "reference"}, [PUBLIC]),
+        ({"rules": "v1"}, []),
+        ({"epochs": 9}, []),
+    ):
+        group = DatasetRuns(RAIL, 1, (tempo(changed=changed),), ())
+        assert [each for each in ROWS if select_row_runs(group, each, "cpu").runs] == rows
 
 
-OTHERS = {
-    "code": {"config": {"code": "beef"}},
-    "weights": {"config": {"files": [["net.pth", "a1"]]}},
-    "arguments of the method": {"config": {"method": {"rules": "paper", "max_module": 1100, "epochs": 3}}},
-    "libraries": {"machine": {**ABACUS, "libraries": {"torch": "2.7.0"}}},
-    "threads": {"machine": {**ABACUS, "threads": 2}},
-    "machine": {"machine": {**ABACUS, "processor": "Loom 3"}},
-    "network": {"network": "5a" * 32, "fit_seconds": None},
-}
+OTHERS = [
+    *({"config": each} for each in ({"code": "beef"}, {"files": [["net.pth", "a1"]]})),
+    {"config": {"method": {"rules": "paper", "max_module": 1100, "epochs": 3}}},
+    *({"machine": {**ABACUS, **each}} for each in ({"libraries": {"torch": "2.7.0"}}, {"threads": 2})),
+    {"machine": {**ABACUS, "processor": "Loom 3"}},
+    {"network": "5a" * 32, "fit_seconds": None},
+]
 OLD = [tempo(seed, day="2025-03-03") for seed in (0, 1, 2)]
 TIMED_OTHERWISE = tempo(2, config={"timing": {"minimum_seconds": 10.0}})
 NEWER = tempo(0, day="2025-03-04", config={"code": "beef"})
@@ -104,22 +94,16 @@ LOADED = run(day="2025-03-01", network="5a" * 32, fit_seconds=None)
         (VPRTEMPO, [*OLD[:2], TIMED_OTHERWISE], [*OLD[:2], TIMED_OTHERWISE], (), 0),
         (SAD, [TRAINED, run(seed=7)], [TRAINED], (), 1),
         (SAD, [TRAINED, run(device="cuda:1")], [TRAINED], (), 0),
-        *((VPRTEMPO, [*OLD[:2], tempo(2, **changes)], OLD[:2], (2,), 1) for changes in OTHERS.values()),
+        *((VPRTEMPO, [*OLD[:2], tempo(2, **changes)], OLD[:2], (2,), 1) for changes in OTHERS),
         # of incomplete sets the one with the newest run, but first a complete one, and a network that was trained
         (VPRTEMPO, [*OLD[:2], NEWER], [NEWER], (1, 2), 2),
         (VPRTEMPO, [*OLD, NEWER], OLD, (), 1),
         (SAD, [LOADED, TRAINED], [TRAINED], (), 1),
-        (
-            SAD,
-            [run(day="2025-01-02"), TRAINED],
-            [run(day="2025-01-02")],
-            (),
-            1,
-        ),
+        (SAD, [run(day="2025-01-02"), TRAINED], [run(day="2025-01-02")], (), 1),
     ],
 )
 def test_runs_that_differ_in_more_than_their_seed_are_never_put_together(row, stored, runs, missing, n_aside):
-    found = stored_of(row, *stored)
+    found = select_row_runs(DatasetRuns(RAIL, 1, tuple(stored), ()), row, "cpu")
     assert [each.key for each in found.runs] == [each.key for each in runs]
     assert (found.missing_seeds, found.n_aside) == (missing, n_aside)
 
@@ -142,7 +126,7 @@ def test_series_are_the_rows_with_runs_under_the_names_of_the_table_and_a_protoc
     assert [one.name for one in list_method_runs(group, ROWS, "cuda")] == ["SAD"]
     protocol = {"references": ("sun", "rain"), "places": 450, "query_places": 360}
     made = run(protocol=protocol | {"repeated_images": {"sun": 5, "rain": 2}})
-    assert describe_protocol(made) == "references sun+rain, repeated images 5 in sun+2 in rain"
+    assert selection.describe_protocol(made) == "references sun+rain, repeated images 5 in sun+2 in rain"
 
 
 def test_accuracy_is_taken_from_the_device_with_more_seeds_and_of_equals_the_cpu():

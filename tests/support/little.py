@@ -16,7 +16,7 @@ from vprbench.api.descriptor import DescriptorMethod
 from vprbench.api.images import Images
 from vprbench.api.method import Method
 from vprbench.errors import BadInput, NotFittedError
-from vprbench.metrics.ranking import Outcome
+from vprbench.metrics.ranking import Outcome, outcome, ranked_places
 from vprbench.plugins import networks
 from vprbench.runs.notes import Note
 from vprbench.runs.record import Failure, Run
@@ -162,9 +162,7 @@ def a_run(**changes):
         config={
             "method": {"_target_": "little.Lookup", "window": 5},
             "dataset": {"name": "journey"},
-            "seed": 3,
-            "device": "cpu",
-            "depth": 2,
+            **{"seed": 3, "device": "cpu", "depth": 2},
             "overrides": ["method=little", "dataset=journey", "method.window=5", "seed=3"],
             "changed": {"window": 5},
             "code": "c0de" * 16,
@@ -175,14 +173,9 @@ def a_run(**changes):
         environment={"processor": "Abacus 9", "threads": 1, "cores": 2, "libraries": {"torch": "2.6.0"}} | seen,
         notes=(Note("noisy", "noisy: two carts passed"), Note("dataset", "ünïcode")),
         n_references=20,
-        fit_seconds=12.34,
-        fit_compute_seconds=11.5,
-        load_seconds=None,
-        network=None,
+        **{"fit_seconds": 12.34, "fit_compute_seconds": 11.5, "load_seconds": None, "network": None},
         search={"index": "hnsw", "bytes_per_place": 4352, "recall_at_1": 0.984375, "recall_at_10": 0.975},
-        peak_memory_bytes=512_000_000,
-        harness_seconds=0.125,
-        method_seconds=11.75,
+        **{"peak_memory_bytes": 512_000_000, "harness_seconds": 0.125, "method_seconds": 11.75},
         timing=Timing(
             first_query_seconds=0.05,
             warmup_queries=11,
@@ -201,6 +194,14 @@ def a_run(**changes):
         spikes={"queries": 4, "layers": layers},
     )
     return replace(run, **changes)
+
+
+def answered(table, positives, /, depth=10, **changes):
+    """Return a run that gave these scores, (n_queries, n_places)."""
+    scores, right = np.asarray(table, np.float32), tuple(np.array(places, np.int64) for places in positives)
+    top_places, top_scores = ranked_places(scores, depth)
+    kept = {"scores": scores, "top_places": top_places, "top_scores": top_scores, "notes": ()}
+    return a_run(**{**kept, "positives": right, "outcome": outcome(scores, right), **changes})
 
 
 def a_failure(**changes):

@@ -2,8 +2,8 @@
 
 from dataclasses import replace
 
-import assembled
 import numpy as np
+import stored_runs
 from stored_runs import ABACUS, CITY, NETVLAD, NORDLAND, RAILWAY, SAD, STREET, VPRSNN, VPRTEMPO, failure, run
 
 from vprbench.report.plan import Row
@@ -59,4 +59,4 @@ def table():
         failure("vprtempo", 1, "it diverged; try again"),
         failure("vprsnn", 2, "it diverged", dataset=STREET),
     ]
-    return assembled.table(runs, failures, ROWS, COLUMNS, slow=True)
+    return stored_runs.table(runs, failures, ROWS, COLUMNS, slow=True)

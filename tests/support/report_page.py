@@ -3,10 +3,9 @@
 import io
 
 import numpy as np
-from little import a_run
+from little import a_run, answered
 from PIL import Image
 
-from vprbench.metrics.ranking import best_places, outcome
 from vprbench.report.page.page import Picture, Section, page
 from vprbench.report.selection import MethodRuns
 from vprbench.runs.notes import Note
@@ -18,7 +17,6 @@ UNANSWERABLE = 49
 SHIFT = 7  # a mistaken place lies so many places behind the right one
 SAD_WRONG = {3: 0.25, 10: 0.125, 11: 0.375, 20: 0.0, 30: 0.0625}  # by query, how far above the right place; 0: a tie
 TEMPO_WRONG = {10: 0.125, 40: 0.25}
-HOSTILE = "</script><img src=x onerror=\"document.title='broken'\">"
 
 
 def right_place(query):
@@ -29,30 +27,15 @@ def mistaken_place(query):
     return (right_place(query) + SHIFT) % N_PLACES
 
 
-def answered(table, positives, depth=10, **changes):
-    """Return a run that gave these scores, (n_queries, n_places)."""
-    table, right = np.asarray(table, np.float32), tuple(np.array(places, np.int64) for places in positives)
-    best = best_places(table, min(depth, table.shape[1]))
-    order = np.argsort(-np.take_along_axis(table, best, axis=1), axis=1, kind="stable")
-    top = np.take_along_axis(best, order, axis=1)
-    kept = {"scores": table, "positives": right, "outcome": outcome(table, right), "notes": ()}
-    kept |= {"top_places": top.astype(np.int32), "top_scores": np.take_along_axis(table, top, axis=1)}
-    return a_run(**{**kept, **changes})
-
-
-def journey_scores(wrong):
+def journey_run(wrong, seed=0, **changes):
     scores = np.full((N_QUERIES, N_PLACES), OTHERS, np.float32)
     for query in range(N_QUERIES):
         scores[query, right_place(query)] = RIGHT
     for query, above in wrong.items():
         scores[query, mistaken_place(query)] = RIGHT + above
-    return scores
-
-
-def journey_run(wrong, seed=0, **changes):
     positives = [[] if query == UNANSWERABLE else [right_place(query)] for query in range(N_QUERIES)]
     config = {**a_run().config, "seed": seed}
-    return answered(journey_scores(wrong), positives, **{"config": config, **changes})
+    return answered(scores, positives, **{"config": config, **changes})
 
 
 def query_colour(query):
@@ -69,8 +52,7 @@ def drawn_frame(colour, size=(48, 27), kind="WEBP"):
     return written.getvalue()
 
 
-def drawn_figure():
-    return drawn_frame((225, 230, 240), (1200, 500), "PNG")
+FIGURE = drawn_frame((225, 230, 240), (1200, 500), "PNG")
 
 
 def journey_thumbnails(**changes):
@@ -85,14 +67,9 @@ def journey_thumbnails(**changes):
 
 
 def journey_section(title="Journey", thumbnails=None):
-    return Section(
-        title,
-        (
-            MethodRuns("SAD", (journey_run(SAD_WRONG, notes=(Note("noisy", "noisy: two carts passed"),)),)),
-            MethodRuns("VPRTempo", (journey_run(TEMPO_WRONG, 0), journey_run({10: 0.125}, 1))),
-        ),
-        thumbnails,
-    )
+    sad = journey_run(SAD_WRONG, notes=(Note("noisy", "noisy: two carts passed"),))
+    tempo = journey_run(TEMPO_WRONG, 0), journey_run({10: 0.125}, 1)
+    return Section(title, (MethodRuns("SAD", (sad,)), MethodRuns("VPRTempo", tempo)), thumbnails)
 
 
 TABLE = """<table class="results"><caption><b>Table II.</b> Measured here.</caption>
@@ -101,15 +78,6 @@ TABLE = """<table class="results"><caption><b>Table II.</b> Measured here.</capt
 
 
 def made_up_page(sections=None):
-    figure = Picture("speed", "How long a query takes, on Abacus 9.", drawn_figure())
+    figure = Picture("speed", "How long a query takes, on Abacus 9.", FIGURE)
     given = [journey_section(thumbnails=journey_thumbnails())] if sections is None else sections
     return page(TABLE, [figure], given, made_from="Made from 3 stored runs.")
-
-
-def hostile_section():
-    """Return a section where every name that comes from outside tries to be markup."""
-    run = journey_run(
-        SAD_WRONG, notes=(Note("dataset", HOSTILE),), dataset=HOSTILE, protocol={"query": HOSTILE, HOSTILE: HOSTILE}
-    )
-    names = {"query_names": (HOSTILE,) * N_QUERIES, "reference_names": (HOSTILE,) * N_PLACES}
-    return Section(HOSTILE, (MethodRuns(HOSTILE, (run,)),), journey_thumbnails(**names))

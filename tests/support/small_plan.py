@@ -3,8 +3,11 @@
 import contextlib
 import io
 from dataclasses import replace
+from pathlib import Path
 
+import pandas as pd
 from PIL import Image
+from quick_runs import quick_runs
 
 from vprbench.config import make_request
 from vprbench.jobs import executors
@@ -44,13 +47,8 @@ growth:
   queries: 6
 """
 NUMBERS = "method,dataset,metric,value\nSAD,Nordland,recall_at_1,48\nPCA,Nordland,recall_at_1,\n"
-RUN = [
-    "timing.minimum_seconds=0",
-    "timing.sample=4",
-    "timing.minimum_queries=4",
-    "timing.batch_sizes=[1,4]",
-    "threads=1",
-]
+RUN = [*(f"timing.{each}" for each in ("minimum_seconds=0", "sample=4", "minimum_queries=4", "batch_sizes=[1,4]"))]
+RUN.append("threads=1")
 
 
 class Apart:
@@ -85,8 +83,14 @@ def quick_figures(monkeypatch):
         monkeypatch.setattr(style, kind, rendered)
 
 
+def lines(name):
+    """Return the lines of a CSV in the folder of results, each a dictionary of texts."""
+    return pd.read_csv(Path("results", name), dtype=str, keep_default_na=False).to_dict("records")
+
+
 def install(monkeypatch, folder, plan=PLAN):
-    """Let tables and figures follow `plan`, in `folder`; returns what stands in for processes."""
+    """Let tables and figures follow `plan`, in `folder`, of quick runs; returns what stands in for processes."""
+    quick_runs(monkeypatch)
     path = folder / "plan.yaml"
     path.write_text(plan, encoding="utf-8")
     (folder / "numbers.csv").write_text(NUMBERS, encoding="utf-8")

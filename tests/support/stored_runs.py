@@ -1,6 +1,7 @@
-"""Made-up runs, failures and a plan for what is made of stored runs; every number in them is known."""
+"""Made-up runs, failures, a plan and tables of them, and how tests look into these; every number is known."""
 
 from dataclasses import replace
+from functools import partial
 from types import MappingProxyType
 
 import little
@@ -8,7 +9,11 @@ import numpy as np
 from checkout import ROOT
 
 from vprbench.metrics.ranking import Outcome
-from vprbench.report.plan import PLAN_FILE, Column, Row, read_plan
+from vprbench.report.plan import PLAN_FILE, Column, Plan, Row, read_plan
+from vprbench.report.report import Report
+from vprbench.report.selection import group_runs_by_column, title_groups
+from vprbench.report.table.cells import tabulate
+from vprbench.report.table.quantities import QUANTITIES
 from vprbench.runs.record import Failure
 
 RAILWAY = {"name": "railway", "places": 10, "seed": 0}
@@ -25,7 +30,8 @@ NORDLAND = Column("nordland", "Nordland", ("dataset=nordland",), "Nordland")
 PLANNED = Column("railway", "Railway (rendered)", ("dataset=railway",), "Nordland", stand_in_for="Nordland")
 CITY = Column("street", "City street", ("dataset=street",))
 
-PUBLISHED = read_plan(ROOT / "conf" / PLAN_FILE).published
+PAPER = read_plan(ROOT / "conf" / PLAN_FILE)
+PUBLISHED = PAPER.published
 ROWS = (SAD, NETVLAD, VPRSNN, VPRTEMPO)
 
 RAIL = replace(PLANNED, dataset=RAILWAY)
@@ -33,6 +39,7 @@ TOWN = replace(CITY, dataset=STREET)
 
 ABACUS = {"processor": "Abacus 9", "threads": 1, "cores": 2, "libraries": {"torch": "2.6.0"}}
 LOOM = {**ABACUS, "processor": "Loom 3", "cores": 8, "accelerator": "Spindle 80GB"}
+NAMES = ("recall_at_1", "train_cpu", "query_cpu", "train_gpu", "query_gpu")
 
 
 def answers(hits, n_places=10):
@@ -67,20 +74,15 @@ def run(
         key=f"{method}-{seed}-{device}-{day}",
         config={
             "method": {"_target_": f"made.{method}", "rules": "paper", "max_module": 1100, **changed, "seed": seed},
-            "dataset": dict(dataset),
-            "seed": seed,
-            "device": device,
+            **{"dataset": dict(dataset), "seed": seed, "device": device, "code": "c0de"},
             "overrides": [f"method={method}", *(f"method.{name}={changed[name]}" for name in changed)],
             "changed": dict(changed),
-            "code": "c0de",
             "timing": {"minimum_seconds": 2.0, "minimum_queries": 64, "sample": 256},
             **(config or {}),
         },
         protocol=protocol,
         environment={**(machine or (LOOM if device == "cuda" else ABACUS)), "time_utc": f"{day}T12:00:00Z"},
-        notes=(),
-        search=None,
-        timing=timing,
+        **{"notes": (), "search": None, "timing": timing},
         outcome=answers(hits, n_places),
         positives=tuple(np.array([i * n_places // len(hits)]) for i in range(len(hits))),
     )
@@ -92,3 +94,33 @@ def failure(method="sad", seed=0, error="out of thread", **changes):
     day, missing = changes.pop("day", "2025-03-02"), changes.pop("missing", False)
     given = run(method, seed, day=day, **changes)
     return Failure(method, given.dataset, given.config, error, given.environment, missing)
+
+
+tempo = partial(run, "vprtempo")
+
+
+def table(runs=(), failures=(), rows=ROWS, asked=(RAIL,), slow=False, quantities=QUANTITIES, title=None):
+    published = None if title else PUBLISHED
+    plan = Plan(rows=tuple(rows), columns=tuple(asked), published=published, full=not slow, title=title)
+    groups = (*title_groups(group_runs_by_column(runs, failures, asked, rows)),)
+    cells = tabulate(plan, groups, quantities)._asdict()
+    return Report(plan=plan, groups=groups, quantities=quantities, **cells)
+
+
+def cell(made, row, quantity, column="railway"):
+    named = {(each.row, each.column, each.quantity): each for each in made.cells.itertuples()}
+    return named[row, column, quantity]
+
+
+def measured(made, row, quantity, column="railway"):
+    found = cell(made, row, quantity, column)
+    assert found.seeds is not None
+    return found
+
+
+def notes(made, row, quantity):
+    return [made.notes[number - 1] for number in cell(made, row, quantity).notes]
+
+
+def absences(made, row):
+    return [cell(made, row, quantity.name).mark for quantity in QUANTITIES]

@@ -1,21 +1,25 @@
 """A comparison makes what is missing, ranks it and writes it, of the runs that were asked for and no others."""
 
-import csv
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from parsed_page import Parsed
 from PIL import Image
-from quick_runs import quick_runs
-from small_plan import install, quick_figures
+from small_plan import install, lines, quick_figures
 
+import vprbench
 from vprbench.cli import main
+from vprbench.metrics.accuracy import recall_at
 from vprbench.report.report import Report
 from vprbench.runs.store import Store
 
 ASKED = ["compare", "timing=none", "threads=1", "name=mine"]
 METHODS = ["methods=sad,pca,cosplace", "seeds=2", "sad.patch=5"]
+ROUTE = {"places": 20, "first_query_place": 4}
+SPOILT = [*ASKED, "methods=sad", "dataset=synthetic", *(f"dataset.{name}={value}" for name, value in ROUTE.items())]
+UNDER = "corruptions=[noise-1,shift-3]"
 
 
 def dataset(folder):
@@ -37,7 +41,6 @@ def compared(tmp_path_factory):
     with pytest.MonkeyPatch.context() as monkeypatch:
         apart = install(monkeypatch, folder)
         quick_figures(monkeypatch)
-        quick_runs(monkeypatch)
         assert main(["method=sad", *dataset(folder), *ASKED[1:3]]) == 0
         assert main([*ASKED, *METHODS, *dataset(folder)]) == 0
     return folder, apart
@@ -48,11 +51,6 @@ def apart(compared, monkeypatch):
     """Stand in the folder of the comparison, with nothing to be written; returns what stands in for processes."""
     monkeypatch.setattr(Report, "write", lambda *_: [])
     return install(monkeypatch, compared[0])
-
-
-def lines(name):
-    with Path("results", name).open(encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))
 
 
 def test_the_files_hold_the_asked_runs_in_their_order_and_say_nothing_of_a_paper(compared, apart):
@@ -68,7 +66,8 @@ def test_the_files_hold_the_asked_runs_in_their_order_and_say_nothing_of_a_paper
     assert sorted(line["method"] for line in lines("mine-runs.csv")) == ["pca", "pca", "sad patch=5"]
     texts = [Path("results", f"mine.{ending}").read_text(encoding="utf-8") for ending in ("md", "tex", "html")]
     assert not any(word in text for text in texts[:2] for word in ("Table II", "ICRA", "GPU", "documentclass"))
-    assert "<title>mine</title>" in texts[2]
+    assert ("<title>mine</title>" in texts[2], "<h1>mine</h1>" in texts[2]) == (True, True)
+    assert not any(word in Parsed(texts[2]).text.lower() for word in ("paper", "table ii"))
     assert "precision-recall-mine" in Path("results/figures/mine/captions.md").read_text(encoding="utf-8")
 
 
@@ -131,6 +130,8 @@ def test_all_that_is_wrong_is_told_at_once_and_nothing_runs(apart, capsys):
             for option in ("method=pca", "seeds=0", "metrics=r1p", "dataset.tolerence=1", "sad.seed=1", "sequnce=3")
         ),
         ("methods=sad,hog dataset=folders randconv.patch=5", "sad.patch, hog.patch"),
+        ("methods=sad dataset=synthetic corruptions=[shfit]", "shift"),
+        ("methods=sad dataset=synthetic corruption=shift-1", "corruptions=NAME"),
     ],
 )
 def test_an_option_of_no_comparison_is_named(apart, capsys, options, word):
@@ -182,3 +183,68 @@ def test_a_column_that_was_asked_for_stays_where_the_terminal_is_narrow(apart, c
     assert main([*ASKED, "methods=sad", "sad.patch=5", "metrics=energy", *dataset(Path()), "stored=true"]) == 0
     head = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("method"))
     assert ("Map B/place" in head, "peak MB" in head) == (True, False)
+
+
+# Under corruptions: runs of their own, which stand beside clean ones and never among them.
+
+
+@pytest.fixture(scope="module")
+def spoilt(tmp_path_factory):
+    """A folder with a comparison on clean frames and under corruptions, and what was run for it."""
+    folder = tmp_path_factory.mktemp("compared")
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        apart = install(monkeypatch, folder)
+        quick_figures(monkeypatch)
+        assert main([*SPOILT, UNDER]) == 0
+    return folder, apart
+
+
+def spoilt_runs():
+    """Return the stored runs and their R@1 by their corruption."""
+    runs = {run.config["corruption"]: run for run in Store(Path("results")).runs()}
+    return runs, {name: recall_at(run.outcome, 1).expected for name, run in runs.items()}
+
+
+@pytest.mark.extended
+def test_untimed_runs_of_each_corruption_stand_beside_clean_frames_in_the_files(spoilt, monkeypatch):
+    install(monkeypatch, spoilt[0])
+    asked = spoilt[1].asked
+    assert [each.corruption for each in asked] == [None, ["shift-3", "noise-1"]]  # fitted once
+    assert not asked[1].timing.rates
+    found, recalls = spoilt_runs()
+    assert found.keys() == {None, "noise-1", "shift-3"}
+    assert len({run.key for run in found.values()}) == len({run.fingerprint for run in found.values()}) == 3
+    told = {f"{line['kind']}-{line['strength']}": line for line in lines("mine-robustness.csv")}
+    assert {name: (float(line["recall_at_1"]), float(line["drop"])) for name, line in told.items()} == {
+        str(name or "clean-0"): pytest.approx((recall, recalls[None] - recall)) for name, recall in recalls.items()
+    }
+    assert "| shift 8 px" in Path("results/mine-robustness.md").read_text(encoding="utf-8")
+    assert Path("results/figures/mine/robustness-mine.pdf").is_file()
+    assert "robustness-mine" in Path("results/mine.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.extended
+def test_what_is_stored_is_found_by_all_commands_and_clean_frames_are_compared_and_tabled_alone(
+    spoilt, monkeypatch, capsys
+):
+    shown, apart = [], install(monkeypatch, spoilt[0])
+    monkeypatch.setattr(Report, "write", lambda one, *_: shown.append(one) or [])
+    for more in [], ["stored=true"]:
+        assert main([*SPOILT, UNDER, *more]) == 0
+        assert "noise ±5" in capsys.readouterr().out
+    assert main(SPOILT) == 0
+    found, recalls = spoilt_runs()
+    assert [run.key for group in shown[-1].groups for run in group.runs] == [found[None].key]
+    assert main(["table", "rows=[SAD]", "columns=[route]", "name=table", "timing=none", "threads=1"]) == 0
+    (cell,) = (line for line in lines("table.csv") if line["quantity"] == "recall_at_1")
+    assert float(cell["value"]) == pytest.approx(100 * recalls[None])
+    assert len(lines("table-runs.csv")) == 1
+    for options, word in (["table", "corruption=shift-1"], "clean"), (["corruption=shift-9"], "1 to 3"):
+        assert main(options) == 2
+        assert word in capsys.readouterr().err
+    assert apart.asked == []
+    data = vprbench.dataset("synthetic", **ROUTE)
+    for name in (None, "shift-3"):
+        result = vprbench.run("sad", data, timing="none", threads=1, corruption=name)
+        assert (result.from_store, result.run.key) == (True, found[name].key)
+        assert ("corruption" in result.run.protocol) == (name is not None)

@@ -1,18 +1,13 @@
 """Curves of accuracy hold the numbers worked by hand, with bands as wide as chance makes them."""
 
-import little
 import numpy as np
 import pandas as pd
 import pytest
 from figure_runs import run, series
+from little import a_run, answered
 
-from vprbench.metrics.ranking import outcome, ranked_places
-from vprbench.report.figures.accuracy import (
-    draw_precision_recall,
-    draw_recall_at_length,
-    draw_recall_at_n,
-    draw_recall_at_tolerance,
-)
+from vprbench.report.figures import accuracy
+from vprbench.report.figures.accuracy import draw_precision_recall, draw_recall_at_n, draw_recall_at_tolerance
 from vprbench.runs.sequences import parse_views
 
 
@@ -41,26 +36,19 @@ def answers(best, right):
     """A run over ten places whose best match of each query scores so much and is right or not."""
     scores = np.zeros((len(best), 10), np.float32)
     scores[range(len(best)), np.where(right, 0, 5)] = best
-    return answering(scores, [[0]] * len(best))
+    return answered(scores, [[0]] * len(best))
 
 
-def answering(scores, right):
-    positives = tuple(np.array(places, np.int64) for places in right)
-    places, values = ranked_places(scores, 10)
-    kept = {"top_places": places, "top_scores": values, "outcome": outcome(scores, positives)}
-    return little.a_run(positives=positives, scores=scores, **kept)
-
-
-# little.a_run() answers right, right, wrong, wrong with falling scores; its right places stand 1st, 1st, 3rd and 8th of
+# `a_run` answers right, right, wrong, wrong with falling scores; its right places stand 1st, 1st, 3rd and 8th of
 # ten, and its wrong answers lie 7 and 4 places from them.
 
 
 def test_precision_and_recall_of_four_queries_are_those_worked_by_hand():
-    (line,) = named_lines(draw_precision_recall([series("SAD", little.a_run())]))
+    (line,) = named_lines(draw_precision_recall([series("SAD", a_run())]))
     assert points(line) == [(0, 1), (0.25, 1), (0.5, 1), (0.5, pytest.approx(2 / 3)), (0.5, 0.5)]
     assert line.get_drawstyle() == "steps-pre"  # a step has the height of its right end
     assert line.get_label() == "SAD, AP 0.500"
-    alone = answering(np.eye(100, 10) / np.arange(1, 101)[:, None], [[0], *[[]] * 99])  # too few queries for a band
+    alone = answered(np.eye(100, 10) / np.arange(1, 101)[:, None], [[0], *[[]] * 99])  # too few queries for a band
     assert points(named_lines(draw_precision_recall([series("SAD", alone)]))[0])[1] == (1, 1)
 
 
@@ -98,22 +86,22 @@ def test_the_band_of_independent_queries_is_as_wide_as_95_percent_of_their_waiti
 
 
 def test_recalls_are_those_worked_by_hand_with_wilsons_interval_and_count_ties_by_their_expected_value():
-    drawn = draw_recall_at_n([series("SAD", little.a_run())])
+    drawn = draw_recall_at_n([series("SAD", a_run())])
     (line,) = named_lines(drawn)
     assert points(line) == list(zip(range(1, 11), [50, 50, 75, 75, 75, 75, 75, 100, 100, 100], strict=True))
     edges = band(drawn)
     assert edges[1] == pytest.approx((15.00, 85.00), abs=0.01)  # Wilson's interval of 2 of 4
     assert edges[10] == pytest.approx((51.01, 100), abs=0.01)  # and of 4 of 4
-    (line,) = named_lines(draw_recall_at_tolerance([series("SAD", little.a_run())]))
+    (line,) = named_lines(draw_recall_at_tolerance([series("SAD", a_run())]))
     assert points(line) == list(zip(range(11), [50] * 4 + [75] * 3 + [100] * 4, strict=True))
-    made = answering(np.zeros((8, 50), np.float32), [[query] for query in range(8)])  # 50 places tie, one is right
+    made = answered(np.zeros((8, 50), np.float32), [[query] for query in range(8)])  # 50 places tie, one is right
     (line,) = named_lines(draw_recall_at_n([series("SAD", made)]))
     assert points(line) == [(n, pytest.approx(2 * n)) for n in range(1, 26)]
 
 
 def test_tolerances_begin_at_that_of_the_protocol_in_places_and_otherwise_count_from_it():
     for protocol, first in (({"tolerance_places": 2}, 2), ({"tolerance_metres": 5.0}, 0), ({"radius_metres": 5.0}, 0)):
-        (line,) = named_lines(draw_recall_at_tolerance([series("SAD", little.a_run(protocol=protocol))]))
+        (line,) = named_lines(draw_recall_at_tolerance([series("SAD", a_run(protocol=protocol))]))
         assert [x for x, _ in points(line)] == list(range(first, first + 11))
         assert points(line)[0][1] == 50
 
@@ -130,10 +118,10 @@ def test_several_seeds_are_thin_lines_around_their_mean_with_the_interval_of_the
 
 def test_sequences_have_their_recall_at_each_length_and_the_caption_counts_the_queries():
     noisy = np.random.default_rng(0).normal(size=(3, 30, 30)) + np.eye(30)
-    runs = [answering(scores.astype(np.float32), [[i] for i in range(30)]) for scores in noisy]
+    runs = [answered(scores, [[i] for i in range(30)]) for scores in noisy]
     views = {view(runs[0]).view.window: [view(made) for made in runs] for view in parse_views([1, 2, 5])}
     seen = [[series("first", *runs[:2]), series("second", runs[2])] for runs in views.values()]
-    drawn = draw_recall_at_length(seen[::-1])
+    drawn = accuracy.draw_recall_at_length(seen[::-1])
     first, second = (dict(points(line)) for line in panel(drawn).lines)
     for length, runs in views.items():
         recalls = [100 * np.mean(made.scores.argmax(1) == np.concatenate(made.positives)) for made in runs]

@@ -6,27 +6,19 @@ from itertools import product
 import figure_runs
 import numpy as np
 import pytest
-from checkout import ROOT
 from figure_runs import series
 from matplotlib.colors import to_hex
-from stored_runs import answers
+from stored_runs import PAPER, PUBLISHED, answers
 
 from vprbench.metrics.intervals import share_interval
-from vprbench.report.figures.growth import draw_growing_map, draw_growth
+from vprbench.report.figures.growth import compute_median_interval, draw_growing_map, draw_growth, tabulate_growth
 from vprbench.report.figures.speed import draw_query_rate, draw_training_time
 from vprbench.report.figures.tradeoff import draw_memory_tradeoff, draw_rate_tradeoff, find_front
-from vprbench.report.plan import read_plan
 from vprbench.runs.notes import Note
 
 approx = pytest.approx
-PLAN = read_plan(ROOT / "conf" / "paper" / "table2.yaml")
-ROWS = list(PLAN.rows.values())
-NORDLAND, WINTER = PLAN.columns["nordland"], PLAN.columns["railway_winter"]
-UNPUBLISHED = replace(PLAN.columns["railway"], published=None)
-
-
-def words(axes):
-    return [text.get_text() for text in axes.texts]
+ROWS = [*PAPER.rows.values()]
+NORDLAND, WINTER = PAPER.columns["nordland"], PAPER.columns["railway_winter"]
 
 
 def legend(drawn):
@@ -35,8 +27,7 @@ def legend(drawn):
 
 def bar_ends(axes):
     """Return the ends of the upright bar of the first point."""
-    ((_, low), (_, high)) = axes.containers[0].lines[2][0].get_segments()[0]
-    return low, high
+    return axes.containers[0].lines[2][0].get_segments()[0][:, 1].tolist()
 
 
 def method(name, share, hz=100.0, megabytes=500.0, kept=None):
@@ -58,7 +49,7 @@ def test_points_stand_at_the_total_rate_and_the_recall_with_its_interval_and_unt
     drawn = draw_rate_tradeoff([series("SAD", slow), method("GCL", 0, 80), method("C", 1, 4), untimed])
     (axes,) = drawn.figure.axes
     assert points(axes) == [approx((500, 60)), approx((80, 0)), approx((4, 100))]
-    assert bar_ends(axes) == approx((100 * share_interval(hits).low, 100 * share_interval(hits).high))
+    assert bar_ends(axes) == approx([100 * share_interval(hits).low, 100 * share_interval(hits).high])
     assert "Not timed: Untimed." in drawn.caption
     assert legend(drawn) == ["SAD", "GCL", "C"]
 
@@ -105,18 +96,19 @@ def black_lines(axes):
 
 def test_training_bars_end_at_the_seconds_without_waiting_for_images_and_a_tick_with_it_beside_the_published():
     netvlad = series("NetVLAD", figure_runs.run("netvlad", fit_seconds=6000.0))  # comes trained
-    drawn = draw_training_time([tempo(3.0), netvlad], ROWS, NORDLAND, PLAN.published)
+    drawn = draw_training_time([tempo(3.0), netvlad], ROWS, NORDLAND, PUBLISHED)
     (axes,) = drawn.figure.axes
     assert bars(axes, hatched=False) == {4: approx(180)}
     assert bars(axes, hatched=True) == {1: approx(907200), 2: approx(21600), 3: approx(21600), 4: approx(3600)}
     assert [x[0] == x[1] for x in black_lines(axes)] == [True]  # the tick alone: one seed has no spread
     assert legend(drawn) == ["measured here", "published", "with reading the images"]
+    assert "quoted there: NetVLAD, GCL." in drawn.caption
     times = ({"fit_seconds": 540.0 + 120 * i, "fit_compute_seconds": 60.0 * i} for i in (1, 2, 4))
     runs = [figure_runs.run("t", seed=i, **each) for i, each in enumerate(times)]
-    (axes,) = draw_training_time([series("VPRTempo", *runs)], ROWS, NORDLAND, PLAN.published).figure.axes
+    (axes,) = draw_training_time([series("VPRTempo", *runs)], ROWS, NORDLAND, PUBLISHED).figure.axes
     assert bars(axes, hatched=False)[4] == approx(120)
     assert black_lines(axes) == [approx([60, 240]), approx([780, 780])]
-    assert "120 (780)" in words(axes)
+    assert "120 (780)" in [text.get_text() for text in axes.texts]
 
 
 def test_rates_are_of_encode_and_match_together_with_the_middle_four_fifths_of_laps_beside_the_paper_s():
@@ -127,7 +119,10 @@ def test_rates_are_of_encode_and_match_together_with_the_middle_four_fifths_of_l
         (one, NORDLAND, [1 / laps[90], 1 / laps[10]], 500),
         (several, WINTER, [1000 / 3, 500], 1250 / 3),
     ):
-        (axes,) = draw_query_rate([given], ROWS, column, PLAN.published).figure.axes
+        drawn = draw_query_rate([given], ROWS, column, PUBLISHED)
+        (axes,) = drawn.figure.axes
+        told = (PUBLISHED.source, column.published, "i7-9700K", "VPRSNN match, VPRTempo match.")
+        assert all(text in drawn.caption for text in told)
         assert black_lines(axes)[0] == approx(line)
         assert bars(axes, hatched=False) == {4: approx(bar)}
         rates = [10, 0.5, 2, 2, 353] if column == NORDLAND else [185, 0.5, 0.4, 2, 1670]
@@ -135,59 +130,56 @@ def test_rates_are_of_encode_and_match_together_with_the_middle_four_fifths_of_l
 
 
 def test_a_gpu_gets_a_panel_of_its_own_and_a_column_that_the_paper_does_not_have_measured_bars_alone():
-    cpu, gpu = draw_query_rate([tempo(3.0), tempo(0.1, device="cuda")], ROWS, NORDLAND, PLAN.published).figure.axes
+    cpu, gpu = draw_query_rate([tempo(3.0), tempo(0.1, device="cuda")], ROWS, NORDLAND, PUBLISHED).figure.axes
     assert (cpu.get_title(loc="left"), gpu.get_title(loc="left")) == ("CPU", "GPU")
     assert cpu.get_xlim() == gpu.get_xlim()
     assert bars(gpu, hatched=True)[4] == approx(1634)
     assert 3 not in bars(gpu, hatched=True)  # the paper has no GPU code of VPRSNN
-    drawn = draw_query_rate([tempo(3.0)], ROWS, UNPUBLISHED, PLAN.published)
+    drawn = draw_query_rate([tempo(3.0)], ROWS, replace(PAPER.columns["railway"], published=None), PUBLISHED)
     assert (bars(drawn.figure.axes[0], hatched=True), legend(drawn)) == ({}, ["measured here"])
+    assert "i7-9700K" not in drawn.caption
 
 
 SIZES = (100, 300, 1000, 3000, 9000, 27000)
 
 
 def grown(runs):
-    return series("VPRTempo", *runs)
-
-
-def sizes(fit, match=lambda n: 0.001, **changes):
-    return [figure_runs.sized(n, fit(n), match(n), **changes) for n in SIZES]
+    return draw_growth([series("VPRTempo", *runs)])
 
 
 def slope(axes):
     """Return the ends of the fitted line, (2, 2): places and seconds."""
-    (line,) = (line for line in axes.lines if len(line.get_xydata()) == 2)
-    return line.get_xydata()
+    return next(line.get_xydata() for line in axes.lines if len(line.get_xydata()) == 2)
 
 
 def test_points_stand_at_places_seconds_and_milliseconds_and_a_line_is_the_fitted_power():
     runs = [figure_runs.sized(n, 0.01 * n, 1e-6 * n**0.5, encode_seconds=1e-6 * n**0.5) for n in SIZES]
-    drawn = draw_growth([grown(runs)])
+    drawn = grown(runs)
     left, right = drawn.figure.axes
     training, query = (axes.containers[0].lines[0].get_xydata()[0] for axes in (left, right))
     assert (training.tolist(), query.tolist()) == (approx([100, 1]), approx([100, 0.02]))
     assert legend(drawn) == ["VPRTempo, training exponent 1.00 [1.00, 1.00], query exponent 0.50 [0.50, 0.50]"]
     assert slope(left) == approx(np.array([[100, 1], [27000, 270]]))
-    untimed = draw_growth([grown([replace(run, timing=None) for run in runs[:2]])])
+    untimed = grown([replace(run, timing=None) for run in runs[:2]])
     assert legend(untimed) == ["VPRTempo"]  # too few sizes
     assert [axes.get_visible() for axes in untimed.figure.axes] == [True, False]
 
 
 def test_seeds_are_several_points_disturbed_sizes_hollow_and_the_bar_of_a_query_the_interval_of_its_median():
-    runs = [run for seed in range(3) for run in sizes(lambda n, s=seed: n / 100 * (1, 2, 9)[s], seed=seed)]
-    left, _ = draw_growth([grown(runs)]).figure.axes
+    asked = product(range(3), SIZES)
+    runs = [figure_runs.sized(n, n / 100 * (1, 2, 9)[seed], 0.001, seed=seed) for seed, n in asked]
+    left, _ = grown(runs).figure.axes
     assert list(left.containers[0].lines[0].get_ydata()[:3]) == approx([1, 2, 9])
     assert slope(left) == approx(np.array([[100, 2], [27000, 540]]))
     noisy = (Note("noisy", "noisy: two carts passed"),)
-    runs = [replace(r, notes=noisy * (r.outcome.n_places in (300, 9000))) for r in sizes(lambda n: 0.01 * n)]
-    for axes in draw_growth([grown(runs)]).figure.axes:
+    runs = [figure_runs.sized(n, 0.01 * n, 0.001, notes=noisy * (n in (300, 9000))) for n in SIZES]
+    for axes in grown(runs).figure.axes:
         hollow = [points.lines[0] for points in axes.containers if to_hex(points.lines[0].get_mfc()) == "#ffffff"]
         assert {tuple(line.get_xdata()) for line in hollow} == {(300, 9000)}
     run = figure_runs.sized(100, 1.0, 0.001, spread=0.5)  # 101 laps: ranks 41 and 61 of the ordered ones
     laps = np.sort(1e3 * run.timing.streaming.total_seconds)
-    _, right = draw_growth([grown([run])]).figure.axes
-    assert bar_ends(right) == approx((laps[40], laps[60]))
+    _, right = grown([run]).figure.axes
+    assert bar_ends(right) == approx([laps[40], laps[60]])
 
 
 def test_a_growing_map_has_the_recall_of_all_its_places_and_of_the_first_and_the_milliseconds_of_a_new_one():
@@ -201,3 +193,37 @@ def test_a_growing_map_has_the_recall_of_all_its_places_and_of_the_first_and_the
     assert [line.get_xydata().tolist() for line in left.lines] == [[[2, 50], [4, 75]], [[2, 50], [4, 100]]]
     assert [line.get_xydata().tolist() for line in right.lines] == [[[4, approx(2)]]]
     assert legend(drawn) == ["SAD", "SAD, of the first 2"]
+
+
+def test_the_interval_of_a_median_lies_at_the_tabulated_ranks():
+    # ranks of the 95 % interval: Conover, Practical Nonparametric Statistics, table of the binomial distribution
+    assert compute_median_interval(np.arange(5.0)) is None
+    for n_laps, k in ((6, 1), (10, 2), (25, 8), (100, 40)):
+        laps = np.random.default_rng(0).permutation(np.arange(1.0, n_laps + 1))
+        assert compute_median_interval(laps) == (k, n_laps + 1 - k)
+
+
+def test_samples_stand_in_the_order_of_places_and_seeds_and_the_newest_run_of_each_counts():
+    asked = [(n, seed) for n in (300, 100) for seed in (1, 0)]
+    runs = [figure_runs.sized(n, 5.0, 0.001 * n, seed=seed, fit_compute_seconds=n / 100) for n, seed in asked]
+    runs.append(figure_runs.sized(100, 9.0, 0.009, seed=0, day="2020-01-01"))
+    found = tabulate_growth(runs)
+    assert [*zip(found.places, found.seed, strict=True)] == [(100, 0), (100, 1), (300, 0), (300, 1)]
+    assert found.fit_compute_seconds.tolist() == [1, 1, 3, 3]
+    assert found.query_seconds.iloc[-1] == pytest.approx(0.301)  # 1 ms to encode
+
+
+def test_runs_with_other_arguments_weights_or_protocol_are_another_growth():
+    given, protocol = {"max_module": 1100, "rules": "own"}, {"places": 300, "tolerance_places": 0}
+    new = figure_runs.sized(1000, 1.0, 0.001, arguments=given, protocol={**protocol, "places": 1000})
+
+    def older(**changes):
+        asked = {"day": "2024-01-01", "arguments": given, "protocol": protocol, **changes}
+        return figure_runs.sized(300, 9.0, 0.001, **asked)
+
+    smaller = older(protocol={**protocol, "query_places": 9})
+    assert [*tabulate_growth([new, smaller])["record"]] == [smaller, new]
+    weights = {**older().config, "files": [{"name": "weights", "sha256": "ab"}]}
+    dataset, arguments = {**protocol, "tolerance_places": 2}, {**given, "rules": "reference"}
+    for other in older(arguments=arguments), older(protocol=dataset), replace(older(), config=weights):
+        assert [*tabulate_growth([new, other])["record"]] == [new]

@@ -7,7 +7,6 @@ import pytest
 from figure_runs import run, series
 from matplotlib.patches import Rectangle
 
-from vprbench.metrics.ranking import outcome
 from vprbench.report.figures.pictures import draw_frames, draw_similarity
 from vprbench.report.figures.spikes import draw_spikes
 from vprbench.runs.thumbnails import Example, Thumbnails
@@ -41,23 +40,11 @@ def test_a_row_shows_the_right_place_and_the_query_as_they_are_and_patch_normali
     assert "r1.png and q0.png; r0.png and q1.png" in drawn.caption
 
 
-def matrices(drawn):
-    """The panels of the ground truth and of the scores, without the colour bar."""
-    truth, scores, _ = drawn.figure.axes
-    return truth, scores
-
-
-def with_scores(scores, *right):
-    matrix = np.asarray(scores, np.float32)
-    positives = tuple(np.array(row, np.int64) for row in right)
-    return little.a_run(scores=matrix, positives=positives, outcome=outcome(matrix, positives))
-
-
 def test_right_places_are_dark_and_the_scores_of_each_query_run_from_0_to_1():
     no = -np.inf  # no candidate is drawn as the worst
     given = np.array([[10, 20, 30, 15], [-5, -4, -1, -5], [7, 7, 7, 7], [no, 2, 4, 3], [no] * 4], np.float32)
-    made = with_scores(given, [1], [0, 3], [], [0], [1])
-    truth, scores = matrices(draw_similarity(made, "VPRTempo, five networks"))
+    made = little.answered(given, [[1], [0, 3], [], [0], [1]])
+    truth, scores, _ = draw_similarity(made, "VPRTempo, five networks").figure.axes
     assert shown(truth).tolist() == [[0, 1, 0, 0], [1, 0, 0, 1], [0, 0, 0, 0], [1, 0, 0, 0], [0, 1, 0, 0]]
     stretched = [[0, 0.5, 1, 0.25], [0, 0.25, 1, 0], [0, 0, 0, 0], [0, 0, 1, 0.5], [0, 0, 0, 0]]
     np.testing.assert_allclose(shown(scores), stretched)
@@ -69,7 +56,7 @@ def test_right_places_are_dark_and_the_scores_of_each_query_run_from_0_to_1():
 def test_cells_of_a_large_matrix_are_the_maxima_of_blocks_so_that_no_right_place_vanishes():
     """1000 places need blocks of 3, and neither 1000 nor 20 is a multiple of 3."""
     made = run(n_queries=20, n_places=1000)
-    truth, scores = matrices(draw_similarity(made, "SAD"))
+    truth, scores, _ = draw_similarity(made, "SAD").figure.axes
     low, high = made.scores.min(1, keepdims=True), made.scores.max(1, keepdims=True)
     padded = np.zeros((21, 1002))
     padded[:20, :1000] = (made.scores - low) / (high - low)
@@ -90,10 +77,6 @@ def layer(name, spikes, active_share=0.5, neurons=100):
     return little.a_layer(name, neurons, list(spikes), active_share, None)
 
 
-def panels(*rows):
-    return draw_spikes(rows).figure.axes
-
-
 def medians(axes):
     """The heights of black lines: a box has one, at its median."""
     return [float(np.asarray(line.get_ydata())[0]) for line in axes.lines if line.get_color() == "black"]
@@ -104,7 +87,7 @@ def bars(axes):
 
 
 def test_each_layer_has_a_box_of_the_middle_half_of_its_queries_with_whiskers():
-    axes, _ = panels(spiking("VPRTempo", [layer("output", range(100, 201))]))
+    axes, _ = draw_spikes([spiking("VPRTempo", [layer("output", range(100, 201))])]).figure.axes
     heights = axes.patches[0].get_path().vertices[:, 1]
     assert (heights[:4].min(), heights[:4].max()) == (125, 175)
     ends = np.concatenate([np.asarray(line.get_ydata()) for line in axes.lines])
@@ -113,7 +96,7 @@ def test_each_layer_has_a_box_of_the_middle_half_of_its_queries_with_whiskers():
 
 def test_seeds_share_a_box_with_a_dot_each_at_the_bar_and_rows_with_spikes_stand_side_by_side():
     seeds = [layer("output", [10, 10], 0.2)], [layer("output", [14, 16], 0.4)]
-    axes, active = panels(spiking("VPRTempo", *seeds))
+    axes, active = draw_spikes([spiking("VPRTempo", *seeds)]).figure.axes
     assert medians(axes) == [12]  # of 10, 10, 14, 16
     assert bars(active) == pytest.approx([30])
     (dots,) = active.lines

@@ -1,41 +1,121 @@
 """The report in a browser: it shows the right frames, filters, sorts, and works from the keyboard and on a phone."""
 
+import os
 import re
+import shutil
 from dataclasses import replace
 
 import made_table
 import numpy as np
 import pytest
 import report_page as made
-from playwright.sync_api import expect
-from report_page import SAD_WRONG, answered, journey_run, journey_section, made_up_page, place_colour, query_colour
-from report_reader import choose, colours, current, focused, listed, queries_of, widest
+from little import answered
+from playwright.sync_api import expect, sync_playwright
+from report_page import SAD_WRONG, journey_run, journey_section, made_up_page, place_colour, query_colour
 
 from vprbench.report.page.page import Picture, Section, page
 from vprbench.report.selection import MethodRuns
 from vprbench.report.table import formats
 
+PATIENCE = 30_000  # milliseconds, where nothing is slow but the machine may be
+
+
+class Reader:
+    """Someone who opens pages and writes down what goes wrong meanwhile."""
+
+    def __init__(self, browser, folder):
+        self.browser, self.folder = browser, folder
+        self.contexts, self.complaints, self.requests = [], [], []
+
+    def read(self, text, **options):
+        file = self.folder / f"report-{len(self.contexts)}.html"
+        file.write_text(text, encoding="utf-8")
+        self.contexts.append(self.browser.new_context(**{"viewport": {"width": 1280, "height": 900}, **options}))
+        self.contexts[-1].set_default_timeout(PATIENCE)
+        tab = self.contexts[-1].new_page()
+        tab.on("console", lambda message: self.complaints.append(message.text))
+        tab.on("pageerror", lambda error: self.complaints.append(str(error)))
+        tab.on("request", lambda request: self.requests.append(request.url))
+        tab.goto(file.as_uri())
+        return tab
+
+
+def choose(tab, *, dataset="", **labels):
+    if dataset:
+        tab.get_by_role("tab", name=dataset, exact=True).click()
+    for name, label in labels.items():
+        options = tab.locator(f"#{name.replace('_', '-')} option").all_text_contents()
+        (chosen,) = [option for option in options if option == label or option.startswith(f"{label} (")]
+        tab.locator(f"#{name.replace('_', '-')}").select_option(label=chosen)
+
+
+def listed(tab):
+    """The queries in the list, in its order."""
+    return [int(text) for text in tab.locator("#queries > li").evaluate_all("all => all.map(e => e.dataset.query)")]
+
+
+def current(tab):
+    return int(tab.locator("#queries > .current").get_attribute("data-query") or "-1")
+
+
+def focused(tab):
+    return str(tab.evaluate("document.activeElement.id"))
+
+
+def colours(row):
+    """The colour in the middle of each frame of a row, decoded by the browser."""
+    decode = """async (images) => Promise.all(images.map(async (image) => {
+        await image.decode();
+        const canvas = document.createElement("canvas");
+        [canvas.width, canvas.height] = [image.naturalWidth, image.naturalHeight];
+        const context = canvas.getContext("2d");
+        context.drawImage(image, 0, 0);
+        return [...context.getImageData(canvas.width >> 1, canvas.height >> 1, 1, 1).data].slice(0, 3);
+    }))"""
+    return [tuple(colour) for colour in row.locator("img").evaluate_all(decode)]
+
+
 MINUS = "\N{MINUS SIGN}"
 ROUTE, HIGHEST = "along the route", "by margin, highest first"
 MISSING = "missing: the weights gcl.pth are missing"
-MARK = re.compile(f"^{1 + made_table.table().notes.index(MISSING)}$")
-PHONE = {"viewport": {"width": 360, "height": 740}}
+TEMPO = "VPRTempo, seed 0"
 FIRST = "1 to 5 of 5: A wrong, ties included"  # what is told of the queries that a page opens with
 
-pytest_plugins = ["report_browser"]
 pytestmark = pytest.mark.extended
+ARGUMENTS = ("headless", "no-sandbox", "disable-gpu", "disable-quic", "no-first-run", "disable-background-networking")
+ARGUMENTS += ("disable-component-update", "disable-sync")
 
 
-def one(run, title="Journey", name="SAD"):
-    return Section(title, (MethodRuns(name, (run,)),), None)
+@pytest.fixture(scope="module")
+def browser():
+    chromium = shutil.which("chromium")
+    if chromium is None:
+        leave = pytest.fail if os.environ.get("VPRBENCH_INSIST_ON_CHROMIUM") else pytest.skip
+        leave("there is no chromium on this machine: its package brings it")
+    expect.set_options(timeout=PATIENCE)
+    with sync_playwright() as playwright:
+        options = {"args": [f"--{name}" for name in ARGUMENTS], "timeout": 4 * PATIENCE}
+        browser = playwright.chromium.launch(executable_path=chromium, **options)
+        yield browser
+        browser.close()
 
 
-def right_colour(query):
-    return place_colour(made.right_place(query))
+@pytest.fixture
+def reader(browser, tmp_path):
+    reader = Reader(browser, tmp_path)
+    yield reader
+    for context in reader.contexts:
+        context.close()
+    assert reader.complaints == []
 
 
-def mistaken_colour(query):
-    return place_colour(made.mistaken_place(query))
+@pytest.fixture
+def tab(reader):
+    return reader.read(made_up_page())
+
+
+def one(run, title="Journey"):
+    return Section(title, (MethodRuns("SAD", (run,)),), None)
 
 
 def row(tab, query):
@@ -51,7 +131,7 @@ def test_the_page_asks_for_nothing_else_and_opens_with_the_surest_errors_of_the_
     tied = row(tab, 20)
     expect(tied).to_contain_text("tied Query 20")
     expect(tied).to_contain_text("shares ranks 1 to 2 of 60")
-    assert colours(tied)[1:] == [mistaken_colour(20), right_colour(20)]
+    assert colours(tied)[1:] == [place_colour(made.mistaken_place(20)), place_colour(made.right_place(20))]
     for order, queries in ((HIGHEST, [20, 30, 10, 3, 11]), (ROUTE, [3, 10, 11, 20, 30])):
         choose(tab, order=order)
         assert listed(tab) == queries
@@ -61,7 +141,11 @@ def test_the_page_asks_for_nothing_else_and_opens_with_the_surest_errors_of_the_
 
 def test_a_known_failure_shows_its_query_the_retrieved_and_the_right_frame(tab):
     failure = row(tab, 10)
-    assert colours(failure) == [query_colour(10), mistaken_colour(10), right_colour(10)]
+    assert colours(failure) == [
+        query_colour(10),
+        place_colour(made.mistaken_place(10)),
+        place_colour(made.right_place(10)),
+    ]
     told = ["Query\ndusk/00010.png", "Retrieved\nnoon/00022.png\nplace 22\nscore 0.625"]
     assert failure.locator("figcaption").all_inner_texts() == [*told, "True\nnoon/00015.png\nplace 15\nscore 0.5"]
     for text in ("wrong Query 10", f"margin {MINUS}0.125", "ranks 2 of 60", "7 places off"):
@@ -71,7 +155,7 @@ def test_a_known_failure_shows_its_query_the_retrieved_and_the_right_frame(tab):
     choose(tab, kind="without a right place")
     unanswerable = tab.locator("#queries > li")
     expect(unanswerable).to_contain_text("no right place Query 49")
-    assert colours(unanswerable) == [query_colour(49), right_colour(49)]
+    assert colours(unanswerable) == [query_colour(49), place_colour(made.right_place(49))]
     expect(unanswerable.locator(".no-frame")).to_have_text("no right place")
 
 
@@ -84,7 +168,7 @@ def test_a_filter_keeps_its_queries_and_says_how_many(tab):
         assert listed(tab) == queries[:10]
         expect(tab.locator("#status")).to_have_text(f"1 to {min(10, len(queries))} of {len(queries)}: {kind}")
         expect(tab.locator("#kind option:checked")).to_have_text(f"{kind} ({len(queries)})")
-    choose(tab, method_a="VPRTempo, seed 0", kind="A tied")
+    choose(tab, method_a=TEMPO, kind="A tied")
     expect(tab.locator("#status")).to_contain_text("No query is left")
     expect(tab.locator("#along")).to_be_disabled()
     tab.locator("#lanes svg").first.click()
@@ -93,7 +177,7 @@ def test_a_filter_keeps_its_queries_and_says_how_many(tab):
 
 def test_two_methods_show_the_queries_of_one_or_both_with_their_frames_scores_ranks_and_best_places(tab):
     expect(tab.locator("#kind option[value=a-not-b]")).to_be_disabled()
-    choose(tab, method_b="VPRTempo, seed 0")
+    choose(tab, method_b=TEMPO)
     button = row(tab, 11).locator("button")
     for expanded in ("true", "false"):
         button.click()
@@ -101,13 +185,10 @@ def test_two_methods_show_the_queries_of_one_or_both_with_their_frames_scores_ra
         more = row(tab, 11).locator(".more")
         expect(more).to_have_count(int(expanded == "true"))
         if expanded == "true":
-            assert more.locator("h4").all_text_contents() == [
-                "Best places of A, SAD",
-                "Best places of B, VPRTempo, seed 0",
-            ]
+            assert more.locator("h4").all_text_contents() == [f"Best places of {m}" for m in ("A, SAD", f"B, {TEMPO}")]
             roles = more.locator(".frames").first.locator(".role").all_text_contents()
             assert roles == ["1. wrong", "2. right", "3. wrong"]
-            assert colours(more.locator(".frames").nth(1))[0] == right_colour(11)
+            assert colours(more.locator(".frames").nth(1))[0] == place_colour(made.right_place(11))
     last = row(tab, 3).locator("figcaption").all_inner_texts()[-1]
     assert last == "True\nnoon/00008.png\nplace 8\nscore by A 0.5, by B 0.5"
     assert row(tab, 3).locator(".facts li").all_inner_texts() == [
@@ -117,7 +198,12 @@ def test_two_methods_show_the_queries_of_one_or_both_with_their_frames_scores_ra
     for kind, queries in (("A wrong, B right", [3, 11, 20, 30]), ("A and B wrong", [10]), ("A right, B wrong", [40])):
         choose(tab, kind=kind, order=ROUTE)
         assert listed(tab) == queries
-    assert colours(row(tab, 40)) == [query_colour(40), right_colour(40), mistaken_colour(40), right_colour(40)]
+    assert colours(row(tab, 40)) == [
+        query_colour(40),
+        place_colour(made.right_place(40)),
+        place_colour(made.mistaken_place(40)),
+        place_colour(made.right_place(40)),
+    ]
     choose(tab, method_b="nothing")
     expect(tab.locator("#status")).to_have_text(FIRST)
 
@@ -164,12 +250,14 @@ def test_without_a_ground_truth_each_query_shows_its_best_five_places_by_score_a
 
 
 def test_the_strip_shows_hits_and_misses_and_leads_to_the_nearest_query_that_is_shown(tab):
-    choose(tab, method_b="VPRTempo, seed 0")
+    choose(tab, method_b=TEMPO)
     lanes = tab.locator("#lanes .lane")
     tempo = {*made.TEMPO_WRONG}
     bars = [(0, "wrong", {*SAD_WRONG} - {20}), (1, "wrong", tempo), (0, "tied", {20}), (2, "shown", {*SAD_WRONG})]
     for lane, kind, queries in bars:
-        assert queries_of(lanes.nth(lane).locator(f".bars.{kind}").get_attribute("d") or "") == queries
+        path = lanes.nth(lane).locator(f".bars.{kind}").get_attribute("d") or ""
+        runs = [(int(first), int(length)) for first, length in re.findall(r"M(\d+) 100h(\d+)v", path)]
+        assert {query for first, length in runs for query in range(first, first + length)} == queries
     expect(lanes.nth(0)).to_contain_text("A, SAD: 44 right, 4 wrong, 1 tied, 1 no right place")
     strip = tab.locator("#lanes svg").first
     box = strip.bounding_box()
@@ -211,7 +299,7 @@ def test_arrow_keys_walk_the_list_over_the_ends_of_its_pages_which_buttons_turn(
 def text():
     """A report of two datasets, with a real table and two figures."""
     other = one(journey_run(dict.fromkeys(range(30), 0.25)), "Other")
-    pictures = [Picture(name, "What is drawn.", made.drawn_figure()) for name in ("speed", "recall")]
+    pictures = [Picture(name, "What is drawn.", made.FIGURE) for name in ("speed", "recall")]
     sections = [journey_section(thumbnails=made.journey_thumbnails()), other]
     return page(formats.to_html(made_table.table()), pictures, sections)
 
@@ -219,9 +307,9 @@ def text():
 @pytest.fixture
 def report(text, reader):
     """The report on a phone, which never scrolls sideways."""
-    tab = reader.read(text, **PHONE)
+    tab = reader.read(text, viewport={"width": 360, "height": 740})
     yield tab
-    assert widest(tab) <= 360
+    assert tab.evaluate("Math.max(document.documentElement.scrollWidth, document.body.scrollWidth)") <= 360
 
 
 def test_tabs_are_walked_by_arrow_keys_over_their_ends_and_change_findings_and_failures(report):
@@ -257,7 +345,7 @@ def test_a_copied_link_shows_what_was_seen_and_one_to_what_is_not_there_what_is(
     assert (current(other), listed(other)) == seen
     expect(other.locator("#query-44")).to_be_in_viewport()
     expect(other.locator("#kind option:checked")).to_contain_text("A right")
-    choose(other, dataset="Journey", method_b="VPRTempo, seed 0", kind="A wrong, B right")
+    choose(other, dataset="Journey", method_b=TEMPO, kind="A wrong, B right")
     expect(other).to_have_url(re.compile("b=VPRTempo"))
     report.goto(other.url)
     assert listed(report) == listed(other) == [3, 11, 20, 30]
@@ -268,11 +356,12 @@ def test_a_copied_link_shows_what_was_seen_and_one_to_what_is_not_there_what_is(
 
 def names(tab):
     """The rows that are seen, in their order."""
-    heads = tab.locator("#table tbody tr:visible th").all_text_contents()
-    return [head.removesuffix(" spiking") for head in heads]
+    return [text.removesuffix(" spiking") for text in tab.locator("#table tbody tr:visible th").all_text_contents()]
 
 
-def test_the_table_is_sorted_by_any_column_and_back_and_filtered_by_a_word(report):
+def test_the_table_is_sorted_by_any_column_and_back_and_filtered_by_a_word_and_a_mark_has_its_footnote_as_title(report):
+    mark = re.compile(f"^{1 + made_table.table().notes.index(MISSING)}$")
+    assert MISSING in report.locator("#table sup a", has_text=mark).first.get_attribute("title")
     before = names(report)
     heads = report.locator("#table th[aria-sort]")
     for order, first in (("descending", ["VPRTempo", "SAD"]), ("ascending", ["SAD", "VPRTempo"]), ("none", before)):
@@ -291,7 +380,3 @@ def test_the_table_is_sorted_by_any_column_and_back_and_filtered_by_a_word(repor
         expect(report.locator("#rows")).to_have_text(f"{len(left)} of {len(before)} rows")
     word.fill("")
     assert names(report) == sorted(before)
-
-
-def test_a_mark_has_its_footnote_as_title(report):
-    assert MISSING in report.locator("#table sup a", has_text=MARK).first.get_attribute("title")
