@@ -4,22 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
 
 from vprbench.api.arrays import Scores
 from vprbench.errors import BadInput
-from vprbench.metrics.bounds import HIGHEST_SCORE, INTEGERS, NUMBERS, Array, Places
+from vprbench.metrics.bounds import Places
 
 PlacesPerQuery = Sequence[npt.NDArray[np.int64]]  # per query some places; empty if there are none
 Counts = npt.NDArray[np.int64]  # (n_queries,)
 
 _BLOCK_CELLS = 1 << 20  # scores compared at once: bounds the memory and stays near the processor's cache
 _RANKED_CELLS = 1 << 22  # scores whose best are looked for together: bounds the memory
-
-_StoredCounts = Annotated[Counts, Array(INTEGERS, ("queries",), 0, "places")]
 
 
 @dataclass(frozen=True)
@@ -31,15 +28,13 @@ class Outcome:
     `tied` is 0.
     """
 
-    best_score: Annotated[  # the highest score; -inf where no place is a candidate
-        npt.NDArray[np.float32], Array(NUMBERS, ("queries",), -np.inf, HIGHEST_SCORE)
-    ]
-    top_tied: _StoredCounts  # places that share the highest score; 0 if no place is a candidate
-    top_tied_correct: _StoredCounts  # right places among those
-    above: _StoredCounts  # places that score higher than the best right place
-    tied: _StoredCounts  # places that score the same as the best right place, itself included
-    tied_correct: _StoredCounts  # right places among those
-    n_positives: _StoredCounts  # right places, whether candidates or not
+    best_score: npt.NDArray[np.float32]  # the highest score; -inf where no place is a candidate
+    top_tied: Counts  # places that share the highest score; 0 if no place is a candidate
+    top_tied_correct: Counts  # right places among those
+    above: Counts  # places that score higher than the best right place
+    tied: Counts  # places that score the same as the best right place, itself included
+    tied_correct: Counts  # right places among those
+    n_positives: Counts  # right places, whether candidates or not
     n_places: Places
 
     @property
