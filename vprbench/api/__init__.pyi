@@ -7,7 +7,6 @@ from .arrays import Descriptors as Descriptors
 from .arrays import Image as Image
 from .arrays import Places as Places
 from .arrays import Scores as Scores
-from .binary import BinaryMap as BinaryMap
 from .binary import BinaryMethod as BinaryMethod
 from .compiling import compiled as compiled
 from .dataset import Dataset as Dataset
