@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import logging
 from collections.abc import Mapping
@@ -15,6 +14,7 @@ import numpy.typing as npt
 from pydantic import TypeAdapter, ValidationError
 
 from vprbench.runs.record import Failure, Mappings, Run
+from vprbench.storage.hashes import compute_sha256
 from vprbench.storage.tensors import map_arrays, write_arrays
 
 Arrays = Mapping[str, npt.NDArray[Any]]
@@ -44,7 +44,7 @@ def write(run: Run, folder: Path) -> None:
     partial = folder / "arrays"
     write_arrays(partial, arrays)
     _build_run(json.loads(text), map_arrays(partial))
-    sha256 = _hash_file(partial)
+    sha256 = compute_sha256(partial)
     partial.rename(_get_arrays_path(folder, sha256))
     content = {"schema": SCHEMA, "sha256": sha256, **json.loads(text)}
     (folder / SUMMARY).write_text(json.dumps(content, indent=1), encoding="utf-8")
@@ -60,7 +60,7 @@ def load(folder: Path) -> Run:
         if (layout := int(summary.pop("schema"))) != SCHEMA:
             raise OtherLayoutError(f"its layout is version {layout}, this program reads {SCHEMA}: run it again")
         path = _get_arrays_path(folder, sha256 := summary.pop("sha256"))
-        if _hash_file(path) != sha256:
+        if compute_sha256(path) != sha256:
             raise ValueError(f"{path.name} is not what was written")
         return _build_run(summary, map_arrays(path))
     except OtherLayoutError:
@@ -120,8 +120,3 @@ def _validate_content(adapter: TypeAdapter[Any], content: dict[str, Any]) -> Any
 
 def _get_arrays_path(folder: Path, sha256: str) -> Path:
     return folder / f"arrays-{sha256[:16]}.safetensors"
-
-
-def _hash_file(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
