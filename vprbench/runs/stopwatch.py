@@ -15,7 +15,7 @@ from pydantic import ConfigDict, Field, with_config
 
 from vprbench import progress
 from vprbench.api.images import Images
-from vprbench.api.method import batch_size_for, require_codes
+from vprbench.api.method import limit_batch_size, require_codes
 from vprbench.metrics.bounds import Count, Flag, Number, Positive
 from vprbench.runs.scorers import Answer, QueryScorer, find_best_place
 from vprbench.runs.timing_protocol import Protocol as Protocol  # callers ask the stopwatch
@@ -152,7 +152,8 @@ class Stopwatch:
         A size is left out whose call would be long at the rate of the size before. The first call of a size is not
         timed.
         """
-        sizes = sorted({batch_size_for(scorer, min(size, len(sample))) for size in self._protocol.batch_sizes})
+        wanted = {min(size, len(sample)) for size in self._protocol.batch_sizes}
+        sizes = sorted({limit_batch_size(size, scorer.code_bytes) for size in wanted})
         offline: list[Laps] = []
         last = streaming
         for done, size in enumerate(sizes):
