@@ -66,4 +66,3 @@ from .weight_files import state_dict as state_dict
 from .weights import Weights as Weights
 from .weights import find_weights as find_weights
 from .weights import load_strictly as load_strictly
-from .weights import without_prefix as without_prefix
