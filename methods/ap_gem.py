@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from vprbench.api import BadInput, read_weights, state_dict, without_prefix
+from vprbench.api import BadInput, read_weights, state_dict
 
 from .parts.backbones.convolutional import GeM, build_resnet, count_channels
 from .parts.published import PublishedNetwork, Tensors, read_size
@@ -50,7 +50,7 @@ class APGeM(PublishedNetwork):
             [(_PCA, f"sklearn.decomposition.{name}.PCA") for name in ("pca", "_pca")]
         ):
             content = read_weights(path)
-            tensors = without_prefix(state_dict(path, "state_dict"), "module.")
+            tensors = state_dict(path, "state_dict")
         network = cast(_APGeM, self.loaded({**tensors, **_read_whitening(content, path)}, path))
         options = content.get("model_options")
         network.unit_features = isinstance(options, Mapping) and bool(options.get("norm_features"))

@@ -40,7 +40,6 @@ class CricaVPR(CrossImageDescriptor):
 
     multiple: ClassVar[int] = 14
     fixed_size: ClassVar[bool] = True
-    prefix: ClassVar[str] = "module."
 
     def network(self, tensors: Tensors) -> nn.Module:
         """Return the network of 10752 dimensions, or as many as a file has."""

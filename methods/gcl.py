@@ -96,8 +96,6 @@ class GCL(PublishedNetwork):
 
     search_arguments: ClassVar[frozenset[str]] = PublishedNetwork.search_arguments | {"loss", "n_components"}
 
-    prefix: ClassVar[str] = "module."
-
     _whitening: Whitening | None = field(default=None, init=False, repr=False, compare=False)
 
     @property

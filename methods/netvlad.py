@@ -50,7 +50,6 @@ class NetVLAD(PublishedNetwork):
     longest_side: int | None = None  # pixels
 
     smallest_side: ClassVar[int] = STRIDE
-    prefix: ClassVar[str] = "module"
 
     def target(self, height: int, width: int) -> tuple[int, int]:
         """Return the height and width that an image is resized to."""

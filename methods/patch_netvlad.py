@@ -88,7 +88,6 @@ class PatchNetVLAD(PublishedNetwork):
 
     fixed_size: ClassVar[bool] = True
     adapts: ClassVar[bool] = False  # its patches have no mean in common
-    prefix: ClassVar[str] = "module"
     search_arguments: ClassVar[frozenset[str]] = PublishedNetwork.search_arguments | {"candidates", "patches"}
 
     _map: Map | None = field(default=None, init=False, repr=False, compare=False)

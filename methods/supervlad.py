@@ -30,7 +30,6 @@ class SuperVLAD(PublishedNetwork):
     resize: Resize = "tensor"
 
     multiple: ClassVar[int] = 14
-    prefix: ClassVar[str] = "module."
 
     def network(self, tensors: Tensors) -> nn.Module:
         """Return the network of 3072 dimensions, or as many as a file has."""

@@ -6,12 +6,11 @@ from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
 
 import torch
 from torch import Tensor, nn
 
-from vprbench.api import BadInput, NeuralDescriptor, load_strictly, state_dict, without_prefix
+from vprbench.api import BadInput, NeuralDescriptor, load_strictly, state_dict
 
 Tensors = Mapping[str, Tensor]
 
@@ -19,9 +18,6 @@ Tensors = Mapping[str, Tensor]
 @dataclass(kw_only=True)
 class PublishedNetwork(NeuralDescriptor):
     """A descriptor whose network has the sizes that its file's tensors have; `network` is left to write."""
-
-    #: A prefix that a training on several devices puts before names of tensors, or of parts of the network.
-    prefix: ClassVar[str] = ""
 
     @abstractmethod
     def network(self, tensors: Tensors) -> nn.Module:
@@ -36,8 +32,7 @@ class PublishedNetwork(NeuralDescriptor):
 
     def load(self, path: Path) -> nn.Module:
         """Return the network with the values of a published file; raises BadInput for any other file."""
-        tensors = state_dict(path)
-        return self.loaded(without_prefix(tensors, self.prefix) if self.prefix else tensors, path)
+        return self.loaded(state_dict(path), path)
 
     def loaded(self, tensors: Tensors, path: Path) -> nn.Module:
         """Return the network with tensors that came from `path`; raises BadInput if they are another network's."""

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from vprbench.api import nearest, search, search_indexes
-from vprbench.api.binary import BinaryMap
+from vprbench.api.binary import BinaryMethod
+from vprbench.api.images import Images
 from vprbench.api.nearest import pack_bits
 from vprbench.api.search import Search, compare_best
 from vprbench.errors import BadInput
@@ -235,6 +236,22 @@ def drawn(n, n_words, seed, share=0.5):
     return np.random.default_rng(seed).random((n, 64 * n_words)) < share
 
 
+class Signs(BinaryMethod):
+    def encode(self, images):
+        return np.stack([image[0, :, 0].copy().view(np.uint64) for image in images])
+
+
+def map_of(words, places=None):
+    """A map of given bits, which are the rows of its references."""
+    images = Images.from_arrays(words.view(np.uint8)[:, None, :, None].repeat(3, axis=3))
+    return Signs().fit(images, np.arange(len(words)) if places is None else places)
+
+
+class Flat(BinaryMethod):
+    def encode(self, images):
+        return np.zeros((len(images), 1, 2), np.uint64)
+
+
 def counted(queries, references):
     """Minus the bits that differ, (n_queries, n_references), by truth values."""
     return np.array([-(query != references).sum(1) for query in queries]).reshape(len(queries), len(references))
@@ -244,29 +261,29 @@ def counted(queries, references):
 def test_scores_are_minus_the_bits_that_differ(n_words):
     for n_references in (1, 8, 75):
         references, queries = drawn(n_references, n_words, 1), drawn(5, n_words, 2, 0.2)
-        known, wanted = BinaryMap(pack_bits(references), np.arange(n_references)), counted(queries, references)
+        known, wanted = map_of(pack_bits(references)), counted(queries, references)
         for n_queries in (0, 1, 5):
-            scores = known.scores(pack_bits(queries[:n_queries]))
+            scores = known.match(pack_bits(queries[:n_queries]))
             assert scores.dtype == np.float32
             assert np.array_equal(scores, wanted[:n_queries])
-            assert np.array_equal(known.scores(np.asfortranarray(pack_bits(queries[:n_queries]))), scores)
+            assert np.array_equal(known.match(np.asfortranarray(pack_bits(queries[:n_queries]))), scores)
     bits = np.repeat([[False], [True]], 64 * 300, axis=1)
-    assert BinaryMap(pack_bits(bits), np.arange(2)).scores(pack_bits(bits)).tolist() == [[0, -19200], [-19200, 0]]
+    assert map_of(pack_bits(bits)).match(pack_bits(bits)).tolist() == [[0, -19200], [-19200, 0]]
 
 
 @pytest.mark.parametrize("layout", layouts(8))
 def test_a_place_is_worth_its_most_similar_image_and_costs_all_of_them_in_whole_words(layout):
     references, queries, places = drawn(30, 3, 1)[:, :130], drawn(4, 3, 2)[:, :130], layouts(30)[layout]
-    known, wanted = BinaryMap(pack_bits(references), places), of_places(counted(queries, references), places)
+    known, wanted = map_of(pack_bits(references), places), of_places(counted(queries, references), places)
     for n_queries in (0, 4):
-        assert np.array_equal(known.scores(pack_bits(queries[:n_queries])), wanted[:n_queries])
+        assert np.array_equal(known.match(pack_bits(queries[:n_queries])), wanted[:n_queries])
     assert known.bytes_per_place == 30 * 3 * 8 // (places.max() + 1)
 
 
 def test_bits_of_another_kind_are_refused():
-    references = pack_bits(drawn(3, 2, 1))
+    known = map_of(pack_bits(drawn(3, 2, 1)))
     for codes, told in ((pack_bits(drawn(5, 1, 2)), r"uint64 \(5, 1\) .*\(n_queries, 2\)"), (drawn(5, 2, 2), "bool")):
         with pytest.raises(ValueError, match=told):
-            BinaryMap(references, np.arange(3)).scores(codes)
-    with pytest.raises(BadInput, match=r"uint64 \(3, 2\) .*\(2,\)"):
-        BinaryMap(references, np.arange(2))
+            known.match(codes)
+    with pytest.raises(BadInput, match=r"encode returned uint64 \(1, 1, 2\)"):
+        Flat().fit(Images.from_arrays(np.zeros((1, 1, 1, 3), np.uint8)), np.arange(1))

@@ -16,7 +16,7 @@ from scipy.stats import zscore
 from torch import nn
 
 from vprbench.api.images import Images
-from vprbench.api.method import batch_size_for
+from vprbench.api.method import limit_batch_size
 from vprbench.errors import BadInput
 from vprbench.methods import netvlad, patch_netvlad
 from vprbench.methods.patch_netvlad import PatchNetVLAD, count_inliers, score
@@ -89,7 +89,7 @@ def test_the_bytes_of_a_code_are_known_and_the_smallest_codes_alone_are_kept(fol
     assert [made(configuration=each).keeps_descriptors() for each in SIDES] == [False, False, True]
     published = made(n_components=4096, height=480, width=640)
     assert published.code_bytes == 4 * 4096 * (1 + 1131 + 936 + 759)
-    assert batch_size_for(published, 128) == 23
+    assert limit_batch_size(128, published.code_bytes) == 23
 
 
 FOUR = [0, 4, 11, 13]

@@ -87,19 +87,6 @@ def test_recall_is_over_all_or_over_answerable_queries():
     assert flagged == [False, True]  # half a point between the ways to break ties is not yet flagged
 
 
-def test_places_of_the_soft_band_count_as_if_they_did_not_exist():
-    scores, positives = random_case(3, 40, 9, 4)
-    band = [np.union1d(right, [2, 5]) for right in positives]
-    for query, right in enumerate(positives):
-        left = np.setdiff1d(np.arange(9), np.setdiff1d([2, 5], right))
-        whole = outcome(scores[[query]], [right], [band[query]])
-        smaller = outcome(scores[[query]][:, left], [np.searchsorted(left, right)])
-        for n in (1, 2, 3):
-            assert accuracy.hits_at(whole, n)[0] == accuracy.hits_at(smaller, n)[0]
-        for name in ("best_score", "top_tied", "top_tied_correct"):
-            assert getattr(whole, name) == getattr(smaller, name)
-
-
 @pytest.mark.parametrize(
     ("scores", "right", "error", "named"),
     [

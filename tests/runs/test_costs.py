@@ -14,10 +14,10 @@ from little_vprsnn import references
 from torch.utils.flop_counter import FlopCounterMode
 
 from vprbench.api.arithmetic import counting_operations
-from vprbench.api.binary import BinaryMap
 from vprbench.api.images import Images
 from vprbench.api.search import Search
 from vprbench.cli import main
+from vprbench.methods.binary import GaborBinary
 from vprbench.methods.sad import SAD
 from vprbench.methods.vprtempo.ensemble import VPRTempoEnsemble
 from vprbench.methods.vprtempo.int8 import VPRTempoInt8
@@ -61,8 +61,9 @@ def test_formulas_of_sad_products_and_binary_maps_agree_with_a_count():
         torch.mm(asked, known.T)
     search = Search(known.numpy(), np.arange(11))
     assert 2 * told(lambda: search.scores(asked.numpy()))[0] == counter.get_total_flops() > 0
-    words = np.ones((4, 2), np.uint64)
-    assert told(lambda: BinaryMap(words, np.arange(4)).scores(words[:1])) == (0, 3 * 4 * 2, {"int64"})
+    words, binary = np.ones((4, 2), np.uint64), GaborBinary()
+    binary.known = words, np.arange(4)
+    assert told(lambda: binary.match(words[:1])) == (0, 3 * 4 * 2, {"int64"})
 
 
 @pytest.mark.parametrize(("kind", "numbers"), [(VPRTempo, "float32"), (VPRTempoInt8, "int8")])

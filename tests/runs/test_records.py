@@ -119,11 +119,10 @@ def sign_arrays(path):
     tell("sha256", sha256, path.parent)
 
 
-def put(name, value, folder):
-    """Change an array, or remove it, and its hash with it."""
+def leave_out(name, folder):
+    """Remove an array, and sign the others."""
     path = arrays_of(folder)
-    arrays = {**load_file(path), name: value}
-    save_file({name: array for name, array in arrays.items() if array is not None}, path)
+    save_file({other: array for other, array in load_file(path).items() if other != name}, path)
     sign_arrays(path)
 
 
@@ -172,21 +171,7 @@ VALUES = [  # of which each cannot be in any of the places beside it
     ({"torch": 2.6}, "environment.libraries"),
     ({"dataset": "journey"}, "stream sha256"),
 ]
-ARRAYS = {
-    "outcome.best_score": [None, np.full(4, np.nan, np.float32), np.full(4, np.inf), np.zeros(3)],
-    "outcome.above": [np.full(4, -1), np.full(4, 11), np.zeros(4), np.zeros((4, 1), np.int64)],
-    "positives.places": [np.array([0, 1, 5, 2, 10]), np.arange(4), np.array([0, -1, 5, 2, 3])],
-    "positives.counts": [np.array([5, 5, -5, 0]), np.array([5])],
-    "top_places": [np.full((4, 2), 10, np.int32), np.zeros((2, 4), np.int32)],
-    "top_scores": [np.zeros((4, 3), np.float32)],
-    "scores": [np.zeros((4, 9), np.float32), np.full((4, 10), np.nan, np.float32)],
-    "timing.sample": [np.array([0, 1, 2, 4]), np.arange(3)],
-    "timing.answers": [np.array([0, 1, 10, -1])],
-    "place_numbers": [np.arange(9)],
-    "timing.streaming.encode_seconds": [np.full(5, np.nan), np.full(5, -1.0), np.zeros(5)],
-    "timing.streaming.match_seconds": [np.zeros(4)],
-    "timing.offline.1.encode_seconds": [None],
-}
+ARRAYS = ["outcome.best_score", "timing.offline.1.encode_seconds"]
 
 
 @pytest.mark.parametrize(
@@ -194,7 +179,7 @@ ARRAYS = {
     [
         *FILES,
         *(partial(tell, where, value) for value, places in VALUES for where in places.split()),
-        *(partial(put, name, value) for name, values in ARRAYS.items() for value in values),
+        *(partial(leave_out, name) for name in ARRAYS),
     ],
 )
 def test_a_run_that_is_damaged_or_cannot_be_is_named_once_hides_no_other_and_can_be_replaced(
@@ -214,8 +199,8 @@ def test_a_run_that_would_not_be_read_is_not_stored(store, three):
     for part, value in odd.items():
         with pytest.raises(BadInput, match=part):
             store.save(a_run(**{"key": "b", part: value}))
-    with pytest.raises(ValueError, match=r"top_places is .*: Value error, is object"):
-        store.save(a_run(top_places=np.array([[None]])))
+    with pytest.raises(BadInput, match="F32"):
+        store.save(a_run(place_numbers=np.arange(10, dtype=np.int16)))
     untimed = a_run(timing=None, config={**a_run().config, "timing": None})
     with pytest.raises(BadInput, match="view"):
         store.save(select_queries(untimed, np.arange(2), {}))

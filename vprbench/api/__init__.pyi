@@ -7,7 +7,6 @@ from .arrays import Descriptors as Descriptors
 from .arrays import Image as Image
 from .arrays import Places as Places
 from .arrays import Scores as Scores
-from .binary import BinaryMap as BinaryMap
 from .binary import BinaryMethod as BinaryMethod
 from .compiling import compiled as compiled
 from .dataset import Dataset as Dataset
@@ -67,4 +66,3 @@ from .weight_files import state_dict as state_dict
 from .weights import Weights as Weights
 from .weights import find_weights as find_weights
 from .weights import load_strictly as load_strictly
-from .weights import without_prefix as without_prefix

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, Protocol
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from vprbench.errors import NotFittedError
+
+if TYPE_CHECKING:
+    from vprbench.api.method import Method
 
 #: Which mean is taken off a query's code; the references' own mean is taken off the references.
 Adapt = Literal["none", "references", "running", "traverse"]
@@ -16,16 +19,6 @@ _PSEUDO_QUERIES = 20  # that the references' mean counts for in a running mean
 _TOGETHER = 64  # queries whose means are held at once
 
 Codes = npt.NDArray[np.float32]  # (n_queries, n_dimensions), or (n_queries, n_views, n_dimensions)
-
-
-class Adaptable(Protocol):
-    """A method whose codes can be centred."""
-
-    adapt: Any  # Adapt
-    reference_mean: npt.NDArray[np.float32] | None  # (n_dimensions,); None before `fit`
-
-    def centre(self, codes: Codes, mean: npt.NDArray[np.float32]) -> Codes:
-        """Return the codes without a mean, in the form that `match` takes."""
 
 
 class Adaptation:
@@ -41,7 +34,7 @@ class Adaptation:
     each dimension lost on held-out places (results/efficientnet.md), so the mean alone is taken off.
     """
 
-    def __init__(self, method: Adaptable) -> None:
+    def __init__(self, method: Method) -> None:
         """Begin a traverse."""
         self._method = method
         self._sum: npt.NDArray[np.float64] | None = None  # (n_dimensions,), of the queries so far
@@ -86,7 +79,7 @@ class Adaptation:
         return self._method.centre(codes, of_views.astype(np.float32))
 
 
-def adapt_traverse(method: Adaptable, codes: Codes) -> Codes:
+def adapt_traverse(method: Method, codes: Codes) -> Codes:
     """Return the adapted codes of all queries of a traverse, in their order."""
     adaptation = Adaptation(method)
     if not adaptation.is_causal:

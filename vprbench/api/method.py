@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol, Self, final
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, final
 
 import numpy as np
 import numpy.typing as npt
@@ -192,14 +192,8 @@ def require_codes(codes: npt.NDArray[Any], n_images: int) -> npt.NDArray[Any]:
     return codes
 
 
-class _Coded(Protocol):
-    @property
-    def code_bytes(self) -> int: ...
-
-
-def batch_size_for(method: _Coded, wanted: int) -> int:
-    """Return how many codes of a method are held together: `wanted`, fewer if they would fill more than 1 GiB."""
-    code_bytes = method.code_bytes
+def limit_batch_size(wanted: int, code_bytes: int) -> int:
+    """Return how many codes are held together: `wanted`, fewer if they would fill more than 1 GiB."""
     return min(wanted, max(1, _CODES_BYTES // code_bytes)) if code_bytes else wanted
 
 

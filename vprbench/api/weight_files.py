@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 _AROUND = ("model_state_dict", "state_dict", "model")  # the usual names of the tensors in a checkpoint
-_BEFORE = ("module.", "model.", "_orig_mod.")  # the usual beginnings of all names
+_WRAPPERS = re.compile(r"(?<![^.])(?:module|_orig_mod)\.")  # parts of names that torch's wrappers add
+_BEFORE = "model."  # Lightning's beginning of all names
 _PLAIN_KINDS = "?bBhHiIlLqQefdFDSU"  # of numpy.dtype
 
 
@@ -49,9 +50,10 @@ def read_weights(path: Path) -> dict[str, Any]:
 def state_dict(path: Path, *keys: str) -> dict[str, Tensor]:
     """Return the tensors of a file by name, without the wrappings of a training.
 
-    They are those under the first of `keys` that is there, or under a usual one, or all at its top. What stands before
-    every name is left out: `module.` of several devices, `model.` of Lightning, `_orig_mod.` of a compiled network.
-    Raises BadInput as `read_weights` does, and if anything but plain tensors is found there.
+    They are those under the first of `keys` that is there, or under a usual one, or all at its top. `module.` of
+    several devices and `_orig_mod.` of a compiled network are left out wherever a part of a name begins, `model.` of
+    Lightning before every name. Raises BadInput as `read_weights` does, if anything but plain tensors is found there,
+    and if two names become one.
     """
     content = read_weights(path)
     usual = (name for name in _AROUND if isinstance(content.get(name), Mapping))
@@ -63,15 +65,12 @@ def state_dict(path: Path, *keys: str) -> dict[str, Tensor]:
         raise BadInput(
             f"{path} does not hold tensors alone under {places} (it holds {join_few(content)}): give another"
         )
-    return {name: value.detach() for name, value in _without_wrappers(found).items()}
-
-
-def _without_wrappers(tensors: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
-    """Return tensors under names without what training programs put before every one of them."""
-    for prefix in _BEFORE:
-        if all(name.startswith(prefix) for name in tensors):
-            return _without_wrappers({name.removeprefix(prefix): tensor for name, tensor in tensors.items()})
-    return tensors
+    named = {_WRAPPERS.sub("", name): value.detach() for name, value in found.items()}
+    if len(named) < len(found):
+        raise BadInput(f"{path} holds two networks, one with module. in its names: give a file with the tensors of one")
+    while all(name.startswith(_BEFORE) for name in named):
+        named = {name.removeprefix(_BEFORE): tensor for name, tensor in named.items()}
+    return named
 
 
 def read_tensor(path: Path) -> Tensor:

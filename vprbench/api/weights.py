@@ -148,28 +148,6 @@ def load_strictly(module: nn.Module, tensors: Mapping[str, Tensor], path: Path, 
     module.load_state_dict(assigned, strict=False, assign=True)
 
 
-def without_prefix(tensors: Mapping[str, Tensor], *prefixes: str) -> dict[str, Tensor]:
-    """Return tensors under names without `prefixes` ("module." of DataParallel), wherever a part of a name begins.
-
-    Raises BadInput if two names become one.
-    """
-    origins: dict[str, str] = {}
-    for name in tensors:
-        short = f".{name}"
-        for prefix in prefixes:
-            part = f".{prefix.rstrip('.')}."
-            while part in short:
-                short = short.replace(part, ".")
-        short = short[1:]
-        if short in origins:
-            raise BadInput(
-                f"{origins[short]} and {name} are both {short} without {' and '.join(prefixes)}: "
-                "the file holds two networks, give one with the tensors of one"
-            )
-        origins[short] = name
-    return {short: tensors[name] for short, name in origins.items()}
-
-
 def _obtain(weights: Weights, subject: str, path: Path, stated: Stated, option: str) -> None:
     """Download a file that the folder lacks; raises MissingData, with what to do instead, if that cannot be."""
     missing = f"{subject} needs {weights.file}, which is not in {path.parent}"

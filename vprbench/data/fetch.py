@@ -23,6 +23,7 @@ from vprbench.progress import show_progress
 from vprbench.storage import download
 from vprbench.storage.atomic import replace_text
 from vprbench.storage.folders import data_folder
+from vprbench.storage.hashes import compute_sha256
 from vprbench.storage.unpack import UNFINISHED, DamagedArchive, Wanted, unpack
 from vprbench.text import format_bytes, format_count, suggest_names
 
@@ -295,9 +296,7 @@ def _download(part: Part, archive: Path, url: str, timeout_seconds: float) -> No
 
 def _check_archive(part: Part, archive: Path) -> dict[str, Any]:
     """Return the size and SHA-256 of an archive; raises BadInput if the entry states others."""
-    size_bytes = archive.stat().st_size
-    with archive.open("rb") as file:
-        sha256 = hashlib.file_digest(file, "sha256").hexdigest()
+    size_bytes, sha256 = archive.stat().st_size, compute_sha256(archive)
     for name, got, stated in (("bytes", size_bytes, part.size_bytes), ("SHA-256", sha256, part.sha256)):
         if stated is not None and got != stated:
             raise BadInput(f"{archive} has {name} {got}, stated is {stated}: remove it and run again")
@@ -324,11 +323,8 @@ def count_files(folder: Path) -> int:
 
 def hash_content(folder: Path) -> str:
     """Return the SHA-256 of the lines that `LC_ALL=C sha256sum *` prints in a folder."""
-    digest = hashlib.sha256()
-    for path in sorted(folder.iterdir(), key=lambda path: os.fsencode(path.name)):
-        with path.open("rb") as file:
-            digest.update(f"{hashlib.file_digest(file, 'sha256').hexdigest()}  {path.name}\n".encode())
-    return digest.hexdigest()
+    paths = sorted(folder.iterdir(), key=lambda path: os.fsencode(path.name))
+    return hashlib.sha256("".join(f"{compute_sha256(path)}  {path.name}\n" for path in paths).encode()).hexdigest()
 
 
 def _load_record(root: Path) -> dict[str, dict[str, Any]]:

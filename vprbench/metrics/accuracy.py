@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from vprbench.api.arrays import Scores
 from vprbench.errors import BadInput
-from vprbench.metrics.ranking import Counts, Outcome, PlacesPerQuery, checked_scores, right_and_soft_cells
+from vprbench.metrics.ranking import Counts, Outcome, PlacesPerQuery, checked_scores, find_right_cells
 
 Values = npt.NDArray[np.float64]
 Ties = Literal["expected", "pessimistic", "optimistic"]
@@ -123,7 +123,7 @@ def pr_curve_multi(scores: Scores, positives: PlacesPerQuery) -> PRCurve | None:
     retrieved. Needs about 50 bytes of memory per pair.
     """
     scores = checked_scores(scores)
-    right_cells, _ = right_and_soft_cells(scores.shape, positives)
+    right_cells = find_right_cells(scores.shape, positives)
     if not len(right_cells):
         return None
     pairs = scores.ravel()

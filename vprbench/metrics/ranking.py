@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
 
 from vprbench.api.arrays import Scores
 from vprbench.errors import BadInput
-from vprbench.metrics.bounds import HIGHEST_SCORE, INTEGERS, NUMBERS, Array, Places
+from vprbench.metrics.bounds import Places
 
 PlacesPerQuery = Sequence[npt.NDArray[np.int64]]  # per query some places; empty if there are none
 Counts = npt.NDArray[np.int64]  # (n_queries,)
@@ -19,27 +18,23 @@ Counts = npt.NDArray[np.int64]  # (n_queries,)
 _BLOCK_CELLS = 1 << 20  # scores compared at once: bounds the memory and stays near the processor's cache
 _RANKED_CELLS = 1 << 22  # scores whose best are looked for together: bounds the memory
 
-_StoredCounts = Annotated[Counts, Array(INTEGERS, ("queries",), 0, "places")]
-
 
 @dataclass(frozen=True)
 class Outcome:
     """Where the right places of each query stand, ties counted instead of broken. Arrays are (n_queries,).
 
-    A place that is no candidate (score -inf, or in the soft band) is neither above nor tied. If no right
+    A place that is no candidate (score -inf) is neither above nor tied. If no right
     place can be retrieved, because there is none or because all are no candidates, `above` is `n_places` and
     `tied` is 0.
     """
 
-    best_score: Annotated[  # the highest score; -inf where no place is a candidate
-        npt.NDArray[np.float32], Array(NUMBERS, ("queries",), -np.inf, HIGHEST_SCORE)
-    ]
-    top_tied: _StoredCounts  # places that share the highest score; 0 if no place is a candidate
-    top_tied_correct: _StoredCounts  # right places among those
-    above: _StoredCounts  # places that score higher than the best right place
-    tied: _StoredCounts  # places that score the same as the best right place, itself included
-    tied_correct: _StoredCounts  # right places among those
-    n_positives: _StoredCounts  # right places, whether candidates or not
+    best_score: npt.NDArray[np.float32]  # the highest score; -inf where no place is a candidate
+    top_tied: Counts  # places that share the highest score; 0 if no place is a candidate
+    top_tied_correct: Counts  # right places among those
+    above: Counts  # places that score higher than the best right place
+    tied: Counts  # places that score the same as the best right place, itself included
+    tied_correct: Counts  # right places among those
+    n_positives: Counts  # right places, whether candidates or not
     n_places: Places
 
     @property
@@ -52,26 +47,24 @@ class Outcome:
         return len(self.best_score)
 
 
-def outcome(scores: Scores, positives: PlacesPerQuery, ignored: PlacesPerQuery | None = None) -> Outcome:
+def outcome(scores: Scores, positives: PlacesPerQuery) -> Outcome:
     """Rank the right places of each query by `scores` (n_queries, n_places), higher means more alike.
 
-    `positives` holds per query the right places. `ignored` holds per query a wider, soft band: its places
-    that are not right are taken out of the ranking, neither rewarded nor punished. A score of -inf marks a
-    place that is no candidate. Real scores of another type are compared as float32. Works in blocks, so the memory
-    beside `scores` is small. Raises BadInput for scores that are no real numbers, NaN or +inf and for places that do
-    not exist, ValueError for shapes that do not fit.
+    `positives` holds per query the right places. A score of -inf marks a place that is no candidate. Real scores of
+    another type are compared as float32. Works in blocks, so the memory beside `scores` is small. Raises BadInput for
+    scores that are no real numbers, NaN or +inf and for places that do not exist, ValueError for shapes that do not
+    fit.
     """
     scores = checked_scores(scores)
     n_queries, n_places = scores.shape
-    right, soft = right_and_soft_cells(scores.shape, positives, ignored)
+    right = find_right_cells(scores.shape, positives)
     n_rows = max(1, _BLOCK_CELLS // n_places)
     blocks = []
     for first in range(0, max(n_queries, 1), n_rows):  # no query at all is one empty block
         block = scores[first : first + n_rows]
         start = first * n_places
-        blocks.append(
-            _judge_block(block, _select_part(right, start, block.size), _select_part(soft, start, block.size))
-        )
+        low, high = np.searchsorted(right, (start, start + block.size))
+        blocks.append(_judge_block(block, right[low:high] - start))
     return concatenate(blocks)
 
 
@@ -81,7 +74,7 @@ def outcome_of_best(scores: Scores, places: npt.NDArray[np.int64], positives: Pl
     `places` (n_queries, n) holds each place once for a query, `scores` (n_queries, n) its scores; -inf: no candidate.
     """
     right = np.array([np.isin(*row) for row in zip(places, positives, strict=True)], bool).reshape(scores.shape)
-    among = _judge_block(scores, np.flatnonzero(right), np.empty(0, np.int64))
+    among = _judge_block(scores, np.flatnonzero(right))
     return replace(
         among,
         above=np.where(among.tied > 0, among.above, n_places),
@@ -150,46 +143,28 @@ def checked_scores(scores: Scores, first_query: int = 0) -> Scores:
     return scores
 
 
-def right_and_soft_cells(
-    shape: tuple[int, ...], positives: PlacesPerQuery, ignored: PlacesPerQuery | None = None
-) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Return the right cells of a score matrix of `shape`, and those of the soft band that are not right.
+def find_right_cells(shape: tuple[int, ...], positives: PlacesPerQuery) -> npt.NDArray[np.int64]:
+    """Return the right cells of a score matrix of `shape`: positions in the flattened matrix, ascending, each once.
 
-    Cells are positions in the flattened matrix, ascending, each once. Raises ValueError if the number of
-    queries differs and BadInput if a place does not exist.
+    Raises ValueError if the number of queries differs and BadInput if a place does not exist.
     """
-    right = _find_cells(shape, positives, "positives")
-    if ignored is None:
-        return right, np.empty(0, np.int64)
-    return right, np.setdiff1d(_find_cells(shape, ignored, "ignored places"), right, assume_unique=True)
-
-
-def _find_cells(shape: tuple[int, ...], places: PlacesPerQuery, role: str) -> npt.NDArray[np.int64]:
     n_queries, n_places = shape
-    if len(places) != n_queries:
-        raise ValueError(f"scores of {n_queries} queries came with {role} of {len(places)}: the numbers must agree")
-    columns = [np.asarray(row, dtype=np.int64) for row in places]
+    if len(positives) != n_queries:
+        raise ValueError(f"scores of {n_queries} queries came with positives of {len(positives)}: give one for each")
+    columns = [np.asarray(row, dtype=np.int64) for row in positives]
     queries = np.repeat(np.arange(n_queries), [len(row) for row in columns])
     flat = np.concatenate([np.empty(0, np.int64), *columns])
     outside = (flat < 0) | (flat >= n_places)
     if outside.any():
         first = int(np.argmax(outside))
         raise BadInput(
-            f"the {role} of query {queries[first]} name place {flat[first]}, but places run from 0 to {n_places - 1}"
+            f"the positives of query {queries[first]} name place {flat[first]}, but places run from 0 to {n_places - 1}"
         )
     return np.unique(queries * n_places + flat)
 
 
-def _select_part(cells: npt.NDArray[np.int64], start: int, size: int) -> npt.NDArray[np.int64]:
-    low, high = np.searchsorted(cells, (start, start + size))
-    return cells[low:high] - start
-
-
-def _judge_block(scores: Scores, right: npt.NDArray[np.int64], soft: npt.NDArray[np.int64]) -> Outcome:
+def _judge_block(scores: Scores, right: npt.NDArray[np.int64]) -> Outcome:
     n_queries, n_places = scores.shape
-    if len(soft):
-        scores = scores.copy()
-        scores.flat[soft] = -np.inf
     rows, columns = np.divmod(right, n_places)
     right_scores = scores[rows, columns]
     best = scores.max(axis=1)

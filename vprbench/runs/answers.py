@@ -121,8 +121,8 @@ class QueryScoring:
 def describe_search(method: Method, queries: Images) -> dict[str, Any] | None:
     """Return by which index a method searches, and the share of exact search's places that it finds for a sample."""
     exact = asdict(Audit(1.0, 1.0))
-    if isinstance(method, BinaryMethod) and method.known is not None:
-        return {"index": "exact", "bytes_per_place": method.known.bytes_per_place, **exact}
+    if isinstance(method, BinaryMethod) and method.bytes_per_place is not None:
+        return {"index": "exact", "bytes_per_place": method.bytes_per_place, **exact}
     if not isinstance(method, DescriptorMethod) or method.searched is None:
         return None
     index = method.searched

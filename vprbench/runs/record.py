@@ -8,10 +8,10 @@ from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, InstanceOf, PlainSerializer, PlainValidator, ValidationInfo, with_config
+from pydantic import BaseModel, ConfigDict, InstanceOf, PlainSerializer, PlainValidator, with_config
 
 from vprbench.api.dataset import has_ground_truth
-from vprbench.metrics.bounds import HIGHEST_SCORE, INTEGERS, NUMBERS, Array, Count, Fits, Name, Number, Seconds, Text
+from vprbench.metrics.bounds import Count, Name, Number, Seconds, Text
 from vprbench.metrics.ranking import Outcome
 from vprbench.runs.notes import Note
 from vprbench.runs.stopwatch import Timing
@@ -58,10 +58,15 @@ class Environment(_Part):
     libraries: dict[str, str | None] = {}
 
 
-Positives = tuple[npt.NDArray[np.int64], ...]  # the right places of each query
+class Mappings(BaseModel):
+    """The mappings of a run or a failure: their named parts are checked, and all stays as it is."""
 
-_Breaks = npt.NDArray[np.int64] | None
-_Best = ("queries", "depth")  # axes of the best places of each query
+    config: RunConfig
+    protocol: DatasetProtocol = DatasetProtocol()
+    environment: Environment = Environment()
+
+
+Positives = tuple[npt.NDArray[np.int64], ...]  # the right places of each query
 
 
 def _join_positives(positives: Positives) -> dict[str, npt.NDArray[np.int64]]:
@@ -70,18 +75,13 @@ def _join_positives(positives: Positives) -> dict[str, npt.NDArray[np.int64]]:
     return {"places": np.concatenate([np.empty(0, np.int64), *positives]), "counts": counts}
 
 
-def _split_positives(joined: Any, info: ValidationInfo) -> Positives:
-    """Return the right places of each query, each of which has to be a place of the map."""
-    lengths: dict[str, int] = info.context or {}
-    places, counts = joined["places"], joined["counts"]
-    if len(counts) != lengths["queries"] or counts.min(initial=0) < 0 or counts.sum() != len(places):
-        raise ValueError(f"counts do not add up to {len(places)} places of {lengths['queries']} queries")
-    if places.dtype.name not in INTEGERS or not (places >= 0).all() or not (places < lengths["places"]).all():
-        raise ValueError(f"are {places.dtype} among which are no places; wanted 0 to {lengths['last place']}")
-    return tuple(np.split(places, np.cumsum(counts)[:-1])) if len(counts) else ()
+def _split_positives(joined: Any) -> Positives:
+    """Return the right places of each query, which `_join_positives` joined."""
+    ends = np.cumsum(joined["counts"])
+    return tuple(np.split(joined["places"], ends[:-1])) if len(ends) else ()
 
 
-@with_config(ConfigDict(extra="forbid"))
+@with_config(ConfigDict(extra="forbid", arbitrary_types_allowed=True))  # arrays, which are stored under their hash
 @dataclass(frozen=True)
 class Run:
     """One method on one dataset: raw answers and raw times, nothing judged."""
@@ -89,10 +89,10 @@ class Run:
     method: Name
     dataset: Name
     key: Name
-    config: Annotated[Mapping[str, Any], Fits(RunConfig)]  # all options, resolved
-    protocol: Annotated[Mapping[str, Any], Fits(DatasetProtocol)]  # which places the dataset selected
+    config: Mapping[str, Any]  # all options, resolved: `RunConfig` names some
+    protocol: Mapping[str, Any]  # which places the dataset selected: `DatasetProtocol` names some parts
     fingerprint: Text  # of the dataset's images
-    environment: Annotated[Mapping[str, Any], Fits(Environment)]
+    environment: Mapping[str, Any]  # `Environment` names some parts
     notes: tuple[Note, ...]  # that a reader of the numbers needs
     n_references: Count
     fit_seconds: Seconds | None  # wall time, reading the images included; None: a network or descriptors were loaded
@@ -106,20 +106,16 @@ class Run:
     timing: Timing | None  # None: it was not timed
     outcome: Outcome
     positives: Annotated[Positives, PlainValidator(_split_positives), PlainSerializer(_join_positives, return_type=Any)]
-    top_places: Annotated[npt.NDArray[np.int32], Array(INTEGERS, _Best, 0, "last place")]  # best first
-    top_scores: Annotated[npt.NDArray[np.float32], Array(NUMBERS, _Best, -np.inf, HIGHEST_SCORE)]  # -inf: no candidate
-    scores: (  # None: too many to keep
-        Annotated[npt.NDArray[np.float32], Array(NUMBERS, ("queries", "places"), -np.inf, HIGHEST_SCORE)] | None
-    )
+    top_places: npt.NDArray[np.int32]  # (n_queries, depth), best first
+    top_scores: npt.NDArray[np.float32]  # (n_queries, depth); -inf: no candidate
+    scores: npt.NDArray[np.float32] | None  # (n_queries, n_places); None: too many to keep
     spikes: dict[str, Any] | None = None  # `spikes.summarise_spikes` names the parts
-    place_numbers: (  # along the journey; None: 0, 1, 2 ...
-        Annotated[npt.NDArray[np.int64], Array(INTEGERS, ("places",), -(1 << 53), 1 << 53)] | None
-    ) = None
+    place_numbers: npt.NDArray[np.int64] | None = None  # (n_places,), along the journey; None: 0, 1, 2 ...
     data: Mapping[str, Any] = field(default_factory=dict)  # as `identity.DataRecord` has it
     tuned_on: Mapping[str, Any] = field(default_factory=dict)
     tuned_queries: list[Count] = field(default_factory=list)  # that show frames of these places
-    query_breaks: Annotated[_Breaks, Array(INTEGERS, ("query breaks",), 1, "last query")] | None = None  # Dataset's
-    place_breaks: Annotated[_Breaks, Array(INTEGERS, ("place breaks",), 1, "last place")] | None = None
+    query_breaks: npt.NDArray[np.int64] | None = None  # Dataset's
+    place_breaks: npt.NDArray[np.int64] | None = None
     stream: list[dict[str, Any]] | None = None  # of a growing map
     energy: dict[str, Any] | None = None  # None: not requested
     view: InstanceOf[View] | None = None  # None: the run as it is stored; a view never is
@@ -148,8 +144,8 @@ class Failure:
 
     method: Name
     dataset: Name
-    config: Annotated[Mapping[str, Any], Fits(RunConfig)]
+    config: Mapping[str, Any]
     error: Text
-    environment: Annotated[Mapping[str, Any], Fits(Environment)] = field(default_factory=dict)
+    environment: Mapping[str, Any] = field(default_factory=dict)
     missing: bool = False  # weights, frames or the method itself are not there: nothing was tried
     traceback: Text = ""  # of an error that the method or the dataset raised

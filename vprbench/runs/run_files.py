@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import logging
 from collections.abc import Mapping
@@ -14,7 +13,8 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import TypeAdapter, ValidationError
 
-from vprbench.runs.record import Failure, Run
+from vprbench.runs.record import Failure, Mappings, Run
+from vprbench.storage.hashes import compute_sha256
 from vprbench.storage.tensors import map_arrays, write_arrays
 
 Arrays = Mapping[str, npt.NDArray[Any]]
@@ -41,10 +41,10 @@ def write(run: Run, folder: Path) -> None:
     """
     arrays: dict[str, npt.NDArray[Any]] = {}
     text = json.dumps(_take_arrays(_RUN.dump_python(run, warnings=False), "", arrays))
-    _build_run(json.loads(text), arrays)
     partial = folder / "arrays"
     write_arrays(partial, arrays)
-    sha256 = _hash_file(partial)
+    _build_run(json.loads(text), map_arrays(partial))
+    sha256 = compute_sha256(partial)
     partial.rename(_get_arrays_path(folder, sha256))
     content = {"schema": SCHEMA, "sha256": sha256, **json.loads(text)}
     (folder / SUMMARY).write_text(json.dumps(content, indent=1), encoding="utf-8")
@@ -60,7 +60,7 @@ def load(folder: Path) -> Run:
         if (layout := int(summary.pop("schema"))) != SCHEMA:
             raise OtherLayoutError(f"its layout is version {layout}, this program reads {SCHEMA}: run it again")
         path = _get_arrays_path(folder, sha256 := summary.pop("sha256"))
-        if _hash_file(path) != sha256:
+        if compute_sha256(path) != sha256:
             raise ValueError(f"{path.name} is not what was written")
         return _build_run(summary, map_arrays(path))
     except OtherLayoutError:
@@ -77,7 +77,7 @@ def write_failure(failure: Failure, folder: Path) -> None:
 def read_failure(path: Path) -> Failure | None:
     """Read the file of a failure; None, with a warning, if it is damaged."""
     try:
-        failure: Failure = _validate_content(_FAILURE, json.loads(path.read_bytes()), {})
+        failure: Failure = _validate_content(_FAILURE, json.loads(path.read_bytes()))
         return failure
     except Exception as error:  # a damaged file may upset its reader in any way
         logger.warning("%s cannot be used (%s)", path, error)
@@ -104,15 +104,14 @@ def _build_run(summary: dict[str, Any], arrays: Arrays) -> Run:
         for name in outer:
             part = part[int(name) if name.isdigit() else name]
         part[last] = array
-    n_places, n_queries = summary["outcome"]["n_places"], len(summary["outcome"]["best_score"])
-    lengths = {"places": n_places, "queries": n_queries, "last place": n_places - 1, "last query": n_queries - 1}
-    run: Run = _validate_content(_RUN, summary, lengths)
+    run: Run = _validate_content(_RUN, summary)
     return run
 
 
-def _validate_content(adapter: TypeAdapter[Any], content: Any, lengths: dict[str, int]) -> Any:
+def _validate_content(adapter: TypeAdapter[Any], content: dict[str, Any]) -> Any:
     try:
-        return adapter.validate_python(content, context=lengths)
+        Mappings.model_validate(content)
+        return adapter.validate_python(content)
     except ValidationError as error:
         first = error.errors(include_url=False, include_context=False)[0]
         where, value = ".".join(map(str, first["loc"])), repr(first["input"])
@@ -121,8 +120,3 @@ def _validate_content(adapter: TypeAdapter[Any], content: Any, lengths: dict[str
 
 def _get_arrays_path(folder: Path, sha256: str) -> Path:
     return folder / f"arrays-{sha256[:16]}.safetensors"
-
-
-def _hash_file(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -13,7 +13,7 @@ from vprbench.api.adaptation import Adaptation, adapt_traverse
 from vprbench.api.arrays import Scores
 from vprbench.api.descriptor import DescriptorMethod
 from vprbench.api.images import Images
-from vprbench.api.method import Method, batch_size_for
+from vprbench.api.method import Method, limit_batch_size
 from vprbench.api.nearest import Nearest
 from vprbench.runs.viewpoints import Viewpoint, render_view
 
@@ -83,13 +83,13 @@ def choose_scorer(
 def choose_block_size(scorer: Method | QueryScorer, n_places: int) -> int:
     """Return how many queries are scored together at most, fewer if codes are large or scored places many."""
     if isinstance(scorer, QueryScorer) and scorer.n_best is not None:
-        return batch_size_for(scorer, _TOGETHER)
-    return batch_size_for(scorer, max(1, min(_BLOCK, _BLOCK_CELLS // n_places)))
+        return limit_batch_size(_TOGETHER, scorer.code_bytes)
+    return limit_batch_size(max(1, min(_BLOCK, _BLOCK_CELLS // n_places)), scorer.code_bytes)
 
 
 def encode_sample(method: Method, queries: Images) -> npt.NDArray[Any]:
     """Return the adapted codes of up to 256 queries spread over all, by which indexes and spikes are judged."""
-    wanted = batch_size_for(method, min(_SAMPLE, len(queries)))
+    wanted = limit_batch_size(min(_SAMPLE, len(queries)), method.code_bytes)
     sample = queries[np.linspace(0, len(queries) - 1, wanted).astype(np.int64)]
     codes = [
         np.array(method.encode(block)) for block in sample.blocks(choose_block_size(method, 1))

@@ -15,8 +15,8 @@ from pydantic import ConfigDict, Field, with_config
 
 from vprbench import progress
 from vprbench.api.images import Images
-from vprbench.api.method import batch_size_for, require_codes
-from vprbench.metrics.bounds import INTEGERS, NUMBERS, Array, Count, Flag, Number, Positive
+from vprbench.api.method import limit_batch_size, require_codes
+from vprbench.metrics.bounds import Count, Flag, Number, Positive
 from vprbench.runs.scorers import Answer, QueryScorer, find_best_place
 from vprbench.runs.timing_protocol import Protocol as Protocol  # callers ask the stopwatch
 
@@ -28,16 +28,14 @@ _STEADY_QUERIES, _STEADY_SPREAD = 10, 0.1
 _LONG_PASS = 4.0  # seconds of a pass over the sample; that of a slower method is smaller
 _LONG_BATCH = 2.0  # seconds of a batch; larger ones are left out
 
-_LAP = Array(NUMBERS, (None,), 0, 1e9, positive_median=True)
 
-
-@with_config(ConfigDict(extra="forbid"))
+@with_config(ConfigDict(extra="forbid", arbitrary_types_allowed=True))
 @dataclass(frozen=True)
 class Laps:
     """Raw times of one scenario, one element per call; `valid` says whether the protocol's minima were met."""
 
-    encode_seconds: Annotated[Seconds, _LAP]  # (n_calls,)
-    match_seconds: Annotated[Seconds, _LAP]  # (n_calls,)
+    encode_seconds: Seconds  # (n_calls,)
+    match_seconds: Seconds  # (n_calls,)
     images_per_call: Positive
     valid: Flag
 
@@ -52,7 +50,7 @@ class Laps:
         return self.encode_seconds, self.match_seconds, self.total_seconds
 
 
-@with_config(ConfigDict(extra="forbid"))
+@with_config(ConfigDict(extra="forbid", arbitrary_types_allowed=True))
 @dataclass(frozen=True)
 class Timing:
     """All that was measured of one method's queries."""
@@ -61,10 +59,8 @@ class Timing:
     warmup_queries: Count
     streaming: Laps
     offline: Annotated[tuple[Laps, ...], Field(min_length=1)]  # one per batch size
-    sample: Annotated[npt.NDArray[np.int64], Array(INTEGERS, ("sample",), 0, "last query")]  # queries that were timed
-    answers: Annotated[  # the best place of each in the timed run; -1 if not reached
-        npt.NDArray[np.int64], Array(INTEGERS, ("sample",), -1, "last place")
-    ]
+    sample: npt.NDArray[np.int64]  # (n_timed,), queries that were timed
+    answers: npt.NDArray[np.int64]  # (n_timed,), the best place of each in the timed run; -1 if not reached
 
 
 class Stopwatch:
@@ -156,7 +152,8 @@ class Stopwatch:
         A size is left out whose call would be long at the rate of the size before. The first call of a size is not
         timed.
         """
-        sizes = sorted({batch_size_for(scorer, min(size, len(sample))) for size in self._protocol.batch_sizes})
+        wanted = {min(size, len(sample)) for size in self._protocol.batch_sizes}
+        sizes = sorted({limit_batch_size(size, scorer.code_bytes) for size in wanted})
         offline: list[Laps] = []
         last = streaming
         for done, size in enumerate(sizes):

@@ -60,7 +60,7 @@ def _hash_folder(folder: Path, names: Sequence[str], n_done: int, n_files: int) 
         states = {name: _read_state(start + name) for name in names}
         unknown = [name for name, state in states.items() if kept.get(name, [])[:-1] != state]
         with ThreadPoolExecutor(count_cores()) as readers:
-            digests = readers.map(_read_digest, [start + name for name in unknown])
+            digests = readers.map(compute_sha256, [start + name for name in unknown])
             for number, (name, digest) in enumerate(zip(unknown, digests, strict=True), start=1):
                 kept[name] = [*states[name], digest]
                 if number % _REPORT_EVERY == 0:  # fewer take no time
@@ -80,6 +80,7 @@ def _read_state(path: str) -> _Entry:
     return [found.st_size, found.st_mtime_ns, found.st_ctime_ns]
 
 
-def _read_digest(path: str) -> str:
+def compute_sha256(path: Path | str) -> str:
+    """Return the SHA-256 of a file, which is read, as hexadecimal digits; raises OSError."""
     with Path(path).open("rb", buffering=0) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
