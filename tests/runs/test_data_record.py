@@ -1,19 +1,19 @@
-"""What a run records of its frames: worked out by hand, stored and printed."""
+"""What a run records of its frames, and that it says how many of its queries are in the map before it encodes any."""
 
 import hashlib
 import json
 import os
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
-from little import picture
-from little_runs import quiet_surroundings
-from PIL import Image as PillowImage
 
+import vprbench
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
 from vprbench.cli import main
+from vprbench.errors import BadInput
 from vprbench.runs.identity import hash_frames
 
 
@@ -68,18 +68,78 @@ def test_the_record_of_files_is_as_worked_out_by_hand_and_names_content_and_orde
     assert changed([winter[0], winter[1].rename(moved / "e.png"), winter[2]], summer) == {"names_sha256"}
 
 
-def test_a_run_of_files_prints_and_stores_their_record(tmp_path, monkeypatch, capsys):
+PLACES = 12
+QUICK = ["method=sad", "timing=none", "threads=1", "frames=false", "output=json"]
+DAY = np.random.default_rng(0).integers(0, 256, (PLACES, 24, 32), np.uint8)
+NIGHT = DAY[:, ::-1]
+TWICE = ["dataset=folders", "dataset.references=[day]", "dataset.queries=day"]
+COPIES = ["dataset=folders", "dataset.references=[night,day]", "dataset.queries=copies"]  # under other names
+
+
+@pytest.fixture
+def drive(tmp_path, monkeypatch):
+    """Run in a folder with the frames of a day and of a night."""
     monkeypatch.chdir(tmp_path)
-    paths = [tmp_path / folder / f"{i}.png" for folder in ("winter", "summer") for i in range(3)]
-    for path in paths:
-        path.parent.mkdir(exist_ok=True)
-        number = int(path.stem) + 3 * (path.parent.name == "summer")
-        PillowImage.fromarray(picture(number)).resize((16, 16)).save(path)
-    options = ["dataset=folders", "dataset.references=[winter]", "dataset.queries=summer", "timing=none", "threads=1"]
-    with quiet_surroundings():
-        assert main(["method=sad", *options, "output=json"]) == 0
+    for folder, name, frames in (("day", "", DAY), ("night", "", NIGHT), ("copies", "other", DAY)):
+        Path(folder).mkdir()
+        for k, frame in enumerate(frames):
+            cv2.imwrite(f"{folder}/{name}{k:02}.png", frame)
+
+
+@pytest.mark.usefixtures("surroundings", "drive")
+def test_a_run_of_files_prints_and_stores_their_record(capsys):
+    assert main([*QUICK, "dataset=folders", "dataset.references=[day]", "dataset.queries=night"]) == 0
     row = json.loads(capsys.readouterr().out)
-    (stored,) = (tmp_path / "results").rglob("run.json")
+    (stored,) = Path("results").rglob("run.json")
     assert row["data"] == json.loads(stored.read_text("utf-8"))["data"]
-    assert (row["data"]["images"], row["data"]["bytes"]) == (6, sum(path.stat().st_size for path in paths))
-    assert row["data"]["names_sha256"] == sha256(b"0.png\n1.png\n2.png\n0.png\n1.png\n2.png")
+    paths = [*Path("day").iterdir(), *Path("night").iterdir()]
+    assert (row["data"]["images"], row["data"]["bytes"]) == (24, sum(path.stat().st_size for path in paths))
+    assert row["data"]["names_sha256"] == sha256("\n".join(f"{k:02}.png" for k in [*range(PLACES)] * 2).encode())
+
+
+@pytest.mark.usefixtures("surroundings", "drive")
+@pytest.mark.parametrize("options", [TWICE, COPIES])
+def test_queries_of_files_in_the_map_are_refused_by_their_number_and_asked_with_a_note_where_allowed(options, capsys):
+    assert main([*QUICK, *options]) == 2
+    told = capsys.readouterr().err
+    assert (f"{PLACES} of {PLACES}" in told, "dataset.shared_frames=allow" in told) == (True, True)
+    assert [*Path("results").rglob("run.json")] == []
+    assert main([*QUICK, *options, "dataset.shared_frames=allow"]) == 0
+    run = json.loads(capsys.readouterr().out)
+    assert run["protocol"]["shared_frames"] == "allow"
+    assert [f"{PLACES} of {PLACES}" in note["text"] for note in run["notes"] if note["kind"] == "dataset"] == [True]
+
+
+@pytest.mark.usefixtures("drive")
+@pytest.mark.parametrize(
+    ("references", "queries", "shared"),
+    [
+        (DAY, DAY, 12),
+        (DAY, np.concatenate([NIGHT[:10], DAY[10:]]), 2),
+        (DAY, np.repeat(DAY[..., None], 3, axis=3), 12),  # grey, and the same as colours
+        ("day", DAY, 12),  # files against arrays of them
+        ("day", NIGHT, 0),
+        (np.concatenate([DAY[:10], np.zeros_like(DAY[:2])]), np.concatenate([NIGHT[:9], np.zeros_like(DAY[:3])]), 0),
+        (np.full_like(DAY, 255), np.full_like(DAY, 255), 0),  # say nothing of a place: snow on the lens
+    ],
+)
+def test_shared_images_of_a_program_are_counted_by_their_pixels_and_dark_ones_pass(references, queries, shared):
+    def run(**options):
+        made = vprbench.dataset_of(references, queries, **options)
+        return vprbench.run("sad", made, timing="none", results=None, threads=1).run
+
+    if not shared:
+        assert "shared_frames" not in run().protocol
+        return
+    with pytest.raises(BadInput, match=f"{shared} of 12 .* shared_frames='allow'"):
+        run()
+    assert any(f"{shared} of 12 " in note.text for note in run(shared_frames="allow").notes)
+
+
+@pytest.mark.usefixtures("drive")
+def test_the_doctor_calls_it_an_error_and_where_it_is_allowed_a_warning(capsys):
+    assert main(["doctor", *TWICE, "output=json"]) == 1
+    assert [one["level"] for one in json.loads(capsys.readouterr().out) if one["check"] == "shared frames"] == ["error"]
+    assert main(["doctor", *TWICE, "dataset.shared_frames=allow", "output=json"]) == 1
+    found = [one["level"] for one in json.loads(capsys.readouterr().out) if one["check"] == "shared frames"]
+    assert found == ["warning"]

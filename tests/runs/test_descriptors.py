@@ -1,16 +1,19 @@
-"""A second run encodes the timed sample alone, and a run on a large map asks for the best places alone."""
+"""A second run encodes the timed sample alone, one on a large map asks for the best places, and its search is told."""
 
 import gc
+import re
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
-from little import Angles, journey, number_in, pictures
-from little_runs import asked_for, execute, kinds, run_of
+from little import Angles, Lookup, journey, number_in, pictures
+from little_runs import asked_for, execute, kinds, run_of, table
 
 from vprbench.api import descriptor
+from vprbench.api.binary import BinaryMethod
 from vprbench.api.descriptor import DescriptorMethod
 from vprbench.api.images import Images
+from vprbench.api.nearest import pack_bits
 from vprbench.api.weights import Weights
 from vprbench.errors import BadInput
 from vprbench.metrics.ranking import outcome, ranked_places
@@ -253,3 +256,40 @@ def test_descriptors_that_fill_the_memory_stay_in_a_file(cached, tmp_path, monke
     del method
     gc.collect()
     assert not [*(tmp_path / "scratch").rglob("*.npy")]
+
+
+def searching(index, **arguments):
+    """Return a run over 300 places, what it records of its search, and its notes on that."""
+    run = run_of(Angles(distinct=300, index=index, **arguments), journey(300, 300))
+    return run, dict(run.search), [note.text for note in run.notes if note.kind == "index"]
+
+
+def test_a_run_records_and_says_how_good_its_index_is_what_is_compared_again_and_how_long_it_took():
+    run, found, _ = searching("hnsw", neighbours=20)
+    assert found["index"] == "hnsw"
+    assert 0.9 < found["recall_at_1"] <= 1
+    assert 0.9 < found["recall_at_10"] <= 1
+    assert 16 * 4 + 64 * 4 <= found["bytes_per_place"] < 16 * 4 + 64 * 4 + 40  # vector, links, and where they lie
+    assert np.isneginf(run.scores).sum(1).tolist() == [280] * 300
+    _, found, (note,) = searching("hnsw", neighbours=5)
+    assert found["recall_at_10"] == pytest.approx(0.5, abs=0.02)  # 5 of the best 10
+    parts = r"index hnsw: (100\.0|9\d\.\d) % .*, (50\.0|4\d\.\d) % of the best 10; 3\d\d bytes a place, .* [\d.]+ s"
+    assert re.fullmatch(parts, note)
+    run, found, (note,) = searching("binary", rerank=40)
+    assert (found["rerank"], found["bytes_per_place"]) == (40, 8)  # 16 bits in a word
+    assert 0 < found["build_seconds"] < 60
+    assert np.isneginf(run.scores).sum(1).tolist() == [260] * 300
+    assert note.startswith("index binary, the best 40 ")
+
+
+def test_exact_search_goes_without_saying_codes_of_bits_tell_their_bytes_and_a_match_of_its_own_records_none():
+    class Signs(BinaryMethod):
+        def encode(self, images):
+            return pack_bits(np.stack([np.resize(image > 127, 100) for image in images]))
+
+    assert run_of(Lookup(table(6, 4)), journey(6, 4)).search is None
+    exact = {"index": "exact", "bytes_per_place": 64, "recall_at_1": 1.0, "recall_at_10": 1.0}
+    assert searching("exact")[1:] == (exact, [])
+    signs = run_of(Signs(), journey(6, 4))
+    assert signs.search == {**exact, "bytes_per_place": 16}
+    assert any("16 bytes a place" in note.text for note in signs.notes)
