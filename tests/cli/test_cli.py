@@ -14,6 +14,7 @@ from served_files import serving
 from small_plan import RUN, Apart
 
 from vprbench.cli import main
+from vprbench.data import fetch
 from vprbench.jobs import executors
 from vprbench.metrics.accuracy import recall_at
 from vprbench.plugins import registry
@@ -201,3 +202,77 @@ def test_a_sweep_ends_with_one_table_of_the_mean_over_the_seeds_and_its_csv(caps
     runs = {run.key: recall_at(run.outcome, 1).expected for run in Store(Path("results")).runs() if run.method != "sad"}
     (value,) = (float(line["value"]) for line in lines if line["row"] == "random_projection")
     assert (len(runs), value) == (2, pytest.approx(50 * sum(runs.values())))
+
+
+MISSING, WRONG = True, False
+
+
+@pytest.mark.parametrize(
+    ("arguments", "missing"),
+    [
+        (["dataset=nordland"], MISSING),
+        (["dataset=nordland", "dataset.root=/nowhere"], MISSING),
+        (["dataset=folders"], MISSING),
+        (["dataset=folders", "dataset.references=[/nowhere]", "dataset.queries=/nowhere"], MISSING),
+        (["method=cosplace", *QUICK], MISSING),  # weights that may not be fetched
+        (["method=gcl", *QUICK], MISSING),  # weights that no program can fetch
+        (["method.patch=0", *QUICK], WRONG),
+        ([*QUICK, "dataset.places=0"], WRONG),
+        (["method=sda", *QUICK], None),
+    ],
+)
+def test_a_failure_in_a_sweep_says_whether_something_was_missing_and_which_arguments_were_changed(
+    arguments, missing, monkeypatch, capsys
+):
+    monkeypatch.setattr(executors, "run_in_child", Apart())
+    assert main(["-m", "seed=0", *arguments, "output=json"]) == 2
+    if missing is None:  # there is no such method, and nothing is stored
+        assert not Path("results").exists()
+        return
+    (failure,) = Store(Path("results")).failures()
+    told = json.loads(capsys.readouterr().out)
+    assert (failure.missing, told["missing"], told["method"]) == (missing, missing, failure.method)
+    assert {"processor", "threads", "libraries", "time_utc", "memory_bytes"} <= set(failure.environment)
+    assert ("patch" in failure.config["changed"]) == ("method.patch=0" in arguments)
+
+
+def test_the_doctor_exits_with_0_for_sound_frames_and_names_a_damaged_one_at_which_a_run_stops_too(capsys):
+    pixels = np.random.default_rng(5).integers(0, 200, (24, 16, 32, 3), dtype=np.uint8)
+    for name, light in (("monday", 0), ("friday", 20)):  # a little lighter
+        Path(name).mkdir()
+        for number, frame in enumerate(pixels):
+            PillowImage.fromarray(frame + np.uint8(light)).save(f"{name}/{number:03}.png")
+    drives = ["dataset=folders", "dataset.references=[monday]", "dataset.queries=friday"]
+    assert main(["doctor", *drives]) == 0
+    told = capsys.readouterr().out
+    assert told.startswith("folders: monday, friday\n")
+    assert told.rstrip().splitlines()[-1].startswith("nothing is wrong: 0 errors, 0 warnings")
+    frame = Path("friday/007.png")
+    frame.write_bytes(frame.read_bytes()[:-40])
+    assert main(["doctor", *drives, "output=json"]) == 1
+    found = [each for each in json.loads(capsys.readouterr().out) if each["level"] == "error"]
+    assert [(each["check"], "007.png" in each["text"]) for each in found] == [("decoding", True)]
+    frame.write_bytes(b"")
+    assert main(["method=sad", *drives]) == 2
+    assert "007.png" in capsys.readouterr().err
+    assert main(["doctor", "dataset=nordland"]) == 1
+    assert "python -m vprbench fetch nordland" in " ".join(capsys.readouterr().out.split())
+
+
+@pytest.mark.parametrize(("empty", "code"), [(False, 0), (True, 1)])
+def test_fetch_exits_with_1_where_frames_that_came_are_not_right(empty, code, tmp_path, monkeypatch, capsys):
+    for folder in ("query", "ref"):
+        (tmp_path / folder).mkdir()
+        for number in range(3):
+            PillowImage.new("RGB", (4, 4), (number, 0, 0)).save(tmp_path / folder / f"{number}.jpg")
+    (tmp_path / "ground_truth.csv").write_text("query,matching_refs\n0,0\n1,1\n2,2\n")
+    if empty:
+        (tmp_path / "ref" / "1.jpg").write_bytes(b"")
+
+    def fetched(arguments, check):
+        print("\n".join(check("corridor", tmp_path)))
+        return 0
+
+    monkeypatch.setattr(fetch, "fetch_command", fetched)
+    assert main(["fetch", "corridor"]) == code
+    assert ("1 file" in capsys.readouterr().out) == empty

@@ -223,6 +223,15 @@ def test_a_run_that_would_not_be_read_is_not_stored(store, three):
     assert [path.name for path in store.root.iterdir()] == ["journey"]
 
 
+def test_the_last_failure_of_a_configuration_is_kept_beside_runs_until_the_run_succeeds(store):
+    last, other = a_failure(error="ValueError: no", missing=True), a_failure(config={**a_run().config, "seed": 4})
+    for failure in (a_failure(), other, last):
+        store.save_failure(failure)
+    assert sorted(store.failures(), key=lambda failure: failure.config["seed"]) == [last, other]
+    store.save(a_run())
+    assert (list(store.failures()), len(list(store.runs()))) == ([other], 1)
+
+
 def test_a_failure_that_cannot_be_is_left_out_by_name(store, caplog):
     whole = store.save_failure(a_failure())
     path = store.save_failure(a_failure(config={**a_run().config, "seed": 9})) / "failure.json"
