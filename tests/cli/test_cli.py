@@ -6,12 +6,12 @@ import json
 import re
 from pathlib import Path
 
-import numpy as np
 import pytest
-from PIL import Image as PillowImage
+from image_folders import fill, numbered
 from quick_runs import quick_runs
 from served_files import serving
 from small_plan import RUN, Apart
+from textures import textures
 
 from vprbench.cli import main
 from vprbench.data import fetch
@@ -171,20 +171,11 @@ def test_the_error_of_a_full_disk_is_shown_and_a_failure_is_recorded_without_the
     assert json.loads(failure.read_text())["error"] == "RuntimeError: ~/photos is strange"
 
 
-def frames(folder, count, size=(16, 12), mode="RGB"):
-    folder.mkdir(parents=True)
-    generator = np.random.default_rng(len(str(folder)))
-    for number in range(count):
-        image = PillowImage.fromarray(generator.integers(0, 256, (size[1], size[0], 3), dtype=np.uint8))
-        image.convert(mode).save(folder / f"{number}.png")
-    return folder
-
-
 @pytest.mark.parametrize(
     "command", [["method=sad"], ["compare", "methods=sad"], ["doctor"]], ids=lambda words: words[0]
 )
 def test_a_path_that_holds_a_comma_is_answered_with_the_quotes_that_it_needs_and_read_with_these(command, capsys):
-    asked = frames(Path("drive 1, rain, 7 pm"), 4)
+    asked = textures(Path("drive 1, rain, 7 pm"), 4)
     for value, wanted in ((f"[more,{asked}]", f'["{asked}"]'), (str(asked), f'"{asked}"')):
         line = refused([*command, "dataset=folders", f"dataset.references={value}", "dataset.queries=more"], capsys)
         assert f"'dataset.references={wanted}'" in line
@@ -237,24 +228,21 @@ def test_a_failure_in_a_sweep_says_whether_something_was_missing_and_which_argum
 
 
 def test_the_doctor_exits_with_0_for_sound_frames_and_names_a_damaged_one_at_which_a_run_stops_too(capsys):
-    pixels = np.random.default_rng(5).integers(0, 200, (24, 16, 32, 3), dtype=np.uint8)
-    for name, light in (("monday", 0), ("friday", 20)):  # a little lighter
-        Path(name).mkdir()
-        for number, frame in enumerate(pixels):
-            PillowImage.fromarray(frame + np.uint8(light)).save(f"{name}/{number:03}.png")
+    for name, noise in (("monday", 0), ("friday", 20)):
+        textures(Path(name), 24, noise)
     drives = ["dataset=folders", "dataset.references=[monday]", "dataset.queries=friday"]
     assert main(["doctor", *drives]) == 0
     told = capsys.readouterr().out
     assert told.startswith("folders: monday, friday\n")
     assert told.rstrip().splitlines()[-1].startswith("nothing is wrong: 0 errors, 0 warnings")
-    frame = Path("friday/007.png")
+    frame = Path("friday/7.png")
     frame.write_bytes(frame.read_bytes()[:-40])
     assert main(["doctor", *drives, "output=json"]) == 1
     found = [each for each in json.loads(capsys.readouterr().out) if each["level"] == "error"]
-    assert [(each["check"], "007.png" in each["text"]) for each in found] == [("decoding", True)]
+    assert [(each["check"], "7.png" in each["text"]) for each in found] == [("decoding", True)]
     frame.write_bytes(b"")
     assert main(["method=sad", *drives]) == 2
-    assert "007.png" in capsys.readouterr().err
+    assert "7.png" in capsys.readouterr().err
     assert main(["doctor", "dataset=nordland"]) == 1
     assert "python -m vprbench fetch nordland" in " ".join(capsys.readouterr().out.split())
 
@@ -262,9 +250,7 @@ def test_the_doctor_exits_with_0_for_sound_frames_and_names_a_damaged_one_at_whi
 @pytest.mark.parametrize(("empty", "code"), [(False, 0), (True, 1)])
 def test_fetch_exits_with_1_where_frames_that_came_are_not_right(empty, code, tmp_path, monkeypatch, capsys):
     for folder in ("query", "ref"):
-        (tmp_path / folder).mkdir()
-        for number in range(3):
-            PillowImage.new("RGB", (4, 4), (number, 0, 0)).save(tmp_path / folder / f"{number}.jpg")
+        fill(tmp_path / folder, numbered(3))
     (tmp_path / "ground_truth.csv").write_text("query,matching_refs\n0,0\n1,1\n2,2\n")
     if empty:
         (tmp_path / "ref" / "1.jpg").write_bytes(b"")

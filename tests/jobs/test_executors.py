@@ -305,12 +305,6 @@ def test_a_sweep_makes_a_request_for_each_combination_and_stores_a_run_whose_pro
     assert [row["error"] for row in told] == ["was ended by signal 7"] * 4 == [failure.error for failure in stored]
 
 
-def test_of_several_runs_a_bad_one_is_refused_before_any_is_made(monkeypatch, capsys):
-    monkeypatch.setattr(executors, "run_in_child", lambda *_: pytest.fail("it ran"))
-    assert cli.main(["-m", "method=vprtempo,sad", "method.rules=paper"]) == 2
-    assert "method.rules is unknown to sad" in capsys.readouterr().err
-
-
 def test_every_module_that_the_warm_process_imports_is_there():
     # The server passes over a module that cannot be imported, and each run would import it again.
     assert [name for name in child._PRELOADED if importlib.util.find_spec(name) is None] == []

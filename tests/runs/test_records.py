@@ -79,6 +79,7 @@ NOISE = np.random.default_rng(0).normal(size=(4, 10)).astype(np.float32)
         a_run(timing=None, config={**a_run().config, "timing": None}),
         a_run(positives=tuple(np.array(row, np.int64) for row in ([], [1], [], [9, 3]))),
         replace(unanswerable_run(), scores=None),
+        a_run(query_breaks=np.array([1, 3]), place_breaks=np.array([], np.int64)),
     ],
 )
 def test_a_run_comes_back_bit_by_bit_without_a_pickle_and_is_replaced_as_a_whole(store, run):

@@ -93,15 +93,6 @@ def test_queries_without_a_full_window_are_left_out_or_scored_with_what_there_is
         apply_sequences(aligned(scores=None), Sequences(2))
 
 
-def test_a_view_is_never_stored_and_gaps_are(store):
-    run = aligned(query_breaks=np.array([3, 7]), place_breaks=np.array([], np.int64))
-    with pytest.raises(BadInput, match="view"):
-        store.save(apply_sequences(run, Sequences(2)))
-    store.save(run)
-    (read,) = store.runs()
-    assert (read.query_breaks.tolist(), read.place_breaks.tolist(), read.view) == ([3, 7], [], None)
-
-
 @pytest.mark.usefixtures("surroundings")
 def test_all_scores_are_kept_on_request_and_for_sequences_and_not_lost_when_a_run_is_made_again(tmp_path, monkeypatch):
     monkeypatch.setattr(answers, "_LARGEST_MATRIX", 10)

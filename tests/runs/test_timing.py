@@ -10,14 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from held_memory import in_a_new_process, peaks_of_runs
-from little import Lookup, Prototypes, journey, numbers_in, slow_pictures
+from little import Lookup, journey, numbers_in, slow_pictures
 from little_runs import QUICK, asked_for, kinds, run_of, table
 from stopped_clock import Clock
 
 from vprbench import progress
 from vprbench.config import make_request
 from vprbench.plugins.entries import find_entries
-from vprbench.plugins.networks import Files
 from vprbench.runs import frame, machine, rows, timing_lock
 from vprbench.runs.get_or_run import get_or_run
 from vprbench.runs.stopwatch import Protocol
@@ -41,15 +40,6 @@ def test_a_run_is_made_again_where_it_was_timed_by_less_than_asked_for_and_not_w
     assert [answer.run.timing is None for answer in answers] == [True, True, False, False, False, False]
     assert len({answer.folder for answer in answers}) == 1
     assert [run.timed_by for run in store.runs()] == [MORE]
-
-
-def test_a_run_is_made_again_where_its_network_was_asked_for_and_not_kept(store, tmp_path):
-    def made(path=None):
-        files = {"files": Files(save=path), "save": path and str(path)}
-        return get_or_run(asked_for(Prototypes(), journey(6, 4), UNTIMED, **files), store).from_store
-
-    path = tmp_path / "net.safetensors"
-    assert [made(), made(path), made(path)] == [False, False, True]
 
 
 def test_a_protocol_that_measures_less_falls_short_by_name_and_the_named_ones_answer_one_another_in_their_order():
