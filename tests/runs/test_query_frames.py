@@ -11,14 +11,8 @@ from little_runs import asked_for, execute
 from vprbench.api.images import Images
 from vprbench.errors import BadInput
 from vprbench.methods.sad import SAD
-from vprbench.runs.corruption import (
-    KINDS,
-    Corruption,
-    corrupt_frame,
-    corrupt_queries,
-    parse_corruption,
-    parse_corruptions,
-)
+from vprbench.runs import corruption
+from vprbench.runs.corruption import Corruption, corrupt_queries, parse_corruption, parse_corruptions
 from vprbench.runs.identity import compute_fingerprint
 from vprbench.runs.scorers import choose_scorer
 from vprbench.runs.viewpoints import Viewpoint, Viewpoints, parse_viewpoints, record_viewpoints, render_view
@@ -31,7 +25,7 @@ GENERATOR = np.random.default_rng(0)
 
 
 def under(name, image, frame="frame"):
-    return corrupt_frame(image, parse_corruption(name), frame).astype(float)
+    return corruption.corrupt_frame(image, parse_corruption(name), frame).astype(float)
 
 
 def grey(level, height=120, width=200):
@@ -95,7 +89,7 @@ def test_occlusion_hides_a_grey_rectangle_of_its_share_and_resolution_keeps_mean
     np.testing.assert_allclose(coarse[0, :, 0], first, atol=1.01)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", corruption.KINDS)
 def test_queries_are_corrupted_alike_in_any_order_and_view(kind):
     queries = corrupt_queries(journey(6, 4), f"{kind}-2").queries
     one_by_one = {i: queries[i] for i in (4, 1, 5, 0, 3, 2)}

@@ -30,6 +30,7 @@ from vprbench.runs.views import select_queries
 from vprbench.storage import tensors
 
 KEY = "0123456789abcdef"
+PROCESSES = multiprocessing.get_context("fork")  # start in no time and have imported all
 
 
 @pytest.fixture
@@ -38,12 +39,6 @@ def three(store):
     for key in ("a", "b", "c"):
         store.save(a_run(key=key))
     return store.folder("journey", "little", "b")
-
-
-@pytest.fixture(scope="module")
-def processes():
-    """Processes that start in no time and have imported all."""
-    return multiprocessing.get_context("fork")
 
 
 def stored(store, key=KEY):
@@ -94,13 +89,9 @@ def test_a_run_comes_back_bit_by_bit_without_a_pickle_and_is_replaced_as_a_whole
     assert [path.name for path in store.root.iterdir()] == ["journey"]
 
 
-def summary_of(folder):
-    return dict(json.loads((folder / "run.json").read_text()))
-
-
 def tell(where, value, folder):
     """Change a value of a summary."""
-    summary = part = summary_of(folder)
+    summary = part = json.loads((folder / "run.json").read_text())
     *outer, last = where.split(".")
     for name in outer:
         part = part[int(name) if name.isdigit() else name]
@@ -153,10 +144,8 @@ FILES = [
     enlarge,
 ]
 VALUES = [  # of which each cannot be in any of the places beside it
-    (
-        None,
-        "outcome.n_places method fingerprint config protocol environment data notes config.method config.seed schema",
-    ),
+    (None, "outcome.n_places method fingerprint config protocol environment data notes config.method"),
+    (None, "config.seed schema"),
     ("5", "outcome.n_places fit_seconds peak_memory_bytes config.dataset config.seed notes environment.libraries"),
     ("5", "protocol.tolerance_places config.timing.minimum_seconds timing.streaming.valid"),
     (0, "outcome.n_places timing.offline.0.images_per_call"),
@@ -292,9 +281,9 @@ def test_what_nobody_touched_for_a_day_is_removed_and_never_a_run(store, hours, 
     assert len(keys(store)) == 1
 
 
-def test_a_process_killed_at_any_step_of_replacing_a_run_leaves_the_old_or_the_new_one(store, processes):
+def test_a_process_killed_at_any_step_of_replacing_a_run_leaves_the_old_or_the_new_one(store):
     for step in range(200):
-        writer = processes.Process(target=replace_and_die, args=(store.root, step), daemon=True)
+        writer = PROCESSES.Process(target=replace_and_die, args=(store.root, step), daemon=True)
         writer.start()
         writer.join()
         assert [run.n_references for run in Store(store.root).runs()] in ([21], [22]), f"step {step}"
@@ -309,9 +298,9 @@ def test_a_process_killed_at_any_step_of_replacing_a_run_leaves_the_old_or_the_n
     assert [path.name for path in store.root.glob("*/*")] == [f"little-{KEY}"]
 
 
-def test_several_processes_lose_no_run_and_leave_one_of_a_key(store, processes):
+def test_several_processes_lose_no_run_and_leave_one_of_a_key(store):
     written = [[KEY, *(f"writer{writer}run{number}" for number in range(6)), KEY] for writer in range(4)]
-    with ProcessPoolExecutor(4, mp_context=processes) as pool:
+    with ProcessPoolExecutor(4, mp_context=PROCESSES) as pool:
         assert list(pool.map(save_keys, [store.root] * 4, written)) == [8] * 4
     assert sorted(keys(store)) == sorted({key for row in written for key in row})
     assert sorted(path.name for path in store.root.glob("*/*")) == sorted(f"little-{key}" for key in keys(store))

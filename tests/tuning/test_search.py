@@ -11,16 +11,8 @@ from optuna.trial import TrialState
 from vprbench.errors import BadInput
 from vprbench.plugins import registry
 from vprbench.tuning import places, space
-from vprbench.tuning.search import (
-    JOURNAL,
-    Comparison,
-    compare_with_paper,
-    explore,
-    find_best,
-    list_trials,
-    open_study,
-    search,
-)
+from vprbench.tuning import search as searching
+from vprbench.tuning.search import Comparison, compare_with_paper, explore, open_study, search
 from vprbench.tuning.settings import Settings
 from vprbench.tuning.space import PAPER
 from vprbench.tuning.trial import Hits, encode_stretch, train_and_query
@@ -57,7 +49,7 @@ class Stub:
 def explored(folder, trials, seed=0, stub=None, jobs=1):
     with open_study(folder) as study:
         explore(study, stub or Stub(), trials, seed, jobs)
-        return list_trials(study)
+        return searching.list_trials(study)
 
 
 def tried(trials):
@@ -73,7 +65,7 @@ def test_two_thirds_of_the_trials_are_random_and_the_rest_a_grid_around_the_best
         assert sum(one.params[name] != best.params[name] for name in PAPER) == 1
     assert [one.value for one in trials] == pytest.approx([recall(one.params) for one in trials])
     with open_study(tmp_path / "a") as study:
-        assert find_best(study).value == max(one.value for one in trials)
+        assert searching.find_best(study).value == max(one.value for one in trials)
     again, other = (tried(explored(tmp_path / name, 9, seed, jobs=2)) for name, seed in (("b", 0), ("c", 1)))
     assert tried(trials) == again
     assert not any(mine == theirs for *_, mine in again for *_, theirs in other)
@@ -108,8 +100,8 @@ def test_a_killed_search_goes_on_where_it_stopped_up_to_the_number_of_trials(tmp
 def test_a_journal_that_cannot_be_read_or_is_in_use_is_named(tmp_path):
     with open_study(tmp_path), pytest.raises(BadInput, match="in use by another search"), open_study(tmp_path):
         pass
-    (tmp_path / JOURNAL).write_bytes(b"no json\n{}\n")
-    with pytest.raises(BadInput, match=rf"{JOURNAL} cannot be read .* move it away"), open_study(tmp_path):
+    (tmp_path / searching.JOURNAL).write_bytes(b"no json\n{}\n")
+    with pytest.raises(BadInput, match=rf"{searching.JOURNAL} cannot be read .* move it away"), open_study(tmp_path):
         pass
 
 
