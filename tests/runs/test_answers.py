@@ -2,15 +2,14 @@
 
 import json
 import tracemalloc
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from little import Lookup, journey, number_in, numbers_in, picture
+from little import Angles, Lookup, journey, numbers_in, picture
 from little_runs import asked_for, execute, kinds, run_of, table
 
 from vprbench.api.dataset import Dataset
-from vprbench.api.descriptor import DescriptorMethod
 from vprbench.api.images import Images
 from vprbench.api.method import LayerSpikes, Method
 from vprbench.datasets.synthetic import synthetic
@@ -93,31 +92,25 @@ def test_scores_and_spikes_are_kept_of_a_method_that_overwrites_what_it_gave():
     assert run.spikes["layers"][0]["spikes_per_query"] == sample.tolist()
 
 
-@dataclass(kw_only=True)
-class Reading(DescriptorMethod):
-    """Notes the names of the images that it encodes after the fit."""
-
-    names: list[str] = field(default_factory=list)
-
-    def encode(self, images):
-        if self.searched is not None:
-            self.names += images.names
-        return np.array([[number_in(image) + 1, 1] for image in images], np.float32)
-
-    def keeps_descriptors(self):
-        return True
-
-    def spikes(self, codes):
-        return [LayerSpikes("input", codes)]
-
-
 @pytest.mark.parametrize("cached", [False, True])
 def test_no_query_is_given_under_its_name(tmp_path, cached):
     named = Images.from_arrays([picture(i) for i in range(6)], [f"place {i % 4}" for i in range(6)])
-    method, dataset = Reading(), replace(journey(6, 4), queries=named)
-    execute(asked_for(method, dataset, cache=tmp_path if cached else None))
-    assert len(method.names) > 3 * 6
-    assert all(name.startswith("image ") for name in method.names)
+    names = []
+
+    class Reading(Angles):
+        def encode(self, images):
+            names.extend(images.names)
+            return super().encode(images)
+
+        def keeps_descriptors(self):
+            return True
+
+        def spikes(self, codes):
+            return [LayerSpikes("input", codes)]
+
+    execute(asked_for(Reading(), replace(journey(6, 4), queries=named), cache=tmp_path if cached else None))
+    assert len(names) > 4 + 3 * 6
+    assert all(name.startswith("image ") for name in names)
 
 
 def test_candidates_stand_before_places_that_are_none(store):
