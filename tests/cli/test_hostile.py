@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from plugged_in import plugin, see_plugins
+from plugged_in import forget_loose_files, plugin, see_plugins
 from small_plan import RUN
 
 from vprbench.cli import main
@@ -23,8 +23,7 @@ def here(tmp_path, monkeypatch):
     """Work in a folder of its own with the hostile methods plugged in, for other processes too."""
     methods = {name: f"_target_: hostile.{name.capitalize()}" for name in METHODS}
     plugin(tmp_path / "plugins", "hostile", "hostile", methods)
-    monkeypatch.setattr(sys, "path", [*sys.path])
-    monkeypatch.setattr(entries, "_LOOSE", {"method": {}, "dataset": {}})
+    forget_loose_files(monkeypatch)
     see_plugins(tmp_path / "plugins", monkeypatch)
     monkeypatch.chdir(tmp_path)
     yield tmp_path

@@ -15,6 +15,7 @@ import psutil
 import pytest
 from checkout import ROOT
 from killed_worker import Kills
+from plugged_in import forget_loose_files
 
 from vprbench import __version__, cli
 from vprbench.config import make_request
@@ -24,7 +25,6 @@ from vprbench.jobs import options as cluster_options
 from vprbench.jobs.executors import Executor, choose_executor, choose_gpu, run_all
 from vprbench.jobs.job import JobResult, describe_failure
 from vprbench.jobs.options import ClusterOptions
-from vprbench.plugins import entries
 from vprbench.plugins.options import parse_options
 from vprbench.runs.request import RunRequest
 from vprbench.runs.run_lock import read_claims
@@ -44,8 +44,7 @@ SLEEPER = "pathlib.Path('sleeper').write_text(str(subprocess.Popen(['sleep', '60
 @pytest.fixture
 def asked(tmp_path, monkeypatch):
     """Return a function that asks for a run of SAD whose `fit` executes a statement first."""
-    monkeypatch.setattr(entries, "_LOOSE", {"method": {}, "dataset": {}})
-    monkeypatch.setattr(sys, "path", [*sys.path])
+    forget_loose_files(monkeypatch)
     monkeypatch.delitem(sys.modules, "mine", raising=False)
     monkeypatch.chdir(tmp_path)
 

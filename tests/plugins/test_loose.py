@@ -7,11 +7,12 @@ import sys
 import pytest
 from checkout import ROOT
 from little_runs import quiet_surroundings
+from plugged_in import forget_loose_files, see_yamls
 
 from vprbench.cli import main
 from vprbench.config import make_request
 from vprbench.errors import BadInput
-from vprbench.plugins import entries, loose, registry
+from vprbench.plugins import loose, registry
 from vprbench.runs.store import Store
 
 METHOD = """
@@ -61,9 +62,8 @@ EXAMPLE = ROOT / "tests" / "example_plugin"
 def here(tmp_path, monkeypatch):
     """A working folder with loose files; what they leave in this process is removed."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", [*sys.path])
     monkeypatch.setattr(sys, "dont_write_bytecode", True)
-    monkeypatch.setattr(entries, "_LOOSE", {"method": {}, "dataset": {}})
+    forget_loose_files(monkeypatch)
     for name, text in (("means.py", METHOD), ("walk.py", DATASET), ("beside.py", "TINY = 1e-6\n")):
         (tmp_path / name).write_text(text)
     modules = {*sys.modules}
@@ -72,18 +72,6 @@ def here(tmp_path, monkeypatch):
     for name in {*sys.modules} - modules:
         if str(getattr(sys.modules[name], "__file__", "")).startswith(str(tmp_path)):
             del sys.modules[name]
-
-
-@pytest.fixture
-def install(monkeypatch):
-    """Return what installs a folder of configurations beside the code that it names."""
-
-    def add(code, conf):
-        folders = {**entries.find_conf_folders(), "other": conf}
-        monkeypatch.setattr("vprbench.plugins.entries.find_conf_folders", lambda: folders)
-        monkeypatch.syspath_prepend(code)
-
-    return add
 
 
 def line_of(capsys):
@@ -196,8 +184,11 @@ TARGET = "# Broken\n_target_: broken_code.Made\n"
         ("method", TARGET, "def Made(cells: int = 2): return cells\n", "made a int"),
     ],
 )
-def test_a_broken_plug_in_is_told_in_a_line_and_the_others_are_listed(here, install, group, yaml, code, named, capsys):
-    install(here, here / "conf")
+def test_a_broken_plug_in_is_told_in_a_line_and_the_others_are_listed(
+    here, monkeypatch, group, yaml, code, named, capsys
+):
+    see_yamls(here / "conf", monkeypatch)
+    monkeypatch.syspath_prepend(here)
     (here / "conf" / group).mkdir(parents=True)
     (here / "conf" / group / "broken.yaml").write_text(yaml)
     (here / "broken_code.py").write_text(code)
@@ -212,8 +203,9 @@ def test_a_broken_plug_in_is_told_in_a_line_and_the_others_are_listed(here, inst
         assert sum(line.split()[:1] == ["sad"] for line in lines) == 1
 
 
-def test_the_example_plug_in_keeps_every_rule_and_its_run_is_right(here, install, capsys):
-    install(EXAMPLE, EXAMPLE / "vprbench_example" / "conf")
+def test_the_example_plug_in_keeps_every_rule_and_its_run_is_right(here, monkeypatch, capsys):
+    see_yamls(EXAMPLE / "vprbench_example" / "conf", monkeypatch)
+    monkeypatch.syspath_prepend(EXAMPLE)
     for asked in (["method=thumbnail"], ["dataset=panorama"], ["dataset=panorama", "dataset.overlap=0"]):
         assert main(["check", *asked]) == 0
         assert counted(capsys)[1] == 0

@@ -8,6 +8,7 @@ from typing import Literal
 import pytest
 from described_images import composed
 from omegaconf import OmegaConf
+from plugged_in import see_yamls
 
 from vprbench.api.method import Method
 from vprbench.config import make_request
@@ -15,20 +16,6 @@ from vprbench.errors import BadInput
 from vprbench.plugins import registry
 from vprbench.plugins.entries import find_entries
 from vprbench.plugins.options import check_value, parse_options
-
-
-@pytest.fixture
-def method(tmp_path, monkeypatch):
-    """Return what registers a yaml under a name and gives its entry."""
-    (tmp_path / "method").mkdir()
-    folders = {**registry.find_conf_folders(), "little": tmp_path}
-    monkeypatch.setattr("vprbench.plugins.entries.find_conf_folders", lambda: folders)
-
-    def written(name, text):
-        (tmp_path / "method" / f"{name}.yaml").write_text(text)
-        return registry.find_entries("method")[name]
-
-    return written
 
 
 def test_a_yaml_holds_what_hydra_reads_in_it_and_tells_what_computes_by_spikes_or_needs_weights():
@@ -60,8 +47,11 @@ device: ${device}
 """
 
 
-def test_arguments_that_differ_from_the_yaml_and_those_below_are_changed_but_never_seed_and_device(method):
-    method("lower", LOWER)
+def test_arguments_that_differ_from_the_yaml_and_those_below_are_changed_but_never_seed_and_device(
+    tmp_path, monkeypatch
+):
+    write = see_yamls(tmp_path, monkeypatch)
+    write("lower", LOWER)
     for text, options, changed in (
         (LOWER, ["width=2", "rate=0.001", "sizes=[1,2]", "seed=7", "device=cpu"], {}),
         (LOWER, ["rate=0.01", "sizes=[1]", "nothing=0"], {"rate": 0.01, "sizes": [1], "nothing": 0}),
@@ -69,7 +59,7 @@ def test_arguments_that_differ_from_the_yaml_and_those_below_are_changed_but_nev
         (UPPER, ["width=2"], {"width": 2}),
         (NESTED, ["weights.path=/b"], {"weights": {"path": "/b"}}),
     ):
-        method("upper", text)
+        write("upper", text)
         asked = ["method=upper", *(f"method.{option}" for option in options)]
         assert make_request(asked).changed == changed
     assert make_request(["method=upper", "+method.more=1"]).changed == {"more": 1}

@@ -13,11 +13,11 @@ import pytest
 from checkout import ROOT
 from little import Lookup, journey, pictures
 from little_runs import QUICK, asked_for, run_of
+from plugged_in import see_yamls
 from small_plan import RUN
 
 from vprbench.cli import main
 from vprbench.methods.hog import HOG
-from vprbench.plugins import registry
 from vprbench.plugins.networks import Files
 from vprbench.runs import identity, machine
 from vprbench.runs.corruption import corrupt_queries
@@ -145,12 +145,9 @@ def test_all_files_that_a_method_imports_in_any_way_or_inherits_from_count_and_n
 def test_the_run_of_a_real_method_is_found_after_its_file_moved_and_not_after_another_number(
     package, monkeypatch, capsys
 ):
-    file, yaml = package / "inner/moved.py", package / "method/grass.yaml"
-    yaml.parent.mkdir()
+    file, write = package / "inner/moved.py", see_yamls(package, monkeypatch)
     text = (ROOT / "methods/sad.py").read_text().replace("from .parts", "from vprbench.methods.parts")
     given = (ROOT / "conf/method/sad.yaml").read_text()
-    folders = {**registry.find_conf_folders(), "meadow": package}
-    monkeypatch.setattr("vprbench.plugins.entries.find_conf_folders", lambda: folders)
     monkeypatch.chdir(package.parent)
     asked = ["method=grass", "dataset.places=10", "dataset.first_query_place=0", "frames=false", "output=json"]
     found = []
@@ -162,7 +159,7 @@ def test_the_run_of_a_real_method_is_found_after_its_file_moved_and_not_after_an
         assert old in text
         path.write_text(text.replace(old, new) if old else text)
         module = ".".join(path.relative_to(package.parent).with_suffix("").parts)
-        yaml.write_text(given.replace("vprbench.methods.sad", module))
+        write("grass", given.replace("vprbench.methods.sad", module))
         forget()
         assert main([*asked, *RUN, "timing=none"]) == 0
         found.append(json.loads(capsys.readouterr().out)["from_store"])

@@ -10,57 +10,34 @@ import numpy as np
 import pytest
 from figure_runs import run
 from PIL import Image as PillowImage
+from plugged_in import see_yamls
 
 import vprbench
 from vprbench.cli import main
 from vprbench.config import make_request
 from vprbench.datasets.nordland import published_frames
-from vprbench.plugins import registry
 from vprbench.runs.store import Store
 from vprbench.runs.tuned import describe_tuning, overlaps_tuning_places, without_tuning_places
 from vprbench.runs.views import replace_scores
+
+NOT_TUNED = "_target_: vprbench.methods.sad.SAD\npatch: 5\n"
+QUICK = ["dataset.places=20", "dataset.first_query_place=2", "timing=none", "threads=1", "frames=false"]
 
 
 @pytest.fixture
 def plug_in(tmp_path, monkeypatch):
     """Return what registers a yaml of another package; runs are made in an empty folder."""
-    folder = tmp_path / "conf"
-    (folder / "method").mkdir(parents=True)
-    ours = registry.find_conf_folders()
-    monkeypatch.setattr("vprbench.plugins.entries.find_conf_folders", lambda: {**ours, "other": folder})
     monkeypatch.chdir(tmp_path)
-
-    def registered(name, text):
-        (folder / "method" / f"{name}.yaml").write_text(text, encoding="utf-8")
-
-    registered("mine", NOT_TUNED)
-    registered("upper", "defaults: [mine, _self_]\nwidth: 14\n")
-    return registered
+    write = see_yamls(tmp_path / "conf", monkeypatch)
+    write("mine", NOT_TUNED)
+    write("upper", "defaults: [mine, _self_]\nwidth: 14\n")
+    return write
 
 
 def printed(capsys, *options):
     capsys.readouterr()
     assert main(["method=upper", *options, *QUICK]) == 0
     return capsys.readouterr().out
-
-
-def only_run():
-    (run,) = Store(Path("results")).runs()
-    return run
-
-
-def hits(run, numbers, tuned):
-    """Return the chance of each query of no tuned place that its best place is right; `numbers` are the queries'."""
-    found = []
-    for number, scores, right in zip(numbers, run.scores, run.positives, strict=True):
-        best = np.flatnonzero(scores == scores.max())
-        found += [] if number in tuned else [np.isin(best, right).mean()]
-    return found
-
-
-NOT_TUNED = "_target_: vprbench.methods.sad.SAD\npatch: 5\n"
-NOTE = "tuned on places 5-11 of synthetic"
-QUICK = ["dataset.places=20", "dataset.first_query_place=2", "timing=none", "threads=1", "frames=false"]
 
 
 def told_elsewhere(text):
@@ -77,13 +54,16 @@ def test_a_run_prints_and_keeps_on_what_its_method_was_tuned(plug_in, capsys):
     shutil.rmtree("results")
     plug_in("mine", f"{NOT_TUNED}tuned_on: {{dataset: synthetic, places: 5-11}}\n")
     lines = printed(capsys, "wide=true").splitlines()
-    line = next(line for line in lines if line.startswith(f"note: {NOTE}"))
+    line = next(line for line in lines if line.startswith("note: tuned on places 5-11 of synthetic"))
     told = json.loads(printed(capsys, "output=json"))
     assert (told["notes"][0], told["from_store"]) == ({"kind": "tuned", "text": line[6:]}, True)
-    now = only_run()
+    (now,) = Store(Path("results")).runs()
     assert told["tuned_on"] == now.tuned_on == {"dataset": "synthetic", "places": "5-11", "also_in": {}}
     assert "tuned_on" not in now.config["method"]
-    there = hits(now, range(2, 20), range(5, 12))
+    there = []  # the chance of each query of no tuned place that its best place is right
+    for number, scores, right in zip(range(2, 20), now.scores, now.positives, strict=True):
+        best = np.flatnonzero(scores == scores.max())
+        there += [] if number in range(5, 12) else [np.isin(best, right).mean()]
     numbers = [told[f"recall_at_1_elsewhere{end}"] for end in ("", "_low", "_high")]
     assert (numbers[0], told["queries_elsewhere"]) == (pytest.approx(np.mean(there)), len(there))
     assert told_elsewhere(line) == 11
