@@ -17,6 +17,7 @@ from vprbench.runs.store import Store
 
 METHOD = """
 from dataclasses import dataclass, field
+from pathlib import Path
 import numpy as np
 from vprbench.api import DescriptorMethod
 from beside import TINY
@@ -34,14 +35,12 @@ class Means(DescriptorMethod):
         values = np.array([image.mean(axis=(0, 1)) for image in images], np.float32) + TINY
         return values / np.linalg.norm(values, axis=1, keepdims=True)
 
-def other(places: int, seed: int = 3, root: str | None = None):
-    return places
-"""
-FILES = """
 class Filed(Means):
     def files(self):
-        from pathlib import Path
         return [Path("weights.txt")]
+
+def other(places: int, seed: int = 3, root: str | None = None):
+    return places
 """
 DATASET = """
 import numpy as np
@@ -140,7 +139,6 @@ def test_another_source_or_another_file_that_it_reads_makes_another_run(here, ca
     ):
         (here / file).write_text(text)
         assert not is_stored()
-    (here / "means.py").write_text(METHOD + FILES)
     for text in ("3", "4"):  # of the file that files() names
         (here / "weights.txt").write_text(text)
         assert not is_stored("Filed")

@@ -145,7 +145,6 @@ def test_a_traverse_finds_places_as_far_off_as_it_is_shifted_and_beyond_the_map_
 
 N_PLACES = 27_592  # Nordland, every frame
 BLOCK = 128
-MEGABYTE = 1_000_000
 SCORES = np.random.default_rng(0).random((BLOCK, N_PLACES), np.float32)
 
 
@@ -176,6 +175,6 @@ def peak_bytes(n_blocks):
 
 
 def test_a_block_of_queries_against_27592_places_needs_little_and_more_blocks_add_only_kept_answers():
-    assert peak_bytes(1) < 150 * MEGABYTE
+    assert peak_bytes(1) < 150_000_000
     kept_per_query = 2_000  # 100 places and scores of 4 bytes each, seven counts of 8, and what lists weigh
     assert peak_bytes(13) < peak_bytes(3) + 10 * BLOCK * kept_per_query

@@ -114,20 +114,15 @@ def test_the_protocol_says_what_was_done_to_queries_and_nothing_else_is_touched(
     assert all(word in spoilt.protocol["corruption"] for word in ("shift-2", "4 px", "left or right", "seed 0"))
     assert spoilt.references is clean.references
     assert (spoilt.positives, spoilt.queries.names) == (clean.positives, clean.queries.names)
-    marks = {
-        compute_fingerprint(each)
-        for each in (clean, spoilt, corrupt_queries(clean, "shift-1"), corrupt_queries(clean, "shift-2-1"))
-    }
-    assert len(marks) == 4
+    kinds = (None, "shift-2", "shift-1", "shift-2-1")
+    assert len({compute_fingerprint(corrupt_queries(clean, kind)) for kind in kinds}) == 4
     assert compute_fingerprint(corrupt_queries(journey(6, 4), "shift-2")) == compute_fingerprint(spoilt)
 
 
 def test_names_ask_for_kinds_and_strengths_and_all_of_them():
     assert len(parse_corruptions(["all"])) == 21
-    assert parse_corruptions(["blur-2", "shift"]) == (
-        *(Corruption("shift", n) for n in (1, 2, 3)),
-        Corruption("blur", 2),
-    )
+    assert parse_corruptions(["blur-2", "shift"]) == (*parse_corruptions(["shift"]), Corruption("blur", 2))
+    assert parse_corruptions(["shift"]) == tuple(Corruption("shift", n) for n in (1, 2, 3))
     assert [parse_corruption(name).name for name in ("noise-2", "noise-2-7")] == ["noise-2", "noise-2-7"]
     for wrong, told in (("shfit-1", "shift"), ("shift-4", "1 to 3")):
         with pytest.raises(BadInput, match=told):

@@ -98,9 +98,7 @@ class Learning(Lookup):
 
 @pytest.mark.parametrize("excess", [0, 0.6])
 def test_times_of_fit_computing_first_query_method_and_harness_are_told_apart(clock, monkeypatch, surroundings, excess):
-    monkeypatch.setattr(
-        surroundings, "describe_machine", lambda *_: clock.spend(7) or {}
-    )  # a look at the machine takes 7 s
+    monkeypatch.setattr(surroundings, "describe_machine", lambda *_: clock.spend(7) or {})  # takes 7 s
     references, queries = (slow_pictures(8, 0.02, clock.spend) for _ in range(2))
     numbers_in(references)  # what is read before a run does not count
     dataset = replace(journey(8, 8), references=references, queries=queries)
@@ -109,9 +107,8 @@ def test_times_of_fit_computing_first_query_method_and_harness_are_told_apart(cl
     assert (shown["fit_seconds"], shown["fit_compute_seconds"]) == pytest.approx((8 * 0.02 + 0.06, 0.06))
     assert run.timing.first_query_seconds == pytest.approx(0.006 + excess)
     assert rows.format_row(run)["fit s"] == "0.22"
-    assert run.method_seconds == pytest.approx(
-        0.06 + 8 * 0.006 + 0.006 + excess
-    )  # the first query is asked once before
+    # the first query is asked once before
+    assert run.method_seconds == pytest.approx(0.06 + 8 * 0.006 + 0.006 + excess)
     assert run.harness_seconds == pytest.approx(7)
 
 
@@ -151,9 +148,7 @@ def test_a_run_is_noisy_if_processes_waited_for_a_core_or_a_fixed_computation_dr
     canaries = itertools.chain([1.0] * 3, itertools.repeat(after))  # until timing begins
     pressures = iter(range(9))
     monkeypatch.setattr(
-        surroundings,
-        "read_cpu_wait_seconds",
-        lambda: None if waited is None else waited * next(pressures),
+        surroundings, "read_cpu_wait_seconds", lambda: None if waited is None else waited * next(pressures)
     )
     monkeypatch.setattr(surroundings, "time_canary", lambda: next(canaries))
     assert ("noisy" in kinds(run_of(Lookup(table(12, 4)), journey(12, 4)))) is noisy
