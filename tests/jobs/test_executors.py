@@ -107,34 +107,28 @@ def test_a_run_is_taken_when_there_is_room_and_a_run_that_another_sweep_makes_is
     assert asked == ["asks 0", "makes 0", "asks 1", "makes 1", "asks 2", "makes 2", "makes 1"]
 
 
-@pytest.mark.parametrize(
-    ("given", "words"),
-    [
+def test_impossible_options_are_refused_by_name_and_a_single_run_takes_none(capsys):
+    for given, words in (
         (["workers=0"], "workers=0: give at least 1"),
         (["scheduler=tcp://here:8786", "workers=2"], "leave workers= and cluster= out"),
-    ],
-)
-def test_impossible_options_are_refused_by_name_and_a_single_run_takes_none(given, words, capsys):
-    with pytest.raises(BadInput, match=words):
-        parse_options(ClusterOptions, given, {})
+    ):
+        with pytest.raises(BadInput, match=words):
+            parse_options(ClusterOptions, given, {})
     assert cli.main([*RUN, "workers=2"]) == 2
     assert "workers=2: " in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ("given", "options", "threads"),
-    [
+def test_each_cell_gets_its_share_of_the_cores_unless_threads_are_asked_for(monkeypatch):
+    monkeypatch.setattr(cluster_options, "count_cores", lambda: 8)
+    for given, options, threads in (
         ([], [], []),
         (["workers=3"], [], ["threads=2"]),
         (["workers=9"], [], ["threads=1"]),
         (["workers=2"], ["threads=3"], []),
         (["scheduler=tcp://here:8786"], [], ["threads=1"]),
         (["cluster=pbs", "cluster.cores=6"], [], ["threads=6"]),
-    ],
-)
-def test_each_cell_gets_its_share_of_the_cores_unless_threads_are_asked_for(given, options, threads, monkeypatch):
-    monkeypatch.setattr(cluster_options, "count_cores", lambda: 8)
-    assert parse_options(ClusterOptions, given, {}).threads(options) == threads
+    ):
+        assert parse_options(ClusterOptions, given, {}).threads(options) == threads
 
 
 def test_workers_make_runs_side_by_side_without_dask(tmp_path):

@@ -196,21 +196,18 @@ def test_the_counter_of_a_gpu_is_found_by_its_uuid(monkeypatch):
     assert energy.read_nvml("cuda") == [(1_234_000, 1 << 64)]
 
 
-@pytest.mark.parametrize(
-    ("values", "kind", "known"),
-    [
+def test_counts_are_added_up_for_each_query_and_an_amplitude_is_one_spike():
+    for values, kind, known in (
         ([[2, 0, 1], [0, 0, 4]], "count", ([3.0, 4.0], 2 / 3, None, (2 * 1 + 1 * 3 + 4 * 3) / 2, "AC")),
         ([[0.5, 0, 0.25, 0], [0, 0, 0.75, 0]], "amplitude", ([2.0, 1.0], 0.5, 0.5, (1 + 3 + 3) / 2, "MAC")),
         ([[0, 0, 0], [0, 0, 0]], "amplitude", ([0.0, 0.0], 0.0, None, 0.0, "MAC")),
-    ],
-)
-def test_counts_are_added_up_for_each_query_and_an_amplitude_is_one_spike(values, kind, known):
-    array = np.array(values)
-    layer = LayerSpikes("hidden", array, kind, fan_out=np.arange(1, array.shape[1] + 1))
-    found = json.loads(json.dumps(summarise_spikes([LayerSpikes("a", array), layer])))
-    names = ("spikes_per_query", "active_share", "amplitude_mean", "synops", "operation")
-    layer_known = {"name": "hidden", "neurons": array.shape[1], **dict(zip(names, known, strict=True))}
-    assert (found["queries"], found["layers"][0]["name"], found["layers"][1:]) == (2, "a", [layer_known])
+    ):
+        array = np.array(values)
+        layer = LayerSpikes("hidden", array, kind, fan_out=np.arange(1, array.shape[1] + 1))
+        found = json.loads(json.dumps(summarise_spikes([LayerSpikes("a", array), layer])))
+        names = ("spikes_per_query", "active_share", "amplitude_mean", "synops", "operation")
+        layer_known = {"name": "hidden", "neurons": array.shape[1], **dict(zip(names, known, strict=True))}
+        assert (found["queries"], found["layers"][0]["name"], found["layers"][1:]) == (2, "a", [layer_known])
     assert summarise_spikes([]) is None
 
 

@@ -157,19 +157,15 @@ def test_a_zoom_shows_the_middle_of_the_frame_enlarged(zoom):
     assert np.abs(found[:, inside] - wanted[:, inside]).max() <= 1
 
 
-@pytest.mark.parametrize(
-    ("option", "views", "told"),
-    [
+def test_an_option_is_a_list_of_shifts_or_a_mapping():
+    for option, views, told in (
         ("[-0.1,0]", [(-0.1, 0, 1), (0, 0, 1)], "-0.1+0"),
         ({"horizontal": [0, 0.2], "vertical": [0.1]}, [(0, 0.1, 1), (0.2, 0.1, 1)], "0/0.1+0.2/0.1"),
         ("{vertical:[0.25],zoom:[1,1.1]}", [(0, 0.25, 1), (0, 0.25, 1.1)], "0/0.25+0/0.25 zoom 1.1"),
-    ],
-    ids=str,
-)
-def test_an_option_is_a_list_of_shifts_or_a_mapping(option, views, told):
-    found = parse_viewpoints(option)
-    assert ([astuple(view) for view in found.all], found.protocol()) == (views, told)
-    assert record_viewpoints(journey(4, 2), found).protocol["views"] == told
+    ):
+        found = parse_viewpoints(option)
+        assert ([astuple(view) for view in found.all], found.protocol()) == (views, told)
+        assert record_viewpoints(journey(4, 2), found).protocol["views"] == told
     assert parse_viewpoints(None) is None
 
 

@@ -106,9 +106,8 @@ def test_all_scores_are_kept_on_request_and_for_sequences_and_not_lost_when_a_ru
 BRIDGED = {"velocities": (0.8, 1), "gaps": "bridge"}
 
 
-@pytest.mark.parametrize(
-    ("options", "wanted", "name"),
-    [
+def test_options_in_words_and_the_names_of_their_files():
+    for options, wanted, name in (
         ((None,), [], ""),
         ((4, False), [Sequences(4)], "-sequence-4"),
         (([2, 10], True), [Sequences(2), Sequences(10), Filter()], "-sequence-2-10-filter"),
@@ -118,8 +117,6 @@ BRIDGED = {"velocities": (0.8, 1), "gaps": "bridge"}
             "-sequence-4-10-velocities=0.8+1.0-gaps=bridge",
         ),
         ((None, {"back": -2, "ahead": 10}), [Filter(-2, 10)], "-filter-back=-2-ahead=10"),
-    ],
-)
-def test_options_in_words_and_the_names_of_their_files(options, wanted, name):
-    assert [view.keywords["options"] for view in parse_views(*options)] == wanted
-    assert format_view_suffix(parse_views(*options)) == name
+    ):
+        assert [view.keywords["options"] for view in parse_views(*options)] == wanted
+        assert format_view_suffix(parse_views(*options)) == name

@@ -45,19 +45,16 @@ def shown(clock, reports, stream, title="sad on nordland"):
     return stream.getvalue()
 
 
-@pytest.mark.parametrize(
-    ("reports", "lines"),
-    [
+def test_a_stage_has_a_line_and_a_long_one_its_share_and_the_time_left(clock, capsys):
+    for reports, lines in (
         ([(0, "fit", 0), (1, "query", 0.1), (1, "fit", 0)], ["fit", "query", "fit"]),
         ([(0, "query", 0), (12, "query", 0.25)], ["query", "query 25 %, 36 s left"]),  # 12 s for a quarter
         ([(0, "fit", 0), (500, "query", 0), (10, "query", 0.5)], ["fit", "query", "query 50 %, 10 s left"]),
         ([(0, "fit", 0), (60, "fit", 0.0), (60, "fit", 1.0)], ["fit"]),
-    ],
-)
-def test_a_stage_has_a_line_and_a_long_one_its_share_and_the_time_left(clock, capsys, reports, lines):
-    text = shown(clock, reports, io.StringIO())
-    assert text.splitlines() == [f"sad on nordland: {line}" for line in lines]
-    assert capsys.readouterr().out == ""
+    ):
+        text = shown(clock, reports, io.StringIO())
+        assert text.splitlines() == [f"sad on nordland: {line}" for line in lines]
+        assert capsys.readouterr().out == ""
 
 
 def test_a_bar_names_each_stage_shows_the_share_done_stands_below_log_lines_and_is_gone_at_the_end(clock, monkeypatch):

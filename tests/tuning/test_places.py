@@ -38,34 +38,28 @@ OTHER = column("dataset=nordland_64x32", "dataset.first_query_place=0", "dataset
 SMALLER = ("dataset.places=450", "dataset.first_query_place=90", "dataset.query_places=360")
 
 
-@pytest.mark.parametrize(
-    ("name", "columns", "places", "searched", "checked"),
-    [
+def test_places_that_the_paper_or_a_column_of_the_table_queries_are_left_out():
+    for name, columns, places, searched, checked in (
         ("nordland", [column("dataset=nordland")], 500, range(500), range(500, 600)),
         ("nordland", [ON_REQUEST, OTHER], 500, range(500), range(500, 600)),
         ("nordland", [column("dataset=nordland", *SMALLER)], 150, range(450, 600), range(90)),
         ("oxford_robotcar", [], 60, range(60), range(60, 90)),
-    ],
-)
-def test_places_that_the_paper_or_a_column_of_the_table_queries_are_left_out(name, columns, places, searched, checked):
-    whole = {"first_query_place": 0, "query_places": {"nordland": 3300, "oxford_robotcar": 450}[name]}
-    assert choose_places(name, config(name), places, columns) == Searchable(
-        {**config(name), **whole}, searched, checked
-    )
+    ):
+        whole = {"first_query_place": 0, "query_places": {"nordland": 3300, "oxford_robotcar": 450}[name]}
+        assert choose_places(name, config(name), places, columns) == Searchable(
+            {**config(name), **whole}, searched, checked
+        )
 
 
-@pytest.mark.parametrize(
-    ("name", "places", "complaint"),
-    [
+def test_what_has_no_free_places_is_refused_with_the_reason():
+    for name, places, complaint in (
         ("nordland_64x32", 100, "dataset=nordland_64x32 0 places in a row .* search on dataset=synthetic"),
         ("folders", 100, "dataset=folders: nothing says which of its places"),
         ("oxford_robotcar", 100, "places=100: of dataset=oxford_robotcar 90 places in a row"),
         ("oxford_robotcar", 85, "10 or more have to be left to check"),
-    ],
-)
-def test_what_has_no_free_places_is_refused_with_the_reason(name, places, complaint):
-    with pytest.raises(BadInput, match=complaint):
-        choose_places(name, config(name), places, [])
+    ):
+        with pytest.raises(BadInput, match=complaint):
+            choose_places(name, config(name), places, [])
 
 
 def two_traverses(tolerance=0):
