@@ -4,16 +4,13 @@ import contextlib
 import gc
 import itertools
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
-from little import numbers_in, pictures
+from little import Lookup, picture, pictures
 from stopped_clock import Clock
 
 from vprbench.api.images import Images
-from vprbench.api.method import Method
 from vprbench.config import make_request
 from vprbench.errors import BadInput
 from vprbench.runs import stopwatch
@@ -24,27 +21,21 @@ pytestmark = pytest.mark.usefixtures("surroundings")
 MS = 1_000_000  # nanoseconds
 
 
-@dataclass
-class Timed(Method):
-    """Spends on each call what `encode_costs` and `match_costs` say; keeps what it was asked."""
+class Timed(Lookup):
+    """Spends on each call what `encode_costs` and `match_costs` make of the numbers of the images, in nanoseconds."""
 
-    spend: Callable[[int], object] = lambda _: None
-    encode_costs: Callable[[list[int]], int] = lambda _: 0  # from the numbers of the images to nanoseconds
-    match_costs: Callable[[list[int]], int] = lambda _: 0
-    asked: list[list[int]] = field(default_factory=list)
-
-    def fit(self, references, places):
-        return self
+    def __init__(self, spend=lambda _: None, encode_costs=lambda _: 3 * MS, match_costs=lambda _: 1 * MS):
+        super().__init__(np.eye(20, dtype=np.float32))
+        self.spend, self.encode_costs, self.match_costs = spend, encode_costs, match_costs
 
     def encode(self, images):
-        numbers = numbers_in(images)
-        self.asked.append(numbers)
-        self.spend(self.encode_costs(numbers))
-        return np.array(numbers)
+        codes = super().encode(images)
+        self.spend(self.encode_costs(codes.tolist()))
+        return codes
 
     def match(self, codes):
         self.spend(self.match_costs(codes.tolist()))
-        return (codes[:, None] == np.arange(12)).astype(np.float32)
+        return super().match(codes)
 
 
 def short(**changes):
@@ -53,15 +44,10 @@ def short(**changes):
     return Protocol(**{**small, **changes})
 
 
-def timed_by(clock, encode_costs=lambda _: 3 * MS, match_costs=lambda _: 1 * MS):
-    """Return a method that moves a fake clock by its costs."""
-    return Timed(lambda nanoseconds: clock.spend(nanoseconds / 1e9), encode_costs, match_costs)
-
-
 def measured(protocol, *costs, images=5, seed=0):
     """Measure a method whose costs are known; returns the times and what was asked."""
     clock = Clock()
-    method = timed_by(clock, *costs)
+    method = Timed(lambda nanoseconds: clock.spend(nanoseconds / 1e9), *costs)
     return Stopwatch(protocol, clock, seed=seed).measure(method, pictures(range(images))), method.asked
 
 
@@ -190,9 +176,10 @@ def test_images_are_decoded_before_the_clock_runs():
 
     def read(i):
         reads.append(clock.now)
-        return np.full((3, 4, 3), i, np.uint8)
+        return picture(i)
 
-    Stopwatch(short(), clock).measure(timed_by(clock), Images(read, ["a", "b", "c"]))
+    method = Timed(lambda nanoseconds: clock.spend(nanoseconds / 1e9))
+    Stopwatch(short(), clock).measure(method, Images(read, ["a", "b", "c"]))
     assert (len(reads) >= 3, {*reads}) == (True, {0})
 
 
