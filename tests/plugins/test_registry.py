@@ -193,19 +193,16 @@ def test_parameters_are_options_with_their_defaults_and_seed_and_device_those_of
     assert (entry.path.name, request.changed) == ("means.py", {"bins": 3})
 
 
-@pytest.mark.parametrize(
-    ("options", "named"),
-    [
+def test_what_does_not_fit_is_told_in_a_line(capsys):
+    for options, named in (
         (["method=means.py:Means", "method.bins=few"], "method.bins=few: wanted a valid integer"),
         (["method=means.py:Means", "method.bin=2"], "method.bin is unknown to Means: did you mean bins"),
         (["dataset=means.py:other"], "missing 1 required positional argument: 'places'"),
         (["method=absent.py:Means"], "absent.py is not there"),
         (["method=walk.py:walk", "dataset.places=12"], "made a Dataset"),
-    ],
-)
-def test_what_does_not_fit_is_told_in_a_line(options, named, capsys):
-    assert main([*options, *QUICK]) == 2
-    assert named in line_of(capsys)
+    ):
+        assert main([*options, *QUICK]) == 2
+        assert named in line_of(capsys)
 
 
 def test_a_name_that_is_taken_is_refused_of_a_class_as_of_a_file(here):

@@ -29,24 +29,14 @@ def record(references, queries):
     return hash_frames(Dataset("journey", references, np.arange(len(references)), queries, right, {}))[1]
 
 
-@pytest.fixture
-def frames(tmp_path):
-    """Files of references and of queries."""
-    files = [[tmp_path / f"winter/{name}.png" for name in "bac"], [tmp_path / f"{name}.png" for name in "ad"]]
-    for times, paths in zip((3, 5), files, strict=True):
-        for path in paths:
-            path.parent.mkdir(exist_ok=True)
-            path.write_bytes(path.stem.encode() * times)
-    return files
-
-
 NAMES = sha256(b"b.png\na.png\nc.png\na.png\nd.png")
 
 
-def test_the_record_of_files_is_as_worked_out_by_hand_and_names_content_and_order_change_their_part_of_it(
-    frames, tmp_path
-):
-    winter, summer = frames
+def test_the_record_of_files_is_as_worked_out_by_hand_and_names_content_and_order_change_their_part_of_it(tmp_path):
+    winter, summer = [tmp_path / f"winter/{name}.png" for name in "bac"], [tmp_path / f"{name}.png" for name in "ad"]
+    winter[0].parent.mkdir()
+    for path in (*winter, *summer):
+        path.write_bytes(path.stem.encode() * (3 if path in winter else 5))
     contents = [b"bbb", b"aaa", b"ccc", b"aaaaa", b"ddddd"]
     content = sha256(b"".join(hashlib.sha256(content).digest() for content in contents))
     before = record(winter, summer)

@@ -187,26 +187,15 @@ def test_a_place_has_the_score_of_the_view_that_shows_it_best_whatever_the_batch
     assert np.array_equal(scores, np.concatenate([viewed.match(viewed.encode(asked[i : i + 1])) for i in range(6)]))
 
 
-@pytest.fixture(scope="module")
-def moved():
-    """A journey of 200 places whose queries look an eighth of the frame to the right."""
-    dataset = journey(200, 200)
-    seen = drawn(200)
-    queries = [render_view(image, Viewpoint(0.125)) for image in seen]
-    return replace(dataset, references=Images.from_arrays(seen), queries=Images.from_arrays(queries))
-
-
-def run_with(dataset, views):
-    asked = Viewpoints(**views)
-    experiment = asked_for(SAD(height=16, width=64), record_viewpoints(dataset, asked), scores=True, views=views)
-    return execute(experiment)
-
-
-def test_a_run_from_shifted_views_finds_the_places_of_a_shifted_camera_and_says_from_where_it_looked(moved, store):
+def test_a_run_from_shifted_views_finds_the_places_of_a_shifted_camera_and_says_from_where_it_looked(store):
+    seen, views = drawn(200), {"horizontal": (-0.125, 0.0)}
+    queries = [render_view(image, Viewpoint(0.125)) for image in seen]  # which look an eighth of the frame to the right
+    moved = replace(journey(200, 200), references=Images.from_arrays(seen), queries=Images.from_arrays(queries))
     plain = execute(asked_for(SAD(height=16, width=64), moved))
-    run = run_with(moved, {"horizontal": (-0.125, 0.0)})
+    viewed = record_viewpoints(moved, Viewpoints(**views))
+    run = execute(asked_for(SAD(height=16, width=64), viewed, scores=True, views=views))
     right = [np.mean(each.top_places[:, 0] == np.arange(200)) for each in (plain, run)]
     assert right[0] < 0.1 < 0.95 < right[1]
-    assert (run.config["views"], run.protocol["views"]) == ({"horizontal": (-0.125, 0.0)}, "-0.125+0")
+    assert (run.config["views"], run.protocol["views"]) == (views, "-0.125+0")
     store.save(run)
     assert [back.protocol["views"] for back in store.runs()] == ["-0.125+0"]

@@ -152,16 +152,13 @@ for set_by_the_run in ("seed", "device", "tags"):
 DATASET = registry.find_entries("dataset")["synthetic"].values()
 
 
-def stretch_of(n_places, **arguments):
-    """Return the searched stretch of a rendered journey, as it is and encoded, and the arguments of the method."""
-    allowed = places.choose_places("synthetic", DATASET, n_places, [])
-    part = places.cut_dataset(registry.make_dataset(allowed.dataset), allowed.searched)
-    method = {**METHOD, "device": "cpu", **arguments}
-    return part, encode_stretch(part, registry.make_method(method), "searched"), method
-
-
 def test_a_trial_gives_the_recall_of_the_method_itself_on_the_images():
-    part, stretch, method = stretch_of(20)
+    allowed = places.choose_places("synthetic", DATASET, 20, [])
+    part, method = (
+        places.cut_dataset(registry.make_dataset(allowed.dataset), allowed.searched),
+        {**METHOD, "device": "cpu"},
+    )
+    stretch = encode_stretch(part, registry.make_method(method), "searched")
     answers = []
     for seed in (4, 9):
         arguments = {**method, **PAPER, "rate_min": 0.4, "seed": seed}
