@@ -16,6 +16,8 @@ from vprbench.cli import main
 from vprbench.errors import BadInput
 from vprbench.runs.identity import hash_frames
 
+pytestmark = pytest.mark.usefixtures("surroundings")
+
 
 def sha256(content):
     return hashlib.sha256(content).hexdigest()
@@ -66,7 +68,7 @@ TWICE = ["dataset=folders", "dataset.references=[day]", "dataset.queries=day"]
 COPIES = ["dataset=folders", "dataset.references=[night,day]", "dataset.queries=copies"]  # under other names
 
 
-@pytest.fixture
+@pytest.fixture(autouse=True)
 def drive(tmp_path, monkeypatch):
     """Run in a folder with the frames of a day and of a night."""
     monkeypatch.chdir(tmp_path)
@@ -76,7 +78,6 @@ def drive(tmp_path, monkeypatch):
             cv2.imwrite(f"{folder}/{name}{k:02}.png", frame)
 
 
-@pytest.mark.usefixtures("surroundings", "drive")
 def test_a_run_of_files_prints_and_stores_their_record(capsys):
     assert main([*QUICK, "dataset=folders", "dataset.references=[day]", "dataset.queries=night"]) == 0
     row = json.loads(capsys.readouterr().out)
@@ -87,7 +88,6 @@ def test_a_run_of_files_prints_and_stores_their_record(capsys):
     assert row["data"]["names_sha256"] == sha256("\n".join(f"{k:02}.png" for k in [*range(PLACES)] * 2).encode())
 
 
-@pytest.mark.usefixtures("surroundings", "drive")
 @pytest.mark.parametrize("options", [TWICE, COPIES])
 def test_queries_of_files_in_the_map_are_refused_by_their_number_and_asked_with_a_note_where_allowed(options, capsys):
     assert main([*QUICK, *options]) == 2
@@ -100,7 +100,6 @@ def test_queries_of_files_in_the_map_are_refused_by_their_number_and_asked_with_
     assert [f"{PLACES} of {PLACES}" in note["text"] for note in run["notes"] if note["kind"] == "dataset"] == [True]
 
 
-@pytest.mark.usefixtures("drive")
 @pytest.mark.parametrize(
     ("references", "queries", "shared"),
     [
@@ -126,10 +125,8 @@ def test_shared_images_of_a_program_are_counted_by_their_pixels_and_dark_ones_pa
     assert any(f"{shared} of 12 " in note.text for note in run(shared_frames="allow").notes)
 
 
-@pytest.mark.usefixtures("drive")
 def test_the_doctor_calls_it_an_error_and_where_it_is_allowed_a_warning(capsys):
-    assert main(["doctor", *TWICE, "output=json"]) == 1
-    assert [one["level"] for one in json.loads(capsys.readouterr().out) if one["check"] == "shared frames"] == ["error"]
-    assert main(["doctor", *TWICE, "dataset.shared_frames=allow", "output=json"]) == 1
-    found = [one["level"] for one in json.loads(capsys.readouterr().out) if one["check"] == "shared frames"]
-    assert found == ["warning"]
+    for allowed, level in (("error", "error"), ("allow", "warning")):
+        assert main(["doctor", *TWICE, f"dataset.shared_frames={allowed}", "output=json"]) == 1
+        found = [one["level"] for one in json.loads(capsys.readouterr().out) if one["check"] == "shared frames"]
+        assert found == [level]
