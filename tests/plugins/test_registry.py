@@ -89,7 +89,7 @@ class Asked:
     name: str = ""
 
 
-def test_a_list_is_given_with_or_without_brackets():
+def test_an_option_has_the_type_of_its_hint_with_or_without_brackets_and_is_else_refused_by_its_name():
     for option, value in (
         ("names=sad,hog", ["sad", "hog"]),
         ("names=[sad, hog]", ["sad", "hog"]),
@@ -100,9 +100,6 @@ def test_a_list_is_given_with_or_without_brackets():
         ("name=a,b", "a,b"),
     ):
         assert getattr(parse_options(Asked, [option], {}), option.split("=")[0]) == value
-
-
-def test_an_option_that_does_not_fit_is_refused_by_its_name_and_what_json_cannot_say_otherwise_is_taken():
     for option in ("sizes=1,two", "name", "nmae=x", "sizes=[[1]]"):
         with pytest.raises(BadInput, match=option.split("=")[0]):
             parse_options(Asked, [option], {})
@@ -111,7 +108,7 @@ def test_an_option_that_does_not_fit_is_refused_by_its_name_and_what_json_cannot
             check_value("method.cells", value, hint)
     lists = ((3, list[int], [3]), ("mrr", list[str], ["mrr"]))  # one value is a list of one
     others = ((4, float, 4.0), ([1, 2], tuple[int, ...], (1, 2)), ("a/b", Path, Path("a/b")))
-    for value, hint, wanted in (*lists, *others):
+    for value, hint, wanted in (*lists, *others):  # which JSON cannot say otherwise
         assert check_value("x", value, hint) == wanted
 
 
